@@ -13,7 +13,7 @@ All of it is imported on first use. Importing this raises JAX's pool of threads,
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from usarmjx.base import threads
+from usarmjx.base import started, threads  # noqa: F401 - the former by being imported
 
 if TYPE_CHECKING:
     from usarmjx.base.errors import EngineError as EngineError

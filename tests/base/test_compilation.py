@@ -10,6 +10,7 @@ from usarmjx.base.compilation import (
     JAX_FOLDER,
     MIN_COMPILE_TIME,
     OLDER_EMITTERS,
+    PROGRAMS_FOLDER,
     QUICKLY,
     VARIABLE,
     WARP_FOLDER,
@@ -27,6 +28,7 @@ def test_both_are_told_where_and_that_small_programs_count(tmp_path):
     folder = tmp_path / "usarmjx"
     assert said[JAX_FOLDER] == str(folder / "jax" / processor())
     assert said[WARP_FOLDER] == str(folder / "warp")
+    assert said[PROGRAMS_FOLDER] == str(folder / "programs" / processor())
     assert said[MIN_COMPILE_TIME[0]] == "0"
 
 
@@ -64,11 +66,12 @@ def test_a_folder_that_cannot_be_written_is_a_line_and_no_failure(tmp_path):
 
 
 def test_what_was_not_used_for_longest_goes_first(tmp_path):
-    """JAX's programs are files, Warp's modules are folders; a use is a reading, too."""
+    """JAX's programs and ours are files, Warp's modules are folders; a use is a reading, too."""
     programs, module = tmp_path / "jax" / "x86", tmp_path / "warp" / "1.0" / "wp_module"
-    for folder in (programs, module):
+    ours = tmp_path / "programs" / "x86"
+    for folder in (programs, module, ours):
         folder.mkdir(parents=True)
-    files = [programs / "old", module / "code", programs / "read", programs / "new"]
+    files = [ours / "old", module / "code", programs / "read", programs / "new"]
     for place, path in enumerate(files):
         path.write_bytes(bytes(100))
         os.utime(path, (1000.0 + place, 1000.0 + place))
@@ -104,6 +107,13 @@ def test_of_broken_entries_one_line_is_said_and_they_go(complaints, tmp_path):
     assert good.exists()
     warnings.showwarning("something else", None)
     assert complaints[1:] == ["something else"]
+
+
+def test_of_kept_programs_that_are_broken_one_line_is_said(complaints):
+    for name in ("Env.step", "Env.act"):
+        warnings.showwarning(UserWarning(f"Error reading the kept program {name}-1: it is not whole"), None)
+    (line,) = complaints
+    assert "Env.step" in line
 
 
 def test_quick_compilation_asks_only_for_flags_that_jaxlib_knows():

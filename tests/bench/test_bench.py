@@ -28,8 +28,8 @@ def test_the_record_says_what_was_measured_where(outcome):
     assert {"python", "jax", "jaxlib", "mujoco", "mujoco-mjx", "usarmjx"} <= set(record["versions"])
     assert record["versions"]["mujoco"] == "3.17.0"
     assert record["case"] == {
-        "worlds": 2, "roster": "P2AT", "arena": "yellow", "generated": 0, "engine": "c", "radio": False,
-        "physics": "reference", "substeps": 4, "steps": 2, "repeats": 1, "seed": 0,
+        "worlds": 2, "roster": "P2AT", "arena": "yellow", "generated": 0, "size": None, "engine": "c",
+        "radio": False, "physics": "reference", "substeps": 4, "steps": 2, "repeats": 1, "seed": 0,
     }  # fmt: skip
     for word in ("contacts", "sensors", "resets of 1%", "no radio"):
         assert word in record["in_the_step"]

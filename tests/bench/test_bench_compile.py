@@ -13,7 +13,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.bench import compiling
 from usarmjx.bench.compiling import STAGES, CompileCase, measure_compile, measure_start
 from usarmjx.bench.memory import MemoryCase, bytes_per_world, measure_memory, size_of
-from usarmjx.bench.scenes import SceneCase
+from usarmjx.bench.scenes import SceneCase, cells_for
 
 KEY = jax.dtypes.prng_key
 SCENE = {"worlds": 2, "roster": "AirRobot", "arena": "soccer", "engine": "c", "substeps": 2}
@@ -61,6 +61,16 @@ def test_processes_start_cold_and_with_a_cache(tmp_path):
     assert cached["compile_s"]["median"] < cold["compile_s"]["median"]
     with pytest.raises(UsageError, match="Dalek"):
         compiling._in_a_process(CompileCase(scene={**SCENE, "roster": "Dalek"}), "")
+
+
+def test_generated_arenas_grow_with_the_team():
+    """Teams of 1, 16, 64 and 128, each with a start pose of its own and as much room for a robot."""
+    assert [cells_for(robots) for robots in (1, 16, 64, 128)] == [(8, 6), (8, 6), (16, 12), (23, 17)]
+    scene = SceneCase(**{**SCENE, "worlds": 1, "roster": "P2AT:30", "arena": "maze", "generated": 2}).scene()
+    assert scene.num_robots == 30
+    assert scene.arenas.states.starts.shape[1] >= 30
+    own = SceneCase(worlds=1, arena="maze", generated=2, size=(5, 4), engine="c").scene()
+    assert own.arena.extent == ((0.0, 6.0), (0.0, 4.8))
 
 
 def test_the_memory_of_worlds_is_that_of_their_arrays(tmp_path):

@@ -17,6 +17,7 @@ from usarmjx.cli.app import app
 from usarmjx.cli.tools import ErrorExit
 from usarmjx.cli.train import _served
 from usarmjx.cli.waiting import say
+from usarmjx.engines import choose_engine
 from usarmjx.train.learning.config import Config, task_config
 from usarmjx.train.learning.record import EnvArguments, RunRecord
 from usarmjx.train.learning.trainer import TrainResult
@@ -68,8 +69,9 @@ def test_a_run_is_in_a_folder_of_its_task_and_goes_on_with_its_settings(tmp_path
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("usarmjx.train.learning.trainer.train", train)
     assert invoke("train", "drive-to-goal").exit_code == 0
-    config, folder, *_ = asked.pop()
+    config, folder, _, origin = asked.pop()
     assert (config, folder) == (task_config("drive-to-goal"), Path("runs/drive-to-goal"))
+    assert origin == EnvArguments(choose_engine("auto", "train"))
     assert (
         invoke("train", "drive-to-goal", "--resume").exit_code == 0
     )  # nothing is there: left to the trainer

@@ -116,7 +116,7 @@ def test_a_gpu_that_jax_does_not_use_is_noted(monkeypatch):
 
 def test_what_auto_takes_and_why():
     (found,) = checks.check_engines()
-    assert found.text.startswith("auto is c to serve, jax to train: ")
+    assert found.text.startswith("auto is c to serve, c to train, jax for batches: ")
 
 
 def test_a_check_that_breaks_is_a_finding_and_the_others_go_on():

@@ -20,6 +20,7 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.base import SENSORS
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.policies import POLICIES
+from usarmjx.train.policies.sources import find_source
 from usarmjx.train.tasks import TASKS
 
 REGISTRIES = {"robots": ROBOTS, "sensors": SENSORS, "arenas": ARENAS, "tasks": TASKS, "engines": ENGINES}
@@ -39,6 +40,14 @@ def test_a_listing_has_a_row_for_each_thing(what):
 def test_policies_are_those_trained_and_those_by_hand():
     names = [row[0] for row in LISTINGS["policies"]().rows]
     assert names == [*POLICIES.names(), *BASELINES.names()]
+
+
+def test_tasks_say_which_policies_come_for_them():
+    told = {row[0]: row[-1] for row in LISTINGS["tasks"]().rows}
+    assert told["stairs"].endswith("by hand")
+    for name in ("explore", "victim-search"):
+        assert told[name] == told[f"{name}-v1"] == "trained, by hand"
+        assert find_source(f"{name}-v1").name == find_source(name).name
 
 
 def test_json_is_a_list_of_objects_and_no_word_more_on_standard_output():

@@ -2,15 +2,16 @@
 
 from dataclasses import replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.engines.planar.neighbours import look_around
 from usarmjx.engines.planar.responses import Response, use_response
 from usarmjx.models.robots import ROBOTS
 
 SINGLE = 2e-4
 """What is rounded over a second in single precision [m, rad]."""
-ALONE = 1e-5
-"""A world alone and among others after 2 s without a collision [m]: XLA orders sums as it likes."""
 AT_ONCE = Response(forward_lag=1e-4, turn_lag=1e-4, acceleration=1e4, turn_acceleration=1e4, cornering=1e4)
 """Does what it is told at once."""
 BLIND = replace(ROBOTS.get("P2AT"), sensors=(), cameras=())
@@ -18,6 +19,15 @@ EAGER = replace(BLIND, name="Eager", battery_life=1e6)
 """A P2AT that does what it is told at once."""
 
 use_response(EAGER, AT_ONCE)
+
+
+def around(prints, solids):
+    """What is around robots (worlds, robots) whose worlds all have the same solids."""
+
+    def of_world(one):
+        return look_around(one, one.low + one.step, solids, 0.1, jnp.zeros(0))
+
+    return jax.vmap(of_world)(prints)
 
 
 def drive(batch, left, right, steps, state=None):

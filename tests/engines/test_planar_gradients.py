@@ -9,10 +9,18 @@ import numpy as np
 import pytest
 
 from tests.arenas import FLAT
-from tests.engines.eager import EAGER
+from tests.engines.eager import EAGER, around
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.engines.planar.flight import sine_over, turned
-from usarmjx.engines.planar.footprints import Footprints, near_solids, overlaps, parted
+from usarmjx.engines.planar.footprints import (
+    Footprints,
+    deepest_of,
+    layout,
+    meetings,
+    parted,
+    push_of,
+)
+from usarmjx.engines.planar.neighbours import stopping
 from usarmjx.engines.planar.solids import seen_from_above
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import StartPose
@@ -142,14 +150,17 @@ def test_a_push_has_the_slope_that_small_steps_show():
         mass=jnp.array([20.0, 30.0, 1.0]),
     )
     none = seen_from_above(np.zeros(0, int), jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)), jnp.zeros((0, 3)))
-    near, moves = near_solids(overlapping, none, 8, 0.1)[0], jnp.ones(3, bool)
+    overlapping = jax.tree.map(lambda x: x[None], overlapping)
+    near, moves = stopping(overlapping, around(overlapping, none).near), jnp.ones((3, 1), bool)
     weight = jnp.asarray(np.random.default_rng(2).normal(size=(3, 3)), jnp.float32)
 
     @jax.jit
     def found(x):
-        prints = overlapping.replace(pos=overlapping.pos.at[0, 0].set(x))
-        apart = parted(prints, overlaps(prints, near, moves), moves)
-        return (jnp.column_stack([apart.pos, apart.yaw]) * weight).sum()
+        prints = layout(overlapping.replace(pos=overlapping.pos.at[0, 0, 0].set(x)))
+        others = meetings(prints, prints, near, moves, None, discs=True)
+        deepest = deepest_of(prints.outline, others, others.level)
+        apart = parted(prints, push_of(prints.outline, others, deepest), moves)
+        return (jnp.hstack([apart.outline.x, apart.outline.y, apart.yaw]) * weight).sum()
 
     slope = float(jax.jit(jax.grad(found))(0.3))
     assert slope == pytest.approx(float(found(0.31) - found(0.29)) / 0.02, rel=0.02)

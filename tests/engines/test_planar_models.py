@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from tests.arenas import FLAT
-from tests.engines.eager import AT_ONCE, BLIND, EAGER
+from tests.engines.eager import AT_ONCE, BLIND, EAGER, around
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.engines.planar.bodies import Motion
 from usarmjx.engines.planar.drives import follow, wheels_of
-from usarmjx.engines.planar.footprints import Footprints, keep_apart, near_solids
+from usarmjx.engines.planar.footprints import Footprints, keep_apart
+from usarmjx.engines.planar.neighbours import stopping
 from usarmjx.engines.planar.responses import Response, measured
 from usarmjx.engines.planar.rolling import rolled
 from usarmjx.engines.planar.solids import seen_from_above
@@ -131,9 +132,7 @@ def test_a_mirrored_world_stays_the_mirror_image():
         return prints.replace(pos=prints.pos * jnp.array([1.0, -1.0]), yaw=-prints.yaw)
 
     moves = jnp.ones((8, n), bool)
-    apart = jax.jit(
-        lambda a, b: keep_apart(a, b, jax.vmap(lambda p: near_solids(p, walls, 8, 0.1)[0])(b), moves)
-    )
+    apart = jax.jit(lambda a, b: keep_apart(a, b, stopping(b, around(b, walls).near), moves))
     one, touched = apart(start, crowded)
     other, also = apart(mirrored(start), mirrored(crowded))
     assert np.asarray(touched).mean() > 0.5

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 import dev
 from tests.bench.records import faults
 from tests.test_docs import blocks
-from tests.train.runs import lines
+from tests.train.runs import CONFIG, lines
 from usarmjx.base.errors import UsageError
 from usarmjx.bench.train import train_record
 from usarmjx.cli.app import app
@@ -20,11 +20,14 @@ from usarmjx.plots.training_plots import (
     BLUE,
     ORANGE,
     PALE,
+    Curve,
     curve_of_run,
+    curves_by_task,
     draw_curves,
     mean_curve,
     read_curves,
 )
+from usarmjx.train.learning.config import from_record
 from usarmjx.train.learning.metrics import read_lines
 
 ABOUT = {"benchmark": "train", "device": "GPU", "worlds": 8, "agent_steps_per_s": 50.0}
@@ -79,6 +82,18 @@ def test_the_mean_goes_as_far_as_all_seeds(panels):
     assert_allclose(timed[BLUE], [[[2.0, 1.0], [4.0, 3.0], [6.0, 4.5]]])
 
 
+def test_runs_on_several_engines_are_drawn_by_themselves():
+    """And only those of one engine and seed supersede each other."""
+    shape = {"about": "", "steps": np.ones(1), "seconds": np.ones(1)}
+    scores = [("wait", "c", 2.0), ("wait", "planar", 3.0), ("wait", "c", 4.0), ("go", "c", 5.0)]
+    curves = [
+        Curve(task=task, engine=engine, seed=0, score=np.array([score]), **shape)
+        for task, engine, score in scores
+    ]
+    found = {name: [one.score[0] for one in rows] for name, rows in curves_by_task(curves).items()}
+    assert found == {"wait on c": [4.0], "wait on planar": [3.0], "go": [5.0]}
+
+
 def test_the_baseline_is_a_line_across(panels):
     (axes, waited), *_, (_, went) = panels
     assert [score for _, score in waited[ORANGE][0]] == [3.0, 3.0]
@@ -126,6 +141,7 @@ def test_a_run_is_recorded_as_it_is_drawn(reference, tmp_path):
     assert (curve.baseline, record["baseline_reached_s"]) == (0.5, pytest.approx(reached))
     assert record["agent_steps"] == 24_000
     assert any(change.startswith("discount: 0.99 -> 0.9") for change in record["settings"]["training"])
+    assert from_record(record["config"]) == CONFIG
     assert f"score {scores[-1]:.3f}; baseline 0.5 after {reached:.0f} s" in done.output
     assert train_record(reference, 2.0)["baseline_reached_s"] is None
     assert faults(record) == []

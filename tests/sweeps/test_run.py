@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 
+import jax
 import numpy as np
 import pytest
 
@@ -13,7 +14,7 @@ import usarmjx
 from tests.sweeps.conftest import SMALL, write
 from usarmjx.sweeps.batch import GroupRunner
 from usarmjx.sweeps.resolve import resolve
-from usarmjx.sweeps.run import run_sweep
+from usarmjx.sweeps.run import prepare, run_sweep
 from usarmjx.sweeps.spec import load_spec
 from usarmjx.sweeps.store import CELLS, read_sweep
 
@@ -118,6 +119,14 @@ def test_in_python_a_sweep_is_a_table(whole, rows, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     plain = usarmjx.sweep(small, whole[0])
     assert plain[3]["metric.distance"] == table["metric.distance"][3]
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="about machines without a GPU")
+def test_engine_auto_is_c_where_there_is_only_a_cpu(tmp_path):
+    """As in training: engine jax steps a few worlds on a CPU many times slower."""
+    common = {**SMALL["common"], "engine": "auto"}
+    prepared = prepare(load_spec(write(tmp_path, common=common)), tmp_path / "out")
+    assert {settings["engine"] for _, settings in prepared.cells} == {"c"}
 
 
 def test_a_folder_without_a_sweep_is_named(tmp_path):

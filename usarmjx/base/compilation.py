@@ -19,6 +19,8 @@ VARIABLE = "USARMJX_CACHE"
 """Environment variable with another folder, or one of `OFF`."""
 OFF = ("off", "no", "0")
 JAX_FOLDER, WARP_FOLDER = "JAX_COMPILATION_CACHE_DIR", "WARP_CACHE_PATH"
+PROGRAMS_FOLDER = "USARMJX_PROGRAMS"
+"""Environment variable with the folder of `kept_programs`."""
 MIN_COMPILE_TIME = ("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 """JAX keeps what took so long, a second if nothing is said; a start has a hundred programs that take less."""
 MAX_SIZE = 2_000_000_000
@@ -28,7 +30,8 @@ QUICKLY, OLDER_EMITTERS = "--xla_backend_optimization_level=0", "--xla_cpu_use_f
 """Flags with which XLA compiles what a task observes in a quarter of the time."""
 WITHOUT_OLDER_EMITTERS = (0, 11)
 """From this version on jaxlib has no such flag, and XLA ends a process over a flag that it does not know."""
-JAX_COMPLAINT = re.compile(r"persistent compilation cache entry for '([^']+)'")
+JAX_COMPLAINT = re.compile(r"persistent compilation cache entry for '([^']+)'|the kept program ()")
+"""What JAX warns of, and `kept_programs`; the latter removes what is broken itself."""
 
 
 def cache_folder(environment: MutableMapping[str, str]) -> Path | None:
@@ -63,6 +66,7 @@ def keep_compilations(environment: MutableMapping[str, str] = os.environ, most: 
     except (OSError, RuntimeError) as error:
         return f"compilations are not kept, the next start will take as long: {error}"
     environment.setdefault(JAX_FOLDER, str(programs))
+    environment.setdefault(PROGRAMS_FOLDER, str(folder / "programs" / processor()))
     environment.setdefault(*MIN_COMPILE_TIME)
     environment.setdefault(WARP_FOLDER, str(folder / "warp"))
     return None
@@ -105,8 +109,9 @@ def prune(folder: Path, most: int) -> None:
 
 
 def _entries(folder: Path) -> Iterator[Path]:
-    """Return what of a cache can go by itself: JAX's files, and Warp's folders, one for each module."""
-    yield from (path for path in folder.glob("jax/**/*") if path.is_file())
+    """Return what of a cache can go by itself: JAX's files and ours, and Warp's folders, one for a module."""
+    for kind in ("jax", "programs"):
+        yield from (path for path in folder.glob(f"{kind}/**/*") if path.is_file())
     yield from (path for path in folder.glob("warp/*/*") if path.is_dir())
 
 
@@ -141,7 +146,7 @@ def tell_once_of_broken_entries(say: Callable[[str], None], folder: Path) -> Non
         if not said:
             say(f"note: a compilation is not kept, or was broken and is done anew: {str(message)[:200]}")
         said = True
-        if str(message).startswith("Error reading"):
+        if str(message).startswith("Error reading") and found[1]:
             for path in folder.glob(f"{found[1]}-*"):
                 path.unlink(missing_ok=True)
 

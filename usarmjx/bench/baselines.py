@@ -156,7 +156,7 @@ def mjx_rate(scene: Scene, worlds: int, steps: int, repeats: int) -> dict[str, A
     Raises:
         UsarmjxError: MJX cannot run the scene.
     """
-    engine = choose_engine("auto", "train")
+    engine = choose_engine("auto", "batch")
     batch = Batch(scene, worlds, engine=engine, shuffle=True)
     state = batch.reset()
     loop = repeat_loop(batch, bare_step(batch, jax.random.key(1), state), steps)

@@ -1,5 +1,6 @@
 """What the benchmarks of the step, of compilation and of memory have in common: a batch of a scene."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,6 +10,7 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.engines import choose_engine
 from usarmjx.models.build.compose import PHYSICS
 from usarmjx.models.generate import generate_many
+from usarmjx.models.generate.kinds import USUAL_STARTS
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.server.worlds.make import parse_roster
 from usarmjx.sim.batch import Batch
@@ -16,6 +18,8 @@ from usarmjx.sim.scene import Scene, build_scene, start_height
 
 CONTROL_STEP = 0.05
 """[s]"""
+USUAL_SIZE, USUAL_TEAM = (8, 6), 16
+"""Cells of a generated arena [1.2 m], and the largest team in it; larger ones have larger arenas."""
 SAMPLE_ARENAS = 64
 """Generated arenas that a shared one is chosen from."""
 
@@ -28,13 +32,15 @@ class SceneCase:
 
     With `generated` arenas, `arena` is the kind that is generated, and resets draw others of them. With 1 all
     worlds share one: the one with the most loose objects, and then solids, of `SAMPLE_ARENAS`, for a fair
-    comparison, as a batch of many has room for the most of everything.
+    comparison, as a batch of many has room for the most of everything. They have `size` cells, or, if that is
+    None, `cells_for` as many robots; and a start pose for each.
     """
 
     worlds: int
     roster: str = "P2AT"
     arena: str = "yellow"
     generated: int = 0
+    size: tuple[int, int] | None = None
     engine: str = "auto"
     radio: bool = False
     physics: str = "reference"
@@ -48,7 +54,7 @@ class SceneCase:
             UnknownNameError: No such engine or physics.
         """
         timestep = PHYSICS.get(self.physics).timestep
-        engine = choose_engine(self.engine, "train")
+        engine = choose_engine(self.engine, "batch")
         return {"engine": engine, "substeps": self.substeps or round(CONTROL_STEP / timestep)}
 
     def scene(self) -> Scene:
@@ -70,9 +76,24 @@ class SceneCase:
         if not self.generated:
             return self.arena
         if self.generated > 1:
-            return generate_many(self.arena, self.generated, seed=self.seed)
-        sample = generate_many(self.arena, SAMPLE_ARENAS, seed=self.seed)
+            return self._generate(self.generated)
+        sample = self._generate(SAMPLE_ARENAS)
         return max(sample, key=lambda arena: (len(arena.loose), len(arena.shapes)))
+
+    def _generate(self, count: int) -> list[ArenaSpec]:
+        robots = len(parse_roster(self.roster))
+        size = cells_for(robots) if self.size is None else self.size
+        starts = max(USUAL_STARTS, robots)
+        return generate_many(self.arena, count, seed=self.seed, size=(size[0], size[1]), starts=starts)
+
+
+def cells_for(robots: int) -> tuple[int, int]:
+    """Return columns and rows of a generated arena in which a team has as much room as sixteen in 8 x 6."""
+    if robots <= USUAL_TEAM:
+        return USUAL_SIZE
+    cells = robots * math.prod(USUAL_SIZE) / USUAL_TEAM
+    columns = math.ceil(math.sqrt(cells * USUAL_SIZE[0] / USUAL_SIZE[1]))
+    return columns, math.ceil(cells / columns)
 
 
 def start_qpos(scene: Scene) -> np.ndarray:

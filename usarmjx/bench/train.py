@@ -1,5 +1,6 @@
 """The benchmark of training: what a run was, how fast, and when it was as good as the baseline by hand."""
 
+from dataclasses import asdict
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -64,6 +65,7 @@ def train_record(
         "processes": run.processes,
         "seed": run.config.seed,
         "settings": {"task": run.overrides, "training": changed},
+        "config": asdict(run.config),
         "agent_steps": lines[-1]["agent_steps"],
         "seconds": round(float(curve.seconds[-1]), 1),
         "agent_steps_per_s": median(rates[1:] or rates),  # the first iteration compiles

@@ -16,6 +16,7 @@ from usarmjx.cli.tools import (
     OutFolderOption,
     SeedOption,
     chosen_out,
+    read_size,
 )
 from usarmjx.cli.waiting import announce
 
@@ -124,6 +125,7 @@ def generate(
     ] = "P2AT",
     reachable: Annotated[float, typer.Option(help="Share of the victims that it reaches.")] = 1.0,
     victims: Annotated[int | None, typer.Option(help="How many; one for 12 cells, if not given.")] = None,
+    starts: Annotated[int, typer.Option(min=1, help="Most start poses; a free cell has one.")] = 24,
     png: PngOption = None,
     perspective: PerspectiveOption = None,
     yaml: Annotated[Path | None, typer.Option(help="Write the arena to this file.")] = None,
@@ -147,7 +149,7 @@ def generate(
         }
         own_levels = {name: difficulty if own is None else own for name, own in levels.items()}
         level = Difficulty(**own_levels, obstacles=obstacles, risk=risk)
-        arena = make(kind, _read_size(size), seed, level, robot, reachable, victims)
+        arena = make(kind, read_size(size), seed, level, robot, reachable, victims, starts)
         typer.echo(summary(arena))
         _draw(arena, png, perspective)
         if yaml is not None:
@@ -253,15 +255,3 @@ def _draw(arena: "ArenaSpec", png: Path | None, perspective: Path | None) -> Non
         if path is not None:
             write(arena, path)
             typer.echo(f"wrote {path}")
-
-
-def _read_size(text: str) -> tuple[int, int]:
-    """Return columns and rows of a size given as 12x8.
-
-    Raises:
-        UsageError: It is not of that form.
-    """
-    columns, _, rows = text.partition("x")
-    if not (columns.isdecimal() and rows.isdecimal()):
-        raise UsageError(f"size {text!r} is not of the form 12x8 (columns x rows)")
-    return int(columns), int(rows)

@@ -16,6 +16,7 @@ from usarmjx.cli.bench_options import (
     RepeatsOption,
     RosterOption,
     SceneArenaOption,
+    SizeOption,
     StepsOption,
     SubstepsOption,
     one_class,
@@ -29,6 +30,7 @@ from usarmjx.cli.tools import (
     UnitOption,
     WorldsOption,
     configure_from,
+    read_size,
 )
 from usarmjx.cli.waiting import announce
 
@@ -131,6 +133,7 @@ def bench_step(
     roster: RosterOption = "P2AT:4",
     arena: SceneArenaOption = "yellow",
     generated: GeneratedOption = 0,
+    size: SizeOption = None,
     engine: EngineOption = "auto",
     radio: RadioOption = False,
     physics: PhysicsOption = "reference",
@@ -155,6 +158,7 @@ def bench_step(
             roster=roster,
             arena=arena,
             generated=generated,
+            size=read_size(size) if size else None,
             engine=engine,
             radio=radio,
             physics=physics,

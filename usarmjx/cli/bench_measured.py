@@ -18,11 +18,12 @@ from usarmjx.cli.bench_options import (
     RepeatsOption,
     RosterOption,
     SceneArenaOption,
+    SizeOption,
     StepsOption,
     SubstepsOption,
 )
 from usarmjx.cli.completion import complete_tasks
-from usarmjx.cli.tools import ArenaOption, EngineOption, ErrorExit, SeedOption, WorldsOption
+from usarmjx.cli.tools import ArenaOption, EngineOption, ErrorExit, SeedOption, WorldsOption, read_size
 from usarmjx.cli.waiting import announce
 
 app = typer.Typer()
@@ -93,6 +94,7 @@ def bench_compile(
     roster: RosterOption = "P2AT:4",
     arena: SceneArenaOption = "yellow",
     generated: GeneratedOption = 0,
+    size: SizeOption = None,
     engine: EngineOption = "auto",
     radio: RadioOption = False,
     physics: PhysicsOption = "reference",
@@ -114,6 +116,7 @@ def bench_compile(
             "roster": roster,
             "arena": arena,
             "generated": generated,
+            "size": read_size(size) if size else None,
             "engine": engine,
             "radio": radio,
             "physics": physics,
@@ -132,6 +135,7 @@ def bench_memory(
     roster: RosterOption = "P2AT:4",
     arena: SceneArenaOption = "yellow",
     generated: GeneratedOption = 0,
+    size: SizeOption = None,
     engine: EngineOption = "auto",
     radio: RadioOption = False,
     physics: PhysicsOption = "reference",
@@ -158,6 +162,7 @@ def bench_memory(
             roster=roster,
             arena=arena,
             generated=generated,
+            size=read_size(size) if size else None,
             engine=engine,
             radio=radio,
             physics=physics,

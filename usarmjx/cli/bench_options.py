@@ -20,8 +20,14 @@ SceneArenaOption = Annotated[str, typer.Option(help="Arena name, or with --gener
 GeneratedOption = Annotated[
     int, typer.Option(min=0, help="So many generated arenas, which the worlds have in turn.")
 ]
+SizeOption = Annotated[
+    str | None,
+    typer.Option(help="Cells of a generated arena, as 12x8; else 8x6, or 3 for each robot of a larger team."),
+]
 RadioOption = Annotated[bool, typer.Option("--radio", help="Evaluate all radio links too.")]
-PhysicsOption = Annotated[str, typer.Option(help="Settings of the physics: reference or fast.")]
+PhysicsOption = Annotated[
+    str, typer.Option(help="Settings of the physics: reference, fast, or coarse for planar.")
+]
 SubstepsOption = Annotated[
     int | None, typer.Option(min=1, help="Physics steps per control step; else those of 50 ms.")
 ]

@@ -8,7 +8,7 @@ import typer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.progress import Seldom
-from usarmjx.cli.tools import ErrorExit
+from usarmjx.cli.tools import ErrorExit, SeedOption
 from usarmjx.cli.waiting import announce, say
 
 
@@ -16,7 +16,8 @@ def calibrate(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Classes of robots; else all that roll on wheels or tracks. With --tasks, tasks; else all."
+            help="Classes of robots; else all that roll on wheels or tracks. With --tasks, tasks or folders "
+            "of runs; else all tasks."
         ),
     ] = None,
     out: Annotated[
@@ -43,8 +44,12 @@ def calibrate(
     episodes: Annotated[
         int, typer.Option(min=1, help="With --tasks: episodes of each seed, at least.")
     ] = 100,
-    seeds: Annotated[int, typer.Option(min=1, help="With --tasks: how many seeds, from 0 on.")] = 1,
+    seeds: Annotated[int, typer.Option(min=1, help="With --tasks: how many seeds, from --seed on.")] = 1,
+    seed: SeedOption = 0,
     worlds: Annotated[int, typer.Option(min=1, help="With --tasks: worlds at once.")] = 20,
+    split: Annotated[
+        str | None, typer.Option(help="With --tasks: generated arenas that were not trained on, as of eval.")
+    ] = None,
 ) -> None:
     """Measure how robots answer their motors, for engine planar, and how far off it is with that."""
     with ErrorExit():
@@ -55,7 +60,7 @@ def calibrate(
 
             typer.echo(error_table())
         elif tasks:
-            _print(_task_rows(names, engines, episodes, range(seeds), worlds))
+            _print(_task_rows(names, engines, episodes, range(seed, seed + seeds), worlds, split))
         elif drives:
             _print(_drive_rows(names))
         else:
@@ -85,10 +90,10 @@ def _drive_rows(names: list[str] | None) -> Iterator[str]:
 
 
 def _task_rows(
-    names: list[str] | None, engines: str, episodes: int, seeds: range, worlds: int
+    names: list[str] | None, engines: str, episodes: int, seeds: range, worlds: int, split: str | None
 ) -> Iterator[str]:
     from usarmjx.train.evaluation.task_gap import TASKS_TRIED, sources_of, task_gap
 
     announce("building the worlds that policies are tried in ...")
     tried = sources_of(names or TASKS_TRIED)
-    return task_gap(engines.split(","), tried, episodes, seeds, worlds, Seldom(say))
+    return task_gap(engines.split(","), tried, episodes, seeds, worlds, split, Seldom(say))

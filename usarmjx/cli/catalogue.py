@@ -107,7 +107,7 @@ def catalogue() -> str:
     for name, _ in ENGINES:
         lines.append(f"  {name:5} {availability(name)}")
     lines.append(
-        f"  auto is {choose_engine('auto', 'serve')} for serve, {choose_engine('auto', 'train')} for bench"
+        f"  auto is {choose_engine('auto', 'serve')} for serve, {choose_engine('auto', 'batch')} for bench"
     )
     return "\n".join(lines)
 

@@ -141,14 +141,15 @@ def check_engines() -> Iterator[Finding]:
     """Say which engine `auto` takes, and why."""
     from usarmjx.engines import choose_engine
 
-    chosen = choose_engine("auto", "serve"), choose_engine("auto", "train")
+    chosen = tuple(choose_engine("auto", purpose) for purpose in ("serve", "train", "batch"))
     if chosen[0] == "warp":
         why = "an NVIDIA GPU and Warp are there"
     elif importlib.util.find_spec("warp") is None:
         why = "without Warp a GPU's engine cannot run, and c serves one world fastest on a CPU"
     else:
         why = "JAX has no NVIDIA GPU here, and c serves one world fastest on a CPU"
-    yield Finding("engines", "ok", f"auto is {chosen[0]} to serve, {chosen[1]} to train: {why}")
+    serve, train, batch = chosen
+    yield Finding("engines", "ok", f"auto is {serve} to serve, {train} to train, {batch} for batches: {why}")
 
 
 def check_cache(environment: Mapping[str, str] = os.environ) -> Iterator[Finding]:

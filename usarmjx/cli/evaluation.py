@@ -52,9 +52,10 @@ def evaluate_policy(
     """Tell a policy's mean final score and the 95 % interval of that mean."""
     with ErrorExit():
         announce("building the worlds that the policy is tried in ...")
+        from usarmjx.engines import choose_engine
         from usarmjx.train.evaluation.evaluate import as_record, evaluate_episodes
 
-        found = driver.source()
+        engine, found = choose_engine(engine, "train"), driver.source()
         many, episodes = driver.amount(found, split, worlds, episodes)
         env, policy = driver.env(found, many, engine, split)
         numbers = range(driver.seed, driver.seed + seeds)

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from usarmjx.train.policies.sources import PolicySource
 
 PolicyEngineOption = Annotated[
-    str, typer.Option(help="warp, jax, c, or auto: the best for this here.", autocompletion=complete_engines)
+    str,
+    typer.Option(
+        help="warp, jax, c, planar, or auto: the best for this here.", autocompletion=complete_engines
+    ),
 ]
 
 

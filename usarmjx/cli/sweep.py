@@ -50,7 +50,9 @@ def run(
         int | None, typer.Option(min=1, help="With processes or ray: how many; else one for each GPU.")
     ] = None,
     address: Annotated[str | None, typer.Option(help="With ray: address of a cluster.")] = None,
-    engine: Annotated[str | None, typer.Option(help="Physics of all cells: warp, jax, c, or auto.")] = None,
+    engine: Annotated[
+        str | None, typer.Option(help="Physics of all cells: warp, jax, c, planar, or auto.")
+    ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", "-c", help="A setting of all cells, key=value; repeatable."),

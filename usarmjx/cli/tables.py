@@ -104,16 +104,18 @@ def arenas() -> Listing:
 
 
 def tasks() -> Listing:
-    """Return the tasks."""
+    """Return the tasks, and which policies for them come with the package."""
+    from usarmjx.train.baselines import BASELINES
     from usarmjx.train.policies import POLICIES
     from usarmjx.train.tasks import TASKS
 
+    made = {"trained": POLICIES, "by hand": BASELINES}
     rows = [
-        (name, task.about, task.episode_steps, "yes" if name in POLICIES else "by hand")
+        (name, task.about, task.episode_steps, ", ".join(how for how in made if name in made[how]) or "none")
         for name, task in TASKS
     ]
     return Listing(
-        columns=("task", "what it is", "steps", "packaged policy"),
+        columns=("task", "what it is", "steps", "policies"),
         rows=rows,
         title="Tasks: usarmjx train TASK",
     )
@@ -138,7 +140,7 @@ def engines() -> Listing:
     from usarmjx.cli.catalogue import availability
     from usarmjx.engines import ENGINES, choose_engine
 
-    chosen = {purpose: choose_engine("auto", purpose) for purpose in ("serve", "train")}
+    chosen = {purpose: choose_engine("auto", purpose) for purpose in ("serve", "train", "batch")}
     rows = [
         (name, availability(name), ", ".join(purpose for purpose, best in chosen.items() if best == name))
         for name, _ in ENGINES

@@ -44,7 +44,7 @@ SeedOption = Annotated[int, typer.Option(help="Seed of all random numbers.")]
 EngineOption = Annotated[
     str,
     typer.Option(
-        help="warp, jax, c, or auto: the best for the purpose here.", autocompletion=complete_engines
+        help="warp, jax, c, planar, or auto: the best for the purpose here.", autocompletion=complete_engines
     ),
 ]
 ArenaOption = Annotated[
@@ -65,6 +65,18 @@ PortOffsetOption = Annotated[
     int, typer.Option(min=0, max=65535, help="Added to this port and all others, for a second server.")
 ]
 UnitOption = Annotated[float, typer.Option(help="Unreal units in a metre, for ini files with bMountByUU.")]
+
+
+def read_size(text: str) -> tuple[int, int]:
+    """Return columns and rows of a size given as 12x8.
+
+    Raises:
+        UsageError: It is not of that form.
+    """
+    columns, _, rows = text.partition("x")
+    if not (columns.isdecimal() and rows.isdecimal()):
+        raise UsageError(f"size {text!r} is not of the form 12x8 (columns x rows)")
+    return int(columns), int(rows)
 
 
 OldOutArgument = Annotated[Path | None, typer.Argument(hidden=True)]

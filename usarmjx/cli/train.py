@@ -174,6 +174,7 @@ def _train(
     Returns:
         What came of it, in a line.
     """
+    from usarmjx.engines import choose_engine
     from usarmjx.train.learning.record import EnvArguments
     from usarmjx.train.learning.trainer import train as run
     from usarmjx.train.make import make
@@ -182,6 +183,8 @@ def _train(
     chosen = {key: value for key, value in given.items() if value is not None}
     if resume:
         chosen, pairs, engine = _as_before(out, chosen, pairs, engine)
+    else:
+        engine = choose_engine(engine, "train")
     config, overrides = _split_settings(task, pairs, chosen, engine)
 
     def worlds_of(count: int, first: int) -> "Env":

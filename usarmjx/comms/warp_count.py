@@ -9,8 +9,9 @@ import warp as wp
 
 from usarmjx.base.arrays import Array
 from usarmjx.comms import warp_walls
+from usarmjx.sensors.rays.over_worlds import over_worlds
 from usarmjx.sensors.rays.targets import GeomBlockInfo, Geoms
-from usarmjx.sensors.rays.warp_calls import over_worlds, pack
+from usarmjx.sensors.rays.warp_calls import pack
 
 
 @cache

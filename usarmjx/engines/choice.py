@@ -23,8 +23,10 @@ ENGINES.add("planar", ("usarmjx.engines.planar.engine", "PlanarEngine"))
 ENGINES.add("warp", ("usarmjx.engines.mjx", "WarpEngine"))
 
 
-def choose_engine(name: str, purpose: Literal["serve", "train"]) -> str:
-    """Resolve `auto`: warp on an NVIDIA GPU; else c to serve one world, jax to train on many.
+def choose_engine(name: str, purpose: Literal["serve", "train", "batch"]) -> str:
+    """Resolve `auto`: warp on an NVIDIA GPU; else c to serve one world, jax for a batch that is compiled.
+
+    What trains or tries policies takes c on a CPU, and jax on what is neither.
 
     Raises:
         UnknownNameError: No such engine; lists those there are.
@@ -32,10 +34,10 @@ def choose_engine(name: str, purpose: Literal["serve", "train"]) -> str:
     if name.lower() != "auto":
         ENGINES.get(name)
         return name.lower()
-    gpu = any(device.platform == "gpu" for device in jax.devices())
-    if gpu and importlib.util.find_spec("warp") is not None:
+    kinds = {device.platform for device in jax.devices()}
+    if "gpu" in kinds and importlib.util.find_spec("warp") is not None:
         return "warp"
-    return "c" if purpose == "serve" else "jax"
+    return "c" if purpose == "serve" or (purpose == "train" and kinds == {"cpu"}) else "jax"
 
 
 def engine_class(name: str) -> type[Engine[Any]]:

@@ -1,6 +1,7 @@
 """How scores rise in training, over agent steps and over time: from benchmark records and folders of runs."""
 
 import json
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,12 +9,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from PIL import Image
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.files import write_beside
+from usarmjx.plots.palette import save_small
 from usarmjx.train.learning.metrics import read_lines
 from usarmjx.train.learning.record import load_record
 
@@ -36,6 +35,7 @@ class Curve:
         seconds: Time so far [s] (points,).
         score: Mean score of the episodes that ended since the point before (points,).
         baseline: Score of the policy written by hand; None: not known.
+        engine: Of the physics, as the run was told; empty: not known.
     """
 
     task: str
@@ -45,6 +45,7 @@ class Curve:
     seconds: np.ndarray
     score: np.ndarray
     baseline: float | None = None
+    engine: str = ""
 
 
 Axis = Callable[[Curve], np.ndarray]
@@ -67,6 +68,7 @@ def curve_of_record(record: dict[str, Any]) -> Curve:
         seconds=seconds,
         score=rows[:, 1],
         baseline=record.get("baseline"),
+        engine=record.get("engine", ""),
     )
 
 
@@ -94,6 +96,7 @@ def curve_of_run(folder: Path) -> Curve:
         steps=steps[there],
         seconds=seconds[there],
         score=score[there],
+        engine=settings.engine,
     )
 
 
@@ -118,10 +121,19 @@ def read_curves(source: Path) -> list[Curve]:
 
 
 def curves_by_task(curves: Iterable[Curve]) -> dict[str, list[Curve]]:
-    """Return the curves of each task, by seed; of several with the same seed, the last one."""
-    last = {(curve.task, curve.seed): curve for curve in curves}
-    tasks = dict.fromkeys(task for task, _ in last)
-    return {task: [last[key] for key in sorted(last) if key[0] == task] for task in tasks}
+    """Return the curves of each task, by seed; of several with the same seed, the last one.
+
+    If there are some of a task on several engines, those on each are by themselves.
+    """
+    last = {(curve.task, curve.engine, curve.seed): curve for curve in curves}
+    rows = dict.fromkeys(key[:2] for key in last)
+    tasks = Counter(task for task, _ in rows)
+    return {
+        f"{task} on {engine}" if tasks[task] > 1 else task: [
+            last[key] for key in sorted(last) if key[:2] == (task, engine)
+        ]
+        for task, engine in rows
+    }
 
 
 def mean_curve(curves: Sequence[Curve], along: Axis) -> tuple[np.ndarray, np.ndarray]:
@@ -185,9 +197,5 @@ def plot_curves(sources: Sequence[Path], out: Path) -> None:
         facecolor="white",
         layout="constrained",
     )
-    canvas = FigureCanvasAgg(figure)
     draw_curves(figure, curves)
-    canvas.draw()
-    picture = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])  # all of it is opaque
-    with write_beside(out) as fresh:
-        Image.fromarray(picture).save(fresh, format="png", optimize=True)
+    save_small(figure, out)

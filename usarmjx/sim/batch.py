@@ -16,6 +16,7 @@ from flax import struct
 from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import set_at
 from usarmjx.base.errors import EngineError, UsageError
+from usarmjx.base.kept_programs import ProgramKeeper, compile_program
 from usarmjx.cameras.picture import Picture, Viewpoint, camera_viewpoint, render_picture_jit
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import clear_inboxes
@@ -81,6 +82,9 @@ class Batch:
         UnknownNameError: No such engine.
     """
 
+    _keeper: ProgramKeeper | None = None
+    """Of its programs; None: they are compiled at each start."""
+
     def __init__(
         self,
         scene: Scene,
@@ -122,9 +126,7 @@ class Batch:
         return jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(self._numbers)
 
     def _compile(self, function: Callable[..., Any], static: tuple[int, ...] = ()) -> Callable[..., Any]:
-        # Matrix products in full single precision: TensorFloat-32 would cost a millimetre at room scale.
-        compiled = jax.jit(jax.default_matmul_precision("highest")(function), static_argnums=static)
-        return self.engine.waiting(compiled)
+        return self.engine.waiting(compile_program(function, self._keeper, "Batch", static=static))
 
     def reset(self, seed: int | None = None, arenas: ArenaState | None = None) -> BatchState:
         """Return all worlds at the start of their first episode.

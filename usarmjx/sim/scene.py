@@ -89,7 +89,7 @@ class RosterEntry:
         return ROBOTS.get(self.robot) if isinstance(self.robot, str) else self.robot
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scene:
     """A composed scene.
 
@@ -116,6 +116,10 @@ class Scene:
     mail: MessageSettings | None = None
     arenas: ArenaSet | None = None
     vary: DomainRandomization | None = None
+
+    def __repr__(self) -> str:
+        """Return a short line: JAX asks for it whenever it compiles a function that closes over a scene."""
+        return f"Scene({self.arena.name!r}, {self.num_robots} robots)"
 
     @cached_property
     def victims(self) -> VictimTable:

@@ -24,7 +24,7 @@ def engine_of(scene: Scene, name: str, worlds: int) -> Engine[Any]:
         UnsupportedFeatureError: The scene has a feature that the engine would ignore, or too long steps.
         EngineError: The engine cannot run here.
     """
-    kind = choose_engine(name, "train")
+    kind = choose_engine(name, "batch")
     if kind == "planar":
         from usarmjx.sim.calibration import ensure_calibrated  # it needs batches, which need engines
 

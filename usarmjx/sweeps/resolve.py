@@ -228,7 +228,7 @@ def _arenas(settings: CellSettings, task: Task) -> Any:  # noqa: ANN401 - specs 
         raise UsageError(f"arena.kind is {kind!r}, expected one of {', '.join(KINDS.names())}")
     recipe = named
     if isinstance(named, str):
-        recipe = resolve_arenas(named, robot)
+        recipe = resolve_arenas(named, robot, len(task.robots))
     if said and ("kind" in said or not isinstance(recipe, Buildings)):
         kind = said.get("kind", recipe.kind if isinstance(recipe, GeneratedArenas) else "")
         recipe = Buildings(kind=str(kind), robot=robot) if kind in KINDS else recipe
@@ -237,7 +237,8 @@ def _arenas(settings: CellSettings, task: Task) -> Any:  # noqa: ANN401 - specs 
             known = ", ".join(KINDS.names())
             raise UsageError(f"arena.{next(iter(said))}: not of generated arenas; arena.kind may be {known}")
         return recipe if isinstance(recipe, str | ArenaSpec) else tuple(recipe)
-    return _generated(_said_recipe(recipe, said), int(settings["episodes"]), "count" in said)
+    recipe = resolve_arenas(_said_recipe(recipe, said), robot, len(task.robots))
+    return _generated(recipe, int(settings["episodes"]), "count" in said)
 
 
 def _said_recipe(recipe: GeneratedArenas, said: dict[str, Any]) -> GeneratedArenas:

@@ -131,6 +131,15 @@ def test_16_robots_can_start_where_there_is_room():
         assert min(math.dist(a, b) for a, b in itertools.combinations(spots, 2)) > CELL - EXACT
 
 
+def test_a_larger_team_has_more_start_poses_in_the_same_arena():
+    usual, more = generate("maze", (8, 6), seed=2), generate("maze", (8, 6), seed=2, starts=36)
+    assert (len(usual.starts), len(more.starts)) == (24, 36)
+    assert more.starts[:24] == usual.starts
+    assert more.shapes == usual.shapes
+    spots = [start.at for start in more.starts]
+    assert min(math.dist(a, b) for a, b in itertools.combinations(spots, 2)) > CELL - EXACT
+
+
 def solids(arena):
     """The compiled arena with an upright cylinder in each start's place and a ball in each tag's."""
     spec = new_spec(arena, Physics())
@@ -371,6 +380,7 @@ def test_a_p2at_drives_up_to_the_second_floor():
         (SpecError, {"reachable": 1.1}, "reachable 1.1, expected from 0 to 1"),
         (SpecError, {"reachable": math.nan}, "reachable nan, expected from 0 to 1"),
         (SpecError, {"victims": 7}, "7 victims, expected 0 to 6 in 8x6 cells"),
+        (SpecError, {"starts": 0}, "0 start poses, expected at least 1"),
         (SpecError, {"robot": "Hummer"}, r"circle of radius 2.05 m; the arenas' corridors take 0.54 m"),
         (UnknownNameError, {"robot": "Dalek"}, "unknown robot"),
     ],

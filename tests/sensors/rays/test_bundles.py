@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from jax.extend.core import jaxprs_in_params
 
-from tests.sensors.rays.test_raycast import make_rays, make_room
+from tests.sensors.rays.test_raycast import make_rays, make_room, quick_jit
+from usarmjx.sensors.rays import raycast
 from usarmjx.sensors.rays.bundles import Fans, bounding_cones, bundled
 from usarmjx.sensors.rays.raycast import (
     DEFAULT_QUERY,
@@ -172,6 +173,43 @@ def test_a_cpu_saves_what_no_robot_of_any_world_wants(how):
     assert not {"scan", "while"} & {e.primitive.name for e in outside}
 
 
+def test_a_cpu_goes_over_the_robots_of_all_worlds_that_want_it_in_one_loop():
+    """Not all of them in each round: who wants nothing costs nothing, and nobody waits for all others."""
+    seen = indexed_blocks(ROOM.geoms)
+
+    def one(slot, wanted):
+        return culled_hits(seen, ORIGIN, DIRECTION, RayQuery(exclude_owner=slot, wanted=wanted))
+
+    args = jnp.zeros((2, 3), jnp.int32), jnp.ones((2, 3), bool)
+    into = {"jit", "pjit", "custom_vmap_call", "cond"}
+    outside = equations(jax.make_jaxpr(jax.vmap(jax.vmap(one)))(*args).jaxpr, into=into)
+    loops = [e for e in outside if e.primitive.name in ("while", "scan")]
+    assert [e.primitive.name for e in loops] == ["while"]
+
+
+@pytest.mark.parametrize("how", ["cpu", "pallas", "warp"])
+def test_fans_have_slopes_on_all_roads(how, monkeypatch):
+    """Lines of fans are known while compiling, also within what is differentiated."""
+    if how == "warp":
+        pytest.importorskip("warp", reason="needs warp-lang")
+    monkeypatch.setattr(raycast, "CULLING_THRESHOLD", 0)
+    monkeypatch.setattr(raycast, "caster_in_use", lambda: how)
+    monkeypatch.setitem(raycast.GPU_CASTERS, "pallas", partial(gpu_hits, interpret=True))
+    lines = np.stack([np.cos(FAN[::8]), np.sin(FAN[::8]), 0 * FAN[::8]], -1)[None].astype(np.float32)
+
+    geoms = make_room(3, ("box",), each=12).geoms
+
+    @quick_jit
+    def ranges(pos):
+        fans = Fans(pos[None], jnp.eye(3)[None], lines)
+        return cast_rays(geoms, *fans.rays(), fans=fans).distance
+
+    distance, slope = jax.jvp(ranges, (jnp.zeros(3),), (jnp.array([1.0, 0.0, 0.0]),))
+    plain = brute_force_hits(indexed_blocks(geoms), jnp.zeros((23, 3)), jnp.asarray(lines[0]))
+    np.testing.assert_allclose(distance, plain.distance, atol=ATOL)
+    assert np.asarray(slope).any()
+
+
 def equations(jaxpr, into):
     """All equations of a program and of the calls in it, but not those within other equations."""
     found = []
@@ -184,8 +222,9 @@ def equations(jaxpr, into):
 
 
 def test_a_cone_holds_its_rays():
-    start, along = bundled(ORIGIN, 9), bundled(DIRECTION, 9)
+    start, along = ([bundled(x, 9) for x in vector.T] for vector in (ORIGIN, DIRECTION))
     cone = bounding_cones(start, along)
+    start, along = jnp.stack(start, -1), jnp.stack(along, -1)
     tip, axis = jnp.stack(cone.tip, -1)[:, None], jnp.stack(cone.axis, -1)[:, None]
     narrow = np.asarray(cone.slope) >= 0
     assert 0.3 < narrow.mean() < 1

@@ -1,10 +1,11 @@
-"""Many bundles are cast in groups on a CPU, those together that meet as many geoms: it changes no hit."""
+"""Many rays are cast in pieces on a CPU: it changes no hit."""
 
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from usarmjx.sensors.rays.raycast import GROUP_SIZE, RayQuery, brute_force_hits, culled_hits, indexed_blocks
+from usarmjx.sensors.rays.raycast import RayQuery, brute_force_hits, culled_hits, indexed_blocks
+from usarmjx.sensors.rays.raycast_cpu import RAYS_AT_A_TIME
 from usarmjx.sensors.rays.targets import make_geoms
 
 BUNDLE = 8
@@ -13,7 +14,7 @@ KINDS = mujoco.mjtGeom
 
 def test_rays_of_many_bundles_meet_what_each_of_them_meets_alone():
     rng = np.random.default_rng(0)
-    count, bundles = 24, GROUP_SIZE + GROUP_SIZE // 2 + 3  # the last group is not full
+    count, bundles = 24, (3 * RAYS_AT_A_TIME) // (2 * BUNDLE) + 3  # the last piece is not full
     kind = np.array([KINDS.mjGEOM_SPHERE, KINDS.mjGEOM_BOX] * (count // 2), int)
     pos = rng.uniform(-1.0, 1.0, (count, 3)).astype(np.float32) * (0.3, 1.0, 1.0) + (3.0, 0.0, 0.0)
     mat = np.tile(np.eye(3, dtype=np.float32), (count, 1, 1))

@@ -1,14 +1,19 @@
-"""Stable-Baselines3's `VecEnv`, and arrays that NumPy and PyTorch share with JAX."""
+"""Stable-Baselines3's `VecEnv`, arrays shared with NumPy and PyTorch, and what docs/stacks.md shows."""
 
+import re
 import warnings
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import dev
+import usarmjx
 from tests.train.toys import LineToy
 from usarmjx.base.errors import UsageError
+from usarmjx.train.tasks import TASKS
 
 # ---- Stable-Baselines3
 
@@ -109,3 +114,43 @@ def test_pytorch_and_jax_share_them_on_a_gpu():
     assert pointer(shared) == actions.data_ptr()
     moved = torch.from_dlpack(toy.step(state, (shared, jnp.zeros((64, 1, 1)))).final_obs[0])
     assert torch.allclose(moved[..., 0], seen[..., 0] + 0.1, atol=1e-5)
+
+
+# ---- What the page shows
+
+PROJECTS = {
+    "PettingZoo": "pettingzoo",
+    "JaxMARL": "jaxmarl",
+    "Stable-Baselines3": "stable_baselines3",
+    "TorchRL": "torchrl",
+    "RLlib": "ray",
+}
+
+
+def shown(title):
+    """The block of a section of docs/stacks.md that its own test of the documents does not run."""
+    page = (dev.ROOT / "docs" / "stacks.md").read_text(encoding="utf-8")
+    section = page.split(f"\n## {title}\n")[1].split("\n## ")[0]
+    (block,) = re.findall(r"```text\n(.*?)```", section, re.DOTALL)
+    return block
+
+
+@pytest.mark.parametrize("title", PROJECTS)
+def test_what_the_page_shows_runs_as_printed_with_a_toy_for_the_task(title, monkeypatch, tmp_path, capsys):
+    pytest.importorskip(PROJECTS[title], reason=f"needs {title}, which docs/stacks.md tells the version of")
+    asked = []
+
+    def make(name, worlds=1, engine="auto", **changes):
+        asked.append((replace(TASKS.get(name), **changes), engine))
+        return LineToy(worlds=worlds, mixed=False)
+
+    monkeypatch.setattr(usarmjx, "make", make)
+    monkeypatch.chdir(tmp_path)
+    names = {"__name__": "page"}
+    exec(compile(shown(title), "docs/stacks.md", "exec"), names)
+    assert len(asked) == 1
+    if title == "PettingZoo":
+        assert capsys.readouterr().out == "True True\n"
+    if title == "JaxMARL":
+        assert {name: row.shape for name, row in names["rewards"].items()} == {"A0": (64,), "A1": (64,)}
+        assert float(jnp.abs(names["observations"]["A0"]).min()) > 0

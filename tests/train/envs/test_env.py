@@ -18,11 +18,25 @@ from usarmjx.sim.actions import Actions, JointAction
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.recipe import GeneratedArenas, open_floor, with_sensors
 from usarmjx.train.envs.task import StepResult, Task
+from usarmjx.train.make import make_task
 
 LIGHT = {"ranges": (), "physics": Physics(timestep=0.01, substeps=5), "repeat": 2}
 """A P2AT on an empty floor needs no finer steps to be tested with."""
 LIMIT = 4
 """Steps of an episode."""
+
+
+def test_teams_of_any_size_find_start_poses():
+    """The issue of speed asks for teams of 128; arenas that are given have what they have."""
+    few = GeneratedArenas(count=1, levels=(0.0,), size=(8, 6))
+    assert make_task("explore", count=40, arena=few).arenas.starts == 40
+    assert make_task("explore", count=4, arena=few).arenas.starts == 24
+    floor = make_task("explore", count=128, arena="floor").arenas
+    spots = np.array([start.at[:2] for start in floor.starts])
+    apart = np.linalg.norm(spots[:, None] - spots, axis=-1) + 9.0 * np.eye(128)
+    assert len(spots) == 128
+    assert apart.min() >= 1.0
+    assert make_task("drive-to-goal", arena="floor").arenas == open_floor()
 
 
 def goal_env(worlds, engine="c", **overrides):
@@ -243,6 +257,21 @@ def test_overrides_and_names_that_do_not_exist_are_refused():
         usarmjx.make("drive-to-goal", repeat=0)
     with pytest.raises(AttributeError, match="no attribute 'mak'"):
         usarmjx.mak  # noqa: B018
+
+
+@pytest.mark.parametrize(("task", "steps"), [("explore", 4), ("convoy", 2)])
+def test_an_action_lasts_as_long_under_longer_control_steps(task, steps):
+    usual, coarse = make_task(task), make_task(task, physics="coarse")
+    assert coarse.repeat == steps
+    lasts = [one.repeat * one.physics_settings.period for one in (usual, coarse)]
+    assert lasts[0] == pytest.approx(lasts[1])
+    assert make_task(task, physics="coarse", repeat=7).repeat == 7, "unless told otherwise"
+
+
+def test_control_steps_that_an_action_is_no_multiple_of_are_refused():
+    wanted = r"drive-to-goal lasts 0\.2 s, .* control steps of 0\.03 s: set repeat, .*, beside physics"
+    with pytest.raises(UsageError, match=wanted):
+        make_task("drive-to-goal", physics=Physics(timestep=0.03, substeps=1))
 
 
 def test_robots_have_only_the_sensors_that_are_asked_for():

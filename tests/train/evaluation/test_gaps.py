@@ -1,21 +1,24 @@
 """Comparisons of engines: along random drives, and by what policies score."""
 
-from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from usarmjx.base.errors import UnsupportedFeatureError, UsageError
-from usarmjx.base.estimates import Estimate
 from usarmjx.cli.app import app
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.shapes import Shape
+from usarmjx.train.evaluation import task_gap as task_gaps
 from usarmjx.train.evaluation.drives import DriveTrace, drive_around, drive_gap, drive_table, place_of
-from usarmjx.train.evaluation.evaluate import Evaluation
+from usarmjx.train.evaluation.evaluate import Episodes, evaluation_of
 from usarmjx.train.evaluation.task_gap import sources_of, task_gap, told
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.record import RunRecord
 from usarmjx.train.make import make
+from usarmjx.train.policies.sources import PolicySource
 
 AHEAD = ArenaSpec(
     name="ahead",
@@ -57,19 +60,51 @@ def test_what_needs_a_solver_is_refused_by_name():
     ):
         make("soccer", engine="planar")
     heard = []
-    rows = list(task_gap(("planar",), sources_of(["soccer"]), 1, (0,), 1, heard.append))
+    rows = list(task_gap(("planar",), sources_of(["soccer"]), 1, (0,), 1, tell=heard.append))
     assert rows[-1] == "| soccer, by hand | refused |"
     assert "a ball that is pushed" in heard[0]
 
 
+def episodes(*scores, seed=0):
+    """Whole episodes that ended with some scores."""
+    count = np.zeros(len(scores), int)
+    return Episodes(
+        seed=seed, scores=np.array(scores), lengths=count, worlds=count, episode_index=count, bad=0
+    )
+
+
 def test_scores_are_told_with_their_intervals():
-    some = Estimate(value=0.5, low=0.25, high=0.75, count=9)
-    one = Evaluation(score=some, episodes=(), seed_scores=(), over_seeds=some)
-    assert told(one) == "0.5 (0.25 to 0.75)"
-    alone = replace(some, low=-np.inf, high=np.inf, count=1)
-    assert told(replace(one, score=alone)) == "0.5"
-    names = [name for name, _ in sources_of(["drive-to-goal", "convoy"])]
-    assert names == ["drive-to-goal, packaged policy", "drive-to-goal, by hand", "convoy, by hand"]
+    shares = evaluation_of([episodes(*[0.0, 1.0] * 8)])
+    assert told([shares]) == f"0.5 ({shares.score.low:.3g} to {shares.score.high:.3g})"
+    assert told([evaluation_of([episodes(0.5)])]) == "0.5"
+    names = [name for name, _ in sources_of(["drive-to-goal", "relay-chain"])]
+    assert names == ["drive-to-goal, packaged policy", "drive-to-goal, by hand", "relay-chain, by hand"]
+
+
+def test_runs_that_differ_by_their_seeds_share_a_row_and_are_told_each(tmp_path, monkeypatch):
+    shape = {"groups": (), "privileged_size": 0, "episode_steps": 7, "period": 0.2, "processes": 1}
+    for name, engine, overrides in (
+        ("a", "planar", {}),
+        ("b", "c", {}),
+        ("d", "planar", {}),
+        ("e", "planar", {"square": "2"}),
+    ):
+        (tmp_path / name).mkdir()
+        record = RunRecord(task="wander", engine=engine, overrides=overrides, config=Config(), **shape)
+        record.save(tmp_path / name)
+    monkeypatch.setattr(task_gaps, "find_source", lambda folder: PolicySource(name=folder, task="wander"))
+    rows = {name: [Path(one.name).name for one in found] for name, found in sources_of(folders(tmp_path))}
+    assert rows == {
+        "wander, trained on planar, 2 runs": ["a", "d"],
+        "wander, trained on c": ["b"],
+        "wander, trained on planar, square=2": ["e"],
+    }
+    few, many = evaluation_of([episodes(2.0, 2.0)]), evaluation_of([episodes(8.0, 8.0, 8.0, 8.0)])
+    assert told([few, many]) == "6 (6 to 6): 2, 8", "no interval of one run reaches over to the other's"
+
+
+def folders(path):
+    return sorted(map(str, path.iterdir()))
 
 
 @pytest.mark.parametrize(
@@ -78,6 +113,7 @@ def test_scores_are_told_with_their_intervals():
         (["--drives", "AirRobot"], "AirRobot does not roll on wheels or tracks"),
         (["--drives", "--tasks"], "name one of them"),
         (["--tasks", "chess"], "chess"),
+        (["--tasks", "convoy", "--split", "test"], "convoy has no generated arenas"),
     ],
 )
 def test_the_command_refuses_what_it_cannot_compare(words, says):

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.engines import ENGINES, engine_class
 from usarmjx.train.learning.config import Config, from_record, parse_settings, task_config
 from usarmjx.train.learning.defaults import HYPERPARAMETERS, ON_GPU, on_gpu
 from usarmjx.train.learning.metrics import Log, read_lines, summary
@@ -59,6 +60,7 @@ def test_unknown_settings_list_the_known_ones():
         ({"steps": 0}, "steps is 0"),
         ({"discount": 1.5}, "discount is 1.5; it must be from 0 to 1"),
         ({"clip": 0.0}, "clip is 0.0; it must be above 0"),
+        ({"imitate_std": 0.0}, "imitate_std is 0.0; it must be above 0"),
         ({"schedule": "cosine"}, "constant, linear, adaptive"),
         ({"layers": ()}, "needs a hidden layer"),
         ({"critic_layers": ()}, "critic_layers is empty"),
@@ -103,6 +105,17 @@ def test_a_bare_command_has_the_settings_of_the_runs_that_are_told_of(task, worl
     assert (config.discount, config.trace, config.layers) == (0.97, 0.9, (256, 128))
 
 
+@pytest.mark.parametrize("task", ["convoy", "hover-inspect", "wander"])
+def test_the_runs_of_small_tasks_that_are_told_of_were_bare_commands(task):
+    """Three seeds on `planar`, of which nothing but the seed was set: benchmarks/results/train.jsonl."""
+    records = map(json.loads, (ROOT / "benchmarks/results/train.jsonl").read_text().splitlines())
+    runs = {r["seed"]: r for r in records if (r["task"], r["engine"]) == (task, "planar")}
+    assert set(runs) == {0, 1, 2}
+    for seed, run in runs.items():
+        assert from_record(run["config"]) == task_config(task, seed=seed)
+        assert run["settings"]["task"] == {}
+
+
 @pytest.mark.parametrize("task", sorted(set(HYPERPARAMETERS) - {"drive-to-goal"}))
 def test_new_settings_see_to_the_end_of_an_episode(task):
     """What comes at its end counts 1/e at its start; those that figures are told of did not."""
@@ -123,7 +136,9 @@ def test_minibatches_that_nobody_set_divide_the_worlds():
 
 def test_engines_that_need_no_gpu_use_none(monkeypatch):
     monkeypatch.setattr("jax.default_backend", lambda: "gpu")
-    assert [on_gpu(engine) for engine in ("auto", "warp", "jax", "c", "planar")] == [True] * 3 + [False] * 2
+    on_host = {name for name in ENGINES.names() if not engine_class(name).traceable}
+    assert {name for name in ENGINES.names() if not on_gpu(name)} == on_host == {"c"}
+    assert on_gpu("auto")
     monkeypatch.setattr("jax.default_backend", lambda: "cpu")
     assert not on_gpu("auto")
 

@@ -14,7 +14,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.policy import Policy
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.imitation import TEACHER_STD, imitation_loss
+from usarmjx.train.learning.imitation import imitation_loss
 from usarmjx.train.learning.train_state import policy_params
 from usarmjx.train.learning.trainer import Trainer
 from usarmjx.train.processes.group import ProcessGroup
@@ -48,15 +48,16 @@ def trainer_of(**settings):
 @pytest.mark.oracle
 def test_the_loss_is_half_the_squares_of_what_is_off():
     kind = NormalTanhDistribution(2, min_std=0.0)
-    scale = np.log(np.expm1(np.array([TEACHER_STD, TEACHER_STD + 0.2])))  # the inverse of softplus
+    scale = np.log(np.expm1(np.array([0.1, 0.1 + 0.2])))  # the inverse of softplus
     logits = jnp.array([*np.arctanh([0.5, -0.3]), *scale])
-    assert_allclose(imitation_loss(kind, logits, jnp.array([0.5, -0.3])), 0.5 * 0.2**2, rtol=1e-4)
+    assert_allclose(imitation_loss(kind, logits, jnp.array([0.5, -0.3]), 0.1), 0.5 * 0.2**2, rtol=1e-4)
     # What a teacher asks for beyond what a robot can do counts as all it can do.
-    assert_allclose(imitation_loss(kind, logits, jnp.array([3.0, -0.3])), 0.5 * (0.5**2 + 0.2**2), rtol=1e-4)
+    off = imitation_loss(kind, logits, jnp.array([3.0, -0.3]), 0.1)
+    assert_allclose(off, 0.5 * (0.5**2 + 0.2**2), rtol=1e-4)
 
 
 def test_a_learner_does_what_it_was_shown():
-    trainer = trainer_of(imitate=20 * ROUND, steps=25 * ROUND)
+    trainer = trainer_of(imitate=20 * ROUND, steps=25 * ROUND, imitate_std=0.1)
     train_state, worlds = trainer.start()
     off = []
     for iteration in range(20):
@@ -67,6 +68,13 @@ def test_a_learner_does_what_it_was_shown():
     done, _ = trainer.networks.policy.act(
         policy_params(train_state), obs, worlds.policy_carry, deterministic=True
     )
+    drawn, _ = trainer.networks.policy.act(
+        policy_params(train_state), obs, worlds.policy_carry, jax.random.key(0)
+    )
+    strays = np.concatenate(
+        [(np.arctanh(a) - np.arctanh(b)).ravel() for a, b in zip(drawn, done, strict=True)]
+    )
+    assert 0.07 < np.std(strays) < 0.2, "near what imitate_std asks for, and not the usual 0.3"
     _, shown = straight(None).act(0, obs, None)
     for mine, his in zip(done, shown, strict=True):
         assert np.sqrt(np.mean((mine - his) ** 2)) < 0.15  # of 0.8, the teacher's fastest

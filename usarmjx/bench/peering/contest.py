@@ -111,7 +111,7 @@ def measure_peers(
         UnknownNameError: No such engine.
     """
     peers = read_peers(folder, case.peers)
-    engines = tuple(dict.fromkeys(choose_engine(engine, "train") for engine in case.engines))
+    engines = tuple(dict.fromkeys(choose_engine(engine, "batch") for engine in case.engines))
     header = record_header("peers", note=note)
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory(prefix="usarmjx-peers-") as scratch:

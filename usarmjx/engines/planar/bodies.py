@@ -12,10 +12,9 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.backend import set_at
-from usarmjx.base.rotations import mat_from_quat
 from usarmjx.engines.planar.drives import RollingGroup, rolling_groups
 from usarmjx.engines.planar.footprints import Footprints
+from usarmjx.engines.planar.places import placed
 from usarmjx.engines.planar.responses import check_robot
 from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import add_robot
@@ -42,15 +41,17 @@ class Motion(struct.PyTreeNode, kw_only=True):
     angular: Array
 
     @property
-    def mat(self) -> Array:
-        """Orientations (robots, 3, 3)."""
-        return mat_from_quat(self.quat)
+    def unit(self) -> tuple[Array, ...]:
+        """The numbers of their orientations, normalised (robots,) each."""
+        w, x, y, z = parts(self.quat)
+        size = jnp.sqrt(w * w + x * x + y * y + z * z)
+        return w / size, x / size, y / size, z / size
 
     @property
     def yaw(self) -> Array:
         """Which way they head on the plan [rad] (robots,)."""
-        mat = self.mat
-        return jnp.arctan2(mat[:, 1, 0], mat[:, 0, 0])
+        w, x, y, z = self.unit
+        return jnp.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,19 +99,24 @@ class PlanarRobots:
 
     def motion(self, state: Any) -> Motion:  # noqa: ANN401 - a state with qpos and qvel
         """Return where the robots of one world are."""
-        root, speed = state.qpos[self.root_qpos], state.qvel[self.root_dof]
-        return Motion(pos=root[:, :3], quat=root[:, 3:], linear=speed[:, :3], angular=speed[:, 3:])
+        root = [state.qpos[places] for places in self.root_qpos.T]
+        speed = [state.qvel[places] for places in self.root_dof.T]
+        vectors = root[:3], root[3:], speed[:3], speed[3:]
+        pos, quat, linear, angular = (jnp.stack(numbers, -1) for numbers in vectors)
+        return Motion(pos=pos, quat=quat, linear=linear, angular=angular)
 
     def written(self, state: Any, motion: Motion) -> Any:  # noqa: ANN401 - a state with qpos and qvel
         """Return the state of one world with its robots elsewhere."""
-        root = jnp.concatenate([motion.pos, motion.quat], -1)
-        speed = jnp.concatenate([motion.linear, motion.angular], -1)
+        root = jnp.concatenate([*parts(motion.pos), *parts(motion.quat)])
+        speed = jnp.concatenate([*parts(motion.linear), *parts(motion.angular)])
         return state.replace(
-            qpos=set_at(state.qpos, self.root_qpos, root), qvel=set_at(state.qvel, self.root_dof, speed)
+            qpos=placed(state.qpos, self.root_qpos.T, root), qvel=placed(state.qvel, self.root_dof.T, speed)
         )
 
     def choose(self, flown: Motion, rolled: Motion) -> Motion:
         """Return what flies from one motion and the others from another."""
+        if not self.flies.any():
+            return rolled
         return jax.tree.map(lambda a, b: jnp.where(self.flies[:, None], a, b), flown, rolled)
 
     def footprints(self, motion: Motion) -> Footprints:
@@ -126,6 +132,11 @@ class PlanarRobots:
             step=jnp.asarray(self.step, jnp.float32),
             mass=jnp.asarray(self.mass, jnp.float32),
         )
+
+
+def parts(vectors: Array) -> tuple[Array, ...]:
+    """Return the numbers of vectors (n, d) as arrays of their own (n,), which fill vector units."""
+    return tuple(vectors[..., i] for i in range(vectors.shape[-1]))
 
 
 def on_plan(vector: Array, yaw: Array) -> Array:

@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.backend import set_at
 from usarmjx.engines.planar.responses import Response, response_of, rolls
 from usarmjx.models.build.body_plan import KinematicTree, kinematic_tree_of
 from usarmjx.models.build.layout import RobotIndex
@@ -226,7 +225,7 @@ def follow(response: Response, before: Array, told: Array, dt: float, grip: Arra
     most = jnp.array([response.acceleration, response.acceleration, response.turn_acceleration])
     share = -jnp.expm1(-dt / jnp.maximum(lag, 1e-4))
     sharpest = response.cornering / jnp.maximum(jnp.abs(before[..., 0]), SLOW)
-    told = set_at(told, np.s_[..., 2], jnp.clip(told[..., 2], -sharpest, sharpest))
+    told = jnp.stack([told[..., 0], told[..., 1], jnp.clip(told[..., 2], -sharpest, sharpest)], -1)
     change = (told - before) * share
     if response.sides_apart:
         part = change / (most * dt * grip)

@@ -1,5 +1,6 @@
 """The engine `planar`."""
 
+from functools import partial
 from typing import ClassVar, NamedTuple
 
 import jax
@@ -13,19 +14,31 @@ from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState
 from usarmjx.engines.planar.bodies import Motion, PlanarRobots, robots_of
 from usarmjx.engines.planar.flight import fly, held_up
-from usarmjx.engines.planar.footprints import Footprints, keep_apart, near_solids
+from usarmjx.engines.planar.footprints import Footprints, keep_apart
+from usarmjx.engines.planar.neighbours import (
+    Neighbours,
+    ground_of,
+    look_around,
+    places_of,
+    stopping,
+)
 from usarmjx.engines.planar.poses import FixedBodies, fixed_bodies
-from usarmjx.engines.planar.rolling import place_on_ground, roll, rolled, stopped
+from usarmjx.engines.planar.rolling import feet_of, place_on_ground, reach_of, roll, rolled, stopped
 from usarmjx.engines.planar.servos import PlanarServos, move_joints, servos_of
-from usarmjx.engines.planar.solids import PlanSolids, floor_height, joined, solid_geoms, solids_of
+from usarmjx.engines.planar.solids import (
+    PlanSolids,
+    floor_height,
+    ground_under,
+    joined,
+    solid_geoms,
+    solids_of,
+)
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.layout import RobotIndex
 from usarmjx.models.build.moved import MovedGeoms
 from usarmjx.models.build.variation import RandomizedBodies
 from usarmjx.models.spec.robot import RobotSpec
 
-NEAR = 8
-"""A robot looks at so many solids closely."""
 LONGEST_FLIGHT_STEP = 0.025
 """What flies or dives is held upright by forces that are worked out once in a control step [s]."""
 
@@ -39,6 +52,7 @@ class PlanarState(struct.PyTreeNode, kw_only=True):
         act: Activations (worlds, na).
         touched: Which robots touched a solid or each other in the last step (worlds, robots).
         left_out: Solids that were near a robot and not looked at (worlds,).
+        around: What is around the robots, from one step to the next.
     """
 
     qpos: Array
@@ -46,25 +60,28 @@ class PlanarState(struct.PyTreeNode, kw_only=True):
     act: Array
     touched: Array
     left_out: Array
+    around: Neighbours
 
 
-class Meetings(NamedTuple):
-    """What may meet in a step of one world.
+class Aims(NamedTuple):
+    """What the robots of a world would do in a step.
 
     Attributes:
         before: The robots as they are.
         after: Where they would go.
-        near: The solids that each may meet (robots, k).
-        left_out: How many more each may meet (robots,).
-        solids: All solids.
+        left: What they take up on the plan before.
+        there: What they would, as high as before and after.
+        limit: Up to what height the ground may be under where they stand (4, robots).
+        scene: What says where the solids are that can be elsewhere (n,).
         stacked: Which are over or under each other (robots, robots); None: nobody flies.
     """
 
-    before: Footprints
-    after: Footprints
-    near: PlanSolids
-    left_out: Array
-    solids: PlanSolids
+    before: Motion
+    after: Motion
+    left: Footprints
+    there: Footprints
+    limit: Array
+    scene: Array
     stacked: Array | None
 
 
@@ -113,66 +130,110 @@ class PlanarEngine(Engine[PlanarState]):
     def start(self) -> PlanarState:
         """Return every world at the model's reference configuration."""
         worlds, model = self.worlds, self.model
+        qpos = jnp.tile(jnp.asarray(model.qpos0, jnp.float32), (worlds, 1))
+        here = {"qpos": qpos, "qvel": jnp.zeros((worlds, model.nv)), "act": jnp.zeros((worlds, model.na))}
+        around = jax.eval_shape(jax.vmap(self._unknown), PhysicsState(**here))
         return PlanarState(
-            qpos=jnp.tile(jnp.asarray(model.qpos0, jnp.float32), (worlds, 1)),
-            qvel=jnp.zeros((worlds, model.nv)),
-            act=jnp.zeros((worlds, model.na)),
+            **here,
             touched=jnp.zeros((worlds, self._robots.count), bool),
             left_out=jnp.zeros(worlds, jnp.int32),
+            around=jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), around),
         )
+
+    def _unknown(self, state: PhysicsState) -> Neighbours:
+        """Return something of the shapes of what is around the robots of a world."""
+        before = self._robots.motion(state)
+        limit = reach_of(self._robots, before).max(0)
+        scene = self._scene(state, None)
+        return look_around(self._robots.footprints(before), limit, self._solids(state, None), 0.0, scene)
 
     def advance(self, engine_state: PlanarState, inputs: Inputs) -> PlanarState:
         """Make one control step in every world."""
         pinned = self.set_qpos(engine_state, inputs.pinned, inputs.pinned_dof, inputs.qpos)
         moves = ~inputs.pinned[:, self._robots.root_qpos[:, 0]]
-        state, before, after, meetings = jax.vmap(self._aim)(pinned, inputs)
-        kept, touched = keep_apart(*meetings[:3], moves, meetings.stacked)
-        moved = jax.vmap(self._finish)(state, before, after, kept, touched, meetings.solids)
-        moved = moved.replace(
-            touched=touched & moves, left_out=jnp.where(moves, meetings.left_out, 0).sum(-1)
-        )
-        return moved.replace(
+        turned = PhysicsState(qpos=pinned.qpos, qvel=pinned.qvel, act=pinned.act)
+        state, aims = jax.vmap(self._aim)(turned, inputs)
+        around = self._around(pinned.around, state, aims, inputs)
+        near = stopping(aims.left, around.near)
+        kept, touched = keep_apart(aims.left, aims.there, near, moves, aims.stacked, discs=around.near.discs)
+        after = jax.vmap(self._stop)(aims.before, aims.after, kept, touched)
+        ground = self._ground(around, state, after, aims, inputs)
+        moved = jax.vmap(self._finish)(state, aims.before, after, ground)
+        return PlanarState(
             qpos=jnp.where(inputs.pinned, pinned.qpos, moved.qpos),
             qvel=jnp.where(inputs.pinned_dof, 0.0, moved.qvel),
+            act=moved.act,
+            touched=touched & moves,
+            left_out=jnp.where(moves, around.left_out, 0).sum(-1),
+            around=around,
         )
 
-    def _aim(self, state: PlanarState, inputs: Inputs) -> tuple[PlanarState, Motion, Motion, Meetings]:
-        """Return one world with its joints turned, where robots are and would go, and what they may meet."""
+    def _aim(self, state: PhysicsState, inputs: Inputs) -> tuple[PhysicsState, Aims]:
+        """Return one world with its joints turned, where robots are and would go."""
         dt, robots = self.physics.period, self._robots
         moved = move_joints(self._servos, state, inputs.ctrl, inputs.act, dt)
         state, twist = roll(robots, state, moved, inputs, dt)
-        solids = self._solids(state, inputs.geom_poses)
         before = robots.motion(state)
         after = robots.choose(
             fly(robots, before, inputs.xfrc_applied, self.model, dt), rolled(before, twist, dt)
         )
         left = robots.footprints(before)
         after, stacked = held_up(robots, left, after)
-        near, left_out = near_solids(left, solids, NEAR, self._reach(dt))
         there = robots.footprints(after)
         there = there.replace(low=jnp.minimum(left.low, there.low), high=jnp.maximum(left.high, there.high))
-        meetings = Meetings(left, there, near, left_out, solids, stacked)
-        return state, before, after, meetings
+        limit, scene = reach_of(robots, before), self._scene(state, inputs.geom_poses)
+        return state, Aims(before, after, left, there, limit, scene, stacked)
 
-    def _finish(
-        self,
-        state: PlanarState,
-        before: Motion,
-        after: Motion,
-        kept: Footprints,
-        touched: Array,
-        solids: PlanSolids,
-    ) -> PlanarState:
-        """Return one world with its robots where they were kept, on the ground."""
-        dt, robots = self.physics.period, self._robots
-        after = stopped(robots, before, after, kept, touched, dt)
-        after = place_on_ground(robots, before, after, solids, self._floor, dt)
-        return robots.written(state, after)
+    def _around(self, known: Neighbours, state: PhysicsState, aims: Aims, inputs: Inputs) -> Neighbours:
+        """Return what is around all robots, looked up anew if some may have come to what was far away."""
+        limit, reach = aims.limit.max(1), self._reach(self.physics.period)
+
+        def look() -> Neighbours:
+            solids = jax.vmap(self._solids)(state, inputs.geom_poses)
+            return jax.vmap(look_around, (0, 0, 0, None, 0))(aims.left, limit, solids, reach, aims.scene)
+
+        holds = known.holds(places_of(aims.left, limit), aims.scene, reach)
+        return jax.lax.cond(holds, lambda: known, look)
+
+    def _ground(
+        self, around: Neighbours, state: PhysicsState, after: Motion, aims: Aims, inputs: Inputs
+    ) -> Array:
+        """Return how high the ground is under where robots stand (worlds, 4, robots)."""
+        feet = jax.vmap(partial(feet_of, self._robots))(after)
+        middle = jax.vmap(self._robots.footprints)(after).replace(low=aims.left.low)
+        known = around.went(places_of(middle, aims.limit.max(1))) < around.grounded
+
+        def everywhere() -> Array:
+            solids = jax.vmap(self._solids)(state, inputs.geom_poses)
+            return jax.vmap(ground_under, (0, None, 0, 0))(solids, self._floor, feet, aims.limit)
+
+        return jax.lax.cond(
+            known.all(), lambda: ground_of(around.under, self._floor, feet, aims.limit), everywhere
+        )
+
+    def _stop(self, before: Motion, after: Motion, kept: Footprints, touched: Array) -> Motion:
+        return stopped(self._robots, before, after, kept, touched, self.physics.period)
+
+    def _finish(self, state: PhysicsState, before: Motion, after: Motion, ground: Array) -> PhysicsState:
+        """Return one world with its robots on the ground."""
+        after = place_on_ground(self._robots, before, after, ground, self.physics.period)
+        return self._robots.written(state, after)
 
     def _reach(self, dt: float) -> float:
         return 2.0 * self._robots.top_speed * dt + 0.05
 
-    def _solids(self, state: PlanarState, poses: GeomPoses | None) -> PlanSolids:
+    def _scene(self, state: PhysicsState, poses: GeomPoses | None) -> Array:
+        """Return what says where the solids of one world are that can be elsewhere (n,)."""
+        loose = state.qpos[np.concatenate([self._fixed.free_qpos.reshape(-1), self._fixed.hinge_qpos])]
+        if not self.moved_ids:
+            return loose
+        sides = jnp.zeros((len(self.moved_ids), 3))
+        if poses is None:
+            return jnp.concatenate([loose, jnp.zeros(10 * len(self.moved_ids))])
+        size = sides if poses.size is None else poses.size
+        return jnp.concatenate([loose, *(part.reshape(-1) for part in (poses.pos, poses.quat, size))])
+
+    def _solids(self, state: PhysicsState, poses: GeomPoses | None) -> PlanSolids:
         """Return the solids of one world: only those that may be elsewhere are worked out again."""
         if not len(self._movable.ids):
             return self._still

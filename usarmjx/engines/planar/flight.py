@@ -8,7 +8,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.rotations import mat_from_quat, matvec
 from usarmjx.engines.planar.bodies import Motion, PlanarRobots
 from usarmjx.engines.planar.footprints import Footprints
-from usarmjx.engines.planar.overlap import Outlines, outlines, side_depth
+from usarmjx.engines.planar.overlap import Outlines, side_depth
 
 SMALL = 1e-2
 """Of smaller angles a sine is known by two terms [rad]."""
@@ -99,7 +99,7 @@ def held_up(robots: PlanarRobots, old: Footprints, after: Motion) -> tuple[Motio
 
 def _overlap_aside(prints: Footprints) -> Array:
     """Return by how much the rectangles of robots overlap on the plan [m] (robots, robots)."""
-    mine = outlines(prints.pos, prints.axis, prints.half, jnp.zeros_like(prints.yaw))
+    mine = prints.outlines
     return side_depth(Outlines(*(part[:, None] for part in mine)), mine)[0]
 
 

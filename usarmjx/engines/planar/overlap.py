@@ -93,13 +93,16 @@ def disc_depth(one: Outlines, other: Outlines) -> tuple[Array, Array, Array]:
     return depth, -(own_x * one.cos - own_y * one.sin), -(own_x * one.sin + own_y * one.cos)
 
 
-def meeting_point(one: Outlines, other: Outlines, way: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return where outlines meet: in the middle of what the nearest corners of rectangles have in common.
+def meeting_place(one: Outlines, other: Outlines, way: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return where rectangles meet: in the middle of what their nearest corners have in common.
 
     Args:
         one: Rectangles that have to go along `way`.
-        other: What they have to get out of.
+        other: What they have to get out of; of a disc anything.
         way: Unit vectors, x and y.
+
+    Returns:
+        How far along the way that is, and how far to its left.
     """
     x, y = way
     mine, theirs = _corners(one), _corners(other)
@@ -107,14 +110,32 @@ def meeting_point(one: Outlines, other: Outlines, way: tuple[Array, Array]) -> t
     bottom, top = _least(low), -_least([-value for value in high])
     first, last = _span(mine, way, [value < bottom + FLAT for value in low])
     start, end = _span(theirs, way, [value > top - FLAT for value in high])
-    middle, along = (jnp.maximum(first, start) + jnp.minimum(last, end)) / 2, (bottom + top) / 2
+    return (bottom + top) / 2, (jnp.maximum(first, start) + jnp.minimum(last, end)) / 2
+
+
+def meeting_point(
+    one: Outlines, other: Outlines, way: tuple[Array, Array], place: tuple[Array, Array], *, discs: bool
+) -> tuple[Array, Array]:
+    """Return where outlines meet, x and y: of a disc where the rectangle is nearest to it.
+
+    Args:
+        one: Rectangles that have to go along `way`.
+        other: What they have to get out of.
+        way: Unit vectors, x and y.
+        place: Of rectangles, see `meeting_place`.
+        discs: Whether any may be a disc.
+    """
+    (x, y), (along, middle) = way, place
+    at = along * x - middle * y, along * y + middle * x
+    if not discs:
+        return at
     dx, dy = other.x - one.x, other.y - one.y
     ahead = jnp.clip(dx * one.cos + dy * one.sin, -one.length, one.length)
     left = jnp.clip(dy * one.cos - dx * one.sin, -one.width, one.width)
     disc = other.radius > 0
     return (
-        jnp.where(disc, one.x + ahead * one.cos - left * one.sin, along * x - middle * y),
-        jnp.where(disc, one.y + ahead * one.sin + left * one.cos, along * y + middle * x),
+        jnp.where(disc, one.x + ahead * one.cos - left * one.sin, at[0]),
+        jnp.where(disc, one.y + ahead * one.sin + left * one.cos, at[1]),
     )
 
 

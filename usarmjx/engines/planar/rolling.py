@@ -1,21 +1,19 @@
 """Robots that roll: from what their wheels are told to where they come to, on the ground."""
 
+from collections.abc import Sequence
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.backend import set_at
-from usarmjx.base.rotations import matmul, quat_from_mat
 from usarmjx.engines.base import Inputs
-from usarmjx.engines.planar.bodies import Motion, PlanarRobots, on_plan
+from usarmjx.engines.planar.bodies import Motion, PlanarRobots, on_plan, parts
 from usarmjx.engines.planar.drives import follow
 from usarmjx.engines.planar.flight import sine_over
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.overlap import SIGNS
-from usarmjx.engines.planar.solids import PlanSolids, ground_under
+from usarmjx.engines.planar.places import placed
 
 GRAVITY = 9.81
 STANCE = 0.8
@@ -51,15 +49,15 @@ def roll(robots: PlanarRobots, before: Any, state: Any, inputs: Inputs, dt: floa
         turned = wheels.spins(joints, now)
         angle = before.qpos[places] + (spin + turned) * dt / 2
         # What a servo aims at is where its wheel is: it does not wind up.
-        act = set_at(jnp.append(state.act, 0.0), group.act, angle)[:-1]
+        act = placed(jnp.append(state.act, 0.0), group.act, angle)[:-1]
         state = state.replace(
-            qpos=set_at(state.qpos, places, angle),
-            qvel=set_at(state.qvel, np.s_[group.qvel[:, wheels.spin]], turned),
+            qpos=placed(state.qpos, places, angle),
+            qvel=placed(state.qvel, group.qvel[:, wheels.spin], turned),
             act=act,
         )
         ahead, turn = answer.gain * now[:, 0], answer.turn_gain * now[:, 2]
         aside = answer.gain * now[:, 1] + answer.drift * ahead * turn
-        twist = set_at(twist, group.members, jnp.stack([ahead, aside, turn], -1) * size)
+        twist = placed(twist, group.members, jnp.stack([ahead, aside, turn], -1) * size)
     return state, twist
 
 
@@ -83,23 +81,40 @@ def _variation(inputs: Inputs, members: np.ndarray) -> tuple[Array | float, Arra
 
 def rolled(motion: Motion, twist: Array, dt: float) -> Motion:
     """Return robots after they went with their twists for a time: in an arc, by its chord."""
-    mat = motion.mat
-    ahead = mat[..., 0] * twist[:, :1] + mat[..., 1] * twist[:, 1:2]
-    angle = twist[:, 2] * dt
-    way = on_plan(ahead[:, :2], angle / 2) * sine_over(angle / 2)[:, None]
-    speed = on_plan(ahead[:, :2], angle)
-    return motion.replace(
-        pos=set_at(motion.pos, np.s_[:, :2], motion.pos[:, :2] + way * dt),
-        quat=_about_z(motion.quat, angle),
-        linear=jnp.concatenate([speed, motion.linear[:, 2:]], -1),
-        angular=set_at(motion.angular, np.s_[:, 2], twist[:, 2]),
+    w, x, y, z = motion.unit
+    ahead, aside, turn = parts(twist)
+    way = jnp.stack(
+        [
+            (1 - 2 * (y * y + z * z)) * ahead + 2 * (x * y - w * z) * aside,
+            2 * (x * y + w * z) * ahead + (1 - 2 * (x * x + z * z)) * aside,
+        ],
+        -1,
     )
+    angle = turn * dt
+    share = sine_over(angle / 2) * dt
+    (x, y, height), (dx, dy) = parts(motion.pos), parts(on_plan(way, angle / 2))
+    return motion.replace(
+        pos=jnp.stack([x + dx * share, y + dy * share, height], -1),
+        quat=_about_z(motion.quat, angle),
+        linear=jnp.stack([*parts(on_plan(way, angle)), motion.linear[:, 2]], -1),
+        angular=_with_third(motion.angular, turn),
+    )
+
+
+def _with_third(vectors: Array, third: Array) -> Array:
+    """Return vectors (n, 3) with another third number (n,)."""
+    return jnp.stack([vectors[:, 0], vectors[:, 1], third], -1)
+
+
+def _where(mask: Array, new: Sequence[Array], old: Array) -> Array:
+    """Return vectors of which some are others, number by number."""
+    return jnp.stack([jnp.where(mask, *pair) for pair in zip(new, parts(old), strict=True)], -1)
 
 
 def _about_z(quat: Array, angle: Array) -> Array:
     """Return orientations (n, 4) turned about the vertical (n,)."""
     c, s = jnp.cos(angle / 2), jnp.sin(angle / 2)
-    w, x, y, z = (quat[:, i] for i in range(4))
+    w, x, y, z = parts(quat)
     return jnp.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], -1)
 
 
@@ -109,72 +124,98 @@ def stopped(
     """Return motions as they were kept apart: what touched something has the speed with which it got on."""
     turn = kept.yaw - after.yaw
     turn = jnp.arctan2(jnp.sin(turn), jnp.cos(turn))
-    place = kept.pos - on_plan(robots.offset, kept.yaw)
-    went = (place - before.pos[:, :2]) / dt
+    x, y = parts(kept.pos - on_plan(robots.offset, kept.yaw))
     angle = kept.yaw - before.yaw
     rate = jnp.arctan2(jnp.sin(angle), jnp.cos(angle)) / dt
-    hit = touched[:, None]
+    went = [(now - then) / dt for now, then in zip((x, y), parts(before.pos), strict=False)]
     return after.replace(
-        pos=jnp.where(hit, jnp.concatenate([place, after.pos[:, 2:]], -1), after.pos),
-        quat=jnp.where(hit, _about_z(after.quat, turn), after.quat),
-        linear=jnp.where(hit, jnp.concatenate([went, after.linear[:, 2:]], -1), after.linear),
-        angular=jnp.where(hit, set_at(after.angular, np.s_[:, 2], rate), after.angular),
+        pos=_where(touched, (x, y, after.pos[:, 2]), after.pos),
+        quat=_where(touched, parts(_about_z(after.quat, turn)), after.quat),
+        linear=_where(touched, (*went, after.linear[:, 2]), after.linear),
+        angular=_with_third(after.angular, jnp.where(touched, rate, after.angular[:, 2])),
     )
 
 
-def place_on_ground(
-    robots: PlanarRobots, before: Motion, after: Motion, solids: PlanSolids, floor: float, dt: float
-) -> Motion:
-    """Return robots that roll on the ground below them, tilted as it is, or falling; others not below it."""
-    yaw, half = after.yaw, STANCE * jnp.asarray(robots.half)
-    corners = jnp.asarray(SIGNS) * half[:, None]
-    stance = corners + jnp.asarray(robots.offset)[:, None]
-    feet = after.pos[:, None, :2] + jax.vmap(on_plan, (1, None), 1)(stance, yaw)
-    depth = jnp.concatenate(
-        [stance, jnp.broadcast_to(-robots.clearance[:, None, None], (*stance.shape[:2], 1))], -1
-    )
-    bottom = before.pos[:, None, 2] + (before.mat[:, None, 2] * depth).sum(-1)
-    ground = ground_under(solids, floor, feet, bottom + robots.step[:, None])
-    height = ground.mean(-1) + robots.clearance
-    limit = STEEPEST_TILT
-    rise = jnp.clip((ground[:, :2].sum(-1) - ground[:, 2:].sum(-1)) / (4 * half[:, 0]), -limit, limit)
-    lean = jnp.clip(
-        (ground[:, 0] + ground[:, 3] - ground[:, 1] - ground[:, 2]) / (4 * half[:, 1]), -limit, limit
-    )
-    falling = before.pos[:, 2] + after.linear[:, 2] * dt - GRAVITY * dt * dt / 2
+def reach_of(robots: PlanarRobots, before: Motion) -> Array:
+    """Return up to what height the ground may be under where robots stand [m] (4, robots)."""
+    w, x, y, z = before.unit
+    limits: list[Array] = []
+    for stance in _stances(robots):
+        down = 2 * (x * z - w * y) * stance[:, 0] + 2 * (y * z + w * x) * stance[:, 1]
+        bottom = before.pos[:, 2] + down - (1 - 2 * (x * x + y * y)) * robots.clearance
+        limits.append(bottom + robots.step)
+    return jnp.stack(limits)
+
+
+def feet_of(robots: PlanarRobots, after: Motion) -> Array:
+    """Return where robots stand on the plan (4, robots, 2)."""
+    return jnp.stack([after.pos[:, :2] + on_plan(stance, after.yaw) for stance in _stances(robots)])
+
+
+def _stances(robots: PlanarRobots) -> list[Array]:
+    half, offset = (jnp.asarray(part, jnp.float32) for part in (robots.half, robots.offset))
+    return [STANCE * jnp.asarray(corner) * half + offset for corner in SIGNS]
+
+
+def place_on_ground(robots: PlanarRobots, before: Motion, after: Motion, ground: Array, dt: float) -> Motion:
+    """Return robots that roll on the ground below them, tilted as it is, or falling; others not below it.
+
+    Args:
+        robots: The robots.
+        before: Where they were.
+        after: Where they came to on the plan.
+        ground: How high it is under what they stand on [m] (4, robots).
+        dt: Length of a control step [s].
+    """
+    half, limit = STANCE * jnp.asarray(robots.half, jnp.float32), STEEPEST_TILT
+    height = ground.mean(0) + robots.clearance
+    rise = jnp.clip((ground[0] + ground[1] - ground[2] - ground[3]) / (4 * half[:, 0]), -limit, limit)
+    lean = jnp.clip((ground[0] + ground[3] - ground[1] - ground[2]) / (4 * half[:, 1]), -limit, limit)
+    old, upward = before.pos[:, 2], after.linear[:, 2]
+    falling = old + upward * dt - GRAVITY * dt * dt / 2
     z = jnp.where(robots.flies, jnp.maximum(after.pos[:, 2], height), jnp.maximum(height, falling))
-    in_air = z > height + IN_THE_AIR
-    tilted = _tilted(yaw, rise, lean)
-    rolls = ~robots.flies & ~in_air
-    quat = jnp.where(rolls[:, None], quat_from_mat(tilted), after.quat)
+    rolls = ~robots.flies & (z <= height + IN_THE_AIR)
+    tilted = _tilted(after.yaw, rise, lean)
     # How the tilt changed, in the robot's own axes.
-    relative = matmul(before.mat.mT, tilted)
-    rate = jnp.stack([relative[:, 2, 1] - relative[:, 1, 2], relative[:, 0, 2] - relative[:, 2, 0]], -1)
-    angular = jnp.concatenate([rate / (2 * dt), after.angular[:, 2:]], -1)
-    climbed = (z - before.pos[:, 2]) / dt
+    rate = _turn_between(before.unit, tilted)
     stands = robots.flies & (after.pos[:, 2] < height)
-    upward = jnp.where(
-        robots.flies, jnp.where(stands, jnp.maximum(after.linear[:, 2], 0.0), after.linear[:, 2]), climbed
-    )
+    held = jnp.where(stands, jnp.maximum(upward, 0.0), upward)
     return after.replace(
-        pos=set_at(after.pos, np.s_[:, 2], z),
-        quat=quat,
-        linear=set_at(after.linear, np.s_[:, 2], upward),
-        angular=jnp.where(rolls[:, None], angular, after.angular),
+        pos=_with_third(after.pos, z),
+        quat=_where(rolls, tilted, after.quat),
+        linear=_with_third(after.linear, jnp.where(robots.flies, held, (z - old) / dt)),
+        angular=_where(rolls, (rate[0] / dt, rate[1] / dt, after.angular[:, 2]), after.angular),
     )
 
 
-def _tilted(yaw: Array, rise: Array, lean: Array) -> Array:
-    """Return orientations (n, 3, 3) of robots on a plane that rises ahead and to the left of them."""
-    zero = jnp.zeros_like(rise)
-    ahead = jnp.stack([jnp.ones_like(rise), zero, rise], -1)
-    ahead = ahead / jnp.linalg.norm(ahead, axis=-1, keepdims=True)
-    up = jnp.cross(ahead, jnp.stack([zero, jnp.ones_like(rise), lean], -1))
-    up = up / jnp.linalg.norm(up, axis=-1, keepdims=True)
-    own = jnp.stack([ahead, jnp.cross(up, ahead), up], -1)
-    c, s = jnp.cos(yaw), jnp.sin(yaw)
-    one = jnp.ones_like(zero)
-    turn = jnp.stack(
-        [jnp.stack([c, -s, zero], -1), jnp.stack([s, c, zero], -1), jnp.stack([zero, zero, one], -1)], -2
-    )
-    return matmul(turn, own)
+Quaternion = tuple[Array, ...]
+"""Four arrays (n,), w first."""
+
+
+def _turn_between(one: Quaternion, other: Quaternion) -> tuple[Array, Array]:
+    """Return sines of the turns from orientations to others, about their own first and second axes."""
+    (w, x, y, z), (w2, x2, y2, z2) = one, other
+    turn = w * w2 + x * x2 + y * y2 + z * z2
+    first = w * x2 - x * w2 - y * z2 + z * y2
+    second = w * y2 - y * w2 - z * x2 + x * z2
+    return 2 * turn * first, 2 * turn * second
+
+
+def _tilted(yaw: Array, rise: Array, lean: Array) -> Quaternion:
+    """Return orientations of robots on planes that rise ahead and to the left of them (n,).
+
+    The columns of the matrix are the robot's axes: ahead along the rise, up across that and the lean.
+    """
+    long = jnp.sqrt(1 + rise * rise)
+    high = jnp.sqrt(1 + rise * rise + lean * lean)
+    up = -rise / high, -lean / high, 1 / high
+    ahead = 1 / long, rise / long
+    # The axis to the left is up x ahead: what of it and of the others the quaternion needs.
+    left_x, left_y, left_z = up[1] * ahead[1], up[2] * ahead[0] - up[0] * ahead[1], -up[1] * ahead[0]
+    w = jnp.sqrt(1 + ahead[0] + left_y + up[2]) / 2
+    x, y, z = (left_z - up[1]) / (4 * w), (up[0] - ahead[1]) / (4 * w), -left_x / (4 * w)
+    c, s = jnp.cos(yaw / 2), jnp.sin(yaw / 2)
+    quat = c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w
+    # The larger of those two numbers that can be the largest is positive.
+    flip = jnp.where(jnp.abs(quat[3]) > jnp.abs(quat[0]), quat[3], quat[0]) < 0
+    return tuple(jnp.where(flip, -number, number) for number in quat)

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.backend import set_at
+from usarmjx.engines.planar.places import placed
 from usarmjx.models.spec.robot import HOLD_SUFFIX
 
 
@@ -86,10 +86,10 @@ def move_joints(servos: PlanarServos, state: Any, ctrl: Array, act: Array, dt: f
     held = ctrl[servos.hold] > 0
     after = jnp.where(held, after, before)
     rate = jnp.where(held, later / lag, 0.0)
-    qpos, qvel = set_at(state.qpos, servos.qpos, after), set_at(state.qvel, servos.qvel, rate)
+    qpos, qvel = placed(state.qpos, servos.qpos, after), placed(state.qvel, servos.qvel, rate)
     if len(servos.geared_qpos):
         first, second = servos.geared_qpos.T
-        qpos = set_at(qpos, first, qpos[second])
+        qpos = placed(qpos, first, qpos[second])
         first, second = servos.geared_qvel.T
-        qvel = set_at(qvel, first, qvel[second])
-    return state.replace(qpos=qpos, qvel=qvel, act=set_at(act, servos.act, aim + speed * dt))
+        qvel = placed(qvel, first, qvel[second])
+    return state.replace(qpos=qpos, qvel=qvel, act=placed(act, servos.act, aim + speed * dt))

@@ -17,6 +17,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.engines.base import GeomPoses
+from usarmjx.engines.planar.overlap import Outlines, outlines
 
 STEEPEST = math.cos(math.radians(30.0))
 """Cosine of the steepest slope that robots drive on."""
@@ -32,29 +33,30 @@ KINDS = {
 
 
 class PlanSolids(struct.PyTreeNode, kw_only=True):
-    """Solids of one world.
+    """Solids, of one world or of many.
 
     Attributes:
-        pos: Middles on the plan [m] (solids, 2).
-        axis: Cosine and sine of the way the rectangle's first side points (solids, 2).
-        half: Half sides [m] (solids, 2); zeros of a disc.
-        radius: Of discs; zeros of rectangles [m] (solids,).
-        low: Lowest point [m] (solids,).
-        top: Height of the top over the middle [m] (solids,).
-        slope: How the top rises along x and y (solids, 2).
-        highest: Highest point [m] (solids,).
+        outline: On the plan (..., solids).
+        low: Lowest point [m] (..., solids).
+        top: Height of the top over the middle [m] (..., solids).
+        slope_x: How the top rises along x (..., solids).
+        slope_y: How it rises along y (..., solids).
+        highest: Highest point [m] (..., solids).
         discs: Whether any may be a disc.
     """
 
-    pos: Array
-    axis: Array
-    half: Array
-    radius: Array
+    outline: Outlines
     low: Array
     top: Array
-    slope: Array
+    slope_x: Array
+    slope_y: Array
     highest: Array
     discs: bool = struct.field(pytree_node=False)
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return self.low.shape[-1]
 
 
 class SolidGeoms(NamedTuple):
@@ -135,14 +137,16 @@ def solids_of(
 
 
 def joined(one: PlanSolids, other: PlanSolids) -> PlanSolids:
-    """Return the solids of both."""
+    """Return the solids of both, of which one set may be the same in all worlds."""
     discs = one.discs or other.discs
     both = one.replace(discs=discs), other.replace(discs=discs)
     return jax.tree.map(_end_to_end, *both)
 
 
 def _end_to_end(first: Array, second: Array) -> Array:
-    return jnp.concatenate([first, second])
+    worlds = np.broadcast_shapes(first.shape[:-1], second.shape[:-1])
+    parts = (jnp.broadcast_to(part, (*worlds, part.shape[-1])) for part in (first, second))
+    return jnp.concatenate([*parts], -1)
 
 
 def seen_from_above(kinds: np.ndarray, pos: Array, mat: Array, size: Array) -> PlanSolids:
@@ -173,14 +177,13 @@ def seen_from_above(kinds: np.ndarray, pos: Array, mat: Array, size: Array) -> P
     across = jnp.abs(-axis[:, 1:] * mat[:, 0] + axis[:, :1] * mat[:, 1])
     sides = jnp.stack([(along * half).sum(-1), (across * half).sum(-1)], -1)
     round_ = ~box & (up == 2) | (kinds == int(mujoco.mjtGeom.mjGEOM_SPHERE))
+    sides, radius = jnp.where(round_[:, None], 0.0, sides), jnp.where(round_, half[:, 0], 0.0)
     return PlanSolids(
-        pos=pos[:, :2],
-        axis=axis,
-        half=jnp.where(round_[:, None], 0.0, sides),
-        radius=jnp.where(round_, half[:, 0], 0.0),
+        outline=outlines(pos[:, :2], axis, sides, radius),
         low=pos[:, 2] - height,
         top=jnp.where(flat, over, pos[:, 2] + height),
-        slope=slope,
+        slope_x=slope[:, 0],
+        slope_y=slope[:, 1],
         highest=pos[:, 2] + height,
         discs=not box.all(),
     )
@@ -199,14 +202,19 @@ def _half_box(kinds: np.ndarray, size: Array) -> tuple[np.ndarray, Array]:
 
 def ground_under(solids: PlanSolids, floor: float, points: Array, reach: Array) -> Array:
     """Return how high the ground is under points (..., 2); what is above `reach` (...,) is not ground."""
-    if not solids.radius.shape[0]:  # the largest of nothing has no slope
+    if not solids.count:  # the largest of nothing has no slope
         return jnp.full(points.shape[:-1], floor)
-    dx, dy = (points[..., i, None] - solids.pos[:, i] for i in range(2))
-    cos, sin = solids.axis[:, 0], solids.axis[:, 1]
-    inside = jnp.abs(dx * cos + dy * sin) <= solids.half[:, 0]
-    inside &= jnp.abs(dy * cos - dx * sin) <= solids.half[:, 1]
+    tops = tops_under(solids, points[..., :1], points[..., 1:], reach[..., None])
+    return jnp.maximum(jnp.max(tops, axis=-1), floor)
+
+
+def tops_under(solids: PlanSolids, x: Array, y: Array, reach: Array) -> Array:
+    """Return how high solids are at points, broadcast to them; where they are no ground, far below all."""
+    one = solids.outline
+    dx, dy = x - one.x, y - one.y
+    inside = jnp.abs(dx * one.cos + dy * one.sin) <= one.length
+    inside &= jnp.abs(dy * one.cos - dx * one.sin) <= one.width
     if solids.discs:
-        inside |= dx * dx + dy * dy <= solids.radius**2
-    height = solids.top + dx * solids.slope[:, 0] + dy * solids.slope[:, 1]
-    below = inside & (height <= reach[..., None])
-    return jnp.max(jnp.where(below, height, floor), axis=-1)
+        inside |= dx * dx + dy * dy <= one.radius * one.radius
+    height = solids.top + dx * solids.slope_x + dy * solids.slope_y
+    return jnp.where(inside & (height <= reach), height, -NOWHERE)

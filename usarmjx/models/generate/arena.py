@@ -9,7 +9,7 @@ from usarmjx.models.build.reach import DEFAULT_SLOPE, RobotFootprint, footprint_
 from usarmjx.models.generate import contents
 from usarmjx.models.generate.contents import ArenaBuilder, add_victim
 from usarmjx.models.generate.difficulty import Difficulty
-from usarmjx.models.generate.kinds import KINDS, budget
+from usarmjx.models.generate.kinds import KINDS, USUAL_STARTS, budget
 from usarmjx.models.generate.obstacles import OBSTACLES, STEEPEST
 from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, CellGrid, doubled, edge
 from usarmjx.models.generate.rings import place_obstacles, ring_height
@@ -30,7 +30,7 @@ TRIES = 8
 """How many arenas are made, at most, until victims are reached as they should be."""
 
 
-def generate(
+def generate(  # noqa: PLR0913 - all but the kind may be left out
     kind: str,
     size: tuple[int, int] = (8, 6),
     seed: int = 0,
@@ -38,6 +38,7 @@ def generate(
     robot: str | RobotFootprint = "P2AT",
     reachable: float = 1.0,
     victims: int | None = None,
+    starts: int = USUAL_STARTS,
 ) -> ArenaSpec:
     """Return an arena, as DM-maze-8x6-0.
 
@@ -52,15 +53,18 @@ def generate(
         robot: The robot that passes: a class, or what it needs.
         reachable: Share of the victims that it reaches.
         victims: How many; None: one for 12 cells, at most 16. There are fewer if they find no room.
+        starts: How many start poses, at least 1; fewer if there are not as many free cells.
 
     Raises:
         UnknownNameError: No such kind or robot.
-        SpecError: A size, seed, share or number of victims out of range; a robot too wide for the corridors.
+        SpecError: A size, seed, share or number out of range; a robot too wide for the corridors.
     """
     made, difficulty = KINDS.get(kind), difficulty or Difficulty()
     name = robot if isinstance(robot, str) else ""
     needs = footprint_of(ROBOTS.get(robot)) if isinstance(robot, str) else robot
     _check(size, seed, needs, reachable)
+    if starts < 1:
+        raise SpecError(f"{starts} start poses, expected at least 1")
     most = budget(kind, size).victims
     count = min(most, max(1, size[0] * size[1] // 12)) if victims is None else victims
     if not 0 <= count <= most:
@@ -74,6 +78,7 @@ def generate(
             footprint=needs,
             seed=seed + (attempt << 64),
             robot=name,
+            most_starts=starts,
         )
         _fill(site, count, reachable)
         arena = _arena(site, f"DM-{_spelt(kind)}-{size[0]}x{size[1]}-{seed}", name)
@@ -83,7 +88,7 @@ def generate(
     raise SpecError(f"no {kind} of {size[0]}x{size[1]} cells in {TRIES} tries that a robot of {needs} passes")
 
 
-def generate_many(
+def generate_many(  # noqa: PLR0913 - as above
     kind: str,
     count: int,
     seed: int = 0,
@@ -92,10 +97,11 @@ def generate_many(
     difficulty: Difficulty | None = None,
     robot: str | RobotFootprint = "P2AT",
     reachable: float = 1.0,
+    starts: int = USUAL_STARTS,
 ) -> list[ArenaSpec]:
     """Return arenas of seeds that follow from one; see `generate`."""
     seeds = np.random.SeedSequence(seed).generate_state(count, np.uint32).tolist()
-    return [generate(kind, size, each, difficulty, robot, reachable) for each in seeds]
+    return [generate(kind, size, each, difficulty, robot, reachable, starts=starts) for each in seeds]
 
 
 def _check(size: tuple[int, int], seed: int, needs: RobotFootprint, reachable: float) -> None:

@@ -17,7 +17,7 @@ from usarmjx.models.build.reach import RobotFootprint, shapes_in_arena
 from usarmjx.models.build.victims import rest_height
 from usarmjx.models.generate.difficulty import Difficulty
 from usarmjx.models.generate.draw import RandomStream
-from usarmjx.models.generate.kinds import MOST_STARTS, ArenaKind, counts
+from usarmjx.models.generate.kinds import USUAL_STARTS, ArenaKind, counts
 from usarmjx.models.generate.plan import CELL, DIRECTIONS, START_CELL, THICKNESS, Cell, CellGrid, middle
 from usarmjx.models.generate.structures import (
     STONE,
@@ -77,6 +77,7 @@ class ArenaBuilder:
         footprint: What the robot needs to pass.
         seed: Of the draws.
         robot: Its class; "" if only its footprint is known.
+        most_starts: Start poses, at most; a free cell has one.
         shapes: Solids other than walls.
         corner: The sides of cells along which things lie, along x and y; 0: none do.
         clear: Cells where nothing lies: victims, or a second floor, are reached from there.
@@ -89,6 +90,7 @@ class ArenaBuilder:
     footprint: RobotFootprint
     seed: int
     robot: str = ""
+    most_starts: int = USUAL_STARTS
     shapes: list[Shape] = field(default_factory=list)
     corner: Cell = (0, 0)
     clear: set[Cell] = field(default_factory=set)
@@ -282,7 +284,7 @@ def place_tags(builder: ArenaBuilder, free: list[Cell]) -> None:
 def place_starts(builder: ArenaBuilder, free: list[Cell]) -> None:
     """Put the first start pose into the base, others into free cells, all looking along a way."""
     others = builder.random_stream("starts").shuffled([cell for cell in free if cell != START_CELL])
-    for number, cell in enumerate([START_CELL, *others][:MOST_STARTS]):
+    for number, cell in enumerate([START_CELL, *others][: builder.most_starts]):
         x, y = middle(cell)
         x, y = x - ASIDE * builder.corner[0], y - ASIDE * builder.corner[1]
         toward = builder.plan.tree[cell][0] if builder.plan.tree[cell] else (cell[0] + 1, cell[1])

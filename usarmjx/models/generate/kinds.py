@@ -9,7 +9,7 @@ from usarmjx.models.generate.obstacles import MOST_SOLIDS
 from usarmjx.models.generate.plan import LONGEST
 from usarmjx.models.generate.structures import Maker
 
-MOST_LOOSE, MOST_VICTIMS, MOST_STARTS, MOST_TAGS = 12, 16, 24, 16
+MOST_LOOSE, MOST_VICTIMS, USUAL_STARTS, MOST_TAGS = 12, 16, 24, 16
 """In arenas of any size."""
 
 
@@ -133,6 +133,6 @@ def budget(kind: str, size: tuple[int, int]) -> Budget:
         shapes=shapes,
         loose=most["loose"],
         victims=most["victims"],
-        starts=min(MOST_STARTS, columns * rows),
+        starts=min(USUAL_STARTS, columns * rows),
         tags=most["tags"],
     )

@@ -62,20 +62,24 @@ class Cone(NamedTuple):
     slope: jax.Array
 
 
-def bundled(rays: jax.Array, size: int) -> jax.Array:
-    """Return rays (rays, 3) in bundles (bundles, size, 3); the last ray is repeated to fill the last one."""
-    missing = -len(rays) % size
-    return jnp.concatenate([rays, jnp.broadcast_to(rays[-1:], (missing, 3))]).reshape(-1, size, 3)
+def bundled(values: jax.Array, size: int) -> jax.Array:
+    """Return numbers of rays (..., rays) in bundles (..., bundles, size); the last one fills the last."""
+    missing = (*values.shape[:-1], -values.shape[-1] % size)
+    whole = jnp.concatenate([values, jnp.broadcast_to(values[..., -1:], missing)], -1)
+    return whole.reshape(*values.shape[:-1], -1, size)
 
 
-def bounding_cones(origin: jax.Array, direction: jax.Array) -> Cone:
-    """Return the cones about bundles of rays (bundles, size, 3), components (bundles,)."""
-    tip, axis = origin.mean(1), direction.mean(1)
-    axis /= jnp.maximum(jnp.linalg.norm(axis, axis=-1, keepdims=True), TINY)
-    cosine = (direction * axis[:, None]).sum(-1).min(1)
+def bounding_cones(start: XYZ, along: XYZ) -> Cone:
+    """Return the cones about bundles of rays (..., size), components (...)."""
+    tip, axis = ([x.mean(-1) for x in vector] for vector in (start, along))
+    length = jnp.maximum(jnp.sqrt(sum(x * x for x in axis)), TINY)
+    axis = [x / length for x in axis]
+    turned = [way * x[..., None] for way, x in zip(along, axis, strict=True)]
+    cosine: jax.Array = jnp.min(turned[0] + turned[1] + turned[2], -1)
     slope = jnp.sqrt(jnp.maximum(1 - cosine**2, 0.0)) / jnp.maximum(cosine, MIN_COSINE) + MIN_SLOPE
-    thick = jnp.sqrt(((origin - tip[:, None]) ** 2).sum(-1)).max(1) + CONE_MARGIN
-    return Cone(tuple(tip.T), tuple(axis.T), thick, jnp.where(cosine < MIN_COSINE, -1.0, slope))
+    away = sum((at - x[..., None]) ** 2 for at, x in zip(start, tip, strict=True))
+    thick = jnp.sqrt(away).max(-1) + CONE_MARGIN
+    return Cone(tip, axis, thick, jnp.where(cosine < MIN_COSINE, -1.0, slope))
 
 
 def cone_box_distance(

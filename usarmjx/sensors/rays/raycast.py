@@ -20,16 +20,10 @@ from flax import struct
 from usarmjx.base.arrays import Array, Bool, Float, Int
 from usarmjx.base.backend import xp
 from usarmjx.models.build.pieces import TRIANGLE_KIND
-from usarmjx.sensors.rays.bundles import (
-    Cone,
-    Fans,
-    bounding_cones,
-    bundled,
-    cone_box_distance,
-    cone_sphere_distance,
-)
+from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.choice import caster_in_use
-from usarmjx.sensors.rays.kernels import RAY_KERNELS, bounding_radius
+from usarmjx.sensors.rays.kernels import RAY_KERNELS
+from usarmjx.sensors.rays.raycast_cpu import nearest_of_bundles
 from usarmjx.sensors.rays.surfaces import GeomHits, normals, sloped
 from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, Geoms
 from usarmjx.sensors.rays.wanted import cast_if_wanted
@@ -38,10 +32,8 @@ DEFAULT_BUNDLE_SIZE = 32
 """Rays after each other that go about the same way, if nobody says otherwise."""
 COMPACT_KINDS = frozenset({int(mujoco.mjtGeom.mjGEOM_SPHERE), TRIANGLE_KIND})
 """Kinds that count as compact anyway; the triangles of meshes and terrain are small."""
-GROUP_SIZE = 64
-"""Bundles that are cast together on a CPU."""
 CULLING_THRESHOLD = 100_000
-"""Rays times geoms from which on leaving out geoms pays on a CPU."""
+"""Rays times geoms, of all robots and worlds, from which on leaving out geoms pays on a CPU."""
 
 EXCLUDE_NONE = np.int32(-2)
 """No owner of any geom: robots' slots count from 0, and the arena is -1."""
@@ -90,8 +82,6 @@ RayCaster = Callable[[Array, Array, RayQuery, Fans | None], Hits]
 """Casts rays at all there is in a world: as `cast_rays`, its geoms given."""
 
 
-NO_GEOM = GeomHits(math.inf, -1)  # type: ignore[arg-type] - numbers in place of arrays
-"""A miss."""
 NO_COSINE: Any = 0.0
 """Of a miss; a number in place of an array."""
 
@@ -147,8 +137,7 @@ def nearest_hits(
     on_gpu = GPU_CASTERS.get(caster_in_use())
     if on_gpu is not None:
         return on_gpu(seen, (origin, direction) if fans is None else fans, query)
-    pairs = len(origin) * sum(len(part.block.owner) for part in seen)
-    return (culled_hits if pairs > CULLING_THRESHOLD else brute_force_hits)(seen, origin, direction, query)
+    return _hits_on_a_cpu(seen, origin, direction, query, fans, CULLING_THRESHOLD)
 
 
 def brute_force_hits(
@@ -157,11 +146,8 @@ def brute_force_hits(
     direction: Float[Array, "rays 3"],
     query: RayQuery = DEFAULT_QUERY,
 ) -> GeomHits:
-    """As `nearest_hits`: all rays against one geom after the other.
-
-    On a CPU this is ten times as fast as reductions over arrays of rays times geoms.
-    """
-    return _cast_on_a_cpu(_brute_force, seen, origin, direction, query)
+    """As `nearest_hits`: all rays against one geom after the other."""
+    return _hits_on_a_cpu(seen, origin, direction, query, None, math.inf)
 
 
 def culled_hits(
@@ -169,126 +155,28 @@ def culled_hits(
     origin: Float[Array, "rays 3"],
     direction: Float[Array, "rays 3"],
     query: RayQuery = DEFAULT_QUERY,
+    fans: Fans | None = None,
 ) -> GeomHits:
-    """As `nearest_hits`: each bundle of rays against the geoms that its cone meets, one after the other."""
-    return _cast_on_a_cpu(_culled, seen, origin, direction, query)
+    """As `nearest_hits`: each bundle of rays against the geoms that its cone meets, front to back."""
+    return _hits_on_a_cpu(seen, origin, direction, query, fans, 0)
 
 
-def _cast_on_a_cpu(
-    how: Callable[..., GeomHits],
+def _hits_on_a_cpu(
     seen: Sequence[IndexedBlock],
     origin: Array,
     direction: Array,
     query: RayQuery,
+    fans: Fans | None,
+    culling_threshold: float,
 ) -> GeomHits:
-    """Return what rays meet in that way, if it is wanted."""
-    blocks = [part.block for part in seen]
-    cast = partial(how, [part.info for part in seen], query.bundle_size, query.max_distance)
-    return cast_if_wanted(query.wanted, cast, NO_GEOM, blocks, origin, direction, query.exclude_owner)
-
-
-def _brute_force(
-    infos: Sequence[GeomBlockInfo],
-    bundle_size: int,
-    max_distance: float,
-    blocks: Sequence[GeomBlock],
-    origin: jax.Array,
-    direction: jax.Array,
-    exclude_owner: jax.Array,
-) -> GeomHits:
-    del bundle_size
-    first = GeomHits(jnp.full(len(origin), max_distance), jnp.full(len(origin), -1))
-    for info, block in zip(infos, blocks, strict=True):
-
-        def closer(
-            first: GeomHits, one: tuple[GeomBlock, jax.Array], kind: int = info.kind
-        ) -> tuple[GeomHits, None]:
-            geom, index = one
-            t = distance_to(kind, geom, origin, direction)
-            return first.closer(jnp.where(geom.owner != exclude_owner, t, jnp.inf), index), None
-
-        first, _ = jax.lax.scan(closer, first, (block, info.first_index + jnp.arange(info.num_geoms)))
-    return first.met()
-
-
-def _culled(
-    infos: Sequence[GeomBlockInfo],
-    bundle_size: int,
-    max_distance: float,
-    blocks: Sequence[GeomBlock],
-    origin: jax.Array,
-    direction: jax.Array,
-    exclude_owner: jax.Array,
-) -> GeomHits:
-    start, along = bundled(origin, bundle_size), bundled(direction, bundle_size)
-    cone, ranks = bounding_cones(start, along), list[jax.Array]()
-    for info, block in zip(infos, blocks, strict=True):
-        near = jax.vmap(partial(_entries, info.kind, block, compact=info.compact))(cone)
-        ranks.append(jnp.cumsum((near < max_distance) & (block.owner != exclude_owner), 1))
-    group = partial(_culled_group, infos, blocks, max_distance)
-    count = len(along)
-    if count <= GROUP_SIZE:
-        first = group((start, along, ranks))
-    else:  # bundles that meet about as many geoms go together: those with few do not wait for those with many
-        order = jnp.argsort(-sum(rank[:, -1] for rank in ranks))
-        padded = jnp.concatenate([order, jnp.repeat(order[-1:], -count % GROUP_SIZE)])
-        rows = jax.tree.map(lambda x: x[padded].reshape(-1, GROUP_SIZE, *x.shape[1:]), (start, along, ranks))
-        back = jnp.argsort(order)
-        first = GeomHits(*(x.reshape(-1, x.shape[2])[back] for x in jax.lax.map(group, rows)))
-    return GeomHits(*(x.reshape(-1)[: len(origin)] for x in first)).met()
-
-
-def _culled_group(
-    infos: Sequence[GeomBlockInfo],
-    blocks: Sequence[GeomBlock],
-    max_distance: float,
-    bundles: tuple[jax.Array, jax.Array, Sequence[jax.Array]],
-) -> GeomHits:
-    """Return what some bundles meet (bundles, rays), each against the geoms that its cone meets.
-
-    Args:
-        infos: What is known of the blocks.
-        blocks: The geoms.
-        max_distance: What is farther is not met [m].
-        bundles: Where their rays start and where they go (bundles, rays, 3), and for each block how many of
-            its geoms up to each their cones meet (bundles, geoms).
-    """
-    start, along, ranks = bundles
-    first = GeomHits(jnp.full(along.shape[:2], max_distance), jnp.full(along.shape[:2], -1))
-    for info, block, rank in zip(infos, blocks, ranks, strict=True):
-        most = rank[:, -1].max()
-
-        def more(carry: tuple[jax.Array, GeomHits], most: jax.Array = most) -> jax.Array:
-            return carry[0] < most
-
-        def test(
-            carry: tuple[jax.Array, GeomHits],
-            info: GeomBlockInfo = info,
-            block: GeomBlock = block,
-            rank: jax.Array = rank,
-        ) -> tuple[jax.Array, GeomHits]:
-            turn, first = carry
-            # The geom that is next for each bundle: where the count of those met steps up.
-            index = jax.vmap(partial(jnp.searchsorted, v=turn + 1))(rank)
-            geom = jax.tree.map(lambda x: x[jnp.minimum(index, info.num_geoms - 1)][:, None], block)
-            t = distance_to(info.kind, geom, start, along)
-            return turn + 1, first.closer(
-                jnp.where((index < info.num_geoms)[:, None], t, jnp.inf), (info.first_index + index)[:, None]
-            )
-
-        _, first = jax.lax.while_loop(more, test, (jnp.zeros((), int), first))
-    return first
-
-
-def _entries(kind: int, block: GeomBlock, cone: Cone, *, compact: bool) -> jax.Array:
-    """Return how far away one cone meets each geom (geoms,)."""
-    offset, mat = [cone.tip[j] - block.pos[:, j] for j in range(3)], block.mat
-    if compact:
-        radius = bounding_radius(kind, tuple(block.size.T))
-        return cone_sphere_distance([-x for x in offset], cone.axis, radius, cone.tip_radius, cone.slope)
-    tip = [sum(mat[:, j, i] * offset[j] for j in range(3)) for i in range(3)]
-    axis = [sum(mat[:, j, i] * cone.axis[j] for j in range(3)) for i in range(3)]
-    return cone_box_distance(kind, tuple(block.size.T), tip, axis, cone.tip_radius, cone.slope)
+    return nearest_of_bundles(
+        [(part.info, part.block) for part in seen],
+        (origin, direction) if fans is None else fans,
+        (query.exclude_owner, jnp.ones((), bool) if query.wanted is None else query.wanted),
+        bundle_size=query.bundle_size,
+        max_distance=query.max_distance,
+        culling_threshold=culling_threshold,
+    )
 
 
 def gpu_hits(
@@ -347,7 +235,8 @@ def cast_rays(
 
     Distances can be differentiated, see `surfaces.sloped`; angles count as constant.
     """
-    first = sloped(nearest_hits, geoms, origin, direction, query, fans)
+    lines, frames = (None, ()) if fans is None else (fans.directions, (fans.pos, fans.mat))
+    first = sloped(partial(_nearest_of_frames, lines), geoms, origin, direction, query, *frames)
     cosine: Array = jnp.zeros_like(first.distance)
     if query.incidence:
         wanted = None if jax.default_backend() == "gpu" else query.wanted
@@ -355,6 +244,19 @@ def cast_rays(
             wanted, _cosines, NO_COSINE, *jax.lax.stop_gradient((geoms, first, origin, direction))
         )
     return Hits(distance=first.distance, cosine=cosine)
+
+
+def _nearest_of_frames(
+    lines: np.ndarray | None,
+    geoms: Geoms,
+    origin: Array,
+    direction: Array,
+    query: RayQuery,
+    *frames: Array,
+) -> GeomHits:
+    """As `nearest_hits`; of fans the lines are no values of the function, but known while compiling."""
+    fans = None if lines is None else Fans(frames[0], frames[1], lines)
+    return nearest_hits(geoms, origin, direction, query, fans)
 
 
 @jax.named_scope("incidence")

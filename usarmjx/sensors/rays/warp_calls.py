@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import warp as wp
-from jax.custom_batching import custom_vmap
 
 from usarmjx.base.arrays import Array
 from usarmjx.sensors.rays import raycast_warp
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.kernels import bounding_box, bounding_radius
+from usarmjx.sensors.rays.over_worlds import over_worlds
 from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo
 
 MAX_BUNDLE = 32
@@ -48,28 +48,6 @@ def _packed(info: GeomBlockInfo, block: GeomBlock) -> jax.Array:
         for a, b in zip(rows, last, strict=True)
     ]
     return jnp.stack([jnp.concatenate(pair, -1) for pair in single])
-
-
-def over_worlds(run: Callable[..., Any]) -> Callable[..., Any]:
-    """Return `run(geoms, world, *casts)` such that all maps over it make one call, with longer axes.
-
-    `geoms` has an axis over worlds, `world` says whose geoms each cast meets (casts,), and all else has an
-    axis over casts, as results have.
-    """
-    call = custom_vmap(run)
-
-    @call.def_vmap
-    def mapped(size: int, batched: Sequence[bool], geoms: Array, *casts: Array) -> tuple[Any, Any]:
-        pairs = zip(casts, batched[1:], strict=True)
-        world, *rest = (x if own else jnp.broadcast_to(x, (size, *x.shape)) for x, own in pairs)
-        if batched[0]:
-            world = world + geoms.shape[1] * jnp.arange(size, dtype=jnp.int32)[:, None]
-            geoms = geoms.reshape(-1, *geoms.shape[2:])
-        found = over_worlds(run)(geoms, *(x.reshape(-1, *x.shape[2:]) for x in (world, *rest)))
-        found = jax.tree.map(lambda x: x.reshape(*world.shape, *x.shape[1:]), found)
-        return found, jax.tree.map(lambda _: True, found)
-
-    return call
 
 
 @cache

@@ -4,7 +4,7 @@ All worlds of the batch do the policy's task. It reads sensors once for each act
 clients get the same readings, so nothing changes for the policy when somebody looks on.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -15,6 +15,7 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
+from usarmjx.base.kept_programs import compile_program
 from usarmjx.base.transforms import Vec3
 from usarmjx.engines import PhysicsState
 from usarmjx.models.drives.state import RobotState
@@ -76,12 +77,11 @@ class PolicyBatch(SharedBatch):
         self.env, self._policy = env, policy
         self.claimed = np.zeros((env.worlds, env.scene.num_robots), bool)
         self._key = jax.random.key(seed)
-        sense, apply = jax.vmap(self._sense), jax.vmap(self._apply_actions)
-        self._sense_all = jax.jit(jax.default_matmul_precision("highest")(sense))
-        self._begin_all = jax.jit(jax.vmap(self._begin))
-        self._evaluate_all = jax.jit(jax.vmap(env.task.evaluate))
-        self._observe_all = jax.jit(jax.vmap(env.task.observe))
-        self._apply_actions_all = jax.jit(jax.default_matmul_precision("highest")(apply))
+        self._sense_all = compile_program(jax.vmap(self._sense), env.keeper, "PolicyBatch")
+        self._begin_all = self._of_views(self._begin, precise=False)
+        self._evaluate_all = self._of_views(env.task.evaluate, precise=False)
+        self._observe_all = self._of_views(env.task.observe, precise=False)
+        self._apply_actions_all = self._of_views(self._apply_actions, precise=True)
         self._act = jax.jit(policy.act)
         self._maps_of = jax.jit(
             lambda memory, world: env.task.maps(env.scene, jax.tree.map(lambda x: x[world], memory))
@@ -92,6 +92,19 @@ class PolicyBatch(SharedBatch):
         views = self._views()
         self._policy_state = self._initial_policy_state(views)
         self._act_on(views, jnp.ones(env.worlds, bool))
+
+    def _of_views(self, function: Callable[..., Any], *, precise: bool) -> Callable[..., Any]:
+        """Return a function of one world's view and more, compiled for the views of all worlds."""
+
+        def of_parts(parts: tuple[World, PhysicsState, Readings], *rest: Any) -> Any:  # noqa: ANN401
+            world, physics, readings = parts
+            return function(
+                TaskView(world=world, physics=physics, readings=readings, scene=self.env.scene), *rest
+            )
+
+        of_parts.__name__ = function.__name__
+        program = compile_program(jax.vmap(of_parts), self.env.keeper, "PolicyBatch", precise=precise)
+        return lambda views, *rest: program((views.world, views.physics, views.readings), *rest)
 
     def drive_by(self, policy: Policy) -> None:
         """Let another policy act from now on, compiled before it does; may be called in a thread.

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import fields
 from functools import partial
 from typing import Any, get_args
 
@@ -11,10 +12,12 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnsupportedFeatureError, UsageError
+from usarmjx.base.kept_programs import ProgramKeeper, compile_program, find_keeper
 from usarmjx.engines import PhysicsState, choose_engine, engine_class
 from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.sim.batch import Batch, BatchState
 from usarmjx.sim.reset import init_world
+from usarmjx.sim.scene import Scene
 from usarmjx.sim.world import World
 from usarmjx.train.envs.episode import (
     apply_policy_actions,
@@ -42,6 +45,25 @@ def restart_batch_size(worlds: int, episode_steps: int) -> int:
     return min(worlds, math.ceil(ends + 3 * math.sqrt(ends)))
 
 
+def keeper_of(task: Task, scene: Scene, worlds: int, engine: str, first: int) -> ProgramKeeper | None:
+    """Return what keeps the programs of an environment, see `find_keeper`; arguments are those of `Env`."""
+    # All of the scene but what its model was compiled from.
+    within = {one.name: getattr(scene, one.name) for one in fields(scene) if one.name != "spec"}
+    return find_keeper(task, within, worlds, engine, first)
+
+
+class EnvBatch(Batch):
+    """A batch whose programs are kept with those of its environment; arguments are those of `Batch`.
+
+    Args:
+        keeper: Of programs; its digest covers all that the batch is made from.
+    """
+
+    def __init__(self, keeper: ProgramKeeper | None, *args: Any, **settings: Any) -> None:  # noqa: ANN401
+        self._keeper = keeper
+        super().__init__(*args, **settings)
+
+
 class Env:
     """A task in many worlds. Its functions are pure where the engine can be traced.
 
@@ -59,6 +81,7 @@ class Env:
         episode_steps: Steps after which the time is up.
         period: Simulated time of a step [s].
         levels: Difficulties of its generated arenas, from easy to hard; empty: they are not generated.
+        keeper: Of its programs, where such are kept from one start to the next.
         renewable: Whether its arenas can be replaced by other generated ones, see `renewed_arenas`.
         traceable: Whether `step` may be traced (jit, scan); else it is called step by step, its inner
             parts compiled.
@@ -78,13 +101,15 @@ class Env:
         if task.time_limit not in get_args(TimeLimit):
             raise UsageError(f"time_limit {task.time_limit!r}, expected {' or '.join(get_args(TimeLimit))}")
         self.task, self.name = task, name or type(task).__name__
-        if task.needs_solver and not engine_class(choose_engine(engine, "train")).has_solver:
+        if task.needs_solver and not engine_class(choose_engine(engine, "batch")).has_solver:
             raise UnsupportedFeatureError(
                 f"engine {engine!r} cannot run {self.name}, which needs {task.needs_solver}; "
                 "engines c, jax and warp can"
             )
         self.scene = task.scene()
-        self.batch = Batch(self.scene, worlds, engine=engine, seed=seed, first=first, shuffle=task.shuffle)
+        self.keeper = keeper_of(task, self.scene, worlds, engine, first)
+        settings = {"engine": engine, "seed": seed, "first": first, "shuffle": task.shuffle}
+        self.batch = EnvBatch(self.keeper, self.scene, worlds, **settings)
         self.worlds, self.traceable = worlds, self.batch.engine.traceable
         self.episode_steps, self.period = task.episode_steps, task.repeat * self.scene.physics.period
         self.seed = seed
@@ -107,12 +132,13 @@ class Env:
         """
         if self.traceable:
             self.step, self._restart = self._compile(self._step), self._compile(self._restart_where)
-        self._blanks, self._metrics = self._shapes()
+        self._blanks, self._metrics = (
+            self._shapes() if self.keeper is None else self.keeper.value("Env._shapes", self._shapes)
+        )
         self.groups, self.privileged_size = self._agents(), self._blanks[1].privileged.shape[-1]
 
-    @staticmethod
-    def _compile(function: Callable[..., Any]) -> Callable[..., Any]:
-        return jax.jit(jax.default_matmul_precision("highest")(function))
+    def _compile(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        return compile_program(function, self.keeper, "Env")
 
     def _shapes(self) -> tuple[tuple[World, EpisodeStart], tuple[str, ...]]:
         """Return the shapes of a world and of what its episode begins with, and the metrics' names."""

@@ -1,5 +1,6 @@
 """What a task's scene is made from: its arenas, and robots with only the sensors that the task reads."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -10,6 +11,7 @@ import numpy as np
 from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
 from usarmjx.models.build.reach import RobotFootprint
 from usarmjx.models.generate import KINDS, Difficulty, generate
+from usarmjx.models.generate.kinds import USUAL_STARTS
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.spec.robot import Mount, RobotSpec
@@ -23,6 +25,10 @@ RENEWAL_TRIES = 50
 """Arenas that are generated for one place, at most, before there is nothing that fits."""
 LEVEL_ATOL = 1e-6
 """Levels that rise in single precision are this far off at most."""
+FLOOR_SIDE, FLOOR_STARTS = 8.0, 64
+"""Of the empty floor: its side [m], and how many start poses it has."""
+FLOOR_ROOM = 2.0
+"""Where each start pose has so much of the floor, they are `MIN_START_DISTANCE` apart [m^2]."""
 TRIES = 100
 """Positions that are drawn for a start pose, at most, before the floor counts as full."""
 
@@ -40,6 +46,7 @@ class GeneratedArenas:
         robot: The robot that passes: a class, or what it needs.
         reachable: Share of the victims that it reaches.
         victims: How many in each arena; None: one for 12 cells.
+        starts: Start poses of each, if it has as many free cells; a task asks for as many as it has robots.
         split: What they are for, a name of `SPLITS`; only those of `train` may be trained on.
         renewable: Whether a training goes on to other arenas, see `Config.renew`: there are more of them
             than anybody can train on, and the model has `SPARE_ROOM` for what they have more of.
@@ -53,6 +60,7 @@ class GeneratedArenas:
     robot: str | RobotFootprint = "P2AT"
     reachable: float = 1.0
     victims: int | None = None
+    starts: int = USUAL_STARTS
     split: str = "train"
     renewable: bool = False
 
@@ -77,7 +85,8 @@ class GeneratedArenas:
     def arena(self, number: int, seed: int) -> ArenaSpec:
         """Return the arena of a place in the library, the easy ones first, that a seed makes."""
         difficulty = Difficulty.of(self.levels[number // self.count])
-        return generate(self.kind, self.size, seed, difficulty, self.robot, self.reachable, self.victims)
+        needs = self.robot, self.reachable, self.victims, self.starts
+        return generate(self.kind, self.size, seed, difficulty, *needs)
 
     def arenas(self) -> tuple[ArenaSpec, ...]:
         """Return the arenas, the easy ones first."""
@@ -132,7 +141,7 @@ Arenas = str | ArenaSpec | Sequence[ArenaSpec] | GeneratedArenas
 """What a task's arenas may be given as: a name, a description, several, or what generates them."""
 
 
-def open_floor(side: float = 8.0, starts: int = 64, seed: int = 0) -> ArenaSpec:
+def open_floor(side: float = FLOOR_SIDE, starts: int = FLOOR_STARTS, seed: int = 0) -> ArenaSpec:
     """Return an empty floor with start poses at random, `MIN_START_DISTANCE` apart if there is room.
 
     Args:
@@ -160,13 +169,28 @@ def open_floor(side: float = 8.0, starts: int = 64, seed: int = 0) -> ArenaSpec:
     )
 
 
-def resolve_arenas(arenas: Arenas, robot: str) -> Arenas:
-    """Return arenas with the names that only tasks know resolved: kinds to generate for a robot, `floor`."""
-    if not isinstance(arenas, str):
-        return arenas
-    if arenas.lower() == "floor":
+def resolve_arenas(arenas: Arenas, robot: str, robots: int = 1) -> Arenas:
+    """Return arenas with the names that only tasks know resolved: kinds to generate, `floor`.
+
+    Args:
+        arenas: As they were given.
+        robot: The class that passes those that are generated.
+        robots: How many robots need start poses where the arenas are made here.
+    """
+    if isinstance(arenas, str):
+        if arenas.lower() == "floor":
+            return floor_for(robots)
+        arenas = GeneratedArenas(kind=arenas, robot=robot) if arenas in KINDS else arenas
+    if isinstance(arenas, GeneratedArenas) and arenas.starts < robots:
+        return replace(arenas, starts=robots)
+    return arenas
+
+
+def floor_for(robots: int) -> ArenaSpec:
+    """Return the empty floor, or a larger one where robots are so many that some would start in others."""
+    if robots * FLOOR_ROOM <= FLOOR_SIDE**2:
         return open_floor()
-    return GeneratedArenas(kind=arenas, robot=robot) if arenas in KINDS else arenas
+    return open_floor(side=round(math.sqrt(robots * FLOOR_ROOM), 3), starts=robots)
 
 
 def spec_of(robot: str | RobotSpec) -> RobotSpec:

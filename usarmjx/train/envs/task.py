@@ -164,7 +164,8 @@ class Task(ABC):
             kind of generated arenas (`maze`), or `floor`, which is empty.
         sensors: Types of sensors that the robots keep, and mounts that each is given; None: all their own.
         physics: Solver and time settings, or their name in `PHYSICS`.
-        repeat: Control steps per action.
+        repeat: Control steps per action. `make` changes it where it sets other physics, so that an action
+            lasts as long.
         episode_steps: Actions until the time is up.
         time_limit: `end`: the task is one of so many steps, its score is over them and its agents see the
             time that is left, so nothing follows; `truncation`: it would go on, and learners put a value in
@@ -202,7 +203,12 @@ class Task(ABC):
     @property
     def arenas(self) -> Arenas:
         """The arenas, names that only tasks know resolved; generated ones are for the first robot."""
-        return resolve_arenas(self.arena, spec_of(self.robots[0]).name)
+        return resolve_arenas(self.arena, spec_of(self.robots[0]).name, len(self.robots))
+
+    @property
+    def physics_settings(self) -> Physics:
+        """The solver and time settings."""
+        return PHYSICS.get(self.physics) if isinstance(self.physics, str) else self.physics
 
     @property
     def scripted(self) -> Sequence[str]:
@@ -219,7 +225,7 @@ class Task(ABC):
         arenas, spare = self.arenas, 0.0
         if isinstance(arenas, GeneratedArenas):
             arenas, spare = arenas.arenas(), SPARE_ROOM * arenas.renewable
-        physics = PHYSICS.get(self.physics) if isinstance(self.physics, str) else self.physics
+        physics = self.physics_settings
         scene = build_scene(
             arenas, robots, physics, radio=self.radio, mail=self.mail, vary=self.vary, spare=spare
         )

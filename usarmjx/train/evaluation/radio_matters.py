@@ -21,6 +21,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import CONFIDENCE
 from usarmjx.base.files import write_beside
 from usarmjx.base.markdown import markdown_table
+from usarmjx.engines import choose_engine
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.recipe import GeneratedArenas
@@ -178,8 +179,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, help="actions of an episode")
     parser.add_argument("--json", type=Path, help="file to write the rows to")
     options = parser.parse_args(arguments)
+    engine = choose_engine(options.engine, "train")
     overrides = {} if options.steps is None else {"episode_steps": options.steps}
-    rows = measure(options.task, options.worlds, range(options.seeds), options.engine, **overrides)
+    rows = measure(
+        options.task,
+        options.worlds,
+        range(options.seeds),
+        engine,
+        **overrides,
+    )
     holds = check_results(rows)
     print(table(rows))
     print("\n".join(f"{what}: {'yes' if fits else 'no'}" for what, fits in holds.items()))

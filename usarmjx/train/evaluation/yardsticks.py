@@ -25,6 +25,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import Estimate, estimate
 from usarmjx.base.files import write_beside
 from usarmjx.base.markdown import markdown_table
+from usarmjx.engines import choose_engine
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
@@ -231,6 +232,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--set", action="append", default=[], help="a field of the task as key=value")
     parser.add_argument("--json", type=Path, help="file to write the rows to")
     options = parser.parse_args(arguments)
+    engine = choose_engine(options.engine, "train")
     settings, _ = task_settings(options.task, {}, options.set)
     task = make_task(options.task, **settings)
     assert isinstance(task, TeamTask)  # as the choices are
@@ -239,7 +241,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{row.name}: {row.score.value:.1f}", file=sys.stderr, flush=True)
 
     rows = measure_teams(
-        options.task, options.worlds, options.seed, options.engine, options.teams, tell, **settings
+        options.task,
+        options.worlds,
+        options.seed,
+        engine,
+        options.teams,
+        tell,
+        **settings,
     )
     print(table(task, rows))
     if options.json:

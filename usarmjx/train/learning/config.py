@@ -21,7 +21,7 @@ _BOUNDS: tuple[tuple[tuple[str, ...], Callable[[Any], bool], str], ...] = (
     (("imitate", "renew"), lambda value: value >= 0, "at least 0"),
     (("discount", "trace", "curriculum"), lambda value: 0.0 <= value <= 1.0, "from 0 to 1"),
     (
-        ("learning_rate", "target_kl", "clip", "max_gradient", "reward_scale"),
+        ("learning_rate", "target_kl", "clip", "max_gradient", "reward_scale", "imitate_std"),
         lambda value: value > 0.0,
         "above 0",
     ),
@@ -61,6 +61,8 @@ class Config:
         stagger: Begin the first episodes at random times, so that the worlds' time-outs do not coincide.
         imitate: Agent steps at the start in which the policy learns to do what the task's baseline would do;
             0: PPO from the first step.
+        imitate_std: Deviation of actions before they are squashed that imitation acts with in the end, and
+            PPO begins with. Smaller where a robot must not stray, as in narrow windows.
         curriculum: Share of the run in which generated arenas get harder, from the easiest to all; 0: all
             of them from the start.
         renew: Iterations after which other generated arenas take the place of those in training, if the
@@ -94,6 +96,7 @@ class Config:
     normalise_values: bool = True
     stagger: bool = True
     imitate: int = 0
+    imitate_std: float = 0.3
     curriculum: float = 0.0
     renew: int = 4
     checkpoint_every: int = 20

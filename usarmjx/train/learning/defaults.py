@@ -2,7 +2,8 @@
 
 from typing import Any
 
-CPU_ENGINES = ("c", "planar")
+HOST_ENGINES = ("c",)
+"""Engines whose worlds are in the memory of processors whatever JAX runs on."""
 MEASURED: dict[str, Any] = {
     "entropy": 0.0,
     "target_kl": 0.02,
@@ -12,6 +13,16 @@ MEASURED: dict[str, Any] = {
     "checkpoint_every": 10,
 }
 """What the runs of `explore` and `victim-search` were made with that docs/training.md tells of."""
+SMALL: dict[str, Any] = {
+    **MEASURED,
+    "learning_rate": 1e-3,
+    "layers": (128, 64),
+    "critic_layers": (128, 64),
+    "imitate": 350_000,
+    "imitate_std": 0.1,
+    "steps": 900_000,
+}
+"""What the runs of `hover-inspect` were made with on two cores; those of `convoy` imitate, and no more."""
 SHORT_SIGHT = {"discount": 0.97, "trace": 0.9}
 # What each task is trained with, where it differs from `Config`. Keys are task names in lower case.
 HYPERPARAMETERS: dict[str, dict[str, Any]] = {
@@ -20,12 +31,12 @@ HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     **{f"victim-search{old}": {**MEASURED, **SHORT_SIGHT, "steps": 16_000_000} for old in ("", "-v1")},
     **{
         task: {**MEASURED, "steps": 20_000_000}
-        for task in ("explore-v2", "victim-search-v2", "relay-chain", "convoy", "soccer")
+        for task in ("explore-v2", "victim-search-v2", "relay-chain", "soccer")
     },
-    **{
-        task: {**MEASURED, "steps": 10_000_000, "layers": (128, 64), "critic_layers": (128, 64)}
-        for task in ("stairs", "hover-inspect", "wander")
-    },
+    "stairs": {**MEASURED, "steps": 10_000_000, "layers": (128, 64), "critic_layers": (128, 64)},
+    "hover-inspect": SMALL,
+    "wander": {**SMALL, "imitate": 400_000, "imitate_std": 0.2, "steps": 800_000},
+    "convoy": {**SMALL, "imitate": 1_000_000, "imitate_std": 0.05, "steps": 1_000_000},
 }
 # What else, where the worlds are on a GPU.
 ON_GPU: dict[str, dict[str, Any]] = {
@@ -37,6 +48,9 @@ ON_GPU: dict[str, dict[str, Any]] = {
         if task != "drive-to-goal" and not task.startswith("victim-search")
     },
 }
+for task in ("hover-inspect", "wander"):
+    ON_GPU[task] |= {"steps": 10_000_000, "imitate": 1_000_000, "learning_rate": 3e-4}
+ON_GPU["convoy"] |= {**MEASURED, "steps": 20_000_000, "learning_rate": 3e-4}
 
 
 def horizon_of(episode_steps: int) -> dict[str, float]:
@@ -53,4 +67,4 @@ def on_gpu(engine: str) -> bool:
     """Return whether the worlds of an engine are on a GPU here; JAX is started by that."""
     import jax
 
-    return engine not in CPU_ENGINES and jax.default_backend() != "cpu"
+    return engine not in HOST_ENGINES and jax.default_backend() != "cpu"

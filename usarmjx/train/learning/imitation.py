@@ -18,9 +18,6 @@ from usarmjx.train.envs.policy import Carry, Policy
 if TYPE_CHECKING:
     from brax.training.distribution import NormalTanhDistribution
 
-TEACHER_STD = 0.3
-"""Deviation of actions before they are squashed that PPO is to begin with."""
-
 
 def teacher_of(env: Env) -> Policy:
     """Return the baseline of an environment's task.
@@ -46,17 +43,20 @@ def reset_carry(teacher: Policy, carry: Carry, done: jax.Array) -> Carry:
     return jax.tree.map(one, initial, carry)
 
 
-def imitation_loss(kind: "NormalTanhDistribution", logits: jax.Array, teacher_action: jax.Array) -> jax.Array:
-    """Return how far the likeliest actions are from the teacher's, and their deviation from `TEACHER_STD`.
+def imitation_loss(
+    kind: "NormalTanhDistribution", logits: jax.Array, teacher_action: jax.Array, deviation: float
+) -> jax.Array:
+    """Return how far the likeliest actions are from the teacher's, and their deviation from what it shall be.
 
     Args:
         kind: The family of distributions.
         logits: Its parameters (..., 2 action_size).
         teacher_action: What the teacher would have done, from -1 to 1 (..., action_size).
+        deviation: Of actions before they are squashed, see `Config.imitate_std`.
 
     Returns:
         Half the sum of the squares of both (...).
     """
     off = kind.mode(logits) - jnp.clip(teacher_action, -1.0, 1.0)
-    spread = kind.create_dist(logits).scale - TEACHER_STD
+    spread = kind.create_dist(logits).scale - deviation
     return 0.5 * (off**2 + spread**2).sum(-1)

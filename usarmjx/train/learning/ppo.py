@@ -157,7 +157,7 @@ def loss(
             "weight": jnp.ones_like(ratio),
         }
         if steps.teacher_action:
-            found["imitation"] = imitation_loss(kind, logits, steps.teacher_action[g])
+            found["imitation"] = imitation_loss(kind, logits, steps.teacher_action[g], config.imitate_std)
             found["policy"] = jnp.where(imitating, found["imitation"], found["policy"])
         valid = ~steps.bad[..., None]
         for name, one in found.items():

@@ -9,6 +9,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.train.mapping.maps import FREE, UNKNOWN, WALL, MapGrid
+from usarmjx.train.mapping.sweeps import swept_distances
 
 NEIGHBOURS = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j)
 UNREACHABLE = 1e6
@@ -30,7 +31,8 @@ def shifted(values: Array, step: tuple[int, int], edge: ArrayLike) -> jax.Array:
 def has_neighbour(mask: Array, *, corners: bool = True) -> jax.Array:
     """Return which squares have a neighbour in a mask (i, j)."""
     steps = NEIGHBOURS if corners else [step for step in NEIGHBOURS if 0 in step]
-    return jnp.stack([shifted(mask, step, False) for step in steps]).any(0)
+    # One after the other, not stacked: so they melt into one loop over the squares.
+    return reduce(jnp.logical_or, [shifted(mask, step, False) for step in steps])
 
 
 def passable(squares: Array) -> jax.Array:
@@ -46,8 +48,8 @@ def frontier(squares: Array) -> jax.Array:
 def distances(start: Array, open_: Array, toll: ArrayLike = 0.0, *, until: Array | None = None) -> jax.Array:
     """Return how far each square is from the nearest start, in squares (i, j); from `UNREACHABLE` on: no way.
 
-    Steps go to all eight neighbours, slanting ones count sqrt(2). A wave spreads from the starts through the
-    open squares until nothing changes.
+    Steps go to all eight neighbours, slanting ones count sqrt(2). Distances spread from the starts through
+    the open squares until nothing changes.
 
     Args:
         start: What a way that begins in a square costs at its beginning; `UNREACHABLE`: none begins there
@@ -57,6 +59,15 @@ def distances(start: Array, open_: Array, toll: ArrayLike = 0.0, *, until: Array
         until: A square (2,) that is asked for: only for it, and for what lies on the way from it, the
             distances are right, and found the sooner; None: all are right.
     """
+    start = jnp.asarray(start, jnp.float32)
+    if jax.default_backend() != "gpu":
+        enter = jnp.where(open_, jnp.asarray(toll, jnp.float32), jnp.inf)
+        return swept_distances(start, jnp.broadcast_to(enter, start.shape), until)
+    return spread_distances(start, open_, toll, until)
+
+
+def spread_distances(start: jax.Array, open_: Array, toll: ArrayLike, until: Array | None) -> jax.Array:
+    """As `distances`, all squares in each round: a GPU does that at once."""
     costs = [np.float32(math.hypot(*step)) for step in NEIGHBOURS]
 
     def spread(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -72,7 +83,6 @@ def distances(start: Array, open_: Array, toll: ArrayLike = 0.0, *, until: Array
         # After so many rounds all ways of so many steps are known, and each step costs 1 or more.
         return changed if until is None else changed & (count < far[until[0], until[1]])
 
-    start = jnp.asarray(start, jnp.float32)
     return jax.lax.while_loop(goes_on, spread, (jnp.int32(0), start, jnp.ones((), bool)))[1]
 
 

@@ -37,6 +37,8 @@ class Buildings(GeneratedArenas):
         near_victims: Most victims within `NEAR_START` of the first start pose. Victims are then drawn from
             the places all over the arena where the generator would put as many as it can; None: they are
             where it puts so few.
+        together: Whether robots start in the free cells nearest to the first start pose; else at those
+            nearest to it of `starts` all over the arena.
     """
 
     kind: str = "building"
@@ -50,6 +52,7 @@ class Buildings(GeneratedArenas):
     radio_shadow: float = 1.0
     sizes: tuple[tuple[int, int], ...] = ()
     near_victims: int | None = None
+    together: bool = False
 
     def difficulty(self, level: float) -> Difficulty:
         """Return the difficulty of a level."""
@@ -66,11 +69,14 @@ class Buildings(GeneratedArenas):
         sizes = self.sizes or (self.size,)
         size, level = sizes[number % self.count % len(sizes)], self.levels[number // self.count]
         victims = self.victims if self.near_victims is None else budget(self.kind, size).victims
-        arena = generate(self.kind, size, seed, self.difficulty(level), self.robot, self.reachable, victims)
-        if self.near_victims is None:
-            return sort_starts(arena)
-        count = len(arena.victims) if self.victims is None else self.victims
-        return sort_starts(thin_victims(arena, count, self.near_victims, seed))
+        starts = size[0] * size[1] if self.together else self.starts
+        needs = self.robot, self.reachable, victims, starts
+        arena = generate(self.kind, size, seed, self.difficulty(level), *needs)
+        if self.near_victims is not None:
+            count = len(arena.victims) if self.victims is None else self.victims
+            arena = thin_victims(arena, count, self.near_victims, seed)
+        arena = sort_starts(arena)
+        return replace(arena, starts=arena.starts[: self.starts])
 
 
 def sort_starts(arena: ArenaSpec) -> ArenaSpec:

@@ -20,13 +20,23 @@ from usarmjx.train.tasks.stairs import Stairs
 from usarmjx.train.tasks.victim_search import VictimSearch
 from usarmjx.train.tasks.wander import Wander
 
-BUILDINGS_V2 = Buildings(sizes=((14, 10), (16, 12), (20, 12)), renewable=True)
+BUILDINGS_V2 = Buildings(sizes=((16, 12), (20, 14), (24, 16)), together=True, renewable=True)
 SEARCHED_V2 = replace(BUILDINGS_V2, victims=6, reachable=1.0, near_victims=1)
 
 TASKS.add("explore-v1", Explore())
 TASKS.add("explore-v2", Explore(arena=BUILDINGS_V2, episode_steps=400, haste=0.25))
 TASKS.add("victim-search-v1", VictimSearch())
-TASKS.add("victim-search-v2", VictimSearch(arena=SEARCHED_V2, episode_steps=450, haste=0.25, fence=True))
+TASKS.add(
+    "victim-search-v2",
+    VictimSearch(
+        arena=SEARCHED_V2,
+        episode_steps=600,
+        haste=0.25,
+        fence=True,
+        return_speed=0.45,
+        seek_home=True,
+    ),
+)
 # The versions that the packaged policies are for; with policies for version 2 these lines change.
 TASKS.add("explore", TASKS.get("explore-v1"))
 TASKS.add("victim-search", TASKS.get("victim-search-v1"))

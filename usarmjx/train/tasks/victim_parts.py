@@ -6,7 +6,10 @@ import numpy as np
 
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.train.envs.task import TaskView
+from usarmjx.train.mapping.belief import Belief
 from usarmjx.train.mapping.maps import MapGrid
+from usarmjx.train.mapping.planning import VISITED_FRONTIER_COST
+from usarmjx.train.mapping.wavefront import UNREACHABLE, frontier
 
 ABSENT_VICTIM_DISTANCE = 1e5
 """Victims that a world does not have are farther away than this [m]."""
@@ -14,6 +17,21 @@ FENCE_MARGIN = 0.25
 """The fence of robots that fly is so far inside the building's outline [m]."""
 FENCE_GAIN = 1.3
 """Their speed over the way that is left to it, at most [1/s]."""
+
+SEEKING_COST, OUTWARD_COST = 1000.0, 2.0
+"""So many squares longer than any way home seems one to a frontier; and by so many for each square that this
+is away from the base."""
+
+
+def seeking_costs(belief: Belief, gap: jax.Array) -> jax.Array:
+    """Return what ways cost at their ends for robots that know none home: frontiers (robots, i, j) [squares].
+
+    Args:
+        belief: What they believe.
+        gap: How far squares are from the base, as the crow flies [squares] (i, j).
+    """
+    cost = SEEKING_COST + OUTWARD_COST * gap + VISITED_FRONTIER_COST * belief.visited
+    return jnp.where(jax.vmap(frontier)(belief.squares), cost, UNREACHABLE)
 
 
 def detected_positions(view: TaskView, group: int) -> jax.Array:

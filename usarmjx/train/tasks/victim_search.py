@@ -36,6 +36,7 @@ from usarmjx.train.tasks.victim_parts import (
     detected_positions,
     fence_of,
     mark_squares,
+    seeking_costs,
     way_left,
 )
 
@@ -49,8 +50,6 @@ CLIMB_GAIN, FLIGHT_SPEED, TURN_RATE = 1.0, 1.2, 1.0
 """Of flying robots: upward speed over error of height [1/s], forward speed [m/s], turning rate [rad/s]."""
 SWEEP_RADIUS = 1.0
 """What a flying robot has seen: so far around it [m]."""
-RETURN_SPEED = 0.3
-"""A robot that has to be home in time reckons with this speed, as the crow flies [m/s]."""
 RETURN_MARGIN = 5.0
 """... and with so much time to spare [s]."""
 RECENT_CONTACT = 10.0
@@ -112,6 +111,9 @@ class VictimSearch(TeamTask):
         near: So near to a victim is a mark right [m].
         wrong: Price of a square wrongly marked.
         hint: Reward for what a robot explores.
+        return_speed: With which robots reckon to be home in time, as the crow flies [m/s].
+        seek_home: Whether robots that have to go home and know no way look for one at frontiers near the
+            base; else they wait where they are.
         fence: Whether robots that fly are kept above the building.
     """
 
@@ -126,6 +128,8 @@ class VictimSearch(TeamTask):
     near: float = 1.5
     wrong: float = 0.5
     hint: float = 0.05
+    return_speed: float = 0.3
+    seek_home: bool = False
     fence: bool = False
 
     @property
@@ -180,13 +184,14 @@ class VictimSearch(TeamTask):
         base = station_slot(scene)
         to_base = jnp.linalg.norm(belief.pose[:, :2] - belief.pose[base, :2], axis=-1)
         left = self.episode_steps * self.repeat * scene.physics.period - view.time
-        late = (left < to_base / RETURN_SPEED + RETURN_MARGIN) & (
+        late = (left < to_base / self.return_speed + RETURN_MARGIN) & (
             view.time - belief.base_contact_time > RECENT_CONTACT
         )
         home = ((belief.mark_time > belief.base_contact_time) | late) & (self.talk != "none")
         gap = jnp.linalg.norm(grid.centres - belief.pose[base, :2], axis=-1)
         doorstep = jnp.where(gap < planning.HOME_RADIUS, gap, UNREACHABLE)
-        wanted = jnp.where(home[:, None, None], doorstep, jnp.nan)
+        ends = seeking_costs(belief, gap / grid.cell) if self.seek_home else UNREACHABLE
+        wanted = jnp.where(home[:, None, None], jnp.minimum(doorstep, ends), jnp.nan)
         return planning.plan_paths(grid, belief, view.time, self.planner_settings(scene), wanted)
 
     # What they are commanded.

@@ -1,0 +1,169 @@
+"""What is around robots: looked up among all solids only when they may have come to others.
+
+Of each robot it is known which solids are nearest, and how far it can go before any other could matter.
+"""
+
+from functools import reduce
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from usarmjx.base.arrays import Array
+from usarmjx.engines.planar.footprints import Footprints
+from usarmjx.engines.planar.overlap import Outlines
+from usarmjx.engines.planar.solids import NOWHERE, PlanSolids, tops_under
+
+NEAR = 8
+"""A robot looks at so many solids closely."""
+LAYERS = 4
+"""It looks for ground at so many; at all, where there are more."""
+NEARNESS = 0.01
+"""Solids that are as near but for so much come in any order [m]."""
+DEEPEST = 20.0
+"""All in which a robot is deeper come in any order [m]."""
+LAST = 1e3
+"""What is at another height comes so much later than what stops a robot [m]."""
+
+
+class Neighbours(struct.PyTreeNode, kw_only=True):
+    """What is around the robots of each world; all zeros: it is not known.
+
+    Attributes:
+        at: Where robots were when it was looked up: x, y, lowest point, and up to what height solids are
+            ground for them [m] (worlds, robots, 4).
+        free: How far they can go before another solid could stop them [m] (worlds, robots).
+        grounded: How far before another solid could be ground for them [m] (worlds, robots).
+        left_out: Solids that stop them, are near and are not among those kept (worlds, robots).
+        near: Solids that may stop them (worlds, k, robots).
+        under: Solids that may be ground for them (worlds, layers, robots).
+        scene: What says where the solids are that can be elsewhere (worlds, n).
+    """
+
+    at: Array
+    free: Array
+    grounded: Array
+    left_out: Array
+    near: PlanSolids
+    under: PlanSolids
+    scene: Array
+
+    def went(self, at: Array) -> Array:
+        """Return how far robots are from where it was looked up, with their heights [m] (worlds, robots)."""
+        x, y, low, limit = (at[..., i] - self.at[..., i] for i in range(4))
+        return jnp.sqrt(x * x + y * y) + jnp.maximum(jnp.abs(low), jnp.abs(limit))
+
+    def holds(self, at: Array, scene: Array, reach: float) -> Array:
+        """Return whether it does in all worlds, for a step in which robots go no farther than a reach ()."""
+        least = jnp.minimum(self.free, self.grounded)
+        return (self.went(at) + reach < least).all() & (self.scene == scene).all()
+
+
+def places_of(prints: Footprints, limit: Array) -> Array:
+    """Return where robots are, as `Neighbours.at` has it (..., robots, 4)."""
+    return jnp.stack([prints.pos[..., 0], prints.pos[..., 1], prints.low, limit], -1)
+
+
+def look_around(
+    prints: Footprints, limit: Array, solids: PlanSolids, reach: float, scene: Array
+) -> Neighbours:
+    """Look up what is around the robots of one world.
+
+    Args:
+        prints: The robots.
+        limit: Up to what height each finds ground [m] (robots,).
+        solids: All solids.
+        reach: Solids count as near that are no farther from a circle around a robot [m].
+        scene: What says where the solids are that can be elsewhere (n,).
+    """
+    # Which ones are looked at has no slope, only what these do.
+    (prints, limit, scene), found = jax.lax.stop_gradient(((prints, limit, scene), solids))
+    one = found.outline
+    x, y, low = prints.pos[:, :1], prints.pos[:, 1:], prints.low[:, None]
+    dx, dy = x - one.x, y - one.y
+    ahead = jnp.maximum(jnp.abs(dx * one.cos + dy * one.sin) - one.length, 0.0)
+    aside = jnp.maximum(jnp.abs(dy * one.cos - dx * one.sin) - one.width, 0.0)
+    size = jnp.linalg.norm(prints.half, axis=-1)[:, None]
+    apart = jnp.sqrt(ahead * ahead + aside * aside) - one.radius - size
+    higher = _height_apart(found, x, y, low, prints.high[:, None], prints.step[:, None])
+    stops, may_stop = higher < 0, jnp.maximum(apart, higher)
+    steep = jnp.abs(found.slope_x) + jnp.abs(found.slope_y)
+    lowest = found.top + dx * found.slope_x + dy * found.slope_y - size * steep
+    may_hold = jnp.maximum(apart, lowest - limit[:, None])
+    near, free = _nearest(solids, jnp.where(stops, apart, may_stop + LAST), may_stop, NEAR)
+    under, grounded = _nearest(solids, may_hold, may_hold, LAYERS)
+    left_out = (stops & (apart < reach)).sum(-1) - NEAR
+    return Neighbours(
+        at=places_of(prints, limit),
+        free=free,
+        grounded=grounded,
+        left_out=jnp.maximum(left_out, 0).astype(jnp.int32),
+        near=near,
+        under=under,
+        scene=scene,
+    )
+
+
+def _height_apart(solids: PlanSolids, x: Array, y: Array, low: Array, high: Array, step: Array) -> Array:
+    """Return how far up or down robots would have to be for solids to stop them [m]; negative: these do.
+
+    The arguments, numbers of robots, are broadcast to the solids.
+    """
+    one = solids.outline
+    dx, dy = x - one.x, y - one.y
+    ahead = jnp.clip(dx * one.cos + dy * one.sin, -one.length, one.length)
+    aside = jnp.clip(dy * one.cos - dx * one.sin, -one.width, one.width)
+    rise = (ahead * one.cos - aside * one.sin) * solids.slope_x
+    rise += (ahead * one.sin + aside * one.cos) * solids.slope_y
+    under = low + step - (solids.top + rise)
+    return jnp.maximum(under, jnp.maximum(solids.low - high, low - solids.highest))
+
+
+def _nearest(solids: PlanSolids, rank: Array, gap: Array, most: int) -> tuple[PlanSolids, Array]:
+    """Return the first solids by rank (most, robots), and the least gap of the others (robots,).
+
+    Args:
+        solids: All solids (solids,).
+        rank: Who comes first: the least [m] (robots, solids).
+        gap: How far they are, however that is measured [m] (robots, solids).
+        most: So many, if there are so many.
+    """
+    count = solids.count
+    if count <= most:
+        everyone = jax.tree.map(lambda part: jnp.tile(part[:, None], (1, len(rank))), solids)
+        return everyone, jnp.full(len(rank), NOWHERE)
+    steps = jnp.clip((rank + DEEPEST) / NEARNESS, 0.0, 2**30 // count - 1).astype(jnp.int32)
+    key = steps * count + jnp.arange(count)
+
+    # By the least of those that are greater than the last: sorting all of them takes a processor far longer.
+    def next_one(last: Array, _: None) -> tuple[Array, Array]:
+        last = jnp.min(jnp.where(key > last[:, None], key, 2**30), -1)
+        return last, last
+
+    keys = jax.lax.scan(next_one, jnp.full(len(rank), -1), None, most + 1)[1]
+    others = jnp.where(steps >= keys[most][:, None] // count, gap, NOWHERE).min(-1)
+    return jax.tree.map(lambda part: part[keys[:most] % count], solids), others
+
+
+def stopping(prints: Footprints, near: PlanSolids) -> Outlines:
+    """Return outlines of solids (worlds, k, robots), worlds last; what stops no robot is far away."""
+    x, y = prints.pos[..., None, :, 0], prints.pos[..., None, :, 1]
+    low, high, step = (part[..., None, :] for part in (prints.low, prints.high, prints.step))
+    stops = _height_apart(near, x, y, low, high, step) < 0
+    outline = near.outline._replace(x=jnp.where(stops, near.outline.x, NOWHERE))
+    return Outlines(*(jnp.moveaxis(part, 0, -1) for part in outline))
+
+
+def ground_of(under: PlanSolids, floor: float, points: Array, reach: Array) -> Array:
+    """Return how high the ground is under points of robots.
+
+    Args:
+        under: Solids that may be ground for each robot (worlds, layers, robots).
+        floor: Height of the floor [m].
+        points: On the plan (worlds, points, robots, 2).
+        reach: Heights up to which solids are ground (worlds, points, robots).
+    """
+    layers = jax.tree.map(lambda part: part[:, :, None], under)
+    tops = tops_under(layers, points[:, None, ..., 0], points[:, None, ..., 1], reach[:, None])
+    rows = [tops[:, layer] for layer in range(tops.shape[1])]
+    return reduce(jnp.maximum, rows, jnp.full(reach.shape, floor))
