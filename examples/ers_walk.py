@@ -3,10 +3,11 @@
     python -m usarmjx serve --arena yellow &
     python examples/ers_walk.py --port 3000 --distance 1.0
 
-The legs follow a clock, whatever the ground does; only the heading is corrected. The clock is the
-server's, guessed between its reports. At real time a command goes out every 0.02 s and the robot walks
-0.14 m/s; the faster the simulation runs, the fewer commands get through, and beyond some ten times real
-time it may stumble. Axes are the server's too: x forward, y right, yaw clockwise.
+The legs follow a clock, whatever the ground does; only the course is corrected, back to the line on which
+it began. The clock is the server's, guessed between its reports. At real time a command goes out every
+0.02 s and the robot walks 0.14 m/s. When fewer commands get through, on a busy machine or because the
+simulation runs many times faster, it walks more slowly: legs that skipped a part of their way would throw
+it off its course, or over. Axes are the server's too: x forward, y right, yaw clockwise.
 """
 
 import argparse
@@ -22,15 +23,20 @@ except ImportError:  # without usarmjx: its usarsim_client.py lies beside this f
 
 PERIOD = 0.45  # s for a step of each leg
 STANCE = 0.6  # share of it that a paw is on the ground: diagonal pairs take turns, with some overlap
-SWING = 0.18  # rad that a leg swings to either side of where it stands
+SWING = 0.2  # rad that a leg swings to either side of where it stands
 LIFT = 0.3  # rad that the knee bends to lift the paw, some 1 cm
 SPREAD = 0.2  # rad that the legs stand outward
-STEER = 4.0  # by how much longer the steps of one side are, per radian off the course
+STEER = 4.0  # what share of their steps the legs of one side lose, per radian off the heading
+RETURN = 2.0  # rad towards the line per metre off it
+SLANT = 0.4  # rad: the most of that
 LEGS = {"LeftF": 0.0, "RightR": 0.0, "RightF": 0.5, "LeftR": 0.5}  # when in the period each touches down
 
 TICK = 0.02  # s between two commands: the server's control step
+LEAP = 3 * TICK  # the farthest that the legs go on in one command, however late it is
 REPORT = 0.2  # s between two reports (msg_timer)
+REPORTS = 6  # so many tell how fast the server's time goes: on a busy machine one comes late, the next soon
 PATIENCE = 0.002  # s of real time to wait for a message before it is time to look at the clock
+ROCKING = 0.2  # rad of roll or pitch from which it takes shorter steps, until it has calmed down
 FALLEN = 0.8  # rad of roll or pitch from which no trot recovers
 
 
@@ -40,12 +46,14 @@ def posture(phase: float, strength: float = 1.0, steer: float = 0.0) -> dict[str
     Args:
         phase: Periods since the start.
         strength: Scales the steps; 0 stands.
-        steer: Positive makes the steps of the left legs longer, which turns to the right; up to 0.8.
+        steer: Positive makes the steps of the right legs shorter, which turns to the right; at 1 they
+            make none. None gets longer: long steps rock the robot until it falls.
     """
     joints = {}
     for leg, shift in LEGS.items():
         at = (phase + shift) % 1
-        reach = SWING * strength * (1 + steer * (1 if leg.startswith("Left") else -1))
+        less = max(0.0, steer if leg.startswith("Right") else -steer)
+        reach = SWING * strength * (1 - less)
         if at < STANCE:
             swing, bend = reach * (1 - 2 * at / STANCE), 0.0
         else:
@@ -61,7 +69,7 @@ def posture(phase: float, strength: float = 1.0, steer: float = 0.0) -> dict[str
 
 @dataclass
 class Clock:
-    """The server's time, also between its reports: as fast as it went between the last two.
+    """The server's time, also between its reports: as fast as it went in the last few.
 
     Attributes:
         now: The best guess; it never goes back, and waits when a report is late [s].
@@ -70,19 +78,20 @@ class Clock:
 
     now: float = -1.0
     rate: float = 0.0
-    report: tuple[float, float] | None = None  # server's time and real time of the last one
+    reports: list[tuple[float, float]] = field(default_factory=list)  # server's and real time of the last
 
     def hear(self, stamp: float, real: float) -> None:
         """Take in the time of a report that came at the time `real`."""
-        if self.report is not None and real > self.report[1]:
-            self.rate = (stamp - self.report[0]) / (real - self.report[1])
-        self.report = (stamp, real)
+        self.reports = [*self.reports, (stamp, real)][-REPORTS:]
+        began, then = self.reports[0]
+        if real > then:
+            self.rate = (stamp - began) / (real - then)
         self.now = max(self.now, stamp)
 
     def look(self, real: float) -> float:
         """Return the server's time at the time `real`."""
-        if self.report is not None:
-            stamp, then = self.report
+        if self.reports:
+            stamp, then = self.reports[-1]
             self.now = max(self.now, stamp + min(self.rate * (real - then), REPORT))
         return self.now
 
@@ -93,10 +102,12 @@ class Walk:
 
     Attributes:
         path: Time [s] and true x, y [m], yaw [rad] of each report.
-        lean: Largest roll or pitch so far [rad].
+        tilt: Roll or pitch in the last report, the larger one [rad].
+        lean: Largest of these so far [rad].
     """
 
     path: list[tuple[float, float, float, float]] = field(default_factory=list)
+    tilt: float = 0.0
     lean: float = 0.0
 
     @property
@@ -112,14 +123,17 @@ class Walk:
 
     @property
     def steer(self) -> float:
-        """What turns it back to the heading of the start."""
-        error = math.remainder(self.path[0][3] - self.path[-1][3], 2 * math.pi)
-        return max(-0.8, min(0.8, STEER * error))
+        """What turns it back to the line of the start, from -1 to 1."""
+        (_, x0, y0, course), (_, x1, y1, yaw) = self.path[0], self.path[-1]
+        right = (y1 - y0) * math.cos(course) - (x1 - x0) * math.sin(course)
+        heading = course - max(-SLANT, min(SLANT, RETURN * right))
+        return max(-1.0, min(1.0, STEER * math.remainder(heading - yaw, 2 * math.pi)))
 
     def take(self, now: float, truth: ServerMessage) -> None:
         """Note a GroundTruth message."""
         roll, pitch, _ = (math.remainder(angle, 2 * math.pi) for angle in truth.vector("Orientation"))
-        self.lean = max(self.lean, abs(roll), abs(pitch))
+        self.tilt = max(abs(roll), abs(pitch))
+        self.lean = max(self.lean, self.tilt)
         self.path.append((now, *truth.pose()))
 
     def done(self, distance: float, seconds: float) -> bool:
@@ -131,7 +145,7 @@ class Walk:
 
 def walk(robot: UsarsimClient, distance: float, seconds: float) -> Walk:
     """Walk so far [m], or for so long [simulated s], and stand again."""
-    clock, trip, began = Clock(), Walk(), -1.0
+    clock, trip, phase, strength = Clock(), Walk(), 0.0, 0.0
     heard, told = time.monotonic(), -1.0
     while not trip.done(distance, seconds):
         message = robot.receive(PATIENCE)
@@ -143,10 +157,11 @@ def walk(robot: UsarsimClient, distance: float, seconds: float) -> Walk:
             elif message.value("Type") == "GroundTruth":
                 trip.take(clock.now, message)
         elif trip.path and clock.rate and clock.look(real) >= told + TICK:
+            step = min(clock.now - told, LEAP) / PERIOD
             told = clock.now
-            began = told if began < 0.0 else began
-            phase = (told - began) / PERIOD
-            robot.multidrive(posture(phase, min(1.0, phase), trip.steer))
+            phase += step
+            strength = max(0.0, min(1.0, strength + (step if trip.tilt < ROCKING else -step)))
+            robot.multidrive(posture(phase, strength, trip.steer))
         if real - heard > robot.timeout:
             raise TimeoutError(f"no data for {robot.timeout:g} s")
     robot.multidrive(posture(0.0, 0.0))

@@ -7,9 +7,12 @@ import pytest
 
 from tests.arenas import COURSE
 from tests.sim.test_arena_sets import ARENAS, EXACT, TOLERANCE, drive
+from tests.train.mapping.mazes import mazes
 from usarmjx.engines import choose_engine
+from usarmjx.sensors.rays.choice import waves_on_warp
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import RosterEntry, build_scene
+from usarmjx.train.mapping.wavefront import distances, path_on_jax, shortest_path, spread_distances
 
 pytestmark = pytest.mark.gpu
 
@@ -94,3 +97,27 @@ def test_worlds_with_arenas_of_their_own_agree_with_c():
     turns = np.arange(64) % 3
     np.testing.assert_allclose(poses["warp"], poses["c"][turns], atol=TOLERANCE["warp"])
     np.testing.assert_allclose(scans["warp"], scans["c"][turns], atol=20 * TOLERANCE["warp"])
+
+
+@pytest.mark.parametrize("shape", [(1, 7), (41, 33), (33, 48), (70, 90)], ids=lambda x: f"{x[0]}x{x[1]}")
+def test_waves_over_maps_are_those_of_jax_bit_for_bit(shape):
+    """Maps of worlds and robots that a block of threads holds in shared memory, and one that is too large."""
+    pytest.importorskip("warp", reason="needs warp-lang")
+    assert waves_on_warp()
+    start, open_, toll, until = mazes(shape)
+
+    def of_all(function):
+        return jax.jit(jax.vmap(jax.vmap(function)))(start, open_, toll, until)
+
+    def way(start, open_, toll, square):
+        far = distances(start, open_, toll, until=square)
+        return far[square[0], square[1]], shortest_path(far, square, 40)
+
+    def wave_way(start, open_, toll, square):
+        far = spread_distances(start, open_, toll, square)
+        return far[square[0], square[1]], path_on_jax(far, square, 40)
+
+    found = of_all(lambda start, open_, toll, _: distances(start, open_, toll))
+    wave = of_all(lambda start, open_, toll, _: spread_distances(start, open_, toll, None))
+    np.testing.assert_array_equal(found, wave)
+    jax.tree.map(np.testing.assert_array_equal, of_all(way), of_all(wave_way))

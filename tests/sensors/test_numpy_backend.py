@@ -351,14 +351,18 @@ def test_a_caster_of_ones_own_is_asked_for_the_rays_of_sensors_that_are_due_only
     with numpy_backend():
         bodies = forward_kinematics(suite.plan, moment.state)
         hits = suite.hits(cast, bodies, ROBOT_SLOT, due, moment.around)
-    casting = [i for i, count in enumerate(suite.ray_counts) if count]
-    assert [n for _, n in asked] == [suite.ray_counts[i] for i in casting if due[i]]
-    assert [q.max_distance for q, _ in asked] == [suite.sensors[i].max_distance for i in casting if due[i]]
+        aimed = np.split(suite.rays(bodies, moment.around)[1].any(-1), np.cumsum(suite.ray_counts)[:-1])
+    assert any(0 < rays.sum() < len(rays) for rays in aimed), (
+        "some aim at what is near, of more that could be"
+    )
+    casting = [i for i, rays in enumerate(aimed) if due[i] and rays.any()]
+    assert [n for _, n in asked] == [aimed[i].sum() for i in casting]
+    assert [q.max_distance for q, _ in asked] == [suite.sensors[i].max_distance for i in casting]
     assert len(hits.distance) == len(hits.cosine) == sum(suite.ray_counts)
-    expected, turn = [], 0
-    for i in casting:
-        turn += due[i]
-        expected += [turn if due[i] else np.inf] * suite.ray_counts[i]
+    expected = []
+    for i, rays in enumerate(aimed):
+        turn = casting.index(i) + 1 if i in casting else np.inf
+        expected += list(np.where(rays, turn, np.inf))
     np.testing.assert_array_equal(hits.distance, expected)
     np.testing.assert_array_equal(hits.cosine, np.isfinite(expected))
 

@@ -96,7 +96,9 @@ def bare_step(batch: Batch, key: jax.Array, state: BatchState) -> Callable[[jax.
     def body(i: jax.Array, physics: Any) -> Any:  # noqa: ANN401
         now: PhysicsState = batch.engine.state(physics)
         ctrl, act = order(jax.random.fold_in(key, i), now.qpos, now.act)
-        return batch.engine.advance(physics, _inputs(batch, ctrl, act).replace(geom_poses=standing))
+        # Of many worlds these are large: without the barrier XLA works with them while it compiles.
+        here = jax.lax.optimization_barrier(standing)
+        return batch.engine.advance(physics, _inputs(batch, ctrl, act).replace(geom_poses=here))
 
     return body
 

@@ -188,7 +188,8 @@ class Sensor(ABC):
     def aimed_rays(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, Array]:
         """Return the rays as `rays` does, of a sensor that aims some of them at what is around.
 
-        There are as many in every world, whatever there is.
+        There are as many in every world, whatever there is. Those that nobody wants have a direction of
+        zeros: they are not cast, and meet nothing.
         """
         del surroundings
         return self.rays(bodies)

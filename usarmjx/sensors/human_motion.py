@@ -127,10 +127,11 @@ class HumanMotion(Sensor):
         )
 
     def aimed_rays(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, Array]:
-        """One ray to each of the nearest moving parts."""
+        """One ray to each of the nearest moving parts, if there are as many."""
         pos, movers = self._movers(bodies, surroundings)
         way = movers.pos - pos
         along = way / xp.maximum(xp.linalg.norm(way, axis=-1, keepdims=True), 1e-3)
+        along = xp.where(xp.isfinite(movers.distance)[:, None], along, 0.0)
         return xp.broadcast_to(pos, along.shape), along
 
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401

@@ -163,6 +163,7 @@ class Rfid(Sensor):
     needs_surroundings = True
     needs_victims = False
     transparent = frozenset({SKY, GLASS})
+    bundle_size = 1
     settings_class = RfidSettings
 
     @property
@@ -175,13 +176,14 @@ class Rfid(Sensor):
 
     @for_teams
     def aimed_rays(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, Array]:
-        """One ray to each of the nearest tags, unless obstacles do not matter."""
+        """One ray to each of the nearest tags in reach, unless obstacles do not matter."""
         if self.settings[0].mode == RADIUS_MODE:
             return self.rays(bodies)
         pos, _ = self.mount_poses(bodies)
         tags = _nearest_tags(surroundings, pos[..., 0, :])
         way = tags.pos + xp.array([0.0, 0.0, RAY_END_HEIGHT]) - pos
         along = way / xp.maximum(xp.linalg.norm(way, axis=-1, keepdims=True), MIN_TAG_DISTANCE)
+        along = xp.where((tags.there & (tags.distance <= self.max_distance))[..., None], along, 0.0)
         return xp.broadcast_to(pos, along.shape), along
 
     def init_memory(self, inputs: SensorInput, key: Array) -> RfidMemory:

@@ -157,6 +157,9 @@ class Suite:
         """Return what the rays of one sensor meet, if anybody wants to know."""
         fans = sensor.fans(bodies)
         origin, direction = sensor.aimed_rays(bodies, surroundings) if fans is None else fans.rays()
+        if fans is None:
+            aimed = (direction != 0).any()
+            wanted = aimed if wanted is None else wanted & aimed
         with named_scope(sensor.kind):
             return cast(origin, direction, _query(sensor, slot, wanted), fans)
 
@@ -183,9 +186,10 @@ class Suite:
                 else:
                     own = BodyPoses(pos=bodies.pos[robot], mat=bodies.mat[robot])
                     origin, direction = _rays(sensor, own, surroundings)
-                met = cast(origin, direction, _query(sensor, slot[robot]), None)
-                distance[(*robot, self._rays_of(i))] = met.distance
-                cosine[(*robot, self._rays_of(i))] = met.cosine
+                if len(aimed := np.flatnonzero(direction.any(-1))):
+                    met = cast(origin[aimed], direction[aimed], _query(sensor, slot[robot]), None)
+                    at = (*robot, self._rays_of(i).start + aimed)
+                    distance[at], cosine[at] = met.distance, met.cosine
         return Hits(distance=distance, cosine=cosine)
 
     def init_memory(self, inputs: SensorInput, key: Array) -> SensorMemory:

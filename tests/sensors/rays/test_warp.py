@@ -10,11 +10,14 @@ import pytest
 from tests.sensors.rays.test_raycast import KINDS, make_rays, make_room
 from usarmjx.models.build.pieces import FENDER_KIND, TRIANGLE_KIND
 from usarmjx.sensors.rays import choice
+from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.kernels import RAY_KERNELS
 from usarmjx.sensors.rays.raycast import RayQuery, brute_force_hits, indexed_blocks, warp_hits
+from usarmjx.sensors.rays.surfaces import normals
 from usarmjx.sensors.rays.targets import make_geoms
 
 pytest.importorskip("warp", reason="needs warp-lang")
+from usarmjx.sensors.rays.incidence_warp import cosines_of_hits  # needs Warp
 
 ATOL = 1e-5  # m: the same arithmetic, differently contracted by the compilers
 RAYS = 300
@@ -142,3 +145,65 @@ def test_rays_are_cast_by_what_is_in_use(monkeypatch):
         monkeypatch.setattr(raycast, "caster_in_use", lambda name=name: name)
         raycast.nearest_hits(geoms, *rays)
     assert asked == ["warp", "pallas"]
+
+
+def same_angles(geoms, rays, lines=None):
+    """Compare cosines on Warp with those of JAX, of what the same rays meet."""
+    start, along = rays if lines is None else lines.rays()
+    seen = indexed_blocks(geoms)
+    first = brute_force_hits(seen, start, along)
+    plain = np.abs((normals(geoms, first, start, along) * along).sum(-1))
+    met = np.asarray(first.geom_index) >= 0
+    assert 0.05 < met.mean() < 1
+    found = np.asarray(cosines_of_hits(seen, rays if lines is None else lines, first))
+    assert (found[~met] == 0).all()
+    # Where a box's faces meet, or a cylinder's side its cap, rounding decides which is looked at.
+    assert (np.abs(found - plain) > ATOL).sum() <= 2
+    return found[met]
+
+
+@pytest.mark.parametrize("kind", RAY_KERNELS)
+def test_angles_are_those_of_jax(kind):
+    rng = np.random.default_rng(kind)
+    cosines = same_angles(geoms_of(kind, rng, 50), tuple(rays_at(rng)))
+    assert np.ptp(cosines) > 0.5
+
+
+def test_angles_of_fans_among_several_kinds():
+    rng = np.random.default_rng(4)
+    directions = rng.normal(size=(3, 50, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    mat = np.linalg.qr(rng.normal(size=(3, 3, 3)))[0]
+    pos = jnp.asarray(rng.uniform(-3, 3, (3, 3)), jnp.float32)
+    fans = Fans(pos, jnp.asarray(mat, jnp.float32), directions.astype(np.float32))
+    same_angles(make_room(3).geoms, None, fans)
+
+
+def test_angles_of_all_maps_make_one_launch():
+    rng = np.random.default_rng(9)
+    worlds = [geoms_of(6, rng, 7) for _ in range(3)]
+    blocks = jax.tree.map(lambda *x: jnp.stack(x), *(g.blocks[0] for g in worlds))
+    info = indexed_blocks(worlds[0])[0]
+    rays = tuple(x.reshape(3, 40, 3) for x in rays_at(rng, 3 * 40))
+
+    def one(block, start, along):
+        seen = [info._replace(block=block)]
+        return cosines_of_hits(seen, (start, along), warp_hits(seen, (start, along)))
+
+    cast = jax.jit(jax.vmap(one))
+    assert cast.lower(blocks, *rays).as_text().count("stablehlo.custom_call @") == 2
+    found = cast(blocks, *rays)
+    for w, geoms in enumerate(worlds):
+        seen, own = indexed_blocks(geoms), (rays[0][w], rays[1][w])
+        np.testing.assert_allclose(found[w], cosines_of_hits(seen, own, warp_hits(seen, own)), atol=1e-6)
+
+
+def test_rays_without_a_direction_meet_nothing():
+    rng = np.random.default_rng(6)
+    seen, (start, along) = indexed_blocks(geoms_of(6, rng, 50)), tuple(rays_at(rng))
+    aimed = rng.random(len(along)) < 0.5
+    found = warp_hits(seen, (start, jnp.where(aimed[:, None], along, 0.0)))
+    assert (np.asarray(found.geom_index)[~aimed] == -1).all()
+    assert np.isinf(np.asarray(found.distance)[~aimed]).all()
+    whole = warp_hits(seen, (start, along))
+    np.testing.assert_array_equal(found.geom_index[aimed], whole.geom_index[aimed])

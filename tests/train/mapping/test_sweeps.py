@@ -3,26 +3,14 @@
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.train.mapping.mazes import mazes
 from usarmjx.train.mapping import sweeps
 from usarmjx.train.mapping.wavefront import UNREACHABLE, distances, shortest_path, spread_distances
 
-SHAPE, TEAMS, ROBOTS = (19, 13), 3, 4
-
-
-def maps():
-    """Mazes with starts of different worth and tolls, and squares that are asked for."""
-    rng = np.random.default_rng(0)
-    all_of = (TEAMS, ROBOTS, *SHAPE)
-    open_ = rng.random(all_of) > 0.35
-    start = np.where(rng.random(all_of) < 0.02, rng.uniform(0, 20, all_of), UNREACHABLE).astype(np.float32)
-    start[0, 0] = UNREACHABLE  # no way begins anywhere
-    toll = rng.choice([0.0, 6.0], all_of).astype(np.float32)
-    until = np.stack([rng.integers(0, n, (TEAMS, ROBOTS)) for n in SHAPE], -1)
-    return tuple(map(jnp.asarray, (start, open_, toll, until)))
+SHAPE = (19, 13)
 
 
 def of_all(function):
@@ -31,7 +19,7 @@ def of_all(function):
 
 def test_swept_distances_are_those_of_a_wave(monkeypatch):
     monkeypatch.setattr(sweeps, "MAPS_AT_A_TIME", 5)  # the last ones are not full
-    start, open_, toll, _ = maps()
+    start, open_, toll, _ = mazes(SHAPE)
     swept = of_all(distances)(start, open_, toll)
     wave = of_all(partial(spread_distances, until=None))(start, open_, toll)
     np.testing.assert_array_equal(swept, wave)
@@ -40,7 +28,7 @@ def test_swept_distances_are_those_of_a_wave(monkeypatch):
 
 @pytest.mark.parametrize("asked", [True, False])
 def test_ways_are_the_same_if_one_square_is_asked_for(asked):
-    start, open_, toll, until = maps()
+    start, open_, toll, until = mazes(SHAPE)
 
     def way(start, open_, toll, square):
         far = distances(start, open_, toll, until=square if asked else None)

@@ -37,3 +37,9 @@ def caster_in_use() -> CasterName:
 def counts_on_warp() -> bool:
     """Return whether the radio counts walls on Warp here: on GPUs where that is installed."""
     return jax.default_backend() == "gpu" and _there("warp")
+
+
+@cache
+def waves_on_warp() -> bool:
+    """Return whether waves over maps spread on Warp here: on GPUs where that is installed."""
+    return jax.default_backend() == "gpu" and _there("warp")

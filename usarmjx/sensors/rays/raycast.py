@@ -233,17 +233,38 @@ def cast_rays(
 ) -> Hits:
     """Return the first surface that each ray meets, see `nearest_hits`; at which angle, if the query asks.
 
+    Rays without a direction (of zeros) meet nothing.
     Distances can be differentiated, see `surfaces.sloped`; angles count as constant.
     """
     lines, frames = (None, ()) if fans is None else (fans.directions, (fans.pos, fans.mat))
     first = sloped(partial(_nearest_of_frames, lines), geoms, origin, direction, query, *frames)
     cosine: Array = jnp.zeros_like(first.distance)
     if query.incidence:
-        wanted = None if jax.default_backend() == "gpu" else query.wanted
-        cosine = cast_if_wanted(
-            wanted, _cosines, NO_COSINE, *jax.lax.stop_gradient((geoms, first, origin, direction))
-        )
-    return Hits(distance=first.distance, cosine=cosine)
+        cosine = _incidence(query, lines, *jax.lax.stop_gradient((geoms, first, origin, direction, *frames)))
+    distance = first.distance
+    if fans is None:
+        distance = jnp.where((direction != 0).any(-1), distance, jnp.inf)
+    return Hits(distance=distance, cosine=cosine)
+
+
+@jax.named_scope("incidence")
+def _incidence(
+    query: RayQuery,
+    lines: np.ndarray | None,
+    geoms: Geoms,
+    first: GeomHits,
+    origin: Array,
+    direction: Array,
+    *frames: Array,
+) -> Array:
+    """Return the cosine between each ray and the surface that it meets (rays,); frames as below."""
+    if caster_in_use() == "warp":
+        from usarmjx.sensors.rays.incidence_warp import cosines_of_hits  # Warp need not be installed
+
+        rays = (origin, direction) if lines is None else Fans(frames[0], frames[1], lines)
+        return cosines_of_hits(indexed_blocks(geoms, query.transparent), rays, first)
+    wanted = None if jax.default_backend() == "gpu" else query.wanted
+    return cast_if_wanted(wanted, _cosines, NO_COSINE, geoms, first, origin, direction)
 
 
 def _nearest_of_frames(
@@ -259,6 +280,5 @@ def _nearest_of_frames(
     return nearest_hits(geoms, origin, direction, query, fans)
 
 
-@jax.named_scope("incidence")
 def _cosines(geoms: Geoms, first: GeomHits, origin: jax.Array, direction: jax.Array) -> jax.Array:
     return jnp.abs((normals(geoms, first, origin, direction) * direction).sum(-1))

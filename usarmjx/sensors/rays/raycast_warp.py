@@ -49,7 +49,9 @@ def thread_index(index: int) -> int:
 
 
 @wp.func_native("return (int)((unsigned)number / (unsigned)size);")
-def _whole_part(number: int, size: int) -> int: ...
+def whole_part(number: int, size: int) -> int:
+    """Return how many times a number of at least 0 has a size in it."""
+    ...
 
 
 @wp.func_native("""
@@ -310,7 +312,7 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     """Cast the rays of fans; a warp for each bundle of each cast."""
     t = thread_index(wp.tid())
     lane = t & 31
-    cast = _whole_part(t >> 5, bundles)
+    cast = whole_part(t >> 5, bundles)
     begin = ((t >> 5) - cast * bundles) * bundle
     ray = wp.min(begin + lane, wp.min(begin + bundle, rays) - 1)
     best = WarpBest()
@@ -319,7 +321,7 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     if wanted[cast] > 0:
         fan = cast * fans
         if fans > 1:
-            fan += _whole_part(ray, _whole_part(rays, fans))
+            fan += whole_part(ray, whole_part(rays, fans))
         first = world[cast] * ((count + 31) >> 5) * GROUP_SIZE
         best = _nearest(
             geoms,
@@ -354,16 +356,18 @@ def cast_rays(  # noqa: PLR0913 - as above
     distance: wp.array[float],
     geom: wp.array[int],
 ) -> None:
-    """Cast given rays; a warp for each bundle of each cast."""
+    """Cast given rays; a warp for each bundle of each cast. Rays without a direction meet nothing."""
     t = thread_index(wp.tid())
     lane = t & 31
-    cast = _whole_part(t >> 5, bundles)
+    cast = whole_part(t >> 5, bundles)
     begin = ((t >> 5) - cast * bundles) * bundle
     ray = cast * rays + wp.min(begin + lane, wp.min(begin + bundle, rays) - 1)
     best = WarpBest()
     best.distance = wp.inf
     best.geom = -1.0
-    if wanted[cast] > 0:
+    along = direction[ray]
+    aimed = wp.length_sq(along) > 0.0
+    if wanted[cast] > 0 and _any_lane(aimed):
         first = world[cast] * ((count + 31) >> 5) * GROUP_SIZE
         best = _nearest(
             geoms,
@@ -372,10 +376,10 @@ def cast_rays(  # noqa: PLR0913 - as above
             count,
             lane & (_lanes() - 1),
             origin[ray],
-            direction[ray],
+            along,
             False,
             float(exclude[cast]),
-            reach,
+            wp.where(aimed, reach, 0.0),
         )
     distance[ray] = best.distance
     geom[ray] = int(best.geom)

@@ -194,6 +194,44 @@ def distance_of(kind: int, o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
 
 
 @wp.func
+def _unit(v: wp.vec3) -> wp.vec3:
+    return v / wp.max(wp.length(v), TINY)
+
+
+@wp.func
+def _box_normal(p: wp.vec3, s: wp.vec3) -> wp.vec3:
+    x = wp.abs(p[0]) - s[0]
+    y = wp.abs(p[1]) - s[1]
+    z = wp.abs(p[2]) - s[2]
+    on_y = y > x and y >= z
+    on_z = z > x and z > y
+    side = wp.where(on_z, wp.vec3(0.0, 0.0, 1.0), wp.vec3(1.0, 0.0, 0.0))
+    return wp.where(on_y, wp.vec3(0.0, 1.0, 0.0), side)
+
+
+@wp.func
+def _round_normal(kind: int, p: wp.vec3, s: wp.vec3) -> wp.vec3:
+    normal = _unit(wp.vec3(p[0], p[1], p[2] - wp.clamp(p[2], -s[1], s[1])))
+    on_cap = s[1] - wp.abs(p[2]) < s[0] - wp.sqrt(p[0] * p[0] + p[1] * p[1])
+    return wp.where(kind == CYLINDER and on_cap, wp.vec3(0.0, 0.0, 1.0), normal)
+
+
+@wp.func
+def normal_of(kind: int, p: wp.vec3, s: wp.vec3) -> wp.vec3:
+    """Unit normal of the surface at a point on it, outwards or inwards; see `kernels.surface_normal`."""
+    normal = wp.vec3(0.0, 0.0, 1.0)
+    if kind == BOX or kind == FENDER:  # noqa: SIM109 - Warp knows no `in`
+        normal = _box_normal(p, s)
+    elif kind == SPHERE:
+        normal = _unit(p)
+    elif kind == ELLIPSOID:
+        normal = _unit(wp.cw_div(p, wp.cw_mul(s, s)))
+    elif kind == CYLINDER or kind == CAPSULE:  # noqa: SIM109 - as above
+        normal = _round_normal(kind, p, s)
+    return normal
+
+
+@wp.func
 def cone_box_distance(half: wp.vec3, tip: wp.vec3, axis: wp.vec3, tip_radius: float, slope: float) -> float:
     """As `bundles.cone_box_distance`, of a box about its frame's origin."""
     near = wp.float32(0.0)

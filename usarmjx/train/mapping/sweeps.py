@@ -5,6 +5,7 @@ for each step. Of all maps together the same square is looked at: maps are the l
 """
 
 import math
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -76,17 +77,30 @@ def _of_all(start: jax.Array, enter: jax.Array, until: jax.Array) -> jax.Array:
     return jnp.moveaxis(far, -1, 1).reshape(-1, *start.shape[1:])[:count]
 
 
-@custom_vmap
-def _over_maps(start: jax.Array, enter: jax.Array, until: jax.Array) -> jax.Array:
-    """As `_of_all`, for one axis over maps, however many axes are mapped."""
-    return _of_all(start, enter, until)
+def over_maps(run: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
+    """Return a function of arrays over maps such that all maps over it make one call, with a longer axis.
+
+    Args:
+        run: Its arguments and its result have a first axis over maps.
+    """
+    call = custom_vmap(run)
+
+    @call.def_vmap
+    def mapped(size: int, batched: list[bool], *args: jax.Array) -> tuple[jax.Array, bool]:
+        rows = [
+            x if own else jnp.broadcast_to(x, (size, *x.shape)) for x, own in zip(args, batched, strict=True)
+        ]
+        found = over_maps(run)(*(x.reshape(-1, *x.shape[2:]) for x in rows))
+        return found.reshape(*rows[0].shape[:2], *found.shape[1:]), True
+
+    return call
 
 
-@_over_maps.def_vmap
-def _over_more_maps(size: int, batched: list[bool], *args: jax.Array) -> tuple[jax.Array, bool]:
-    rows = [x if own else jnp.broadcast_to(x, (size, *x.shape)) for x, own in zip(args, batched, strict=True)]
-    far = _over_maps(*(x.reshape(-1, *x.shape[2:]) for x in rows))
-    return far.reshape(rows[0].shape), True
+def of_one_map(run: Callable[..., jax.Array], start: Array, enter: Array, until: Array | None) -> jax.Array:
+    """As `swept_distances`, by what `over_maps` takes, as `_of_all`."""
+    asked = jnp.full(2, -1, jnp.int32) if until is None else jnp.asarray(until, jnp.int32)
+    rows = (jnp.asarray(start, jnp.float32), jnp.asarray(enter, jnp.float32), asked)
+    return over_maps(run)(*(x[None] for x in rows))[0]
 
 
 def swept_distances(start: Array, enter: Array, until: Array | None) -> jax.Array:
@@ -97,6 +111,4 @@ def swept_distances(start: Array, enter: Array, until: Array | None) -> jax.Arra
         enter: What it costs to enter a square, beside the step; infinite: none leads through it (i, j).
         until: See there.
     """
-    asked = jnp.full(2, -1, jnp.int32) if until is None else jnp.asarray(until, jnp.int32)
-    rows = (jnp.asarray(start, jnp.float32), jnp.asarray(enter, jnp.float32), asked)
-    return _over_maps(*(x[None] for x in rows))[0]
+    return of_one_map(_of_all, start, enter, until)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array, ArrayLike
+from usarmjx.sensors.rays.choice import waves_on_warp
 from usarmjx.train.mapping.maps import FREE, UNKNOWN, WALL, MapGrid
 from usarmjx.train.mapping.sweeps import swept_distances
 
@@ -60,14 +61,20 @@ def distances(start: Array, open_: Array, toll: ArrayLike = 0.0, *, until: Array
             distances are right, and found the sooner; None: all are right.
     """
     start = jnp.asarray(start, jnp.float32)
-    if jax.default_backend() != "gpu":
-        enter = jnp.where(open_, jnp.asarray(toll, jnp.float32), jnp.inf)
-        return swept_distances(start, jnp.broadcast_to(enter, start.shape), until)
-    return spread_distances(start, open_, toll, until)
+    on_warp = waves_on_warp()
+    if jax.default_backend() == "gpu" and not on_warp:
+        return spread_distances(start, open_, toll, until)
+    enter = jnp.where(open_, jnp.asarray(toll, jnp.float32), jnp.inf)
+    enter = jnp.broadcast_to(enter, start.shape)
+    if on_warp:
+        from usarmjx.train.mapping.warp_distances import distances_on_warp  # Warp need not be installed
+
+        return distances_on_warp(start, enter, until)
+    return swept_distances(start, enter, until)
 
 
 def spread_distances(start: jax.Array, open_: Array, toll: ArrayLike, until: Array | None) -> jax.Array:
-    """As `distances`, all squares in each round: a GPU does that at once."""
+    """As `distances`, all squares in each round: a GPU without Warp does that at once."""
     costs = [np.float32(math.hypot(*step)) for step in NEIGHBOURS]
 
     def spread(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -91,6 +98,15 @@ def shortest_path(far: Array, square: Array, steps: int) -> jax.Array:
 
     Where the way ends the last square is repeated.
     """
+    if waves_on_warp():
+        from usarmjx.train.mapping.warp_distances import path_on_warp  # as above
+
+        return path_on_warp(far, square, steps)
+    return path_on_jax(far, square, steps)
+
+
+def path_on_jax(far: Array, square: Array, steps: int) -> jax.Array:
+    """As `shortest_path`, a step at a time for all maps."""
     moves = np.array(NEIGHBOURS, np.int32)
     costs = np.hypot(*moves.T).astype(np.float32)
     padded = _framed(far, UNREACHABLE)

@@ -1,0 +1,115 @@
+"""Waves over maps on Warp, whose kernels run here on its CPU device: distances and ways are those of JAX."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.train.mapping.mazes import mazes
+from tests.train.mapping.test_maps import labyrinth, shortest
+from usarmjx.train.mapping import wavefront
+from usarmjx.train.mapping.sweeps import swept_distances
+from usarmjx.train.mapping.wavefront import UNREACHABLE, distances, path_on_jax, spread_distances
+
+pytest.importorskip("warp", reason="needs warp-lang")
+from usarmjx.train.mapping.warp_distances import distances_on_warp, path_on_warp
+from usarmjx.train.mapping.warp_waves import LARGE_ROOM, SMALL_ROOM
+
+SHAPES = [(1, 1), (1, 9), (41, 33), (33, 48), (70, 90)]
+
+
+def of_all(function):
+    return jax.jit(jax.vmap(jax.vmap(function)))
+
+
+def test_shapes_are_of_all_kinds():
+    sizes = [rows * columns for rows, columns in SHAPES]
+    assert sizes[2] < SMALL_ROOM < sizes[3] < LARGE_ROOM < sizes[4]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_distances_on_warp_are_those_of_jax(shape):
+    start, open_, toll, _ = mazes(shape)
+
+    def on_warp(start, open_, toll):
+        return distances_on_warp(start, jnp.where(open_, toll, jnp.inf), None)
+
+    def swept(start, open_, toll):
+        return swept_distances(start, jnp.where(open_, toll, jnp.inf), None)
+
+    found = of_all(on_warp)(start, open_, toll)
+    np.testing.assert_array_equal(found, of_all(swept)(start, open_, toll))
+    wave = of_all(lambda *args: spread_distances(*args, None))(start, open_, toll)
+    np.testing.assert_array_equal(found, wave)
+    if shape[0] > 1:
+        assert 0.1 < (np.asarray(found) < UNREACHABLE).mean() < 0.9
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_distances_on_warp_are_those_of_dijkstra(seed):
+    start, open_, toll = labyrinth(seed)
+    found = distances_on_warp(start, np.where(open_, toll, np.inf), None)
+    np.testing.assert_allclose(found, shortest(start, open_, toll), rtol=1e-5)
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_ways_on_warp_are_those_of_jax(asked):
+    """From all starts, from squares that no way leads to, from corners and walls."""
+    mapped = mazes((19, 13))
+
+    def way(start, open_, toll, square):
+        enter = jnp.where(open_, toll, jnp.inf)
+        far = distances_on_warp(start, enter, square if asked else None)
+        return far[square[0], square[1]], path_on_warp(far, square, 12)
+
+    def wave_way(start, open_, toll, square):
+        far = spread_distances(start, open_, toll, None)
+        return far[square[0], square[1]], path_on_jax(far, square, 12)
+
+    found, wave = of_all(way)(*mapped), of_all(wave_way)(*mapped)
+    jax.tree.map(np.testing.assert_array_equal, found, wave)
+    assert len(np.unique(np.asarray(found[1]).reshape(-1, 24), axis=0)) > 5
+
+
+def test_only_so_much_is_swept_as_is_asked_for():
+    """What lies behind the square in a snake, which takes a turn for each bend, is not found out."""
+    open_ = np.ones((21, 9), bool)
+    open_[1::4, :-1] = open_[3::4, 1:] = False
+    start = np.full(open_.shape, UNREACHABLE, np.float32)
+    start[0, 0] = 0.0
+    enter = np.where(open_, 0.0, np.inf)
+    near = np.asarray(distances_on_warp(start, enter, np.array([2, 4])))
+    whole = np.asarray(distances_on_warp(start, enter, None))
+    assert near[2, 4] == whole[2, 4] < UNREACHABLE
+    assert near[-1, -1] > whole[-1, -1]
+
+
+def test_all_maps_are_one_launch():
+    """Worlds of one arena, whose robots share a start."""
+    start, open_, toll, until = mazes((19, 13))
+
+    def one(start, open_, toll, square):
+        return distances_on_warp(start, jnp.where(open_, toll, jnp.inf), square)
+
+    inner = jax.vmap(one, in_axes=(None, 0, None, 0))
+    run = jax.jit(jax.vmap(inner, in_axes=(0, 0, None, 0)))
+    args = start[:, 1], open_, toll[0, 0], until
+    assert run.lower(*args).as_text().count("stablehlo.custom_call @") == 1
+    found = np.asarray(run(*args))
+    for world, robot in np.ndindex(until.shape[:2]):
+        alone = one(start[world, 1], open_[world, robot], toll[0, 0], until[world, robot])
+        np.testing.assert_array_equal(found[world, robot], alone)
+
+
+def test_waves_spread_on_warp_where_it_is_in_use(monkeypatch):
+    monkeypatch.setattr(wavefront, "waves_on_warp", lambda: True)
+    start, open_, toll, until = (x[1, 0] for x in mazes((19, 13)))
+
+    def way(start, open_, toll, square):
+        return wavefront.shortest_path(distances(start, open_, toll, until=square), square, 5)
+
+    text = jax.jit(way).lower(start, open_, toll, until).as_text()
+    assert "sweep_small_maps" in text
+    assert "walk_down" in text
+    far = spread_distances(start, open_, toll, None)
+    np.testing.assert_array_equal(jax.jit(way)(start, open_, toll, until), path_on_jax(far, until, 5))

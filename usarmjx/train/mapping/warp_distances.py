@@ -1,0 +1,59 @@
+"""`wavefront.distances` and `shortest_path` on Warp, for all maps in one launch each."""
+
+from functools import cache, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import warp as wp
+
+from usarmjx.base.arrays import Array
+from usarmjx.train.mapping import warp_waves
+from usarmjx.train.mapping.sweeps import of_one_map, over_maps
+
+
+def _sweeper(squares: int) -> str:
+    """Return the name of the kernel for maps of so many squares, as they are held."""
+    if squares <= warp_waves.SMALL_ROOM:
+        return "sweep_small_maps"
+    return "sweep_large_maps" if squares <= warp_waves.LARGE_ROOM else "sweep_any_maps"
+
+
+@cache
+def _kernel(name: str) -> Any:  # noqa: ANN401
+    return wp.jax_kernel(getattr(warp_waves, name), block_dim=warp_waves.MAP_THREADS)
+
+
+def _distances(start: Array, enter: Array, until: Array) -> jax.Array:
+    """Return the distances (maps, i, j) of all maps; `until` is (maps, 2), below 0: none is asked for."""
+    maps, rows, columns = start.shape
+    flat = [x.reshape(-1) for x in (start, enter, until)]
+    launch = _kernel(_sweeper(rows * (columns | 1)))
+    found = launch(*flat, rows, columns, output_dims=start.size, launch_dims=maps * warp_waves.MAP_THREADS)
+    return found[0].reshape(start.shape)
+
+
+def distances_on_warp(start: Array, enter: Array, until: Array | None) -> jax.Array:
+    """As `sweeps.swept_distances`, on Warp."""
+    return of_one_map(_distances, start, enter, until)
+
+
+def _paths(steps: int, far: Array, square: Array) -> jax.Array:
+    """Return the ways (maps, steps, 2) from squares (maps, 2) down distances (maps, i, j)."""
+    maps, rows, columns = far.shape
+    found = _kernel("walk_down")(
+        far.reshape(-1),
+        square.reshape(-1),
+        rows,
+        columns,
+        steps,
+        output_dims=maps * steps * 2,
+        launch_dims=maps,
+    )
+    return found[0].reshape(maps, steps, 2)
+
+
+def path_on_warp(far: Array, square: Array, steps: int) -> jax.Array:
+    """As `wavefront.shortest_path`, on Warp."""
+    rows = (jnp.asarray(far, jnp.float32), jnp.asarray(square, jnp.int32))
+    return over_maps(partial(_paths, steps))(*(x[None] for x in rows))[0]

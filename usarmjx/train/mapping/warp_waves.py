@@ -1,0 +1,221 @@
+"""Distances over maps on Warp, and the ways down them: all maps of all worlds and robots in one launch.
+
+A block of threads has a map to itself, in its shared memory if there is room, and sweeps it from all four
+sides as `sweeps` does: each thread has a square of the row that is entered, and all wait for each other after
+it. On a CPU, where tests run it, the first thread of a block does the whole map.
+"""
+
+import warp as wp
+
+from usarmjx.train.mapping.wavefront import UNREACHABLE
+
+# Nothing may be added in another order than JAX does: fast mathematics might.
+wp.set_module_options({"enable_backward": False, "fast_math": False})
+
+MAP_THREADS = 64
+"""Threads of a block: a thread for each square of a row, or a few rows' worth of squares."""
+SMALL_ROOM, LARGE_ROOM = 1536, 5888
+"""Squares that a block holds in shared memory, 8 bytes each: the fewer, the more blocks there are at a time.
+Larger maps stay in global memory."""
+OUTSIDE = wp.constant(UNREACHABLE)
+SLANTING_STEP = wp.constant(2.0**0.5)
+TOLERANCE = wp.constant(1e-3)
+"""A square is further down a way if it is lower by its step, but for so much of rounding [squares]."""
+
+SWEEPS = """
+    const int map = (int)((unsigned)index / THREADS);
+    const int squares = rows * columns;
+    const size_t first = (size_t)map * squares;
+    const float none = 3.4e38f;
+    const float slant = 1.41421356237309505f;
+    float* const found = distance.data + first;
+    const float* const given = enter.data + first;
+#if defined(__CUDA_ARCH__)
+    const int lane = (int)((unsigned)index % THREADS);
+    const int lanes = THREADS;
+    const auto wait = []() { __syncthreads(); };
+    const auto any = [](bool x) { return __syncthreads_or(x) != 0; };
+#else
+    if ((unsigned)index % THREADS != 0) return;
+    const int lane = 0;
+    const int lanes = 1;
+    const auto wait = []() {};
+    const auto any = [](bool x) { return x; };
+#endif
+#if defined(__CUDA_ARCH__) && ROOM > 0
+    __shared__ float held_far[ROOM];
+    __shared__ float held_cost[ROOM];
+    float* const far = held_far;
+    const float* const cost = held_cost;
+    const int stride = columns | 1;  // odd, so that squares of a column lie in banks of their own
+    for (int k = lane; k < squares; k += lanes) held_cost[k + k / columns * (stride - columns)] = given[k];
+#else
+    float* const far = found;
+    const float* const cost = given;
+    const int stride = columns;
+#endif
+    const float* const begin = start.data + first;
+    for (int k = lane; k < squares; k += lanes) far[k + k / columns * (stride - columns)] = begin[k];
+    const int i = until.data[2 * map];
+    const int asked = i < 0 ? -1 : i * stride + until.data[2 * map + 1];
+    wait();
+
+    bool go_on = true;
+    while (go_on) {
+        float least = none;  // of the squares of this thread that came nearer in this turn
+        for (int side = 0; side < 4; ++side) {
+            const int lines = side < 2 ? rows : columns;
+            const int across = side < 2 ? columns : rows;
+            const int step = side < 2 ? stride : 1;
+            const int beside = side < 2 ? 1 : stride;
+            const int on = side % 2 == 0 ? step : -step;
+            int line = side % 2 == 0 ? 0 : (lines - 1) * step;
+            for (int n = 1; n < lines; ++n) {
+                for (int k = lane; k < across; k += lanes) {
+                    const int at = line + k * beside;
+                    const float right = k + 1 < across ? far[at + beside] : none;
+                    const float left = k > 0 ? far[at - beside] : none;
+                    const float aslant = (left < right ? left : right) + slant;
+                    const float straight = far[at] + 1.0f;
+                    const float way = (aslant < straight ? aslant : straight) + cost[at + on];
+                    if (way < far[at + on]) {
+                        far[at + on] = way;
+                        least = way < least ? way : least;
+                    }
+                }
+                line += on;
+                wait();
+            }
+        }
+        // What is farther than the square that is asked for lies on no way from there.
+        go_on = any(least < none && (asked < 0 || least <= far[asked]));
+    }
+#if defined(__CUDA_ARCH__) && ROOM > 0
+    for (int k = lane; k < squares; k += lanes) found[k] = far[k + k / columns * (stride - columns)];
+#endif
+"""
+
+
+def _sweeps_in(room: int) -> str:
+    """Return the native code that holds a map of so many squares in shared memory; 0: in global memory."""
+    return SWEEPS.replace("ROOM", str(room)).replace("THREADS", f"{MAP_THREADS}u")
+
+
+@wp.func_native(_sweeps_in(SMALL_ROOM))
+def _sweep_small(
+    start: wp.array[float],
+    enter: wp.array[float],
+    until: wp.array[int],
+    index: int,
+    rows: int,
+    columns: int,
+    distance: wp.array[float],
+) -> None: ...
+
+
+@wp.func_native(_sweeps_in(LARGE_ROOM))
+def _sweep_large(
+    start: wp.array[float],
+    enter: wp.array[float],
+    until: wp.array[int],
+    index: int,
+    rows: int,
+    columns: int,
+    distance: wp.array[float],
+) -> None: ...
+
+
+@wp.func_native(_sweeps_in(0))
+def _sweep_any(
+    start: wp.array[float],
+    enter: wp.array[float],
+    until: wp.array[int],
+    index: int,
+    rows: int,
+    columns: int,
+    distance: wp.array[float],
+) -> None: ...
+
+
+@wp.kernel(enable_backward=False, grid_stride=False)
+def sweep_small_maps(
+    start: wp.array[float],
+    enter: wp.array[float],
+    until: wp.array[int],
+    rows: int,
+    columns: int,
+    distance: wp.array[float],
+) -> None:
+    """Find the distances over maps of up to `SMALL_ROOM` squares."""
+    _sweep_small(start, enter, until, wp.tid(), rows, columns, distance)
+
+
+@wp.kernel(enable_backward=False, grid_stride=False)
+def sweep_large_maps(
+    start: wp.array[float],
+    enter: wp.array[float],
+    until: wp.array[int],
+    rows: int,
+    columns: int,
+    distance: wp.array[float],
+) -> None:
+    """Find the distances over maps of up to `LARGE_ROOM` squares."""
+    _sweep_large(start, enter, until, wp.tid(), rows, columns, distance)
+
+
+@wp.kernel(enable_backward=False, grid_stride=False)
+def sweep_any_maps(
+    start: wp.array[float],
+    enter: wp.array[float],
+    until: wp.array[int],
+    rows: int,
+    columns: int,
+    distance: wp.array[float],
+) -> None:
+    """Find the distances over maps of any size."""
+    _sweep_any(start, enter, until, wp.tid(), rows, columns, distance)
+
+
+@wp.func
+def _height(far: wp.array[float], first: int, i: int, j: int, rows: int, columns: int) -> float:
+    height = OUTSIDE
+    if i >= 0 and i < rows and j >= 0 and j < columns:
+        height = far[first + i * columns + j]
+    return height
+
+
+@wp.kernel(enable_backward=False, grid_stride=False)
+def walk_down(
+    far: wp.array[float],
+    square: wp.array[int],
+    rows: int,
+    columns: int,
+    steps: int,
+    path: wp.array[int],
+) -> None:
+    """Find the way from a square of each map, a thread for each.
+
+    Neighbours come as in `wavefront.NEIGHBOURS`: of two that are as good the first is taken.
+    """
+    t = wp.tid()
+    first = t * rows * columns
+    i = square[2 * t]
+    j = square[2 * t + 1]
+    for n in range(steps):
+        best = wp.float32(wp.inf)
+        next_i = i
+        next_j = j
+        for k in range(9):
+            there_i = i + k // 3 - 1
+            there_j = j + k % 3 - 1
+            cost = wp.where(k % 2 == 0, SLANTING_STEP, 1.0)
+            height = _height(far, first, there_i, there_j, rows, columns) + cost
+            if k != 4 and height < best:
+                best = height
+                next_i = there_i
+                next_j = there_j
+        if best <= _height(far, first, i, j, rows, columns) + TOLERANCE:
+            i = next_i
+            j = next_j
+        path[2 * (t * steps + n)] = i
+        path[2 * (t * steps + n) + 1] = j
