@@ -142,8 +142,7 @@ class Suite:
         ]
         if not hits:
             return NO_HITS
-        distance, cosine = ([getattr(part, name) for part in hits] for name in ("distance", "cosine"))
-        return Hits(distance=xp.concatenate(distance), cosine=xp.concatenate(cosine))
+        return jax.tree.map(lambda *parts: xp.concatenate(parts), *hits)
 
     def _hits_of(
         self,
@@ -158,8 +157,7 @@ class Suite:
         fans = sensor.fans(bodies)
         origin, direction = sensor.aimed_rays(bodies, surroundings) if fans is None else fans.rays()
         if fans is None:
-            aimed = (direction != 0).any()
-            wanted = aimed if wanted is None else wanted & aimed
+            wanted = (direction != 0).any() & (True if wanted is None else wanted)
         with named_scope(sensor.kind):
             return cast(origin, direction, _query(sensor, slot, wanted), fans)
 
@@ -172,8 +170,7 @@ class Suite:
         surroundings: Surroundings,
     ) -> Hits:
         """As `hits`, of one robot () or of several (robots,)."""
-        count = sum(self.ray_counts)
-        distance = np.full((*slot.shape, count), np.inf, np.float32)
+        distance = np.full((*slot.shape, sum(self.ray_counts)), np.inf, np.float32)
         cosine = np.zeros(distance.shape, np.float32)
         for i, sensor in enumerate(self.sensors):
             wanted = np.ones(slot.shape, bool) if due is None else np.asarray(due[..., i])
