@@ -25,7 +25,7 @@ def around(prints, solids):
     """What is around robots (worlds, robots) whose worlds all have the same solids."""
 
     def of_world(one):
-        return look_around(one, one.low + one.step, solids, 0.1, jnp.zeros(0))
+        return look_around(one, one.low + one.step, solids, jnp.full_like(one.low, 0.1), jnp.zeros(0))
 
     return jax.vmap(of_world)(prints)
 

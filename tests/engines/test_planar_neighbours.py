@@ -106,6 +106,7 @@ def test_nothing_is_known_of_robots_that_went_farther_or_whose_solids_moved(move
     at, scene = places_of(prints, prints.low + prints.step), known.scene
     assert holds(at, scene)
     assert not bool(jax.tree.map(jnp.zeros_like, known).holds(at, scene, 0.0)), "zeros are nothing known"
+    assert not holds(at, scene, jnp.zeros(at.shape[:2]).at[3, 1].set(20.0)), "one may go as far in a step"
     assert not holds(at.at[3, 1, 0].add(20.0), scene), "one robot is elsewhere"
     assert not holds(at.at[3, 1, 3].add(20.0), scene), "one is tilted"
     assert not holds(at, scene, reach=30.0)

@@ -159,7 +159,8 @@ def mjx_rate(scene: Scene, worlds: int, steps: int, repeats: int) -> dict[str, A
     engine = choose_engine("auto", "batch")
     batch = Batch(scene, worlds, engine=engine, shuffle=True)
     state = batch.reset()
-    loop = repeat_loop(batch, bare_step(batch, jax.random.key(1), state), steps)
+    body, given = bare_step(batch, jax.random.key(1), state)
+    loop = repeat_loop(batch, body, steps, given)
     first, times, _ = time_repeats(loop, state.physics, repeats)
     work = worlds * scene.num_robots * scene.physics.substeps * steps
     return {**rate_of("robot-steps/s", work, first, times), "engine": engine, "worlds": worlds}

@@ -19,14 +19,22 @@ RESET_SHARE = 0.01
 """Share of worlds that are reset at each control step of the whole step."""
 
 
-def repeat_loop(batch: Batch, body: Callable[[jax.Array, Any], Any], steps: int) -> Callable[[Any], Any]:
-    """Repeat `body`, inside one compiled function where the engine allows."""
+def repeat_loop(
+    batch: Batch, body: Callable[..., Any], steps: int, given: tuple[Array, ...] = ()
+) -> Callable[[Any], Any]:
+    """Repeat `body(i, state, *given)`, inside one compiled function where the engine allows.
+
+    What of many worlds is given stays data: as a constant it would be worked with while compiling.
+    """
     if batch.engine.traceable:
-        return jax.jit(lambda state: jax.lax.fori_loop(0, steps, body, state))
+        loop = jax.jit(
+            lambda state, *given: jax.lax.fori_loop(0, steps, lambda i, now: body(i, now, *given), state)
+        )
+        return lambda state: loop(state, *given)
 
     def run(state: Any) -> Any:  # noqa: ANN401
         for i in range(steps):
-            state = body(jnp.int32(i), state)
+            state = body(jnp.int32(i), state, *given)
         return state
 
     return run
@@ -83,24 +91,28 @@ def random_actuation(
     return ctrl, act
 
 
-def bare_step(batch: Batch, key: jax.Array, state: BatchState) -> Callable[[jax.Array, Any], Any]:
+def bare_step(
+    batch: Batch, key: jax.Array, state: BatchState
+) -> tuple[Callable[..., Any], tuple[Array, ...]]:
     """The engine alone: new random wheel speeds each control step, servo targets kept near the joints.
 
-    What of the arenas is data stays as it is at the start.
+    Returns:
+        A body for `repeat_loop`, and what it is given: poses of what of the arenas is data, which stay as
+        they are at the start.
     """
     scene, start = batch.scene, jnp.zeros(())
     standing = jax.vmap(lambda world: moved_geom_poses(scene, world.arena_state, start))(state.worlds)
 
+    flat, shape = jax.tree.flatten(standing)
     order = jax.jit(partial(random_actuation, scene, batch.worlds))  # else engine `c` waits for its orders
 
-    def body(i: jax.Array, physics: Any) -> Any:  # noqa: ANN401
+    def body(i: jax.Array, physics: Any, *standing: Array) -> Any:  # noqa: ANN401
         now: PhysicsState = batch.engine.state(physics)
         ctrl, act = order(jax.random.fold_in(key, i), now.qpos, now.act)
-        # Of many worlds these are large: without the barrier XLA works with them while it compiles.
-        here = jax.lax.optimization_barrier(standing)
-        return batch.engine.advance(physics, _inputs(batch, ctrl, act).replace(geom_poses=here))
+        poses = jax.tree.unflatten(shape, standing)
+        return batch.engine.advance(physics, _inputs(batch, ctrl, act).replace(geom_poses=poses))
 
-    return body
+    return body, tuple(flat)
 
 
 def whole_step(

@@ -122,7 +122,8 @@ def _rates(case: StepCase, batch: Batch) -> tuple[dict[str, Any], BatchState, Sc
     state = batch.reset()
     work = case.worlds * batch.scene.num_robots * batch.scene.physics.substeps * case.steps
     run = partial(time_repeats, repeats=case.repeats)
-    bare = run(repeat_loop(batch, bare_step(batch, key, state), case.steps), state.physics)
+    body, given = bare_step(batch, key, state)
+    bare = run(repeat_loop(batch, body, case.steps, given), state.physics)
     whole = run(repeat_loop(batch, whole_step(batch, key), case.steps), state, look=seen.look)
     blind = run(repeat_loop(batch, whole_step(batch, key, sensing=False), case.steps), whole[2])
     batch.check_overflow(blind[2])

@@ -24,10 +24,10 @@ def measure(  # noqa: PLR0913 - as the command line has them
     batch, key = case.batch(scene), jax.random.key(seed + 1)
     state: Any = batch.reset()
     if part == "bare":
-        body, state = bare_step(batch, key, state), state.physics
+        (body, given), state = bare_step(batch, key, state), state.physics
     else:
-        body = whole_step(batch, key, sensing=part == "whole")
-    first, times, end = time_repeats(repeat_loop(batch, body, steps), state, repeats)
+        body, given = whole_step(batch, key, sensing=part == "whole"), ()
+    first, times, end = time_repeats(repeat_loop(batch, body, steps, given), state, repeats)
     if part != "bare":
         batch.check_overflow(end)
     return {

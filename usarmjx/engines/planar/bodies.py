@@ -73,7 +73,6 @@ class PlanarRobots:
         centre: Centres of mass on the chassis [m] (robots, 3).
         inertia: About these [kg m^2] (robots, 3, 3).
         inverse_inertia: Its inverse (robots, 3, 3).
-        top_speed: Of the fastest [m/s].
     """
 
     root_qpos: np.ndarray
@@ -90,7 +89,6 @@ class PlanarRobots:
     centre: np.ndarray
     inertia: np.ndarray
     inverse_inertia: np.ndarray
-    top_speed: float
 
     @property
     def count(self) -> int:
@@ -176,7 +174,6 @@ def robots_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
         centre=model.body_ipos[chassis],
         inertia=inertia,
         inverse_inertia=np.linalg.inv(inertia) if len(chassis) else inertia,
-        top_speed=max((robot.drive.top_speed for robot, _ in robots), default=0.0),
     )
 
 

@@ -17,6 +17,7 @@ from usarmjx.engines.planar.flight import fly, held_up
 from usarmjx.engines.planar.footprints import Footprints, keep_apart
 from usarmjx.engines.planar.neighbours import (
     Neighbours,
+    farthest_in_a_step,
     ground_of,
     look_around,
     places_of,
@@ -145,7 +146,8 @@ class PlanarEngine(Engine[PlanarState]):
         before = self._robots.motion(state)
         limit = reach_of(self._robots, before).max(0)
         scene = self._scene(state, None)
-        return look_around(self._robots.footprints(before), limit, self._solids(state, None), 0.0, scene)
+        prints, near = self._robots.footprints(before), jnp.zeros_like(limit)
+        return look_around(prints, limit, self._solids(state, None), near, scene)
 
     def advance(self, engine_state: PlanarState, inputs: Inputs) -> PlanarState:
         """Make one control step in every world."""
@@ -186,14 +188,14 @@ class PlanarEngine(Engine[PlanarState]):
 
     def _around(self, known: Neighbours, state: PhysicsState, aims: Aims, inputs: Inputs) -> Neighbours:
         """Return what is around all robots, looked up anew if some may have come to what was far away."""
-        limit, reach = aims.limit.max(1), self._reach(self.physics.period)
+        limit, reach = aims.limit.max(1), farthest_in_a_step(aims.left, aims.there)
 
         def look() -> Neighbours:
             solids = jax.vmap(self._solids)(state, inputs.geom_poses)
-            return jax.vmap(look_around, (0, 0, 0, None, 0))(aims.left, limit, solids, reach, aims.scene)
+            return jax.vmap(look_around)(aims.left, limit, solids, reach, aims.scene)
 
         holds = known.holds(places_of(aims.left, limit), aims.scene, reach)
-        return jax.lax.cond(holds, lambda: known, look)
+        return jax.lax.cond(holds, lambda: known.replace(left_out=jnp.zeros_like(known.left_out)), look)
 
     def _ground(
         self, around: Neighbours, state: PhysicsState, after: Motion, aims: Aims, inputs: Inputs
@@ -218,9 +220,6 @@ class PlanarEngine(Engine[PlanarState]):
         """Return one world with its robots on the ground."""
         after = place_on_ground(self._robots, before, after, ground, self.physics.period)
         return self._robots.written(state, after)
-
-    def _reach(self, dt: float) -> float:
-        return 2.0 * self._robots.top_speed * dt + 0.05
 
     def _scene(self, state: PhysicsState, poses: GeomPoses | None) -> Array:
         """Return what says where the solids of one world are that can be elsewhere (n,)."""

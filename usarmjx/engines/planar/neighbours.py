@@ -18,6 +18,8 @@ NEAR = 8
 """A robot looks at so many solids closely."""
 LAYERS = 4
 """It looks for ground at so many; at all, where there are more."""
+SLACK = 0.02
+"""What overlaps may put robots beyond where pushes do [m]."""
 NEARNESS = 0.01
 """Solids that are as near but for so much come in any order [m]."""
 DEEPEST = 20.0
@@ -53,8 +55,14 @@ class Neighbours(struct.PyTreeNode, kw_only=True):
         x, y, low, limit = (at[..., i] - self.at[..., i] for i in range(4))
         return jnp.sqrt(x * x + y * y) + jnp.maximum(jnp.abs(low), jnp.abs(limit))
 
-    def holds(self, at: Array, scene: Array, reach: float) -> Array:
-        """Return whether it does in all worlds, for a step in which robots go no farther than a reach ()."""
+    def holds(self, at: Array, scene: Array, reach: Array) -> Array:
+        """Return whether it does in all worlds, for a step in which robots go no farther than a reach.
+
+        Args:
+            at: Where robots are (worlds, robots, 4).
+            scene: As of `scene`.
+            reach: Of each robot [m] (worlds, robots).
+        """
         least = jnp.minimum(self.free, self.grounded)
         return (self.went(at) + reach < least).all() & (self.scene == scene).all()
 
@@ -64,8 +72,20 @@ def places_of(prints: Footprints, limit: Array) -> Array:
     return jnp.stack([prints.pos[..., 0], prints.pos[..., 1], prints.low, limit], -1)
 
 
+def farthest_in_a_step(left: Footprints, there: Footprints) -> Array:
+    """Return how far robots can get in a step, pushed by others [m] (worlds, robots).
+
+    Args:
+        left: Where they are.
+        there: Where they would get to; as low and as high as on the way.
+    """
+    x, y = (there.pos[..., i] - left.pos[..., i] for i in range(2))
+    way = jnp.sqrt(x * x + y * y) + (left.low - there.low) + (there.high - left.high)
+    return jax.lax.stop_gradient(way + way.max(-1, keepdims=True) + SLACK)
+
+
 def look_around(
-    prints: Footprints, limit: Array, solids: PlanSolids, reach: float, scene: Array
+    prints: Footprints, limit: Array, solids: PlanSolids, reach: Array, scene: Array
 ) -> Neighbours:
     """Look up what is around the robots of one world.
 
@@ -73,7 +93,7 @@ def look_around(
         prints: The robots.
         limit: Up to what height each finds ground [m] (robots,).
         solids: All solids.
-        reach: Solids count as near that are no farther from a circle around a robot [m].
+        reach: Solids count as near that are no farther from a circle around each robot [m] (robots,).
         scene: What says where the solids are that can be elsewhere (n,).
     """
     # Which ones are looked at has no slope, only what these do.
@@ -92,7 +112,7 @@ def look_around(
     may_hold = jnp.maximum(apart, lowest - limit[:, None])
     near, free = _nearest(solids, jnp.where(stops, apart, may_stop + LAST), may_stop, NEAR)
     under, grounded = _nearest(solids, may_hold, may_hold, LAYERS)
-    left_out = (stops & (apart < reach)).sum(-1) - NEAR
+    left_out = (stops & (apart < reach[:, None])).sum(-1) - NEAR
     return Neighbours(
         at=places_of(prints, limit),
         free=free,
