@@ -72,12 +72,12 @@ def alone(task: TeamTask) -> TeamTask:
 
 
 def packaged_policy(env: Env) -> Policy:
-    """Return the packaged policy for any version of an environment's task.
+    """Return the packaged policy for an environment's task, else that for another version of it.
 
     Raises:
         UsageError: There is none, or it is for other robots or observations.
     """
-    name = re.sub(r"-v\d+$", "", env.name)
+    name = env.name if env.name in POLICIES else re.sub(r"-v\d+$", "", env.name)
     if name not in POLICIES:
         raise UsageError(f"no policy is packaged for {name}; there are: {', '.join(POLICIES.names())}")
     return find_source(name).policy(env)
