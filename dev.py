@@ -37,6 +37,11 @@ LOG_TAIL = 30  # lines of pip's output shown when an installation fails
 
 # Two workers: a world compiles on every core that it gets, and more workers were not faster.
 WORKERS = ("-n", "2", "--dist", "loadfile")
+# A test that hangs, or ends its process, ends the run (xdist with another worker may wait for ever).
+NO_HANGING = (
+    *("-o", "faulthandler_timeout=600", "-o", "faulthandler_exit_on_timeout=true"),
+    "--max-worker-restart=0",
+)
 # Tests that compile next to nothing, for `test --quick`.
 QUICK = (
     "tests/base/test_registry.py",
@@ -239,7 +244,7 @@ def everything(*args: str) -> list[list[str]]:
         return quick(*(arg for arg in args if arg != "--quick"))
     if args:
         return [pytest(*args)]
-    tests = [pytest(*WORKERS), pytest("--optimised", *WORKERS, *OPTIMISED)]
+    tests = [pytest(*WORKERS, *NO_HANGING), pytest("--optimised", *WORKERS, *NO_HANGING, *OPTIMISED)]
     return [lint(), formatter("--check"), types(), layers(), *tests]
 
 

@@ -120,7 +120,7 @@ def test_names_that_are_completed_are_those_there_are():
 
 CASES = {
     "usarmjx serve --arena soc": "soccer",
-    "usarmjx eval exp": "explore",
+    "usarmjx eval hov": "hover-inspect",
     "usarmjx play --task hov": "hover-inspect",
     "usarmjx arena check yellow --robot Zer": "Zerg",
     "usarmjx serve --engine ja": "jax",

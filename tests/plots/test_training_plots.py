@@ -1,6 +1,7 @@
 """Figures of training: what is drawn is what was written down."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from usarmjx.plots.training_plots import (
     draw_curves,
     mean_curve,
     read_curves,
+    thinned,
 )
 from usarmjx.train.learning.config import from_record
 from usarmjx.train.learning.metrics import read_lines
@@ -91,7 +93,19 @@ def test_runs_on_several_engines_are_drawn_by_themselves():
         for task, engine, score in scores
     ]
     found = {name: [one.score[0] for one in rows] for name, rows in curves_by_task(curves).items()}
-    assert found == {"wait on c": [4.0], "wait on planar": [3.0], "go": [5.0]}
+    assert found == {"wait on c": [4.0], "wait on planar": [3.0], "go on c": [5.0]}
+
+
+def test_long_curves_are_drawn_as_means_of_what_follows_each_other():
+    """250 points become 100 of 3 or 2; a short one stays as it is."""
+    places = np.arange(250.0)
+    curve = Curve(task="wait", seed=0, about="", steps=places, seconds=2 * places, score=places % 5)
+    short = thinned(replace(curve, steps=places[:3], seconds=places[:3], score=places[:3]))
+    assert_array_equal(short.score, [0.0, 1.0, 2.0])
+    drawn = thinned(curve)
+    assert_array_equal(drawn.steps[[0, 49, 50, 99]], [1.0, 148.0, 150.5, 248.5])
+    assert_array_equal(drawn.seconds, 2 * drawn.steps)
+    assert_array_equal(drawn.score[[0, 50]], [1.0, 0.5])
 
 
 def test_the_baseline_is_a_line_across(panels):

@@ -279,6 +279,10 @@ def test_sonar_and_scanner_see_loose_objects_as_c_mujoco_does(pile, look_around,
     group = scene.groups[0]
     origins, directions = group.suite.rays(jax.tree.map(lambda x: x[0], sensor_input.bodies))
     seen = np.asarray(sensor_input.hits.distance[0])
+    aimed = np.asarray(directions).any(-1)  # no RFID tag is in reach; C would end the process
+    assert np.isinf(seen[~aimed]).all()
+    origins, directions, seen = origins[aimed], directions[aimed], seen[aimed]
+    assert len(seen) == 181 + 144  # the scanner's, and the cones of 16 sonars
 
     model, data = scene.model, mujoco.MjData(scene.model)
     data.qpos[:] = physics.qpos

@@ -13,8 +13,13 @@ COLOURS = 256
 """Hardly seen, and files are half as large."""
 
 
-def save_small(figure: Figure, path: Path) -> None:
+def save_small(figure: Figure, path: Path, colours: int = COLOURS) -> None:
     """Write a figure as PNG with a palette of its most common colours.
+
+    Args:
+        figure: What is drawn.
+        path: Where to.
+        colours: At most so many; lines of a few colours and their edges need 32.
 
     Raises:
         WriteError: It cannot be written.
@@ -23,4 +28,4 @@ def save_small(figure: Figure, path: Path) -> None:
     canvas.draw()
     pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
     with write_beside(path) as fresh:
-        Image.fromarray(pixels).quantize(COLOURS, dither=Image.Dither.NONE).save(fresh, "PNG", optimize=True)
+        Image.fromarray(pixels).quantize(colours, dither=Image.Dither.NONE).save(fresh, "PNG", optimize=True)

@@ -1,9 +1,8 @@
 """How scores rise in training, over agent steps and over time: from benchmark records and folders of runs."""
 
 import json
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,10 @@ BLUE, PALE, ORANGE = "#1f5fa8", "#9db8d6", "#d1622b"
 DPI = 100
 ROW_HEIGHT, WIDTH = 2.8, 9.0
 """Height of a task's panels, and the figure's width [inches]."""
+LINE_COLOURS = 32
 MILLION = 1e6
+MOST_POINTS = 100
+"""More would be noise: where few worlds are, few episodes end in an iteration."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,19 +123,25 @@ def read_curves(source: Path) -> list[Curve]:
 
 
 def curves_by_task(curves: Iterable[Curve]) -> dict[str, list[Curve]]:
-    """Return the curves of each task, by seed; of several with the same seed, the last one.
-
-    If there are some of a task on several engines, those on each are by themselves.
-    """
+    """Return the curves of each task on each engine, by seed; of several with the same seed, the last one."""
     last = {(curve.task, curve.engine, curve.seed): curve for curve in curves}
     rows = dict.fromkeys(key[:2] for key in last)
-    tasks = Counter(task for task, _ in rows)
     return {
-        f"{task} on {engine}" if tasks[task] > 1 else task: [
+        f"{task} on {engine}" if engine else task: [
             last[key] for key in sorted(last) if key[:2] == (task, engine)
         ]
         for task, engine in rows
     }
+
+
+def thinned(curve: Curve) -> Curve:
+    """Return a curve of at most `MOST_POINTS` points, each the mean of as many that follow each other."""
+    parts = np.array_split(np.arange(len(curve.steps)), min(len(curve.steps), MOST_POINTS))
+    means = {
+        name: np.array([getattr(curve, name)[part].mean() for part in parts])
+        for name in ("steps", "seconds", "score")
+    }
+    return replace(curve, **means)
 
 
 def mean_curve(curves: Sequence[Curve], along: Axis) -> tuple[np.ndarray, np.ndarray]:
@@ -160,6 +168,7 @@ AXES: tuple[tuple[str, Axis], ...] = (
 
 def draw_task(axes: Axes, curves: Sequence[Curve], along: Axis) -> None:
     """Draw the curves of a task over an axis: each thin, their mean thick, and the baseline."""
+    curves = [thinned(curve) for curve in curves]
     for curve in curves:
         axes.plot(along(curve), curve.score, color=PALE if len(curves) > 1 else BLUE, lw=1.0)
     if len(curves) > 1:
@@ -198,4 +207,4 @@ def plot_curves(sources: Sequence[Path], out: Path) -> None:
         layout="constrained",
     )
     draw_curves(figure, curves)
-    save_small(figure, out)
+    save_small(figure, out, colours=LINE_COLOURS)

@@ -30,9 +30,7 @@ HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     **{f"explore{old}": {**MEASURED, **SHORT_SIGHT, "steps": 21_000_000} for old in ("", "-v1")},
     **{f"victim-search{old}": {**MEASURED, **SHORT_SIGHT, "steps": 16_000_000} for old in ("", "-v1")},
     "explore-v2": {**MEASURED, **SHORT_SIGHT, "steps": 20_000_000},
-    **{
-        task: {**MEASURED, "steps": 20_000_000} for task in ("victim-search-v2", "relay-chain", "soccer")
-    },
+    **{task: {**MEASURED, "steps": 20_000_000} for task in ("victim-search-v2", "relay-chain", "soccer")},
     "stairs": {**MEASURED, "steps": 10_000_000, "layers": (128, 64), "critic_layers": (128, 64)},
     "hover-inspect": SMALL,
     "wander": {**SMALL, "imitate": 400_000, "imitate_std": 0.2, "steps": 800_000},
