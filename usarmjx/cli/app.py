@@ -24,6 +24,7 @@ from usarmjx.cli import (
     sensor_plots,
     serve,
     sweep,
+    teams,
     train,
 )
 from usarmjx.cli.spelling import respelt
@@ -72,6 +73,7 @@ app.add_typer(sweep.app, name="sweep")
 app.add_typer(train.app)
 app.command("eval")(evaluation.evaluate_policy)
 app.command()(play.play)
+app.command()(teams.teams)
 app.command("list")(listing.list_everything)
 app.command()(portraits.portraits)
 app.command()(serve.serve)

@@ -94,7 +94,7 @@ def record_episode(
     act, carry, key = jax.jit(policy.act), policy.initial_carry(env.worlds), jax.random.key(seed)
     state, step, end = env.reset(seed), 0, ""
     arena, goal = env.batch.arena_of(state.batch, WORLD), getattr(state.memory, "goal", None)
-    moments = [(0.0, float(np.asarray(state.score)[WORLD]), *_positions(env, state))]
+    moments = [(0.0, float(np.asarray(state.score)[WORLD]), *positions_of(env, state))]
     if watch is not None:
         watch(state)
     while not end and (step + 1) * env.period <= seconds + 1e-9:
@@ -109,7 +109,7 @@ def record_episode(
             if watch is not None:
                 watch(state)
             moments.append(
-                (step * env.period, float(np.asarray(state.score)[WORLD]), *_positions(env, state))
+                (step * env.period, float(np.asarray(state.score)[WORLD]), *positions_of(env, state))
             )
     times, scores, poses, loose = (np.array(column) for column in zip(*moments, strict=True))
     in_plane = goal is not None and np.ndim(goal) == 2 and np.shape(goal)[1] == 2
@@ -127,8 +127,12 @@ def record_episode(
     )
 
 
-def _positions(env: Env, state: EnvState) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the robots of the world are, by slot (robots, 3), and its loose objects (objects, 2)."""
+def positions_of(env: Env, state: EnvState) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the robots of world 0 truly are, by slot, and what lies loose there.
+
+    Returns:
+        x, y [m] and yaw [rad] (robots, 3), and x, y [m] (objects, 2).
+    """
     physics = jax.tree.map(lambda rows: np.asarray(rows)[WORLD], env.batch.physics(state.batch))
     found = np.zeros((env.scene.num_robots, 3))
     with numpy_backend():  # JAX would compile each of these operations

@@ -7,16 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.train.envs.state import AgentGroup
 from usarmjx.train.evaluation.yardsticks import (
     HELD_STEPS,
+    TEAMS,
     alone,
+    find_team,
     measure_teams,
     packaged_policy,
     random_policy,
     table,
     team_result,
+    usual_teams,
     with_perfect_radio,
 )
 from usarmjx.train.make import make_task
@@ -40,6 +43,7 @@ def test_a_row_says_how_the_score_is_made_up_and_how_early_it_came(row):
     late = 50 * 0.25 * (0.75 + 0.25 * 3 / 8)
     assert found.parts == pytest.approx({"explored": 25 + late, "known": 0.0, "contacts": -task.price})
     assert sum(found.parts.values()) == pytest.approx(found.score.value)
+    assert found.finds == pytest.approx((*[25.0] * 5, *[25 + late] * 3))
     assert found.reached == pytest.approx((25 / (25 + late), 25 / (25 + late), 1.0))
     assert found.score.low < found.score.value < found.score.high
     with pytest.raises(UsageError, match="baseline: no episode ended well"):
@@ -62,6 +66,18 @@ def test_teams_are_the_task_with_a_robot_or_a_radio_of_another_kind():
     assert [spec.name for spec in alone(explore).robots] == ["P2AT"]
     assert alone(explore).arena == explore.arena
     assert with_perfect_radio(search).radio == PERFECT_RADIO
+
+
+def test_teams_without_a_policy_of_ones_own_are_those_that_can_play():
+    assert usual_teams("explore-v2") == tuple(TEAMS)
+    assert usual_teams("victim-search-v2") == tuple(TEAMS)
+    assert usual_teams("relay-chain") == tuple(name for name in TEAMS if name != "packaged")
+    assert find_team("one") is TEAMS["one"]
+    change, _ = find_team("explore")  # a packaged policy, by its own name
+    task = make_task("explore-v2")
+    assert change(task) is task
+    with pytest.raises(UnknownNameError, match=r"fast is none of the teams random, one, .* is no folder"):
+        find_team("fast")
 
 
 def test_robots_at_random_keep_what_they_drew_for_a_while():

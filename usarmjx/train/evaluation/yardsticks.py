@@ -1,39 +1,32 @@
 """What scores of a team task mean: what its parts can come to, and what simple teams get.
 
-    python -m usarmjx.train.evaluation.yardsticks explore-v2 --worlds 24 --engine c
+    usarmjx teams explore-v2 --worlds 24 --engine c
 
 All teams play one episode in each of the same buildings, with the same seed: robots that act at random, one
-robot with the task's baseline, the team with the baseline, the same with a perfect radio, and the packaged
-policy if it fits. Beside the score stand the points of its parts, and what share of the points for finds was
-there after a quarter, a half and three quarters of the time.
+robot with the task's baseline, the team with the baseline, the same with a perfect radio, the packaged
+policy if it fits, and any other policy. Beside the score stand the points of its parts, and what share of
+the points for finds was there after a quarter, a half and three quarters of the time.
 """
 
-import argparse
-import json
 import re
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.estimates import Estimate, estimate
-from usarmjx.base.files import write_beside
 from usarmjx.base.markdown import markdown_table
-from usarmjx.engines import choose_engine
 from usarmjx.train.baselines import BASELINES
-from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
-from usarmjx.train.envs.task import TASKS
 from usarmjx.train.evaluation.radio_matters import few_arenas
 from usarmjx.train.make import make_task
 from usarmjx.train.policies import POLICIES
-from usarmjx.train.policies.sources import find_source, task_settings
+from usarmjx.train.policies.sources import find_source
 from usarmjx.train.tasks.team import TeamTask
 from usarmjx.train.tasks.team_parts import PERFECT_RADIO
 from usarmjx.train.tasks.victim_search import VictimSearch
@@ -77,10 +70,15 @@ def packaged_policy(env: Env) -> Policy:
     Raises:
         UsageError: There is none, or it is for other robots or observations.
     """
-    name = env.name if env.name in POLICIES else re.sub(r"-v\d+$", "", env.name)
+    name = packaged_name(env.name)
     if name not in POLICIES:
         raise UsageError(f"no policy is packaged for {name}; there are: {', '.join(POLICIES.names())}")
     return find_source(name).policy(env)
+
+
+def packaged_name(task: str) -> str:
+    """Return under which name a policy would be packaged for a task, or for another version of it."""
+    return task if task in POLICIES else re.sub(r"-v\d+$", "", task)
 
 
 def baseline_policy(env: Env) -> Policy:
@@ -98,14 +96,36 @@ def with_perfect_radio(task: TeamTask) -> TeamTask:
     return replace(task, radio=PERFECT_RADIO)
 
 
-TEAMS: dict[str, tuple[Callable[[TeamTask], TeamTask], Callable[[Env], Policy]]] = {
+Team = tuple[Callable[[TeamTask], TeamTask], Callable[[Env], Policy]]
+"""How the task is changed for a team, and what drives it."""
+
+TEAMS: dict[str, Team] = {
     "random": (unchanged, random_policy),
     "one": (alone, baseline_policy),
     "baseline": (unchanged, baseline_policy),
     "perfect-radio": (with_perfect_radio, baseline_policy),
     "packaged": (unchanged, packaged_policy),
 }
-"""Teams by name: how the task is changed for them, and what drives them."""
+"""Those that need no policy of one's own, by name."""
+
+
+def usual_teams(task: str) -> tuple[str, ...]:
+    """Return the names of `TEAMS` that can play a task: no policy is packaged for some."""
+    return tuple(name for name in TEAMS if name != "packaged" or packaged_name(task) in POLICIES)
+
+
+def find_team(name: str) -> Team:
+    """Return one of `TEAMS`, or the team that a policy drives: of a run's folder, a file or the package.
+
+    Raises:
+        UnknownNameError: There is neither.
+    """
+    if name in TEAMS:
+        return TEAMS[name]
+    try:
+        return unchanged, find_source(name).policy
+    except UnknownNameError as error:
+        raise UnknownNameError(f"{name} is none of the teams {', '.join(TEAMS)}; {error}") from error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,10 +133,10 @@ class TeamResult:
     """What a team got.
 
     Attributes:
-        name: One of `TEAMS`.
+        name: As `find_team` takes it.
         score: Mean of the episodes.
         parts: Points of each part of the score, means of the episodes.
-        reached: Share of the points for finds after each of `QUARTERS` of the time.
+        finds: Points for finds by the end of each step, means of the episodes (steps,).
         outside: Share of the time that flying robots were not above the building.
         bad: Episodes left out as their physics failed.
     """
@@ -124,16 +144,33 @@ class TeamResult:
     name: str
     score: Estimate
     parts: dict[str, float]
-    reached: tuple[float, ...]
+    finds: tuple[float, ...]
     outside: float
     bad: int
 
+    @property
+    def reached(self) -> tuple[float, ...]:
+        """Share of the points for finds after each of `QUARTERS` of the time."""
+        at = [round(share * len(self.finds)) - 1 for share in QUARTERS]
+        return tuple(self.finds[k] / max(self.finds[-1], 1e-9) for k in at)
 
-def play_team(env: Env, task: TeamTask, policy: Policy, name: str, seed: int) -> TeamResult:
-    """Return what a policy gets in the first episode of each world."""
+
+TeamWatch = Callable[[str, Env, EnvState], None]
+"""Sees a team's name, its worlds and a state of these."""
+
+
+def ignore(name: str, env: Env, state: EnvState) -> None:
+    """Look at nothing."""
+
+
+def play_team(
+    env: Env, task: TeamTask, policy: Policy, name: str, seed: int, watch: TeamWatch = ignore
+) -> TeamResult:
+    """Return what a policy gets in the first episode of each world; `watch` sees all states but the last."""
     act, carry, state = jax.jit(policy.act), policy.initial_carry(env.worlds), env.reset(seed)
     good, rows, score = np.ones(env.worlds, bool), list[dict[str, np.ndarray]](), np.zeros(env.worlds)
     for step in range(env.episode_steps):
+        watch(name, env, state)
         carry, actions = act(carry, state.obs, jax.random.fold_in(jax.random.key(seed), step))
         state = env.step(state, actions)
         good &= ~np.asarray(state.bad)
@@ -155,16 +192,27 @@ def team_result(
         raise UsageError(f"{name}: no episode ended well")
     parts = task.score_parts(series)
     finds = sum(value.mean(-1) for part, value in parts.items() if task.most_points[part] > 0)
-    finds = np.asarray(finds)
-    at = [round(share * len(finds)) - 1 for share in QUARTERS]
     return TeamResult(
         name=name,
         score=estimate([scores]),
         parts={part: float(value[-1].mean()) for part, value in parts.items()},
-        reached=tuple(float(finds[k] / max(finds[-1], 1e-9)) for k in at),
+        finds=tuple(np.asarray(finds).tolist()),
         outside=float(series["outside"].mean()) if "outside" in series else 0.0,
         bad=bad,
     )
+
+
+def team_task(name: str, **overrides: object) -> TeamTask:
+    """Return a task of a team with some of its fields set otherwise.
+
+    Raises:
+        UnknownNameError: No such task, or a field that it does not have.
+        UsageError: A task without a team.
+    """
+    task = make_task(name, **overrides)
+    if not isinstance(task, TeamTask):
+        raise UsageError(f"{name} is no task for a team: its score has no parts")
+    return task
 
 
 def measure_teams(
@@ -174,6 +222,7 @@ def measure_teams(
     engine: str = "auto",
     teams: Sequence[str] = tuple(TEAMS),
     tell: Callable[[TeamResult], None] = lambda row: None,
+    watch: TeamWatch = ignore,
     **overrides: object,
 ) -> tuple[TeamResult, ...]:
     """Return what each team gets.
@@ -183,26 +232,24 @@ def measure_teams(
         worlds: Episodes, each in a building of its own, the same for all teams.
         seed: Of the environments.
         engine: See `make`.
-        teams: Names of `TEAMS`.
+        teams: Names, see `find_team`.
         tell: Is given each row as soon as it is known.
+        watch: Sees every state of every team but the last one.
         overrides: Fields of the task to set otherwise.
 
     Raises:
-        UnknownNameError: No such task, or a field that it does not have.
+        UnknownNameError: No such task or team, or a field that the task does not have.
         UsageError: A task without a team; worlds that are no multiple of the levels of generated arenas; a
             packaged policy that does not fit.
     """
-    task = make_task(name, **overrides)
-    if not isinstance(task, TeamTask):
-        raise UsageError(f"{name} is no task for a team: its score has no parts")
+    task = team_task(name, **overrides)
     envs: dict[TeamTask, Env] = {}  # each is compiled once
     rows: list[TeamResult] = []
-    for team in teams:
-        change, driver = TEAMS[team]
+    for team, (change, driver) in {team: find_team(team) for team in teams}.items():
         own = change(few_arenas(task, worlds))
         if own not in envs:
             envs[own] = Env(own, worlds, name=name, engine=engine)
-        rows.append(play_team(envs[own], own, driver(envs[own]), team, seed))
+        rows.append(play_team(envs[own], own, driver(envs[own]), team, seed, watch))
         tell(rows[-1])
     return tuple(rows)
 
@@ -218,44 +265,3 @@ def table(task: TeamTask, rows: Sequence[TeamResult]) -> str:
         cells += [f"{100 * share:.0f} %" for share in (*row.reached, row.outside)]
         lines.append(cells)
     return markdown_table(("team", "score", "95 % interval", *most, "1/4", "1/2", "3/4", "outside"), lines)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure and print the table."""
-    names = [name for name, task in TASKS if isinstance(task, TeamTask)]
-    parser = argparse.ArgumentParser(description="What scores of a team task mean.")
-    parser.add_argument("task", choices=names)
-    parser.add_argument("--worlds", type=int, default=99, help="episodes, each in a building of its own")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--engine", default="auto")
-    parser.add_argument("--teams", nargs="+", choices=list(TEAMS), default=list(TEAMS))
-    parser.add_argument("--set", action="append", default=[], help="a field of the task as key=value")
-    parser.add_argument("--json", type=Path, help="file to write the rows to")
-    options = parser.parse_args(arguments)
-    engine = choose_engine(options.engine, "train")
-    settings, _ = task_settings(options.task, {}, options.set)
-    task = make_task(options.task, **settings)
-    assert isinstance(task, TeamTask)  # as the choices are
-
-    def tell(row: TeamResult) -> None:
-        print(f"{row.name}: {row.score.value:.1f}", file=sys.stderr, flush=True)
-
-    rows = measure_teams(
-        options.task,
-        options.worlds,
-        options.seed,
-        engine,
-        options.teams,
-        tell,
-        **settings,
-    )
-    print(table(task, rows))
-    if options.json:
-        content = [{**vars(row), "score": vars(row.score)} for row in rows]
-        with write_beside(options.json) as fresh:
-            fresh.write_text(json.dumps({"task": options.task, "rows": content}, indent=1), encoding="utf-8")
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -1,0 +1,99 @@
+"""Figures of teams: finds over time and ways are those that were measured; the command prints its table."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+from numpy.testing import assert_allclose
+from typer.testing import CliRunner
+
+from tests.arenas import FLAT
+from usarmjx.base.estimates import estimate
+from usarmjx.cli.app import app
+from usarmjx.plots.play import COLOURS
+from usarmjx.plots.team_plots import TeamWays, draw_finds, draw_ways, plot_teams
+from usarmjx.train.evaluation.yardsticks import TeamResult
+
+
+def row(name, finds):
+    return TeamResult(
+        name=name,
+        score=estimate([np.array([finds[-1] - 1.0, finds[-1]])]),
+        parts={},
+        finds=finds,
+        outside=0.0,
+        bad=0,
+    )
+
+
+def test_finds_are_drawn_from_nothing_on_with_the_quarters_of_the_time():
+    axes = Figure().add_subplot()
+    draw_finds(axes, [row("one", (1.0, 3.0, 3.0, 6.0)), row("two", (2.0, 2.0, 2.0, 2.0))], 0.5)
+    one, two, *quarters = axes.lines
+    assert_allclose(one.get_xydata(), [[0, 0], [0.5, 1], [1, 3], [1.5, 3], [2, 6]])
+    assert_allclose(two.get_ydata(), [0, 2, 2, 2, 2])
+    assert [line.get_xdata()[0] for line in quarters] == [0.5, 1.0, 1.5]
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["one: score 5.5", "two: score 1.5"]
+
+
+def test_ways_go_from_ring_to_dot():
+    axes = Figure().add_subplot()
+    way = [np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), np.array([[0.5, 0.0, 0.0], [1.0, 2.0, 0.0]])]
+    draw_ways(axes, FLAT, way, "pair")
+    drawn = [line for line in axes.lines if line.get_color() == COLOURS[1]]
+    assert_allclose(drawn[0].get_xydata(), [[1, 0], [1, 2]])
+    ring, dot = drawn[1:]
+    assert (ring.get_markerfacecolor(), ring.get_xydata().tolist()) == ("none", [[1, 0]])
+    assert (dot.get_markerfacecolor(), dot.get_xydata().tolist()) == (COLOURS[1], [[1, 2]])
+    with pytest.raises(ValueError, match="no team has been watched"):
+        plot_teams("explore-v2", [row("one", (1.0,))], TeamWays(), "nowhere.png")
+
+
+def test_the_command_plays_draws_and_keeps_the_rows(tmp_path):
+    """The finds of the file end with the parts of the table."""
+    words = ["teams", "explore-v2", "one", "--worlds", "3", "--engine", "c", "--set", "episode_steps=3"]
+    files = ["--out", str(tmp_path / "teams.png"), "--json", str(tmp_path / "teams.json")]
+    result = CliRunner().invoke(app, [*words, *files])
+    assert result.exit_code == 0, result.stderr
+    head, _, _, line, wrote = result.stdout.splitlines()
+    assert head.startswith("| team | score | 95 % interval | explored | known | contacts |")
+    assert wrote == f"wrote {tmp_path / 'teams.png'}"
+    assert imread(tmp_path / "teams.png").shape[1] > 800
+    (kept,) = json.loads((tmp_path / "teams.json").read_text())["rows"]
+    assert (kept["name"], len(kept["finds"])) == ("one", 3)
+    assert kept["finds"][-1] == pytest.approx(kept["parts"]["explored"] + kept["parts"]["known"])
+    assert kept["finds"] == sorted(kept["finds"])
+    assert line.startswith(f"| one | {kept['score']['value']:.1f} |")
+    assert len(kept["reached"]) == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["drive-to-goal"], "drive-to-goal is no task for a team: its score has no parts"),
+        (
+            ["explore-v2", "fast"],
+            "fast is none of the teams random, one, baseline, perfect-radio, packaged",
+        ),
+        (["explore-v2", "--worlds", "4"], "4 worlds for 3 levels of arenas: expected a multiple"),
+        (["chess"], "unknown task 'chess'"),
+    ],
+)
+def test_what_cannot_play_is_refused_in_a_line(words, complaint):
+    result = CliRunner().invoke(app, ["teams", *words, "--engine", "c"])
+    assert result.exit_code == 2
+    assert complaint in result.stderr
+
+
+def test_watching_takes_down_the_first_world(monkeypatch):
+    places = iter([np.zeros((2, 3)), np.ones((2, 3)), np.full((2, 3), 2.0)])
+    monkeypatch.setattr("usarmjx.plots.team_plots.positions_of", lambda env, state: (next(places), None))
+    seen = TeamWays()
+    env = SimpleNamespace(batch=SimpleNamespace(arena_of=lambda state, world: FLAT), period=0.2)
+    for name in ("a", "a", "b"):
+        seen(name, env, SimpleNamespace(batch=None))
+    assert (seen.arena, seen.period) == (FLAT, 0.2)
+    assert {name: [way[0, 0] for way in ways] for name, ways in seen.ways.items()} == {"a": [0, 1], "b": [2]}
