@@ -105,11 +105,14 @@ def test_a_bare_command_has_the_settings_of_the_runs_that_are_told_of(task, worl
     assert (config.discount, config.trace, config.layers) == (0.97, 0.9, (256, 128))
 
 
-@pytest.mark.parametrize("task", ["convoy", "hover-inspect", "wander"])
-def test_the_runs_of_small_tasks_that_are_told_of_were_bare_commands(task):
-    """Three seeds on `planar`, of which nothing but the seed was set: benchmarks/results/train.jsonl."""
+@pytest.mark.parametrize(
+    ("task", "engine"),
+    [("convoy", "planar"), ("hover-inspect", "planar"), ("wander", "planar"), ("stairs", "c")],
+)
+def test_the_runs_of_small_tasks_that_are_told_of_were_bare_commands(task, engine):
+    """Three seeds, of which nothing but the seed was set: benchmarks/results/train.jsonl."""
     records = map(json.loads, (ROOT / "benchmarks/results/train.jsonl").read_text().splitlines())
-    runs = {r["seed"]: r for r in records if (r["task"], r["engine"]) == (task, "planar")}
+    runs = {r["seed"]: r for r in records if (r["task"], r["engine"]) == (task, engine)}
     assert set(runs) == {0, 1, 2}
     for seed, run in runs.items():
         assert from_record(run["config"]) == task_config(task, seed=seed)

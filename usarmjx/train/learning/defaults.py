@@ -22,7 +22,7 @@ SMALL: dict[str, Any] = {
     "imitate_std": 0.1,
     "steps": 900_000,
 }
-"""What the runs of `hover-inspect` were made with on two cores; those of `convoy` imitate, and no more."""
+"""What runs of `hover-inspect` were made with on two cores; those of `convoy` and `stairs` only imitate."""
 SHORT_SIGHT = {"discount": 0.97, "trace": 0.9}
 # What each task is trained with, where it differs from `Config`. Keys are task names in lower case.
 HYPERPARAMETERS: dict[str, dict[str, Any]] = {
@@ -31,7 +31,7 @@ HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     **{f"victim-search{old}": {**MEASURED, **SHORT_SIGHT, "steps": 16_000_000} for old in ("", "-v1")},
     "explore-v2": {**MEASURED, **SHORT_SIGHT, "steps": 20_000_000},
     **{task: {**MEASURED, "steps": 20_000_000} for task in ("victim-search-v2", "relay-chain", "soccer")},
-    "stairs": {**MEASURED, "steps": 10_000_000, "layers": (128, 64), "critic_layers": (128, 64)},
+    "stairs": {**SMALL, "imitate": 160_000, "imitate_std": 0.03, "steps": 160_000},
     "hover-inspect": SMALL,
     "wander": {**SMALL, "imitate": 400_000, "imitate_std": 0.2, "steps": 800_000},
     "convoy": {**SMALL, "imitate": 1_000_000, "imitate_std": 0.05, "steps": 1_000_000},
@@ -48,6 +48,7 @@ ON_GPU: dict[str, dict[str, Any]] = {
 }
 for task in ("hover-inspect", "wander"):
     ON_GPU[task] |= {"steps": 10_000_000, "imitate": 1_000_000, "learning_rate": 3e-4}
+ON_GPU["stairs"] |= {"steps": 5_000_000, "imitate": 5_000_000}
 ON_GPU["convoy"] |= {**MEASURED, "steps": 20_000_000, "learning_rate": 3e-4}
 
 
