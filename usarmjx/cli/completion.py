@@ -19,7 +19,15 @@ TASK_NAMES = (
     *("convoy", "drive-to-goal", "explore", "explore-v1", "explore-v2", "hover-inspect", "relay-chain"),
     *("soccer", "stairs", "victim-search", "victim-search-v1", "victim-search-v2", "wander"),
 )
-POLICY_NAMES = ("drive-to-goal", "explore", "explore-v2", "hover-inspect", "stairs", "victim-search", "wander")
+POLICY_NAMES = (
+    "drive-to-goal",
+    "explore",
+    "explore-v2",
+    "hover-inspect",
+    "stairs",
+    "victim-search",
+    "wander",
+)
 ENGINE_NAMES = ("auto", "c", "jax", "planar", "warp")
 KIND_NAMES = ("building", "collapsed", "maze", "ramps", "rubble", "steps")
 LISTING_NAMES = ("arenas", "commands", "engines", "everything", "policies", "robots", "sensors", "tasks")
