@@ -10,6 +10,8 @@ from tests.engines.eager import around
 from usarmjx.engines.planar.footprints import Footprints, keep_apart
 from usarmjx.engines.planar.neighbours import LAYERS, NEAR, ground_of, places_of, stopping
 from usarmjx.engines.planar.solids import ground_under, seen_from_above
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import build_scene
 
 ROBOTS, WORLDS, SOLIDS = 3, 200, 60
 REACH = 0.1
@@ -111,3 +113,16 @@ def test_nothing_is_known_of_robots_that_went_farther_or_whose_solids_moved(move
     assert not holds(at.at[3, 1, 3].add(20.0), scene), "one is tilted"
     assert not holds(at, scene, reach=30.0)
     del later, room
+
+
+@pytest.mark.parametrize("arena", ["field", "yellow"])
+def test_a_step_leaves_the_state_as_it_was_typed(arena):
+    """A weak type in it would have the next step compiled again."""
+    batch = Batch(build_scene(arena, ["P2AT"]), 2, engine="planar")
+    before = jax.eval_shape(batch.reset)
+    after = jax.eval_shape(batch.step, before)
+
+    def types(state):
+        return jax.tree.map(lambda x: (x.shape, x.dtype, x.weak_type), state)
+
+    assert types(before) == types(after)

@@ -12,7 +12,7 @@ import jax
 import mujoco
 
 from usarmjx.base.errors import UsageError
-from usarmjx.bench.peering.ours import PARTS
+from usarmjx.bench.peering.ours import PARTS, Part
 from usarmjx.bench.peering.peers import (
     SCRIPT,
     ContestantError,
@@ -26,22 +26,10 @@ from usarmjx.bench.tools import append_record, rate_of, record_header
 from usarmjx.engines import choose_engine
 from usarmjx.engines.c import c_model
 
-IN_OURS = {
-    "whole": "random commands, control, physics, all sensors when due (181 laser beams, 144 sonar rays, "
-    "RFID, odometry, INS), resets of 1 % of the worlds",
-    "blind": "random commands, control, physics, resets of 1 % of the worlds",
-    "bare": "physics under random wheel speeds",
-}
-NOT_IN_OURS = {
-    "whole": "radio, pictures",
-    "blind": "sensors, radio, pictures",
-    "bare": "commands, sensors, radio, pictures, resets",
-}
 ROBOTS_OF_OURS = {
     "planar": "a footprint that rolls and slides on floors and ramps, in contact with walls and others",
     "": "a body on four wheels in MuJoCo, in contact with walls, loose objects and others",
 }
-BEAMS = 181 + 144
 OURS = "usarmjx"
 
 
@@ -115,7 +103,7 @@ def measure_peers(
     header = record_header("peers", note=note)
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory(prefix="usarmjx-peers-") as scratch:
-        turns = tuple(_contestants(case, peers, engines, environments, install, Path(scratch)))
+        turns = tuple(_contestants(case, peers, engines, folder, environments, install, Path(scratch)))
         try:
             for (worlds, robots), (row, words) in product(case.sizes, turns):
                 say(f"{row['who']}, {row['variant']}: {worlds} x {robots}")
@@ -154,6 +142,7 @@ def _contestants(
     case: ContestCase,
     peers: Sequence[Peer],
     engines: Sequence[str],
+    folder: Path,
     environments: Path,
     install: bool,
     scratch: Path,
@@ -165,19 +154,21 @@ def _contestants(
             row = {"who": peer.name, "variant": variant, **peer.about(variant)}
             yield row, _peer_words(case, peer, variant, environments, install, gpu and not peer.host, scratch)
     for engine in engines:
-        for part in PARTS:
-            yield _ours_row(engine, part), _ours_words(case, engine, part)
+        for name, part in PARTS.items():
+            if engine in (part.engines or (engine,)):
+                ini = folder.parent / part.ini if part.ini else None
+                yield _ours_row(engine, name, part), _ours_words(case, engine, name, ini)
 
 
-def _ours_row(engine: str, part: str) -> dict[str, Any]:
+def _ours_row(engine: str, name: str, part: Part) -> dict[str, Any]:
     return {
         "who": OURS,
-        "variant": f"{engine}, {part}",
+        "variant": f"{engine}, {name}",
         "robot": ROBOTS_OF_OURS.get(engine, ROBOTS_OF_OURS[""]),
-        "has": IN_OURS[part],
-        "lacks": NOT_IN_OURS[part],
-        "settings": "reference settings of the physics; random commands that are drawn in the step",
-        "beams": BEAMS if part == "whole" else 0,
+        "has": part.has,
+        "lacks": part.lacks,
+        "settings": f"{part.physics} settings of the physics; random commands that are drawn in the step",
+        "beams": part.beams,
         "authors": "",
         "citation": "",
     }
@@ -190,9 +181,11 @@ def _sizes(case: ContestCase, worlds: int, robots: int) -> list[str]:
     return [word for name, number in numbers.items() for word in (f"--{name}", str(number))]
 
 
-def _ours_words(case: ContestCase, engine: str, part: str) -> Words:
+def _ours_words(case: ContestCase, engine: str, part: str, ini: Path | None) -> Words:
     def words(worlds: int, robots: int) -> list[str]:
         chosen = ["--engine", engine, "--part", part, "--arena", case.arena]
+        if ini is not None:
+            chosen += ["--ini", str(ini)]
         return ["-m", "usarmjx.bench.peering.ours", *chosen, *_sizes(case, worlds, robots)]
 
     return words

@@ -151,7 +151,7 @@ def _nearest(solids: PlanSolids, rank: Array, gap: Array, most: int) -> tuple[Pl
     count = solids.count
     if count <= most:
         everyone = jax.tree.map(lambda part: jnp.tile(part[:, None], (1, len(rank))), solids)
-        return everyone, jnp.full(len(rank), NOWHERE)
+        return everyone, jnp.full(len(rank), NOWHERE, gap.dtype)
     steps = jnp.clip((rank + DEEPEST) / NEARNESS, 0.0, 2**30 // count - 1).astype(jnp.int32)
     key = steps * count + jnp.arange(count)
 
