@@ -72,7 +72,7 @@ PARTS = {
         engines=("planar",),
     ),
 }
-"""All of a step, without sensors, the engine alone; and with what VMAS's `navigation` and JaxMARL's `jaxnav` sense."""
+"""A whole step, one without sensors, the engine alone; and with what VMAS's and JaxMARL's robots sense."""
 
 
 def measure(  # noqa: PLR0913 - as the command line has them
