@@ -6,10 +6,8 @@ Pure functions of what must be alike (`resolve.signature_of`) and of how many wo
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
-USUAL_WORLDS = {"c": 256, "warp": 8192}
-"""Worlds of a batch at most, by engine, if nobody says otherwise."""
-WORLDS_ELSEWHERE = 1024
-"""... on other engines."""
+WORLDS_OF_C, WORLDS_ON_CPU, WORLDS_ON_GPU = 256, 1024, 8192
+"""Worlds of a batch at most if nobody says otherwise: engine `c`, and the others by what JAX runs on."""
 
 Signature = Mapping[str, Hashable]
 """What must be alike in a batch, by what people call it."""

@@ -9,7 +9,7 @@ from typing import Any, TextIO
 
 from usarmjx.base.errors import UsageError
 from usarmjx.engines import choose_engine
-from usarmjx.sweeps.plan import USUAL_WORLDS, WORLDS_ELSEWHERE, SweepPlan, plan_batches
+from usarmjx.sweeps.plan import WORLDS_OF_C, WORLDS_ON_CPU, WORLDS_ON_GPU, SweepPlan, plan_batches
 from usarmjx.sweeps.play import BatchWork, failure, play_batch, resolved
 from usarmjx.sweeps.progress import SweepProgress
 from usarmjx.sweeps.resolve import key_of, signature_of
@@ -17,6 +17,7 @@ from usarmjx.sweeps.sinks import Sink
 from usarmjx.sweeps.spec import SweepSpec, find_spec, load_spec, read_spec
 from usarmjx.sweeps.store import CellRecord, StoredSweep, read_cell, read_sweep, write_cell, write_sweep
 from usarmjx.sweeps.workers import Workers
+from usarmjx.train.learning.defaults import on_gpu
 
 KeyedSettings = tuple[str, dict[str, Any]]
 """Key and settings."""
@@ -84,7 +85,7 @@ def prepare(spec: SweepSpec, folder: Path, retry: bool = False) -> Prepared:
         cells.append((key, settings))
         signatures.append(signature)
         engines.append(settings["engine"])
-    most = spec.worlds or USUAL_WORLDS.get(engines[0] if engines else "", WORLDS_ELSEWHERE)
+    most = spec.worlds or _usual_worlds(engines[0] if engines else "c")
     episodes = [int(settings["episodes"]) for _, settings in cells]
     clients = [resolved(settings).driver.command is not None for _, settings in cells]
     plan = plan_batches(signatures, episodes, most, clients)
@@ -96,6 +97,12 @@ def prepare(spec: SweepSpec, folder: Path, retry: bool = False) -> Prepared:
         plan=plan,
         keys=tuple(keys),
     )
+
+
+def _usual_worlds(engine: str) -> int:
+    if engine == "c":
+        return WORLDS_OF_C
+    return WORLDS_ON_GPU if on_gpu(engine) else WORLDS_ON_CPU
 
 
 def batches_of(prepared: Prepared) -> list[BatchWork]:
