@@ -10,7 +10,7 @@ from tests.bench.records import faults
 from usarmjx.base.errors import UsageError
 from usarmjx.bench.peering import contest, peers
 from usarmjx.bench.peering.contest import ContestCase, measure_peers, parse_sizes
-from usarmjx.bench.peering.ours import PARTS
+from usarmjx.bench.peering.ours import WORKLOADS
 from usarmjx.bench.peering.peers import ContestantError, ask_process, ensure_environment, read_peers
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
@@ -103,13 +103,13 @@ def test_planar_is_measured_with_as_many_beams_as_others_have(monkeypatch, folde
 
     monkeypatch.setattr(contest, "ask_process", ask)
     monkeypatch.setattr(contest, "ensure_environment", lambda peer, where, install: where)
-    monkeypatch.setattr(contest, "PARTS", {name: part for name, part in PARTS.items() if part.ini})
+    monkeypatch.setattr(contest, "WORKLOADS", {name: part for name, part in WORKLOADS.items() if part.ini})
     (tmp_path / "peers").mkdir()
     folder = (tmp_path / "toy").rename(tmp_path / "peers" / "toy").parent
     assert "12 beams, open ground" in measure_peers(ContestCase(engines=("c", "planar")), folder, tmp_path)
     ours = [words for words in asked if "--ini" in words]
     assert [words[words.index("--engine") + 1] for words in ours] == ["planar"] * 2
-    for words, part in zip(ours, contest.PARTS.values(), strict=True):
+    for words, part in zip(ours, contest.WORKLOADS.values(), strict=True):
         assert words[words.index("--ini") + 1] == str(tmp_path / part.ini)
         found = load_robots([dev.ROOT / "benchmarks" / part.ini], ROBOTS).robots
         (scanner,) = next(robot.sensors for robot in found if robot.name == "P2AT")

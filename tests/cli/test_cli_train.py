@@ -94,6 +94,31 @@ def test_a_run_is_in_a_folder_of_its_task_and_goes_on_with_its_settings(tmp_path
 
 
 @pytest.mark.parametrize(
+    ("words", "engine", "fields"),
+    [
+        (["explore-v2"], "planar", {"physics": "coarse"}),
+        (["explore-v2", "--set", "physics=fast"], "planar", {"physics": "fast"}),
+        (["explore-v2", "--engine", "c"], "c", {}),
+        (["wander"], "planar", {}),
+    ],
+)
+def test_some_tasks_have_an_engine_of_their_own(words, engine, fields, tmp_path, monkeypatch):
+    asked = []
+
+    def train(env, config, out, resume, *, origin, **_):
+        asked.append(origin)
+        return TrainResult(out, 1, 8, {})
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("usarmjx.train.learning.trainer.train", train)
+    result = invoke("train", *words)
+    assert result.exit_code == 0
+    assert asked == [EnvArguments(engine, fields)]
+    told = f"usarmjx: {words[0]} trains on engine planar unless another is named"
+    assert (told in result.stderr) == ("--engine" not in words)
+
+
+@pytest.mark.parametrize(
     ("words", "message"),
     [
         (["train", "--task", "drive", "--out", "x"], "unknown task"),

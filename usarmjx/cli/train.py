@@ -174,7 +174,6 @@ def _train(
     Returns:
         What came of it, in a line.
     """
-    from usarmjx.engines import choose_engine
     from usarmjx.train.learning.record import EnvArguments
     from usarmjx.train.learning.trainer import train as run
     from usarmjx.train.make import make
@@ -184,7 +183,7 @@ def _train(
     if resume:
         chosen, pairs, engine = _as_before(out, chosen, pairs, engine)
     else:
-        engine = choose_engine(engine, "train")
+        pairs, engine = _as_usual(task, pairs, engine)
     config, overrides = _split_settings(task, pairs, chosen, engine)
 
     def worlds_of(count: int, first: int) -> "Env":
@@ -307,6 +306,18 @@ def _as_before(
     kept = {key: value for key, value in vars(record.config).items() if key not in typed}
     fields = [f"{key}={text}" for key, text in record.overrides.items() if key not in typed]
     return {**kept, **given}, [*fields, *pairs], record.engine if engine == "auto" else engine
+
+
+def _as_usual(task: str, pairs: list[str], engine: str) -> tuple[list[str], str]:
+    """Return fields as typed, with those of the task's trainings on its usual engine; and the engine."""
+    from usarmjx.engines import choose_engine
+    from usarmjx.train.learning.defaults import training_engine, training_fields
+
+    chosen, typed = training_engine(task, engine), {pair.partition("=")[0] for pair in pairs}
+    usual = [f"{key}={value}" for key, value in training_fields(task, chosen).items() if key not in typed]
+    if chosen != choose_engine(engine, "train"):
+        say(", ".join([f"{task} trains on engine {chosen} unless another is named", *usual]))
+    return [*usual, *pairs], chosen
 
 
 def _split_settings(

@@ -9,9 +9,17 @@ from types import SimpleNamespace
 import pytest
 
 from usarmjx.base.errors import UnknownNameError, UsageError
-from usarmjx.engines import ENGINES, engine_class
+from usarmjx.engines import ENGINES, choose_engine, engine_class
 from usarmjx.train.learning.config import Config, from_record, parse_settings, task_config
-from usarmjx.train.learning.defaults import HYPERPARAMETERS, ON_GPU, on_gpu
+from usarmjx.train.learning.defaults import (
+    HYPERPARAMETERS,
+    ON_GPU,
+    USUAL_ENGINE,
+    USUAL_PHYSICS,
+    on_gpu,
+    training_engine,
+    training_fields,
+)
 from usarmjx.train.learning.metrics import Log, read_lines, summary
 from usarmjx.train.tasks import TASKS
 
@@ -119,12 +127,30 @@ def test_the_runs_of_small_tasks_that_are_told_of_were_bare_commands(task, engin
         assert run["settings"]["task"] == {}
 
 
+def test_tasks_have_a_usual_engine_that_can_run_them_and_others_may_be_named():
+    for task, engine in USUAL_ENGINE.items():
+        assert training_engine(task.upper(), "auto") == engine
+        assert training_engine(task, "c") == "c"
+        assert training_fields(task, "c") == {}
+        assert task in TASKS
+        assert not TASKS.get(task).needs_solver
+    assert set(USUAL_PHYSICS) <= set(USUAL_ENGINE)
+    assert training_fields("Explore-V2", "planar") == {"physics": "coarse"}
+    assert (
+        training_engine("stairs", "auto") == training_engine("trek", "auto") == choose_engine("auto", "train")
+    )
+    with pytest.raises(UnknownNameError):
+        training_engine("wander", "flat")
+
+
 @pytest.mark.parametrize("task", sorted(set(HYPERPARAMETERS) - {"drive-to-goal"}))
 def test_new_settings_see_to_the_end_of_an_episode(task):
     """What comes at its end counts 1/e at its start, but where figures are told of a shorter sight."""
     config, steps = task_config(task), TASKS.get(task).episode_steps
     if TASKS.get(task) in {TASKS.get(short) for short in ("explore-v1", "victim-search-v1", "explore-v2")}:
         assert config.discount**steps < 0.01
+    elif task == "relay-chain":
+        assert (config.discount, config.trace) == (0.99, 0.95)
     else:
         assert config.discount**steps == pytest.approx(math.exp(-1), rel=0.01)
         assert 1 / (1 - config.discount * config.trace) == pytest.approx(steps / 10)

@@ -12,7 +12,7 @@ import jax
 import mujoco
 
 from usarmjx.base.errors import UsageError
-from usarmjx.bench.peering.ours import PARTS, Part
+from usarmjx.bench.peering.ours import WORKLOADS, Workload
 from usarmjx.bench.peering.peers import (
     SCRIPT,
     ContestantError,
@@ -154,13 +154,13 @@ def _contestants(
             row = {"who": peer.name, "variant": variant, **peer.about(variant)}
             yield row, _peer_words(case, peer, variant, environments, install, gpu and not peer.host, scratch)
     for engine in engines:
-        for name, part in PARTS.items():
+        for name, part in WORKLOADS.items():
             if engine in (part.engines or (engine,)):
                 ini = folder.parent / part.ini if part.ini else None
                 yield _ours_row(engine, name, part), _ours_words(case, engine, name, ini)
 
 
-def _ours_row(engine: str, name: str, part: Part) -> dict[str, Any]:
+def _ours_row(engine: str, name: str, part: Workload) -> dict[str, Any]:
     return {
         "who": OURS,
         "variant": f"{engine}, {name}",

@@ -16,7 +16,7 @@ from usarmjx.sim.configure import configure
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
+class Workload:
     """What of our step is measured, and where.
 
     Attributes:
@@ -41,18 +41,20 @@ class Part:
 
 
 _ONE_SCANNER = "random commands, control, physics in steps of 50 ms, {}, resets of 1 % of the worlds"
-PARTS = {
-    "whole": Part(
+WORKLOADS = {
+    "whole": Workload(
         has="random commands, control, physics, all sensors when due (181 laser beams, 144 sonar rays, "
         "RFID, odometry, INS), resets of 1 % of the worlds",
         lacks="radio, pictures",
         beams=181 + 144,
     ),
-    "blind": Part(
+    "blind": Workload(
         has="random commands, control, physics, resets of 1 % of the worlds", lacks="sensors, radio, pictures"
     ),
-    "bare": Part(has="physics under random wheel speeds", lacks="commands, sensors, radio, pictures, resets"),
-    "12 beams, open ground": Part(
+    "bare": Workload(
+        has="physics under random wheel speeds", lacks="commands, sensors, radio, pictures, resets"
+    ),
+    "12 beams, open ground": Workload(
         has=_ONE_SCANNER.format("12 laser beams in each"),
         lacks="walls, other sensors, radio, pictures",
         beams=12,
@@ -61,7 +63,7 @@ PARTS = {
         ini="twelve_beams.ini",
         engines=("planar",),
     ),
-    "200 beams, mazes": Part(
+    "200 beams, mazes": Workload(
         has=_ONE_SCANNER.format("200 laser beams in each, 64 mazes"),
         lacks="other sensors, radio, pictures",
         beams=200,
@@ -87,7 +89,7 @@ def measure(  # noqa: PLR0913 - as the command line has them
     ini: Path | None = None,
 ) -> dict[str, Any]:
     """Return first call and repeats of a part of the step, as a peer's script prints them."""
-    chosen = PARTS[part]
+    chosen = WORKLOADS[part]
     if ini is not None:
         configure([ini])
     case = SceneCase(
