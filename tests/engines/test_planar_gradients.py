@@ -71,6 +71,7 @@ def ranges_at(pose):
 def test_ranges_change_with_poses_as_small_steps_show(culling, monkeypatch):
     """Of every kind of solid, beams that pass it included; by poses of who looks and of what is seen."""
     monkeypatch.setattr(raycast, "CULLING_THRESHOLD", culling)
+    monkeypatch.setattr(raycast, "CULLING_GEOMS", 0)
     pose = jnp.array([0.2, -0.1, 0.4, 0.1])
     ranges = jax.jit(jax.vmap(ranges_at))
     steps = NUDGE * np.vstack([np.eye(4), -np.eye(4)])

@@ -193,6 +193,7 @@ def test_fans_have_slopes_on_all_roads(how, monkeypatch):
     if how == "warp":
         pytest.importorskip("warp", reason="needs warp-lang")
     monkeypatch.setattr(raycast, "CULLING_THRESHOLD", 0)
+    monkeypatch.setattr(raycast, "CULLING_GEOMS", 0)
     monkeypatch.setattr(raycast, "caster_in_use", lambda: how)
     monkeypatch.setitem(raycast.GPU_CASTERS, "pallas", partial(gpu_hits, interpret=True))
     lines = np.stack([np.cos(FAN[::8]), np.sin(FAN[::8]), 0 * FAN[::8]], -1)[None].astype(np.float32)

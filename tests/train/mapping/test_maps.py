@@ -15,6 +15,7 @@ from usarmjx.models.build.reach import RobotFootprint
 from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.spec.shapes import Shape
 from usarmjx.sensors.ranging import ScannerSettings
+from usarmjx.train.mapping import maps
 from usarmjx.train.mapping.maps import (
     FREE,
     MARK,
@@ -226,3 +227,25 @@ def test_how_far_squares_are_from_positions():
     gaps = GRID.gaps(positions)
     assert gaps.shape == (2, 3, *GRID.shape)
     np.testing.assert_allclose(gaps, expected, rtol=1e-6)  # a few roundings
+
+
+@pytest.mark.parametrize("low", [(-3.0, 2.0), (-40.0, -40.0), (0.1, -20.0)])
+def test_squares_out_of_reach_need_not_be_looked_at(low, monkeypatch):
+    """Bit for bit the same as all squares looked at; scanners anywhere, also off the map."""
+    scanner = ScannerSettings(max_range=4.0, scan_fov=math.pi, resolution=math.pi / 75)
+    grid = MapGrid(low=low, cell=0.3, shape=(90, 70))
+    random = np.random.default_rng(4)
+    poses = random.uniform([-5, -5, -4], [32, 26, 4], (40, 3)) + np.array([*low, 0.0])
+    ranges = random.choice([4.0, 0.5, 2.0], (40, scanner.beams)) * random.uniform(
+        0.5, 1.0, (40, scanner.beams)
+    )
+    ranges = np.where(random.uniform(size=ranges.shape) < 0.3, 4.0, ranges)
+
+    def drawn_with(share):
+        monkeypatch.setattr(maps, "WINDOW_SHARE", share)
+        cast = jax.jit(jax.vmap(lambda pose, one: classify_scan(grid, scanner, pose, one)))
+        return cast(jnp.asarray(poses, jnp.float32), jnp.asarray(ranges, jnp.float32))
+
+    for near, everywhere in zip(drawn_with(0.5), drawn_with(0.0), strict=True):
+        assert np.asarray(everywhere).any()
+        np.testing.assert_array_equal(near, everywhere)

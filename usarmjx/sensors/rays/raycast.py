@@ -33,7 +33,9 @@ DEFAULT_BUNDLE_SIZE = 32
 COMPACT_KINDS = frozenset({int(mujoco.mjtGeom.mjGEOM_SPHERE), TRIANGLE_KIND})
 """Kinds that count as compact anyway; the triangles of meshes and terrain are small."""
 CULLING_THRESHOLD = 100_000
-"""Rays times geoms, of all robots and worlds, from which on leaving out geoms pays on a CPU."""
+"""Rays times geoms, of all robots and worlds, from which on leaving out geoms pays on a CPU, ..."""
+CULLING_GEOMS = 300
+"""... if there are more geoms than so many; to test these takes as long as to find the near ones."""
 
 EXCLUDE_NONE = np.int32(-2)
 """No owner of any geom: robots' slots count from 0, and the arena is -1."""
@@ -137,7 +139,8 @@ def nearest_hits(
     on_gpu = GPU_CASTERS.get(caster_in_use())
     if on_gpu is not None:
         return on_gpu(seen, (origin, direction) if fans is None else fans, query)
-    return _hits_on_a_cpu(seen, origin, direction, query, fans, CULLING_THRESHOLD)
+    few = sum(part.info.num_geoms for part in seen) <= CULLING_GEOMS
+    return _hits_on_a_cpu(seen, origin, direction, query, fans, math.inf if few else CULLING_THRESHOLD)
 
 
 def brute_force_hits(

@@ -29,6 +29,10 @@ from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo
 
 RAYS_AT_A_TIME = 256
 """Rays of the casts that are done together, about: they wait for each other."""
+UNCULLED_RAYS_AT_A_TIME = 8192
+"""As many where all geoms are tested, and nobody waits: enough for all cores."""
+GEOMS_AT_A_TIME = 4
+"""So many of all geoms are tested in one loop over the rays, which reads and writes what was met once."""
 LANES = 16
 """Bundles are multiples of it: as many numbers as are computed at once, or a few times that."""
 MAX_UNCULLED_GEOMS = 2
@@ -98,7 +102,7 @@ def nearest_of_bundles(
         blank = GeomHits(jnp.full(shape, jnp.inf), jnp.full(shape, -1))
         few = len(world) * pairs <= culling_threshold
         some = partial(_cast_some, infos, lines, None if few else size, max_distance)
-        together = len(world) if few else max(1, RAYS_AT_A_TIME // piece)
+        together = max(1, (UNCULLED_RAYS_AT_A_TIME if few else RAYS_AT_A_TIME) // piece)
 
         def cast(casts: tuple[Array, ...]) -> GeomHits:
             return _cast_wanted(some, together, blank, *casts)
@@ -226,7 +230,7 @@ def _test_all(info: GeomBlockInfo, block: jax.Array, bundles: _Bundles, found: G
 
     # On a CPU this is ten times as fast as reductions over arrays of rays times geoms.
     rows = jnp.moveaxis(block, -1, 0), info.first_index + jnp.arange(info.num_geoms)
-    return jax.lax.scan(closer, found, rows)[0]
+    return jax.lax.scan(closer, found, rows, unroll=min(GEOMS_AT_A_TIME, info.num_geoms))[0]
 
 
 def _test_near(

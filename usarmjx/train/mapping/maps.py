@@ -23,6 +23,8 @@ MAX_EVIDENCE = 4
 """So often is a square seen as free, or as a wall, until further scans count no more."""
 MAX_SURFACE_GAP = 1.0
 """Two neighbouring beams that end closer to each other than this met one surface [m]."""
+WINDOW_SHARE = 0.5
+"""Of a map with so many times more squares than a scanner reaches, only those are looked at."""
 SQUARES_PER_NUMBER = 12
 """Squares in a number of a message: 2 bits each, in the 24 bits that single precision holds exactly."""
 
@@ -110,8 +112,26 @@ def classify_scan(
         pose: Where it is, or believes to be: x, y [m] and yaw [rad] (3,).
         ranges: What it measured [m] (beams,).
     """
-    distance = grid.gaps(pose[:2])
-    bearing = jnp.arctan2(grid.centres[..., 1] - pose[1], grid.centres[..., 0] - pose[0]) - pose[2]
+    width = 2 * math.ceil(scanner.max_range / grid.cell + 2) + 1  # squares; beyond them it shows nothing
+    if width * width > grid.square_count * WINDOW_SHARE or width > min(grid.shape):
+        return _classify_squares(grid, jnp.asarray(grid.centres), scanner, pose, ranges)
+    corner = jnp.clip(grid.index(pose[:2]) - width // 2, 0, np.array(grid.shape) - width)
+    rows, columns = (corner[axis] + np.arange(width) for axis in range(2))
+    x, y = jnp.asarray(grid.centres[:, 0, 0])[rows], jnp.asarray(grid.centres[0, :, 1])[columns]
+    near = jnp.stack(jnp.meshgrid(x, y, indexing="ij"), -1)
+    free, wall = _classify_squares(grid, near, scanner, pose, ranges)
+    found = jnp.where(free, FREE, jnp.where(wall, WALL, UNKNOWN)).astype(jnp.uint8)
+    found = jax.lax.dynamic_update_slice(jnp.zeros(grid.shape, jnp.uint8), found, (corner[0], corner[1]))
+    return found == FREE, found == WALL
+
+
+def _classify_squares(
+    grid: MapGrid, centres: jax.Array, scanner: ScannerSettings, pose: Array, ranges: Array
+) -> tuple[jax.Array, jax.Array]:
+    """As `classify_scan`, of squares with some middles [m] (i, j, 2)."""
+    away_x, away_y = centres[..., 0] - pose[0], centres[..., 1] - pose[1]
+    distance = jnp.sqrt(away_x * away_x + away_y * away_y)
+    bearing = jnp.arctan2(away_y, away_x) - pose[2]
     bearing = jnp.mod(bearing + jnp.pi, 2 * jnp.pi) - jnp.pi
     step, beams = scanner.resolution, scanner.beams
     place = (bearing + scanner.scan_fov / 2) / step

@@ -129,8 +129,8 @@ def frontier_costs(grid: MapGrid, pose: Array, mates: Array, age: Array, me: Arr
     rank = (known & nearer).sum(0)
     gap = grid.gaps(mates[:, 3:5])
     crowd = jnp.where(known & first, jnp.clip(1 - gap / SHARED_GOAL_RADIUS, 0.0, 1.0), 0.0).sum(0)
-    along = grid.centres - pose[:2]
-    ahead = along[..., 0] * jnp.cos(pose[2]) + along[..., 1] * jnp.sin(pose[2])
+    cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
+    ahead = (grid.centres[..., 0] - pose[0]) * cos + (grid.centres[..., 1] - pose[1]) * sin
     turn = 1 - ahead / jnp.maximum(mine, 1e-3)
     return NEARER_ROBOT_COST * rank + SHARED_GOAL_COST * crowd + TURN_COST * turn / 2
 

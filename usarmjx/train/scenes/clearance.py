@@ -5,7 +5,7 @@ solids that reach into its height, less what its wheels drive over, and the othe
 meshes, terrain, doors, victims and loose objects are none.
 """
 
-from functools import cache, partial
+from functools import cache, partial, reduce
 from typing import Any
 
 import jax
@@ -31,6 +31,7 @@ NO_OBSTACLE = 1e3
 """Clearance where there is nothing at all [m]."""
 
 GeomType = mujoco.mjtGeom
+Place = tuple[jax.Array, jax.Array]
 
 
 class Boxes(struct.PyTreeNode, kw_only=True):
@@ -53,19 +54,41 @@ class Boxes(struct.PyTreeNode, kw_only=True):
 
 def box_distance(one: Boxes, others: Boxes) -> jax.Array:
     """Return the distance in the plane of a box from others (n,) [m] (n,); 0 where they overlap."""
-    signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]], np.float32)
-    turn, turns = _turn(one.yaw), _turn(others.yaw)  # own axes to the world's
-    outline = one.centre + (signs * one.half) @ turn.T
-    corners = others.centre[:, None] + _einsum("nij,ncj->nci", turns, signs * others.half[:, None])
+    # By components, the boxes last: so they are computed eight at a time, in one loop.
+    cos, sin = jnp.cos(one.yaw), jnp.sin(one.yaw)
+    coss, sins = jnp.cos(others.yaw), jnp.sin(others.yaw)
+    half, halves = (one.half[0], one.half[1]), (others.half[:, 0], others.half[:, 1])
+    away = others.centre[:, 0] - one.centre[0], others.centre[:, 1] - one.centre[1]
+    turn = cos * coss + sin * sins, cos * sins - sin * coss  # from the others' axes to the one's
+    middle = cos * away[0] + sin * away[1], cos * away[1] - sin * away[0]
+    back = -(coss * away[0] + sins * away[1]), -(coss * away[1] - sins * away[0])
     # Of two rectangles apart, one nearest point is a corner, of the one or of the other.
-    seen = _einsum("nji,ncj->nci", turns, outline - others.centre[:, None])
-    near = jnp.linalg.norm(jnp.maximum(jnp.abs(seen) - others.half[:, None], 0.0), axis=-1).min(-1)
-    seen = (corners - one.centre) @ turn
-    near = jnp.minimum(near, jnp.linalg.norm(jnp.maximum(jnp.abs(seen) - one.half, 0.0), axis=-1).min(-1))
-    axes = jnp.concatenate([jnp.broadcast_to(turn.T, turns.shape), jnp.swapaxes(turns, -1, -2)], 1)
-    ours, theirs = _einsum("nai,ci->nac", axes, outline), _einsum("nai,nci->nac", axes, corners)
-    split = (ours.max(-1) < theirs.min(-1)) | (theirs.max(-1) < ours.min(-1))
-    return jnp.where(split.any(-1), near, 0.0)
+    theirs, ours = _corners(middle, turn, halves), _corners(back, (turn[0], -turn[1]), half)
+    near = jnp.minimum(_nearest_corner(theirs, half), _nearest_corner(ours, halves))
+    apart = reduce(
+        jnp.logical_or,
+        [
+            (reduce(jnp.minimum, places) > reach) | (reduce(jnp.maximum, places) < -reach)
+            for corners, reaches in ((theirs, half), (ours, halves))
+            for places, reach in zip(zip(*corners, strict=True), reaches, strict=True)
+        ],
+    )
+    return jnp.where(apart, jnp.sqrt(near), 0.0)
+
+
+def _corners(middle: Place, turn: Place, half: tuple[Array, Array]) -> list[Place]:
+    """Return where the corners of rectangles are, x and y each; `turn` is cosine and sine of their yaw."""
+    (cos, sin), corners = turn, []
+    for x, y in ((1, 1), (1, -1), (-1, -1), (-1, 1)):
+        ahead, aside = x * half[0], y * half[1]
+        corners.append((middle[0] + cos * ahead - sin * aside, middle[1] + sin * ahead + cos * aside))
+    return corners
+
+
+def _nearest_corner(corners: list[Place], half: tuple[Array, Array]) -> jax.Array:
+    """Return the least squared distance of corners from a rectangle around the origin."""
+    gaps = [[jnp.maximum(jnp.abs(corner[i]) - half[i], 0.0) for i in range(2)] for corner in corners]
+    return reduce(jnp.minimum, [x * x + y * y for x, y in gaps])
 
 
 def _einsum(subscripts: str, *operands: Array) -> jax.Array:

@@ -97,7 +97,7 @@ class RelayChain(TeamTask):
         """
         grid, base = self.arena_grid(view.scene), station_slot(view.scene)
         squares = belief.squares
-        gap = jnp.linalg.norm(grid.centres - belief.pose[base, :2], axis=-1) / grid.cell
+        gap = grid.gaps(belief.pose[base, :2]) / grid.cell
         away = jax.vmap(partial(_outward, gap))(squares)
         home = (view.time - belief.base_contact_time > CONTACT_TIMEOUT) & (self.talk != "none")
         doorstep = jnp.where(gap * grid.cell < planning.HOME_RADIUS, gap, UNREACHABLE)

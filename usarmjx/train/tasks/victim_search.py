@@ -166,7 +166,7 @@ class VictimSearch(TeamTask):
             )
             marked &= view.is_fresh(g, "VictSensor")[:, None, None]
             belief = belief.replace(marks=belief.marks.at[group.slots].max(marked))
-        gap = jnp.linalg.norm(grid.centres - belief.pose[:, None, None, :2], axis=-1)
+        gap = grid.gaps(belief.pose[:, :2])
         swept = self.planner_settings(scene).flyers[:, None, None] & (gap < SWEEP_RADIUS)
         swept &= belief.evidence <= 0  # not beyond the fence
         belief = belief.replace(evidence=jnp.where(swept, -1, belief.evidence).astype(jnp.int8))
@@ -188,7 +188,7 @@ class VictimSearch(TeamTask):
             view.time - belief.base_contact_time > RECENT_CONTACT
         )
         home = ((belief.mark_time > belief.base_contact_time) | late) & (self.talk != "none")
-        gap = jnp.linalg.norm(grid.centres - belief.pose[base, :2], axis=-1)
+        gap = grid.gaps(belief.pose[base, :2])
         doorstep = jnp.where(gap < planning.HOME_RADIUS, gap, UNREACHABLE)
         ends = seeking_costs(belief, gap / grid.cell) if self.seek_home else UNREACHABLE
         wanted = jnp.where(home[:, None, None], jnp.minimum(doorstep, ends), jnp.nan)
