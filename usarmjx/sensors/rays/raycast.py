@@ -35,7 +35,7 @@ COMPACT_KINDS = frozenset({int(mujoco.mjtGeom.mjGEOM_SPHERE), TRIANGLE_KIND})
 CULLING_THRESHOLD = 100_000
 """Rays times geoms, of all robots and worlds, from which on leaving out geoms pays on a CPU, ..."""
 CULLING_GEOMS = 300
-"""... if there are more geoms than so many; to test these takes as long as to find the near ones."""
+"""... if there are more geoms, or few casts are wanted: to test so many takes as long as to find the near."""
 
 EXCLUDE_NONE = np.int32(-2)
 """No owner of any geom: robots' slots count from 0, and the arena is -1."""
@@ -139,8 +139,7 @@ def nearest_hits(
     on_gpu = GPU_CASTERS.get(caster_in_use())
     if on_gpu is not None:
         return on_gpu(seen, (origin, direction) if fans is None else fans, query)
-    few = sum(part.info.num_geoms for part in seen) <= CULLING_GEOMS
-    return _hits_on_a_cpu(seen, origin, direction, query, fans, math.inf if few else CULLING_THRESHOLD)
+    return _hits_on_a_cpu(seen, origin, direction, query, fans, CULLING_THRESHOLD, CULLING_GEOMS)
 
 
 def brute_force_hits(
@@ -171,6 +170,7 @@ def _hits_on_a_cpu(
     query: RayQuery,
     fans: Fans | None,
     culling_threshold: float,
+    culling_geoms: int = 0,
 ) -> GeomHits:
     return nearest_of_bundles(
         [(part.info, part.block) for part in seen],
@@ -179,6 +179,7 @@ def _hits_on_a_cpu(
         bundle_size=query.bundle_size,
         max_distance=query.max_distance,
         culling_threshold=culling_threshold,
+        culling_geoms=culling_geoms,
     )
 
 

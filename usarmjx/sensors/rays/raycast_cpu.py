@@ -30,7 +30,7 @@ from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo
 RAYS_AT_A_TIME = 256
 """Rays of the casts that are done together, about: they wait for each other."""
 UNCULLED_RAYS_AT_A_TIME = 8192
-"""As many where all geoms are tested, and nobody waits: enough for all cores."""
+"""As many where all geoms are tested though there is much to do, and nobody waits: enough for all cores."""
 GEOMS_AT_A_TIME = 4
 """So many of all geoms are tested in one loop over the rays, which reads and writes what was met once."""
 LANES = 16
@@ -74,6 +74,7 @@ def nearest_of_bundles(
     bundle_size: int,
     max_distance: float,
     culling_threshold: float,
+    culling_geoms: int = 0,
 ) -> GeomHits:
     """Return what rays meet first.
 
@@ -85,6 +86,7 @@ def nearest_of_bundles(
         max_distance: What is farther is not met [m].
         culling_threshold: Up to so many rays times geoms of all casts together each ray is tested against
             all geoms: there is less to compile.
+        culling_geoms: Up to so many geoms each ray is tested against all, too, where most casts are wanted.
     """
     count = rays.directions[..., 0].size if isinstance(rays, Fans) else len(rays[0])
     if not work or not count:
@@ -100,12 +102,17 @@ def nearest_of_bundles(
     def run(geoms: Array, world: Array, exclude: Array, wanted: Array, *given: Array) -> GeomHits:
         shape = len(world), piece
         blank = GeomHits(jnp.full(shape, jnp.inf), jnp.full(shape, -1))
-        few = len(world) * pairs <= culling_threshold
-        some = partial(_cast_some, infos, lines, None if few else size, max_distance)
-        together = max(1, (UNCULLED_RAYS_AT_A_TIME if few else RAYS_AT_A_TIME) // piece)
 
-        def cast(casts: tuple[Array, ...]) -> GeomHits:
-            return _cast_wanted(some, together, blank, *casts)
+        def groups(size: int | None, rays_at_a_time: int) -> Callable[[tuple[Array, ...]], GeomHits]:
+            some, together = partial(_cast_some, infos, lines, size, max_distance), rays_at_a_time // piece
+            return lambda casts: _cast_wanted(some, max(1, together), blank, *casts)
+
+        cast = groups(size, RAYS_AT_A_TIME)
+        if len(world) * pairs <= culling_threshold:
+            cast = groups(None, len(world) * piece)
+        elif pairs <= count * culling_geoms:
+            all_geoms, most = groups(None, UNCULLED_RAYS_AT_A_TIME), 2 * wanted.sum() > len(wanted)
+            cast = partial(jax.lax.cond, most, all_geoms, cast)
 
         def miss(_: tuple[Array, ...]) -> GeomHits:
             return blank

@@ -78,7 +78,7 @@ def box_distance(one: Boxes, others: Boxes) -> jax.Array:
 
 def _corners(middle: Place, turn: Place, half: tuple[Array, Array]) -> list[Place]:
     """Return where the corners of rectangles are, x and y each; `turn` is cosine and sine of their yaw."""
-    (cos, sin), corners = turn, []
+    (cos, sin), corners = turn, list[Place]()
     for x, y in ((1, 1), (1, -1), (-1, -1), (-1, 1)):
         ahead, aside = x * half[0], y * half[1]
         corners.append((middle[0] + cos * ahead - sin * aside, middle[1] + sin * ahead + cos * aside))
