@@ -31,7 +31,7 @@ NO_OBSTACLE = 1e3
 """Clearance where there is nothing at all [m]."""
 
 GeomType = mujoco.mjtGeom
-Place = tuple[jax.Array, jax.Array]
+Corner = tuple[jax.Array, jax.Array]
 
 
 class Boxes(struct.PyTreeNode, kw_only=True):
@@ -76,16 +76,16 @@ def box_distance(one: Boxes, others: Boxes) -> jax.Array:
     return jnp.where(apart, jnp.sqrt(near), 0.0)
 
 
-def _corners(middle: Place, turn: Place, half: tuple[Array, Array]) -> list[Place]:
+def _corners(middle: Corner, turn: Corner, half: tuple[Array, Array]) -> list[Corner]:
     """Return where the corners of rectangles are, x and y each; `turn` is cosine and sine of their yaw."""
-    (cos, sin), corners = turn, list[Place]()
+    (cos, sin), corners = turn, list[Corner]()
     for x, y in ((1, 1), (1, -1), (-1, -1), (-1, 1)):
         ahead, aside = x * half[0], y * half[1]
         corners.append((middle[0] + cos * ahead - sin * aside, middle[1] + sin * ahead + cos * aside))
     return corners
 
 
-def _nearest_corner(corners: list[Place], half: tuple[Array, Array]) -> jax.Array:
+def _nearest_corner(corners: list[Corner], half: tuple[Array, Array]) -> jax.Array:
     """Return the least squared distance of corners from a rectangle around the origin."""
     gaps = [[jnp.maximum(jnp.abs(corner[i]) - half[i], 0.0) for i in range(2)] for corner in corners]
     return reduce(jnp.minimum, [x * x + y * y for x, y in gaps])
