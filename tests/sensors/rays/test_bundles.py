@@ -9,7 +9,7 @@ import pytest
 from jax.extend.core import jaxprs_in_params
 
 from tests.sensors.rays.test_raycast import make_rays, make_room, quick_jit
-from usarmjx.sensors.rays import raycast
+from usarmjx.sensors.rays import raycast, raycast_cpu
 from usarmjx.sensors.rays.bundles import Fans, bounding_cones, bundled
 from usarmjx.sensors.rays.raycast import (
     DEFAULT_QUERY,
@@ -155,6 +155,27 @@ def test_each_robot_of_a_batch_meets_what_it_alone_wants(how):
                 brute_force_hits(seen, ORIGIN, DIRECTION, RayQuery(exclude_owner=slot)).geom_index
             )
             np.testing.assert_array_equal(found.geom_index[w, r], np.where(wanted[w, r], alone, -1))
+
+
+@pytest.mark.parametrize(("wanted", "near"), [([True] * 3 + [False], False), ([True] + [False] * 3, True)])
+def test_a_cpu_looks_for_near_geoms_where_few_want_it(wanted, near, monkeypatch):
+    """A search for near geoms that finds none shows who comes by it; the others meet what they do alone."""
+    monkeypatch.setattr(raycast, "CULLING_THRESHOLD", 0)
+    monkeypatch.setattr(raycast_cpu, "UNCULLED_RAYS_AT_A_TIME", 2 * len(ORIGIN))  # two casts, then one
+    monkeypatch.setattr(raycast_cpu, "_test_near", lambda info, block, bundles, cone, found: found)
+    monkeypatch.setattr(raycast_cpu, "MAX_UNCULLED_GEOMS", 0)
+    slots = jnp.array([-2, 0, 5, 1])
+
+    def cast(slot, wanted):
+        return raycast.nearest_hits(
+            ROOM.geoms, ORIGIN, DIRECTION, RayQuery(exclude_owner=slot, wanted=wanted)
+        )
+
+    found = np.asarray(jax.jit(jax.vmap(cast))(slots, jnp.array(wanted)).geom_index)
+    seen = indexed_blocks(ROOM.geoms)
+    for one, slot, asked in zip(found, slots, wanted, strict=True):
+        alone = brute_force_hits(seen, ORIGIN, DIRECTION, RayQuery(exclude_owner=slot)).geom_index
+        np.testing.assert_array_equal(one, alone if asked and not near else -1)
 
 
 @pytest.mark.parametrize("how", ["brute force", "culled"])
