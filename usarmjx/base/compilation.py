@@ -26,6 +26,8 @@ MIN_COMPILE_TIME = ("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 MAX_SIZE = 2_000_000_000
 """At a start what was not used for longest goes until the cache is no larger than this [bytes]. JAX can see
 to that, too; but then a process that is killed while it writes leaves a cache that is never written again."""
+COMPILATION = "/jax/core/compile/"
+"""What the names of JAX's events begin with that tell how long a part of a compilation took."""
 QUICKLY, OLDER_EMITTERS = "--xla_backend_optimization_level=0", "--xla_cpu_use_fusion_emitters=false"
 """Flags with which XLA compiles what a task observes in a quarter of the time."""
 WITHOUT_OLDER_EMITTERS = (0, 11)

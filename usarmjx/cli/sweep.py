@@ -1,11 +1,13 @@
 """`usarmjx sweep`: many cells of a file or of a bundled sweep; what came of them, and how two compare."""
 
+import time
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
+from usarmjx.cli.bench_options import NoteOption
 from usarmjx.cli.tools import ErrorExit
 from usarmjx.cli.waiting import announce
 
@@ -65,12 +67,18 @@ def run(
     figure: FigureOption = None,
     table: TableOption = None,
     episodes: EpisodesOption = None,
+    json: Annotated[
+        Path | None, typer.Option(help="Append a record of what it took to this file, as usarmjx bench does.")
+    ] = None,
+    note: NoteOption = "",
 ) -> None:
     """Play the cells of a sweep that have no result yet, and say what came of all."""
     with ErrorExit():
+        begun = time.perf_counter()
         announce(f"reading {what} ...")
+        from usarmjx.sweeps.bench_record import SweepMeter
         from usarmjx.sweeps.progress import usual_stream
-        from usarmjx.sweeps.run import prepare, run_sweep
+        from usarmjx.sweeps.run import play_prepared, prepare
         from usarmjx.sweeps.spec import find_spec, load_spec
         from usarmjx.sweeps.workers import Workers
 
@@ -79,24 +87,27 @@ def run(
             common["engine"] = engine
         spec = load_spec(find_spec(what), common)
         folder = out or Path("sweeps") / spec.name
+        played_on = Workers(place=run_on, count=workers, address=address)
+        prepared = prepare(spec, folder, retry)
         if plan:
-            prepared = prepare(spec, folder, retry)
             typer.echo(f"{prepared.known} of {len(spec.cells)} cells are there already")
             typer.echo(prepared.plan.as_text())
             for record in prepared.broken:
                 typer.echo(f"fails: {record.failed}")
             return
-        sinks = _sinks(tensorboard, wandb, spec.name)
-        found = run_sweep(
+        meter = SweepMeter(begun)
+        found = play_prepared(
             spec,
             folder,
-            Workers(place=run_on, count=workers, address=address),
-            retry=retry,
+            prepared,
+            played_on,
             say=None if quiet else lambda line: typer.echo(f"usarmjx: {line}", err=True),
             stream=None if quiet else usual_stream(),
-            sinks=sinks,
+            sinks=[*_sinks(tensorboard, wandb, spec.name), meter],
         )
         _tell(found, figure, table, episodes)
+        if json is not None:
+            _record(found, prepared.plan, meter, played_on, json, note)
         if any(record.failed is not None for record in found.records):
             raise typer.Exit(1)
 
@@ -151,6 +162,16 @@ def _sinks(tensorboard: Path | None, wandb: str | None, name: str) -> list[Any]:
 
     sinks: list[Any] = [] if tensorboard is None else [tensorboard_sink(tensorboard)]
     return sinks if wandb is None else [*sinks, wandb_sink(wandb, name)]
+
+
+def _record(found: Any, plan: Any, meter: Any, workers: Any, file: Path, note: str) -> None:  # noqa: ANN401
+    """Append what a sweep took to a file of records, and say it."""
+    from usarmjx.bench.tools import append_record
+    from usarmjx.sweeps.bench_record import record_line, sweep_record
+
+    record = sweep_record(found, plan, meter, workers, note)
+    append_record(record, file)
+    typer.echo(f"{record_line(record)}: {file}")
 
 
 def _tell(found: Any, figure: Path | None, table: Path | None, episodes: Path | None) -> None:  # noqa: ANN401

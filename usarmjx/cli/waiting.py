@@ -11,6 +11,7 @@ from pathlib import Path
 import typer
 
 from usarmjx.base.compilation import (
+    COMPILATION,
     JAX_FOLDER,
     compile_quickly,
     keep_compilations,
@@ -21,7 +22,6 @@ FIRST, INTERVAL = 3.0, 10.0
 """After so long something is said of a compilation, and then again and again [s]."""
 GAP = 5.0
 """What comes so soon after another compilation belongs to it [s]."""
-COMPILATION = "/jax/core/compile/"
 LOWERED, COMPILED = "jaxpr_to_mlir_module_duration", "backend_compile_duration"
 
 

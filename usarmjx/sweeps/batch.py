@@ -37,6 +37,7 @@ class CellEpisodes:
         bad: Which of them went wrong in their physics (episodes,).
         metrics: The task's metrics at their ends, by name (episodes,).
         seconds: The cell's share of the time that its batch took [s].
+        agents: Robots that act in each world; 0: not known.
     """
 
     scores: np.ndarray
@@ -44,6 +45,7 @@ class CellEpisodes:
     bad: np.ndarray
     metrics: dict[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     seconds: float = 0.0
+    agents: int = 0
 
 
 class GroupRunner:
@@ -85,7 +87,9 @@ class GroupRunner:
         weights = jax.tree.map(lambda *rows: jnp.stack(rows), *[cell.driver.weights for cell in cells])
         found = self._play(cells, weights, tick or (lambda share: None))
         taken = (time.perf_counter() - begun) / len(chosen)
-        return [replace(self._of(found, place), seconds=taken) for place in range(len(chosen))]
+        agents = sum(len(group.agents) for group in self.env.groups)
+        own = [self._of(found, place) for place in range(len(chosen))]
+        return [replace(one, seconds=taken, agents=agents) for one in own]
 
     def _of(self, found: CellEpisodes, place: int) -> CellEpisodes:
         rows = slice(place * self._episodes, (place + 1) * self._episodes)

@@ -8,6 +8,7 @@ from typing import Any
 from usarmjx.base.errors import UsarmjxError, one_line
 from usarmjx.recording.versions import versions
 from usarmjx.sweeps.batch import CellEpisodes, GroupRunner
+from usarmjx.sweeps.compile_clock import compile_clock
 from usarmjx.sweeps.resolve import Resolved, resolve
 from usarmjx.sweeps.settings import CellSettings
 from usarmjx.sweeps.store import CellRecord
@@ -45,6 +46,8 @@ class _Kept:
 
 def play_batch(work: BatchWork, watch: ShareWatch | None = None) -> list[CellRecord]:
     """Play a batch; where it fails, its halves, so that one broken cell does not stop the others."""
+    clock = compile_clock()
+    clock.taken()  # what was compiled before is not of this batch
     try:
         found = _episodes(work, watch)
     except Exception as error:  # whatever a policy or the device does
@@ -52,7 +55,8 @@ def play_batch(work: BatchWork, watch: ShareWatch | None = None) -> list[CellRec
         if len(work.chosen) == 1:
             return [failure(*work.cells[work.chosen[0]], _reason(error))]
         return [record for half in _halves(work) for record in play_batch(half)]
-    return [_record(work, place, one) for place, one in zip(work.chosen, found, strict=True)]
+    compiling = clock.taken() / len(work.chosen)
+    return [_record(work, place, one, compiling) for place, one in zip(work.chosen, found, strict=True)]
 
 
 def _reason(error: Exception) -> str:
@@ -93,7 +97,7 @@ def _halves(work: BatchWork) -> list[BatchWork]:
     return halves
 
 
-def _record(work: BatchWork, place: int, one: CellEpisodes) -> CellRecord:
+def _record(work: BatchWork, place: int, one: CellEpisodes, compiling: float) -> CellRecord:
     key, settings = work.cells[place]
     return CellRecord(
         key=key,
@@ -104,6 +108,8 @@ def _record(work: BatchWork, place: int, one: CellEpisodes) -> CellRecord:
         bad=tuple(one.bad.tolist()),
         metrics={name: tuple(values.tolist()) for name, values in one.metrics.items()},
         seconds=one.seconds,
+        compile_seconds=compiling,
+        agents=one.agents,
         versions=versions(),
     )
 

@@ -149,8 +149,27 @@ def run_sweep(
         UsageError: No such engine or place.
         WriteError: The folder cannot be written to.
     """
-    workers, say = workers or Workers(), say or (lambda line: None)
     prepared = prepare(spec, folder, retry)
+    return play_prepared(spec, folder, prepared, workers, say=say, stream=stream, sinks=sinks)
+
+
+def play_prepared(
+    spec: SweepSpec,
+    folder: Path,
+    prepared: Prepared,
+    workers: Workers | None = None,
+    *,
+    say: Callable[[str], None] | None = None,
+    stream: TextIO | None = None,
+    sinks: Sequence[Sink] = (),
+) -> StoredSweep:
+    """Play what `prepare` has found, and keep each cell; see `run_sweep`.
+
+    Raises:
+        UsageError: No such place.
+        WriteError: The folder cannot be written to.
+    """
+    workers, say = workers or Workers(), say or (lambda line: None)
     write_sweep(folder, spec.name, spec.about, spec.axes, prepared.keys)
     if prepared.known:
         say(f"{prepared.known} of {len(spec.cells)} cells are there already")

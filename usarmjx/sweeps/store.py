@@ -31,6 +31,8 @@ class CellRecord:
         bad: Episodes whose physics went wrong (episodes,).
         metrics: The task's metrics at their ends, by name (episodes,).
         seconds: Its share of the time that its batch took [s].
+        compile_seconds: Its share of the time that JAX compiled for its batch [s].
+        agents: Robots that act in each world; 0: not known.
         versions: Of what computed it.
         failed: Why there is no result; None: there is one.
     """
@@ -43,6 +45,8 @@ class CellRecord:
     bad: tuple[bool, ...] = ()
     metrics: dict[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
     seconds: float = 0.0
+    compile_seconds: float = 0.0
+    agents: int = 0
     versions: dict[str, str] = field(default_factory=dict[str, str])
     failed: str | None = None
 

@@ -3,6 +3,7 @@
 A worker that is lost, by the system or with its machine, is replaced, and what it was doing is done again.
 """
 
+import logging
 import multiprocessing
 import os
 import shutil
@@ -140,7 +141,8 @@ def _on_ray(
     started = not ray.is_initialized()
     if started:
         try:
-            ray.init(address=address, log_to_driver=False, include_dashboard=False, logging_level="error")
+            quiet = {"log_to_driver": False, "include_dashboard": False, "logging_level": logging.ERROR}
+            ray.init(address=address, **quiet)
         except Exception as error:
             raise UsageError(
                 f"Ray does not start{f' at {address}' if address else ''}: {one_line(error)}"

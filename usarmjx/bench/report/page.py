@@ -32,6 +32,7 @@ BLOCKS: Mapping[str, Callable[[Sequence[BenchRecord]], str]] = {
     "physics": tables.physics_table,
     "compile": tables.compile_table,
     "memory": tables.memory_table,
+    "sweep": tables.sweep_table,
     "history": tables.history_table,
     "peers": peers_text,
 }

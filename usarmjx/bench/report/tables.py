@@ -300,6 +300,32 @@ def memory_table(records: Sequence[BenchRecord]) -> str:
     return records_table(records, "memory", head, rows)
 
 
+def sweep_table(records: Sequence[BenchRecord]) -> str:
+    """Sweeps: how many cells in how long."""
+    head = (
+        "sweep", "engine", "cells", "failed", "batches", "compilations", "episodes", "to the last cell [s]",
+        "of it compilation [s]", "agent-steps/s", "score, 95 % interval",
+    )  # fmt: skip
+
+    def rows(record: BenchRecord) -> Iterator[MarkdownRow]:
+        data, rates = record.data, record.data["rates"]
+        yield [
+            record.case["sweep"],
+            ", ".join(record.case["engines"]),
+            *(number(data[name]) for name in ("cells", "failed", "batches", "compilations", "episodes")),
+            number(data["wall_s"]),
+            number(data["compile_s"]),
+            number(rates["agent_steps"]["rate"] if "agent_steps" in rates else None),
+            "; ".join(
+                f"{row['task']}, {row['policy']}: {number(row['score'])} "
+                f"({number(row['low'])} to {number(row['high'])})"
+                for row in data["scores"]
+            ),
+        ]
+
+    return records_table(records, "sweep", head, rows)
+
+
 RATE_KEYS = {
     "step": ("robot_steps_per_s", "robot-steps/s"),
     "rays": ("rays_per_s", "rays/s"),
