@@ -37,15 +37,18 @@ def measure(run, state, options, period, packages, device, **more):
         options: As `read_options` returns them.
         period: Simulated time of a step [s].
         packages: Names of the packages whose versions count.
-        device: What it ran on.
+        device: What it ran on, "cpu" or "host" for the processor.
         more: Anything else that the record shall say.
     """
+    if options.device == "gpu" and device in ("cpu", "host"):
+        sys.exit(f"asked for a GPU, has only {device}")  # before minutes are spent
     times = []
     for _ in range(options.repeats + WARM_UP):
         began = time.perf_counter()
         state = run(state)
         times.append(time.perf_counter() - began)
     found = {
+        "warm_up": WARM_UP,
         "first_s": sum(times[:WARM_UP]),
         "times_s": times[WARM_UP:],
         "period_s": period,

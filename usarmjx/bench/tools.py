@@ -14,7 +14,7 @@ from typing import Any
 
 import jax
 
-from usarmjx.base.files import AppendedFile
+from usarmjx.base.files import AppendedFile, write_beside
 from usarmjx.base.threads import cores
 
 FORM = 2
@@ -23,6 +23,8 @@ WARM_UP = 1
 """Calls before the clock starts: the first one compiles."""
 PROCESSOR_FILE, MEMORY_FILE = Path("/proc/cpuinfo"), Path("/proc/meminfo")
 GIGABYTE = 1e9
+PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
+"""Environment variable: whether JAX takes three quarters of a GPU's memory at once; unless set it does."""
 
 
 def versions() -> dict[str, str]:
@@ -104,6 +106,23 @@ def record_header(benchmark: str, *, host: bool = False, note: str = "") -> dict
     }
 
 
+def spare_memory() -> None:
+    """Let JAX find its devices now, so that this process takes a GPU's memory only as it needs it.
+
+    It shall come before anything else that asks for devices. Processes that are started later do as the
+    environment says.
+    """
+    said = os.environ.get(PREALLOCATE)
+    os.environ[PREALLOCATE] = "false"
+    try:
+        jax.devices()
+    finally:
+        if said is None:
+            del os.environ[PREALLOCATE]
+        else:
+            os.environ[PREALLOCATE] = said
+
+
 def append_record(record: dict[str, Any], file: Path | None) -> None:
     """Append a record to a file as a line of JSON, the load by now in it; None: do not."""
     if "hardware" in record:  # samples of a soak say it once
@@ -112,6 +131,25 @@ def append_record(record: dict[str, Any], file: Path | None) -> None:
         lines = AppendedFile(file)
         lines.append(json.dumps(record).encode() + b"\n")
         lines.close()
+
+
+def rewrite_record(record: dict[str, Any], file: Path, before: bytes = b"") -> bytes:
+    """Put a record that has grown into a file of records, in one piece; return its line.
+
+    Args:
+        record: The record; the load by now is put in it.
+        file: Of records, which may be missing.
+        before: The line that it had there; empty, or not there any more: it comes last.
+
+    Raises:
+        WriteError: The file is as it was.
+    """
+    record["hardware"]["load_average"]["end"] = load()
+    line = json.dumps(record).encode() + b"\n"
+    said = file.read_bytes() if file.exists() else b""
+    with write_beside(file) as fresh:
+        fresh.write_bytes(said.replace(before, line) if before and before in said else said + line)
+    return line
 
 
 def time_repeats(
@@ -138,14 +176,17 @@ def time_repeats(
     return times[0], times[WARM_UP:], state
 
 
-def rate_of(unit: str, work: float, first: float, times: Sequence[float]) -> dict[str, Any]:
+def rate_of(
+    unit: str, work: float, first: float, times: Sequence[float], warm_up: int = WARM_UP
+) -> dict[str, Any]:
     """Return a rate as records have it: the median of the repeats and their spread, compilation apart.
 
     Args:
         unit: Of the rate, as `robot-steps/s`.
         work: Done in each repeat, in that unit times a second.
-        first: Time of the call before, which compiled [s].
+        first: Time of the calls before, which compiled [s].
         times: Of the repeats [s].
+        warm_up: How many calls were before.
     """
     return {
         "unit": unit,
@@ -153,8 +194,8 @@ def rate_of(unit: str, work: float, first: float, times: Sequence[float]) -> dic
         "least": work / max(times),
         "most": work / min(times),
         "repeats": len(times),
-        "warm_up": WARM_UP,
-        "compile_s": first - times[0],
+        "warm_up": warm_up,
+        "compile_s": first - warm_up * times[0],
         "times_s": list(times),
     }
 

@@ -185,6 +185,13 @@ def bench_peers(
     engine: Annotated[
         list[str] | None, typer.Option(help="Engine of ours; may be repeated. Else auto and planar.")
     ] = None,
+    variant: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Only this of a peer or of ours, as jaxnav, navigation, whole, blind or bare; "
+            "may be repeated. Else all."
+        ),
+    ] = None,
     arena: ArenaOption = "yellow",
     folder: Annotated[Path, typer.Option(help="Where the peers are.")] = Path("benchmarks/peers"),
     environments: Annotated[
@@ -209,6 +216,7 @@ def bench_peers(
             sizes=parse_sizes(size or ["64x4"]),
             peers=tuple(peer or ()),
             engines=tuple(engine or ("auto", "planar")),
+            variants=tuple(variant or ()),
             steps=steps,
             repeats=repeats,
             seed=seed,

@@ -1,8 +1,11 @@
 """Ours and others in turn, on one machine in one run: robots x steps and simulated time per second."""
 
 import os
+import signal
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import threading
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -11,9 +14,10 @@ from typing import Any
 import jax
 import mujoco
 
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.bench.peering.ours import WORKLOADS, Workload
 from usarmjx.bench.peering.peers import (
+    ON_HOST,
     SCRIPT,
     ContestantError,
     Peer,
@@ -21,8 +25,9 @@ from usarmjx.bench.peering.peers import (
     ensure_environment,
     read_peers,
 )
+from usarmjx.bench.peering.results import INTERRUPTED, GrowingRecord, row_figures, summary
 from usarmjx.bench.scenes import SceneCase, start_qpos
-from usarmjx.bench.tools import append_record, rate_of, record_header
+from usarmjx.bench.tools import rate_of, record_header, spare_memory
 from usarmjx.engines import choose_engine
 from usarmjx.engines.c import c_model
 
@@ -41,6 +46,7 @@ class ContestCase:
         sizes: Worlds and robots in each.
         peers: Folders of the peers; none: all there are.
         engines: Of ours.
+        variants: Of the peers and of `WORKLOADS`, those that are measured; none: all.
         steps: Of a repeat.
         repeats: How many.
         seed: Of all random numbers.
@@ -51,6 +57,7 @@ class ContestCase:
     sizes: tuple[tuple[int, int], ...] = ((64, 4),)
     peers: tuple[str, ...] = ()
     engines: tuple[str, ...] = ("auto", "planar")
+    variants: tuple[str, ...] = ()
     steps: int = 20
     repeats: int = 3
     seed: int = 0
@@ -85,6 +92,9 @@ def measure_peers(
 ) -> str:
     """Run all in turn, append a record to `file` as a JSON line, and return a summary for people.
 
+    The record is written anew after each row, so that it has those that there are whatever ends the run.
+    SIGTERM ends it as Ctrl-C does.
+
     Args:
         case: What to measure.
         folder: Of the peers' folders.
@@ -96,49 +106,81 @@ def measure_peers(
 
     Raises:
         UsageError: No such peer, or no source tree.
-        UnknownNameError: No such engine.
+        UnknownNameError: No such engine or variant.
+        WriteError: The file cannot be written; it has the rows before.
     """
     peers = read_peers(folder, case.peers)
+    spare_memory()
     engines = tuple(dict.fromkeys(choose_engine(engine, "batch") for engine in case.engines))
-    header = record_header("peers", note=note)
-    rows: list[dict[str, Any]] = []
-    with tempfile.TemporaryDirectory(prefix="usarmjx-peers-") as scratch:
-        turns = tuple(_contestants(case, peers, engines, folder, environments, install, Path(scratch)))
+    settings = {**asdict(case), "engines": engines}
+    record = GrowingRecord(record_header("peers", note=note), settings, file)
+    end = ""
+    with tempfile.TemporaryDirectory(prefix="usarmjx-peers-") as scratch, _sigterm_as_interrupt():
+        turns = _turns(case, peers, engines, folder, environments, install, Path(scratch))
+        chosen = _chosen(tuple(turns), case.variants)
         try:
-            for (worlds, robots), (row, words) in product(case.sizes, turns):
-                say(f"{row['who']}, {row['variant']}: {worlds} x {robots}")
-                rows.append({**row, "worlds": worlds, "robots": robots, **_run(case, words, worlds, robots)})
+            for (worlds, robots), turn in product(case.sizes, chosen):
+                say(f"{turn.row['who']}, {turn.row['variant']}: {worlds} x {robots}")
+                found = _run(case, turn, worlds, robots)
+                record.add({**turn.row, "worlds": worlds, "robots": robots, **found})
+                say(f"  {row_figures(found).strip()}")
         except KeyboardInterrupt:  # hours of work may be done: what is measured is kept
-            header["note"] = "; ".join(
-                filter(None, [header["note"], "interrupted: what came later is not here"])
-            )
-    if not rows:
+            end = INTERRUPTED
+    if not record.rows:
         raise UsageError("interrupted before anything was measured")
-    record = {
-        **header,
-        "case": {**asdict(case), "engines": engines},
-        "scene": None,
-        "rates": {
-            f"{row['who']}, {row['variant']}, {row['worlds']} x {row['robots']}": row["speed"]
-            for row in rows
-            if "speed" in row
-        },
-        "baselines": {
-            "mujoco_rollout": {"missing": "among the rows"},
-            "bare_mjx": {"missing": "among the rows: the part `bare` of engine jax or warp"},
-        },
-        "in_the_step": "told in each row",
-        "rows": rows,
-    }
-    append_record(record, file)
-    return summary(record)
+    return summary(record.finish(end))
+
+
+@contextmanager
+def _sigterm_as_interrupt() -> Generator[None]:
+    """Let SIGTERM raise KeyboardInterrupt, so that the process that measures is ended too."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 Words = Callable[[int, int], list[str]]
 """The command line that measures so many worlds of so many robots."""
 
 
-def _contestants(
+@dataclass(frozen=True)
+class Turn:
+    """What is measured at one go.
+
+    Attributes:
+        variant: What it is called where variants are chosen.
+        row: What a record says of it.
+        gpu: Whether it must run on a GPU; else it must not.
+        words: Its command line.
+    """
+
+    variant: str
+    row: Mapping[str, Any]
+    gpu: bool
+    words: Words
+
+
+def _chosen(turns: Sequence[Turn], variants: Sequence[str]) -> Sequence[Turn]:
+    """Return the turns of these variants; of none: all.
+
+    Raises:
+        UnknownNameError: None has such a variant.
+    """
+    known = dict.fromkeys(turn.variant for turn in turns)
+    if unknown := [name for name in variants if name not in known]:
+        raise UnknownNameError(
+            f"no variant is called {unknown[0]!r}; known of these peers and engines: "
+            + ", ".join(repr(name) for name in known)
+        )
+    return [turn for turn in turns if turn.variant in (variants or known)]
+
+
+def _turns(
     case: ContestCase,
     peers: Sequence[Peer],
     engines: Sequence[str],
@@ -146,18 +188,21 @@ def _contestants(
     environments: Path,
     install: bool,
     scratch: Path,
-) -> Iterator[tuple[dict[str, Any], Words]]:
-    """Yield who is measured: what a record says of them, and their command line."""
+) -> Iterator[Turn]:
+    """Yield all that can be measured."""
     gpu = jax.devices()[0].platform == "gpu"
     for peer in peers:
+        here = gpu and not peer.host
         for variant in peer.variants:
             row = {"who": peer.name, "variant": variant, **peer.about(variant)}
-            yield row, _peer_words(case, peer, variant, environments, install, gpu and not peer.host, scratch)
+            words = _peer_words(case, peer, variant, environments, install, here, scratch)
+            yield Turn(variant, row, here, words)
     for engine in engines:
         for name, part in WORKLOADS.items():
             if engine in (part.engines or (engine,)):
                 ini = folder.parent / part.ini if part.ini else None
-                yield _ours_row(engine, name, part), _ours_words(case, engine, name, ini)
+                words = _ours_words(case, engine, name, ini)
+                yield Turn(name, _ours_row(engine, name, part), gpu and engine != "c", words)
 
 
 def _ours_row(engine: str, name: str, part: Workload) -> dict[str, Any]:
@@ -215,14 +260,17 @@ def _save_model(arena: str, robots: int, folder: Path) -> Path:
     return file
 
 
-def _run(case: ContestCase, words: Words, worlds: int, robots: int) -> dict[str, Any]:
+def _run(case: ContestCase, turn: Turn, worlds: int, robots: int) -> dict[str, Any]:
     """Return a contestant's figures, or why there are none."""
     try:
-        found = ask_process(words(worlds, robots), case.limit)
+        found = ask_process(turn.words(worlds, robots), case.limit)
     except ContestantError as error:
         return {"missing": str(error)}
+    if (found["device"] in ON_HOST) == turn.gpu:
+        wanted = "a GPU" if turn.gpu else "the processor"
+        return {"missing": f"asked for {wanted}, ran on {found['device']}", "device": found["device"]}
     work = worlds * robots * found["steps"]
-    speed = rate_of("robot-steps/s", work, found["first_s"], found["times_s"])
+    speed = rate_of("robot-steps/s", work, found["first_s"], found["times_s"], found["warm_up"])
     load = round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None
     return {
         "speed": speed,
@@ -233,18 +281,3 @@ def _run(case: ContestCase, words: Words, worlds: int, robots: int) -> dict[str,
         "versions": found["versions"],
         "load_average": load,
     }
-
-
-def summary(record: Mapping[str, Any]) -> str:
-    """Return the rows as a table for people."""
-    lines = [
-        f"on {record['device']}, {record['hardware']['cores']} cores",
-        f"{'':44} {'worlds x robots':>15} {'robot-steps/s':>15} {'simulated s/s':>14}",
-    ]
-    for row in record["rows"]:
-        who, size = f"{row['who']}, {row['variant']}", f"{row['worlds']} x {row['robots']}"
-        figures = row.get("missing") or (
-            f"{row['robot_steps_per_s']:15,.0f} {row['robot_seconds_per_s']:14,.0f}"
-        )
-        lines.append(f"{who:44} {size:>15} {figures}")
-    return "\n".join(lines)

@@ -11,7 +11,7 @@ import jax
 
 from usarmjx.bench.loops import bare_step, repeat_loop, whole_step
 from usarmjx.bench.scenes import SceneCase
-from usarmjx.bench.tools import time_repeats, versions
+from usarmjx.bench.tools import WARM_UP, time_repeats, versions
 from usarmjx.sim.configure import configure
 
 
@@ -112,6 +112,7 @@ def measure(  # noqa: PLR0913 - as the command line has them
     if part != "bare":
         batch.check_overflow(end)
     return {
+        "warm_up": WARM_UP,
         "first_s": first,
         "times_s": times,
         "period_s": scene.physics.period,

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import venv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,12 @@ import yaml
 from usarmjx.base.errors import UsageError, UsarmjxError
 
 DESCRIPTION, SCRIPT, REQUIREMENTS = "peer.yaml", "measure.py", "requirements.txt"
+TOLD = ("robot", "has", "lacks", "settings")
+"""What is told of every rate; a variant may have its own words for it."""
+FIGURES = ("warm_up", "first_s", "times_s", "period_s", "steps", "device", "versions")
+"""What a measuring process prints."""
+ON_HOST = ("cpu", "host")
+"""Devices that are no accelerator."""
 LAST_LINES = 3
 """Of what a process complained about, in a message."""
 
@@ -30,12 +36,12 @@ class Peer:
     Attributes:
         folder: With its script and its requirements.
         name: What it is called.
-        variants: What of it is measured.
+        variants: What of it is measured; under each its rays of a robot (`beams`, else none), and of `TOLD`
+            what differs from the others.
         robot: What a robot is in it.
         has: What is in its step.
         lacks: What is not.
         settings: How it is run.
-        beams: Rays of a robot, by variant.
         authors: A figure of its authors', in their words; none: "".
         citation: Where that is from.
         host: Whether it runs on the host's processor alone.
@@ -43,25 +49,19 @@ class Peer:
 
     folder: Path
     name: str
-    variants: Mapping[str, Any]
+    variants: Mapping[str, Mapping[str, Any]]
     robot: str
     has: str
     lacks: str
     settings: str
-    beams: Mapping[str, int] = field(default_factory=dict[str, int])
     authors: str = ""
     citation: str = ""
     host: bool = False
 
     def about(self, variant: str) -> dict[str, Any]:
         """Return what a reader must know of a variant's rate."""
-        told = {name: getattr(self, name) for name in ("robot", "has", "lacks", "settings")}
-        return {
-            **told,
-            "beams": self.beams.get(variant, 0),
-            "authors": self.authors,
-            "citation": self.citation,
-        }
+        told = {name: getattr(self, name) for name in (*TOLD, "authors", "citation")}
+        return {**told, "beams": 0, **self.variants[variant]}
 
 
 def read_peers(folder: Path, names: Sequence[str] = ()) -> list[Peer]:
@@ -84,9 +84,13 @@ def read_peers(folder: Path, names: Sequence[str] = ()) -> list[Peer]:
 
 def _read(file: Path) -> Peer:
     try:
-        return Peer(folder=file.parent, **yaml.safe_load(file.read_text(encoding="utf-8")))
+        peer = Peer(folder=file.parent, **yaml.safe_load(file.read_text(encoding="utf-8")))
     except (TypeError, yaml.YAMLError) as error:
         raise UsageError(f"{file}: {str(error).splitlines()[0]}") from error
+    for variant, own in peer.variants.items():
+        if odd := [name for name in own if name not in (*TOLD, "beams")]:
+            raise UsageError(f"{file}: {variant!r} cannot have {odd[0]!r}, but {', '.join(TOLD)}, beams")
+    return peer
 
 
 def python_of(environment: Path) -> Path:
@@ -111,12 +115,15 @@ def ensure_environment(peer: Peer, folder: Path, *, install: bool) -> Path:
         return python
     if not install:
         raise ContestantError(f"{peer.name} has no environment at {environment}")
-    venv.create(environment, with_pip=True)
     wanted = ["-m", "pip", "install", "--quiet", "-r", str(peer.folder / REQUIREMENTS)]
-    done = subprocess.run([str(python), *wanted], capture_output=True, text=True)
-    if done.returncode:
-        python.unlink()  # half of its packages may be there
-        raise ContestantError(f"{peer.name} cannot be installed: {_last_lines(done.stderr)}")
+    try:
+        venv.create(environment, with_pip=True)
+        done = subprocess.run([str(python), *wanted], capture_output=True, text=True)
+        if done.returncode:
+            raise ContestantError(f"{peer.name} cannot be installed: {_last_lines(done.stderr)}")
+    except BaseException:  # failed or interrupted: half of its packages may be there
+        python.unlink(missing_ok=True)
+        raise
     return python
 
 
@@ -132,7 +139,7 @@ def ask_process(words: Sequence[str], limit: float) -> dict[str, Any]:
         limit: After which it is ended [s].
 
     Raises:
-        ContestantError: It failed, took too long, or said nothing.
+        ContestantError: It failed, took too long, or did not say what is needed.
     """
     command = list(words) if Path(words[0]).exists() else [sys.executable, *words]
     try:
@@ -142,6 +149,9 @@ def ask_process(words: Sequence[str], limit: float) -> dict[str, Any]:
     if done.returncode:
         raise ContestantError(_last_lines(done.stderr) or f"ended with status {done.returncode}")
     try:
-        return json.loads(done.stdout.strip().splitlines()[-1])
+        found = json.loads(done.stdout.strip().splitlines()[-1])
     except (IndexError, json.JSONDecodeError):
         raise ContestantError(f"said no figures: {_last_lines(done.stdout)}") from None
+    if missing := [name for name in FIGURES if name not in found]:
+        raise ContestantError(f"said no {missing[0]!r}")
+    return found

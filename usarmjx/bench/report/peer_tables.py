@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from usarmjx.bench.peering.results import device_of, devices_differ
 from usarmjx.bench.report.records import BenchRecord
 from usarmjx.bench.report.tables import NOTHING, number, of, table
 
@@ -16,10 +17,11 @@ def _run_text(record: BenchRecord) -> str:
     load = record.data["hardware"]["load_average"]
     begin, end = (number(load[when]) for when in ("begin", "end"))
     note = f" {record.data['note']}." if record.data["note"] else ""
+    differ = devices_differ(record.data["rows"])
     rates = table(
         (
             "simulator", "variant", "worlds x robots", "robot-steps/s", "a step is [s]",
-            "simulated robot-s per s", "least to most", "load",
+            "simulated robot-s per s", "least to most", "load", *(["on"] if differ else []),
         ),
         (
             [
@@ -39,6 +41,7 @@ def _run_text(record: BenchRecord) -> str:
                     if "speed" in row
                     else [f"not measured: {row['missing']}", "-", "-", "-", "-"]
                 ),
+                *([device_of(row)] if differ else []),
             ]
             for row in record.data["rows"]
         ),
