@@ -134,6 +134,7 @@ def test_variants_are_chosen_by_name(folder, asked, tmp_path):
     case = ContestCase(engines=("c",), steps=1, repeats=1, variants=("blind", "fine"))
     measure_peers(case, folder, tmp_path, say=said.append)
     assert said[::2] == ["Toy, fine: 64 x 4", "usarmjx, c, blind: 64 x 4"]
+    assert said[3] == f"  {64 * 4 * 3 / 0.5:,.0f} robot-steps/s on host"
     wrong = ContestCase(engines=("c",), variants=("fine", "12 beams, open ground"))
     with pytest.raises(UnknownNameError, match=r"'fine', 'broken', 'whole', 'blind', 'bare'$"):
         measure_peers(wrong, folder, tmp_path)  # engine c is not measured with twelve

@@ -25,7 +25,7 @@ from usarmjx.bench.peering.peers import (
     ensure_environment,
     read_peers,
 )
-from usarmjx.bench.peering.results import INTERRUPTED, GrowingRecord, row_figures, summary
+from usarmjx.bench.peering.results import INTERRUPTED, GrowingRecord, outcome, summary
 from usarmjx.bench.scenes import SceneCase, start_qpos
 from usarmjx.bench.tools import rate_of, record_header, spare_memory
 from usarmjx.engines import choose_engine
@@ -123,7 +123,7 @@ def measure_peers(
                 say(f"{turn.row['who']}, {turn.row['variant']}: {worlds} x {robots}")
                 found = _run(case, turn, worlds, robots)
                 record.add({**turn.row, "worlds": worlds, "robots": robots, **found})
-                say(f"  {row_figures(found).strip()}")
+                say(f"  {outcome(found)}")
         except KeyboardInterrupt:  # hours of work may be done: what is measured is kept
             end = INTERRUPTED
     if not record.rows:

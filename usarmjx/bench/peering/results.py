@@ -85,9 +85,9 @@ def devices_differ(rows: Sequence[Mapping[str, Any]]) -> bool:
     return len({device_of(row) for row in rows if "device" in row}) > 1
 
 
-def row_figures(row: Mapping[str, Any]) -> str:
-    """Return a row's rates for people, or why there are none."""
-    return row.get("missing") or f"{row['robot_steps_per_s']:15,.0f} {row['robot_seconds_per_s']:14,.0f}"
+def outcome(row: Mapping[str, Any]) -> str:
+    """Return a row's rate and device for people, or why there is none."""
+    return row.get("missing") or f"{row['robot_steps_per_s']:,.0f} robot-steps/s on {row['device']}"
 
 
 def summary(record: Mapping[str, Any]) -> str:
@@ -100,5 +100,8 @@ def summary(record: Mapping[str, Any]) -> str:
     for row in record["rows"]:
         who, size = f"{row['who']}, {row['variant']}", f"{row['worlds']} x {row['robots']}"
         where = f"  {device_of(row)}" if differ else ""
-        lines.append(f"{who:44} {size:>15} {row_figures(row)}{where}")
+        figures = row.get("missing") or (
+            f"{row['robot_steps_per_s']:15,.0f} {row['robot_seconds_per_s']:14,.0f}{where}"
+        )
+        lines.append(f"{who:44} {size:>15} {figures}")
     return "\n".join(lines)
