@@ -7,7 +7,7 @@ import sys
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol
+from typing import TYPE_CHECKING, Annotated, Protocol
 
 import typer
 
@@ -16,6 +16,7 @@ from usarmjx.cli.completion import complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption
 from usarmjx.cli.recordings import RecordOption, export_recording
 from usarmjx.cli.tools import ErrorExit, OldOutArgument, chosen_out
+from usarmjx.cli.training_settings import RunOptions, plan_run
 from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
 from usarmjx.cli.waiting import announce, say
 from usarmjx.server.signals import PARENT_PIPE
@@ -69,6 +70,18 @@ def train(
         bool,
         typer.Option("--resume", help="Go on where the run in the folder was left, with its settings."),
     ] = False,
+    source: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="RUN",
+            help="Begin with the networks of another run, on this engine: its folder.",
+            show_default=False,
+        ),
+    ] = None,
+    checkpoint: Annotated[
+        str, typer.Option(help="With --from: best, last, or the number of an iteration.")
+    ] = "best",
     processes: Annotated[int, typer.Option(min=1, help="Processes on this host, each with a device.")] = 1,
     quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress bar.")] = False,
     serve: Annotated[
@@ -91,6 +104,10 @@ def train(
     """Train a policy for a task. An unknown --set key lists what may be set."""
     with ErrorExit():
         task = _task_of(named, task)
+        if resume and source is not None:
+            raise UsageError("a run that is resumed has networks of its own: leave out --from or --resume")
+        if source is None and checkpoint != "best":
+            raise UsageError("--checkpoint says which one of the run that --from names: name that, too")
         out = out or Path("runs") / task.rpartition(":")[2].removesuffix(".py")
         from usarmjx.train.processes.launch import process_info, spawn
 
@@ -105,15 +122,23 @@ def train(
             _served(out, port, serve and process.index == 0),
             viewer_socket(HOST, viewer_port, 0, view and process.index == 0) as page,
         ):
-            chosen = {"worlds": worlds, "steps": steps, "seed": seed}
             watchers: list[_TrainingWatcher] = []
             if page is not None:
                 watchers.append(_ShownTraining(page, f"{task}, in training"))
             if record is not None and process.index == 0:
                 watchers.append(_RecordedTraining(record, record_every))
-            how = out, engine, resume, not quiet and not process.index
-            project = None if process.index else wandb
-            score = _train(task, chosen, settings or [], how, watchers, project)
+            typed = {"worlds": worlds, "steps": steps, "seed": seed}
+            options = RunOptions(
+                out=out,
+                engine=engine,
+                resume=resume,
+                source=source,
+                checkpoint=checkpoint,
+                given={key: value for key, value in typed.items() if value is not None},
+                pairs=settings or [],
+            )
+            bar = not quiet and not process.index
+            score = _train(task, options, watchers, None if process.index else wandb, bar)
             if process.index == 0:
                 typer.echo(score)
 
@@ -155,39 +180,31 @@ def _served(run: Path, port: int, wanted: bool) -> Generator[None]:
 
 def _train(
     task: str,
-    given: dict[str, int | None],
-    pairs: list[str],
-    how: tuple[Path, str, bool, bool],
+    options: RunOptions,
     watchers: "Sequence[_TrainingWatcher]",
     project: str | None,
+    bar: bool,
 ) -> str:
     """Train, in one of the processes, which must be joined already: some imports put arrays on the device.
 
     Args:
         task: Name of the task.
-        given: Settings with options of their own.
-        pairs: Others, as typed.
-        how: Folder, engine, whether to resume, whether to show a bar.
+        options: What is asked for.
         watchers: Who gets to see the worlds.
         project: Of Weights & Biases; None: it is not shown there.
+        bar: Show one.
 
     Returns:
         What came of it, in a line.
     """
-    from usarmjx.train.learning.record import EnvArguments
     from usarmjx.train.learning.trainer import train as run
     from usarmjx.train.make import make
 
-    out, engine, resume, bar = how
-    chosen = {key: value for key, value in given.items() if value is not None}
-    if resume:
-        chosen, pairs, engine = _as_before(out, chosen, pairs, engine)
-    else:
-        pairs, engine = _as_usual(task, pairs, engine)
-    config, overrides = _split_settings(task, pairs, chosen, engine)
+    plan, out = plan_run(task, options), options.out
+    config, engine = plan.config, plan.origin.engine
 
     def worlds_of(count: int, first: int) -> "Env":
-        env = make(task, worlds=count, engine=engine, seed=config.seed, first=first, **overrides)
+        env = make(task, worlds=count, engine=engine, seed=config.seed, first=first, **plan.overrides)
         for watcher in watchers:
             watcher.begin(env, config)
         return env
@@ -201,15 +218,14 @@ def _train(
         from usarmjx.train.learning.wandb_log import wandb_watch
 
         watch = wandb_watch(project, out.name, {"task": task, **vars(config)}, say)
-    typed = dict(pair.split("=", 1) for pair in pairs)
-    origin = EnvArguments(engine, {key: typed[key] for key in overrides})
     try:
         done = run(
             worlds_of,
             config,
             out,
-            resume,
-            origin=origin,
+            options.resume,
+            origin=plan.origin,
+            source=plan.source,
             progress=bar,
             watch=watch,
             look=look if watchers else None,
@@ -292,54 +308,6 @@ class _RecordedTraining:
     def close(self) -> None:
         """Complete the file."""
         self._held.close()
-
-
-def _as_before(
-    run: Path, given: dict[str, int], pairs: list[str], engine: str
-) -> tuple[dict[str, Any], list[str], str]:
-    """Return settings, others as typed, and engine: as the run was started, unless asked for otherwise."""
-    from usarmjx.train.learning.record import RECORD_FILE, load_record
-
-    if not (run / RECORD_FILE).exists():
-        return given, pairs, engine
-    record, typed = load_record(run), {pair.partition("=")[0] for pair in pairs}
-    kept = {key: value for key, value in vars(record.config).items() if key not in typed}
-    fields = [f"{key}={text}" for key, text in record.overrides.items() if key not in typed]
-    return {**kept, **given}, [*fields, *pairs], record.engine if engine == "auto" else engine
-
-
-def _as_usual(task: str, pairs: list[str], engine: str) -> tuple[list[str], str]:
-    """Return fields as typed, with those of the task's trainings on its usual engine; and the engine."""
-    from usarmjx.engines import choose_engine
-    from usarmjx.train.learning.defaults import training_engine, training_fields
-
-    chosen, typed = training_engine(task, engine), {pair.partition("=")[0] for pair in pairs}
-    usual = [f"{key}={value}" for key, value in training_fields(task, chosen).items() if key not in typed]
-    if chosen != choose_engine(engine, "train"):
-        say(", ".join([f"{task} trains on engine {chosen} unless another is named", *usual]))
-    return [*usual, *pairs], chosen
-
-
-def _split_settings(
-    task: str, pairs: list[str], given: dict[str, Any], engine: str
-) -> tuple["Config", dict[str, Any]]:
-    """Return the settings of the training, and the fields of the task that are set otherwise."""
-    from dataclasses import asdict, fields
-
-    from usarmjx.train.learning.config import Config, parse_settings, task_config
-    from usarmjx.train.learning.defaults import on_gpu
-    from usarmjx.train.make import make_task
-
-    chosen = make_task(task)
-    own = {field.name: getattr(chosen, field.name) for field in fields(chosen)}
-    simple = {
-        name: value for name, value in own.items() if isinstance(value, str | bool | int | float | tuple)
-    }
-    training = asdict(Config())
-    found = parse_settings(pairs, {**simple, **training}, f"{task} and its training")
-    overrides = {key: value for key, value in found.items() if key not in training}
-    chosen_here = {**given, **{key: value for key, value in found.items() if key in training}}
-    return task_config(task, gpu=on_gpu(engine), **chosen_here), overrides
 
 
 @app.command()

@@ -27,7 +27,13 @@ from usarmjx.base.extras import extra
 from usarmjx.base.files import PARTIAL, disk_fault, write_beside, writing
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.learning.record import RunRecord, load_record
-from usarmjx.train.learning.train_state import TrainState, make_networks, make_train_state, policy_params
+from usarmjx.train.learning.train_state import (
+    Networks,
+    TrainState,
+    make_networks,
+    make_train_state,
+    policy_params,
+)
 from usarmjx.train.learning.trajectory import RolloutState
 from usarmjx.train.processes.group import ProcessGroup, Tree
 
@@ -344,8 +350,8 @@ class Checkpoints:
             shutil.rmtree(gone, ignore_errors=True)
 
 
-def load_policy(run: Path, which: str = "best") -> tuple[LearnedPolicy, PolicyParams, RunRecord]:
-    """Return the policy of a run.
+def load_train_state(run: Path, which: str = "best") -> tuple[Networks, TrainState, RunRecord]:
+    """Return the networks of a run, all that was learned, and what the run was started with.
 
     Args:
         run: Folder of the run.
@@ -359,5 +365,10 @@ def load_policy(run: Path, which: str = "best") -> tuple[LearnedPolicy, PolicyPa
     path = checkpoints.find(which)
     checkpoints.meta(path)  # refuses what another version wrote
     networks = make_networks(record.groups, record.privileged_size, record.config)
-    train_state = read_part(path, "learner", make_train_state(networks, record.config))
+    return networks, read_part(path, "learner", make_train_state(networks, record.config)), record
+
+
+def load_policy(run: Path, which: str = "best") -> tuple[LearnedPolicy, PolicyParams, RunRecord]:
+    """Return the policy of a run; see `load_train_state`."""
+    networks, train_state, record = load_train_state(run, which)
     return networks.policy, policy_params(train_state), record

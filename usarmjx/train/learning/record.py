@@ -50,6 +50,8 @@ class RunRecord:
         processes: How many trained together.
         config: All settings.
         versions: Of the packages that results depend on.
+        began_with: Run and checkpoint whose networks it began with, see `TrainedNetworks.origin`; None: with
+            random ones.
     """
 
     task: str
@@ -62,6 +64,7 @@ class RunRecord:
     processes: int
     config: Config
     versions: dict[str, str] = field(default_factory=dict[str, str])
+    began_with: dict[str, Any] | None = None
 
     def save(self, folder: Path) -> None:
         """Write the record into a folder.

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -23,6 +23,7 @@ from usarmjx.train.envs.state import EnvState
 from usarmjx.train.evaluation.evaluate import play_episodes
 from usarmjx.train.learning.checkpoint import FULL, Checkpoints, read_part
 from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_begun
 from usarmjx.train.learning.imitation import teacher_of
 from usarmjx.train.learning.metrics import Log, read_lines, summary
 from usarmjx.train.learning.ppo import update
@@ -203,6 +204,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
     resume: bool = False,
     *,
     origin: EnvArguments = DEFAULT_ENV_ARGUMENTS,
+    source: TrainedNetworks | None = None,
     progress: bool = True,
     watch: Callable[[dict[str, Any]], None] | None = None,
     look: Callable[[EnvState], None] | None = None,
@@ -216,6 +218,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
         out: Folder of the run.
         resume: Go on where the run in that folder was left; from the start if it had no checkpoint yet.
         origin: For the record: what the environment was made with.
+        source: Networks to begin with; None: random ones. A run that is resumed has its own.
         progress: Show a bar in the terminal.
         watch: Called with what is written of each iteration.
         look: Gets to see the worlds of this process: as they are before the first action, and then again
@@ -224,7 +227,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
     Raises:
         UsageError: The folder has a run already, or none to resume, or one that was started otherwise, went
             further than is asked for, or is being trained; a broken checkpoint; numbers of worlds,
-            minibatches and processes that do not fit.
+            minibatches and processes, or networks to begin with, that do not fit.
         WriteError: The folder cannot be written to, or something is missing there at the end.
     """
     out, process_group = Path(out), ProcessGroup()
@@ -241,13 +244,19 @@ def train(  # noqa: PLR0913 - all but three may be left out
         record = make_record(trainer.env, config, process_group.count, origin)
         checkpoints = Checkpoints(out, process_group, config.keep)
         if resume:
-            record.check_resumes(load_record(out), out)
+            old = load_record(out)
+            record.check_resumes(old, out)
             _check_ahead(trainer, checkpoints)
+            record = replace(record, began_with=old.began_with)
         else:
             _lock(held, out, process_group)
             _check_new(out, process_group)  # another one may have been quicker
+        if source is not None:
+            source.check(trainer.networks)
+            record = replace(record, began_with=source.origin)
+        check_begun(checkpoints, record, source)
         _prepare(out, record, process_group)
-        train_state, worlds, before = _restore(trainer, checkpoints)
+        train_state, worlds, before = _restore(trainer, checkpoints, source)
         trainer.rollout.look(worlds.env_state)
         log = Log(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None
         return _run(trainer, checkpoints, (train_state, worlds, before), log, watch)
@@ -285,8 +294,15 @@ def _prepare(out: Path, record: RunRecord, process_group: ProcessGroup) -> None:
     process_group.barrier("prepared")
 
 
-def _restore(trainer: Trainer, checkpoints: Checkpoints) -> tuple[TrainState, RolloutState, int]:
+def _restore(
+    trainer: Trainer, checkpoints: Checkpoints, source: TrainedNetworks | None
+) -> tuple[TrainState, RolloutState, int]:
     train_state, worlds = trainer.start()
+    if source is not None:
+        train_state = trainer.process_group.device_put(source.begin(train_state))
+        # Whoever resumes the run before its next checkpoint needs no source.
+        checkpoints.save(0, train_state, worlds, {"agent_steps": 0, "score": None})
+        return train_state, worlds, 0
     if not checkpoints.all():
         return train_state, worlds, 0
     path, index = checkpoints.find("last"), trainer.process_group.index

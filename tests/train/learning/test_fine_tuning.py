@@ -1,0 +1,192 @@
+"""A run that begins with the networks of another one acts as that did, on any engine; and goes on alone."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from typer.testing import CliRunner
+
+from tests.train.runs import CONFIG, check_goes_on, lines
+from tests.train.toys import DriveToy, MemoryToy
+from usarmjx.base.errors import UsageError
+from usarmjx.cli.app import app
+from usarmjx.cli.training_settings import RunOptions, plan_run
+from usarmjx.train.evaluation.evaluate import play_episodes
+from usarmjx.train.learning.checkpoint import Checkpoints, load_policy, load_train_state
+from usarmjx.train.learning.config import task_config
+from usarmjx.train.learning.fine_tuning import load_trained
+from usarmjx.train.learning.record import load_record
+from usarmjx.train.learning.trainer import train
+
+KEPT = replace(CONFIG, keep=100)
+NO_LEARNING = replace(KEPT, steps=4800, schedule="constant", learning_rate=1e-30)
+"""Steps that no weight resolves."""
+TAKEN = ("params", "obs_statistics", "privileged_statistics", "return_statistics")
+
+
+def assert_same(one, other):
+    for left, right in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        assert_array_equal(left, right)
+
+
+def scores(run, which):
+    """Of an episode of each world, with most probable actions."""
+    policy, params, _ = load_policy(run, which)
+    env = DriveToy(32)
+    return play_episodes(env, policy.as_policy(params), 32, seed=3).scores
+
+
+def tuned(folder, source, config=KEPT, **how):
+    def make(worlds, first):
+        return DriveToy(worlds, first, rotten=True)
+
+    return train(make, config, folder, source=source, progress=False, **how)
+
+
+def test_it_begins_with_everything_that_was_learned_and_acts_as_its_source(reference, tmp_path):
+    """And where nothing is learned it stays that; Adam's moments and the count of iterations are new."""
+    trained = load_trained(reference)
+    tuned(tmp_path / "run", trained, NO_LEARNING)
+    assert [path.name for path in Checkpoints(tmp_path / "run").all()] == [f"{i:08d}" for i in range(3)]
+    _, begun, _ = load_train_state(tmp_path / "run", "0")
+    _, source, _ = load_train_state(reference, "best")
+    for name in TAKEN:
+        assert_same(getattr(begun, name), getattr(source, name))
+    assert int(begun.iteration) == 0
+    assert not any(np.any(leaf) for leaf in jax.tree.leaves(begun.opt_state))
+    assert any(np.any(leaf) for leaf in jax.tree.leaves(source.opt_state))
+    assert_array_equal(scores(tmp_path / "run", "0"), scores(reference, "best"))
+    _, ended, _ = load_train_state(tmp_path / "run", "last")
+    assert int(ended.iteration) == 2
+    assert_same(ended.params, source.params)
+
+
+def test_its_first_rollout_is_that_of_a_trained_policy(reference, tmp_path):
+    """The source's first iterations, with the same worlds and random numbers, scored less."""
+    tuned(tmp_path / "run", load_trained(reference, "last"), replace(CONFIG, steps=4800))
+    first = [line["score"] for line in lines(reference)[:2]]
+    assert sum(line["score"] for line in lines(tmp_path / "run")) > sum(first)
+
+
+def test_a_run_that_began_so_is_resumed_without_its_source(reference, tmp_path):
+    source = tmp_path / "source"
+    shutil.copytree(reference, source)
+    tuned(tmp_path / "whole", load_trained(source))
+    shutil.rmtree(source)
+    for left in (1, 4):  # nothing but what it began with; and three iterations
+        check_goes_on(
+            lambda worlds, first: DriveToy(worlds, first, rotten=True),
+            KEPT,
+            tmp_path / "whole",
+            tmp_path / f"left_{left}",
+            left,
+        )
+        origin = load_record(tmp_path / f"left_{left}").began_with
+        assert (origin["run"], origin["task"]) == (str(source), "drive-toy")
+    shutil.rmtree(tmp_path / "left_1" / "checkpoints")
+    with pytest.raises(UsageError, match="stopped before it had kept the networks that it was to begin with"):
+        tuned(tmp_path / "left_1", None, resume=True)
+
+
+class Blinkered(DriveToy):
+    """Sees half of it."""
+
+    groups = tuple(replace(group, obs_size=1) for group in DriveToy.groups)
+
+    def see(self, x, time):
+        obs, privileged = super().see(x, time)
+        return tuple(one[..., :1] for one in obs), privileged
+
+
+@pytest.mark.parametrize(
+    ("env", "settings", "words"),
+    [
+        (Blinkered, {}, r"robots: .* that see 2 and do 2, .* that see 1 and do 2"),
+        (MemoryToy, {}, r"numbers that only critics see: \d -> 1"),
+        (DriveToy, {"layers": (16,)}, r"do not fit: layers: \(32, 32\) -> \(16,\)$"),
+        (DriveToy, {"critic_layers": (8,), "memory": 4}, r"critic_layers: .* memory: 0 -> 4$"),
+    ],
+)
+def test_networks_that_do_not_fit_are_named_and_nothing_is_written(env, settings, words, reference, tmp_path):
+    with pytest.raises(UsageError, match=words):
+        train(
+            lambda worlds, first: env(worlds, first),
+            replace(CONFIG, **settings),
+            tmp_path / "run",
+            source=load_trained(reference),
+            progress=False,
+        )
+    assert not (tmp_path / "run" / "config.json").exists()
+
+
+def test_a_folder_that_has_checkpoints_is_refused(reference, tmp_path):
+    shutil.copytree(reference / "checkpoints", tmp_path / "run" / "checkpoints")
+    with pytest.raises(UsageError, match="has checkpoints already: choose another folder"):
+        tuned(tmp_path / "run", load_trained(reference))
+
+
+def invoke(*words):
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+@pytest.fixture(scope="module")
+def planar_run(tmp_path_factory):
+    """A short training on engine `planar` with settings of its own."""
+    folder = tmp_path_factory.mktemp("planar") / "run"
+    told = ("rollout=2", "epochs=1", "layers=4,3", "critic_layers=4", "episode_steps=7", "physics=coarse")
+    pairs = [word for pair in told for word in ("--set", pair)]
+    small = ("--worlds", 2, "--steps", 8, "--quiet")
+    result = invoke("train", "drive-to-goal", "--engine", "planar", "--out", folder, *small, *pairs)
+    assert result.exit_code == 0, result.output
+    return folder
+
+
+def test_a_run_on_another_engine_has_its_networks_and_fields_but_its_own_physics(planar_run, tmp_path):
+    out = tmp_path / "tuned"
+    small = ("--worlds", 2, "--steps", 8, "--quiet", "--set", "rollout=2")
+    result = invoke("train", "drive-to-goal", "--engine", "c", "--out", out, "--from", planar_run, *small)
+    assert result.exit_code == 0, result.output
+    assert f"of {planar_run}: drive-to-goal on engine planar, 8 agent steps; episode_steps=7" in result.stderr
+    settings = json.loads((out / "config.json").read_text())
+    assert (settings["engine"], settings["overrides"]) == ("c", {"episode_steps": "7"})
+    assert (settings["config"]["layers"], settings["config"]["critic_layers"]) == ([4, 3], [4])
+    found = settings["began_with"]
+    assert found["run"] == str(planar_run)
+    assert (found["checkpoint"], found["engine"], found["agent_steps"]) == (2, "planar", 8)
+    assert_same(load_policy(out, "0")[1], load_policy(planar_run)[1])
+    assert [json.loads(line)["iteration"] for line in (out / "metrics.jsonl").open()] == [1, 2]
+    result = invoke("train", "drive-to-goal", "--out", out, "--resume", "--steps", 12, "--quiet")
+    assert result.exit_code == 0, result.output
+    assert json.loads((out / "config.json").read_text())["began_with"] == found
+
+
+def test_nobody_is_imitated_unless_asked_for(planar_run, tmp_path):
+    """Of another task fields are its own, and what is typed holds."""
+    wanted = {"out": tmp_path / "x", "engine": "c", "source": planar_run, "given": {}}
+    plan = plan_run("wander", RunOptions(**wanted, pairs=[]))
+    assert (plan.config.imitate, plan.overrides, plan.config.layers) == (0, {}, (4, 3))
+    assert task_config("wander").imitate > 0
+    plan = plan_run("wander", RunOptions(**wanted, pairs=["imitate=7", "layers=5"]))
+    assert (plan.config.imitate, plan.config.layers) == (7, (5,))
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--from", "explore"), "explore is no folder of a run; an exported policy has neither critic"),
+        (("--from", "RUN", "--checkpoint", "77"), "no checkpoint '77' in "),
+        (("--from", "RUN", "--resume"), "leave out --from or --resume"),
+        (("--checkpoint", "last"), "--checkpoint says which one of the run that --from names"),
+    ],
+)
+def test_a_source_that_is_none_is_one_line(words, told, planar_run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = [str(planar_run) if word == "RUN" else word for word in words]
+    result = invoke("train", "drive-to-goal", "--engine", "c", "--out", "x", *words)
+    assert result.exit_code == 2
+    assert told in result.stderr
+    assert not (tmp_path / "x").exists()

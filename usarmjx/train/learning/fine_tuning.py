@@ -1,0 +1,139 @@
+"""Fine-tuning: a new run that begins with the networks of another one, on whatever engine.
+
+What is taken over: weights of policies and critics, and the statistics that observations and returns are
+normalised by. What is not: the optimiser's moments, the learning rate, the worlds, and how far the run was.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from usarmjx.base.errors import UsageError
+from usarmjx.train.envs.env import AgentGroup
+from usarmjx.train.learning.checkpoint import Checkpoints, load_train_state
+from usarmjx.train.learning.record import RunRecord
+from usarmjx.train.learning.train_state import Networks, TrainState
+
+SHAPE_SETTINGS = ("layers", "critic_layers", "memory", "shared", "normalise_obs", "normalise_values")
+"""Settings that networks cannot do without: those of the source hold, unless other ones are asked for."""
+EXPORTED = "an exported policy has neither critic nor statistics that could go on: name the folder of a run"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainedNetworks:
+    """Networks of a run's checkpoint, to begin another run with.
+
+    Attributes:
+        run: Folder of the run.
+        record: What it was started with.
+        networks: Their shapes.
+        train_state: Their weights and statistics, beside what is not taken over.
+        meta: What is said of the checkpoint, see `Checkpoints.meta`.
+    """
+
+    run: Path
+    record: RunRecord
+    networks: Networks
+    train_state: TrainState
+    meta: dict[str, Any]
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of a run that begins with these, unless others are asked for; it imitates nobody."""
+        return {**{name: getattr(self.record.config, name) for name in SHAPE_SETTINGS}, "imitate": 0}
+
+    @property
+    def origin(self) -> dict[str, Any]:
+        """What is written down of them in the record of the new run, as JSON has it."""
+        return {
+            "run": str(self.run),
+            "checkpoint": self.meta["iteration"],
+            "agent_steps": self.meta["agent_steps"],
+            "task": self.record.task,
+            "engine": self.record.engine,
+            "overrides": self.record.overrides,
+        }
+
+    def describe(self) -> str:
+        """Return in a line where they come from."""
+        return (
+            f"begins with checkpoint {self.meta['iteration']} of {self.run}: {self.record.task} on engine "
+            f"{self.record.engine}, {self.meta['agent_steps']:,} agent steps"
+        )
+
+    def check(self, networks: Networks) -> None:
+        """Refuse networks that cannot begin as these are.
+
+        Raises:
+            UsageError: Names all that differs.
+        """
+        pairs = {
+            "robots": (_agents(self.networks.groups), _agents(networks.groups)),
+            "numbers that only critics see": (self.networks.privileged_size, networks.privileged_size),
+            "layers": (self.networks.policy.layers, networks.policy.layers),
+            "critic_layers": (self.networks.critic_layers, networks.critic_layers),
+            "memory": (self.networks.policy.memory, networks.policy.memory),
+            "shared": (self.networks.shared, networks.shared),
+        }
+        if off := [f"{what}: {old} -> {new}" for what, (old, new) in pairs.items() if old != new]:
+            raise UsageError(f"networks of {self.run} do not fit: {'; '.join(off)}")
+
+    def begin(self, fresh: TrainState) -> TrainState:
+        """Return a train state before its first update, with these networks in it.
+
+        Args:
+            fresh: Of networks that `check` has let pass.
+        """
+        own = self.train_state
+        return fresh.replace(
+            params=own.params,
+            obs_statistics=own.obs_statistics,
+            privileged_statistics=own.privileged_statistics,
+            return_statistics=own.return_statistics,
+        )
+
+
+def _agents(groups: tuple[AgentGroup, ...]) -> str:
+    """Return in words how many robots of each class there are, and how much they see and do."""
+    return ", ".join(
+        f"{len(one.agents)} {one.name} that see {one.obs_size} and do {one.action_size}" for one in groups
+    )
+
+
+def load_trained(run: str | Path, which: str = "best") -> TrainedNetworks:
+    """Return the networks of a run.
+
+    Args:
+        run: Its folder.
+        which: Checkpoint: `best`, `last`, or the number of an iteration.
+
+    Raises:
+        UsageError: No run but a policy's file or name, no such checkpoint, or a broken one.
+    """
+    run = Path(run)
+    if not run.is_dir():
+        raise UsageError(f"{run} is no folder of a run; {EXPORTED}")
+    networks, train_state, record = load_train_state(run, which)
+    checkpoints = Checkpoints(run)
+    return TrainedNetworks(
+        run=run,
+        record=record,
+        networks=networks,
+        train_state=train_state,
+        meta=checkpoints.meta(checkpoints.find(which)),
+    )
+
+
+def check_begun(checkpoints: Checkpoints, record: RunRecord, source: TrainedNetworks | None) -> None:
+    """Check that a run has checkpoints if it has begun with the networks of another one, and none before.
+
+    Raises:
+        UsageError: Says what to do.
+    """
+    if source is not None and checkpoints.all():
+        raise UsageError(f"{checkpoints.run} has checkpoints already: choose another folder")
+    if source is None and record.began_with is not None and not checkpoints.all():
+        raise UsageError(
+            f"the run in {checkpoints.run} was stopped before it had kept the networks that it was to begin "
+            f"with, those of {record.began_with['run']}: delete the folder and start it again"
+        )
