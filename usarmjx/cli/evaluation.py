@@ -10,7 +10,7 @@ import typer
 from usarmjx.base.files import write_beside
 from usarmjx.base.progress import Seldom
 from usarmjx.cli.grouping import grouped
-from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions
+from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions, SplitOption
 from usarmjx.cli.tools import ErrorExit
 from usarmjx.cli.waiting import announce, say
 
@@ -38,10 +38,7 @@ def evaluate_policy(
         typer.Option(min=1, help="Worlds at once, each with as many episodes; 20, or one for each arena."),
     ] = None,
     engine: PolicyEngineOption = "auto",
-    split: Annotated[
-        str | None,
-        typer.Option(help="Generated arenas that were not trained on: test, or validation to choose by."),
-    ] = None,
+    split: SplitOption = None,
     level: Annotated[
         float | None, typer.Option(min=0.0, max=1.0, help="How difficult generated arenas are at most.")
     ] = None,

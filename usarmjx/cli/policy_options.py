@@ -21,6 +21,10 @@ PolicyEngineOption = Annotated[
         help="warp, jax, c, planar, or auto: the best for this here.", autocompletion=complete_engines
     ),
 ]
+SplitOption = Annotated[
+    str | None,
+    typer.Option(help="Generated arenas that were not trained on: test, or validation to choose by."),
+]
 
 
 @dataclass(frozen=True, kw_only=True)

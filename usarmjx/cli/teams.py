@@ -2,13 +2,13 @@
 
 import json as json_format
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from usarmjx.base.files import write_beside
 from usarmjx.cli.completion import complete_policies, complete_tasks
-from usarmjx.cli.policy_options import PolicyEngineOption
+from usarmjx.cli.policy_options import PolicyEngineOption, SplitOption
 from usarmjx.cli.tools import ErrorExit, SeedOption
 from usarmjx.cli.waiting import announce, say
 
@@ -26,9 +26,15 @@ def teams(
             autocompletion=complete_policies,
         ),
     ] = None,
-    worlds: Annotated[int, typer.Option(min=1, help="Episodes, each in a building of its own.")] = 24,
+    worlds: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Episodes, each in a building of its own; 24, or one in each arena of a --split."
+        ),
+    ] = None,
     seed: SeedOption = 0,
     engine: PolicyEngineOption = "auto",
+    split: SplitOption = None,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", "-c", help="A field of the task as key=value; may be repeated."),
@@ -51,12 +57,11 @@ def teams(
         played, seen = yardsticks.team_task(task, **set_by_hand), TeamWays()
         chosen = list(dict.fromkeys(names or yardsticks.usual_teams(task)))
         watch = yardsticks.ignore if out is None else seen
-        rows = yardsticks.measure_teams(
-            task, worlds, seed, choose_engine(engine, "train"), chosen, _tell, watch, **set_by_hand
-        )
+        how = (seed, choose_engine(engine, "train"), chosen, _tell, watch, split)
+        rows = yardsticks.measure_teams(task, worlds, *how, **set_by_hand)
         typer.echo(yardsticks.table(played, rows))
         if json is not None:
-            _keep(json, task, rows)
+            _keep(json, {"task": task, "split": split, "engine": how[1], "settings": settings or []}, rows)
         if out is not None:
             plot_teams(task, rows, seen, out)
             typer.echo(f"wrote {out}")
@@ -67,10 +72,8 @@ def _tell(row: "TeamResult") -> None:
     say(f"{row.name}: {row.score.value:.1f}")
 
 
-def _keep(path: Path, task: str, rows: "tuple[TeamResult, ...]") -> None:
-    """Write the rows as JSON."""
+def _keep(path: Path, setup: dict[str, Any], rows: "tuple[TeamResult, ...]") -> None:
+    """Write the rows as JSON, below what they are of."""
     content = [{**vars(row), "reached": row.reached, "score": vars(row.score)} for row in rows]
     with write_beside(path) as fresh:
-        fresh.write_text(
-            json_format.dumps({"task": task, "rows": content}, indent=1) + "\n", encoding="utf-8"
-        )
+        fresh.write_text(json_format.dumps({**setup, "rows": content}, indent=1) + "\n", encoding="utf-8")

@@ -276,6 +276,24 @@ class Task(ABC):
         del view, memory
         return jnp.zeros(0)
 
+    @property
+    def for_baseline(self) -> "Task":
+        """This task with all in view that its baseline drives by; by default itself."""
+        return self
+
+    def baseline_obs(self, scene: Scene, memory: Memory, obs: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        """Return what the agents would see in `for_baseline`, per group (robots, obs_size).
+
+        Who teaches a policy sees that, the policy does not. By default it is what all see.
+
+        Args:
+            scene: The scene.
+            memory: The task's memory.
+            obs: What they see in this task, per group (robots, obs_size).
+        """
+        del scene, memory
+        return obs
+
     def maps(self, scene: Scene, memory: Memory) -> TeamMaps | None:
         """Return the maps that the robots are building, by slot; None: they build none."""
         del scene, memory

@@ -4,13 +4,15 @@
 
 All teams play one episode in each of the same buildings, with the same seed: robots that act at random, one
 robot with the task's baseline, the team with the baseline, the same with a perfect radio, the packaged
-policy if it fits, and any other policy. Beside the score stand the points of its parts, and what share of
+policy if it fits, and any other policy. Each policy sees the planner's advice, or does not, as in its
+training. Beside the score stand the points of its parts, and what share of
 the points for finds was there after a quarter, a half and three quarters of the time.
 """
 
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -20,18 +22,21 @@ import numpy as np
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.estimates import Estimate, estimate
 from usarmjx.base.markdown import markdown_table
+from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.evaluation.radio_matters import few_arenas
 from usarmjx.train.make import make_task
 from usarmjx.train.policies import POLICIES
-from usarmjx.train.policies.sources import find_source
+from usarmjx.train.policies.sources import PolicySource, arenas_of, find_source, task_settings
 from usarmjx.train.tasks.team import TeamTask
 from usarmjx.train.tasks.team_parts import PERFECT_RADIO
 from usarmjx.train.tasks.victim_search import VictimSearch
 
 QUARTERS = (0.25, 0.5, 0.75)
+WORLDS = 24
+"""Episodes unless told otherwise."""
 HELD_STEPS = 10
 """Robots that act at random draw another action after so many steps: 2 s."""
 
@@ -91,9 +96,27 @@ def unchanged(task: TeamTask) -> TeamTask:
     return task
 
 
+def advised(task: TeamTask) -> TeamTask:
+    """Return a task as its baseline has to see it."""
+    return task.for_baseline
+
+
+def advised_alone(task: TeamTask) -> TeamTask:
+    """Return the task of `alone` as its baseline has to see it."""
+    return alone(task.for_baseline)
+
+
 def with_perfect_radio(task: TeamTask) -> TeamTask:
-    """Return a task in which all robots hear each other."""
-    return replace(task, radio=PERFECT_RADIO)
+    """Return a task in which all robots hear each other, as its baseline has to see it."""
+    return replace(task.for_baseline, radio=PERFECT_RADIO)
+
+
+def seen_as_in_training(source: PolicySource, task: TeamTask) -> TeamTask:
+    """Return a task that shows the planner's advice if a policy was trained with it, and else hides it."""
+    if "advice" not in source.overrides:
+        return task
+    overrides, _ = task_settings(source.task, {"advice": source.overrides["advice"]}, ())
+    return replace(task, advice=overrides["advice"])
 
 
 Team = tuple[Callable[[TeamTask], TeamTask], Callable[[Env], Policy]]
@@ -101,8 +124,8 @@ Team = tuple[Callable[[TeamTask], TeamTask], Callable[[Env], Policy]]
 
 TEAMS: dict[str, Team] = {
     "random": (unchanged, random_policy),
-    "one": (alone, baseline_policy),
-    "baseline": (unchanged, baseline_policy),
+    "one": (advised_alone, baseline_policy),
+    "baseline": (advised, baseline_policy),
     "perfect-radio": (with_perfect_radio, baseline_policy),
     "packaged": (unchanged, packaged_policy),
 }
@@ -123,9 +146,10 @@ def find_team(name: str) -> Team:
     if name in TEAMS:
         return TEAMS[name]
     try:
-        return unchanged, find_source(name).policy
+        source = find_source(name)
     except UnknownNameError as error:
         raise UnknownNameError(f"{name} is none of the teams {', '.join(TEAMS)}; {error}") from error
+    return partial(seen_as_in_training, source), source.policy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,38 +239,69 @@ def team_task(name: str, **overrides: object) -> TeamTask:
     return task
 
 
-def measure_teams(
+def arenas_to_play(name: str, worlds: int | None, split: str, **overrides: object) -> tuple[ArenaSpec, ...]:
+    """Return arenas of a split, which training leaves out: one for each world.
+
+    Args:
+        name: Of a team task.
+        worlds: How many, at most as many as the split has; fewer are spread over its levels and sizes. None:
+            as many.
+        split: A name of `SPLITS`.
+        overrides: Fields of the task to set otherwise.
+
+    Raises:
+        UnknownNameError: No such split; lists those there are.
+        UsageError: Its arenas are not generated.
+    """
+    arenas = arenas_of(name, overrides, split)
+    there = arenas.count * len(arenas.levels)
+    chosen, seeds = np.arange(min(worlds or there, there)), arenas.seeds().tolist()
+    numbers = (chosen * there // len(chosen)).tolist()
+    return tuple(arenas.arena(number, seeds[number]) for number in numbers)
+
+
+def measure_teams(  # noqa: PLR0913 - all but the first may be left out
     name: str,
-    worlds: int,
+    worlds: int | None = None,
     seed: int = 0,
     engine: str = "auto",
     teams: Sequence[str] = tuple(TEAMS),
     tell: Callable[[TeamResult], None] = lambda row: None,
     watch: TeamWatch = ignore,
+    split: str | None = None,
     **overrides: object,
 ) -> tuple[TeamResult, ...]:
     """Return what each team gets.
 
     Args:
         name: Of a team task.
-        worlds: Episodes, each in a building of its own, the same for all teams.
+        worlds: Episodes, each in a building of its own, the same for all teams; None: `WORLDS`, or with a
+            split as many as that has, which is also the most.
         seed: Of the environments.
         engine: See `make`.
         teams: Names, see `find_team`.
         tell: Is given each row as soon as it is known.
         watch: Sees every state of every team but the last one.
-        overrides: Fields of the task to set otherwise.
+        split: Of generated arenas, a name of `SPLITS`; None: the task's own, which may be trained on.
+        overrides: Fields of the task to set otherwise. Without `advice` among them, policies of runs and
+            files see the planner's advice if they did in training.
 
     Raises:
-        UnknownNameError: No such task or team, or a field that the task does not have.
+        UnknownNameError: No such task, team or split, or a field that the task does not have.
         UsageError: A task without a team; worlds that are no multiple of the levels of generated arenas; a
-            packaged policy that does not fit.
+            split of arenas that are not generated; a packaged policy that does not fit.
     """
     task = team_task(name, **overrides)
+    if split is None:
+        worlds = worlds or WORLDS
+        task = few_arenas(task, worlds)
+    else:
+        arenas = arenas_to_play(name, worlds, split, **overrides)
+        task, worlds = replace(task, arena=arenas), len(arenas)
     envs: dict[TeamTask, Env] = {}  # each is compiled once
     rows: list[TeamResult] = []
     for team, (change, driver) in {team: find_team(team) for team in teams}.items():
-        own = change(few_arenas(task, worlds))
+        own = task if team not in TEAMS and "advice" in overrides else change(task)
         if own not in envs:
             envs[own] = Env(own, worlds, name=name, engine=engine)
         rows.append(play_team(envs[own], own, driver(envs[own]), team, seed, watch))

@@ -2,9 +2,11 @@
 
 The policy acts, the teacher says what he would have done (DAgger; Ross, Gordon and Bagnell 2011), so that
 the states are those that the policy gets into. Meanwhile the critic learns what the policy's own actions
-bring.
+bring. Where a task hides from the policy what its baseline drives by, the teacher sees it all the same.
 """
 
+from copy import copy
+from functools import partial
 from typing import TYPE_CHECKING
 
 import jax
@@ -13,14 +15,16 @@ import jax.numpy as jnp
 from usarmjx.base.errors import UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Carry, Policy
+from usarmjx.train.envs.policy import Carry, ObservationArrays, Policy
+from usarmjx.train.envs.state import Memory
+from usarmjx.train.envs.task import Task
 
 if TYPE_CHECKING:
     from brax.training.distribution import NormalTanhDistribution
 
 
 def teacher_of(env: Env) -> Policy:
-    """Return the baseline of an environment's task.
+    """Return the baseline of an environment's task; it acts on what `teacher_obs` returns.
 
     Raises:
         UsageError: The task has none; lists those that have.
@@ -30,7 +34,23 @@ def teacher_of(env: Env) -> Policy:
             f"{env.name} has no policy by hand to imitate: set imitate to 0, or add one to BASELINES, which "
             f"has {', '.join(BASELINES.names())}"
         )
+    task: Task | None = getattr(env, "task", None)  # environments of one's own need none
+    if task is not None and task.for_baseline is not task:
+        env = copy(env)
+        env.task = task.for_baseline
     return BASELINES.get(env.name)(env)
+
+
+def teacher_obs(env: Env, memory: Memory, obs: ObservationArrays) -> ObservationArrays:
+    """Return what the teacher observes, per group (worlds, robots, obs_size).
+
+    Args:
+        env: The environment.
+        memory: Its task's memory (worlds, ...).
+        obs: What the policy observes, per group (worlds, robots, obs_size).
+    """
+    task: Task | None = getattr(env, "task", None)
+    return obs if task is None else jax.vmap(partial(task.baseline_obs, env.scene))(memory, obs)
 
 
 def reset_carry(teacher: Policy, carry: Carry, done: jax.Array) -> Carry:

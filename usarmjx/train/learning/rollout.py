@@ -9,9 +9,9 @@ import numpy as np
 
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Carry, Policy
-from usarmjx.train.envs.state import EnvState
+from usarmjx.train.envs.state import EnvState, Memory
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.imitation import reset_carry
+from usarmjx.train.learning.imitation import reset_carry, teacher_obs
 from usarmjx.train.learning.networks import fold_each, sample_actions
 from usarmjx.train.learning.train_state import (
     STAGGER_STREAM,
@@ -122,14 +122,19 @@ class Rollout:
         carry: tuple[GroupArrays, GroupArrays, Carry],
         worlds: jax.Array,
         key: tuple[jax.Array, jax.Array | np.int32],
+        memory: Memory,
     ) -> tuple[GroupArrays, Decision]:
-        """Return actions, and how they came about; `key` is the rollout's and the number of the step."""
+        """Return actions, and how they came about.
+
+        `key` is the rollout's and the number of the step; `memory`, of the task, is for the teacher alone.
+        """
         policy = self.networks.policy
         logits, after = policy.distribution_params(policy_params(train_state), view.obs, carry[0])
         raw = sample_actions(policy, logits, fold_each(jax.random.fold_in(*key), worlds))
         kinds = [policy.distribution(g) for g in range(len(raw))]
         value, critic = self._value(train_state, view.obs, view.privileged, carry[1])
-        teacher, teacher_action = self._taught(train_state, view.obs, carry[2], jax.random.fold_in(*key))
+        seen = (view.obs, memory)
+        teacher, teacher_action = self._taught(train_state, seen, carry[2], jax.random.fold_in(*key))
         return tuple(kind.postprocess(action) for kind, action in zip(kinds, raw, strict=True)), Decision(
             raw_action=raw,
             log_prob=tuple(k.log_prob(p, a) for k, p, a in zip(kinds, logits, raw, strict=True)),
@@ -141,16 +146,17 @@ class Rollout:
         )
 
     def _taught(
-        self, train_state: TrainState, obs: GroupArrays, carry: Carry, key: jax.Array
+        self, train_state: TrainState, seen: tuple[GroupArrays, Memory], carry: Carry, key: jax.Array
     ) -> tuple[Carry, GroupArrays]:
         """Return the teacher's carry and actions; zeros when nobody imitates him any more."""
         teacher, groups = self.teacher, self.networks.groups
         if teacher is None:
             return carry, ()
+        obs, memory = seen
         nothing = tuple(jnp.zeros((*o.shape[:2], g.action_size)) for o, g in zip(obs, groups, strict=True))
         return jax.lax.cond(
             self.networks.is_imitating(train_state, self.config),
-            lambda: teacher.act(carry, obs, key),
+            lambda: teacher.act(carry, teacher_obs(self.env, memory, obs), key),
             lambda: (carry, nothing),
         )
 
@@ -249,7 +255,8 @@ class Rollout:
     ) -> tuple[RolloutState, tuple[Trajectory, dict[str, jax.Array]]]:
         before = step_view(now.env_state)
         carry = (now.policy_carry, now.critic_carry, now.teacher_carry)
-        actions, decision = self._decide(train_state, before, carry, now.world_index, (key, step))
+        memory = () if self.teacher is None else now.env_state.memory
+        actions, decision = self._decide(train_state, before, carry, now.world_index, (key, step), memory)
         env = self.env.step(now.env_state, actions)
         row, (policy, critic, teacher), episode_return, sums = self._account(
             train_state, (now.episode_return, now.is_first), decision, before, step_view(env)

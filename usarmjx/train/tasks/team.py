@@ -74,7 +74,7 @@ class TeamTask(Task):
       never), whether there is a link now;
     - its map around it, 11 x 11 points 0.6 m apart: walls (1, else 0), then what is unknown.
     Where the way leads, its next position and its length are the planner's advice: without `advice` these
-    five numbers are 0.
+    five numbers are 0, but for a baseline that teaches.
 
     Action: speed and turn to the left, as shares of the wheels' highest speed: the left wheels get their
     difference, the right ones their sum.
@@ -328,11 +328,7 @@ class TeamTask(Task):
         left = jnp.broadcast_to(1 - memory.step / self.episode_steps, (robots,))
         number = jnp.arange(robots) / robots
         moved = jnp.linalg.norm(belief.pose[:, :2] - belief.lagged_position, axis=-1)
-        advice = [
-            to_robot_frame(belief.pose, belief.waypoint) / WAYPOINT_SCALE,
-            to_robot_frame(belief.pose, belief.goal) / POSITION_SCALE,
-            jnp.minimum(belief.path_length / PATH_SCALE, 1.0)[:, None],
-        ]
+        advice = advice_of(belief)
         rows = [
             *(advice if self.advice else [jnp.zeros_like(row) for row in advice]),
             jnp.minimum(moved / PROGRESS_SCALE, 1.0)[:, None],
@@ -352,7 +348,33 @@ class TeamTask(Task):
         near = near.reshape(robots, -1)
         return jnp.concatenate([*rows, near >= WALL, near == UNKNOWN], -1).astype(jnp.float32)
 
+    @property
+    def for_baseline(self) -> "TeamTask":
+        """This task with advice."""
+        return self if self.advice else replace(self, advice=True)
+
+    def baseline_obs(
+        self, scene: Scene, memory: TeamMemory, obs: tuple[jax.Array, ...]
+    ) -> tuple[jax.Array, ...]:
+        """As `Task`: where the planner's advice is hidden it is put in."""
+        if self.advice:
+            return obs
+        advice = jnp.concatenate(advice_of(memory.belief), -1)
+        return tuple(
+            jnp.concatenate([told.astype(one.dtype), one[:, told.shape[-1] :]], -1)
+            for told, one in zip(self.per_group(scene, advice), obs, strict=True)
+        )
+
     def privileged(self, view: TaskView, memory: TeamMemory) -> jax.Array:
         """Share explored, time, score, true poses (x, y as shares of the arena, cosine and sine of yaw)."""
         facts = [coverage(memory), memory.step / self.episode_steps, memory.score / 100.0]
         return jnp.concatenate([jnp.stack(facts), true_pose_features(view)])
+
+
+def advice_of(belief: Belief) -> list[jax.Array]:
+    """Return what robots' planners advise, as observed: next position, goal, length (robots, 2, 2 and 1)."""
+    return [
+        to_robot_frame(belief.pose, belief.waypoint) / WAYPOINT_SCALE,
+        to_robot_frame(belief.pose, belief.goal) / POSITION_SCALE,
+        jnp.minimum(belief.path_length / PATH_SCALE, 1.0)[:, None],
+    ]
