@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
-from usarmjx.sweeps.answers import axis_rows, front_points, policy_differences
+from usarmjx.sweeps.answers import front_points, policy_differences
+from usarmjx.sweeps.axis_scores import axis_rows, overall_rows
 from usarmjx.sweeps.progress import SweepProgress
 from usarmjx.sweeps.report import compare, report
 from usarmjx.sweeps.sinks import tensorboard_sink, wandb_sink
@@ -65,7 +66,7 @@ def test_what_is_kept_comes_back(found):
 
 
 def test_scores_over_an_axis_are_those_of_its_cells(found):
-    rows = {(row.axis, row.value, row.policy): row for row in axis_rows(found)}
+    rows = {(row.axis, row.value.text, row.policy): row for row in overall_rows(found) + axis_rows(found)}
     assert rows["", "all", "by-hand"].mean.value == 35.0
     assert rows["radio.cutoff", "-60", "by-hand"].mean.value == 20.0
     last = rows["radio.cutoff", "-40", "shipped"].mean

@@ -1,42 +1,19 @@
-"""What a sweep says: scores over its axes, differences between policies, score against connectivity."""
+"""What a sweep says beside scores over its axes: differences between policies, score against connectivity."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from usarmjx.base.estimates import Estimate, estimate, interquartile_mean, pareto_front
+from usarmjx.base.estimates import Estimate, estimate, pareto_front
 from usarmjx.sweeps.settings import as_text
 from usarmjx.sweeps.store import CellRecord, StoredSweep
 from usarmjx.sweeps.table import scores_of
 
 UNLINKED = "unlinked"
 """The metric of tasks for teams that connectivity is read from: share of pairs of robots without a link."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class AxisRow:
-    """Cells that have one value on an axis, and one policy.
-
-    Attributes:
-        task: Their task.
-        axis: The axis; empty: all cells.
-        value: Its value, as text.
-        policy: Their policy, as text.
-        mean: Mean score.
-        middle: Interquartile mean.
-        cells: How many there are.
-    """
-
-    task: str
-    axis: str
-    value: str
-    policy: str
-    mean: Estimate
-    middle: Estimate
-    cells: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,6 +59,11 @@ def policy_of(record: CellRecord) -> str:
     return as_text(record.settings["policy"])
 
 
+def settings_but(record: CellRecord, names: Collection[str] = ("policy",)) -> str:
+    """Return all settings of a cell but some, as text: cells that are alike in them have the same."""
+    return repr(sorted((key, value) for key, value in record.settings.items() if key not in names))
+
+
 def tasks_of(found: StoredSweep) -> list[str]:
     """Return the tasks of the finished cells, in the sweep's order."""
     return list(dict.fromkeys(record.settings["task"] for record in found.finished))
@@ -98,47 +80,10 @@ def label_of(record: CellRecord, axes: Sequence[str]) -> str:
     return ", ".join(said) or "all"
 
 
-def _grouped(records: Iterable[CellRecord], axis: str) -> dict[tuple[str, str], list[CellRecord]]:
-    rows: dict[tuple[str, str], list[CellRecord]] = {}
-    for record in records:
-        value = as_text(record.settings[axis]) if axis in record.settings else "as usual"
-        rows.setdefault((value, policy_of(record)), []).append(record)
-    return rows
-
-
-def axis_rows(found: StoredSweep) -> list[AxisRow]:
-    """Return scores over each axis, and first over all cells."""
-    rows: list[AxisRow] = []
-    for task in tasks_of(found):
-        mine = [record for record in found.finished if record.settings["task"] == task]
-        for axis in ("", *axes_of(found)):
-            groups = _grouped(mine, axis)
-            if axis and len({value for value, _ in groups}) < 2:
-                continue
-            for (value, policy), records in groups.items():
-                strata = [scores_of(record) for record in records]
-                rows.append(
-                    AxisRow(
-                        task=task,
-                        axis=axis,
-                        value=value if axis else "all",
-                        policy=policy,
-                        mean=estimate(strata, shares=True),
-                        middle=estimate(strata, interquartile_mean),
-                        cells=len(records),
-                    )
-                )
-    return rows
-
-
 def paired(first: CellRecord, second: CellRecord) -> np.ndarray:
     """Return scores of one cell less those of the other in the episodes that went well in both (n,)."""
     both = sorted(set(first.good) & set(second.good))
     return np.array([first.scores[number] - second.scores[number] for number in both], float)
-
-
-def _without_policy(record: CellRecord) -> str:
-    return repr(sorted((key, value) for key, value in record.settings.items() if key != "policy"))
 
 
 def policy_differences(found: StoredSweep) -> list[Difference]:
@@ -148,7 +93,7 @@ def policy_differences(found: StoredSweep) -> list[Difference]:
         by_policy: dict[str, dict[str, CellRecord]] = {}
         for record in found.finished:
             if record.settings["task"] == task:
-                by_policy.setdefault(policy_of(record), {})[_without_policy(record)] = record
+                by_policy.setdefault(policy_of(record), {})[settings_but(record)] = record
         for one, other in combinations(by_policy, 2):
             shared = [key for key in by_policy[one] if key in by_policy[other]]
             strata = [paired(by_policy[one][key], by_policy[other][key]) for key in shared]

@@ -7,7 +7,7 @@ from typing import Any
 from usarmjx.base.errors import UsageError
 from usarmjx.bench.baselines import missing
 from usarmjx.bench.tools import record_header, spread_of
-from usarmjx.sweeps.answers import axis_rows
+from usarmjx.sweeps.axis_scores import overall_rows
 from usarmjx.sweeps.plan import SweepPlan
 from usarmjx.sweeps.store import CellRecord, StoredSweep
 from usarmjx.sweeps.workers import Workers
@@ -91,8 +91,7 @@ def sweep_record(
                 "high": _known(row.mean.high),
                 "method": row.mean.method,
             }
-            for row in axis_rows(found)
-            if not row.axis
+            for row in overall_rows(found)
         ],
     }
 

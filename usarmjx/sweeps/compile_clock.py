@@ -8,11 +8,11 @@ from jax import monitoring
 
 from usarmjx.base.compilation import COMPILATION
 
-Span = tuple[float, float]
+CompileSpan = tuple[float, float]
 """Begin and end [s]."""
 
 
-def covered(spans: Iterable[Span]) -> float:
+def covered(spans: Iterable[CompileSpan]) -> float:
     """Return how long at least one of the spans lasts [s]: what is traced within a trace counts once."""
     whole, until = 0.0, -float("inf")
     for begin, end in sorted(spans):
@@ -25,7 +25,7 @@ class CompileClock:
     """Hears of all compilations of this process."""
 
     def __init__(self) -> None:
-        self._spans: list[Span] = []
+        self._spans: list[CompileSpan] = []
 
     def hear(self, event: str, duration_secs: float, **_: object) -> None:
         """Take note of what has just ended and how long it took [s]; JAX calls it."""

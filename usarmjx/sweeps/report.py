@@ -7,8 +7,6 @@ import numpy as np
 from usarmjx.base.estimates import Estimate
 from usarmjx.recording.versions import versions
 from usarmjx.sweeps.answers import (
-    AxisRow,
-    axis_rows,
     changes,
     failures,
     front_points,
@@ -16,6 +14,7 @@ from usarmjx.sweeps.answers import (
     other_versions,
     policy_differences,
 )
+from usarmjx.sweeps.axis_scores import AxisRow, axis_rows, overall_rows
 from usarmjx.sweeps.store import StoredSweep
 
 MOST_POINTS = 12
@@ -57,7 +56,7 @@ def report(found: StoredSweep) -> str:
         lines.append(f"computed with another {name}: {', '.join(others)}")
     for reason, records in failures(found).items():
         lines.append(f"failed: {reason} ({len(records)} cells, as {label_of(records[0], found.axes)})")
-    rows = axis_rows(found)
+    rows = [*overall_rows(found), *axis_rows(found)]
     for axis in dict.fromkeys(row.axis for row in rows):
         lines += ["", *_axis_table(axis, [row for row in rows if row.axis == axis])]
     lines += _differences(found) + _front(found)
@@ -69,7 +68,7 @@ def _axis_table(axis: str, rows: Sequence[AxisRow]) -> list[str]:
     body = [
         [
             row.task,
-            row.value if axis else str(row.cells),
+            row.value.text if axis else str(row.cells),
             row.policy,
             as_words(row.mean) + (" Wilson" if row.mean.method == "Wilson" else ""),
             as_words(row.middle),
@@ -77,7 +76,23 @@ def _axis_table(axis: str, rows: Sequence[AxisRow]) -> list[str]:
         ]
         for row in rows
     ]
-    return aligned(head, body)
+    return [*aligned(head, body), *_compared(rows)]
+
+
+def _compared(rows: Sequence[AxisRow]) -> list[str]:
+    """Return over which cells policies are compared, where those are not all that each has."""
+    left_out: dict[tuple[str, str], int] = {}
+    for row in rows:
+        left_out[row.task, row.policy] = left_out.get((row.task, row.policy), 0) + row.left_out
+    lines = [
+        f"{task}: {count} cells of {policy} are left out, which not all policies have"
+        for (task, policy), count in left_out.items()
+        if count
+    ]
+    own = dict.fromkeys(row.task for row in rows if row.own)
+    return lines + [
+        f"{task}: the policies have no cells in common, each is shown over its own" for task in own
+    ]
 
 
 def _differences(found: StoredSweep) -> list[str]:
