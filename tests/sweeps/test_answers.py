@@ -1,13 +1,13 @@
 """What is said of results: tables, differences, fronts, figures, files, other places to show them."""
 
 import csv
-import json
 import sys
 import types
 
 import numpy as np
 import pytest
 from PIL import Image
+from pyarrow import parquet
 from typer.testing import CliRunner
 
 from usarmjx.base.errors import UsageError
@@ -127,20 +127,28 @@ def test_tables_and_figures_are_files(found, tmp_path):
 
 def test_parquet_needs_pyarrow_and_mixed_columns_are_text(tmp_path, monkeypatch):
     rows = [{"a": 1, "b": "[1, 2]"}, {"a": 2.5, "b": 3.0}]
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(UsageError, match="Parquet needs pyarrow"):
-        export_rows(rows, tmp_path / "t.parquet")
-    seen = {}
-    parquet = types.ModuleType("pyarrow.parquet")
-    parquet.write_table = lambda table, path: path.write_text(json.dumps(seen.setdefault("table", table)))
-    pyarrow = types.ModuleType("pyarrow")
-    pyarrow.table, pyarrow.parquet = dict, parquet
-    monkeypatch.setitem(sys.modules, "pyarrow", pyarrow)
-    monkeypatch.setitem(sys.modules, "pyarrow.parquet", parquet)
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, "pyarrow", None)
+        with pytest.raises(UsageError, match="Parquet needs pyarrow"):
+            export_rows(rows, tmp_path / "t.parquet")
     export_rows(rows, tmp_path / "t.parquet")
-    assert seen["table"] == {"a": [1, 2.5], "b": ["[1, 2]", "3.0"]}
+    assert parquet.read_table(tmp_path / "t.parquet").to_pydict() == {"a": [1, 2.5], "b": ["[1, 2]", "3.0"]}
     with pytest.raises(UsageError, match=r"tables end in .csv, .parquet"):
         export_rows(rows, tmp_path / "t.xlsx")
+
+
+def test_a_parquet_file_has_the_rows_of_the_table(found, tmp_path):
+    table, episodes = tmp_path / "t.parquet", tmp_path / "e.parquet"
+    words = ["sweep", "show", tmp_path / "some", "--table", table, "--episodes", episodes]
+    done = CliRunner().invoke(app, list(map(str, words)))
+    assert done.exit_code == 0, done.output
+    cells = parquet.read_table(table)
+    assert cells.column("score").to_pylist()[:4] == [20.0, 50.0, 22.0, 51.0]
+    assert cells.column("failed").to_pylist() == ["", "", "", "", "out of luck"]
+    assert cells.column("radio.cutoff").to_pylist() == [-60, -40, -60, -40, -20]
+    rows = parquet.read_table(episodes).to_pylist()
+    assert [row["score"] for row in rows] == [score for one in RECORDS[:4] for score in one.scores]
+    assert [row["bad"] for row in rows].count(True) == 1
 
 
 def test_cells_are_shown_to_tensorboard_and_to_weights_and_biases(tmp_path, monkeypatch):

@@ -17,6 +17,7 @@ from usarmjx.sweeps.resolve import resolve
 from usarmjx.sweeps.run import prepare, run_sweep
 from usarmjx.sweeps.spec import load_spec
 from usarmjx.sweeps.store import CELLS, read_sweep
+from usarmjx.sweeps.workers import Workers
 
 BROKEN = """
 def raises(env):
@@ -58,6 +59,18 @@ def test_a_cell_is_the_same_alone_as_in_a_batch(whole):
     assert alone.metrics["distance"].tolist() == list(record.metrics["distance"])
     assert alone.scores.tolist() == list(record.scores)
     assert alone.steps.tolist() == list(record.steps)
+
+
+@pytest.mark.parametrize("place", ["processes", "ray"])
+def test_other_processes_and_ray_play_the_same_to_the_bit(place, whole, rows, tmp_path):
+    """Two batches of a cell each, on a worker."""
+    file = write(tmp_path, list=rows[:1], worlds=2, product={"arena.level": [0.9], "seed": [0, 1]})
+    said = []
+    found = run_sweep(load_spec(file), tmp_path / "out", Workers(place=place, count=1), say=said.append)
+    assert said == ["2 cells in 2 batches of 1, 1 compilation: the cells differ in data only"]
+    here = results(whole[1])
+    assert results(found) == {key: here[key] for key in found.keys}
+    assert all(record.failed is None and record.compile_seconds > 0.0 for record in found.records)
 
 
 def test_a_killed_sweep_goes_on_and_comes_to_the_same(whole, rows, tmp_path):

@@ -63,7 +63,6 @@ def test_without_ray_one_line_says_what_to_install(monkeypatch):
 
 
 def test_ray_does_everything_and_what_a_lost_worker_did_again(tmp_path):
-    pytest.importorskip("ray", reason="Ray is an extra: pip install usarmjx[sweep]")
     flag = tmp_path / "was-here"
     once = (
         f"(lambda os, p: 'late' if os.path.exists(p) else (open(p, 'w').close(), os._exit(1)))"
