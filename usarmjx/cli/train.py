@@ -16,7 +16,7 @@ from usarmjx.cli.completion import complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption
 from usarmjx.cli.recordings import RecordOption, export_recording
 from usarmjx.cli.tools import ErrorExit, OldOutArgument, chosen_out
-from usarmjx.cli.training_settings import RunOptions, plan_run
+from usarmjx.cli.training_settings import TrainOptions, plan_run
 from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
 from usarmjx.cli.waiting import announce, say
 from usarmjx.server.signals import PARENT_PIPE
@@ -128,7 +128,7 @@ def train(
             if record is not None and process.index == 0:
                 watchers.append(_RecordedTraining(record, record_every))
             typed = {"worlds": worlds, "steps": steps, "seed": seed}
-            options = RunOptions(
+            options = TrainOptions(
                 out=out,
                 engine=engine,
                 resume=resume,
@@ -180,7 +180,7 @@ def _served(run: Path, port: int, wanted: bool) -> Generator[None]:
 
 def _train(
     task: str,
-    options: RunOptions,
+    options: TrainOptions,
     watchers: "Sequence[_TrainingWatcher]",
     project: str | None,
     bar: bool,

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions:
+class TrainOptions:
     """What is asked for, by options of their own and by `--set`.
 
     Attributes:
@@ -39,7 +39,7 @@ class RunOptions:
         """Keys of what `--set` sets."""
         return {pair.partition("=")[0] for pair in self.pairs}
 
-    def within(self, settings: dict[str, Any], fields: dict[str, str]) -> "RunOptions":
+    def within(self, settings: dict[str, Any], fields: dict[str, str]) -> "TrainOptions":
         """Return these with settings and fields of the task that hold where nothing else is asked for."""
         pairs = [f"{key}={text}" for key, text in fields.items() if key not in self.typed]
         kept = {key: value for key, value in settings.items() if key not in self.typed}
@@ -63,7 +63,7 @@ class RunPlan:
     source: "TrainedNetworks | None"
 
 
-def plan_run(task: str, options: RunOptions) -> RunPlan:
+def plan_run(task: str, options: TrainOptions) -> RunPlan:
     """Return what is run when that is asked for; a line tells what nobody has typed.
 
     Raises:
@@ -88,7 +88,7 @@ def plan_run(task: str, options: RunOptions) -> RunPlan:
     return RunPlan(config=config, overrides=overrides, origin=origin, source=source)
 
 
-def _as_before(options: RunOptions) -> RunOptions:
+def _as_before(options: TrainOptions) -> TrainOptions:
     """Return settings, fields and engine as the run was started, unless asked for otherwise."""
     from usarmjx.train.learning.record import RECORD_FILE, load_record
 
@@ -99,7 +99,7 @@ def _as_before(options: RunOptions) -> RunOptions:
     return replace(before, engine=record.engine if options.engine == "auto" else options.engine)
 
 
-def _as_trained(task: str, source: "TrainedNetworks", options: RunOptions) -> RunOptions:
+def _as_trained(task: str, source: "TrainedNetworks", options: TrainOptions) -> TrainOptions:
     """Return networks' settings and, of the same task, fields as those were trained with, but for physics."""
     from usarmjx.train.own_tasks import same_class
 
@@ -110,7 +110,7 @@ def _as_trained(task: str, source: "TrainedNetworks", options: RunOptions) -> Ru
     return chosen
 
 
-def _as_usual(task: str, options: RunOptions) -> RunOptions:
+def _as_usual(task: str, options: TrainOptions) -> TrainOptions:
     """Return engine and fields as the task's trainings have them, unless asked for otherwise."""
     from usarmjx.engines import choose_engine
     from usarmjx.train.learning.defaults import training_engine, training_fields
@@ -123,7 +123,7 @@ def _as_usual(task: str, options: RunOptions) -> RunOptions:
     return chosen
 
 
-def _split_settings(task: str, options: RunOptions) -> tuple["Config", dict[str, Any]]:
+def _split_settings(task: str, options: TrainOptions) -> tuple["Config", dict[str, Any]]:
     """Return the settings of the training, and the fields of the task that are set otherwise."""
     from dataclasses import asdict, fields
 

@@ -14,7 +14,7 @@ from tests.train.runs import CONFIG, check_goes_on, lines
 from tests.train.toys import DriveToy, MemoryToy
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
-from usarmjx.cli.training_settings import RunOptions, plan_run
+from usarmjx.cli.training_settings import TrainOptions, plan_run
 from usarmjx.train.evaluation.evaluate import play_episodes
 from usarmjx.train.learning.checkpoint import Checkpoints, load_policy, load_train_state
 from usarmjx.train.learning.config import task_config
@@ -167,10 +167,10 @@ def test_a_run_on_another_engine_has_its_networks_and_fields_but_its_own_physics
 def test_nobody_is_imitated_unless_asked_for(planar_run, tmp_path):
     """Of another task fields are its own, and what is typed holds."""
     wanted = {"out": tmp_path / "x", "engine": "c", "source": planar_run, "given": {}}
-    plan = plan_run("wander", RunOptions(**wanted, pairs=[]))
+    plan = plan_run("wander", TrainOptions(**wanted, pairs=[]))
     assert (plan.config.imitate, plan.overrides, plan.config.layers) == (0, {}, (4, 3))
     assert task_config("wander").imitate > 0
-    plan = plan_run("wander", RunOptions(**wanted, pairs=["imitate=7", "layers=5"]))
+    plan = plan_run("wander", TrainOptions(**wanted, pairs=["imitate=7", "layers=5"]))
     assert (plan.config.imitate, plan.config.layers) == (7, (5,))
 
 
