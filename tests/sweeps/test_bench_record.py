@@ -72,6 +72,9 @@ def test_the_record_says_what_was_played_and_how_long_it_took(recorded):
     assert (record["benchmark"], record["note"], record["case"]["engines"]) == ("sweep", "busy", ["c"])
     assert (record["cells"], record["failed"], record["known"], record["episodes"]) == (2, 2, 0, 4)
     assert (record["batches"], record["largest_batch"], record["compilations"]) == (2, 2, 2)
+    common = record["case"]["settings"]
+    assert (common["seed"], common["episodes"], common["arena.kind"]) == ("0", "2", "maze")
+    assert "arena.level" not in common, "it differs"
     kept = read_sweep(folder / "out")
     assert record["agent_steps"] == sum(sum(one.steps) for one in kept.finished), "one robot drives"
     assert 0.0 < record["compile_s"] < record["wall_s"] < seconds

@@ -9,6 +9,7 @@ from usarmjx.bench.baselines import missing
 from usarmjx.bench.tools import record_header, spread_of
 from usarmjx.sweeps.axis_scores import overall_rows
 from usarmjx.sweeps.plan import SweepPlan
+from usarmjx.sweeps.settings import as_text
 from usarmjx.sweeps.store import CellRecord, StoredSweep
 from usarmjx.sweeps.workers import Workers
 
@@ -63,6 +64,7 @@ def sweep_record(
             "tasks": list(dict.fromkeys(record.settings["task"] for record in played)),
             "engines": engines,
             "axes": list(found.axes),
+            "settings": _common(played),
             "run_on": workers.place,
             "workers": workers.count,
         },
@@ -96,6 +98,16 @@ def sweep_record(
     }
 
 
+def _common(played: list[CellRecord]) -> dict[str, str]:
+    """Return the settings that all cells have alike, as text."""
+    first = played[0].settings
+    return {
+        name: as_text(value)
+        for name, value in first.items()
+        if all(record.settings.get(name) == value for record in played)
+    }
+
+
 def _work_of(played: list[CellRecord]) -> dict[str, int | None]:
     """Return how much was played; agent steps up to the ends of episodes, None where a team is not known."""
     steps = [sum(record.steps) * record.agents for record in played]
@@ -114,7 +126,8 @@ def _known(end: float) -> float | None:
 
 def record_line(record: dict[str, Any]) -> str:
     """Return what a record says, in a line."""
+    many = f"{record['cells']} cell{'' if record['cells'] == 1 else 's'}"
     return (
-        f"{record['cells']} cells in {record['wall_s']:.1f} s, {record['compile_s']:.1f} s of it to compile, "
+        f"{many} in {record['wall_s']:.1f} s, {record['compile_s']:.1f} s of it to compile, "
         f"on {record['device']}"
     )

@@ -304,7 +304,7 @@ def sweep_table(records: Sequence[BenchRecord]) -> str:
     """Sweeps: how many cells in how long."""
     head = (
         "sweep", "engine", "cells", "failed", "batches", "compilations", "episodes", "to the last cell [s]",
-        "of it compilation [s]", "agent-steps/s", "score, 95 % interval",
+        "of it compilation [s]", "agent-steps/s with it", "score, 95 % interval",
     )  # fmt: skip
 
     def rows(record: BenchRecord) -> Iterator[MarkdownRow]:
