@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.train.envs.splits import held_out
 from usarmjx.train.envs.state import AgentGroup
+from usarmjx.train.evaluation import yardsticks
 from usarmjx.train.evaluation.yardsticks import (
     HELD_STEPS,
     TEAMS,
     alone,
+    arenas_to_play,
     find_team,
     measure_teams,
     packaged_policy,
@@ -23,6 +26,8 @@ from usarmjx.train.evaluation.yardsticks import (
     with_perfect_radio,
 )
 from usarmjx.train.make import make_task
+from usarmjx.train.policies.sources import PolicySource, arenas_of
+from usarmjx.train.scenes.buildings import Buildings
 from usarmjx.train.tasks.team_parts import PERFECT_RADIO
 
 STEPS, WORLDS = 8, 3
@@ -92,6 +97,66 @@ def test_robots_at_random_keep_what_they_drew_for_a_while():
     assert (second == second[0]).all()
     assert len(np.unique(np.stack([first[0], second[0]]))) == 2 * WORLDS * 2 * 2
     assert np.abs(rows).max() <= 1.0
+
+
+SMALL = Buildings(size=(3, 3), levels=(0.5, 0.8))
+
+
+def test_teams_of_a_split_play_in_its_buildings_each_in_its_own():
+    whole = arenas_to_play("explore-v2", None, "validation", arena=SMALL)
+    assert whole == arenas_of("explore-v2", {"arena": SMALL}, "validation").arenas()
+    assert len(whole) == 100
+    assert {held_out([arena]) for arena in whole} == {"validation"}
+    some = arenas_to_play("explore-v2", 5, "validation", arena=SMALL)
+    assert some == whole[::20], "of all levels alike: 50 easy ones come first"
+    assert len(arenas_to_play("explore-v2", 300, "validation", arena=SMALL)) == 100
+    with pytest.raises(UnknownNameError, match="exam"):
+        arenas_to_play("explore-v2", 5, "exam")
+    with pytest.raises(UsageError, match="explore has no generated arenas as it is set up"):
+        arenas_to_play("explore", 5, "test", arena="floor")
+
+
+@pytest.fixture
+def games(monkeypatch):
+    """Who played in what, instead of games: name, task, worlds."""
+    seen = []
+
+    def play(env, task, policy, name, seed, watch):
+        seen.append((name, task, env[1]))
+        return SimpleNamespace(name=name)
+
+    def found(name):
+        told = {"runs/blind": {"advice": "false"}, "runs/told": {"advice": "true"}, "runs/usual": {}}
+        return PolicySource(name=name, task="explore-v2", overrides=told[name])
+
+    monkeypatch.setattr(yardsticks, "Env", lambda task, worlds, name, engine: (task, worlds))
+    monkeypatch.setattr(yardsticks, "play_team", play)
+    monkeypatch.setattr(yardsticks, "find_source", found)
+    monkeypatch.setattr(PolicySource, "policy", lambda source, env: None)
+    monkeypatch.setattr(
+        yardsticks, "TEAMS", {n: (change, lambda env: None) for n, (change, _) in TEAMS.items()}
+    )
+    return seen
+
+
+def test_all_teams_play_in_the_same_held_out_buildings(games):
+    measure_teams("explore-v2", 4, split="test", arena=SMALL)
+    assert [name for name, *_ in games] == list(TEAMS)
+    assert {worlds for *_, worlds in games} == {4}
+    assert len({task.arena for _, task, _ in games}) == 1
+    assert held_out(games[0][1].arena) == "test"
+    games.clear()
+    measure_teams("explore-v2", 4, arena=SMALL)
+    assert held_out(games[0][1].arena.arenas()) is None
+
+
+def test_policies_see_advice_as_in_training_and_by_hand_always(games):
+    names = ("random", "one", "baseline", "perfect-radio", "runs/blind", "runs/told", "runs/usual")
+    measure_teams("explore-v2", 4, teams=names, arena=SMALL)
+    assert [task.advice for _, task, _ in games] == [True] * 4 + [False, True, True]
+    games.clear()
+    measure_teams("explore-v2", 4, teams=names, arena=SMALL, advice=False)
+    assert [task.advice for _, task, _ in games] == [False, True, True, True] + [False] * 3
 
 
 def test_what_has_no_parts_or_no_policy_is_refused():

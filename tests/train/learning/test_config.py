@@ -113,14 +113,33 @@ def test_a_bare_command_has_the_settings_of_the_runs_that_are_told_of(task, worl
     assert (config.discount, config.trace, config.layers) == (0.97, 0.9, (256, 128))
 
 
+def runs_of(task, engine):
+    """The runs of a task on an engine whose settings are kept: benchmarks/results/train.jsonl."""
+    records = map(json.loads, (ROOT / "benchmarks/results/train.jsonl").read_text().splitlines())
+    return [run for run in records if (run["task"], run["engine"]) == (task, engine) and "config" in run]
+
+
+@pytest.mark.parametrize(
+    ("task", "fields", "seeds"),
+    [("drive-to-goal", {}, {0, 1, 2}), ("explore-v2", {"physics": "coarse"}, {0, 1})],
+)
+def test_the_runs_on_planar_that_are_told_of_had_the_settings_of_a_bare_command(task, fields, seeds):
+    """The last of each seed; how often they were kept decides nothing of what is learned."""
+    runs = {run["seed"]: run for run in runs_of(task, "planar")}
+    assert set(runs) >= seeds
+    for seed, run in runs.items():
+        assert run["settings"]["task"] == fields
+        config = task_config(task, gpu=True, seed=seed, checkpoint_every=run["config"]["checkpoint_every"])
+        assert from_record(run["config"]) == config
+
+
 @pytest.mark.parametrize(
     ("task", "engine"),
     [("convoy", "planar"), ("hover-inspect", "planar"), ("wander", "planar"), ("stairs", "c")],
 )
 def test_the_runs_of_small_tasks_that_are_told_of_were_bare_commands(task, engine):
     """Three seeds, of which nothing but the seed was set: benchmarks/results/train.jsonl."""
-    records = map(json.loads, (ROOT / "benchmarks/results/train.jsonl").read_text().splitlines())
-    runs = {r["seed"]: r for r in records if (r["task"], r["engine"]) == (task, engine)}
+    runs = {run["seed"]: run for run in runs_of(task, engine)}
     assert set(runs) == {0, 1, 2}
     for seed, run in runs.items():
         assert from_record(run["config"]) == task_config(task, seed=seed)

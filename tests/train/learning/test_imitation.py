@@ -41,8 +41,27 @@ def teacher(monkeypatch):
     BASELINES.add("drive-toy", straight)
 
 
-def trainer_of(**settings):
-    return Trainer(DriveToy(CONFIG.worlds), dataclasses.replace(CONFIG, **settings), ProcessGroup())
+def trainer_of(env=None, **settings):
+    return Trainer(env or DriveToy(CONFIG.worlds), dataclasses.replace(CONFIG, **settings), ProcessGroup())
+
+
+class HiddenToy(DriveToy):
+    """As its base, but robots do not see their goals; a task knows them from its memory."""
+
+    scene = None
+
+    def __init__(self, *args, **more):
+        self.task = self
+        self.for_baseline = "the task with goals in view"
+        super().__init__(*args, **more)
+
+    def see(self, x, time):
+        return tuple(map(jnp.zeros_like, super().see(x, time)[0])), jnp.zeros(6)
+
+    def baseline_obs(self, scene, memory, obs):
+        assert scene is None
+        assert not memory.x["goal"].shape[2:]  # of one world
+        return super().see(memory.x, None)[0]
 
 
 @pytest.mark.oracle
@@ -98,6 +117,21 @@ def test_a_teacher_begins_anew_with_each_episode():
     assert since.min() < CONFIG.rollout  # some episodes did end
     for shown, obs in zip(steps.teacher_action, steps.obs, strict=True):
         assert_allclose(shown, np.clip(2.0 * np.asarray(obs), -0.8, 0.8), rtol=1e-6)
+
+
+def test_a_teacher_sees_what_is_hidden_and_the_policy_does_not():
+    tasks = []
+    BASELINES.replace("drive-toy", lambda env: tasks.append(env.task) or straight(env))
+    env = HiddenToy(CONFIG.worlds)
+    trainer = trainer_of(env, imitate=ROUND)
+    assert tasks == ["the task with goals in view"]
+    assert env.task is env, "the worlds stay as they are"
+    train_state, worlds = trainer.start()
+    _, steps, _, _ = trainer.rollout.collect(train_state, worlds, jax.random.key(0))
+    assert not any(np.asarray(one).any() for one in (*steps.obs, steps.privileged))
+    way = worlds.env_state.memory.x["goal"] - worlds.env_state.memory.x["at"]
+    for shown, part in zip(steps.teacher_action, (way[:, :2], way[:, 2:]), strict=True):
+        assert_allclose(shown[0], np.clip(2.0 * np.asarray(part), -0.8, 0.8), rtol=1e-6)
 
 
 def test_after_the_lessons_only_ppo_counts():
