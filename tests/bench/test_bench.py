@@ -14,7 +14,7 @@ from usarmjx.bench.step import StepCase, measure_step
 def outcome(tmp_path_factory):
     """A tiny run: (record, summary)."""
     file = tmp_path_factory.mktemp("bench") / "new" / "results.jsonl"
-    case = StepCase(worlds=2, roster="P2AT", engine="c", steps=2, repeats=1, substeps=4)
+    case = StepCase(worlds=2, roster="P2AT", engine="c", steps=2, repeats=1, substeps=4, profile=True)
     summary = measure_step(case, file, "toy size", "cpu")
     (line,) = file.read_text().splitlines()
     return json.loads(line), summary
@@ -30,6 +30,7 @@ def test_the_record_says_what_was_measured_where(outcome):
     assert record["case"] == {
         "worlds": 2, "roster": "P2AT", "arena": "yellow", "generated": 0, "size": None, "engine": "c",
         "radio": False, "physics": "reference", "substeps": 4, "steps": 2, "repeats": 1, "seed": 0,
+        "graph": "step", "profile": True,
     }  # fmt: skip
     for word in ("contacts", "sensors", "resets of 1%", "no radio"):
         assert word in record["in_the_step"]

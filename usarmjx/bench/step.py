@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.bench.baselines import MJX, baseline_lines, check_word, physics_baselines
+from usarmjx.bench.kernels import kernel_lines, profile_kernels
 from usarmjx.bench.loops import RESET_SHARE, bare_step, repeat_loop, whole_step
 from usarmjx.bench.scene_figures import SceneFigures
 from usarmjx.bench.scenes import SceneCase, start_qpos
@@ -27,14 +28,21 @@ from usarmjx.sim.scene import Scene
 
 BASELINE_STEPS = 400
 RATE = "robot-steps/s"
+USUAL_GRAPH = "step"
 
 
 @dataclass(frozen=True, kw_only=True)
 class StepCase(SceneCase):
-    """What to measure; `steps` control steps of `substeps` physics steps, `repeats` times."""
+    """What to measure; `steps` control steps of `substeps` physics steps, `repeats` times.
+
+    `graph` says which CUDA graphs engine `warp` launches (`engines/warp_graphs.py`); with `profile` a repeat
+    of the whole step more, which is not in the rates, is told by its kernels.
+    """
 
     steps: int = 20
     repeats: int = 5
+    graph: str = USUAL_GRAPH
+    profile: bool = False
 
 
 def _one_core(scene: Scene, speeds: np.ndarray) -> float:
@@ -75,7 +83,9 @@ def measure_step(case: StepCase, file: Path | None = None, note: str = "", basel
     header = record_header("step", host=resolved["engine"] == "c", note=note)
     scene = case.scene()
     batch = case.batch(scene)
-    rates, state, seen = _rates(case, batch)
+    if case.graph != USUAL_GRAPH:
+        batch.engine.use_graphs(case.graph)
+    rates, state, seen, kernels = _rates(case, batch)
     bare, whole, blind = (rates[name] for name in ("bare", "whole", "blind"))
     rays = sum(len(group.slots) * sum(group.suite.ray_counts) for group in scene.groups)
     record = {
@@ -112,24 +122,30 @@ def measure_step(case: StepCase, file: Path | None = None, note: str = "", basel
         "cpu_mujoco_robot_steps_per_s": _one_core(scene, np.full(scene.model.nu, 1.0)),
         "faults": jax.tree.map(lambda count: int(count.sum()), vars(state.worlds.faults)),
     }
+    if kernels is not None:
+        record["kernels"] = kernels
     append_record(record, file)
     return _summary(record)
 
 
-def _rates(case: StepCase, batch: Batch) -> tuple[dict[str, Any], BatchState, SceneFigures]:
-    """Return the rates of the bare, the whole and the blind step, the last state, and what was met."""
+def _rates(
+    case: StepCase, batch: Batch
+) -> tuple[dict[str, Any], BatchState, SceneFigures, dict[str, Any] | None]:
+    """Return the rates of the bare, the whole and the blind step, the last state, what was met, kernels."""
     key, seen = jax.random.key(case.seed + 1), SceneFigures(batch)
     state = batch.reset()
     work = case.worlds * batch.scene.num_robots * batch.scene.physics.substeps * case.steps
     run = partial(time_repeats, repeats=case.repeats)
     body, given = bare_step(batch, key, state)
     bare = run(repeat_loop(batch, body, case.steps, given), state.physics)
-    whole = run(repeat_loop(batch, whole_step(batch, key), case.steps), state, look=seen.look)
+    whole_loop = repeat_loop(batch, whole_step(batch, key), case.steps)
+    whole = run(whole_loop, state, look=seen.look)
+    kernels = profile_kernels(whole_loop, whole[2]) if case.profile else None
     blind = run(repeat_loop(batch, whole_step(batch, key, sensing=False), case.steps), whole[2])
     batch.check_overflow(blind[2])
     found = {"bare": bare, "whole": whole, "blind": blind}
     rates = {name: rate_of(RATE, work, first, times) for name, (first, times, _) in found.items()}
-    return rates, blind[2], seen
+    return rates, blind[2], seen, kernels
 
 
 def _summary(record: dict[str, Any]) -> str:
@@ -146,5 +162,6 @@ def _summary(record: dict[str, Any]) -> str:
             *baseline_lines(record),
             f"compile [s]   bare {record['compile_s']['bare']:.1f}, whole {record['compile_s']['whole']:.1f}",
             f"faults        {record['faults']}",
+            *(kernel_lines(record["kernels"]) if "kernels" in record else ()),
         ]
     )

@@ -141,6 +141,16 @@ def bench_step(
     steps: StepsOption = 20,
     repeats: RepeatsOption = 5,
     seed: SeedOption = 0,
+    graph: Annotated[
+        str,
+        typer.Option(
+            help="CUDA graphs of engine warp: step or control, one for each; with -staged or -staged-ex, one "
+            "for all arrays, which are copied in it or around it."
+        ),
+    ] = "step",
+    profile: Annotated[
+        bool, typer.Option("--profile", help="Tell which kernels a repeat of the whole step more takes.")
+    ] = False,
     ini: IniOption = None,
     uu_per_metre: UnitOption = 250.0,
     note: NoteOption = "",
@@ -166,6 +176,8 @@ def bench_step(
             steps=steps,
             repeats=repeats,
             seed=seed,
+            graph=graph,
+            profile=profile,
         )
         typer.echo(measure_step(case, json, note, baselines))
 

@@ -173,6 +173,18 @@ class Engine(ABC, Generic[EngineState]):
             inputs: What the engine was told for it.
         """
 
+    def use_graphs(self, name: str) -> None:
+        """Launch other CUDA graphs than usual, to compare them; call it before the first step.
+
+        Args:
+            name: Which, of those that `usarmjx bench step --graph` takes.
+
+        Raises:
+            UnknownNameError: No such graphs.
+            UnsupportedFeatureError: The engine launches none.
+        """
+        raise UnsupportedFeatureError(f"engine {self.name!r} launches no CUDA graphs ({name!r}); warp does")
+
     def solved(self, engine_state: EngineState) -> SolvedStep | None:
         """Return what the solver met in the last physics step; None: the engine has no solver."""
         del engine_state

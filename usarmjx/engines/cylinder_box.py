@@ -332,6 +332,21 @@ def cylinder_box(cylinder: GeomInfo, box: GeomInfo) -> Contacts:
     return dist, pos, jnp.tile(frame, (CONTACTS, 1, 1))
 
 
+def check_mjx_version() -> str:
+    """Return the version of mujoco-mjx, the one whose private names are used here.
+
+    Raises:
+        EngineError: It is missing, or another one.
+    """
+    try:
+        found = metadata.version("mujoco-mjx")
+    except metadata.PackageNotFoundError:
+        raise EngineError(f"mujoco-mjx is not installed; {MJX_VERSION} is needed") from None
+    if found != MJX_VERSION:
+        raise EngineError(f"found mujoco-mjx {found}; cylinder_box needs exactly {MJX_VERSION}")
+    return found
+
+
 def register_collision() -> None:
     """Teach MJX-JAX the pair cylinder against box; call it before `mjx.put_model`.
 
@@ -341,12 +356,7 @@ def register_collision() -> None:
     Raises:
         EngineError: mujoco-mjx is missing, of another version, or lacks the private names.
     """
-    try:
-        found = metadata.version("mujoco-mjx")
-    except metadata.PackageNotFoundError:
-        raise EngineError(f"mujoco-mjx is not installed; {MJX_VERSION} is needed") from None
-    if found != MJX_VERSION:
-        raise EngineError(f"found mujoco-mjx {found}; cylinder_box needs exactly {MJX_VERSION}")
+    found = check_mjx_version()
     package = "mujoco.mjx._src"
     try:
         table = import_module(f"{package}.collision_driver")._COLLISION_FUNC

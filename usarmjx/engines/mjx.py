@@ -29,6 +29,7 @@ from usarmjx.engines.base import (
 )
 from usarmjx.engines.convex_room import convex_room
 from usarmjx.engines.short_boxes import ShortBoxes
+from usarmjx.engines.warp_graphs import GRAPHS, CapturedGraphs, step_several
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.compose_arena import split_long_boxes
 from usarmjx.models.build.moved import MovedGeoms
@@ -101,8 +102,13 @@ class MjxEngine(Engine[mjx.Data]):
         else:
             model = self.mx.tree_replace(fields)
             axes = jax.tree.map(lambda _: None, self.mx).tree_replace(dict.fromkeys(fields, 0))
-        step = jax.vmap(mjx.step, in_axes=(axes, 0))
-        return jax.lax.fori_loop(0, self.physics.substeps, lambda _, d: step(model, d), data)
+        step, calls = self._step_of_calls()
+        worlds_step = jax.vmap(step, in_axes=(axes, 0))
+        return jax.lax.fori_loop(0, calls, lambda _, d: worlds_step(model, d), data)
+
+    def _step_of_calls(self) -> tuple[Callable[[mjx.Model, mjx.Data], mjx.Data], int]:
+        """Return what steps a world, and how often it is called in a control step."""
+        return mjx.step, self.physics.substeps
 
     def _fields(self, inputs: Inputs) -> dict[str, jax.Array]:
         """Return the model's fields that differ between worlds (worlds, ...)."""
@@ -247,6 +253,7 @@ class WarpEngine(MjxEngine):
 
     name = "warp"
     impl = "warp"
+    _graphs = CapturedGraphs()
 
     def __init__(
         self,
@@ -309,6 +316,18 @@ class WarpEngine(MjxEngine):
             )
             inputs = inputs.replace(xfrc_applied=jnp.asarray(inputs.xfrc_applied).at[..., :3].add(weight))
         return super().advance(engine_state.tree_replace({"_impl.overflow": clear}), inputs)
+
+    def use_graphs(self, name: str) -> None:
+        """Capture other CUDA graphs than usual, of `GRAPHS`; what is compiled already stays."""
+        self._graphs = GRAPHS.get(name)
+        if jax.default_backend() != "cpu":
+            mode = import_module("warp").JaxCallableGraphMode[self._graphs.mode]
+            self.mx = self.mx.tree_replace({"opt._impl.graph_mode": mode})
+
+    def _step_of_calls(self) -> tuple[Callable[[mjx.Model, mjx.Data], mjx.Data], int]:
+        if self._graphs.control_step:
+            return step_several(self.physics.substeps), 1
+        return super()._step_of_calls()
 
     def waiting(self, step: Callable[StepArguments, StepOutcome]) -> Callable[StepArguments, StepOutcome]:
         """Return a function that steps and, on a CPU, waits: `finish_steps` does not see dropped outcomes."""
