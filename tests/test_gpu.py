@@ -1,5 +1,7 @@
 """What only a GPU can show; skipped elsewhere."""
 
+import gc
+
 import jax
 import mujoco
 import numpy as np
@@ -7,11 +9,14 @@ import pytest
 
 from tests.arenas import COURSE
 from tests.sim.test_arena_sets import ARENAS, EXACT, TOLERANCE, drive
+from tests.train.envs.test_steady import goal_env, used_after
 from tests.train.mapping.mazes import mazes
 from usarmjx.engines import choose_engine
+from usarmjx.engines.warp_graphs import GRAPHS
 from usarmjx.sensors.rays.choice import waves_on_warp
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import RosterEntry, build_scene
+from usarmjx.train.make import make
 from usarmjx.train.mapping.wavefront import distances, path_on_jax, shortest_path, spread_distances
 
 pytestmark = pytest.mark.gpu
@@ -37,6 +42,48 @@ def test_warp_on_the_gpu_drives_as_c_mujoco_does():
         batch.check_overflow(state)
         poses[engine] = np.asarray(batch.physics(state).qpos)[:, scene.groups[0].root_qposadr[:, :3]]
     np.testing.assert_allclose(poses["warp"], np.broadcast_to(poses["c"], poses["warp"].shape), atol=PARITY)
+
+
+@pytest.mark.parametrize("graph", GRAPHS.names())
+def test_every_kind_of_graph_computes_what_the_usual_one_does(graph):
+    """For 0.4 s through contacts with the floor; sums are atomic, so not to the last bit."""
+    scene = build_scene(COURSE, ["P2AT", "P2AT"])
+    found = []
+    for name in ("step", graph):
+        batch = Batch(scene, 16, engine="warp", seed=3)
+        batch.engine.use_graphs(name)
+        begun = batch.drive(batch.reset(), 0, {"Left": 4.0, "Right": 3.0})
+        state = jax.jit(lambda state, batch=batch: batch.run(state, 20))(begun)
+        batch.check_overflow(state)
+        found.append(np.asarray(batch.physics(state).qpos))
+    went = found[0] - np.asarray(batch.physics(begun).qpos)
+    assert abs(went[:, scene.groups[0].root_qposadr[:, :2]]).max(-1).min() > 0.05
+    np.testing.assert_allclose(found[1], found[0], atol=PARITY)
+
+
+def used_on_the_gpu():
+    """Bytes that JAX and Warp hold on the GPU; of JAX's only what something refers to."""
+    warp = pytest.importorskip("warp", reason="needs warp-lang")
+    gc.collect()
+    stats = jax.devices("gpu")[0].memory_stats()
+    assert stats is not None
+    return stats["bytes_in_use"], warp.get_mempool_used_mem_current(warp.get_cuda_device())
+
+
+def test_memory_is_flat_over_ten_thousand_actions_with_resets():
+    env = goal_env(worlds=64)
+    (few, many), state = used_after(env, (1000, 10_000), used_on_the_gpu)
+    assert few == many
+    assert few[0] > 0
+    assert np.asarray(state.batch.worlds.episode).min() >= 10_000 // env.episode_steps - 1
+
+
+def test_graphs_of_warp_take_no_more_memory_the_longer_it_runs():
+    """A graph that was captured for other arrays at each call would show here."""
+    env = make("drive-to-goal", worlds=64, engine="warp", ranges=(), pose="GroundTruth", episode_steps=40)
+    (few, many), state = used_after(env, (50, 250), used_on_the_gpu)
+    assert few == many
+    assert np.asarray(state.batch.worlds.episode).min() >= 250 // env.episode_steps - 1
 
 
 def test_scans_on_the_gpu_are_full_single_precision():
