@@ -24,9 +24,9 @@ class CapturedGraphs:
     """Which graphs are captured.
 
     Attributes:
-        mode: Name of one of Warp's JaxCallableGraphMode. WARP captures a graph for each set of arrays that XLA
-            hands over, WARP_STAGED one for all of them, which copies in and out, WARP_STAGED_EX copies before
-            and after it. A CPU has no graphs.
+        mode: Name of one of Warp's JaxCallableGraphMode. WARP captures a graph for each set of arrays that
+            XLA hands over, WARP_STAGED one for all of them, which copies in and out, WARP_STAGED_EX copies
+            before and after it. A CPU has no graphs.
         control_step: Whether a graph is of all physics steps of a control step.
     """
 
