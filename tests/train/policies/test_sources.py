@@ -20,7 +20,7 @@ from usarmjx.train.evaluation.evaluate import as_record, evaluate_episodes
 from usarmjx.train.learning.checkpoint import load_policy
 from usarmjx.train.policies import FOLDER, POLICIES, policies_in, sources
 from usarmjx.train.policies.export import NumpyPolicy
-from usarmjx.train.policies.sources import baseline, find_source, task_settings
+from usarmjx.train.policies.sources import PolicySource, baseline, find_source, task_settings
 
 GOAL_GROUP = AgentGroup("P2AT", ("P2AT0",), 4, 2)
 
@@ -54,6 +54,25 @@ def test_the_policy_of_a_run_acts_as_its_checkpoint(reference):
     expected, _ = policy.act(params, obs, policy.initial_carry(3), deterministic=True)
     for one, other in zip(actions, expected, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("command", ["eval", "play"])
+def test_who_tries_a_run_is_told_which_checkpoint_that_is_and_why(command, reference, monkeypatch):
+    def stop(source, *how, **more):
+        raise UsageError("its worlds are not built here")
+
+    monkeypatch.setattr(PolicySource, "env", stop)
+    notes = [json.loads(file.read_text()) for file in (reference / "checkpoints").glob("*/meta.json")]
+    best = max(notes, key=lambda note: note["score"])
+    last = max(notes, key=lambda note: note["iteration"])
+    reasons = {"best": (best, "the best by score in training"), "last": (last, "the last")}
+    for which, (note, why) in {**reasons, str(last["iteration"]): (last, "as asked for")}.items():
+        done = CliRunner().invoke(app, [command, str(reference), "--checkpoint", which])
+        assert done.exit_code == 2
+        assert done.stderr.splitlines()[-2].startswith(
+            f"usarmjx: checkpoint {note['iteration']} of {reference}, {why}: {note['score']:.4g} after "
+            f"{note['agent_steps']:,} agent steps"
+        )
 
 
 def test_a_policy_for_other_robots_is_refused(tmp_path):
