@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from tests.arenas import FLAT
-from tests.engines.eager import EAGER, SINGLE, around, drive, poses
+from tests.engines.eager import AT_ONCE, EAGER, SINGLE, around, drive, poses
 from usarmjx.engines.planar.bodies import footprint_of
 from usarmjx.engines.planar.footprints import TOLERANCE, Footprints, keep_apart
 from usarmjx.engines.planar.neighbours import stopping
+from usarmjx.engines.planar.responses import use_response
 from usarmjx.engines.planar.solids import seen_from_above
 from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import Physics
@@ -118,7 +119,7 @@ def test_what_is_around_robots_is_looked_up_seldom_and_forgotten_at_a_reset(crow
         looks += not np.array_equal(before, state.physics.around.at)
     assert 1 <= looks < 5
     mask = jnp.arange(batch.worlds) == 1
-    cleared = batch.engine.reset(state.physics, mask, state.physics.qpos).around.free
+    cleared = batch.engine.reset(state.physics, mask, state.physics.qpos).around.free.aside
     assert np.array_equal(np.asarray(cleared == 0).all(-1), mask)
 
 
@@ -162,6 +163,38 @@ def test_the_heavier_of_two_pushes_the_lighter():
     assert 30.0 * went[0] + 10.0 * went[1] == pytest.approx(0.0, abs=1e-3), "their centre of mass stays"
     assert touched.all()
     assert not known.left_out.any()
+
+
+BODY = EAGER.chassis[0]
+BURDENED = replace(EAGER, name="Burdened", chassis=(replace(BODY, mass=40.0), *EAGER.chassis[1:]))
+use_response(BURDENED, AT_ONCE)
+
+
+@pytest.mark.parametrize("speeds", [(4.0, 4.0), (4.0, 0.0), (0.0, 4.0)], ids=["both", "light", "heavy"])
+def test_robots_that_push_have_the_speed_that_their_momentum_leaves_them(speeds):
+    """(m1 v1 + m2 v2) / (m1 + m2), as of a plastic impact, of speeds that each would have without the other.
+
+    Step after step: wheels do as they are told, those that are told to stand, too.
+    """
+    starts = tuple(
+        StartPose(tag=f"S{x}", at=(x, 0.0, 0.188), yaw=yaw) for x, yaw in ((-0.5, 0.0), (0.5, math.pi))
+    )
+    batch = Batch(build_scene(replace(FLAT, starts=starts), [EAGER, BURDENED]), 1, engine="planar")
+    scene, state = batch.scene, batch.reset()
+    for number, speed in enumerate(speeds):
+        state = batch.drive(state, number, {"Left": speed, "Right": speed})
+    for _ in range(70):
+        state = batch.step(state)
+    free = [way * speed * EAGER.wheel_radius for way, speed in zip((1.0, -1.0), speeds, strict=True)]
+    mass = [scene.model.body_subtreemass[group.indices[0].body_ids[0]] for group in scene.groups]
+    assert mass[1] > 2.5 * mass[0]
+    common = np.dot(mass, free) / np.sum(mass)
+    qvel = np.asarray(batch.physics(state).qvel)[0]
+    assert np.asarray(state.physics.touched).all()
+    assert [qvel[group.root_dofadr[0, 0]] for group in scene.groups] == pytest.approx([common] * 2, abs=2e-3)
+    assert [abs(qvel[group.root_dofadr[0, 5]]) for group in scene.groups] == pytest.approx(
+        [0.0] * 2, abs=1e-3
+    )
 
 
 def no_solids():

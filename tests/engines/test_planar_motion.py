@@ -14,7 +14,7 @@ from tests.engines.eager import AT_ONCE, BLIND, EAGER, SINGLE, drive, poses
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.engines.planar.drives import follow, wheels_of
 from usarmjx.engines.planar.footprints import TOLERANCE
-from usarmjx.engines.planar.responses import Response, check_robot, use_response
+from usarmjx.engines.planar.responses import Response, check_robot, measured, use_response
 from usarmjx.engines.planar.servos import move_joints, servos_of
 from usarmjx.engines.planar.solids import ground_under, seen_from_above
 from usarmjx.models.build.body_plan import kinematic_tree_of
@@ -50,6 +50,29 @@ def test_wheels_at_odds_drive_an_arc_of_the_radius_that_they_make(flat):
         assert math.remainder(now[0, robot, 2] - yaw - angle, math.tau) == pytest.approx(0.0, abs=SINGLE)
     spins = np.asarray(flat.physics(state).qvel)[0, flat.scene.groups[0].dofadr[0]]
     assert spins[wheels.spin] == pytest.approx([left] * 2 + [right] * 2, abs=1e-3)
+
+
+@pytest.mark.parametrize(("name", "slip"), [("Eager", 1.0), ("P2AT", 0.0), ("Zerg", 0.0)])
+def test_sides_that_go_against_each_other_turn_a_robot_on_the_spot(name, slip):
+    """At 2 w r / track times the share of it that the class keeps: what was measured, where 0 is given."""
+    robot = EAGER if name == "Eager" else replace(ROBOTS.get(name), sensors=(), cameras=())
+    wheel, track = robot.wheel_radius, robot.wheel_separation
+    share = slip or measured()[name]["response"]["turn_gain"]
+    assert share == 1.0 or share < 0.97, "it slips"
+    batch, spin, steps = Batch(build_scene(FLAT, [robot]), 1, engine="planar"), 1.5, 50
+    begun = drive(batch, -spin, spin, 50)
+    ended = drive(batch, -spin, spin, steps, begun)
+    (first, _), (now, rate) = ((poses(batch, one)[0, 0], turn_rate(batch, one)) for one in (begun, ended))
+    expected = share * 2 * spin * wheel / track
+    assert rate == pytest.approx(expected, rel=1e-4)
+    left = now[2] - first[2] - expected * steps * 0.02
+    assert math.remainder(left, math.tau) == pytest.approx(0.0, abs=SINGLE)
+    assert now[:2] == pytest.approx(poses(batch, batch.reset())[0, 0, :2], abs=1e-5), "it stays where it is"
+
+
+def turn_rate(batch, state):
+    """Of the first robot [rad/s]."""
+    return float(np.asarray(batch.physics(state).qvel)[0, batch.scene.groups[0].root_dofadr[0, 5]])
 
 
 def test_wheels_have_turned_as_far_as_they_went(flat):
