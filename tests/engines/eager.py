@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.engines.planar.neighbours import look_around
+from usarmjx.engines.planar.neighbours import Margin, look_around
 from usarmjx.engines.planar.responses import Response, use_response
 from usarmjx.models.robots import ROBOTS
 
@@ -21,11 +21,12 @@ EAGER = replace(BLIND, name="Eager", battery_life=1e6)
 use_response(EAGER, AT_ONCE)
 
 
-def around(prints, solids):
+def around(prints, solids, floor=0.0):
     """What is around robots (worlds, robots) whose worlds all have the same solids."""
 
     def of_world(one):
-        return look_around(one, one.low + one.step, solids, jnp.full_like(one.low, 0.1), jnp.zeros(0))
+        reach = Margin(aside=jnp.full_like(one.low, 0.1), height=jnp.zeros_like(one.low))
+        return look_around(one, one.low + one.step, solids, floor, reach, jnp.zeros(0))
 
     return jax.vmap(of_world)(prints)
 

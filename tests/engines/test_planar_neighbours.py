@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from tests.engines.eager import around
+from usarmjx.engines.planar.few_worlds import FEW, where_needed
 from usarmjx.engines.planar.footprints import Footprints, keep_apart
-from usarmjx.engines.planar.neighbours import LAYERS, NEAR, ground_of, places_of, stopping
+from usarmjx.engines.planar.neighbours import LAYERS, NEAR, Margin, ground_of, places_of, stopping
 from usarmjx.engines.planar.solids import ground_under, seen_from_above
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
@@ -50,10 +51,12 @@ def moved():
         mass=jnp.ones(shape),
     )
     known = jax.jit(around)(prints, solids)
-    room = jnp.clip(jnp.minimum(known.free, known.grounded), 0.0, 1.0) * 0.98
-    along, way = rng.uniform(0.2, 0.8, shape), rng.uniform(-3, 3, shape)
-    ahead = (along * room)[..., None] * jnp.stack([jnp.cos(way), jnp.sin(way)], -1)
-    up = (1 - along) * room * np.sign(rng.normal(size=shape))
+    room = jax.tree.map(
+        lambda *each: jnp.clip(jnp.minimum(*each), 0.0, 1.0) * 0.98, known.free, known.grounded
+    )
+    way = rng.uniform(-3, 3, shape)
+    ahead = room.aside[..., None] * jnp.stack([jnp.cos(way), jnp.sin(way)], -1)
+    up = room.height * np.sign(rng.normal(size=shape))
     later = prints.replace(
         pos=prints.pos + ahead, yaw=prints.yaw + 1.0, low=prints.low + up, high=prints.high + up
     )
@@ -64,9 +67,10 @@ def test_solids_that_are_left_out_do_not_matter_as_far_as_is_said(moved):
     """A step from there meets what it meets when all is looked up there."""
     solids, _, known, later, room = moved
     anew, moves = jax.jit(around)(later, solids), jnp.ones(later.yaw.shape, bool)
-    assert (np.asarray(room) > 0.2).mean() > 0.3, "some may go far"
+    assert (np.asarray(room.aside) > 0.2).mean() > 0.3, "some may go far"
+    assert (np.asarray(room.height) > 0.1).mean() > 0.3, "or high"
     assert SOLIDS > 5 * NEAR
-    inside = np.asarray(known.free) > 0
+    inside = np.asarray((known.free.aside > 0) & (known.free.height > 0))
     step = later.replace(pos=later.pos + 0.03)
 
     @jax.jit
@@ -88,7 +92,7 @@ def test_the_ground_is_as_high_as_that_under_all_solids(moved):
     limit = jnp.broadcast_to((later.low + later.step)[:, None], feet.shape[:-1])
     found = np.asarray(ground_of(known.under, 0.0, feet, limit))
     truth = np.asarray(jax.vmap(ground_under, (None, None, 0, 0))(solids, 0.0, feet, limit))
-    near = np.asarray(known.went(places_of(later, later.low + later.step)) < known.grounded)[:, None]
+    near = np.asarray(known.knows_ground(places_of(later, later.low + later.step)))[:, None]
     near = np.broadcast_to(near, found.shape)
     assert near.mean() > 0.5
     assert LAYERS < SOLIDS / 10
@@ -97,22 +101,68 @@ def test_the_ground_is_as_high_as_that_under_all_solids(moved):
 
 
 def test_nothing_is_known_of_robots_that_went_farther_or_whose_solids_moved(moved):
-    solids, prints, known, later, room = moved
-    del solids
-
-    def holds(now, scene, reach=0.0):
-        return bool(
-            known.replace(free=known.free + 9.0, grounded=known.grounded + 9.0).holds(now, scene, reach)
-        )
-
+    _, prints, known, _, _ = moved
+    nine = jax.tree.map(lambda margin: jnp.full_like(margin, 9.0), known.free)
+    assumed, none = known.replace(free=nine, grounded=nine), Margin(aside=0.0, height=0.0)
     at, scene = places_of(prints, prints.low + prints.step), known.scene
-    assert holds(at, scene)
-    assert not bool(jax.tree.map(jnp.zeros_like, known).holds(at, scene, 0.0)), "zeros are nothing known"
-    assert not holds(at, scene, jnp.zeros(at.shape[:2]).at[3, 1].set(20.0)), "one may go as far in a step"
-    assert not holds(at.at[3, 1, 0].add(20.0), scene), "one robot is elsewhere"
-    assert not holds(at.at[3, 1, 3].add(20.0), scene), "one is tilted"
-    assert not holds(at, scene, reach=30.0)
-    del later, room
+
+    def lost(now, reach=none, around=assumed):
+        return np.flatnonzero(~np.asarray(around.holds(now, scene, reach))).tolist()
+
+    every, far = list(range(WORLDS)), jnp.zeros(at.shape[:2]).at[3, 1].set(20.0)
+    assert lost(at) == []
+    assert lost(at, around=jax.tree.map(jnp.zeros_like, known)) == every, "zeros are nothing known"
+    assert lost(at, Margin(aside=far, height=0.0)) == [3], "one may go as far in a step"
+    assert lost(at, Margin(aside=0.0, height=far)) == [3], "or as high"
+    assert lost(at.at[3, 1, 0].add(20.0)) == [3], "one robot is elsewhere"
+    assert lost(at.at[3, 1, 3].add(20.0)) == [3], "one is tilted"
+    assert lost(at, Margin(aside=30.0, height=0.0)) == every
+    moved_scene = assumed.replace(scene=jnp.zeros((WORLDS, 1)))
+    assert np.flatnonzero(~np.asarray(moved_scene.holds(at, moved_scene.scene.at[7].set(1.0), none))) == [7]
+
+
+def test_what_hangs_over_a_robot_or_is_parked_far_below_keeps_nobody_from_going_on():
+    """A lintel 0.1 m over it and more parked boxes than there are layers: only rising, or a wall, ends it."""
+    count = NEAR + 2 * LAYERS
+    pos, size = np.tile([0.0, 0.0, -1000.0], (count, 1)), np.full((count, 3), 0.01)
+    pos[: NEAR + 1], size[: NEAR + 1] = (0.0, 0.0, 0.56), (2.0, 2.0, 0.16)  # lintels, from 0.4 to 0.72
+    pos[-1], size[-1] = (3.0, 0.0, 0.5), (0.1, 9.0, 0.5)  # a wall, 2.9 m away
+    kinds = np.full(count, mujoco.mjtGeom.mjGEOM_BOX)
+    solids = seen_from_above(kinds, jnp.asarray(pos), jnp.tile(jnp.eye(3), (count, 1, 1)), jnp.asarray(size))
+    prints = Footprints(
+        pos=jnp.zeros((1, 1, 2)),
+        yaw=jnp.zeros((1, 1)),
+        half=jnp.full((1, 1, 2), 0.25),
+        low=jnp.zeros((1, 1)),
+        high=jnp.full((1, 1), 0.3),
+        step=jnp.full((1, 1), 0.03),
+        mass=jnp.ones((1, 1)),
+    )
+    known = around(prints, solids)
+    assert float(known.free.height[0, 0]) == pytest.approx(0.4 - 0.3, abs=1e-6)
+    assert float(known.free.aside[0, 0]) > 100.0, "the wall is among those that are known"
+    assert float(known.grounded.aside[0, 0]) > 1.0
+    assert float(known.grounded.height[0, 0]) == pytest.approx(0.72 - 0.03, abs=1e-6)
+    assert (np.asarray(known.under.highest) > 0).all(), "none of what is parked"
+    there = around(prints.replace(low=prints.low + 0.2, high=prints.high + 0.2), solids)
+    assert float(there.free.aside[0, 0]) < 0, "among the lintels: more than it can know"
+
+
+@pytest.mark.parametrize("needing", [0, 1, 5, 6, 40])
+def test_what_worlds_need_is_worked_out_as_if_in_all_and_leaves_the_others_alone(needing):
+    worlds = 5 * FEW
+    needed = np.random.default_rng(needing).permutation(np.arange(worlds) < needing)
+    values = jnp.asarray(np.random.default_rng(1).normal(size=(worlds, 3)), jnp.float32)
+    known = {"a": jnp.full((worlds, 3), -1.0), "b": jnp.full(worlds, -1, jnp.int32)}
+
+    def function(row, none):
+        assert none is None
+        return {"a": row * 2, "b": (row > 0).sum(-1).astype(jnp.int32)}
+
+    found = jax.jit(lambda needed: where_needed(needed, function, known, values, None))(needed)
+    for name, truth in function(values, None).items():
+        expected = np.where(needed.reshape(-1, *[1] * (truth.ndim - 1)), truth, -1)
+        assert np.array_equal(np.asarray(found[name]), expected)
 
 
 @pytest.mark.parametrize("arena", ["field", "yellow"])

@@ -13,9 +13,11 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState
 from usarmjx.engines.planar.bodies import Motion, PlanarRobots, robots_of
+from usarmjx.engines.planar.few_worlds import where_needed
 from usarmjx.engines.planar.flight import fly, held_up
 from usarmjx.engines.planar.footprints import Footprints, keep_apart
 from usarmjx.engines.planar.neighbours import (
+    Margin,
     Neighbours,
     farthest_in_a_step,
     ground_of,
@@ -145,9 +147,9 @@ class PlanarEngine(Engine[PlanarState]):
         """Return something of the shapes of what is around the robots of a world."""
         before = self._robots.motion(state)
         limit = reach_of(self._robots, before).max(0)
-        scene = self._scene(state, None)
         prints, near = self._robots.footprints(before), jnp.zeros_like(limit)
-        return look_around(prints, limit, self._solids(state, None), near, scene)
+        reach = Margin(aside=near, height=near)
+        return self._look(state, None, prints, limit, reach, self._scene(state, None))
 
     def advance(self, engine_state: PlanarState, inputs: Inputs) -> PlanarState:
         """Make one control step in every world."""
@@ -187,15 +189,24 @@ class PlanarEngine(Engine[PlanarState]):
         return state, Aims(before, after, left, there, limit, scene, stacked)
 
     def _around(self, known: Neighbours, state: PhysicsState, aims: Aims, inputs: Inputs) -> Neighbours:
-        """Return what is around all robots, looked up anew if some may have come to what was far away."""
+        """Return what is around all robots, looked up anew where some may have come to what was far away."""
         limit, reach = aims.limit.max(1), farthest_in_a_step(aims.left, aims.there)
+        needed = jnp.logical_not(known.holds(places_of(aims.left, limit), aims.scene, reach))
+        known = known.replace(left_out=jnp.zeros_like(known.left_out))
+        args = state, inputs.geom_poses, aims.left, limit, reach, aims.scene
+        return where_needed(needed, jax.vmap(self._look), known, *args)
 
-        def look() -> Neighbours:
-            solids = jax.vmap(self._solids)(state, inputs.geom_poses)
-            return jax.vmap(look_around)(aims.left, limit, solids, reach, aims.scene)
-
-        holds = known.holds(places_of(aims.left, limit), aims.scene, reach)
-        return jax.lax.cond(holds, lambda: known.replace(left_out=jnp.zeros_like(known.left_out)), look)
+    def _look(
+        self,
+        state: PhysicsState,
+        poses: GeomPoses | None,
+        prints: Footprints,
+        limit: Array,
+        reach: Margin,
+        scene: Array,
+    ) -> Neighbours:
+        """Look up what is around the robots of one world."""
+        return look_around(prints, limit, self._solids(state, poses), self._floor, reach, scene)
 
     def _ground(
         self, around: Neighbours, state: PhysicsState, after: Motion, aims: Aims, inputs: Inputs
@@ -203,15 +214,14 @@ class PlanarEngine(Engine[PlanarState]):
         """Return how high the ground is under where robots stand (worlds, 4, robots)."""
         feet = jax.vmap(partial(feet_of, self._robots))(after)
         middle = jax.vmap(self._robots.footprints)(after).replace(low=aims.left.low)
-        known = around.went(places_of(middle, aims.limit.max(1))) < around.grounded
+        known = around.knows_ground(places_of(middle, aims.limit.max(1))).all(-1)
+        found = ground_of(around.under, self._floor, feet, aims.limit)
 
-        def everywhere() -> Array:
-            solids = jax.vmap(self._solids)(state, inputs.geom_poses)
-            return jax.vmap(ground_under, (0, None, 0, 0))(solids, self._floor, feet, aims.limit)
+        def everywhere(state: PhysicsState, poses: GeomPoses | None, feet: Array, limit: Array) -> Array:
+            return ground_under(self._solids(state, poses), self._floor, feet, limit)
 
-        return jax.lax.cond(
-            known.all(), lambda: ground_of(around.under, self._floor, feet, aims.limit), everywhere
-        )
+        args = state, inputs.geom_poses, feet, aims.limit
+        return where_needed(jnp.logical_not(known), jax.vmap(everywhere), found, *args)
 
     def _stop(self, before: Motion, after: Motion, kept: Footprints, touched: Array) -> Motion:
         return stopped(self._robots, before, after, kept, touched, self.physics.period)

@@ -26,6 +26,24 @@ DEEPEST = 20.0
 """All in which a robot is deeper come in any order [m]."""
 LAST = 1e3
 """What is at another height comes so much later than what stops a robot [m]."""
+SWAY = 5e-3
+"""So far up or down robots get by the way in a step [m]: on edges and ramps."""
+
+
+class Margin(struct.PyTreeNode, kw_only=True):
+    """How far robots can go until something else may matter to them.
+
+    Attributes:
+        aside: On the plan [m] (worlds, robots).
+        height: Up or down [m] (worlds, robots).
+    """
+
+    aside: Array
+    height: Array
+
+    def exceeds(self, other: "Margin") -> Array:
+        """Return who has more of both (worlds, robots)."""
+        return (self.aside > other.aside) & (self.height > other.height)
 
 
 class Neighbours(struct.PyTreeNode, kw_only=True):
@@ -34,8 +52,8 @@ class Neighbours(struct.PyTreeNode, kw_only=True):
     Attributes:
         at: Where robots were when it was looked up: x, y, lowest point, and up to what height solids are
             ground for them [m] (worlds, robots, 4).
-        free: How far they can go before another solid could stop them [m] (worlds, robots).
-        grounded: How far before another solid could be ground for them [m] (worlds, robots).
+        free: How far they can go before another solid could stop them.
+        grounded: How far before another solid could be ground for them.
         left_out: Solids that stop them, are near and are not among those kept (worlds, robots).
         near: Solids that may stop them (worlds, k, robots).
         under: Solids that may be ground for them (worlds, layers, robots).
@@ -43,28 +61,35 @@ class Neighbours(struct.PyTreeNode, kw_only=True):
     """
 
     at: Array
-    free: Array
-    grounded: Array
+    free: Margin
+    grounded: Margin
     left_out: Array
     near: PlanSolids
     under: PlanSolids
     scene: Array
 
-    def went(self, at: Array) -> Array:
-        """Return how far robots are from where it was looked up, with their heights [m] (worlds, robots)."""
+    def went(self, at: Array) -> tuple[Margin, Margin]:
+        """Return how far robots are from where it was looked up, with their lowest points and with limits."""
         x, y, low, limit = (at[..., i] - self.at[..., i] for i in range(4))
-        return jnp.sqrt(x * x + y * y) + jnp.maximum(jnp.abs(low), jnp.abs(limit))
+        aside = jnp.sqrt(x * x + y * y)
+        return Margin(aside=aside, height=jnp.abs(low)), Margin(aside=aside, height=jnp.abs(limit))
 
-    def holds(self, at: Array, scene: Array, reach: Array) -> Array:
-        """Return whether it does in all worlds, for a step in which robots go no farther than a reach.
+    def holds(self, at: Array, scene: Array, reach: Margin) -> Array:
+        """Return in which worlds no other solid can matter to any robot within a step (worlds,).
 
         Args:
             at: Where robots are (worlds, robots, 4).
             scene: As of `scene`.
-            reach: Of each robot [m] (worlds, robots).
+            reach: How far each robot may get in a step.
         """
-        least = jnp.minimum(self.free, self.grounded)
-        return (self.went(at) + reach < least).all() & (self.scene == scene).all()
+        known = jnp.ones(at.shape[:2], bool)
+        for margin, went in zip((self.free, self.grounded), self.went(at), strict=True):
+            known &= margin.exceeds(jax.tree.map(jnp.add, went, reach))
+        return known.all(-1) & (self.scene == scene).all(-1)
+
+    def knows_ground(self, at: Array) -> Array:
+        """Return of which robots no other solid can be ground (worlds, robots)."""
+        return self.grounded.exceeds(self.went(at)[1])
 
 
 def places_of(prints: Footprints, limit: Array) -> Array:
@@ -72,20 +97,21 @@ def places_of(prints: Footprints, limit: Array) -> Array:
     return jnp.stack([prints.pos[..., 0], prints.pos[..., 1], prints.low, limit], -1)
 
 
-def farthest_in_a_step(left: Footprints, there: Footprints) -> Array:
-    """Return how far robots can get in a step, pushed by others [m] (worlds, robots).
+def farthest_in_a_step(left: Footprints, there: Footprints) -> Margin:
+    """Return how far robots can get in a step, pushed by others (worlds, robots).
 
     Args:
         left: Where they are.
         there: Where they would get to; as low and as high as on the way.
     """
     x, y = (there.pos[..., i] - left.pos[..., i] for i in range(2))
-    way = jnp.sqrt(x * x + y * y) + (left.low - there.low) + (there.high - left.high)
-    return jax.lax.stop_gradient(way + way.max(-1, keepdims=True) + SLACK)
+    way = jnp.sqrt(x * x + y * y)
+    height = jnp.maximum(left.low - there.low, there.high - left.high)
+    return jax.lax.stop_gradient(Margin(aside=way + way.max(-1, keepdims=True) + SLACK, height=height))
 
 
 def look_around(
-    prints: Footprints, limit: Array, solids: PlanSolids, reach: Array, scene: Array
+    prints: Footprints, limit: Array, solids: PlanSolids, floor: float, reach: Margin, scene: Array
 ) -> Neighbours:
     """Look up what is around the robots of one world.
 
@@ -93,7 +119,9 @@ def look_around(
         prints: The robots.
         limit: Up to what height each finds ground [m] (robots,).
         solids: All solids.
-        reach: Solids count as near that are no farther from a circle around each robot [m] (robots,).
+        floor: Height of the floor [m]: no solid below it is ground.
+        reach: How far each robot may get in a step (robots,); solids that are no farther from a circle around
+            it count as near.
         scene: What says where the solids are that can be elsewhere (n,).
     """
     # Which ones are looked at has no slope, only what these do.
@@ -109,10 +137,13 @@ def look_around(
     stops, may_stop = higher < 0, jnp.maximum(apart, higher)
     steep = jnp.abs(found.slope_x) + jnp.abs(found.slope_y)
     lowest = found.top + dx * found.slope_x + dy * found.slope_y - size * steep
-    may_hold = jnp.maximum(apart, lowest - limit[:, None])
-    near, free = _nearest(solids, jnp.where(stops, apart, may_stop + LAST), may_stop, NEAR)
-    under, grounded = _nearest(solids, may_hold, may_hold, LAYERS)
-    left_out = (stops & (apart < reach[:, None])).sum(-1) - NEAR
+    deep = lowest - limit[:, None]
+    may_hold = jnp.where(found.highest < floor, NOWHERE, jnp.maximum(apart, deep))
+    near, others = _nearest(solids, jnp.where(stops, apart, may_stop + LAST), NEAR)
+    free = _margin(apart, higher, steep, others, reach)
+    under, others = _nearest(solids, may_hold, LAYERS)
+    grounded = _margin(apart, deep, steep, others & (found.highest >= floor), reach)
+    left_out = (stops & (apart < reach.aside[:, None])).sum(-1) - NEAR
     return Neighbours(
         at=places_of(prints, limit),
         free=free,
@@ -122,6 +153,28 @@ def look_around(
         under=under,
         scene=scene,
     )
+
+
+def _margin(apart: Array, higher: Array, steep: Array, others: Array, reach: Margin) -> Margin:
+    """Return how far robots of one world can go until some solids may matter to them.
+
+    A solid matters to who is both over or under it and at its height. So it is enough to stay away from it on
+    the plan, or to stay at another height: as is likelier to last.
+
+    Args:
+        apart: How far away solids are on the plan [m] (robots, solids).
+        higher: How far up or down they are [m] (robots, solids).
+        steep: How much that may change with a way on the plan (solids,).
+        others: Which solids these are (robots, solids).
+        reach: How far each robot may get in a step.
+    """
+    by_height = apart * (reach.height + SWAY)[:, None] < higher * reach.aside[:, None]
+    # Where heights change with the way, one half of the difference is for that.
+    until = jnp.where(by_height, jnp.maximum(apart, higher / (2 * jnp.maximum(steep, 1e-6))), apart)
+    aside = jnp.where(others, until, NOWHERE).min(-1, initial=NOWHERE)
+    crossed = others & by_height & (apart < aside[:, None])
+    height = jnp.where(steep > 0, higher / 2, higher)
+    return Margin(aside=aside, height=jnp.where(crossed, height, NOWHERE).min(-1, initial=NOWHERE))
 
 
 def _height_apart(solids: PlanSolids, x: Array, y: Array, low: Array, high: Array, step: Array) -> Array:
@@ -139,19 +192,18 @@ def _height_apart(solids: PlanSolids, x: Array, y: Array, low: Array, high: Arra
     return jnp.maximum(under, jnp.maximum(solids.low - high, low - solids.highest))
 
 
-def _nearest(solids: PlanSolids, rank: Array, gap: Array, most: int) -> tuple[PlanSolids, Array]:
-    """Return the first solids by rank (most, robots), and the least gap of the others (robots,).
+def _nearest(solids: PlanSolids, rank: Array, most: int) -> tuple[PlanSolids, Array]:
+    """Return the first solids by rank (most, robots), and which are not among them (robots, solids).
 
     Args:
         solids: All solids (solids,).
         rank: Who comes first: the least [m] (robots, solids).
-        gap: How far they are, however that is measured [m] (robots, solids).
         most: So many, if there are so many.
     """
     count = solids.count
     if count <= most:
         everyone = jax.tree.map(lambda part: jnp.tile(part[:, None], (1, len(rank))), solids)
-        return everyone, jnp.full(len(rank), NOWHERE, gap.dtype)
+        return everyone, jnp.zeros(rank.shape, bool)
     steps = jnp.clip((rank + DEEPEST) / NEARNESS, 0.0, 2**30 // count - 1).astype(jnp.int32)
     key = steps * count + jnp.arange(count)
 
@@ -160,9 +212,12 @@ def _nearest(solids: PlanSolids, rank: Array, gap: Array, most: int) -> tuple[Pl
         last = jnp.min(jnp.where(key > last[:, None], key, 2**30), -1)
         return last, last
 
-    keys = jax.lax.scan(next_one, jnp.full(len(rank), -1), None, most + 1)[1]
-    others = jnp.where(steps >= keys[most][:, None] // count, gap, NOWHERE).min(-1)
-    return jax.tree.map(lambda part: part[keys[:most] % count], solids), others
+    keys = jax.lax.scan(next_one, jnp.full(len(rank), -1), None, most)[1]
+    chosen = keys[:most] % count
+    # In their own order, so that it does not matter from where they were looked up.
+    place = (chosen < chosen[:, None]).sum(1)
+    ids = jnp.where(place == jnp.arange(most)[:, None, None], chosen, 0).sum(1)
+    return jax.tree.map(lambda part: part[ids], solids), key > keys[most - 1][:, None]
 
 
 def stopping(prints: Footprints, near: PlanSolids) -> Outlines:
