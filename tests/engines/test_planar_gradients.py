@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.arenas import FLAT
-from tests.engines.eager import EAGER, around
+from tests.engines.eager import AT_ONCE, EAGER, around
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.engines.planar.flight import sine_over, turned
 from usarmjx.engines.planar.footprints import (
@@ -21,9 +21,12 @@ from usarmjx.engines.planar.footprints import (
     push_of,
 )
 from usarmjx.engines.planar.neighbours import stopping
+from usarmjx.engines.planar.responses import use_response
 from usarmjx.engines.planar.solids import seen_from_above
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import StartPose
+from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sensors.rays import raycast
 from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
 from usarmjx.sensors.rays.targets import make_geoms
@@ -123,6 +126,49 @@ def test_where_robots_get_to_changes_with_what_wheels_are_told_as_small_steps_sh
     apart = (np.array(near[:2]) - near[2:]) / 0.1
     assert np.abs(apart[:, 0, :2]).max(-1).min() > 1e-2, "both wheels matter"
     assert backward == pytest.approx((apart * np.asarray(weight)).sum((1, 2)), rel=0.05, abs=1e-3)
+
+
+BEHIND = Shape(kind="cylinder", size=(0.3, 0.5, 0.0), at=(-0.6, 1.4, 0.5), surface="wall")
+AHEAD = Shape(kind="box", size=(0.1, 4.0, 0.5), at=(2.0, 0.0, 0.5), rotation=(0.0, 0.0, 0.2), surface="wall")
+SEEING = replace(
+    EAGER,
+    name="Seeing",
+    sensors=(
+        Mount(
+            kind="RangeScanner",
+            name="Scanner1",
+            at=(0.1, 0.0, 0.0),
+            defaults=options(MaxRange=8.0, Resolution=0.25, ScanFov=6.0, ScanInterval=0.1),
+        ),
+    ),
+)
+use_response(SEEING, replace(AT_ONCE, forward_lag=0.1, turn_lag=0.05, acceleration=50.0))
+
+
+def test_ranges_change_with_what_wheels_are_told_as_small_steps_show():
+    """From DRIVE to the readings of a scanner after half a second, through the batch that everyone uses."""
+    batch = Batch(build_scene(replace(FLAT, shapes=(AHEAD, BEHIND)), [SEEING]), 1, engine="planar")
+    begun = batch.reset()
+
+    def scan(sides):
+        state = batch.drive(begun, 0, {"Left": sides[0], "Right": sides[1]})
+        state = jax.lax.fori_loop(0, 25, lambda _, now: batch.step(now), state)
+        return batch.observe(state)[1][0][0].value[0, 0]
+
+    sides, step = jnp.array([3.0, 4.0]), 0.02
+    around_them = sides + step * np.array([(1, 0), (0, 1), (0, 0), (-1, 0), (0, -1)])
+    near = np.asarray(jax.jit(jax.vmap(scan))(around_them))
+    here, apart = near[2], (near[:2] - near[3:]) / (2 * step)
+    bend = np.abs(near[:2] + near[3:] - 2 * here).max(0)
+    met = (here < 8.0) & (bend < 1e-3)  # no edge in between
+    assert (~met).any()
+    assert met.sum() > 8
+    assert np.abs(apart[:, met]).max(-1).min() > 0.02, "both wheels matter"
+    forward = np.asarray(jax.jit(jax.jacfwd(scan))(sides)).T
+    assert forward[:, met] == pytest.approx(apart[:, met], abs=2e-3, rel=0.03)
+    weight = jnp.asarray(met * np.random.default_rng(3).normal(size=met.shape), jnp.float32)
+    backward = np.asarray(jax.jit(jax.grad(lambda told: scan(told) @ weight))(sides))
+    assert backward == pytest.approx(forward @ np.asarray(weight), rel=1e-3, abs=1e-5)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-24, 3e-3, 0.3])
