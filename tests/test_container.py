@@ -101,8 +101,11 @@ def test_the_workflow_runs_what_there_is_on_each_python_that_we_name():
     named = [line.rpartition(" ")[2] for line in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", line)]
     for job in jobs.values():
         assert job["strategy"]["matrix"]["python"] == named
-    commands = {step["run"] for job in jobs.values() for step in job["steps"] if "run" in step}
-    assert commands == {".ci/run", "python dev.py try --python python"}
+    runs = {name: [step["run"] for step in job["steps"] if "run" in step] for name, job in jobs.items()}
+    assert set(runs) == {"check", "wheel", "adapters"}
+    assert runs["check"] == [".ci/run"]
+    assert runs["wheel"] == ["python dev.py try --python python"]
+    assert "python -m pytest -n0 tests/train/adapters" in runs["adapters"]
     assert (dev.ROOT / ".ci" / "run").exists()
     assert command_problem(["python", "dev.py", "try", "--python", "python"]) == ""
 

@@ -10,6 +10,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.bench import train
 from usarmjx.bench.train_here import TrainCase, measure_training
 from usarmjx.cli.app import app
+from usarmjx.train.learning.defaults import USUAL_ENGINE
 
 
 def test_a_task_is_trained_as_the_command_line_would(tmp_path):
@@ -18,6 +19,18 @@ def test_a_task_is_trained_as_the_command_line_would(tmp_path):
         "train", "explore", "--out", str(tmp_path), "--steps", "100", "--quiet", "--engine", "c",
         "--seed", "3", "--worlds", "8", "--set", "a=1", "--set", "b=2",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("task", ["wander", "stairs", "explore-v2"])
+def test_a_task_is_trained_on_the_engine_that_train_takes(task, monkeypatch, tmp_path):
+    """What `usarmjx train` is told ends in the same engine and fields as the bare command."""
+    taken = []
+    monkeypatch.setattr("usarmjx.train.learning.trainer.train", lambda *given, **more: taken.append(more))
+    for words in (TrainCase(task=task).words(tmp_path / "a"), ["train", task, "--out", str(tmp_path / "b")]):
+        CliRunner().invoke(app, words)
+    measured, bare = (more["origin"] for more in taken)
+    assert measured == bare
+    assert (measured.engine == "planar") == (task in USUAL_ENGINE)
 
 
 def test_a_training_that_fails_says_why():

@@ -123,7 +123,7 @@ PROJECTS = {
     "JaxMARL": "jaxmarl",
     "Stable-Baselines3": "stable_baselines3",
     "TorchRL": "torchrl",
-    "RLlib": "ray",
+    "RLlib": "ray.rllib",  # plain Ray is among the development tools
 }
 
 
@@ -133,6 +133,17 @@ def shown(title):
     section = page.split(f"\n## {title}\n")[1].split("\n## ")[0]
     (block,) = re.findall(r"```text\n(.*?)```", section, re.DOTALL)
     return block
+
+
+@pytest.mark.parametrize(
+    ("package", "name"), [("torch", "PyTorch"), ("torchrl", "Run with TorchRL"), ("ray", "Run with Ray")]
+)
+def test_the_workflow_installs_the_versions_that_the_page_tells(package, name):
+    page = (dev.ROOT / "docs" / "stacks.md").read_text(encoding="utf-8")
+    text = (dev.ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
+    (version,) = re.findall(rf"\b{package}(?:\[rllib\])?==([\d.]+)", text)
+    told = re.findall(rf"{name} ([\d.]+\d)", page)
+    assert set(told) == {version}
 
 
 @pytest.mark.parametrize("title", PROJECTS)
