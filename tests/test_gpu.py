@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from tests.arenas import COURSE
+from tests.engines.eager import EAGER
+from tests.engines.test_planar_contact import PEN
 from tests.sim.test_arena_sets import ARENAS, EXACT, TOLERANCE, drive
 from tests.train.envs.test_steady import goal_env, used_after
 from tests.train.mapping.mazes import mazes
 from usarmjx.engines import choose_engine
 from usarmjx.engines.warp_graphs import GRAPHS
+from usarmjx.models.build.compose import Physics
 from usarmjx.sensors.rays.choice import waves_on_warp
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import RosterEntry, build_scene
@@ -144,6 +147,24 @@ def test_worlds_with_arenas_of_their_own_agree_with_c():
     turns = np.arange(64) % 3
     np.testing.assert_allclose(poses["warp"], poses["c"][turns], atol=TOLERANCE["warp"])
     np.testing.assert_allclose(scans["warp"], scans["c"][turns], atol=20 * TOLERANCE["warp"])
+
+
+def test_a_world_of_planar_alone_does_bit_for_bit_what_it_does_among_others():
+    """As on a CPU (tests/engines/test_planar_contact.py): pushed by walls and other robots for 10 s."""
+    scene = build_scene(PEN, [EAGER] * 4, Physics(timestep=0.05, substeps=1))
+    orders = np.random.default_rng(1).uniform(-5.0, 5.0, (20, 2, 4)).astype(np.float32)
+    found = []
+    for worlds, first in ((257, 0), (1, 256)):
+        batch = Batch(scene, worlds, engine="planar", seed=5, first=first)
+        run, state = jax.jit(lambda state, batch=batch: batch.run(state, 10)), batch.reset()
+        touched = np.zeros(4, bool)
+        for left, right in orders:
+            state = run(batch.drive(state, 0, {"Left": left, "Right": right}))
+            touched |= np.asarray(state.physics.touched)[-1]
+        assert touched.all(), "all have met something"
+        found.append([np.asarray(part)[-1] for part in (state.physics.qpos, state.physics.qvel)])
+    for together, alone in zip(*found, strict=True):
+        np.testing.assert_array_equal(alone, together)
 
 
 @pytest.mark.parametrize("shape", [(1, 7), (41, 33), (33, 48), (70, 90)], ids=lambda x: f"{x[0]}x{x[1]}")
