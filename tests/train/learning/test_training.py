@@ -12,6 +12,7 @@ from tensorboardX.proto.event_pb2 import Event
 from tests.train.runs import CONFIG, lines
 from tests.train.toys import DriveToy, EndlessToy, MemoryToy
 from usarmjx.base.errors import UsageError
+from usarmjx.train.learning.ahead import compiling
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.trainer import Trainer, train
 from usarmjx.train.processes.group import ProcessGroup
@@ -103,6 +104,23 @@ def test_nothing_is_compiled_after_the_first_iteration(both, traceable):
     counts, _ = both[traceable]
     assert counts[0] > 0
     assert counts == counts[:1] * 3
+
+
+def test_a_first_rollout_finds_what_was_compiled_beside_the_making_of_worlds():
+    compiled, group = [], ProcessGroup()
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda name, *_, **__: compiled.append(name) if name == COMPILED else None
+    )
+    try:
+        trainer = Trainer(DriveToy(4), Config(worlds=4, minibatches=1, rollout=2), group)
+        with compiling(trainer.rollout, trainer.starts, group.device):
+            train_state, worlds = trainer.start()
+        before = len(compiled)
+        jax.block_until_ready(trainer.rollout.collect(train_state, worlds, trainer._key))
+    finally:
+        jax.monitoring.clear_event_listeners()
+    assert before > 0
+    assert len(compiled) == before
 
 
 def test_who_looks_sees_the_worlds_after_each_action_or_each_compiled_rollout(both):

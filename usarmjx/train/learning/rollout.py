@@ -83,6 +83,10 @@ class Rollout:
         self.look(collected[0].env_state)
         return collected
 
+    def compile_ahead(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> None:
+        """Compile `collect` for arguments of such shapes, on their devices; worlds are traceable."""
+        self._collect_at_once.lower(train_state, start, key).compile()
+
     def start(self, level: float) -> RolloutState:
         """Return the worlds at the start of their first episodes, some of which will be short."""
         config = self.config

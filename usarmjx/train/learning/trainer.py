@@ -21,6 +21,7 @@ from usarmjx.train.envs.policy import Carry, Policy
 from usarmjx.train.envs.splits import held_out
 from usarmjx.train.envs.state import EnvState
 from usarmjx.train.evaluation.evaluate import play_episodes
+from usarmjx.train.learning.ahead import compiling
 from usarmjx.train.learning.checkpoint import FULL, Checkpoints, read_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_begun
@@ -128,6 +129,10 @@ class Trainer:
         return self.process_group.device_put(
             (make_train_state(self.networks, self.config), self.rollout.start(self.level(0)))
         )
+
+    def starts(self) -> tuple[TrainState, RolloutState, jax.Array]:
+        """Return what the first rollout is given, but for where it is."""
+        return make_train_state(self.networks, self.config), self.rollout.start(self.level(0)), self._key
 
     def full_score(self, train_state: TrainState) -> float | None:
         """Return the mean score of one episode of each world of this process, with all arenas in play.
@@ -256,7 +261,8 @@ def train(  # noqa: PLR0913 - all but three may be left out
             record = replace(record, began_with=source.origin)
         check_begun(checkpoints, record, source)
         _prepare(out, record, process_group)
-        train_state, worlds, before = _restore(trainer, checkpoints, source)
+        with compiling(trainer.rollout, trainer.starts, process_group.device):
+            train_state, worlds, before = _restore(trainer, checkpoints, source)
         trainer.rollout.look(worlds.env_state)
         log = Log(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None
         return _run(trainer, checkpoints, (train_state, worlds, before), log, watch)
