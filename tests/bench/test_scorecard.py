@@ -2,25 +2,52 @@
 
 import json
 import math
+from dataclasses import replace
 
 import pytest
 
 from tests.bench.records import faults
 from usarmjx.base.errors import SpecError, UnknownNameError
+from usarmjx.bench.fidelity.limbs import flipper_lift, gripper_hold
 from usarmjx.bench.fidelity.manoeuvres import drive_all, spin, top_speed
 from usarmjx.bench.fidelity.scorecard import differences, write_scorecard
 from usarmjx.bench.fidelity.track import Orders, Track, orders_of
 from usarmjx.models.build.compose import PHYSICS, Physics
+from usarmjx.models.effecters import gripper
 from usarmjx.models.robots import ROBOTS
+from usarmjx.models.spec.shapes import SURFACES
 
 P2AT = ROBOTS.get("P2AT")
 
 
-def test_the_p2at_does_under_the_fast_settings_what_it_does_under_the_reference():
-    """What docs/performance.md says of it."""
-    reference, fast = ({"P2AT": drive_all(physics, P2AT)} for physics in (Physics(), Physics.fast()))
+@pytest.mark.parametrize("name", ["P2AT", "P2DX", "Zerg"])
+def test_what_these_classes_do_under_the_fast_settings_is_what_they_do_under_the_reference(name):
+    """docs/performance.md lists no differences of theirs."""
+    reference, fast = ({name: drive_all(one, ROBOTS.get(name))} for one in (Physics(), Physics.fast()))
     assert list(differences(reference, fast)) == []
-    assert len(reference["P2AT"]) == 9
+    assert len(reference[name]) == 9  # nothing to lift or to grip with
+
+
+@pytest.mark.parametrize(("name", "lever"), [("Tarantula", 0.148), ("kenaf", 0.180), ("TeleMax", 0.209)])
+def test_flippers_lift_as_the_page_of_robots_says(name, lever):
+    """Measured there at 1.5 rad (docs/robots.md), as their lever says (test_tracked.py)."""
+    robot = ROBOTS.get(name)
+    orders = orders_of(robot)
+    assert orders is not None
+    assert flipper_lift(Physics(), robot, orders) == pytest.approx(lever, abs=0.001)
+
+
+def test_a_gripper_holds_no_more_than_the_friction_of_its_fingers_carries(monkeypatch):
+    """Two fingers carry 2 mu times their force; a block creeps out of them before it slips."""
+    held = []
+    for force in (60.0, 5.0):
+        monkeypatch.setattr(gripper, "MOTOR", replace(gripper.MOTOR, torque=force))
+        robot = replace(ROBOTS.get("Talon"), name=f"Talon{force:g}")
+        orders = orders_of(robot)
+        assert orders is not None
+        held.append(gripper_hold(Physics(), robot, orders))
+        assert 0.0 < held[-1] <= 2 * force * SURFACES["finger"].friction / 9.81
+    assert held[0] > held[1]
 
 
 def test_the_top_speed_is_that_of_its_wheels():

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usarmjx.base.errors import EngineError
+from usarmjx.bench.fidelity.limbs import flipper_lift, gripper_hold
 from usarmjx.bench.fidelity.track import MAX_SPEED, Order, Orders, Track, orders_of, touches_ground
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.measure import extent
@@ -143,7 +144,7 @@ class Manoeuvre:
         unit: Of its number.
         least: A difference that counts for nothing, however small the number.
         ground: Whether it needs ground under the robot.
-        needs: The order that it needs.
+        needs: The one of `Orders` that it needs.
     """
 
     measure: Callable[[Physics, RobotSpec, Orders], float]
@@ -171,6 +172,8 @@ MANOEUVRES = {
     "oblique wall": Manoeuvre(oblique_wall, "m", 0.05),
     "head-on": Manoeuvre(head_on, "m", 0.02),
     "push": Manoeuvre(push, "m", 0.05),
+    "flipper lift": Manoeuvre(flipper_lift, "m", 0.005, needs="flippers"),
+    "gripper hold": Manoeuvre(gripper_hold, "kg", 0.1, needs="gripper"),
 }
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -11,19 +11,29 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import EngineError
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.build.compose import Physics
+from usarmjx.models.build.parts import joint_names
 from usarmjx.models.drives import Blimp, RotaryWing, Underwater
+from usarmjx.models.effecters import effecters_of
+from usarmjx.models.effecters.gripper import Gripper
+from usarmjx.models.robots.track_kit import FLIPPERS
 from usarmjx.models.spec.arena import ArenaSpec, LooseObject, StartPose, Water
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.models.spec.shapes import Shape
-from usarmjx.sim.control import idle_command, set_drive
+from usarmjx.sim.control import CommandUpdate, idle_command, set_drive, update_command
 from usarmjx.sim.scene import build_scene, start_height
 from usarmjx.sim.single_world import SingleWorld
 
 MAX_SPEED = 3.0
 """Fastest that any robot is driven [m/s]."""
+FLIPPER_ANGLE = 1.5
+"""[rad]"""
 START = StartPose(tag="start", at=(0.0, 0.0, 0.0))
 SEA = (Water(low=(-200.0, -200.0, -90.0), high=(200.0, 200.0, 90.0)),)
 Order = Mapping[str, float]
+LIFTED: Order = dict(
+    zip(FLIPPERS, (FLIPPER_ANGLE, FLIPPER_ANGLE, -FLIPPER_ANGLE, -FLIPPER_ANGLE), strict=True)
+)
+"""Flippers that press down: positive in front and negative behind [rad]."""
 
 
 @dataclass(frozen=True)
@@ -34,15 +44,30 @@ class Orders:
         straight: Straight on.
         spin: To turn on the spot; None: it cannot.
         arc: Round a bend; None: it does not.
+        flippers: Where its flippers go to lift it, by joint [rad]; None: it has none.
+        gripper: Index of the effecter that grips; None: it has none.
     """
 
     straight: Order
     spin: Order | None = None
     arc: Order | None = None
+    flippers: Order | None = None
+    gripper: int | None = None
 
 
 def orders_of(robot: RobotSpec) -> Orders | None:
     """Return how a class is driven; None: by no DRIVE."""
+    orders = _drive_orders(robot)
+    if orders is None:
+        return None
+    has_flippers = LIFTED.keys() <= set(joint_names(robot))
+    grippers = [i for i, effecter in enumerate(effecters_of(robot)) if isinstance(effecter, Gripper)]
+    return replace(
+        orders, flippers=LIFTED if has_flippers else None, gripper=grippers[0] if grippers else None
+    )
+
+
+def _drive_orders(robot: RobotSpec) -> Orders | None:
     full, drive = robot.drive.full_scale, robot.drive
     share = min(1.0, MAX_SPEED / drive.top_speed) if full else 0.0
     if "Left" in full:
@@ -118,6 +143,19 @@ class Track:
         with numpy_backend():
             values = {key: np.array(value, np.float32) for key, value in order.items()}
             self.world.edit(slot, command=set_drive(self._robot, idle_command(self._robot), values))
+
+    def move(self, targets: Order) -> None:
+        """Tell joints of the first robot where to go [rad]."""
+        with numpy_backend():
+            plan = self.world.scene.groups[0].plan
+            angles = {joint: np.array(angle, np.float32) for joint, angle in targets.items()}
+            told = update_command(plan, self.world.state_of(0).command, CommandUpdate(joints=angles))
+            self.world.edit(0, command=told)
+
+    def body(self, part: str) -> int:
+        """Return the body of a part of the first robot."""
+        group = self.world.scene.groups[0]
+        return int(group.indices[0].body_ids[group.plan.parts.index(part)])
 
     def run(self, seconds: float) -> None:
         """Let time pass.
