@@ -16,8 +16,8 @@ def calibrate(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Classes of robots; else all that roll on wheels or tracks. With --tasks, tasks or folders "
-            "of runs; else all tasks."
+            help="Classes of robots; else all that roll on wheels or tracks, with --drives those that fly or "
+            "dive, too. With --tasks, tasks or folders of runs; else all tasks."
         ),
     ] = None,
     out: Annotated[
@@ -34,7 +34,7 @@ def calibrate(
         typer.Option(
             "--drives",
             help="Instead compare poses, ranges, odometry and contacts along random drives on an open floor "
-            "and in a maze.",
+            "and in a maze, of what flies or dives in open air or water.",
         ),
     ] = False,
     tasks: Annotated[

@@ -109,6 +109,8 @@ def _turns_at_most(robot: RobotSpec) -> float:
 
 def _random_order(drive: Any, limits: np.ndarray, rng: np.random.Generator) -> np.ndarray:  # noqa: ANN401
     kind, values = rng.random(), rng.uniform(-1.0, 1.0, len(limits)) * limits
+    if drive.pushes:  # what flies or dives: anything
+        return values.astype(np.float32)
     if isinstance(drive, OmniDrive):
         # Wheels that agree: all at one speed and one angle, or those ahead turned the other way.
         speeds = np.array([key.startswith("WheelSpeed") for key in drive.keys])

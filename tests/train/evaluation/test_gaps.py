@@ -1,5 +1,6 @@
 """Comparisons of engines: along random drives, and by what policies score."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,14 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.shapes import Shape
 from usarmjx.train.evaluation import task_gap as task_gaps
-from usarmjx.train.evaluation.drives import DriveTrace, drive_around, drive_gap, drive_table, place_of
+from usarmjx.train.evaluation.drives import (
+    DriveTrace,
+    drive_around,
+    drive_gap,
+    drive_table,
+    place_of,
+    places_for,
+)
 from usarmjx.train.evaluation.evaluate import Episodes, evaluation_of
 from usarmjx.train.evaluation.task_gap import sources_of, task_gap, told
 from usarmjx.train.learning.config import Config
@@ -35,7 +43,12 @@ def test_contacts_count_when_they_begin_and_odometry_from_the_start():
     pose[-1, 0] = [2.0, 3.0, np.pi / 2]  # 2 m ahead, as it stands
     odometry[-1, 0] = [1.5, 0.0, 0.0]
     drive = DriveTrace(
-        pose=pose, ranges=np.zeros((6, 2, 0)), odometry=odometry, touching=touching, period=0.2
+        pose=pose,
+        height=np.zeros((6, 2)),
+        ranges=np.zeros((6, 2, 0)),
+        odometry=odometry,
+        touching=touching,
+        period=0.2,
     )
     assert drive.contacts_per_minute == pytest.approx(3 / 10 * 60 / 0.2)
     assert drive.slip[-1] == pytest.approx([0.5, 0.0])
@@ -110,7 +123,7 @@ def folders(path):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["--drives", "AirRobot"], "AirRobot does not roll on wheels or tracks"),
+        (["--drives", "QRIO"], "QRIO neither rolls nor flies nor dives"),
         (["--drives", "--tasks"], "name one of them"),
         (["--tasks", "chess"], "chess"),
         (["--tasks", "convoy", "--split", "test"], "convoy has no generated arenas"),
@@ -123,10 +136,38 @@ def test_the_command_refuses_what_it_cannot_compare(words, says):
 
 
 def test_places_are_refused_by_name():
-    with pytest.raises(UsageError, match=r"no place 'moon' .* floor, maze"):
+    with pytest.raises(UsageError, match=r"no place 'moon' .* floor, maze, air, water"):
         place_of("moon", ROBOTS.get("P2AT"))
     with pytest.raises(UsageError, match="'moon'"):
         drive_gap(ROBOTS.get("P2AT"), "moon")
+
+
+def test_heights_count_of_what_flies_or_dives_and_every_class_that_planar_moves_has_a_place():
+    places = {name: places_for(robot) for name, robot in ROBOTS}
+    assert places["P2AT"] == ("floor", "maze")
+    assert (places["AirRobot"], places["Passarola"], places["Submarine"]) == (("air",), ("air",), ("water",))
+    assert {name for name, found in places.items() if not found} == {"ERS", "QRIO", "ComStation"}
+    zero = np.zeros((2, 1))
+    one, other = (
+        DriveTrace(np.full((2, 1, 3), x), zero + z, zero[..., None], zero, zero > 0, 0.2)
+        for x, z in ((0.0, 0.0), (1.0, 3.0))
+    )
+    assert one.distance(other, in_space=False) == pytest.approx(np.sqrt(2) + zero)
+    assert one.distance(other, in_space=True) == pytest.approx(np.sqrt(2 + 9) + zero)
+
+
+@pytest.mark.parametrize(("name", "place", "least"), [("AirRobot", "air", 5.0), ("Submarine", "water", 0.01)])
+def test_what_flies_or_dives_meets_nothing_and_stays_near_to_c(name, place, least):
+    """All keys of its drive at half of their most, for 4 s: the same forces on the same mass."""
+    robot = ROBOTS.get(name)
+    orders = np.tile(robot.drive.limits / 2, (201, 1, 1))
+    real, planar = (drive_around(robot, place_of(place, robot), engine, orders) for engine in ("c", "planar"))
+    for drive in (real, planar):
+        assert not drive.touching.any()
+        assert drive.height.min() > 100.0
+    way = real.distance(replace(real, pose=real.pose[:1], height=real.height[:1]), in_space=True)[-1]
+    assert way.min() > least
+    assert (real.distance(planar, in_space=True)[-1] < 0.1 * way).all()
 
 
 def test_a_robot_too_large_for_the_maze_has_a_row_that_says_so(monkeypatch):
@@ -136,6 +177,7 @@ def test_a_robot_too_large_for_the_maze_has_a_row_that_says_so(monkeypatch):
         looks = np.zeros((51, 2))
         return DriveTrace(
             pose=np.zeros((51, 2, 3)),
+            height=looks,
             ranges=np.zeros((51, 2, 0)),
             odometry=np.full((51, 2, 3), np.nan),
             touching=looks > 0,

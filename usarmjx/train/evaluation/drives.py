@@ -12,7 +12,7 @@ from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.markdown import table_lines
 from usarmjx.engines.planar.responses import rolls
 from usarmjx.models.generate import generate
-from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.spec.arena import ArenaSpec, Water
 from usarmjx.models.spec.robot import RobotSpec
 from usarmjx.sim.batch import Batch, BatchState
 from usarmjx.sim.calibration import HORIZONS, random_orders
@@ -22,8 +22,10 @@ from usarmjx.train.envs.task import TaskView
 from usarmjx.train.scenes.clearance import clearance
 from usarmjx.train.tasks.ranges import first_kind
 
-PLACES = ("floor", "maze")
-"""An open floor, and a generated maze that the robot gets through."""
+PLACES = ("floor", "maze", "air", "water")
+"""An open floor; a generated maze that the robot gets through; air and water without anything in them."""
+HIGH_UP, DEEP_DOWN = 200.0, 200.0
+"""What flies or dives begins so high above the ground, and what dives so deep in water [m]."""
 LOOK_EVERY = 10
 """Sensors and contacts are looked at once in so many control steps: five times a second."""
 TOUCH = 0.01
@@ -43,6 +45,7 @@ class DriveTrace:
 
     Attributes:
         pose: Positions on the plan [m] and headings [rad] (looks, robots, 3).
+        height: How high they are [m] (looks, robots).
         ranges: What their range sensors said [m] (looks, robots, readings); no readings: they have none.
         odometry: Where their odometry has them since the start, likewise; NaN: they have none.
         touching: Whether they touched what stands around them, as tasks count it (looks, robots).
@@ -50,6 +53,7 @@ class DriveTrace:
     """
 
     pose: np.ndarray
+    height: np.ndarray
     ranges: np.ndarray
     odometry: np.ndarray
     touching: np.ndarray
@@ -69,6 +73,26 @@ class DriveTrace:
         own = np.stack([c * way[..., 0] + s * way[..., 1], c * way[..., 1] - s * way[..., 0]], -1)
         return np.linalg.norm(own - self.odometry[..., :2], axis=-1)
 
+    def distance(self, other: "DriveTrace", in_space: bool) -> np.ndarray:
+        """Return how far robots are from where they are on another drive [m] (looks, robots).
+
+        Args:
+            other: Of as many looks and robots.
+            in_space: Heights count, too; else on the plan.
+        """
+        apart = (other.pose - self.pose)[..., :2]
+        height = (other.height - self.height) * in_space
+        return np.sqrt((apart**2).sum(-1) + height**2)
+
+
+def places_for(robot: RobotSpec) -> tuple[str, ...]:
+    """Return the places that a class is compared in; none if neither it rolls nor flies nor dives."""
+    if rolls(robot.drive):
+        return "floor", "maze"
+    if not robot.drive.pushes:
+        return ()
+    return ("water",) if robot.drive.vehicle == "NauticVehicle" else ("air",)
+
 
 def place_of(name: str, robot: RobotSpec) -> ArenaSpec:
     """Return a place to drive in; see `PLACES`.
@@ -78,7 +102,15 @@ def place_of(name: str, robot: RobotSpec) -> ArenaSpec:
     """
     if name not in PLACES:
         raise UsageError(f"no place {name!r} to drive in, expected one of {', '.join(PLACES)}")
-    return open_floor() if name == "floor" else generate("maze", (5, 4), 0, robot=robot.name)
+    if name == "maze":
+        return generate("maze", (5, 4), 0, robot=robot.name)
+    floor = open_floor()
+    if name == "floor":
+        return floor
+    starts = tuple(replace(start, at=(*start.at[:2], HIGH_UP)) for start in floor.starts)
+    far = 10 * HIGH_UP
+    water = Water(low=(-far, -far, 0.0), high=(far, far, HIGH_UP + DEEP_DOWN))
+    return replace(floor, starts=starts, waters=(water,) if name == "water" else ())
 
 
 def drive_around(robot: RobotSpec, arena: ArenaSpec, engine: str, orders: np.ndarray) -> DriveTrace:
@@ -98,8 +130,9 @@ def drive_around(robot: RobotSpec, arena: ArenaSpec, engine: str, orders: np.nda
             state, seen = _look(batch, state, kinds, ranging)
             looks.append((*seen, np.asarray(meets(state.worlds, batch.physics(state)))))
         state = batch.step(state)
-    pose, ranges, odometry, touching = (np.array(part) for part in zip(*looks, strict=True))
-    return DriveTrace(pose, ranges, odometry, touching, LOOK_EVERY * scene.physics.period)
+    place, ranges, odometry, touching = (np.array(part) for part in zip(*looks, strict=True))
+    period = LOOK_EVERY * scene.physics.period
+    return DriveTrace(place[..., :3], place[..., 3], ranges, odometry, touching, period)
 
 
 def _touches(scene: Any, world: Any, physics: Any) -> jax.Array:  # noqa: ANN401 - of one world
@@ -110,18 +143,19 @@ def _touches(scene: Any, world: Any, physics: Any) -> jax.Array:  # noqa: ANN401
 def _look(
     batch: Batch, state: BatchState, kinds: list[str], ranging: str | None
 ) -> tuple[BatchState, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Return the state with its sensors read; poses, ranges and odometry of all worlds' robots."""
+    """Return the state with its sensors read; poses and heights, ranges and odometry of all worlds."""
     state, readings = batch.observe(state)
     worlds, root = (
         batch.worlds,
         np.asarray(batch.physics(state).qpos)[:, batch.scene.groups[0].root_qposadr[0]],
     )
     w, x, y, z = root[:, 3:].T
-    pose = np.column_stack([root[:, :2], np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))])
+    heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    place = np.column_stack([root[:, :2], heading, root[:, 2]])
     values = {kind: np.asarray(one.value)[:, 0] for kind, one in zip(kinds, readings[0], strict=True)}
     ranges = np.zeros((worlds, 0)) if ranging is None else values[ranging].reshape(worlds, -1)
     odometry = values.get("Odometry", np.full((worlds, 3), np.nan))
-    return state, (pose, np.minimum(ranges, MOST_RANGE), odometry)
+    return state, (place, np.minimum(ranges, MOST_RANGE), odometry)
 
 
 def drive_gap(
@@ -129,8 +163,8 @@ def drive_gap(
 ) -> list[str]:
     """Return how far two engines come apart by the same random orders, as a row of `COLUMNS`.
 
-    Medians over robots: the distance of poses after each of `HORIZONS`, the difference of a range at the last
-    of them, how far odometry is from where the robot got to, and contacts.
+    Medians over robots: the distance of poses after each of `HORIZONS`, in space of what flies or dives, the
+    difference of a range at each, how far odometry is from where the robot got to, and contacts.
 
     Args:
         robot: The class.
@@ -145,7 +179,7 @@ def drive_gap(
     arena = place_of(place, robot)
     orders = random_orders(robot, robots, round(HORIZONS[-1] / 0.02) + 1, seed)
     real, other = (drive_around(robot, arena, engine, orders) for engine in engines)
-    apart = np.linalg.norm((other.pose - real.pose)[..., :2], axis=-1)
+    apart = real.distance(other, in_space=robot.drive.pushes)
     looks = [min(round(horizon / real.period), len(apart) - 1) for horizon in HORIZONS]
     cells = [f"{np.median(apart[look]):.2f} m" for look in looks]
     cells.append(" / ".join(_ranges_apart(real, other, look) for look in looks))
@@ -166,14 +200,14 @@ def _ranges_apart(real: DriveTrace, other: DriveTrace, look: int) -> str:
 
 
 def drive_table(robots: Iterable[RobotSpec], *, everything: bool = False) -> Iterator[str]:
-    """Return the lines of a table of `drive_gap` in Markdown, row by row, of classes in all places.
+    """Return the lines of a table of `drive_gap` in Markdown, row by row, of classes in their places.
 
     Args:
         robots: The classes.
-        everything: Leave out what does not roll, instead of refusing it.
+        everything: Leave out what has no place in `places_for`, instead of refusing it.
 
     Raises:
-        UsageError: A class does not roll.
+        UsageError: A class neither rolls nor flies nor dives.
     """
     return table_lines(COLUMNS, _drive_rows(robots, everything))
 
@@ -187,7 +221,6 @@ def _drive_row(robot: RobotSpec, place: str) -> list[str]:
 
 def _drive_rows(robots: Iterable[RobotSpec], everything: bool) -> Iterator[list[str]]:
     for robot in robots:
-        if rolls(robot.drive):
-            yield from (_drive_row(robot, place) for place in PLACES)
-        elif not everything:
-            raise UsageError(f"{robot.name} does not roll on wheels or tracks: its drives are not compared")
+        if not (everything or places_for(robot)):
+            raise UsageError(f"{robot.name} neither rolls nor flies nor dives: its drives are not compared")
+        yield from (_drive_row(robot, place) for place in places_for(robot))
