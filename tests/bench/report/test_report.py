@@ -11,6 +11,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.bench.report.figures import FIGURES
 from usarmjx.bench.report.laws import laws_of
 from usarmjx.bench.report.page import BLOCKS, fill_page, is_drawn
+from usarmjx.bench.report.physics_tables import differences_text, physics_table
 from usarmjx.bench.report.records import BenchRecord, read_records
 from usarmjx.bench.report.tables import history_table, number, parts_table
 from usarmjx.cli.app import app
@@ -80,6 +81,26 @@ def test_a_page_keeps_its_own_text_and_a_second_time_changes_nothing(tmp_path):
 
 def test_parts_of_a_step_add_up():
     assert "| 100 | 50% | 25% | 25% |" in parts_table([step()])
+
+
+def test_settings_are_told_by_what_differs_in_their_newest_record():
+    """With a number that went bad, and who does nothing otherwise; older records of these settings are left."""
+    settings = {"timestep": 0.01, "solver": "CG", "iterations": 8, "cone": "elliptic"}
+    old = {
+        **STEP, "benchmark": "physics", "settings": settings, "units": {"climb": "m", "push": "m"},
+        "numbers": {"Hummer": {"climb": [0.25, 0.2], "push": [4.0, None]}, "P2AT": {"climb": [0.1, 0.1]}},
+        "differing": [["Hummer", "climb"], ["Hummer", "push"], ["P2AT", "climb"]],
+    }  # fmt: skip
+    new = {**old, "when": "2026-01-02T00:00:00+00:00", "commit": "c1", "differing": old["differing"][:2]}
+    other = {**new, "settings": {**settings, "iterations": 4}, "differing": []}
+    text = differences_text([BenchRecord("p.jsonl", data) for data in (old, new, other)])
+    assert "| Hummer | climb | 0.25 m | 0.2 m |" in text
+    assert "| Hummer | push | 4 m | went bad |" in text
+    assert "Nothing of P2AT." in text
+    assert "iterations 4, cone elliptic (2026-01-02 00:00, commit c1)" in text
+    assert "Nothing of Hummer, P2AT." in text
+    assert "c0" not in text
+    assert "| 1 of 3 |" in physics_table([BenchRecord("p.jsonl", new)])
 
 
 def test_a_law_is_the_power_by_which_the_cost_grows():

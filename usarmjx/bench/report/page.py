@@ -14,6 +14,7 @@ from usarmjx.bench.report import tables
 from usarmjx.bench.report.figures import DIGEST, FIGURES
 from usarmjx.bench.report.laws import laws_table
 from usarmjx.bench.report.peer_tables import peers_text
+from usarmjx.bench.report.physics_tables import differences_text, physics_table
 from usarmjx.bench.report.records import BenchRecord, read_records
 
 BEGIN, END = "<!-- usarmjx bench report: {} -->", "<!-- end: {} -->"
@@ -29,7 +30,8 @@ BLOCKS: Mapping[str, Callable[[Sequence[BenchRecord]], str]] = {
     "train": tables.train_table,
     "serve": tables.serve_table,
     "viewer": tables.viewer_table,
-    "physics": tables.physics_table,
+    "physics": physics_table,
+    "differences": differences_text,
     "compile": tables.compile_table,
     "memory": tables.memory_table,
     "sweep": tables.sweep_table,

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from statistics import median
-from typing import Any
 
 from usarmjx.base.markdown import markdown_table
 from usarmjx.bench.report.records import BenchRecord
@@ -64,6 +63,7 @@ def _scene_words(record: BenchRecord) -> str:
     arena = f"{case['generated']} x {case['arena']}" if case.get("generated") else case.get("arena", "-")
     extra = [word for word in ("radio",) if case.get(word)]
     extra += [case["physics"]] if case.get("physics", "reference") != "reference" else []
+    extra += [f"graphs {case['graph']}"] if case.get("graph", "step") != "step" else []
     return ", ".join([arena, *extra])
 
 
@@ -243,20 +243,6 @@ def viewer_table(records: Sequence[BenchRecord]) -> str:
             ]
 
     return records_table(records, "viewer", head, rows)
-
-
-def physics_table(records: Sequence[BenchRecord]) -> str:
-    """Settings of the physics beside the reference's."""
-
-    def rows(record: BenchRecord) -> Iterator[MarkdownRow]:
-        total = sum(len(numbers) for numbers in record.data["numbers"].values())
-        settings: Mapping[str, Any] = record.data["settings"]
-        chosen = ", ".join(
-            f"{name} {settings[name]}" for name in ("timestep", "solver", "iterations", "cone")
-        )
-        yield [chosen, f"{total - len(record.data['differing'])} of {total}"]
-
-    return records_table(records, "physics", ("settings", "numbers within 10 % of the reference"), rows)
 
 
 def compile_table(records: Sequence[BenchRecord]) -> str:
