@@ -84,7 +84,7 @@ def test_parts_of_a_step_add_up():
 
 
 def test_settings_are_told_by_what_differs_in_their_newest_record():
-    """With a number that went bad, and who does nothing otherwise; older records of these settings are left."""
+    """With a number that went bad, and who does nothing otherwise; older ones of these settings are left."""
     settings = {"timestep": 0.01, "solver": "CG", "iterations": 8, "cone": "elliptic"}
     old = {
         **STEP, "benchmark": "physics", "settings": settings, "units": {"climb": "m", "push": "m"},
