@@ -13,6 +13,7 @@ from usarmjx.bench.scene_figures import sizes
 from usarmjx.bench.tools import append_record, record_header, spread_of
 from usarmjx.plots.training_plots import Curve, curve_of_run
 from usarmjx.train.learning.config import differences, task_config
+from usarmjx.train.learning.defaults import on_gpu
 from usarmjx.train.learning.metrics import read_lines
 from usarmjx.train.learning.record import RunRecord, load_record
 from usarmjx.train.make import make_task
@@ -48,7 +49,8 @@ def train_record(
     rates = [line["steps_per_s"] for line in lines]
     check_word(baselines)
     header = record_header("train", note=note)
-    changed = differences(task_config(run.task), run.config, but=("steps", "worlds", "seed"))
+    usual = task_config(run.task, gpu=on_gpu(run.engine))
+    changed = differences(usual, run.config, but=("steps", "worlds", "seed"))
     return {
         **header,
         "case": {
