@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.engines.planar.movable import WhereSolids
 from usarmjx.engines.planar.neighbours import Margin, look_around
 from usarmjx.engines.planar.responses import Response, use_response
 from usarmjx.models.robots import ROBOTS
@@ -26,7 +27,8 @@ def around(prints, solids, floor=0.0):
 
     def of_world(one):
         reach = Margin(aside=jnp.full_like(one.low, 0.1), height=jnp.zeros_like(one.low))
-        return look_around(one, one.low + one.step, solids, floor, reach, jnp.zeros(0))
+        scene = WhereSolids(loose=jnp.zeros(0), geoms=jnp.zeros((0, 10)))
+        return look_around(one, one.low + one.step, solids, floor, reach, scene)
 
     return jax.vmap(of_world)(prints)
 

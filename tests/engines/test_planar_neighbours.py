@@ -104,7 +104,7 @@ def test_nothing_is_known_of_robots_that_went_farther_or_whose_solids_moved(move
     _, prints, known, _, _ = moved
     nine = jax.tree.map(lambda margin: jnp.full_like(margin, 9.0), known.free)
     assumed, none = known.replace(free=nine, grounded=nine), Margin(aside=0.0, height=0.0)
-    at, scene = places_of(prints, prints.low + prints.step), known.scene
+    at, scene = places_of(prints, prints.low + prints.step), known.scene.loose
 
     def lost(now, reach=none, around=assumed):
         return np.flatnonzero(~np.asarray(around.holds(now, scene, reach))).tolist()
@@ -117,8 +117,9 @@ def test_nothing_is_known_of_robots_that_went_farther_or_whose_solids_moved(move
     assert lost(at.at[3, 1, 0].add(20.0)) == [3], "one robot is elsewhere"
     assert lost(at.at[3, 1, 3].add(20.0)) == [3], "one is tilted"
     assert lost(at, Margin(aside=30.0, height=0.0)) == every
-    moved_scene = assumed.replace(scene=jnp.zeros((WORLDS, 1)))
-    assert np.flatnonzero(~np.asarray(moved_scene.holds(at, moved_scene.scene.at[7].set(1.0), none))) == [7]
+    loose = jnp.zeros((WORLDS, 1))
+    lying = assumed.replace(scene=known.scene.replace(loose=loose))
+    assert np.flatnonzero(~np.asarray(lying.holds(at, loose.at[7].set(1.0), none))) == [7]
 
 
 def test_what_hangs_over_a_robot_or_is_parked_far_below_keeps_nobody_from_going_on():

@@ -26,6 +26,7 @@ POLICY_NAMES = (
     "hover-inspect",
     "stairs",
     "victim-search",
+    "victim-search-v2",
     "wander",
 )
 ENGINE_NAMES = ("auto", "c", "jax", "planar", "warp")

@@ -16,6 +16,7 @@ from usarmjx.engines.planar.bodies import Motion, PlanarRobots, robots_of
 from usarmjx.engines.planar.few_worlds import where_needed
 from usarmjx.engines.planar.flight import fly, held_up
 from usarmjx.engines.planar.footprints import Footprints, keep_apart
+from usarmjx.engines.planar.movable import MovableSolids, WhereSolids, movable_solids
 from usarmjx.engines.planar.neighbours import (
     Margin,
     Neighbours,
@@ -75,7 +76,7 @@ class Aims(NamedTuple):
         left: What they take up on the plan before.
         there: What they would, as high as before and after.
         limit: Up to what height the ground may be under where they stand (4, robots).
-        scene: What says where the solids are that can be elsewhere (n,).
+        scene: Where the solids are that can be elsewhere.
         stacked: Which are over or under each other (robots, robots); None: nobody flies.
     """
 
@@ -84,7 +85,7 @@ class Aims(NamedTuple):
     left: Footprints
     there: Footprints
     limit: Array
-    scene: Array
+    scene: WhereSolids
     stacked: Array | None
 
 
@@ -126,6 +127,7 @@ class PlanarEngine(Engine[PlanarState]):
         geoms = solid_geoms(self.model, own, self.moved_ids)
         can_move = (geoms.moved >= 0) | np.isin(geoms.bodies, self._fixed.movable)
         self._movable = geoms.where(can_move)
+        self._elsewhere: MovableSolids = movable_solids(self.model, self._fixed, self._movable)
         rest = jnp.asarray(self._fixed.pos, jnp.float32), jnp.asarray(self._fixed.mat, jnp.float32)
         self._still: PlanSolids = solids_of(self.model, geoms.where(~can_move), rest, None)
         self._floor = floor_height(self.model)
@@ -149,7 +151,7 @@ class PlanarEngine(Engine[PlanarState]):
         limit = reach_of(self._robots, before).max(0)
         prints, near = self._robots.footprints(before), jnp.zeros_like(limit)
         reach = Margin(aside=near, height=near)
-        return self._look(state, None, prints, limit, reach, self._scene(state, None))
+        return self._look(state, None, prints, limit, reach, self._elsewhere.where(state.qpos, None))
 
     def advance(self, engine_state: PlanarState, inputs: Inputs) -> PlanarState:
         """Make one control step in every world."""
@@ -185,13 +187,21 @@ class PlanarEngine(Engine[PlanarState]):
         after, stacked = held_up(robots, left, after)
         there = robots.footprints(after)
         there = there.replace(low=jnp.minimum(left.low, there.low), high=jnp.maximum(left.high, there.high))
-        limit, scene = reach_of(robots, before), self._scene(state, inputs.geom_poses)
+        limit, scene = reach_of(robots, before), self._elsewhere.where(state.qpos, inputs.geom_poses)
         return state, Aims(before, after, left, there, limit, scene, stacked)
 
     def _around(self, known: Neighbours, state: PhysicsState, aims: Aims, inputs: Inputs) -> Neighbours:
         """Return what is around all robots, looked up anew where some may have come to what was far away."""
         limit, reach = aims.limit.max(1), farthest_in_a_step(aims.left, aims.there)
-        needed = jnp.logical_not(known.holds(places_of(aims.left, limit), aims.scene, reach))
+        holds = known.holds(places_of(aims.left, limit), aims.scene.loose, reach)
+        then, now = known.scene.geoms, aims.scene.geoms
+        come_near = where_needed(
+            holds & (then != now).any((1, 2)),
+            jax.vmap(self._elsewhere.came_near),
+            jnp.zeros(self.worlds, bool),
+            *(then, now, aims.left, reach.aside),
+        )
+        needed = jnp.logical_not(holds) | come_near
         known = known.replace(left_out=jnp.zeros_like(known.left_out))
         args = state, inputs.geom_poses, aims.left, limit, reach, aims.scene
         return where_needed(needed, jax.vmap(self._look), known, *args)
@@ -203,7 +213,7 @@ class PlanarEngine(Engine[PlanarState]):
         prints: Footprints,
         limit: Array,
         reach: Margin,
-        scene: Array,
+        scene: WhereSolids,
     ) -> Neighbours:
         """Look up what is around the robots of one world."""
         return look_around(prints, limit, self._solids(state, poses), self._floor, reach, scene)
@@ -230,17 +240,6 @@ class PlanarEngine(Engine[PlanarState]):
         """Return one world with its robots on the ground."""
         after = place_on_ground(self._robots, before, after, ground, self.physics.period)
         return self._robots.written(state, after)
-
-    def _scene(self, state: PhysicsState, poses: GeomPoses | None) -> Array:
-        """Return what says where the solids of one world are that can be elsewhere (n,)."""
-        loose = state.qpos[np.concatenate([self._fixed.free_qpos.reshape(-1), self._fixed.hinge_qpos])]
-        if not self.moved_ids:
-            return loose
-        sides = jnp.zeros((len(self.moved_ids), 3))
-        if poses is None:
-            return jnp.concatenate([loose, jnp.zeros(10 * len(self.moved_ids))])
-        size = sides if poses.size is None else poses.size
-        return jnp.concatenate([loose, *(part.reshape(-1) for part in (poses.pos, poses.quat, size))])
 
     def _solids(self, state: PhysicsState, poses: GeomPoses | None) -> PlanSolids:
         """Return the solids of one world: only those that may be elsewhere are worked out again."""

@@ -11,6 +11,7 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.engines.planar.footprints import Footprints
+from usarmjx.engines.planar.movable import WhereSolids
 from usarmjx.engines.planar.overlap import Outlines
 from usarmjx.engines.planar.solids import NOWHERE, PlanSolids, tops_under
 
@@ -57,7 +58,7 @@ class Neighbours(struct.PyTreeNode, kw_only=True):
         left_out: Solids that stop them, are near and are not among those kept (worlds, robots).
         near: Solids that may stop them (worlds, k, robots).
         under: Solids that may be ground for them (worlds, layers, robots).
-        scene: What says where the solids are that can be elsewhere (worlds, n).
+        scene: Where the solids were that can be elsewhere.
     """
 
     at: Array
@@ -66,7 +67,7 @@ class Neighbours(struct.PyTreeNode, kw_only=True):
     left_out: Array
     near: PlanSolids
     under: PlanSolids
-    scene: Array
+    scene: WhereSolids
 
     def went(self, at: Array) -> tuple[Margin, Margin]:
         """Return how far robots are from where it was looked up, with their lowest points and with limits."""
@@ -74,18 +75,20 @@ class Neighbours(struct.PyTreeNode, kw_only=True):
         aside = jnp.sqrt(x * x + y * y)
         return Margin(aside=aside, height=jnp.abs(low)), Margin(aside=aside, height=jnp.abs(limit))
 
-    def holds(self, at: Array, scene: Array, reach: Margin) -> Array:
+    def holds(self, at: Array, loose: Array, reach: Margin) -> Array:
         """Return in which worlds no other solid can matter to any robot within a step (worlds,).
+
+        Of geoms that are data it is not asked whether they have moved.
 
         Args:
             at: Where robots are (worlds, robots, 4).
-            scene: As of `scene`.
+            loose: As of `scene` (worlds, n).
             reach: How far each robot may get in a step.
         """
         known = jnp.ones(at.shape[:2], bool)
         for margin, went in zip((self.free, self.grounded), self.went(at), strict=True):
             known &= margin.exceeds(jax.tree.map(jnp.add, went, reach))
-        return known.all(-1) & (self.scene == scene).all(-1)
+        return known.all(-1) & (self.scene.loose == loose).all(-1)
 
     def knows_ground(self, at: Array) -> Array:
         """Return of which robots no other solid can be ground (worlds, robots)."""
@@ -111,7 +114,7 @@ def farthest_in_a_step(left: Footprints, there: Footprints) -> Margin:
 
 
 def look_around(
-    prints: Footprints, limit: Array, solids: PlanSolids, floor: float, reach: Margin, scene: Array
+    prints: Footprints, limit: Array, solids: PlanSolids, floor: float, reach: Margin, scene: WhereSolids
 ) -> Neighbours:
     """Look up what is around the robots of one world.
 
@@ -122,7 +125,7 @@ def look_around(
         floor: Height of the floor [m]: no solid below it is ground.
         reach: How far each robot may get in a step (robots,); solids that are no farther from a circle around
             it count as near.
-        scene: What says where the solids are that can be elsewhere (n,).
+        scene: Where the solids are that can be elsewhere.
     """
     # Which ones are looked at has no slope, only what these do.
     (prints, limit, scene), found = jax.lax.stop_gradient(((prints, limit, scene), solids))
