@@ -17,8 +17,8 @@ from usarmjx.cli.app import app
 from usarmjx.cli.tools import ErrorExit
 from usarmjx.cli.train import _served
 from usarmjx.cli.waiting import say
-from usarmjx.engines import choose_engine
 from usarmjx.train.learning.config import Config, task_config
+from usarmjx.train.learning.defaults import training_engine
 from usarmjx.train.learning.record import EnvArguments, RunRecord
 from usarmjx.train.learning.trainer import TrainResult
 from usarmjx.train.policies.export import NumpyPolicy
@@ -71,7 +71,7 @@ def test_a_run_is_in_a_folder_of_its_task_and_goes_on_with_its_settings(tmp_path
     assert invoke("train", "drive-to-goal").exit_code == 0
     config, folder, _, origin = asked.pop()
     assert (config, folder) == (task_config("drive-to-goal"), Path("runs/drive-to-goal"))
-    assert origin == EnvArguments(choose_engine("auto", "train"))
+    assert origin == EnvArguments(training_engine("drive-to-goal", "auto"))
     assert (
         invoke("train", "drive-to-goal", "--resume").exit_code == 0
     )  # nothing is there: left to the trainer
