@@ -72,7 +72,7 @@ def plan_run(task: str, options: TrainOptions) -> RunPlan:
     """
     from usarmjx.train.learning.record import EnvArguments
 
-    source = None
+    source, notice = None, ""
     if options.resume:
         options = _as_before(options)
     else:
@@ -81,8 +81,10 @@ def plan_run(task: str, options: TrainOptions) -> RunPlan:
 
             source = load_trained(options.source, options.checkpoint)
             options = _as_trained(task, source, options)
-        options = _as_usual(task, options)
+        options, notice = _as_usual(task, options)
     config, overrides = _split_settings(task, options)
+    if notice:  # once nothing is wrong with what was typed
+        say(notice)
     texts = dict(pair.split("=", 1) for pair in options.pairs)
     origin = EnvArguments(options.engine, {key: texts[key] for key in overrides})
     return RunPlan(config=config, overrides=overrides, origin=origin, source=source)
@@ -110,17 +112,17 @@ def _as_trained(task: str, source: "TrainedNetworks", options: TrainOptions) -> 
     return chosen
 
 
-def _as_usual(task: str, options: TrainOptions) -> TrainOptions:
-    """Return engine and fields as the task's trainings have them, unless asked for otherwise."""
+def _as_usual(task: str, options: TrainOptions) -> tuple[TrainOptions, str]:
+    """Return what the task's trainings have unless asked for otherwise, and a line of it; "": nothing to say."""
     from usarmjx.engines import choose_engine
     from usarmjx.train.learning.defaults import training_engine, training_fields
 
     engine = training_engine(task, options.engine)
     chosen = replace(options.within({}, training_fields(task, engine)), engine=engine)
-    if engine != choose_engine(options.engine, "train"):
-        usual = chosen.pairs[: len(chosen.pairs) - len(options.pairs)]
-        say(", ".join([f"{task} trains on engine {engine} unless another is named", *usual]))
-    return chosen
+    if engine == choose_engine(options.engine, "train"):
+        return chosen, ""
+    usual = chosen.pairs[: len(chosen.pairs) - len(options.pairs)]
+    return chosen, ", ".join([f"{task} trains on engine {engine} unless another is named", *usual])
 
 
 def _split_settings(task: str, options: TrainOptions) -> tuple["Config", dict[str, Any]]:
