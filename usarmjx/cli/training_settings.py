@@ -113,7 +113,7 @@ def _as_trained(task: str, source: "TrainedNetworks", options: TrainOptions) -> 
 
 
 def _as_usual(task: str, options: TrainOptions) -> tuple[TrainOptions, str]:
-    """Return what the task's trainings have unless asked for otherwise, and a line of it; "": nothing to say."""
+    """Return what trainings of the task have unless asked for otherwise, and what to say of it."""
     from usarmjx.engines import choose_engine
     from usarmjx.train.learning.defaults import training_engine, training_fields
 
