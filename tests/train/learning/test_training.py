@@ -2,6 +2,8 @@
 
 import json
 import struct
+from contextlib import contextmanager
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -12,6 +14,7 @@ from tensorboardX.proto.event_pb2 import Event
 from tests.train.runs import CONFIG, lines
 from tests.train.toys import DriveToy, EndlessToy, MemoryToy
 from usarmjx.base.errors import UsageError
+from usarmjx.train.learning import trainer as trainer_module
 from usarmjx.train.learning.ahead import compiling
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.trainer import Trainer, train
@@ -121,6 +124,29 @@ def test_a_first_rollout_finds_what_was_compiled_beside_the_making_of_worlds():
         jax.monitoring.clear_event_listeners()
     assert before > 0
     assert len(compiled) == before
+
+
+def test_the_time_of_the_first_iteration_is_from_when_it_compiled(tmp_path, monkeypatch):
+    """Records tell when a score was reached: what was waited for before the first rollout is in it."""
+    clock = SimpleNamespace(now=0.0)
+
+    def tick():
+        clock.now += 1.0
+        return clock.now
+
+    @contextmanager
+    def slow(*_):
+        clock.now += 100.0
+        yield
+
+    monkeypatch.setattr(trainer_module, "time", SimpleNamespace(perf_counter=tick))
+    monkeypatch.setattr(trainer_module, "compiling", slow)
+    config = Config(steps=144, worlds=4, minibatches=1, rollout=4)  # three iterations of 48
+    told = []
+    train(DriveToy(4), config, tmp_path / "run", progress=False, watch=told.append)
+    steps = told[0]["agent_steps"]
+    assert [steps / line["steps_per_s"] for line in told] == [101.0, *[1.0] * (len(told) - 1)]
+    assert len(told) == 3
 
 
 def test_who_looks_sees_the_worlds_after_each_action_or_each_compiled_rollout(both):

@@ -23,23 +23,24 @@ def few_of(worlds: int) -> int:
     return worlds // FEW
 
 
-def picked(tree: T, places: Array, axis: int = 0) -> T:
-    """Return some worlds of all, which arrays have along an axis; anything at places beyond the last."""
-    return jax.tree.map(lambda part: jnp.take(part, places, axis, mode="clip"), tree)
+def picked(tree: T, places: Array) -> T:
+    """Return some worlds of all (worlds, ...); anything at places beyond the last."""
+    return jax.tree.map(lambda part: jnp.take(part, places, 0, mode="clip"), tree)
 
 
-def put_back(tree: T, places: Array, new: T, axis: int = 0) -> T:
+def put_back(tree: T, places: Array, new: T) -> T:
     """Return all worlds with some replaced; what is for places beyond the last is dropped."""
 
     def written(old: Array, part: Array) -> Array:
-        at = (slice(None),) * (axis % old.ndim)
-        return jnp.asarray(old).at[(*at, places)].set(part, mode="drop")
+        return jnp.asarray(old).at[places].set(part, mode="drop")
 
     return jax.tree.map(written, tree, new)
 
 
 def where_needed(needed: Array, function: Callable[..., T], known: T, *args: Any) -> T:  # noqa: ANN401
-    """Return what is known, with what a function returns in worlds that need it: the same bits as if in all.
+    """Return what is known, with what a function returns in worlds that need it.
+
+    It is the same as if it were worked out in all, but for what XLA rounds otherwise in a smaller batch.
 
     Args:
         needed: Which worlds do (worlds,).

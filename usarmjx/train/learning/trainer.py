@@ -126,9 +126,7 @@ class Trainer:
 
     def start(self) -> tuple[TrainState, RolloutState]:
         """Return the train state before the first update, and worlds at their start."""
-        return self.process_group.device_put(
-            (make_train_state(self.networks, self.config), self.rollout.start(self.level(0)))
-        )
+        return self.process_group.device_put(self.starts()[:2])
 
     def starts(self) -> tuple[TrainState, RolloutState, jax.Array]:
         """Return what the first rollout is given, but for where it is."""
@@ -261,11 +259,12 @@ def train(  # noqa: PLR0913 - all but three may be left out
             record = replace(record, began_with=source.origin)
         check_begun(checkpoints, record, source)
         _prepare(out, record, process_group)
+        began = time.perf_counter()
         with compiling(trainer.rollout, trainer.starts, process_group.device):
             train_state, worlds, before = _restore(trainer, checkpoints, source)
         trainer.rollout.look(worlds.env_state)
         log = Log(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None
-        return _run(trainer, checkpoints, (train_state, worlds, before), log, watch)
+        return _run(trainer, checkpoints, (train_state, worlds, before), log, watch, began)
 
 
 def _lock(held: ExitStack, out: Path, process_group: ProcessGroup) -> None:
@@ -354,8 +353,9 @@ def _run(
     left: tuple[TrainState, RolloutState, int],
     log: Log | None,
     watch: Callable[[dict[str, Any]], None] | None,
+    began: float,
 ) -> TrainResult:
-    """Iterate to the end, from where it was left."""
+    """Iterate to the end, from where it was left; the first iteration's time is from when it compiled."""
     train_state, worlds, before = left
     config, iterations, out = trainer.config, trainer.iterations, checkpoints.run
     world_steps = config.rollout * config.worlds
@@ -364,7 +364,6 @@ def _run(
     missing: WriteError | None = None
     with log or nullcontext():
         for iteration in range(before + 1, iterations + 1):
-            began = time.perf_counter()
             train_state, worlds, known = trainer.iterate(train_state, worlds, iteration - 1)
             sums = {name: float(one) for name, one in jax.device_get(known).items()}
             agent_steps = iteration * world_steps * trainer.agents
@@ -389,6 +388,7 @@ def _run(
             if watch:
                 watch(line)
             check_parent()
+            began = time.perf_counter()
         if missing:
             raise WriteError(f"{missing}; the last checkpoint is missing: resume the run from the one before")
         if log:
