@@ -106,6 +106,18 @@ def test_a_learner_does_what_it_was_shown():
     )
 
 
+def test_ppo_begins_carefully_after_the_lessons():
+    """Its first update changed the policy by 37 times `target_kl`: Adam knew small gradients only."""
+    trainer = trainer_of(imitate=20 * ROUND, steps=22 * ROUND, imitate_std=0.1, minibatches=8)
+    train_state, worlds = trainer.start()
+    known = {}
+    for iteration in range(21):
+        train_state, worlds, known = trainer.iterate(train_state, worlds, iteration)
+    assert trainer.config.schedule == "adaptive"
+    assert float(known["loss/divergence"]) < 3 * trainer.config.target_kl
+    assert float(train_state.learning_rate) < CONFIG.learning_rate
+
+
 def test_a_teacher_begins_anew_with_each_episode():
     trainer = trainer_of(imitate=ROUND)
     train_state, worlds = trainer.start()
@@ -138,7 +150,7 @@ def test_after_the_lessons_only_ppo_counts():
     """An update of a train_state past its lessons is that of one that never had any, to rounding."""
     with_teacher, alone = trainer_of(imitate=ROUND), trainer_of()
     train_state, worlds = alone.start()
-    train_state = train_state.replace(iteration=train_state.iteration + 1)
+    train_state = train_state.replace(iteration=train_state.iteration + 2)  # in the first it is careful
     _, steps, ends, sums = alone.rollout.collect(train_state, worlds, jax.random.key(0))
     _, same, _, _ = with_teacher.rollout.collect(train_state, with_teacher.start()[1], jax.random.key(0))
     assert not any(np.asarray(shown).any() for shown in same.teacher_action)

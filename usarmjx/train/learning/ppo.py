@@ -203,6 +203,13 @@ def run_epochs(
         train_state = train_state.replace(
             learning_rate=config.learning_rate * jnp.maximum(left, 0.0).astype(jnp.float32)
         )
+    lessons = config.imitations(networks.agent_count)
+    if config.schedule == "adaptive" and lessons:
+        # Adam knows the small gradients of imitation only: at the rate of those PPO's first steps go astray.
+        first = train_state.iteration == lessons
+        train_state = train_state.replace(
+            learning_rate=jnp.where(first, MIN_LEARNING_RATE, train_state.learning_rate)
+        )
 
     def update_once(
         state: TrainState, now: tuple[jax.Array, jax.Array]
