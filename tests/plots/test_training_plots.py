@@ -22,6 +22,7 @@ from usarmjx.plots.training_plots import (
     ORANGE,
     PALE,
     Curve,
+    curve_of_record,
     curve_of_run,
     curves_by_task,
     draw_curves,
@@ -84,16 +85,36 @@ def test_the_mean_goes_as_far_as_all_seeds(panels):
     assert_allclose(timed[BLUE], [[[2.0, 1.0], [4.0, 3.0], [6.0, 4.5]]])
 
 
-def test_runs_on_several_engines_are_drawn_by_themselves():
-    """And only those of one engine and seed supersede each other."""
-    shape = {"about": "", "steps": np.ones(1), "seconds": np.ones(1)}
-    scores = [("wait", "c", 2.0), ("wait", "planar", 3.0), ("wait", "c", 4.0), ("go", "c", 5.0)]
+def test_runs_of_other_kinds_are_drawn_by_themselves():
+    """Only those of one engine, size, seed and the same fields set by hand supersede each other."""
+    shape = {"steps": np.ones(1), "seconds": np.ones(1), "seed": 0}
+    kinds = [
+        ("wait", "c", "", 8), ("wait", "planar", "", 8), ("wait", "c", "", 8), ("go", "c", "", 8),
+        ("wait", "c", "advice=false", 8), ("wait", "c", "", 64),
+    ]  # fmt: skip
     curves = [
-        Curve(task=task, engine=engine, seed=0, score=np.array([score]), **shape)
-        for task, engine, score in scores
-    ]
+        Curve(task=task, engine=engine, fields=fields, worlds=worlds, about=f"{worlds} worlds",
+              score=np.array([float(i)]), **shape)
+        for i, (task, engine, fields, worlds) in enumerate(kinds)
+    ]  # fmt: skip
     found = {name: [one.score[0] for one in rows] for name, rows in curves_by_task(curves).items()}
-    assert found == {"wait on c": [4.0], "wait on planar": [3.0], "go on c": [5.0]}
+    assert found == {
+        "wait on c (8 worlds)": [2.0],
+        "wait on planar (8 worlds)": [1.0],
+        "go on c (8 worlds)": [3.0],
+        "wait, advice=false on c (8 worlds)": [4.0],
+        "wait on c (64 worlds)": [5.0],
+    }
+
+
+def test_records_tell_what_was_set_of_a_task_by_hand():
+    """What a bare command sets goes without saying."""
+    record = {**RECORDS[0], "task": "explore-v2", "engine": "planar"}
+    for fields, told in (({}, "physics=reference"), ({"advice": "false"}, "advice=false")):
+        task = {"physics": "reference" if not fields else "coarse", **fields}
+        assert curve_of_record({**record, "settings": {"task": task}}).fields == told
+    assert curve_of_record({**record, "settings": {"task": {"physics": "coarse"}}}).fields == ""
+    assert curve_of_record(record).fields == ""
 
 
 def test_long_curves_are_drawn_as_means_of_what_follows_each_other():

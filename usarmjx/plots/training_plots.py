@@ -1,7 +1,7 @@
 """How scores rise in training, over agent steps and over time: from benchmark records and folders of runs."""
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from usarmjx.base.errors import UsageError
 from usarmjx.plots.palette import save_small
+from usarmjx.train.learning.defaults import fields_by_hand
 from usarmjx.train.learning.metrics import read_lines
 from usarmjx.train.learning.record import load_record
 
@@ -38,6 +39,8 @@ class Curve:
         score: Mean score of the episodes that ended since the point before (points,).
         baseline: Score of the policy written by hand; None: not known.
         engine: Of the physics, as the run was told; empty: not known.
+        fields: What was set of the task by hand, as `advice=false`.
+        worlds: How many were in the batch; 0: not known.
     """
 
     task: str
@@ -48,10 +51,19 @@ class Curve:
     score: np.ndarray
     baseline: float | None = None
     engine: str = ""
+    fields: str = ""
+    worlds: int = 0
 
 
 Axis = Callable[[Curve], np.ndarray]
 """What of a curve is drawn along x (points,)."""
+
+
+def fields_of_record(record: Mapping[str, Any]) -> str:
+    """Return what a benchmark record says was set of the task by hand; the oldest have words for it."""
+    settings = record.get("settings", {})
+    fields = settings.get("task", {}) if isinstance(settings, dict) else {}
+    return fields_by_hand(record["task"], record.get("engine", ""), fields)
 
 
 def curve_of_record(record: dict[str, Any]) -> Curve:
@@ -71,6 +83,8 @@ def curve_of_record(record: dict[str, Any]) -> Curve:
         score=rows[:, 1],
         baseline=record.get("baseline"),
         engine=record.get("engine", ""),
+        fields=fields_of_record(record),
+        worlds=record["worlds"],
     )
 
 
@@ -99,6 +113,8 @@ def curve_of_run(folder: Path) -> Curve:
         seconds=seconds[there],
         score=score[there],
         engine=settings.engine,
+        fields=fields_by_hand(settings.task, settings.engine, settings.overrides),
+        worlds=config.worlds,
     )
 
 
@@ -123,15 +139,18 @@ def read_curves(source: Path) -> list[Curve]:
 
 
 def curves_by_task(curves: Iterable[Curve]) -> dict[str, list[Curve]]:
-    """Return the curves of each task on each engine, by seed; of several with the same seed, the last one."""
-    last = {(curve.task, curve.engine, curve.seed): curve for curve in curves}
-    rows = dict.fromkeys(key[:2] for key in last)
-    return {
-        f"{task} on {engine}" if engine else task: [
-            last[key] for key in sorted(last) if key[:2] == (task, engine)
-        ]
-        for task, engine in rows
-    }
+    """Return the curves that belong together by their title, by seed; of several of a seed the last one.
+
+    These are of one task, with the same fields set by hand, on one engine in as many worlds.
+    """
+    last = {(one.task, one.fields, one.engine, one.worlds, one.seed): one for one in curves}
+    found: dict[str, list[Curve]] = {}
+    for kind in dict.fromkeys(key[:-1] for key in last):
+        rows = [last[key] for key in sorted(last) if key[:-1] == kind]
+        task = ", ".join(filter(None, [rows[-1].task, rows[-1].fields]))
+        place = f" on {rows[-1].engine}" if rows[-1].engine else ""
+        found[f"{task}{place} ({rows[-1].about})"] = rows
+    return found
 
 
 def thinned(curve: Curve) -> Curve:
@@ -188,7 +207,7 @@ def draw_curves(figure: Figure, curves: Iterable[Curve]) -> None:
             draw_task(axes, found, along)
             axes.set_xlabel(name)
         row[0].set_ylabel("score")
-        row[0].set_title(f"{task} ({found[-1].about})", loc="left", fontsize=10)
+        row[0].set_title(task, loc="left", fontsize=10)
         if row[0].get_legend_handles_labels()[1]:
             row[0].legend(frameon=False, fontsize=9, loc="lower right")
 

@@ -6,6 +6,7 @@ from statistics import median
 from usarmjx.base.markdown import markdown_table
 from usarmjx.bench.report.records import BenchRecord
 from usarmjx.bench.serving.figures import rows as figure_rows
+from usarmjx.plots.training_plots import fields_of_record
 
 NOTHING = "No record yet.\n"
 MILLION, BILLION = 1e6, 1e9
@@ -195,7 +196,7 @@ def train_table(records: Sequence[BenchRecord]) -> str:
 
     def rows(record: BenchRecord) -> Iterator[MarkdownRow]:
         yield [
-            record.data["task"],
+            ", ".join(filter(None, [record.data["task"], fields_of_record(record.data)])),
             record.data["engine"],
             str(record.data["worlds"]),
             str(record.data.get("processes", 1)),

@@ -1,5 +1,6 @@
 """What each task is trained with unless one says otherwise; more worlds where there is a GPU."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from usarmjx.engines import choose_engine
@@ -90,6 +91,12 @@ def training_fields(task: str, engine: str) -> dict[str, str]:
     """Return the fields of a task that a training sets otherwise, on an engine that `auto` is."""
     physics, usual = USUAL_PHYSICS.get(task.lower()), USUAL_ENGINE.get(task.lower())
     return {"physics": physics} if physics and engine == usual else {}
+
+
+def fields_by_hand(task: str, engine: str, fields: Mapping[str, Any]) -> str:
+    """Return the fields of a task that a run has and a bare command would not set, as `advice=false`."""
+    usual = training_fields(task, engine)
+    return ", ".join(f"{name}={value}" for name, value in fields.items() if usual.get(name) != value)
 
 
 def horizon_of(episode_steps: int) -> dict[str, float]:
