@@ -17,7 +17,7 @@ from usarmjx.train.learning.metrics import read_lines
 from usarmjx.train.learning.record import load_record
 
 BLUE, PALE, ORANGE = "#1f5fa8", "#9db8d6", "#d1622b"
-DPI = 100
+DPI = 80
 ROW_HEIGHT, WIDTH = 2.8, 9.0
 """Height of a task's panels, and the figure's width [inches]."""
 LINE_COLOURS = 32

@@ -121,14 +121,25 @@ def runs_of(task, engine):
 
 @pytest.mark.parametrize(
     ("task", "fields", "seeds"),
-    [("drive-to-goal", {}, {0, 1, 2}), ("explore-v2", {"physics": "coarse"}, {0, 1})],
+    [
+        ("drive-to-goal", {}, {0, 1, 2, 3, 4}),
+        ("explore-v2", {"physics": "coarse"}, {0, 1, 2, 3, 4}),
+        ("explore-v2", {"physics": "coarse", "advice": "false"}, {0, 1, 2}),
+        ("victim-search-v2", {}, {0, 1, 2, 3, 4}),
+        ("relay-chain", {"physics": "coarse"}, {0, 2}),
+        ("hover-inspect", {}, {0, 1, 2}),
+        ("wander", {}, {0, 1}),
+    ],
 )
 def test_the_runs_on_planar_that_are_told_of_had_the_settings_of_a_bare_command(task, fields, seeds):
-    """The last of each seed; how often they were kept decides nothing of what is learned."""
-    runs = {run["seed"]: run for run in runs_of(task, "planar")}
-    assert set(runs) >= seeds
+    """The last of each seed on a GPU; how often they were kept decides nothing of what is learned."""
+    runs = {
+        run["seed"]: run
+        for run in runs_of(task, "planar")
+        if run["device"].startswith("NVIDIA") and run["settings"]["task"] == fields
+    }
+    assert set(runs) == seeds
     for seed, run in runs.items():
-        assert run["settings"]["task"] == fields
         config = task_config(task, gpu=True, seed=seed, checkpoint_every=run["config"]["checkpoint_every"])
         assert from_record(run["config"]) == config
 
@@ -139,7 +150,7 @@ def test_the_runs_on_planar_that_are_told_of_had_the_settings_of_a_bare_command(
 )
 def test_the_runs_of_small_tasks_that_are_told_of_were_bare_commands(task, engine):
     """Three seeds, of which nothing but the seed was set: benchmarks/results/train.jsonl."""
-    runs = {run["seed"]: run for run in runs_of(task, engine)}
+    runs = {run["seed"]: run for run in runs_of(task, engine) if not run["device"].startswith("NVIDIA")}
     assert set(runs) == {0, 1, 2}
     for seed, run in runs.items():
         assert from_record(run["config"]) == task_config(task, seed=seed)

@@ -90,7 +90,8 @@ def test_packaged_policies_are_found_by_their_task(tmp_path, monkeypatch):
         find_source("chess")
 
 
-TOLD = {"explore-v2": ["trained with physics=coarse; here it is the reference's"]}
+COARSE = ["trained with physics=coarse; here it is the reference's"]
+TOLD = {"explore-v2": COARSE, "relay-chain": COARSE}
 """What users of a packaged policy are told: under which other physics it was trained."""
 
 
