@@ -91,7 +91,7 @@ def test_a_file_that_does_not_read_is_one_line(tmp_path):
         ({"policy": {"runs": "x"}}, "expected by-hand, shipped, a run's folder"),
         ({"policy": "nowhere.npz"}, "nowhere.npz is no folder of a run"),
         ({"policy": {"client": "x", "speed": 0}}, "speed is 0"),
-        ({"task": "relay-chain", "policy": "shipped"}, "no policy for relay-chain comes with the package"),
+        ({"task": "convoy", "policy": "shipped"}, "no policy for convoy comes with the package"),
     ],
 )
 def test_settings_that_stand_for_nothing_are_named(settings, said):

@@ -24,6 +24,7 @@ POLICY_NAMES = (
     "explore",
     "explore-v2",
     "hover-inspect",
+    "relay-chain",
     "stairs",
     "victim-search",
     "victim-search-v2",

@@ -90,8 +90,8 @@ def test_scores_are_told_with_their_intervals():
     shares = evaluation_of([episodes(*[0.0, 1.0] * 8)])
     assert told([shares]) == f"0.5 ({shares.score.low:.3g} to {shares.score.high:.3g})"
     assert told([evaluation_of([episodes(0.5)])]) == "0.5"
-    names = [name for name, _ in sources_of(["drive-to-goal", "relay-chain"])]
-    assert names == ["drive-to-goal, packaged policy", "drive-to-goal, by hand", "relay-chain, by hand"]
+    names = [name for name, _ in sources_of(["drive-to-goal", "convoy"])]
+    assert names == ["drive-to-goal, packaged policy", "drive-to-goal, by hand", "convoy, by hand"]
 
 
 def test_runs_that_differ_by_their_seeds_share_a_row_and_are_told_each(tmp_path, monkeypatch):

@@ -76,7 +76,7 @@ def test_teams_are_the_task_with_a_robot_or_a_radio_of_another_kind():
 def test_teams_without_a_policy_of_ones_own_are_those_that_can_play():
     assert usual_teams("explore-v2") == tuple(TEAMS)
     assert usual_teams("victim-search-v2") == tuple(TEAMS)
-    assert usual_teams("relay-chain") == tuple(name for name in TEAMS if name != "packaged")
+    assert usual_teams("soccer") == tuple(name for name in TEAMS if name != "packaged")
     assert find_team("one") is TEAMS["one"]
     change, _ = find_team("explore")  # a packaged policy, by its own name
     task = make_task("explore-v2")
@@ -162,5 +162,5 @@ def test_policies_see_advice_as_in_training_and_by_hand_always(games):
 def test_what_has_no_parts_or_no_policy_is_refused():
     with pytest.raises(UsageError, match="drive-to-goal is no task for a team: its score has no parts"):
         measure_teams("drive-to-goal", 1)
-    with pytest.raises(UsageError, match="no policy is packaged for relay-chain; there are: drive-to-goal"):
-        packaged_policy(SimpleNamespace(name="relay-chain"))
+    with pytest.raises(UsageError, match="no policy is packaged for soccer; there are: drive-to-goal"):
+        packaged_policy(SimpleNamespace(name="soccer"))
