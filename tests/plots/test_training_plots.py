@@ -93,7 +93,7 @@ def test_runs_of_other_kinds_are_drawn_by_themselves():
         ("wait", "c", "advice=false", 8), ("wait", "c", "", 64),
     ]  # fmt: skip
     curves = [
-        Curve(task=task, engine=engine, fields=fields, worlds=worlds, about=f"{worlds} worlds",
+        Curve(task=task, engine=engine, fields=fields, worlds=worlds,
               score=np.array([float(i)]), **shape)
         for i, (task, engine, fields, worlds) in enumerate(kinds)
     ]  # fmt: skip
@@ -120,7 +120,7 @@ def test_records_tell_what_was_set_of_a_task_by_hand():
 def test_long_curves_are_drawn_as_means_of_what_follows_each_other():
     """250 points become 100 of 3 or 2; a short one stays as it is."""
     places = np.arange(250.0)
-    curve = Curve(task="wait", seed=0, about="", steps=places, seconds=2 * places, score=places % 5)
+    curve = Curve(task="wait", seed=0, worlds=8, steps=places, seconds=2 * places, score=places % 5)
     short = thinned(replace(curve, steps=places[:3], seconds=places[:3], score=places[:3]))
     assert_array_equal(short.score, [0.0, 1.0, 2.0])
     drawn = thinned(curve)
@@ -142,7 +142,7 @@ def test_the_baseline_is_a_line_across(panels):
 def test_a_run_is_drawn_from_what_it_has_written(reference):
     curve = curve_of_run(reference)
     written = lines(reference)
-    assert (curve.task, curve.seed, curve.about) == ("drive-toy", 0, "32 worlds")
+    assert (curve.task, curve.seed, curve.worlds) == ("drive-toy", 0, 32)
     assert_array_equal(curve.steps, [line["agent_steps"] for line in written])
     assert_array_equal(curve.score, [line["score"] for line in written])
     first, second, *_ = (2400 / line["steps_per_s"] for line in read_lines(reference / "metrics.jsonl"))
@@ -158,7 +158,7 @@ def test_the_command_draws_records_and_runs(file, reference, tmp_path):
     assert done.exit_code == 0, done.output
     assert done.output == f"wrote {out}\n"
     rows, columns, _ = imread(out).shape
-    assert (columns, rows) == (720, 3 * 224)
+    assert (columns, rows) == (900, 3 * 280)
 
 
 def test_a_run_is_recorded_as_it_is_drawn(reference, tmp_path):

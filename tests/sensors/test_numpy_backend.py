@@ -1,6 +1,5 @@
 """Sensors on NumPy read what they read on JAX; nothing is traced or compiled for it."""
 
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -10,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.listening import compilations
 from tests.sensors.people import Room
 from usarmjx.base import random
 from usarmjx.base.backend import numpy_backend
@@ -290,22 +290,6 @@ def test_commands_change_on_numpy_what_they_change_on_jax():
 
 
 # --- nothing is traced ------------------------------------------------------------------------
-
-
-@contextmanager
-def compilations():
-    """A list of what JAX traces and compiles inside."""
-    events: list[str] = []
-
-    def note(event: str, seconds: float, **more: Any) -> None:
-        if event.startswith("/jax/core/compile"):
-            events.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(note)
-    try:
-        yield events
-    finally:
-        jax.monitoring.unregister_event_duration_listener(note)
 
 
 def test_nothing_is_traced_or_compiled_and_no_array_of_jax_is_made():

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from tests.arenas import FLAT
+from tests.listening import compilations
 from tests.scripts import load
-from tests.sensors.test_numpy_backend import compilations
 from tests.server.peers import Peer, serving
 from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError

@@ -17,10 +17,12 @@ from usarmjx.train.learning.metrics import read_lines
 from usarmjx.train.learning.record import load_record
 
 BLUE, PALE, ORANGE = "#1f5fa8", "#9db8d6", "#d1622b"
-DPI = 80
+DPI = 100
 ROW_HEIGHT, WIDTH = 2.8, 9.0
 """Height of a task's panels, and the figure's width [inches]."""
 LINE_COLOURS = 32
+SHARP: dict[str, Any] = {"antialiased": False}
+"""Of lines: seeds whose edges are smoothed make a file half as large again."""
 MILLION = 1e6
 MOST_POINTS = 100
 """More would be noise: where few worlds are, few episodes end in an iteration."""
@@ -33,26 +35,34 @@ class Curve:
     Attributes:
         task: What was learned.
         seed: Of the run.
-        about: Where and how, in a few words.
         steps: Agent steps so far (points,).
         seconds: Time so far [s] (points,).
         score: Mean score of the episodes that ended since the point before (points,).
         baseline: Score of the policy written by hand; None: not known.
         engine: Of the physics, as the run was told; empty: not known.
         fields: What was set of the task by hand, as `advice=false`.
-        worlds: How many were in the batch; 0: not known.
+        worlds: How many were in the batch.
+        device: That trained; empty: not known.
     """
 
     task: str
     seed: int
-    about: str
+    worlds: int
     steps: np.ndarray
     seconds: np.ndarray
     score: np.ndarray
     baseline: float | None = None
     engine: str = ""
     fields: str = ""
-    worlds: int = 0
+    device: str = ""
+
+    @property
+    def title(self) -> str:
+        """What was learned, where and how, in a few words."""
+        task = ", ".join(filter(None, [self.task, self.fields]))
+        engine = f" on {self.engine}" if self.engine else ""
+        about = ", ".join(filter(None, [f"{self.worlds} worlds", self.device]))
+        return f"{task}{engine} ({about})"
 
 
 Axis = Callable[[Curve], np.ndarray]
@@ -77,14 +87,14 @@ def curve_of_record(record: dict[str, Any]) -> Curve:
     return Curve(
         task=record["task"],
         seed=record["seed"],
-        about=f"{record['worlds']} worlds, {record['device']}",
+        worlds=record["worlds"],
         steps=rows[:, 0],
         seconds=seconds,
         score=rows[:, 1],
         baseline=record.get("baseline"),
         engine=record.get("engine", ""),
         fields=fields_of_record(record),
-        worlds=record["worlds"],
+        device=record["device"],
     )
 
 
@@ -108,13 +118,12 @@ def curve_of_run(folder: Path) -> Curve:
     return Curve(
         task=settings.task,
         seed=config.seed,
-        about=f"{config.worlds} worlds",
+        worlds=config.worlds,
         steps=steps[there],
         seconds=seconds[there],
         score=score[there],
         engine=settings.engine,
         fields=fields_by_hand(settings.task, settings.engine, settings.overrides),
-        worlds=config.worlds,
     )
 
 
@@ -139,7 +148,7 @@ def read_curves(source: Path) -> list[Curve]:
 
 
 def curves_by_task(curves: Iterable[Curve]) -> dict[str, list[Curve]]:
-    """Return the curves that belong together by their title, by seed; of several of a seed the last one.
+    """Return the curves that belong together, by the title of the last; of several of a seed the last one.
 
     These are of one task, with the same fields set by hand, on one engine in as many worlds.
     """
@@ -147,9 +156,7 @@ def curves_by_task(curves: Iterable[Curve]) -> dict[str, list[Curve]]:
     found: dict[str, list[Curve]] = {}
     for kind in dict.fromkeys(key[:-1] for key in last):
         rows = [last[key] for key in sorted(last) if key[:-1] == kind]
-        task = ", ".join(filter(None, [rows[-1].task, rows[-1].fields]))
-        place = f" on {rows[-1].engine}" if rows[-1].engine else ""
-        found[f"{task}{place} ({rows[-1].about})"] = rows
+        found[rows[-1].title] = rows
     return found
 
 
@@ -189,11 +196,12 @@ def draw_task(axes: Axes, curves: Sequence[Curve], along: Axis) -> None:
     """Draw the curves of a task over an axis: each thin, their mean thick, and the baseline."""
     curves = [thinned(curve) for curve in curves]
     for curve in curves:
-        axes.plot(along(curve), curve.score, color=PALE if len(curves) > 1 else BLUE, lw=1.0)
+        axes.plot(along(curve), curve.score, color=PALE if len(curves) > 1 else BLUE, lw=1.0, **SHARP)
     if len(curves) > 1:
-        axes.plot(*mean_curve(curves, along), color=BLUE, lw=2.0, label=f"mean of {len(curves)} seeds")
+        label = f"mean of {len(curves)} seeds"
+        axes.plot(*mean_curve(curves, along), color=BLUE, lw=2.0, label=label, **SHARP)
     if curves[-1].baseline is not None:
-        axes.axhline(curves[-1].baseline, color=ORANGE, ls="--", lw=1.2, label="baseline by hand")
+        axes.axhline(curves[-1].baseline, color=ORANGE, ls="--", lw=1.2, label="baseline by hand", **SHARP)
     axes.set(xlim=(0, None), ylim=(min(0.0, *(curve.score.min() for curve in curves)), None))
     axes.spines[["top", "right"]].set_visible(False)
 

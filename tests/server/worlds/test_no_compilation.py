@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from tests.handy import TAGGER, known
-from tests.sensors.test_numpy_backend import EVERYTHING, compilations
+from tests.listening import compilations
+from tests.sensors.test_numpy_backend import EVERYTHING
 from tests.server.test_adapter import TICK, House, heard
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.arenas import ARENAS

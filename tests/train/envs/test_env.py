@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import usarmjx
+from tests.listening import COMPILED, compilations
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings, OutgoingMessages
@@ -215,13 +216,10 @@ def test_seeds_give_other_episodes_and_the_same_seed_the_same(env):
 def test_nothing_is_compiled_after_the_first_restart(env):
     told = actions(env, (1.0, 0.5))
     state = run(env, env.reset(), told, LIMIT + 1)
-    compiled = []
-    jax.monitoring.register_event_duration_secs_listener(
-        lambda name, *_, **__: compiled.append(name) if "backend_compile" in name else None
-    )
-    run(env, state, told, LIMIT + 1)
-    assert compiled == []
-    jax.jit(lambda x: x + len(compiled))(jnp.ones(7))
+    with compilations(COMPILED) as compiled:
+        run(env, state, told, LIMIT + 1)
+        assert compiled == []
+        jax.jit(lambda x: x + len(compiled))(jnp.ones(7))
     assert compiled, "the listener hears of what is compiled"
 
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tests.sensors.test_numpy_backend import compilations
+from tests.listening import compilations
 from usarmjx.models.build.variation import DomainRandomization
 from usarmjx.train.make import make
 

@@ -15,6 +15,7 @@ from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.policy import Policy
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.imitation import imitation_loss
+from usarmjx.train.learning.ppo import MIN_LEARNING_RATE
 from usarmjx.train.learning.train_state import policy_params
 from usarmjx.train.learning.trainer import Trainer
 from usarmjx.train.processes.group import ProcessGroup
@@ -106,16 +107,27 @@ def test_a_learner_does_what_it_was_shown():
     )
 
 
-def test_ppo_begins_carefully_after_the_lessons():
-    """Its first update changed the policy by 37 times `target_kl`: Adam knew small gradients only."""
-    trainer = trainer_of(imitate=20 * ROUND, steps=22 * ROUND, imitate_std=0.1, minibatches=8)
-    train_state, worlds = trainer.start()
-    known = {}
+def after_lessons(**settings):
+    """What is known of the first update by PPO after twenty of imitation."""
+    trainer = trainer_of(imitate=20 * ROUND, steps=22 * ROUND, imitate_std=0.1, minibatches=8, **settings)
+    (train_state, worlds), known = trainer.start(), {}
     for iteration in range(21):
         train_state, worlds, known = trainer.iterate(train_state, worlds, iteration)
-    assert trainer.config.schedule == "adaptive"
-    assert float(known["loss/divergence"]) < 3 * trainer.config.target_kl
-    assert float(train_state.learning_rate) < CONFIG.learning_rate
+    return {name: float(one) for name, one in known.items()}, trainer.config
+
+
+def test_ppo_begins_carefully_after_the_lessons():
+    """Its first update changed the policy by 37 times `target_kl`."""
+    known, config = after_lessons()
+    assert config.schedule == "adaptive"
+    assert known["loss/divergence"] < 3 * config.target_kl
+
+
+def test_ppo_begins_with_moments_of_its_own():
+    """By those of imitation the first update at a constant rate changed the policy by 0.17."""
+    known, config = after_lessons(schedule="constant")
+    assert known["loss/rate"] == pytest.approx(config.learning_rate)
+    assert known["loss/divergence"] < 0.1
 
 
 def test_a_teacher_begins_anew_with_each_episode():
@@ -146,20 +158,29 @@ def test_a_teacher_sees_what_is_hidden_and_the_policy_does_not():
         assert_allclose(shown[0], np.clip(2.0 * np.asarray(part), -0.8, 0.8), rtol=1e-6)
 
 
-def test_after_the_lessons_only_ppo_counts():
-    """An update of a train_state past its lessons is that of one that never had any, to rounding."""
+@pytest.mark.parametrize("since", [0, 1])
+def test_after_the_lessons_only_ppo_counts(since):
+    """An update of a train_state past its lessons is that of one that never had any, to rounding.
+
+    The first one begins at the lowest rate, with moments of its own.
+    """
     with_teacher, alone = trainer_of(imitate=ROUND), trainer_of()
     train_state, worlds = alone.start()
-    train_state = train_state.replace(iteration=train_state.iteration + 2)  # in the first it is careful
+    assert int(train_state.iteration) == 0
+    train_state = train_state.replace(iteration=train_state.iteration + 1 + since)
     _, steps, ends, sums = alone.rollout.collect(train_state, worlds, jax.random.key(0))
     _, same, _, _ = with_teacher.rollout.collect(train_state, with_teacher.start()[1], jax.random.key(0))
     assert not any(np.asarray(shown).any() for shown in same.teacher_action)
     experience = ends, {name: one[None] for name, one in sums.items()}
-    expected, _ = alone._update(train_state, (steps, *experience))
-    found, known = with_teacher._update(train_state, (same, *experience))
+    begun = train_state if since else train_state.replace(learning_rate=jnp.float32(MIN_LEARNING_RATE))
+    expected, _ = alone._update(begun, (steps, *experience))
+    used = jax.tree.map(lambda one: one + jnp.ones_like(one), train_state.opt_state)
+    taught = train_state if since else train_state.replace(opt_state=used)
+    found, known = with_teacher._update(taught, (same, *experience))
     assert "loss/imitation" in known
     for a, b in zip(jax.tree.leaves(expected.params), jax.tree.leaves(found.params), strict=True):
         assert_allclose(a, b, rtol=1e-6, atol=1e-7)
+    assert_allclose(found.learning_rate, expected.learning_rate, rtol=1e-6)
 
 
 def test_what_cannot_be_imitated_is_said():

@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from tensorboardX.proto.event_pb2 import Event
 
+from tests.listening import COMPILED, compilations
 from tests.train.runs import CONFIG, lines
 from tests.train.toys import DriveToy, EndlessToy, MemoryToy
 from usarmjx.base.errors import UsageError
@@ -19,8 +20,6 @@ from usarmjx.train.learning.ahead import compiling
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.trainer import Trainer, train
 from usarmjx.train.processes.group import ProcessGroup
-
-COMPILED = "/jax/core/compile/backend_compile_duration"
 
 
 def test_three_robots_of_two_classes_learn_to_drive_to_their_goals(reference):
@@ -80,12 +79,9 @@ def test_worlds_that_go_wrong_are_counted_and_do_no_harm(reference):
 @pytest.fixture(scope="module")
 def both():
     """The same run with one compiled rollout, and step by step: compilations, what was first collected."""
-    compiled, found = [], {}
-    jax.monitoring.register_event_duration_secs_listener(
-        lambda name, *_, **__: compiled.append(name) if name == COMPILED else None
-    )
+    found = {}
     config = Config(worlds=4, minibatches=2, rollout=4, layers=(4,), critic_layers=(4,), memory=3)
-    try:
+    with compilations(COMPILED) as compiled:
         for traceable in (True, False):
             trainer = Trainer(DriveToy(4, traceable=traceable), config, ProcessGroup())
             train_state, worlds = trainer.start()
@@ -97,8 +93,6 @@ def both():
                 jax.device_get(known)
                 counts.append(len(compiled))
             found[traceable] = (counts, first)
-    finally:
-        jax.monitoring.clear_event_listeners()
     return found
 
 
@@ -110,18 +104,13 @@ def test_nothing_is_compiled_after_the_first_iteration(both, traceable):
 
 
 def test_a_first_rollout_finds_what_was_compiled_beside_the_making_of_worlds():
-    compiled, group = [], ProcessGroup()
-    jax.monitoring.register_event_duration_secs_listener(
-        lambda name, *_, **__: compiled.append(name) if name == COMPILED else None
-    )
-    try:
+    group = ProcessGroup()
+    with compilations(COMPILED) as compiled:
         trainer = Trainer(DriveToy(4), Config(worlds=4, minibatches=1, rollout=2), group)
         with compiling(trainer.rollout, trainer.starts, group.device):
             train_state, worlds = trainer.start()
         before = len(compiled)
         jax.block_until_ready(trainer.rollout.collect(train_state, worlds, trainer._key))
-    finally:
-        jax.monitoring.clear_event_listeners()
     assert before > 0
     assert len(compiled) == before
 

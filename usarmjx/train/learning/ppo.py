@@ -187,6 +187,24 @@ def _shuffle(key: jax.Array, worlds: int, blocks: int, first: jax.Array, minibat
     return order.reshape(blocks, minibatches, -1).swapaxes(0, 1).reshape(minibatches, -1)
 
 
+def begin_update(networks: Networks, config: Config, train_state: TrainState) -> TrainState:
+    """Return the train state with the learning rate, and Adam's moments, that an update begins with."""
+    lessons, rate = config.imitations(networks.agent_count), train_state.learning_rate
+    first = train_state.iteration == lessons
+    if config.schedule == "linear":
+        left = 1.0 - train_state.iteration / config.iterations(networks.agent_count)
+        rate = config.learning_rate * jnp.maximum(left, 0.0).astype(jnp.float32)
+    if config.schedule == "adaptive" and lessons:
+        rate = jnp.where(first, MIN_LEARNING_RATE, rate)
+    train_state = train_state.replace(learning_rate=rate)
+    if not lessons:
+        return train_state
+    # Imitation ends with small gradients: steps by its moments would be many times as long as PPO's own.
+    fresh = make_optimiser(config).init(train_state.params)
+    moments = jax.tree.map(lambda new, old: jnp.where(first, new, old), fresh, train_state.opt_state)
+    return train_state.replace(opt_state=moments)
+
+
 def run_epochs(
     networks: Networks,
     config: Config,
@@ -198,18 +216,7 @@ def run_epochs(
     """Go through a batch, `epochs` times, and return what is worth knowing of it, means over minibatches."""
     optimiser = make_optimiser(config)
     worlds, blocks = batch.trajectory.done.shape[1], config.shuffled_blocks // processes
-    if config.schedule == "linear":
-        left = 1.0 - train_state.iteration / config.iterations(networks.agent_count)
-        train_state = train_state.replace(
-            learning_rate=config.learning_rate * jnp.maximum(left, 0.0).astype(jnp.float32)
-        )
-    lessons = config.imitations(networks.agent_count)
-    if config.schedule == "adaptive" and lessons:
-        # Adam knows the small gradients of imitation only: at the rate of those PPO's first steps go astray.
-        first = train_state.iteration == lessons
-        train_state = train_state.replace(
-            learning_rate=jnp.where(first, MIN_LEARNING_RATE, train_state.learning_rate)
-        )
+    train_state = begin_update(networks, config, train_state)
 
     def update_once(
         state: TrainState, now: tuple[jax.Array, jax.Array]
