@@ -65,6 +65,17 @@ def test_it_begins_with_everything_that_was_learned_and_acts_as_its_source(refer
     assert_same(ended.params, source.params)
 
 
+def test_it_goes_on_carefully(reference, tmp_path):
+    """At the rate of a random network the first update changed the policy by ten times `target_kl`."""
+    config = replace(KEPT, schedule="adaptive", learning_rate=3e-3, minibatches=8, steps=2400)
+    tuned(tmp_path / "run", load_trained(reference, "last"), config)
+    (first,) = lines(tmp_path / "run")
+    assert 0.0 < first["loss/divergence"] < 3 * config.target_kl
+    tuned(tmp_path / "steady", load_trained(reference), replace(config, schedule="constant"))
+    (first,) = lines(tmp_path / "steady")
+    assert first["loss/rate"] == pytest.approx(3e-3)
+
+
 def test_its_first_rollout_is_that_of_a_trained_policy(reference, tmp_path):
     """The source's first iterations, with the same worlds and random numbers, scored less."""
     tuned(tmp_path / "run", load_trained(reference, "last"), replace(CONFIG, steps=4800))

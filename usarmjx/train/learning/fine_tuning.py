@@ -8,9 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
+
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.checkpoint import Checkpoints, load_train_state
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.ppo import MIN_LEARNING_RATE
 from usarmjx.train.learning.record import RunRecord
 from usarmjx.train.learning.train_state import Networks, TrainState
 
@@ -78,14 +82,17 @@ class TrainedNetworks:
         if off := [f"{what}: {old} -> {new}" for what, (old, new) in pairs.items() if old != new]:
             raise UsageError(f"networks of {self.run} do not fit: {'; '.join(off)}")
 
-    def begin(self, fresh: TrainState) -> TrainState:
+    def begin(self, fresh: TrainState, config: Config) -> TrainState:
         """Return a train state before its first update, with these networks in it.
 
         Args:
             fresh: Of networks that `check` has let pass.
+            config: Settings of the new run. An adaptive learning rate begins at its lowest: that of a random
+                network changes one that has learned by more than is wanted.
         """
-        own = self.train_state
+        own, rate = self.train_state, fresh.learning_rate
         return fresh.replace(
+            learning_rate=jnp.full_like(rate, MIN_LEARNING_RATE) if config.schedule == "adaptive" else rate,
             params=own.params,
             obs_statistics=own.obs_statistics,
             privileged_statistics=own.privileged_statistics,

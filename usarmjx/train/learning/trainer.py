@@ -304,7 +304,7 @@ def _restore(
 ) -> tuple[TrainState, RolloutState, int]:
     train_state, worlds = trainer.start()
     if source is not None:
-        train_state = trainer.process_group.device_put(source.begin(train_state))
+        train_state = trainer.process_group.device_put(source.begin(train_state, trainer.config))
         # Whoever resumes the run before its next checkpoint needs no source.
         checkpoints.save(0, train_state, worlds, {"agent_steps": 0, "score": None})
         return train_state, worlds, 0
