@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import performance_profile
-from usarmjx.base.files import write_beside
+from usarmjx.plots.palette import save_small
 from usarmjx.sweeps.answers import axes_of, front_points, policy_of, tasks_of
 from usarmjx.sweeps.axis_scores import AxisRow, axis_rows, shared_cells
 from usarmjx.sweeps.store import StoredSweep
@@ -36,10 +35,7 @@ def plot_sweep(found: StoredSweep, out: Path) -> None:
         UsageError: Nothing is finished.
         WriteError: The file cannot be written.
     """
-    figure = draw_sweep(found)
-    FigureCanvasAgg(figure)
-    with write_beside(out) as fresh:
-        figure.savefig(fresh, format="png")
+    save_small(draw_sweep(found), out)
 
 
 def draw_sweep(found: StoredSweep) -> Figure:
