@@ -6,6 +6,8 @@ from typing import Any
 
 import jax
 
+from usarmjx.base.compilation import COMPILATION
+
 COMPILED = "backend_compile_duration"
 """How the names of events end that tell of a program which XLA has compiled."""
 
@@ -17,7 +19,7 @@ def compilations(ending: str = "") -> Iterator[list[str]]:
 
     def note(event: str, seconds: float, **more: Any) -> None:
         del seconds, more
-        if event.startswith("/jax/core/compile") and event.endswith(ending):
+        if event.startswith(COMPILATION) and event.endswith(ending):
             events.append(event)
 
     jax.monitoring.register_event_duration_secs_listener(note)

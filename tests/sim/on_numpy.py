@@ -5,21 +5,16 @@ from contextlib import contextmanager
 import jax
 import numpy as np
 
+from tests.listening import compilations
 from usarmjx.base.backend import numpy_backend
-
-_met: list[str] = []
-jax.monitoring.register_event_duration_secs_listener(
-    lambda event, _, **__: _met.append(event) if "compile" in event else None
-)
 
 
 @contextmanager
 def nothing_compiled():
     """On NumPy inside; afterwards nothing must have been traced or compiled: JAX tells of both."""
-    before = len(_met)
-    with numpy_backend():
+    with compilations() as events, numpy_backend():
         yield
-    assert _met[before:] == []
+    assert events == []
 
 
 def as_numpy(tree):

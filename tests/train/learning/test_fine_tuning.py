@@ -19,6 +19,7 @@ from usarmjx.train.evaluation.evaluate import play_episodes
 from usarmjx.train.learning.checkpoint import Checkpoints, load_policy, load_train_state
 from usarmjx.train.learning.config import task_config
 from usarmjx.train.learning.fine_tuning import load_trained
+from usarmjx.train.learning.ppo import MIN_LEARNING_RATE
 from usarmjx.train.learning.record import load_record
 from usarmjx.train.learning.trainer import train
 
@@ -66,7 +67,7 @@ def test_it_begins_with_everything_that_was_learned_and_acts_as_its_source(refer
 
 
 def test_it_goes_on_carefully(reference, tmp_path):
-    """At the rate of a random network a first update changed such a policy by 0.3, not by 0.02."""
+    """At the rate of a random network its first update changed the policy by 0.037."""
     config = replace(KEPT, schedule="adaptive", learning_rate=3e-3, minibatches=8, steps=2400)
     tuned(tmp_path / "run", load_trained(reference, "last"), config)
     (first,) = lines(tmp_path / "run")
@@ -74,6 +75,15 @@ def test_it_goes_on_carefully(reference, tmp_path):
     tuned(tmp_path / "steady", load_trained(reference), replace(config, schedule="constant"))
     (first,) = lines(tmp_path / "steady")
     assert first["loss/rate"] == pytest.approx(3e-3)
+
+
+def test_imitation_of_what_begins_so_keeps_its_learning_rate(reference):
+    """At the lowest one it would teach nothing."""
+    source, config = load_trained(reference), replace(KEPT, schedule="adaptive")
+    fresh = source.train_state.replace(learning_rate=np.float32(2e-3))
+    for imitate, rate in ((0, MIN_LEARNING_RATE), (2400, 2e-3)):
+        begun = source.begin(fresh, replace(config, imitate=imitate))
+        assert float(begun.learning_rate) == pytest.approx(rate)
 
 
 def test_its_first_rollout_is_that_of_a_trained_policy(reference, tmp_path):

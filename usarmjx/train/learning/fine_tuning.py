@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
-
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.checkpoint import Checkpoints, load_train_state
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.ppo import MIN_LEARNING_RATE
+from usarmjx.train.learning.ppo import careful_rate
 from usarmjx.train.learning.record import RunRecord
 from usarmjx.train.learning.train_state import Networks, TrainState
 
@@ -87,12 +85,13 @@ class TrainedNetworks:
 
         Args:
             fresh: Of networks that `check` has let pass.
-            config: Settings of the new run. An adaptive learning rate begins at its lowest: that of a random
-                network changes one that has learned by more than is wanted.
+            config: Settings of the new run. Its learning rate begins as `careful_rate` says: that of a random
+                network would change one that has learned by more than is wanted. Imitation, which comes
+                first where it is asked for, keeps its own.
         """
         own, rate = self.train_state, fresh.learning_rate
         return fresh.replace(
-            learning_rate=jnp.full_like(rate, MIN_LEARNING_RATE) if config.schedule == "adaptive" else rate,
+            learning_rate=rate if config.imitate else careful_rate(rate, config),
             params=own.params,
             obs_statistics=own.obs_statistics,
             privileged_statistics=own.privileged_statistics,

@@ -6,6 +6,7 @@ shuffled within blocks (`Config.blocks`) that belong to one process: each miniba
 worlds however many processes there are, and only the order of summation differs.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -187,22 +188,26 @@ def _shuffle(key: jax.Array, worlds: int, blocks: int, first: jax.Array, minibat
     return order.reshape(blocks, minibatches, -1).swapaxes(0, 1).reshape(minibatches, -1)
 
 
+def careful_rate(rate: jax.Array, config: Config) -> jax.Array:
+    """Return the learning rate with which PPO begins on a policy that has learned: an adaptive one grows."""
+    return jnp.full_like(rate, MIN_LEARNING_RATE) if config.schedule == "adaptive" else rate
+
+
 def begin_update(networks: Networks, config: Config, train_state: TrainState) -> TrainState:
     """Return the train state with the learning rate, and Adam's moments, that an update begins with."""
-    lessons, rate = config.imitations(networks.agent_count), train_state.learning_rate
-    first = train_state.iteration == lessons
     if config.schedule == "linear":
         left = 1.0 - train_state.iteration / config.iterations(networks.agent_count)
         rate = config.learning_rate * jnp.maximum(left, 0.0).astype(jnp.float32)
-    if config.schedule == "adaptive" and lessons:
-        rate = jnp.where(first, MIN_LEARNING_RATE, rate)
-    train_state = train_state.replace(learning_rate=rate)
+        train_state = train_state.replace(learning_rate=rate)
+    lessons = config.imitations(networks.agent_count)
     if not lessons:
         return train_state
     # Imitation ends with small gradients: steps by its moments would be many times as long as PPO's own.
-    fresh = make_optimiser(config).init(train_state.params)
-    moments = jax.tree.map(lambda new, old: jnp.where(first, new, old), fresh, train_state.opt_state)
-    return train_state.replace(opt_state=moments)
+    own = train_state.replace(
+        learning_rate=careful_rate(train_state.learning_rate, config),
+        opt_state=make_optimiser(config).init(train_state.params),
+    )
+    return jax.tree.map(partial(jnp.where, train_state.iteration == lessons), own, train_state)
 
 
 def run_epochs(
