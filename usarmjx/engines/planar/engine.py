@@ -23,6 +23,7 @@ from usarmjx.engines.planar.neighbours import (
     farthest_in_a_step,
     ground_of,
     look_around,
+    most_near,
     places_of,
     stopping,
 )
@@ -121,6 +122,7 @@ class PlanarEngine(Engine[PlanarState]):
                 "engine 'planar' moves what flies or dives in control steps of up to "
                 f"{LONGEST_FLIGHT_STEP:g} s, not {physics.period:g} s"
             )
+        self._most_near = most_near(self._robots.half)
         self._servos: PlanarServos = servos_of(self.model)
         own = {body for _, index in robots for body in index.body_ids}
         self._fixed: FixedBodies = fixed_bodies(self.model, own)
@@ -216,7 +218,9 @@ class PlanarEngine(Engine[PlanarState]):
         scene: WhereSolids,
     ) -> Neighbours:
         """Look up what is around the robots of one world."""
-        return look_around(prints, limit, self._solids(state, poses), self._floor, reach, scene)
+        return look_around(
+            prints, limit, self._solids(state, poses), self._floor, reach, scene, self._most_near
+        )
 
     def _ground(
         self, around: Neighbours, state: PhysicsState, after: Motion, aims: Aims, inputs: Inputs

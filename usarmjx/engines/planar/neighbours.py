@@ -7,6 +7,7 @@ from functools import reduce
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
@@ -16,7 +17,9 @@ from usarmjx.engines.planar.overlap import Outlines
 from usarmjx.engines.planar.solids import NOWHERE, PlanSolids, tops_under
 
 NEAR = 8
-"""A robot looks at so many solids closely."""
+"""A robot looks at so many solids closely ..."""
+LARGE, NEAR_LARGE = 0.5, 12
+"""... in scenes where one reaches farther than that from its middle [m], at so many: more fits around it."""
 LAYERS = 4
 """It looks for ground at so many; at all, where there are more."""
 SLACK = 0.02
@@ -95,6 +98,11 @@ class Neighbours(struct.PyTreeNode, kw_only=True):
         return self.grounded.exceeds(self.went(at)[1])
 
 
+def most_near(half: np.ndarray) -> int:
+    """Return at how many solids the robots of a scene look closely, by their half sides [m] (robots, 2)."""
+    return NEAR_LARGE if (np.hypot(*half.T) > LARGE).any() else NEAR
+
+
 def places_of(prints: Footprints, limit: Array) -> Array:
     """Return where robots are, as `Neighbours.at` has it (..., robots, 4)."""
     return jnp.stack([prints.pos[..., 0], prints.pos[..., 1], prints.low, limit], -1)
@@ -114,7 +122,13 @@ def farthest_in_a_step(left: Footprints, there: Footprints) -> Margin:
 
 
 def look_around(
-    prints: Footprints, limit: Array, solids: PlanSolids, floor: float, reach: Margin, scene: WhereSolids
+    prints: Footprints,
+    limit: Array,
+    solids: PlanSolids,
+    floor: float,
+    reach: Margin,
+    scene: WhereSolids,
+    most: int = NEAR,
 ) -> Neighbours:
     """Look up what is around the robots of one world.
 
@@ -126,6 +140,7 @@ def look_around(
         reach: How far each robot may get in a step (robots,); solids that are no farther from a circle around
             it count as near.
         scene: Where the solids are that can be elsewhere.
+        most: So many solids are kept that may stop a robot, see `most_near`.
     """
     # Which ones are looked at has no slope, only what these do.
     (prints, limit, scene), found = jax.lax.stop_gradient(((prints, limit, scene), solids))
@@ -142,11 +157,11 @@ def look_around(
     lowest = found.top + dx * found.slope_x + dy * found.slope_y - size * steep
     deep = lowest - limit[:, None]
     may_hold = jnp.where(found.highest < floor, NOWHERE, jnp.maximum(apart, deep))
-    near, others = _nearest(solids, jnp.where(stops, apart, may_stop + LAST), NEAR)
+    near, others = _nearest(solids, jnp.where(stops, apart, may_stop + LAST), most)
     free = _margin(apart, higher, steep, others, reach)
     under, others = _nearest(solids, may_hold, LAYERS)
     grounded = _margin(apart, deep, steep, others & (found.highest >= floor), reach)
-    left_out = (stops & (apart < reach.aside[:, None])).sum(-1) - NEAR
+    left_out = (stops & (apart < reach.aside[:, None])).sum(-1) - most
     return Neighbours(
         at=places_of(prints, limit),
         free=free,

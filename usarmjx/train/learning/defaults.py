@@ -36,7 +36,7 @@ HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     "victim-search-v2": {
         **MEASURED,
         **{"discount": 0.99, "trace": 0.95, "memory": 64},
-        **{"imitate": 6_000_000, "imitate_std": 0.1, "steps": 12_000_000},
+        **{"imitate": 6_000_000, "imitate_std": 0.1, "steps": 36_000_000},
     },
     "relay-chain": {**MEASURED, "discount": 0.99, "trace": 0.95, "imitate": 6_000_000, "steps": 40_000_000},
     "soccer": {**MEASURED, "steps": 20_000_000},
