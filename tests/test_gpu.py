@@ -1,6 +1,7 @@
 """What only a GPU can show; skipped elsewhere."""
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -200,3 +201,29 @@ def test_waves_over_maps_are_those_of_jax_bit_for_bit(shape):
     wave = of_all(lambda start, open_, toll, _: spread_distances(start, open_, toll, None))
     np.testing.assert_array_equal(found, wave)
     jax.tree.map(np.testing.assert_array_equal, of_all(way), of_all(wave_way))
+
+
+def test_more_threads_than_a_row_of_blocks_has_are_all_launched():
+    """Warp lays more than 2**24 out in rows; a bundle takes 32, an angle one. A wall by its closed form."""
+    pytest.importorskip("warp", reason="needs warp-lang")
+    from usarmjx.sensors.rays.incidence_warp import cosines_of_hits
+    from usarmjx.sensors.rays.raycast import RayQuery, indexed_blocks, warp_hits
+    from usarmjx.sensors.rays.targets import make_geoms
+
+    casts, rays = 2**17, 144  # 2**24 * 1.25 bundles' threads at 5 bundles each, 1.125 of angles'
+    wall = (jnp.asarray(x, jnp.float32)[None] for x in ((5.0, 0.0, 0.0), np.eye(3), (1.0, 50.0, 50.0)))
+    seen = indexed_blocks(make_geoms(np.array([mujoco.mjtGeom.mjGEOM_BOX]), *wall, jnp.full(1, -1)))
+    turn = jnp.linspace(-0.5, 0.5, rays)
+    along = jnp.stack([jnp.cos(turn), jnp.sin(turn), jnp.zeros(rays)], -1)
+
+    @jax.jit
+    def cast(x):
+        given = jnp.stack([x, 0.0 * x, 0.0 * x], -1)[None] + jnp.zeros((rays, 3)), along
+        found = warp_hits(seen, given, RayQuery(bundle_size=32))
+        return found.distance, found.geom_index, cosines_of_hits(seen, given, found)
+
+    away = jnp.linspace(1.0, 3.0, casts)
+    distance, geom, cosine = jax.jit(jax.vmap(cast))(4.0 - away)
+    assert (np.asarray(geom) == 0).all()
+    np.testing.assert_allclose(distance, away[:, None] / jnp.cos(turn), rtol=1e-5)
+    np.testing.assert_allclose(cosine, jnp.broadcast_to(jnp.cos(turn), cosine.shape), atol=1e-5)

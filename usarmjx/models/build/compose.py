@@ -27,6 +27,8 @@ CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone
 SOLVERS = {"CG": mujoco.mjtSolver.mjSOL_CG, "Newton": mujoco.mjtSolver.mjSOL_NEWTON}
 USUAL_GEOMS = 7
 """Touching geoms of a P2AT, for which contacts_per_robot and pairs_per_robot are meant."""
+LOOSE_CONTACTS = 5
+"""Room in contact buffers for each touching geom of a loose object: a box that lies has four corners."""
 
 
 @dataclass(frozen=True)
@@ -127,13 +129,11 @@ def cap_contacts(
 ) -> None:
     """Size the contact buffers of the batch engines, in the custom numbers that MJX reads; C ignores them."""
     geoms = sum(_touching(shapes) for robot in robots for shapes in _solids(robot))
-    geoms += sum(_touching(loose.shapes) for loose in arena.loose)
-    room = max(1.0, geoms / USUAL_GEOMS)
-    for name, each in (
-        ("max_contact_points", physics.contacts_per_robot),
-        ("max_geom_pairs", physics.pairs_per_robot),
-    ):
-        spec.add_numeric(name=name, size=1, data=[int(np.ceil(room * each))])
+    loose = sum(_touching(thing.shapes) for thing in arena.loose)
+    contacts = max(1.0, geoms / USUAL_GEOMS) * physics.contacts_per_robot + loose * LOOSE_CONTACTS
+    pairs = max(1.0, (geoms + loose) / USUAL_GEOMS) * physics.pairs_per_robot
+    for name, room in (("max_contact_points", contacts), ("max_geom_pairs", pairs)):
+        spec.add_numeric(name=name, size=1, data=[int(np.ceil(room))])
 
 
 def _solids(robot: RobotSpec) -> list[tuple[Shape, ...]]:

@@ -38,13 +38,16 @@ GROUP_SIZE = wp.constant(6 * 32)
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    return (int)(blockIdx.x * blockDim.x + threadIdx.x);
+    return (int)(((blockIdx.z * gridDim.y + blockIdx.y) * gridDim.x + blockIdx.x) * blockDim.x + threadIdx.x);
 #else
     return index;
 #endif
 """)
 def thread_index(index: int) -> int:
-    """Return `wp.tid()`, which it is given, without the division of 64 bits by which a GPU finds that."""
+    """Return `wp.tid()`, which it is given, without the division of 64 bits by which a GPU finds that.
+
+    Warp spreads more than 2**24 threads over rows of blocks.
+    """
     ...
 
 
