@@ -158,7 +158,7 @@ def test_the_command_draws_records_and_runs(file, reference, tmp_path):
     assert done.exit_code == 0, done.output
     assert done.output == f"wrote {out}\n"
     rows, columns, _ = imread(out).shape
-    assert (columns, rows) == (900, 3 * 280)
+    assert (columns, rows) == (900, 3 * 240)
 
 
 def test_a_run_is_recorded_as_it_is_drawn(reference, tmp_path):

@@ -19,7 +19,7 @@ def save_small(figure: Figure, path: Path, colours: int = COLOURS) -> None:
     Args:
         figure: What is drawn.
         path: Where to.
-        colours: At most so many; lines of a few colours and their edges need 32.
+        colours: At most so many; lines of a few colours and their edges need 16.
 
     Raises:
         WriteError: It cannot be written.

@@ -18,9 +18,9 @@ from usarmjx.train.learning.record import load_record
 
 BLUE, PALE, ORANGE = "#1f5fa8", "#9db8d6", "#d1622b"
 DPI = 100
-ROW_HEIGHT, WIDTH = 2.8, 9.0
+ROW_HEIGHT, WIDTH = 2.4, 9.0
 """Height of a task's panels, and the figure's width [inches]."""
-LINE_COLOURS = 32
+LINE_COLOURS = 16
 SHARP: dict[str, Any] = {"antialiased": False}
 """Of lines: seeds whose edges are smoothed make a file half as large again."""
 MILLION = 1e6
@@ -156,7 +156,8 @@ def curves_by_task(curves: Iterable[Curve]) -> dict[str, list[Curve]]:
     found: dict[str, list[Curve]] = {}
     for kind in dict.fromkeys(key[:-1] for key in last):
         rows = [last[key] for key in sorted(last) if key[:-1] == kind]
-        found[rows[-1].title] = rows
+        devices = " and ".join(sorted({one.device for one in rows} - {""}))
+        found[replace(rows[-1], device=devices).title] = rows
     return found
 
 

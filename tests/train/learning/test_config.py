@@ -120,22 +120,24 @@ def runs_of(task, engine):
 
 
 @pytest.mark.parametrize(
-    ("task", "fields", "seeds"),
+    ("task", "engine", "fields", "seeds"),
     [
-        ("drive-to-goal", {}, {0, 1, 2, 3, 4}),
-        ("explore-v2", {"physics": "coarse"}, {0, 1, 2, 3, 4}),
-        ("explore-v2", {"physics": "coarse", "advice": "false"}, {0, 1, 2}),
-        ("victim-search-v2", {}, {0, 1, 2, 3, 4}),
-        ("relay-chain", {"physics": "coarse"}, {0, 2}),
-        ("hover-inspect", {}, {0, 1, 2}),
-        ("wander", {}, {0, 1}),
+        ("drive-to-goal", "planar", {}, {0, 1, 2, 3, 4}),
+        ("explore-v2", "planar", {"physics": "coarse"}, {0, 1, 2, 3, 4}),
+        ("explore-v2", "planar", {"physics": "coarse", "advice": "false"}, {0, 1, 2}),
+        ("victim-search-v2", "planar", {}, {0, 1, 2, 3, 4}),
+        ("relay-chain", "planar", {"physics": "coarse"}, {0, 1, 2}),
+        ("hover-inspect", "planar", {}, {0, 1, 2}),
+        ("wander", "planar", {}, {0, 1}),
+        ("stairs", "warp", {}, {0, 1, 2}),
+        ("soccer", "warp", {}, {0}),
     ],
 )
-def test_the_runs_on_planar_that_are_told_of_had_the_settings_of_a_bare_command(task, fields, seeds):
+def test_the_runs_on_gpus_that_are_told_of_had_the_settings_of_a_bare_command(task, engine, fields, seeds):
     """The last of each seed on a GPU; how often they were kept decides nothing of what is learned."""
     runs = {
         run["seed"]: run
-        for run in runs_of(task, "planar")
+        for run in runs_of(task, engine)
         if run["device"].startswith("NVIDIA") and run["settings"]["task"] == fields
     }
     assert set(runs) == seeds

@@ -17,6 +17,7 @@ DPI, PANEL = 100, (4.6, 3.6)
 """Width and height of a panel [inches]."""
 DIGEST = "Description"
 """Where a PNG says of which records it is."""
+OURSELVES = "usarmjx"
 OURS, OTHERS = "s-", "o--"
 """Marks and lines of ours and of others."""
 COLOURS = colormaps["tab20"].colors  # pyright: ignore[reportAttributeAccessIssue] - of those made of a list
@@ -60,8 +61,27 @@ def draw_laws(records: Sequence[BenchRecord], out: Path, digest: str) -> None:
     _save(figure, out, digest)
 
 
+def compared(records: Sequence[BenchRecord]) -> list[tuple[str, list[Mapping]]]:
+    """Return the runs of peers that are drawn, by name, with what was measured in each.
+
+    Those of both ours and others, but for which a later one on the same machine has all sizes, too.
+    """
+    runs = [
+        (record, [row for row in record.data["rows"] if "speed" in row]) for record in of(records, "peers")
+    ]
+    found: list[tuple[str, list[Mapping]]] = []
+    known: dict[str, list[set[tuple[int, int]]]] = {}
+    for record, rows in reversed(runs):
+        sizes = {(row["worlds"], row["robots"]) for row in rows}
+        later = known.setdefault(record.where, [])
+        if len({row["who"] == OURSELVES for row in rows}) == 2 and not any(sizes <= other for other in later):
+            later.append(sizes)
+            found.insert(0, (f"{record.where}, {record.when}", rows))
+    return found
+
+
 def draw_peers(records: Sequence[BenchRecord], out: Path, digest: str) -> None:
-    """Draw simulated robot-seconds per second over robots in all, a panel for each machine.
+    """Draw simulated robot-seconds per second over robots in all, a panel for each run of `compared`.
 
     The dotted line is real time: as many as there are robots.
 
@@ -70,21 +90,16 @@ def draw_peers(records: Sequence[BenchRecord], out: Path, digest: str) -> None:
         out: PNG file.
         digest: Of the records, kept in the file.
     """
-    machines: dict[str, list[Mapping]] = {}
-    for record in of(records, "peers"):
-        rows = [row for row in record.data["rows"] if "speed" in row]
-        machines.setdefault(f"{record.where}, {record.when}", []).extend(rows)
-    figure = Figure(
-        figsize=(2 * PANEL[0], 1.4 * PANEL[1] * max(len(machines), 1)), dpi=DPI, layout="constrained"
-    )
-    axes = figure.subplots(max(len(machines), 1), 1, squeeze=False)[:, 0]
-    for panel, (machine, rows) in zip(axes, machines.items(), strict=False):
+    runs = compared(records)
+    figure = Figure(figsize=(2 * PANEL[0], 1.4 * PANEL[1] * max(len(runs), 1)), dpi=DPI, layout="constrained")
+    axes = figure.subplots(max(len(runs), 1), 1, squeeze=False)[:, 0]
+    for panel, (machine, rows) in zip(axes, runs, strict=False):
         lines: dict[str, list[tuple[int, float]]] = {}
         for row in rows:
             point = row["worlds"] * row["robots"], row["robot_seconds_per_s"]
             lines.setdefault(f"{row['who']}: {row['variant']}", []).append(point)
         for i, (name, points) in enumerate(lines.items()):
-            style, colour = OURS if name.startswith("usarmjx") else OTHERS, COLOURS[i % len(COLOURS)]
+            style, colour = OURS if name.startswith(OURSELVES) else OTHERS, COLOURS[i % len(COLOURS)]
             panel.plot(*zip(*sorted(points), strict=True), style, color=colour, markersize=5, label=name)
         sizes = sorted({x for points in lines.values() for x, _ in points})
         panel.plot(sizes, sizes, "kx:", label="real time")
