@@ -13,6 +13,7 @@ from usarmjx.base.errors import EngineError, UnknownNameError, UnsupportedFeatur
 from usarmjx.engines.base import check_features
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.build.compose import Physics
+from usarmjx.models.generate import generate_many
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.shapes import HeightField, Mesh, Shape
 from usarmjx.sim.batch import Batch
@@ -206,6 +207,16 @@ def test_overflow_is_an_error_that_names_the_setting(jax_batch, driven):
     counted = driven.worlds.faults.replace(overflow=jnp.array([0, 2]))
     with pytest.raises(EngineError, match=r"1 of 2 worlds; raise Physics.contacts_per_robot"):
         jax_batch.check_overflow(driven.replace(worlds=driven.worlds.replace(faults=counted)))
+
+
+def test_there_is_room_for_the_contacts_of_what_lies_loose():
+    """A robot alone in a maze: there are no others whose room is left over."""
+    (arena,) = generate_many("maze", 1, seed=0, size=(8, 6), starts=4)
+    boxes = len(arena.loose)
+    assert boxes >= 4
+    lie = 4 * 2 + boxes * 4  # two for each of its wheels, cylinders on a plane, and a box's four corners
+    room = build_scene(arena, ["P2AT"]).model.numeric("max_contact_points").data[0]
+    assert room > 1.25 * lie
 
 
 def test_jax_counts_a_full_contact_buffer():

@@ -1,5 +1,7 @@
 """Engine `planar`: what is known of what is around robots is all that matters to them as long as it holds."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -9,8 +11,19 @@ import pytest
 from tests.engines.eager import around
 from usarmjx.engines.planar.few_worlds import FEW, where_needed
 from usarmjx.engines.planar.footprints import Footprints, keep_apart
-from usarmjx.engines.planar.neighbours import LAYERS, NEAR, Margin, ground_of, places_of, stopping
+from usarmjx.engines.planar.neighbours import (
+    LAYERS,
+    NEAR,
+    NEAR_LARGE,
+    Margin,
+    ground_of,
+    most_near,
+    places_of,
+    stopping,
+)
 from usarmjx.engines.planar.solids import ground_under, seen_from_above
+from usarmjx.models.spec.arena import ArenaSpec, StartPose, Victim
+from usarmjx.models.spec.shapes import Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 
@@ -177,3 +190,31 @@ def test_a_step_leaves_the_state_as_it_was_typed(arena):
         return jax.tree.map(lambda x: (x.shape, x.dtype, x.weak_type), state)
 
     assert types(before) == types(after)
+
+
+def test_an_airrobot_takes_off_in_a_corner_beside_a_sitting_victim_whose_limbs_are_all_looked_at():
+    """Eleven solids are near it: two walls and nine parts of the victim at its height."""
+    corner = ArenaSpec(
+        name="corner",
+        starts=(StartPose(tag="S", at=(0.0, 0.0, 0.3)),),
+        extent=((-4, 4), (-4, 4)),
+        shapes=(
+            Shape(kind="box", size=(2.0, 0.05, 0.5), at=(0.0, 0.6, 0.5), surface="wall"),
+            Shape(kind="box", size=(0.05, 2.0, 0.5), at=(-0.6, 0.0, 0.5), surface="wall"),
+        ),
+        victims=(Victim(name="Ada", at=(0.7, 0.0, 0.3), rotation=(0.0, 0.0, math.pi), posture="sitting"),),
+    )
+    batch = Batch(build_scene(corner, ["AirRobot"]), 1, engine="planar")
+    state = batch.drive(batch.reset(), 0, {"AltitudeVelocity": 1.0})
+    begun = float(batch.physics(state).qpos[0, 2])
+    for _ in range(10):
+        state = batch.step(state)
+        assert not np.asarray(state.physics.left_out).any()
+    assert state.physics.around.near.outline.x.shape[1] == NEAR_LARGE > NEAR
+    assert float(batch.physics(state).qpos[0, 2]) > begun + 0.02, "it rises"
+    assert not np.asarray(state.worlds.faults.overflow).any()
+
+
+def test_small_robots_look_at_no_more_than_before():
+    assert most_near(np.array([[0.25, 0.2], [0.3, 0.3]])) == NEAR
+    assert most_near(np.array([[0.25, 0.2], [0.4, 0.4]])) == NEAR_LARGE
