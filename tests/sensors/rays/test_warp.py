@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.sensors.rays.test_raycast import KINDS, make_rays, make_room
+from usarmjx.base.errors import UsageError
 from usarmjx.models.build.pieces import FENDER_KIND, TRIANGLE_KIND
 from usarmjx.sensors.rays import choice
 from usarmjx.sensors.rays.bundles import Fans
@@ -104,6 +105,16 @@ def test_all_maps_make_one_launch(outer):
             )
             np.testing.assert_array_equal(found.geom_index[w, r], alone.geom_index)
             np.testing.assert_allclose(found.distance[w, r], alone.distance, atol=ATOL)
+
+
+def test_more_threads_than_can_be_numbered_are_refused():
+    """Before anything is allocated: 2^23 casts of 9 bundles are 2.4 billion threads."""
+    seen = indexed_blocks(geoms_of(6, np.random.default_rng(1), 3))
+    rays = tuple(jnp.ones((9 * 32, 3)) for _ in range(2))
+    many = jax.ShapeDtypeStruct((2**23,), jnp.int32)
+    cast = jax.vmap(lambda owner: warp_hits(seen, rays, RayQuery(exclude_owner=owner, bundle_size=32)))
+    with pytest.raises(UsageError, match=r"8,388,608 casts of 288 rays .* at most 2,147,483,647"):
+        jax.eval_shape(cast, many)
 
 
 def test_where_there_is_nothing_nothing_is_met():

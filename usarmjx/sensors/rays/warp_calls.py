@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.errors import UsageError
 from usarmjx.sensors.rays import raycast_warp
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.kernels import bounding_box, bounding_radius
@@ -18,6 +19,8 @@ from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo
 
 MAX_BUNDLE = 32
 """Most rays of a bundle: one for each lane."""
+MOST_THREADS = 2**31 - 1
+"""Of a launch: kernels number them with 32 bits."""
 UNLIMITED_DISTANCE = 3e38
 """Stands for an unlimited reach, as what is missed is infinitely far."""
 
@@ -68,7 +71,11 @@ def nearest_of_bundles(
     bundle_size: int,
     max_distance: float,
 ) -> tuple[jax.Array, jax.Array]:
-    """As `raycast_gpu.nearest_of_bundles`, on Warp; the geoms are given as they are."""
+    """As `raycast_gpu.nearest_of_bundles`, on Warp; the geoms are given as they are.
+
+    Raises:
+        UsageError: Mapped over so many worlds and robots, more than `MOST_THREADS` were needed at once.
+    """
     name, given, lines = "cast_rays", rays, ()
     if isinstance(rays, Fans):
         name, given = "cast_fans", (rays.pos, rays.mat)
@@ -88,6 +95,11 @@ def nearest_of_bundles(
         arrays = [geoms.reshape(-1, 4), world, exclude, wanted]
         arrays += [x.reshape(-1, *x.shape[2:]) for x in given]  # fans, or rays, of all casts in one axis
         threads = casts * bundles * MAX_BUNDLE
+        if threads > MOST_THREADS:
+            raise UsageError(
+                f"{casts:,} casts of {count:,} rays each need {threads:,} threads of a GPU at once, "
+                f"at most {MOST_THREADS:,}: fewer worlds"
+            )
         found = _kernel(name)(*arrays, *lines, *numbers, output_dims=casts * count, launch_dims=threads)
         return tuple(x.reshape(casts, count) for x in found)
 
