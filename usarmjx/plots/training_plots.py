@@ -194,11 +194,14 @@ AXES: tuple[tuple[str, Axis], ...] = (
 
 
 def draw_task(axes: Axes, curves: Sequence[Curve], along: Axis) -> None:
-    """Draw the curves of a task over an axis: each thin, their mean thick, and the baseline."""
+    """Draw the curves of a task over an axis: each thin, over steps their mean thick, and the baseline.
+
+    Over time there is none: seeds that waited longer for compilations or for others would pull it aside.
+    """
     curves = [thinned(curve) for curve in curves]
     for curve in curves:
         axes.plot(along(curve), curve.score, color=PALE if len(curves) > 1 else BLUE, lw=1.0, **SHARP)
-    if len(curves) > 1:
+    if len(curves) > 1 and along is _millions:
         label = f"mean of {len(curves)} seeds"
         axes.plot(*mean_curve(curves, along), color=BLUE, lw=2.0, label=label, **SHARP)
     if curves[-1].baseline is not None:
@@ -218,7 +221,7 @@ def draw_curves(figure: Figure, curves: Iterable[Curve]) -> None:
         row[0].set_ylabel("score")
         row[0].set_title(task, loc="left", fontsize=10)
         if row[0].get_legend_handles_labels()[1]:
-            row[0].legend(frameon=False, fontsize=9, loc="lower right")
+            row[0].legend(frameon=False, fontsize=9, loc="best")
 
 
 def plot_curves(sources: Sequence[Path], out: Path) -> None:
