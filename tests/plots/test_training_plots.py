@@ -79,7 +79,7 @@ def test_each_task_has_its_curves_over_steps_and_over_time(panels):
 
 
 def test_the_mean_goes_as_far_as_all_seeds(panels):
-    """At 200 steps (4 + 2) / 2, at 300 (5 + 4) / 2; beyond, one of them has nothing. Over time there is none."""
+    """At 200 steps (4 + 2) / 2, at 300 (5 + 4) / 2; beyond, one has nothing. Over time there is none."""
     (_, waited), (_, timed), *_ = panels
     assert_allclose(waited[BLUE], [[[1e-4, 1.0], [2e-4, 3.0], [3e-4, 4.5]]])
     assert set(timed) == {PALE, ORANGE}
