@@ -215,6 +215,6 @@ def test_an_airrobot_takes_off_in_a_corner_beside_a_sitting_victim_whose_limbs_a
     assert not np.asarray(state.worlds.faults.overflow).any()
 
 
-def test_small_robots_look_at_no_more_than_before():
+def test_only_with_a_large_robot_more_is_looked_at():
     assert most_near(np.array([[0.25, 0.2], [0.3, 0.3]])) == NEAR
     assert most_near(np.array([[0.25, 0.2], [0.4, 0.4]])) == NEAR_LARGE

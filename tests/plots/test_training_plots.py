@@ -107,6 +107,14 @@ def test_runs_of_other_kinds_are_drawn_by_themselves():
     }
 
 
+def test_seeds_of_several_machines_are_told_to_be():
+    one = Curve(
+        task="wait", seed=0, worlds=8, steps=np.ones(1), seconds=np.ones(1), score=np.ones(1), device="B"
+    )
+    assert list(curves_by_task([one, replace(one, seed=1, device="A")])) == ["wait (8 worlds, A and B)"]
+    assert list(curves_by_task([one, replace(one, seed=1)])) == ["wait (8 worlds, B)"]
+
+
 def test_records_tell_what_was_set_of_a_task_by_hand():
     """What a bare command sets goes without saying."""
     record = {**RECORDS[0], "task": "explore-v2", "engine": "planar"}

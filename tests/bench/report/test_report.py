@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 import dev
 from tests.bench.records import faults
 from usarmjx.base.errors import UsageError
-from usarmjx.bench.report.figures import FIGURES
+from usarmjx.bench.report.figures import FIGURES, compared
 from usarmjx.bench.report.laws import laws_of
 from usarmjx.bench.report.page import BLOCKS, fill_page, is_drawn
 from usarmjx.bench.report.physics_tables import differences_text, physics_table
@@ -48,6 +48,34 @@ def test_the_figures_are_of_these_records(name, records):
     assert is_drawn(PAGE.parent / name, records)
     assert not is_drawn(PAGE.parent / name, records[1:])
     assert f"({name})" in PAGE.read_text(encoding="utf-8")
+
+
+def test_runs_of_peers_are_drawn_that_compare_and_that_no_later_one_covers():
+    def run(when, who, sizes, device="G"):
+        rows = [{"who": w, "worlds": n, "robots": 4, "speed": {}} for w in who for n in sizes]
+        lost = {"who": "usarmjx", "worlds": 9, "robots": 4}
+        data = {
+            "benchmark": "peers",
+            "when": f"{when}T00:00",
+            "device": device,
+            "commit": "",
+            "rows": [*rows, lost],
+        }
+        return BenchRecord("peers.jsonl", data)
+
+    both = "usarmjx", "VMAS"
+    runs = [
+        run("2026-01-01", both, [1, 2]),
+        run("2026-01-02", both, [1]),
+        run("2026-01-03", both, [1]),
+        run("2026-01-04", ["VMAS"], [1, 2]),
+        run("2026-01-05", both, [1, 2], device="H"),
+    ]
+    found = compared(runs)
+    assert [name for name, _ in found] == [f"G, 2026-01-0{day} 00:00" for day in (1, 3)] + [
+        "H, 2026-01-05 00:00"
+    ]
+    assert [len(rows) for _, rows in found] == [4, 2, 4], "not what was not measured"
 
 
 def test_every_record_is_read_and_those_of_today_fit_the_schema(records):
