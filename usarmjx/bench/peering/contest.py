@@ -25,7 +25,7 @@ from usarmjx.bench.peering.peers import (
     ensure_environment,
     read_peers,
 )
-from usarmjx.bench.peering.results import INTERRUPTED, GrowingRecord, outcome, summary
+from usarmjx.bench.peering.results import INTERRUPTED, OURS, GrowingRecord, outcome, summary
 from usarmjx.bench.scenes import SceneCase, start_qpos
 from usarmjx.bench.tools import rate_of, record_header, spare_memory
 from usarmjx.engines import choose_engine
@@ -35,7 +35,6 @@ ROBOTS_OF_OURS = {
     "planar": "a footprint that rolls and slides on floors and ramps, in contact with walls and others",
     "": "a body on four wheels in MuJoCo, in contact with walls, loose objects and others",
 }
-OURS = "usarmjx"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,6 +7,8 @@ from typing import Any
 from usarmjx.bench.peering.peers import ON_HOST
 from usarmjx.bench.tools import append_record, rewrite_record
 
+OURS = "usarmjx"
+"""Who we are in a record's rows."""
 UNFINISHED, INTERRUPTED = (f"{what}: what came later is not here" for what in ("not finished", "interrupted"))
 
 

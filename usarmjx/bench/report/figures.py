@@ -9,6 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from usarmjx.base.files import write_beside
+from usarmjx.bench.peering.results import OURS
 from usarmjx.bench.report.laws import laws_of
 from usarmjx.bench.report.records import BenchRecord
 from usarmjx.bench.report.tables import of
@@ -17,8 +18,7 @@ DPI, PANEL = 100, (4.6, 3.6)
 """Width and height of a panel [inches]."""
 DIGEST = "Description"
 """Where a PNG says of which records it is."""
-OURSELVES = "usarmjx"
-OURS, OTHERS = "s-", "o--"
+OUR_LINES, OTHERS_LINES = "s-", "o--"
 """Marks and lines of ours and of others."""
 COLOURS = colormaps["tab20"].colors  # pyright: ignore[reportAttributeAccessIssue] - of those made of a list
 
@@ -74,7 +74,7 @@ def compared(records: Sequence[BenchRecord]) -> list[tuple[str, list[Mapping]]]:
     for record, rows in reversed(runs):
         sizes = {(row["worlds"], row["robots"]) for row in rows}
         later = known.setdefault(record.where, [])
-        if len({row["who"] == OURSELVES for row in rows}) == 2 and not any(sizes <= other for other in later):
+        if len({row["who"] == OURS for row in rows}) == 2 and not any(sizes <= other for other in later):
             later.append(sizes)
             found.insert(0, (f"{record.where}, {record.when}", rows))
     return found
@@ -99,7 +99,7 @@ def draw_peers(records: Sequence[BenchRecord], out: Path, digest: str) -> None:
             point = row["worlds"] * row["robots"], row["robot_seconds_per_s"]
             lines.setdefault(f"{row['who']}: {row['variant']}", []).append(point)
         for i, (name, points) in enumerate(lines.items()):
-            style, colour = OURS if name.startswith(OURSELVES) else OTHERS, COLOURS[i % len(COLOURS)]
+            style, colour = OUR_LINES if name.startswith(OURS) else OTHERS_LINES, COLOURS[i % len(COLOURS)]
             panel.plot(*zip(*sorted(points), strict=True), style, color=colour, markersize=5, label=name)
         sizes = sorted({x for points in lines.values() for x, _ in points})
         panel.plot(sizes, sizes, "kx:", label="real time")
