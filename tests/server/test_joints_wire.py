@@ -156,6 +156,22 @@ def test_missta_tells_what_each_joint_exerts(house):
     assert np.abs(efforts(lines, "TalonArm")[1]).max() > 1.0, "it weighs something"
 
 
+def test_joints_of_one_multidrive_are_one_order(house, monkeypatch):
+    """A gait sends a dozen joints in each control step: one by one they took more than a client's budget."""
+    orders, update = [], house.world.update_command
+    monkeypatch.setattr(
+        house.world, "update_command", lambda robot, order: (orders.append(order), update(robot, order))
+    )
+    client = house.connect("INIT {ClassName kenaf} {Name K}")
+    house.say(client, "MULTIDRIVE {kenafCameraPan -1.0} {Nobody 1} {KENAFCAMERATILT 0.5}")
+    assert [order.joints for order in orders] == [{"kenafCameraPan": -1.0, "kenafCameraTilt": 0.5}]
+    assert client.session.fault_count == 1
+    house.run(150)
+    assert efforts(heard(client), "CameraPanTilt")[0] == pytest.approx([-1.0, 0.5], abs=CLOSE)
+    house.say(client, "MULTIDRIVE {Nobody 1}")
+    assert (len(orders), client.session.fault_count) == (1, 2)
+
+
 def test_a_camera_moved_by_joints_of_its_own_names_is_a_mission_package_too(house):
     """Kenaf's: MULTIDRIVE (manual 12.23.1) and MISPKG move it, MISSTA, GEO and CONF tell of it."""
     client = house.connect("INIT {ClassName kenaf} {Name K}")

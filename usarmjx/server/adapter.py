@@ -233,8 +233,16 @@ class Client:
             self._drive_joint(command)
 
     def _drive_joints(self, command: wire.MultiDrive) -> None:
+        # All in one update: a gait sends a dozen joints in each control step, and a client's time is short.
+        plan, goals = self._present.plan, dict[str, ArrayLike]()
         for name, angle in command.joints:
-            self._set_named_joint(name, ControlMode.POSITION, angle)
+            joint = plan.joint_index(name)
+            if joint is None:
+                self.session.add_fault(f"{self._present.spec.name} has no joint {clip(name)}")
+            else:
+                goals[plan.parts[1 + joint]] = angle
+        if goals:
+            self._update_command(CommandUpdate(joints=goals, mode=ControlMode.POSITION))
 
     def _move_package(self, command: wire.MisPkg) -> None:
         for link in command.links:

@@ -180,8 +180,11 @@ class KinematicTree:
 
     def joint_index(self, name: str) -> int | None:
         """Return the place of a joint by its name, case ignored; None when there is none."""
-        names = [part.lower() for part in self.parts[1:]]
-        return names.index(name.lower()) if name.lower() in names else None
+        return self._joint_indices.get(name.lower())
+
+    @cached_property
+    def _joint_indices(self) -> dict[str, int]:
+        return {part.lower(): joint for joint, part in enumerate(self.parts[1:])}
 
 
 @cache
