@@ -30,7 +30,7 @@ def evaluate_policy(
     driver: PolicyOptions,
     episodes: Annotated[
         int | None,
-        typer.Option(min=1, help="Episodes of each seed, at least; 100, or one in each arena of a --split."),
+        typer.Option(min=1, help="Episodes of each seed, at least; 100, or as many in each generated arena."),
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="How many seeds, from --seed on.")] = 1,
     worlds: Annotated[
@@ -54,7 +54,7 @@ def evaluate_policy(
 
         engine, found = choose_engine(engine, "train"), driver.source()
         many, episodes = driver.amount(found, split, worlds, episodes)
-        env, policy = driver.env(found, many, engine, split)
+        env, policy = driver.env(found, many, engine, split, mixed=level is None)
         numbers = range(driver.seed, driver.seed + seeds)
         result = evaluate_episodes(env, policy, episodes, numbers, level, Seldom(say))
         count = result.score.count

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from usarmjx.train.envs.policy import Policy
     from usarmjx.train.policies.sources import PolicySource
 
+EPISODES, WORLDS = 100, 20
+"""How many episodes a policy is tried in, and in how many worlds at once, where nothing is asked for."""
 PolicyEngineOption = Annotated[
     str,
     typer.Option(
@@ -95,17 +97,30 @@ class PolicyOptions:
     def amount(
         self, source: "PolicySource", split: str | None, worlds: int | None, episodes: int | None
     ) -> tuple[int, int]:
-        """Return how many worlds, and episodes in all: those asked for, or one in each arena of a split."""
-        there = 0 if split is None else source.count_arenas(self.settings or (), split)
-        episodes = episodes or there or 100
-        return min(worlds or there or 20, episodes), episodes
+        """Return how many worlds, and episodes in all: those asked for, or as many in each generated arena.
+
+        Of a split that is one in each; of others so many that there are about `EPISODES` of them.
+        """
+        there = source.count_arenas(self.settings or (), split)
+        usual = there if split is not None else there * round(EPISODES / max(there, 1))
+        episodes = episodes or usual or EPISODES
+        return min(worlds or there or WORLDS, episodes), episodes
 
     def env(
-        self, source: "PolicySource", worlds: int, engine: str, split: str | None = None
+        self,
+        source: "PolicySource",
+        worlds: int,
+        engine: str,
+        split: str | None = None,
+        *,
+        mixed: bool = False,
     ) -> "tuple[Env, Policy]":
-        """Return so many worlds of the policy's task, and the policy; tell what could not be set."""
+        """Return so many worlds of the policy's task, and the policy; tell what could not be set.
+
+        For `split` and `mixed` see `PolicySource.env`.
+        """
         env, driver, notes = source.env(
-            self.settings or (), worlds=worlds, engine=engine, seed=self.seed, split=split
+            self.settings or (), worlds=worlds, engine=engine, seed=self.seed, split=split, mixed=mixed
         )
         for note in notes:
             typer.echo(f"usarmjx: note: {note}", err=True)

@@ -13,6 +13,7 @@ from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.splits import HELD_OUT_END, HELD_OUT_START, SPLITS, held_out
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.trainer import Trainer
+from usarmjx.train.make import make_task
 from usarmjx.train.processes.group import ProcessGroup
 from usarmjx.train.scenes.buildings import Buildings
 
@@ -69,12 +70,44 @@ def test_nobody_trains_on_held_out_arenas(split):
     assert held_out(SMALL.arenas()) is None
 
 
+def test_consecutive_arenas_of_a_mixed_order_are_of_all_levels_alike():
+    """As many of each level, or one more, wherever one begins; and each arena once in a round."""
+    library = Buildings(count=3, size=(4, 3), sizes=((4, 3), (5, 4)))
+    own = [arena.name for arena in library.arenas()]
+    order = [own.index(arena.name) for arena in library.mixed()]
+    assert sorted(order) == list(range(library.total))
+    levels = np.array(order + order) // library.count
+    for begin in range(library.total):
+        for end in range(begin + 1, begin + library.total):
+            counts = np.bincount(levels[begin:end], minlength=3)
+            assert counts.max() - counts.min() <= 1
+
+
+def test_few_worlds_meet_all_levels_when_a_policy_is_tried():
+    """Worlds go through the arenas in turn, and the easy ones come first: twenty worlds met few others."""
+    options = PolicyOptions(baseline="explore", settings=["count=1"])
+    own = make_task("explore", count=1).arenas
+    names = {arena.name: number // own.count for number, arena in enumerate(own.arenas())}
+    env, _ = options.env(options.source(), 6, "c", mixed=True)
+    played = [arena.name for arena in env.scene.arenas.arenas]
+    assert sorted(played) == sorted(names)
+    assert sorted(names[name] for name in played[:6]) == [0, 0, 1, 1, 2, 2]
+    plain, _ = options.env(options.source(), 6, "c")
+    assert [names[arena.name] for arena in plain.scene.arenas.arenas[:6]] == [0] * 6
+    rounds, _ = options.env(options.source(), own.total, "c", mixed=True)
+    assert [arena.name for arena in rounds.scene.arenas.arenas] == list(names), "in whole rounds as ever"
+
+
 def test_eval_plays_each_arena_of_a_split_once():
     options = PolicyOptions(baseline="drive-to-goal", settings=["arena=maze", "ranges="])
     source = options.source()
     assert options.amount(source, "validation", None, None) == (100, 100)
     assert options.amount(source, "validation", 10, None) == (10, 100)
-    assert options.amount(source, None, None, None) == (20, 100)
+    assert options.amount(source, None, None, None) == (80, 80), "in its own, too: all levels count alike"
+    assert options.amount(source, None, None, 300) == (80, 300)
+    assert options.amount(source, None, 20, 60) == (20, 60)
+    floor = PolicyOptions(baseline="drive-to-goal")
+    assert floor.amount(floor.source(), None, None, None) == (20, 100)
     env, _ = options.env(source, 1, "c", "validation")
     assert held_out(env.scene.arenas.arenas[-1:]) == "validation"
     assert len(env.scene.arenas.arenas) == 100

@@ -78,9 +78,14 @@ class GeneratedArenas:
         count = -(-wanted // len(self.levels)) if wanted else self.count
         return replace(self, split=split, count=count, renewable=False)
 
+    @property
+    def total(self) -> int:
+        """How many arenas there are, of all levels."""
+        return self.count * len(self.levels)
+
     def seeds(self) -> np.ndarray:
         """Return the seed of each arena (arenas,)."""
-        return SPLITS.get(self.split).seeds(self.seed, self.count * len(self.levels))
+        return SPLITS.get(self.split).seeds(self.seed, self.total)
 
     def arena(self, number: int, seed: int) -> ArenaSpec:
         """Return the arena of a place in the library, the easy ones first, that a seed makes."""
@@ -91,6 +96,11 @@ class GeneratedArenas:
     def arenas(self) -> tuple[ArenaSpec, ...]:
         """Return the arenas, the easy ones first."""
         return tuple(self.arena(number, seed) for number, seed in enumerate(self.seeds().tolist()))
+
+    def mixed(self) -> tuple[ArenaSpec, ...]:
+        """Return the arenas with one of each level in turn, so that any in a row are of all levels alike."""
+        arenas, levels = self.arenas(), len(self.levels)
+        return tuple(arenas[number % levels * self.count + number // levels] for number in range(self.total))
 
     def renewed(
         self, generation: int, check: Callable[[ArenaSpec], None] = lambda arena: None
@@ -104,9 +114,7 @@ class GeneratedArenas:
         Raises:
             UsageError: `RENEWAL_TRIES` arenas could not be taken one after the other; says why the last.
         """
-        return tuple(
-            self._renewed(number, generation, check) for number in range(self.count * len(self.levels))
-        )
+        return tuple(self._renewed(number, generation, check) for number in range(self.total))
 
     def _renewed(self, number: int, generation: int, check: Callable[[ArenaSpec], None]) -> ArenaSpec:
         drawn = (self.seed, generation, number)
@@ -130,7 +138,7 @@ class GeneratedArenas:
         Args:
             level: From 0 to 1 ().
         """
-        slots = jnp.arange(self.count * len(self.levels))
+        slots = jnp.arange(self.total)
         there = self.count * jnp.maximum((jnp.array(self.levels) <= level + LEVEL_ATOL).sum(), 1)
         rest = len(slots) % there  # slots beyond the last whole round, which go to arenas of all levels alike
         spread = (slots - (len(slots) - rest)) * there // jnp.maximum(rest, 1)

@@ -254,7 +254,7 @@ def arenas_to_play(name: str, worlds: int | None, split: str, **overrides: objec
         UsageError: Its arenas are not generated.
     """
     arenas = arenas_of(name, overrides, split)
-    there = arenas.count * len(arenas.levels)
+    there = arenas.total
     chosen, seeds = np.arange(min(worlds or there, there)), arenas.seeds().tolist()
     numbers = (chosen * there // len(chosen)).tolist()
     return tuple(arenas.arena(number, seeds[number]) for number in numbers)

@@ -73,7 +73,7 @@ class RelayChain(TeamTask):
 
     about: ClassVar[str] = "Robots carry the radio of a base into a building."
 
-    arena: Arenas = field(default_factory=Buildings)
+    arena: Arenas = field(default_factory=partial(Buildings, renewable=True))
     episode_steps: int = 400
     robot: str | RobotSpec = "P2AT"
     count: int = 5
