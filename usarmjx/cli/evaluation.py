@@ -54,7 +54,7 @@ def evaluate_policy(
 
         engine, found = choose_engine(engine, "train"), driver.source()
         many, episodes = driver.amount(found, split, worlds, episodes)
-        env, policy = driver.env(found, many, engine, split, mixed=level is None)
+        env, policy = driver.env(found, many, engine, split)
         numbers = range(driver.seed, driver.seed + seeds)
         result = evaluate_episodes(env, policy, episodes, numbers, level, Seldom(say))
         count = result.score.count

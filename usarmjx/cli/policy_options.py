@@ -107,20 +107,11 @@ class PolicyOptions:
         return min(worlds or there or WORLDS, episodes), episodes
 
     def env(
-        self,
-        source: "PolicySource",
-        worlds: int,
-        engine: str,
-        split: str | None = None,
-        *,
-        mixed: bool = False,
+        self, source: "PolicySource", worlds: int, engine: str, split: str | None = None
     ) -> "tuple[Env, Policy]":
-        """Return so many worlds of the policy's task, and the policy; tell what could not be set.
-
-        For `split` and `mixed` see `PolicySource.env`.
-        """
+        """Return so many worlds of the policy's task, and the policy; tell what could not be set."""
         env, driver, notes = source.env(
-            self.settings or (), worlds=worlds, engine=engine, seed=self.seed, split=split, mixed=mixed
+            self.settings or (), worlds=worlds, engine=engine, seed=self.seed, split=split
         )
         for note in notes:
             typer.echo(f"usarmjx: note: {note}", err=True)

@@ -9,11 +9,13 @@ from typer.testing import CliRunner
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.cli.app import app
 from usarmjx.cli.policy_options import PolicyOptions
+from usarmjx.train.envs.policy import Policy
 from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.splits import HELD_OUT_END, HELD_OUT_START, SPLITS, held_out
+from usarmjx.train.evaluation.evaluate import play_episodes
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.trainer import Trainer
-from usarmjx.train.make import make_task
+from usarmjx.train.make import make
 from usarmjx.train.processes.group import ProcessGroup
 from usarmjx.train.scenes.buildings import Buildings
 
@@ -72,11 +74,10 @@ def test_nobody_trains_on_held_out_arenas(split):
 
 def test_consecutive_arenas_of_a_mixed_order_are_of_all_levels_alike():
     """As many of each level, or one more, wherever one begins; and each arena once in a round."""
-    library = Buildings(count=3, size=(4, 3), sizes=((4, 3), (5, 4)))
-    own = [arena.name for arena in library.arenas()]
-    order = [own.index(arena.name) for arena in library.mixed()]
+    library = Buildings(count=3)
+    order = library.mixed_order()
     assert sorted(order) == list(range(library.total))
-    levels = np.array(order + order) // library.count
+    levels = np.concatenate([order, order]) // library.count
     for begin in range(library.total):
         for end in range(begin + 1, begin + library.total):
             counts = np.bincount(levels[begin:end], minlength=3)
@@ -85,17 +86,30 @@ def test_consecutive_arenas_of_a_mixed_order_are_of_all_levels_alike():
 
 def test_few_worlds_meet_all_levels_when_a_policy_is_tried():
     """Worlds go through the arenas in turn, and the easy ones come first: twenty worlds met few others."""
-    options = PolicyOptions(baseline="explore", settings=["count=1"])
-    own = make_task("explore", count=1).arenas
-    names = {arena.name: number // own.count for number, arena in enumerate(own.arenas())}
-    env, _ = options.env(options.source(), 6, "c", mixed=True)
-    played = [arena.name for arena in env.scene.arenas.arenas]
-    assert sorted(played) == sorted(names)
-    assert sorted(names[name] for name in played[:6]) == [0, 0, 1, 1, 2, 2]
-    plain, _ = options.env(options.source(), 6, "c")
-    assert [names[arena.name] for arena in plain.scene.arenas.arenas[:6]] == [0] * 6
-    rounds, _ = options.env(options.source(), own.total, "c", mixed=True)
-    assert [arena.name for arena in rounds.scene.arenas.arenas] == list(names), "in whole rounds as ever"
+    arenas = GeneratedArenas(kind="maze", count=4, levels=(0.0, 0.5, 1.0), size=(3, 3))
+    met = {}
+    for worlds in (3, 6, 12):
+        env = make("drive-to-goal", worlds=worlds, engine="c", arena=arenas, episode_steps=1, ranges=())
+
+        def act(carry, obs, key):
+            return carry, tuple(np.zeros((*one.shape[:-1], 2), np.float32) for one in obs)
+
+        step, serials = env.step, []
+
+        def noted(state, actions, step=step, serials=serials):
+            serials.append(np.asarray(state.batch.worlds.arena_state.serial) // arenas.count)
+            return step(state, actions)
+
+        env.step = noted
+        play_episodes(env, Policy(lambda worlds: (), act), 2 * worlds)
+        met[worlds] = [np.bincount(one, minlength=3).tolist() for one in serials]
+    assert met == {3: [[1, 1, 1]] * 2, 6: [[2, 2, 2]] * 2, 12: [[4, 4, 4]] * 2}
+    first = env.reset(0)
+    assert np.asarray(first.batch.worlds.arena_state.serial).tolist() == list(range(12)), "as ever"
+    with pytest.raises(
+        UsageError, match=r"not of level 0\.5 and below"
+    ):
+        env.reset(0, 0.5, mixed=True)
 
 
 def test_eval_plays_each_arena_of_a_split_once():

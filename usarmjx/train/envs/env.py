@@ -180,21 +180,35 @@ class Env:
         library = jax.tree.map(jnp.asarray, library or self.scene.arenas.states)
         return library if self._generated is None else self._library(library, level)
 
-    def reset(self, seed: int | jax.Array | None = None, level: float = 1.0) -> EnvState:
+    def reset(
+        self, seed: int | jax.Array | None = None, level: float = 1.0, *, mixed: bool = False
+    ) -> EnvState:
         """Return all worlds at the start of their first episode.
 
         Args:
             seed: Of all random numbers; None: the environment's own.
             level: How difficult the generated arenas in play are, from 0 to 1; see `at_level`.
+            mixed: Whether worlds go through generated arenas with one of each level in turn, until they are
+                replaced; else they meet all easy ones first.
 
         Raises:
-            UsageError: A level below 1 where no arenas are generated.
+            UsageError: A level below 1, or mixed levels, where no arenas are generated; or both.
         """
-        if level < 1.0 and not self.levels:
+        if (level < 1.0 or mixed) and not self.levels:
             raise UsageError(f"{self.name} has no generated arenas, so none of level {level} or below")
+        if mixed and level < 1.0:
+            raise UsageError(f"mixed levels are those of all arenas, not of level {level} and below")
         level_now = jnp.float32(level)
-        key = jax.random.key(self.seed if seed is None else seed)
-        return self._begin(self._blank(key, level_now, self._arenas(level_now)))
+        key, arenas = jax.random.key(self.seed if seed is None else seed), self._arenas(level_now)
+        if mixed and self._generated is not None:
+            order = self._generated.mixed_order()
+            arenas = jax.tree.map(lambda rows: rows[order], arenas)
+        return self._begin(self._blank(key, level_now, arenas))
+
+    @property
+    def has_whole_rounds(self) -> bool:
+        """Whether as many worlds begin in each of its generated arenas."""
+        return self._generated is None or self.worlds % self._generated.total == 0
 
     def reset_each(
         self,

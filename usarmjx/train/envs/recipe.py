@@ -97,10 +97,9 @@ class GeneratedArenas:
         """Return the arenas, the easy ones first."""
         return tuple(self.arena(number, seed) for number, seed in enumerate(self.seeds().tolist()))
 
-    def mixed(self) -> tuple[ArenaSpec, ...]:
-        """Return the arenas with one of each level in turn, so that any in a row are of all levels alike."""
-        arenas, levels = self.arenas(), len(self.levels)
-        return tuple(arenas[number % levels * self.count + number // levels] for number in range(self.total))
+    def mixed_order(self) -> np.ndarray:
+        """Return the arenas by number, one of each level in turn: any in a row are of all alike (arenas,)."""
+        return np.arange(self.total).reshape(len(self.levels), self.count).T.ravel()
 
     def renewed(
         self, generation: int, check: Callable[[ArenaSpec], None] = lambda arena: None

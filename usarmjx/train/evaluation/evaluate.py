@@ -68,7 +68,7 @@ def run_episodes(
         policy: The policy.
         episodes: How many at least: rounded up to a multiple of the worlds.
         seed: Of the environment and of the policy's random numbers.
-        level: How difficult generated arenas are at most, from 0 to 1; None: any.
+        level: How difficult generated arenas are at most, from 0 to 1; None: of all levels alike.
         tell: Is told after each step how far it is.
 
     Raises:
@@ -89,7 +89,10 @@ def play_episodes(
 ) -> Episodes:
     """Return the same as `run_episodes`, of a policy that is compiled already."""
     each, act, begin = -(-episodes // env.worlds), policy.act, policy.initial_carry(env.worlds)
-    state = env.reset(seed) if level is None else env.reset(seed, level)
+    if level is None and env.levels and not env.has_whole_rounds:
+        state = env.reset(seed, mixed=True)  # else few worlds would meet the easy arenas only
+    else:
+        state = env.reset(seed) if level is None else env.reset(seed, level)
     carry, key = begin, jax.random.key(seed)
     ended, length, step, bad = np.zeros(env.worlds, int), np.zeros(env.worlds, int), 0, 0
     rows: list[tuple[Any, ...]] = []  # of each episode: score, length, world, index

@@ -74,7 +74,7 @@ def task_gap(
     def cell(name: str, sources: Sequence[PolicySource], engine: str) -> str:
         try:
             env, _, _ = sources[0].env(
-                worlds=min(worlds, episodes), engine=engine, seed=seeds[0], split=split, mixed=True
+                worlds=min(worlds, episodes), engine=engine, seed=seeds[0], split=split
             )
         except UnsupportedFeatureError as refused:
             tell(f"{name}: {refused}")

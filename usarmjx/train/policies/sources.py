@@ -63,7 +63,6 @@ class PolicySource:
         engine: str = "auto",
         seed: int = 0,
         split: str | None = None,
-        mixed: bool = False,
     ) -> tuple[Env, Policy, list[str]]:
         """Return its task as it was trained on, the policy for it, and notes on what could not be set so.
 
@@ -73,8 +72,6 @@ class PolicySource:
             engine: `warp`, `jax`, `c`, or `auto`.
             seed: Of all random numbers.
             split: Of generated arenas, a name of `SPLITS`; None: the task's own, which were trained on.
-            mixed: Whether worlds that do not go through generated arenas in whole rounds meet all levels of
-                them alike; they have no levels for `reset` then. Else the easy ones come first.
 
         Raises:
             UsageError: A setting that does not read, a scene that cannot be built, or that the policy is
@@ -85,9 +82,6 @@ class PolicySource:
         overrides, notes = task_settings(self.task, self.overrides, settings)
         if split is not None:
             overrides["arena"] = arenas_of(self.task, overrides, split)
-        arenas = make_task(self.task, **overrides).arenas if mixed else None
-        if isinstance(arenas, GeneratedArenas) and worlds % arenas.total:
-            overrides["arena"] = arenas.mixed()
         env = make(self.task, worlds=worlds, engine=engine, seed=seed, **overrides)
         return env, self.policy(env), notes
 
