@@ -22,7 +22,7 @@ from usarmjx.bench.scenes import start_qpos
 from usarmjx.bench.serving.hall import make_hall
 from usarmjx.bench.tools import WARM_UP, rate_of, time_repeats
 from usarmjx.engines import choose_engine
-from usarmjx.engines.c import CEngine, move_geoms
+from usarmjx.engines.c import CEngine
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import Scene, build_scene
@@ -98,10 +98,11 @@ def _c_models(scene: Scene, count: int) -> list[mujoco.MjModel]:
         state.worlds
     )
     assert poses is not None
+    assert engine.moved_body is not None
     models = [engine.model.__copy__() for _ in range(count)]
     for i, model in enumerate(models):
         size = None if poses.size is None else np.asarray(poses.size)[i]
-        move_geoms(model, engine.moved_ids, np.asarray(poses.pos)[i], np.asarray(poses.quat)[i], size)
+        engine.moved_body.move(model, np.asarray(poses.pos)[i], np.asarray(poses.quat)[i], size, i)
     return models
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.threads import cores
 from usarmjx.engines.base import Engine, Inputs, PhysicsState, SolvedStep
+from usarmjx.engines.c_moved import MovedBody
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.moved import MovedGeoms
 from usarmjx.models.build.variation import RandomizedBodies
@@ -50,20 +51,6 @@ def c_model(model: mujoco.MjModel) -> mujoco.MjModel:
     copy = model.__copy__()
     copy.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return copy
-
-
-def move_geoms(
-    model: mujoco.MjModel, ids: list[int], pos: Array, quat: Array, size: Array | None = None
-) -> None:
-    """Put geoms of the model elsewhere: pos (n, 3), quat (n, 4), and boxes' sizes (n, 3) if they change.
-
-    The model must have its midphase disabled (its tree of bounding boxes would be out of date) and
-    `geom_sameframe` cleared.
-    """
-    model.geom_pos[ids], model.geom_quat[ids] = pos, quat
-    if size is not None:
-        model.geom_size[ids], model.geom_aabb[ids, 3:] = size, size
-        model.geom_rbound[ids] = np.linalg.norm(size, axis=-1)
 
 
 def state_slices(model: mujoco.MjModel) -> dict[mujoco.mjtState, slice]:
@@ -108,6 +95,7 @@ class CEngine(Engine[CState]):
         count = min(worlds, cores())
         # Each thread has its own model, as what differs in the world that it steps is part of it.
         same = moved_geoms is None and varied_bodies is None
+        self.moved_body = MovedBody(self.model, self.moved_ids) if self.moved_ids else None
         self._models = [self.model if same else self.model.__copy__() for _ in range(count)]
         self._fields = None if self.varied_model is None else jax.jit(self.varied_model.fields)
         self._datas = [mujoco.MjData(self.model) for _ in range(count)]
@@ -116,9 +104,8 @@ class CEngine(Engine[CState]):
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """Return the model, with silent resets off."""
         model = c_model(spec.compile())
-        if self.moved_geoms is not None or (
-            self.varied_bodies is not None and self.varied_bodies.vary.wheel is not None
-        ):
+        if self.varied_bodies is not None and self.varied_bodies.vary.wheel is not None:
+            # The boxes around wheels are out of date then: each geom is compared with each.
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
         return model
 
@@ -154,10 +141,10 @@ class CEngine(Engine[CState]):
                 mujoco.mj_setState(model, data, everything[world], INTEGRATION_STATE)
                 for array, values in varied:
                     array[:] = values[world]
-                if told.geom_poses is not None:
+                if told.geom_poses is not None and self.moved_body is not None:
                     here = told.geom_poses
                     size = None if here.size is None else here.size[world]
-                    move_geoms(model, self.moved_ids, here.pos[world], here.quat[world], size)
+                    self.moved_body.move(model, here.pos[world], here.quat[world], size, world)
                 mujoco.mj_step(model, data, nstep=self.physics.substeps)
                 mujoco.mj_getState(model, data, everything[world], INTEGRATION_STATE)
                 warnings = buffer_warnings(data)

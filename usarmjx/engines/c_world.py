@@ -11,7 +11,8 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.engines.base import GeomPoses, Inputs, PhysicsState
-from usarmjx.engines.c import buffer_warnings, move_geoms
+from usarmjx.engines.c import buffer_warnings
+from usarmjx.engines.c_moved import MovedBody
 from usarmjx.engines.c_rays import CRayCaster
 from usarmjx.engines.faults import PutBack, put_all_back, step_and_recover
 from usarmjx.models.build.layout import RobotIndex
@@ -41,15 +42,14 @@ class CWorld:
         self._moved_names = () if moved_geoms is None else moved_geoms.names
         # We count and mend what goes bad; C MuJoCo would reset the world without a word.
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        if moved_geoms is not None:  # see `move_geoms`
-            spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self._resolve()
 
     def _resolve(self) -> None:
-        self._moved_ids = [self.model.geom(name).id for name in self._moved_names]
-        self.model.geom_sameframe[self._moved_ids] = 0
+        ids = [self.model.geom(name).id for name in self._moved_names]
+        self.model.geom_sameframe[ids] = 0
+        self._moved_body = MovedBody(self.model, ids) if ids else None
         self._caster: CRayCaster | None = None
 
     def edit(self, change: Callable[[mujoco.MjSpec], None], undo: Callable[[mujoco.MjSpec], None]) -> None:
@@ -86,8 +86,8 @@ class CWorld:
 
     def move(self, poses: GeomPoses | None) -> None:
         """Put the geoms that move where they are now."""
-        if poses is not None:
-            move_geoms(self.model, self._moved_ids, poses.pos, poses.quat)
+        if poses is not None and self._moved_body is not None:
+            self._moved_body.move(self.model, poses.pos, poses.quat)
 
     def advance(
         self, robots: Mapping[int, RobotIndex], limits: Mapping[int, float], homes: Mapping[int, Array]

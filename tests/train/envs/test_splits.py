@@ -106,9 +106,7 @@ def test_few_worlds_meet_all_levels_when_a_policy_is_tried():
     assert met == {3: [[1, 1, 1]] * 2, 6: [[2, 2, 2]] * 2, 12: [[4, 4, 4]] * 2}
     first = env.reset(0)
     assert np.asarray(first.batch.worlds.arena_state.serial).tolist() == list(range(12)), "as ever"
-    with pytest.raises(
-        UsageError, match=r"not of level 0\.5 and below"
-    ):
+    with pytest.raises(UsageError, match=r"not of level 0\.5 and below"):
         env.reset(0, 0.5, mixed=True)
 
 

@@ -1,0 +1,160 @@
+"""Geoms that are elsewhere in another world of C MuJoCo, and the tree of boxes by which contacts find them.
+
+MuJoCo makes that tree when it compiles a model: of geoms that move it would be out of date, and without it
+each geom of a robot is compared with each of the arena's. So the tree is made anew here where many geoms have
+moved (another arena), and its boxes are fitted again where a few have (limbs of victims).
+"""
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from usarmjx.base.arrays import Array
+
+NEW_ARENA = 0.5
+"""Where more than this share of the geoms has moved, the tree is made anew."""
+
+
+class Bounds(NamedTuple):
+    """The tree of one world.
+
+    Attributes:
+        places: Where its geoms are: position, orientation, half sizes of the box around each (geoms, 10).
+        order: The geoms by leaf, from left to right (geoms,).
+        boxes: Middle and half size of each node's box (nodes, 6).
+    """
+
+    places: np.ndarray
+    order: np.ndarray
+    boxes: np.ndarray
+
+
+class MovedBody:
+    """The geoms of a body that stands still in the middle of the world, and where they are in each world.
+
+    The tree halves its geoms again and again, along the axis along which their middles are farthest apart; so
+    its form depends on their number alone.
+
+    Args:
+        model: The compiled model; its tree takes that form.
+        ids: The geoms that are moved, all of one body.
+    """
+
+    def __init__(self, model: mujoco.MjModel, ids: list[int]) -> None:
+        self.ids = ids
+        body = int(model.geom_bodyid[ids[0]])
+        begin, count = int(model.body_bvhadr[body]), int(model.body_bvhnum[body])
+        self._nodes = slice(begin, begin + count)
+        leaves = model.bvh_nodeid[self._nodes]
+        self._geoms = np.sort(leaves[leaves >= 0])
+        self._children, self._levels, self._leaf = _form(len(self._geoms))
+        self._worlds: dict[int, Bounds] = {}
+        self.prepare(model)
+
+    def prepare(self, model: mujoco.MjModel) -> None:
+        """Give the tree of a copy of the model its form."""
+        if len(self._geoms):
+            model.bvh_child[self._nodes] = self._children
+            for depth, (nodes, _) in enumerate(self._levels):
+                model.bvh_depth[self._nodes][nodes] = depth
+            self._write(model, self._fitted(model, 0))
+
+    def move(
+        self, model: mujoco.MjModel, pos: Array, quat: Array, size: Array | None = None, world: int = 0
+    ) -> None:
+        """Put the geoms elsewhere. The model must have their `geom_sameframe` cleared.
+
+        Args:
+            model: The model.
+            pos: Positions (n, 3) [m].
+            quat: Orientations (n, 4).
+            size: Half sizes (n, 3) [m], of boxes; None: they stay.
+            world: For which world: what its tree was is kept for the next time.
+        """
+        model.geom_pos[self.ids], model.geom_quat[self.ids] = pos, quat
+        if size is not None:
+            model.geom_size[self.ids], model.geom_aabb[self.ids, 3:] = size, size
+            model.geom_rbound[self.ids] = np.linalg.norm(size, axis=-1)
+        if len(self._geoms):
+            self._write(model, self._fitted(model, world))
+
+    def _fitted(self, model: mujoco.MjModel, world: int) -> Bounds:
+        geoms, known = self._geoms, self._worlds.get(world)
+        places = np.hstack([model.geom_pos[geoms], model.geom_quat[geoms], model.geom_aabb[geoms, 3:]])
+        if known is None or not np.array_equal(known.places, places):
+            mid, half = _boxes_around(model, geoms)
+            if known is None or (known.places != places).any(axis=1).mean() > NEW_ARENA:
+                order = self._order(mid)
+            else:
+                order = known.order
+            known = self._worlds[world] = Bounds(places, order, self._fit(mid[order], half[order]))
+        return known
+
+    def _write(self, model: mujoco.MjModel, bounds: Bounds) -> None:
+        node_ids = np.full(len(self._children), -1, np.int32)
+        node_ids[self._leaf] = self._geoms[bounds.order]
+        model.bvh_nodeid[self._nodes], model.bvh_aabb[self._nodes] = node_ids, bounds.boxes
+
+    def _order(self, mid: np.ndarray) -> np.ndarray:
+        """Return the geoms by leaf: those of each node are sorted along its longest axis (geoms,)."""
+        order = np.arange(len(mid))
+        for _, starts in self._levels:
+            here = mid[order]
+            spread = np.maximum.reduceat(here, starts) - np.minimum.reduceat(here, starts)
+            node = np.repeat(np.arange(len(starts)), np.diff([*starts, len(mid)]))
+            along = np.take_along_axis(here, spread.argmax(axis=1)[node, None], axis=1)[:, 0]
+            order = order[np.lexsort((along, node))]
+        return order
+
+    def _fit(self, mid: np.ndarray, half: np.ndarray) -> np.ndarray:
+        """Return the boxes of all nodes around those of the leaves, from left to right (nodes, 6)."""
+        low, high = np.empty((2, len(self._children), 3))
+        low[self._leaf], high[self._leaf] = mid - half, mid + half
+        for nodes, _ in reversed(self._levels):
+            inner = nodes[self._children[nodes, 0] >= 0]
+            one, other = self._children[inner].T
+            low[inner] = np.minimum(low[one], low[other])
+            high[inner] = np.maximum(high[one], high[other])
+        return np.hstack([(low + high) / 2, (high - low) / 2])
+
+
+def _form(count: int) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
+    """Return a tree of so many leaves.
+
+    Returns:
+        The children of each node (nodes, 2), -1 for a leaf; by level its nodes, and where the leaves of each
+        begin, those of higher levels included; the node of each leaf (leaves,).
+    """
+    children, leaf = np.full((max(2 * count - 1, 0), 2), -1, np.int32), np.zeros(count, int)
+    levels: list[tuple[np.ndarray, np.ndarray]] = []
+    level, used = [(0, 0, count)] if count else [], 1
+    starts = [start for _, start, _ in level]
+    while level:
+        levels.append((np.array([node for node, _, _ in level]), np.array(starts)))
+        below: list[tuple[int, int, int]] = []
+        for node, start, end in level:
+            if end - start == 1:
+                leaf[start] = node
+                continue
+            middle = (start + end) // 2
+            children[node] = used, used + 1
+            below += [(used, start, middle), (used + 1, middle, end)]
+            used += 2
+        starts = sorted({*starts, *(start for _, start, _ in below)})
+        level = below
+    return children, levels, leaf
+
+
+def _boxes_around(model: mujoco.MjModel, geoms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return middles and half sizes of boxes around geoms, along the axes of their body (geoms, 3)."""
+    w, x, y, z = model.geom_quat[geoms].T
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    mat = np.array(rows).transpose(2, 0, 1)
+    own = model.geom_aabb[geoms]
+    mid = model.geom_pos[geoms] + np.einsum("nij,nj->ni", mat, own[:, :3])
+    return mid, np.einsum("nij,nj->ni", np.abs(mat), own[:, 3:])
