@@ -13,12 +13,12 @@ SIDE = 1.0  # m: so far from the middle lies one box, more as much farther as gi
 
 
 def model_of(boxes, balls):
-    """Boxes on a body that stands still, and balls among them."""
+    """Boxes on a body that stands still, whose inertial frame is another one, and balls among them."""
     spec = mujoco.MjSpec()
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY
     body = spec.worldbody.add_body(name="arena", mocap=True)
     for number in range(boxes):
-        body.add_geom(name=f"box{number}", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
+        body.add_geom(name=f"box{number}", type=mujoco.mjtGeom.mjGEOM_BOX, **laid_out(number))
     for number in range(balls):
         ball = spec.worldbody.add_body(name=f"ball{number}")
         ball.add_freejoint()
@@ -26,8 +26,14 @@ def model_of(boxes, balls):
         ball.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.1, 0.5, 0], pos=[0.2, 0, 0])
     model = spec.compile()
     ids = [model.geom(f"box{number}").id for number in range(boxes)]
+    assert np.abs(model.body_ipos[1]).max() > 0.2
+    assert np.abs(model.body_iquat[1, 1:]).max() > 0.1
     model.geom_sameframe[ids] = 0
     return model, ids
+
+
+def laid_out(number):
+    return {"size": [0.1, 0.2, 0.4], "pos": [0.3 + number, 1.0, 0.5 * number], "euler": [20.0, 30.0, 40.0]}
 
 
 def contacts(model, data, compare_all):
@@ -99,7 +105,9 @@ def test_every_node_holds_its_children_and_every_leaf_its_geom():
         mat = np.zeros(9)
         mujoco.mju_quat2Mat(mat, quat[geom])
         corners = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T * size[geom]
-        reached = pos[geom] + corners @ mat.reshape(3, 3).T
+        frame = np.zeros(9)
+        mujoco.mju_quat2Mat(frame, model.body_iquat[number])
+        reached = (pos[geom] + corners @ mat.reshape(3, 3).T - model.body_ipos[number]) @ frame.reshape(3, 3)
         assert low[node] == pytest.approx(reached.min(axis=0))
         assert high[node] == pytest.approx(reached.max(axis=0))
 

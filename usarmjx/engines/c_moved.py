@@ -147,14 +147,20 @@ def _form(count: int) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]], 
 
 
 def _boxes_around(model: mujoco.MjModel, geoms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return middles and half sizes of boxes around geoms, along the axes of their body (geoms, 3)."""
-    w, x, y, z = model.geom_quat[geoms].T
+    """Return middles and half sizes of boxes around geoms, along their body's inertial axes (geoms, 3)."""
+    body, own = model.geom_bodyid[geoms[0]], model.geom_aabb[geoms]
+    frame = _mats(model.body_iquat[body])
+    mat = frame.T @ _mats(model.geom_quat[geoms])
+    mid = (model.geom_pos[geoms] - model.body_ipos[body]) @ frame + np.einsum("nij,nj->ni", mat, own[:, :3])
+    return mid, np.einsum("nij,nj->ni", np.abs(mat), own[:, 3:])
+
+
+def _mats(quat: np.ndarray) -> np.ndarray:
+    """Return rotation matrices of unit quaternions, w first, in double precision (..., 3, 3)."""
+    w, x, y, z = np.moveaxis(quat, -1, 0)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
-    mat = np.array(rows).transpose(2, 0, 1)
-    own = model.geom_aabb[geoms]
-    mid = model.geom_pos[geoms] + np.einsum("nij,nj->ni", mat, own[:, :3])
-    return mid, np.einsum("nij,nj->ni", np.abs(mat), own[:, 3:])
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
