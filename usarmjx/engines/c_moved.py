@@ -5,7 +5,7 @@ each geom of a robot is compared with each of the arena's. So the tree is made a
 moved (another arena), and its boxes are fitted again where a few have (limbs of victims).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -43,11 +43,11 @@ class MovedBody:
 
     def __init__(self, model: mujoco.MjModel, ids: list[int]) -> None:
         self.ids = ids
-        body = int(model.geom_bodyid[ids[0]])
-        begin, count = int(model.body_bvhadr[body]), int(model.body_bvhnum[body])
+        body, tree = int(model.geom_bodyid[ids[0]]), _tree_of(model)
+        begin, count = int(tree.body_bvhadr[body]), int(tree.body_bvhnum[body])
         self._nodes = slice(begin, begin + count)
-        leaves = model.bvh_nodeid[self._nodes]
-        self._geoms = np.sort(leaves[leaves >= 0])
+        leaves: np.ndarray = tree.bvh_nodeid[self._nodes]
+        self._geoms: np.ndarray = np.sort(leaves[leaves >= 0])
         self._children, self._levels, self._leaf = _form(len(self._geoms))
         self._worlds: dict[int, Bounds] = {}
         self.prepare(model)
@@ -55,9 +55,10 @@ class MovedBody:
     def prepare(self, model: mujoco.MjModel) -> None:
         """Give the tree of a copy of the model its form."""
         if len(self._geoms):
-            model.bvh_child[self._nodes] = self._children
+            tree = _tree_of(model)
+            tree.bvh_child[self._nodes] = self._children
             for depth, (nodes, _) in enumerate(self._levels):
-                model.bvh_depth[self._nodes][nodes] = depth
+                tree.bvh_depth[self._nodes][nodes] = depth
             self._write(model, self._fitted(model, 0))
 
     def move(
@@ -94,7 +95,8 @@ class MovedBody:
     def _write(self, model: mujoco.MjModel, bounds: Bounds) -> None:
         node_ids = np.full(len(self._children), -1, np.int32)
         node_ids[self._leaf] = self._geoms[bounds.order]
-        model.bvh_nodeid[self._nodes], model.bvh_aabb[self._nodes] = node_ids, bounds.boxes
+        tree = _tree_of(model)
+        tree.bvh_nodeid[self._nodes], tree.bvh_aabb[self._nodes] = node_ids, bounds.boxes
 
     def _order(self, mid: np.ndarray) -> np.ndarray:
         """Return the geoms by leaf: those of each node are sorted along its longest axis (geoms,)."""
@@ -117,6 +119,10 @@ class MovedBody:
             low[inner] = np.minimum(low[one], low[other])
             high[inner] = np.maximum(high[one], high[other])
         return np.hstack([(low + high) / 2, (high - low) / 2])
+
+
+def _tree_of(model: mujoco.MjModel) -> Any:  # noqa: ANN401 - MuJoCo's types leave the tree's fields out
+    return model
 
 
 def _form(count: int) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
