@@ -50,12 +50,7 @@ class MovedBody:
         self._geoms: np.ndarray = np.sort(leaves[leaves >= 0])
         self._children, self._levels, self._leaf = _form(len(self._geoms))
         self._worlds: dict[int, Bounds] = {}
-        self.prepare(model)
-
-    def prepare(self, model: mujoco.MjModel) -> None:
-        """Give the tree of a copy of the model its form."""
         if len(self._geoms):
-            tree = _tree_of(model)
             tree.bvh_child[self._nodes] = self._children
             for depth, (nodes, _) in enumerate(self._levels):
                 tree.bvh_depth[self._nodes][nodes] = depth
