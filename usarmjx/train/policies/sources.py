@@ -91,6 +91,7 @@ class PolicySource:
         Raises:
             UsageError: See `env`.
         """
+        check_there(self.task, self.name)
         overrides, _ = task_settings(self.task, self.overrides, settings)
         if split is not None:
             return arenas_of(self.task, overrides, split).total
