@@ -16,7 +16,7 @@ NEW_ARENA = 0.5
 """Where more than this share of the geoms has moved, the tree is made anew."""
 
 
-class Bounds(NamedTuple):
+class WorldTree(NamedTuple):
     """The tree of one world.
 
     Attributes:
@@ -49,7 +49,7 @@ class MovedBody:
         leaves: np.ndarray = tree.bvh_nodeid[self._nodes]
         self._geoms: np.ndarray = np.sort(leaves[leaves >= 0])
         self._children, self._levels, self._leaf = _form(len(self._geoms))
-        self._worlds: dict[int, Bounds] = {}
+        self._worlds: dict[int, WorldTree] = {}
         if len(self._geoms):
             tree.bvh_child[self._nodes] = self._children
             for depth, (nodes, _) in enumerate(self._levels):
@@ -75,7 +75,7 @@ class MovedBody:
         if len(self._geoms):
             self._write(model, self._fitted(model, world))
 
-    def _fitted(self, model: mujoco.MjModel, world: int) -> Bounds:
+    def _fitted(self, model: mujoco.MjModel, world: int) -> WorldTree:
         geoms, known = self._geoms, self._worlds.get(world)
         places = np.hstack([model.geom_pos[geoms], model.geom_quat[geoms], model.geom_aabb[geoms, 3:]])
         if known is None or not np.array_equal(known.places, places):
@@ -84,14 +84,14 @@ class MovedBody:
                 order = self._order(mid)
             else:
                 order = known.order
-            known = self._worlds[world] = Bounds(places, order, self._fit(mid[order], half[order]))
+            known = self._worlds[world] = WorldTree(places, order, self._fit(mid[order], half[order]))
         return known
 
-    def _write(self, model: mujoco.MjModel, bounds: Bounds) -> None:
+    def _write(self, model: mujoco.MjModel, known: WorldTree) -> None:
         node_ids = np.full(len(self._children), -1, np.int32)
-        node_ids[self._leaf] = self._geoms[bounds.order]
+        node_ids[self._leaf] = self._geoms[known.order]
         tree = _tree_of(model)
-        tree.bvh_nodeid[self._nodes], tree.bvh_aabb[self._nodes] = node_ids, bounds.boxes
+        tree.bvh_nodeid[self._nodes], tree.bvh_aabb[self._nodes] = node_ids, known.boxes
 
     def _order(self, mid: np.ndarray) -> np.ndarray:
         """Return the geoms by leaf: those of each node are sorted along its longest axis (geoms,)."""
