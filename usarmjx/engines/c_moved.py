@@ -11,6 +11,8 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import numpy_backend
+from usarmjx.base.rotations import mat_from_quat
 
 NEW_ARENA = 0.5
 """Where more than this share of the geoms has moved, the tree is made anew."""
@@ -150,18 +152,8 @@ def _form(count: int) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]], 
 def _boxes_around(model: mujoco.MjModel, geoms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return middles and half sizes of boxes around geoms, along their body's inertial axes (geoms, 3)."""
     body, own = model.geom_bodyid[geoms[0]], model.geom_aabb[geoms]
-    frame = _mats(model.body_iquat[body])
-    mat = frame.T @ _mats(model.geom_quat[geoms])
+    with numpy_backend():
+        frame, mat = mat_from_quat(model.body_iquat[body]), mat_from_quat(model.geom_quat[geoms])
+    mat = frame.T @ mat
     mid = (model.geom_pos[geoms] - model.body_ipos[body]) @ frame + np.einsum("nij,nj->ni", mat, own[:, :3])
     return mid, np.einsum("nij,nj->ni", np.abs(mat), own[:, 3:])
-
-
-def _mats(quat: np.ndarray) -> np.ndarray:
-    """Return rotation matrices of unit quaternions, w first, in double precision (..., 3, 3)."""
-    w, x, y, z = np.moveaxis(quat, -1, 0)
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
