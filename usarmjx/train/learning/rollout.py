@@ -90,10 +90,9 @@ class Rollout:
     def start(self, level: float) -> RolloutState:
         """Return the worlds at the start of their first episodes, some of which will be short."""
         config = self.config
-        generated = {} if not config.curriculum else {"level": level}
         # A seed on the device puts all worlds there from their first step on: nothing is compiled twice.
         seed = jax.device_put(np.uint32(config.seed % 2**32), jax.local_devices()[0])
-        env = self.env.reset(seed, **generated)
+        env = self.env.reset(seed, level) if config.curriculum else self.env.reset(seed)
         number, late, carry = jax.jit(self._initial)()
         if config.stagger:  # by counting steps that never were, so nothing else of an episode changes
             env = env.replace(length=late.astype(env.length.dtype))
