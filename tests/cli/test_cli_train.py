@@ -16,6 +16,7 @@ from usarmjx.base.errors import UsageError, WriteError
 from usarmjx.cli.app import app
 from usarmjx.cli.tools import ErrorExit
 from usarmjx.cli.train import _served
+from usarmjx.cli.training_settings import recorded_engine
 from usarmjx.cli.waiting import say
 from usarmjx.train.learning.config import Config, task_config
 from usarmjx.train.learning.defaults import training_engine
@@ -47,6 +48,7 @@ def test_a_run_is_trained_and_exported(tmp_path):
     assert result.output.startswith("8 agent steps, score")
     settings = json.loads((out / "config.json").read_text())
     assert (settings["task"], settings["engine"], settings["episode_steps"]) == ("drive-to-goal", "c", 7)
+    assert (recorded_engine(out), recorded_engine(tmp_path)) == ("c", "auto")
     assert settings["overrides"] == {"episode_steps": "7"}
     assert settings["config"]["layers"] == [4]
     assert [json.loads(line)["iteration"] for line in (out / "metrics.jsonl").open()] == [1, 2]

@@ -15,6 +15,8 @@ from collections.abc import Callable, Iterator, MutableMapping
 from importlib import metadata
 from pathlib import Path
 
+from usarmjx.base.threads import fits_cores
+
 VARIABLE = "USARMJX_CACHE"
 """Environment variable with another folder, or one of `OFF`."""
 OFF = ("off", "no", "0")
@@ -60,7 +62,8 @@ def keep_compilations(environment: MutableMapping[str, str] = os.environ, most: 
         folder = cache_folder(environment)
         if folder is None:
             return None
-        programs = folder / "jax" / processor()
+        # Loops are divided by the pool's threads, which is not in what JAX finds a program by.
+        programs = folder / "jax" / (processor() + ("-cores" if fits_cores() else ""))
         programs.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=programs):
             pass

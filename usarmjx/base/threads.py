@@ -4,6 +4,9 @@ jaxlib 0.10.2 factors batches of matrices in parallel on the thread pool that al
 cores two such operations wait for each other for ever (seen in 5 of 6 runs of MJX with several worlds).
 A pool of eight threads, which the environment variable NPROC sets when the backend starts, never hung.
 `usarmjx` raises NPROC when it is imported; this module also finds out when that came too late.
+
+XLA divides each loop, however short, among as many tasks as the pool has threads, and eight of them on two
+cores wait for each other: a process that does not solve with engine `jax` is faster with a thread for each core.
 """
 
 import os
@@ -12,18 +15,44 @@ import sys
 from usarmjx.base.errors import EngineError
 
 MIN_THREADS = 8
+POOL, CORES = "USARMJX_POOL", "cores"
+"""Environment variable, and what it is where the pool is to have as many threads as there are cores."""
 _started_before_us = False
+_raised_from: tuple[str | None] | None = None
+"""What NPROC was before it was raised; None: it was not."""
 
 
 def ensure_pool_size() -> None:
     """Make sure that JAX's CPU thread pool will be large enough, however few cores there are."""
-    global _started_before_us
-    asked = os.environ.get("NPROC", "")
-    size = int(asked) if asked.isdecimal() else 0
-    if (size if asked else cores()) >= MIN_THREADS:
+    global _raised_from, _started_before_us
+    if _size_asked_for() >= MIN_THREADS or fits_cores():
         return
-    _started_before_us = _backend_runs()
+    _started_before_us, _raised_from = _backend_runs(), (os.environ.get("NPROC"),)
     os.environ["NPROC"] = str(MIN_THREADS)
+
+
+def fit_pool_to_cores() -> None:
+    """Let the pool have a thread for each core, here and in processes that this one starts.
+
+    For who does not solve with engine `jax` on a CPU, which refuses to be built then. Nothing happens where
+    JAX runs already, or where NPROC has been set to as many threads as that engine needs.
+    """
+    if _backend_runs() or _raised_from is None:
+        return
+    os.environ[POOL] = CORES
+    os.environ.pop("NPROC")
+    if _raised_from[0] is not None:
+        os.environ["NPROC"] = _raised_from[0]
+
+
+def fits_cores() -> bool:
+    """Return whether the pool is to have a thread for each core."""
+    return os.environ.get(POOL, "").strip().lower() == CORES
+
+
+def _size_asked_for() -> int:
+    asked = os.environ.get("NPROC", "")
+    return (int(asked) if asked.isdecimal() else 0) if asked else cores()
 
 
 def cores() -> int:
@@ -40,10 +69,22 @@ def check_pool_size() -> None:
     """Refuse to run where the deadlock could strike.
 
     Raises:
-        EngineError: JAX's CPU backend was already running, with a small pool, when usarmjx was imported.
+        EngineError: JAX's CPU backend was already running, with a small pool, when usarmjx was imported; or
+            the pool is small because that was asked for.
     """
+    if fits_cores() and _size_asked_for() < MIN_THREADS and _on_cpu():
+        raise EngineError(
+            f"{POOL}={CORES} leaves JAX with {_size_asked_for()} threads, and engine jax needs {MIN_THREADS} to be "
+            f"safe from a deadlock of its CPU backend; unset {POOL}, or take another engine"
+        )
     if _started_before_us:
         raise EngineError(
             "JAX was already running, with too few threads to be safe from a deadlock of its CPU backend, "
             f"when usarmjx was imported; import usarmjx first, or set NPROC={MIN_THREADS} in the environment"
         )
+
+
+def _on_cpu() -> bool:
+    import jax
+
+    return jax.default_backend() == "cpu"

@@ -11,6 +11,9 @@ from usarmjx.base.progress import Seldom
 from usarmjx.cli.tools import ErrorExit, SeedOption
 from usarmjx.cli.waiting import announce, say
 
+COMPARED = "c", "planar"
+"""The engines of all but --tasks."""
+
 
 def calibrate(
     names: Annotated[
@@ -77,7 +80,7 @@ def _figures(names: list[str] | None, out: Path | None) -> Iterator[str]:
     from usarmjx.sim.calibration import measure_all
 
     chosen = [ROBOTS.get(name) for name in names] if names else [robot for _, robot in ROBOTS]
-    announce("driving robots by random orders on engines c and planar ...")
+    announce("driving robots by random orders on engines c and planar ...", engines=COMPARED)
     yield from measure_all(chosen, out, everything=not names)
 
 
@@ -85,7 +88,7 @@ def _drive_rows(names: list[str] | None) -> Iterator[str]:
     from usarmjx.models.robots import ROBOTS
     from usarmjx.train.evaluation.drives import drive_table
 
-    announce("driving robots on a floor and in a maze, on engines c and planar ...")
+    announce("driving robots on a floor and in a maze, on engines c and planar ...", engines=COMPARED)
     return drive_table([ROBOTS.get(name) for name in names or ROBOTS.names()], everything=not names)
 
 
@@ -94,6 +97,6 @@ def _task_rows(
 ) -> Iterator[str]:
     from usarmjx.train.evaluation.task_gap import TASKS_TRIED, sources_of, task_gap
 
-    announce("building the worlds that policies are tried in ...")
+    announce("building the worlds that policies are tried in ...", engines=engines.split(","))
     tried = sources_of(names or TASKS_TRIED)
     return task_gap(engines.split(","), tried, episodes, seeds, worlds, split, Seldom(say))

@@ -48,7 +48,7 @@ def evaluate_policy(
 ) -> None:
     """Tell a policy's mean final score and the 95 % interval of that mean."""
     with ErrorExit():
-        announce("building the worlds that the policy is tried in ...")
+        announce("building the worlds that the policy is tried in ...", engines=[engine])
         from usarmjx.engines import choose_engine
         from usarmjx.train.evaluation.evaluate import as_record, evaluate_episodes
 

@@ -79,7 +79,7 @@ def play(
         )
         with StopSignals() as signals, host.ports() as ports:
             host.warn(ports)
-            announce("building the world that the policy drives ...")
+            announce("building the world that the policy drives ...", engines=[engine])
             services = host.prepare()
             worlds, more = _policy_worlds(driver, served, engine, host.numbers)
             host.serve(worlds, ports, services, signals, batch_size=served.worlds, more=more)
@@ -90,7 +90,7 @@ def _draw_episode(
 ) -> None:
     """Draw an episode, and record it if that is wanted."""
     # What one world observes in one episode takes longer to compile than to compute.
-    announce("building the world that the policy drives ...", quickly=engine == "c")
+    announce("building the world that the policy drives ...", quickly=engine == "c", engines=[engine])
     from usarmjx.plots.play import check_suffix, record_episode, save_recording
 
     check_suffix(out)

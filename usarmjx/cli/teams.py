@@ -47,7 +47,7 @@ def teams(
 ) -> None:
     """Tell what teams get for each part of a score in the same buildings, and how early they find."""
     with ErrorExit():
-        announce("building the worlds that teams play in ...")
+        announce("building the worlds that teams play in ...", engines=[engine])
         from usarmjx.engines import choose_engine
         from usarmjx.plots.team_plots import TeamWays, plot_teams
         from usarmjx.train.evaluation import yardsticks

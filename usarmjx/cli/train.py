@@ -114,7 +114,11 @@ def train(
         joined = process_info(os.environ)
         if processes > 1 and joined is None:
             raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))
-        announce(f"building worlds for {task} ...", aloud=joined is None or joined.index == 0)
+        announce(
+            f"building worlds for {task} ...",
+            aloud=joined is None or joined.index == 0,
+            engines=[recorded_engine(out) if resume and engine == "auto" else engine],
+        )
         from usarmjx.train.processes.group import distributed_run
 
         with (

@@ -1,5 +1,6 @@
 """What a training is run with: as typed, as its task usually is, or as another run was."""
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -99,6 +100,14 @@ def _as_before(options: TrainOptions) -> TrainOptions:
     record = load_record(options.out)
     before = options.within(vars(record.config), record.overrides)
     return replace(before, engine=record.engine if options.engine == "auto" else options.engine)
+
+
+def recorded_engine(out: Path) -> str:
+    """Return the engine that a run was started with, before JAX is imported; `auto` where none is told."""
+    try:
+        return str(json.loads((out / "config.json").read_text())["engine"])
+    except (OSError, ValueError, KeyError, TypeError):  # `load_record` says what is wrong with it
+        return "auto"
 
 
 def _as_trained(task: str, source: "TrainedNetworks", options: TrainOptions) -> TrainOptions:

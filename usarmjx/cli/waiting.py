@@ -4,7 +4,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from pathlib import Path
 
@@ -17,11 +17,14 @@ from usarmjx.base.compilation import (
     keep_compilations,
     tell_once_of_broken_entries,
 )
+from usarmjx.base.threads import fit_pool_to_cores
 
 FIRST, INTERVAL = 3.0, 10.0
 """After so long something is said of a compilation, and then again and again [s]."""
 GAP = 5.0
 """What comes so soon after another compilation belongs to it [s]."""
+NEEDS_POOL = "jax"
+"""The engine that deadlocks in a small pool of threads."""
 LOWERED, COMPILED = "jaxpr_to_mlir_module_duration", "backend_compile_duration"
 
 
@@ -88,7 +91,13 @@ def say(text: str) -> None:
 
 
 def announce(
-    text: str, *, keep: bool = True, aloud: bool = True, quickly: bool = False, interval: float = INTERVAL
+    text: str,
+    *,
+    keep: bool = True,
+    aloud: bool = True,
+    quickly: bool = False,
+    interval: float = INTERVAL,
+    engines: Collection[str] = (NEEDS_POOL,),
 ) -> None:
     """Say what takes a while, and go on saying so while it compiles; what is compiled is kept.
 
@@ -101,11 +110,14 @@ def announce(
         aloud: Whether anything is said; of several processes that do the same, one is enough.
         quickly: Whether to compile without optimisation.
         interval: How often it is said that it compiles [s].
+        engines: Those that may be built; without `jax` JAX's pool has a thread for each core.
     """
     if "jax" in sys.modules:
         return
     tell = say if aloud else _say_nothing
     tell(text)
+    if NEEDS_POOL not in {name.lower() for name in engines}:
+        fit_pool_to_cores()
     if quickly:
         compile_quickly()
     if keep:
