@@ -1,7 +1,9 @@
 """Engine `planar`: how robots move, by closed forms and C MuJoCo."""
 
+import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +14,7 @@ import pytest
 from tests.arenas import COURSE, FLAT
 from tests.engines.eager import AT_ONCE, BLIND, EAGER, SINGLE, drive, poses
 from usarmjx.base.errors import UnsupportedFeatureError
+from usarmjx.bench.fidelity.manoeuvres import BOARDS
 from usarmjx.engines.planar.drives import follow, wheels_of
 from usarmjx.engines.planar.footprints import TOLERANCE
 from usarmjx.engines.planar.responses import Response, check_robot, measured, use_response
@@ -19,6 +22,7 @@ from usarmjx.engines.planar.servos import move_joints, servos_of
 from usarmjx.engines.planar.solids import ground_under, seen_from_above
 from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import Physics
+from usarmjx.models.build.reach import STEP_SHARE
 from usarmjx.models.build.variation import DomainRandomization
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.spec.arena import StartPose
@@ -180,6 +184,33 @@ def test_a_ramp_tilts_as_it_slopes_and_a_step_too_high_stops():
     front = poses(kerb, state)[0, 0, 0] + kerb.engine._robots.half[0, 0] + kerb.engine._robots.offset[0, 0]
     assert front == pytest.approx(1.0, abs=2 * TOLERANCE)
     assert bool(np.asarray(state.physics.touched)[0, 0])
+
+
+@pytest.mark.parametrize(
+    ("height", "length", "over"), [(0.039, 0.09, True), (0.06, 2.0, True), (0.1, 2.0, False)]
+)
+def test_boards_are_driven_over_that_are_on_c(height, length, over):
+    """Generated mazes have boards of 4 cm across their ways; onto 6 cm a P2AT climbs on `c`, slowly."""
+    at = (0.75 + length / 2, 0.0, height / 2)
+    board = Shape(kind="box", size=(length / 2, 0.5, height / 2), at=at, surface="ground")
+    arena = replace(FLAT, name="board", shapes=(board,))
+    for engine in ("c", "planar"):
+        batch = Batch(build_scene(arena, [BLIND]), 1, engine=engine)
+        start = poses(batch, batch.reset())[0, 0, 0]
+        state = drive(batch, 2.0, 2.0, 350)
+        assert (poses(batch, state)[0, 0, 0] - start > 1.2) == over, engine
+
+
+def test_how_high_a_step_wheels_climb_is_what_was_measured_on_c():
+    """Of the boards that classes were driven at they get onto the same; tracks and flippers climb higher."""
+    file = Path(__file__).parents[2] / "benchmarks/results/physics.jsonl"
+    numbers = json.loads(file.read_text().splitlines()[-1])["numbers"]
+    for name, row in numbers.items():
+        if "climb" not in row:  # legs, and what flies or dives
+            continue
+        climbed, _ = row["climb"]
+        higher = min((board for board in BOARDS if board > climbed), default=math.inf)
+        assert (STEP_SHARE * ROBOTS.get(name).wheel_radius < higher) == (name != "Rugbot"), name
 
 
 @pytest.mark.parametrize("pitch", [0.0, 0.2, -0.4])

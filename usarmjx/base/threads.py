@@ -6,7 +6,7 @@ A pool of eight threads, which the environment variable NPROC sets when the back
 `usarmjx` raises NPROC when it is imported; this module also finds out when that came too late.
 
 XLA divides each loop, however short, among as many tasks as the pool has threads, and eight of them on two
-cores wait for each other: a process that does not solve with engine `jax` is faster with a thread for each core.
+cores wait for each other: who does not solve with engine `jax` is faster with a thread for each core.
 """
 
 import os
@@ -74,8 +74,8 @@ def check_pool_size() -> None:
     """
     if fits_cores() and _size_asked_for() < MIN_THREADS and _on_cpu():
         raise EngineError(
-            f"{POOL}={CORES} leaves JAX with {_size_asked_for()} threads, and engine jax needs {MIN_THREADS} to be "
-            f"safe from a deadlock of its CPU backend; unset {POOL}, or take another engine"
+            f"{POOL}={CORES} leaves JAX with {_size_asked_for()} threads, and engine jax needs {MIN_THREADS} "
+            f"to be safe from a deadlock of its CPU backend; unset {POOL}, or take another engine"
         )
     if _started_before_us:
         raise EngineError(

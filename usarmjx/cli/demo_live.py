@@ -137,7 +137,6 @@ def run_live(browser: bool, port: int | None, viewer_port: int | None, rosbridge
             "building four robots in a maze; half a minute the first time ...",
             quickly=True,
             interval=SAY_EVERY,
-            engines=["c"],
         )
         services = host.prepare()
         world = make_world()

@@ -79,7 +79,7 @@ def play(
         )
         with StopSignals() as signals, host.ports() as ports:
             host.warn(ports)
-            announce("building the world that the policy drives ...", engines=[engine])
+            announce("building the world that the policy drives ...")
             services = host.prepare()
             worlds, more = _policy_worlds(driver, served, engine, host.numbers)
             host.serve(worlds, ports, services, signals, batch_size=served.worlds, more=more)

@@ -16,7 +16,7 @@ from usarmjx.cli.completion import complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption
 from usarmjx.cli.recordings import RecordOption, export_recording
 from usarmjx.cli.tools import ErrorExit, OldOutArgument, chosen_out
-from usarmjx.cli.training_settings import TrainOptions, plan_run
+from usarmjx.cli.training_settings import TrainOptions, plan_run, recorded_engine
 from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
 from usarmjx.cli.waiting import announce, say
 from usarmjx.server.signals import PARENT_PIPE

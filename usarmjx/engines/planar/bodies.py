@@ -19,10 +19,8 @@ from usarmjx.engines.planar.responses import check_robot
 from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import add_robot
 from usarmjx.models.build.layout import RobotIndex
+from usarmjx.models.build.reach import STEP_SHARE
 from usarmjx.models.spec.robot import RobotSpec
-
-STEP_SHARE = 0.25
-"""Robots get onto what is no higher than this share of their wheels' radius."""
 
 
 class Motion(struct.PyTreeNode, kw_only=True):

@@ -42,6 +42,8 @@ DEFAULT_HEIGHT = 0.4
 """Room that a robot needs above the ground if none is given [m]."""
 DEFAULT_SLOPE = math.radians(30)
 """Steepest slope that counts as passable if none is given (chosen; friction 0.8 holds to 38 degrees)."""
+STEP_SHARE = 0.5
+"""Wheels get onto what is no higher than this share of their radius: on `c` a P2AT onto boards of 6 cm."""
 SURFACE_TOLERANCE = 0.1
 """Heights that differ by less are those of the same surface [m]."""
 TINY = 1e-6
@@ -59,11 +61,10 @@ class RobotFootprint:
 def footprint_of(robot: RobotSpec) -> RobotFootprint:
     """Return what a robot needs to pass, from its `dimensions`.
 
-    The step is half a wheel's radius: a P2AT climbs boards of 6 cm with wheels of 13 cm; for robots without
-    wheels a sixth of their height (chosen).
+    The step is half a wheel's radius; for robots without wheels a sixth of their height (chosen).
     """
     length, width, height = robot.dimensions
-    step = robot.wheel_radius / 2 if robot.wheel_radius else height / 6
+    step = STEP_SHARE * robot.wheel_radius if robot.wheel_radius else height / 6
     return RobotFootprint(radius=math.hypot(length, width) / 2, step=step, height=height)
 
 
