@@ -107,7 +107,7 @@ def test_the_engine_that_would_hang_is_refused_then_with_advice():
 
 
 @pytest.mark.parametrize(
-    ("engines", "expected"), [(["c", "Planar"], "None"), (["c", "JAX"], "8"), (None, "8")]
+    ("engines", "expected"), [(["c", "Planar"], "None"), (["c", "JAX"], "8"), (["auto"], "8"), (None, "8")]
 )
 def test_commands_that_do_not_need_a_large_pool_have_a_small_one(engines, expected, tmp_path):
     """What they compile is kept by itself: loops are divided otherwise."""

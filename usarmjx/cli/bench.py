@@ -159,9 +159,8 @@ def bench_step(
 ) -> None:
     """Measure bare physics and the whole step (control, physics, sensors, resets) in one run."""
     with ErrorExit():
-        # `auto` may be jax, and all baselines have it.
-        built = engine if baselines != "all" and engine != "auto" else "jax"
-        announce("measuring steps ...", keep=False, engines=[built])
+        built = [engine, "jax"] if baselines == "all" else [engine]
+        announce("measuring steps ...", keep=False, engines=built)
         configure_from(ini, uu_per_metre)
         from usarmjx.bench.step import StepCase, measure_step
 

@@ -76,27 +76,27 @@ def _print(lines: Iterator[str]) -> None:
 
 
 def _figures(names: list[str] | None, out: Path | None) -> Iterator[str]:
+    announce("driving robots by random orders on engines c and planar ...", engines=COMPARED)
     from usarmjx.models.robots import ROBOTS
     from usarmjx.sim.calibration import measure_all
 
     chosen = [ROBOTS.get(name) for name in names] if names else [robot for _, robot in ROBOTS]
-    announce("driving robots by random orders on engines c and planar ...", engines=COMPARED)
     yield from measure_all(chosen, out, everything=not names)
 
 
 def _drive_rows(names: list[str] | None) -> Iterator[str]:
+    announce("driving robots on a floor and in a maze, on engines c and planar ...", engines=COMPARED)
     from usarmjx.models.robots import ROBOTS
     from usarmjx.train.evaluation.drives import drive_table
 
-    announce("driving robots on a floor and in a maze, on engines c and planar ...", engines=COMPARED)
     return drive_table([ROBOTS.get(name) for name in names or ROBOTS.names()], everything=not names)
 
 
 def _task_rows(
     names: list[str] | None, engines: str, episodes: int, seeds: range, worlds: int, split: str | None
 ) -> Iterator[str]:
+    announce("building the worlds that policies are tried in ...", engines=engines.split(","))
     from usarmjx.train.evaluation.task_gap import TASKS_TRIED, sources_of, task_gap
 
-    announce("building the worlds that policies are tried in ...", engines=engines.split(","))
     tried = sources_of(names or TASKS_TRIED)
     return task_gap(engines.split(","), tried, episodes, seeds, worlds, split, Seldom(say))

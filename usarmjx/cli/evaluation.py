@@ -12,7 +12,7 @@ from usarmjx.base.progress import Seldom
 from usarmjx.cli.grouping import grouped
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions, SplitOption
 from usarmjx.cli.tools import ErrorExit
-from usarmjx.cli.waiting import announce, say
+from usarmjx.cli.waiting import announce, say, tried_on
 
 if TYPE_CHECKING:
     from usarmjx.base.estimates import Estimate
@@ -48,7 +48,7 @@ def evaluate_policy(
 ) -> None:
     """Tell a policy's mean final score and the 95 % interval of that mean."""
     with ErrorExit():
-        announce("building the worlds that the policy is tried in ...", engines=[engine])
+        announce("building the worlds that the policy is tried in ...", engines=[tried_on(engine)])
         from usarmjx.engines import choose_engine
         from usarmjx.train.evaluation.evaluate import as_record, evaluate_episodes
 

@@ -9,7 +9,7 @@ from typer.core import TyperGroup
 
 from usarmjx.cli.bench_options import NoteOption
 from usarmjx.cli.tools import ErrorExit
-from usarmjx.cli.waiting import announce
+from usarmjx.cli.waiting import announce, tried_on
 
 COMMANDS = ("run", "show", "compare")
 
@@ -75,7 +75,7 @@ def run(
     """Play the cells of a sweep that have no result yet, and say what came of all."""
     with ErrorExit():
         begun = time.perf_counter()
-        announce(f"reading {what} ...", engines=["jax" if engine is None else engine])
+        announce(f"reading {what} ...", engines=["jax" if engine is None else tried_on(engine)])
         from usarmjx.sweeps.bench_record import SweepMeter
         from usarmjx.sweeps.progress import usual_stream
         from usarmjx.sweeps.run import play_prepared, prepare

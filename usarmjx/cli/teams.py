@@ -10,7 +10,7 @@ from usarmjx.base.files import write_beside
 from usarmjx.cli.completion import complete_policies, complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption, SplitOption
 from usarmjx.cli.tools import ErrorExit, SeedOption
-from usarmjx.cli.waiting import announce, say
+from usarmjx.cli.waiting import announce, say, tried_on
 
 if TYPE_CHECKING:
     from usarmjx.train.evaluation.yardsticks import TeamResult
@@ -47,7 +47,7 @@ def teams(
 ) -> None:
     """Tell what teams get for each part of a score in the same buildings, and how early they find."""
     with ErrorExit():
-        announce("building the worlds that teams play in ...", engines=[engine])
+        announce("building the worlds that teams play in ...", engines=[tried_on(engine)])
         from usarmjx.engines import choose_engine
         from usarmjx.plots.team_plots import TeamWays, plot_teams
         from usarmjx.train.evaluation import yardsticks

@@ -18,7 +18,7 @@ from usarmjx.cli.recordings import RecordOption, export_recording
 from usarmjx.cli.tools import ErrorExit, OldOutArgument, chosen_out
 from usarmjx.cli.training_settings import TrainOptions, plan_run, recorded_engine
 from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
-from usarmjx.cli.waiting import announce, say
+from usarmjx.cli.waiting import announce, say, tried_on
 from usarmjx.server.signals import PARENT_PIPE
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def train(
         announce(
             f"building worlds for {task} ...",
             aloud=joined is None or joined.index == 0,
-            engines=[recorded_engine(out) if resume and engine == "auto" else engine],
+            engines=[recorded_engine(out) if resume and engine == "auto" else tried_on(engine)],
         )
         from usarmjx.train.processes.group import distributed_run
 

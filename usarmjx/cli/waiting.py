@@ -23,8 +23,8 @@ FIRST, INTERVAL = 3.0, 10.0
 """After so long something is said of a compilation, and then again and again [s]."""
 GAP = 5.0
 """What comes so soon after another compilation belongs to it [s]."""
-NEEDS_POOL = "jax"
-"""The engine that deadlocks in a small pool of threads."""
+NEEDS_POOL = {"jax", "auto"}
+"""The engine that deadlocks in a small pool of threads, and what stands for it in a batch on a CPU."""
 LOWERED, COMPILED = "jaxpr_to_mlir_module_duration", "backend_compile_duration"
 
 
@@ -97,7 +97,7 @@ def announce(
     aloud: bool = True,
     quickly: bool = False,
     interval: float = INTERVAL,
-    engines: Collection[str] = (NEEDS_POOL,),
+    engines: Collection[str] = ("auto",),
 ) -> None:
     """Say what takes a while, and go on saying so while it compiles; what is compiled is kept.
 
@@ -110,13 +110,13 @@ def announce(
         aloud: Whether anything is said; of several processes that do the same, one is enough.
         quickly: Whether to compile without optimisation.
         interval: How often it is said that it compiles [s].
-        engines: Those that may be built; without `jax` JAX's pool has a thread for each core.
+        engines: Those that may be built; without `NEEDS_POOL` JAX's pool has a thread for each core.
     """
     if "jax" in sys.modules:
         return
     tell = say if aloud else _say_nothing
     tell(text)
-    if NEEDS_POOL not in {name.lower() for name in engines}:
+    if NEEDS_POOL.isdisjoint(name.strip().lower() for name in engines):
         fit_pool_to_cores()
     if quickly:
         compile_quickly()
@@ -126,6 +126,11 @@ def announce(
         if folder := os.environ.get(JAX_FOLDER):
             tell_once_of_broken_entries(tell, Path(folder))
     threading.Thread(target=_watch, args=(tell, interval), name="compilations", daemon=True).start()
+
+
+def tried_on(engine: str) -> str:
+    """Return the engine of policies that are trained or tried on a CPU: `auto` is c, see `choose_engine`."""
+    return "c" if engine.lower() == "auto" else engine
 
 
 def _say_nothing(text: str) -> None:
