@@ -15,7 +15,7 @@ pytest.importorskip("warp", reason="needs warp-lang")
 from usarmjx.train.mapping.warp_distances import distances_on_warp, path_on_warp
 from usarmjx.train.mapping.warp_waves import LARGE_ROOM, SMALL_ROOM
 
-SHAPES = [(1, 1), (1, 9), (41, 33), (33, 48), (70, 90)]
+SHAPES = [(1, 1), (1, 9), (41, 33), (33, 48), (70, 100)]
 
 
 def of_all(function):

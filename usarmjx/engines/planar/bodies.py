@@ -12,6 +12,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.fusion import kept_on_gpu
 from usarmjx.engines.planar.drives import RollingGroup, rolling_groups
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.places import placed
@@ -103,6 +104,7 @@ class PlanarRobots:
 
     def written(self, state: Any, motion: Motion) -> Any:  # noqa: ANN401 - a state with qpos and qvel
         """Return the state of one world with its robots elsewhere."""
+        motion = kept_on_gpu(motion)
         root = jnp.concatenate([*parts(motion.pos), *parts(motion.quat)])
         speed = jnp.concatenate([*parts(motion.linear), *parts(motion.angular)])
         return state.replace(

@@ -15,7 +15,7 @@ from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState
 from usarmjx.engines.planar.bodies import Motion, PlanarRobots, robots_of
 from usarmjx.engines.planar.few_worlds import where_needed
 from usarmjx.engines.planar.flight import fly, held_up
-from usarmjx.engines.planar.footprints import Footprints, keep_apart
+from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.movable import MovableSolids, WhereSolids, movable_solids
 from usarmjx.engines.planar.neighbours import (
     Margin,
@@ -27,6 +27,7 @@ from usarmjx.engines.planar.neighbours import (
     places_of,
     stopping,
 )
+from usarmjx.engines.planar.parting import part_robots
 from usarmjx.engines.planar.poses import FixedBodies, fixed_bodies
 from usarmjx.engines.planar.rolling import feet_of, place_on_ground, reach_of, roll, rolled, stopped
 from usarmjx.engines.planar.servos import PlanarServos, move_joints, servos_of
@@ -163,7 +164,7 @@ class PlanarEngine(Engine[PlanarState]):
         state, aims = jax.vmap(self._aim)(turned, inputs)
         around = self._around(pinned.around, state, aims, inputs)
         near = stopping(aims.left, around.near)
-        kept, touched = keep_apart(aims.left, aims.there, near, moves, aims.stacked, discs=around.near.discs)
+        kept, touched = part_robots(aims.left, aims.there, near, moves, aims.stacked, discs=around.near.discs)
         after = jax.vmap(self._stop)(aims.before, aims.after, kept, touched)
         ground = self._ground(around, state, after, aims, inputs)
         moved = jax.vmap(self._finish)(state, aims.before, after, ground)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.fusion import kept_on_gpu
 from usarmjx.engines.base import Inputs
 from usarmjx.engines.planar.bodies import Motion, PlanarRobots, on_plan, parts
 from usarmjx.engines.planar.drives import follow
@@ -47,7 +48,7 @@ def roll(robots: PlanarRobots, before: Any, state: Any, inputs: Inputs, dt: floa
         grip, size = _variation(inputs, group.members)
         now = follow(answer, wheels.twist(joints, spin), wheels.twist(joints, ctrl[group.ctrl]), dt, grip)
         turned = wheels.spins(joints, now)
-        angle = before.qpos[places] + (spin + turned) * dt / 2
+        angle, turned = kept_on_gpu((before.qpos[places] + (spin + turned) * dt / 2, turned))
         # What a servo aims at is where its wheel is: it does not wind up.
         act = placed(jnp.append(state.act, 0.0), group.act, angle)[:-1]
         state = state.replace(

@@ -63,8 +63,8 @@ ON_GPU["convoy"] = {}  # 20 million steps in 2048 worlds, with actions that stra
 USUAL_ENGINE: dict[str, str] = dict.fromkeys(
     (
         "drive-to-goal",
-        "explore-v2",
-        "victim-search-v2",
+        *("explore", "explore-v1", "explore-v2"),
+        *("victim-search", "victim-search-v1", "victim-search-v2"),
         "relay-chain",
         "convoy",
         "hover-inspect",
@@ -73,7 +73,9 @@ USUAL_ENGINE: dict[str, str] = dict.fromkeys(
     "planar",
 )
 """What `auto` is in trainings of these tasks on any machine; their scores are those of C MuJoCo."""
-USUAL_PHYSICS: dict[str, str] = dict.fromkeys(("explore-v2", "relay-chain"), "coarse")
+USUAL_PHYSICS: dict[str, str] = dict.fromkeys(
+    ("explore", "explore-v1", "explore-v2", "relay-chain"), "coarse"
+)
 """... and the settings of that engine's physics, where they are not the task's."""
 
 

@@ -14,6 +14,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.extras import extra
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.envs.policy import Policy
+from usarmjx.train.learning.gru import recur
 from usarmjx.train.learning.statistics import normalise
 
 if TYPE_CHECKING:
@@ -74,23 +75,12 @@ class Network(nn.Module):
         return nn.Dense(self.outputs, kernel_init=init, name="head")(x), carry
 
     def _recur(self, x: jax.Array, carry: jax.Array, is_first: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Run the GRU (Cho et al. 2014): only the part that needs its own past is done step by step."""
+        """Run the GRU: only the part that needs its own past is done step by step."""
         gates = nn.Dense(3 * self.memory, name="gates")(x)
         weights = _param(self, "recurrent", nn.initializers.orthogonal(), (self.memory, 3 * self.memory))
         bias = _param(self, "recurrent_bias", nn.initializers.zeros, (self.memory,))
-
-        def step(carry: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            gates, is_first = now
-            carry = jnp.where(is_first[:, None, None], 0.0, carry)
-            reset, update, new = jnp.split(gates, 3, axis=-1)
-            own_reset, own_update, own_new = jnp.split(carry @ weights, 3, axis=-1)
-            update = nn.sigmoid(update + own_update)
-            new = jnp.tanh(new + nn.sigmoid(reset + own_reset) * (own_new + bias))
-            carry = (1.0 - update) * new + update * carry
-            return carry, carry
-
-        carry, x = jax.lax.scan(step, carry, (gates, is_first))
-        return x, carry
+        x = recur(gates, weights, bias, carry, is_first)
+        return x, x[-1]
 
 
 def _param(module: Any, name: str, init: Any, shape: tuple[int, ...]) -> jax.Array:  # noqa: ANN401

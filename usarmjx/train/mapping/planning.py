@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.fusion import kept_on_gpu
 from usarmjx.train.mapping.belief import RECENT_AGE, STALE_AGE, Belief
 from usarmjx.train.mapping.maps import FREE, MapGrid
 from usarmjx.train.mapping.wavefront import (
@@ -79,14 +80,15 @@ def plan_paths(
             (robots, i, j).
     """
     settings = settings or default_settings(len(belief.pose))
-    squares = jnp.where(settings.flyers[:, None, None], FREE, belief.squares)
-    unseen = settings.flyers[:, None, None] & (belief.evidence == 0)
+    known = kept_on_gpu(belief)  # else sums over these maps, for a score, become part of the planner's kernel
+    squares = jnp.where(settings.flyers[:, None, None], FREE, known.squares)
+    unseen = settings.flyers[:, None, None] & (known.evidence == 0)
     wanted = jnp.full(squares.shape, jnp.nan) if wanted is None else wanted
-    ages = jnp.where(settings.peers, time - belief.heard_time, jnp.inf)
+    ages = jnp.where(settings.peers, time - known.heard_time, jnp.inf)
 
     narrow = jnp.where(jax.vmap(passable)(squares), 0.0, NARROW_FRONTIER_COST)
     ends = jnp.where(
-        jax.vmap(frontier)(squares) | unseen, narrow + VISITED_FRONTIER_COST * belief.visited, UNREACHABLE
+        jax.vmap(frontier)(squares) | unseen, narrow + VISITED_FRONTIER_COST * known.visited, UNREACHABLE
     )
 
     def one(
@@ -104,7 +106,7 @@ def plan_paths(
         )
 
     slots = jnp.arange(len(squares))
-    ways = jax.vmap(one)(squares, belief.pose, belief.mate_headers, ages, slots, ends, wanted)
+    ways = jax.vmap(one)(squares, known.pose, known.mate_headers, ages, slots, ends, wanted)
     return belief.replace(waypoint=ways[0], goal=ways[1], path_length=ways[2])
 
 

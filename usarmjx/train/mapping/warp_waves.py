@@ -1,9 +1,11 @@
 """Distances over maps on Warp, and the ways down them: all maps of all worlds and robots in one launch.
 
-A block of threads has a map to itself, in its shared memory if there is room, and sweeps it from all four
-sides as `sweeps` does: each thread has a square of the row that is entered, and all wait for each other after
-it. On a CPU, where tests run it, the first thread of a block does the whole map.
+A block of threads has a map to itself, its distances in shared memory if there is room, and sweeps it from
+all four sides as `sweeps` does: each thread has a square of the row that is entered, and all wait for each
+other after it. On a CPU, where tests run it, the first thread of a block does the whole map.
 """
+
+from functools import reduce
 
 import warp as wp
 
@@ -12,11 +14,11 @@ from usarmjx.train.mapping.wavefront import UNREACHABLE
 # Nothing may be added in another order than JAX does: fast mathematics might.
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
-MAP_THREADS = 64
-"""Threads of a block: a thread for each square of a row, or a few rows' worth of squares."""
-SMALL_ROOM, LARGE_ROOM = 1536, 5888
-"""Squares that a block holds in shared memory, 8 bytes each: the fewer, the more blocks there are at a time.
-Larger maps stay in global memory."""
+SMALL_THREADS, LARGE_THREADS = 64, 128
+"""Threads of a block, for small maps and for all others: a thread for each square of a row, or for some."""
+SMALL_ROOM, LARGE_ROOM = 1536, 6656
+"""Squares that a block holds in shared memory: the fewer, the more blocks there are at a time. Of small maps
+these are distances and costs, of large ones distances; still larger ones stay in global memory."""
 OUTSIDE = wp.constant(UNREACHABLE)
 SLANTING_STEP = wp.constant(2.0**0.5)
 TOLERANCE = wp.constant(1e-3)
@@ -44,15 +46,20 @@ SWEEPS = """
 #endif
 #if defined(__CUDA_ARCH__) && ROOM > 0
     __shared__ float held_far[ROOM];
-    __shared__ float held_cost[ROOM];
     float* const far = held_far;
-    const float* const cost = held_cost;
     const int stride = columns | 1;  // odd, so that squares of a column lie in banks of their own
-    for (int k = lane; k < squares; k += lanes) held_cost[k + k / columns * (stride - columns)] = given[k];
 #else
     float* const far = found;
-    const float* const cost = given;
     const int stride = columns;
+#endif
+#if defined(__CUDA_ARCH__) && ROOM > 0 && HOLDS_COSTS
+    __shared__ float held_cost[ROOM];
+    const float* const cost = held_cost;
+    const int cost_stride = stride;
+    for (int k = lane; k < squares; k += lanes) held_cost[k + k / columns * (stride - columns)] = given[k];
+#else
+    const float* const cost = given;
+    const int cost_stride = columns;
 #endif
     const float* const begin = start.data + first;
     for (int k = lane; k < squares; k += lanes) far[k + k / columns * (stride - columns)] = begin[k];
@@ -66,24 +73,35 @@ SWEEPS = """
         for (int side = 0; side < 4; ++side) {
             const int lines = side < 2 ? rows : columns;
             const int across = side < 2 ? columns : rows;
+            const bool back = side % 2 != 0;
             const int step = side < 2 ? stride : 1;
             const int beside = side < 2 ? 1 : stride;
-            const int on = side % 2 == 0 ? step : -step;
-            int line = side % 2 == 0 ? 0 : (lines - 1) * step;
+            const int on = back ? -step : step;
+            int line = back ? (lines - 1) * step : 0;
+            const int cost_step = side < 2 ? cost_stride : 1;
+            const int cost_beside = side < 2 ? 1 : cost_stride;
+            const int cost_on = back ? -cost_step : cost_step;
+            int entered = (back ? (lines - 1) * cost_step : 0) + cost_on;
+            // What it costs to enter a thread's first square is read a line ahead.
+            float next = lines > 1 && lane < across ? cost[entered + lane * cost_beside] : 0.0f;
             for (int n = 1; n < lines; ++n) {
+                const float ahead = next;
+                if (n + 1 < lines && lane < across) next = cost[entered + cost_on + lane * cost_beside];
                 for (int k = lane; k < across; k += lanes) {
+                    const float toll = k == lane ? ahead : cost[entered + k * cost_beside];
                     const int at = line + k * beside;
                     const float right = k + 1 < across ? far[at + beside] : none;
                     const float left = k > 0 ? far[at - beside] : none;
                     const float aslant = (left < right ? left : right) + slant;
                     const float straight = far[at] + 1.0f;
-                    const float way = (aslant < straight ? aslant : straight) + cost[at + on];
+                    const float way = (aslant < straight ? aslant : straight) + toll;
                     if (way < far[at + on]) {
                         far[at + on] = way;
                         least = way < least ? way : least;
                     }
                 }
                 line += on;
+                entered += cost_on;
                 wait();
             }
         }
@@ -96,12 +114,13 @@ SWEEPS = """
 """
 
 
-def _sweeps_in(room: int) -> str:
+def _sweeps_in(room: int, threads: int, *, holds_costs: bool = False) -> str:
     """Return the native code that holds a map of so many squares in shared memory; 0: in global memory."""
-    return SWEEPS.replace("ROOM", str(room)).replace("THREADS", f"{MAP_THREADS}u")
+    words = {"ROOM": str(room), "THREADS": f"{threads}u", "HOLDS_COSTS": str(int(holds_costs))}
+    return reduce(lambda code, word: code.replace(word, words[word]), words, SWEEPS)
 
 
-@wp.func_native(_sweeps_in(SMALL_ROOM))
+@wp.func_native(_sweeps_in(SMALL_ROOM, SMALL_THREADS, holds_costs=True))
 def _sweep_small(
     start: wp.array[float],
     enter: wp.array[float],
@@ -113,7 +132,7 @@ def _sweep_small(
 ) -> None: ...
 
 
-@wp.func_native(_sweeps_in(LARGE_ROOM))
+@wp.func_native(_sweeps_in(LARGE_ROOM, LARGE_THREADS))
 def _sweep_large(
     start: wp.array[float],
     enter: wp.array[float],
@@ -125,7 +144,7 @@ def _sweep_large(
 ) -> None: ...
 
 
-@wp.func_native(_sweeps_in(0))
+@wp.func_native(_sweeps_in(0, LARGE_THREADS))
 def _sweep_any(
     start: wp.array[float],
     enter: wp.array[float],

@@ -1,0 +1,68 @@
+"""Random crowds of rectangles among solids, some of which overlap, for tests of how they are kept apart."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.engines.planar.footprints import Footprints
+from usarmjx.engines.planar.overlap import Outlines
+from usarmjx.engines.planar.solids import NOWHERE
+
+SOLIDS = 8
+"""Near each robot."""
+
+
+def crowd(worlds: int, robots: int, seed: int = 0) -> dict[str, Any]:
+    """Return the arguments of `keep_apart`: footprints before and after, solids, who moves, who is over whom.
+
+    Half of the solids stop nobody, of the others a third are discs; a tenth of the robots do not move, and a
+    fifth are at another height. In the first world nobody meets anything.
+    """
+    rng = np.random.default_rng(seed)
+
+    def draw(*shape: int) -> jax.Array:
+        return jnp.asarray(rng.random(shape), jnp.float32)
+
+    pos = draw(worlds, robots, 2) * (1.2 * robots**0.5 + 0.5)
+    pos = pos.at[0].set(100.0 * jnp.arange(2 * robots).reshape(robots, 2))
+    low = jnp.where(draw(worlds, robots) < 0.2, 0.6, 0.0)
+    before = Footprints(
+        pos=pos,
+        yaw=2 * jnp.pi * draw(worlds, robots),
+        half=0.2 + 0.2 * draw(worlds, robots, 2),
+        low=low,
+        high=low + 0.5,
+        step=jnp.zeros((worlds, robots)),
+        mass=1.0 + 9.0 * draw(worlds, robots),
+    )
+    after = before.replace(
+        pos=pos + 0.1 * (draw(worlds, robots, 2) - 0.5), yaw=before.yaw + 0.2 * (draw(worlds, robots) - 0.5)
+    )
+    shape = (SOLIDS, robots, worlds)
+    disc, turn = draw(*shape) < 1 / 3, 2 * jnp.pi * draw(*shape)
+    x, y = (pos[..., axis].T + 2 * (draw(*shape) - 0.5) for axis in range(2))
+    nowhere = (draw(*shape) < 0.5) | (jnp.arange(worlds) == 0)
+    solids = Outlines(
+        x=jnp.where(nowhere, NOWHERE, x),
+        y=y,
+        cos=jnp.cos(turn),
+        sin=jnp.sin(turn),
+        length=jnp.where(disc, 0.0, 0.1 + 0.4 * draw(*shape)),
+        width=jnp.where(disc, 0.0, 0.05 + 0.1 * draw(*shape)),
+        radius=jnp.where(disc, 0.1 + 0.2 * draw(*shape), 0.0),
+    )
+    over = draw(worlds, robots, robots) < 0.1
+    return {
+        "before": before,
+        "after": after,
+        "near": solids,
+        "moves": draw(worlds, robots) < 0.9,
+        "stacked": over | over.swapaxes(1, 2),
+    }
+
+
+def flat(case: dict[str, Any]) -> dict[str, Any]:
+    """Return a crowd without discs: they are rectangles of no size."""
+    return {**case, "near": case["near"]._replace(radius=jnp.zeros_like(case["near"].radius))}

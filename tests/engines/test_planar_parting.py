@@ -1,0 +1,94 @@
+"""Robots kept apart by one kernel of Warp, which runs here on its CPU device: as JAX keeps them apart."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.engines.crowds import crowd, flat
+from usarmjx.engines.planar import parting
+from usarmjx.engines.planar.footprints import TOLERANCE, keep_apart
+from usarmjx.engines.planar.parting import on_warp, part_robots
+
+pytest.importorskip("warp", reason="needs warp-lang")
+from usarmjx.engines.planar.warp_parting import MOST_ROBOTS, WARP, lanes_for
+
+ROUNDING = 2e-5
+"""Single precision through up to six pushes, which a lever may make ten times as large [m, rad]."""
+
+
+def both(case, *, discs=True):
+    """What JAX and Warp make of a crowd."""
+    by_jax = jax.jit(partial(keep_apart, discs=discs))(*case.values())
+    return by_jax, jax.jit(partial(on_warp, discs))(*case.values())
+
+
+@pytest.mark.parametrize("robots", [1, 3, 4, 16, 40])
+def test_a_crowd_is_kept_apart_as_by_jax(robots):
+    """Among boxes and discs, beside those that do not move, over and under each other, in 24 worlds."""
+    case = crowd(24, robots, seed=robots)
+    (kept, touched), (found, felt) = both(case)
+    np.testing.assert_allclose(found.pos, kept.pos, atol=ROUNDING)
+    np.testing.assert_allclose(found.yaw, kept.yaw, atol=ROUNDING)
+    np.testing.assert_array_equal(felt, touched)
+    went = np.abs(np.asarray(kept.pos - case["after"].pos)).max(-1) > TOLERANCE
+    assert went.mean() > 0.15, "there was something to do"
+    assert not went[0].any(), "and a world in which there was nothing"
+    np.testing.assert_array_equal(found.pos[0], case["after"].pos[0])
+
+
+@pytest.mark.parametrize("stacked", [True, False])
+def test_so_is_one_among_boxes_only_and_one_in_which_nobody_flies(stacked):
+    case = flat(crowd(24, 4, seed=7)) | ({} if stacked else {"stacked": None})
+    (kept, touched), (found, felt) = both(case, discs=False)
+    np.testing.assert_allclose(found.pos, kept.pos, atol=ROUNDING)
+    np.testing.assert_array_equal(felt, touched)
+
+
+def test_a_world_is_the_same_alone_as_among_others():
+    case = crowd(6, 5, seed=3)
+    whole, _ = on_warp(True, *case.values())
+    pick = {
+        name: jax.tree.map(lambda part: part[2:3], case[name])
+        for name in ("before", "after", "moves", "stacked")
+    }
+    pick["near"] = jax.tree.map(lambda part: part[..., 2:3], case["near"])
+    alone, _ = on_warp(True, *(pick[name] for name in case))
+    np.testing.assert_array_equal(alone.pos[0], whole.pos[2])
+    np.testing.assert_array_equal(alone.yaw[0], whole.yaw[2])
+
+
+def test_its_slope_is_that_of_jax():
+    """Of where robots come to by where they would go, where they were, and where the solids are."""
+    case = crowd(5, 3, seed=5)
+    weight = jnp.asarray(np.random.default_rng(0).normal(size=case["after"].pos.shape), jnp.float32)
+
+    def total(apart, before, after, near):
+        kept, _ = apart(before, after, near, case["moves"], case["stacked"])
+        return (kept.pos * weight).sum() + kept.yaw.sum()
+
+    given = case["before"], case["after"], case["near"]
+    slopes = [
+        jax.jit(jax.grad(partial(total, apart), argnums=(0, 1, 2)))(*given)
+        for apart in (partial(keep_apart, discs=True), partial(on_warp, True))
+    ]
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-5), *slopes)
+    assert np.abs(slopes[0][1].pos).max() > 0.1
+
+
+def test_it_is_in_use_where_warp_is_and_worlds_are_not_too_large(monkeypatch):
+    def text(robots):
+        case = crowd(2, robots)
+        return jax.jit(partial(part_robots, discs=True)).lower(*case.values()).as_text()
+
+    assert "keep_robots_apart" not in text(2)
+    monkeypatch.setattr(parting, "waves_on_warp", lambda: True)
+    assert text(2).count("stablehlo.custom_call @") == 1
+    assert "keep_robots_apart" in text(2)
+    assert "keep_robots_apart" not in text(MOST_ROBOTS + 1)
+
+
+def test_a_world_has_as_many_lanes_as_robots_or_the_next_power_of_two():
+    assert [lanes_for(robots) for robots in (1, 2, 3, 4, 9, 16, 33, 128)] == [1, 2, 4, 4, 16, 16, WARP, WARP]

@@ -1,0 +1,89 @@
+"""How robots are kept apart here: by JAX, or on a GPU by one kernel of Warp, which has JAX's slope."""
+
+from functools import cache
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.base.arrays import Array
+from usarmjx.engines.planar.footprints import Footprints, keep_apart
+from usarmjx.engines.planar.overlap import Outlines
+from usarmjx.sensors.rays.choice import waves_on_warp
+
+
+def part_robots(
+    before: Footprints, after: Footprints, near: Outlines, moves: Array, stacked: Array | None, *, discs: bool
+) -> tuple[Footprints, Array]:
+    """As `keep_apart`, on Warp where that is in use; what the two find differs by rounding."""
+    if not waves_on_warp():
+        return keep_apart(before, after, near, moves, stacked, discs=discs)
+    from usarmjx.engines.planar.warp_parting import MOST_ROBOTS  # Warp need not be installed
+
+    if moves.shape[1] > MOST_ROBOTS:
+        return keep_apart(before, after, near, moves, stacked, discs=discs)
+    return on_warp(discs, before, after, near, moves, stacked)
+
+
+def on_warp(
+    discs: bool, before: Footprints, after: Footprints, near: Outlines, moves: Array, stacked: Array | None
+) -> tuple[Footprints, Array]:
+    """As `part_robots`, on Warp: one launch, in which each world does as many turns as it needs."""
+    return _with_slope(discs, before, after, near, moves, stacked)
+
+
+def _launched(
+    discs: bool, before: Footprints, after: Footprints, near: Outlines, moves: Array, stacked: Array | None
+) -> tuple[Footprints, Array]:
+    del discs  # which solids are discs their radii say
+    worlds, robots = moves.shape
+    places = [number for prints in (before, after) for number in _place(prints)]
+    body = [after.half[..., 0], after.half[..., 1], after.mass, moves]
+    numbers = jnp.stack([jnp.broadcast_to(n, moves.shape).astype(jnp.float32) for n in (*places, *body)], -1)
+    solids = jnp.stack([jnp.moveaxis(jnp.asarray(part, jnp.float32), -1, 0) for part in near], -1)
+    over = jnp.zeros(1, jnp.int32) if stacked is None else jnp.asarray(stacked, jnp.int32).reshape(-1)
+    call, lanes = _launch(robots)
+    found = call(
+        *(numbers.reshape(-1), solids.reshape(-1), over, solids.shape[1], int(stacked is not None)),
+        output_dims=worlds * robots * 4,
+        launch_dims=worlds * lanes,
+    )
+    kept = found[0].reshape(worlds, robots, 4)
+    return after.replace(pos=kept[..., :2], yaw=kept[..., 2]), kept[..., 3] > 0
+
+
+def _place(prints: Footprints) -> list[Array]:
+    """Return a robot's numbers in the order of `warp_parting.PLACES`."""
+    one = prints.outlines
+    return [one.x, one.y, one.cos, one.sin, prints.yaw, prints.low, prints.high]
+
+
+@cache
+def _launch(robots: int) -> tuple[Any, int]:
+    """Return what launches the kernel for worlds of so many robots, and how many threads a world has."""
+    import warp as wp
+
+    from usarmjx.engines.planar.warp_parting import BLOCK, lanes_for, parting_kernel
+
+    return wp.jax_kernel(parting_kernel(robots), block_dim=BLOCK), lanes_for(robots)
+
+
+def _forward(discs: bool, *args: Any) -> tuple[Any, Any]:  # noqa: ANN401 - those of `on_warp`
+    return _launched(discs, *args), args
+
+
+def _backward(discs: bool, args: Any, slope: Any) -> Any:  # noqa: ANN401 - as above
+    """Return the slopes of the arguments: those that `keep_apart` has there."""
+    before, after, near, moves, stacked = args
+
+    def apart(before: Footprints, after: Footprints, near: Outlines) -> Footprints:
+        return keep_apart(before, after, near, moves, stacked, discs=discs)[0]
+
+    found = jax.vjp(apart, before, after, near)[1](slope[0])
+    flat = [None if flags is None else np.zeros(flags.shape, jax.dtypes.float0) for flags in (moves, stacked)]
+    return *found, *flat
+
+
+_with_slope = cast(Any, jax.custom_vjp)(_launched, nondiff_argnums=(0,))  # JAX leaves its types open
+_with_slope.defvjp(_forward, _backward)

@@ -1,0 +1,329 @@
+"""Robots kept apart on Warp: `footprints.keep_apart` of all worlds in one launch.
+
+Some lanes of a warp have a world to themselves, a robot or a few each, and do as many turns as their world
+needs; all that others need to know of a robot lies in shared memory. On a CPU, where tests run it, the first
+lane does the whole world. What each step means is told in `footprints` and `overlap`.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from usarmjx.engines.planar import footprints, overlap
+from usarmjx.engines.planar.solids import NOWHERE
+
+wp.set_module_options({"enable_backward": False, "fast_math": False})
+
+BLOCK = 128
+"""Threads of a block."""
+WARP = 32
+"""Lanes that a world has at most."""
+MOST_ROBOTS = 128
+"""Of more robots in a world than this a block could not hold all that is needed."""
+PLACES = ("x", "y", "cos", "sin", "yaw", "low", "high")
+"""What is known of a robot where it was, and where it would go: so many numbers, one after the other."""
+BODY = ("length", "width", "mass", "moves")
+"""What else is known of it, after those."""
+OUTLINE = overlap.Outlines._fields
+"""What is known of a solid."""
+
+SHAPES = """
+    using wp::abs; using wp::cos; using wp::max; using wp::min; using wp::sin; using wp::sqrt;
+    struct Outline { float x, y, c, s, l, w, r; };
+    struct Way { float depth, x, y; };
+    struct Span { float low, high; };
+
+    // overlap.side_depth
+    const auto side_depth = [](const Outline& a, const Outline& b) -> Way {
+        const float dx = a.x - b.x, dy = a.y - b.y;
+        const float c = abs(a.c * b.c + a.s * b.s), s = abs(a.c * b.s - a.s * b.c);
+        Way found = {0.0f, 0.0f, 0.0f};
+        for (int n = 0; n < 4; ++n) {
+            const Outline& mine = n < 2 ? a : b;
+            const Outline& other = n < 2 ? b : a;
+            const bool ahead = n % 2 == 0;
+            const float apart = ahead ? dx * mine.c + dy * mine.s : dy * mine.c - dx * mine.s;
+            const float reach = ahead ? mine.l + other.l * c + other.w * s
+                                      : mine.w + other.l * s + other.w * c;
+            const float sign = apart < 0.0f ? -1.0f : 1.0f;
+            const float depth = reach - abs(apart);
+            if (n == 0 || depth < found.depth) {
+                found.depth = depth;
+                found.x = sign * (ahead ? mine.c : -mine.s);
+                found.y = sign * (ahead ? mine.s : mine.c);
+            }
+        }
+        return found;
+    };
+
+    // overlap.disc_depth
+    const auto disc_depth = [](const Outline& a, const Outline& b) -> Way {
+        const float dx = b.x - a.x, dy = b.y - a.y;
+        const float ahead = dx * a.c + dy * a.s, left = dy * a.c - dx * a.s;
+        const float out_x = ahead - min(max(ahead, -a.l), a.l), out_y = left - min(max(left, -a.w), a.w);
+        const float square = out_x * out_x + out_y * out_y;
+        const float gap_x = a.l - abs(ahead), gap_y = a.w - abs(left);
+        float x, y, depth;
+        if (square < 1e-18f) {
+            const bool by_x = gap_x <= gap_y;
+            x = by_x ? (ahead < 0.0f ? -1.0f : 1.0f) : 0.0f;
+            y = by_x ? 0.0f : (left < 0.0f ? -1.0f : 1.0f);
+            depth = b.r + min(gap_x, gap_y);
+        } else {
+            const float far = sqrt(square);
+            x = out_x / far;
+            y = out_y / far;
+            depth = b.r - far;
+        }
+        return {depth, -(x * a.c - y * a.s), -(x * a.s + y * a.c)};
+    };
+    const auto depth_in = [&](const Outline& a, const Outline& b) -> Way {
+        return b.r > 0.0f ? disc_depth(a, b) : side_depth(a, b);
+    };
+
+    // overlap.meeting_point
+    const auto corner = [](const Outline& a, int n, float& x, float& y) {
+        const float i = n < 2 ? 1.0f : -1.0f, j = n == 0 || n == 3 ? 1.0f : -1.0f;
+        x = a.x + i * a.l * a.c - j * a.w * a.s;
+        y = a.y + i * a.l * a.s + j * a.w * a.c;
+    };
+    const auto least_along = [&](const Outline& a, float wx, float wy) -> float {
+        float least = 0.0f;
+        for (int n = 0; n < 4; ++n) {
+            float x, y;
+            corner(a, n, x, y);
+            const float value = x * wx + y * wy;
+            least = n == 0 || value < least ? value : least;
+        }
+        return least;
+    };
+    const auto span_of = [&](const Outline& a, float wx, float wy, float least) -> Span {
+        Span found = {FAR, -FAR};
+        for (int n = 0; n < 4; ++n) {
+            float x, y;
+            corner(a, n, x, y);
+            if (x * wx + y * wy < least + FLAT) {
+                const float place = y * wx - x * wy;
+                found.low = min(found.low, place);
+                found.high = max(found.high, place);
+            }
+        }
+        return found;
+    };
+    const auto meet = [&](const Outline& a, const Outline& b, const Way& way, float& x, float& y) {
+        if (b.r > 0.0f) {
+            const float dx = b.x - a.x, dy = b.y - a.y;
+            const float ahead = min(max(dx * a.c + dy * a.s, -a.l), a.l);
+            const float left = min(max(dy * a.c - dx * a.s, -a.w), a.w);
+            x = a.x + ahead * a.c - left * a.s;
+            y = a.y + ahead * a.s + left * a.c;
+            return;
+        }
+        const float bottom = least_along(a, way.x, way.y), top = -least_along(b, -way.x, -way.y);
+        const Span mine = span_of(a, way.x, way.y, bottom);
+        const Span turned = span_of(b, -way.x, -way.y, -top);  // seen from the other side
+        const float along = (bottom + top) / 2.0f;
+        const float middle = (max(mine.low, -turned.high) + min(mine.high, -turned.low)) / 2.0f;
+        x = along * way.x - middle * way.y;
+        y = along * way.y + middle * way.x;
+    };
+"""
+"""Functions of two outlines: the first has to get out of the second."""
+
+WORLD = """
+    const int world = (int)((unsigned)index / LANES);
+    const float* const mine = robots.data + (size_t)world * COUNT * NUMBERS;
+    const float* const around = near.data + (size_t)world * solids * COUNT * 7;
+    const int* const over = stacked.data + (flies ? (size_t)world * COUNT * COUNT : 0);
+#if defined(__CUDA_ARCH__)
+    constexpr int SLOTS = (COUNT + LANES - 1) / LANES;
+    const int lane = (int)((unsigned)index % LANES);
+    const int lanes = LANES;
+    __shared__ float held[BLOCK / LANES * COUNT * 9];
+    float* const here = held + threadIdx.x / LANES * COUNT * 9;
+    const unsigned group = LANES == 32 ? 0xffffffffu : (1u << LANES % 32) - 1u;
+    const unsigned mask = group << (threadIdx.x % 32 / LANES * LANES);
+    const auto wait = [&]() { __syncwarp(mask); };
+    const auto any = [&](bool x) { return __any_sync(mask, x) != 0; };
+#else
+    if ((unsigned)index % LANES != 0) return;
+    constexpr int SLOTS = COUNT;
+    const int lane = 0;
+    const int lanes = 1;
+    float here[COUNT * 9];
+    const auto wait = []() {};
+    const auto any = [](bool x) { return x; };
+#endif
+    // Of each robot in shared memory: the outline that is looked at, and from where to where up it reaches.
+    const auto robot = [&](int r) -> Outline {
+        const float* const p = here + r * 9;
+        return {p[0], p[1], p[2], p[3], p[4], p[5], 0.0f};
+    };
+    const auto solid = [&](int k, int r) -> Outline {
+        const float* const p = around + ((size_t)k * COUNT + r) * 7;
+        return {p[0], p[1], p[2], p[3], p[4], p[5], p[6]};
+    };
+    const auto show = [&](int r, float x, float y, float c, float s) {
+        float* const p = here + r * 9;
+        p[0] = x; p[1] = y; p[2] = c; p[3] = s;
+    };
+    const auto show_heights = [&](int r, int from) {
+        here[r * 9 + 6] = mine[r * NUMBERS + from + 5];
+        here[r * 9 + 7] = mine[r * NUMBERS + from + 6];
+    };
+
+    float x[SLOTS], y[SLOTS], c[SLOTS], s[SLOTS], yaw[SLOTS];  // where the robots come to
+    float allowed[SLOTS], depth[SLOTS], size[SLOTS], way_x[SLOTS], way_y[SLOTS], at_x[SLOTS], at_y[SLOTS];
+    int which[SLOTS];
+    bool touched[SLOTS], stuck[SLOTS];
+    for (int i = 0, r = lane; r < COUNT; ++i, r += lanes) {
+        const float* const p = mine + r * NUMBERS;
+        x[i] = p[7]; y[i] = p[8]; c[i] = p[9]; s[i] = p[10]; yaw[i] = p[11];
+        here[r * 9 + 4] = p[14];
+        here[r * 9 + 5] = p[15];
+        here[r * 9 + 8] = p[17] != 0.0f ? p[16] : 1e9f;  // who does not move is a wall
+        show(r, x[i], y[i], c[i], s[i]);
+        show_heights(r, 7);
+        touched[i] = false;
+        allowed[i] = TOLERANCE;
+        depth[i] = 0.0f;
+        size[i] = 0.0f;
+    }
+    wait();
+    for (int turn = 0; turn < 2 + ROUNDS + RESTS; ++turn) {
+        bool one_is_stuck = false;
+        for (int i = 0, r = lane; r < COUNT; ++i, r += lanes) {
+            const Outline a = robot(r);
+            float push = -1.0f, deepest = -1.0f;
+            int from = -1;
+            for (int k = 0; k < solids; ++k) {
+                const Outline b = solid(k, r);
+                if (b.x >= NOWHERE) continue;
+                const float found = depth_in(a, b).depth;
+                if (found > push) { push = found; from = k; }
+            }
+            const float low = here[r * 9 + 6], high = here[r * 9 + 7], mass = mine[r * NUMBERS + 16];
+            for (int o = 0; o < COUNT; ++o) {
+                const bool level = o != r && low < here[o * 9 + 7] && here[o * 9 + 6] < high;
+                if (!level || (flies && over[o * COUNT + r] != 0)) continue;
+                const float found = side_depth(a, robot(o)).depth;
+                deepest = max(deepest, found);
+                const float other = here[o * 9 + 8];
+                const float part = found > 0.0f ? found * (other / (other + mass)) : found;
+                if (part > push) { push = part; from = solids + o; }
+            }
+            deepest = max(deepest, push);
+            if (turn == 1) {
+                allowed[i] = max(deepest, TOLERANCE);
+            } else {
+                depth[i] = deepest;
+                size[i] = max(push, 0.0f);
+                which[i] = from;
+            }
+            touched[i] = touched[i] || depth[i] > 0.0f;
+            stuck[i] = depth[i] > allowed[i];
+            one_is_stuck = one_is_stuck || stuck[i];
+        }
+        if (!any(one_is_stuck)) break;
+        if (turn != 1 && turn <= ROUNDS) {
+            for (int i = 0, r = lane; r < COUNT; ++i, r += lanes) {
+                if (size[i] <= 0.0f) continue;
+                const Outline a = robot(r);
+                const Outline b = which[i] < solids ? solid(which[i], r) : robot(which[i] - solids);
+                const Way way = depth_in(a, b);
+                way_x[i] = way.x;
+                way_y[i] = way.y;
+                meet(a, b, way, at_x[i], at_y[i]);
+            }
+        }
+        wait();
+        for (int i = 0, r = lane; r < COUNT; ++i, r += lanes) {
+            const float* const p = mine + r * NUMBERS;
+            if (turn == 0) {
+                show(r, p[0], p[1], p[2], p[3]);
+                show_heights(r, 0);
+                continue;
+            }
+            if (turn > ROUNDS) {
+                if (stuck[i] || turn > ROUNDS + RESTS) {
+                    x[i] = p[0]; y[i] = p[1]; c[i] = p[2]; s[i] = p[3]; yaw[i] = p[4];
+                }
+            } else if (size[i] > 0.0f && p[17] != 0.0f) {
+                const float lever = (at_x[i] - x[i]) * way_y[i] - (at_y[i] - y[i]) * way_x[i];
+                const float spread = (p[14] * p[14] + p[15] * p[15]) / 3.0f;
+                const float go = size[i] / (1.0f + lever * lever / spread);
+                x[i] += go * way_x[i];
+                y[i] += go * way_y[i];
+                yaw[i] += go * lever / spread;
+                c[i] = cos(yaw[i]);
+                s[i] = sin(yaw[i]);
+            }
+            show(r, x[i], y[i], c[i], s[i]);
+            if (turn == 1) show_heights(r, 7);
+        }
+        wait();
+    }
+    for (int i = 0, r = lane; r < COUNT; ++i, r += lanes) {
+        const float* const p = mine + r * NUMBERS;
+        float* const out = kept.data + ((size_t)world * COUNT + r) * 4;
+        const bool moved = x[i] != p[7] || y[i] != p[8] || yaw[i] != p[11];
+        out[0] = x[i];
+        out[1] = y[i];
+        out[2] = yaw[i];
+        out[3] = touched[i] || moved ? 1.0f : 0.0f;
+    }
+"""
+"""What the lanes of a world do."""
+
+
+def lanes_for(robots: int) -> int:
+    """Return how many lanes of a warp a world of so many robots has: a power of two."""
+    return min(1 << (robots - 1).bit_length(), WARP)
+
+
+def _code(robots: int) -> str:
+    """Return the native code for worlds of so many robots."""
+    words = {
+        **{
+            "COUNT": robots,
+            "LANES": f"{lanes_for(robots)}",
+            "BLOCK": BLOCK,
+            "NUMBERS": 2 * len(PLACES) + len(BODY),
+        },
+        **{"ROUNDS": footprints.ROUNDS, "RESTS": footprints.RESTS, "TOLERANCE": f"{footprints.TOLERANCE}f"},
+        **{"NOWHERE": f"{NOWHERE}f", "FAR": f"{overlap.FAR}f", "FLAT": f"{overlap.FLAT}f"},
+    }
+    code = SHAPES + WORLD
+    for word, value in words.items():
+        code = code.replace(word, str(value))
+    return code
+
+
+@cache
+def parting_kernel(robots: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
+    """Return the kernel for worlds of so many robots."""
+
+    @wp.func_native(_code(robots))
+    def keep_world_apart(
+        robots: wp.array[float],
+        near: wp.array[float],
+        stacked: wp.array[int],
+        solids: int,
+        flies: int,
+        index: int,
+        kept: wp.array[float],
+    ) -> None: ...
+
+    @wp.kernel(enable_backward=False, grid_stride=False, module="unique")
+    def keep_robots_apart(
+        robots: wp.array[float],
+        near: wp.array[float],
+        stacked: wp.array[int],
+        solids: int,
+        flies: int,
+        kept: wp.array[float],
+    ) -> None:
+        keep_world_apart(robots, near, stacked, solids, flies, wp.tid(), kept)
+
+    return keep_robots_apart
