@@ -8,9 +8,14 @@ import numpy as np
 import pytest
 
 from tests.engines.crowds import crowd, flat
+from tests.engines.eager import EAGER, drive, poses
+from tests.engines.test_planar_contact import PEN
 from usarmjx.engines.planar import parting
 from usarmjx.engines.planar.footprints import TOLERANCE, keep_apart
 from usarmjx.engines.planar.parting import on_warp, part_robots
+from usarmjx.models.build.compose import Physics
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import build_scene
 
 pytest.importorskip("warp", reason="needs warp-lang")
 from usarmjx.engines.planar.warp_parting import MOST_ROBOTS, WARP, lanes_for
@@ -61,7 +66,7 @@ def test_a_world_is_the_same_alone_as_among_others():
 
 
 def test_its_slope_is_that_of_jax():
-    """Of where robots come to by where they would go, where they were, and where the solids are."""
+    """Of where robots come to by where they would go, where they were, and where solids are: both ways."""
     case = crowd(5, 3, seed=5)
     weight = jnp.asarray(np.random.default_rng(0).normal(size=case["after"].pos.shape), jnp.float32)
 
@@ -70,12 +75,16 @@ def test_its_slope_is_that_of_jax():
         return (kept.pos * weight).sum() + kept.yaw.sum()
 
     given = case["before"], case["after"], case["near"]
-    slopes = [
-        jax.jit(jax.grad(partial(total, apart), argnums=(0, 1, 2)))(*given)
-        for apart in (partial(keep_apart, discs=True), partial(on_warp, True))
-    ]
+    by_jax, by_warp = (
+        partial(total, apart) for apart in (partial(keep_apart, discs=True), partial(on_warp, True))
+    )
+    slopes = [jax.jit(jax.grad(one, argnums=(0, 1, 2)))(*given) for one in (by_jax, by_warp)]
     jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-5), *slopes)
     assert np.abs(slopes[0][1].pos).max() > 0.1
+    _, rate = jax.jit(partial(jax.jvp, by_warp))(given, jax.tree.map(jnp.ones_like, given))
+    assert float(rate) == pytest.approx(
+        sum(float(part.sum()) for part in jax.tree.leaves(slopes[1])), rel=1e-4
+    )
 
 
 def test_it_is_in_use_where_warp_is_and_worlds_are_not_too_large(monkeypatch):
@@ -92,3 +101,18 @@ def test_it_is_in_use_where_warp_is_and_worlds_are_not_too_large(monkeypatch):
 
 def test_a_world_has_as_many_lanes_as_robots_or_the_next_power_of_two():
     assert [lanes_for(robots) for robots in (1, 2, 3, 4, 9, 16, 33, 128)] == [1, 2, 4, 4, 16, 16, WARP, WARP]
+
+
+def test_an_engine_goes_the_same_way_with_it(monkeypatch):
+    """Four robots among walls and a disc, told the same for 3 s, in two worlds of which one goes astern."""
+    scene, found = build_scene(PEN, [EAGER] * 4, Physics(timestep=0.05, substeps=1)), []
+    for on in (False, True):
+        monkeypatch.setattr(parting, "waves_on_warp", lambda on=on: on)
+        batch = Batch(scene, 2, engine="planar")
+        speeds = jnp.array([[3.0, 2.0, 3.0, 3.0], [-3.0, -2.0, 2.0, 3.0]])
+        state = drive(batch, speeds, 0.8 * speeds, 60)
+        found.append((poses(batch, state), np.asarray(state.physics.touched)))
+    (there, touched), (here, felt) = found
+    np.testing.assert_allclose(here, there, atol=1e-3)  # rounding, over sixty steps of contacts
+    np.testing.assert_array_equal(felt, touched)
+    assert touched.any()

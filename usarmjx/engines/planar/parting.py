@@ -1,11 +1,10 @@
 """How robots are kept apart here: by JAX, or on a GPU by one kernel of Warp, which has JAX's slope."""
 
-from functools import cache
+from functools import cache, partial
 from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.engines.planar.footprints import Footprints, keep_apart
@@ -69,21 +68,10 @@ def _launch(robots: int) -> tuple[Any, int]:
     return wp.jax_kernel(parting_kernel(robots), block_dim=BLOCK), lanes_for(robots)
 
 
-def _forward(discs: bool, *args: Any) -> tuple[Any, Any]:  # noqa: ANN401 - those of `on_warp`
-    return _launched(discs, *args), args
+def _slopes(discs: bool, values: tuple[Any, ...], rates: tuple[Any, ...]) -> tuple[Any, Any]:
+    """Return the same and how it changes, forwards or backwards: as `keep_apart` does there."""
+    return on_warp(discs, *values), jax.jvp(partial(keep_apart, discs=discs), values, rates)[1]
 
 
-def _backward(discs: bool, args: Any, slope: Any) -> Any:  # noqa: ANN401 - as above
-    """Return the slopes of the arguments: those that `keep_apart` has there."""
-    before, after, near, moves, stacked = args
-
-    def apart(before: Footprints, after: Footprints, near: Outlines) -> Footprints:
-        return keep_apart(before, after, near, moves, stacked, discs=discs)[0]
-
-    found = jax.vjp(apart, before, after, near)[1](slope[0])
-    flat = [None if flags is None else np.zeros(flags.shape, jax.dtypes.float0) for flags in (moves, stacked)]
-    return *found, *flat
-
-
-_with_slope = cast(Any, jax.custom_vjp)(_launched, nondiff_argnums=(0,))  # JAX leaves its types open
-_with_slope.defvjp(_forward, _backward)
+_with_slope = cast(Any, jax.custom_jvp)(_launched, nondiff_argnums=(0,))  # JAX leaves its types open
+_with_slope.defjvp(_slopes)
