@@ -15,12 +15,13 @@ from usarmjx.plots.palette import save_small
 from usarmjx.train.learning.defaults import fields_by_hand
 from usarmjx.train.learning.metrics import read_lines
 from usarmjx.train.learning.record import load_record
+from usarmjx.train.policies import VERSIONS
 
 BLUE, PALE, ORANGE = "#1f5fa8", "#9db8d6", "#d1622b"
 DPI = 100
 ROW_HEIGHT, WIDTH = 2.4, 9.0
 """Height of a task's panels, and the figure's width [inches]."""
-LINE_COLOURS = 16
+LINE_COLOURS = 8
 SHARP: dict[str, Any] = {"antialiased": False}
 """Of lines: seeds whose edges are smoothed make a file half as large again."""
 MILLION = 1e6
@@ -85,7 +86,7 @@ def curve_of_record(record: dict[str, Any]) -> Curve:
     rows = np.array(record["curve"], float)
     seconds = rows[:, 2] if rows.shape[1] > 2 else rows[:, 0] / record["agent_steps_per_s"]
     return Curve(
-        task=record["task"],
+        task=VERSIONS.get(record["task"], record["task"]),
         seed=record["seed"],
         worlds=record["worlds"],
         steps=rows[:, 0],
@@ -116,7 +117,7 @@ def curve_of_run(folder: Path) -> Curve:
         raise UsageError(f"no episode has ended yet in the run in {folder}")
     seconds = np.cumsum(np.diff(steps, prepend=0.0) / rates)
     return Curve(
-        task=settings.task,
+        task=VERSIONS.get(settings.task, settings.task),
         seed=config.seed,
         worlds=config.worlds,
         steps=steps[there],

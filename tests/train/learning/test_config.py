@@ -123,7 +123,9 @@ def runs_of(task, engine):
     ("task", "engine", "fields", "seeds"),
     [
         ("drive-to-goal", "planar", {}, {0, 1, 2, 3, 4}),
-        ("explore-v2", "planar", {"physics": "coarse"}, {0, 1, 2, 3, 4}),
+        ("explore-v1", "planar", {"physics": "coarse"}, {0, 1, 2, 3, 4}),
+        ("victim-search-v1", "planar", {}, {0, 1, 2}),
+        ("explore-v2", "planar", {"physics": "coarse"}, {0, 1, 2, 3, 4, 5, 6}),
         ("explore-v2", "planar", {"physics": "coarse", "advice": "false"}, {0, 1, 2}),
         ("victim-search-v2", "planar", {}, {0, 1, 2, 3, 4}),
         ("relay-chain", "planar", {"physics": "coarse"}, {0, 1, 2}),
