@@ -83,10 +83,10 @@ def curve_of_record(record: dict[str, Any]) -> Curve:
     Rows of its `curve` are agent steps and score, and time [s] if that was written down; if not, it is
     reckoned with the record's `agent_steps_per_s`.
     """
-    rows = np.array(record["curve"], float)
+    rows, task = np.array(record["curve"], float), str(record["task"])
     seconds = rows[:, 2] if rows.shape[1] > 2 else rows[:, 0] / record["agent_steps_per_s"]
     return Curve(
-        task=VERSIONS.get(record["task"], record["task"]),
+        task=VERSIONS.get(task, task),
         seed=record["seed"],
         worlds=record["worlds"],
         steps=rows[:, 0],
