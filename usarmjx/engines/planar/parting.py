@@ -9,20 +9,25 @@ import jax.numpy as jnp
 from usarmjx.base.arrays import Array
 from usarmjx.engines.planar.footprints import Footprints, keep_apart
 from usarmjx.engines.planar.overlap import Outlines
-from usarmjx.sensors.rays.choice import waves_on_warp
+from usarmjx.sensors.rays.choice import parts_on_warp
 
 
 def part_robots(
     before: Footprints, after: Footprints, near: Outlines, moves: Array, stacked: Array | None, *, discs: bool
 ) -> tuple[Footprints, Array]:
     """As `keep_apart`, on Warp where that is in use; what the two find differs by rounding."""
-    if not waves_on_warp():
-        return keep_apart(before, after, near, moves, stacked, discs=discs)
-    from usarmjx.engines.planar.warp_parting import MOST_ROBOTS  # Warp need not be installed
-
-    if moves.shape[1] > MOST_ROBOTS:
+    if not _fits_on_warp(moves.shape[1]):
         return keep_apart(before, after, near, moves, stacked, discs=discs)
     return on_warp(discs, before, after, near, moves, stacked)
+
+
+def _fits_on_warp(robots: int) -> bool:
+    """Return whether worlds of so many robots are for Warp here."""
+    if not parts_on_warp():
+        return False
+    from usarmjx.engines.planar.warp_parting import MOST_ROBOTS  # Warp need not be installed
+
+    return 0 < robots <= MOST_ROBOTS
 
 
 def on_warp(

@@ -20,13 +20,11 @@ BLOCK = 128
 WARP = 32
 """Lanes that a world has at most."""
 MOST_ROBOTS = 128
-"""Of more robots in a world than this a block could not hold all that is needed."""
+"""Of more robots in a world than this a block of threads could not hold all that is needed."""
 PLACES = ("x", "y", "cos", "sin", "yaw", "low", "high")
 """What is known of a robot where it was, and where it would go: so many numbers, one after the other."""
 BODY = ("length", "width", "mass", "moves")
 """What else is known of it, after those."""
-OUTLINE = overlap.Outlines._fields
-"""What is known of a solid."""
 
 SHAPES = """
     using wp::abs; using wp::cos; using wp::max; using wp::min; using wp::sin; using wp::sqrt;

@@ -40,6 +40,12 @@ def counts_on_warp() -> bool:
 
 
 @cache
+def parts_on_warp() -> bool:
+    """Return whether engine `planar` keeps robots apart on Warp here: on GPUs where that is installed."""
+    return jax.default_backend() == "gpu" and _there("warp")
+
+
+@cache
 def waves_on_warp() -> bool:
     """Return whether waves over maps spread on Warp here: on GPUs where that is installed."""
     return jax.default_backend() == "gpu" and _there("warp")
