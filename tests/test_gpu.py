@@ -20,7 +20,7 @@ from usarmjx.engines.planar.footprints import keep_apart
 from usarmjx.engines.planar.parting import part_robots
 from usarmjx.engines.warp_graphs import GRAPHS
 from usarmjx.models.build.compose import Physics
-from usarmjx.sensors.rays.choice import waves_on_warp
+from usarmjx.sensors.rays.choice import warp_in_use
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import RosterEntry, build_scene
 from usarmjx.train.make import make
@@ -188,7 +188,7 @@ def test_a_world_of_planar_alone_does_bit_for_bit_what_it_does_among_others():
 def test_waves_over_maps_are_those_of_jax_bit_for_bit(shape):
     """Maps of worlds and robots that a block of threads holds in shared memory, and one that is too large."""
     pytest.importorskip("warp", reason="needs warp-lang")
-    assert waves_on_warp()
+    assert warp_in_use()
     start, open_, toll, until = mazes(shape)
 
     def of_all(function):

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from usarmjx.base.fusion import kept_on_gpu
+from usarmjx.base.fusion import kept_on_gpu, rounds_at_once
 
 
 @pytest.mark.parametrize("where", ["cpu", "gpu"])
@@ -24,3 +24,16 @@ def test_what_is_kept_has_the_same_numbers_and_slopes(where, monkeypatch):
     np.testing.assert_allclose(slope, np.cos(x) * factor, rtol=1e-6)
     text = jax.jit(total).lower(x).as_text()
     assert ("optimization_barrier" in text) == (where == "gpu")
+
+
+@pytest.mark.parametrize("where", ["cpu", "gpu"])
+def test_a_small_loop_is_unrolled_on_a_gpu(where, monkeypatch):
+    """The sum is the same; a GPU has no loop left."""
+    monkeypatch.setattr("jax.default_backend", lambda: where)
+
+    def total(x):
+        return jax.lax.scan(lambda so_far, one: (so_far + one, None), 0.0, x, unroll=rounds_at_once(12))[0]
+
+    x = jnp.arange(12.0)
+    assert total(x) == 66.0
+    assert ("while" in jax.jit(total).lower(x).as_text()) == (where == "cpu")

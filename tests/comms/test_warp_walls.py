@@ -111,7 +111,7 @@ def test_all_worlds_are_one_launch(shared):
 
 def test_the_radio_counts_on_warp_where_rays_are_cast_there(monkeypatch):
     """Powers keep their slopes: walls count as if they stayed as they are."""
-    monkeypatch.setattr(walls, "counts_on_warp", lambda: True)
+    monkeypatch.setattr(walls, "warp_in_use", lambda: True)
     monkeypatch.setattr("usarmjx.comms.links.count_walls", count_walls.__wrapped__)
     from usarmjx.comms.attenuation import RadioSettings
 

@@ -93,7 +93,7 @@ def test_it_is_in_use_where_warp_is_and_worlds_are_not_too_large(monkeypatch):
         return jax.jit(partial(part_robots, discs=True)).lower(*case.values()).as_text()
 
     assert "keep_robots_apart" not in text(2)
-    monkeypatch.setattr(parting, "parts_on_warp", lambda: True)
+    monkeypatch.setattr(parting, "warp_in_use", lambda: True)
     assert text(2).count("stablehlo.custom_call @") == 1
     assert "keep_robots_apart" in text(2)
     assert "keep_robots_apart" not in text(MOST_ROBOTS + 1)
@@ -107,7 +107,7 @@ def test_an_engine_goes_the_same_way_with_it(monkeypatch):
     """Four robots among walls and a disc, told the same for 3 s, in two worlds of which one goes astern."""
     scene, found = build_scene(PEN, [EAGER] * 4, Physics(timestep=0.05, substeps=1)), []
     for on in (False, True):
-        monkeypatch.setattr(parting, "parts_on_warp", lambda on=on: on)
+        monkeypatch.setattr(parting, "warp_in_use", lambda on=on: on)
         batch = Batch(scene, 2, engine="planar")
         speeds = jnp.array([[3.0, 2.0, 3.0, 3.0], [-3.0, -2.0, 2.0, 3.0]])
         state = drive(batch, speeds, 0.8 * speeds, 60)

@@ -1,4 +1,4 @@
-"""What XLA may melt into one kernel, and what it may not."""
+"""What XLA is told for a GPU's sake: what it may not melt into one kernel, and which loops it unrolls."""
 
 from typing import TypeVar
 
@@ -19,3 +19,14 @@ def kept_on_gpu(tree: T) -> T:
     if jax.default_backend() != "gpu":
         return tree
     return jax.lax.optimization_barrier(tree)  # pyright: ignore[reportUnknownMemberType] - JAX has no type
+
+
+def rounds_at_once(count: int) -> int:
+    """Return how many rounds of a small loop are to be one: on a GPU so many, elsewhere each is by itself.
+
+    On a GPU a round costs launches of its own, more than what is in it.
+
+    Args:
+        count: How many on a GPU.
+    """
+    return count if jax.default_backend() == "gpu" else 1

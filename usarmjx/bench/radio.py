@@ -31,7 +31,7 @@ from usarmjx.bench.tools import append_record, rate_of, record_header, time_repe
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links, evaluate_links, no_links
 from usarmjx.models.spec.shapes import OPAQUE
-from usarmjx.sensors.rays.choice import counts_on_warp
+from usarmjx.sensors.rays.choice import warp_in_use
 from usarmjx.sensors.rays.targets import GeomBlock, Geoms
 
 ARENA_SIDE = 20.0
@@ -150,7 +150,7 @@ def measure_radio(case: RadioCase, file: Path | None = None, note: str = "", bas
         "wall_tests_per_s": work * case.walls / statistics.median(own),
         "times_s": own,
         "shared_walls_times_s": shared,
-        "counted_on": "warp" if counts_on_warp() else "jax",
+        "counted_on": "warp" if warp_in_use() else "jax",
         "compile_s": {"own": own_first - own[0], "shared": shared_first - shared[0]},
         "mean_walls": float(np.asarray(links.walls)[paired].mean()) if paired.any() else 0.0,
         "most_walls": int(np.asarray(links.walls).max()),

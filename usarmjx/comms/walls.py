@@ -41,7 +41,7 @@ from usarmjx.models.build.materials import materials_of
 from usarmjx.models.build.pieces import HFIELD, MESH, ray_primitives_of
 from usarmjx.models.spec.arena import ArenaSpec
 from usarmjx.models.spec.shapes import OPAQUE, SKY
-from usarmjx.sensors.rays.choice import counts_on_warp
+from usarmjx.sensors.rays.choice import warp_in_use
 from usarmjx.sensors.rays.targets import GeomBlock, Geoms, make_geoms
 
 TINY = 1e-12
@@ -254,7 +254,7 @@ def count_walls(geoms: Geoms, start: Array, end: Array) -> Array:
         start: Where the segments start [m] (segments, 3).
         end: Where they end [m] (segments, 3).
     """
-    if not on_numpy() and counts_on_warp() and geoms.blocks and start.size:
+    if not on_numpy() and warp_in_use() and geoms.blocks and start.size:
         from usarmjx.comms.warp_count import count_on_warp  # Warp need not be installed
 
         return count_on_warp(geoms, start, end)

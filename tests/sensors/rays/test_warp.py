@@ -129,7 +129,7 @@ def test_a_gpu_takes_what_is_there(monkeypatch):
         monkeypatch.setattr(jax, "default_backend", lambda: backend)
         roads = {choice.ROADS[name] for name in installed}
         monkeypatch.setattr(choice, "find_spec", lambda module: object() if module in roads else None)
-        return choice.caster_in_use.__wrapped__(), choice.counts_on_warp.__wrapped__()
+        return choice.caster_in_use.__wrapped__(), choice.warp_in_use.__wrapped__()
 
     assert used("cpu", {"warp", "pallas"}) == ("jax", False)
     assert used("gpu", {"warp", "pallas"}) == (choice.PREFERRED[0], True)

@@ -102,7 +102,7 @@ def test_all_maps_are_one_launch():
 
 
 def test_waves_spread_on_warp_where_it_is_in_use(monkeypatch):
-    monkeypatch.setattr(wavefront, "waves_on_warp", lambda: True)
+    monkeypatch.setattr(wavefront, "warp_in_use", lambda: True)
     start, open_, toll, until = (x[1, 0] for x in mazes((19, 13)))
 
     def way(start, open_, toll, square):

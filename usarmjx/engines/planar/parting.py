@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from usarmjx.base.arrays import Array
 from usarmjx.engines.planar.footprints import Footprints, keep_apart
 from usarmjx.engines.planar.overlap import Outlines
-from usarmjx.sensors.rays.choice import parts_on_warp
+from usarmjx.sensors.rays.choice import warp_in_use
 
 
 def part_robots(
@@ -23,7 +23,7 @@ def part_robots(
 
 def _fits_on_warp(robots: int) -> bool:
     """Return whether worlds of so many robots are for Warp here."""
-    if not parts_on_warp():
+    if not warp_in_use():
         return False
     from usarmjx.engines.planar.warp_parting import MOST_ROBOTS  # Warp need not be installed
 

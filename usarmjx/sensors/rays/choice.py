@@ -34,18 +34,9 @@ def caster_in_use() -> CasterName:
 
 
 @cache
-def counts_on_warp() -> bool:
-    """Return whether the radio counts walls on Warp here: on GPUs where that is installed."""
-    return jax.default_backend() == "gpu" and _there("warp")
+def warp_in_use() -> bool:
+    """Return whether kernels of Warp do here what JAX does elsewhere: on GPUs where that is installed.
 
-
-@cache
-def parts_on_warp() -> bool:
-    """Return whether engine `planar` keeps robots apart on Warp here: on GPUs where that is installed."""
-    return jax.default_backend() == "gpu" and _there("warp")
-
-
-@cache
-def waves_on_warp() -> bool:
-    """Return whether waves over maps spread on Warp here: on GPUs where that is installed."""
+    They count the radio's walls, find ways over maps, and keep the robots of engine `planar` apart.
+    """
     return jax.default_backend() == "gpu" and _there("warp")

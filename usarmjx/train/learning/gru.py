@@ -13,6 +13,8 @@ from typing import Any, TypeAlias, cast
 import jax
 import jax.numpy as jnp
 
+from usarmjx.base.fusion import rounds_at_once
+
 Residuals: TypeAlias = tuple[jax.Array, ...]
 """What `recur` was given, and what came out."""
 GPU_STEPS = 8
@@ -49,12 +51,7 @@ def _in_turn(
         after = (1.0 - update) * new + update * before
         return after, after
 
-    return jax.lax.scan(step, carry, (gates, is_first), unroll=_unrolled())[1]
-
-
-def _unrolled() -> int:
-    """Return how many steps are in a round of a loop: on a GPU each round is launches of its own."""
-    return GPU_STEPS if jax.default_backend() == "gpu" else 1
+    return jax.lax.scan(step, carry, (gates, is_first), unroll=rounds_at_once(GPU_STEPS))[1]
 
 
 def _reset(where: jax.Array, carry: jax.Array) -> jax.Array:
@@ -78,7 +75,11 @@ def _backward(kept: Residuals, slopes: jax.Array) -> tuple[Any, ...]:
         return _reset(is_first, (jnp.tile(slope, 3) * own) @ weights.T + slope * update), slope
 
     start, slopes = jax.lax.scan(
-        step, jnp.zeros_like(carry), (slopes, own, update, is_first), reverse=True, unroll=_unrolled()
+        step,
+        jnp.zeros_like(carry),
+        (slopes, own, update, is_first),
+        reverse=True,
+        unroll=rounds_at_once(GPU_STEPS),
     )
     by_own = jnp.tile(slopes, 3) * own
     by_reset, by_update, by_new = jnp.split(by_own, 3, axis=-1)

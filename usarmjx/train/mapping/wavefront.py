@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.sensors.rays.choice import waves_on_warp
+from usarmjx.sensors.rays.choice import warp_in_use
 from usarmjx.train.mapping.maps import FREE, UNKNOWN, WALL, MapGrid
 from usarmjx.train.mapping.sweeps import swept_distances
 
@@ -61,7 +61,7 @@ def distances(start: Array, open_: Array, toll: ArrayLike = 0.0, *, until: Array
             distances are right, and found the sooner; None: all are right.
     """
     start = jnp.asarray(start, jnp.float32)
-    on_warp = waves_on_warp()
+    on_warp = warp_in_use()
     if jax.default_backend() == "gpu" and not on_warp:
         return spread_distances(start, open_, toll, until)
     enter = jnp.where(open_, jnp.asarray(toll, jnp.float32), jnp.inf)
@@ -98,7 +98,7 @@ def shortest_path(far: Array, square: Array, steps: int) -> jax.Array:
 
     Where the way ends the last square is repeated.
     """
-    if waves_on_warp():
+    if warp_in_use():
         from usarmjx.train.mapping.warp_distances import path_on_warp  # as above
 
         return path_on_warp(far, square, steps)
