@@ -13,6 +13,7 @@ import pytest
 from usarmjx.base import kept_programs
 from usarmjx.base.compilation import PROGRAMS_FOLDER
 from usarmjx.base.kept_programs import (
+    AheadProgram,
     ProgramKeeper,
     SourcesChangedError,
     compile_program,
@@ -227,3 +228,34 @@ def test_sources_that_changed_while_the_process_ran_are_not_trusted(package, kep
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert find_keeper() is None
+
+
+def test_a_program_that_was_compiled_ahead_is_called_and_others_are_compiled(traced):
+    def doubled(one):
+        traced.append(one.shape)
+        return {"twice": 2 * one}
+
+    told, program = [], AheadProgram(compile_program(doubled, None, "test"))
+    program.compile(jax.ShapeDtypeStruct((3,), np.float32), tell=told.append)
+    assert told[0]["twice"].shape == (3,)
+    np.testing.assert_array_equal(program(jnp.arange(3.0))["twice"], [0, 2, 4])
+    assert traced == [(3,)]
+    np.testing.assert_array_equal(program(jnp.arange(4.0))["twice"], [0, 2, 4, 6])
+    assert traced == [(3,), (4,)]
+
+
+def test_a_kept_program_is_lowered_for_shapes_alone(start, traced):
+    key = jax.random.key(1)
+    shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), (TREE, key))
+    lowered = [start().lower(*shapes) for _ in range(2)]
+    assert len(traced) == 1
+    assert lowered[1].out_info["drawn"].shape == (3,)
+    np.testing.assert_array_equal(lowered[1].compile()(TREE, key)["drawn"], start()(TREE, key)["drawn"])
+
+
+def test_a_keeper_of_more_has_another_digest_and_none_for_what_has_no_digest(kept):
+    keeper = find_keeper(1)
+    assert keeper.of(2).path("a", "b") == find_keeper(1).of(2).path("a", "b")
+    paths = [one.path("a", "b") for one in (keeper, keeper.of(2), keeper.of(3))]
+    assert len(set(paths)) == 3
+    assert keeper.of(lambda: 0) is None

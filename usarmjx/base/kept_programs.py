@@ -10,6 +10,7 @@ import hashlib
 import os
 import pickle
 import platform
+import re
 import warnings
 import zlib
 from collections.abc import Callable, Iterable
@@ -23,6 +24,7 @@ import jax
 from jax import export
 from jax.core import Tracer
 
+from usarmjx.base import warp_functions
 from usarmjx.base.compilation import PROGRAMS_FOLDER, processor
 from usarmjx.base.errors import WriteError
 from usarmjx.base.files import write_beside
@@ -84,7 +86,7 @@ def conditions() -> dict[str, object]:
     told = {name: text for name, text in sorted(os.environ.items()) if name.startswith(VARIABLES)}
     return {
         "versions": {"python": platform.python_version(), **{name: _version(name) for name in DISTRIBUTIONS}},
-        "processor": (processor(), cores(), [str(device) for device in jax.devices()]),
+        "processor": (processor(), cores(), [(str(one), one.device_kind) for one in jax.devices()]),
         "settings": {name: repr(value) for name, value in settings.items() if name not in NO_SETTINGS},
         "environment": told,
     }
@@ -100,14 +102,15 @@ def _version(distribution: str) -> str:
 def find_keeper(*made_from: object) -> "ProgramKeeper | None":
     """Return what keeps programs that close over some values; None: nothing is kept.
 
-    That is so where `keep_compilations` has not been called, on anything but a single CPU device, where
+    That is so where `keep_compilations` has not been called, on several devices or on such as are neither
+    a CPU nor a GPU, where
     sources were changed since the process started, and where a value has no `fingerprint`.
 
     Args:
         made_from: All that is not an argument of the programs and not in this package's sources.
     """
     folder = os.environ.get(PROGRAMS_FOLDER)
-    if not folder or jax.default_backend() != "cpu" or jax.device_count() != 1:
+    if not folder or jax.default_backend() not in ("cpu", "gpu") or jax.device_count() != 1:
         return None
     try:
         return ProgramKeeper(Path(folder), fingerprint(_sources(), conditions(), made_from))
@@ -179,6 +182,17 @@ class ProgramKeeper:
             write_kept(path, pickle.dumps(found))
         return found
 
+    def of(self, *made_from: object) -> "ProgramKeeper | None":
+        """Return a keeper of programs that close over more values; None: one has no `fingerprint`.
+
+        Args:
+            made_from: As for `find_keeper`, without what this one's programs are made from.
+        """
+        try:
+            return ProgramKeeper(self._folder, fingerprint(self._digest, made_from))
+        except (FingerprintError, RecursionError):
+            return None
+
     def path(self, name: str, signature: str) -> Path:
         """Return the file of what is kept.
 
@@ -188,6 +202,37 @@ class ProgramKeeper:
         """
         digest = hashlib.blake2b(f"{self._digest}\n{name}\n{signature}".encode(), digest_size=20)
         return self._folder / f"{name}-{digest.hexdigest()}"
+
+
+class AheadProgram:
+    """A compiled function that can be compiled before there is anything to give it.
+
+    Args:
+        program: As `compile_program` returns it.
+    """
+
+    def __init__(self, program: Any) -> None:  # noqa: ANN401 - JAX's own, or a `KeptProgram`
+        self._program, self._ready = program, None
+
+    def __call__(self, *args: Any) -> Any:  # noqa: ANN401 - PyTrees
+        """Return what the function returns."""
+        if self._ready is not None:
+            try:
+                return self._ready(*args)
+            except (TypeError, ValueError):  # of other shapes, or on another device, than was said
+                self._ready = None
+        return self._program(*args)
+
+    def compile(self, *shapes: Any, tell: Callable[[Any], None] = lambda shapes: None) -> None:  # noqa: ANN401 - PyTrees
+        """Compile it for arguments of such shapes, on their devices.
+
+        Args:
+            shapes: Of its arguments.
+            tell: Is given the shapes of what it returns, as soon as they are known.
+        """
+        lowered = self._program.lower(*shapes)
+        tell(lowered.out_info)
+        self._ready = lowered.compile()
 
 
 class KeptProgram:
@@ -208,11 +253,19 @@ class KeptProgram:
         leaves, tree = jax.tree.flatten(args)
         if any(isinstance(leaf, Tracer) for leaf in leaves):
             return self._compiled(*args)
+        return self._program(args, leaves, tree)(*args)
+
+    def lower(self, *args: Any) -> Any:  # noqa: ANN401 - PyTrees
+        """Return the program for arguments of such shapes as `jax.jit` lowers it, read if it was kept."""
+        return self._program(args, *jax.tree.flatten(args)).lower(*args)
+
+    def _program(self, args: tuple[Any, ...], leaves: list[Any], tree: Any) -> Any:  # noqa: ANN401 - as above
+        """Return what `jax.jit` has made of the program for such arguments."""
         known = tree, *[_shape_of(leaf) for leaf in leaves]
         program = self._programs.get(known)
         if program is None:
             program = self._programs[known] = self._find(args, tree, known[1:])
-        return program(*args)
+        return program
 
     def _find(self, args: tuple[Any, ...], tree: Any, shapes: tuple[Any, ...]) -> Callable[..., Any]:  # noqa: ANN401
         """Return the program for such arguments: read, or traced and written."""
@@ -235,21 +288,31 @@ class KeptProgram:
 def _traced(compiled: Any, args: tuple[Any, ...]) -> bytes | None:  # noqa: ANN401 - JAX's own
     """Return a program as it is kept; None: it cannot be, as it calls functions of this process, for one."""
     try:
-        exported = export.export(compiled)(*args)
+        compiled.trace(*args)  # after which all kernels of Warp in it are known
+        ours = [export.DisabledSafetyCheck.custom_call(target) for target in sorted(warp_functions.targets())]
+        exported = export.export(compiled, disabled_checks=ours)(*args)
+        text = str(exported.mlir_module()) if ours else ""
+        numbers = [int(number) for number in LAUNCH.findall(text)]
         # JAX has a way to write it, which needs a package more and loses which types are weak.
-        return pickle.dumps(replace(exported, _get_vjp=None))
+        return pickle.dumps((replace(exported, _get_vjp=None), warp_functions.launches(numbers)))
     except Exception:  # whatever is wrong with the program itself is said when it is compiled
         return None
 
 
 def _shape_of(leaf: Any) -> tuple[Any, ...]:  # noqa: ANN401 - an array or number
     """Return all of an argument that a program depends on."""
-    found = jax.typeof(leaf)
+    found = leaf if isinstance(leaf, jax.ShapeDtypeStruct) else jax.typeof(leaf)
     return found.shape, found.dtype, getattr(found, "weak_type", False)
 
 
+LAUNCH = re.compile(r"launch_id = (\d+)")
+"""What Warp writes into programs."""
+
+
 def _load(data: bytes) -> export.Exported:
-    return pickle.loads(data)
+    exported, launches = pickle.loads(data)
+    warp_functions.expect(launches)
+    return exported
 
 
 def read_kept(path: Path, load: Callable[[bytes], T]) -> T | None:

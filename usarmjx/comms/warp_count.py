@@ -1,6 +1,6 @@
 """`count_walls` on Warp, for all worlds in one launch."""
 
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import jax
@@ -8,13 +8,14 @@ import jax.numpy as jnp
 import warp as wp
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.warp_functions import warp_function
 from usarmjx.comms import warp_walls
 from usarmjx.sensors.rays.over_worlds import over_worlds
 from usarmjx.sensors.rays.targets import GeomBlockInfo, Geoms
 from usarmjx.sensors.rays.warp_calls import pack
 
 
-@cache
+@warp_function
 def _kernel() -> Any:  # noqa: ANN401
     return wp.jax_kernel(warp_walls.count_crossings)
 

@@ -82,6 +82,15 @@ def test_straight_gaps_are_as_the_docstring_says(radius, cell, shift):
     assert not reach(*walls, radius=radius, cell=cell).reachable(2.0, 0.0)
 
 
+def test_places_all_at_once_are_those_one_by_one():
+    there = reach(*gap(0.4, 0.3), radius=0.25)
+    places = np.random.default_rng(0).uniform(-6.0, 6.0, (40, 25, 2))
+    found = there.reachable_places(places)
+    assert found.tolist() == [[there.reachable(*place) for place in row] for row in places.tolist()]
+    assert found.any()
+    assert not found.all()
+
+
 @SPLIT
 @given(thick=st.floats(0.001, 0.3), at=st.floats(-1.0, 1.0), turn=st.floats(-0.7, 0.7))
 def test_no_wall_is_too_thin_to_be_seen(thick, at, turn):

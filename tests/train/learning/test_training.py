@@ -107,12 +107,15 @@ def test_a_first_rollout_finds_what_was_compiled_beside_the_making_of_worlds():
     group = ProcessGroup()
     with compilations(COMPILED) as compiled:
         trainer = Trainer(DriveToy(4), Config(worlds=4, minibatches=1, rollout=2), group)
-        with compiling(trainer.rollout, trainer.starts, group.device):
+        with compiling(trainer):
             train_state, worlds = trainer.start()
         before = len(compiled)
         jax.block_until_ready(trainer.rollout.collect(train_state, worlds, trainer._key))
     assert before > 0
     assert len(compiled) == before
+    trainer.iterate(train_state, worlds, 0)
+    for program in (trainer.rollout._collect_at_once, trainer._update):
+        assert program._ready is not None, "what was compiled is what is called"
 
 
 def test_the_time_of_the_first_iteration_is_from_when_it_compiled(tmp_path, monkeypatch):

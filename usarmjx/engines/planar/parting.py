@@ -1,12 +1,13 @@
 """How robots are kept apart here: by JAX, or on a GPU by one kernel of Warp, which has JAX's slope."""
 
-from functools import cache, partial
+from functools import partial
 from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.warp_functions import warp_function
 from usarmjx.engines.planar.footprints import Footprints, keep_apart
 from usarmjx.engines.planar.overlap import Outlines
 from usarmjx.sensors.rays.choice import warp_in_use
@@ -47,11 +48,10 @@ def _launched(
     numbers = jnp.stack([jnp.broadcast_to(n, moves.shape).astype(jnp.float32) for n in (*places, *body)], -1)
     solids = jnp.stack([jnp.moveaxis(jnp.asarray(part, jnp.float32), -1, 0) for part in near], -1)
     over = jnp.zeros(1, jnp.int32) if stacked is None else jnp.asarray(stacked, jnp.int32).reshape(-1)
-    call, lanes = _launch(robots)
-    found = call(
+    found = _kernel(robots)(
         *(numbers.reshape(-1), solids.reshape(-1), over, solids.shape[1], int(stacked is not None)),
         output_dims=worlds * robots * 4,
-        launch_dims=worlds * lanes,
+        launch_dims=worlds * _lanes(robots),
     )
     kept = found[0].reshape(worlds, robots, 4)
     return after.replace(pos=kept[..., :2], yaw=kept[..., 2]), kept[..., 3] > 0
@@ -63,14 +63,21 @@ def _place(prints: Footprints) -> list[Array]:
     return [one.x, one.y, one.cos, one.sin, prints.yaw, prints.low, prints.high]
 
 
-@cache
-def _launch(robots: int) -> tuple[Any, int]:
-    """Return what launches the kernel for worlds of so many robots, and how many threads a world has."""
+@warp_function
+def _kernel(robots: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
+    """Return what launches the kernel for worlds of so many robots."""
     import warp as wp
 
-    from usarmjx.engines.planar.warp_parting import BLOCK, lanes_for, parting_kernel
+    from usarmjx.engines.planar.warp_parting import BLOCK, parting_kernel
 
-    return wp.jax_kernel(parting_kernel(robots), block_dim=BLOCK), lanes_for(robots)
+    return wp.jax_kernel(parting_kernel(robots), block_dim=BLOCK)
+
+
+def _lanes(robots: int) -> int:
+    """Return how many threads a world has."""
+    from usarmjx.engines.planar.warp_parting import lanes_for
+
+    return lanes_for(robots)
 
 
 def _slopes(discs: bool, values: tuple[Any, ...], rates: tuple[Any, ...]) -> tuple[Any, Any]:

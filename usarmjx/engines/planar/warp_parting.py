@@ -313,7 +313,6 @@ def parting_kernel(robots: int) -> Any:  # noqa: ANN401 - Warp's kernels have no
         kept: wp.array[float],
     ) -> None: ...
 
-    @wp.kernel(enable_backward=False, grid_stride=False, module="unique")
     def keep_robots_apart(
         robots: wp.array[float],
         near: wp.array[float],
@@ -324,4 +323,6 @@ def parting_kernel(robots: int) -> Any:  # noqa: ANN401 - Warp's kernels have no
     ) -> None:
         keep_world_apart(robots, near, stacked, solids, flies, wp.tid(), kept)
 
-    return keep_robots_apart
+    # By this name XLA knows it: of each number of robots another, whichever was made first.
+    keep_robots_apart.__qualname__ = f"keep_robots_apart_of_{robots}"
+    return wp.kernel(keep_robots_apart, enable_backward=False, grid_stride=False, module="unique")

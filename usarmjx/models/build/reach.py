@@ -94,6 +94,14 @@ class ReachMap:
         """Return whether the robot's middle can get there, on the surface at height `z` or on any."""
         return self.start_area >= 0 and bool((self.areas(x, y, z) == self.start_area).any())
 
+    def reachable_places(self, places: np.ndarray) -> np.ndarray:
+        """Return `reachable` of places x, y [m], on any surface: (..., 2) to (...)."""
+        i, j = np.moveaxis((np.asarray(places, float) - self.grid.low) // self.grid.cell, -1, 0).astype(int)
+        rows, columns = self.grid.shape
+        held = (i >= 0) & (i < rows) & (j >= 0) & (j < columns)
+        there = (np.isfinite(self.ground) & (self.area == self.start_area)).any(0) & (self.start_area >= 0)
+        return held & there[np.clip(i, 0, rows - 1), np.clip(j, 0, columns - 1)]
+
     def reaches_within(self, x: float, y: float, z: float | None = None, distance: float = 1.0) -> bool:
         """Return whether the robot's middle gets within a distance [m] of a place.
 

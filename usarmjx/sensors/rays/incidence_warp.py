@@ -1,7 +1,6 @@
 """At which angle rays meet surfaces, on Warp: a thread for each ray that looks at the one geom it has met."""
 
 from collections.abc import Sequence
-from functools import cache
 from typing import Any
 
 import jax.numpy as jnp
@@ -9,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.warp_functions import warp_function
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.over_worlds import over_worlds
 from usarmjx.sensors.rays.raycast_warp import GROUP_SIZE, four_at, local, place_of, thread_index, whole_part
@@ -85,8 +85,8 @@ def cosines_of_rays(  # noqa: PLR0913 - as above
     cosine[t] = found
 
 
-@cache
-def _kernel(name: str) -> Any:  # noqa: ANN401 - a function of JAX arrays
+@warp_function
+def _kernel(name: str) -> Any:  # noqa: ANN401 - Warp's kernels have no type
     kernel = cosines_of_fans if name == "fans" else cosines_of_rays
     return wp.jax_kernel(kernel, num_outputs=1, block_dim=BLOCK_DIM)
 

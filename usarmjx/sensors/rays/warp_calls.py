@@ -1,7 +1,6 @@
 """Warp's kernels as functions of JAX arrays, mapped over robots and worlds in one launch."""
 
-from collections.abc import Callable, Sequence
-from functools import cache
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -11,6 +10,7 @@ import warp as wp
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
+from usarmjx.base.warp_functions import warp_function
 from usarmjx.sensors.rays import raycast_warp
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.kernels import bounding_box, bounding_radius
@@ -53,8 +53,8 @@ def _packed(info: GeomBlockInfo, block: GeomBlock) -> jax.Array:
     return jnp.stack([jnp.concatenate(pair, -1) for pair in single])
 
 
-@cache
-def _kernel(name: str) -> Callable[..., Any]:
+@warp_function
+def _kernel(name: str) -> Any:  # noqa: ANN401 - Warp's kernels have no type
     return wp.jax_kernel(getattr(raycast_warp, name), num_outputs=2, block_dim=raycast_warp.BLOCK_DIM)
 
 

@@ -47,6 +47,8 @@ def restart_batch_size(worlds: int, episode_steps: int) -> int:
 
 def keeper_of(task: Task, scene: Scene, worlds: int, engine: str, first: int) -> ProgramKeeper | None:
     """Return what keeps the programs of an environment, see `find_keeper`; arguments are those of `Env`."""
+    if choose_engine(engine, "batch") == "warp":
+        return None  # MuJoCo Warp's launches mean nothing to another process
     # All of the scene but what its model was compiled from.
     within = {one.name: getattr(scene, one.name) for one in fields(scene) if one.name != "spec"}
     return find_keeper(task, within, worlds, engine, first)

@@ -1,36 +1,36 @@
-"""Compile the first rollout while the worlds are made: XLA works on both at once, and a start waits less."""
+"""Compile rollout and update while the worlds are made: XLA works on all at once, and a start waits less."""
 
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING
 
 import jax
 from jax.sharding import SingleDeviceSharding
 
-from usarmjx.train.learning.rollout import Rollout
+if TYPE_CHECKING:
+    from usarmjx.train.learning.trainer import Trainer
 
 
 @contextmanager
-def compiling(
-    rollout: Rollout, starts: Callable[[], tuple[Any, Any, jax.Array]], device: jax.Device
-) -> Generator[None]:
-    """Compile a rollout beside what is done meanwhile, and wait for it.
+def compiling(trainer: "Trainer") -> Generator[None]:
+    """Compile rollout and update beside what is done meanwhile, and wait for both.
 
-    What is wrong with it is for the first rollout to tell, which finds in JAX's own cache what was compiled.
-
-    Args:
-        rollout: Of worlds that can be traced; else nothing is done.
-        starts: Returns what the first rollout is given; is only traced.
-        device: On which all of that will be.
+    What is wrong with one is for its first call to tell, which compiles it again. Worlds that cannot be
+    traced have no rollout to compile, and nothing is done.
     """
-    if not rollout.env.traceable:
+    if not trainer.env.traceable:
         yield
         return
-    place = SingleDeviceSharding(device)
+    place = SingleDeviceSharding(trainer.process_group.device)
     shapes = jax.tree.map(
-        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=place), jax.eval_shape(starts)
+        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=place), trainer.start_shapes()
     )
-    with ThreadPoolExecutor(1, "compiling a rollout") as pool:
-        pool.submit(rollout.compile_ahead, *shapes)
+    with ThreadPoolExecutor(2, "compiling") as pool:
+
+        def update_too(collected: tuple[object, ...]) -> None:
+            pool.submit(trainer.compile_update, shapes[0], collected)
+
+        done = pool.submit(trainer.rollout.compile_ahead, *shapes, tell=update_too)
         yield
+        done.exception()  # until then there may be more to submit

@@ -1,12 +1,14 @@
 """Robots act for a while under the present policy; what they observe and get is kept."""
 
 from collections.abc import Callable
-from typing import TypeAlias
+from functools import partial
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.kept_programs import AheadProgram, ProgramKeeper, compile_program
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Carry, Policy
 from usarmjx.train.envs.state import EnvState, Memory
@@ -55,6 +57,7 @@ class Rollout:
         config: Settings.
         first: Number of the first world.
         teacher: Whom to imitate for the first `config.imitate` agent steps.
+        keeper: Of its programs.
     """
 
     def __init__(
@@ -64,16 +67,16 @@ class Rollout:
         config: Config,
         first: int = 0,
         teacher: Policy | None = None,
+        keeper: ProgramKeeper | None = None,
     ) -> None:
         self.env, self.networks, self.config, self.first = env, networks, config, first
         self.teacher = teacher
         self.look: Callable[[EnvState], None] = _look_away
         """Gets to see the worlds: after every action, or where a whole rollout is compiled, after that."""
-        self._decide = jax.jit(self._decided)
-        self._account = jax.jit(self._accounted)
-        self._stack = jax.jit(_stacked)
-        self._bound = jax.jit(self._bounded)
-        self._collect_at_once = jax.jit(self._scan)
+        kept = partial(compile_program, keeper=keeper, owner="Rollout", precise=False)
+        self._decide, self._account = kept(self._decided), kept(self._accounted)
+        self._stack, self._bound = kept(_stacked), kept(self._bounded)
+        self._collect_at_once = AheadProgram(kept(self._scan))
 
     def collect(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Collected:
         """Return the next rollout state, trajectory, ends, and sums for the log."""
@@ -83,9 +86,14 @@ class Rollout:
         self.look(collected[0].env_state)
         return collected
 
-    def compile_ahead(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> None:
-        """Compile `collect` for arguments of such shapes, on their devices; worlds are traceable."""
-        self._collect_at_once.lower(train_state, start, key).compile()
+    def compile_ahead(self, *shapes: Any, tell: Callable[[Any], None]) -> None:  # noqa: ANN401 - PyTrees
+        """Compile `collect` for arguments of such shapes, on their devices; worlds are traceable.
+
+        Args:
+            shapes: Of its arguments.
+            tell: Is given the shapes of what it returns, as soon as they are known.
+        """
+        self._collect_at_once.compile(*shapes, tell=tell)
 
     def start(self, level: float) -> RolloutState:
         """Return the worlds at the start of their first episodes, some of which will be short."""

@@ -1,6 +1,7 @@
 """What training changes: the networks' parameters, the optimiser's state, running statistics."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -9,6 +10,7 @@ from flax.struct import PyTreeNode
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.extras import extra
+from usarmjx.base.kept_programs import ProgramKeeper, compile_program
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.networks import (
@@ -145,9 +147,10 @@ def make_optimiser(config: Config) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(config.max_gradient), optax.scale_by_adam(eps=1e-5))
 
 
-def make_train_state(networks: Networks, config: Config) -> TrainState:
-    """Return the train state before the first update."""
-    return jax.jit(lambda: _initial(networks, config))()  # one compilation instead of dozens
+def make_train_state(networks: Networks, config: Config, keeper: ProgramKeeper | None = None) -> TrainState:
+    """Return the train state before the first update; the keeper is one for such networks and settings."""
+    make = partial(_initial, networks, config)
+    return compile_program(make, keeper, "TrainState", precise=False)()  # one compilation instead of dozens
 
 
 def _initial(networks: Networks, config: Config) -> TrainState:

@@ -15,6 +15,7 @@ from jax.sharding import PartitionSpec
 from usarmjx.base.errors import UsageError, WriteError
 from usarmjx.base.extras import extra
 from usarmjx.base.files import PARTIAL, writing
+from usarmjx.base.kept_programs import AheadProgram, ProgramKeeper, compile_program
 from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Carry, Policy
@@ -108,17 +109,19 @@ class Trainer:
         self.iterations = config.iterations(self.agents)
         self.stream = ArenaStream(env, config.renew, self.iterations)
         teacher = teacher_of(env) if config.imitate else None
-        self.rollout = Rollout(env, self.networks, config, process_group.index * share, teacher)
+        known: ProgramKeeper | None = getattr(env, "keeper", None)
+        self._keeper = known and known.of(config, self.networks, process_group.index, process_group.count)
+        first = process_group.index * share
+        self.rollout = Rollout(env, self.networks, config, first, teacher, self._keeper)
         timed, once = PartitionSpec(None, PROCESS_AXIS), PartitionSpec(PROCESS_AXIS)
-        self._update = jax.jit(
-            jax.shard_map(
-                partial(update, self.networks, config, process_group.count),
-                mesh=process_group.mesh,
-                in_specs=(PartitionSpec(), (timed, once, once)),
-                out_specs=(PartitionSpec(), PartitionSpec()),
-                check_vma=False,
-            )
+        self._everywhere = jax.shard_map(
+            partial(update, self.networks, config, process_group.count),
+            mesh=process_group.mesh,
+            in_specs=(PartitionSpec(), (timed, once, once)),
+            out_specs=(PartitionSpec(), PartitionSpec()),
+            check_vma=False,
         )
+        self._update = AheadProgram(compile_program(self._updated, self._keeper, "Trainer", precise=False))
         self._key = process_group.device_put(jax.random.fold_in(jax.random.key(config.seed), ROLLOUT_STREAM))
         self._fold = jax.jit(jax.random.fold_in)
         self._sums = jax.jit(_with_axis)
@@ -130,7 +133,26 @@ class Trainer:
 
     def starts(self) -> tuple[TrainState, RolloutState, jax.Array]:
         """Return what the first rollout is given, but for where it is."""
-        return make_train_state(self.networks, self.config), self.rollout.start(self.level(0)), self._key
+        made = make_train_state(self.networks, self.config, self._keeper)
+        return made, self.rollout.start(self.level(0)), self._key
+
+    def start_shapes(self) -> tuple[TrainState, RolloutState, jax.Array]:
+        """Return the shapes of what `starts` returns."""
+        if self._keeper is None:
+            return jax.eval_shape(self.starts)
+        return self._keeper.value("Trainer.starts", partial(jax.eval_shape, self.starts))
+
+    def compile_update(self, train_state: TrainState, collected: Any) -> None:  # noqa: ANN401 - shapes of `Collected`
+        """Compile the update.
+
+        Args:
+            train_state: Its shapes.
+            collected: Shapes of what a rollout returns.
+        """
+        _, trajectory, ends, sums = collected
+        shapes = self.process_group.global_shapes
+        experience = (shapes(trajectory, 1), shapes(ends, 0), shapes(jax.eval_shape(_with_axis, sums), 0))
+        self._update.compile(shapes(train_state, None), experience)
 
     def full_score(self, train_state: TrainState) -> float | None:
         """Return the mean score of one episode of each world of this process, with all arenas in play.
@@ -150,6 +172,10 @@ class Trainer:
         params, start = policy_params(train_state), self.networks.policy.initial_carry
         scores = play_episodes(self.env, Policy(start, act), self.env.worlds, JUDGING_SEED).scores
         return float(scores.mean()) if len(scores) else None
+
+    def _updated(self, train_state: TrainState, experience: Any) -> tuple[TrainState, dict[str, jax.Array]]:  # noqa: ANN401 - PyTrees
+        """Return the train state after an update, and numbers for the log."""
+        return self._everywhere(train_state, experience)
 
     def level(self, iteration: int) -> float:
         """Return how difficult the arenas in play are before an iteration, counted from 0."""
@@ -260,7 +286,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
         check_begun(checkpoints, record, source)
         _prepare(out, record, process_group)
         began = time.perf_counter()
-        with compiling(trainer.rollout, trainer.starts, process_group.device):
+        with compiling(trainer):
             train_state, worlds, before = _restore(trainer, checkpoints, source)
         trainer.rollout.look(worlds.env_state)
         log = Log(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None

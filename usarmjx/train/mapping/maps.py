@@ -91,8 +91,7 @@ def grid_of(arenas: tuple[ArenaSpec, ...], cell: float = 0.3) -> MapGrid:
 def reachable_squares(arena: ArenaSpec, grid: MapGrid, size: RobotFootprint) -> np.ndarray:
     """Return in which squares' middles a robot's middle can be, from the first start pose (i, j)."""
     there = reach_map(arena, size.radius, size.step, height=size.height, cell=grid.cell / 6)
-    flat = [there.reachable(float(x), float(y)) for x, y in grid.centres.reshape(-1, 2)]
-    return np.array(flat).reshape(grid.shape)
+    return there.reachable_places(grid.centres)
 
 
 def classify_scan(

@@ -1,6 +1,6 @@
 """`wavefront.distances` and `shortest_path` on Warp, for all maps in one launch each."""
 
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import jax
@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import warp as wp
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.warp_functions import warp_function
 from usarmjx.train.mapping import warp_waves
 from usarmjx.train.mapping.sweeps import of_one_map, over_maps
 
@@ -23,7 +24,7 @@ def _sweeper(squares: int) -> tuple[str, int]:
     return "sweep_large_maps" if large else "sweep_any_maps", warp_waves.LARGE_THREADS
 
 
-@cache
+@warp_function
 def _kernel(name: str, threads: int) -> Any:  # noqa: ANN401
     return wp.jax_kernel(getattr(warp_waves, name), block_dim=threads)
 

@@ -111,16 +111,22 @@ class ProcessGroup:
             tree: Arrays of this process.
             axis: Which the local parts are joined along; None: all processes have the same.
         """
+
+        def join_up(leaf: jax.Array, whole: jax.ShapeDtypeStruct) -> jax.Array:
+            return jax.make_array_from_single_device_arrays(whole.shape, whole.sharding, [leaf])
+
+        return jax.tree.map(join_up, tree, self.global_shapes(tree, axis))
+
+    def global_shapes(self, tree: Tree, axis: int | None) -> Tree:
+        """Return the shapes of what `to_global` returns; of the tree only shapes are looked at."""
         spec = PartitionSpec() if axis is None else PartitionSpec(*[None] * axis, PROCESS_AXIS)
         sharding = NamedSharding(self.mesh, spec)
 
-        def join_up(leaf: jax.Array) -> jax.Array:
-            shape = list(leaf.shape)
-            if axis is not None:
-                shape[axis] *= self.count
-            return jax.make_array_from_single_device_arrays(tuple(shape), sharding, [leaf])
+        def joined(leaf: jax.Array) -> jax.ShapeDtypeStruct:
+            shape = [n * self.count if i == axis else n for i, n in enumerate(leaf.shape)]
+            return jax.ShapeDtypeStruct(tuple(shape), leaf.dtype, sharding=sharding)
 
-        return jax.tree.map(join_up, tree)
+        return jax.tree.map(joined, tree)
 
     @staticmethod
     def to_local(tree: Tree) -> Tree:

@@ -1,0 +1,62 @@
+"""A training's programs are kept from one start to the next, and are those of its settings."""
+
+import warnings
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from usarmjx.base import kept_programs
+from usarmjx.base.compilation import PROGRAMS_FOLDER
+from usarmjx.train.envs.env import Env
+from usarmjx.train.learning import train_state
+from usarmjx.train.learning.ahead import compiling
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.rollout import Rollout
+from usarmjx.train.learning.trainer import Trainer
+from usarmjx.train.make import make_task
+from usarmjx.train.processes.group import ProcessGroup
+
+CONFIG = Config(worlds=2, minibatches=1, rollout=2, layers=(4,), critic_layers=(4,))
+TASK = make_task("drive-to-goal", ranges=(), pose="GroundTruth")
+
+
+def trained(engine, config=CONFIG):
+    trainer = Trainer(Env(TASK, 2, engine=engine), config, ProcessGroup())
+    with compiling(trainer):
+        learner, worlds = trainer.start()
+    for iteration in range(2):
+        learner, worlds, known = trainer.iterate(learner, worlds, iteration)
+    return jax.tree.map(np.asarray, (learner, known))
+
+
+TRACED = {
+    Rollout: ("_scan", "_decided", "_accounted", "_bounded"),
+    Trainer: ("_updated",),
+    train_state: ("_initial",),
+}
+
+
+def not_to_be_traced(name):
+    def traced(*_):
+        raise RuntimeError("it was traced")
+
+    traced.__name__ = name  # by which it was kept
+    return traced
+
+
+@pytest.mark.parametrize("engine", ["planar", "c"])
+def test_the_second_start_traces_nothing_and_learns_the_same(engine, tmp_path, monkeypatch):
+    monkeypatch.setenv(PROGRAMS_FOLDER, str(tmp_path))
+    monkeypatch.setattr(kept_programs, "_sources", lambda: "as they are")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # nothing of it is not kept
+        first = trained(engine)
+
+        for owner, names in TRACED.items():
+            for name in names:
+                monkeypatch.setattr(owner, name, not_to_be_traced(name))
+        jax.tree.map(np.testing.assert_array_equal, first, trained(engine))
+        with pytest.raises(RuntimeError, match="it was traced"):
+            trained(engine, replace(CONFIG, discount=0.9))
