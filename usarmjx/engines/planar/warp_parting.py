@@ -325,4 +325,5 @@ def parting_kernel(robots: int) -> Any:  # noqa: ANN401 - Warp's kernels have no
 
     # By this name XLA knows it: of each number of robots another, whichever was made first.
     keep_robots_apart.__qualname__ = f"keep_robots_apart_of_{robots}"
-    return wp.kernel(keep_robots_apart, enable_backward=False, grid_stride=False, module="unique")
+    kernel: Any = wp.kernel
+    return kernel(keep_robots_apart, enable_backward=False, grid_stride=False, module="unique")
