@@ -173,10 +173,10 @@ def test_after_the_lessons_only_ppo_counts(since):
     assert not any(np.asarray(shown).any() for shown in same.teacher_action)
     experience = ends, {name: one[None] for name, one in sums.items()}
     begun = train_state if since else train_state.replace(learning_rate=jnp.float32(MIN_LEARNING_RATE))
-    expected, _ = alone._update(begun, (steps, *experience))
+    expected, _ = alone._update(begun, (steps, *experience), alone._stream)
     used = jax.tree.map(lambda one: one + jnp.ones_like(one), train_state.opt_state)
     taught = train_state if since else train_state.replace(opt_state=used)
-    found, known = with_teacher._update(taught, (same, *experience))
+    found, known = with_teacher._update(taught, (same, *experience), with_teacher._stream)
     assert "loss/imitation" in known
     for a, b in zip(jax.tree.leaves(expected.params), jax.tree.leaves(found.params), strict=True):
         assert_allclose(a, b, rtol=1e-6, atol=1e-7)

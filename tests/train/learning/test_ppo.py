@@ -60,7 +60,7 @@ def test_log_probabilities_far_apart_leave_everything_finite():
 
 def test_the_update_is_finite_and_changes_all_weights(trainer, collected):
     train_state, *experience = collected
-    new, known = trainer._update(train_state, tuple(experience))
+    new, known = trainer._update(train_state, tuple(experience), trainer._stream)
     assert all(np.isfinite(leaf).all() for leaf in leaves((new, known)))
     assert known["loss/skipped"] == 0
     # The mean of the probabilities' ratio starts at 1: what was stored is what the networks say again.
@@ -72,7 +72,7 @@ def test_the_update_is_finite_and_changes_all_weights(trainer, collected):
 def test_bad_transitions_teach_nothing(trainer, collected):
     """What they hold may be anything: the update is the same, bit for bit."""
     train_state, steps, ends, sums = collected
-    expected, _ = trainer._update(train_state, (steps, ends, sums))
+    expected, _ = trainer._update(train_state, (steps, ends, sums), trainer._stream)
 
     def spoil(bad, leaf):
         mask = bad.reshape(*bad.shape, *[1] * (leaf.ndim - 2))
@@ -83,7 +83,7 @@ def test_bad_transitions_teach_nothing(trainer, collected):
     spoilt = steps.replace(
         **{name: tuple(spoil(steps.bad, one) for one in getattr(steps, name)) for name in names}
     )
-    found, _ = trainer._update(train_state, (spoilt, ends, sums))
+    found, _ = trainer._update(train_state, (spoilt, ends, sums), trainer._stream)
     for one, other in zip(leaves(expected), leaves(found), strict=True):
         assert_array_equal(one, other)
 
@@ -91,7 +91,7 @@ def test_bad_transitions_teach_nothing(trainer, collected):
 def test_good_transitions_teach(trainer, collected):
     """The other way round, so that the test above can fail."""
     train_state, steps, ends, sums = collected
-    expected, _ = trainer._update(train_state, (steps, ends, sums))
+    expected, _ = trainer._update(train_state, (steps, ends, sums), trainer._stream)
     found, _ = trainer._update(
         train_state, (steps.replace(reward=tuple(r + 1 for r in steps.reward)), ends, sums)
     )
@@ -113,7 +113,7 @@ def test_an_update_with_nothing_but_bad_transitions_keeps_the_weights(trainer, c
 def test_gradients_that_are_not_finite_are_left_out(trainer, collected):
     train_state, steps, ends, sums = collected
     broken = steps.replace(reward=tuple(r.at[0, 0].set(jnp.inf) for r in steps.reward))
-    new, known = trainer._update(train_state, (broken, ends, sums))
+    new, known = trainer._update(train_state, (broken, ends, sums), trainer._stream)
     assert known["loss/skipped"] == 1
     for one, other in zip(leaves(train_state.params), leaves(new.params), strict=True):
         assert_array_equal(one, other)
@@ -139,7 +139,7 @@ def test_critics_see_more_than_policies(trainer, collected):
 def test_statistics_are_the_mean_and_deviation_of_what_was_good(trainer, collected):
     """Of all steps that are not bad, by NumPy in double precision."""
     train_state, steps, ends, sums = collected
-    new, _ = trainer._update(train_state, (steps, ends, sums))
+    new, _ = trainer._update(train_state, (steps, ends, sums), trainer._stream)
     good = ~np.asarray(steps.bad)
     for found, seen in zip(new.obs_statistics, steps.obs, strict=True):
         rows = np.asarray(seen, np.float64)[good].reshape(-1, seen.shape[-1])

@@ -6,6 +6,7 @@ shuffled within blocks (`Config.blocks`) that belong to one process: each miniba
 worlds however many processes there are, and only the order of summation differs.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -20,7 +21,6 @@ from usarmjx.train.learning.imitation import imitation_loss
 from usarmjx.train.learning.networks import apply_network, fold_all, fold_each
 from usarmjx.train.learning.statistics import normalise, update_statistics
 from usarmjx.train.learning.train_state import (
-    UPDATE_STREAM,
     ActorCriticParams,
     Networks,
     TrainState,
@@ -271,6 +271,7 @@ def update(
     processes: int,
     train_state: TrainState,
     experience: tuple[Trajectory, RolloutEnds, dict[str, jax.Array]],
+    stream: jax.Array,
 ) -> tuple[TrainState, dict[str, jax.Array]]:
     """Return the train state after an update, and what is worth knowing; in every process at once.
 
@@ -281,10 +282,11 @@ def update(
         train_state: The same in all.
         experience: Of this process: trajectory (steps, worlds, ...), its ends (worlds, ...), and sums for the
             log (1,).
+        stream: Data of the key of all updates, see `Trainer`.
     """
     steps, ends, sums = experience
-    stream = jax.random.fold_in(jax.random.key(config.seed), UPDATE_STREAM)
-    key = jax.random.fold_in(stream, train_state.iteration)
+    wrap: Callable[..., jax.Array] = jax.random.wrap_key_data  # pyright: ignore[reportUnknownMemberType]
+    key = jax.random.fold_in(wrap(stream), train_state.iteration)
     batch, returns = compute_targets(networks, train_state, steps, ends, config)
     # Statistics follow the update: log-probabilities and values of the rollout were taken with the old ones.
     old = train_state

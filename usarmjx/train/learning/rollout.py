@@ -76,6 +76,7 @@ class Rollout:
         kept = partial(compile_program, keeper=keeper, owner="Rollout", precise=False)
         self._decide, self._account = kept(self._decided), kept(self._accounted)
         self._stack, self._bound = kept(_stacked), kept(self._bounded)
+        self._begin = kept(self._initial)
         self._collect_at_once = AheadProgram(kept(self._scan))
 
     def collect(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Collected:
@@ -101,7 +102,7 @@ class Rollout:
         # A seed on the device puts all worlds there from their first step on: nothing is compiled twice.
         seed = jax.device_put(np.uint32(config.seed % 2**32), jax.local_devices()[0])
         env = self.env.reset(seed, level) if config.curriculum else self.env.reset(seed)
-        number, late, carry = jax.jit(self._initial)()
+        number, late, carry = self._begin(jax.random.fold_in(jax.random.key(config.seed), STAGGER_STREAM))
         if config.stagger:  # by counting steps that never were, so nothing else of an episode changes
             env = env.replace(length=late.astype(env.length.dtype))
         return RolloutState(
@@ -114,10 +115,10 @@ class Rollout:
             is_first=jnp.ones(self.env.worlds, bool),
         )
 
-    def _initial(self) -> tuple[jax.Array, jax.Array, GroupArrays]:
+    def _initial(self, key: jax.Array) -> tuple[jax.Array, jax.Array, GroupArrays]:
         """Return the worlds' numbers, how late their first episodes are, and the carry."""
         number = self.first + jnp.arange(self.env.worlds)
-        keys = fold_each(jax.random.fold_in(jax.random.key(self.config.seed), STAGGER_STREAM), number)
+        keys = fold_each(key, number)
 
         def draw(key: jax.Array) -> jax.Array:
             return jax.random.randint(key, (), 0, self.env.episode_steps)

@@ -1,5 +1,6 @@
 """What training changes: the networks' parameters, the optimiser's state, running statistics."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -147,14 +148,26 @@ def make_optimiser(config: Config) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(config.max_gradient), optax.scale_by_adam(eps=1e-5))
 
 
-def make_train_state(networks: Networks, config: Config, keeper: ProgramKeeper | None = None) -> TrainState:
-    """Return the train state before the first update; the keeper is one for such networks and settings."""
-    make = partial(_initial, networks, config)
-    return compile_program(make, keeper, "TrainState", precise=False)()  # one compilation instead of dozens
+def make_train_state(networks: Networks, config: Config) -> TrainState:
+    """Return the train state before the first update."""
+    return train_state_maker(networks, config, None)(jax.random.key(config.seed))
 
 
-def _initial(networks: Networks, config: Config) -> TrainState:
-    params = networks.init(jax.random.key(config.seed))
+def train_state_maker(
+    networks: Networks, config: Config, keeper: ProgramKeeper | None
+) -> Callable[[jax.Array], TrainState]:
+    """Return what makes the train state before the first update of a key, compiled in one.
+
+    Args:
+        networks: Shapes.
+        config: Settings, whose seed does not matter.
+        keeper: Of programs for such networks and settings.
+    """
+    return compile_program(partial(_initial, networks, config), keeper, "TrainState", precise=False)
+
+
+def _initial(networks: Networks, config: Config, key: jax.Array) -> TrainState:
+    params = networks.init(key)
     return TrainState(
         params=params,
         opt_state=make_optimiser(config).init(params),

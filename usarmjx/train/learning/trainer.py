@@ -1,13 +1,13 @@
 """Training: rollout, update, log, checkpoint; and going on where a run was left."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 from jax.sharding import PartitionSpec
@@ -41,10 +41,11 @@ from usarmjx.train.learning.renewal import ArenaStream
 from usarmjx.train.learning.rollout import Rollout
 from usarmjx.train.learning.train_state import (
     ROLLOUT_STREAM,
+    UPDATE_STREAM,
     TrainState,
     make_networks,
-    make_train_state,
     policy_params,
+    train_state_maker,
 )
 from usarmjx.train.learning.trajectory import RolloutState
 from usarmjx.train.processes.group import PROCESS_AXIS, ProcessGroup
@@ -110,19 +111,24 @@ class Trainer:
         self.stream = ArenaStream(env, config.renew, self.iterations)
         teacher = teacher_of(env) if config.imitate else None
         known: ProgramKeeper | None = getattr(env, "keeper", None)
-        self._keeper = known and known.of(config, self.networks, process_group.index, process_group.count)
+        # Of each seed they are the same.
+        general = replace(config, seed=0, checkpoint_every=1, keep=1)
+        self._keeper = known and known.of(general, self.networks, process_group.index, process_group.count)
         first = process_group.index * share
         self.rollout = Rollout(env, self.networks, config, first, teacher, self._keeper)
         timed, once = PartitionSpec(None, PROCESS_AXIS), PartitionSpec(PROCESS_AXIS)
+        self._begin = train_state_maker(self.networks, config, self._keeper)
         self._everywhere = jax.shard_map(
             partial(update, self.networks, config, process_group.count),
             mesh=process_group.mesh,
-            in_specs=(PartitionSpec(), (timed, once, once)),
+            in_specs=(PartitionSpec(), (timed, once, once), PartitionSpec()),
             out_specs=(PartitionSpec(), PartitionSpec()),
             check_vma=False,
         )
         self._update = AheadProgram(compile_program(self._updated, self._keeper, "Trainer", precise=False))
-        self._key = process_group.device_put(jax.random.fold_in(jax.random.key(config.seed), ROLLOUT_STREAM))
+        keys = [jax.random.fold_in(jax.random.key(config.seed), s) for s in (ROLLOUT_STREAM, UPDATE_STREAM)]
+        self._key, updates = process_group.device_put((keys[0], jax.random.key_data(keys[1])))
+        self._stream = process_group.to_global(updates, None)
         self._fold = jax.jit(jax.random.fold_in)
         self._sums = jax.jit(_with_axis)
         self._best_actions = jax.jit(partial(self.networks.policy.act, deterministic=True))
@@ -133,8 +139,8 @@ class Trainer:
 
     def starts(self) -> tuple[TrainState, RolloutState, jax.Array]:
         """Return what the first rollout is given, but for where it is."""
-        made = make_train_state(self.networks, self.config, self._keeper)
-        return made, self.rollout.start(self.level(0)), self._key
+        learner = self._begin(jax.random.key(self.config.seed))
+        return learner, self.rollout.start(self.level(0)), self._key
 
     def start_shapes(self) -> tuple[TrainState, RolloutState, jax.Array]:
         """Return the shapes of what `starts` returns."""
@@ -152,7 +158,7 @@ class Trainer:
         _, trajectory, ends, sums = collected
         shapes = self.process_group.global_shapes
         experience = (shapes(trajectory, 1), shapes(ends, 0), shapes(jax.eval_shape(_with_axis, sums), 0))
-        self._update.compile(shapes(train_state, None), experience)
+        self._update.compile(shapes(train_state, None), experience, self._stream)
 
     def full_score(self, train_state: TrainState) -> float | None:
         """Return the mean score of one episode of each world of this process, with all arenas in play.
@@ -173,9 +179,9 @@ class Trainer:
         scores = play_episodes(self.env, Policy(start, act), self.env.worlds, JUDGING_SEED).scores
         return float(scores.mean()) if len(scores) else None
 
-    def _updated(self, train_state: TrainState, experience: Any) -> tuple[TrainState, dict[str, jax.Array]]:  # noqa: ANN401 - PyTrees
+    def _updated(self, *args: Any) -> tuple[TrainState, dict[str, jax.Array]]:  # noqa: ANN401 - PyTrees
         """Return the train state after an update, and numbers for the log."""
-        return self._everywhere(train_state, experience)
+        return self._everywhere(*args)
 
     def level(self, iteration: int) -> float:
         """Return how difficult the arenas in play are before an iteration, counted from 0."""
@@ -204,7 +210,7 @@ class Trainer:
         to_global = self.process_group.to_global
         experience = (to_global(trajectory, 1), to_global(ends, 0), to_global(self._sums(sums), 0))
         train_state, known = self.process_group.to_local(
-            self._update(to_global(train_state, None), experience)
+            self._update(to_global(train_state, None), experience, self._stream)
         )
         return train_state, worlds, known
 
@@ -290,7 +296,8 @@ def train(  # noqa: PLR0913 - all but three may be left out
             train_state, worlds, before = _restore(trainer, checkpoints, source)
         trainer.rollout.look(worlds.env_state)
         log = Log(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None
-        return _run(trainer, checkpoints, (train_state, worlds, before), log, watch, began)
+        left = train_state, worlds, before
+        return _run(trainer, checkpoints, left, log, watch or (lambda line: None), began)
 
 
 def _lock(held: ExitStack, out: Path, process_group: ProcessGroup) -> None:
@@ -373,52 +380,80 @@ def _save(
     return None
 
 
+Unread: TypeAlias = list[tuple[int, dict[str, jax.Array]]]
+"""Iterations with their numbers for the log, which may still be at work."""
+
+
+def _iterated(
+    trainer: Trainer, left: tuple[TrainState, RolloutState, int]
+) -> Iterator[tuple[int, tuple[TrainState, RolloutState], Unread, bool]]:
+    """Iterate to the end, from where it was left.
+
+    Yields:
+        The iteration's number and what it left; what can be read of iterations by now: the one before, while
+        this one is at work, so that the device does not wait for the host; and whether a checkpoint is due:
+        then of this one, too.
+    """
+    train_state, worlds, before = left
+    unread: Unread = []
+    for iteration in range(before + 1, trainer.iterations + 1):
+        train_state, worlds, known = trainer.iterate(train_state, worlds, iteration - 1)
+        due = iteration % trainer.config.checkpoint_every == 0 or iteration == trainer.iterations
+        ready = [*unread, (iteration, known)] if due else unread
+        unread = [] if due else [(iteration, known)]
+        yield iteration, (train_state, worlds), ready, due
+
+
+def _line(trainer: Trainer, iteration: int, sums: dict[str, float], rate: float) -> dict[str, Any]:
+    """Return what is written of an iteration."""
+    world_steps = trainer.config.rollout * trainer.config.worlds
+    return {
+        "iteration": iteration,
+        "agent_steps": iteration * world_steps * trainer.agents,
+        "steps_per_s": rate,
+        "level": trainer.level(iteration - 1),
+        **summary(sums, world_steps),
+    }
+
+
 def _run(
     trainer: Trainer,
     checkpoints: Checkpoints,
     left: tuple[TrainState, RolloutState, int],
     log: Log | None,
-    watch: Callable[[dict[str, Any]], None] | None,
+    watch: Callable[[dict[str, Any]], None],
     began: float,
 ) -> TrainResult:
     """Iterate to the end, from where it was left; the first iteration's time is from when it compiled."""
-    train_state, worlds, before = left
-    config, iterations, out = trainer.config, trainer.iterations, checkpoints.run
-    world_steps = config.rollout * config.worlds
+    iterations, out = trainer.iterations, checkpoints.run
+    steps = trainer.config.rollout * trainer.config.worlds * trainer.agents
     lines: list[dict[str, Any]] = []  # of the iterations since the last checkpoint
     line: dict[str, Any] = {}
     missing: WriteError | None = None
     with log or nullcontext():
-        for iteration in range(before + 1, iterations + 1):
-            train_state, worlds, known = trainer.iterate(train_state, worlds, iteration - 1)
-            sums = {name: float(one) for name, one in jax.device_get(known).items()}
-            agent_steps = iteration * world_steps * trainer.agents
-            seconds = time.perf_counter() - began
-            rate = world_steps * trainer.agents / seconds
-            line = {
-                "iteration": iteration,
-                "agent_steps": agent_steps,
-                "steps_per_s": rate,
-                "level": trainer.level(iteration - 1),
-                **summary(sums, world_steps),
-            }
-            lines.append(line)
-            if log:
-                log.write(line)
-            if iteration % config.checkpoint_every == 0 or iteration == iterations:
-                note = {"agent_steps": agent_steps, **_judged(trainer, train_state, lines)}
-                missing = _save(checkpoints, iteration, (train_state, worlds), note)
+        for iteration, state, ready, due in _iterated(trainer, left):
+            for number, known in ready:
+                sums = {name: float(one) for name, one in jax.device_get(known).items()}
+                began, seconds = (now := time.perf_counter()), now - began
+                line = _line(trainer, number, sums, steps / seconds)
+                lines.append(line)
+                if log:
+                    log.write(line)
+                if number < iteration:
+                    watch(line)
+            if due:
+                note = {"agent_steps": iteration * steps, **_judged(trainer, state[0], lines)}
+                missing = _save(checkpoints, iteration, state, note)
                 if log and missing and iteration < iterations:
                     log.say(f"{missing}; training goes on, and the next checkpoint is tried")
                 lines.clear()
-            if watch:
                 watch(line)
+                began = time.perf_counter()
             check_parent()
-            began = time.perf_counter()
         if missing:
             raise WriteError(f"{missing}; the last checkpoint is missing: resume the run from the one before")
         if log:
             log.check_whole()
     if not line:  # the run was over already
         line = (read_lines(out / "metrics.jsonl") or [{}])[-1]
-    return TrainResult(out, iterations, iterations * world_steps * trainer.agents, line)
+    return TrainResult(out, iterations, iterations * steps, line)
