@@ -49,7 +49,7 @@ class WarpFunction:
     Args:
         maker: See `Launch`.
         given: See `Launch`.
-        kernel: As `warp.jax_kernel` returns it.
+        kernel: As Warp's `jax_kernel` returns it.
     """
 
     def __init__(self, maker: tuple[str, str], given: tuple[Any, ...], kernel: Any) -> None:  # noqa: ANN401 - Warp's own
@@ -102,7 +102,7 @@ class WarpFunction:
 
 
 def warp_function(make: Callable[..., Any]) -> Callable[..., WarpFunction]:
-    """Return a function that returns a kernel by `warp.jax_kernel` as one that returns its `WarpFunction`.
+    """Return a function that returns a kernel as JAX calls it as one that returns its `WarpFunction`.
 
     It must be one of a module. Both are made once for what it is called with: numbers and texts.
     """

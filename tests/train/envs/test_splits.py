@@ -14,7 +14,7 @@ from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.splits import HELD_OUT_END, HELD_OUT_START, SPLITS, held_out
 from usarmjx.train.evaluation.evaluate import play_episodes
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.trainer import Trainer
+from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.make import make
 from usarmjx.train.processes.group import ProcessGroup
 from usarmjx.train.scenes.buildings import Buildings

@@ -17,8 +17,9 @@ from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.evaluation.evaluate import run_episodes
 from usarmjx.train.learning.checkpoint import FORMAT, Checkpoints, read_part
 from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.learner import JUDGING_SEED, Trainer
 from usarmjx.train.learning.train_state import make_networks, policy_params
-from usarmjx.train.learning.trainer import JUDGING_SEED, Trainer, train
+from usarmjx.train.learning.trainer import train
 from usarmjx.train.processes.group import ProcessGroup
 from usarmjx.train.scenes.buildings import Buildings
 

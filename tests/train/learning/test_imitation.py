@@ -15,9 +15,9 @@ from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.policy import Policy
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.imitation import imitation_loss
+from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.ppo import MIN_LEARNING_RATE
 from usarmjx.train.learning.train_state import policy_params
-from usarmjx.train.learning.trainer import Trainer
 from usarmjx.train.processes.group import ProcessGroup
 
 CONFIG = Config(worlds=32, rollout=16, minibatches=2, layers=(32,), critic_layers=(8,), learning_rate=3e-3)

@@ -13,8 +13,8 @@ from usarmjx.train.envs.env import Env
 from usarmjx.train.learning import train_state
 from usarmjx.train.learning.ahead import compiling
 from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.rollout import Rollout
-from usarmjx.train.learning.trainer import Trainer
 from usarmjx.train.make import make_task
 from usarmjx.train.processes.group import ProcessGroup
 

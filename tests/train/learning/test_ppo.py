@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.train.toys import DriveToy
 from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.ppo import _adapt, _shuffle, surrogate
 from usarmjx.train.learning.train_state import critic_values
-from usarmjx.train.learning.trainer import Trainer
 from usarmjx.train.processes.group import ProcessGroup
 
 CONFIG = Config(worlds=16, rollout=8, minibatches=2, epochs=2, layers=(8,), critic_layers=(8,), memory=4)
@@ -92,16 +92,16 @@ def test_good_transitions_teach(trainer, collected):
     """The other way round, so that the test above can fail."""
     train_state, steps, ends, sums = collected
     expected, _ = trainer._update(train_state, (steps, ends, sums), trainer._stream)
-    found, _ = trainer._update(
-        train_state, (steps.replace(reward=tuple(r + 1 for r in steps.reward)), ends, sums)
-    )
+    better = steps.replace(reward=tuple(r + 1 for r in steps.reward))
+    found, _ = trainer._update(train_state, (better, ends, sums), trainer._stream)
     assert any((one != other).any() for one, other in zip(leaves(expected), leaves(found), strict=True))
 
 
 def test_an_update_with_nothing_but_bad_transitions_keeps_the_weights(trainer, collected):
     """And the statistics stay finite."""
     train_state, steps, ends, sums = collected
-    new, _ = trainer._update(train_state, (steps.replace(bad=jnp.ones_like(steps.bad)), ends, sums))
+    spoilt = steps.replace(bad=jnp.ones_like(steps.bad))
+    new, _ = trainer._update(train_state, (spoilt, ends, sums), trainer._stream)
     for one, other in zip(
         leaves((train_state.params, train_state.obs_statistics)),
         leaves((new.params, new.obs_statistics)),

@@ -15,8 +15,9 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.train.envs.splits import held_out
 from usarmjx.train.learning.checkpoint import Checkpoints, read_part
 from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.renewal import ArenaStream
-from usarmjx.train.learning.trainer import Trainer, train
+from usarmjx.train.learning.trainer import train
 from usarmjx.train.mapping.maps import reachable_squares
 from usarmjx.train.processes.group import ProcessGroup
 from usarmjx.train.scenes.buildings import Buildings

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.train.toys import DriveToy, group
 from usarmjx.base.errors import UsageError
 from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.train_state import make_networks, make_train_state, policy_params
-from usarmjx.train.learning.trainer import Trainer
 from usarmjx.train.processes.group import ProcessGroup
 
 CONFIG = Config(worlds=16, rollout=8, minibatches=2, layers=(8,), critic_layers=(8,), shared=True)

@@ -14,7 +14,7 @@ from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.imitation import teacher_obs, teacher_of
-from usarmjx.train.learning.trainer import Trainer
+from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.processes.group import ProcessGroup
 from usarmjx.train.tasks import TASKS
 

@@ -18,7 +18,8 @@ from usarmjx.base.errors import UsageError
 from usarmjx.train.learning import trainer as trainer_module
 from usarmjx.train.learning.ahead import compiling
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.trainer import Trainer, train
+from usarmjx.train.learning.learner import Trainer
+from usarmjx.train.learning.trainer import train
 from usarmjx.train.processes.group import ProcessGroup
 
 

@@ -9,7 +9,7 @@ import jax
 from jax.sharding import SingleDeviceSharding
 
 if TYPE_CHECKING:
-    from usarmjx.train.learning.trainer import Trainer
+    from usarmjx.train.learning.learner import Trainer
 
 
 @contextmanager

@@ -1,0 +1,190 @@
+"""What a run does in this process, together with the others: rollout and update, over and over."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+from jax.sharding import PartitionSpec
+
+from usarmjx.base.errors import UsageError
+from usarmjx.base.kept_programs import AheadProgram, ProgramKeeper, compile_program
+from usarmjx.sim.scene import Scene
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.policy import Carry, Policy
+from usarmjx.train.envs.splits import held_out
+from usarmjx.train.evaluation.evaluate import play_episodes
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.imitation import teacher_of
+from usarmjx.train.learning.ppo import update
+from usarmjx.train.learning.renewal import ArenaStream
+from usarmjx.train.learning.rollout import Rollout
+from usarmjx.train.learning.train_state import (
+    ROLLOUT_STREAM,
+    UPDATE_STREAM,
+    TrainState,
+    make_networks,
+    policy_params,
+    train_state_maker,
+)
+from usarmjx.train.learning.trajectory import RolloutState
+from usarmjx.train.processes.group import PROCESS_AXIS, ProcessGroup
+
+JUDGING_SEED = 2**31 - 1
+"""Of the episodes in which policies are compared under a curriculum."""
+EnvFactory = Callable[[int, int], Env]
+"""From a number of worlds, and the number of the first of them, to an environment."""
+
+
+class Trainer:
+    """A run in this process, together with the others if there are any.
+
+    Args:
+        env: The worlds of this process, or what makes them.
+        config: Settings.
+        process_group: All processes.
+    """
+
+    def __init__(self, env: Env | EnvFactory, config: Config, process_group: ProcessGroup) -> None:
+        config.check_processes(process_group.count)
+        share = config.worlds // process_group.count
+        if callable(env):
+            env = env(share, process_group.index * share)
+        if env.worlds != share:
+            raise UsageError(
+                f"the environment has {env.worlds} worlds; {config.worlds} worlds of {process_group.count} "
+                f"processes need {share}"
+            )
+        _check_split(env)
+        if config.curriculum and not env.levels:
+            raise UsageError(
+                f"curriculum is {config.curriculum}, but {env.name} has no generated arenas that could get "
+                "harder: set arena=maze, or leave curriculum out"
+            )
+        self.env, self.config, self.process_group = env, config, process_group
+        self.networks = make_networks(env.groups, env.privileged_size, config)
+        self.agents = self.networks.agent_count
+        self.iterations = config.iterations(self.agents)
+        self.stream = ArenaStream(env, config.renew, self.iterations)
+        teacher = teacher_of(env) if config.imitate else None
+        known: ProgramKeeper | None = getattr(env, "keeper", None)
+        # Of each seed they are the same.
+        general = replace(config, seed=0, checkpoint_every=1, keep=1)
+        self._keeper = known and known.of(general, self.networks, process_group.index, process_group.count)
+        first = process_group.index * share
+        self.rollout = Rollout(env, self.networks, config, first, teacher, self._keeper)
+        timed, once = PartitionSpec(None, PROCESS_AXIS), PartitionSpec(PROCESS_AXIS)
+        self._begin = train_state_maker(self.networks, config, self._keeper)
+        self._everywhere = jax.shard_map(
+            partial(update, self.networks, config, process_group.count),
+            mesh=process_group.mesh,
+            in_specs=(PartitionSpec(), (timed, once, once), PartitionSpec()),
+            out_specs=(PartitionSpec(), PartitionSpec()),
+            check_vma=False,
+        )
+        self._update = AheadProgram(compile_program(self._updated, self._keeper, "Trainer", precise=False))
+        keys = [jax.random.fold_in(jax.random.key(config.seed), s) for s in (ROLLOUT_STREAM, UPDATE_STREAM)]
+        self._key, updates = process_group.device_put((keys[0], jax.random.key_data(keys[1])))
+        self._stream = process_group.to_global(updates, None)
+        self._fold = jax.jit(jax.random.fold_in)
+        self._sums = jax.jit(_with_axis)
+        self._best_actions = jax.jit(partial(self.networks.policy.act, deterministic=True))
+
+    def start(self) -> tuple[TrainState, RolloutState]:
+        """Return the train state before the first update, and worlds at their start."""
+        return self.process_group.device_put(self.starts()[:2])
+
+    def starts(self) -> tuple[TrainState, RolloutState, jax.Array]:
+        """Return what the first rollout is given, but for where it is."""
+        learner = self._begin(jax.random.key(self.config.seed))
+        return learner, self.rollout.start(self.level(0)), self._key
+
+    def start_shapes(self) -> tuple[TrainState, RolloutState, jax.Array]:
+        """Return the shapes of what `starts` returns."""
+        if self._keeper is None:
+            return jax.eval_shape(self.starts)
+        return self._keeper.value("Trainer.starts", partial(jax.eval_shape, self.starts))
+
+    def compile_update(self, train_state: TrainState, collected: Any) -> None:  # noqa: ANN401 - shapes of `Collected`
+        """Compile the update.
+
+        Args:
+            train_state: Its shapes.
+            collected: Shapes of what a rollout returns.
+        """
+        _, trajectory, ends, sums = collected
+        shapes = self.process_group.global_shapes
+        experience = (shapes(trajectory, 1), shapes(ends, 0), shapes(jax.eval_shape(_with_axis, sums), 0))
+        self._update.compile(shapes(train_state, None), experience, self._stream)
+
+    def full_score(self, train_state: TrainState) -> float | None:
+        """Return the mean score of one episode of each world of this process, with all arenas in play.
+
+        The policy takes its most probable actions, and the seed is always the same: so what was trained on
+        easier arenas is compared with what was trained on harder ones. The worlds in training stay as they
+        are. None: no episode ended well.
+        """
+
+        def act(
+            carry: Carry, obs: tuple[jax.Array, ...], key: jax.Array
+        ) -> tuple[Carry, tuple[jax.Array, ...]]:
+            del key
+            actions, carry = self._best_actions(params, obs, carry)
+            return carry, actions
+
+        params, start = policy_params(train_state), self.networks.policy.initial_carry
+        scores = play_episodes(self.env, Policy(start, act), self.env.worlds, JUDGING_SEED).scores
+        return float(scores.mean()) if len(scores) else None
+
+    def _updated(self, *args: Any) -> tuple[TrainState, dict[str, jax.Array]]:  # noqa: ANN401 - PyTrees
+        """Return the train state after an update, and numbers for the log."""
+        return self._everywhere(*args)
+
+    def level(self, iteration: int) -> float:
+        """Return how difficult the arenas in play are before an iteration, counted from 0."""
+        share = self.config.curriculum * self.iterations
+        return min(1.0, iteration / share) if share else 1.0
+
+    def iterate(
+        self, train_state: TrainState, worlds: RolloutState, iteration: int
+    ) -> tuple[TrainState, RolloutState, dict[str, jax.Array]]:
+        """Let the robots act, and update.
+
+        Args:
+            train_state: So far.
+            worlds: Of this process.
+            iteration: Number of this one, from 0.
+
+        Returns:
+            Train state and rollout state, and numbers for the log.
+        """
+        arenas = self.stream.arenas(iteration)
+        if self.config.curriculum or self.stream.begins(iteration):
+            state = self.env.at_level(worlds.env_state, self.level(iteration), arenas)
+            worlds = worlds.replace(env_state=self.process_group.device_put(state))
+        key = self._fold(self._key, iteration)
+        worlds, trajectory, ends, sums = self.rollout.collect(train_state, worlds, key)
+        to_global = self.process_group.to_global
+        experience = (to_global(trajectory, 1), to_global(ends, 0), to_global(self._sums(sums), 0))
+        train_state, known = self.process_group.to_local(
+            self._update(to_global(train_state, None), experience, self._stream)
+        )
+        return train_state, worlds, known
+
+
+def _check_split(env: Env) -> None:
+    """Refuse to train on arenas that scores are measured in."""
+    scene: Scene | None = getattr(env, "scene", None)  # environments of one's own need none
+    if scene is None:
+        return
+    if split := held_out((scene.arena,) if scene.arenas is None else scene.arenas.arenas):
+        raise UsageError(
+            f"{env.name} has arenas of the split {split}, which are held out to measure scores in: train on "
+            "those of the split train"
+        )
+
+
+def _with_axis(sums: dict[str, jax.Array]) -> dict[str, jax.Array]:
+    """Return sums with an axis over processes."""
+    return {name: one[None] for name, one in sums.items()}
