@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
@@ -41,6 +40,8 @@ class Estimate:
 
 def interquartile_mean(values: np.ndarray) -> np.ndarray:
     """Return the mean of the middle half (...,) of values (..., n)."""
+    from scipy import stats  # a second to import, of which a training has no need
+
     return np.asarray(stats.trim_mean(values, TRIM, axis=-1))
 
 
@@ -70,6 +71,8 @@ def estimate(
     everything = np.concatenate(rows)
     value, count = float(of(everything)), len(everything)
     if shares and np.isin(everything, (0.0, 1.0)).all():
+        from scipy import stats
+
         found = stats.binomtest(int(everything.sum()), count).proportion_ci(CONFIDENCE, method="wilson")
         low, high = float(found.low), float(found.high)
         return Estimate(value=value, low=low, high=high, count=count, method="Wilson")
