@@ -102,9 +102,8 @@ def _version(distribution: str) -> str:
 def find_keeper(*made_from: object) -> "ProgramKeeper | None":
     """Return what keeps programs that close over some values; None: nothing is kept.
 
-    That is so where `keep_compilations` has not been called, on several devices or on such as are neither
-    a CPU nor a GPU, where
-    sources were changed since the process started, and where a value has no `fingerprint`.
+    That is so where `keep_compilations` has not been called, on several devices or on what is neither a CPU
+    nor a GPU, where sources were changed since the process started, and where a value has no `fingerprint`.
 
     Args:
         made_from: All that is not an argument of the programs and not in this package's sources.
