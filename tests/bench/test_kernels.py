@@ -25,6 +25,14 @@ def test_what_runs_within_another_is_not_counted_twice():
     assert sum(one["share"] for one in found["top"]) == pytest.approx(1)
 
 
+def test_branches_of_a_graph_run_beside_each_other_and_count_each():
+    """What begins within another one of a GPU is no part of it: shares were above 1, and sums too small."""
+    found = count_kernels([[("a", 0, 100), ("b", 10, 80), ("b", 20, 90)]], nested=False)
+    assert {one["name"]: round(1e6 * one["ms"]) for one in found["top"]} == {"a": 100, "b": 170}
+    assert 1e6 * found["ms"] == pytest.approx(270)
+    assert all(one["share"] < 1 for one in found["top"])
+
+
 def test_the_longest_come_first_and_the_rest_is_left_out():
     found = count_kernels([[(f"k{i}", 1000 * i, i) for i in range(1, TOP + 11)]])
     assert [one["name"] for one in found["top"]] == [f"k{i}" for i in range(TOP + 10, 10, -1)]

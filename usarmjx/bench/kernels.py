@@ -45,7 +45,7 @@ def profile_kernels(run: Callable[[Any], Any], state: Any) -> dict[str, Any]:  #
         if not files:
             raise EngineError("JAX's profiler left no trace")
         lines = [list(line) for line in _device_lines(str(files[0]))]
-    return count_kernels(lines)
+    return count_kernels(lines, nested=jax.default_backend() == "cpu")
 
 
 def _device_lines(file: str) -> Iterator[Iterator[Span]]:
@@ -62,8 +62,13 @@ def _device_lines(file: str) -> Iterator[Iterator[Span]]:
                 )
 
 
-def count_kernels(lines: Iterable[Iterable[Span]]) -> dict[str, Any]:
+def count_kernels(lines: Iterable[Iterable[Span]], nested: bool = True) -> dict[str, Any]:
     """Return what `profile_kernels` does, of the spans of each stream or thread.
+
+    Args:
+        lines: The spans.
+        nested: Whether one within another is a part of it; kernels of a GPU that run at the same time are
+            branches of a CUDA graph, each with a time of its own.
 
     Raises:
         EngineError: There are no spans.
@@ -77,7 +82,7 @@ def count_kernels(lines: Iterable[Iterable[Span]]) -> dict[str, Any]:
             name, start, duration = span
             while around and around[-1][1] + around[-1][2] <= start:
                 around.pop()
-            if around:
+            if around and nested:
                 took[around[-1][0]] -= duration
             around.append(span)
             took[name] += duration
