@@ -60,3 +60,20 @@ def test_the_second_start_traces_nothing_and_learns_the_same(engine, tmp_path, m
         jax.tree.map(np.testing.assert_array_equal, first, trained(engine))
         with pytest.raises(RuntimeError, match="it was traced"):
             trained(engine, replace(CONFIG, discount=0.9))
+
+
+def test_programs_are_those_of_any_seed(tmp_path, monkeypatch):
+    """What another seed has kept does what the seed's own would do."""
+    monkeypatch.setattr(kept_programs, "_sources", lambda: "as they are")
+    other = replace(CONFIG, seed=1)
+    monkeypatch.setenv(PROGRAMS_FOLDER, str(tmp_path / "own"))
+    own = trained("planar", other)
+    monkeypatch.setenv(PROGRAMS_FOLDER, str(tmp_path / "of seed 0"))
+    first = trained("planar")
+    for owner, names in TRACED.items():
+        for name in names:
+            monkeypatch.setattr(owner, name, not_to_be_traced(name))
+    found = trained("planar", other)
+    jax.tree.map(np.testing.assert_array_equal, own, found)
+    pairs = zip(jax.tree.leaves(first[0].params), jax.tree.leaves(found[0].params), strict=True)
+    assert any((one != another).any() for one, another in pairs)
