@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 
 from tests.arenas import COURSE
-from tests.engines.crowds import crowd
+from tests.engines.crowds import as_the_engine_has_it, crowd
 from tests.engines.eager import EAGER
 from tests.engines.test_planar_contact import PEN
 from tests.sim.test_arena_sets import ARENAS, EXACT, TOLERANCE, drive
 from tests.train.envs.test_steady import goal_env, live_bytes, used_after
 from tests.train.mapping.mazes import mazes
 from usarmjx.engines import choose_engine
+from usarmjx.engines.planar import engine as planar_engine
 from usarmjx.engines.planar.footprints import keep_apart
+from usarmjx.engines.planar.looking import around_by_jax, around_on_warp
 from usarmjx.engines.planar.parting import part_robots
 from usarmjx.engines.warp_graphs import GRAPHS
 from usarmjx.models.build.compose import Physics
@@ -239,8 +241,35 @@ def test_crowds_are_kept_apart_on_warp_as_by_jax(robots):
     """Within 0.1 mm; but one robot in a thousand, that is as deep in two things and goes out of the other."""
     case = crowd(500, robots, seed=robots)
     kept, touched = jax.jit(partial(keep_apart, discs=True))(*case.values())
-    found, felt = jax.jit(partial(part_robots, discs=True))(*case.values())
+    found, felt = jax.jit(part_robots)(*as_the_engine_has_it(case))
     off = np.abs(np.asarray(found.pos - kept.pos)).max(-1)
     assert (off > 1e-4).mean() < 1e-3
     assert (np.asarray(felt) != np.asarray(touched)).mean() < 1e-3
     assert np.abs(np.asarray(kept.pos - case["after"].pos)).max(-1).mean() > 0.01
+
+
+def test_what_is_around_robots_is_found_on_warp_as_by_jax(monkeypatch):
+    """P2ATs driven for 5 s in 64 worlds; but for one number in a thousand, of solids as near as others."""
+    batch = Batch(build_scene("yellow", ["P2AT"] * 8, Physics.coarse()), 64, engine="planar")
+    found: list[tuple] = []
+
+    def both(solids, known, aims):
+        by_jax, by_warp = (find(solids, known, aims) for find in (around_by_jax, around_on_warp))
+        jax.debug.callback(
+            lambda *them: found.append(jax.tree.map(np.array, them)), by_jax, by_warp, ordered=True
+        )
+        return by_jax
+
+    monkeypatch.setattr(planar_engine, "around_robots", both)
+    state = batch.reset()
+    for step in range(100):
+        if step % 20 == 0:
+            speeds = np.random.default_rng(step).uniform(-3.0, 6.0, (2, 64, 8)).astype(np.float32)
+            state = batch.drive(state, 0, {"Left": speeds[0], "Right": speeds[1]})
+        state = batch.step(state)
+    jax.block_until_ready(state)
+    jax.effects_barrier()
+    assert len(found) == 100
+    assert (found[0][0].at != found[-1][0].at).any(), "they looked again"
+    pairs = [pair for them in found for pair in zip(*map(jax.tree.leaves, them), strict=True)]
+    assert np.concatenate([(np.abs(x - y) > 1e-4).ravel() for x, y in pairs]).mean() < 1e-3

@@ -6,9 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.engines.planar.aims import Aims
 from usarmjx.engines.planar.footprints import Footprints
+from usarmjx.engines.planar.movable import WhereSolids
+from usarmjx.engines.planar.neighbours import Neighbours
 from usarmjx.engines.planar.overlap import Outlines
-from usarmjx.engines.planar.solids import NOWHERE
+from usarmjx.engines.planar.solids import NOWHERE, PlanSolids, packed
 
 SOLIDS = 8
 """Near each robot."""
@@ -66,3 +69,26 @@ def crowd(worlds: int, robots: int, seed: int = 0) -> dict[str, Any]:
 def flat(case: dict[str, Any]) -> dict[str, Any]:
     """Return a crowd without discs: they are rectangles of no size."""
     return {**case, "near": case["near"]._replace(radius=jnp.zeros_like(case["near"].radius))}
+
+
+def as_the_engine_has_it(case: dict[str, Any], *, discs: bool = True) -> tuple[Aims, Neighbours]:
+    """Return a crowd as aims and what is around them: all its solids are at the height of all robots."""
+    shape = case["moves"].shape
+    near = Outlines(*(jnp.moveaxis(part, -1, 0) for part in case["near"]))
+    flat, high = jnp.zeros_like(near.x), jnp.full_like(near.x, 1e3)
+    solids = PlanSolids(
+        outline=near, low=-high, top=high, slope_x=flat, slope_y=flat, highest=high, discs=discs
+    )
+    scene = WhereSolids(loose=jnp.zeros((shape[0], 0)), geoms=jnp.zeros((shape[0], 0, 10)))
+    around = Neighbours(
+        at=jnp.zeros((*shape, 4)),
+        room=jnp.zeros((*shape, 4)),
+        left_out=jnp.zeros(shape, jnp.int32),
+        near_numbers=packed(solids),
+        under_numbers=packed(solids),
+        scene=scene,
+        discs=discs,
+    )
+    limit, qpos = jnp.zeros((shape[0], 4, shape[1])), jnp.zeros((shape[0], 0))
+    before, after, moves, stacked = (case[name] for name in ("before", "after", "moves", "stacked"))
+    return Aims(before, after, moves, stacked, limit, scene, qpos, None), around

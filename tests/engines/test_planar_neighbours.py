@@ -115,8 +115,7 @@ def test_the_ground_is_as_high_as_that_under_all_solids(moved):
 
 def test_nothing_is_known_of_robots_that_went_farther_or_whose_solids_moved(moved):
     _, prints, known, _, _ = moved
-    nine = jax.tree.map(lambda margin: jnp.full_like(margin, 9.0), known.free)
-    assumed, none = known.replace(free=nine, grounded=nine), Margin(aside=0.0, height=0.0)
+    assumed, none = known.replace(room=jnp.full_like(known.room, 9.0)), Margin(aside=0.0, height=0.0)
     at, scene = places_of(prints, prints.low + prints.step), known.scene.loose
 
     def lost(now, reach=none, around=assumed):

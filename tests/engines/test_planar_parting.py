@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.engines.crowds import crowd, flat
+from tests.engines.crowds import as_the_engine_has_it, crowd, flat
 from tests.engines.eager import EAGER, drive, poses
 from tests.engines.test_planar_contact import PEN
 from usarmjx.engines.planar import parting
 from usarmjx.engines.planar.footprints import TOLERANCE, keep_apart
-from usarmjx.engines.planar.parting import on_warp, part_robots
+from usarmjx.engines.planar.parting import part_robots, parted_on_warp
 from usarmjx.models.build.compose import Physics
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
@@ -27,7 +27,12 @@ ROUNDING = 2e-5
 def both(case, *, discs=True):
     """What JAX and Warp make of a crowd."""
     by_jax = jax.jit(partial(keep_apart, discs=discs))(*case.values())
-    return by_jax, jax.jit(partial(on_warp, discs))(*case.values())
+    return by_jax, jax.jit(on_warp)(*case.values())
+
+
+def on_warp(before, after, near, moves, stacked):
+    case = {"before": before, "after": after, "near": near, "moves": moves, "stacked": stacked}
+    return parted_on_warp(*as_the_engine_has_it(case))
 
 
 @pytest.mark.parametrize("robots", [1, 3, 4, 16, 40])
@@ -54,13 +59,13 @@ def test_so_is_one_among_boxes_only_and_one_in_which_nobody_flies(stacked):
 
 def test_a_world_is_the_same_alone_as_among_others():
     case = crowd(6, 5, seed=3)
-    whole, _ = on_warp(True, *case.values())
+    whole, _ = on_warp(*case.values())
     pick = {
         name: jax.tree.map(lambda part: part[2:3], case[name])
         for name in ("before", "after", "moves", "stacked")
     }
     pick["near"] = jax.tree.map(lambda part: part[..., 2:3], case["near"])
-    alone, _ = on_warp(True, *(pick[name] for name in case))
+    alone, _ = on_warp(*(pick[name] for name in case))
     np.testing.assert_array_equal(alone.pos[0], whole.pos[2])
     np.testing.assert_array_equal(alone.yaw[0], whole.yaw[2])
 
@@ -75,9 +80,7 @@ def test_its_slope_is_that_of_jax():
         return (kept.pos * weight).sum() + kept.yaw.sum()
 
     given = case["before"], case["after"], case["near"]
-    by_jax, by_warp = (
-        partial(total, apart) for apart in (partial(keep_apart, discs=True), partial(on_warp, True))
-    )
+    by_jax, by_warp = (partial(total, apart) for apart in (partial(keep_apart, discs=True), on_warp))
     slopes = [jax.jit(jax.grad(one, argnums=(0, 1, 2)))(*given) for one in (by_jax, by_warp)]
     jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-5), *slopes)
     assert np.abs(slopes[0][1].pos).max() > 0.1
@@ -90,7 +93,7 @@ def test_its_slope_is_that_of_jax():
 def test_it_is_in_use_where_warp_is_and_worlds_are_not_too_large(monkeypatch):
     def text(robots):
         case = crowd(2, robots)
-        return jax.jit(partial(part_robots, discs=True)).lower(*case.values()).as_text()
+        return jax.jit(lambda *given: part_robots(*given)).lower(*as_the_engine_has_it(case)).as_text()
 
     assert "keep_robots_apart" not in text(2)
     monkeypatch.setattr(parting, "warp_in_use", lambda: True)

@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.engines import Inputs, PhysicsState
@@ -77,18 +78,23 @@ def random_actuation(
     Returns:
         Actuator inputs (worlds, nu) and activations (worlds, na).
     """
-    ctrl, act = jnp.zeros((worlds, scene.model.nu)), jnp.asarray(act)
+    # Columns of others, as writing single ones takes a GPU longer than the engine's whole step.
+    still, ones = jnp.zeros((worlds, 1)), jnp.ones((worlds, 1))
+    columns, source = [still, ones], np.zeros(scene.model.nu, int)
+    kept = np.arange(scene.model.na)
     for group in scene.groups:
         values, shape = _random_values(group, worlds, key), (worlds, len(group.slots))
-        still = jax.tree.map(
-            lambda x, s=shape: jnp.broadcast_to(x, (*s, *x.shape)), idle_command(group.robot)
-        )
+        idle = jax.tree.map(lambda x, s=shape: jnp.broadcast_to(x, (*s, *x.shape)), idle_command(group.robot))
         here = group.plan.actuated
-        command = set_drive(group.robot, still, values)
-        speeds = jnp.where(command.mode == ControlMode.VELOCITY, command.target, 0.0)
-        ctrl = ctrl.at[:, group.actuator_ids].set(speeds[..., here]).at[:, group.hold_actuator_ids].set(1.0)
-        act = act.at[:, group.actadr].set(qpos[:, group.qposadr[:, here]])
-    return ctrl, act
+        command = set_drive(group.robot, idle, values)
+        speeds = jnp.where(command.mode == ControlMode.VELOCITY, command.target, 0.0)[..., here]
+        first = sum(column.shape[1] for column in columns)
+        columns.append(speeds.reshape(worlds, -1))
+        source[group.hold_actuator_ids] = 1
+        source[group.actuator_ids] = first + np.arange(columns[-1].shape[1]).reshape(group.actuator_ids.shape)
+        kept[group.actadr] = len(kept) + group.qposadr[:, here]
+    both = jnp.concatenate([jnp.asarray(act), jnp.asarray(qpos)], 1)
+    return jnp.concatenate(columns, 1)[:, source], both[:, kept]
 
 
 def bare_step(

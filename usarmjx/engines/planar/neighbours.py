@@ -15,7 +15,7 @@ from usarmjx.base.fusion import rounds_at_once
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.movable import WhereSolids
 from usarmjx.engines.planar.overlap import Outlines
-from usarmjx.engines.planar.solids import NOWHERE, PlanSolids, tops_under
+from usarmjx.engines.planar.solids import NOWHERE, PlanSolids, packed, tops_under, unpacked
 
 NEAR = 8
 """A robot looks at so many solids closely ..."""
@@ -54,24 +54,46 @@ class Margin(struct.PyTreeNode, kw_only=True):
 class Neighbours(struct.PyTreeNode, kw_only=True):
     """What is around the robots of each world; all zeros: it is not known.
 
+    Solids are rows of numbers, as `solids.packed` makes them.
+
     Attributes:
         at: Where robots were when it was looked up: x, y, lowest point, and up to what height solids are
             ground for them [m] (worlds, robots, 4).
-        free: How far they can go before another solid could stop them.
-        grounded: How far before another solid could be ground for them.
+        room: The numbers of `free` and of `grounded` (worlds, robots, 4).
         left_out: Solids that stop them, are near and are not among those kept (worlds, robots).
-        near: Solids that may stop them (worlds, k, robots).
-        under: Solids that may be ground for them (worlds, layers, robots).
+        near_numbers: Of solids that may stop them (worlds, numbers, k, robots).
+        under_numbers: Of solids that may be ground for them (worlds, numbers, layers, robots).
         scene: Where the solids were that can be elsewhere.
+        discs: Whether any may be a disc.
     """
 
     at: Array
-    free: Margin
-    grounded: Margin
+    room: Array
     left_out: Array
-    near: PlanSolids
-    under: PlanSolids
+    near_numbers: Array
+    under_numbers: Array
     scene: WhereSolids
+    discs: bool = struct.field(pytree_node=False)
+
+    @property
+    def free(self) -> Margin:
+        """How far they can go before another solid could stop them."""
+        return Margin(aside=self.room[..., 0], height=self.room[..., 1])
+
+    @property
+    def grounded(self) -> Margin:
+        """How far before another solid could be ground for them."""
+        return Margin(aside=self.room[..., 2], height=self.room[..., 3])
+
+    @property
+    def near(self) -> PlanSolids:
+        """Solids that may stop them (worlds, k, robots)."""
+        return unpacked(self.near_numbers, discs=self.discs)
+
+    @property
+    def under(self) -> PlanSolids:
+        """Solids that may be ground for them (worlds, layers, robots)."""
+        return unpacked(self.under_numbers, discs=self.discs)
 
     def went(self, at: Array) -> tuple[Margin, Margin]:
         """Return how far robots are from where it was looked up, with their lowest points and with limits."""
@@ -89,10 +111,14 @@ class Neighbours(struct.PyTreeNode, kw_only=True):
             loose: As of `scene` (worlds, n).
             reach: How far each robot may get in a step.
         """
+        return self.holds_for(at, reach).all(-1) & (self.scene.loose == loose).all(-1)
+
+    def holds_for(self, at: Array, reach: Margin) -> Array:
+        """Return to which robots no other solid can matter within a step, if none moves (worlds, robots)."""
         known = jnp.ones(at.shape[:2], bool)
         for margin, went in zip((self.free, self.grounded), self.went(at), strict=True):
             known &= margin.exceeds(jax.tree.map(jnp.add, went, reach))
-        return known.all(-1) & (self.scene.loose == loose).all(-1)
+        return known
 
     def knows_ground(self, at: Array) -> Array:
         """Return of which robots no other solid can be ground (worlds, robots)."""
@@ -165,12 +191,12 @@ def look_around(
     left_out = (stops & (apart < reach.aside[:, None])).sum(-1) - most
     return Neighbours(
         at=places_of(prints, limit),
-        free=free,
-        grounded=grounded,
+        room=jnp.stack([free.aside, free.height, grounded.aside, grounded.height], -1),
         left_out=jnp.maximum(left_out, 0).astype(jnp.int32),
-        near=near,
-        under=under,
+        near_numbers=packed(near),
+        under_numbers=packed(under),
         scene=scene,
+        discs=solids.discs,
     )
 
 

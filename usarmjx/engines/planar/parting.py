@@ -1,6 +1,5 @@
 """How robots are kept apart here: by JAX, or on a GPU by one kernel of Warp, which has JAX's slope."""
 
-from functools import partial
 from typing import Any, cast
 
 import jax
@@ -8,18 +7,20 @@ import jax.numpy as jnp
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.warp_functions import warp_function
+from usarmjx.engines.planar.aims import Aims, rows_of
 from usarmjx.engines.planar.footprints import Footprints, keep_apart
-from usarmjx.engines.planar.overlap import Outlines
+from usarmjx.engines.planar.neighbours import Neighbours, stopping
 from usarmjx.sensors.rays.choice import warp_in_use
 
 
-def part_robots(
-    before: Footprints, after: Footprints, near: Outlines, moves: Array, stacked: Array | None, *, discs: bool
-) -> tuple[Footprints, Array]:
-    """As `keep_apart`, on Warp where that is in use; what the two find differs by rounding."""
-    if not _fits_on_warp(moves.shape[1]):
-        return keep_apart(before, after, near, moves, stacked, discs=discs)
-    return on_warp(discs, before, after, near, moves, stacked)
+def part_robots(aims: Aims, around: Neighbours) -> tuple[Footprints, Array]:
+    """Return where robots come to, as `keep_apart` does; on Warp where that is in use: that differs by rounding."""
+    return (parted_on_warp if _fits_on_warp(aims.moves.shape[1]) else _parted)(aims, around)
+
+
+def _parted(aims: Aims, around: Neighbours) -> tuple[Footprints, Array]:
+    near = stopping(aims.left, around.near)
+    return keep_apart(aims.left, aims.there, near, aims.moves, aims.stacked, discs=around.discs)
 
 
 def _fits_on_warp(robots: int) -> bool:
@@ -31,36 +32,23 @@ def _fits_on_warp(robots: int) -> bool:
     return 0 < robots <= MOST_ROBOTS
 
 
-def on_warp(
-    discs: bool, before: Footprints, after: Footprints, near: Outlines, moves: Array, stacked: Array | None
-) -> tuple[Footprints, Array]:
+def parted_on_warp(aims: Aims, around: Neighbours) -> tuple[Footprints, Array]:
     """As `part_robots`, on Warp: one launch, in which each world does as many turns as it needs."""
-    return _with_slope(discs, before, after, near, moves, stacked)
+    return _with_slope(aims, around)
 
 
-def _launched(
-    discs: bool, before: Footprints, after: Footprints, near: Outlines, moves: Array, stacked: Array | None
-) -> tuple[Footprints, Array]:
-    del discs  # which solids are discs their radii say
-    worlds, robots = moves.shape
-    places = [number for prints in (before, after) for number in _place(prints)]
-    body = [after.half[..., 0], after.half[..., 1], after.mass, moves]
-    numbers = jnp.stack([jnp.broadcast_to(n, moves.shape).astype(jnp.float32) for n in (*places, *body)], -1)
-    solids = jnp.stack([jnp.moveaxis(jnp.asarray(part, jnp.float32), -1, 0) for part in near], -1)
+def _launched(aims: Aims, around: Neighbours) -> tuple[Footprints, Array]:
+    worlds, robots = aims.moves.shape
+    stacked, near = aims.stacked, jnp.asarray(around.near_numbers)
     over = jnp.zeros(1, jnp.int32) if stacked is None else jnp.asarray(stacked, jnp.int32).reshape(-1)
+    solids = near.reshape(-1) if near.size else jnp.zeros(1)
     found = _kernel(robots)(
-        *(numbers.reshape(-1), solids.reshape(-1), over, solids.shape[1], int(stacked is not None)),
+        *(rows_of(aims), solids, over, worlds, near.shape[2], int(stacked is not None)),
         output_dims=worlds * robots * 4,
         launch_dims=worlds * _lanes(robots),
     )
     kept = found[0].reshape(worlds, robots, 4)
-    return after.replace(pos=kept[..., :2], yaw=kept[..., 2]), kept[..., 3] > 0
-
-
-def _place(prints: Footprints) -> list[Array]:
-    """Return a robot's numbers in the order of `warp_parting.PLACES`."""
-    one = prints.outlines
-    return [one.x, one.y, one.cos, one.sin, prints.yaw, prints.low, prints.high]
+    return aims.there.replace(pos=kept[..., :2], yaw=kept[..., 2]), kept[..., 3] > 0
 
 
 @warp_function
@@ -80,10 +68,10 @@ def _lanes(robots: int) -> int:
     return lanes_for(robots)
 
 
-def _slopes(discs: bool, values: tuple[Any, ...], rates: tuple[Any, ...]) -> tuple[Any, Any]:
+def _slopes(values: tuple[Any, ...], rates: tuple[Any, ...]) -> tuple[Any, Any]:
     """Return the same and how it changes, forwards or backwards: as `keep_apart` does there."""
-    return on_warp(discs, *values), jax.jvp(partial(keep_apart, discs=discs), values, rates)[1]
+    return parted_on_warp(*values), jax.jvp(_parted, values, rates)[1]
 
 
-_with_slope = cast(Any, jax.custom_jvp)(_launched, nondiff_argnums=(0,))  # JAX leaves its types open
+_with_slope = cast(Any, jax.custom_jvp)(_launched)  # JAX leaves its types open
 _with_slope.defjvp(_slopes)

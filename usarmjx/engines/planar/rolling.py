@@ -21,6 +21,8 @@ STANCE = 0.8
 """Robots stand at this share of their footprints' sides from the middle."""
 STEEPEST_TILT = 0.6
 """Robots tilt by no more, as rise over run: one that hangs over an edge does not stand on its nose."""
+_SIDES = np.array(SIGNS).T[:, :, None]
+"""On which sides of a robot's middle its stances are, ahead and to the left (2, 4, 1)."""
 IN_THE_AIR = 0.02
 """What is so far above the ground keeps its tilt [m]."""
 
@@ -148,9 +150,14 @@ def reach_of(robots: PlanarRobots, before: Motion) -> Array:
     return jnp.stack(limits)
 
 
-def feet_of(robots: PlanarRobots, after: Motion) -> Array:
-    """Return where robots stand on the plan (4, robots, 2)."""
-    return jnp.stack([after.pos[:, :2] + on_plan(stance, after.yaw) for stance in _stances(robots)])
+def feet_of(prints: Footprints) -> Array:
+    """Return where robots (..., robots) stand on the plan (..., 4, robots, 2)."""
+    x, y, length, width = (
+        part[..., None, :] for vector in (prints.pos, prints.half) for part in parts(vector)
+    )
+    cos, sin = (part[..., None, :] for part in parts(prints.axis))
+    ahead, left = (STANCE * sign * half for sign, half in zip(_SIDES, (length, width), strict=True))
+    return jnp.stack([x + (ahead * cos - left * sin), y + (ahead * sin + left * cos)], -1)
 
 
 def _stances(robots: PlanarRobots) -> list[Array]:

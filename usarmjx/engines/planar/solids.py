@@ -59,6 +59,21 @@ class PlanSolids(struct.PyTreeNode, kw_only=True):
         return self.low.shape[-1]
 
 
+def packed(solids: PlanSolids) -> Array:
+    """Return the numbers of solids (..., k, robots) as one array (..., numbers, k, robots)."""
+    return jnp.stack(jax.tree.leaves(solids), -3)
+
+
+def unpacked(numbers: Array, *, discs: bool) -> PlanSolids:
+    """Return the solids whose numbers `packed` has put together; `discs` as theirs."""
+    parts = [numbers[..., i, :, :] for i in range(numbers.shape[-3])]
+    outline, others = Outlines(*parts[: len(Outlines._fields)]), parts[len(Outlines._fields) :]
+    low, top, slope_x, slope_y, highest = others
+    return PlanSolids(
+        outline=outline, low=low, top=top, slope_x=slope_x, slope_y=slope_y, highest=highest, discs=discs
+    )
+
+
 class SolidGeoms(NamedTuple):
     """The geoms of a model that robots can meet and that are no robot's.
 

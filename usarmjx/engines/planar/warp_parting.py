@@ -10,8 +10,9 @@ from typing import Any
 
 import warp as wp
 
-from usarmjx.engines.planar import footprints, overlap
+from usarmjx.engines.planar import aims, footprints, overlap
 from usarmjx.engines.planar.solids import NOWHERE
+from usarmjx.engines.planar.warp_solids import with_words
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -21,11 +22,6 @@ WARP = 32
 """Lanes that a world has at most."""
 MOST_ROBOTS = 128
 """Of more robots in a world than this a block of threads could not hold all that is needed."""
-PLACES = ("x", "y", "cos", "sin", "yaw", "low", "high")
-"""What is known of a robot where it was, and where it would go: so many numbers, one after the other."""
-BODY = ("length", "width", "mass", "moves")
-"""What else is known of it, after those."""
-
 SHAPES = """
     using wp::abs; using wp::cos; using wp::max; using wp::min; using wp::sin; using wp::sqrt;
     struct Outline { float x, y, c, s, l, w, r; };
@@ -131,8 +127,9 @@ SHAPES = """
 
 WORLD = """
     const int world = (int)((unsigned)index / LANES);
-    const float* const mine = robots.data + (size_t)world * COUNT * NUMBERS;
-    const float* const around = near.data + (size_t)world * solids * COUNT * 7;
+    const size_t total = (size_t)worlds * COUNT;
+    const auto told = [&](int r, int number) { return robots.data[number * total + (size_t)world * COUNT + r]; };
+    const float* const around = near.data + (size_t)world * 12 * solids * COUNT;
     const int* const over = stacked.data + (flies ? (size_t)world * COUNT * COUNT : 0);
 #if defined(__CUDA_ARCH__)
     constexpr int SLOTS = (COUNT + LANES - 1) / LANES;
@@ -158,17 +155,35 @@ WORLD = """
         const float* const p = here + r * 9;
         return {p[0], p[1], p[2], p[3], p[4], p[5], 0.0f};
     };
+    // A solid's numbers are as in `solids.packed`, one after those of all robots and solids.
+    const auto number = [&](int i, int k, int r) { return around[((size_t)i * solids + k) * COUNT + r]; };
     const auto solid = [&](int k, int r) -> Outline {
-        const float* const p = around + ((size_t)k * COUNT + r) * 7;
-        return {p[0], p[1], p[2], p[3], p[4], p[5], p[6]};
+        return {number(0, k, r), number(1, k, r), number(2, k, r), number(3, k, r),
+                number(4, k, r), number(5, k, r), number(6, k, r)};
+    };
+    // neighbours.stopping
+    const auto stops = [&](const Outline& o, int k, int r) -> bool {
+        const float dx = told(r, NUMBER_BEFORE_X) - o.x, dy = told(r, NUMBER_BEFORE_Y) - o.y;
+        const float low = told(r, NUMBER_BEFORE_LOW), high = told(r, NUMBER_BEFORE_HIGH);
+        const float ahead = min(max(dx * o.c + dy * o.s, -o.l), o.l);
+        const float aside = min(max(dy * o.c - dx * o.s, -o.w), o.w);
+        const float rise = (ahead * o.c - aside * o.s) * number(9, k, r)
+            + (ahead * o.s + aside * o.c) * number(10, k, r);
+        return max(low + told(r, NUMBER_STEP) - (number(8, k, r) + rise),
+                   max(number(7, k, r) - high, low - number(11, k, r))) < 0.0f;
+    };
+    // What is farther away than this meets nothing, and neither its depth nor its height is asked.
+    const auto may_meet = [](const Outline& a, const Outline& b) -> bool {
+        const float dx = a.x - b.x, dy = a.y - b.y, reach = a.l + a.w + b.l + b.w + b.r;
+        return dx * dx + dy * dy < reach * reach;
     };
     const auto show = [&](int r, float x, float y, float c, float s) {
         float* const p = here + r * 9;
         p[0] = x; p[1] = y; p[2] = c; p[3] = s;
     };
     const auto show_heights = [&](int r, int from) {
-        here[r * 9 + 6] = mine[r * NUMBERS + from + 5];
-        here[r * 9 + 7] = mine[r * NUMBERS + from + 6];
+        here[r * 9 + 6] = told(r, from + NUMBER_BEFORE_LOW);
+        here[r * 9 + 7] = told(r, from + NUMBER_BEFORE_HIGH);
     };
 
     float x[SLOTS], y[SLOTS], c[SLOTS], s[SLOTS], yaw[SLOTS];  // where the robots come to
@@ -176,13 +191,16 @@ WORLD = """
     int which[SLOTS];
     bool touched[SLOTS], stuck[SLOTS];
     for (int i = 0, r = lane; r < COUNT; ++i, r += lanes) {
-        const float* const p = mine + r * NUMBERS;
-        x[i] = p[7]; y[i] = p[8]; c[i] = p[9]; s[i] = p[10]; yaw[i] = p[11];
-        here[r * 9 + 4] = p[14];
-        here[r * 9 + 5] = p[15];
-        here[r * 9 + 8] = p[17] != 0.0f ? p[16] : 1e9f;  // who does not move is a wall
+        x[i] = told(r, NUMBER_THERE_X);
+        y[i] = told(r, NUMBER_THERE_Y);
+        c[i] = told(r, NUMBER_THERE_COS);
+        s[i] = told(r, NUMBER_THERE_SIN);
+        yaw[i] = told(r, NUMBER_THERE_YAW);
+        here[r * 9 + 4] = told(r, NUMBER_LENGTH);
+        here[r * 9 + 5] = told(r, NUMBER_WIDTH);
+        here[r * 9 + 8] = told(r, NUMBER_MOVES) != 0.0f ? told(r, NUMBER_MASS) : 1e9f;  // who does not is a wall
         show(r, x[i], y[i], c[i], s[i]);
-        show_heights(r, 7);
+        show_heights(r, NUMBER_THERE_X);
         touched[i] = false;
         allowed[i] = TOLERANCE;
         depth[i] = 0.0f;
@@ -197,15 +215,17 @@ WORLD = """
             int from = -1;
             for (int k = 0; k < solids; ++k) {
                 const Outline b = solid(k, r);
-                if (b.x >= NOWHERE) continue;
+                if (b.x >= NOWHERE || !may_meet(a, b) || !stops(b, k, r)) continue;
                 const float found = depth_in(a, b).depth;
                 if (found > push) { push = found; from = k; }
             }
-            const float low = here[r * 9 + 6], high = here[r * 9 + 7], mass = mine[r * NUMBERS + 16];
+            const float low = here[r * 9 + 6], high = here[r * 9 + 7], mass = told(r, NUMBER_MASS);
             for (int o = 0; o < COUNT; ++o) {
                 const bool level = o != r && low < here[o * 9 + 7] && here[o * 9 + 6] < high;
                 if (!level || (flies && over[o * COUNT + r] != 0)) continue;
-                const float found = side_depth(a, robot(o)).depth;
+                const Outline b = robot(o);
+                if (!may_meet(a, b)) continue;
+                const float found = side_depth(a, b).depth;
                 deepest = max(deepest, found);
                 const float other = here[o * 9 + 8];
                 const float part = found > 0.0f ? found * (other / (other + mass)) : found;
@@ -237,19 +257,19 @@ WORLD = """
         }
         wait();
         for (int i = 0, r = lane; r < COUNT; ++i, r += lanes) {
-            const float* const p = mine + r * NUMBERS;
-            if (turn == 0) {
-                show(r, p[0], p[1], p[2], p[3]);
-                show_heights(r, 0);
-                continue;
-            }
-            if (turn > ROUNDS) {
-                if (stuck[i] || turn > ROUNDS + RESTS) {
-                    x[i] = p[0]; y[i] = p[1]; c[i] = p[2]; s[i] = p[3]; yaw[i] = p[4];
+            if (turn == 0 || (turn > ROUNDS && (stuck[i] || turn > ROUNDS + RESTS))) {
+                const float was_x = told(r, NUMBER_BEFORE_X), was_y = told(r, NUMBER_BEFORE_Y);
+                const float was_c = told(r, NUMBER_BEFORE_COS), was_s = told(r, NUMBER_BEFORE_SIN);
+                if (turn == 0) {
+                    show(r, was_x, was_y, was_c, was_s);
+                    show_heights(r, NUMBER_BEFORE_X);
+                    continue;
                 }
-            } else if (size[i] > 0.0f && p[17] != 0.0f) {
+                x[i] = was_x; y[i] = was_y; c[i] = was_c; s[i] = was_s; yaw[i] = told(r, NUMBER_BEFORE_YAW);
+            } else if (turn <= ROUNDS && size[i] > 0.0f && told(r, NUMBER_MOVES) != 0.0f) {
                 const float lever = (at_x[i] - x[i]) * way_y[i] - (at_y[i] - y[i]) * way_x[i];
-                const float spread = (p[14] * p[14] + p[15] * p[15]) / 3.0f;
+                const float length = told(r, NUMBER_LENGTH), width = told(r, NUMBER_WIDTH);
+                const float spread = (length * length + width * width) / 3.0f;
                 const float go = size[i] / (1.0f + lever * lever / spread);
                 x[i] += go * way_x[i];
                 y[i] += go * way_y[i];
@@ -258,14 +278,14 @@ WORLD = """
                 s[i] = sin(yaw[i]);
             }
             show(r, x[i], y[i], c[i], s[i]);
-            if (turn == 1) show_heights(r, 7);
+            if (turn == 1) show_heights(r, NUMBER_THERE_X);
         }
         wait();
     }
     for (int i = 0, r = lane; r < COUNT; ++i, r += lanes) {
-        const float* const p = mine + r * NUMBERS;
         float* const out = kept.data + ((size_t)world * COUNT + r) * 4;
-        const bool moved = x[i] != p[7] || y[i] != p[8] || yaw[i] != p[11];
+        const bool moved = x[i] != told(r, NUMBER_THERE_X) || y[i] != told(r, NUMBER_THERE_Y)
+            || yaw[i] != told(r, NUMBER_THERE_YAW);
         out[0] = x[i];
         out[1] = y[i];
         out[2] = yaw[i];
@@ -282,20 +302,13 @@ def lanes_for(robots: int) -> int:
 
 def _code(robots: int) -> str:
     """Return the native code for worlds of so many robots."""
-    words = {
-        **{
-            "COUNT": robots,
-            "LANES": f"{lanes_for(robots)}",
-            "BLOCK": BLOCK,
-            "NUMBERS": 2 * len(PLACES) + len(BODY),
-        },
+    words: dict[str, object] = {
+        **aims.WORDS,
+        **{"COUNT": robots, "LANES": f"{lanes_for(robots)}", "BLOCK": BLOCK},
         **{"ROUNDS": footprints.ROUNDS, "RESTS": footprints.RESTS, "TOLERANCE": f"{footprints.TOLERANCE}f"},
         **{"NOWHERE": f"{NOWHERE}f", "FAR": f"{overlap.FAR}f", "FLAT": f"{overlap.FLAT}f"},
     }
-    code = SHAPES + WORLD
-    for word, value in words.items():
-        code = code.replace(word, str(value))
-    return code
+    return with_words(SHAPES + WORLD, words)
 
 
 @cache
@@ -307,6 +320,7 @@ def parting_kernel(robots: int) -> Any:  # noqa: ANN401 - Warp's kernels have no
         robots: wp.array[float],
         near: wp.array[float],
         stacked: wp.array[int],
+        worlds: int,
         solids: int,
         flies: int,
         index: int,
@@ -317,11 +331,12 @@ def parting_kernel(robots: int) -> Any:  # noqa: ANN401 - Warp's kernels have no
         robots: wp.array[float],
         near: wp.array[float],
         stacked: wp.array[int],
+        worlds: int,
         solids: int,
         flies: int,
         kept: wp.array[float],
     ) -> None:
-        keep_world_apart(robots, near, stacked, solids, flies, wp.tid(), kept)
+        keep_world_apart(robots, near, stacked, worlds, solids, flies, wp.tid(), kept)
 
     # By this name XLA knows it: of each number of robots another, whichever was made first.
     keep_robots_apart.__qualname__ = f"keep_robots_apart_of_{robots}"
