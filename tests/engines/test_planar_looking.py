@@ -1,4 +1,4 @@
-"""What is around robots looked up by kernels of Warp, which run here on its CPU device: as JAX looks it up."""
+"""What is around robots looked up by kernels of Warp, which run here on its CPU device, as by JAX."""
 
 import jax
 import jax.numpy as jnp

@@ -49,7 +49,7 @@ WORDS = {f"NUMBER_{name.upper()}": place for place, name in enumerate(NUMBERS)}
 
 
 def rows_of(aims: Aims) -> Array:
-    """Return the rows of robots, number by number (`NUMBERS` * worlds * robots,): neighbours read neighbours."""
+    """Return the rows of robots (numbers * worlds * robots,): first the first number of all of them."""
     there = aims.there
     places = [number for prints in (aims.left, there) for number in _place(prints)]
     body = [there.half[..., 0], there.half[..., 1], there.mass, aims.moves, aims.left.step]

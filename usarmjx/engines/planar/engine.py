@@ -108,7 +108,7 @@ class PlanarEngine(Engine[PlanarState]):
             robots = jax.vmap(self._robots.motion)(state)
             prints = jax.vmap(self._robots.footprints)(robots)
             limit = jax.vmap(partial(reach_of, self._robots))(robots)
-            scene = jax.vmap(lambda qpos: self._solids.elsewhere.where(qpos, None))(state.qpos)
+            scene = jax.vmap(self._solids.elsewhere.where, (0, None))(state.qpos, None)
             return Aims(prints, prints, prints.yaw > 0, None, limit, scene, state.qpos, None)
 
         return nothing_known(self._solids, jax.eval_shape(aims_of, state))

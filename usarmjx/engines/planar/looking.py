@@ -76,7 +76,7 @@ class AllSolids:
 
     @cached_property
     def tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What Warp's kernels are told of solids: kinds and shapes of those that can be elsewhere, the others."""
+        """What Warp's kernels are told: kinds and shapes of solids that can be elsewhere, and the others."""
         from usarmjx.engines.planar.warp_solids import FIXED, FREE, HINGED  # Warp need not be installed
 
         geoms, fixed, model = self.movable, self.fixed, self.model
@@ -131,6 +131,7 @@ def around_robots(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbour
 
 
 def around_by_jax(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbours:
+    """As `around_robots`, by JAX: all robots of a world that needs it look."""
     reach, worlds = farthest_in_a_step(aims.left, aims.there), len(aims.moves)
     holds = known.holds(places_of(aims.left, aims.limit.max(1)), aims.scene.loose, reach)
     then, now = known.scene.geoms, aims.scene.geoms
@@ -157,11 +158,12 @@ def looked_up(solids: AllSolids, aims: Aims) -> Neighbours:
 
 
 def ground_below(solids: AllSolids, around: Neighbours, kept: Footprints, aims: Aims) -> Array:
-    """Return how high the ground is under where robots stand that came to some places [m] (worlds, 4, robots)."""
+    """Return how high the ground is under robots where they came to [m] (worlds, 4, robots)."""
     return (ground_on_warp if _fits_on_warp(solids) else ground_by_jax)(solids, around, kept, aims)
 
 
 def ground_by_jax(solids: AllSolids, around: Neighbours, kept: Footprints, aims: Aims) -> Array:
+    """As `ground_below`, by JAX."""
     feet = feet_of(kept)
     known = around.knows_ground(places_of(kept, aims.limit.max(1))).all(-1)
     found = ground_of(around.under, solids.floor, feet, aims.limit)
@@ -183,7 +185,7 @@ def _fits_on_warp(solids: AllSolids) -> bool:
 
 
 def around_on_warp(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbours:
-    """As `around_robots`, on Warp: one launch, in which only the worlds that need it look around."""
+    """As `around_robots`, on Warp: one launch, in which only those robots look that need it."""
     return _around_with_slope(solids, known, aims)
 
 
@@ -272,7 +274,7 @@ def _grounding() -> Any:  # noqa: ANN401 - Warp's kernels have no type
     """Return what launches the kernel that finds the ground."""
     import warp as wp
 
-    from usarmjx.engines.planar.warp_looking import ground_under_robots
+    from usarmjx.engines.planar.warp_ground import ground_under_robots
 
     return wp.jax_kernel(ground_under_robots, block_dim=128)
 

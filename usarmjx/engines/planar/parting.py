@@ -14,7 +14,7 @@ from usarmjx.sensors.rays.choice import warp_in_use
 
 
 def part_robots(aims: Aims, around: Neighbours) -> tuple[Footprints, Array]:
-    """Return where robots come to, as `keep_apart` does; on Warp where that is in use: that differs by rounding."""
+    """Return where robots come to, as `keep_apart` does; on Warp where that is in use, within rounding."""
     return (parted_on_warp if _fits_on_warp(aims.moves.shape[1]) else _parted)(aims, around)
 
 

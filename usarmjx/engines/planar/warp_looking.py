@@ -1,4 +1,4 @@
-"""What is around robots looked up on Warp, in the worlds that need it, and the ground found below them.
+"""What is around robots looked up on Warp, of those of whom it is not known.
 
 A warp has a world to itself: it finds out of which robots what is known no longer holds, and only if there
 are any works out where the solids are that can be elsewhere; for each of those robots its lanes look at some
@@ -11,9 +11,8 @@ from typing import Any
 
 import warp as wp
 
-from usarmjx.engines.planar import aims, neighbours
-from usarmjx.engines.planar.rolling import STANCE
-from usarmjx.engines.planar.warp_solids import SOLIDS, WORDS, with_words
+from usarmjx.engines.planar import neighbours
+from usarmjx.engines.planar.warp_solids import scene_code
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
@@ -200,9 +199,10 @@ LOOK = """
             return last;
         };
         const int near_count = min(solids, MOST), under_count = min(solids, LAYERS);
-        const int near_last = keep(near_keys, near_count, near.data + (size_t)world * 12 * near_count * count);
-        const int under_last =
-            keep(ground_keys, under_count, under.data + (size_t)world * 12 * under_count * count);
+        float* const near_rows = near.data + (size_t)world * 12 * near_count * count;
+        float* const under_rows = under.data + (size_t)world * 12 * under_count * count;
+        const int near_last = keep(near_keys, near_count, near_rows);
+        const int under_last = keep(ground_keys, under_count, under_rows);
 
         // neighbours._margin, of what may stop it and of what may be ground
         float aside[2] = {NOWHERE, NOWHERE}, height[2] = {NOWHERE, NOWHERE};
@@ -216,8 +216,9 @@ LOOK = """
                     if (!other) continue;
                     const float up = n == 0 ? higher : deep;
                     const bool by_height = apart * (up_reach + SWAY) < up * aside_reach;
+                    const float until = by_height ? max(apart, up / (2.0f * max(steep, 1e-6f))) : apart;
                     if (pass == 0)
-                        aside[n] = min(aside[n], by_height ? max(apart, up / (2.0f * max(steep, 1e-6f))) : apart);
+                        aside[n] = min(aside[n], until);
                     else if (by_height && apart < aside[n])
                         height[n] = min(height[n], steep > 0.0f ? up / 2.0f : up);
                 }
@@ -229,75 +230,26 @@ LOOK = """
         }
         if (lane == 0) {
             was[4 * r] = x; was[4 * r + 1] = y; was[4 * r + 2] = low; was[4 * r + 3] = limit;
-            for (int n = 0; n < 2; ++n) { free[4 * r + 2 * n] = aside[n]; free[4 * r + 2 * n + 1] = height[n]; }
+            for (int n = 0; n < 2; ++n) {
+                free[4 * r + 2 * n] = aside[n];
+                free[4 * r + 2 * n + 1] = height[n];
+            }
             left_out.data[(size_t)world * count + r] = max(stopping - MOST, 0);
         }
     }
 """
 """What the lanes of a world do."""
 
-GROUND = """
-    const int r = (int)((unsigned)index % (unsigned)count);
-    const float* const went = kept.data + (size_t)index * 3;
-    const float* const was = at.data + (size_t)index * 4;
-    const float* const free = room.data + (size_t)index * 4;
-    const float x = went[0], y = went[1], c = cos(went[2]), s = sin(went[2]);
-    const float dx = x - was[0], dy = y - was[1];
-    const float limits[4] = {told(r, NUMBER_LIMIT_0), told(r, NUMBER_LIMIT_1), told(r, NUMBER_LIMIT_2),
-                             told(r, NUMBER_LIMIT_3)};
-    const float limit = max(max(limits[0], limits[1]), max(limits[2], limits[3]));
-    const float length = STANCE * told(r, NUMBER_LENGTH), width = STANCE * told(r, NUMBER_WIDTH);
-    const bool knows = free[2] > sqrt(dx * dx + dy * dy) && free[3] > abs(limit - was[3]);
-    float found[4] = {floor, floor, floor, floor};
-    const auto stand_on = [&](const Solid& o) {
-        for (int j = 0; j < 4; ++j) {
-            const float ahead = j < 2 ? length : -length, left = j == 0 || j == 3 ? width : -width;
-            const float foot_x = x + (ahead * c - left * s), foot_y = y + (ahead * s + left * c);
-            found[j] = max(found[j], top_under(o, foot_x, foot_y, limits[j]));
-        }
-    };
-    const int solids = fixed + others;
-    if (knows) {
-        const int layers = min(solids, LAYERS);
-        const float* const rows = under.data + (size_t)world * 12 * layers * count + r;
-        const auto number = [&](int i, int k) { return rows[((size_t)i * layers + k) * count]; };
-        for (int k = 0; k < layers; ++k)
-            stand_on({number(0, k), number(1, k), number(2, k), number(3, k), number(4, k), number(5, k),
-                      number(6, k), number(7, k), number(8, k), number(9, k), number(10, k), number(11, k)});
-    } else {
-        for (int i = 0; i < fixed; ++i) {
-            const float* const q = still.data + 12 * i;
-            stand_on({q[0], q[1], q[2], q[3], q[4], q[5], q[6], q[7], q[8], q[9], q[10], q[11]});
-        }
-        for (int m = 0; m < others; ++m) stand_on(moved(m));
-    }
-    for (int j = 0; j < 4; ++j) ground.data[((size_t)world * 4 + j) * count + r] = found[j];
-"""
-"""What a robot's thread does: `neighbours.ground_of`, or `solids.ground_under` where that is not known."""
-
-
 WORLD = """
     const int world = (int)((unsigned)index / 32u);
 """
-ROBOT = """
-    const int world = (int)((unsigned)index / (unsigned)sizes.data[0]);
-"""
-SIZES = """
-    const int count = sizes.data[0], fixed = sizes.data[1], others = sizes.data[2], data_geoms = sizes.data[3];
-    const int numbers = sizes.data[4], places = sizes.data[5], sized = sizes.data[6];
-    const size_t total = (size_t)sizes.data[7] * count;
-    const auto told = [&](int r, int number) { return robots.data[number * total + (size_t)world * count + r]; };
-"""
-"""How many robots; solids that are where they are, and that can be elsewhere, and which of these are data;
-numbers of what is loose; geoms that are told of; whether their sizes are; how many worlds."""
 
 
-def _native(world: str, code: str, words: dict[str, object]) -> str:
-    """Return native code with the numbers of `neighbours` and of rows of robots in it."""
-    names = ("SLACK", "SWAY", "DEEPEST", "NEARNESS", "LAST")
-    measures = {name: f"{getattr(neighbours, name)}f" for name in names}
-    known = {"LAYERS": neighbours.LAYERS, **aims.WORDS, **WORDS}
-    return with_words(world + SIZES + SOLIDS + code, {**words, **measures, **known})
+def _code(most: int, room: int) -> str:
+    """Return the native code that looks at so many solids closely, with room for so many in all."""
+    measures = ("SLACK", "SWAY", "DEEPEST", "NEARNESS", "LAST")
+    words: dict[str, object] = {name: f"{getattr(neighbours, name)}f" for name in measures}
+    return scene_code(WORLD, LOOK, {**words, "MOST": most, "ROOM": room, "BLOCK": BLOCK})
 
 
 def room_for(solids: int) -> int | None:
@@ -309,7 +261,7 @@ def room_for(solids: int) -> int | None:
 def looking_kernel(most: int, places: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
     """Return the kernel that looks around, at so many solids closely, with places for those of `room_for`."""
 
-    @wp.func_native(_native(WORLD, LOOK, {"MOST": most, "ROOM": places, "BLOCK": BLOCK}))
+    @wp.func_native(_code(most, places))
     def look_in_world(
         robots: wp.array[float],
         sizes: wp.array[int],
@@ -361,51 +313,3 @@ def looking_kernel(most: int, places: int) -> Any:  # noqa: ANN401 - Warp's kern
     look_around_robots.__qualname__ = f"look_around_robots_{most}_{places}"
     kernel: Any = wp.kernel
     return kernel(look_around_robots, enable_backward=False, grid_stride=False, module="unique")
-
-
-@wp.func_native(_native(ROBOT, GROUND, {"STANCE": f"{STANCE}f"}))
-def _ground_under_robot(
-    robots: wp.array[float],
-    sizes: wp.array[int],
-    kinds: wp.array[int],
-    shapes: wp.array[float],
-    still: wp.array[float],
-    loose: wp.array[float],
-    geom_pos: wp.array[float],
-    geom_quat: wp.array[float],
-    geom_size: wp.array[float],
-    kept: wp.array[float],
-    at: wp.array[float],
-    room: wp.array[float],
-    under: wp.array[float],
-    floor: float,
-    index: int,
-    ground: wp.array[float],
-) -> None: ...
-
-
-@wp.kernel(enable_backward=False, grid_stride=False)
-def ground_under_robots(
-    robots: wp.array[float],
-    sizes: wp.array[int],
-    kinds: wp.array[int],
-    shapes: wp.array[float],
-    still: wp.array[float],
-    loose: wp.array[float],
-    geom_pos: wp.array[float],
-    geom_quat: wp.array[float],
-    geom_size: wp.array[float],
-    kept: wp.array[float],
-    at: wp.array[float],
-    room: wp.array[float],
-    under: wp.array[float],
-    floor: float,
-    ground: wp.array[float],
-) -> None:
-    """Find how high the ground is under the four stances of each robot."""
-    # fmt: off
-    _ground_under_robot(
-        robots, sizes, kinds, shapes, still, loose, geom_pos, geom_quat, geom_size, kept, at, room, under, floor,
-        wp.tid(), ground,
-    )
-    # fmt: on

@@ -20,6 +20,9 @@ BLOCK = 128
 """Threads of a block."""
 WARP = 32
 """Lanes that a world has at most."""
+CLOSE = 0.5
+"""What is farther from a robot than that, once it went where it would, is not asked in any turn: pushes are
+of centimetres [m]."""
 MOST_ROBOTS = 128
 """Of more robots in a world than this a block of threads could not hold all that is needed."""
 SHAPES = """
@@ -126,9 +129,11 @@ SHAPES = """
 """Functions of two outlines: the first has to get out of the second."""
 
 WORLD = """
+    constexpr int WORDS = (COUNT + 31) / 32;
     const int world = (int)((unsigned)index / LANES);
     const size_t total = (size_t)worlds * COUNT;
-    const auto told = [&](int r, int number) { return robots.data[number * total + (size_t)world * COUNT + r]; };
+    const size_t first = (size_t)world * COUNT;
+    const auto told = [&](int r, int number) { return robots.data[number * total + first + r]; };
     const float* const around = near.data + (size_t)world * 12 * solids * COUNT;
     const int* const over = stacked.data + (flies ? (size_t)world * COUNT * COUNT : 0);
 #if defined(__CUDA_ARCH__)
@@ -141,6 +146,7 @@ WORLD = """
     const unsigned mask = group << (threadIdx.x % 32 / LANES * LANES);
     const auto wait = [&]() { __syncwarp(mask); };
     const auto any = [&](bool x) { return __any_sync(mask, x) != 0; };
+    const auto first_bit = [](unsigned x) { return __ffs((int)x) - 1; };
 #else
     if ((unsigned)index % LANES != 0) return;
     constexpr int SLOTS = COUNT;
@@ -149,6 +155,7 @@ WORLD = """
     float here[COUNT * 9];
     const auto wait = []() {};
     const auto any = [](bool x) { return x; };
+    const auto first_bit = [](unsigned x) { int n = 0; while (!(x >> n & 1u)) ++n; return n; };
 #endif
     // Of each robot in shared memory: the outline that is looked at, and from where to where up it reaches.
     const auto robot = [&](int r) -> Outline {
@@ -172,10 +179,9 @@ WORLD = """
         return max(low + told(r, NUMBER_STEP) - (number(8, k, r) + rise),
                    max(number(7, k, r) - high, low - number(11, k, r))) < 0.0f;
     };
-    // What is farther away than this meets nothing, and neither its depth nor its height is asked.
-    const auto may_meet = [](const Outline& a, const Outline& b) -> bool {
-        const float dx = a.x - b.x, dy = a.y - b.y, reach = a.l + a.w + b.l + b.w + b.r;
-        return dx * dx + dy * dy < reach * reach;
+    const auto apart_by_more = [](const Outline& a, const Outline& b, float gap) -> bool {
+        const float dx = a.x - b.x, dy = a.y - b.y, reach = a.l + a.w + b.l + b.w + b.r + gap;
+        return dx * dx + dy * dy >= reach * reach;
     };
     const auto show = [&](int r, float x, float y, float c, float s) {
         float* const p = here + r * 9;
@@ -190,6 +196,7 @@ WORLD = """
     float allowed[SLOTS], depth[SLOTS], size[SLOTS], way_x[SLOTS], way_y[SLOTS], at_x[SLOTS], at_y[SLOTS];
     int which[SLOTS];
     bool touched[SLOTS], stuck[SLOTS];
+    unsigned near_solids[SLOTS], near_robots[SLOTS * WORDS];  // a bit each
     for (int i = 0, r = lane; r < COUNT; ++i, r += lanes) {
         x[i] = told(r, NUMBER_THERE_X);
         y[i] = told(r, NUMBER_THERE_Y);
@@ -198,7 +205,7 @@ WORLD = """
         yaw[i] = told(r, NUMBER_THERE_YAW);
         here[r * 9 + 4] = told(r, NUMBER_LENGTH);
         here[r * 9 + 5] = told(r, NUMBER_WIDTH);
-        here[r * 9 + 8] = told(r, NUMBER_MOVES) != 0.0f ? told(r, NUMBER_MASS) : 1e9f;  // who does not is a wall
+        here[r * 9 + 8] = told(r, NUMBER_MOVES) != 0.0f ? told(r, NUMBER_MASS) : 1e9f;  // or it is a wall
         show(r, x[i], y[i], c[i], s[i]);
         show_heights(r, NUMBER_THERE_X);
         touched[i] = false;
@@ -207,29 +214,46 @@ WORLD = """
         size[i] = 0.0f;
     }
     wait();
+    for (int i = 0, r = lane; r < COUNT; ++i, r += lanes) {
+        const Outline a = robot(r);
+        near_solids[i] = 0u;
+        for (int k = 0; k < solids; ++k) {
+            const Outline b = solid(k, r);
+            if (b.x < NOWHERE && !apart_by_more(a, b, CLOSE) && stops(b, k, r)) near_solids[i] |= 1u << k;
+        }
+        for (int w = 0; w < WORDS; ++w) {
+            unsigned found = 0u;
+            for (int o = 32 * w; o < COUNT && o < 32 * w + 32; ++o) {
+                const bool passes = o == r || (flies && over[o * COUNT + r] != 0);
+                if (!passes && !apart_by_more(a, robot(o), CLOSE)) found |= 1u << (o - 32 * w);
+            }
+            near_robots[i * WORDS + w] = found;
+        }
+    }
     for (int turn = 0; turn < 2 + ROUNDS + RESTS; ++turn) {
         bool one_is_stuck = false;
         for (int i = 0, r = lane; r < COUNT; ++i, r += lanes) {
             const Outline a = robot(r);
             float push = -1.0f, deepest = -1.0f;
             int from = -1;
-            for (int k = 0; k < solids; ++k) {
-                const Outline b = solid(k, r);
-                if (b.x >= NOWHERE || !may_meet(a, b) || !stops(b, k, r)) continue;
-                const float found = depth_in(a, b).depth;
+            for (unsigned left = near_solids[i]; left != 0u; left &= left - 1u) {
+                const int k = first_bit(left);
+                const float found = depth_in(a, solid(k, r)).depth;
                 if (found > push) { push = found; from = k; }
             }
             const float low = here[r * 9 + 6], high = here[r * 9 + 7], mass = told(r, NUMBER_MASS);
-            for (int o = 0; o < COUNT; ++o) {
-                const bool level = o != r && low < here[o * 9 + 7] && here[o * 9 + 6] < high;
-                if (!level || (flies && over[o * COUNT + r] != 0)) continue;
-                const Outline b = robot(o);
-                if (!may_meet(a, b)) continue;
-                const float found = side_depth(a, b).depth;
-                deepest = max(deepest, found);
-                const float other = here[o * 9 + 8];
-                const float part = found > 0.0f ? found * (other / (other + mass)) : found;
-                if (part > push) { push = part; from = solids + o; }
+            for (int w = 0; w < WORDS; ++w) {
+                for (unsigned left = near_robots[i * WORDS + w]; left != 0u; left &= left - 1u) {
+                    const int o = 32 * w + first_bit(left);
+                    if (low >= here[o * 9 + 7] || here[o * 9 + 6] >= high) continue;
+                    const Outline b = robot(o);
+                    if (apart_by_more(a, b, 0.0f)) continue;
+                    const float found = side_depth(a, b).depth;
+                    deepest = max(deepest, found);
+                    const float other = here[o * 9 + 8];
+                    const float part = found > 0.0f ? found * (other / (other + mass)) : found;
+                    if (part > push) { push = part; from = solids + o; }
+                }
             }
             deepest = max(deepest, push);
             if (turn == 1) {
@@ -304,7 +328,7 @@ def _code(robots: int) -> str:
     """Return the native code for worlds of so many robots."""
     words: dict[str, object] = {
         **aims.WORDS,
-        **{"COUNT": robots, "LANES": f"{lanes_for(robots)}", "BLOCK": BLOCK},
+        **{"COUNT": robots, "LANES": f"{lanes_for(robots)}", "BLOCK": BLOCK, "CLOSE": f"{CLOSE}f"},
         **{"ROUNDS": footprints.ROUNDS, "RESTS": footprints.RESTS, "TOLERANCE": f"{footprints.TOLERANCE}f"},
         **{"NOWHERE": f"{NOWHERE}f", "FAR": f"{overlap.FAR}f", "FLAT": f"{overlap.FLAT}f"},
     }

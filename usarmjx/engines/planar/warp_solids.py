@@ -1,15 +1,17 @@
-"""Solids as Warp's kernels see them: a row of numbers each, and what `solids` and `neighbours` ask of them."""
+"""Solids as Warp's kernels see them: twelve numbers each, and what `solids` and `neighbours` ask of them."""
 
 from collections.abc import Mapping
 from functools import reduce
 
 import mujoco
 
+from usarmjx.engines.planar import aims
+from usarmjx.engines.planar.neighbours import LAYERS
 from usarmjx.engines.planar.solids import NOWHERE, STEEPEST
 
 SHAPE_NUMBERS = 30
-"""Of a solid that can be elsewhere: origin and axes of its body at rest, the axis of its hinge, position, axes
-and size of its geom."""
+"""Of a solid that can be elsewhere: origin and axes of its body at rest, the axis of its hinge, position,
+axes and size of its geom."""
 KIND_NUMBERS = 5
 """Its MuJoCo geom type; its place among geoms that are data, or -1; whether its body is fixed, lies loose or
 hangs on a hinge; where among the numbers of what is loose this body's are; its place among the solids that
@@ -33,7 +35,8 @@ SOLIDS = """
         Turn found;
         for (int i = 0; i < 3; ++i)
             for (int j = 0; j < 3; ++j)
-                found.m[3 * i + j] = a.m[3 * i] * b.m[j] + a.m[3 * i + 1] * b.m[3 + j] + a.m[3 * i + 2] * b.m[6 + j];
+                found.m[3 * i + j] =
+                    a.m[3 * i] * b.m[j] + a.m[3 * i + 1] * b.m[3 + j] + a.m[3 * i + 2] * b.m[6 + j];
         return found;
     };
 
@@ -103,13 +106,15 @@ SOLIDS = """
             body = product(body, turned_by(c, s * p[12], s * p[13], s * p[14]));
         }
         float at[3];
-        for (int i = 0; i < 3; ++i)
-            at[i] = origin[i] + (body.m[3 * i] * pos[0] + body.m[3 * i + 1] * pos[1] + body.m[3 * i + 2] * pos[2]);
+        for (int i = 0; i < 3; ++i) {
+            const float* const row = body.m + 3 * i;
+            at[i] = origin[i] + (row[0] * pos[0] + row[1] * pos[1] + row[2] * pos[2]);
+        }
         return seen(k[0], at, product(body, turn), size);
     };
 
     // neighbours._height_apart
-    const auto height_apart = [](const Solid& o, float x, float y, float low, float high, float step) -> float {
+    const auto height_apart = [](const Solid& o, float x, float y, float low, float high, float step) {
         const float dx = x - o.x, dy = y - o.y;
         const float ahead = min(max(dx * o.c + dy * o.s, -o.l), o.l);
         const float aside = min(max(dy * o.c - dx * o.s, -o.w), o.w);
@@ -128,11 +133,23 @@ SOLIDS = """
 """
 """Functions of solids; `moved` is of one that can be elsewhere, in the world `world`."""
 
+SIZES = """
+    const int count = sizes.data[0], fixed = sizes.data[1], others = sizes.data[2];
+    const int data_geoms = sizes.data[3];
+    const int numbers = sizes.data[4], places = sizes.data[5], sized = sizes.data[6];
+    const size_t total = (size_t)sizes.data[7] * count;
+    const size_t first = (size_t)world * count;
+    const auto told = [&](int r, int number) { return robots.data[number * total + first + r]; };
+"""
+"""How many robots; solids that are where they are, and that can be elsewhere, and which of these are data;
+numbers of what is loose; geoms that are told of; whether their sizes are; how many worlds."""
+
 _GEOM = mujoco.mjtGeom
 WORDS: Mapping[str, object] = {
     **{name: int(getattr(_GEOM, f"mjGEOM_{name}")) for name in ("BOX", "ELLIPSOID", "CAPSULE", "SPHERE")},
     **{"KIND_NUMBERS": KIND_NUMBERS, "SHAPE_NUMBERS": SHAPE_NUMBERS, "FREE": FREE, "HINGED": HINGED},
-    **{"STEEPEST": f"{STEEPEST:.9f}f", "NOWHERE": f"{NOWHERE}f"},
+    **{"STEEPEST": f"{STEEPEST:.9f}f", "NOWHERE": f"{NOWHERE}f", "LAYERS": LAYERS},
+    **aims.WORDS,
 }
 """What stands for numbers in native code."""
 
@@ -141,3 +158,14 @@ def with_words(code: str, words: Mapping[str, object]) -> str:
     """Return native code with words replaced by what they stand for."""
     longest_first = sorted(words, key=len, reverse=True)  # one may begin as another
     return reduce(lambda text, word: text.replace(word, str(words[word])), longest_first, code)
+
+
+def scene_code(begin: str, code: str, words: Mapping[str, object]) -> str:
+    """Return native code of a kernel that knows robots and solids.
+
+    Args:
+        begin: Declares `world`.
+        code: What it does.
+        words: What stands for numbers in it, besides `WORDS`.
+    """
+    return with_words(begin + SIZES + SOLIDS + code, {**WORDS, **words})
