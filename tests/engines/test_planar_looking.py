@@ -1,22 +1,34 @@
 """What is around robots looked up by kernels of Warp, which run here on its CPU device, as by JAX."""
 
+import re
+from functools import partial
+
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 from tests.engines.eager import EAGER
+from tests.engines.gpu_threads import COMPILER, run_as_on_a_gpu
 from tests.engines.test_planar_movable import WARD
 from usarmjx.engines.planar import engine as planar
 from usarmjx.engines.planar import looking, parting
+from usarmjx.engines.planar.aims import Aims
+from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.looking import (
+    AllSolids,
     around_by_jax,
     around_on_warp,
     ground_by_jax,
     ground_on_warp,
     looked_up,
+    nothing_known,
 )
-from usarmjx.engines.planar.neighbours import farthest_in_a_step, places_of
+from usarmjx.engines.planar.movable import WhereSolids, movable_solids
+from usarmjx.engines.planar.neighbours import NEAR, farthest_in_a_step, places_of
+from usarmjx.engines.planar.poses import fixed_bodies
+from usarmjx.engines.planar.solids import SolidGeoms, seen_from_above
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.spec.arena import ArenaSpec, StartPose
 from usarmjx.models.spec.shapes import Shape
@@ -24,6 +36,7 @@ from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 
 pytest.importorskip("warp", reason="needs warp-lang")
+from usarmjx.engines.planar import warp_ground, warp_looking, warp_parting, warp_solids
 
 WORLDS, STEPS = 4, 100
 ROUNDING = 2e-5
@@ -151,3 +164,116 @@ def test_an_engine_goes_the_same_way_with_them(scene, monkeypatch):
     assert (off > 1e-3).mean() < 0.3, "rounding, over a hundred steps; in few worlds it decides who gives way"
     assert np.median(off) < 1e-4
     assert not np.asarray(physics.left_out).any()
+
+
+def test_they_are_in_use_where_warp_is_and_a_block_holds_the_solids(monkeypatch):
+    arena, robots = SCENES["a victim's limbs among walls"]
+    scene = build_scene(arena, robots, Physics(timestep=0.05, substeps=1))
+
+    def kernels():
+        batch = Batch(scene, 2, engine="planar")
+        text = jax.jit(batch.step).lower(batch.reset()).as_text()
+        return sorted(set(re.findall(r"@(look_around_robots|keep_robots_apart|ground_under_robots)", text)))
+
+    assert kernels() == []
+    for module in (looking, parting):
+        monkeypatch.setattr(module, "warp_in_use", lambda: True)
+    assert kernels() == ["ground_under_robots", "keep_robots_apart", "look_around_robots"]
+    monkeypatch.setattr(warp_looking, "ROOMS", (2,))
+    assert kernels() == ["keep_robots_apart"]
+
+
+def plate(rise):
+    """A robot on a tilted plate among twelve posts, and what is around it."""
+    kinds = np.full(13, mujoco.mjtGeom.mjGEOM_BOX)
+    turn = np.tile(np.eye(3), (13, 1, 1))
+    turn[0] = [[np.cos(rise), 0.0, -np.sin(rise)], [0.0, 1.0, 0.0], [np.sin(rise), 0.0, np.cos(rise)]]
+    pos = np.array([(0.0, 0.0, 0.0), *((np.cos(i) * 2, np.sin(i) * 2, 0.5) for i in range(12))])
+    size = np.array([(1.5, 1.5, 0.05), *[(0.1, 0.1, 0.5)] * 12])
+    still = seen_from_above(kinds, jnp.asarray(pos), jnp.asarray(turn), jnp.asarray(size))
+    none = SolidGeoms(*(np.zeros(0, int) for _ in range(4)))
+    model = mujoco.MjSpec().compile()
+    fixed = fixed_bodies(model, set())
+    return AllSolids(model, fixed, none, movable_solids(model, fixed, none), still, 0.0, NEAR)
+
+
+def test_their_slope_is_that_of_jax():
+    """How much higher the ground is under a robot that stands further up a plate: its rise."""
+    solids, one = plate(0.2), jnp.zeros((1, 1))
+    here = Footprints(
+        pos=jnp.array([[[0.1, 0.2]]]),
+        yaw=one,
+        half=jnp.full((1, 1, 2), 0.2),
+        low=one,
+        high=one + 0.3,
+        step=one + 0.05,
+        mass=one + 1.0,
+    )
+    scene = WhereSolids(loose=jnp.zeros((1, 0)), geoms=jnp.zeros((1, 0, 10)))
+    aims = Aims(here, here, one == 0, None, jnp.ones((1, 4, 1)), scene, jnp.zeros((1, 0)), None)
+    known = nothing_known(solids, aims)
+
+    def height(look, find, x):
+        there = aims._replace(left=here.replace(pos=here.pos + x))
+        return find(solids, look(solids, known, there), there.left, there).mean()
+
+    ways = (around_by_jax, ground_by_jax), (around_on_warp, ground_on_warp)
+    slopes = [float(jax.jit(jax.grad(partial(height, *way)))(0.0)) for way in ways]
+    assert slopes == pytest.approx([np.tan(0.2)] * 2, abs=1e-5)
+    rates = [float(jax.jit(partial(jax.jvp, partial(height, *way)))((0.0,), (1.0,))[1]) for way in ways]
+    assert rates == pytest.approx([np.tan(0.2)] * 2, abs=1e-5)
+
+
+@pytest.fixture
+def launches(monkeypatch):
+    """What the kernels were given, and made of it, in a drive on Warp."""
+    kept: dict[str, list] = {"_looking": [], "_grounding": [], "_kernel": []}
+
+    def recorded(name, make):
+        def made(*which):
+            def launch(*args, output_dims, launch_dims):
+                out = make(*which)(*args, output_dims=output_dims, launch_dims=launch_dims)
+                given = [None if hasattr(arg, "shape") else arg for arg in args]
+
+                def keep(arrays, out):
+                    rest = iter(arrays)
+                    whole = [np.array(next(rest)) if arg is None else arg for arg in given]
+                    kept[name].append((which, whole, [np.array(one) for one in out], launch_dims))
+
+                arrays = [arg for arg in args if hasattr(arg, "shape")]
+                jax.debug.callback(keep, arrays, out, ordered=True)
+                return out
+
+            return launch
+
+        return made
+
+    for module, name in ((looking, "_looking"), (looking, "_grounding"), (parting, "_kernel")):
+        monkeypatch.setattr(module, name, recorded(name, getattr(module, name)))
+        monkeypatch.setattr(module, "warp_in_use", lambda: True)
+    return kept
+
+
+@pytest.mark.skipif(not COMPILER, reason="needs a compiler of C++")
+@pytest.mark.parametrize("scene", SCENES)
+def test_the_threads_of_a_gpu_do_together_what_one_does(scene, launches):
+    driven(*SCENES[scene])
+    looked = [one for one in launches["_looking"] if (one[1][10] != one[2][0]).any()]
+    assert len(looked) > 1
+    for (most, places), args, found, dim in [*looked[:1], *looked[-2:], launches["_looking"][-1]]:
+        code, kernel = warp_looking._code(most, places), warp_looking.looking_kernel(most, places)
+        arrays = run_as_on_a_gpu(code, kernel, args, dim, warp_looking.THREADS)
+        for mine, theirs in zip(arrays[-len(found) :], found, strict=True):
+            np.testing.assert_allclose(mine, theirs, atol=ROUNDING)
+    _, args, (found,), dim = launches["_grounding"][-1]
+    code = warp_solids.scene_code(warp_ground.ROBOT, warp_ground.GROUND, warp_ground.WORDS)
+    args = [*args, np.zeros_like(found)]
+    room = args[11] = np.array(args[11])
+    room.reshape(-1, 4)[::3] = -1.0  # to some robots it is not known
+    ground = run_as_on_a_gpu(code, warp_ground.ground_under_robots, args, dim, warp_ground.THREADS)[-1]
+    assert (np.abs(ground - found) > ROUNDING).mean() < 0.01, "but for who stands on an edge"
+    (robots,), args, (found,), dim = launches["_kernel"][-1]
+    code, kernel = warp_parting._code(robots), warp_parting.parting_kernel(robots)
+    args = [*args, np.zeros_like(found)]
+    parted = run_as_on_a_gpu(code, kernel, args, dim, warp_parting.BLOCK)[-1]
+    np.testing.assert_allclose(parted, found, atol=ROUNDING)

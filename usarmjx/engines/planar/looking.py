@@ -195,7 +195,7 @@ def ground_on_warp(solids: AllSolids, around: Neighbours, kept: Footprints, aims
 
 
 def _launch_look(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbours:
-    from usarmjx.engines.planar.warp_looking import WARP, room_for
+    from usarmjx.engines.planar.warp_looking import THREADS, room_for
 
     worlds, room = len(aims.moves), room_for(solids.count)
     kept = known.at, known.room, known.left_out, known.near_numbers, known.under_numbers
@@ -204,7 +204,7 @@ def _launch_look(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbours
         *(rows_of(aims), *_scene(solids, aims), solids.floor),
         *(_flat(part) for part in kept),
         output_dims=1,
-        launch_dims=worlds * WARP,
+        launch_dims=worlds * THREADS,
     )
     at, margins, left_out, near, under, loose, geoms = (
         new.reshape(old.shape) if old.size else old for new, old in zip(found, kept, strict=True)
@@ -263,10 +263,10 @@ def _looking(most: int, room: int) -> Any:  # noqa: ANN401 - Warp's kernels have
     """Return what launches the kernel that looks around."""
     import warp as wp
 
-    from usarmjx.engines.planar.warp_looking import BLOCK, CHANGED, looking_kernel
+    from usarmjx.engines.planar.warp_looking import CHANGED, THREADS, looking_kernel
 
     kernel = looking_kernel(most, room)
-    return wp.jax_kernel(kernel, num_outputs=len(CHANGED), in_out_argnames=CHANGED, block_dim=BLOCK)
+    return wp.jax_kernel(kernel, num_outputs=len(CHANGED), in_out_argnames=CHANGED, block_dim=THREADS)
 
 
 @warp_function
@@ -274,9 +274,9 @@ def _grounding() -> Any:  # noqa: ANN401 - Warp's kernels have no type
     """Return what launches the kernel that finds the ground."""
     import warp as wp
 
-    from usarmjx.engines.planar.warp_ground import ground_under_robots
+    from usarmjx.engines.planar.warp_ground import THREADS, ground_under_robots
 
-    return wp.jax_kernel(ground_under_robots, block_dim=128)
+    return wp.jax_kernel(ground_under_robots, block_dim=THREADS)
 
 
 def _with_slope_of(launched: Callable[..., Any], by_jax: Callable[..., Any]) -> Any:  # noqa: ANN401

@@ -1,9 +1,10 @@
 """What is around robots looked up on Warp, of those of whom it is not known.
 
-A warp has a world to itself: it finds out of which robots what is known no longer holds, and only if there
-are any works out where the solids are that can be elsewhere; for each of those robots its lanes look at some
-solids each. On a CPU, where tests run it, the first lane does the whole world. What each step means is told
-in `neighbours`, `movable` and `solids`; other than there, robots of whom it holds go on by what they know.
+A block of threads has a world to itself: it finds out of which robots what is known no longer holds, and only
+if there are any works out where the solids are that can be elsewhere; its warps have some of those robots
+each, its lanes some solids. On a CPU, where tests run it, the first thread does the whole world. What each
+step means is told in `neighbours`, `movable` and `solids`; other than there, robots of whom it holds go on by
+what they know.
 """
 
 from functools import cache
@@ -16,24 +17,23 @@ from usarmjx.engines.planar.warp_solids import scene_code
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
-BLOCK = 64
-"""Threads of a block of the first kernel: two worlds."""
-WARP = 32
-"""Lanes that a world has."""
+THREADS = 128
+"""Threads of a block, which has a world to itself."""
 CHANGED = ("at", "room", "left_out", "near", "under", "known_loose", "known_geoms")
 """What the first kernel changes where a world needs it."""
-ROOMS = (64, 128, 256, 416)
+ROOMS = (64, 128, 256, 416, 600)
 """So many solids a world has room for in shared memory: the least that is enough."""
 
 LOOK = """
 #if defined(__CUDA_ARCH__)
-    const int lane = (int)((unsigned)index % 32u);
-    const int lanes = 32;
-    __shared__ Solid held[BLOCK / 32 * ROOM];
-    __shared__ int held_keys[BLOCK / 32 * ROOM * 2];
-    Solid* const here = held + threadIdx.x / 32 * ROOM;
-    int* const near_keys = held_keys + threadIdx.x / 32 * ROOM * 2;
+    const int thread = (int)((unsigned)index % THREADS);
+    const int lane = thread % 32, lanes = 32, warp = thread / 32, warps = THREADS / 32;
+    __shared__ Solid here[ROOM];
+    __shared__ int held_keys[THREADS / 32 * ROOM * 2];
+    int* const near_keys = held_keys + warp * ROOM * 2;
     const auto wait = []() { __syncwarp(); };
+    const auto wait_for_all = []() { __syncthreads(); };
+    const auto any_of_all = [](bool x) { return __syncthreads_or(x) != 0; };
     const auto any = [](bool x) { return __any_sync(0xffffffffu, x) != 0; };
     const auto least = [](auto x) {
         for (int step = 16; step > 0; step /= 2) x = min(x, __shfl_xor_sync(0xffffffffu, x, step));
@@ -44,16 +44,18 @@ LOOK = """
         return x;
     };
 #else
-    if ((unsigned)index % 32u != 0) return;
-    const int lane = 0;
-    const int lanes = 1;
+    if ((unsigned)index % THREADS != 0) return;
+    const int thread = 0, lane = 0, lanes = 1, warp = 0, warps = 1;
     Solid here[ROOM];
     int near_keys[2 * ROOM];
     const auto wait = []() {};
+    const auto wait_for_all = []() {};
+    const auto any_of_all = [](bool x) { return x; };
     const auto any = [](bool x) { return x; };
     const auto least = [](auto x) { return x; };
     const auto sum = [](int x) { return x; };
 #endif
+    const int threads = lanes * warps;
     int* const ground_keys = near_keys + ROOM;
     float* const was = at.data + (size_t)world * count * 4;
     float* const free = room.data + (size_t)world * count * 4;
@@ -95,7 +97,8 @@ LOOK = """
     float* const loose_was = known_loose.data + (size_t)world * numbers;
     const float* const loose_now = loose.data + (size_t)world * numbers;
     bool other_world = false;
-    for (int i = lane; i < numbers; i += lanes) other_world = other_world || !(loose_was[i] == loose_now[i]);
+    for (int i = thread; i < numbers; i += threads)
+        other_world = other_world || !(loose_was[i] == loose_now[i]);
 
     // MovableSolids.where, came_near
     float* const geoms_were = known_geoms.data + (size_t)world * data_geoms * 10;
@@ -117,7 +120,7 @@ LOOK = """
         }
         return false;
     };
-    for (int m = lane; m < others && !other_world; m += lanes) {
+    for (int m = thread; m < others && !other_world; m += threads) {
         if (row_of(m) < 0) continue;
         const float* const then = geoms_were + row_of(m) * 10;
         float now[10];
@@ -129,17 +132,17 @@ LOOK = """
         // Who looks while something is elsewhere than it is known to be has all look: that is known of all.
         other_world = other && (lost || meets(m, then) || meets(m, now));
     }
-    other_world = any(other_world);
-    for (int r = lane; r < count; r += lanes) left_out.data[(size_t)world * count + r] = 0;
+    other_world = any_of_all(other_world);
+    for (int r = thread; r < count; r += threads) left_out.data[(size_t)world * count + r] = 0;
     if (!lost && !other_world) return;
 
-    for (int i = lane; i < numbers; i += lanes) loose_was[i] = loose_now[i];
-    for (int m = lane; m < others; m += lanes) {
+    for (int i = thread; i < numbers; i += threads) loose_was[i] = loose_now[i];
+    for (int m = thread; m < others; m += threads) {
         here[m] = moved(m);
         if (row_of(m) >= 0)
             for (int i = 0; i < 10; ++i) geoms_were[row_of(m) * 10 + i] = geom_now(m, i);
     }
-    wait();
+    wait_for_all();
     const int solids = fixed + others;
     const auto number_of = [&](int i, int n) -> float {
         return i < fixed ? still.data[12 * i + n] : reinterpret_cast<const float*>(here + (i - fixed))[n];
@@ -153,9 +156,9 @@ LOOK = """
     const auto key_of = [&](float rank, int i) -> int {
         return (int)min(max((rank + DEEPEST) / NEARNESS, 0.0f), last_step) * solids + i;
     };
-    for (int r = 0; r < count; ++r) {
+    for (int r = warp; r < count; r += warps) {
         if (!other_world && !is_lost(r)) continue;
-        wait();  // until all have asked
+        wait();  // until all lanes have asked
         const float x = told(r, NUMBER_BEFORE_X), y = told(r, NUMBER_BEFORE_Y), step = told(r, NUMBER_STEP);
         const float low = told(r, NUMBER_BEFORE_LOW), high = told(r, NUMBER_BEFORE_HIGH);
         const float limit = limit_of(r), size = size_of(r);
@@ -241,7 +244,7 @@ LOOK = """
 """What the lanes of a world do."""
 
 WORLD = """
-    const int world = (int)((unsigned)index / 32u);
+    const int world = (int)((unsigned)index / THREADS);
 """
 
 
@@ -249,7 +252,7 @@ def _code(most: int, room: int) -> str:
     """Return the native code that looks at so many solids closely, with room for so many in all."""
     measures = ("SLACK", "SWAY", "DEEPEST", "NEARNESS", "LAST")
     words: dict[str, object] = {name: f"{getattr(neighbours, name)}f" for name in measures}
-    return scene_code(WORLD, LOOK, {**words, "MOST": most, "ROOM": room, "BLOCK": BLOCK})
+    return scene_code(WORLD, LOOK, {**words, "MOST": most, "ROOM": room, "THREADS": f"{THREADS}u"})
 
 
 def room_for(solids: int) -> int | None:

@@ -1,0 +1,156 @@
+"""Native code for a GPU run here: threads of the machine are its threads, and wait for each other as they do.
+
+A compiler of C++20 makes a library of it, in which what a GPU has of its own (threads of a block, warps that
+vote and exchange numbers) is made of barriers. It shows what the code computes, not how fast.
+"""
+
+import ctypes
+import shutil
+import subprocess
+import tempfile
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+COMPILER = shutil.which("g++") or shutil.which("clang++")
+
+GPU = r"""
+#include <algorithm>
+#include <barrier>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <thread>
+#include <vector>
+namespace wp {
+inline float abs(float x) { return std::fabs(x); }
+inline float cos(float x) { return std::cos(x); }
+inline float sin(float x) { return std::sin(x); }
+inline float sqrt(float x) { return std::sqrt(x); }
+template <class T> T min(T a, T b) { return a < b ? a : b; }
+template <class T> T max(T a, T b) { return a > b ? a : b; }
+template <class T> struct array_t { T* data; };
+}
+#define __CUDA_ARCH__ 900
+#define __shared__ static
+struct Place { unsigned x; };
+thread_local Place threadIdx;
+static std::unique_ptr<std::barrier<>> block;
+static std::map<std::pair<int, unsigned>, std::unique_ptr<std::barrier<>>> groups;  // of a warp
+static std::mutex making;
+static unsigned members[32];
+static uint64_t told[32][32];
+static int one_said;
+int warp() { return threadIdx.x / 32; }
+int lane() { return threadIdx.x % 32; }
+void __syncthreads() { block->arrive_and_wait(); }
+int __syncthreads_or(int x) {
+    if (threadIdx.x == 0) one_said = 0;
+    __syncthreads();
+    if (x) __atomic_store_n(&one_said, 1, __ATOMIC_SEQ_CST);
+    __syncthreads();
+    const int found = one_said;
+    __syncthreads();
+    return found;
+}
+void __syncwarp(unsigned mask = 0xffffffffu) {
+    mask &= members[warp()];
+    std::barrier<>* group;
+    {
+        const std::lock_guard<std::mutex> only(making);
+        auto& known = groups[{warp(), mask}];
+        if (!known) known = std::make_unique<std::barrier<>>(__builtin_popcount(mask));
+        group = known.get();
+    }
+    group->arrive_and_wait();
+}
+unsigned __activemask() { return members[warp()]; }
+template <class T> T __shfl_sync(unsigned mask, T value, int from) {
+    std::memcpy(&told[warp()][lane()], &value, sizeof(T));
+    __syncwarp(mask);
+    std::memcpy(&value, &told[warp()][from], sizeof(T));
+    __syncwarp(mask);
+    return value;
+}
+template <class T> T __shfl_xor_sync(unsigned mask, T value, int step) {
+    return __shfl_sync(mask, value, lane() ^ step);
+}
+unsigned __ballot_sync(unsigned mask, bool x) {
+    told[warp()][lane()] = x;
+    __syncwarp(mask);
+    unsigned found = 0u;
+    for (int i = 0; i < 32; ++i)
+        if ((mask & members[warp()]) >> i & 1u && told[warp()][i]) found |= 1u << i;
+    __syncwarp(mask);
+    return found;
+}
+int __any_sync(unsigned mask, bool x) { return __ballot_sync(mask, x) != 0u; }
+int __popc(unsigned x) { return __builtin_popcount(x); }
+int __ffs(int x) { return __builtin_ffs(x); }
+"""
+
+RUN = """
+static void kernel(PARAMETERS) {CODE}
+extern "C" void run(GIVEN, int dim) {
+    for (int begin = 0; begin < dim; begin += BLOCK) {
+        const int size = std::min(BLOCK, dim - begin);
+        block = std::make_unique<std::barrier<>>(size);
+        groups.clear();
+        for (int first = 0; first < size; first += 32) {
+            const int count = std::min(32, size - first);
+            members[first / 32] = count == 32 ? 0xffffffffu : (1u << count) - 1u;
+        }
+        std::vector<std::thread> all;
+        for (int i = 0; i < size; ++i)
+            all.emplace_back([=] { threadIdx.x = i; const int index = begin + i; kernel(CALL); });
+        for (auto& one : all) one.join();
+    }
+}
+"""
+
+
+@cache
+def _library(source: str) -> Any:
+    with tempfile.TemporaryDirectory() as folder:
+        code, library = Path(folder) / "gpu.cpp", Path(folder) / "gpu.so"
+        code.write_text(source, encoding="utf-8")
+        flags = ["-O1", "-std=c++20", "-shared", "-fPIC", "-pthread", "-w"]
+        subprocess.run([COMPILER, *flags, str(code), "-o", str(library)], check=True)
+        return ctypes.CDLL(str(library)).run
+
+
+def run_as_on_a_gpu(code: str, kernel: Any, args: list[Any], dim: int, block: int) -> list[np.ndarray]:
+    """Return the kernel's arrays after a launch.
+
+    Args:
+        code: Native code of the function that the kernel calls, which knows its thread as `index`.
+        kernel: Warp's; its parameters are told by it.
+        args: Its arguments, arrays flat; what is output of it besides.
+        dim: Threads.
+        block: Threads of a block.
+    """
+    parameters, given, call, values = ["const int index"], [], ["index"], []
+    arrays = [np.array(arg) for arg in args if isinstance(arg, np.ndarray)]
+    rest = iter(arrays)
+    for known, arg in zip(kernel.adj.args, args, strict=True):
+        is_array = isinstance(arg, np.ndarray)
+        kind = "float" if (arg.dtype == np.float32 if is_array else isinstance(arg, float)) else "int"
+        name = known.label
+        parameters.append(f"wp::array_t<{kind}> {name}" if is_array else f"const {kind} {name}")
+        given.append(f"{kind}* {name}" if is_array else f"{kind} {name}")
+        call.append(f"{{{name}}}" if is_array else name)
+        if is_array:
+            values.append(next(rest).ctypes.data_as(ctypes.c_void_p))
+        else:
+            values.append(ctypes.c_float(arg) if kind == "float" else ctypes.c_int(arg))
+    words = {"PARAMETERS": parameters, "GIVEN": given, "CALL": call}
+    source = RUN.replace("BLOCK", str(block))
+    for word, them in words.items():
+        source = source.replace(word, ", ".join(them))
+    _library(GPU + source.replace("{CODE}", "{" + code + "}"))(*values, dim)
+    return arrays
