@@ -21,7 +21,7 @@ BLUE, PALE, ORANGE = "#1f5fa8", "#9db8d6", "#d1622b"
 DPI = 100
 ROW_HEIGHT, WIDTH = 2.4, 9.0
 """Height of a task's panels, and the figure's width [inches]."""
-LINE_COLOURS = 6
+LINE_COLOURS = 4
 SHARP: dict[str, Any] = {"antialiased": False}
 """Of lines: seeds whose edges are smoothed make a file half as large again."""
 MILLION = 1e6

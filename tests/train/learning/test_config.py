@@ -122,7 +122,7 @@ def runs_of(task, engine):
 @pytest.mark.parametrize(
     ("task", "engine", "fields", "seeds"),
     [
-        ("drive-to-goal", "planar", {}, set(range(10))),
+        ("drive-to-goal", "planar", {}, set(range(11))),
         ("explore-v1", "planar", {"physics": "coarse"}, {0, 1, 2, 3, 4}),
         ("victim-search-v1", "planar", {}, {0, 1, 2, 3, 4}),
         ("explore-v2", "planar", {"physics": "coarse"}, {0, 1, 2, 3, 4, 5, 6}),
@@ -133,6 +133,8 @@ def runs_of(task, engine):
         ("wander", "planar", {}, {0, 1}),
         ("hover-inspect", "warp", {}, {0}),
         ("wander", "warp", {}, {0}),
+        ("relay-chain", "warp", {}, {0}),
+        ("convoy", "warp", {}, {1, 2}),
         ("stairs", "warp", {}, {0, 1, 2}),
         ("soccer", "warp", {}, {0}),
     ],

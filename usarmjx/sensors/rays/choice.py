@@ -37,6 +37,7 @@ def caster_in_use() -> CasterName:
 def warp_in_use() -> bool:
     """Return whether kernels of Warp do here what JAX does elsewhere: on GPUs where that is installed.
 
-    They count the radio's walls, find ways over maps, and keep the robots of engine `planar` apart.
+    They count the radio's walls, find ways over maps and what is around robots of engine `planar`, and keep
+    these apart.
     """
     return jax.default_backend() == "gpu" and _there("warp")
