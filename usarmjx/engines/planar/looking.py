@@ -164,7 +164,7 @@ def ground_below(solids: AllSolids, around: Neighbours, kept: Footprints, aims: 
 
 def ground_by_jax(solids: AllSolids, around: Neighbours, kept: Footprints, aims: Aims) -> Array:
     """As `ground_below`, by JAX."""
-    feet = feet_of(kept)
+    feet = jax.vmap(feet_of)(kept)
     known = around.knows_ground(places_of(kept, aims.limit.max(1))).all(-1)
     found = ground_of(around.under, solids.floor, feet, aims.limit)
 

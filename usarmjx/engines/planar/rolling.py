@@ -21,8 +21,6 @@ STANCE = 0.8
 """Robots stand at this share of their footprints' sides from the middle."""
 STEEPEST_TILT = 0.6
 """Robots tilt by no more, as rise over run: one that hangs over an edge does not stand on its nose."""
-_SIDES = np.array(SIGNS).T[:, :, None]
-"""On which sides of a robot's middle its stances are, ahead and to the left (2, 4, 1)."""
 IN_THE_AIR = 0.02
 """What is so far above the ground keeps its tilt [m]."""
 
@@ -151,13 +149,9 @@ def reach_of(robots: PlanarRobots, before: Motion) -> Array:
 
 
 def feet_of(prints: Footprints) -> Array:
-    """Return where robots (..., robots) stand on the plan (..., 4, robots, 2)."""
-    x, y, length, width = (
-        part[..., None, :] for vector in (prints.pos, prints.half) for part in parts(vector)
-    )
-    cos, sin = (part[..., None, :] for part in parts(prints.axis))
-    ahead, left = (STANCE * sign * half for sign, half in zip(_SIDES, (length, width), strict=True))
-    return jnp.stack([x + (ahead * cos - left * sin), y + (ahead * sin + left * cos)], -1)
+    """Return where robots (robots,) stand on the plan (4, robots, 2)."""
+    stances = [STANCE * jnp.asarray(corner) * prints.half for corner in SIGNS]
+    return jnp.stack([prints.pos + on_plan(stance, prints.yaw) for stance in stances])
 
 
 def _stances(robots: PlanarRobots) -> list[Array]:
