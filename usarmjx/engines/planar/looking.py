@@ -127,7 +127,7 @@ def nothing_known(solids: AllSolids, aims: Aims) -> Neighbours:
 
 def around_robots(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbours:
     """Return what is around all robots, looked up anew where some may have come to what was far away."""
-    return (around_on_warp if _fits_on_warp(solids) else around_by_jax)(solids, known, aims)
+    return (around_on_warp if _fits_on_warp(solids, aims) else around_by_jax)(solids, known, aims)
 
 
 def around_by_jax(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbours:
@@ -159,7 +159,7 @@ def looked_up(solids: AllSolids, aims: Aims) -> Neighbours:
 
 def ground_below(solids: AllSolids, around: Neighbours, kept: Footprints, aims: Aims) -> Array:
     """Return how high the ground is under robots where they came to [m] (worlds, 4, robots)."""
-    return (ground_on_warp if _fits_on_warp(solids) else ground_by_jax)(solids, around, kept, aims)
+    return (ground_on_warp if _fits_on_warp(solids, aims) else ground_by_jax)(solids, around, kept, aims)
 
 
 def ground_by_jax(solids: AllSolids, around: Neighbours, kept: Footprints, aims: Aims) -> Array:
@@ -175,9 +175,9 @@ def ground_by_jax(solids: AllSolids, around: Neighbours, kept: Footprints, aims:
     return where_needed(jnp.logical_not(known), jax.vmap(everywhere), found, *args)
 
 
-def _fits_on_warp(solids: AllSolids) -> bool:
-    """Return whether a model is for Warp here."""
-    if not warp_in_use():
+def _fits_on_warp(solids: AllSolids, aims: Aims) -> bool:
+    """Return whether they are for Warp here: some robots, and as many solids as it has room for."""
+    if not warp_in_use() or not aims.moves.size:
         return False
     from usarmjx.engines.planar.warp_looking import room_for  # Warp need not be installed
 
@@ -234,7 +234,7 @@ def _flat(part: Array) -> Array:
 
 
 def _scene(solids: AllSolids, aims: Aims) -> tuple[Array, ...]:
-    """Return what both kernels are told of solids, see `warp_looking.SIZES` and `warp_solids`."""
+    """Return what both kernels are told of solids, see `warp_solids`."""
     (kinds, shapes, still), poses = solids.tables, aims.poses
     places, sized = (0, False) if poses is None else (poses.pos.shape[1], poses.size is not None)
     if poses is None:
