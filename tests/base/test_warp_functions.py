@@ -30,10 +30,31 @@ np.save(sys.argv[3], np.asarray(found))
 """
 
 
-@pytest.mark.parametrize("first", ["nothing", "other"])
-def test_a_kept_program_with_kernels_does_the_same_in_another_process(tmp_path, first):
+STEPS = """
+import sys
+import jax, numpy as np
+from pathlib import Path
+from usarmjx.base.kept_programs import ProgramKeeper, compile_program
+from usarmjx.engines.planar import looking, parting
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.scene import build_scene
+for module in (looking, parting):
+    module.warp_in_use = lambda: True
+batch = Batch(build_scene("yellow", ["P2AT", "P2AT"]), 2, engine="planar")
+state = batch.drive(batch.reset(), 0, {"Left": 3.0, "Right": 4.0})
+def go(state):
+    print("traced")
+    return jax.lax.fori_loop(0, 60, lambda _, now: batch.step(now), state)
+found = compile_program(go, ProgramKeeper(Path(sys.argv[1]), "x"), "test")(state)
+np.save(sys.argv[3], np.asarray(batch.physics(found).qpos))
+"""
+"""Its kernels change arrays in place: what is known of what is around robots."""
+
+
+@pytest.mark.parametrize(("program", "first"), [(PROGRAM, "nothing"), (PROGRAM, "other"), (STEPS, "nothing")])
+def test_a_kept_program_with_kernels_does_the_same_in_another_process(tmp_path, program, first):
     def run(what, name):
-        command = [sys.executable, "-c", PROGRAM, str(tmp_path), what, str(tmp_path / name)]
+        command = [sys.executable, "-c", program, str(tmp_path), what, str(tmp_path / name)]
         done = subprocess.run(
             command, env={**os.environ, "JAX_PLATFORMS": "cpu"}, capture_output=True, text=True, timeout=300
         )
