@@ -1,6 +1,7 @@
 """What is around robots looked up by kernels of Warp, which run here on its CPU device, as by JAX."""
 
 import re
+import sys
 from functools import partial
 
 import jax
@@ -36,6 +37,8 @@ from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 
 pytest.importorskip("warp", reason="needs warp-lang")
+import warp as wp
+
 from usarmjx.engines.planar import warp_ground, warp_looking, warp_parting, warp_solids
 
 WORLDS, STEPS = 4, 100
@@ -277,3 +280,24 @@ def test_the_threads_of_a_gpu_do_together_what_one_does(scene, launches):
     args = [*args, np.zeros_like(found)]
     parted = run_as_on_a_gpu(code, kernel, args, dim, warp_parting.BLOCK)[-1]
     np.testing.assert_allclose(parted, found, atol=ROUNDING)
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="Warp compiles for no GPU there")
+@pytest.mark.parametrize("kernel", ["look", "look at the most", "ground", "part"])
+def test_they_compile_for_a_gpu(kernel, tmp_path):
+    """NVRTC comes with Warp and needs no GPU; a block has 48 KiB of shared memory."""
+    made = {
+        "look": lambda: warp_looking.looking_kernel(8, warp_looking.ROOMS[0]),
+        "look at the most": lambda: warp_looking.looking_kernel(12, warp_looking.ROOMS[-1]),
+        "ground": lambda: warp_ground.ground_under_robots,
+        "part": lambda: warp_parting.parting_kernel(warp_parting.MOST_ROBOTS),
+    }[kernel]()
+    wp.compile_aot_module(made.module, arch=75, module_dir=tmp_path, use_ptx=True)
+    (text,) = (path.read_bytes().decode("latin-1") for path in tmp_path.glob("*.ptx"))
+    own = [
+        int(size)
+        for name, size in re.findall(r"\.shared .*? (\S+)\[(\d+)\];", text)
+        if "get_smem_base" not in name
+    ]
+    assert sum(own) <= 48 * 1024
+    assert text.count(".entry") >= 1
