@@ -11,7 +11,7 @@ from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.movable import WhereSolids
 from usarmjx.engines.planar.neighbours import Neighbours
 from usarmjx.engines.planar.overlap import Outlines
-from usarmjx.engines.planar.solids import NOWHERE, PlanSolids, packed
+from usarmjx.engines.planar.solids import NOWHERE, PlanSolids, as_numbers
 
 SOLIDS = 8
 """Near each robot."""
@@ -84,8 +84,8 @@ def as_the_engine_has_it(case: dict[str, Any], *, discs: bool = True) -> tuple[A
         at=jnp.zeros((*shape, 4)),
         room=jnp.zeros((*shape, 4)),
         left_out=jnp.zeros(shape, jnp.int32),
-        near_numbers=packed(solids),
-        under_numbers=packed(solids),
+        near_solids=as_numbers(solids),
+        under_solids=as_numbers(solids),
         scene=scene,
         discs=discs,
     )

@@ -78,13 +78,14 @@ def compared(monkeypatch):
         holds = known.holds_for(
             places_of(aims.left, aims.limit.max(1)), farthest_in_a_step(aims.left, aims.there)
         )
-        keep(looks, known, looked_up(solids, aims), around_on_warp(solids, known, aims), holds)
+        anew, found = looked_up(solids, aims).packed, around_on_warp(solids, known.packed, aims)
+        keep(looks, known.packed, anew, found, holds)
         return around_by_jax(solids, known, aims)
 
     def ground(solids, around, prints, aims):
         half = jnp.where(jnp.arange(aims.moves.shape[1]) % 2, 1e9, 0.0)[:, None]
         unknown = around.replace(room=around.room - half)  # to every other robot
-        found = (ground_on_warp(solids, one, prints, aims) for one in (around, unknown))
+        found = (ground_on_warp(solids, one.packed, prints, aims) for one in (around, unknown))
         keep(grounds, ground_by_jax(solids, around, prints, aims), *found)
         return ground_by_jax(solids, around, prints, aims)
 
@@ -214,7 +215,7 @@ def test_their_slope_is_that_of_jax():
     )
     scene = WhereSolids(loose=jnp.zeros((1, 0)), geoms=jnp.zeros((1, 0, 10)))
     aims = Aims(here, here, one == 0, None, jnp.ones((1, 4, 1)), scene, jnp.zeros((1, 0)), None)
-    known = nothing_known(solids, aims)
+    known = nothing_known(solids, aims).packed
 
     def height(look, find, x):
         there = aims._replace(left=here.replace(pos=here.pos + x))

@@ -121,7 +121,8 @@ def all_solids(model: mujoco.MjModel, geoms: SolidGeoms, fixed: FixedBodies, mos
 
 def nothing_known(solids: AllSolids, aims: Aims) -> Neighbours:
     """Return zeros of the shapes of what is around robots: nothing is known."""
-    shapes = jax.eval_shape(partial(looked_up, solids), aims)
+    on_warp = _fits_on_warp(solids, aims)
+    shapes = jax.eval_shape(partial(_as_it_is_kept, solids, on_warp), aims)
     return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shapes)
 
 
@@ -143,7 +144,14 @@ def around_by_jax(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbour
     )
     needed = jnp.logical_not(holds) | come_near
     known = known.replace(left_out=jnp.zeros_like(known.left_out))
-    return where_needed(needed, partial(looked_up, solids), known, aims)
+    on_warp = not isinstance(known.near_solids, PlanSolids)
+    return where_needed(needed, partial(_as_it_is_kept, solids, on_warp), known, aims)
+
+
+def _as_it_is_kept(solids: AllSolids, on_warp: bool, aims: Aims) -> Neighbours:
+    """As `looked_up`, as Warp's kernels keep it or not."""
+    found = looked_up(solids, aims)
+    return found.packed if on_warp else found
 
 
 def looked_up(solids: AllSolids, aims: Aims) -> Neighbours:
@@ -211,7 +219,7 @@ def _launch_look(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbours
     )
     scene = known.scene.replace(loose=loose, geoms=geoms)
     return known.replace(
-        at=at, room=margins, left_out=left_out, near_numbers=near, under_numbers=under, scene=scene
+        at=at, room=margins, left_out=left_out, near_solids=near, under_solids=under, scene=scene
     )
 
 

@@ -15,7 +15,7 @@ from usarmjx.base.fusion import rounds_at_once
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.movable import WhereSolids
 from usarmjx.engines.planar.overlap import Outlines
-from usarmjx.engines.planar.solids import NOWHERE, PlanSolids, packed, tops_under, unpacked
+from usarmjx.engines.planar.solids import NOWHERE, PlanSolids, as_numbers, as_solids, tops_under
 
 NEAR = 8
 """A robot looks at so many solids closely ..."""
@@ -54,15 +54,16 @@ class Margin(struct.PyTreeNode, kw_only=True):
 class Neighbours(struct.PyTreeNode, kw_only=True):
     """What is around the robots of each world; all zeros: it is not known.
 
-    Solids are rows of numbers, as `solids.packed` makes them.
+    Where kernels of Warp keep it, solids are numbers of one array, see `solids.as_numbers`; a CPU is slower
+    at reading that.
 
     Attributes:
         at: Where robots were when it was looked up: x, y, lowest point, and up to what height solids are
             ground for them [m] (worlds, robots, 4).
         room: The numbers of `free` and of `grounded` (worlds, robots, 4).
         left_out: Solids that stop them, are near and are not among those kept (worlds, robots).
-        near_numbers: Of solids that may stop them (worlds, numbers, k, robots).
-        under_numbers: Of solids that may be ground for them (worlds, numbers, layers, robots).
+        near_solids: Those that may stop them (worlds, k, robots), or these (worlds, numbers, k, robots).
+        under_solids: Those that may be ground for them, likewise, `LAYERS` of them.
         scene: Where the solids were that can be elsewhere.
         discs: Whether any may be a disc.
     """
@@ -70,8 +71,8 @@ class Neighbours(struct.PyTreeNode, kw_only=True):
     at: Array
     room: Array
     left_out: Array
-    near_numbers: Array
-    under_numbers: Array
+    near_solids: PlanSolids | Array
+    under_solids: PlanSolids | Array
     scene: WhereSolids
     discs: bool = struct.field(pytree_node=False)
 
@@ -88,12 +89,27 @@ class Neighbours(struct.PyTreeNode, kw_only=True):
     @property
     def near(self) -> PlanSolids:
         """Solids that may stop them (worlds, k, robots)."""
-        return unpacked(self.near_numbers, discs=self.discs)
+        return as_solids(self.near_solids, discs=self.discs)
 
     @property
     def under(self) -> PlanSolids:
         """Solids that may be ground for them (worlds, layers, robots)."""
-        return unpacked(self.under_numbers, discs=self.discs)
+        return as_solids(self.under_solids, discs=self.discs)
+
+    @property
+    def near_numbers(self) -> Array:
+        """Numbers of those that may stop them (worlds, numbers, k, robots)."""
+        return as_numbers(self.near_solids)
+
+    @property
+    def under_numbers(self) -> Array:
+        """Numbers of those that may be ground for them (worlds, numbers, layers, robots)."""
+        return as_numbers(self.under_solids)
+
+    @property
+    def packed(self) -> "Neighbours":
+        """The same, with solids as numbers."""
+        return self.replace(near_solids=self.near_numbers, under_solids=self.under_numbers)
 
     def went(self, at: Array) -> tuple[Margin, Margin]:
         """Return how far robots are from where it was looked up, with their lowest points and with limits."""
@@ -193,8 +209,8 @@ def look_around(
         at=places_of(prints, limit),
         room=jnp.stack([free.aside, free.height, grounded.aside, grounded.height], -1),
         left_out=jnp.maximum(left_out, 0).astype(jnp.int32),
-        near_numbers=packed(near),
-        under_numbers=packed(under),
+        near_solids=near,
+        under_solids=under,
         scene=scene,
         discs=solids.discs,
     )

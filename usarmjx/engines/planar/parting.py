@@ -39,7 +39,7 @@ def parted_on_warp(aims: Aims, around: Neighbours) -> tuple[Footprints, Array]:
 
 def _launched(aims: Aims, around: Neighbours) -> tuple[Footprints, Array]:
     worlds, robots = aims.moves.shape
-    stacked, near = aims.stacked, jnp.asarray(around.near_numbers)
+    stacked, near = aims.stacked, around.near_numbers
     over = jnp.zeros(1, jnp.int32) if stacked is None else jnp.asarray(stacked, jnp.int32).reshape(-1)
     solids = near.reshape(-1) if near.size else jnp.zeros(1)
     found = _kernel(robots)(

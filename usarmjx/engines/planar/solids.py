@@ -59,14 +59,16 @@ class PlanSolids(struct.PyTreeNode, kw_only=True):
         return self.low.shape[-1]
 
 
-def packed(solids: PlanSolids) -> Array:
-    """Return the numbers of solids (..., k, robots) as one array (..., numbers, k, robots)."""
-    return jnp.stack(jax.tree.leaves(solids), -3)
+def as_numbers(solids: PlanSolids | Array) -> Array:
+    """Return the numbers of solids (..., k, robots) in one array (..., numbers, k, robots)."""
+    return jnp.stack(jax.tree.leaves(solids), -3) if isinstance(solids, PlanSolids) else jnp.asarray(solids)
 
 
-def unpacked(numbers: Array, *, discs: bool) -> PlanSolids:
-    """Return the solids whose numbers `packed` has put together; `discs` as theirs."""
-    parts = [numbers[..., i, :, :] for i in range(numbers.shape[-3])]
+def as_solids(solids: PlanSolids | Array, *, discs: bool) -> PlanSolids:
+    """Return solids, or those whose numbers `as_numbers` has put together; `discs` as theirs."""
+    if isinstance(solids, PlanSolids):
+        return solids
+    parts = [solids[..., i, :, :] for i in range(solids.shape[-3])]
     outline, others = Outlines(*parts[: len(Outlines._fields)]), parts[len(Outlines._fields) :]
     low, top, slope_x, slope_y, highest = others
     return PlanSolids(

@@ -162,7 +162,7 @@ WORLD = """
         const float* const p = here + r * 9;
         return {p[0], p[1], p[2], p[3], p[4], p[5], 0.0f};
     };
-    // A solid's numbers are as in `solids.packed`, one after those of all robots and solids.
+    // A solid's numbers are as in `solids.as_numbers`, one after those of all robots and solids.
     const auto number = [&](int i, int k, int r) { return around[((size_t)i * solids + k) * COUNT + r]; };
     const auto solid = [&](int k, int r) -> Outline {
         return {number(0, k, r), number(1, k, r), number(2, k, r), number(3, k, r),
