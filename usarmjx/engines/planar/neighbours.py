@@ -63,7 +63,8 @@ class Neighbours(struct.PyTreeNode, kw_only=True):
         room: The numbers of `free` and of `grounded` (worlds, robots, 4).
         left_out: Solids that stop them, are near and are not among those kept (worlds, robots).
         near_solids: Those that may stop them (worlds, k, robots), or these (worlds, numbers, k, robots).
-        under_solids: Those that may be ground for them, likewise, `LAYERS` of them.
+        under_solids: Those that may be ground for them (worlds, layers, robots), or these (worlds, numbers,
+            layers, robots).
         scene: Where the solids were that can be elsewhere.
         discs: Whether any may be a disc.
     """
