@@ -23,9 +23,14 @@ def relative_uniform(key: Array, data: Array, amplitude: Array | float) -> Array
 
 def relative_normal(key: Array, data: Array, mean: Array | float, sigma: Array | float) -> Array:
     """Return data * (1 + N(mean, sigma)): noise proportional to the rate of change (manual 10.6)."""
+    return data * normal_factor(key, data.shape, mean, sigma)
+
+
+def normal_factor(key: Array, shape: Sequence[int], mean: Array | float, sigma: Array | float) -> Array:
+    """Return 1 + N(mean, sigma) of a shape; keys as of `random.normal`."""
     if isinstance(sigma, float) and not sigma:
-        return data * (1 + mean)
-    return data * (1 + mean + sigma * random.normal(key, data.shape))
+        return xp.broadcast_to(xp.asarray(1 + mean, xp.float32), tuple(shape))
+    return 1 + mean + sigma * random.normal(key, shape)
 
 
 def setting_values(settings: Sequence[NoisySensorSettings], name: str) -> Array:

@@ -223,10 +223,8 @@ class Suite:
 
     def _keys(self, key: Array) -> Sequence[Array]:
         """Return a key for each sensor, folded by its place: adding one leaves the noise of others alone."""
-        count = len(self.sensors)
-        if on_numpy():
-            return np.moveaxis(random.fold_in(key, np.arange(count)), -2, 0)
-        return [random.fold_in(key, i) for i in range(count)]
+        keys = random.fold_in(key, np.arange(len(self.sensors)))
+        return np.moveaxis(keys, -2, 0) if on_numpy() else keys
 
     def _read_one(
         self,

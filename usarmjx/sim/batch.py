@@ -153,31 +153,57 @@ class Batch:
         worlds, qpos = self._reset(state.worlds, state.arenas, mask)
         return state.replace(physics=self.engine.reset(state.physics, mask, qpos), worlds=worlds)
 
-    def _step(self, state: BatchState) -> BatchState:
-        worlds, inputs = self._compute_inputs(state.worlds, self.engine.state(state.physics))
+    def _halt_where(self, state: BatchState, mask: jax.Array, qpos: Array) -> BatchState:
+        """Put the masked worlds at rest at qpos (worlds, nq), or where a model begins if that is not finite."""
+        finite = jnp.isfinite(qpos).all(-1, keepdims=True)
+        qpos = jnp.where(finite, qpos, jnp.asarray(self.scene.model.qpos0, jnp.float32))
+        return state.replace(physics=self.engine.reset(state.physics, mask, qpos))
+
+    def _mend_where(self, state: BatchState, mask: jax.Array, before: Array, reset_bad: bool) -> BatchState:
+        """Make worlds finite again: they start their next episode, or are where they were."""
+        return self._reset_where(state, mask) if reset_bad else self._halt_where(state, mask, before)
+
+    def _step(self, state: BatchState, reset_bad: bool = True) -> BatchState:
+        before = self.engine.state(state.physics)
+        worlds, inputs = self._compute_inputs(state.worlds, before)
         with jax.named_scope("physics"):
             physics = self.engine.advance(state.physics, inputs)
         lost = self.engine.overflow(physics, inputs)
         worlds, finite = self._finish_step(worlds, self.engine.state(physics), lost)
         state = state.replace(physics=physics, worlds=worlds)
-        if self.engine.traceable:
-            return jax.lax.cond(finite.all(), lambda s: s, lambda s: self._reset_where(s, ~finite), state)
-        return state if bool(finite.all()) else self._reset_where(state, ~finite)
 
-    def run(self, state: BatchState, steps: int) -> BatchState:
-        """Advance every world by some control steps, as `step` does, in fewer calls."""
+        def mend(state: BatchState) -> BatchState:
+            return self._mend_where(state, ~finite, before.qpos, reset_bad)
+
         if self.engine.traceable:
-            return self.engine.waiting(jax.lax.fori_loop)(0, steps, lambda _, s: self.step(s), state)
+            return jax.lax.cond(finite.all(), lambda s: s, mend, state)
+        return state if bool(finite.all()) else mend(state)
+
+    def run(self, state: BatchState, steps: int, *, reset_bad: bool = True) -> BatchState:
+        """Advance every world by some control steps, as `step` does, in fewer calls.
+
+        Args:
+            state: The batch.
+            steps: How many.
+            reset_bad: Whether worlds whose physics is no longer finite start their next episode at once. If
+                not, they go on from where they were, at rest: for who resets them afterwards.
+        """
+        if self.engine.traceable:
+            step = self.step if reset_bad else partial(self._step, reset_bad=False)
+            return self.engine.waiting(jax.lax.fori_loop)(0, steps, lambda _, s: step(s), state)
         if steps < 1:
             return state
         physics, (worlds, inputs) = state.physics, self._compute_inputs(state.worlds, self.physics(state))
         for left in reversed(range(steps)):
+            before = self.engine.state(physics).qpos
             physics = self.engine.advance(physics, inputs)
             lost, now = self.engine.overflow(physics, inputs), self.engine.state(physics)
             finished, finite, (begun, inputs) = self._finish_and_compute_inputs(worlds, now, lost)
             if not bool(finite.all()):
-                state = self._reset_where(state.replace(physics=physics, worlds=finished), ~finite)
-                return self.run(state, left)
+                state = state.replace(physics=physics, worlds=finished)
+                return self.run(
+                    self._mend_where(state, ~finite, before, reset_bad), left, reset_bad=reset_bad
+                )
             worlds = begun if left else finished
         return state.replace(physics=physics, worlds=worlds)
 

@@ -312,7 +312,7 @@ class Env:
         self._check(actions)
         batch, before = state.batch, state.batch.worlds.faults  # a world in which they grow goes bad
         worlds = self._act(batch.worlds, self.batch.physics(batch), state.memory, actions)
-        batch = self.batch.run(batch.replace(worlds=worlds), self.task.repeat)
+        batch = self.batch.run(batch.replace(worlds=worlds), self.task.repeat, reset_bad=False)
         worlds, task = self._evaluate(state.task_state, batch.worlds, self.batch.physics(batch), before)
         state = state.with_task(batch.replace(worlds=worlds), task)
         return self._restart(state, state.done)
