@@ -6,11 +6,11 @@ at once, with the same random numbers. Both differ in the last bits of single pr
 products and sums (`tests/base/test_backend.py`).
 """
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterable
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from functools import wraps
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -96,6 +96,29 @@ def set_at(values: Array, index: Any, new: Any) -> Any:  # noqa: ANN401 - what i
     copy = np.array(values)
     copy[index] = new
     return copy
+
+
+Part: TypeAlias = tuple[np.ndarray, Any]
+"""Places of rows, and what is there: an array that broadcasts to their shape."""
+
+
+def set_rows(values: Array, parts: Iterable[Part]) -> Any:  # noqa: ANN401 - an array of the library in force
+    """Return a copy of an array (n, ...) with rows set, part by part.
+
+    On JAX it is one gather: each write by itself would be a kernel on a GPU, and a loop on a CPU.
+    """
+    if _on_numpy.get():
+        copy = np.array(values)
+        for places, new in parts:
+            copy[places] = new
+        return copy
+    values = jnp.asarray(values)
+    rows, source = [values], np.arange(values.shape[0])
+    for places, new in parts:
+        source[places] = sum(row.shape[0] for row in rows) + np.arange(places.size).reshape(places.shape)
+        new = jnp.broadcast_to(jnp.asarray(new, values.dtype), (*places.shape, *values.shape[1:]))
+        rows.append(new.reshape(-1, *values.shape[1:]))
+    return jnp.concatenate(rows)[source]
 
 
 def stop_gradient(values: T) -> T:

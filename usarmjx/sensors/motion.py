@@ -201,16 +201,15 @@ class Ins(Sensor):
         elapsed = inputs.time - memory.time[..., None]
         span = xp.maximum(elapsed, 1e-6)
         rate = rotation_vector(memory.true_mat.mT @ mat) / span  # 1
-        # In one draw, of which the way needs one number: to XLA each draw is some 300 operations.
-        factor = normal_factor(random.split(key), (2, *rate.shape), settings.mean, settings.sigma)
-        rate = rate * factor[0]  # 2
+        factor = normal_factor(key, (*rate.shape[:-1], 4), settings.mean, settings.sigma)
+        rate = rate * factor[..., :3]  # 2
         drift = memory.drift_rate * elapsed
         estimate = memory.mat @ mat_from_rotation_vector(rate * span + drift[..., 3:])  # 3
         path = matvec(mat.mT, pos - memory.true_pos)
         if settings.polar_step:
             distance = xp.linalg.norm(path, axis=-1) * xp.sign(path[..., 0])  # 4
             path = distance[..., None] * np.array([1.0, 0.0, 0.0], np.float32)
-        position = memory.pos + matvec(estimate, factor[1][..., :1] * path) + drift[..., :3]  # 5, 6, 7
+        position = memory.pos + matvec(estimate, factor[..., 3:] * path) + drift[..., :3]  # 5, 6, 7
         angles = angles_from_mat(estimate, xp)
         now = xp.broadcast_to(inputs.time, memory.time.shape)
         memory = memory.replace(pos=position, mat=estimate, true_pos=pos, true_mat=mat, time=now)

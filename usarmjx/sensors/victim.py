@@ -127,10 +127,10 @@ class VictSensor(Sensor):
         offset = xp.asarray(around.box_pos) - pos[0]
         position = (offset[:, :, None] * mat[0]).sum(1)  # in the sensor's axes
         far = xp.linalg.norm(offset, axis=-1)
-        taken, noise = random.normal(random.split(key), (2, met.size))
-        doubt = xp.abs(taken.reshape(met.shape)) * far > settings.distance / 3
+        drawn = random.normal(key, (met.size + position.size,))
+        doubt = xp.abs(drawn[: met.size].reshape(met.shape)) * far > settings.distance / 3
         seen = (met & (doubt | (xp.asarray(around.box_owner) >= 0))).any(0)
-        error = settings.mean + settings.sigma * noise[: position.size].reshape(position.shape)
+        error = settings.mean + settings.sigma * drawn[met.size :].reshape(position.shape)
         told = xp.where(seen[:, None], position + far[:, None] * error, 0.0)
         row = xp.stack([seen.astype(xp.float32), xp.asarray(around.box_part, xp.float32)], -1)
         if self.has_overlay:

@@ -7,7 +7,7 @@ import numpy as np
 
 from usarmjx.base import random
 from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import named_scope, on_numpy, set_at, vmap, xp
+from usarmjx.base.backend import Part, named_scope, on_numpy, set_rows, vmap, xp
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.comms.antenna import antenna_positions
@@ -68,12 +68,14 @@ def robot_antennas(scene: Scene, world: World, physics: PhysicsState) -> tuple[A
 
     A robot whose battery is empty still has its radio, as with the in-engine server; a parked one has not.
     """
-    places, in_use = xp.zeros((scene.num_robots, 3)), xp.zeros(scene.num_robots, bool)
+    places, in_use = list[Part](), list[Part]()
     for group, state in zip(scene.groups, world.groups, strict=True):
         robots = robot_states(group, physics)
         here = antenna_positions(group.robot, robots.pos, robots.quat, scene.arena.floor)
-        places, in_use = set_at(places, group.slots, here), set_at(in_use, group.slots, state.active)
-    return places, in_use
+        places.append((group.slots, here))
+        in_use.append((group.slots, state.active))
+    n = scene.num_robots
+    return set_rows(xp.zeros((n, 3)), places), set_rows(xp.zeros(n, bool), in_use)
 
 
 def link_interval(scene: Scene) -> int:

@@ -4,7 +4,7 @@ import jax
 
 from usarmjx.base import random
 from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.backend import named_scope, on_numpy, set_at, xp
+from usarmjx.base.backend import Part, named_scope, on_numpy, set_rows, xp
 from usarmjx.cameras.mounts import cameras_of
 from usarmjx.comms.links import no_links
 from usarmjx.comms.mail import empty_inboxes
@@ -25,6 +25,7 @@ from usarmjx.sim.world import (
     World,
     episode_key,
     map_robots,
+    robot_keys,
     sense_self,
 )
 
@@ -159,7 +160,7 @@ def started(
     if on_numpy() and world.step:  # those who join later draw other numbers than those who began
         key = random.fold_in(key, world.step)
     inputs = sense_self(scene, world, physics, group)
-    return state.replace(memory=map_robots(group.suite.init_memory, inputs, group, key))
+    return state.replace(memory=map_robots(group.suite.init_memory, inputs, robot_keys(scene, group, key)))
 
 
 def _start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
@@ -168,9 +169,9 @@ def _start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
     order = xp.arange(len(starts))
     if shuffle:
         order = random.permutation(episode_key(world, Stream.START_POSES), order)
-    qpos = xp.asarray(scene.model.qpos0, xp.float32)
+    parts = list[Part]()
     if world.arena_state is not None:
-        qpos = set_at(qpos, scene.loose_geoms.root_qposadr, world.arena_state.loose)
+        parts.append((scene.loose_geoms.root_qposadr, world.arena_state.loose))
     active = [slot for slot, entry in enumerate(scene.roster) if not entry.parked]
     for group in scene.groups:
         for place, slot in enumerate(group.slots):
@@ -184,8 +185,8 @@ def _start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
                 root = [x, y, height, xp.cos(yaw / 2), 0.0, 0.0, xp.sin(yaw / 2)]
             else:
                 root = [*parking_position(scene.arena, int(slot)), 1.0, 0.0, 0.0, 0.0]
-            qpos = set_at(qpos, address, xp.stack([xp.asarray(v, xp.float32) for v in root]))
-    return qpos
+            parts.append((address, xp.stack([xp.asarray(v, xp.float32) for v in root])))
+    return set_rows(xp.asarray(scene.model.qpos0, xp.float32), parts)
 
 
 def _initial_history(scene: Scene, command: RobotCommand) -> CommandHistory | None:

@@ -13,7 +13,7 @@ from flax import struct
 
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
-from usarmjx.base.backend import named_scope, on_numpy, set_at, vmap, xp
+from usarmjx.base.backend import Part, named_scope, on_numpy, set_rows, vmap, xp
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import Inboxes
 from usarmjx.engines.base import GeomPoses, Inputs, PhysicsState
@@ -141,7 +141,11 @@ def time_of(scene: Scene, world: World) -> Array:
 
 def episode_key(world: World, stream: Stream) -> Array:
     """Return the key of a stream of random numbers in the present episode."""
-    return random.fold_in(random.fold_in(world.key, stream), world.episode)
+    if on_numpy():
+        return random.fold_in(random.fold_in(world.key, stream), world.episode)
+    # Those of all streams, so that XLA has them to work out once: a fold is over a hundred operations to it.
+    streams = random.fold_in(world.key, np.arange(len(Stream)))
+    return jax.vmap(random.fold_in, (0, None))(streams, world.episode)[stream]
 
 
 def robot_states(group: RobotGroup, physics: PhysicsState) -> RobotState:
@@ -157,16 +161,22 @@ def robot_states(group: RobotGroup, physics: PhysicsState) -> RobotState:
     )
 
 
-def map_robots(
-    function: Callable[..., T], sensor_input: SensorInput, group: RobotGroup, key: Array, *rest: object
-) -> T:
-    """Map function(sensor_input, *rest, key) over a group's robots, each with a key folded by its slot."""
+def robot_keys(scene: Scene, group: RobotGroup, key: Array) -> Array:
+    """Return a key for each of a group's robots (robots,), folded by its slot."""
+    if on_numpy():
+        return random.fold_in(key, group.slots)
+    # Those of all robots, so that XLA has them to work out once.
+    return random.fold_in(key, np.arange(scene.num_robots))[group.slots]
+
+
+def map_robots(function: Callable[..., T], sensor_input: SensorInput, keys: Array, *rest: object) -> T:
+    """Map function(sensor_input, *rest, key) over some robots and their keys (robots,)."""
     own = {name: getattr(sensor_input, name) for name in (*ROBOT_FIELDS, "noise_factor")}
 
     def one(own: dict[str, Any], *rest: object) -> T:
         return function(sensor_input.replace(**own), *rest)
 
-    return vmap(one)(own, *rest, random.fold_in(key, group.slots))
+    return vmap(one)(own, *rest, keys)
 
 
 def sense_self(
@@ -270,13 +280,11 @@ def compute_inputs(
         moved: Where the geoms that move are now, if it is known already.
     """
     time = time_of(scene, world)
-    ctrl, act = xp.zeros(scene.model.nu), xp.asarray(physics.act)
-    xfrc_applied = xp.zeros((scene.model.nbody, 6))
-    pinned, pinned_dof = xp.zeros(scene.model.nq, bool), xp.zeros(scene.model.nv, bool)
+    ctrl, act, wrenches, pinned, pinned_dof = (list[Part]() for _ in range(5))
     if world.arena_state is not None:
-        loose, missing = scene.loose_geoms, xp.asarray(~world.arena_state.present)
-        pinned = _set_mask(pinned, loose.root_qposadr, missing)
-        pinned_dof = _set_mask(pinned_dof, loose.root_dof, missing)
+        loose, missing = scene.loose_geoms, xp.asarray(~world.arena_state.present)[:, None]
+        pinned.append((loose.root_qposadr, missing))
+        pinned_dof.append((loose.root_dof, missing))
     refused = world.faults.refused
     groups: list[GroupState] = []
     for group, state in zip(scene.groups, world.groups, strict=True):
@@ -296,23 +304,20 @@ def compute_inputs(
             group.plan, command, robots, physics.act[group.actadr], now, scene.physics.period
         )
         parked = ~state.active
-        ctrl = set_at(set_at(ctrl, group.actuator_ids, driven.ctrl), group.hold_actuator_ids, driven.hold)
-        act = set_at(act, group.actadr, xp.where(parked[:, None], 0.0, driven.act))
-        wrench = xp.where(parked[:, None], 0.0, driven.wrench)
-        xfrc_applied = set_at(xfrc_applied, group.chassis, wrench)
+        ctrl += [(group.actuator_ids, driven.ctrl), (group.hold_actuator_ids, driven.hold)]
+        act.append((group.actadr, xp.where(parked[:, None], 0.0, driven.act)))
+        wrenches.append((group.chassis, xp.where(parked[:, None], 0.0, driven.wrench)))
         if not (on_numpy() and state.active.all()):
-            for addresses in (group.root_qposadr, group.qposadr):
-                pinned = _set_mask(pinned, addresses, parked)
-            for addresses in (group.root_dofadr, group.dofadr):
-                pinned_dof = _set_mask(pinned_dof, addresses, parked)
+            pinned += [(places, parked[:, None]) for places in (group.root_qposadr, group.qposadr)]
+            pinned_dof += [(places, parked[:, None]) for places in (group.root_dofadr, group.dofadr)]
         refused = refused + driven.refused.sum().astype(xp.int32)
         groups.append(state.replace(hold=driven.hold))
     inputs = Inputs(
-        ctrl=ctrl,
-        act=act,
-        xfrc_applied=xfrc_applied,
-        pinned=pinned,
-        pinned_dof=pinned_dof,
+        ctrl=set_rows(xp.zeros(scene.model.nu), ctrl),
+        act=set_rows(physics.act, act),
+        xfrc_applied=set_rows(xp.zeros((scene.model.nbody, 6)), wrenches),
+        pinned=set_rows(xp.zeros(scene.model.nq, bool), pinned),
+        pinned_dof=set_rows(xp.zeros(scene.model.nv, bool), pinned_dof),
         qpos=xp.asarray(scene.model.qpos0, xp.float32),
         geom_poses=moved_geom_poses(scene, world.arena_state, time) if moved is None else moved,
         varied=world.varied,
@@ -338,10 +343,6 @@ def _delayed_command(world: World, group: RobotGroup, state: GroupState) -> tupl
     heard = jax.tree.map(lambda values: values[np.arange(len(group.slots)), latency], history)
     command = command.replace(target=heard.target, mode=heard.mode, setpoint=heard.setpoint)
     return command, state.replace(command_history=jax.tree.map(lambda values: values[:, :-1], history))
-
-
-def _set_mask(mask: Array, addresses: np.ndarray, where: Array) -> Array:
-    return set_at(mask, addresses, xp.broadcast_to(where[:, None], addresses.shape))
 
 
 def runaway_limit(robot: RobotSpec) -> float:
@@ -389,11 +390,11 @@ def observe(
     readings: list[tuple[Reading, ...]] = []
     for group, state, sensor_input in zip(scene.groups, world.groups, sensor_inputs, strict=True):
         with named_scope(group.robot.name):
+            keys = robot_keys(scene, group, key)
             if on_numpy() and sensor_input.noise_factor is None:
-                keys = random.fold_in(key, group.slots)
                 memory, values = group.suite.read(sensor_input, state.memory, keys)
             else:
-                memory, values = map_robots(group.suite.read, sensor_input, group, key, state.memory)
+                memory, values = map_robots(group.suite.read, sensor_input, keys, state.memory)
         groups.append(state.replace(memory=memory))
         readings.append(values)
     return world.replace(groups=tuple(groups)), tuple(readings)

@@ -196,19 +196,25 @@ def clearance(view: TaskView) -> tuple[jax.Array, ...]:
     walls = obstacle_boxes(view)
     groups = [robot_boxes(view, group) for group in range(len(view.scene.groups))]
     # Another robot stands on the ground as this one does: all of it is in the way.
-    others = jax.tree.map(lambda *parts: jnp.concatenate(parts), *groups)
-    rows: list[jax.Array] = []
-    first = 0
-    for group in groups:
-        mine = jnp.arange(len(group.yaw)) + first
-        rows.append(jax.vmap(partial(_least, walls, others))(group, mine))
-        first += len(group.yaw)
-    return tuple(rows)
+    robots = jax.tree.map(lambda *parts: jnp.concatenate(parts), *groups)
+    around = jax.tree.map(lambda *parts: jnp.concatenate(parts), walls, robots)
+    # Among what is around, the walls come first.
+    count, n = len(walls.yaw), len(robots.yaw)
+    drivable = np.repeat(np.float32([DRIVABLE_HEIGHT, 0.0]), [count, n])
+    least = jax.vmap(partial(_least, around, drivable))(robots, count + np.arange(n))
+    bounds = np.cumsum([len(group.yaw) for group in groups])[:-1]
+    return tuple(jnp.split(least, bounds))
 
 
-def _least(walls: Boxes, others: Boxes, one: Boxes, me: jax.Array) -> jax.Array:
-    in_the_way = (walls.high > one.low + DRIVABLE_HEIGHT) & (walls.low < one.high)
-    near = jnp.where(in_the_way, box_distance(one, walls), NO_OBSTACLE)
-    meets = (others.high > one.low) & (others.low < one.high) & (jnp.arange(len(others.yaw)) != me)
-    beside = jnp.where(meets, box_distance(one, others), NO_OBSTACLE)
-    return jnp.concatenate([near, beside]).min(initial=NO_OBSTACLE)
+def _least(around: Boxes, drivable: np.ndarray, one: Boxes, me: jax.Array) -> jax.Array:
+    """Return how far a box is from the nearest other that is in its way [m] ().
+
+    Args:
+        around: All boxes (n,).
+        drivable: How high above the box's lower face each may reach and still not be in its way [m] (n,).
+        one: The box.
+        me: Which of them it is ().
+    """
+    meets = (around.high > one.low + drivable) & (around.low < one.high)
+    meets &= jnp.arange(len(around.yaw)) != me
+    return jnp.where(meets, box_distance(one, around), NO_OBSTACLE).min(initial=NO_OBSTACLE)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.backend import set_rows
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import BYTES_PER_NUMBER, MessageSettings
 from usarmjx.models.spec.arena import ArenaSpec
@@ -152,11 +153,10 @@ class TeamTask(Task):
 
     def poses(self, view: TaskView) -> jax.Array:
         """Return where the robots believe to be: x, y [m], yaw [rad], by slot (robots, 3)."""
-        poses = jnp.zeros((view.scene.num_robots, 3))
-        for g, group in enumerate(view.scene.groups):
-            pose = view.sensor(g, pose_sensor(group.robot))
-            poses = poses.at[group.slots].set(pose[:, (0, 1, 5)])
-        return poses
+        groups = view.scene.groups
+        read = [view.sensor(g, pose_sensor(group.robot))[:, (0, 1, 5)] for g, group in enumerate(groups)]
+        slots = [group.slots for group in groups]
+        return set_rows(jnp.zeros((view.scene.num_robots, 3)), zip(slots, read, strict=True))
 
     def update_belief(self, view: TaskView, belief: Belief) -> Belief:
         """Return the belief after the robots read their sensors and mail, and planned."""
@@ -281,9 +281,9 @@ class TeamTask(Task):
 
     def touched(self, view: TaskView) -> jax.Array:
         """Return which robots truly touch something, by slot (robots,)."""
-        near = jnp.full(view.scene.num_robots, jnp.inf, jnp.float32)
-        for group, gap in zip(view.scene.groups, clearance(view), strict=True):
-            near = near.at[group.slots].set(gap)
+        slots = [group.slots for group in view.scene.groups]
+        nothing = jnp.full(view.scene.num_robots, jnp.inf, jnp.float32)
+        near = set_rows(nothing, zip(slots, clearance(view), strict=True))
         return near <= self.touch
 
     def advance(self, view: TaskView, memory: TeamMemory) -> tuple[TeamMemory, jax.Array, jax.Array]:

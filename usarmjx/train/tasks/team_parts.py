@@ -9,6 +9,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import Part, set_rows
 from usarmjx.base.rotations import wrap_angle
 from usarmjx.base.transforms import flip_angles, flip_vector
 from usarmjx.comms.attenuation import RadioSettings
@@ -108,13 +109,14 @@ def newly_explored(view: TaskView, memory: TeamMemory, grid: MapGrid) -> tuple[j
     Scans are drawn from where the scanners truly are; what several show at once is shared.
     """
     scene = view.scene
-    new = jnp.zeros((scene.num_robots, *grid.shape), bool)
+    parts = list[Part]()
     for g, group in enumerate(scene.groups):
         if not has_scanner(group):
             continue
         scan = scan_of(view, g, true_poses(view, g))
         free, _ = jax.vmap(partial(classify_scan, grid, scan.settings))(scan.poses, scan.ranges)
-        new = new.at[group.slots].set(free & scan.fresh[:, None, None])
+        parts.append((group.slots, free & scan.fresh[:, None, None]))
+    new = set_rows(jnp.zeros((scene.num_robots, *grid.shape), bool), parts)
     new = new & memory.reachable & ~memory.explored
     seers = new.sum(0)
     credit = (new / jnp.maximum(seers, 1)).sum((1, 2)) / jnp.maximum(memory.reachable.sum(), 1)
