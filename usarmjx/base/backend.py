@@ -6,7 +6,7 @@ at once, with the same random numbers. Both differ in the last bits of single pr
 products and sums (`tests/base/test_backend.py`).
 """
 
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from functools import wraps
@@ -102,7 +102,7 @@ Part: TypeAlias = tuple[np.ndarray, Any]
 """Places of rows, and what is there: an array that broadcasts to their shape."""
 
 
-def set_rows(values: Array, parts: Iterable[Part]) -> Any:  # noqa: ANN401 - an array of the library in force
+def set_rows(values: Array, *parts: Part) -> Any:  # noqa: ANN401 - an array of the library in force
     """Return a copy of an array (n, ...) with rows set, part by part.
 
     On JAX it is one gather: each write by itself would be a kernel on a GPU, and a loop on a CPU.
@@ -118,7 +118,7 @@ def set_rows(values: Array, parts: Iterable[Part]) -> Any:  # noqa: ANN401 - an 
         source[places] = sum(row.shape[0] for row in rows) + np.arange(places.size).reshape(places.shape)
         new = jnp.broadcast_to(jnp.asarray(new, values.dtype), (*places.shape, *values.shape[1:]))
         rows.append(new.reshape(-1, *values.shape[1:]))
-    return jnp.concatenate(rows)[source]
+    return jnp.concatenate(rows).at[source].get(mode="promise_in_bounds")
 
 
 def stop_gradient(values: T) -> T:

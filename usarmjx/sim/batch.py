@@ -154,7 +154,7 @@ class Batch:
         return state.replace(physics=self.engine.reset(state.physics, mask, qpos), worlds=worlds)
 
     def _halt_where(self, state: BatchState, mask: jax.Array, qpos: Array) -> BatchState:
-        """Put the masked worlds at rest at qpos (worlds, nq), or where a model begins if that is not finite."""
+        """Put the masked worlds at rest at qpos (worlds, nq), or at the model's own if that is not finite."""
         finite = jnp.isfinite(qpos).all(-1, keepdims=True)
         qpos = jnp.where(finite, qpos, jnp.asarray(self.scene.model.qpos0, jnp.float32))
         return state.replace(physics=self.engine.reset(state.physics, mask, qpos))

@@ -75,7 +75,7 @@ def robot_antennas(scene: Scene, world: World, physics: PhysicsState) -> tuple[A
         places.append((group.slots, here))
         in_use.append((group.slots, state.active))
     n = scene.num_robots
-    return set_rows(xp.zeros((n, 3)), places), set_rows(xp.zeros(n, bool), in_use)
+    return set_rows(xp.zeros((n, 3)), *places), set_rows(xp.zeros(n, bool), *in_use)
 
 
 def link_interval(scene: Scene) -> int:

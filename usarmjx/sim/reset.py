@@ -186,7 +186,7 @@ def _start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
             else:
                 root = [*parking_position(scene.arena, int(slot)), 1.0, 0.0, 0.0, 0.0]
             parts.append((address, xp.stack([xp.asarray(v, xp.float32) for v in root])))
-    return set_rows(xp.asarray(scene.model.qpos0, xp.float32), parts)
+    return set_rows(xp.asarray(scene.model.qpos0, xp.float32), *parts)
 
 
 def _initial_history(scene: Scene, command: RobotCommand) -> CommandHistory | None:

@@ -313,11 +313,11 @@ def compute_inputs(
         refused = refused + driven.refused.sum().astype(xp.int32)
         groups.append(state.replace(hold=driven.hold))
     inputs = Inputs(
-        ctrl=set_rows(xp.zeros(scene.model.nu), ctrl),
-        act=set_rows(physics.act, act),
-        xfrc_applied=set_rows(xp.zeros((scene.model.nbody, 6)), wrenches),
-        pinned=set_rows(xp.zeros(scene.model.nq, bool), pinned),
-        pinned_dof=set_rows(xp.zeros(scene.model.nv, bool), pinned_dof),
+        ctrl=set_rows(xp.zeros(scene.model.nu), *ctrl),
+        act=set_rows(physics.act, *act),
+        xfrc_applied=set_rows(xp.zeros((scene.model.nbody, 6)), *wrenches),
+        pinned=set_rows(xp.zeros(scene.model.nq, bool), *pinned),
+        pinned_dof=set_rows(xp.zeros(scene.model.nv, bool), *pinned_dof),
         qpos=xp.asarray(scene.model.qpos0, xp.float32),
         geom_poses=moved_geom_poses(scene, world.arena_state, time) if moved is None else moved,
         varied=world.varied,

@@ -12,10 +12,11 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import set_rows
+from usarmjx.base.components import parts
 from usarmjx.base.fusion import kept_on_gpu
 from usarmjx.engines.planar.drives import RollingGroup, rolling_groups
 from usarmjx.engines.planar.footprints import Footprints
-from usarmjx.engines.planar.places import placed
 from usarmjx.engines.planar.responses import check_robot
 from usarmjx.models.build.body_plan import kinematic_tree_of
 from usarmjx.models.build.compose import add_robot
@@ -105,10 +106,11 @@ class PlanarRobots:
     def written(self, state: Any, motion: Motion) -> Any:  # noqa: ANN401 - a state with qpos and qvel
         """Return the state of one world with its robots elsewhere."""
         motion = kept_on_gpu(motion)
-        root = jnp.concatenate([*parts(motion.pos), *parts(motion.quat)])
-        speed = jnp.concatenate([*parts(motion.linear), *parts(motion.angular)])
+        root = jnp.concatenate([motion.pos, motion.quat], -1)
+        speed = jnp.concatenate([motion.linear, motion.angular], -1)
         return state.replace(
-            qpos=placed(state.qpos, self.root_qpos.T, root), qvel=placed(state.qvel, self.root_dof.T, speed)
+            qpos=set_rows(state.qpos, (self.root_qpos, root)),
+            qvel=set_rows(state.qvel, (self.root_dof, speed)),
         )
 
     def choose(self, flown: Motion, rolled: Motion) -> Motion:
@@ -130,11 +132,6 @@ class PlanarRobots:
             step=jnp.asarray(self.step, jnp.float32),
             mass=jnp.asarray(self.mass, jnp.float32),
         )
-
-
-def parts(vectors: Array) -> tuple[Array, ...]:
-    """Return the numbers of vectors (n, d) as arrays of their own (n,), which fill vector units."""
-    return tuple(vectors[..., i] for i in range(vectors.shape[-1]))
 
 
 def on_plan(vector: Array, yaw: Array) -> Array:

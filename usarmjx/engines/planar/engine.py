@@ -175,8 +175,10 @@ class PlanarEngine(Engine[PlanarState]):
         def clear(value: Array) -> Array:
             return jnp.where(mask.reshape(-1, *[1] * (value.ndim - 1)), jnp.zeros_like(value), value)
 
-        cleared = jax.tree.map(clear, engine_state)
-        return cleared.replace(qpos=jnp.where(mask[:, None], qpos, engine_state.qpos))
+        # Without room nothing is known to be near: what was there is looked up anew, and need not be cleared.
+        around = engine_state.around.replace(room=clear(engine_state.around.room))
+        cleared = jax.tree.map(clear, engine_state.replace(around=()))
+        return cleared.replace(qpos=jnp.where(mask[:, None], qpos, engine_state.qpos), around=around)
 
     def state(self, engine_state: PlanarState) -> PhysicsState:
         """Return positions, velocities and activations."""

@@ -1,11 +1,29 @@
 """Rigid bodies under the forces of their drives: what flies and dives."""
 
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import mujoco
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.rotations import mat_from_quat, matvec
+from usarmjx.base.components import (
+    Numbers,
+    Rows,
+    apply,
+    cross,
+    dot,
+    minus,
+    parts,
+    plus,
+    quat_times,
+    rotation,
+    rows_of,
+    times,
+    transposed,
+)
 from usarmjx.engines.planar.bodies import Motion, PlanarRobots
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.overlap import Outlines, side_depth
@@ -34,30 +52,49 @@ def fly(robots: PlanarRobots, motion: Motion, wrench: Array, model: mujoco.MjMod
     """
     if not robots.flies.any():
         return motion
-    force, torque = wrench[robots.chassis, :3], wrench[robots.chassis, 3:]
-    pull = force / robots.mass[:, None] + jnp.asarray(model.opt.gravity)
+    push = parts(wrench[robots.chassis])
+    pull = plus([number / robots.mass for number in push[:3]], model.opt.gravity.tolist())
+    fixed = _Fixed(parts(robots.centre), *map(rows_of, (robots.inertia, robots.inverse_inertia)))
     steps = max(1, round(dt / model.opt.timestep))
-    h = dt / steps
+    step = partial(_step, fixed, pull, push[3:], dt / steps)
+    now = _Moving(*map(parts, (motion.pos, motion.quat, motion.linear, motion.angular)))
+    flown = jax.lax.fori_loop(0, steps, lambda _, now: step(now), now)
+    pos, quat, linear, angular = (jnp.stack(numbers, -1) for numbers in flown)
+    return motion.replace(pos=pos, quat=quat, linear=linear, angular=angular)
 
-    def step(_: int, now: Motion) -> Motion:
-        mat = mat_from_quat(now.quat)
-        arm = matvec(mat, robots.centre)
-        spin = matvec(mat, now.angular)
-        centre, speed = now.pos + arm, now.linear + jnp.cross(spin, arm)
-        speed = speed + pull * h
-        own = matvec(mat.mT, torque)
-        momentum = matvec(robots.inertia, now.angular)
-        turn = matvec(robots.inverse_inertia, own - jnp.cross(now.angular, momentum))
-        angular = now.angular + turn * h
-        quat = turned(now.quat, angular * h)
-        mat = mat_from_quat(quat)
-        arm = matvec(mat, robots.centre)
-        spin = matvec(mat, angular)
-        return now.replace(
-            pos=centre + speed * h - arm, quat=quat, linear=speed - jnp.cross(spin, arm), angular=angular
-        )
 
-    return jax.lax.fori_loop(0, steps, step, motion)
+class _Moving(NamedTuple):
+    """Where bodies are and how they move: as a `Motion`, each number an array of its own (robots,)."""
+
+    pos: Numbers
+    quat: Numbers
+    linear: Numbers
+    angular: Numbers
+
+
+class _Fixed(NamedTuple):
+    """What of bodies does not change: their centres of mass, their inertia about these, and its inverse."""
+
+    centre: Numbers
+    inertia: Rows
+    inverse: Rows
+
+
+def _step(body: _Fixed, pull: Numbers, torque: Numbers, h: float, now: _Moving) -> _Moving:
+    """Return where bodies are a physics step [s] later, pulled [m/s^2] and turned [N m] in world axes."""
+    mat = rotation(now.quat)
+    arm = apply(mat, body.centre)
+    spin = apply(mat, now.angular)
+    centre, speed = plus(now.pos, arm), plus(now.linear, cross(spin, arm))
+    speed = plus(speed, times(pull, h))
+    own = apply(transposed(mat), torque)
+    gyration = cross(now.angular, apply(body.inertia, now.angular))
+    angular = plus(now.angular, times(apply(body.inverse, minus(own, gyration)), h))
+    quat = turned(now.quat, times(angular, h))
+    mat = rotation(quat)
+    arm = apply(mat, body.centre)
+    pos = minus(plus(centre, times(speed, h)), arm)
+    return _Moving(pos, quat, minus(speed, cross(apply(mat, angular), arm)), angular)
 
 
 def held_up(robots: PlanarRobots, old: Footprints, after: Motion) -> tuple[Motion, Array | None]:
@@ -110,16 +147,14 @@ def sine_over(angle: Array) -> Array:
     return jnp.where(small, 1.0 - angle * angle / 6, jnp.sin(safe) / safe)
 
 
-def turned(quat: Array, angle: Array) -> Array:
-    """Return orientations (n, 4) turned about axes of their own by rotation vectors (n, 3)."""
-    half = angle / 2
-    square = (half * half).sum(-1, keepdims=True)
+def turned(quat: Sequence[Array], angle: Sequence[Array]) -> Numbers:
+    """Return orientations turned about axes of their own by rotation vectors."""
+    half = times(angle, 0.5)
+    square = dot(half, half)
     turns = square > SMALL**2
     size = jnp.where(turns, jnp.sqrt(jnp.where(turns, square, 1.0)), 0.0)  # a root has no slope at 0
     cosine = jnp.where(turns, jnp.cos(size), 1.0 - square / 2)
     sine = jnp.where(turns, sine_over(size), 1.0 - square / 6)
-    other = jnp.concatenate([cosine, half * sine], -1)
-    w, v = quat[:, :1], quat[:, 1:]
-    ow, ov = other[:, :1], other[:, 1:]
-    new = jnp.concatenate([w * ow - (v * ov).sum(-1, keepdims=True), w * ov + ow * v + jnp.cross(v, ov)], -1)
-    return new / jnp.linalg.norm(new, axis=-1, keepdims=True)
+    new = quat_times(quat, (cosine, *times(half, sine)))
+    norm = jnp.sqrt(dot(new, new))
+    return tuple(number / norm for number in new)

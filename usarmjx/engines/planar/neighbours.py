@@ -52,7 +52,7 @@ class Margin(struct.PyTreeNode, kw_only=True):
 
 
 class Neighbours(struct.PyTreeNode, kw_only=True):
-    """What is around the robots of each world; all zeros: it is not known.
+    """What is around the robots of each world; of whom `room` is 0, it is not known.
 
     Where kernels of Warp keep it, solids are numbers of one array, see `solids.as_numbers`; a CPU is slower
     at reading that.

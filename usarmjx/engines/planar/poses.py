@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import set_rows
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.base.rotations import mat_from_quat, matmul
-from usarmjx.engines.planar.places import placed
 
 FREE, HINGE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE)
 
@@ -46,11 +46,12 @@ class FixedBodies:
         pos, mat = jnp.asarray(self.pos, jnp.float32), jnp.asarray(self.mat, jnp.float32)
         if len(self.free):
             here = qpos[self.free_qpos]
-            pos, mat = placed(pos, self.free, here[:, :3]), placed(mat, self.free, mat_from_quat(here[:, 3:]))
+            pos = set_rows(pos, (self.free, here[:, :3]))
+            mat = set_rows(mat, (self.free, mat_from_quat(here[:, 3:])))
         if len(self.hinged):
             half = qpos[self.hinge_qpos][:, None] / 2
             turn = mat_from_quat(jnp.concatenate([jnp.cos(half), jnp.sin(half) * self.axis], -1))
-            mat = placed(mat, self.hinged, matmul(mat[self.hinged], turn))
+            mat = set_rows(mat, (self.hinged, matmul(mat[self.hinged], turn)))
         return pos, mat
 
 

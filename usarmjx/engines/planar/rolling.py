@@ -7,14 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import set_rows
+from usarmjx.base.components import parts
 from usarmjx.base.fusion import kept_on_gpu
 from usarmjx.engines.base import Inputs
-from usarmjx.engines.planar.bodies import Motion, PlanarRobots, on_plan, parts
+from usarmjx.engines.planar.bodies import Motion, PlanarRobots, on_plan
 from usarmjx.engines.planar.drives import follow
 from usarmjx.engines.planar.flight import sine_over
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.overlap import SIGNS
-from usarmjx.engines.planar.places import placed
 
 GRAVITY = 9.81
 STANCE = 0.8
@@ -50,15 +51,15 @@ def roll(robots: PlanarRobots, before: Any, state: Any, inputs: Inputs, dt: floa
         turned = wheels.spins(joints, now)
         angle, turned = kept_on_gpu((before.qpos[places] + (spin + turned) * dt / 2, turned))
         # What a servo aims at is where its wheel is: it does not wind up.
-        act = placed(jnp.append(state.act, 0.0), group.act, angle)[:-1]
+        act = set_rows(jnp.append(state.act, 0.0), (group.act, angle))[:-1]
         state = state.replace(
-            qpos=placed(state.qpos, places, angle),
-            qvel=placed(state.qvel, group.qvel[:, wheels.spin], turned),
+            qpos=set_rows(state.qpos, (places, angle)),
+            qvel=set_rows(state.qvel, (group.qvel[:, wheels.spin], turned)),
             act=act,
         )
         ahead, turn = answer.gain * now[:, 0], answer.turn_gain * now[:, 2]
         aside = answer.gain * now[:, 1] + answer.drift * ahead * turn
-        twist = placed(twist, group.members, jnp.stack([ahead, aside, turn], -1) * size)
+        twist = set_rows(twist, (group.members, jnp.stack([ahead, aside, turn], -1) * size))
     return state, twist
 
 

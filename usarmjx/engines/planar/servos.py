@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.engines.planar.places import placed
+from usarmjx.base.backend import set_rows
 from usarmjx.models.spec.robot import HOLD_SUFFIX
 
 
@@ -86,10 +86,10 @@ def move_joints(servos: PlanarServos, state: Any, ctrl: Array, act: Array, dt: f
     held = ctrl[servos.hold] > 0
     after = jnp.where(held, after, before)
     rate = jnp.where(held, later / lag, 0.0)
-    qpos, qvel = placed(state.qpos, servos.qpos, after), placed(state.qvel, servos.qvel, rate)
+    qpos, qvel = set_rows(state.qpos, (servos.qpos, after)), set_rows(state.qvel, (servos.qvel, rate))
     if len(servos.geared_qpos):
         first, second = servos.geared_qpos.T
-        qpos = placed(qpos, first, qpos[second])
+        qpos = set_rows(qpos, (first, qpos[second]))
         first, second = servos.geared_qvel.T
-        qvel = placed(qvel, first, qvel[second])
-    return state.replace(qpos=qpos, qvel=qvel, act=placed(act, servos.act, aim + speed * dt))
+        qvel = set_rows(qvel, (first, qvel[second]))
+    return state.replace(qpos=qpos, qvel=qvel, act=set_rows(act, (servos.act, aim + speed * dt)))

@@ -10,6 +10,7 @@ from types import ModuleType
 import numpy as np
 
 from usarmjx.base.arrays import Array, ArrayLike
+from usarmjx.base.components import Numbers, parts, plus, quat_times, turned
 from usarmjx.models.build.skeleton import BODY_HEIGHT, BONES, PART_NAMES, PART_OF_BONE, POSTURES
 from usarmjx.models.build.victim_table import (
     PADDING_OWNER,
@@ -151,25 +152,27 @@ def lowest(table: VictimTable, time: ArrayLike) -> np.ndarray:
 
 def orientations(quat: Array, xp: ModuleType = np) -> Array:
     """Return the rotation matrices (..., 3, 3) of the boxes' quaternions (..., 4)."""
-    columns = [_rotate(quat, xp.broadcast_to(axis, quat[..., 1:].shape), xp) for axis in xp.eye(3)]
+    numbers = parts(quat)
+    columns = [xp.stack(turned(numbers, axis), -1) for axis in np.eye(3, dtype=np.float32)]
     return xp.stack(columns, -1)
 
 
 def _poses(table: VictimTable, angles: Array, xp: ModuleType) -> tuple[Array, Array]:
     """Forward kinematics: centres and orientations for joint angles (..., boxes, 3)."""
-    quat = _times(table.base, _quat(angles, xp), xp)
-    pos = xp.broadcast_to(table.joint, angles.shape)
+    quat = quat_times(parts(table.base), _quat(angles, xp))
+    pos = parts(xp.broadcast_to(table.joint, angles.shape))
     parent = table.parent
     if table.num_boxes == 0:
-        return pos, quat
+        return xp.stack(pos, -1), xp.stack(quat, -1)
     # Twice as far up the chain each time, so twice is enough for four bones in a row.
     for _ in range(2):
-        above, hangs = xp.maximum(parent, 0), (parent >= 0)[:, None]
-        turn = quat[..., above, :]
-        pos = xp.where(hangs, pos[..., above, :] + _rotate(turn, pos, xp), pos)
-        quat = xp.where(hangs, _times(turn, quat, xp), quat)
+        above, hangs = xp.maximum(parent, 0), parent >= 0
+        turn, base = (tuple(number[..., above] for number in numbers) for numbers in (quat, pos))
+        moved, more = plus(base, turned(turn, pos)), quat_times(turn, quat)
+        pos = tuple(xp.where(hangs, new, old) for new, old in zip(moved, pos, strict=True))
+        quat = tuple(xp.where(hangs, new, old) for new, old in zip(more, quat, strict=True))
         parent = xp.where(parent >= 0, parent[above], -1)
-    return pos + _rotate(quat, table.offset, xp), quat
+    return xp.stack(plus(pos, turned(quat, parts(table.offset))), -1), xp.stack(quat, -1)
 
 
 def _corners(table: VictimTable, angles: Array, xp: ModuleType) -> Array:
@@ -177,29 +180,15 @@ def _corners(table: VictimTable, angles: Array, xp: ModuleType) -> Array:
     pos, quat = _poses(table, angles, xp)
     signs = xp.asarray([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     offsets = signs.astype(table.size.dtype) * table.size[:, None]
-    shape = (*quat.shape[:-1], len(signs), 4)
-    turned = _rotate(xp.broadcast_to(quat[..., None, :], shape), offsets, xp)
-    return pos[..., None, :] + turned
+    away = turned(parts(quat[..., None, :]), parts(offsets))
+    return pos[..., None, :] + xp.stack(away, -1)
 
 
-def _quat(angles: Array, xp: ModuleType) -> Array:
-    """The w-first quaternions (..., 4) of pitch, yaw and roll (..., 3), applied as ZYX."""
+def _quat(angles: Array, xp: ModuleType) -> Numbers:
+    """The numbers of w-first quaternions (...,) of pitch, yaw and roll (..., 3), applied as ZYX."""
     cosine, sine = xp.cos(angles / 2), xp.sin(angles / 2)
     cp, cy, cr = cosine[..., 0], cosine[..., 1], cosine[..., 2]
     sp, sy, sr = sine[..., 0], sine[..., 1], sine[..., 2]
     w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
     y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
-    return xp.stack([w, x, y, z], -1)
-
-
-def _times(a: Array, b: Array, xp: ModuleType) -> Array:
-    """The product of w-first quaternions (..., 4)."""
-    real = a[..., :1] * b[..., :1] - (a[..., 1:] * b[..., 1:]).sum(-1, keepdims=True)
-    cross = xp.cross(a[..., 1:], b[..., 1:])
-    return xp.concatenate([real, a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + cross], -1)
-
-
-def _rotate(quat: Array, vector: Array, xp: ModuleType) -> Array:
-    """Vectors (..., 3) turned by w-first quaternions (..., 4)."""
-    axis = quat[..., 1:]
-    return vector + 2 * xp.cross(axis, xp.cross(axis, vector) + quat[..., :1] * vector)
+    return w, x, y, z

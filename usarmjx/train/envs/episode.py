@@ -14,6 +14,7 @@ from usarmjx.engines import PhysicsState
 from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.sensors.base import Reading
 from usarmjx.sim.actions import apply_actions
+from usarmjx.sim.batch import select_worlds
 from usarmjx.sim.radio import update_links
 from usarmjx.sim.reset import reset
 from usarmjx.sim.scene import Scene
@@ -21,6 +22,10 @@ from usarmjx.sim.streams import Stream
 from usarmjx.sim.world import FaultCounts, World, episode_key, observe
 from usarmjx.train.envs.state import EpisodeStart, Memory, Restart, TaskState
 from usarmjx.train.envs.task import Task, TaskView
+
+WRITTEN_ALONE = 1024
+"""Of what is larger than so many numbers a world, rows are written. Of anything smaller all worlds' are
+written again: a GPU has one kernel for many such, and for each that writes rows one of its own."""
 
 
 @partial(jax.jit, static_argnums=0)  # so that it is traced once for all the functions that call it
@@ -129,8 +134,12 @@ def restart_some(scene: Scene, task: Task, together: int, now: Restart, arenas: 
     physics = PhysicsState(qpos=qpos, qvel=still[0], act=still[1])
     fresh, begun = jax.vmap(partial(start_episode, scene, task))(fresh, physics)
 
+    place = jnp.full(now.left.shape, together).at[rows].set(jnp.arange(together), mode="drop")
+
     def put(old: jax.Array, new: jax.Array) -> jax.Array:
-        return old.at[rows].set(new, mode="drop")
+        if old[0].size > WRITTEN_ALONE:
+            return old.at[rows].set(new, mode="drop")
+        return select_worlds(place < together, new.at[place].get(mode="clip"), old)
 
     return Restart(
         worlds=jax.tree.map(put, now.worlds, fresh),

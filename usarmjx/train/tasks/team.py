@@ -156,7 +156,7 @@ class TeamTask(Task):
         groups = view.scene.groups
         read = [view.sensor(g, pose_sensor(group.robot))[:, (0, 1, 5)] for g, group in enumerate(groups)]
         slots = [group.slots for group in groups]
-        return set_rows(jnp.zeros((view.scene.num_robots, 3)), zip(slots, read, strict=True))
+        return set_rows(jnp.zeros((view.scene.num_robots, 3)), *zip(slots, read, strict=True))
 
     def update_belief(self, view: TaskView, belief: Belief) -> Belief:
         """Return the belief after the robots read their sensors and mail, and planned."""
@@ -283,7 +283,7 @@ class TeamTask(Task):
         """Return which robots truly touch something, by slot (robots,)."""
         slots = [group.slots for group in view.scene.groups]
         nothing = jnp.full(view.scene.num_robots, jnp.inf, jnp.float32)
-        near = set_rows(nothing, zip(slots, clearance(view), strict=True))
+        near = set_rows(nothing, *zip(slots, clearance(view), strict=True))
         return near <= self.touch
 
     def advance(self, view: TaskView, memory: TeamMemory) -> tuple[TeamMemory, jax.Array, jax.Array]:

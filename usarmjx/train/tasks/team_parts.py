@@ -116,7 +116,7 @@ def newly_explored(view: TaskView, memory: TeamMemory, grid: MapGrid) -> tuple[j
         scan = scan_of(view, g, true_poses(view, g))
         free, _ = jax.vmap(partial(classify_scan, grid, scan.settings))(scan.poses, scan.ranges)
         parts.append((group.slots, free & scan.fresh[:, None, None]))
-    new = set_rows(jnp.zeros((scene.num_robots, *grid.shape), bool), parts)
+    new = set_rows(jnp.zeros((scene.num_robots, *grid.shape), bool), *parts)
     new = new & memory.reachable & ~memory.explored
     seers = new.sum(0)
     credit = (new / jnp.maximum(seers, 1)).sum((1, 2)) / jnp.maximum(memory.reachable.sum(), 1)
