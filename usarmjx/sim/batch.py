@@ -176,6 +176,9 @@ class Batch:
             return self._mend_where(state, ~finite, before.qpos, reset_bad)
 
         if self.engine.traceable:
+            # On a GPU the host waits for a condition, which takes longer than to put robots where they were.
+            if not reset_bad and not self.engine.has_solver:
+                return mend(state)
             return jax.lax.cond(finite.all(), lambda s: s, mend, state)
         return state if bool(finite.all()) else mend(state)
 

@@ -128,6 +128,8 @@ def nothing_known(solids: AllSolids, aims: Aims) -> Neighbours:
 
 def around_robots(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbours:
     """Return what is around all robots, looked up anew where some may have come to what was far away."""
+    if not solids.count:
+        return known
     return (around_on_warp if _fits_on_warp(solids, aims) else around_by_jax)(solids, known, aims)
 
 
@@ -167,6 +169,8 @@ def looked_up(solids: AllSolids, aims: Aims) -> Neighbours:
 
 def ground_below(solids: AllSolids, around: Neighbours, kept: Footprints, aims: Aims) -> Array:
     """Return how high the ground is under robots where they came to [m] (worlds, 4, robots)."""
+    if not solids.count:
+        return jnp.full(aims.limit.shape, solids.floor)
     return (ground_on_warp if _fits_on_warp(solids, aims) else ground_by_jax)(solids, around, kept, aims)
 
 
@@ -189,7 +193,7 @@ def _fits_on_warp(solids: AllSolids, aims: Aims) -> bool:
         return False
     from usarmjx.engines.planar.warp_looking import room_for  # Warp need not be installed
 
-    return solids.count > 0 and room_for(solids.count) is not None
+    return room_for(solids.count) is not None
 
 
 def around_on_warp(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbours:
