@@ -156,7 +156,7 @@ def update_from_scan(grid: MapGrid, belief: Belief, scan: GroupScan, time: Array
     ) -> jax.Array:
         free, wall = maps.classify_scan(grid, scan.settings, pose, ranges)
         recent = (time - when < RECENT_AGE)[:, None, None]
-        robot = ((grid.gaps(others) < BODY) & recent).any(0)
+        robot = ((grid.squared_gaps(others) < BODY**2) & recent).any(0)
         return maps.update_evidence(old, free, wall & ~robot)
 
     drawn = jax.vmap(one)(evidence, scan.poses, scan.ranges, mates, heard)
@@ -250,5 +250,5 @@ def update_pose(grid: MapGrid, belief: Belief, pose: jax.Array, share: float = 0
             late.
     """
     lagged = belief.lagged_position + share * (pose[:, :2] - belief.lagged_position)
-    here = grid.gaps(pose[:, :2]) < VISITED_RADIUS
+    here = grid.squared_gaps(pose[:, :2]) < VISITED_RADIUS**2
     return belief.replace(pose=pose, lagged_position=lagged, visited=belief.visited | here)

@@ -60,13 +60,17 @@ class MapGrid:
         return (np.array(self.low) + self.cell * steps).astype(np.float32)
 
     def gaps(self, positions: Array) -> jax.Array:
-        """Return how far the middles of all squares are from positions [m] (..., 2) [m] (..., i, j).
+        """Return how far the middles of all squares are from positions [m] (..., 2) [m] (..., i, j)."""
+        return jnp.sqrt(self.squared_gaps(positions))
+
+    def squared_gaps(self, positions: Array) -> jax.Array:
+        """As `gaps`, squared [m^2] (..., i, j): enough to compare, and for many pairs far less work.
 
         Squares are the last axes: so they are computed eight at a time, and not one by one.
         """
         x, y = (jnp.asarray(positions)[..., axis, None, None] for axis in range(2))
         away_x, away_y = self.centres[..., 0] - x, self.centres[..., 1] - y
-        return jnp.sqrt(away_x * away_x + away_y * away_y)
+        return away_x * away_x + away_y * away_y
 
     def index(self, position: Array) -> jax.Array:
         """Return the square that positions [m] (..., 2) lie in, or the next one to it, int32 (..., 2)."""

@@ -39,6 +39,8 @@ NEARER_ROBOT_COST = 6.0
 SHARED_GOAL_COST, SHARED_GOAL_RADIUS = 20.0, 3.0
 """So much longer, in squares, does the way to a frontier seem where another robot is going; less, the farther
 away, and nothing from so far on [m]."""
+SAME_GAP = 1e-3
+"""Robots whose distances differ by less count as equally near [m]."""
 HOME_RADIUS = 1.5
 """A robot that comes home comes so close to its base [m]."""
 TURN_COST = 3.0
@@ -125,9 +127,10 @@ def frontier_costs(grid: MapGrid, pose: Array, mates: Array, age: Array, me: Arr
         me: Its slot ().
     """
     known = (age < STALE_AGE)[:, None, None]
-    mine, theirs = grid.gaps(pose[:2]), grid.gaps(mates[:, :2])
+    mine, theirs = grid.gaps(pose[:2]), grid.squared_gaps(mates[:, :2])
     first = (jnp.arange(len(mates)) < me)[:, None, None]
-    nearer = (theirs < mine - 1e-3) | ((theirs < mine + 1e-3) & first)
+    low, high = jnp.maximum(mine - SAME_GAP, 0.0), mine + SAME_GAP
+    nearer = (theirs < low * low) | ((theirs < high * high) & first)
     rank = (known & nearer).sum(0)
     gap = grid.gaps(mates[:, 3:5])
     crowd = jnp.where(known & first, jnp.clip(1 - gap / SHARED_GOAL_RADIUS, 0.0, 1.0), 0.0).sum(0)
@@ -139,7 +142,7 @@ def frontier_costs(grid: MapGrid, pose: Array, mates: Array, age: Array, me: Arr
 
 def near_others(grid: MapGrid, mates: Array, age: Array) -> jax.Array:
     """Return which squares are too close to where another robot said a moment ago to be (i, j)."""
-    near = grid.gaps(mates[:, :2]) < OTHER_ROBOT_RADIUS
+    near = grid.squared_gaps(mates[:, :2]) < OTHER_ROBOT_RADIUS**2
     return (near & (age < RECENT_AGE)[:, None, None]).any(0)
 
 
