@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 
 from usarmjx.base import random
-from usarmjx.base.backend import jit, named_scope, numpy_backend, on_numpy, set_at, stop_gradient, vmap, xp
+from usarmjx.base.backend import (
+    jit,
+    named_scope,
+    numpy_backend,
+    on_numpy,
+    set_at,
+    set_rows,
+    stop_gradient,
+    vmap,
+    xp,
+)
 
 ULPS = 4
 """XLA's logarithm and its fused products differ from NumPy's by so many units in the last place."""
@@ -127,6 +137,30 @@ def test_setting_leaves_the_original():
     assert before.tolist() == [0, 0, 0]
     assert after.tolist() == [0, 5, 0]
     assert set_at(jnp.zeros(3), np.array([0, 2]), 1.0).tolist() == [1, 0, 1]
+
+
+def test_rows_are_set_part_by_part_as_numpy_assigns_them():
+    """Places of any shape, numbers that broadcast to them, and the last of what is set twice."""
+    before = np.arange(14.0, dtype=np.float32).reshape(7, 2)
+    parts = [
+        (np.array([[0, 1], [5, 3]]), np.arange(2.0)[:, None, None]),
+        (np.array([3]), np.array([[8.0, 9.0]])),
+        (np.zeros(0, int), np.zeros((0, 2))),
+    ]
+    expected = before.copy()
+    for places, new in parts:
+        expected[places] = new
+    with numpy_backend():
+        np.testing.assert_array_equal(set_rows(before, *parts), expected)
+    np.testing.assert_array_equal(set_rows(jnp.asarray(before), *parts), expected)
+    assert before[0, 0] == 0.0, "NumPy's array is left as it was"
+    assert set_rows(jnp.zeros(3, bool), (np.array([2]), np.array([1.0]))).tolist() == [False, False, True]
+
+
+def test_a_map_over_worlds_sets_rows_of_each():
+    worlds, new = jnp.arange(6.0).reshape(2, 3), jnp.array([[7.0], [8.0]])
+    after = jax.vmap(lambda values, one: set_rows(values, (np.array([1]), one)))(worlds, new)
+    assert after.tolist() == [[0, 7, 2], [3, 8, 5]]
 
 
 def test_compiled_functions_run_as_they_are_on_numpy():

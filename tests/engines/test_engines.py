@@ -182,6 +182,31 @@ def test_a_world_that_goes_bad_is_counted_and_reset_and_no_other_notices(flat, j
     )
 
 
+@pytest.mark.parametrize("engine", ["jax", "c", "planar"])
+def test_a_world_that_goes_bad_can_go_on_from_where_it_was(flat, jax_batch, engine):
+    """For who resets it afterwards: its episode goes on, at rest, and no other world notices."""
+    batch = jax_batch if engine == "jax" else Batch(flat, 2, engine=engine, seed=3)
+    start = drive_for(batch, steps=3)
+    physics, where = start.physics, np.asarray(batch.physics(start).qpos)[1]
+    if engine == "c":
+        integration = physics.integration.copy()
+        integration[1, 1 + batch.scene.model.nq] = np.nan
+        physics = physics._replace(integration=integration)
+    elif engine == "jax":
+        physics = physics.replace(qvel=physics.qvel.at[1, 0].set(np.nan))
+    else:  # there only a place that is not finite stays so: it cannot go on from that
+        physics, where = physics.replace(qpos=physics.qpos.at[1].set(np.nan)), np.float32(flat.model.qpos0)
+    good, bad = (batch.run(state, 1, reset_bad=False) for state in (start, start.replace(physics=physics)))
+    assert np.asarray(bad.worlds.faults.not_finite).tolist() == [0, 1]
+    assert np.asarray(bad.worlds.episode).tolist() == [0, 0]
+    after = batch.physics(bad)
+    np.testing.assert_array_equal(np.asarray(after.qpos)[1], where)
+    assert not np.asarray(after.qvel)[1].any()
+    np.testing.assert_array_equal(np.asarray(after.qpos)[0], np.asarray(batch.physics(good).qpos)[0])
+    again = batch.physics(batch.run(bad, 2, reset_bad=False))
+    assert np.isfinite(np.asarray(again.qpos)).all()
+
+
 def test_commands_that_are_not_finite_reach_nobody(jax_batch):
     state = jax_batch.drive(jax_batch.reset(), 0, {"Left": jnp.array([[jnp.nan], [2.0]]), "Right": 2.0})
     state = jax_batch.step(state)

@@ -167,6 +167,8 @@ def test_a_world_whose_physics_breaks_is_bad_and_restarts_as_one(begun):
     assert float(hurt.reward[0][1, 0]) == 0.0
     assert int(hurt.length[1]) == 0
     assert int(hurt.batch.worlds.step[1]) == 0
+    before, after = state.batch.worlds.episode, hurt.batch.worlds.episode
+    np.testing.assert_array_equal(after - before, [0, 1, 0], err_msg="episodes that began")
     assert all(bool(jnp.isfinite(seen).all()) for seen in (*hurt.obs, *hurt.final_obs, hurt.privileged))
     # Its memory is that of the new episode: the distance from the new goal.
     robot = env.batch.physics(hurt.batch).qpos[1, env.scene.groups[0].root_qposadr[0, :2]]

@@ -153,7 +153,7 @@ def lowest(table: VictimTable, time: ArrayLike) -> np.ndarray:
 def orientations(quat: Array, xp: ModuleType = np) -> Array:
     """Return the rotation matrices (..., 3, 3) of the boxes' quaternions (..., 4)."""
     numbers = parts(quat)
-    columns = [xp.stack(turned(numbers, axis), -1) for axis in np.eye(3, dtype=np.float32)]
+    columns = [xp.stack(turned(numbers, parts(axis)), -1) for axis in np.eye(3, dtype=np.float32)]
     return xp.stack(columns, -1)
 
 

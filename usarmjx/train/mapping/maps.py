@@ -70,7 +70,7 @@ class MapGrid:
         """
         x, y = (jnp.asarray(positions)[..., axis, None, None] for axis in range(2))
         away_x, away_y = self.centres[..., 0] - x, self.centres[..., 1] - y
-        return away_x * away_x + away_y * away_y
+        return jnp.asarray(away_x * away_x + away_y * away_y)
 
     def index(self, position: Array) -> jax.Array:
         """Return the square that positions [m] (..., 2) lie in, or the next one to it, int32 (..., 2)."""

@@ -196,14 +196,19 @@ def clearance(view: TaskView) -> tuple[jax.Array, ...]:
     walls = obstacle_boxes(view)
     groups = [robot_boxes(view, group) for group in range(len(view.scene.groups))]
     # Another robot stands on the ground as this one does: all of it is in the way.
-    robots = jax.tree.map(lambda *parts: jnp.concatenate(parts), *groups)
-    around = jax.tree.map(lambda *parts: jnp.concatenate(parts), walls, robots)
-    # Among what is around, the walls come first.
-    count, n = len(walls.yaw), len(robots.yaw)
-    drivable = np.repeat(np.float32([DRIVABLE_HEIGHT, 0.0]), [count, n])
-    least = jax.vmap(partial(_least, around, drivable))(robots, count + np.arange(n))
+    robots = _joined(*groups)
+    around, count, n = _joined(walls, robots), len(walls.yaw), len(robots.yaw)  # the walls come first
+    drivable = np.repeat(np.array([DRIVABLE_HEIGHT, 0.0], np.float32), [count, n])
+    least = jax.vmap(partial(_least, around, drivable))(robots, count + jnp.arange(n))
     bounds = np.cumsum([len(group.yaw) for group in groups])[:-1]
     return tuple(jnp.split(least, bounds))
+
+
+def _joined(*boxes: Boxes) -> Boxes:
+    def join(*parts: Array) -> jax.Array:
+        return jnp.concatenate(parts)
+
+    return jax.tree.map(join, *boxes)
 
 
 def _least(around: Boxes, drivable: np.ndarray, one: Boxes, me: jax.Array) -> jax.Array:
