@@ -24,7 +24,8 @@ from usarmjx.sensors.base import Reading, SensorInput
 from usarmjx.sensors.motion import InsMemory
 from usarmjx.sensors.rays.raycast import Hits, cast_rays
 from usarmjx.sensors.rays.targets import GeomBlock, make_geoms
-from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.batch_state import BatchState
 from usarmjx.sim.control import ActuatorInputs, DriveConditions, compute_actuation, idle_command
 from usarmjx.sim.scene import build_scene
 from usarmjx.sim.world import (

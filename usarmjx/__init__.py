@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from usarmjx.server.background import Serving as Serving
     from usarmjx.server.background import serve as serve
     from usarmjx.sim.batch import Batch as Batch
-    from usarmjx.sim.batch import BatchState as BatchState
+    from usarmjx.sim.batch_state import BatchState as BatchState
     from usarmjx.sim.scene import RosterEntry as RosterEntry
     from usarmjx.sim.scene import Scene as Scene
     from usarmjx.sim.scene import build_scene as build_scene
@@ -55,7 +55,7 @@ _WHERE = {
     "ARENAS": "usarmjx.models.arenas",
     "ArenaSpec": "usarmjx.models.spec.arena",
     "Batch": "usarmjx.sim.batch",
-    "BatchState": "usarmjx.sim.batch",
+    "BatchState": "usarmjx.sim.batch_state",
     "DomainRandomization": "usarmjx.models.build.variation",
     "ENGINES": "usarmjx.engines.choice",
     "EngineError": "usarmjx.base.errors",

@@ -33,7 +33,8 @@ from usarmjx.cameras.light import daylight
 from usarmjx.cameras.mounts import camera_index, cameras_of
 from usarmjx.cameras.picture import check_size
 from usarmjx.engines.base import PhysicsState
-from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.batch_state import BatchState
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.views import build_render_scene, map_pictures, render_group
 from usarmjx.sim.world import World

@@ -10,7 +10,8 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.engines import Inputs, PhysicsState
-from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.batch_state import BatchState
 from usarmjx.sim.control import ControlMode, idle_command, set_drive
 from usarmjx.sim.robot_group import RobotGroup
 from usarmjx.sim.scene import Scene

@@ -14,7 +14,7 @@ from usarmjx.bench.loops import whole_step
 from usarmjx.bench.scene_figures import sizes
 from usarmjx.bench.scenes import SceneCase
 from usarmjx.bench.tools import append_record, record_header
-from usarmjx.sim.batch import BatchState
+from usarmjx.sim.batch_state import BatchState
 
 KILOBYTE = 1024
 """Unit of the system's count of a process's memory [bytes]."""

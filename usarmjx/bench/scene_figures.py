@@ -5,7 +5,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.batch_state import BatchState
 from usarmjx.sim.scene import Scene
 
 

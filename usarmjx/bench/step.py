@@ -23,7 +23,8 @@ from usarmjx.bench.scene_figures import SceneFigures
 from usarmjx.bench.scenes import SceneCase, start_qpos
 from usarmjx.bench.tools import append_record, rate_of, record_header, time_repeats
 from usarmjx.engines.c import c_model
-from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.batch_state import BatchState
 from usarmjx.sim.scene import Scene
 
 BASELINE_STEPS = 400

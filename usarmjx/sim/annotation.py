@@ -12,7 +12,8 @@ from usarmjx.cameras.picture import camera_viewpoint
 from usarmjx.cameras.shading import RenderScene
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.build.body_plan import BodyPoses
-from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.batch_state import BatchState
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.views import GroupCamera, build_render_scene, find_camera, map_pictures
 from usarmjx.sim.world import World

@@ -11,7 +11,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 
 from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import set_at
@@ -23,7 +22,7 @@ from usarmjx.comms.mail import clear_inboxes
 from usarmjx.engines import PhysicsState
 from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.sensors.base import Reading
+from usarmjx.sim.batch_state import BatchState, Readings, select_worlds
 from usarmjx.sim.control import CommandUpdate, ControlMode, update_command
 from usarmjx.sim.operate import OperationResult, find_operation, operate_in_worlds
 from usarmjx.sim.radio import mailboxes, outgoing_messages, radio_of, send, update_links_of_worlds
@@ -39,29 +38,6 @@ from usarmjx.sim.world import (
     finish_step,
     observe,
 )
-
-Readings = tuple[tuple[Reading, ...], ...]
-"""Per group and sensor a reading with leading axes (worlds, robots of the group)."""
-
-
-class BatchState(struct.PyTreeNode, kw_only=True):
-    """A batch of worlds.
-
-    Attributes:
-        physics: The engine's own state.
-        worlds: Everything else (worlds, ...).
-        arenas: The arenas that resets draw from, which may be replaced by others of the same shapes
-            (arenas, ...); None where all worlds have the same arena.
-    """
-
-    physics: Any
-    worlds: World
-    arenas: ArenaState | None = None
-
-
-def select_worlds(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
-    """Return new where masked (worlds,), else old (worlds, ...)."""
-    return jnp.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
 
 class Batch:
@@ -153,15 +129,13 @@ class Batch:
         worlds, qpos = self._reset(state.worlds, state.arenas, mask)
         return state.replace(physics=self.engine.reset(state.physics, mask, qpos), worlds=worlds)
 
-    def _halt_where(self, state: BatchState, mask: jax.Array, qpos: Array) -> BatchState:
-        """Put the masked worlds at rest at qpos (worlds, nq), or at the model's own if that is not finite."""
-        finite = jnp.isfinite(qpos).all(-1, keepdims=True)
-        qpos = jnp.where(finite, qpos, jnp.asarray(self.scene.model.qpos0, jnp.float32))
-        return state.replace(physics=self.engine.reset(state.physics, mask, qpos))
-
     def _mend_where(self, state: BatchState, mask: jax.Array, before: Array, reset_bad: bool) -> BatchState:
-        """Make worlds finite again: they start their next episode, or are where they were."""
-        return self._reset_where(state, mask) if reset_bad else self._halt_where(state, mask, before)
+        """Mend worlds that broke: they start their next episode, or go on from qpos (worlds, nq), at rest."""
+        if reset_bad:
+            return self._reset_where(state, mask)
+        finite = jnp.isfinite(before).all(-1, keepdims=True)
+        qpos = jnp.where(finite, before, np.float32(self.scene.model.qpos0))
+        return state.replace(physics=self.engine.reset(state.physics, mask, qpos))
 
     def _step(self, state: BatchState, reset_bad: bool = True) -> BatchState:
         before = self.engine.state(state.physics)
@@ -171,14 +145,10 @@ class Batch:
         lost = self.engine.overflow(physics, inputs)
         worlds, finite = self._finish_step(worlds, self.engine.state(physics), lost)
         state = state.replace(physics=physics, worlds=worlds)
-
-        def mend(state: BatchState) -> BatchState:
-            return self._mend_where(state, ~finite, before.qpos, reset_bad)
-
+        mend = partial(self._mend_where, mask=~finite, before=before.qpos, reset_bad=reset_bad)
         if self.engine.traceable:
-            # On a GPU the host waits for a condition, which takes longer than to put robots where they were.
-            if not reset_bad and not self.engine.has_solver:
-                return mend(state)
+            if not (reset_bad or self.engine.has_solver):
+                return mend(state)  # takes less than a condition, for which the host of a GPU waits
             return jax.lax.cond(finite.all(), lambda s: s, mend, state)
         return state if bool(finite.all()) else mend(state)
 
@@ -196,17 +166,16 @@ class Batch:
             return self.engine.waiting(jax.lax.fori_loop)(0, steps, lambda _, s: step(s), state)
         if steps < 1:
             return state
-        physics, (worlds, inputs) = state.physics, self._compute_inputs(state.worlds, self.physics(state))
+        physics, now = state.physics, self.physics(state)
+        worlds, inputs = self._compute_inputs(state.worlds, now)
         for left in reversed(range(steps)):
-            before = self.engine.state(physics).qpos
-            physics = self.engine.advance(physics, inputs)
+            before, physics = now.qpos, self.engine.advance(physics, inputs)
             lost, now = self.engine.overflow(physics, inputs), self.engine.state(physics)
             finished, finite, (begun, inputs) = self._finish_and_compute_inputs(worlds, now, lost)
             if not bool(finite.all()):
-                state = state.replace(physics=physics, worlds=finished)
-                return self.run(
-                    self._mend_where(state, ~finite, before, reset_bad), left, reset_bad=reset_bad
-                )
+                broken = state.replace(physics=physics, worlds=finished)
+                mended = self._mend_where(broken, ~finite, before, reset_bad)
+                return self.run(mended, left, reset_bad=reset_bad)
             worlds = begun if left else finished
         return state.replace(physics=physics, worlds=worlds)
 

@@ -3,7 +3,8 @@
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.batch_state import BatchState
 
 
 def put_robot(batch: Batch, state: BatchState, world: int, slot: int, pos: Array, quat: Array) -> BatchState:

@@ -17,7 +17,7 @@ import numpy as np
 from usarmjx.base.errors import UsageError
 from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.sim.batch import select_worlds
+from usarmjx.sim.batch_state import select_worlds
 from usarmjx.sweeps.resolve import Resolved
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.policy import Policy

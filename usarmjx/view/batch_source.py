@@ -8,7 +8,8 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.engines.base import PhysicsState
-from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.batch_state import BatchState
 from usarmjx.sim.world import World
 from usarmjx.view.capture import Capture
 from usarmjx.view.drawing import Drawing, Frame

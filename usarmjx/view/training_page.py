@@ -5,7 +5,8 @@ from collections.abc import Callable
 
 import jax
 
-from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.batch_state import BatchState
 from usarmjx.view.batch_source import BatchSource
 from usarmjx.view.page import MAX_WALL, ViewerPage
 

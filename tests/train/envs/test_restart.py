@@ -12,7 +12,7 @@ from scipy import stats
 
 import usarmjx
 from usarmjx.models.spec.shapes import Shape
-from usarmjx.sim.batch import select_worlds
+from usarmjx.sim.batch_state import select_worlds
 from usarmjx.train.envs import env as module
 from usarmjx.train.envs import episode
 from usarmjx.train.envs.env import restart_batch_size

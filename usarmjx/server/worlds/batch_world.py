@@ -31,7 +31,8 @@ from usarmjx.server.instances import check_instances
 from usarmjx.server.worlds.recorded import keep_reading, record_step
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
-from usarmjx.sim.batch import Batch, BatchState, Readings
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.batch_state import BatchState, Readings
 from usarmjx.sim.control import RobotCommand, idle_command
 from usarmjx.sim.putting import put_robot
 from usarmjx.sim.reset import new_group_state, started

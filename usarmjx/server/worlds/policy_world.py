@@ -25,7 +25,7 @@ from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch
 from usarmjx.server.worlds.recorded import keep_reading
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.actions import apply_actions
-from usarmjx.sim.batch import select_worlds
+from usarmjx.sim.batch_state import select_worlds
 from usarmjx.sim.control import idle_command
 from usarmjx.sim.radio import update_links
 from usarmjx.sim.world import World, observe

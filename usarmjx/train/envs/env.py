@@ -15,7 +15,8 @@ from usarmjx.base.errors import UnsupportedFeatureError, UsageError
 from usarmjx.base.kept_programs import ProgramKeeper, compile_program, find_keeper
 from usarmjx.engines import PhysicsState, choose_engine, engine_class
 from usarmjx.models.build.arena_set import ArenaState
-from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.batch_state import BatchState
 from usarmjx.sim.reset import init_world
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.world import World

@@ -14,7 +14,7 @@ from usarmjx.engines import PhysicsState
 from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.sensors.base import Reading
 from usarmjx.sim.actions import apply_actions
-from usarmjx.sim.batch import select_worlds
+from usarmjx.sim.batch_state import select_worlds
 from usarmjx.sim.radio import update_links
 from usarmjx.sim.reset import reset
 from usarmjx.sim.scene import Scene

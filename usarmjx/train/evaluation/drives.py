@@ -14,7 +14,8 @@ from usarmjx.engines.planar.responses import rolls
 from usarmjx.models.generate import generate
 from usarmjx.models.spec.arena import ArenaSpec, Water
 from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.batch import Batch
+from usarmjx.sim.batch_state import BatchState
 from usarmjx.sim.calibration import HORIZONS, random_orders
 from usarmjx.sim.scene import build_scene
 from usarmjx.train.envs.recipe import open_floor
