@@ -77,4 +77,4 @@ def mat_from_rotation_vector(vector: Array) -> Array:
     x, y, z = (unit[..., i] for i in range(3))
     zero, angle = xp.zeros_like(x), angle[..., None]
     skew = xp.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*zero.shape, 3, 3)
-    return xp.eye(3) + xp.sin(angle) * skew + (1 - xp.cos(angle)) * (skew @ skew)
+    return xp.eye(3) + xp.sin(angle) * skew + (1 - xp.cos(angle)) * matmul(skew, skew)

@@ -14,7 +14,7 @@ from flax import struct
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
-from usarmjx.base.rotations import mat_from_rotation_vector, matvec, rotation_vector
+from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rotation_vector
 from usarmjx.base.transforms import GRAVITY, flip_vector
 from usarmjx.models.spec.settings import NOT_NEGATIVE, POSITIVE, NumberLimits
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings, for_teams
@@ -127,10 +127,11 @@ class Imu(Sensor):
         velocity, turn = self._motion(inputs, pos)
         elapsed = (inputs.time - memory.time)[..., None]
         again, span = elapsed > 0, xp.where(elapsed > 0, elapsed, FIRST_SPAN)
-        turned = rotation_vector(memory.mat.mT @ mat)
+        turned = rotation_vector(matmul(memory.mat.mT, mat))
         rate = xp.where(again, turned / span, matvec(mat.mT, turn))
         change = xp.where(again, (velocity - memory.velocity) / span, 0.0)
-        half_way = xp.where(again[..., None], memory.mat @ mat_from_rotation_vector(turned / 2), mat)
+        half_turned = matmul(memory.mat, mat_from_rotation_vector(turned / 2))
+        half_way = xp.where(again[..., None], half_turned, mat)
         force = matvec(half_way.mT, change + LIFT)
         drawn = random.normal(key, (*memory.time.shape, 12))
         bias = memory.bias + self._by_kind("bias_walk") * xp.sqrt(elapsed) * drawn[..., :6]

@@ -14,7 +14,7 @@ from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
-from usarmjx.base.rotations import mat_from_rotation_vector, matvec, rotation_vector, wrap_angle
+from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rotation_vector, wrap_angle
 from usarmjx.base.transforms import angles_from_mat, flip_angles, mat_from_angles
 from usarmjx.models.spec.robot import Mount
 from usarmjx.models.spec.settings import ANGLE_STEP, NOT_NEGATIVE, POSITIVE, ManualKey, NumberLimits
@@ -200,11 +200,11 @@ class Ins(Sensor):
         pos, mat = pos[..., 0, :], mat[..., 0, :, :]
         elapsed = inputs.time - memory.time[..., None]
         span = xp.maximum(elapsed, 1e-6)
-        rate = rotation_vector(memory.true_mat.mT @ mat) / span  # 1
+        rate = rotation_vector(matmul(memory.true_mat.mT, mat)) / span  # 1
         factor = normal_factor(key, (*rate.shape[:-1], 4), settings.mean, settings.sigma)
         rate = rate * factor[..., :3]  # 2
         drift = memory.drift_rate * elapsed
-        estimate = memory.mat @ mat_from_rotation_vector(rate * span + drift[..., 3:])  # 3
+        estimate = matmul(memory.mat, mat_from_rotation_vector(rate * span + drift[..., 3:]))  # 3
         path = matvec(mat.mT, pos - memory.true_pos)
         if settings.polar_step:
             distance = xp.linalg.norm(path, axis=-1) * xp.sign(path[..., 0])  # 4

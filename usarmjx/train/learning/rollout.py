@@ -226,17 +226,19 @@ class Rollout:
             bad=bad,
             teacher_action=decision.teacher_action,
         )
-        sums = {
-            "episodes": ended.sum(),
-            "return": jnp.where(ended, episode_return, 0.0).sum(),
-            "score": jnp.where(ended, after.final_score, 0.0).sum(),
-            "length": jnp.where(ended, before.length + 1, 0).sum(),
-            "timeouts": truncated.sum(),
-            "bad": bad.sum(),
-            **{f"step/{name}": jnp.where(bad, 0.0, one).sum() for name, one in after.metrics.items()},
-            **{f"end/{name}": jnp.where(ended, one, 0.0).sum() for name, one in after.metrics.items()},
+        counts = {
+            "episodes": ended,
+            "return": jnp.where(ended, episode_return, 0.0),
+            "score": jnp.where(ended, after.final_score, 0.0),
+            "length": jnp.where(ended, before.length + 1, 0),
+            "timeouts": truncated,
+            "bad": bad,
+            **{f"step/{name}": jnp.where(bad, 0.0, one) for name, one in after.metrics.items()},
+            **{f"end/{name}": jnp.where(ended, one, 0.0) for name, one in after.metrics.items()},
         }
-        sums = {name: jnp.asarray(one, jnp.float32) for name, one in sums.items()}
+        # Summed all at once: a GPU takes a kernel for each sum, and one to write it down.
+        rows = [jnp.asarray(one, jnp.float32) for one in counts.values()]
+        sums = dict(zip(counts, jnp.stack(rows).sum(1), strict=True))
         teacher = (
             decision.teacher_carry
             if self.teacher is None
@@ -284,9 +286,15 @@ class Rollout:
         return now, (row, sums)
 
     def _scan(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Collected:
-        numbers = jnp.arange(self.config.rollout)
-        now, (steps, sums) = jax.lax.scan(lambda now, i: self._step(train_state, now, key, i), start, numbers)
-        return now, steps, self._ends(train_state, start, now), jax.tree.map(lambda one: one.sum(0), sums)
+        names: list[str] = []
+
+        def step(now: RolloutState, number: jax.Array) -> tuple[RolloutState, tuple[Trajectory, jax.Array]]:
+            now, (row, sums) = self._step(train_state, now, key, number)
+            names[:] = sums
+            return now, (row, jnp.stack([*sums.values()]))
+
+        now, (steps, sums) = jax.lax.scan(step, start, jnp.arange(self.config.rollout))
+        return now, steps, self._ends(train_state, start, now), dict(zip(names, sums.sum(0), strict=True))
 
     def _loop(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Collected:
         now = start
