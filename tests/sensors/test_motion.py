@@ -168,13 +168,12 @@ def test_ins_takes_the_manuals_seven_steps(bench, name):
     for i in range(len(time)):
         inputs = bench.inputs(time[i], at[i], angles[i])
         memory, readings = bench.read(inputs, memory, seed=i)
-        keys = jax.random.split(jax.random.fold_in(jax.random.key(i), place))
-        turn_noise = np.asarray(jax.random.normal(keys[0], (3,)), float)
-        path_noise = float(jax.random.normal(keys[1], ()))
+        key = jax.random.fold_in(jax.random.key(i), place)
+        *turn_noise, path_noise = np.asarray(jax.random.normal(key, (4,)), float).tolist()
         now = Rotation.from_euler("ZYX", angles[i][::-1])
         if i:
             rate = (true.inv() * now).as_rotvec() / 0.1  # 1
-            rate = rate + rate * (mean + sigma * turn_noise)  # 2
+            rate = rate + rate * (mean + sigma * np.array(turn_noise))  # 2
             estimate = estimate * Rotation.from_rotvec(rate * 0.1)  # 3
             moved = at[i] - where
             if name == "Polar":
