@@ -85,7 +85,7 @@ class FaultCounts(struct.PyTreeNode, kw_only=True):
     """What went wrong in a world since the batch was made, as counts of control steps ().
 
     Attributes:
-        not_finite: Steps after which the physics was not finite, and the world was reset.
+        not_finite: Steps after which the physics was not finite, and the world was reset or put back.
         overflow: Steps in which contact buffers were full.
         runaway: Steps in which a robot was faster than it can drive; see `RUNAWAY_SPEED`.
         refused: Commanded numbers that were not finite.
