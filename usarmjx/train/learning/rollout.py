@@ -43,6 +43,12 @@ def _stacked(rows: list[tuple[Trajectory, dict[str, jax.Array]]]) -> tuple[Traje
     return steps, jax.tree.map(lambda one: one.sum(0), sums)
 
 
+def _summed(rows: dict[str, jax.Array]) -> dict[str, jax.Array]:
+    """Return sums over worlds (worlds,), all in one: a GPU takes a kernel for each that is by itself."""
+    single = [jnp.asarray(row, jnp.float32) for row in rows.values()]
+    return dict(zip(rows, jnp.stack(single).sum(1), strict=True))
+
+
 def _look_away(state: EnvState) -> None:
     """Do nothing: nobody looks."""
     del state
@@ -226,19 +232,18 @@ class Rollout:
             bad=bad,
             teacher_action=decision.teacher_action,
         )
-        counts = {
-            "episodes": ended,
-            "return": jnp.where(ended, episode_return, 0.0),
-            "score": jnp.where(ended, after.final_score, 0.0),
-            "length": jnp.where(ended, before.length + 1, 0),
-            "timeouts": truncated,
-            "bad": bad,
-            **{f"step/{name}": jnp.where(bad, 0.0, one) for name, one in after.metrics.items()},
-            **{f"end/{name}": jnp.where(ended, one, 0.0) for name, one in after.metrics.items()},
-        }
-        # Summed all at once: a GPU takes a kernel for each sum, and one to write it down.
-        rows = [jnp.asarray(one, jnp.float32) for one in counts.values()]
-        sums = dict(zip(counts, jnp.stack(rows).sum(1), strict=True))
+        sums = _summed(
+            {
+                "episodes": ended,
+                "return": jnp.where(ended, episode_return, 0.0),
+                "score": jnp.where(ended, after.final_score, 0.0),
+                "length": jnp.where(ended, before.length + 1, 0),
+                "timeouts": truncated,
+                "bad": bad,
+                **{f"step/{name}": jnp.where(bad, 0.0, one) for name, one in after.metrics.items()},
+                **{f"end/{name}": jnp.where(ended, one, 0.0) for name, one in after.metrics.items()},
+            }
+        )
         teacher = (
             decision.teacher_carry
             if self.teacher is None
