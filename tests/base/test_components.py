@@ -11,15 +11,15 @@ from usarmjx.base.components import (
     apply,
     cross,
     dot,
+    matrix_rows,
     minus,
     parts,
     plus,
     quat_times,
+    rotated,
     rotation,
-    rows_of,
     times,
     transposed,
-    turned,
 )
 
 NEAR = 2e-6
@@ -46,7 +46,7 @@ def single(values):
 def test_products_and_turns_of_quaternions_are_mujocos():
     product = np.stack(quat_times(single(QUATS), single(OTHERS)), -1)
     assert product == pytest.approx(by_mujoco(mujoco.mju_mulQuat, 4, QUATS, OTHERS), abs=NEAR)
-    ahead = np.stack(turned(single(QUATS), single(VECTORS)), -1)
+    ahead = np.stack(rotated(single(QUATS), single(VECTORS)), -1)
     assert ahead == pytest.approx(by_mujoco(mujoco.mju_rotVecQuat, 3, VECTORS, QUATS), abs=3 * NEAR)
 
 
@@ -69,7 +69,7 @@ def test_sums_and_products_are_numpys():
     assert dot(one, other) == pytest.approx((VECTORS * AXES).sum(-1))
     assert np.stack(cross(one, other), -1) == pytest.approx(np.cross(VECTORS, AXES))
     square = RNG.normal(size=(4, 3, 3))
-    assert np.array(rows_of(square)) == pytest.approx(np.moveaxis(square, 0, -1))
+    assert np.array(matrix_rows(square)) == pytest.approx(np.moveaxis(square, 0, -1))
 
 
 def test_numpy_and_jax_agree():

@@ -21,8 +21,8 @@ def parts(vectors: Array) -> Numbers:
     return tuple(vectors[..., i] for i in range(vectors.shape[-1]))
 
 
-def rows_of(mat: Array) -> Rows:
-    """Return those of matrices (..., n, m)."""
+def matrix_rows(mat: Array) -> Rows:
+    """Return the numbers of matrices (..., n, m), row by row."""
     return tuple(tuple(mat[..., i, j] for j in range(mat.shape[-1])) for i in range(mat.shape[-2]))
 
 
@@ -82,7 +82,7 @@ def quat_times(one: Sequence[Array], other: Sequence[Array]) -> Numbers:
     return w * v - dot(axis, along), *plus(plus(times(along, w), times(axis, v)), cross(axis, along))
 
 
-def turned(quat: Sequence[Array], vector: Sequence[Array]) -> Numbers:
+def rotated(quat: Sequence[Array], vector: Sequence[Array]) -> Numbers:
     """Return a vector turned by a unit quaternion."""
     w, *axis = quat
     return plus(vector, times(cross(axis, plus(cross(axis, vector), times(vector, w))), 2))

@@ -15,12 +15,12 @@ from usarmjx.base.components import (
     apply,
     cross,
     dot,
+    matrix_rows,
     minus,
     parts,
     plus,
     quat_times,
     rotation,
-    rows_of,
     times,
     transposed,
 )
@@ -54,7 +54,7 @@ def fly(robots: PlanarRobots, motion: Motion, wrench: Array, model: mujoco.MjMod
         return motion
     push = parts(wrench[robots.chassis])
     pull = plus([number / robots.mass for number in push[:3]], model.opt.gravity.tolist())
-    fixed = _Fixed(parts(robots.centre), *map(rows_of, (robots.inertia, robots.inverse_inertia)))
+    fixed = _Fixed(parts(robots.centre), *map(matrix_rows, (robots.inertia, robots.inverse_inertia)))
     steps = max(1, round(dt / model.opt.timestep))
     step = partial(_step, fixed, pull, push[3:], dt / steps)
     now = _Moving(*map(parts, (motion.pos, motion.quat, motion.linear, motion.angular)))

@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 
 from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.base.components import Numbers, parts, plus, quat_times, turned
+from usarmjx.base.components import Numbers, parts, plus, quat_times, rotated
 from usarmjx.models.build.skeleton import BODY_HEIGHT, BONES, PART_NAMES, PART_OF_BONE, POSTURES
 from usarmjx.models.build.victim_table import (
     PADDING_OWNER,
@@ -153,7 +153,7 @@ def lowest(table: VictimTable, time: ArrayLike) -> np.ndarray:
 def orientations(quat: Array, xp: ModuleType = np) -> Array:
     """Return the rotation matrices (..., 3, 3) of the boxes' quaternions (..., 4)."""
     numbers = parts(quat)
-    columns = [xp.stack(turned(numbers, parts(axis)), -1) for axis in np.eye(3, dtype=np.float32)]
+    columns = [xp.stack(rotated(numbers, parts(axis)), -1) for axis in np.eye(3, dtype=np.float32)]
     return xp.stack(columns, -1)
 
 
@@ -168,11 +168,11 @@ def _poses(table: VictimTable, angles: Array, xp: ModuleType) -> tuple[Array, Ar
     for _ in range(2):
         above, hangs = xp.maximum(parent, 0), parent >= 0
         turn, base = (tuple(number[..., above] for number in numbers) for numbers in (quat, pos))
-        moved, more = plus(base, turned(turn, pos)), quat_times(turn, quat)
+        moved, more = plus(base, rotated(turn, pos)), quat_times(turn, quat)
         pos = tuple(xp.where(hangs, new, old) for new, old in zip(moved, pos, strict=True))
         quat = tuple(xp.where(hangs, new, old) for new, old in zip(more, quat, strict=True))
         parent = xp.where(parent >= 0, parent[above], -1)
-    return xp.stack(plus(pos, turned(quat, parts(table.offset))), -1), xp.stack(quat, -1)
+    return xp.stack(plus(pos, rotated(quat, parts(table.offset))), -1), xp.stack(quat, -1)
 
 
 def _corners(table: VictimTable, angles: Array, xp: ModuleType) -> Array:
@@ -180,7 +180,7 @@ def _corners(table: VictimTable, angles: Array, xp: ModuleType) -> Array:
     pos, quat = _poses(table, angles, xp)
     signs = xp.asarray([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     offsets = signs.astype(table.size.dtype) * table.size[:, None]
-    away = turned(parts(quat[..., None, :]), parts(offsets))
+    away = rotated(parts(quat[..., None, :]), parts(offsets))
     return pos[..., None, :] + xp.stack(away, -1)
 
 
