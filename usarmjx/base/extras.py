@@ -1,5 +1,6 @@
 """Libraries that the base installation does without: whoever needs one is told which extra brings it."""
 
+from importlib.util import find_spec
 from types import TracebackType
 
 from usarmjx.base.errors import UsageError
@@ -35,3 +36,13 @@ class extra:
             raise MissingExtraError(
                 f'this needs {missing.partition(".")[0]}: pip install "usarmjx[{self._name}]"'
             ) from error
+
+
+def need_module(name: str) -> None:
+    """Do nothing where a module could be imported, and do not import it: that may take seconds.
+
+    Raises:
+        ModuleNotFoundError: It is not installed, as an import would say.
+    """
+    if find_spec(name) is None:
+        raise ModuleNotFoundError(f"No module named {name!r}", name=name)

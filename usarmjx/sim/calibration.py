@@ -16,7 +16,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import least_squares
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.compilation import cache_folder
@@ -180,6 +179,8 @@ def fit_response(robot: RobotSpec, log: DriveLog) -> tuple[Response, np.ndarray]
 
 def _fit(robot: RobotSpec, log: DriveLog, *, sides_apart: bool) -> tuple[Response, np.ndarray, float]:
     """Return the best figures of a model, what is left of the twists (3,), rms, and the cost of that."""
+    from scipy.optimize import least_squares  # half a second, of which a calibrated robot has no need
+
     wheels = wheels_of(robot)
     told, joints = jnp.asarray(log.told, jnp.float32), jnp.asarray(log.joints, jnp.float32)
     wanted = jax.vmap(wheels.twist)(joints, told)

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import numpy_backend
 from usarmjx.engines.planar.responses import Response, response_of, rolls
 from usarmjx.models.build.body_plan import KinematicTree, kinematic_tree_of
 from usarmjx.models.build.layout import RobotIndex
@@ -130,7 +131,8 @@ def _sides(plan: KinematicTree, drive: SkidSteer) -> SideWheels:
     left = len(drive.left)
     track = abs(float(across[:left].mean() - across[left:].mean()))
     ones = np.ones((1, 2), np.float32)
-    ratio = np.asarray(drive.targets(ones))[0]
+    with numpy_backend():
+        ratio = np.asarray(drive.targets(ones))[0]
     return SideWheels(spin=spin, left=left, ratio=ratio, radius=drive.radius, track=track)
 
 

@@ -107,13 +107,13 @@ def all_solids(model: mujoco.MjModel, geoms: SolidGeoms, fixed: FixedBodies, mos
         most: At so many solids a robot looks closely.
     """
     can_move = (geoms.moved >= 0) | np.isin(geoms.bodies, fixed.movable)
-    movable, rest = geoms.where(can_move), (jnp.asarray(part, jnp.float32) for part in (fixed.pos, fixed.mat))
+    movable, rest = geoms.where(can_move), partial(solids_of, model, geoms.where(~can_move), poses=None)
     return AllSolids(
         model=model,
         fixed=fixed,
         movable=movable,
         elsewhere=movable_solids(model, fixed, movable),
-        still=solids_of(model, geoms.where(~can_move), (next(rest), next(rest)), None),
+        still=jax.jit(rest)((jnp.float32(fixed.pos), jnp.float32(fixed.mat))),  # one program, not eighty
         floor=floor_height(model),
         most=most,
     )

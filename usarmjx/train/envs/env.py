@@ -180,7 +180,7 @@ class Env:
         """Return the arenas that worlds go through at a level; None: all have the same."""
         if self.scene.arenas is None:
             return None
-        library = jax.tree.map(jnp.asarray, library or self.scene.arenas.states)
+        library = jax.device_put(library or self.scene.arenas.states)  # at once: each by itself is slow
         return library if self._generated is None else self._library(library, level)
 
     def reset(
@@ -237,7 +237,8 @@ class Env:
 
     def _begin(self, blank: EnvState) -> EnvState:
         """Begin the first episodes."""
-        blank = blank.replace(batch=blank.batch.replace(physics=self.batch.engine.start()))
+        if not self.traceable:
+            blank = blank.replace(batch=blank.batch.replace(physics=self.batch.engine.start()))
         state = self._restart(blank, blank.done)
         return state.replace(done=state.bad, final_obs=state.obs, final_privileged=state.privileged)
 
@@ -256,7 +257,9 @@ class Env:
         )
         begun, no, zero = jax.tree.map(zeros, begun), jnp.zeros(self.worlds, bool), jnp.zeros(self.worlds)
         return EnvState(
-            batch=BatchState(physics=None, worlds=worlds, arenas=arenas),
+            batch=BatchState(
+                physics=self.batch.engine.start() if self.traceable else None, worlds=worlds, arenas=arenas
+            ),
             memory=begun.memory,
             obs=begun.obs,
             privileged=begun.privileged,

@@ -4,14 +4,13 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import jax
 
 from usarmjx.base.errors import UsageError, WriteError
-from usarmjx.base.extras import extra
+from usarmjx.base.extras import extra, need_module
 from usarmjx.base.files import PARTIAL, writing
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState
@@ -36,8 +35,8 @@ from usarmjx.train.processes.launch import check_parent
 from usarmjx.train.processes.lock import run_lock
 
 with extra("train"):  # said before anything is built, although it is needed only later
-    import_module("brax")
-    import_module("tensorboardX")
+    need_module("brax")
+    need_module("tensorboardX")
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,10 @@ all hosts must share.
 
 import os
 import sys
+import threading
 import traceback
 from collections.abc import Generator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, TypeVar, cast
 
 import jax
@@ -58,6 +59,7 @@ def distributed_run() -> Generator[ProcessInfo, None, None]:
         UsageError: See `initialize`.
     """
     info = initialize()
+    threading.Thread(target=_start_devices, name="devices", daemon=True).start()
     try:
         yield info
     except BaseException as error:
@@ -70,6 +72,15 @@ def distributed_run() -> Generator[ProcessInfo, None, None]:
             traceback.print_exc()
         sys.stderr.flush()
         os._exit(2 if ours else 1)
+
+
+def _start_devices() -> None:
+    """Let JAX start its devices while modules are imported and worlds built: a GPU takes seconds.
+
+    What is wrong with them is for the first who needs them to tell, as JAX tries again.
+    """
+    with suppress(Exception):
+        jax.devices()
 
 
 def _chosen() -> bool:
