@@ -268,8 +268,8 @@ def test_terrain_is_refused_by_name():
 
 
 def test_long_steps_are_refused_for_what_flies():
-    scene = build_scene(FLAT, ["AirRobot"], Physics(timestep=0.05, substeps=1))
-    with pytest.raises(UnsupportedFeatureError, match=r"in control steps of up to 0\.025 s, not 0\.05 s"):
+    scene = build_scene(FLAT, ["AirRobot"], Physics(timestep=0.05, substeps=2))
+    with pytest.raises(UnsupportedFeatureError, match=r"in control steps of up to 0\.05 s, not 0\.1 s"):
         Batch(scene, 1, engine="planar")
 
 

@@ -28,7 +28,7 @@ from usarmjx.models.build.moved import MovedGeoms
 from usarmjx.models.build.variation import RandomizedBodies
 from usarmjx.models.spec.robot import RobotSpec
 
-LONGEST_FLIGHT_STEP = 0.025
+LONGEST_FLIGHT_STEP = 0.05
 """What flies or dives is held upright by forces that are worked out once in a control step [s]."""
 
 

@@ -1,5 +1,6 @@
 """Rigid bodies under the forces of their drives: what flies and dives."""
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
@@ -34,6 +35,8 @@ BESIDE = 0.05
 """What flies is held up by others that it is over, or that it is beside by no more than this [m]."""
 HELD_GAP = 1e-4
 """Gap between one that is held up and the other's top [m]."""
+FLIGHT_STEP = 0.01
+"""Bodies in flight turn too fast for longer steps [s]."""
 STACKED = 3
 """So many are held up by each other, one over the other."""
 
@@ -41,7 +44,7 @@ STACKED = 3
 def fly(robots: PlanarRobots, motion: Motion, wrench: Array, model: mujoco.MjModel, dt: float) -> Motion:
     """Return where robots are after a control step, were they free bodies.
 
-    Semi-implicit Euler, as MuJoCo's, in as many steps as it would make.
+    Semi-implicit Euler, as MuJoCo's, in as many steps as it would make, or more: none beyond `FLIGHT_STEP`.
 
     Args:
         robots: The robots of the model.
@@ -55,7 +58,7 @@ def fly(robots: PlanarRobots, motion: Motion, wrench: Array, model: mujoco.MjMod
     push = parts(wrench[robots.chassis])
     pull = plus([number / robots.mass for number in push[:3]], model.opt.gravity.tolist())
     fixed = _Fixed(parts(robots.centre), *map(matrix_rows, (robots.inertia, robots.inverse_inertia)))
-    steps = max(1, round(dt / model.opt.timestep))
+    steps = max(round(dt / model.opt.timestep), math.ceil(dt / FLIGHT_STEP - 1e-6))
     step = partial(_step, fixed, pull, push[3:], dt / steps)
     now = _Moving(*map(parts, (motion.pos, motion.quat, motion.linear, motion.angular)))
     flown = jax.lax.fori_loop(0, steps, lambda _, now: step(now), now)
