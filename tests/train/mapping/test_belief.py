@@ -117,6 +117,49 @@ def test_no_robot_believes_that_the_base_has_what_it_has_not(seed):
     assert claims > 30  # it learned of contact, too
 
 
+def read_one_by_one(before, box, period):
+    """What a robot has after its messages, one after another: header rows, times heard, links, contact."""
+    mates, heard, since, contact = (np.array(part) for part in before)
+    for sender, time, told in zip(*box, strict=True):
+        begun = time if time - heard[sender] > 1.5 * period else since[sender]
+        passed_on = min(told[-1] - period, heard[sender])
+        contact = max(contact, passed_on) if passed_on >= begun - 1e-3 else contact
+        mates[sender], heard[sender], since[sender] = told, time, begun
+    return mates, heard, since, contact
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("seed", range(20))
+def test_a_box_is_read_as_one_message_after_another(seed):
+    """Some senders have several messages in it; breaks and contacts are by the times of those before."""
+    draw, robots, capacity = np.random.default_rng(seed), 3, 7
+    times = np.sort(draw.integers(0, 20, (robots, capacity)), -1) * np.float32(0.1)
+    boxes = empty_inboxes(MessageSettings(numbers=SETTINGS.numbers, capacity=capacity), ROBOTS)
+    count = draw.integers(0, capacity + 1, ROBOTS)
+    payload = draw.integers(0, 4, boxes.payload.shape).astype(np.float32) / 2
+    sender = draw.integers(0, robots, (ROBOTS, capacity))
+    boxes = boxes.replace(
+        count=jnp.asarray(count),
+        sender=jnp.asarray(sender),
+        time=jnp.asarray(np.concatenate([times, times[:1]])),
+        payload=jnp.asarray(payload),
+    )
+    belief = team().replace(
+        heard_time=jnp.asarray(draw.integers(0, 10, (ROBOTS, ROBOTS)) * np.float32(0.1)),
+        link_since=jnp.asarray(draw.integers(0, 5, (ROBOTS, ROBOTS)) * np.float32(0.1)),
+    )
+    found = read(GRID, belief, boxes, PERIOD)
+    for k in range(ROBOTS):
+        rows = (belief.mate_headers, belief.heard_time, belief.link_since, belief.base_contact_time)
+        box = (sender[k], np.asarray(boxes.time[k]), payload[k, :, :HEADER_SIZE])
+        expected = read_one_by_one(
+            [np.asarray(row[k]) for row in rows], [part[: count[k]] for part in box], np.float32(PERIOD)
+        )
+        given = (found.mate_headers, found.heard_time, found.link_since, found.base_contact_time)
+        for one, other in zip(given, expected, strict=True):
+            np.testing.assert_allclose(one[k], other, atol=1e-6)
+
+
 def test_the_base_is_in_touch_with_itself_and_with_those_it_has_a_link_to():
     linked = np.zeros((ROBOTS, ROBOTS), bool)
     linked[BASE, 2] = linked[2, BASE] = True

@@ -27,6 +27,7 @@ from usarmjx.train.mapping.maps import (
     egocentric_map,
     fuse_maps,
     grid_of,
+    merge_packed,
     merge_received,
     pack,
     reachable_squares,
@@ -118,6 +119,18 @@ def test_a_map_survives_a_message(shape):
     assert message.dtype == jnp.float32
     assert message.shape == (MapGrid((0.0, 0.0), 1.0, shape).packed_size,)
     np.testing.assert_array_equal(unpack(message, shape), squares)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_maps_that_come_packed_make_what_they_make_one_after_another(seed):
+    draw, shape = np.random.default_rng(seed), (11, 7)
+    received, *news = draw.integers(0, 4, (5, *shape)).astype(np.uint8) * (draw.random((5, *shape)) < 0.6)
+    there = np.array([True, False, True, True])
+    packed = np.where(there[:, None], [pack(one) for one in news], np.nan)  # what is not there means nothing
+    expected = received
+    for one in np.array(news)[there]:
+        expected = np.asarray(merge_received(expected, one))
+    np.testing.assert_array_equal(merge_packed(received, packed, there), expected)
 
 
 def test_the_map_around_a_robot_turns_with_it():

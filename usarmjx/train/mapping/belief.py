@@ -6,6 +6,7 @@ sensors and from mail that came over the radio, never from the truth.
 
 import itertools
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -192,44 +193,56 @@ def update_from_mail(grid: MapGrid, belief: Belief, mail: Inboxes, period: float
         mail: Their boxes.
         period: Time between two messages of a robot [s].
     """
-
-    def one(own: tuple[jax.Array, ...], box: Inboxes) -> tuple[jax.Array, ...]:
-        def read(state: tuple[jax.Array, ...], index: jax.Array) -> tuple[tuple[jax.Array, ...], None]:
-            received, mates, heard, since, contact = state
-            there, sender = index < box.count, box.sender[index]
-            payload, time = box.payload[index], box.time[index]
-            news = maps.unpack(payload[HEADER_SIZE:], grid.shape)
-            # A message that did not come breaks the link: what was sent in between was not received.
-            begun = jnp.where(time - heard[sender] > 1.5 * period, time, since[sender])
-            # What it had from this robot by its contact is at the base: a message takes a period.
-            passed_on = jnp.minimum(payload[HEADER_SIZE - 1] - period, heard[sender])
-            passed_on = jnp.where(passed_on >= begun - 1e-3, passed_on, contact)
-            new = (
-                maps.merge_received(received, news),
-                mates.at[sender].set(payload[:HEADER_SIZE]),
-                heard.at[sender].set(time),
-                since.at[sender].set(begun),
-                jnp.maximum(contact, passed_on),
-            )
-            return tuple(jnp.where(there, a, b) for a, b in zip(new, state, strict=True)), None
-
-        return jax.lax.scan(read, own, jnp.arange(box.sender.shape[-1]))[0]
-
-    box = mail.replace(spent=mail.count, step=mail.count, sent=mail.count)  # an axis over robots for all
-    before = (
-        belief.received_map,
-        belief.mate_headers,
-        belief.heard_time,
-        belief.link_since,
-        belief.base_contact_time,
+    told = jnp.asarray(mail.payload)[..., :HEADER_SIZE]
+    packed = jnp.asarray(mail.payload)[..., HEADER_SIZE : HEADER_SIZE + grid.packed_size]
+    headers = jax.vmap(partial(_read_headers, period))(
+        (belief.mate_headers, belief.heard_time, belief.link_since, belief.base_contact_time),
+        (mail.valid, mail.sender, mail.time, told),
     )
-    received, mates, heard, since, contact = jax.vmap(one)(before, box)
+    mates, heard, since, contact = headers
     return belief.replace(
-        received_map=received,
+        received_map=jax.vmap(maps.merge_packed)(belief.received_map, packed, mail.valid),
         mate_headers=mates,
         heard_time=heard,
         link_since=since,
         base_contact_time=contact,
+    )
+
+
+def _read_headers(
+    period: float, before: tuple[Array, Array, Array, Array], box: tuple[Array, Array, Array, Array]
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Return a robot's rows of `Belief` after it read its box; at once what one after another comes to.
+
+    Args:
+        period: See `update_from_mail`.
+        before: Its `mate_headers` (robots, HEADER_SIZE), `heard_time` and `link_since` (robots,), and
+            `base_contact_time` ().
+        box: Which places hold a message, senders, times (capacity,), and headers (capacity, HEADER_SIZE).
+    """
+    (mates, heard, since, contact), (there, sender, time, told) = before, box
+    place, robots = np.arange(len(sender)), np.arange(len(heard))
+    same = (sender[:, None] == sender) & there & (place[:, None] > place)  # its sender's, and before it
+
+    def last(which: Array) -> jax.Array:
+        """Return the last place of some (..., capacity); -1: there is none."""
+        return jnp.max(jnp.where(which, place, -1), -1, initial=-1)
+
+    ago = last(same)
+    until_then = jnp.where(ago < 0, heard[sender], time[ago])
+    # A message that did not come breaks the link: what was sent in between was not received.
+    broken = last((same | (place[:, None] == place)) & (time - until_then > 1.5 * period))
+    begun = jnp.where(broken < 0, since[sender], time[broken])
+    # What it had from this robot by its contact is at the base: a message takes a period.
+    passed_on = jnp.minimum(told[:, HEADER_SIZE - 1] - period, until_then)
+    known = jnp.where(there & (passed_on >= begun - 1e-3), passed_on, -jnp.inf)
+    newest = last(there & (sender == robots[:, None]))
+    news = newest >= 0
+    return (
+        jnp.where(news[:, None], told[newest], mates),
+        jnp.where(news, time[newest], heard),
+        jnp.where(news, begun[newest], since),
+        jnp.maximum(contact, jnp.max(known, initial=-jnp.inf)),
     )
 
 

@@ -189,6 +189,26 @@ def merge_received(received: Array, news: Array) -> jax.Array:
     )
 
 
+def merge_packed(received: Array, numbers: Array, there: Array) -> jax.Array:
+    """Return the received map (i, j) after others came in, as `merge_received` makes of one after another.
+
+    All squares of a number are compared as they lie packed.
+
+    Args:
+        received: The map before.
+        numbers: The others, as `pack` returns them (maps, numbers).
+        there: Which of them count (maps,).
+    """
+    whole = jnp.where(there[:, None], numbers, 0.0).astype(jnp.int32)
+    low = np.int32((4**SQUARES_PER_NUMBER - 1) // 3)  # the lower bit of each square
+    some = jnp.bitwise_or.reduce(whole, axis=0)
+    marked = jnp.bitwise_or.reduce(whole & (whole >> 1) & low, axis=0)
+    free = some & low  # or marked
+    walls = (some >> 1) & low & ~free
+    rows, columns = received.shape
+    return merge_received(received, unpack(free | ((marked | walls) << 1), (rows, columns)))
+
+
 def pack(squares: Array) -> jax.Array:
     """Return a map (i, j) as numbers of a message, `SQUARES_PER_NUMBER` squares each, float32 (numbers,)."""
     flat = jnp.ravel(squares).astype(jnp.int32)

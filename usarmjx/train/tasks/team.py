@@ -158,11 +158,11 @@ class TeamTask(Task):
         slots = [group.slots for group in groups]
         return set_rows(jnp.zeros((view.scene.num_robots, 3)), *zip(slots, read, strict=True))
 
-    def update_belief(self, view: TaskView, belief: Belief) -> Belief:
+    def update_belief(self, view: TaskView, belief: Belief, *, mail: bool = True) -> Belief:
         """Return the belief after the robots read their sensors and mail, and planned."""
         grid = self.arena_grid(view.scene)
         belief = update_pose(grid, belief, self.poses(view))
-        if view.world.mail is not None:
+        if mail and view.world.mail is not None:
             period = self.repeat * view.scene.physics.period
             belief = update_from_mail(grid, belief, view.mail, period)
         for g, group in enumerate(view.scene.groups):
@@ -234,7 +234,7 @@ class TeamTask(Task):
         grid = self.arena_grid(view.scene)
         zero = jnp.zeros(())
         memory = TeamMemory(
-            belief=self.update_belief(view, self.first_belief(view)),
+            belief=self.update_belief(view, self.first_belief(view), mail=False),
             step=jnp.zeros((), jnp.int32),
             reachable=self.note(view, "reachable"),
             explored=jnp.zeros(grid.shape, bool),
