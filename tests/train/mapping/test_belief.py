@@ -224,6 +224,21 @@ def test_a_robot_leaves_a_frontier_where_it_has_been_for_one_farther_off():
     assert (np.linalg.norm(been.goal - np.array([1.8, 1.2]), axis=-1) >= VISITED_RADIUS).all()
 
 
+@pytest.mark.parametrize("planners", [(1, 2), (0, 3), (2,), ()])
+def test_those_that_plan_go_where_they_go_among_all_and_the_others_stay(planners):
+    """Of others each heeds some: the more that it does not heed, the fewer columns, and the same way."""
+    draw, peers = np.random.default_rng(2), ~np.eye(ROBOTS, dtype=bool)
+    peers[1] = [False, False, False, True]
+    belief = team(draw.uniform(0.6, 2.4, (ROBOTS, 3))).replace(evidence=hall())
+    flyers = np.array([False, False, True, False])
+    everyone = plan_paths(GRID, belief, jnp.float32(0.0), PlannerSettings(peers, flyers, np.arange(ROBOTS)))
+    some = plan_paths(GRID, belief, jnp.float32(0.0), PlannerSettings(peers, flyers, np.array(planners, int)))
+    for k in range(ROBOTS):
+        expected = everyone if k in planners else belief
+        for name in ("waypoint", "goal", "path_length"):
+            np.testing.assert_array_equal(getattr(some, name)[k], getattr(expected, name)[k])
+
+
 def test_nobody_has_a_way_where_there_is_no_frontier():
     table = hall().at[:, 9:, :].set(1)
     belief = plan_paths(GRID, team([(0.6, 0.6, 0.0)] * ROBOTS).replace(evidence=table), jnp.float32(0.0))
@@ -236,7 +251,9 @@ def test_robots_go_where_they_are_wanted_and_those_that_fly_over_walls():
     shut = [(5, j) for j in range(9)]  # a wall across the hall
     belief = team(poses).replace(evidence=hall(*shut))
     settings = PlannerSettings(
-        peers=np.zeros((ROBOTS, ROBOTS), bool), flyers=np.array([False, True, False, False])
+        peers=np.zeros((ROBOTS, ROBOTS), bool),
+        flyers=np.array([False, True, False, False]),
+        planners=np.arange(ROBOTS),
     )
     wanted = jnp.full((ROBOTS, *GRID.shape), UNREACHABLE).at[:, 8, 4].set(0.0)
     belief = plan_paths(GRID, belief, jnp.float32(0.0), settings, wanted)

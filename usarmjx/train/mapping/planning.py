@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.base.backend import set_rows
 from usarmjx.base.fusion import kept_on_gpu
 from usarmjx.train.mapping.belief import RECENT_AGE, STALE_AGE, Belief
 from usarmjx.train.mapping.maps import FREE, MapGrid
@@ -53,15 +54,26 @@ class PlannerSettings(NamedTuple):
     Attributes:
         peers: Whose paths each robot heeds: row itself, column the other (robots, robots).
         flyers: Which fly over walls, to squares that they have not seen (robots,).
+        planners: Slots of those that plan, one after another; the others stay where they go (n,).
     """
 
     peers: np.ndarray
     flyers: np.ndarray
+    planners: np.ndarray
+
+    @property
+    def heeded(self) -> np.ndarray:
+        """Slots of those whose paths each planner heeds (n, most); -1: nobody more."""
+        rows = [np.flatnonzero(self.peers[planner]) for planner in self.planners]
+        heeded = np.full((len(rows), max(map(len, rows), default=0)), -1)
+        for place, row in zip(heeded, rows, strict=True):
+            place[: len(row)] = row
+        return heeded
 
 
 def default_settings(robots: int) -> PlannerSettings:
     """Return settings for robots that all drive and explore."""
-    return PlannerSettings(peers=~np.eye(robots, dtype=bool), flyers=np.zeros(robots, bool))
+    return PlannerSettings(~np.eye(robots, dtype=bool), np.zeros(robots, bool), np.arange(robots))
 
 
 def plan_paths(
@@ -82,15 +94,21 @@ def plan_paths(
             (robots, i, j).
     """
     settings = settings or default_settings(len(belief.pose))
+    planners, heeded = settings.planners, settings.heeded
+    if not planners.size:
+        return belief
+    mine = _rows_of(planners)
     known = kept_on_gpu(belief)  # else sums over these maps, for a score, become part of the planner's kernel
-    squares = jnp.where(settings.flyers[:, None, None], FREE, known.squares)
-    unseen = settings.flyers[:, None, None] & (known.evidence == 0)
-    wanted = jnp.full(squares.shape, jnp.nan) if wanted is None else wanted
-    ages = jnp.where(settings.peers, time - known.heard_time, jnp.inf)
+    flyers, visited = settings.flyers[mine, None, None], known.visited[mine]
+    squares = jnp.where(flyers, FREE, known.squares[mine])
+    unseen = flyers & (known.evidence[mine] == 0)
+    wanted = jnp.full(squares.shape, jnp.nan) if wanted is None else wanted[mine]
+    ages = jnp.where(heeded >= 0, time - known.heard_time[planners[:, None], heeded], jnp.inf)
+    mates = known.mate_headers[planners[:, None], heeded]
 
     narrow = jnp.where(jax.vmap(passable)(squares), 0.0, NARROW_FRONTIER_COST)
     ends = jnp.where(
-        jax.vmap(frontier)(squares) | unseen, narrow + VISITED_FRONTIER_COST * known.visited, UNREACHABLE
+        jax.vmap(frontier)(squares) | unseen, narrow + VISITED_FRONTIER_COST * visited, UNREACHABLE
     )
 
     def one(
@@ -98,21 +116,29 @@ def plan_paths(
         pose: jax.Array,
         mates: jax.Array,
         age: jax.Array,
-        me: jax.Array,
+        first: Array,
         end: jax.Array,
         want: Array,
     ) -> tuple[jax.Array, ...]:
-        end = jnp.minimum(end + frontier_costs(grid, pose, mates, age, me), UNREACHABLE)
+        end = jnp.minimum(end + frontier_costs(grid, pose, mates, age, first), UNREACHABLE)
         return path_to_nearest(
             grid, here, pose, jnp.where(jnp.isnan(want), end, want), blocked=near_others(grid, mates, age)
         )
 
-    slots = jnp.arange(len(squares))
-    ways = jax.vmap(one)(squares, known.pose, known.mate_headers, ages, slots, ends, wanted)
-    return belief.replace(waypoint=ways[0], goal=ways[1], path_length=ways[2])
+    first = heeded < planners[:, None]
+    ways = jax.vmap(one)(squares, known.pose[mine], mates, ages, first, ends, wanted)
+    before = belief.waypoint, belief.goal, belief.path_length
+    after = [set_rows(old, (planners, new)) for old, new in zip(before, ways, strict=True)]
+    return belief.replace(waypoint=after[0], goal=after[1], path_length=after[2])
 
 
-def frontier_costs(grid: MapGrid, pose: Array, mates: Array, age: Array, me: Array) -> jax.Array:
+def _rows_of(planners: np.ndarray) -> slice | np.ndarray:
+    """Return what takes the planners' rows: a slice if it can be, as that copies no maps."""
+    low, count = int(planners[0]), len(planners)
+    return slice(low, low + count) if (planners == low + np.arange(count)).all() else planners
+
+
+def frontier_costs(grid: MapGrid, pose: Array, mates: Array, age: Array, first: Array) -> jax.Array:
     """Return how much longer the way to each square seems for what it is, in squares (i, j).
 
     A robot leaves a frontier to those that are nearer to it, as the crow flies, and that it has heard of, of
@@ -122,13 +148,12 @@ def frontier_costs(grid: MapGrid, pose: Array, mates: Array, age: Array, me: Arr
     Args:
         grid: The squares.
         pose: Of the robot (3,).
-        mates: Headers that it received from the others (robots, HEADER_SIZE).
-        age: How long ago [s]; infinite: it does not heed that one (robots,).
-        me: Its slot ().
+        mates: Headers that it received from others (mates, HEADER_SIZE).
+        age: How long ago [s]; infinite: it does not heed that one (mates,).
+        first: Whether their slots are lower than its own (mates,).
     """
-    known = (age < STALE_AGE)[:, None, None]
+    known, first = (age < STALE_AGE)[:, None, None], first[:, None, None]
     mine, theirs = grid.gaps(pose[:2]), grid.squared_gaps(mates[:, :2])
-    first = (jnp.arange(len(mates)) < me)[:, None, None]
     low, high = jnp.maximum(mine - SAME_GAP, 0.0), mine + SAME_GAP
     nearer = (theirs < low * low) | ((theirs < high * high) & first)
     rank = (known & nearer).sum(0)

@@ -187,13 +187,13 @@ class TeamTask(Task):
         )
 
     def planner_settings(self, scene: Scene) -> PlannerSettings:
-        """Return how the robots plan; nobody heeds what does not move."""
+        """Return how the robots plan: those that move, and nobody heeds what does not."""
         flyers, agents = np.zeros(scene.num_robots, bool), np.zeros(scene.num_robots, bool)
         for group in scene.groups:
             flyers[group.slots] = flies(group.robot)
         agents[self.agents(scene)] = True
         peers = agents & (flyers[:, None] == flyers) & ~np.eye(scene.num_robots, dtype=bool)
-        return PlannerSettings(peers=peers, flyers=flyers)
+        return PlannerSettings(peers=peers, flyers=flyers, planners=np.flatnonzero(agents))
 
     def recipients(self, scene: Scene) -> np.ndarray:
         """Return who sends messages to whom (robots, robots)."""
