@@ -45,6 +45,33 @@ def test_distances_on_warp_are_those_of_jax(shape):
         assert 0.1 < (np.asarray(found) < UNREACHABLE).mean() < 0.9
 
 
+BOXES = {
+    "a corner": (slice(0, 4), slice(0, 6)),
+    "the last corner": (slice(-5, None), slice(-3, None)),
+    "the middle": (slice(9, 20), slice(7, 13)),
+    "a row": (slice(12, 13), slice(None)),
+    "a square": (slice(3, 4), slice(5, 6)),
+    "nothing": (slice(0, 0), slice(0, 0)),
+}
+"""Where squares are open."""
+
+
+@pytest.mark.parametrize("box", BOXES)
+@pytest.mark.parametrize("shape", SHAPES[2:])
+def test_what_is_open_in_a_part_of_a_map_is_found_from_all_around_it(shape, box):
+    """Ways begin in squares beside it, too, and what cannot be entered stays as it was."""
+    start, open_, toll, _ = mazes(shape)
+    part = np.zeros(shape, bool)
+    part[BOXES[box]] = True
+    draw = np.random.default_rng(3)
+    start = jnp.where(draw.random(start.shape) < 0.3, draw.uniform(0, 9, start.shape), start)
+    enter = jnp.where(open_ & part, toll, jnp.inf)
+    found = of_all(lambda start, enter: distances_on_warp(start, enter, None))(start, enter)
+    swept = of_all(lambda start, enter: swept_distances(start, enter, None))(start, enter)
+    np.testing.assert_array_equal(found, swept)
+    assert ((np.asarray(found) < np.asarray(start)).any()) == (box != "nothing")
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_distances_on_warp_are_those_of_dijkstra(seed):
     start, open_, toll = labyrinth(seed)

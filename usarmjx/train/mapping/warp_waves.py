@@ -1,8 +1,9 @@
 """Distances over maps on Warp, and the ways down them: all maps of all worlds and robots in one launch.
 
-A block of threads has a map to itself, its distances in shared memory if there is room, and sweeps it from
-all four sides as `sweeps` does: each thread has a square of the row that is entered, and all wait for each
-other after it. On a CPU, where tests run it, the first thread of a block does the whole map.
+A block of threads has a map to itself, its distances in shared memory if there is room, and sweeps the
+rectangle around all that can be entered from all four sides as `sweeps` does: each thread has a square of the
+row that is entered, and all wait for each other after it. On a CPU, where tests run it, the first thread of a
+block does the whole map.
 """
 
 from functools import reduce
@@ -62,26 +63,59 @@ SWEEPS = """
     const int cost_stride = columns;
 #endif
     const float* const begin = start.data + first;
-    for (int k = lane; k < squares; k += lanes) far[k + k / columns * (stride - columns)] = begin[k];
+    int low_row = rows, low_column = columns, high_row = -1, high_column = -1;
+    for (int k = lane; k < squares; k += lanes) {
+        const int row = k / columns;
+        const int column = k - row * columns;
+        far[row * stride + column] = begin[k];
+        if (given[k] < none) {
+            low_row = row < low_row ? row : low_row;
+            high_row = row > high_row ? row : high_row;
+            low_column = column < low_column ? column : low_column;
+            high_column = column > high_column ? column : high_column;
+        }
+    }
+#if defined(__CUDA_ARCH__)
+    __shared__ int low[2], high[2];
+    if (lane == 0) {
+        low[0] = rows;
+        low[1] = columns;
+        high[0] = high[1] = -1;
+    }
+    wait();
+    atomicMin(&low[0], low_row);
+    atomicMin(&low[1], low_column);
+    atomicMax(&high[0], high_row);
+    atomicMax(&high[1], high_column);
+    wait();
+    low_row = low[0], low_column = low[1], high_row = high[0], high_column = high[1];
+#endif
+    // All that can be entered, and what is beside it: ways may begin there.
+    low_row -= low_row > 0;
+    low_column -= low_column > 0;
+    const int box_rows = (high_row + 1 < rows ? high_row + 1 : high_row) - low_row + 1;
+    const int box_columns = (high_column + 1 < columns ? high_column + 1 : high_column) - low_column + 1;
+    const int corner = low_row * stride + low_column;
+    const int cost_corner = low_row * cost_stride + low_column;
     const int i = until.data[2 * map];
     const int asked = i < 0 ? -1 : i * stride + until.data[2 * map + 1];
     wait();
 
-    bool go_on = true;
+    bool go_on = high_row >= 0;
     while (go_on) {
         float least = none;  // of the squares of this thread that came nearer in this turn
         for (int side = 0; side < 4; ++side) {
-            const int lines = side < 2 ? rows : columns;
-            const int across = side < 2 ? columns : rows;
+            const int lines = side < 2 ? box_rows : box_columns;
+            const int across = side < 2 ? box_columns : box_rows;
             const bool back = side % 2 != 0;
             const int step = side < 2 ? stride : 1;
             const int beside = side < 2 ? 1 : stride;
             const int on = back ? -step : step;
-            int line = back ? (lines - 1) * step : 0;
+            int line = corner + (back ? (lines - 1) * step : 0);
             const int cost_step = side < 2 ? cost_stride : 1;
             const int cost_beside = side < 2 ? 1 : cost_stride;
             const int cost_on = back ? -cost_step : cost_step;
-            int entered = (back ? (lines - 1) * cost_step : 0) + cost_on;
+            int entered = cost_corner + (back ? (lines - 1) * cost_step : 0) + cost_on;
             // What it costs to enter a thread's first square is read a line ahead.
             float next = lines > 1 && lane < across ? cost[entered + lane * cost_beside] : 0.0f;
             for (int n = 1; n < lines; ++n) {
