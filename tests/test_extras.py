@@ -72,6 +72,23 @@ def test_training_names_the_extra_before_it_builds_anything():
     assert done.stderr.endswith('this needs brax: pip install "usarmjx[train]"\n')
 
 
+def test_a_start_on_planar_imports_neither_brax_nor_mjx():
+    """Brax imports MJX, and that Warp's kernels for MuJoCo: two seconds that only what is traced may take."""
+    code = """
+import sys
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.trainer import Trainer
+from usarmjx.train.make import make
+from usarmjx.train.processes.group import ProcessGroup
+
+config = Config(worlds=2, minibatches=1, blocks=1, layers=(4,), critic_layers=(4,))
+Trainer(make("drive-to-goal", worlds=2, engine="planar"), config, ProcessGroup()).start()
+print([name for name in ("brax", "mujoco.mjx") if name in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "[]\n", done.stderr
+
+
 def test_the_base_installation_runs_packaged_policies_and_names_the_extra_for_the_rest(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT % ALL + USE], capture_output=True, text=True, cwd=tmp_path

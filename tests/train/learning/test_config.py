@@ -131,6 +131,7 @@ def runs_of(task, engine):
         ("relay-chain", "planar", {"physics": "coarse"}, {0, 1, 2}),
         ("hover-inspect", "planar", {}, {0, 1, 2}),
         ("wander", "planar", {}, {0, 1}),
+        ("convoy", "planar", {}, {0}),
         ("hover-inspect", "warp", {}, {0}),
         ("wander", "warp", {}, {0}),
         ("relay-chain", "warp", {}, {0}),

@@ -6,12 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from brax.training.acme import running_statistics
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.train.toys import DriveToy
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.ppo import _adapt, _shuffle, surrogate
+from usarmjx.train.learning.statistics import init_statistics
 from usarmjx.train.learning.train_state import critic_values
 from usarmjx.train.processes.group import ProcessGroup
 
@@ -146,6 +148,16 @@ def test_statistics_are_the_mean_and_deviation_of_what_was_good(trainer, collect
         assert_allclose(found.mean, rows.mean(0), atol=1e-5)
         assert_allclose(found.std, rows.std(0), atol=1e-5)
     assert int(new.obs_statistics[0].running.count) == good.sum() * 2
+
+
+def test_statistics_begin_as_braxs_do():
+    """With the names of Brax's fields: checkpoints of before find their leaves."""
+    ours = jax.tree.flatten_with_path(init_statistics(3).running)[0]
+    theirs = jax.tree.flatten_with_path(running_statistics.init_state(jnp.zeros(3), std_eps=0.0))[0]
+    assert [str(path) for path, _ in ours] == [str(path) for path, _ in theirs]
+    for (_, one), (_, other) in zip(ours, theirs, strict=True):
+        assert_array_equal(one, other)
+        assert one.dtype == jnp.asarray(other).dtype
 
 
 @pytest.mark.parametrize("processes", [1, 2, 4])
