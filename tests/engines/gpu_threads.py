@@ -90,6 +90,18 @@ unsigned __ballot_sync(unsigned mask, bool x) {
     return found;
 }
 int __any_sync(unsigned mask, bool x) { return __ballot_sync(mask, x) != 0u; }
+int atomicMin(int* at, int value) {
+    const std::lock_guard<std::mutex> only(making);
+    const int old = *at;
+    *at = std::min(old, value);
+    return old;
+}
+int atomicMax(int* at, int value) {
+    const std::lock_guard<std::mutex> only(making);
+    const int old = *at;
+    *at = std::max(old, value);
+    return old;
+}
 int __popc(unsigned x) { return __builtin_popcount(x); }
 int __ffs(int x) { return __builtin_ffs(x); }
 """

@@ -1,10 +1,13 @@
 """Waves over maps on Warp, whose kernels run here on its CPU device: distances and ways are those of JAX."""
 
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.engines.gpu_threads import COMPILER, run_as_on_a_gpu
 from tests.train.mapping.mazes import mazes
 from tests.train.mapping.test_maps import labyrinth, shortest
 from usarmjx.train.mapping import wavefront
@@ -12,8 +15,11 @@ from usarmjx.train.mapping.sweeps import swept_distances
 from usarmjx.train.mapping.wavefront import UNREACHABLE, distances, path_on_jax, spread_distances
 
 pytest.importorskip("warp", reason="needs warp-lang")
+import warp as wp
+
+from usarmjx.train.mapping import warp_waves
 from usarmjx.train.mapping.warp_distances import distances_on_warp, path_on_warp
-from usarmjx.train.mapping.warp_waves import LARGE_ROOM, SMALL_ROOM
+from usarmjx.train.mapping.warp_waves import LARGE_ROOM, LARGE_THREADS, SMALL_ROOM, SMALL_THREADS
 
 SHAPES = [(1, 1), (1, 9), (41, 33), (33, 48), (70, 100)]
 
@@ -70,6 +76,32 @@ def test_what_is_open_in_a_part_of_a_map_is_found_from_all_around_it(shape, box)
     swept = of_all(lambda start, enter: swept_distances(start, enter, None))(start, enter)
     np.testing.assert_array_equal(found, swept)
     assert ((np.asarray(found) < np.asarray(start)).any()) == (box != "nothing")
+
+
+@pytest.mark.skipif(not COMPILER, reason="needs a compiler of C++")
+@pytest.mark.parametrize(("shape", "small"), [((19, 13), True), ((33, 48), False)])
+def test_the_threads_of_a_gpu_sweep_together_as_one_does(shape, small):
+    """Three maps: open all over, in a part of it, and nowhere."""
+    start, open_, toll, until = (np.array(part)[1, :3] for part in mazes(shape))
+    open_[1, :4], open_[1, :, 9:], open_[2] = False, False, False
+    start[1, 5, 5] = 0.0
+    enter = np.where(open_, toll, np.inf).astype(np.float32)
+    found = jax.vmap(lambda *maps: distances_on_warp(*maps, None))(start, enter)
+    room, threads = (SMALL_ROOM, SMALL_THREADS) if small else (LARGE_ROOM, LARGE_THREADS)
+    code = warp_waves._sweeps_in(room, threads, holds_costs=small)
+    kernel = warp_waves.sweep_small_maps if small else warp_waves.sweep_large_maps
+    anywhere = np.full(until.size, -1, np.int32)
+    args = [start.ravel(), enter.ravel(), anywhere, *shape, np.zeros(start.size, np.float32)]
+    together = run_as_on_a_gpu(code, kernel, args, len(start) * threads, threads)[-1]
+    np.testing.assert_array_equal(together.reshape(start.shape), found)
+    changed = (np.asarray(found) < start).any((1, 2))
+    assert changed.tolist() == [True, True, False]
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="Warp compiles for no GPU there")
+def test_they_compile_for_a_gpu(tmp_path):
+    wp.compile_aot_module(warp_waves, arch=75, module_dir=tmp_path, use_ptx=True)
+    assert list(tmp_path.glob("*.ptx"))
 
 
 @pytest.mark.parametrize("seed", range(3))
