@@ -77,3 +77,23 @@ def test_programs_are_those_of_any_seed(tmp_path, monkeypatch):
     jax.tree.map(np.testing.assert_array_equal, own, found)
     pairs = zip(jax.tree.leaves(first[0].params), jax.tree.leaves(found[0].params), strict=True)
     assert any((one != another).any() for one, another in pairs)
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_what_is_done_meanwhile_begins_once_the_rollout_is_with_xla(fails, monkeypatch):
+    """Also where it could not be traced: its first call tells why."""
+    trainer, order = Trainer(Env(TASK, 2, engine="planar"), CONFIG, ProcessGroup()), []
+
+    def compile_ahead(*shapes, tell):
+        order.append("traced")
+        if fails:
+            raise RuntimeError("it cannot be traced")
+        tell(())
+        order.append("compiled")
+
+    monkeypatch.setattr(trainer.rollout, "compile_ahead", compile_ahead)
+    monkeypatch.setattr(trainer, "compile_update", lambda *_: order.append("update"))
+    with compiling(trainer):
+        assert order[0] == "traced"
+        order.append("meanwhile")
+    assert sorted(order[1:]) == sorted(["meanwhile"] + ([] if fails else ["compiled", "update"]))
