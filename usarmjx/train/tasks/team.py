@@ -159,7 +159,13 @@ class TeamTask(Task):
         return set_rows(jnp.zeros((view.scene.num_robots, 3)), *zip(slots, read, strict=True))
 
     def update_belief(self, view: TaskView, belief: Belief, *, mail: bool = True) -> Belief:
-        """Return the belief after the robots read their sensors and mail, and planned."""
+        """Return the belief after the robots read their sensors and mail, and planned.
+
+        Args:
+            view: The world.
+            belief: That before it.
+            mail: Whether they can have any; at the start of an episode all boxes are empty.
+        """
         grid = self.arena_grid(view.scene)
         belief = update_pose(grid, belief, self.poses(view))
         if mail and view.world.mail is not None:
