@@ -29,6 +29,7 @@ from usarmjx.engines.base import (
 )
 from usarmjx.engines.convex_room import convex_room
 from usarmjx.engines.short_boxes import ShortBoxes
+from usarmjx.engines.sleeping import LooseSleep, make_room
 from usarmjx.engines.warp_graphs import GRAPHS, CapturedGraphs, step_several
 from usarmjx.models.build.compose import Physics
 from usarmjx.models.build.compose_arena import split_long_boxes
@@ -96,7 +97,7 @@ class MjxEngine(Engine[mjx.Data]):
         """Step every world by one control step."""
         data = self.set_qpos(engine_state, inputs.pinned, inputs.pinned_dof, inputs.qpos)
         data = data.replace(ctrl=inputs.ctrl, act=inputs.act, xfrc_applied=inputs.xfrc_applied)
-        fields = self._fields(inputs)
+        fields = self._fields(inputs) | self._fields_of_state(data)
         if not fields:
             model, axes = self.mx, None
         else:
@@ -119,6 +120,11 @@ class MjxEngine(Engine[mjx.Data]):
         # MJX-Warp has some fields in another shape than MuJoCo.
         shapes = {name: (self.worlds, *getattr(self.mx, name).shape) for name in fields}
         return {name: value.reshape(shapes[name]) for name, value in fields.items()}
+
+    def _fields_of_state(self, engine_state: mjx.Data) -> dict[str, jax.Array]:
+        """Return the model's fields that follow from where worlds are (worlds, ...)."""
+        del engine_state
+        return {}
 
     def _moved_fields(self, poses: GeomPoses) -> dict[str, jax.Array]:
         """Return the fields of geoms that are data (worlds, ngeom, ...)."""
@@ -254,6 +260,7 @@ class WarpEngine(MjxEngine):
     name = "warp"
     impl = "warp"
     _graphs = CapturedGraphs()
+    _sleep: LooseSleep | None = None
 
     def __init__(
         self,
@@ -274,6 +281,14 @@ class WarpEngine(MjxEngine):
             atexit.register(finish_steps)
         masses = jnp.asarray(self.model.body_mass, jnp.float32)
         self._masses = masses if self._weight_is_applied(self.model) else None
+        if self.model.nuserdata and self._masses is not None:  # MuJoCo's own gravity cannot be taken off one
+            self._sleep = LooseSleep(self.model, physics.sleep_tolerance, physics.period)
+
+    def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
+        """Return the model, with room for how long loose objects have been still if they may sleep."""
+        if self.physics.sleep_tolerance:
+            make_room(spec)
+        return super().compile(spec)
 
     @staticmethod
     def _weight_is_applied(model: mujoco.MjModel) -> bool:
@@ -309,13 +324,42 @@ class WarpEngine(MjxEngine):
     def advance(self, engine_state: mjx.Data, inputs: Inputs) -> mjx.Data:
         """Step every world by one control step, which begins with no overflow: Warp only ever sets bits."""
         clear = jnp.zeros_like(engine_state._impl.overflow)
+        engine_state = engine_state.tree_replace({"_impl.overflow": clear})
+        awake: jax.Array | None = None
+        if self._sleep is not None:
+            still = self._sleep.still_steps(engine_state, inputs.xfrc_applied)
+            engine_state, awake = engine_state.replace(userdata=still), ~self._sleep.asleep(still)
+            held = jnp.asarray(inputs.pinned_dof).at[:, self._sleep.dofadr].max(~awake[..., None])
+            inputs = inputs.replace(pinned_dof=held)
         if self._masses is not None:
-            masses = self._fields(inputs).get("body_mass", self._masses)
-            weight = masses.reshape(-1, self.model.nbody, 1) * jnp.asarray(
-                self.model.opt.gravity, jnp.float32
-            )
+            masses = self._fields(inputs).get("body_mass", self._masses).reshape(-1, self.model.nbody)
+            if self._sleep is not None and awake is not None:
+                masses = jnp.broadcast_to(masses, (self.worlds, self.model.nbody))
+                masses = masses.at[:, self._sleep.bodies].multiply(awake)
+            weight = masses[..., None] * jnp.asarray(self.model.opt.gravity, jnp.float32)
             inputs = inputs.replace(xfrc_applied=jnp.asarray(inputs.xfrc_applied).at[..., :3].add(weight))
-        return super().advance(engine_state.tree_replace({"_impl.overflow": clear}), inputs)
+        return super().advance(engine_state, inputs)
+
+    def _fields_of_state(self, engine_state: mjx.Data) -> dict[str, jax.Array]:
+        """Return margins with which what sleeps touches nothing."""
+        if self._sleep is None:
+            return {}
+        asleep = self._sleep.asleep(engine_state.userdata)
+        margin = self._sleep.margin(self.mx.geom_margin, asleep)
+        return {"geom_margin": margin.reshape(self.worlds, *self.mx.geom_margin.shape)}
+
+    def set_qpos(self, engine_state: mjx.Data, pinned: Array, pinned_dof: Array, qpos: Array) -> mjx.Data:
+        """Put the pinned coordinates at qpos, at rest; loose objects that this moves are awake."""
+        done = super().set_qpos(engine_state, pinned, pinned_dof, qpos)
+        if self._sleep is None:
+            return done
+        moved = self._sleep.moved(pinned, qpos, engine_state.qpos)
+        return done.replace(userdata=jnp.where(moved, 0.0, engine_state.userdata))
+
+    def reset(self, engine_state: mjx.Data, mask: Array, qpos: Array) -> mjx.Data:
+        """Put the masked worlds at rest at qpos, with all awake; the others keep every bit."""
+        done = super().reset(engine_state, mask, qpos)
+        return done.replace(userdata=jnp.where(mask[:, None], 0.0, engine_state.userdata))
 
     def use_graphs(self, name: str) -> None:
         """Capture other CUDA graphs than usual, of `GRAPHS`; what is compiled already stays."""
