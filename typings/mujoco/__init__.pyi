@@ -70,6 +70,8 @@ class MjModel:
     body_jntnum: np.ndarray
     body_mass: np.ndarray
     body_parentid: np.ndarray
+    body_rootid: np.ndarray
+    body_weldid: np.ndarray
     body_pos: np.ndarray
     body_quat: np.ndarray
     body_subtreemass: np.ndarray
@@ -133,6 +135,7 @@ class MjModel:
     njnt: int
     nq: int
     ntendon: int
+    nuserdata: int
     ntree: int
     nu: int
     nv: int
@@ -211,6 +214,7 @@ class MjSpec:
     meshes: list[MjsMesh]
     memory: int
     modelname: str
+    nuserdata: int
     option: MjOption
     pairs: list[Any]
     sensors: list[Any]

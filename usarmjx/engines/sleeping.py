@@ -1,4 +1,4 @@
-"""Loose objects that lie still sleep on engine `warp`: their contacts are not solved until something comes near.
+"""Loose objects that lie still sleep on engine `warp`: they have no contacts until something comes near.
 
 MuJoCo Warp's own sleeping needs the Newton solver. Here a margin far below 0, which MuJoCo adds to that of
 whatever is beside a geom, lets neither broad phase nor solver find a contact of what sleeps; it has no weight
@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from mujoco import mjx
 
 from usarmjx.base.arrays import Array
 from usarmjx.models.build.compose_arena import LOOSE_PREFIX, VICTIM_PREFIX
@@ -33,7 +34,8 @@ class LooseSleep:
 
     Args:
         model: The engine's model.
-        tolerance: An object that moves slower is still [m/s]; of turning the speed at its bounding sphere counts.
+        tolerance: An object that moves slower is still [m/s]; turning counts by the speed of what is farthest
+            from its middle.
         period: The control step [s].
     """
 
@@ -61,14 +63,14 @@ class LooseSleep:
         self._radius = np.zeros(len(self.bodies), np.float32)
         np.maximum.at(self._radius, self._owner, radius[self.geoms])
 
-    def still_steps(self, data: object, force: Array) -> jax.Array:
+    def still_steps(self, data: mjx.Data, force: Array) -> jax.Array:
         """Return for how long each object has been still, this control step included (worlds, objects).
 
         Args:
-            data: The engine's state, an mjx.Data of all worlds.
+            data: The engine's state, of all worlds.
             force: Forces and torques from outside on each body (worlds, nbody, 6).
         """
-        qvel, xpos, before = (getattr(data, name) for name in ("qvel", "geom_xpos", "userdata"))
+        qvel, xpos = data.qvel, data.geom_xpos
         own = qvel[:, self.dofadr]
         speed = jnp.linalg.norm(own[..., :3], axis=-1)
         speed += self._radius * jnp.linalg.norm(own[..., 3:], axis=-1)
@@ -77,7 +79,7 @@ class LooseSleep:
         near = (self._apart(xpos, self._movers) < self._reach + self._ahead(qvel)[:, None]).any(-1)
         beside = (self._apart(xpos, self.geoms) < self._between) & moving[:, None, self._owner]
         disturbed = moving | self._any(near | beside.any(-1))
-        return jnp.where(disturbed, 0.0, before + 1.0)
+        return jnp.where(disturbed, 0.0, data.userdata + 1.0)
 
     def asleep(self, still_steps: jax.Array) -> jax.Array:
         """Return which objects sleep (worlds, objects)."""

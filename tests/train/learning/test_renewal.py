@@ -13,6 +13,7 @@ from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.models.build.reach import footprint_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.train.envs.splits import held_out
+from usarmjx.train.learning import renewal
 from usarmjx.train.learning.checkpoint import Checkpoints, read_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
@@ -115,6 +116,24 @@ def test_a_stream_begins_with_the_first_arenas_and_goes_on(env):
     assert stream.arenas(1) is None
     assert_array_equal(stream.arenas(4).pos, env.renewed_arenas(2).pos)
     assert_array_equal(ArenaStream(env, 2, 6).arenas(5).pos, env.renewed_arenas(2).pos)
+
+
+def test_other_processes_generate_the_same_arenas(env, monkeypatch):
+    expected = env.renewed_arenas(2)
+    stream = ArenaStream(env, 2, 6, workers=2)
+
+    def nobody(arena, number, seed):
+        raise AssertionError("generated here")
+
+    monkeypatch.setattr(Buildings, "arena", nobody)
+    for one, other in zip(jax.tree.leaves(stream.arenas(4)), jax.tree.leaves(expected), strict=True):
+        assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize(("cores", "processes", "workers"), [(2, 1, 0), (8, 1, 2), (16, 1, 4), (64, 8, 2)])
+def test_there_are_workers_where_cores_are_left_for_them(monkeypatch, cores, processes, workers):
+    monkeypatch.setattr(renewal, "cores", lambda: cores)
+    assert renewal.workers_for(processes) == workers
 
 
 def test_no_arenas_are_generated_that_no_iteration_would_meet(env, monkeypatch):

@@ -14,6 +14,7 @@ class Model(_Node):
     geom_size: Array
     geom_aabb: Array
     geom_rbound: Array
+    geom_margin: Array
     _impl: Any
 
 class Data(_Node):
@@ -25,6 +26,7 @@ class Data(_Node):
     xfrc_applied: Array
     qacc_warmstart: Array
     geom_xpos: Array
+    userdata: Array
     _impl: Any
 
 def put_model(m: MjModel, device: Any = None, impl: str | None = None) -> Model: ...

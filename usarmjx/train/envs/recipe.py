@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
+from usarmjx.base.worker_processes import spread
 from usarmjx.models.build.reach import RobotFootprint
 from usarmjx.models.generate import KINDS, Difficulty, generate
 from usarmjx.models.generate.kinds import USUAL_STARTS
@@ -113,13 +114,28 @@ class GeneratedArenas:
         Raises:
             UsageError: `RENEWAL_TRIES` arenas could not be taken one after the other; says why the last.
         """
-        return tuple(self._renewed(number, generation, check) for number in range(self.total))
+        # The first that is drawn for each place mostly fits.
+        drawn = [self._drawn(generation, number) for number in range(self.total)]
+        first = spread(self._arena_of, [(number, seeds[0]) for number, seeds in enumerate(drawn)])
+        return tuple(
+            self._fitting(number, (arena, seeds), check)
+            for number, (arena, seeds) in enumerate(zip(first, drawn, strict=True))
+        )
 
-    def _renewed(self, number: int, generation: int, check: Callable[[ArenaSpec], None]) -> ArenaSpec:
-        drawn = (self.seed, generation, number)
+    def _drawn(self, generation: int, number: int) -> list[int]:
+        """Return the seeds that are tried for a place."""
+        return SPLITS.get(self.split).seeds((self.seed, generation, number), RENEWAL_TRIES).tolist()
+
+    def _arena_of(self, place: tuple[int, int]) -> ArenaSpec:
+        return self.arena(*place)
+
+    def _fitting(
+        self, number: int, first: tuple[ArenaSpec, list[int]], check: Callable[[ArenaSpec], None]
+    ) -> ArenaSpec:
+        """Return the first arena of some seeds that can be taken; that of the first of them is known."""
         why = ""
-        for seed in SPLITS.get(self.split).seeds(drawn, RENEWAL_TRIES).tolist():
-            arena = self.arena(number, seed)
+        for turn, seed in enumerate(first[1]):
+            arena = self.arena(number, seed) if turn else first[0]
             try:
                 check(arena)
             except SpecError as error:

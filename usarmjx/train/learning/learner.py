@@ -18,7 +18,7 @@ from usarmjx.train.evaluation.evaluate import play_episodes
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.imitation import teacher_of
 from usarmjx.train.learning.ppo import update
-from usarmjx.train.learning.renewal import ArenaStream
+from usarmjx.train.learning.renewal import ArenaStream, workers_for
 from usarmjx.train.learning.rollout import Rollout
 from usarmjx.train.learning.train_state import (
     ROLLOUT_STREAM,
@@ -66,7 +66,8 @@ class Trainer:
         self.networks = make_networks(env.groups, env.privileged_size, config)
         self.agents = self.networks.agent_count
         self.iterations = config.iterations(self.agents)
-        self.stream = ArenaStream(env, config.renew, self.iterations)
+        workers = workers_for(process_group.count)
+        self.stream = ArenaStream(env, config.renew, self.iterations, workers)
         teacher = teacher_of(env) if config.imitate else None
         known: ProgramKeeper | None = getattr(env, "keeper", None)
         # Of each seed they are the same.

@@ -1,10 +1,19 @@
-"""An endless stream of generated arenas: others take the place of those that were trained on for a while."""
+"""An endless stream of generated arenas: others take the place of those that were trained on for a while.
+
+48 large buildings are two to three seconds of work for a processor, and a GPU may need others every second:
+where there are cores for it, processes beside this one make them.
+"""
 
 from concurrent.futures import Future, ThreadPoolExecutor
 from weakref import finalize
 
+from usarmjx.base.threads import cores
+from usarmjx.base.worker_processes import WorkerProcesses, spread_over
 from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.train.envs.env import Env
+
+MOST_WORKERS, CORES_A_WORKER = 4, 4
+"""Processes that generate arenas, at most, and for how many cores there is one."""
 
 
 class ArenaStream:
@@ -16,13 +25,15 @@ class ArenaStream:
         env: The environment; other than renewable arenas stay as they are.
         every: Iterations after which others take their places; 0: they stay.
         iterations: Of the whole run: no arenas are generated for later ones.
+        workers: Processes that generate them; 0: a thread of this one does.
     """
 
-    def __init__(self, env: Env, every: int, iterations: int) -> None:
+    def __init__(self, env: Env, every: int, iterations: int, workers: int = 0) -> None:
         self._env = env
         self.every = every if getattr(env, "renewable", False) else 0  # environments of one's own need it not
         self._last = (iterations - 1) // self.every if self.every else 0
         self._made: dict[int, Future[ArenaState]] = {}
+        self._workers = WorkerProcesses(workers) if workers and self._last else None
         self._maker = ThreadPoolExecutor(1, "arenas")
         finalize(self, self._maker.shutdown, wait=False, cancel_futures=True)
 
@@ -43,5 +54,15 @@ class ArenaStream:
 
     def _ask(self, generation: int) -> "Future[ArenaState]":
         if generation not in self._made:
-            self._made[generation] = self._maker.submit(self._env.renewed_arenas, generation)
+            self._made[generation] = self._maker.submit(_generated, self._env, generation, self._workers)
         return self._made[generation]
+
+
+def _generated(env: Env, generation: int, workers: WorkerProcesses | None) -> ArenaState:
+    with spread_over(workers):
+        return env.renewed_arenas(generation)
+
+
+def workers_for(processes: int) -> int:
+    """Return how many processes generate arenas for each of some trainers on this host."""
+    return min(MOST_WORKERS, cores() // (CORES_A_WORKER * processes))

@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.worker_processes import spread
 from usarmjx.models.build.reach import footprint_of
 from usarmjx.models.generate import Difficulty, generate
 from usarmjx.models.generate.kinds import budget
@@ -117,7 +118,7 @@ def arena_notes(arenas: Sequence[ArenaSpec], grid: MapGrid, robot: str) -> dict[
     """
     size = footprint_of(ROBOTS.get(robot))
     return {
-        "reachable": np.stack([reachable_squares(arena, grid, size) for arena in arenas]),
+        "reachable": np.stack(spread(partial(reachable_squares, grid=grid, size=size), arenas)),
         "extent": np.array([arena.extent for arena in arenas], np.float32),
     }
 
