@@ -29,7 +29,7 @@ NO_CONTACT = -1e3
 class LooseSleep:
     """Which loose objects sleep.
 
-    How long each has been still is MuJoCo's `userdata` (worlds, objects) [control steps], which `make_room`
+    How long each has been still is in the userdata of MuJoCo (worlds, objects) [control steps], which `make_room`
     asks for before the model is compiled.
 
     Args:

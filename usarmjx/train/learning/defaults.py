@@ -74,7 +74,12 @@ USUAL_ENGINE: dict[str, str] = dict.fromkeys(
 )
 """What `auto` is in trainings of these tasks on any machine; their scores are those of C MuJoCo."""
 USUAL_PHYSICS: dict[str, str] = dict.fromkeys(
-    ("explore", "explore-v1", "explore-v2", "relay-chain"), "coarse"
+    (
+        *("explore", "explore-v1", "explore-v2"),
+        *("victim-search", "victim-search-v1", "victim-search-v2"),
+        "relay-chain",
+    ),
+    "coarse",
 )
 """... and the settings of that engine's physics, where they are not the task's."""
 
