@@ -29,8 +29,8 @@ NO_CONTACT = -1e3
 class LooseSleep:
     """Which loose objects sleep.
 
-    How long each has been still is in the userdata of MuJoCo (worlds, objects) [control steps], which `make_room`
-    asks for before the model is compiled.
+    MuJoCo's data for users has for how long each has been still (worlds, objects) [control steps]; `make_room`
+    asks for it before the model is compiled.
 
     Args:
         model: The engine's model.
