@@ -27,7 +27,7 @@ SizeOption = Annotated[
 RadioOption = Annotated[bool, typer.Option("--radio", help="Evaluate all radio links too.")]
 PhysicsOption = Annotated[
     str,
-    typer.Option(help="Settings of the physics: reference, fast, sleeping for warp, or coarse for planar."),
+    typer.Option(help="Settings of the physics: reference, fast, sleeping (warp), coarse (planar)."),
 ]
 SubstepsOption = Annotated[
     int | None, typer.Option(min=1, help="Physics steps per control step; else those of 50 ms.")

@@ -29,8 +29,8 @@ NO_CONTACT = -1e3
 class LooseSleep:
     """Which loose objects sleep.
 
-    MuJoCo's data for users has for how long each has been still (worlds, objects) [control steps]; `make_room`
-    asks for it before the model is compiled.
+    How long each has been still is in MuJoCo's data for users (worlds, objects) [control steps]: `make_room`
+    asks for that before the model is compiled.
 
     Args:
         model: The engine's model.
