@@ -112,7 +112,7 @@ class LooseSleep:
 
 
 def make_room(spec: mujoco.MjSpec) -> int:
-    """Ask for `userdata` for the loose objects of a description; return how many there are."""
+    """Ask for data for users, of the loose objects of a description; return how many there are."""
     count = sum(body.name.startswith(LOOSE_PREFIX) for body in spec.bodies)
     spec.nuserdata = max(spec.nuserdata, count)
     return count
