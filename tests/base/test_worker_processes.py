@@ -93,7 +93,7 @@ def test_they_end_with_the_process_that_began_them_and_run_no_script_again(tmp_p
         "import os\n"
         "from usarmjx.base.worker_processes import WorkerProcesses\n"
         "print(*WorkerProcesses(1).map(abs, [-4]), flush=True)\n"
-        "workers = WorkerProcesses(1)\n"
+        "workers = WorkerProcesses(1, ['usarmjx.base.files'])\n"
         "print(workers._processes[0].pid, flush=True)\n"
         "os._exit(0)\n"  # no finalizer runs
     )

@@ -9,7 +9,7 @@ import pickle
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, TypeVar
 from weakref import finalize
@@ -37,12 +37,14 @@ class WorkerProcesses:
 
     Args:
         count: How many.
+        modules: What each of them imports at once, so that it waits for what is asked.
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, modules: Sequence[str] = ()) -> None:
         path = os.pathsep.join(entry for entry in sys.path if entry)
         settings = {**os.environ, **SETTINGS, "PYTHONPATH": path}
-        command = [sys.executable, "-c", f"from {__name__} import serve; serve()"]
+        imports = "".join(f"import {module}; " for module in modules)
+        command = [sys.executable, "-c", f"from {__name__} import serve; {imports}serve()"]
         pipe = subprocess.PIPE
         self._processes = [
             # In a session of its own Ctrl-C does not reach it: it ends when its input does.
@@ -100,8 +102,11 @@ def serve() -> None:
             found: list[Any] | None = [function(item) for item in items]
         except Exception:
             found = None
-        pickle.dump(found, answers, pickle.HIGHEST_PROTOCOL)
-        answers.flush()
+        try:
+            pickle.dump(found, answers, pickle.HIGHEST_PROTOCOL)
+            answers.flush()
+        except BrokenPipeError:
+            os._exit(0)  # whoever asked has ended; to close the pipe would fail again
 
 
 def _ask(process: subprocess.Popen[bytes], part: list[Any], function: Callable[[Any], Any]) -> bool:

@@ -130,7 +130,9 @@ def test_other_processes_generate_the_same_arenas(env, monkeypatch):
         assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize(("cores", "processes", "workers"), [(2, 1, 0), (8, 1, 2), (16, 1, 4), (64, 8, 2)])
+@pytest.mark.parametrize(
+    ("cores", "processes", "workers"), [(2, 1, 0), (7, 1, 0), (8, 1, 4), (16, 1, 6), (64, 8, 4)]
+)
 def test_there_are_workers_where_cores_are_left_for_them(monkeypatch, cores, processes, workers):
     monkeypatch.setattr(renewal, "cores", lambda: cores)
     assert renewal.workers_for(processes) == workers

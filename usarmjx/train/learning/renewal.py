@@ -11,9 +11,12 @@ from usarmjx.base.threads import cores
 from usarmjx.base.worker_processes import WorkerProcesses, spread_over
 from usarmjx.models.build.arena_set import ArenaState
 from usarmjx.train.envs.env import Env
+from usarmjx.train.scenes.buildings import Buildings
 
-MOST_WORKERS, CORES_A_WORKER = 4, 4
-"""Processes that generate arenas, at most, and for how many cores there is one."""
+MOST_WORKERS, CORES_A_WORKER, LEAST_CORES = 6, 2, 8
+"""Processes that generate arenas, at most, for how many cores there is one, and from how many on."""
+AHEAD = 2
+"""Generations of arenas that are asked for before the first of them is met, so that one may take longer."""
 
 
 class ArenaStream:
@@ -33,7 +36,7 @@ class ArenaStream:
         self.every = every if getattr(env, "renewable", False) else 0  # environments of one's own need it not
         self._last = (iterations - 1) // self.every if self.every else 0
         self._made: dict[int, Future[ArenaState]] = {}
-        self._workers = WorkerProcesses(workers) if workers and self._last else None
+        self._workers = WorkerProcesses(workers, [Buildings.__module__]) if workers and self._last else None
         self._maker = ThreadPoolExecutor(1, "arenas")
         finalize(self, self._maker.shutdown, wait=False, cancel_futures=True)
 
@@ -48,8 +51,8 @@ class ArenaStream:
         generation = iteration // self.every
         self._made = {number: made for number, made in self._made.items() if number >= generation}
         wanted = self._ask(generation) if generation else None
-        if generation < self._last:
-            self._ask(generation + 1)
+        for later in range(generation + 1, min(generation + AHEAD, self._last) + 1):
+            self._ask(later)
         return wanted.result() if wanted else None
 
     def _ask(self, generation: int) -> "Future[ArenaState]":
@@ -65,4 +68,5 @@ def _generated(env: Env, generation: int, workers: WorkerProcesses | None) -> Ar
 
 def workers_for(processes: int) -> int:
     """Return how many processes generate arenas for each of some trainers on this host."""
-    return min(MOST_WORKERS, cores() // (CORES_A_WORKER * processes))
+    mine = cores() // processes
+    return min(MOST_WORKERS, mine // CORES_A_WORKER) if mine >= LEAST_CORES else 0
