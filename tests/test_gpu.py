@@ -15,7 +15,6 @@ from tests.engines.test_planar_contact import PEN
 from tests.sim.test_arena_sets import ARENAS, EXACT, TOLERANCE, drive
 from tests.train.envs.test_steady import goal_env, live_bytes, used_after
 from tests.train.mapping.mazes import mazes
-from tests.train.mapping.test_warp_squares import COST, teams
 from usarmjx.engines import choose_engine
 from usarmjx.engines.planar import engine as planar_engine
 from usarmjx.engines.planar.footprints import keep_apart
@@ -27,7 +26,6 @@ from usarmjx.sensors.rays.choice import warp_in_use
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import RosterEntry, build_scene
 from usarmjx.train.make import make
-from usarmjx.train.mapping.planning import weigh_on_jax, weigh_squares
 from usarmjx.train.mapping.wavefront import distances, path_on_jax, shortest_path, spread_distances
 
 pytestmark = pytest.mark.gpu
@@ -210,19 +208,6 @@ def test_waves_over_maps_are_those_of_jax_bit_for_bit(shape):
     wave = of_all(lambda start, open_, toll, _: spread_distances(start, open_, toll, None))
     np.testing.assert_array_equal(found, wave)
     jax.tree.map(np.testing.assert_array_equal, of_all(way), of_all(wave_way))
-
-
-def test_squares_cost_on_the_gpu_what_jax_works_out():
-    pytest.importorskip("warp", reason="needs warp-lang")
-    grid, known = teams((97, 65), wants=True)
-
-    def of_all(weigh):
-        return jax.jit(jax.vmap(jax.vmap(partial(weigh, grid))))(*known)
-
-    assert warp_in_use()
-    (ends, enter), expected = of_all(weigh_squares), of_all(weigh_on_jax)
-    np.testing.assert_allclose(ends, expected[0], atol=COST, rtol=1e-6)
-    np.testing.assert_array_equal(enter, expected[1])
 
 
 def test_more_threads_than_a_row_of_blocks_has_are_all_launched():

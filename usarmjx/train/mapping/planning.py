@@ -12,12 +12,11 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import set_rows
 from usarmjx.base.fusion import kept_on_gpu
-from usarmjx.sensors.rays.choice import warp_in_use
 from usarmjx.train.mapping.belief import RECENT_AGE, STALE_AGE, Belief
 from usarmjx.train.mapping.maps import FREE, MapGrid
 from usarmjx.train.mapping.wavefront import (
     UNREACHABLE,
-    entered_distances,
+    distances,
     frontier,
     passable,
     shortest_path,
@@ -47,34 +46,6 @@ HOME_RADIUS = 1.5
 """A robot that comes home comes so close to its base [m]."""
 TURN_COST = 3.0
 """So much longer, in squares, does the way to a frontier right behind a robot seem: it would have to turn."""
-
-
-class Seen(NamedTuple):
-    """What a robot knows of squares.
-
-    Attributes:
-        squares: What they are known to be (i, j).
-        unseen: Which it has yet to fly over, if it flies (i, j).
-        visited: Where it has been (i, j).
-    """
-
-    squares: Array
-    unseen: Array
-    visited: Array
-
-
-class Mates(NamedTuple):
-    """What a robot knows of those that it heeds.
-
-    Attributes:
-        headers: That it received from them (mates, HEADER_SIZE).
-        ages: How long ago [s]; infinite: it does not heed that one (mates,).
-        lower: Whether their slots are lower than its own (mates,).
-    """
-
-    headers: Array
-    ages: Array
-    lower: Array
 
 
 class PlannerSettings(NamedTuple):
@@ -131,20 +102,31 @@ def plan_paths(
     flyers, visited = settings.flyers[mine, None, None], known.visited[mine]
     squares = jnp.where(flyers, FREE, known.squares[mine])
     unseen = flyers & (known.evidence[mine] == 0)
+    wanted = jnp.full(squares.shape, jnp.nan) if wanted is None else wanted[mine]
     ages = jnp.where(heeded >= 0, time - known.heard_time[planners[:, None], heeded], jnp.inf)
     mates = known.mate_headers[planners[:, None], heeded]
 
-    first = jnp.asarray(heeded < planners[:, None])
-
-    def one(pose: jax.Array, here: Seen, others: Mates, want: jax.Array | None) -> tuple[jax.Array, ...]:
-        return path_to_nearest(grid, pose, *weigh_squares(grid, pose, here, others, want))
-
-    ways = jax.vmap(one)(
-        known.pose[mine],
-        Seen(squares, unseen, visited),
-        Mates(mates, ages, first),
-        None if wanted is None else wanted[mine],
+    narrow = jnp.where(jax.vmap(passable)(squares), 0.0, NARROW_FRONTIER_COST)
+    ends = jnp.where(
+        jax.vmap(frontier)(squares) | unseen, narrow + VISITED_FRONTIER_COST * visited, UNREACHABLE
     )
+
+    def one(
+        here: jax.Array,
+        pose: jax.Array,
+        mates: jax.Array,
+        age: jax.Array,
+        first: Array,
+        end: jax.Array,
+        want: Array,
+    ) -> tuple[jax.Array, ...]:
+        end = jnp.minimum(end + frontier_costs(grid, pose, mates, age, first), UNREACHABLE)
+        return path_to_nearest(
+            grid, here, pose, jnp.where(jnp.isnan(want), end, want), blocked=near_others(grid, mates, age)
+        )
+
+    first = heeded < planners[:, None]
+    ways = jax.vmap(one)(squares, known.pose[mine], mates, ages, first, ends, wanted)
     before = belief.waypoint, belief.goal, belief.path_length
     after = [set_rows(old, (planners, new)) for old, new in zip(before, ways, strict=True)]
     return belief.replace(waypoint=after[0], goal=after[1], path_length=after[2])
@@ -154,47 +136,6 @@ def _rows_of(planners: np.ndarray) -> slice | np.ndarray:
     """Return what takes the planners' rows: a slice if it can be, as that copies no maps."""
     low, count = int(planners[0]), len(planners)
     return slice(low, low + count) if (planners == low + np.arange(count)).all() else planners
-
-
-def weigh_squares(
-    grid: MapGrid, pose: Array, seen: Seen, mates: Mates, wanted: Array | None
-) -> tuple[jax.Array, jax.Array]:
-    """Return what a way costs that ends in a square, and what it costs to enter one, in squares (i, j).
-
-    Of the former `UNREACHABLE`: none ends there; of the latter infinite: none leads through it.
-
-    Args:
-        grid: The squares.
-        pose: Of the robot (3,).
-        seen: What it knows of the squares.
-        mates: What it knows of others.
-        wanted: What the way to squares costs at its end, where it does not look for a frontier; NaN: it does;
-            None: it does everywhere (i, j).
-    """
-    if warp_in_use():
-        from usarmjx.train.mapping import warp_squares  # Warp need not be installed
-
-        return warp_squares.weigh_of_one(grid, pose, seen, mates, wanted)
-    return weigh_on_jax(grid, pose, seen, mates, wanted)
-
-
-def weigh_on_jax(
-    grid: MapGrid, pose: Array, seen: Seen, mates: Mates, wanted: Array | None
-) -> tuple[jax.Array, jax.Array]:
-    """As `weigh_squares`, all squares at once."""
-    clear = passable(seen.squares)
-    ends = jnp.where(
-        frontier(seen.squares) | seen.unseen,
-        jnp.where(clear, 0.0, NARROW_FRONTIER_COST) + VISITED_FRONTIER_COST * seen.visited,
-        UNREACHABLE,
-    )
-    ends = jnp.minimum(ends + frontier_costs(grid, pose, *mates), UNREACHABLE)
-    ends = ends if wanted is None else jnp.where(jnp.isnan(wanted), ends, wanted)
-    blocked = near_others(grid, mates.headers, mates.ages)
-    open_ = (seen.squares == FREE) & ~(blocked & (grid.gaps(pose[:2]) > grid.cell))
-    here = grid.index(pose[:2])
-    open_ = open_.at[here[0], here[1]].set(True)
-    return ends, jnp.where(open_, jnp.where(clear, 0.0, WALL_COST), jnp.inf)
 
 
 def frontier_costs(grid: MapGrid, pose: Array, mates: Array, age: Array, first: Array) -> jax.Array:
@@ -231,21 +172,29 @@ def near_others(grid: MapGrid, mates: Array, age: Array) -> jax.Array:
 
 
 def path_to_nearest(
-    grid: MapGrid, pose: Array, ends: Array, enter: Array
+    grid: MapGrid,
+    squares: Array,
+    pose: Array,
+    sources: Array,
+    *,
+    blocked: Array | bool = False,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return the next position on a robot's path to the nearest end, where that leads, and its length.
+    """Return the next position on a robot's path to the nearest source, where that leads, and its length.
 
     Args:
         grid: The squares.
+        squares: What it believes of them (i, j).
         pose: Of the robot (3,).
-        ends: What a way that ends in a square costs at its end, as `weigh_squares` returns it (i, j).
-        enter: What it costs to enter a square, likewise (i, j).
+        sources: What a way that ends in a square costs at its end; `UNREACHABLE`: none ends there (i, j).
+        blocked: Squares that it does not drive through, though they are free (i, j).
 
     Returns:
         Two positions [m] (2,), and the length in squares (); without a path both are where the robot is.
     """
+    open_ = (squares == FREE) & ~(blocked & (grid.gaps(pose[:2]) > grid.cell))
     here = grid.index(pose[:2])
-    far = entered_distances(ends, enter, until=here)
+    open_ = open_.at[here[0], here[1]].set(True)
+    far = distances(sources, open_, jnp.where(passable(squares), 0.0, WALL_COST), until=here)
     path = square_centre(grid, shortest_path(far, here, LONGEST))
     length = far[here[0], here[1]]
     there = length < UNREACHABLE

@@ -6,7 +6,6 @@ for each step. Of all maps together the same square is looked at: maps are the l
 
 import math
 from collections.abc import Callable
-from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,9 +13,6 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 
 from usarmjx.base.arrays import Array
-
-Found = TypeVar("Found")
-"""An array, or a tuple of arrays."""
 
 MAPS_AT_A_TIME = 64
 """Maps that are swept together: so many stay in a core's own cache, and wait for each other."""
@@ -81,22 +77,21 @@ def _of_all(start: jax.Array, enter: jax.Array, until: jax.Array) -> jax.Array:
     return jnp.moveaxis(far, -1, 1).reshape(-1, *start.shape[1:])[:count]
 
 
-def over_maps(run: Callable[..., Found]) -> Callable[..., Found]:
+def over_maps(run: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
     """Return a function of arrays over maps such that all maps over it make one call, with a longer axis.
 
     Args:
-        run: Its arguments and its results have a first axis over maps.
+        run: Its arguments and its result have a first axis over maps.
     """
     call = custom_vmap(run)
 
     @call.def_vmap
-    def mapped(size: int, batched: list[bool], *args: jax.Array) -> tuple[Found, Found]:
+    def mapped(size: int, batched: list[bool], *args: jax.Array) -> tuple[jax.Array, bool]:
         rows = [
             x if own else jnp.broadcast_to(x, (size, *x.shape)) for x, own in zip(args, batched, strict=True)
         ]
         found = over_maps(run)(*(x.reshape(-1, *x.shape[2:]) for x in rows))
-        split = jax.tree.map(lambda x: x.reshape(*rows[0].shape[:2], *x.shape[1:]), found)
-        return split, jax.tree.map(lambda _: True, found)
+        return found.reshape(*rows[0].shape[:2], *found.shape[1:]), True
 
     return call
 

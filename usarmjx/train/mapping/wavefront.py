@@ -60,16 +60,12 @@ def distances(start: Array, open_: Array, toll: ArrayLike = 0.0, *, until: Array
         until: A square (2,) that is asked for: only for it, and for what lies on the way from it, the
             distances are right, and found the sooner; None: all are right.
     """
-    enter = jnp.where(open_, jnp.asarray(toll, jnp.float32), jnp.inf)
-    return entered_distances(start, jnp.broadcast_to(enter, jnp.shape(start)), until=until)
-
-
-def entered_distances(start: Array, enter: Array, *, until: Array | None = None) -> jax.Array:
-    """As `distances`, given what it costs to enter a square; infinite: no way leads through it (i, j)."""
     start = jnp.asarray(start, jnp.float32)
     on_warp = warp_in_use()
     if jax.default_backend() == "gpu" and not on_warp:
-        return spread_distances(start, jnp.isfinite(enter), enter, until)
+        return spread_distances(start, open_, toll, until)
+    enter = jnp.where(open_, jnp.asarray(toll, jnp.float32), jnp.inf)
+    enter = jnp.broadcast_to(enter, start.shape)
     if on_warp:
         from usarmjx.train.mapping.warp_distances import distances_on_warp  # Warp need not be installed
 
