@@ -18,7 +18,7 @@ from usarmjx.models.build.compose import Physics
 
 SCENE = """
 <mujoco>
-  <option cone="elliptic" impratio="2" solver="CG" iterations="50" timestep="0.005"/>
+  <option cone="elliptic" impratio="2" solver="CG" iterations="50" timestep="0.01"/>
   <custom><numeric name="max_contact_points" data="40"/><numeric name="max_geom_pairs" data="40"/></custom>
   <worldbody>
     <geom type="plane" size="9 9 1"/>
@@ -35,7 +35,7 @@ SCENE = """
 </mujoco>
 """
 FAR, UNDER, UPON, HIGH, ARMED = range(5)
-PHYSICS = Physics(iterations=50, sleep_tolerance=0.005)
+PHYSICS = Physics(timestep=0.01, substeps=2, iterations=50, sleep_tolerance=0.005)
 SECOND = round(1 / PHYSICS.period)
 """In control steps."""
 TOLD = round(1.6 * SECOND)
@@ -120,7 +120,7 @@ def test_what_falls_is_awake_and_lands_first():
     worlds = Worlds()
     worlds.run(round(STILL_TIME / PHYSICS.period))
     assert not worlds.asleep().any()
-    lands = worlds.run(5)  # what is near is known after a step, and they settle by 0.1 mm
+    lands = worlds.run(8)  # what is near is known after a step, and they settle by 0.1 mm
     assert worlds.asleep()[0].tolist() == [True, True, True, False, False]
     assert lands[0, HIGH, 2] < 0.06
 
