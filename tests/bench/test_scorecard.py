@@ -116,3 +116,5 @@ def test_settings_have_names_that_an_error_lists():
         Physics(cone="round")
     with pytest.raises(SpecError, match="solver 'PGS' is not one of CG, Newton"):
         Physics(solver="PGS")
+    with pytest.raises(SpecError, match="sleep_tolerance -1 is no speed from 0 on"):
+        Physics(sleep_tolerance=-1)

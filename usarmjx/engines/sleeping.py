@@ -111,11 +111,9 @@ class LooseSleep:
         return (of_geoms[:, None] & mine).any(-1)
 
 
-def make_room(spec: mujoco.MjSpec) -> int:
-    """Ask for data for users, of the loose objects of a description; return how many there are."""
-    count = sum(body.name.startswith(LOOSE_PREFIX) for body in spec.bodies)
-    spec.nuserdata = max(spec.nuserdata, count)
-    return count
+def make_room(spec: mujoco.MjSpec) -> None:
+    """Ask for data for users, a number for each loose object of a description."""
+    spec.nuserdata = sum(body.name.startswith(LOOSE_PREFIX) for body in spec.bodies)
 
 
 def _is_loose(model: mujoco.MjModel, body: int) -> bool:

@@ -50,9 +50,8 @@ class Physics:
             robots; robots with more (or fewer) touching geoms count for more (or fewer).
         pairs_per_robot: Geom pairs of one kind that `jax` looks at closely, likewise; the nearest by
             bounding spheres.
-        sleep_tolerance: On `warp` a loose object sleeps once it has been slower than this for half a second
-            with nothing near that may disturb it [m/s]: what it lies on is not asked for contacts with it. 0:
-            none does, as on the other engines.
+        sleep_tolerance: On `warp` a loose object that has been slower than this for half a second has no
+            contacts until something comes near [m/s]; 0: all have, as on the other engines.
     """
 
     timestep: float = 0.005
@@ -67,11 +66,13 @@ class Physics:
     sleep_tolerance: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse a cone or a solver that there is not.
+        """Refuse a cone or a solver that there is not, and a speed below 0.
 
         Raises:
-            SpecError: Names those that there are.
+            SpecError: Says what there is.
         """
+        if not self.sleep_tolerance >= 0.0:
+            raise SpecError(f"sleep_tolerance {self.sleep_tolerance} is no speed from 0 on")
         for what, name, known in (("cone", self.cone, CONES), ("solver", self.solver, SOLVERS)):
             if name not in known:
                 raise SpecError(f"{what} {name!r} is not one of {', '.join(known)}")

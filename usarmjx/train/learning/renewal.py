@@ -16,7 +16,7 @@ from usarmjx.train.scenes.buildings import Buildings
 MOST_WORKERS, CORES_A_WORKER, LEAST_CORES = 6, 2, 8
 """Processes that generate arenas, at most, for how many cores there is one, and from how many on."""
 AHEAD = 2
-"""Generations of arenas that are asked for before the first of them is met, so that one may take longer."""
+"""Generations of arenas that processes are asked for before the first of them is met: one may take longer."""
 
 
 class ArenaStream:
@@ -51,7 +51,8 @@ class ArenaStream:
         generation = iteration // self.every
         self._made = {number: made for number, made in self._made.items() if number >= generation}
         wanted = self._ask(generation) if generation else None
-        for later in range(generation + 1, min(generation + AHEAD, self._last) + 1):
+        ahead = AHEAD if self._workers else 1
+        for later in range(generation + 1, min(generation + ahead, self._last) + 1):
             self._ask(later)
         return wanted.result() if wanted else None
 
