@@ -1,7 +1,7 @@
 """Python processes beside this one, for work that would hold up its other threads.
 
-Python's own pools run the main program's file once more in each process, which a script for a training need
-not stand. These run nothing but this module.
+Python's own pools, which sweeps use from our own command, run the main program's file once more in each
+process; a script that trains need not stand that. These run nothing but this module.
 """
 
 import os
@@ -20,13 +20,12 @@ _of_thread = threading.local()
 # They need neither a GPU nor threads of their own. glibc gives arrays of 0.1 MB back to the system when they
 # are dropped, until it learns better: maps of an arena took twice as long.
 SETTINGS = {
-    **{
-        "JAX_PLATFORMS": "cpu",
-        "CUDA_VISIBLE_DEVICES": "",
-        "OMP_NUM_THREADS": "1",
-        "OPENBLAS_NUM_THREADS": "1",
-    },
-    **dict.fromkeys(("MALLOC_MMAP_THRESHOLD_", "MALLOC_TRIM_THRESHOLD_"), str(2**28)),
+    "JAX_PLATFORMS": "cpu",
+    "CUDA_VISIBLE_DEVICES": "",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MALLOC_MMAP_THRESHOLD_": str(2**28),
+    "MALLOC_TRIM_THRESHOLD_": str(2**28),
 }
 BROKEN = (OSError, EOFError, ValueError, pickle.PickleError, AttributeError, TypeError)
 """What a pipe to a process that has ended, or what cannot be pickled, raises."""

@@ -130,6 +130,15 @@ def test_other_processes_generate_the_same_arenas(env, monkeypatch):
         assert_array_equal(one, other)
 
 
+@pytest.mark.parametrize(("workers", "asked"), [(0, {1}), (1, {1, 2})])
+def test_processes_are_asked_for_two_generations_ahead(env, workers, asked):
+    stream = ArenaStream(env, 2, 8, workers)
+    assert stream.arenas(0) is None
+    assert set(stream._made) == asked
+    for made in stream._made.values():
+        made.result()
+
+
 @pytest.mark.parametrize(
     ("cores", "processes", "workers"), [(2, 1, 0), (7, 1, 0), (8, 1, 4), (16, 1, 6), (64, 8, 4)]
 )
