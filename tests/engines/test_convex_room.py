@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("warp", reason="needs warp-lang")
 
 from usarmjx.engines.convex_room import LEAST_SHARE, NEAR, convex_kinds, convex_room, world_boxes
-from usarmjx.engines.mjx import WarpEngine
+from usarmjx.engines.mjx_warp import WarpEngine
 from usarmjx.sim.scene import build_scene
 
 Geom = mujoco.mjtGeom

@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("warp", reason="needs warp-lang")
 
 from usarmjx.engines.base import Inputs
-from usarmjx.engines.mjx import WarpEngine
+from usarmjx.engines.mjx_warp import WarpEngine
 from usarmjx.engines.sleeping import STILL_TIME
 from usarmjx.models.build.compose import Physics
 

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("warp", reason="needs warp-lang")
 
 from usarmjx.engines.base import Inputs
-from usarmjx.engines.mjx import WarpEngine, finish_steps
+from usarmjx.engines.mjx_warp import WarpEngine, finish_steps
 from usarmjx.models.build.compose import Physics
 
 ROBOT = """

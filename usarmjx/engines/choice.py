@@ -20,7 +20,7 @@ ENGINES: Registry[tuple[str, str]] = Registry("engine")
 ENGINES.add("c", ("usarmjx.engines.c", "CEngine"))
 ENGINES.add("jax", ("usarmjx.engines.mjx", "JaxEngine"))
 ENGINES.add("planar", ("usarmjx.engines.planar.engine", "PlanarEngine"))
-ENGINES.add("warp", ("usarmjx.engines.mjx", "WarpEngine"))
+ENGINES.add("warp", ("usarmjx.engines.mjx_warp", "WarpEngine"))
 
 
 def choose_engine(name: str, purpose: Literal["serve", "train", "batch"]) -> str:
