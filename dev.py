@@ -68,11 +68,11 @@ QUICK = (
 )
 # A cross-section of the packages, run once more with the compiler's optimisation that users have.
 OPTIMISED = (
-    "tests/cameras/test_every_camera.py",
+    "tests/sensors/cameras/test_every_camera.py",
     "tests/comms/test_attenuation.py",
     "tests/comms/test_mail.py",
     "tests/engines/test_engines.py::test_jax_drives_as_c_mujoco_does",
-    "tests/models/build/test_body_plan.py",
+    "tests/models/compile/test_body_plan.py",
     "tests/sensors/rays/test_raycast.py",
     "tests/server/test_joints_wire.py",
     "tests/sim/test_control.py",

@@ -17,8 +17,7 @@ from pathlib import Path
 
 import usarmjx
 from usarmjx.client import ServerMessage, UsarsimClient
-from usarmjx.models.roads.geodesy import to_local_xy
-from usarmjx.models.roads.network import FOOT, RouteNetwork
+from usarmjx.models.roads.network import FOOT, RouteNetwork, to_local_xy
 from usarmjx.models.roads.rndf import read_rndf
 
 RNDF = Path(usarmjx.__file__).parent / "models" / "arenas" / "ARDA_RNDF.txt"

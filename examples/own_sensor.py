@@ -22,13 +22,19 @@ import numpy as np
 from usarmjx.base.backend import xp
 from usarmjx.cli.app import app
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.robot import Mount
-from usarmjx.models.spec.settings import POSITIVE
-from usarmjx.models.spec.shapes import GLASS, SKY, Shape
-from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor
-from usarmjx.sensors.noise import OutputCurve, apply_output_curve, noisy
-from usarmjx.sensors.quantities import Quantity
+from usarmjx.models.types.arena import ArenaSpec, StartPose
+from usarmjx.models.types.robot import Mount
+from usarmjx.models.types.settings import POSITIVE
+from usarmjx.models.types.shapes import GLASS, SKY, Shape
+from usarmjx.sensors.base import (
+    SENSORS,
+    NoisySensorSettings,
+    OutputCurve,
+    Quantity,
+    Sensor,
+    apply_output_curve,
+    noisy,
+)
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 
-from usarmjx.train.envs.policy import Policy
-from usarmjx.train.envs.task import StepResult, Task
+from usarmjx.train.envs.task import Policy, StepResult, Task
 
 
 @dataclass(frozen=True, kw_only=True)

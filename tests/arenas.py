@@ -2,8 +2,8 @@
 
 import math
 
-from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import ArenaSpec, StartPose
+from usarmjx.models.types.shapes import Shape
 
 RAMP = Shape(
     kind="box",

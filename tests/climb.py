@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 
 from tests.rig import PERIOD, Rig
-from usarmjx.models.build.parts import joint_names
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.compile.parts import joint_names
+from usarmjx.models.types.shapes import Shape
 
 NEAR = 1.0
 """x of the first step's face [m]."""

@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.transforms import quat_from_angles
-from usarmjx.engines.placement import free_pose
-from usarmjx.models.build.body_plan import kinematic_tree_of
+from usarmjx.engines.c.placement import free_pose
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sim.scene import START_GAP, build_scene
 

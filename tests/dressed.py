@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.models.types.shapes import Shape
 
 
 def _solid(looks: tuple[Shape, ...], shapes: tuple[Shape, ...]) -> tuple[Shape, ...]:

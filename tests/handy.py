@@ -10,9 +10,9 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.models.effecters import effecters_of, no_dropped_tags
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.arena import LooseObject
-from usarmjx.models.spec.robot import Link, MissionPackage, Motor, Mount, options
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import LooseObject
+from usarmjx.models.types.robot import Link, MissionPackage, Motor, Mount, options
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.operate import EffecterState, Operation, apply_operation
 
 LIFT = MissionPackage(

@@ -3,9 +3,9 @@
 import mujoco
 import numpy as np
 
-from usarmjx.models.build.compose import Physics, new_spec
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.shapes import HeightField, Mesh, Shape
+from usarmjx.models.compile.compose import Physics, new_spec
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.shapes import HeightField, Mesh, Shape
 
 GRAZE = 1e-4  # m: what changes when a ray is moved by this is left out ...
 JUMP = 3e-3  # ... if by more than this: distance [m] or normal

@@ -4,11 +4,11 @@ import numpy as np
 
 from usarmjx.base import random
 from usarmjx.base.backend import numpy_backend
-from usarmjx.engines.c_world import CWorld
+from usarmjx.engines.c.world import CWorld
 from usarmjx.sim.control import CommandUpdate, update_command
 from usarmjx.sim.radio import update_links
+from usarmjx.sim.ray_geometry import moved_geom_poses
 from usarmjx.sim.reset import init_world
-from usarmjx.sim.site import moved_geom_poses
 from usarmjx.sim.world import compute_inputs, finish_step, observe, time_of
 
 

@@ -10,14 +10,14 @@ import numpy as np
 
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.transforms import quat_from_angles
-from usarmjx.models.build.body_plan import kinematic_tree_of, lowest_point, robot_state
-from usarmjx.models.build.compose import Physics
-from usarmjx.models.build.parts import joint_names
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of, lowest_point, robot_state
+from usarmjx.models.compile.parts import joint_names
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec, StartPose
+from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.sim.control import ControlMode, DriveConditions, compute_actuation, idle_command, set_drive
 from usarmjx.sim.scene import START_GAP, build_scene
-from usarmjx.sim.water import depth_in_water
+from usarmjx.sim.world import depth_in_water
 
 PERIOD = Physics().period
 BARE = ArenaSpec(name="track", starts=(), extent=((-3, 3), (-3, 3)))

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 
 from tests.rig import PERIOD, Rig
-from usarmjx.models.build.compose import Physics, new_spec
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.compile.compose import Physics, new_spec
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
 
 HIGH = 5.0
 """Where rays start from, above everything [m]."""

@@ -13,7 +13,7 @@ import dev
 import trial
 import usarmjx
 from tests.test_docs import command_problem
-from usarmjx.server import ports
+from usarmjx.server.network import ports
 
 DOCKERFILE = (dev.ROOT / "Dockerfile").read_text(encoding="utf-8")
 PROJECT = tomllib.loads((dev.ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 import dev
-from usarmjx.base.errors import UsageError
-from usarmjx.base.extras import MissingExtraError, extra
+from usarmjx.base.errors import MissingExtraError, UsageError, extra
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.networks import LearnedPolicy, likeliest_action
 from usarmjx.train.policies import POLICIES
-from usarmjx.train.policies.export import NumpyPolicy, export_run
+from usarmjx.train.policies.policy_file import NumpyPolicy, export_run
 
 WITHOUT = """
 import sys
@@ -79,7 +78,7 @@ import sys
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.trainer import Trainer
 from usarmjx.train.make import make
-from usarmjx.train.processes.group import ProcessGroup
+from usarmjx.train.learning.processes import ProcessGroup
 
 config = Config(worlds=2, minibatches=1, blocks=1, layers=(4,), critic_layers=(4,))
 Trainer(make("drive-to-goal", worlds=2, engine="planar"), config, ProcessGroup()).start()

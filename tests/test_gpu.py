@@ -15,14 +15,14 @@ from tests.engines.test_planar_contact import PEN
 from tests.sim.test_arena_sets import ARENAS, EXACT, TOLERANCE, drive
 from tests.train.envs.test_steady import goal_env, live_bytes, used_after
 from tests.train.mapping.mazes import mazes
+from usarmjx.base.accelerator import warp_in_use
 from usarmjx.engines import choose_engine
+from usarmjx.engines.mjx_warp import GRAPHS
 from usarmjx.engines.planar import engine as planar_engine
 from usarmjx.engines.planar.footprints import keep_apart
-from usarmjx.engines.planar.looking import around_by_jax, around_on_warp
-from usarmjx.engines.planar.parting import part_robots
-from usarmjx.engines.warp_graphs import GRAPHS
-from usarmjx.models.build.compose import Physics
-from usarmjx.sensors.rays.choice import warp_in_use
+from usarmjx.engines.planar.neighbor_search import around_by_jax, around_on_warp
+from usarmjx.engines.planar.separation import part_robots
+from usarmjx.models.compile.compose import Physics
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import RosterEntry, build_scene
 from usarmjx.train.make import make

@@ -17,7 +17,7 @@ from tests.offline import SITE
 REMOTE = ("urllib.request", "http.client", "ftplib", "requests", "httpx", "aiohttp", "urllib3", "boto3")
 REMOTE += ("huggingface_hub", "pooch", "gdown", "pip", "websockets.client", "websockets.asyncio.client")
 SUSPECT = re.compile(rf"^\s*(from|import) +({'|'.join({name.partition('.')[0] for name in REMOTE})})", re.M)
-MAY_ASK = {"usarmjx/bench/chaos/soak.py": {"urllib.request"}}
+MAY_ASK = {"benchmarks/chaos/soak.py": {"urllib.request"}}
 """It reads the figures of a server that it has started on this machine."""
 
 

@@ -48,8 +48,7 @@ def test_the_client_library_uses_the_standard_library_alone():
         "usarmjx",
         "usarmjx.base",
         "usarmjx.base.errors",
-        "usarmjx.base.started",
-        "usarmjx.base.threads",
+        "usarmjx.base.process",
         *(f"usarmjx.client{end}" for end in ("", ".usarsim_client", ".usarsim_radio", ".wander")),
     }
 

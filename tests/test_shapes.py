@@ -14,27 +14,20 @@ from flax.struct import PyTreeNode
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings
 from usarmjx.engines.base import Inputs, PhysicsState
-from usarmjx.models.build.body_plan import BodyPoses, forward_kinematics, kinematic_tree_of
-from usarmjx.models.build.variation import DomainRandomization
-from usarmjx.models.drives.state import RobotState
+from usarmjx.models.compile.kinematic_tree import BodyPoses, forward_kinematics, kinematic_tree_of
+from usarmjx.models.compile.randomization import DomainRandomization
+from usarmjx.models.drives.base import RobotState
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.arena import ArenaSpec, Light, LooseObject, StartPose, Tag, Victim
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import ArenaSpec, Light, LooseObject, StartPose, Tag, Victim
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sensors.base import Reading, SensorInput
 from usarmjx.sensors.motion import InsMemory
 from usarmjx.sensors.rays.raycast import Hits, cast_rays
 from usarmjx.sensors.rays.targets import GeomBlock, make_geoms
-from usarmjx.sim.batch import Batch
-from usarmjx.sim.batch_state import BatchState
+from usarmjx.sim.batch import Batch, BatchState
 from usarmjx.sim.control import ActuatorInputs, DriveConditions, compute_actuation, idle_command
 from usarmjx.sim.scene import build_scene
-from usarmjx.sim.world import (
-    compute_inputs,
-    observe,
-    robot_states,
-    sense,
-    time_of,
-)
+from usarmjx.sim.world import compute_inputs, observe, robot_states, sense, time_of
 
 ROBOTS, WORLDS = 2, 3
 JOINTS, BODIES, SENSORS = 6, 7, 6  # of a P2AT: four wheels, two links; plus the chassis

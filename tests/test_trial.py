@@ -16,7 +16,7 @@ import pytest
 import dev
 import trial
 import usarmjx
-from usarmjx.server.ports import BOT_PORT, IMAGE_PORT, POSITION_PORT, WSS2_PORT, WSS_PORT
+from usarmjx.server.network.ports import BOT_PORT, IMAGE_PORT, POSITION_PORT, WSS2_PORT, WSS_PORT
 
 USE = """
 import os

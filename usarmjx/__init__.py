@@ -13,7 +13,7 @@ All of it is imported on first use. Importing this raises JAX's pool of threads,
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from usarmjx.base import started, threads  # noqa: F401 - the former by being imported
+from usarmjx.base import process
 
 if TYPE_CHECKING:
     from usarmjx.base.errors import EngineError as EngineError
@@ -24,25 +24,25 @@ if TYPE_CHECKING:
     from usarmjx.base.registry import Registry as Registry
     from usarmjx.comms.attenuation import RadioSettings as RadioSettings
     from usarmjx.comms.mail import MessageSettings as MessageSettings
-    from usarmjx.engines.choice import ENGINES as ENGINES
+    from usarmjx.engines.base import ENGINES as ENGINES
     from usarmjx.models.arenas import ARENAS as ARENAS
-    from usarmjx.models.build.compose import Physics as Physics
-    from usarmjx.models.build.variation import DomainRandomization as DomainRandomization
+    from usarmjx.models.compile.compose import Physics as Physics
+    from usarmjx.models.compile.randomization import DomainRandomization as DomainRandomization
     from usarmjx.models.robots import ROBOTS as ROBOTS
-    from usarmjx.models.spec.arena import ArenaSpec as ArenaSpec
-    from usarmjx.models.spec.robot import RobotSpec as RobotSpec
+    from usarmjx.models.types.arena import ArenaSpec as ArenaSpec
+    from usarmjx.models.types.robot import RobotSpec as RobotSpec
     from usarmjx.sensors.suite import SENSORS as SENSORS
-    from usarmjx.server.background import Serving as Serving
-    from usarmjx.server.background import serve as serve
+    from usarmjx.server.runtime.background import Serving as Serving
+    from usarmjx.server.runtime.background import serve as serve
     from usarmjx.sim.batch import Batch as Batch
-    from usarmjx.sim.batch_state import BatchState as BatchState
+    from usarmjx.sim.batch import BatchState as BatchState
     from usarmjx.sim.scene import RosterEntry as RosterEntry
     from usarmjx.sim.scene import Scene as Scene
     from usarmjx.sim.scene import build_scene as build_scene
     from usarmjx.sweeps.run import sweep as sweep
     from usarmjx.sweeps.workers import Workers as Workers
     from usarmjx.train.envs.env import Env as Env
-    from usarmjx.train.envs.policy import Policy as Policy
+    from usarmjx.train.envs.task import Policy as Policy
     from usarmjx.train.make import make as make
     from usarmjx.train.policies import POLICIES as POLICIES
     from usarmjx.train.policies.sources import PolicySource as PolicySource
@@ -53,26 +53,26 @@ __version__ = "0.1.0"
 
 _WHERE = {
     "ARENAS": "usarmjx.models.arenas",
-    "ArenaSpec": "usarmjx.models.spec.arena",
+    "ArenaSpec": "usarmjx.models.types.arena",
     "Batch": "usarmjx.sim.batch",
-    "BatchState": "usarmjx.sim.batch_state",
-    "DomainRandomization": "usarmjx.models.build.variation",
-    "ENGINES": "usarmjx.engines.choice",
+    "BatchState": "usarmjx.sim.batch",
+    "DomainRandomization": "usarmjx.models.compile.randomization",
+    "ENGINES": "usarmjx.engines.base",
     "EngineError": "usarmjx.base.errors",
     "Env": "usarmjx.train.envs.env",
     "MessageSettings": "usarmjx.comms.mail",
     "POLICIES": "usarmjx.train.policies",
-    "Physics": "usarmjx.models.build.compose",
-    "Policy": "usarmjx.train.envs.policy",
+    "Physics": "usarmjx.models.compile.compose",
+    "Policy": "usarmjx.train.envs.task",
     "PolicySource": "usarmjx.train.policies.sources",
     "ROBOTS": "usarmjx.models.robots",
     "RadioSettings": "usarmjx.comms.attenuation",
     "Registry": "usarmjx.base.registry",
-    "RobotSpec": "usarmjx.models.spec.robot",
+    "RobotSpec": "usarmjx.models.types.robot",
     "RosterEntry": "usarmjx.sim.scene",
     "SENSORS": "usarmjx.sensors.suite",
     "Scene": "usarmjx.sim.scene",
-    "Serving": "usarmjx.server.background",
+    "Serving": "usarmjx.server.runtime.background",
     "SpecError": "usarmjx.base.errors",
     "TASKS": "usarmjx.train.tasks",
     "UnknownNameError": "usarmjx.base.errors",
@@ -82,14 +82,14 @@ _WHERE = {
     "build_scene": "usarmjx.sim.scene",
     "load_policy": "usarmjx.train.policies.sources:find_source",
     "make": "usarmjx.train.make",
-    "serve": "usarmjx.server.background",
+    "serve": "usarmjx.server.runtime.background",
     "sweep": "usarmjx.sweeps.run",
 }
 """The module of each public name, and what it is called there if otherwise."""
 
 __all__ = [*_WHERE, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
 
-threads.ensure_pool_size()
+process.ensure_pool_size()
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever has that name

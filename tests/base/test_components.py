@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from usarmjx.base.backend import numpy_backend
-from usarmjx.base.components import (
+from usarmjx.base.rotations import (
     apply,
     cross,
     dot,

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from dev import ROOT
-from usarmjx.base.fingerprint import FingerprintError, fingerprint
+from usarmjx.base.program_cache import FingerprintError, fingerprint
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sensors.suite import suite_of
 
 BOX = Shape(kind="box", size=(1.0, 2.0, 3.0), at=(0.0, 0.0, 0.0))
@@ -67,7 +67,7 @@ def test_equal_values_have_equal_digests_however_they_were_made():
 
 
 SAID = """
-from usarmjx.base.fingerprint import fingerprint
+from usarmjx.base.program_cache import fingerprint
 from usarmjx.models.robots import ROBOTS
 print(fingerprint(ROBOTS.get("P2AT"), {"a", "b", "c"}, {"x": fingerprint}))
 """

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from usarmjx.base.fusion import kept_on_gpu, rounds_at_once
+from usarmjx.base.compilation import kept_on_gpu, rounds_at_once
 
 
 @pytest.mark.parametrize("where", ["cpu", "gpu"])

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from usarmjx.base import kept_programs
+from usarmjx.base import program_cache
 from usarmjx.base.compilation import PROGRAMS_FOLDER
-from usarmjx.base.kept_programs import (
+from usarmjx.base.program_cache import (
     AheadProgram,
     ProgramKeeper,
     SourcesChangedError,
@@ -145,17 +145,17 @@ def digest(*made_from):
 @pytest.fixture
 def kept(tmp_path, monkeypatch):
     monkeypatch.setenv(PROGRAMS_FOLDER, str(tmp_path))
-    monkeypatch.setattr(kept_programs, "_sources", lambda: "as they are")
+    monkeypatch.setattr(program_cache, "_sources", lambda: "as they are")
 
 
 CHANGES = {
-    "sources": lambda patch: patch.setattr(kept_programs, "_sources", lambda: "others"),
+    "sources": lambda patch: patch.setattr(program_cache, "_sources", lambda: "others"),
     "flags of XLA": lambda patch: patch.setenv("XLA_FLAGS", "--xla_other"),
     "threads": lambda patch: patch.setenv("NPROC", "11"),
     "Python": lambda patch: patch.setattr(platform, "python_version", lambda: "3.99"),
-    "versions": lambda patch: patch.setattr(kept_programs.metadata, "version", lambda name: "99"),
-    "processor": lambda patch: patch.setattr(kept_programs, "processor", lambda: "other"),
-    "cores": lambda patch: patch.setattr(kept_programs, "cores", lambda: 99),
+    "versions": lambda patch: patch.setattr(program_cache.metadata, "version", lambda name: "99"),
+    "processor": lambda patch: patch.setattr(program_cache, "processor", lambda: "other"),
+    "cores": lambda patch: patch.setattr(program_cache, "cores", lambda: 99),
 }
 
 
@@ -180,7 +180,7 @@ def test_settings_of_jax_change_the_digest_but_not_where_it_keeps_things(kept):
 
 
 def test_each_version_that_matters_is_looked_at(monkeypatch):
-    monkeypatch.setattr(kept_programs.metadata, "version", lambda name: f"of {name}")
+    monkeypatch.setattr(program_cache.metadata, "version", lambda name: f"of {name}")
     assert {"jax", "jaxlib", "mujoco", "numpy"} <= conditions()["versions"].keys()
     assert conditions()["versions"]["jaxlib"] == "of jaxlib"
 
@@ -224,7 +224,7 @@ def test_sources_that_changed_while_the_process_ran_are_not_trusted(package, kep
     os.utime(package / "a.py", (2e9, 2e9))
     with pytest.raises(SourcesChangedError, match=r"a\.py"):
         digest_of_sources(package, 2e9 - 1)
-    monkeypatch.setattr(kept_programs, "_sources", lambda: digest_of_sources(package, 2e9 - 1))
+    monkeypatch.setattr(program_cache, "_sources", lambda: digest_of_sources(package, 2e9 - 1))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert find_keeper() is None

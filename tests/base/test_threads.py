@@ -43,7 +43,7 @@ def test_the_pool_is_made_large_enough(nproc, cores, expected):
 BUILD = """
 from usarmjx.engines import make_engine
 from usarmjx.base.errors import EngineError
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.compile.compose import Physics
 import mujoco
 ball = '<mujoco><worldbody><body pos="0 0 1"><freejoint/><geom size=".1"/></body></worldbody></mujoco>'
 spec = mujoco.MjSpec.from_string(ball)
@@ -114,6 +114,8 @@ def test_commands_that_do_not_need_a_large_pool_have_a_small_one(engines, expect
     more = "" if engines is None else f", engines={engines}"
     code = f"import os; os.environ['USARMJX_CACHE'] = {str(tmp_path)!r}\n"
     code += "os.environ.pop('JAX_COMPILATION_CACHE_DIR', None)\n"
-    code += f"from usarmjx.cli.waiting import announce; announce('wait', aloud=False{more})\n{SHOW}\n"
+    code += (
+        f"from usarmjx.cli.startup_messages import announce; announce('wait', aloud=False{more})\n{SHOW}\n"
+    )
     code += "print(os.environ['JAX_COMPILATION_CACHE_DIR'].endswith('-cores'))"
     assert run(code, cores=2).split() == [expected, str(expected == "None")]

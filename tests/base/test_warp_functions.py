@@ -10,14 +10,14 @@ import pytest
 pytest.importorskip("warp")
 
 from usarmjx.base import warp_functions
-from usarmjx.train.mapping.warp_distances import _kernel, distances_on_warp
+from usarmjx.train.mapping.warp_waves import _kernel, distances_on_warp
 
 PROGRAM = """
 import sys
 import jax, numpy as np
 from pathlib import Path
-from usarmjx.base.kept_programs import ProgramKeeper, compile_program
-from usarmjx.train.mapping.warp_distances import distances_on_warp
+from usarmjx.base.program_cache import ProgramKeeper, compile_program
+from usarmjx.train.mapping.warp_waves import distances_on_warp
 def ways(start, enter):
     print("traced")
     return jax.vmap(lambda s, e: distances_on_warp(s, e, None))(start, enter)
@@ -34,7 +34,7 @@ STEPS = """
 import sys
 import jax, numpy as np
 from pathlib import Path
-from usarmjx.base.kept_programs import ProgramKeeper, compile_program
+from usarmjx.base.program_cache import ProgramKeeper, compile_program
 from usarmjx.engines.planar import looking, parting
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from tests.server.fake_radio import FakeRadio
 from tests.server.still_world import StillWorld
 from usarmjx.cli.app import app
-from usarmjx.server.access import EVERYBODY, AccessRules
+from usarmjx.server.network.access import EVERYBODY, AccessRules
 from usarmjx.server.viewing.controls import ServedControls
 
 PORTS = ("--port", "0", "--spectator-port", "0")
@@ -32,7 +32,7 @@ def serve(monkeypatch):
                 listening = [one for one in server.services if not isinstance(one, ServedControls)]
                 found.extend(service._settings.access for service in listening)
 
-        monkeypatch.setattr("usarmjx.server.loop.serve", rules_of)
+        monkeypatch.setattr("usarmjx.server.runtime.loop.serve", rules_of)
         return found, CliRunner().invoke(app, [*words], env=env)
 
     monkeypatch.setattr("usarmjx.server.worlds.make.make_worlds", build)
@@ -113,7 +113,7 @@ def test_a_host_that_others_reach_is_warned_of(serve, command):
 
 
 def test_the_figures_have_the_rules_too():
-    from usarmjx.server.metrics import MetricsServer
+    from usarmjx.server.runtime.metrics import MetricsServer
 
     rules = AccessRules(token="s3cret")
     server = SimpleNamespace(settings=SimpleNamespace(access=rules), services=[], title="")

@@ -17,7 +17,7 @@ from tests.server.fake_radio import FakeRadio
 from tests.server.peers import PATIENCE
 from tests.server.still_world import StillWorld
 from usarmjx.cli.app import app
-from usarmjx.server.ports import VIEWER_PORT
+from usarmjx.server.network.ports import VIEWER_PORT
 
 WORD_LIMIT = 10.0  # s: a second on an idle machine; JAX alone takes one more to import
 ALONE = ("--no-wireless", "--no-images")
@@ -45,7 +45,7 @@ def order(monkeypatch):
             order.servers, order.rest = servers, rest
 
         monkeypatch.setattr("usarmjx.server.worlds.make.make_worlds", build)
-        monkeypatch.setattr("usarmjx.server.loop.serve", serve)
+        monkeypatch.setattr("usarmjx.server.runtime.loop.serve", serve)
         monkeypatch.setattr("usarmjx.server.wireless.net.RadioChannel", lambda *_: FakeRadio(()))
         return order, CliRunner().invoke(app, ["serve", *options])
 
@@ -225,8 +225,10 @@ def test_the_first_word_comes_at_once_and_says_what_is_built():
 
 def test_serving_waits_for_no_library_that_it_does_not_need():
     """SciPy and Pallas alone would take a quarter of the time until it listens."""
-    code = "import sys, usarmjx.server.loop, usarmjx.server.worlds.make, usarmjx.server.wireless.net\n"
-    code += "import usarmjx.server.pictures.image_server, usarmjx.server.viewing.served_source\n"
+    code = (
+        "import sys, usarmjx.server.runtime.loop, usarmjx.server.worlds.make, usarmjx.server.wireless.net\n"
+    )
+    code += "import usarmjx.server.pictures.image_server, usarmjx.server.viewing.viewer_service\n"
     code += "import usarmjx.server.viewing.controls, usarmjx.server.viewing.viewer_service\n"
     code += "print(sorted({name.partition('.')[0] for name in sys.modules}))\n"
     code += "print('jax.experimental.pallas' in sys.modules)"

@@ -14,15 +14,13 @@ from typer.testing import CliRunner
 
 from usarmjx.base.errors import UsageError, WriteError
 from usarmjx.cli.app import app
-from usarmjx.cli.tools import ErrorExit
-from usarmjx.cli.train import _served
-from usarmjx.cli.training_settings import recorded_engine
-from usarmjx.cli.waiting import say
-from usarmjx.train.learning.config import Config, task_config
-from usarmjx.train.learning.defaults import training_engine
-from usarmjx.train.learning.record import EnvArguments, RunRecord
+from usarmjx.cli.common import ErrorExit
+from usarmjx.cli.startup_messages import say
+from usarmjx.cli.train import _served, recorded_engine
+from usarmjx.train.learning.checkpoint import EnvArguments, RunRecord
+from usarmjx.train.learning.config import Config, task_config, training_engine
 from usarmjx.train.learning.trainer import TrainResult
-from usarmjx.train.policies.export import NumpyPolicy
+from usarmjx.train.policies.policy_file import NumpyPolicy
 
 SMALL = ["--task", "drive-to-goal", "--engine", "c", "--worlds", "2", "--steps", "8", "--quiet"]
 SETTINGS = {
@@ -187,7 +185,7 @@ def test_several_processes_run_the_same_command(monkeypatch):
     """Each is told who it is by its environment, and so does not start others."""
     called = []
     monkeypatch.setattr(
-        "usarmjx.train.processes.launch.spawn", lambda count, command: called.append((count, command)) or 3
+        "usarmjx.train.learning.processes.spawn", lambda count, command: called.append((count, command)) or 3
     )
     monkeypatch.setattr(sys, "argv", ["usarmjx", "train", "--processes", "2"])
     result = invoke("train", "--task", "drive-to-goal", "--out", "x", "--processes", "2")

@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 
 import dev
 from usarmjx.cli.app import app
-from usarmjx.cli.commands_table import HEAD, commands_of, commands_page, options_of
+from usarmjx.cli.listing import COMMANDS_HEAD, commands_of, commands_page, options_of
 
 PAGE = dev.ROOT / "docs" / "commands.md"
 
@@ -14,8 +14,8 @@ PAGE = dev.ROOT / "docs" / "commands.md"
 def test_the_page_of_all_commands_is_the_generated_one():
     """After a change: `usarmjx list commands --markdown` replaces the page from its heading on."""
     text = PAGE.read_text(encoding="utf-8")
-    assert text.count(HEAD) == 1
-    assert text[text.index(HEAD) :] == commands_page(app) + "\n"
+    assert text.count(COMMANDS_HEAD) == 1
+    assert text[text.index(COMMANDS_HEAD) :] == commands_page(app) + "\n"
 
 
 def test_every_command_has_a_table_with_every_option_that_its_help_has():

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from usarmjx.cli import demo_run as demo
+from usarmjx.cli import demo as demo
 from usarmjx.models.arenas.yellow import YELLOW
-from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import ArenaSpec, StartPose
+from usarmjx.models.types.shapes import Shape
 
 HALF = (0.5, 0.3)
 BOX = np.array([[2.0, -1.0, 3.0, 1.0]])

@@ -13,9 +13,9 @@ import pytest
 from typer.testing import CliRunner
 
 import dev
-from usarmjx.cli import demo_live
+from usarmjx.cli import demo
 from usarmjx.cli.app import app
-from usarmjx.cli.demo_live import Guide, has_display, starting_at
+from usarmjx.cli.demo import Guide, has_display, starting_at
 from usarmjx.client.usarsim_client import UsarsimClient
 from usarmjx.models.arenas import ARENAS
 
@@ -62,11 +62,11 @@ def test_no_browser_that_can_be_opened_is_no_fault(monkeypatch):
         raise webbrowser.Error("none")
 
     monkeypatch.setattr(webbrowser, "open", fail)
-    demo_live.open_page(PAGE)
+    demo.open_page(PAGE)
 
 
 def test_what_is_recommended_exists(monkeypatch):
-    lines = demo_live.guide_text(PAGE, 3000, ["P2AT3"]).splitlines()
+    lines = demo.guide_text(PAGE, 3000, ["P2AT3"]).splitlines()
     commands = [
         re.split(r"\s{3,}", line.strip())[0].split() for line in lines if line.startswith("  usarmjx")
     ]
@@ -79,8 +79,8 @@ def test_what_is_recommended_exists(monkeypatch):
 
 def test_the_team_starts_where_it_should():
     yellow = ARENAS.get("yellow")
-    moved = starting_at(yellow, demo_live.STARTS)
-    assert tuple(start.tag for start in moved.starts[:4]) == demo_live.STARTS
+    moved = starting_at(yellow, demo.STARTS)
+    assert tuple(start.tag for start in moved.starts[:4]) == demo.STARTS
     assert {start.tag for start in moved.starts} == {start.tag for start in yellow.starts}
     assert replace(moved, starts=yellow.starts) == yellow
 

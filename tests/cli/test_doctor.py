@@ -10,10 +10,10 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
-from usarmjx.base import threads
-from usarmjx.cli import checks, self_test
+from usarmjx.base import process
+from usarmjx.cli import doctor
 from usarmjx.cli.app import app
-from usarmjx.cli.checks import Finding, check_cache, check_ports, check_versions, requirements, run_checks
+from usarmjx.cli.doctor import Finding, check_cache, check_ports, check_versions, requirements, run_checks
 
 FREE = {"--port": 0}
 """Ports of which the system picks one that is free."""
@@ -31,8 +31,8 @@ def invoke(*words):
 def quick(monkeypatch):
     """Checks that do not depend on what else runs here."""
     fine = [Finding("all", "ok", "well")]
-    monkeypatch.setattr(checks, "CHECKS", (check_versions, lambda: iter(fine)))
-    monkeypatch.setattr(self_test, "SELF_TEST", ())
+    monkeypatch.setattr(doctor, "CHECKS", (check_versions, lambda: iter(fine)))
+    monkeypatch.setattr(doctor, "SELF_TEST", ())
 
 
 def test_where_all_is_well_the_exit_code_is_0_and_json_says_the_same(quick):
@@ -50,7 +50,7 @@ def test_where_all_is_well_the_exit_code_is_0_and_json_says_the_same(quick):
 
 def test_one_fault_is_exit_code_1_and_its_advice_is_told(monkeypatch, quick):
     fault = Finding("ports", "wrong", "3000 is taken", "take another")
-    monkeypatch.setattr(checks, "CHECKS", (lambda: iter([fault, Finding("x", "note", "by the way")]),))
+    monkeypatch.setattr(doctor, "CHECKS", (lambda: iter([fault, Finding("x", "note", "by the way")]),))
     result = invoke()
     assert result.exit_code == 1
     assert result.stdout.splitlines()[-1] == "wrong: ports"
@@ -73,16 +73,16 @@ def test_a_missing_package_is_named(monkeypatch):
     assert "wrong" not in dict(verdicts(check_versions())).values()
     needed, extras = requirements()
     assert {"jax", "mujoco", "viser", "typer"} <= {*needed}
-    assert extras.keys() == {*checks.USERS_EXTRAS}
-    there = checks.version_of
-    monkeypatch.setattr(checks, "version_of", lambda name: None if name == "viser" else there(name))
+    assert extras.keys() == {*doctor.USERS_EXTRAS}
+    there = doctor.version_of
+    monkeypatch.setattr(doctor, "version_of", lambda name: None if name == "viser" else there(name))
     (fault,) = (one for one in check_versions() if one.verdict == "wrong")
     assert fault.text == "missing: viser"
     assert "pip install viser" in fault.advice
 
 
 def test_an_old_python_is_wrong(monkeypatch):
-    monkeypatch.setattr(checks, "OLDEST_PYTHON", (sys.version_info[0], sys.version_info[1] + 1))
+    monkeypatch.setattr(doctor, "OLDEST_PYTHON", (sys.version_info[0], sys.version_info[1] + 1))
     assert ("python", "wrong") in verdicts(check_versions())
 
 
@@ -101,21 +101,21 @@ def test_the_cache_is_told_with_its_size_or_why_nothing_is_kept(tmp_path):
 
 
 def test_a_pool_that_is_too_small_is_wrong(monkeypatch):
-    assert verdicts(checks.check_threads()) == [("threads", "ok")]
-    monkeypatch.setattr(threads, "_started_before_us", True)
-    (found,) = checks.check_threads()
+    assert verdicts(doctor.check_threads()) == [("threads", "ok")]
+    monkeypatch.setattr(process, "_started_before_us", True)
+    (found,) = doctor.check_threads()
     assert (found.verdict, "NPROC=8" in found.advice) == ("wrong", True)
 
 
 def test_a_gpu_that_jax_does_not_use_is_noted(monkeypatch):
-    monkeypatch.setattr(checks, "has_nvidia", lambda: True)
-    assert ("devices", "note") in verdicts(checks.check_devices())
-    monkeypatch.setattr(checks, "has_nvidia", lambda: False)
-    assert verdicts(checks.check_devices()) == [("devices", "ok")]
+    monkeypatch.setattr(doctor, "has_nvidia", lambda: True)
+    assert ("devices", "note") in verdicts(doctor.check_devices())
+    monkeypatch.setattr(doctor, "has_nvidia", lambda: False)
+    assert verdicts(doctor.check_devices()) == [("devices", "ok")]
 
 
 def test_what_auto_takes_and_why():
-    (found,) = checks.check_engines()
+    (found,) = doctor.check_engines()
     assert found.text.startswith("auto is c to serve, c to train, jax for batches: ")
 
 
@@ -149,7 +149,7 @@ def test_a_cold_self_test_takes_ten_seconds_of_a_processor_at_most_and_says_at_o
 
 def test_the_first_line_comes_before_numpy_and_jax():
     code = (
-        "import sys, usarmjx.cli.waiting as waiting\n"
+        "import sys, usarmjx.cli.startup_messages as waiting\n"
         "def first(text, **_):\n"
         "    print(text, sorted({'numpy', 'jax', 'mujoco'} & set(sys.modules)))\n"
         "    raise SystemExit\n"
@@ -162,21 +162,21 @@ def test_the_first_line_comes_before_numpy_and_jax():
 
 
 def test_a_ball_that_does_not_lie_on_the_floor_is_found(monkeypatch):
-    monkeypatch.setattr(self_test, "STEPS", 2)
-    (engine,) = self_test.try_c()
+    monkeypatch.setattr(doctor, "STEPS", 2)
+    (engine,) = doctor.try_c()
     assert (engine.verdict, engine.about) == ("wrong", "engine c")
     assert "above it" in engine.text
 
 
 def test_a_robot_that_goes_nowhere_and_a_wall_that_is_elsewhere_are_found(monkeypatch):
-    monkeypatch.setattr(self_test, "REPORT_LIMIT", 2.0)
-    monkeypatch.setattr(self_test, "WHEEL_SPEED", 0.0)
-    monkeypatch.setattr(self_test, "SCANNER_REACH", 0.0)
-    assert verdicts(self_test.try_client()) == [("client", "wrong"), ("rays", "wrong")]
+    monkeypatch.setattr(doctor, "REPORT_LIMIT", 2.0)
+    monkeypatch.setattr(doctor, "WHEEL_SPEED", 0.0)
+    monkeypatch.setattr(doctor, "SCANNER_REACH", 0.0)
+    assert verdicts(doctor.try_client()) == [("client", "wrong"), ("rays", "wrong")]
 
 
 def test_a_server_that_does_not_start_is_told(monkeypatch):
-    monkeypatch.setattr(self_test, "HOST", "192.0.2.1")  # is nobody's
-    (found,) = run_checks([self_test.try_client])
+    monkeypatch.setattr(doctor, "HOST", "192.0.2.1")  # is nobody's
+    (found,) = run_checks([doctor.try_client])
     assert (found.about, found.verdict) == ("client", "wrong")
     assert "cannot listen on 192.0.2.1" in found.text

@@ -16,11 +16,11 @@ from typer.testing import CliRunner
 import dev
 from usarmjx.base.errors import EngineError, PeerError, UsageError, WriteError
 from usarmjx.base.progress import Seldom
-from usarmjx.cli import checks
+from usarmjx.cli import doctor
 from usarmjx.cli.app import app
-from usarmjx.cli.checks import Finding
-from usarmjx.cli.demo_run import DemoError
-from usarmjx.cli.tools import BAD_INPUT, FAILED, INTERRUPTED, ErrorExit
+from usarmjx.cli.common import BAD_INPUT, FAILED, INTERRUPTED, ErrorExit
+from usarmjx.cli.demo import DemoError
+from usarmjx.cli.doctor import Finding
 from usarmjx.train.learning.metrics import Log
 
 PATIENCE = 300.0  # s
@@ -71,9 +71,9 @@ def test_what_was_typed_wrong_is_2_and_says_what_is_allowed(words):
 
 
 def test_what_did_not_come_out_well_is_1(monkeypatch, tmp_path):
-    monkeypatch.setattr("usarmjx.cli.demo_run.run_demo", lambda *_: 1)
+    monkeypatch.setattr("usarmjx.cli.demo.run_demo", lambda *_: 1)
     assert invoke("demo", "--headless", "--out", str(tmp_path)).exit_code == FAILED
-    monkeypatch.setattr(checks, "CHECKS", (lambda: iter([Finding("x", "wrong", "y")]),))
+    monkeypatch.setattr(doctor, "CHECKS", (lambda: iter([Finding("x", "wrong", "y")]),))
     assert invoke("doctor", "--no-self-test").exit_code == FAILED
 
 
@@ -82,10 +82,10 @@ INTERRUPTIBLE = {
     "eval explore": "usarmjx.cli.policy_options.PolicyOptions.source",
     "play explore --engine c": "usarmjx.cli.policy_options.PolicyOptions.source",
     "train explore --out x": "usarmjx.cli.train._train",
-    "doctor": "usarmjx.cli.checks.run_checks",
-    "portraits --out x.png": "usarmjx.plots.portrait.portraits",
-    "bench step": "usarmjx.bench.step.measure_step",
-    "demo --headless": "usarmjx.cli.demo_run.run_demo",
+    "doctor": "usarmjx.cli.doctor.run_checks",
+    "portraits --out x.png": "usarmjx.plots.gallery.portraits",
+    "bench step": "benchmarks.step.measure_step",
+    "demo --headless": "usarmjx.cli.demo.run_demo",
 }
 
 
@@ -117,7 +117,7 @@ def test_a_signal_while_a_command_works_is_130():
     # What a shell starts in the background ignores interrupts, and so would its children.
     code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
     code += "sys.argv = ['usarmjx', 'train', 'explore', '--out', 'x']\n"
-    code += "import usarmjx.train.processes.launch as launch, time\n"
+    code += "import usarmjx.train.learning.processes as launch, time\n"
     code += "launch.process_info = lambda _: (print('here', flush=True), time.sleep(600))\n"
     code += "from usarmjx.cli.app import app; app()"
     process = subprocess.Popen(

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar
 import typer
 from typer.testing import CliRunner
 
-from usarmjx.cli.grouping import grouped
+from usarmjx.cli.common import grouped
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,10 +9,10 @@ from typer.testing import CliRunner
 
 import dev
 from usarmjx.cli.app import app
-from usarmjx.cli.sensor_tables import SAMPLES, SECTIONS, ini_value, sensors_table
+from usarmjx.cli.listing import SAMPLES, SECTIONS, ini_value, sensors_table
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.settings import field_name, field_names, manual_keys
+from usarmjx.models.types.settings import field_name, field_names, manual_keys
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sim.configure import settings_by_kind
 

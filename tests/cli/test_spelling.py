@@ -3,12 +3,11 @@
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.commands import one_class
 from usarmjx.base.errors import UsageError
-from usarmjx.cli.app import app
-from usarmjx.cli.bench_options import one_class
-from usarmjx.cli.commands_table import commands_of
-from usarmjx.cli.spelling import COUNTED, OTHER_ROBOT, RENAMED, respelt
-from usarmjx.cli.tools import chosen_out
+from usarmjx.cli.app import COUNTED, OTHER_ROBOT, RENAMED, app, respelt
+from usarmjx.cli.common import chosen_out
+from usarmjx.cli.listing import commands_of
 
 
 def names_of(command):

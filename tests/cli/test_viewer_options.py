@@ -5,8 +5,8 @@ import pytest
 from usarmjx.base.errors import UsageError
 from usarmjx.cli import viewer_options
 from usarmjx.cli.viewer_options import viewer_settings, viewer_socket
-from usarmjx.server.access import EVERYBODY
-from usarmjx.server.ports import LAST_PORT, bound_socket
+from usarmjx.server.network.access import EVERYBODY
+from usarmjx.server.network.ports import LAST_PORT, bound_socket
 
 HOST = "127.0.0.1"
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import pytest
 
 import dev
-from usarmjx.cli.waiting import COMPILED, FIRST, INTERVAL, LOWERED, CompilationWatch, is_compiling
+from usarmjx.cli.startup_messages import COMPILED, FIRST, INTERVAL, LOWERED, CompilationWatch, is_compiling
 
 COMMANDS = (
     "list",
@@ -150,7 +150,7 @@ def test_one_thread_may_wait_for_another(talk):
 
 
 COMPILES = """
-from usarmjx.cli.waiting import announce
+from usarmjx.cli.startup_messages import announce
 announce("a start ...")
 import jax
 heard = []

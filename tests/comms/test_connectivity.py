@@ -7,13 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from usarmjx.comms.connectivity import (
-    bottleneck,
-    connected_components,
-    hops,
-    reachable,
-    transitive_closure,
-)
+from usarmjx.comms.links import bottleneck, connected_components, hops, reachable, transitive_closure
 
 N = 7
 

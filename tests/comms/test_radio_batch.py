@@ -12,15 +12,14 @@ from tests.comms.test_attenuation import DBM_ATOL, manual_power
 from tests.handy import known
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.transforms import quat_from_angles
-from usarmjx.comms.antenna import MIN_ANTENNA_HEIGHT, antenna_of, antenna_positions
 from usarmjx.comms.attenuation import RadioSettings, link_range
-from usarmjx.comms.connectivity import reachable
+from usarmjx.comms.links import MIN_ANTENNA_HEIGHT, antenna_of, antenna_positions, reachable
 from usarmjx.comms.mail import MessageSettings
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.robots.station import COMSTATION
-from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import ArenaSpec, StartPose
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.radio import robot_antennas, update_links
 from usarmjx.sim.scene import RosterEntry, build_scene

@@ -14,10 +14,10 @@ from tests.comms.solids import Geom, Solids, box, random_boxes, ray_count, slab_
 from usarmjx.base.errors import UnsupportedGeomError
 from usarmjx.comms.walls import CROSSING_KERNELS, arena_solids, check_wall_types, count_walls
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.build.compose_arena import VICTIM_PREFIX
-from usarmjx.models.build.pieces import FENDER_KIND
-from usarmjx.models.spec.arena import LooseObject
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.compile.compose import VICTIM_PREFIX
+from usarmjx.models.compile.ray_geoms import FENDER_KIND
+from usarmjx.models.types.arena import LooseObject
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, make_geoms
 from usarmjx.sim.scene import build_scene
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.lands import Land, hills, land, stones
 from usarmjx.comms.walls import arena_solids, count_walls
-from usarmjx.models.spec.shapes import FENDER, GLASS, MIRROR, OPAQUE, SKY, HeightField, Mesh, Shape
+from usarmjx.models.types.shapes import FENDER, GLASS, MIRROR, OPAQUE, SKY, HeightField, Mesh, Shape
 
 NEAR = 1e-4  # m: segments this close to an edge or a face may count either way ...
 FEW = 0.02  # ... and are no more than this share of all

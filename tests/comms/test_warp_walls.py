@@ -27,7 +27,7 @@ from usarmjx.comms.walls import arena_solids, count_on_jax, count_walls
 from usarmjx.models.arenas import ARENAS
 
 pytest.importorskip("warp", reason="needs warp-lang")
-from usarmjx.comms.warp_count import count_on_warp
+from usarmjx.comms.warp_walls import count_on_warp
 
 
 def single(*points):

@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.engines.planar.aims import Aims
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.movable import WhereSolids
-from usarmjx.engines.planar.neighbours import Neighbours
+from usarmjx.engines.planar.neighbor_lists import Neighbours
 from usarmjx.engines.planar.overlap import Outlines
+from usarmjx.engines.planar.proposed_motion import Aims
 from usarmjx.engines.planar.solids import NOWHERE, PlanSolids, as_numbers
 
 SOLIDS = 8

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.engines.planar.movable import WhereSolids
-from usarmjx.engines.planar.neighbours import Margin, look_around
+from usarmjx.engines.planar.neighbor_lists import Margin, look_around
 from usarmjx.engines.planar.responses import Response, use_response
 from usarmjx.models.robots import ROBOTS
 

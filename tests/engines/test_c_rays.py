@@ -9,12 +9,12 @@ import pytest
 from tests.lands import hills, land, stones
 from usarmjx.base.backend import numpy_backend
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import StartPose
-from usarmjx.models.spec.shapes import FENDER, GLASS, MATERIALS, MIRROR, SKY, Shape
+from usarmjx.models.types.arena import StartPose
+from usarmjx.models.types.shapes import FENDER, GLASS, MATERIALS, MIRROR, SKY, Shape
 from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
+from usarmjx.sim.ray_geometry import moved_geom_poses
 from usarmjx.sim.scene import build_scene
 from usarmjx.sim.single_world import SingleWorld
-from usarmjx.sim.site import moved_geom_poses
 from usarmjx.sim.world import caster
 
 DISTANCE = 1e-4

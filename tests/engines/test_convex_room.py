@@ -8,8 +8,14 @@ import pytest
 
 pytest.importorskip("warp", reason="needs warp-lang")
 
-from usarmjx.engines.convex_room import LEAST_SHARE, NEAR, convex_kinds, convex_room, world_boxes
-from usarmjx.engines.mjx_warp import WarpEngine
+from usarmjx.engines.mjx_warp import (
+    LEAST_SHARE,
+    NEAR_BOXES,
+    WarpEngine,
+    convex_kinds,
+    convex_room,
+    world_boxes,
+)
 from usarmjx.sim.scene import build_scene
 
 Geom = mujoco.mjtGeom
@@ -19,7 +25,8 @@ FLOOR = {"plane": "type='plane' size='9 9 1'", "box": "type='box' size='9 9 .1' 
 def standing(floor, number, apart=1.0):
     """Boxes in a row on a floor, a little above it, and all pairs of geoms."""
     bodies = "".join(
-        f"<body pos='{apart * i} 0 {0.1 + NEAR / 2}'><freejoint/><geom type='box' size='.1 .1 .1'/></body>"
+        f"<body pos='{apart * i} 0 {0.1 + NEAR_BOXES / 2}'><freejoint/>"
+        "<geom type='box' size='.1 .1 .1'/></body>"
         for i in range(number)
     )
     model = mujoco.MjModel.from_xml_string(
@@ -48,7 +55,7 @@ def test_turned_geoms_have_boxes_about_all_of_them():
         "<mujoco><worldbody><geom type='box' size='1 .1 .1' pos='0 0 2' euler='0 0 90'/></worldbody></mujoco>"
     )
     low, high = world_boxes(model)
-    np.testing.assert_allclose(high - low, [[0.2 + NEAR, 2 + NEAR, 0.2 + NEAR]], atol=1e-6)
+    np.testing.assert_allclose(high - low, [[0.2 + NEAR_BOXES, 2 + NEAR_BOXES, 0.2 + NEAR_BOXES]], atol=1e-6)
     np.testing.assert_allclose((high + low) / 2, [[0, 0, 2]], atol=1e-6)
 
 

@@ -12,10 +12,10 @@ from tests.arenas import COURSE, FLAT
 from usarmjx.base.errors import EngineError, UnknownNameError, UnsupportedFeatureError, UsageError
 from usarmjx.engines.base import check_features
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.compile.compose import Physics
 from usarmjx.models.generate import generate_many
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.shapes import HeightField, Mesh, Shape
+from usarmjx.models.types.shapes import HeightField, Mesh, Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 

@@ -9,10 +9,10 @@ import pytest
 
 from tests.arenas import COURSE, FLAT
 from tests.crowd import UPRIGHT, Crowd
-from usarmjx.engines.faults import REACHES, PutBack, bad_robots, step_and_recover
+from usarmjx.engines.c.faults import REACHES, PutBack, bad_robots, step_and_recover
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.spec.arena import LooseObject
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import LooseObject
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.scene import START_GAP
 
 Disable = mujoco.mjtDisableBit

@@ -10,12 +10,12 @@ import pytest
 from tests.arenas import FLAT
 from tests.crowd import Crowd
 from usarmjx.base.transforms import quat_from_angles
-from usarmjx.engines.c import INTEGRATION_STATE
-from usarmjx.engines.placement import HALVINGS, MAX_DEPTH, RAISE, REACH, RINGS
+from usarmjx.engines.c.batch import INTEGRATION_STATE
+from usarmjx.engines.c.placement import HALVINGS, MAX_DEPTH, RAISE, REACH, RINGS
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import Door, LooseObject
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import Door, LooseObject
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.scene import START_GAP, start_height
 
 SETTLED = 0.03

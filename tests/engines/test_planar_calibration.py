@@ -12,11 +12,7 @@ import dev
 from tests.engines.eager import BLIND, EAGER
 from usarmjx.cli.app import app
 from usarmjx.engines.planar import responses
-from usarmjx.engines.planar.responses import (
-    description_key,
-    measured,
-    rolls,
-)
+from usarmjx.engines.planar.responses import description_key, measured, rolls
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sim.calibration import calibrate, drive_log, ensure_calibrated, random_orders
 

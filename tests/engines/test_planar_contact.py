@@ -13,14 +13,14 @@ from tests.arenas import FLAT
 from tests.engines.eager import AT_ONCE, EAGER, SINGLE, around, drive, poses
 from usarmjx.engines.planar.bodies import footprint_of
 from usarmjx.engines.planar.footprints import TOLERANCE, Footprints, keep_apart
-from usarmjx.engines.planar.neighbours import stopping
+from usarmjx.engines.planar.neighbor_lists import stopping
 from usarmjx.engines.planar.responses import use_response
 from usarmjx.engines.planar.solids import seen_from_above
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import StartPose
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import StartPose
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 

@@ -10,24 +10,16 @@ import pytest
 
 from tests.arenas import FLAT
 from tests.engines.eager import AT_ONCE, EAGER, around
-from usarmjx.base.components import parts
-from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.rotations import mat_from_quat, parts
 from usarmjx.engines.planar.flight import sine_over, turned
-from usarmjx.engines.planar.footprints import (
-    Footprints,
-    deepest_of,
-    layout,
-    meetings,
-    parted,
-    push_of,
-)
-from usarmjx.engines.planar.neighbours import stopping
+from usarmjx.engines.planar.footprints import Footprints, deepest_of, layout, meetings, parted, push_of
+from usarmjx.engines.planar.neighbor_lists import stopping
 from usarmjx.engines.planar.responses import use_response
 from usarmjx.engines.planar.solids import seen_from_above
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import StartPose
-from usarmjx.models.spec.robot import Mount, options
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import StartPose
+from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sensors.rays import raycast
 from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
 from usarmjx.sensors.rays.targets import make_geoms

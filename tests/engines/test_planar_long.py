@@ -9,10 +9,10 @@ import pytest
 from usarmjx.engines.planar.bodies import footprint_of
 from usarmjx.engines.planar.footprints import TOLERANCE
 from usarmjx.engines.planar.responses import rolls
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.compile.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import ArenaSpec, StartPose
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 

@@ -14,10 +14,12 @@ from tests.engines.eager import EAGER
 from tests.engines.gpu_threads import COMPILER, run_as_on_a_gpu
 from tests.engines.test_planar_movable import WARD
 from usarmjx.engines.planar import engine as planar
-from usarmjx.engines.planar import looking, parting
-from usarmjx.engines.planar.aims import Aims
+from usarmjx.engines.planar import neighbor_search, separation
+from usarmjx.engines.planar.bodies import fixed_bodies
 from usarmjx.engines.planar.footprints import Footprints
-from usarmjx.engines.planar.looking import (
+from usarmjx.engines.planar.movable import WhereSolids, movable_solids
+from usarmjx.engines.planar.neighbor_lists import NEAR, farthest_in_a_step, places_of
+from usarmjx.engines.planar.neighbor_search import (
     AllSolids,
     around_by_jax,
     around_on_warp,
@@ -26,20 +28,18 @@ from usarmjx.engines.planar.looking import (
     looked_up,
     nothing_known,
 )
-from usarmjx.engines.planar.movable import WhereSolids, movable_solids
-from usarmjx.engines.planar.neighbours import NEAR, farthest_in_a_step, places_of
-from usarmjx.engines.planar.poses import fixed_bodies
+from usarmjx.engines.planar.proposed_motion import Aims
 from usarmjx.engines.planar.solids import SolidGeoms, seen_from_above
-from usarmjx.models.build.compose import Physics
-from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.types.arena import ArenaSpec, StartPose
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 
 pytest.importorskip("warp", reason="needs warp-lang")
 import warp as wp
 
-from usarmjx.engines.planar import warp_ground, warp_looking, warp_parting, warp_solids
+from usarmjx.engines.planar import warp_neighbor_search, warp_separation, warp_solids
 
 WORLDS, STEPS = 4, 100
 ROUNDING = 2e-5
@@ -161,7 +161,7 @@ def test_the_ground_is_found_as_by_jax_by_what_is_known_or_under_all_solids(scen
 @pytest.mark.parametrize("scene", list(SCENES)[:2])
 def test_an_engine_goes_the_same_way_with_them(scene, monkeypatch):
     by_jax, _ = driven(*SCENES[scene])
-    for module in (looking, parting):
+    for module in (neighbor_search, separation):
         monkeypatch.setattr(module, "warp_in_use", lambda: True)
     by_warp, physics = driven(*SCENES[scene])
     off = np.abs(np.asarray(by_warp) - by_jax).max(-1)
@@ -180,10 +180,10 @@ def test_they_are_in_use_where_warp_is_and_a_block_holds_the_solids(monkeypatch)
         return sorted(set(re.findall(r"@(look_around_robots|keep_robots_apart|ground_under_robots)", text)))
 
     assert kernels() == []
-    for module in (looking, parting):
+    for module in (neighbor_search, separation):
         monkeypatch.setattr(module, "warp_in_use", lambda: True)
     assert kernels() == ["ground_under_robots", "keep_robots_apart", "look_around_robots"]
-    monkeypatch.setattr(warp_looking, "ROOMS", (2,))
+    monkeypatch.setattr(warp_neighbor_search, "ROOMS", (2,))
     assert kernels() == ["keep_robots_apart"]
 
 
@@ -252,7 +252,11 @@ def launches(monkeypatch):
 
         return made
 
-    for module, name in ((looking, "_looking"), (looking, "_grounding"), (parting, "_kernel")):
+    for module, name in (
+        (neighbor_search, "_looking"),
+        (neighbor_search, "_grounding"),
+        (separation, "_kernel"),
+    ):
         monkeypatch.setattr(module, name, recorded(name, getattr(module, name)))
         monkeypatch.setattr(module, "warp_in_use", lambda: True)
     return kept
@@ -265,21 +269,28 @@ def test_the_threads_of_a_gpu_do_together_what_one_does(scene, launches):
     looked = [one for one in launches["_looking"] if (one[1][10] != one[2][0]).any()]
     assert len(looked) > 1
     for (most, places), args, found, dim in [*looked[:1], *looked[-2:], launches["_looking"][-1]]:
-        code, kernel = warp_looking._code(most, places), warp_looking.looking_kernel(most, places)
-        arrays = run_as_on_a_gpu(code, kernel, args, dim, warp_looking.THREADS)
+        code, kernel = (
+            warp_neighbor_search._code(most, places),
+            warp_neighbor_search.looking_kernel(most, places),
+        )
+        arrays = run_as_on_a_gpu(code, kernel, args, dim, warp_neighbor_search.THREADS)
         for mine, theirs in zip(arrays[-len(found) :], found, strict=True):
             np.testing.assert_allclose(mine, theirs, atol=ROUNDING)
     _, args, (found,), dim = launches["_grounding"][-1]
-    code = warp_solids.scene_code(warp_ground.ROBOT, warp_ground.GROUND, warp_ground.WORDS)
+    code = warp_solids.scene_code(
+        warp_neighbor_search.ROBOT, warp_neighbor_search.GROUND, warp_neighbor_search.WORDS
+    )
     args = [*args, np.zeros_like(found)]
     room = args[11] = np.array(args[11])
     room.reshape(-1, 4)[::3] = -1.0  # to some robots it is not known
-    ground = run_as_on_a_gpu(code, warp_ground.ground_under_robots, args, dim, warp_ground.THREADS)[-1]
+    ground = run_as_on_a_gpu(
+        code, warp_neighbor_search.ground_under_robots, args, dim, warp_neighbor_search.THREADS
+    )[-1]
     assert (np.abs(ground - found) > ROUNDING).mean() < 0.01, "but for who stands on an edge"
     (robots,), args, (found,), dim = launches["_kernel"][-1]
-    code, kernel = warp_parting._code(robots), warp_parting.parting_kernel(robots)
+    code, kernel = warp_separation._code(robots), warp_separation.parting_kernel(robots)
     args = [*args, np.zeros_like(found)]
-    parted = run_as_on_a_gpu(code, kernel, args, dim, warp_parting.BLOCK)[-1]
+    parted = run_as_on_a_gpu(code, kernel, args, dim, warp_separation.BLOCK)[-1]
     np.testing.assert_allclose(parted, found, atol=ROUNDING)
 
 
@@ -288,10 +299,10 @@ def test_the_threads_of_a_gpu_do_together_what_one_does(scene, launches):
 def test_they_compile_for_a_gpu(kernel, tmp_path):
     """NVRTC comes with Warp and needs no GPU; a block has 48 KiB of shared memory."""
     made = {
-        "look": lambda: warp_looking.looking_kernel(8, warp_looking.ROOMS[0]),
-        "look at the most": lambda: warp_looking.looking_kernel(12, warp_looking.ROOMS[-1]),
-        "ground": lambda: warp_ground.ground_under_robots,
-        "part": lambda: warp_parting.parting_kernel(warp_parting.MOST_ROBOTS),
+        "look": lambda: warp_neighbor_search.looking_kernel(8, warp_neighbor_search.ROOMS[0]),
+        "look at the most": lambda: warp_neighbor_search.looking_kernel(12, warp_neighbor_search.ROOMS[-1]),
+        "ground": lambda: warp_neighbor_search.ground_under_robots,
+        "part": lambda: warp_separation.parting_kernel(warp_separation.MOST_ROBOTS),
     }[kernel]()
     wp.compile_aot_module(made.module, arch=75, module_dir=tmp_path, use_ptx=True)
     (text,) = (path.read_bytes().decode("latin-1") for path in tmp_path.glob("*.ptx"))

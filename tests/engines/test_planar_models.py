@@ -13,16 +13,16 @@ from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.engines.planar.bodies import Motion
 from usarmjx.engines.planar.drives import follow, wheels_of
 from usarmjx.engines.planar.footprints import Footprints, keep_apart
-from usarmjx.engines.planar.neighbours import stopping
+from usarmjx.engines.planar.neighbor_lists import stopping
 from usarmjx.engines.planar.responses import Response, measured
 from usarmjx.engines.planar.rolling import rolled
 from usarmjx.engines.planar.solids import seen_from_above
-from usarmjx.models.build.compose import PHYSICS, Physics
+from usarmjx.models.compile.compose import PHYSICS, Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.calibration import DriveLog, fit_response, random_orders
 from usarmjx.sim.scene import build_scene
-from usarmjx.train.evaluation.drives import place_of
+from usarmjx.train.evaluation.engine_gap import place_of
 
 FLYERS = 16
 COARSE_LOSS = 0.03

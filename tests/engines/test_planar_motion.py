@@ -11,22 +11,22 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.fidelity.manoeuvres import BOARDS
 from tests.arenas import COURSE, FLAT
 from tests.engines.eager import AT_ONCE, BLIND, EAGER, SINGLE, drive, poses
 from usarmjx.base.errors import UnsupportedFeatureError
-from usarmjx.bench.fidelity.manoeuvres import BOARDS
+from usarmjx.engines.planar.bodies import move_joints, servos_of
 from usarmjx.engines.planar.drives import follow, wheels_of
 from usarmjx.engines.planar.footprints import TOLERANCE
 from usarmjx.engines.planar.responses import Response, check_robot, measured, use_response
-from usarmjx.engines.planar.servos import move_joints, servos_of
 from usarmjx.engines.planar.solids import ground_under, seen_from_above
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.build.compose import Physics
-from usarmjx.models.build.reach import STEP_SHARE
-from usarmjx.models.build.variation import DomainRandomization
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.randomization import DomainRandomization
+from usarmjx.models.compile.reachability import STEP_SHARE
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import StartPose
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import StartPose
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 

@@ -11,10 +11,10 @@ from tests.engines.eager import EAGER
 from usarmjx.engines.base import GeomPoses
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.movable import MovableSolids
-from usarmjx.engines.planar.neighbours import NEAR
-from usarmjx.models.build.compose import Physics
-from usarmjx.models.spec.arena import ArenaSpec, SegmentMotion, StartPose, Victim
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.engines.planar.neighbor_lists import NEAR
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.types.arena import ArenaSpec, SegmentMotion, StartPose, Victim
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from tests.engines.eager import around
-from usarmjx.engines.planar.few_worlds import FEW, where_needed
 from usarmjx.engines.planar.footprints import Footprints, keep_apart
-from usarmjx.engines.planar.neighbours import (
+from usarmjx.engines.planar.neighbor_lists import (
     LAYERS,
     NEAR,
     NEAR_LARGE,
@@ -21,9 +20,10 @@ from usarmjx.engines.planar.neighbours import (
     places_of,
     stopping,
 )
+from usarmjx.engines.planar.neighbor_search import FEW, where_needed
 from usarmjx.engines.planar.solids import ground_under, seen_from_above
-from usarmjx.models.spec.arena import ArenaSpec, StartPose, Victim
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import ArenaSpec, StartPose, Victim
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 

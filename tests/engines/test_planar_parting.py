@@ -10,15 +10,15 @@ import pytest
 from tests.engines.crowds import as_the_engine_has_it, crowd, flat
 from tests.engines.eager import EAGER, drive, poses
 from tests.engines.test_planar_contact import PEN
-from usarmjx.engines.planar import parting
+from usarmjx.engines.planar import separation
 from usarmjx.engines.planar.footprints import TOLERANCE, keep_apart
-from usarmjx.engines.planar.parting import part_robots, parted_on_warp
-from usarmjx.models.build.compose import Physics
+from usarmjx.engines.planar.separation import part_robots, parted_on_warp
+from usarmjx.models.compile.compose import Physics
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 
 pytest.importorskip("warp", reason="needs warp-lang")
-from usarmjx.engines.planar.warp_parting import MOST_ROBOTS, WARP, lanes_for
+from usarmjx.engines.planar.warp_separation import MOST_ROBOTS, WARP, lanes_for
 
 ROUNDING = 2e-5
 """Single precision through up to six pushes, which a lever may make ten times as large [m, rad]."""
@@ -96,7 +96,7 @@ def test_it_is_in_use_where_warp_is_and_worlds_are_not_too_large(monkeypatch):
         return jax.jit(lambda *given: part_robots(*given)).lower(*as_the_engine_has_it(case)).as_text()
 
     assert "keep_robots_apart" not in text(2)
-    monkeypatch.setattr(parting, "warp_in_use", lambda: True)
+    monkeypatch.setattr(separation, "warp_in_use", lambda: True)
     assert text(2).count("stablehlo.custom_call @") == 1
     assert "keep_robots_apart" in text(2)
     assert "keep_robots_apart" not in text(MOST_ROBOTS + 1)
@@ -110,7 +110,7 @@ def test_an_engine_goes_the_same_way_with_it(monkeypatch):
     """Four robots among walls and a disc, told the same for 3 s, in two worlds of which one goes astern."""
     scene, found = build_scene(PEN, [EAGER] * 4, Physics(timestep=0.05, substeps=1)), []
     for on in (False, True):
-        monkeypatch.setattr(parting, "warp_in_use", lambda on=on: on)
+        monkeypatch.setattr(separation, "warp_in_use", lambda on=on: on)
         batch = Batch(scene, 2, engine="planar")
         speeds = jnp.array([[3.0, 2.0, 3.0, 3.0], [-3.0, -2.0, 2.0, 3.0]])
         state = drive(batch, speeds, 0.8 * speeds, 60)

@@ -12,9 +12,8 @@ import pytest
 pytest.importorskip("warp", reason="needs warp-lang")
 
 from usarmjx.engines.base import Inputs
-from usarmjx.engines.mjx_warp import WarpEngine
-from usarmjx.engines.sleeping import STILL_TIME
-from usarmjx.models.build.compose import Physics
+from usarmjx.engines.mjx_warp import STILL_TIME, WarpEngine
+from usarmjx.models.compile.compose import Physics
 
 SCENE = """
 <mujoco>

@@ -10,7 +10,7 @@ pytest.importorskip("warp", reason="needs warp-lang")
 from tests.engines.test_weight import engine_of
 from usarmjx.base.errors import EngineError, UnknownNameError, UnsupportedFeatureError
 from usarmjx.engines.base import Inputs
-from usarmjx.engines.warp_graphs import step_several
+from usarmjx.engines.mjx_warp import step_several
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 

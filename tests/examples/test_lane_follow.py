@@ -10,9 +10,8 @@ import pytest
 
 from tests.scripts import load
 from tests.server.peers import serving
-from usarmjx.models.arenas.arda import ARDA
-from usarmjx.models.arenas.arda_roads import NETWORK
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.arenas.arda import ARDA, NETWORK
+from usarmjx.models.compile.compose import Physics
 from usarmjx.models.roads.network import FOOT
 from usarmjx.models.robots.cars import SNOWSTORM
 from usarmjx.server.worlds.dynamic_world import DynamicWorld

@@ -12,8 +12,7 @@ import pytest
 import dev
 from tests.arenas import FLAT
 from tests.server.peers import PATIENCE, looping
-from usarmjx.server.bot_server import BotServerSettings
-from usarmjx.server.net import BotServer
+from usarmjx.server.gamebots.server import BotServer, BotServerSettings
 from usarmjx.server.rosbridge.definitions import RosVersion
 from usarmjx.server.rosbridge.net import RosbridgeServer, RosSettings
 from usarmjx.server.worlds.dynamic_world import DynamicWorld

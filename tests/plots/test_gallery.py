@@ -12,8 +12,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from usarmjx.models.build.compose import Physics, new_spec
-from usarmjx.models.spec.arena import (
+from usarmjx.models.compile.compose import Physics, new_spec
+from usarmjx.models.types.arena import (
     ArenaSpec,
     Door,
     FalseAlarm,
@@ -24,10 +24,9 @@ from usarmjx.models.spec.arena import (
     Victim,
     Water,
 )
-from usarmjx.models.spec.shapes import HeightField, Shape
+from usarmjx.models.types.shapes import HeightField, Shape
 from usarmjx.plots import floor_plan, gallery, picture, render
-from usarmjx.plots.scenery import MIRROR_REFLECTANCE
-from usarmjx.plots.viewpoint import camera_rays
+from usarmjx.plots.render import MIRROR_REFLECTANCE, camera_rays
 
 RED, GREEN, BLUE = (0.8, 0.0, 0.0, 1.0), (0.0, 0.8, 0.0, 1.0), (0.0, 0.0, 0.8, 1.0)
 

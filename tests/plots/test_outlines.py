@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.models.spec.shapes import HeightField, Mesh, Shape
-from usarmjx.plots.outlines import CIRCLE_POINTS, area, height_range, outline
+from usarmjx.models.types.shapes import HeightField, Mesh, Shape
+from usarmjx.plots.picture import CIRCLE_POINTS, area, height_range, outline
 
 TETRAHEDRON = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], float)
 SHAPES = {

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from tests.train.handmade import policy_file
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.compile.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.plots.play import GIF_SPEEDUP, _caption, record_episode, save_recording
 from usarmjx.server.pictures.spectator_server import SpectatorServer
@@ -92,7 +92,7 @@ def test_other_endings_are_refused(shown, tmp_path):
 def test_play_serves_the_world_that_a_policy_drives(tmp_path, monkeypatch):
     """What clients meet in it is tested with `DrivenWorld`."""
     served = []
-    monkeypatch.setattr("usarmjx.server.loop.serve", lambda *given: served.append(given))
+    monkeypatch.setattr("usarmjx.server.runtime.loop.serve", lambda *given: served.append(given))
     file = policy_file(tmp_path / "goal.npz", {"ranges": ""})
     how = ["--port", "3001", "--realtime-factor", "2", "--set", "pose=GroundTruth", "--spectator-port", "0"]
     how += ["--rosbridge-port", "0"]
@@ -111,7 +111,7 @@ def test_play_serves_the_world_that_a_policy_drives(tmp_path, monkeypatch):
 
 def test_play_serves_several_worlds_of_one_batch(tmp_path, monkeypatch):
     served = []
-    monkeypatch.setattr("usarmjx.server.loop.serve", lambda *given: served.append(given))
+    monkeypatch.setattr("usarmjx.server.runtime.loop.serve", lambda *given: served.append(given))
     file = policy_file(tmp_path / "goal.npz", {"ranges": ""})
     how = ["--worlds", "2", "--instances", "all", "--port", "3101", "--set", "pose=GroundTruth"]
     done = CliRunner().invoke(app, ["play", str(file), "--serve", *how])

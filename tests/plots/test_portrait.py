@@ -6,9 +6,8 @@ import pytest
 
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.robots import ROBOTS
-from usarmjx.plots.portrait import portrait, portraits
-from usarmjx.plots.render import CHECKER_RGB, SKY_RGB, render_picture
-from usarmjx.plots.scenery import render_geoms_of
+from usarmjx.plots.gallery import portrait, portraits
+from usarmjx.plots.render import CHECKER_RGB, SKY_RGB, render_geoms_of, render_picture
 
 BALL = """<mujoco><worldbody>
   <geom name="floor" type="plane" size="0 0 1"/>

@@ -13,8 +13,8 @@ from tests.comms.test_attenuation import DBM_ATOL, manual_power
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
 from usarmjx.comms.attenuation import RadioSettings, link_range
-from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import ArenaSpec, StartPose
+from usarmjx.models.types.shapes import Shape
 from usarmjx.plots import picture
 from usarmjx.plots.radio_map import ANTENNA_HEIGHT, CUTOFF_LINE, parse_position, power_map, radio_picture
 

@@ -13,12 +13,12 @@ from typer.testing import CliRunner
 
 import dev
 from tests.test_docs import blocks
-from usarmjx.cameras.paint import ARENA_LABEL, ROBOT_LABEL, VICTIM_LABEL
+from tools import sensor_figures
 from usarmjx.cli.app import app
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.shapes import Shape
-from usarmjx.plots import camera_plots, sensor_plots, sensor_studies
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.shapes import Shape
+from usarmjx.sensors.cameras.paint import ARENA_LABEL, ROBOT_LABEL, VICTIM_LABEL
 from usarmjx.sensors.ranging import RangeSettings, SonarSettings
 from usarmjx.sensors.rfid import RfidSettings, signal_strength
 
@@ -32,7 +32,7 @@ AT, YAW = (0.5, -0.4), 0.3
 
 @pytest.fixture(scope="module")
 def seen():
-    return sensor_studies.range_study(ROOM, AT, YAW)
+    return sensor_figures.range_study(ROOM, AT, YAW)
 
 
 @pytest.mark.oracle
@@ -89,10 +89,10 @@ def drawn(fill, seen):
 
 
 def test_hits_and_robot_are_drawn_where_they_are(seen):
-    image, pixels = drawn(sensor_plots.draw_laser, seen)
+    image, pixels = drawn(sensor_figures.draw_laser, seen)
     column, row = pixels.transform(AT)
-    assert image[round(row), round(column)] == pytest.approx(to_rgb(sensor_plots.BLUE), abs=0.02)
-    pink = np.abs(image - to_rgb(sensor_plots.PINK)).max(-1) < 0.1
+    assert image[round(row), round(column)] == pytest.approx(to_rgb(sensor_figures.BLUE), abs=0.02)
+    pink = np.abs(image - to_rgb(sensor_figures.PINK)).max(-1) < 0.1
     for end in seen.ends[seen.hit][::10]:
         column, row = pixels.transform(end)
         here = pink[round(row) - 2 : round(row) + 3, round(column) - 2 : round(column) + 3]
@@ -100,7 +100,7 @@ def test_hits_and_robot_are_drawn_where_they_are(seen):
 
 
 def test_cones_reach_as_far_as_the_echo(seen):
-    image, pixels = drawn(sensor_plots.draw_sonars, seen)
+    image, pixels = drawn(sensor_figures.draw_sonars, seen)
     x, y, yaw = seen.sonars[3]
     for share, filled in ((0.8, True), (1.3, False)):
         far = share * seen.echoes[3]
@@ -113,15 +113,15 @@ def test_cones_reach_as_far_as_the_echo(seen):
 def test_ranges_of_tags_are_where_the_power_falls_to_the_sensibility():
     """2.99 m free and 2.44 m behind an obstacle: the manual's constants in its formula (10.9.3.3)."""
     for blocked, expected in ((False, 2.99), (True, 2.44)):
-        reach = sensor_studies.rfid_range(RfidSettings(), blocked=blocked)
+        reach = sensor_figures.rfid_range(RfidSettings(), blocked=blocked)
         assert reach == pytest.approx(expected, abs=0.005)
         assert signal_strength(RfidSettings(), reach, blocked, np) == pytest.approx(-88.0, abs=1e-9)
 
 
 @pytest.mark.oracle
 def test_an_exact_ins_is_on_the_winding_way():
-    times, way = sensor_studies.winding_path(0.2)
-    paths = sensor_studies.ins_paths(2, Sigma=0.0)
+    times, way = sensor_figures.winding_path(0.2)
+    paths = sensor_figures.ins_paths(2, Sigma=0.0)
     assert paths.shape == (2, len(times), 2)
     np.testing.assert_array_equal(paths[0], paths[1])
     # A step along the new heading instead of the chord's is off by half the turn of a step: 3 cm over a bend.
@@ -133,10 +133,10 @@ def test_an_exact_ins_is_on_the_winding_way():
 
 
 def test_noise_and_drift_of_an_ins_grow():
-    _, way = sensor_studies.winding_path(0.2)
-    exact = sensor_studies.ins_paths(1, Sigma=0.0)
-    noisy = sensor_studies.ins_paths(16, Sigma=0.1) - exact
-    drifting = sensor_studies.ins_paths(16, Sigma=0.0, Drifting=True) - exact
+    _, way = sensor_figures.winding_path(0.2)
+    exact = sensor_figures.ins_paths(1, Sigma=0.0)
+    noisy = sensor_figures.ins_paths(16, Sigma=0.1) - exact
+    drifting = sensor_figures.ins_paths(16, Sigma=0.0, Drifting=True) - exact
     for error in (noisy, drifting):
         far = np.median(np.linalg.norm(error, axis=-1), axis=0)
         assert 0 < 3 * far[len(way) // 10] < far[-1]
@@ -147,7 +147,7 @@ def test_noise_and_drift_of_an_ins_grow():
 @pytest.mark.parametrize(("satellites", "largest"), [(12, 0.75), (8, 1.625), (4, 2.5)])
 def test_gps_errors_stay_within_the_largest(satellites: int, largest: float):
     """Linear between 12 and 4 satellites; three standard deviations."""
-    errors = sensor_studies.gps_errors(satellites, 400)
+    errors = sensor_figures.gps_errors(satellites, 400)
     assert np.abs(errors).max() <= largest + 1e-5
     # Cut off at three standard deviations a normal number has 0.987 of its own; four errors for 800 numbers.
     assert errors.std() == pytest.approx(0.987 * largest / 3, rel=4 / math.sqrt(2 * 800))
@@ -156,18 +156,18 @@ def test_gps_errors_stay_within_the_largest(satellites: int, largest: float):
 def test_ranges_are_told_as_the_settings_say():
     true = np.array([0.05, 1.0, 2.0, 4.999, 5.0, 6.0], np.float32)
     curve = ((0.0, 0.0), (1.0, 1.6), (3.0, 2.4), (5.0, 5.0))
-    assert curve == sensor_plots.EXAMPLE_OUTPUT_CURVE
-    exact = sensor_studies.reported_ranges(true, RangeSettings(output_curve=curve))
+    assert curve == sensor_figures.EXAMPLE_OUTPUT_CURVE
+    exact = sensor_figures.reported_ranges(true, RangeSettings(output_curve=curve))
     assert exact == pytest.approx([0.16, 1.6, 2.0, 4.9987, 5.0, 5.0], abs=1e-4)
-    noisy = sensor_studies.reported_ranges(np.full(400, 2.0, np.float32), SonarSettings())
+    noisy = sensor_figures.reported_ranges(np.full(400, 2.0, np.float32), SonarSettings())
     assert np.abs(noisy - 2.0).max() <= 0.1 + 1e-6
     assert noisy.std() == pytest.approx(0.1 / math.sqrt(3), rel=0.15)  # four errors for 400 uniform numbers
 
 
 def test_labels_of_pictures_have_their_colours_and_robots_are_one():
-    names = [name for name, _ in camera_plots.LABELS.values()]
+    names = [name for name, _ in sensor_figures.LABELS.values()]
     labels = np.array([ARENA_LABEL, VICTIM_LABEL, ROBOT_LABEL, ROBOT_LABEL + 3, -1, 0])
-    found = [names[place] for place in camera_plots.label_indices(labels)]
+    found = [names[place] for place in sensor_figures.label_indices(labels)]
     assert found == ["arena", "victim", "the robot", "the robot", "outside", "sky"]
 
 
@@ -183,7 +183,7 @@ def test_the_command_writes_what_is_asked_for(tmp_path):
     files = [tmp_path / "new" / f"sensor-{name}.png" for name in ("rfid", "noise")]
     assert result.output == "".join(f"wrote {path}\n" for path in files)
     image = imread(files[0])[..., :3]
-    for colour in (sensor_plots.BLUE, sensor_plots.ORANGE):
+    for colour in (sensor_figures.BLUE, sensor_figures.ORANGE):
         assert (np.abs(image - to_rgb(colour)).max(-1) < 0.02).sum() > 500
     result = CliRunner().invoke(app, ["sensor-plots", "smell", "--out", str(tmp_path)])
     assert result.exit_code == 2
@@ -192,7 +192,7 @@ def test_the_command_writes_what_is_asked_for(tmp_path):
 
 def test_all_plots_are_in_the_docs_and_small():
     page = (dev.ROOT / "docs" / "sensors.md").read_text(encoding="utf-8")
-    for name in sensor_plots.PLOTS.names():
+    for name in sensor_figures.PLOTS.names():
         assert f"](sensor-{name}.png)" in page
         assert (dev.ROOT / "docs" / f"sensor-{name}.png").stat().st_size < 150_000
     assert any("usarmjx sensor-plots --out docs" in block for block in blocks(page, "console"))

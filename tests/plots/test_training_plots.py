@@ -11,11 +11,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from typer.testing import CliRunner
 
 import dev
-from tests.bench.records import faults
+from benchmarks.train import train_record
+from tests.benchmarks.records import faults
 from tests.test_docs import blocks
 from tests.train.runs import CONFIG, lines
 from usarmjx.base.errors import UsageError
-from usarmjx.bench.train import train_record
 from usarmjx.cli.app import app
 from usarmjx.plots.training_plots import (
     BLUE,

@@ -8,9 +8,9 @@ import pytest
 from usarmjx.base.errors import UsageError
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec, LooseObject, StartPose, Victim
-from usarmjx.models.spec.robot import Mount, options
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import ArenaSpec, LooseObject, StartPose, Victim
+from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.shapes import Shape
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.server.worlds.recorded import record_worlds
 from usarmjx.sim.control import CommandUpdate

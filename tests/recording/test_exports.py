@@ -10,9 +10,9 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from usarmjx.cli.app import app
-from usarmjx.plots.mission import read_mission
-from usarmjx.recording.messages import ChannelName
+from usarmjx.plots.recording import read_mission
 from usarmjx.recording.reader import RecordedMessage, Recording
+from usarmjx.recording.recorder import ChannelName
 from usarmjx.recording.tables import rows_of
 
 

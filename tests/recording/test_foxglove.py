@@ -6,8 +6,7 @@ import pytest
 from mcap.reader import make_reader
 
 from usarmjx.recording.file import CHANNELS
-from usarmjx.recording.foxglove import DELETE_ALL, INFO
-from usarmjx.recording.schemas import SCHEMAS
+from usarmjx.recording.foxglove import DELETE_ALL, INFO, SCHEMAS
 
 FIELDS = """
 Color: r number, g number, b number, a number

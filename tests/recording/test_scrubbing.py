@@ -7,8 +7,7 @@ import pytest
 from tests.view.conftest import browser  # noqa: F401 - a fixture
 from tests.view.visitor import until, visiting
 from usarmjx.recording.reader import Recording
-from usarmjx.recording.source import RecordingSource
-from usarmjx.recording.timeline import Timeline, recording_page, write_html
+from usarmjx.recording.source import RecordingSource, Timeline, recording_page, write_html
 from usarmjx.view.page import ViewerPage
 
 PATIENCE = 60.0  # s: a loaded machine draws slowly

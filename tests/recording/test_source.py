@@ -7,8 +7,7 @@ import pytest
 
 from usarmjx.base.errors import UsageError
 from usarmjx.recording.reader import Recording
-from usarmjx.recording.source import RecordingSource
-from usarmjx.recording.timeline import Timeline, write_html
+from usarmjx.recording.source import RecordingSource, Timeline, write_html
 from usarmjx.view.page import ViewerPage
 
 STEP = 0.02

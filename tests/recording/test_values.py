@@ -10,7 +10,7 @@ import pytest
 from usarmjx.base.errors import UsageError
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.shapes import Mesh
+from usarmjx.models.types.shapes import Mesh
 from usarmjx.recording.values import ARRAY, KIND, pack, unpack
 
 

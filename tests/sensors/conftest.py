@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from usarmjx.base.transforms import mat_from_angles, quat_from_angles
-from usarmjx.models.build.body_plan import forward_kinematics, kinematic_tree_of
-from usarmjx.models.drives.state import RobotState
+from usarmjx.models.compile.kinematic_tree import forward_kinematics, kinematic_tree_of
+from usarmjx.models.drives.base import RobotState
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2AT, P2AT_SCANNER
-from usarmjx.models.spec.robot import Mount, RobotSpec, options
+from usarmjx.models.types.robot import Mount, RobotSpec, options
 from usarmjx.sensors.base import SensorInput
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, make_geoms
 from usarmjx.sensors.suite import SensorMemory, Suite, suite_of

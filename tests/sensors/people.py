@@ -10,13 +10,13 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.transforms import mat_from_angles, quat_from_angles
-from usarmjx.models.build.body_plan import forward_kinematics, kinematic_tree_of
-from usarmjx.models.build.tags import tag_table
-from usarmjx.models.build.victims import pad_table, segment_poses, victim_table
-from usarmjx.models.drives.state import RobotState
+from usarmjx.models.compile.kinematic_tree import forward_kinematics, kinematic_tree_of
+from usarmjx.models.compile.tags import tag_table
+from usarmjx.models.compile.victims import pad_table, segment_poses, victim_table
+from usarmjx.models.drives.base import RobotState
 from usarmjx.models.effecters import MAX_DROPPED_TAGS, DroppedTags
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import Mount
+from usarmjx.models.types.robot import Mount
 from usarmjx.sensors.base import SensorInput
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, make_geoms
 from usarmjx.sensors.suite import SensorMemory, suite_of

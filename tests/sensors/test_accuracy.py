@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from tests.lands import Land, hills, land, stones
-from usarmjx.models.build.pieces import TRIANGLE_KIND, ray_primitives_of
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.compile.ray_geoms import TRIANGLE_KIND, ray_primitives_of
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sensors.rays.raycast import cast_rays
 from usarmjx.sensors.rays.targets import make_geoms
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.sensors.blocks import c_rays, random_blocks
 from usarmjx.base.errors import SpecError
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.types.robot import Mount, options
 from usarmjx.sensors.gps import (
     ELEVATION_MASK,
     GpsSettings,
@@ -21,7 +21,7 @@ from usarmjx.sensors.gps import (
     satellite_directions,
 )
 from usarmjx.sensors.settings import resolve_settings
-from usarmjx.server.messages.sensors import configuration, sensor_report
+from usarmjx.server.gamebots.sensors import configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message
 
 MOUNT = (0.1, 0.2, -0.3)  # the wire's axes

@@ -14,17 +14,17 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsarmjxError
 from usarmjx.base.transforms import flip_angles, flip_vector, quat_from_angles
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.build.body_plan import forward_kinematics
-from usarmjx.models.build.compose import Physics, add_robot, new_spec
-from usarmjx.models.drives.state import RobotState
+from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.kinematic_tree import forward_kinematics
+from usarmjx.models.drives.base import RobotState
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.robot import Mount, options
 from usarmjx.sensors.base import SensorInput
 from usarmjx.sensors.rays.raycast import NO_HITS
 from usarmjx.sensors.suite import suite_of
-from usarmjx.server.messages.sensors import sensor_report
+from usarmjx.server.gamebots.sensors import sensor_report
 from usarmjx.server.protocol.grammar import format_message
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.configure import configure

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.types.robot import Mount, options
 from usarmjx.sensors.ranging import IrSettings
 from usarmjx.sensors.settings import resolve_settings
-from usarmjx.server.messages.sensors import configuration, sensor_report
+from usarmjx.server.gamebots.sensors import configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message
 
 RANGE_ATOL = 1e-4  # m: float32 over a room, the raycaster's own tolerance

@@ -9,11 +9,11 @@ import pytest
 from usarmjx.base import random
 from usarmjx.base.backend import numpy_backend
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.types.robot import Mount, options
 from usarmjx.sensors.base import SensorInput
 from usarmjx.sensors.rays.raycast import Hits
 from usarmjx.sensors.suite import suite_of
-from usarmjx.server.messages.sensors import configuration, sensor_report
+from usarmjx.server.gamebots.sensors import configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message
 
 SMALL = {"VerticalFOV": 0.4, "VerticalResolution": 0.1, "HorizontalFOV": 1.6, "HorizontalResolution": 0.1}

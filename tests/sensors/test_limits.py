@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from usarmjx.base.errors import SpecError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import Mount, options
-from usarmjx.models.spec.settings import NumberLimits, OneOf, checked, limits_of, resolve_settings
+from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.settings import NumberLimits, OneOf, checked, limits_of, resolve_settings
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sensors.suite import suite_of
 from usarmjx.sim.configure import configure, settings_by_kind

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import flip_angles, flip_vector
-from usarmjx.models.build.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import Physics, add_robot, new_spec
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.robot import Mount, options
 
 DEAD_RECKONING_ATOL = 1e-5  # m, rad: float32 sums of some hundred steps within 2 m
 INERTIAL_ATOL = 1e-4  # m, rad: float32 matrices multiplied some ten times, positions of some metres

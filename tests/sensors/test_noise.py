@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from usarmjx.sensors.noise import apply_output_curve, relative_normal, relative_uniform
+from usarmjx.sensors.base import apply_output_curve, relative_normal, relative_uniform
 
 DRAWS = 200_000
 SIGMAS = 5  # a fair draw misses by more than this once in 1.7 million times; the keys are fixed

@@ -14,14 +14,14 @@ from tests.sensors.people import Room
 from usarmjx.base import random
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.transforms import quat_from_angles
-from usarmjx.models.build.body_plan import forward_kinematics
-from usarmjx.models.build.tags import tag_table
-from usarmjx.models.drives.state import RobotState
+from usarmjx.models.compile.kinematic_tree import forward_kinematics
+from usarmjx.models.compile.tags import tag_table
+from usarmjx.models.drives.base import RobotState
 from usarmjx.models.effecters import MAX_DROPPED_TAGS, DroppedTags
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2AT
-from usarmjx.models.spec.arena import FalseAlarm, HelpSound, SegmentMotion, Tag, Victim
-from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.types.arena import FalseAlarm, HelpSound, SegmentMotion, Tag, Victim
+from usarmjx.models.types.robot import Mount, options
 from usarmjx.sensors.base import ROBOT_FIELDS, SENSORS, SensorInput, is_for_teams
 from usarmjx.sensors.rays.raycast import Hits, RayQuery
 from usarmjx.sensors.suite import Suite, suite_of

@@ -12,18 +12,17 @@ from hypothesis import strategies as st
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.build.compose import Physics, add_robot, new_spec
-from usarmjx.models.build.housings import HOUSING_SIZE
+from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.visuals import HOUSING_SIZE
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2AT
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import Mount, options
-from usarmjx.models.spec.settings import SMALLEST_NUMBER, resolve_settings
-from usarmjx.sensors.base import SENSORS, NoisySensorSettings
-from usarmjx.sensors.noise import noisy
-from usarmjx.sensors.payload import carried_weight
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.settings import SMALLEST_NUMBER, resolve_settings
+from usarmjx.sensors.base import SENSORS, NoisySensorSettings, noisy
 from usarmjx.sensors.ranging import RangeSettings, range_readings
-from usarmjx.server.messages.sensors import geometry
+from usarmjx.sensors.settings import carried_weight
+from usarmjx.server.gamebots.sensors import geometry
 
 AT = (0.3, 0.0, -0.3)  # in front of the robot, above its wheels
 FAR = 1.9  # m to the wall

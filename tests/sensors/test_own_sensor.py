@@ -16,18 +16,16 @@ from tests.scripts import load
 from tests.server.peers import Peer, serving
 from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
-from usarmjx.cli.sensor_tables import sensors_table
-from usarmjx.models.build.compose import Physics
+from usarmjx.cli.listing import sensors_table
+from usarmjx.models.compile.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import Mount, options
-from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorSettings
-from usarmjx.sensors.noise import noisy
-from usarmjx.sensors.quantities import FORMS, Quantity
+from usarmjx.models.types.robot import Mount, options
+from usarmjx.sensors.base import FORMS, SENSORS, NoisySensorSettings, Quantity, Sensor, SensorSettings, noisy
 from usarmjx.sensors.ranging import RangeScanner, ScannerSettings
 from usarmjx.sensors.suite import suite_of
-from usarmjx.server.messages import generic as telling
-from usarmjx.server.messages.sensors import CONFIGURATION, REPORTS, configuration, sensor_report
+from usarmjx.server.gamebots import sensors as telling
+from usarmjx.server.gamebots.sensors import CONFIGURATION, REPORTS, configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message as line_of
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.batch import Batch

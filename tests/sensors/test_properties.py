@@ -8,9 +8,14 @@ from hypothesis import strategies as st
 
 from usarmjx.sensors.gps import MAX_SATELLITES, MIN_FIX_SATELLITES, GpsSettings, largest_error
 from usarmjx.sensors.human_motion import human_motion_probability
-from usarmjx.sensors.ranging import ScannerSettings, beam_directions, fan_directions
+from usarmjx.sensors.ranging import (
+    Scanner3DSettings,
+    ScannerSettings,
+    beam_directions,
+    fan_directions,
+    grid_directions,
+)
 from usarmjx.sensors.rfid import RfidSettings, signal_strength
-from usarmjx.sensors.scanners import Scanner3DSettings, grid_directions
 from usarmjx.sensors.touch import button_ray_origins
 from usarmjx.sensors.victim import VictSensorSettings, shifted_grids
 

@@ -9,7 +9,7 @@ import pytest
 from usarmjx.base.errors import SpecError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT, P2AT_SCANNER
-from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.types.robot import Mount, options
 from usarmjx.sensors.ranging import ScannerSettings, SonarSettings, beam_directions, fan_directions
 from usarmjx.sensors.suite import suite_of
 from usarmjx.sim.configure import configure

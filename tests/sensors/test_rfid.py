@@ -10,9 +10,9 @@ import pytest
 from tests.sensors.blocks import c_rays, random_blocks
 from tests.sensors.people import Room, Watch
 from usarmjx.base.errors import SpecError
-from usarmjx.models.build.tags import tag_ids, tag_table
-from usarmjx.models.spec.arena import Tag
-from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.compile.tags import tag_ids, tag_table
+from usarmjx.models.types.arena import Tag
+from usarmjx.models.types.robot import Mount, options
 from usarmjx.sensors.base import Sensor
 from usarmjx.sensors.rfid import (
     MAX_TAGS,
@@ -23,7 +23,7 @@ from usarmjx.sensors.rfid import (
     signal_strength,
 )
 from usarmjx.sensors.settings import resolve_settings
-from usarmjx.server.messages.sensors import configuration, sensor_report
+from usarmjx.server.gamebots.sensors import configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message
 
 HEIGHT = 0.26

@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from usarmjx.server.messages.sensors import sensor_report
+from usarmjx.server.gamebots.sensors import sensor_report
 from usarmjx.server.protocol.grammar import format_message
 
 TIME = 5608.85

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from usarmjx.engines import make_engine
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.compile.compose import Physics
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2DX
-from usarmjx.models.spec.arena import ArenaSpec, FalseAlarm, SegmentMotion, StartPose, Tag, Victim
-from usarmjx.models.spec.robot import Mount, options
-from usarmjx.models.spec.shapes import GLASS, Shape
+from usarmjx.models.types.arena import ArenaSpec, FalseAlarm, SegmentMotion, StartPose, Tag, Victim
+from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.shapes import GLASS, Shape
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sim.control import set_drive
 from usarmjx.sim.reset import init_world

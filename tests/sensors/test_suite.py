@@ -10,7 +10,7 @@ import pytest
 
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.types.robot import Mount, options
 from usarmjx.sensors.suite import suite_of
 
 PERIOD = 0.02  # s

@@ -10,15 +10,15 @@ import pytest
 
 from tests.sensors.people import BOXES, TAGS, VICTIMS, Room, Watch, quick_jit
 from usarmjx.base.backend import numpy_backend
-from usarmjx.models.build.tags import tag_table
-from usarmjx.models.build.victims import PADDING_OWNER, pad_table
+from usarmjx.models.compile.tags import tag_table
+from usarmjx.models.compile.victims import PADDING_OWNER, pad_table
 from usarmjx.models.effecters import MAX_DROPPED_TAGS, DroppedTags, no_dropped_tags
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.arena import FalseAlarm, HelpSound, SegmentMotion, Tag, Victim
-from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.types.arena import FalseAlarm, HelpSound, SegmentMotion, Tag, Victim
+from usarmjx.models.types.robot import Mount, options
 from usarmjx.sensors.surroundings import NO_SURROUNDINGS, surroundings_at, tags_at
+from usarmjx.sim.ray_geometry import surroundings
 from usarmjx.sim.scene import build_scene
-from usarmjx.sim.site import surroundings
 
 WAVE = SegmentMotion(name="RightArm", initial=(-2, 0, 0), final=(-1, 0, 0), rates=(1, 0, 0))
 ONE = Victim(name="one", at=(3.0, 0.2, 0.12), segments=(WAVE,), help_sound=HelpSound(loudness=2.0))

@@ -9,11 +9,11 @@ import pytest
 from tests.rig import Rig
 from usarmjx.base.transforms import angles_from_mat
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import Mount, options
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sensors.settings import resolve_settings
 from usarmjx.sensors.touch import TouchSettings, button_ray_origins
-from usarmjx.server.messages.sensors import configuration, sensor_report
+from usarmjx.server.gamebots.sensors import configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message
 
 HULL_X = 0.276  # m: front face of the P2AT's hull, 0.11 m below its origin

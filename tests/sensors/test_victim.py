@@ -9,14 +9,14 @@ import pytest
 from tests.sensors.people import Room, Watch
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.build.victims import PART_NAMES, box_names, rest_height
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.victims import PART_NAMES, box_names, rest_height
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.arena import FalseAlarm, SegmentMotion, Victim
-from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.types.arena import FalseAlarm, SegmentMotion, Victim
+from usarmjx.models.types.robot import Mount, options
 from usarmjx.sensors.settings import resolve_settings
 from usarmjx.sensors.victim import VictSensor, VictSensorSettings, shifted_grids
-from usarmjx.server.messages.sensors import configuration, sensor_report
+from usarmjx.server.gamebots.sensors import configuration, sensor_report
 from usarmjx.server.protocol.grammar import format_message
 
 DRAWS = 400

@@ -11,13 +11,12 @@ import numpy as np
 from tests.server.fake_radio import FakeRadio
 from tests.server.peers import PATIENCE, looping
 from tests.server.still_world import StillWorld
-from usarmjx.server.access import AccessRules
-from usarmjx.server.bot_server import BotServerSettings
-from usarmjx.server.metrics import MetricsServer
-from usarmjx.server.net import BotServer
+from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.network.access import AccessRules
+from usarmjx.server.network.ports import bound_socket
 from usarmjx.server.pictures.image_server import ImageServer, ImageSettings
 from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
-from usarmjx.server.ports import bound_socket
+from usarmjx.server.runtime.metrics import MetricsServer
 from usarmjx.server.wireless.net import WirelessService, WirelessSettings
 
 HOST, ELSEWHERE = "127.0.0.1", "127.0.0.2"

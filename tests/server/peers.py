@@ -7,8 +7,8 @@ import socket
 import struct
 import threading
 
-from usarmjx.server.loop import ServerLoop
-from usarmjx.server.net import BotServer, BotServerSettings
+from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.runtime.loop import ServerLoop
 
 PATIENCE = 60.0  # s: how long to wait for what takes well under a second on an idle machine
 STA_TIME = re.compile(rb"STA \{Type GroundVehicle\} \{Time ([\d.]+)\}")

@@ -6,7 +6,7 @@ import numpy as np
 
 from tests.arenas import FLAT
 from usarmjx.base.errors import UsageError
-from usarmjx.models.drives.state import RobotState
+from usarmjx.models.drives.base import RobotState
 from usarmjx.sensors.suite import suite_of
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from usarmjx.base.errors import PeerError, UsageError
-from usarmjx.server.access import (
+from usarmjx.server.network.access import (
     MAX_TOKEN_SIZE,
     AccessRules,
     check_token,
@@ -18,7 +18,7 @@ from usarmjx.server.access import (
     read_token,
     token_of,
 )
-from usarmjx.server.gate import LOG_INTERVAL, Gate
+from usarmjx.server.network.gate import LOG_INTERVAL, Gate
 
 
 def allowed(texts, *addresses):

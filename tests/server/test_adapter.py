@@ -19,10 +19,10 @@ from tests.arenas import FLAT
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.compile.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import START_ELEVATION, StartPose
-from usarmjx.server.adapter import Client
+from usarmjx.models.types.arena import START_ELEVATION, StartPose
+from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.protocol.session import SessionPhase
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 

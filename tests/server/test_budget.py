@@ -12,11 +12,18 @@ import pytest
 from tests.server.peers import PATIENCE, Peer, serving
 from tests.server.still_world import StillWorld, init
 from usarmjx.base.errors import PeerError
-from usarmjx.server.budget import BURST, CLIENT_SHARE, INIT_COST, TOTAL_SHARE, BudgetPool, ClientBudget
-from usarmjx.server.fault_log import INTERVAL, MAX_LINES, FaultLog, summary
-from usarmjx.server.net import READ_SIZE
+from usarmjx.server.gamebots.budget import (
+    BURST,
+    CLIENT_SHARE,
+    INIT_COST,
+    TOTAL_SHARE,
+    BudgetPool,
+    ClientBudget,
+)
+from usarmjx.server.gamebots.server import READ_SIZE
 from usarmjx.server.protocol.commands import GetConf, GetStartPoses, Init, Trace
 from usarmjx.server.protocol.session import REFUSAL_FAULTS
+from usarmjx.server.runtime.logs import INTERVAL, MAX_LINES, FaultLog, summary
 
 PERIOD, MS = 0.02, 1e-3  # s
 GROWTH = CLIENT_SHARE * PERIOD

@@ -9,8 +9,16 @@ import pytest
 from tests.server.still_world import CLASS, StillWorld
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.console import NOT_ALLOWED, SpectatorConsole, WatchingCamera
-from usarmjx.server.log_tail import MAX_LINE, MAX_LINES, PACKAGE, LogTail, keep_log
+from usarmjx.server.gamebots.console import (
+    MAX_LINES,
+    MAX_LOG_LINE,
+    NOT_ALLOWED,
+    PACKAGE,
+    LogTail,
+    SpectatorConsole,
+    WatchingCamera,
+    keep_log,
+)
 from usarmjx.view.controls import WorldStatus
 
 
@@ -80,17 +88,17 @@ def test_showlog_shows_the_last_lines_of_the_log_even_of_what_the_error_stream_d
     assert shown.level == logging.WARNING
     console = SpectatorConsole(world, tail=tail)
     assert console.run("showlog") == "nothing has been logged yet"
-    log = logging.getLogger("usarmjx.server.net")
+    log = logging.getLogger("usarmjx.server.gamebots.server")
     for number in range(MAX_LINES + 5):
         log.info("client %d: connected", number)
-    log.error("two\nlines " + "x" * MAX_LINE)
+    log.error("two\nlines " + "x" * MAX_LOG_LINE)
     lines = console.run("showlog 3").splitlines()
     assert [line.split(" ", 1)[1][:20] for line in lines] == [
         "INFO client 503: con",
         "INFO client 504: con",
         "ERROR two lines xxxx",
     ]
-    assert len(lines[2]) == MAX_LINE
+    assert len(lines[2]) == MAX_LOG_LINE
     assert len(console.run("showlog 499").splitlines()) == 499
     assert len(console.run("showlog").splitlines()) == 20
     assert len(tail.lines) == MAX_LINES

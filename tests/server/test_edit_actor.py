@@ -11,8 +11,8 @@ from tests.server.still_world import CLASS, StillWorld
 from usarmjx.base.errors import UsageError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.settings import CameraSettings
-from usarmjx.server.adapter import Client
-from usarmjx.server.edit_actor import FIGURES, edit_actor
+from usarmjx.server.gamebots.adapter import Client
+from usarmjx.server.gamebots.edit_actor import FIGURES, edit_actor
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.control import CommandUpdate
 

@@ -12,12 +12,12 @@ import pytest
 
 from tests.arenas import FLAT, RAMP
 from tests.handy import GRIPPER, TAGGER, known
-from usarmjx.models.build.compose import Physics
-from usarmjx.models.build.parts import joint_names
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.parts import joint_names
 from usarmjx.models.effecters import EFFECTERS, Effect, Effecter, Opcode
 from usarmjx.models.effecters.gripper import LEVER
-from usarmjx.models.spec.robot import Mount, options
-from usarmjx.server.adapter import Client
+from usarmjx.models.types.robot import Mount, options
+from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol.grammar import parse_message
 from usarmjx.server.worlds.batch_world import BatchWorld

@@ -20,13 +20,11 @@ from usarmjx.server.pictures.spectator import MAX_BRACKETS, MAX_DIGITS, STEEPEST
 from usarmjx.server.pictures.spectator_server import MAX_MESSAGE_SIZE
 from usarmjx.server.protocol.command_parsers import COMMANDS
 from usarmjx.server.protocol.commands import DRIVE_KEYS
-from usarmjx.server.protocol.grammar import Message, format_message, parse_message
+from usarmjx.server.protocol.grammar import HttpRequestError, Message, format_message, parse_message
 from usarmjx.server.protocol.images import ImageSession
-from usarmjx.server.protocol.lines import HttpRequestError
 from usarmjx.server.protocol.session import LEGAL_COMMANDS, MAX_FAULTS, RobotSession, SessionPhase
 from usarmjx.server.wireless.comserver import ComServer
-from usarmjx.server.wireless.data_link import DataLinkParser
-from usarmjx.server.wireless.dialect_a import DialectASession
+from usarmjx.server.wireless.dialect_a import DataLinkParser, DialectASession
 from usarmjx.server.wireless.dialect_b import MAX_LINE_SIZE, DialectBSession
 from usarmjx.server.wireless.positions import PositionSession
 from usarmjx.server.wireless.switchboard import Switchboard

@@ -25,14 +25,15 @@ from tests.server.all_ports import (
 from tests.server.peers import PATIENCE, Peer, serving
 from tests.server.radio_servers import wait_until
 from tests.server.still_world import StillWorld, init
-from usarmjx.server import gate, metrics, ports
-from usarmjx.server.access import AccessRules, parse_networks
-from usarmjx.server.bot_server import BotServerSettings
-from usarmjx.server.gate import KEEPALIVE_COUNT, KEEPALIVE_IDLE, KEEPALIVE_INTERVAL, Gate
+from usarmjx.server.gamebots.server import BotServerSettings
+from usarmjx.server.network import gate, ports
+from usarmjx.server.network.access import AccessRules, parse_networks
+from usarmjx.server.network.gate import KEEPALIVE_COUNT, KEEPALIVE_IDLE, KEEPALIVE_INTERVAL, Gate
+from usarmjx.server.network.ports import bound_socket
 from usarmjx.server.pictures.image_server import ImageSettings
 from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
-from usarmjx.server.ports import bound_socket
 from usarmjx.server.protocol.session import SEND_LIMIT
+from usarmjx.server.runtime import metrics
 from usarmjx.server.wireless import sockets, switchboard
 from usarmjx.server.wireless.net import WirelessSettings
 from usarmjx.server.wireless.sockets import ReservedPort

@@ -8,8 +8,8 @@ from tests.arenas import FLAT
 from tests.server.peers import PATIENCE, Peer, serving
 from tests.server.radio_servers import SHORT, crowded
 from usarmjx.server.pictures.image_server import ImageServer, ImageSettings
+from usarmjx.server.protocol.grammar import HttpRequestError, LineBuffer, refuse_http
 from usarmjx.server.protocol.images import ImageSession
-from usarmjx.server.protocol.lines import HttpRequestError, LineBuffer, refuse_http
 from usarmjx.server.wireless.net import WirelessSettings, make_wireless
 
 HEAD = "Host: 127.0.0.1:3000\r\nAccept: text/html;q=0.9, */*;q=0.8\r\nOrigin: http://evil.example\r\n\r\n"

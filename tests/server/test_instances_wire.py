@@ -8,8 +8,7 @@ import pytest
 from tests.server.peers import Peer, looping
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.bot_server import BotServerSettings
-from usarmjx.server.net import BotServer
+from usarmjx.server.gamebots.server import BotServer, BotServerSettings
 from usarmjx.server.wireless.net import WirelessSettings, make_wireless
 from usarmjx.server.worlds.make import make_worlds
 

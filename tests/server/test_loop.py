@@ -12,9 +12,8 @@ import pytest
 from tests.server.peers import PATIENCE, Peer, looping, serving
 from tests.server.still_world import StillWorld, init
 from usarmjx.base.errors import SpecError
-from usarmjx.server.bot_server import BotServerSettings
-from usarmjx.server.loop import ServerLoop
-from usarmjx.server.net import BotServer
+from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.runtime.loop import ServerLoop
 
 CLOCK_ATOL = 0.011  # s: reports tell the time with two decimals
 TIMEOUT = 0.5  # s: a stated time after which a silent client goes

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.main_camera import package_command, pan_tilt_of
+from usarmjx.server.gamebots.adapter import package_command, pan_tilt_of
 from usarmjx.server.protocol.commands import LinkCommand, MisPkg, TurnCamera
 
 P2AT = ROBOTS.get("P2AT")

@@ -14,13 +14,12 @@ from tests.server.peers import PATIENCE, Peer, looping
 from tests.server.still_world import StillWorld, init
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
-from usarmjx.cli.serve_run import metrics_socket
-from usarmjx.server.bot_server import BotServerSettings
-from usarmjx.server.json_log import JsonFormatter, configure_log
-from usarmjx.server.meter import GAP_BOUNDS, StepMeter
-from usarmjx.server.metrics import MetricsServer
-from usarmjx.server.net import BotServer
-from usarmjx.server.ports import bound_socket
+from usarmjx.cli.serving_options import metrics_socket
+from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.network.ports import bound_socket
+from usarmjx.server.runtime.logs import JsonFormatter, configure_log
+from usarmjx.server.runtime.loop import GAP_BOUNDS, StepMeter
+from usarmjx.server.runtime.metrics import MetricsServer
 
 JUNK = "NONSENSE\r\nDRIVE {Left nan}"
 

@@ -25,16 +25,15 @@ from tests.handy import known
 from tests.server.peers import PATIENCE, Peer, serving
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.compile.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import Mount, options
-from usarmjx.server.bot_server import BotServerSettings
-from usarmjx.server.loop import GC_THRESHOLD, SWITCH_INTERVAL, low_latency, serve
-from usarmjx.server.net import BotServer
+from usarmjx.models.types.robot import Mount, options
+from usarmjx.server.gamebots.reporter import Reporter
+from usarmjx.server.gamebots.server import BotServer, BotServerSettings
 from usarmjx.server.protocol.dialects import UDK
-from usarmjx.server.reporter import Reporter
-from usarmjx.server.signals import StopSignals
+from usarmjx.server.runtime.loop import GC_THRESHOLD, SWITCH_INTERVAL, low_latency, serve
+from usarmjx.server.runtime.signals import StopSignals
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 INS_FROM_NOWHERE = Mount(kind="INS", name="Adrift", options=options(Mean=1e30, Sigma=1e30))
@@ -304,7 +303,7 @@ def asked(world, monkeypatch):
     """What settings `usarmjx serve` with some options would serve with."""
     found = []
     monkeypatch.setattr("usarmjx.server.worlds.make.make_worlds", lambda *args, **kwargs: [world])
-    monkeypatch.setattr("usarmjx.server.loop.serve", lambda servers, *_: found.extend(servers))
+    monkeypatch.setattr("usarmjx.server.runtime.loop.serve", lambda servers, *_: found.extend(servers))
 
     def ask(*options):
         found.clear()

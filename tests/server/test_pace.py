@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from usarmjx.server.pace import MAX_LAG, RECOVERY, Pace
+from usarmjx.server.runtime.loop import MAX_LAG, RECOVERY, Pace
 
 PERIOD = 0.02  # s
 ROUNDING = 1e-9  # s: sums of thousands of periods in double precision
@@ -29,7 +29,9 @@ class Stage:
 
 @pytest.fixture
 def lines(caplog):
-    return lambda: [record.getMessage() for record in caplog.records if record.name == "usarmjx.server.pace"]
+    return lambda: [
+        record.getMessage() for record in caplog.records if record.name == "usarmjx.server.runtime.loop"
+    ]
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 4.0])

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from usarmjx.base.errors import UsageError
-from usarmjx.server.ports import LAST_PORT, bound_ports, bound_socket, count_up
+from usarmjx.server.network.ports import LAST_PORT, bound_ports, bound_socket, count_up
 
 HOST = "127.0.0.1"
 OPTIONS = ("--port", "--wss-port", "--image-port", "--spectator-port")

@@ -12,7 +12,7 @@ import pytest
 
 import dev
 from tests.server.peers import PATIENCE, Peer
-from usarmjx.server.signals import StopSignals
+from usarmjx.server.runtime.signals import StopSignals
 
 LIMIT = 6.0  # s: 2 s on an idle machine; what is stuck here would take ten minutes
 STOPPED = re.compile(r"usarmjx: stopped after [\d.]+ simulated s; .*\n")
@@ -22,10 +22,10 @@ SERVING = """
 import hashlib, sys, time
 from concurrent.futures import ThreadPoolExecutor
 from tests.server.still_world import StillWorld
-from usarmjx.server.bot_server import BotServerSettings
-from usarmjx.server.loop import serve
-from usarmjx.server.net import BotServer
-from usarmjx.server.signals import StopSignals
+from usarmjx.server.gamebots.server import BotServerSettings
+from usarmjx.server.runtime.loop import serve
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.runtime.signals import StopSignals
 
 world = StillWorld()
 {before}

@@ -11,9 +11,9 @@ from tests.server.all_ports import HOST, KINDS, LINE, TCP_KINDS, TOKEN, all_port
 from tests.server.peers import PATIENCE, Peer, serving
 from tests.server.radio_servers import client, wait_until
 from tests.server.still_world import StillWorld, init
-from usarmjx.server import gate
-from usarmjx.server.access import AccessRules
-from usarmjx.server.web_gate import COOKIE
+from usarmjx.server.network import gate
+from usarmjx.server.network.access import AccessRules
+from usarmjx.server.network.web_gate import COOKIE
 
 TIMEOUT = 0.3  # s: what a test waits for
 NOTHING = b""

@@ -17,7 +17,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from tests.server.peers import PATIENCE, Peer, serving
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.build.parts import joint_names
+from usarmjx.models.compile.parts import joint_names
 from usarmjx.models.effecters import EFFECTERS
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.base import SENSORS

@@ -12,11 +12,11 @@ import numpy as np
 from PIL import Image
 
 from tests.server.peers import PATIENCE, Peer, serving
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.compile.compose import Physics
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.robot import Mount, options
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import ArenaSpec, StartPose
+from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.shapes import Shape
 from usarmjx.server.pictures.image_server import ImageServer, ImageSettings
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 

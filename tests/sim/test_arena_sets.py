@@ -12,9 +12,9 @@ import pytest
 from tests.lone import LoneWorld
 from usarmjx.base.errors import SpecError
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.models.build.arena_set import arena_index_of, arena_set
-from usarmjx.models.build.compose import Physics
-from usarmjx.models.spec.arena import (
+from usarmjx.models.compile.arena_set import arena_index_of, arena_set
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.types.arena import (
     ArenaSpec,
     Door,
     FalseAlarm,
@@ -24,7 +24,7 @@ from usarmjx.models.spec.arena import (
     Victim,
     Water,
 )
-from usarmjx.models.spec.shapes import GLASS, Shape
+from usarmjx.models.types.shapes import GLASS, Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 

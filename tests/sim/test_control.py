@@ -11,13 +11,13 @@ import pytest
 
 from tests.rig import Rig
 from usarmjx.base.errors import UnknownNameError
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.build.parts import LINK_STIFFNESS
-from usarmjx.models.build.servos import servos_of
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.parts import LINK_STIFFNESS
+from usarmjx.models.compile.servos import servos_of
 from usarmjx.models.drives import DRY_DEPTH
-from usarmjx.models.drives.state import RobotState
+from usarmjx.models.drives.base import RobotState
 from usarmjx.models.robots.pioneer import P2AT, P2AT_MOTOR
-from usarmjx.models.spec.arena import ArenaSpec, StartPose
+from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.sim.control import (
     ControlMode,
     DriveConditions,

@@ -10,10 +10,10 @@ import pytest
 
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.engines.base import check_features
-from usarmjx.models.build.compose import Physics
-from usarmjx.models.build.doors import door_boxes
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.doors import door_boxes
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec, Door, StartPose
+from usarmjx.models.types.arena import ArenaSpec, Door, StartPose
 from usarmjx.server.wireless.radio_channel import RadioChannel
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.batch import Batch

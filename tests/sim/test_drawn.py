@@ -10,19 +10,18 @@ import pytest
 from tests.lone import LoneWorld
 from tests.models.robots.test_looks import naked
 from usarmjx.base.backend import numpy_backend
-from usarmjx.cameras.paint import FALSE_ALARM_LABEL, ROBOT_LABEL, VICTIM_LABEL
-from usarmjx.models.build.body_plan import forward_kinematics
-from usarmjx.models.build.skeleton import BONES, POSTURES
-from usarmjx.models.build.victim_looks import SLOTS, TRAITS, drawn_bones, used_slots
-from usarmjx.models.build.victims import rest_height, victim_table
+from usarmjx.models.compile.kinematic_tree import forward_kinematics
+from usarmjx.models.compile.victims import BONES, POSTURES, rest_height, victim_table
+from usarmjx.models.compile.visuals import SLOTS, TRAITS, drawn_bones, used_slots
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec, FalseAlarm, SegmentMotion, StartPose, Victim
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import ArenaSpec, FalseAlarm, SegmentMotion, StartPose, Victim
+from usarmjx.models.types.shapes import Shape
+from usarmjx.sensors.cameras.paint import FALSE_ALARM_LABEL, ROBOT_LABEL, VICTIM_LABEL
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.server.worlds.served_world import CameraRequest
-from usarmjx.sim.looks import looks_of
+from usarmjx.sim.ray_geometry import visible_arena, visible_robots
 from usarmjx.sim.scene import build_scene
-from usarmjx.sim.visible import visible_arena, visible_robots
+from usarmjx.sim.views import looks_of
 from usarmjx.sim.world import robot_states
 
 WAVE = SegmentMotion(name="LeftArm", final=(0.0, 1.2, 0.0), rates=(0.0, 2.0, 0.0))

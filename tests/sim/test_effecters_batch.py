@@ -13,13 +13,13 @@ import pytest
 from tests.arenas import FLAT, RAMP, STEP
 from tests.handy import GRABBER, TAGGER, block, known
 from usarmjx.base.errors import UnknownNameError, UsageError
-from usarmjx.models.build.parts import joint_names
+from usarmjx.models.compile.parts import joint_names
 from usarmjx.models.effecters import MAX_DROPPED_TAGS
 from usarmjx.models.effecters.gripper import LEVER
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.arena import StartPose
-from usarmjx.models.spec.robot import Mount, options
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import StartPose
+from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.operate import NO_NUMBER
 from usarmjx.sim.scene import build_scene

@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from usarmjx.models.build.victims import box_names, segment_poses, victim_table
-from usarmjx.models.spec.arena import ArenaSpec, FalseAlarm, LooseObject, SegmentMotion, StartPose, Victim
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.compile.victims import box_names, segment_poses, victim_table
+from usarmjx.models.types.arena import ArenaSpec, FalseAlarm, LooseObject, SegmentMotion, StartPose, Victim
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
 from usarmjx.sim.batch import Batch
+from usarmjx.sim.ray_geometry import ray_geoms, visible_arena
 from usarmjx.sim.scene import build_scene
-from usarmjx.sim.visible import ray_geoms, visible_arena
 
 SWEEP = SegmentMotion(name="LeftArm", final=(0.0, 0.0, 1.2), initial=(0.0, 0.0, 0.01), rates=(0.0, 0.0, 1.0))
 """Lying on its back the victim sweeps the ground beside it, out to 0.9 m and back."""

@@ -10,8 +10,8 @@ import pytest
 from tests.sim.on_numpy import as_numpy, assert_same, nothing_compiled, row
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.transforms import GRAVITY
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.drives.state import RobotState
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.drives.base import RobotState
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.sim.control import (

@@ -13,16 +13,16 @@ from tests.handy import TAGGER, known
 from tests.sim.on_numpy import as_numpy, assert_same, nothing_compiled, row
 from usarmjx.base import random
 from usarmjx.base.backend import numpy_backend
-from usarmjx.comms import connectivity
+from usarmjx.comms import links
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings, clear_inboxes
 from usarmjx.comms.walls import arena_solids, count_walls
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.build.compose import Physics, new_spec
-from usarmjx.models.build.variation import DomainRandomization
+from usarmjx.models.compile.compose import Physics, new_spec
+from usarmjx.models.compile.randomization import DomainRandomization
 from usarmjx.models.effecters import EFFECTERS, effecters_of
-from usarmjx.models.spec.robot import Mount
+from usarmjx.models.types.robot import Mount
 from usarmjx.sensors.rays.raycast import Hits
 from usarmjx.sim.actions import Actions, EffecterAction, JointAction, apply_actions
 from usarmjx.sim.batch import Batch
@@ -35,9 +35,9 @@ from usarmjx.sim.radio import (
     send,
     update_links,
 )
+from usarmjx.sim.ray_geometry import arena_state_at, moved_geom_poses, start_poses, victims_of
 from usarmjx.sim.reset import init_world, reset
 from usarmjx.sim.scene import build_scene
-from usarmjx.sim.site import arena_state_at, moved_geom_poses, start_poses, victims_of
 
 YELLOW = ARENAS.get("yellow")
 HANDYMAN = replace(
@@ -263,13 +263,13 @@ def test_who_reaches_whom_is_the_same_on_both_libraries(function):
     linked |= linked.swapaxes(-1, -2)
     args = (linked, 2) if function in ("hops", "reachable") else (linked,)
     with nothing_compiled():
-        ours = getattr(connectivity, function)(*args)
-    assert_same(ours, getattr(connectivity, function)(*args))
+        ours = getattr(links, function)(*args)
+    assert_same(ours, getattr(links, function)(*args))
 
 
 def test_the_weakest_links_are_the_same_on_both_libraries():
     power = np.random.default_rng(1).normal(-80, 20, (7, 7)).astype(np.float32)
     power = np.minimum(power, power.T)
     with nothing_compiled():
-        ours = connectivity.bottleneck(power)
-    assert_same(ours, connectivity.bottleneck(power))
+        ours = links.bottleneck(power)
+    assert_same(ours, links.bottleneck(power))

@@ -9,12 +9,12 @@ import pytest
 from tests.arenas import FLAT
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import SpecError, UsageError
-from usarmjx.models.build import compose
-from usarmjx.models.ini.figures import SETTERS
+from usarmjx.models.compile import compose
+from usarmjx.models.ini.parameters import SETTERS
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.robot import options
+from usarmjx.models.types.robot import options
+from usarmjx.sim.configure import redescribe
 from usarmjx.sim.control import CommandUpdate, update_command
-from usarmjx.sim.redescribe import redescribe
 from usarmjx.sim.scene import build_scene
 from usarmjx.sim.single_world import SingleWorld
 
@@ -124,7 +124,7 @@ def test_what_cannot_be_changes_nothing(world, monkeypatch):
             spec.worldbody.add_body(name="twice").add_geom(size=[0.0] * 3)
 
     heavy, whole = SETTERS["ChassisMass"][1](P2AT, 2.0), compose.add_robot
-    monkeypatch.setattr("usarmjx.sim.redescribe.add_robot", broken)
+    monkeypatch.setattr("usarmjx.sim.configure.add_robot", broken)
     with pytest.raises(SpecError, match="a P2AT cannot be built so"):
         redescribe(world, FIRST, heavy)
     assert world.roster[FIRST].spec == P2AT

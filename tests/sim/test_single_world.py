@@ -10,16 +10,16 @@ from tests.arenas import FLAT
 from tests.handy import GRABBER, LIFT, TAGGER
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import SpecError, UsageError
-from usarmjx.engines.placement import REACH
+from usarmjx.engines.c.placement import REACH
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.build import compose
+from usarmjx.models.compile import compose
 from usarmjx.models.effecters import effecters_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sim import single_world
 from usarmjx.sim.control import CommandUpdate, update_command
+from usarmjx.sim.ray_geometry import moved_geom_poses
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.single_world import SingleWorld
-from usarmjx.sim.site import moved_geom_poses
 
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 P2AT, P2DX = ROBOTS.get("P2AT"), ROBOTS.get("P2DX")

@@ -10,12 +10,12 @@ import pytest
 from tests.arenas import FLAT, STARTS
 from usarmjx.base.errors import SpecError
 from usarmjx.comms.attenuation import RadioSettings, received_power
-from usarmjx.engines.varied import VariedModel
-from usarmjx.models.build.compose import Physics
-from usarmjx.models.build.variation import QUANTITY_RULES, DomainRandomization, RandomizedValues
+from usarmjx.engines.base import VariedModel
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.randomization import QUANTITY_RULES, DomainRandomization, RandomizedValues
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sensors.base import SensorInput
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.reset import init_world, reset
@@ -233,8 +233,8 @@ def drawn(vary, number, roster=(LEAN, LEAN), episodes=1, seed=0):
     """The numbers of a world in its first episodes."""
     scene = build_scene(FLAT, roster, radio=RadioSettings(), vary=vary)
     key = jax.random.fold_in(jax.random.key(seed), number)
-    from usarmjx.models.build.variation import sample_values
-    from usarmjx.sim.streams import Stream
+    from usarmjx.models.compile.randomization import sample_values
+    from usarmjx.sim.world import Stream
 
     stream = jax.random.fold_in(key, Stream.RANDOMIZATION)
     assert scene.varied_bodies is not None
@@ -299,7 +299,7 @@ def test_noise_is_multiplied_and_nothing_else():
     """All rays of a P2AT meet something at 2 m; each sensor draws the same numbers whatever the factor."""
     scene = build_scene(FLAT, ["P2AT"])
     suite, plan = scene.groups[0].suite, scene.groups[0].plan
-    from usarmjx.models.build.body_plan import forward_kinematics, robot_state
+    from usarmjx.models.compile.kinematic_tree import forward_kinematics, robot_state
     from usarmjx.sensors.rays.raycast import Hits
 
     state = robot_state(scene.groups[0].indices[0], scene.model.qpos0, np.zeros(scene.model.nv))

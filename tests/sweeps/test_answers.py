@@ -12,11 +12,9 @@ from typer.testing import CliRunner
 
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
-from usarmjx.sweeps.answers import front_points, policy_differences
-from usarmjx.sweeps.axis_scores import axis_rows, overall_rows
-from usarmjx.sweeps.progress import SweepProgress
+from usarmjx.sweeps.analysis import axis_rows, front_points, overall_rows, policy_differences
 from usarmjx.sweeps.report import compare, report
-from usarmjx.sweeps.sinks import tensorboard_sink, wandb_sink
+from usarmjx.sweeps.run import SweepProgress, tensorboard_sink, wandb_sink
 from usarmjx.sweeps.store import CellRecord, read_sweep, write_cell, write_sweep
 from usarmjx.sweeps.table import export_rows
 
@@ -174,7 +172,7 @@ def test_cells_are_shown_to_tensorboard_and_to_weights_and_biases(tmp_path, monk
 
 def test_progress_is_one_line_now_and_then_with_an_estimate(monkeypatch):
     said, now = [], [0.0]
-    monkeypatch.setattr("usarmjx.sweeps.progress.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("usarmjx.sweeps.run.time.monotonic", lambda: now[0])
     stream = types.SimpleNamespace(write=said.append, flush=lambda: None, isatty=lambda: False)
     progress = SweepProgress(100, stream)
     for second in range(1, 31):

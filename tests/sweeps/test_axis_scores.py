@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from usarmjx.base.estimates import estimate
-from usarmjx.sweeps.axis_scores import axis_rows, overall_rows, shared_cells
+from usarmjx.sweeps.analysis import axis_rows, overall_rows, shared_cells
 from usarmjx.sweeps.figures import cells_told, draw_sweep
 from usarmjx.sweeps.report import report
 from usarmjx.sweeps.store import CellRecord, StoredSweep

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tests.bench.records import faults
+from benchmarks.report.records import BenchRecord
+from benchmarks.report.tables import sweep_table
+from tests.benchmarks.records import faults
 from tests.sweeps.conftest import write
 from usarmjx.base.compilation import COMPILATION
-from usarmjx.bench.report.records import BenchRecord
-from usarmjx.bench.report.tables import sweep_table
 from usarmjx.cli.app import app
-from usarmjx.sweeps.compile_clock import CompileClock, compile_clock, covered
+from usarmjx.sweeps.play import CompileClock, compile_clock, covered
 from usarmjx.sweeps.store import read_sweep
 
 BROKEN = "def raises(env):\n    raise RuntimeError('no good today')\n"
@@ -29,7 +29,7 @@ def test_what_lies_in_another_span_counts_once():
 
 def test_the_clock_hears_of_compilations_and_of_nothing_else(monkeypatch):
     now = [100.0]
-    monkeypatch.setattr("usarmjx.sweeps.compile_clock.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("usarmjx.sweeps.play.time.monotonic", lambda: now[0])
     clock = CompileClock()
     clock.hear(f"{COMPILATION}jaxpr_trace_duration", 0.5)  # within the next
     clock.hear(f"{COMPILATION}backend_compile_duration", 3.0)

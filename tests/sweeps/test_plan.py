@@ -1,6 +1,6 @@
 """Which cells are played together: a pure function."""
 
-from usarmjx.sweeps.plan import plan_batches
+from usarmjx.sweeps.run import plan_batches
 
 DATA = {"engine": "c", "team": 4, "policy": "by hand"}
 

@@ -9,12 +9,12 @@ import numpy as np
 
 from tests.train.views import beginning
 from usarmjx.comms.links import no_links
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose, Victim
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose, Victim
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sensors.base import Reading
 from usarmjx.sim.actions import apply_actions
 from usarmjx.train.envs.task import TaskView
-from usarmjx.train.tasks.team_parts import scanner_poses
+from usarmjx.train.tasks.team import scanner_poses
 
 WIDTH, DEPTH = 6.0, 3.0
 

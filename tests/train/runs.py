@@ -98,7 +98,7 @@ def check_goes_on(env, config, whole, folder, left):
 
 
 if __name__ == "__main__":
-    from usarmjx.train.processes.group import initialize
+    from usarmjx.train.learning.processes import initialize
 
     initialize()
     run(sys.argv[1], resume="--resume" in sys.argv)

@@ -15,11 +15,11 @@ from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
 from usarmjx.sweeps.drivers import find_driver
 from usarmjx.sweeps.resolve import key_of, resolve
-from usarmjx.sweeps.settings import complete
+from usarmjx.sweeps.spec import complete
 from usarmjx.train.baselines import BASELINES
-from usarmjx.train.envs.policy import Policy
+from usarmjx.train.envs.task import Policy
 from usarmjx.train.learning.imitation import teacher_of
-from usarmjx.train.own_tasks import find_task, full_name
+from usarmjx.train.make import find_task, full_name
 from usarmjx.train.policies.sources import baseline, find_source
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_task.py"

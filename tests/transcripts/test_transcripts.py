@@ -22,11 +22,11 @@ from tests.transcripts.readers import (
     simpleui_texts,
 )
 from tests.transcripts.transcript import HERE, read_transcript, shapes_of
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.compile.compose import Physics
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.adapter import Client
+from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.protocol.dialects import find_dialect
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.configure import settings_by_kind

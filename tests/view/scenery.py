@@ -6,10 +6,10 @@ import numpy as np
 import viser
 
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec, Light, StartPose, Tag
-from usarmjx.models.spec.robot import Mount
-from usarmjx.models.spec.shapes import Shape
-from usarmjx.server.viewing.served_source import ServedSource
+from usarmjx.models.types.arena import ArenaSpec, Light, StartPose, Tag
+from usarmjx.models.types.robot import Mount
+from usarmjx.models.types.shapes import Shape
+from usarmjx.server.viewing.viewer_service import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 WALLS = tuple(

@@ -5,7 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from usarmjx.models.spec.shapes import GLASS, OPAQUE
+from usarmjx.models.types.shapes import GLASS, OPAQUE
 from usarmjx.view.drawing import (
     NOBODY,
     Drawing,

@@ -10,12 +10,10 @@ import pytest
 from tests.arenas import FLAT
 from tests.server.peers import looping
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.bot_server import BotServerSettings
-from usarmjx.server.clock import StepClock
-from usarmjx.server.net import BotServer
+from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.runtime.loop import StepClock
 from usarmjx.server.viewing.controls import ServedControls
-from usarmjx.server.viewing.served_source import ServedSource
-from usarmjx.server.viewing.viewer_service import ViewerService, ViewerSettings
+from usarmjx.server.viewing.viewer_service import ServedSource, ViewerService, ViewerSettings
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.view.controls import ControlSeat
 
@@ -36,7 +34,7 @@ class Show:
 
         def make_page(server):
             from usarmjx.view.page import ViewerPage
-            from usarmjx.view.people import PeoplePanel
+            from usarmjx.view.user_panels import PeoplePanel
 
             panels = [partial(PeoplePanel, seat=self.seat)]
             return ViewerPage(source, server=server, controls=self.controls, panels=panels)

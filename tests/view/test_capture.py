@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from usarmjx.cameras.paint import VICTIM_LABEL
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.generate.arena import generate
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.viewing.served_source import ServedSource
+from usarmjx.sensors.cameras.paint import VICTIM_LABEL
+from usarmjx.server.viewing.viewer_service import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
@@ -86,7 +86,7 @@ def test_worlds_with_arenas_of_their_own_are_drawn_as_they_are():
     capture = Capture(scene)
     import jax
 
-    from usarmjx.models.build.arena_set import arena_index_of
+    from usarmjx.models.compile.arena_set import arena_index_of
 
     drawings = []
     worlds = state.worlds.replace(key=jax.random.key_data(state.worlds.key))

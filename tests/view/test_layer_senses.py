@@ -10,10 +10,9 @@ from scipy.spatial.transform import Rotation
 from tests.view.scenery import HEAD, ROOT, WALLS, distance_to_boxes, drawn, nodes, run, seers
 from usarmjx.sensors.ranging import RangeScanner, Sonar
 from usarmjx.sim.control import CommandUpdate
-from usarmjx.view.layers.colors import ROBOT_COLORS
-from usarmjx.view.layers.echoes import InfraredLayer, SonarLayer
-from usarmjx.view.layers.lasers import LONGEST_BEAM, LaserLayer
-from usarmjx.view.layers.mounts import HeldMounts, sensors_of
+from usarmjx.view.layers.base import ROBOT_COLORS
+from usarmjx.view.layers.bodies import HeldMounts, sensors_of
+from usarmjx.view.layers.echoes import LONGEST_BEAM, InfraredLayer, LaserLayer, SonarLayer
 
 ON_SURFACE = 2e-5
 """How far from a surface a beam may end [m]: single precision at 5 m."""

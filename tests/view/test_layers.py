@@ -9,17 +9,23 @@ import viser
 from tests.view.scenery import LIT_ROOM, ROOT, drawn, nodes, seers
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.sensors.sketch import OverlayLines
-from usarmjx.server.viewing.served_source import ServedSource
+from usarmjx.server.viewing.viewer_service import ServedSource
 from usarmjx.sim.control import CommandUpdate
 from usarmjx.view.layers import LAYERS
-from usarmjx.view.layers.bodies import CameraLayer, SensorBodyLayer
-from usarmjx.view.layers.colors import ROBOT_COLORS, scale_colors
-from usarmjx.view.layers.ground import CELL, GridLayer, TagLayer
+from usarmjx.view.layers.base import ROBOT_COLORS, scale_colors
+from usarmjx.view.layers.bodies import CameraLayer, SensorBodyLayer, mount_poses
 from usarmjx.view.layers.light import HeadlightLayer, LampLayer, SkyLayer
-from usarmjx.view.layers.marks import NameLayer, RingLayer
-from usarmjx.view.layers.mounts import mount_poses
+from usarmjx.view.layers.marks import (
+    CELL,
+    GridLayer,
+    NameLayer,
+    RfidLayer,
+    RingLayer,
+    TagLayer,
+    TrailLayer,
+    VictimHitLayer,
+)
 from usarmjx.view.layers.radio import RadioLayer, dashes
-from usarmjx.view.layers.sketches import RfidLayer, TrailLayer, VictimHitLayer
 
 PLACES = ((0.0, 0.2, 0.4), (-1.6, -1.4, 2.0))
 

@@ -7,12 +7,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from usarmjx.models.build.pieces import FENDER_KIND, TRIANGLE_KIND
-from usarmjx.models.spec.shapes import FENDER, GLASS, MIRROR, OPAQUE
+from usarmjx.models.compile.ray_geoms import FENDER_KIND, TRIANGLE_KIND
+from usarmjx.models.types.shapes import FENDER, GLASS, MIRROR, OPAQUE
 from usarmjx.sensors.rays.kernels import in_hole
 from usarmjx.view.drawing import DrawnShape
-from usarmjx.view.glb import Finish, TriangleMesh, glb_of
-from usarmjx.view.mesh import AROUND, MIRROR_FINISH, SOLIDS, meshes_of
+from usarmjx.view.mesh import AROUND, MIRROR_FINISH, SOLIDS, Finish, TriangleMesh, glb_of, meshes_of
 
 GeomType = mujoco.mjtGeom
 EXACT = 1e-9

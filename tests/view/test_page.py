@@ -11,8 +11,7 @@ from tests.view.visitor import until, visiting
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.view import page as page_module
 from usarmjx.view.layers import LAYERS
-from usarmjx.view.page import ViewerPage
-from usarmjx.view.page_parts import FREE, NEXT, SIDE_BY_SIDE, TOGGLE
+from usarmjx.view.page import FREE, NEXT, SIDE_BY_SIDE, TOGGLE, ViewerPage
 
 
 @pytest.fixture

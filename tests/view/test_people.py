@@ -12,16 +12,15 @@ from viser import _messages
 from tests.arenas import FLAT
 from tests.view.visitor import PATIENCE, until, visiting
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.viewing.served_source import ServedSource
+from usarmjx.server.viewing.viewer_service import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
-from usarmjx.view import people as people_module
+from usarmjx.view import user_panels as people_module
 from usarmjx.view.controls import BY_CLIENT, BY_PAGE, ControlSeat, StartPlace, WorldStatus
 from usarmjx.view.drawing import RobotFrame
-from usarmjx.view.drive_pad import DIRECTIONS, FORGET, DrivePad, pad_html
 from usarmjx.view.page import ViewerPage
-from usarmjx.view.people import TAKE, PeoplePanel, banner_html
-from usarmjx.view.plots import MAX_POINTS, WINDOW, SensorPlot
-from usarmjx.view.robot_panel import state_html
+from usarmjx.view.robot_controls import DIRECTIONS, FORGET, DrivePad, pad_html
+from usarmjx.view.robot_panel import MAX_POINTS, WINDOW, SensorPlot, state_html
+from usarmjx.view.user_panels import TAKE, PeoplePanel, banner_html
 
 CLASSES = ("Talon", "kenaf", "AirRobot", "ERS", "UnitLoader")
 TALON, KENAF, DRONE, DOG, LOADER = range(len(CLASSES))

@@ -10,9 +10,8 @@ import pytest
 from tests.view.scenery import seers
 from tests.view.visitor import until, visiting
 from usarmjx.cli.train import _ShownTraining
-from usarmjx.view.batch_source import BatchSource
 from usarmjx.view.capture import Capture
-from usarmjx.view.training_page import TIME_SHARE, TrainingPage
+from usarmjx.view.training_page import TIME_SHARE, BatchSource, TrainingPage
 
 
 @pytest.fixture(scope="module")

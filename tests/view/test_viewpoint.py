@@ -10,11 +10,20 @@ import pytest
 from tests.view.scenery import seers
 from tests.view.simple_worlds import CAMERA_AT, drawing_of, frame_of
 from usarmjx.base.backend import numpy_backend
-from usarmjx.cameras.mounts import cameras_of
-from usarmjx.cameras.picture import camera_viewpoint
-from usarmjx.view.framing import FOV, USED, bounds_of, framed
-from usarmjx.view.sight import Walls
-from usarmjx.view.viewpoint import Onlooker, ViewMode, camera_pose, chase_pose, robot_on_ray
+from usarmjx.sensors.cameras.mounts import cameras_of
+from usarmjx.sensors.cameras.picture import camera_viewpoint
+from usarmjx.view.viewpoint import (
+    FOV,
+    USED,
+    Onlooker,
+    ViewMode,
+    Walls,
+    bounds_of,
+    camera_pose,
+    chase_pose,
+    framed,
+    robot_on_ray,
+)
 
 LOW, HIGH = np.array([-10.0, -6.0, 0.0]), np.array([10.0, 6.0, 1.5])
 

@@ -1,9 +1,18 @@
 """The one registry mechanism: explicit `add`, names matched without case, as USARSim does."""
 
+import re
 from collections.abc import Iterator
 from typing import Generic, TypeVar
 
 from usarmjx.base.errors import UnknownNameError, UsageError
+
+_NAME = re.compile(r"[!-z|~]+")
+
+
+def is_name(text: str) -> bool:
+    """Return whether a text is one word of the characters 33 to 126, braces apart: those end a segment."""
+    return _NAME.fullmatch(text) is not None
+
 
 T = TypeVar("T")
 

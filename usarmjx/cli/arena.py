@@ -1,5 +1,6 @@
 """`usarmjx arena`: look at arenas, check them, and make new ones."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -7,9 +8,8 @@ import typer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import write_beside
-from usarmjx.cli.completion import complete_kinds, complete_robots
-from usarmjx.cli.listing import JsonFlag, MarkdownFlag, check_form, show_listing
-from usarmjx.cli.tools import (
+from usarmjx.base.markdown import markdown_table
+from usarmjx.cli.common import (
     ArenaArgument,
     ErrorExit,
     OldOutArgument,
@@ -18,10 +18,111 @@ from usarmjx.cli.tools import (
     chosen_out,
     read_size,
 )
-from usarmjx.cli.waiting import announce
+from usarmjx.cli.completion import complete_kinds, complete_robots
+from usarmjx.cli.listing import JsonFlag, MarkdownFlag, check_form, show_listing
+from usarmjx.cli.startup_messages import announce
+from usarmjx.models.arenas import ARENAS
+from usarmjx.models.arenas.lanes import LANES
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.shapes import MATERIALS, OPAQUE
 
 if TYPE_CHECKING:
-    from usarmjx.models.spec.arena import ArenaSpec
+    from usarmjx.models.types.arena import ArenaSpec
+
+
+ARENA_COLUMNS = (
+    "arena",
+    "what it is",
+    "size [m]",
+    "solids",
+    "loose",
+    "doors",
+    "victims",
+    "false alarms",
+    "tags",
+    "starts",
+    "recommended robots",
+)
+
+
+def arenas_table() -> str:
+    """Return a Markdown table of the arenas that ship with usarmjx."""
+    return markdown_table(ARENA_COLUMNS, (arena_row(arena) for _, arena in ARENAS))
+
+
+def arena_row(arena: ArenaSpec) -> Sequence[object]:
+    """Return an arena's row of the table: what it is, and how much of everything is in it."""
+    names = arena.name + (f" ({', '.join(arena.aliases)})" if arena.aliases else "")
+    (x0, x1), (y0, y1) = arena.extent
+    counts = [len(things) for things in (arena.loose, arena.doors, arena.victims, arena.false_alarms)]
+    return [
+        names,
+        arena.about or "-",
+        f"{x1 - x0:g} x {y1 - y0:g}",
+        _solids(arena),
+        *counts,
+        len(arena.tags),
+        len(arena.starts),
+        ", ".join(arena.robots) or "-",
+    ]
+
+
+def lanes_table() -> str:
+    """Return a Markdown table of the lanes."""
+    head = "lane", "test method", "what it is", "length [m]", "a repetition is"
+    rows = (
+        (
+            name,
+            lane.method,
+            lane.arena.about.rpartition(" (")[0],
+            f"{lane.length:.2g}",
+            "there and back" if lane.round_trip else "one way",
+        )
+        for name, lane in LANES
+    )
+    return markdown_table(head, rows)
+
+
+def obstacles_table(robot: str, tries: int) -> str:
+    """Return a Markdown table: how often, and how fast, a class gets over obstacles sized to it."""
+    from usarmjx.models.generate.obstacles import OBSTACLES
+    from usarmjx.models.robots import ROBOTS
+    from usarmjx.sim.trials.obstacles import measure_crossings
+
+    levels, spec = (0.0, 0.5, 1.0), ROBOTS.get(robot)
+    rows = list[Sequence[object]]()
+    for kind in OBSTACLES.names():
+        found = [measure_crossings(kind, spec, level, tries) for level in levels]
+        rows.append([kind, *(f"{one.crossed} of {one.tries}, {one.seconds:.1f} s" for one in found)])
+    return markdown_table((f"obstacle, for a {spec.name}", *(f"roughness {one:g}" for one in levels)), rows)
+
+
+def _solids(arena: ArenaSpec) -> str:
+    """Return how many solids there are, and how many of them are special: 120 (2 glass, 1 terrain)."""
+    kinds: Sequence[tuple[str, int]] = [
+        *((name, sum(s.material == name for s in arena.shapes)) for name in MATERIALS if name != OPAQUE),
+        ("mesh", sum(shape.mesh is not None for shape in arena.shapes)),
+        ("terrain", sum(shape.heights is not None for shape in arena.shapes)),
+    ]
+    special = ", ".join(f"{count} {name}" for name, count in kinds if count)
+    return f"{len(arena.shapes)}" + (f" ({special})" if special else "")
+
+
+def summary(arena: ArenaSpec) -> str:
+    """Return in a line what is in an arena."""
+    (x0, x1), (y0, y1) = arena.extent
+    counts = ", ".join(
+        f"{len(things)} {name}"
+        for name, things in (
+            ("loose objects", arena.loose),
+            ("doors", arena.doors),
+            ("victims", arena.victims),
+            ("tags", arena.tags),
+            ("start poses", arena.starts),
+        )
+    )
+    return f"{arena.name}: {x1 - x0:g} x {y1 - y0:g} m, {_solids(arena)} solids, {counts}"
+
 
 app = typer.Typer(help="List, draw, check and generate arenas.", no_args_is_help=True)
 
@@ -82,8 +183,8 @@ def check(
         found = find_arena(arena)
         faults = check_arena(found, robot)
         if drive:
-            from usarmjx.bench.trials.ways import drive_arena
             from usarmjx.models.robots import ROBOTS
+            from usarmjx.sim.trials.ways import drive_arena
 
             announce(f"driving a {robot} ...")
             tour = drive_arena(found, ROBOTS.get(robot))
@@ -134,8 +235,7 @@ def generate(
     """Make an arena of the same kind, size, difficulty and seed, always the same; say what is in it."""
     with ErrorExit():
         announce(f"making a {kind} ...")
-        from usarmjx.cli.arena_tables import summary
-        from usarmjx.models.build.compose import Physics, new_spec
+        from usarmjx.models.compile.compose import Physics, new_spec
         from usarmjx.models.files.load import save_arena
         from usarmjx.models.generate import Difficulty
         from usarmjx.models.generate import generate as make
@@ -178,9 +278,9 @@ def lane(
     """Drive a robot to and fro in a lane; its score is repetitions and metres per minute."""
     with ErrorExit():
         announce(f"driving a {robot} in lane {name} ...")
-        from usarmjx.bench.trials.lanes import run_lane
         from usarmjx.models.arenas.lanes import LANES
         from usarmjx.models.robots import ROBOTS
+        from usarmjx.sim.trials.driver import run_lane
 
         if not (0.0 < speed <= 1.0 and 0.0 < minutes <= MOST_MINUTES):
             raise UsageError(f"speed is above 0 and up to 1, minutes above 0 and up to {MOST_MINUTES:g}")
@@ -195,7 +295,7 @@ def lanes() -> None:
     """List the lanes: single elements of the test methods for response robots."""
     with ErrorExit():
         announce("reading the lanes ...")
-        from usarmjx.cli.arena_tables import lanes_table
+        pass  # REMOVED_IMPORT
 
         typer.echo(lanes_table())
 
@@ -215,12 +315,12 @@ def obstacles(
     with ErrorExit():
         announce(f"driving a {robot} over obstacles ...")
         if write is None:
-            from usarmjx.cli.arena_tables import obstacles_table
+            pass  # REMOVED_IMPORT
 
             typer.echo(obstacles_table(robot, tries))
             return
-        from usarmjx.bench.trials.obstacles import write_success
         from usarmjx.models.robots import ROBOTS
+        from usarmjx.sim.trials.obstacles import write_success
 
         write_success(ROBOTS.get(robot), tries, write)
         typer.echo(f"wrote {write}")

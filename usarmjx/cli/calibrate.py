@@ -8,8 +8,8 @@ import typer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.progress import Seldom
-from usarmjx.cli.tools import ErrorExit, SeedOption
-from usarmjx.cli.waiting import announce, say
+from usarmjx.cli.common import ErrorExit, SeedOption
+from usarmjx.cli.startup_messages import announce, say
 
 COMPARED = "c", "planar"
 """The engines of all but --tasks."""
@@ -87,7 +87,7 @@ def _figures(names: list[str] | None, out: Path | None) -> Iterator[str]:
 def _drive_rows(names: list[str] | None) -> Iterator[str]:
     announce("driving robots on a floor and in a maze, on engines c and planar ...", engines=COMPARED)
     from usarmjx.models.robots import ROBOTS
-    from usarmjx.train.evaluation.drives import drive_table
+    from usarmjx.train.evaluation.engine_gap import drive_table
 
     return drive_table([ROBOTS.get(name) for name in names or ROBOTS.names()], everything=not names)
 
@@ -96,7 +96,7 @@ def _task_rows(
     names: list[str] | None, engines: str, episodes: int, seeds: range, worlds: int, split: str | None
 ) -> Iterator[str]:
     announce("building the worlds that policies are tried in ...", engines=engines.split(","))
-    from usarmjx.train.evaluation.task_gap import TASKS_TRIED, sources_of, task_gap
+    from usarmjx.train.evaluation.engine_gap import TASKS_TRIED, sources_of, task_gap
 
     tried = sources_of(names or TASKS_TRIED)
     return task_gap(engines.split(","), tried, episodes, seeds, worlds, split, Seldom(say))

@@ -8,20 +8,24 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
-from usarmjx.cli.grouping import grouped
-from usarmjx.cli.hosting import Host, ListenOptions, RunOptions, ViewerOptions
+from usarmjx.cli.common import ErrorExit, WorldsOption, grouped
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions
 from usarmjx.cli.recordings import recorded_episode
-from usarmjx.cli.ros_options import RosOptions
-from usarmjx.cli.service_options import SpectatorOptions
-from usarmjx.cli.tools import ErrorExit, WorldsOption
+from usarmjx.cli.serving_options import (
+    Host,
+    ListenOptions,
+    RosOptions,
+    RunOptions,
+    SpectatorOptions,
+    ViewerOptions,
+)
+from usarmjx.cli.startup_messages import announce
 from usarmjx.cli.viewer_options import ViewOption
-from usarmjx.cli.waiting import announce
-from usarmjx.server.instances import parse_instances
-from usarmjx.server.signals import StopSignals
+from usarmjx.server.runtime.signals import StopSignals
+from usarmjx.server.worlds.batch_world import parse_instances
 
 if TYPE_CHECKING:
-    from usarmjx.server.net import Service
+    from usarmjx.server.gamebots.server import Service
     from usarmjx.server.worlds.policy_world import PolicyWorld
     from usarmjx.train.policies.sources import PolicySource
 
@@ -118,7 +122,7 @@ def _policy_worlds(
     typer.echo(f"robots to take over by INIT: {', '.join(made[0].agents())}")
     if not served.follow:
         return made, []
-    from usarmjx.server.worlds.follow import PolicyFollower
+    from usarmjx.server.worlds.policy_world import PolicyFollower
 
     return made, [PolicyFollower(shared, Path(driver.policy or ""))]
 
@@ -126,7 +130,7 @@ def _policy_worlds(
 def _followed(run: str | None) -> "PolicySource":
     """Return the policy of a run that may not have begun yet, as soon as it has a checkpoint."""
     from usarmjx.base.errors import UsageError
-    from usarmjx.server.worlds.follow import wait_for_run
+    from usarmjx.server.worlds.policy_world import wait_for_run
 
     if run is None:
         raise UsageError("--follow needs the folder of a run")

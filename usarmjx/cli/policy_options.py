@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import typer
 
 from usarmjx.base.errors import UsageError
+from usarmjx.cli.common import SeedOption
 from usarmjx.cli.completion import complete_engines, complete_policies, complete_tasks
-from usarmjx.cli.tools import SeedOption
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env
-    from usarmjx.train.envs.policy import Policy
+    from usarmjx.train.envs.task import Policy
     from usarmjx.train.policies.sources import PolicySource
 
 EPISODES, WORLDS = 100, 20
@@ -72,7 +72,7 @@ class PolicyOptions:
         Raises:
             UsageError: None is named, or two are, or there is none of that name.
         """
-        from usarmjx.train.own_tasks import is_own, same_class
+        from usarmjx.train.make import is_own, same_class
         from usarmjx.train.policies.sources import baseline as by_hand
         from usarmjx.train.policies.sources import find_source
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from usarmjx.cli.tools import ErrorExit
+from usarmjx.cli.common import ErrorExit
+from usarmjx.cli.startup_messages import announce
 from usarmjx.cli.viewer_options import ViewerPortOption, viewer_server, viewer_socket
-from usarmjx.cli.waiting import announce
 
 if TYPE_CHECKING:
     from usarmjx.comms.attenuation import RadioSettings
@@ -103,8 +103,7 @@ def view(
     with ErrorExit():
         announce(f"reading {file} ...")
         from usarmjx.recording.reader import Recording
-        from usarmjx.recording.source import RecordingSource
-        from usarmjx.recording.timeline import recording_page, write_html
+        from usarmjx.recording.source import RecordingSource, recording_page, write_html
 
         recording = Recording(file)
         _tell_if_broken_off(recording.is_complete, file)
@@ -182,7 +181,7 @@ def plot(
 def export_recording(file: Path, out: Path, world: int = 0, speed: float = 2.0) -> None:
     """Write a recording as tables or as a film, as the name of the file says."""
     from usarmjx.base.errors import UsageError
-    from usarmjx.plots.recording_film import FILMS, save_film
+    from usarmjx.plots.recording import FILMS, save_film
     from usarmjx.recording.reader import Recording
     from usarmjx.recording.tables import SUFFIXES, export_tables
 

@@ -7,12 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
-from usarmjx.cli.grouping import grouped
-from usarmjx.cli.hosting import Host, ListenOptions, RunOptions, ViewerOptions
-from usarmjx.cli.ros_options import RosOptions
-from usarmjx.cli.serve_run import instances_of
-from usarmjx.cli.service_options import ImageOptions, RadioOptions, SpectatorOptions
-from usarmjx.cli.tools import (
+from usarmjx.cli.common import (
     ArenaOption,
     EngineOption,
     ErrorExit,
@@ -21,11 +16,23 @@ from usarmjx.cli.tools import (
     UnitOption,
     WorldsOption,
     configure_from,
+    grouped,
 )
+from usarmjx.cli.serving_options import (
+    Host,
+    ImageOptions,
+    ListenOptions,
+    RadioOptions,
+    RosOptions,
+    RunOptions,
+    SpectatorOptions,
+    ViewerOptions,
+    instances_of,
+)
+from usarmjx.cli.startup_messages import announce
 from usarmjx.cli.viewer_options import ViewOption
-from usarmjx.cli.waiting import announce
-from usarmjx.server.json_log import configure_log
-from usarmjx.server.signals import StopSignals
+from usarmjx.server.runtime.logs import configure_log
+from usarmjx.server.runtime.signals import StopSignals
 
 if TYPE_CHECKING:
     from usarmjx.server.worlds.served_world import ServedWorld

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from usarmjx.cli.bench_options import NoteOption
-from usarmjx.cli.tools import ErrorExit
-from usarmjx.cli.waiting import announce, tried_on
+from benchmarks.commands import NoteOption
+from usarmjx.cli.common import ErrorExit
+from usarmjx.cli.startup_messages import announce, tried_on
 
 COMMANDS = ("run", "show", "compare")
 
@@ -76,9 +76,8 @@ def run(
     with ErrorExit():
         begun = time.perf_counter()
         announce(f"reading {what} ...", engines=["jax" if engine is None else tried_on(engine)])
-        from usarmjx.sweeps.bench_record import SweepMeter
-        from usarmjx.sweeps.progress import usual_stream
-        from usarmjx.sweeps.run import play_prepared, prepare
+        from benchmarks.sweep import SweepMeter
+        from usarmjx.sweeps.run import play_prepared, prepare, usual_stream
         from usarmjx.sweeps.spec import find_spec, load_spec
         from usarmjx.sweeps.workers import Workers
 
@@ -158,7 +157,7 @@ def _pairs(given: list[str]) -> dict[str, Any]:
 
 
 def _sinks(tensorboard: Path | None, wandb: str | None, name: str) -> list[Any]:
-    from usarmjx.sweeps.sinks import tensorboard_sink, wandb_sink
+    from usarmjx.sweeps.run import tensorboard_sink, wandb_sink
 
     sinks: list[Any] = [] if tensorboard is None else [tensorboard_sink(tensorboard)]
     return sinks if wandb is None else [*sinks, wandb_sink(wandb, name)]
@@ -166,8 +165,8 @@ def _sinks(tensorboard: Path | None, wandb: str | None, name: str) -> list[Any]:
 
 def _record(found: Any, plan: Any, meter: Any, workers: Any, file: Path, note: str) -> None:  # noqa: ANN401
     """Append what a sweep took to a file of records, and say it."""
-    from usarmjx.bench.tools import append_record
-    from usarmjx.sweeps.bench_record import record_line, sweep_record
+    from benchmarks.sweep import record_line, sweep_record
+    from benchmarks.tools import append_record
 
     record = sweep_record(found, plan, meter, workers, note)
     append_record(record, file)

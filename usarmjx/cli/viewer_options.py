@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from usarmjx.base.errors import UsageError
-from usarmjx.server.ports import LAST_PORT, VIEWER_PORT, bound_socket
+from usarmjx.server.network.ports import LAST_PORT, VIEWER_PORT, bound_socket
 
 if TYPE_CHECKING:
     import viser
 
     from usarmjx.comms.attenuation import RadioSettings
-    from usarmjx.server.access import AccessRules
-    from usarmjx.server.clock import StepClock
-    from usarmjx.server.net import BotServer
+    from usarmjx.server.gamebots.server import BotServer
+    from usarmjx.server.network.access import AccessRules
+    from usarmjx.server.runtime.loop import StepClock
     from usarmjx.server.viewing.controls import ServedControls
     from usarmjx.server.viewing.viewer_service import ViewerSettings
     from usarmjx.view.page import ViewerPage
@@ -102,10 +102,9 @@ def viewer_server(
         rules: Who may look; None: anybody who can connect.
         names: What browsers may call the server, as typed.
     """
-    from usarmjx.server.access import EVERYBODY
-    from usarmjx.server.gate import Gate
-    from usarmjx.server.viewing.front import gated_viser
-    from usarmjx.server.viewing.viewer_service import page_address
+    from usarmjx.server.network.access import EVERYBODY
+    from usarmjx.server.network.gate import Gate
+    from usarmjx.server.viewing.viewer_service import gated_viser, page_address
 
     settings = viewer_settings(host, rules or EVERYBODY, names)
     gate = Gate(settings.access, settings.max_connections, "viewers")
@@ -146,10 +145,9 @@ def add_viewer(
         radio: The radio's constants; None: there is none.
         layers: Layers that are on at first beside those that always are.
     """
-    from usarmjx.server.log_tail import keep_log
-    from usarmjx.server.viewing.seat import control_seat
-    from usarmjx.server.viewing.served_source import ServedSource
-    from usarmjx.server.viewing.viewer_service import ViewerService
+    from usarmjx.server.gamebots.console import keep_log
+    from usarmjx.server.viewing.controls import control_seat
+    from usarmjx.server.viewing.viewer_service import ServedSource, ViewerService
 
     worlds = [server.world for server in servers]
     source = ServedSource(worlds, radio)
@@ -157,10 +155,9 @@ def add_viewer(
     tail = keep_log()
 
     def make_page(server: "viser.ViserServer") -> "ViewerPage":
-        from usarmjx.server.viewing.console_panel import ConsolePanel
-        from usarmjx.server.viewing.inset import CameraInset
+        from usarmjx.server.viewing.inset import CameraInset, ConsolePanel
         from usarmjx.view.page import ViewerPage
-        from usarmjx.view.people import PeoplePanel
+        from usarmjx.view.user_panels import PeoplePanel
 
         title = worlds[0].arena.name
         panels = [
@@ -191,7 +188,7 @@ def viewer_settings(
     Raises:
         UsageError: One of the names is none.
     """
-    from usarmjx.server.host_names import check_names
+    from usarmjx.server.network.web_gate import check_names
     from usarmjx.server.viewing.viewer_service import ViewerSettings
 
     return ViewerSettings(host, access=rules, names=check_names(names), control=control)

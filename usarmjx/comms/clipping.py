@@ -14,7 +14,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import on_numpy, xp
-from usarmjx.models.build.pieces import COLUMN_KIND, TRIANGLE_KIND
+from usarmjx.models.compile.ray_geoms import COLUMN_KIND, TRIANGLE_KIND
 from usarmjx.sensors.rays.targets import GeomBlock
 
 XYZ = tuple[Array, Array, Array]

@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from usarmjx.base.accelerator import warp_in_use
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import jit, on_numpy, xp
 from usarmjx.base.errors import UnsupportedGeomError
@@ -36,12 +37,11 @@ from usarmjx.comms.clipping import (
     local_segments,
     padded_to_chunks,
 )
-from usarmjx.models.build.compose import Physics, new_spec
-from usarmjx.models.build.materials import materials_of
-from usarmjx.models.build.pieces import HFIELD, MESH, ray_primitives_of
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.shapes import OPAQUE, SKY
-from usarmjx.sensors.rays.choice import warp_in_use
+from usarmjx.models.compile.compose import Physics, new_spec
+from usarmjx.models.compile.materials import materials_of
+from usarmjx.models.compile.ray_geoms import HFIELD, MESH, ray_primitives_of
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.shapes import OPAQUE, SKY
 from usarmjx.sensors.rays.targets import GeomBlock, Geoms, make_geoms
 
 TINY = 1e-12
@@ -255,7 +255,7 @@ def count_walls(geoms: Geoms, start: Array, end: Array) -> Array:
         end: Where they end [m] (segments, 3).
     """
     if not on_numpy() and warp_in_use() and geoms.blocks and start.size:
-        from usarmjx.comms.warp_count import count_on_warp  # Warp need not be installed
+        from usarmjx.comms.warp_walls import count_on_warp
 
         return count_on_warp(geoms, start, end)
     return count_on_jax(geoms, start, end)

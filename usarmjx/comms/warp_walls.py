@@ -4,21 +4,21 @@ What each function means is said there; the arithmetic is the same, so that exch
 changes no bit of the answer.
 """
 
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
 import warp as wp
 
+from usarmjx.base.arrays import Array
+from usarmjx.base.warp_functions import warp_function
 from usarmjx.comms import clipping
-from usarmjx.models.build.pieces import COLUMN_KIND
-from usarmjx.sensors.rays.raycast_warp import GROUP_SIZE, four_at, local, place_of, thread_index
-from usarmjx.sensors.rays.warp_kinds import (
-    BOX,
-    CAPSULE,
-    CYLINDER,
-    ELLIPSOID,
-    PLANE,
-    SPHERE,
-    TINY,
-    TRIANGLE,
-)
+from usarmjx.models.compile.ray_geoms import COLUMN_KIND
+from usarmjx.sensors.rays.batched_calls import over_worlds
+from usarmjx.sensors.rays.raycast_warp import GROUP_SIZE, four_at, local, pack, place_of, thread_index
+from usarmjx.sensors.rays.targets import GeomBlockInfo, Geoms
+from usarmjx.sensors.rays.warp_kinds import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, TINY, TRIANGLE
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
@@ -173,3 +173,31 @@ def count_crossings(
             total += 1
         index += 1
     crossings[t] = total
+
+
+@warp_function
+def _kernel() -> Any:  # noqa: ANN401
+    return wp.jax_kernel(count_crossings)
+
+
+def _count(count: int, geoms: Array, world: Array, start: Array, end: Array) -> jax.Array:
+    shape = start.shape[:2]
+    ends = [x.reshape(-1, 3) for x in (start, end)]
+    threads = shape[0] * shape[1]
+    found = _kernel()(
+        geoms.reshape(-1, 4), world, *ends, count, shape[1], output_dims=threads, launch_dims=threads
+    )
+    return found[0].reshape(shape)
+
+
+def count_on_warp(geoms: Geoms, start: Array, end: Array) -> jax.Array:
+    """As `walls.count_walls`; any axes before those of the vectors' components."""
+    infos = [
+        GeomBlockInfo(kind, len(b.owner), 0, False) for kind, b in zip(geoms.kinds, geoms.blocks, strict=True)
+    ]
+    packed = pack(list(zip(infos, geoms.blocks, strict=True)))
+    ends = [jnp.asarray(x, jnp.float32).reshape(1, -1, 3) for x in (start, end)]
+    found = over_worlds(partial(_count, sum(info.num_geoms for info in infos)))(
+        packed[None], jnp.zeros(1, jnp.int32), *ends
+    )
+    return found.reshape(start.shape[:-1])

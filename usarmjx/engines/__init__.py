@@ -7,7 +7,14 @@ MJX's private names, for the one version that they check; whether two engines ag
 `tests/engines/test_engines.py`'s to say.
 """
 
-from usarmjx.engines.base import Engine, Inputs, PhysicsState
-from usarmjx.engines.choice import ENGINES, choose_engine, engine_class, make_engine
+from usarmjx.engines.base import (
+    ENGINES,
+    Engine,
+    Inputs,
+    PhysicsState,
+    choose_engine,
+    engine_class,
+    make_engine,
+)
 
 __all__ = ["ENGINES", "Engine", "Inputs", "PhysicsState", "choose_engine", "engine_class", "make_engine"]

@@ -3,28 +3,240 @@
 import atexit
 import copy
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
+from types import FunctionType, SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
+import numpy as np
+from jax.custom_batching import custom_vmap
 from mujoco import mjx
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import EngineError
-from usarmjx.engines.base import (
-    Inputs,
-    SolvedStep,
-    StepArguments,
-    StepOutcome,
-)
-from usarmjx.engines.convex_room import convex_room
+from usarmjx.base.registry import Registry
+from usarmjx.engines.base import Inputs, SolvedStep, StepArguments, StepOutcome
+from usarmjx.engines.cylinder_box import check_mjx_version
 from usarmjx.engines.mjx import MjxEngine, own_device
-from usarmjx.engines.sleeping import LooseSleep, make_room
-from usarmjx.engines.warp_graphs import GRAPHS, CapturedGraphs, step_several
-from usarmjx.models.build.compose import Physics
-from usarmjx.models.build.moved import MovedGeoms
-from usarmjx.models.build.variation import RandomizedBodies
+from usarmjx.models.compile.compose import LOOSE_PREFIX, VICTIM_PREFIX, Physics
+from usarmjx.models.compile.geoms import MovedGeoms
+from usarmjx.models.compile.randomization import RandomizedBodies
+
+NUM_KINDS = int(mujoco.mjtGeom.mjGEOM_MESH) + 1
+"""Kinds of geoms that touch."""
+NEAR_BOXES = 0.05
+"""Geoms whose boxes are this close count as near [m]."""
+AT_ONCE = 2
+"""Room for so many times the pairs that are near each other at the start."""
+LEAST_SHARE = 0.25
+"""Room for at least that share of all contacts. A P2AT has room for 16 contacts and, driving at random in
+`yellow`, `orange` and `red`, 0.4 such pairs on average and 1.2 at most."""
+
+
+def convex_kinds() -> np.ndarray:
+    """Return which pairs of kinds are looked at in that way, the lower one first (kinds, kinds)."""
+    # Not public; the version of MJX is pinned.
+    table = import_module("mujoco.mjx.third_party.mujoco_warp._src.collision_driver").MJ_COLLISION_TABLE
+    convex = np.zeros((NUM_KINDS, NUM_KINDS), bool)
+    for kinds, how in table.items():
+        if max(map(int, kinds)) < len(convex):
+            convex[tuple(map(int, kinds))] = how.name == "CONVEX"
+    return convex
+
+
+def world_boxes(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners of the boxes about all geoms at the start, along the world's axes [m] (geoms, 3)."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mat = data.geom_xmat.reshape(-1, 3, 3)
+    middle = data.geom_xpos + (mat @ model.geom_aabb[:, :3, None])[..., 0]
+    half = (np.abs(mat) @ model.geom_aabb[:, 3:, None])[..., 0] + NEAR_BOXES / 2
+    return middle - half, middle + half
+
+
+def convex_room(model: mujoco.MjModel, pairs: np.ndarray, contacts: int) -> int:
+    """Return for how many convex pairs of one world there should be room.
+
+    Args:
+        model: The model; its robots stand at their starts.
+        pairs: Geoms that may touch (pairs, 2).
+        contacts: For how many contacts of a world there is room.
+    """
+    kinds = np.sort(model.geom_type[pairs], axis=1)
+    pairs, kinds = (rows[convex_kinds()[kinds[:, 0], kinds[:, 1]]] for rows in (pairs, kinds))
+    low, high = world_boxes(model)
+    one, other = pairs.T
+    near = ((low[one] <= high[other]) & (low[other] <= high[one])).all(1)
+    _, counts = np.unique(kinds[near], axis=0, return_counts=True)
+    most = AT_ONCE * int(counts.max(initial=0))
+    return int(np.clip(most, np.ceil(LEAST_SHARE * contacts), contacts))
+
+
+STILL_TIME = 0.5
+"""An object falls asleep when it has been still for so long [s]: longer than at the top of a throw."""
+WAKE_DISTANCE = 0.1
+"""What comes nearer than that wakes it, from one bounding sphere to the other [m] ..."""
+STEPS_AHEAD = 2.0
+"""... and what will be as near after so many control steps."""
+LIMB_SPEED = 1.0
+"""At which limbs of victims and doors are taken to move [m/s]."""
+NO_CONTACT = -1e3
+"""Margin of the geoms of what sleeps [m]."""
+
+
+class LooseSleep:
+    """Which loose objects sleep.
+
+    How long each has been still is in MuJoCo's data for users (worlds, objects) [control steps]: `make_room`
+    asks for that before the model is compiled.
+
+    Args:
+        model: The engine's model.
+        tolerance: An object that moves slower is still [m/s]; turning counts by the speed of what is farthest
+            from its middle.
+        period: The control step [s].
+    """
+
+    def __init__(self, model: mujoco.MjModel, tolerance: float, period: float) -> None:
+        self._tolerance, self._period = tolerance, period
+        self.bodies = np.array([b for b in range(model.nbody) if _is_loose(model, b)], int)
+        joints = model.body_jntadr[self.bodies]
+        self.qposadr = model.jnt_qposadr[joints][:, None] + np.arange(7)
+        self.dofadr = model.jnt_dofadr[joints][:, None] + np.arange(6)
+        touching = (model.geom_contype | model.geom_conaffinity) != 0
+        body = model.geom_bodyid
+        self.geoms = np.flatnonzero(touching & np.isin(body, self.bodies))
+        self._owner = np.searchsorted(self.bodies, body[self.geoms])
+        limbs = [model.geom(g).name.startswith(VICTIM_PREFIX) for g in range(model.ngeom)]
+        moves = (model.body_weldid[body] != 0) & ~np.isin(body, self.bodies)
+        self._movers = np.flatnonzero(touching & (moves | limbs))
+        # The free joint of the robot that a geom is of; those of limbs and doors have none.
+        roots = model.body_jntadr[model.body_rootid[body[self._movers]]]
+        free = (roots >= 0) & (model.jnt_type[roots] == mujoco.mjtJoint.mjJNT_FREE)
+        self._mover_dof = np.where(free, model.jnt_dofadr[roots], -1)
+        radius = model.geom_rbound.astype(np.float32)
+        self._reach = radius[self.geoms][:, None] + radius[self._movers] + np.float32(WAKE_DISTANCE)
+        self._between = radius[self.geoms][:, None] + radius[self.geoms] + np.float32(WAKE_DISTANCE)
+        # Of each object, for how fast its turning is.
+        self._radius = np.zeros(len(self.bodies), np.float32)
+        np.maximum.at(self._radius, self._owner, radius[self.geoms])
+
+    def still_steps(self, data: mjx.Data, force: Array) -> jax.Array:
+        """Return for how long each object has been still, this control step included (worlds, objects).
+
+        Args:
+            data: The engine's state, of all worlds.
+            force: Forces and torques from outside on each body (worlds, nbody, 6).
+        """
+        qvel, xpos = data.qvel, data.geom_xpos
+        own = qvel[:, self.dofadr]
+        speed = jnp.linalg.norm(own[..., :3], axis=-1)
+        speed += self._radius * jnp.linalg.norm(own[..., 3:], axis=-1)
+        moving = ~(speed < self._tolerance)  # what is not finite moves
+        moving |= (jnp.asarray(force)[:, self.bodies] != 0.0).any(-1)
+        near = (self._apart(xpos, self._movers) < self._reach + self._ahead(qvel)[:, None]).any(-1)
+        beside = (self._apart(xpos, self.geoms) < self._between) & moving[:, None, self._owner]
+        disturbed = moving | self._any(near | beside.any(-1))
+        return jnp.where(disturbed, 0.0, data.userdata + 1.0)
+
+    def asleep(self, still_steps: jax.Array) -> jax.Array:
+        """Return which objects sleep (worlds, objects)."""
+        return still_steps * self._period > STILL_TIME
+
+    def margin(self, margin: jax.Array, asleep: jax.Array) -> jax.Array:
+        """Return the margins of all geoms (worlds, ngeom) [m], given those of the model (ngeom,)."""
+        everywhere = jnp.broadcast_to(margin.reshape(-1), (len(asleep), margin.size))
+        mine = jnp.where(asleep[:, self._owner], NO_CONTACT, everywhere[:, self.geoms])
+        return everywhere.at[:, self.geoms].set(mine)
+
+    def moved(self, pinned: Array, qpos: Array, before: Array) -> jax.Array:
+        """Return which objects are put elsewhere (worlds, objects); masks and qpos as in `Inputs`."""
+        return (jnp.asarray(pinned) & (qpos != before))[:, self.qposadr].any(-1)
+
+    def _ahead(self, qvel: jax.Array) -> jax.Array:
+        """Return how far the geoms of robots, limbs and doors may get soon [m] (worlds, movers)."""
+        rows = np.maximum(self._mover_dof, 0)[:, None] + np.arange(3)
+        speed = jnp.linalg.norm(qvel[:, rows], axis=-1)
+        return STEPS_AHEAD * self._period * jnp.where(self._mover_dof >= 0, speed, LIMB_SPEED)
+
+    def _apart(self, xpos: jax.Array, others: np.ndarray) -> jax.Array:
+        """Return the distances between the objects' geoms and others (worlds, geoms, others) [m]."""
+        return jnp.linalg.norm(xpos[:, self.geoms, None] - xpos[:, None, others], axis=-1)
+
+    def _any(self, of_geoms: jax.Array) -> jax.Array:
+        """Return of which objects any geom is so (worlds, objects)."""
+        mine = jnp.asarray(self._owner == np.arange(len(self.bodies))[:, None])  # (objects, geoms)
+        return (of_geoms[:, None] & mine).any(-1)
+
+
+def make_room(spec: mujoco.MjSpec) -> None:
+    """Ask for data for users, a number for each loose object of a description."""
+    spec.nuserdata = sum(body.name.startswith(LOOSE_PREFIX) for body in spec.bodies)
+
+
+def _is_loose(model: mujoco.MjModel, body: int) -> bool:
+    return model.body(body).name.startswith(LOOSE_PREFIX)
+
+
+@dataclass(frozen=True)
+class CapturedGraphs:
+    """Which graphs are captured.
+
+    Attributes:
+        mode: Name of one of Warp's JaxCallableGraphMode. WARP captures a graph for each set of arrays that
+            XLA hands over, WARP_STAGED one for all of them, which copies in and out, WARP_STAGED_EX copies
+            before and after it. A CPU has no graphs.
+        control_step: Whether a graph is of all physics steps of a control step.
+    """
+
+    mode: str = "WARP"
+    control_step: bool = False
+
+
+GRAPHS: Registry[CapturedGraphs] = Registry("kind of CUDA graphs")
+for _mode, _suffix in (("WARP", ""), ("WARP_STAGED", "-staged"), ("WARP_STAGED_EX", "-staged-ex")):
+    GRAPHS.add(f"step{_suffix}", CapturedGraphs(_mode))
+    GRAPHS.add(f"control{_suffix}", CapturedGraphs(_mode, control_step=True))
+
+
+def _with_globals(function: Callable[..., None], **changed: object) -> Callable[..., Any]:
+    """Return a copy of a function that sees other things under some names of its module."""
+    seen = {**function.__globals__, **changed}
+    copied = FunctionType(function.__code__, seen, function.__name__)
+    copied.__annotations__, copied.__module__ = function.__annotations__, function.__module__
+    return copied
+
+
+@cache
+def step_several(count: int) -> Callable[[Any, Any], Any]:
+    """Return `mjx.step` for MuJoCo Warp with so many physics steps in one call; map it over the worlds.
+
+    Raises:
+        EngineError: mujoco-mjx is of another version than the one whose private names these are.
+    """
+    check_mjx_version()
+    forward, ffi = (import_module(f"mujoco.mjx.warp.{name}") for name in ("forward", "ffi"))
+
+    def run_kernels(model: object, data: object) -> None:
+        for _ in range(count):
+            forward.mjwarp.step(model, data)
+
+    shim = _with_globals(forward._step_shim.__wrapped__, mjwarp=SimpleNamespace(step=run_kernels))
+    call = _with_globals(forward._step_jax_impl, _step_shim=ffi.format_args_for_warp(shim))
+    step = custom_vmap(ffi.marshal_jax_warp_callable(call))
+
+    @step.def_vmap
+    @ffi.marshal_custom_vmap
+    def step_worlds(axis_size: int, is_batched: tuple[Any, Any], model: Any, data: Any) -> tuple[Any, Any]:  # noqa: ANN401
+        del axis_size
+        return step(model, data), is_batched[1]
+
+    return step
+
 
 # MJX-Warp's overflow word (mujoco_warp OverflowType) without the bits that only say that the solver used
 # all of its iterations, which the capped CG solver does on nearly every step.

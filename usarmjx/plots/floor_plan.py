@@ -16,12 +16,22 @@ from matplotlib.patches import Arc, Patch, Polygon, Rectangle
 
 from usarmjx.base.files import write_beside
 from usarmjx.base.transforms import angles_from_mat, mat_from_angles
-from usarmjx.models.build.tags import tag_ids
-from usarmjx.models.build.victims import segment_poses, victim_table
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.shapes import FENDER, GLASS, MIRROR, Shape
-from usarmjx.plots.outlines import height_range, outline
-from usarmjx.plots.picture import ARROW, DPI, GROUND, PAPER, STYLES, WALL, WIDTH, draw_shapes
+from usarmjx.models.compile.tags import tag_ids
+from usarmjx.models.compile.victims import segment_poses, victim_table
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.shapes import FENDER, GLASS, MIRROR, Shape
+from usarmjx.plots.picture import (
+    ARROW,
+    DPI,
+    GROUND,
+    PAPER,
+    STYLES,
+    WALL,
+    WIDTH,
+    draw_shapes,
+    height_range,
+    outline,
+)
 
 MAX_HEIGHT = 12.0
 """Most that a picture is high [inches]; of long, narrow arenas it becomes narrower instead."""

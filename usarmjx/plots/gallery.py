@@ -4,36 +4,123 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import mujoco
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
+from usarmjx.base.backend import numpy_backend
 from usarmjx.base.files import write_beside
-from usarmjx.cameras.paint import (
+from usarmjx.engines.c.camera_rays import NOBODY, CSight
+from usarmjx.models.compile.compose import Physics, new_spec
+from usarmjx.models.compile.kinematic_tree import KinematicTree, kinematic_tree_of
+from usarmjx.models.compile.materials import materials_of
+from usarmjx.models.compile.victims import victim_table
+from usarmjx.models.compile.visuals import reach_of
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.types.arena import ArenaSpec, StartPose
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.models.types.shapes import SKY, Shape
+from usarmjx.plots.floor_plan import draw_plan
+from usarmjx.plots.picture import area, height_range, outline, overhead_height, save_small
+from usarmjx.plots.render import (
+    DEFAULT_LIGHTING,
+    FOV_Y,
+    Lighting,
+    RenderGeoms,
+    box_geoms,
+    camera_axes,
+    downsample,
+    fit_camera,
+    lit_scene,
+    render_geoms_of,
+    render_picture,
+    victim_geoms,
+)
+from usarmjx.sensors.cameras.paint import (
     FALSE_ALARM_LABEL,
     VICTIM_LABEL,
     WATER_RGB,
     WATER_TRANSPARENCY,
     labels_of,
 )
-from usarmjx.models.build.compose import Physics, new_spec
-from usarmjx.models.build.materials import materials_of
-from usarmjx.models.build.victims import victim_table
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.shapes import SKY, Shape
-from usarmjx.plots.floor_plan import draw_plan
-from usarmjx.plots.outlines import area, height_range, outline
-from usarmjx.plots.palette import save_small
-from usarmjx.plots.picture import overhead_height
-from usarmjx.plots.render import Lighting, render_picture
-from usarmjx.plots.scenery import RenderGeoms, box_geoms, render_geoms_of, victim_geoms
-from usarmjx.plots.viewpoint import downsample, fit_camera
+from usarmjx.sensors.cameras.picture import Viewpoint
+from usarmjx.sensors.rays.targets import Geoms
+from usarmjx.sim.scene import build_scene
+from usarmjx.sim.views import looks_of
 
-VIEW_ANGLES = (math.radians(-62.0), math.radians(44.0))
+PORTRAIT_ANGLES = (math.radians(-35.0), math.radians(22.0))
+"""Azimuth and elevation from which robots are drawn: from their front right."""
+FRAME_FACTOR = 1.1
+"""By how much what is in the picture is larger than the robot."""
+
+
+@numpy_backend()
+def portrait(robot: RobotSpec, width: int = 480, height: int = 360) -> np.ndarray:
+    """Return a picture (height, width, 3) of a robot on a floor, its joints at zero, filling the frame."""
+    plan = kinematic_tree_of(robot)
+    start = StartPose(tag="here", at=(0.0, 0.0, plan.clearance))
+    scene = build_scene(ArenaSpec(name="studio", starts=(start,), extent=((0, 0), (0, 0))), [robot])
+    data = mujoco.MjData(scene.model)
+    data.qpos[scene.groups[0].indices[0].root_qposadr :][:7] = (*start.at, 1.0, 0.0, 0.0, 0.0)
+    azimuth, elevation = PORTRAIT_ANGLES
+    back = np.array([math.cos(azimuth), math.sin(azimuth), math.tan(elevation)])
+    eye, target = fit_camera(_corners(plan), back / np.linalg.norm(back), width / height)
+    right, up, forward = camera_axes(eye - target)
+    fov = np.array(2 * math.atan(width / height * math.tan(FOV_Y / 2)), np.float32)
+    viewpoint = Viewpoint(
+        pos=eye,
+        mat=np.stack([forward, -right, up], -1),
+        eye_offsets=np.zeros((1, 3)),
+        fov=fov,
+        default_fov=fov,
+        slot=np.array(NOBODY),
+        hidden_geoms=np.zeros(0, bool),
+        lens="pinhole",
+    )
+    looks = looks_of(scene)
+    light = lit_scene(Geoms(blocks=(), kinds=(), materials=()), looks.appearance, DEFAULT_LIGHTING)
+    sight = CSight(scene.model, data, looks)
+    return downsample(np.asarray(sight.render(light, viewpoint, 2 * width, 2 * height).rgb) / 255)
+
+
+def _corners(plan: KinematicTree) -> np.ndarray:
+    """Return the corners of the boxes about all that is drawn of a robot, with room around them (n, 3)."""
+    solids, corner = plan.figure.solids, np.array(list(product((-1.0, 1.0), repeat=3)))
+    places, turns = solids.poses(plan.rest_pos + np.array([0.0, 0.0, plan.clearance]), plan.rest_frames)
+    low, high = reach_of(solids, np.asarray(turns))
+    boxes = np.asarray(places)[:, None] + np.where(corner > 0, high[:, None], low[:, None])
+    corners = boxes.reshape(-1, 3)
+    middle = (corners.min(0) + corners.max(0)) / 2
+    return middle + FRAME_FACTOR * (corners - middle)
+
+
+def portraits(names: Sequence[str], path: Path, columns: int = 4) -> None:
+    """Write a PNG with a picture of each robot and its name and size below.
+
+    Raises:
+        UnknownNameError: No such robot class.
+    """
+    robots = [ROBOTS.get(name) for name in names]
+    rows = -(-len(robots) // columns)
+    figure = Figure(figsize=(3.2 * columns, 2.75 * rows), dpi=80, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    for i, robot in enumerate(robots):
+        axes = figure.add_subplot(rows, columns, i + 1)
+        axes.imshow(portrait(robot))
+        length, width, height = robot.dimensions
+        axes.set_title(f"{robot.name}  {length:.2f} x {width:.2f} x {height:.2f} m", y=-0.13, fontsize=9)
+        axes.set_axis_off()
+    with write_beside(path) as fresh:
+        figure.savefig(fresh, format="png")
+
+
+ARENA_ANGLES = (math.radians(-62.0), math.radians(44.0))
 """Azimuth and elevation from which arenas are seen: as on the plan, x runs to the right."""
 SUN = (-0.45, -0.7, 0.85)
 """Behind the viewer's left shoulder."""
@@ -112,7 +199,7 @@ def _eye(arena: ArenaSpec, aspect: float) -> tuple[np.ndarray, np.ndarray]:
     top = max([0.0, *(height_range(shape)[1] for shape in arena.shapes if shape.material != SKY)])
     top = min(top, 0.5 * min(x1 - x0, y1 - y0))
     corners = np.array([(x, y, z + arena.floor) for x in (x0, x1) for y in (y0, y1) for z in (0.0, top)])
-    azimuth, elevation = VIEW_ANGLES
+    azimuth, elevation = ARENA_ANGLES
     back = np.array([math.cos(azimuth), math.sin(azimuth), math.tan(elevation)])
     return fit_camera(corners, back / np.linalg.norm(back), aspect)
 

@@ -17,12 +17,12 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import write_beside
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.plots.floor_plan import draw_plan
 from usarmjx.plots.picture import ARROW
 from usarmjx.sim.world import robot_states
 from usarmjx.train.envs.env import Env, EnvState
-from usarmjx.train.envs.policy import Policy
+from usarmjx.train.envs.task import Policy
 
 WORLD = 0
 """The world that is looked at."""

@@ -14,7 +14,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.files import write_beside
 from usarmjx.comms.attenuation import RadioSettings, received_power
 from usarmjx.comms.walls import arena_solids, count_walls
-from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.plots.picture import DPI, PAPER, WIDTH, draw_shapes
 
 ANTENNA_HEIGHT = 0.5

@@ -1,6 +1,9 @@
 """A recorded mission as a figure for a paper: plan, ways, scans, radio, victims met, and all over time."""
 
-from collections.abc import Sequence
+import shutil
+import subprocess
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +13,263 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from usarmjx.base.backend import numpy_backend
+from usarmjx.base.errors import UsageError
 from usarmjx.base.files import write_beside
+from usarmjx.base.rotations import mat_from_quat
 from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.models.compile.victims import victim_table
+from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.plots.floor_plan import draw_plan
-from usarmjx.plots.mission import RecordedMission, RobotWay, read_mission
 from usarmjx.plots.picture import ARROW
-from usarmjx.plots.play import COLOURS
+from usarmjx.plots.play import COLOURS, EpisodeRecording, film_frames, save_gif
 from usarmjx.plots.radio_map import MIN_STEP, power_map
+from usarmjx.recording.foxglove import is_scanner
 from usarmjx.recording.reader import Recording
+from usarmjx.recording.source import RecordingSource
+from usarmjx.view.drawing import Drawing, DrawnMount, Frame
+
+MOST_SCANS = 400
+"""So many scans are drawn at most, spread over the time."""
+NEARLY = 0.995
+"""What is nearly as far as a scanner sees has met nothing."""
+VICTIM_SENSOR = "VictSensor"
+
+
+@dataclass
+class RobotWay:
+    """Where a robot was, and what it had left.
+
+    Attributes:
+        name: Its name.
+        robot: Its class.
+        times: When it was looked at [s].
+        poses: Where it was then: x, y [m] and yaw [rad].
+        battery: For how long its battery lasted yet [s].
+    """
+
+    name: str
+    robot: str
+    times: list[float] = field(default_factory=list[float])
+    poses: list[tuple[float, float, float]] = field(default_factory=list[tuple[float, float, float]])
+    battery: list[float] = field(default_factory=list[float])
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedMission:
+    """A recorded mission.
+
+    Attributes:
+        arena: Where it was.
+        ways: The robots' ways, in the order in which they came.
+        scans: Where beams of plane scanners ended, on the floor plan [m] (points, 2).
+        found: When each victim was met first [s], and by whom, by its place in the arena.
+        scores: Times [s] and scores of a task.
+        loose: Times [s] and where what lies loose was: x, y [m] (objects, 2).
+    """
+
+    arena: ArenaSpec
+    ways: list[RobotWay]
+    scans: np.ndarray
+    found: dict[int, tuple[float, str]]
+    scores: list[tuple[float, float]]
+    loose: list[tuple[float, np.ndarray]]
+
+
+def read_mission(recording: Recording, world: int, span: tuple[float, float]) -> RecordedMission:
+    """Return what a recording has of a world in a span of time [s].
+
+    Raises:
+        UsageError: There is no such world, or the file does not say where it was.
+    """
+    if world not in recording.worlds:
+        known = ", ".join(map(str, recording.worlds))
+        raise UsageError(f"{recording.path}: has no world {world}; it has: {known}")
+    setup = recording.setup(world)
+    if not setup.arenas:
+        raise UsageError(f"{recording.path}: does not have the arena: {setup.why_not}")
+    owners = np.asarray(victim_table(setup.arenas[0].victims, setup.arenas[0].false_alarms).owner)
+    reader = _Reader(owners)
+    for message in recording.messages(("drawings", "frames", "readings", "score"), world):
+        kind = message.channel.kind
+        if kind == "drawings":
+            reader.drawing = message.value
+        elif span[0] <= message.time <= span[1]:
+            if kind == "frames":
+                reader.take_frame(message.value)
+            elif kind == "score":
+                reader.scores.append((message.time, message.value["score"]))
+            else:
+                reader.take_readings(message.time, message.value)
+    if not reader.ways:
+        raise UsageError(f"{recording.path}: no robots in that time of world {world}")
+    scans = _scan_points(recording, world, reader.scans)
+    ways = list(reader.ways.values())
+    return RecordedMission(setup.arenas[0], ways, scans, reader.found, reader.scores, reader.loose)
+
+
+@dataclass
+class _Reader:
+    """Goes through a recording; `owners` are the victims of the sensor's rows."""
+
+    owners: np.ndarray
+    drawing: Drawing | None = None
+    ways: dict[str, RobotWay] = field(default_factory=dict[str, RobotWay])
+    scans: list[tuple[float, int, int, np.ndarray]] = field(default_factory=list[Any])
+    found: dict[int, tuple[float, str]] = field(default_factory=dict[int, tuple[float, str]])
+    scores: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
+    loose: list[tuple[float, np.ndarray]] = field(default_factory=list[Any])
+
+    def take_frame(self, frame: Frame) -> None:
+        if self.drawing is None:
+            return
+        for slot, robot in frame.robots.items():
+            drawn = self.drawing.robots[slot]
+            way = self.ways.setdefault(drawn.name, RobotWay(drawn.name, drawn.robot))
+            mat = np.asarray(mat_from_quat(robot.quat))
+            way.times.append(frame.time)
+            way.poses.append((*robot.pos[:2].tolist(), float(np.arctan2(mat[1, 0], mat[0, 0]))))
+            way.battery.append(robot.battery)
+        lying = [n for n, body in enumerate(self.drawing.bodies) if body.name.startswith("loose/")]
+        self.loose.append((frame.time, frame.pos[lying, :2]))
+
+    def take_readings(self, time: float, said: dict[str, Any]) -> None:
+        for slot, sensor, value in zip(said["slots"], said["sensors"], said["values"], strict=True):
+            robot = None if self.drawing is None else self.drawing.robots.get(slot)
+            if robot is None:
+                continue
+            if is_scanner(robot, sensor):
+                self.scans.append((time, slot, sensor, value))
+            elif robot.sensors[sensor].kind == VICTIM_SENSOR and len(value) == len(self.owners):
+                for victim in np.unique(self.owners[(value[:, 0] > 0) & (self.owners >= 0)]).tolist():
+                    self.found.setdefault(victim, (time, robot.name))
+
+
+def _scan_points(
+    recording: Recording, world: int, scans: list[tuple[float, int, int, np.ndarray]]
+) -> np.ndarray:
+    """Return where beams ended, seen from above (points, 2)."""
+    source = RecordingSource(recording)
+    points = [np.zeros((0, 2))]
+    place = recording.worlds.index(world)
+    for time, slot, sensor, value in scans[:: max(1, len(scans) // MOST_SCANS)]:
+        source.seek(time)
+        drawing, frame = source.drawing(place), source.frame(place)
+        if slot in drawing.robots:
+            points.append(_ends(drawing.robots[slot].sensors[sensor], frame, value))
+    return np.concatenate(points)
+
+
+def _ends(mount: DrawnMount, frame: Frame, value: np.ndarray) -> np.ndarray:
+    """Return where the beams of a scan ended that met something (points, 2)."""
+    settings, body = mount.settings[0], int(mount.body[0])
+    ranges = np.asarray(value, float).reshape(-1)
+    angle = -float(settings["scan_fov"]) / 2 + np.arange(len(ranges)) * float(settings["resolution"])
+    along, aside = ranges * np.cos(angle), ranges * np.sin(angle)
+    flat = settings.get("yaw", True)
+    ends = np.stack([along, aside if flat else 0 * aside, 0 * aside if flat else aside], -1)
+    ends = ends[ranges < NEARLY * float(settings["max_range"])]
+    turn = np.asarray(mat_from_quat(frame.quat[body]))
+    return ((mount.pos[0] + ends @ mount.mat[0].T) @ turn.T + frame.pos[body])[:, :2]
+
+
+PICTURES_PER_SECOND = 20
+
+
+def save_film(recording: Recording, path: Path, world: int = 0, speed: float = 2.0) -> None:
+    """Write a world of a recording as a film from above.
+
+    Args:
+        recording: The recording.
+        path: File to write, .gif or .mp4.
+        world: Which world.
+        speed: Of an MP4: how many seconds of the recording pass in one.
+
+    Raises:
+        UsageError: Another suffix, no such world, or ffmpeg is missing.
+        WriteError: It cannot be written.
+    """
+    write = FILMS.get(path.suffix.lower())
+    if write is None:
+        raise UsageError(f"{path}: films end in {', '.join(FILMS)}")
+    shown = _as_episode(read_mission(recording, world, (0.0, np.inf)), recording.path.stem)
+    with write_beside(path) as fresh:
+        write(shown, fresh, speed)
+
+
+def _as_episode(mission: RecordedMission, title: str) -> EpisodeRecording:
+    """Return a mission as what films are drawn of; who was not there yet stands where it came."""
+    times = np.unique(np.concatenate([way.times for way in mission.ways]))
+    poses = np.zeros((len(times), len(mission.ways), 3))
+    for place, way in enumerate(mission.ways):
+        last = np.clip(np.searchsorted(way.times, times, side="right") - 1, 0, None)
+        poses[:, place] = np.array(way.poses)[last]
+    known, scores = zip(*(mission.scores or [(0.0, 0.0)]), strict=True)
+    late = np.clip(np.searchsorted(known, times, side="right") - 1, 0, None)
+    when, where = zip(*mission.loose, strict=True)
+    seen = np.clip(np.searchsorted(when, times, side="right") - 1, 0, None)
+    return EpisodeRecording(
+        task=title,
+        arena=mission.arena,
+        names=tuple(way.name for way in mission.ways),
+        times=times,
+        scores=np.array(scores)[late],
+        poses=poses,
+        loose=np.array(where)[seen],
+        goal=None,
+        end="",
+    )
+
+
+def _save_gif(shown: EpisodeRecording, path: Path, speed: float) -> None:
+    save_gif(shown, path, speed)
+
+
+def _save_mp4(shown: EpisodeRecording, path: Path, speed: float) -> None:
+    """Pipe pictures to ffmpeg."""
+    lasts = (shown.times[-1] - shown.times[0]) / speed
+    count = max(2, round(lasts * PICTURES_PER_SECOND))
+    wanted = np.linspace(shown.times[0], shown.times[-1], count)
+    frames = np.clip(np.searchsorted(shown.times, wanted, side="right") - 1, 0, None)
+    pictures = film_frames(shown, frames)
+    first = next(pictures)
+    height, width = (number // 2 * 2 for number in first.shape[:2])  # what yuv420p can have
+    command = [
+        *(_ffmpeg(), "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"),
+        *("-s", f"{width}x{height}", "-r", str(PICTURES_PER_SECOND), "-i", "-"),
+        *("-pix_fmt", "yuv420p", "-f", "mp4", str(path)),
+    ]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdin is not None
+    try:
+        for picture in (first, *pictures):
+            process.stdin.write(np.ascontiguousarray(picture[:height, :width]).tobytes())
+    except BrokenPipeError:
+        pass  # it says why
+    _, said = process.communicate()
+    if process.returncode:
+        raise UsageError(f"ffmpeg: {said.decode('utf-8', 'replace').strip() or process.returncode}")
+
+
+def _ffmpeg() -> str:
+    """Return the program.
+
+    Raises:
+        UsageError: There is none.
+    """
+    try:
+        import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
+
+        return imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError):
+        found = shutil.which("ffmpeg")
+    if found is None:
+        raise UsageError("MP4 needs ffmpeg: pip install imageio-ffmpeg; or write .gif")
+    return found
+
+
+FILMS: dict[str, Callable[[EpisodeRecording, Path, float], None]] = {".gif": _save_gif, ".mp4": _save_mp4}
+"""What films are written as, by the ends of files' names."""
+
 
 WIDTH = 11.0
 """Of the figure [inches]."""

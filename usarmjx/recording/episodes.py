@@ -10,9 +10,8 @@ import numpy as np
 
 from usarmjx.engines.base import PhysicsState
 from usarmjx.recording.file import RecordingFile
+from usarmjx.recording.inputs import batch_setup, orders_of, versions
 from usarmjx.recording.recorder import Look, WorldRecorder
-from usarmjx.recording.setups import batch_setup, orders_of
-from usarmjx.recording.versions import versions
 from usarmjx.sim.world import World
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState

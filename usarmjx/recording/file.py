@@ -13,7 +13,7 @@ from mcap.writer import CompressionType, Writer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import disk_fault, writing
-from usarmjx.recording.schemas import SCHEMAS, schema_text
+from usarmjx.recording.foxglove import SCHEMAS, schema_text
 from usarmjx.recording.values import pack
 
 log = logging.getLogger(__name__)

@@ -3,20 +3,41 @@
 Everything has the control steps that the world had made by then, since the recording of it can begin.
 """
 
+import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+import jax
 import numpy as np
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings
-from usarmjx.models.build.compose import Physics
-from usarmjx.models.build.variation import DomainRandomization
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.randomization import DomainRandomization
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import RosterEntry
+from usarmjx.sim.world import GroupState
+
+PACKAGES = ("usarmjx", "mujoco", "mujoco-mjx", "numpy", "jax", "jaxlib")
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return the versions of what computes here, and the kind of machine, by name."""
+    found = {"machine": f"{platform.system()} {platform.machine()}", "python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "unknown"
+    return found
+
 
 SINGLE = "single"
 """Kind of a `SingleWorld`; others have the name of a batch's engine."""
@@ -155,3 +176,45 @@ class StepState:
 
 Input = RobotAdded | RobotRemoved | RobotRedescribed | RobotPlaced | WorldReset | OrdersGiven | Interrupted
 """What comes into a world."""
+
+
+ORDER_FIELDS = ("command", "active", "battery_start", "drowned")
+"""Fields of a `GroupState` by which worlds of a batch are told what to do."""
+
+
+def batch_setup(batch: Batch, number: int, steps_before: int) -> WorldSetup:
+    """Return what a batch was made of, of which one world is recorded.
+
+    Args:
+        batch: The batch.
+        number: Index of the world.
+        steps_before: Control steps made so far.
+    """
+    scene = batch.scene
+    seed, first, shuffle = batch.origin
+    return WorldSetup(
+        kind=batch.engine.name,
+        arenas=(scene.arena,) if scene.arenas is None else tuple(scene.arenas.arenas),
+        physics=scene.physics,
+        roster=scene.roster,
+        radio=scene.radio,
+        mail=scene.mail,
+        vary=scene.vary,
+        shuffle=shuffle,
+        seed=seed,
+        first=first,
+        number=number,
+        worlds=batch.worlds,
+        steps_before=steps_before,
+        versions=versions(),
+    )
+
+
+def orders_of(state: GroupState, world: int) -> dict[str, Any]:
+    """Return what a group's robots of a world of a batch have been told; leading axis over robots.
+
+    Args:
+        state: The group in all worlds (worlds, robots, ...).
+        world: Index of the world.
+    """
+    return {name: jax.tree.map(lambda x: np.asarray(x)[world], getattr(state, name)) for name in ORDER_FIELDS}

@@ -21,12 +21,11 @@ from usarmjx.recording.inputs import (
     StepState,
     WorldReset,
     WorldSetup,
+    versions,
 )
 from usarmjx.recording.reader import Recording
-from usarmjx.recording.versions import versions
-from usarmjx.sim.batch import Batch
-from usarmjx.sim.putting import put_robot
-from usarmjx.sim.redescribe import redescribe
+from usarmjx.sim.batch import Batch, put_robot
+from usarmjx.sim.configure import redescribe
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.single_world import SingleWorld
 

@@ -5,30 +5,71 @@ The batch maps these functions over robots and worlds; nothing here knows of eit
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Annotated, Any, ClassVar, TypeVar
 
 import jax
 import numpy as np
 from flax import struct
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array, ArrayLike
+from usarmjx.base.backend import on_numpy, xp
 from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import Registry
 from usarmjx.base.rotations import matmul, matvec
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
-from usarmjx.models.build.body_plan import BodyPoses, KinematicTree
-from usarmjx.models.drives.state import RobotState
-from usarmjx.models.spec.robot import Mount
-from usarmjx.models.spec.settings import NOT_NEGATIVE, ManualKey
-from usarmjx.models.spec.shapes import SKY
-from usarmjx.sensors.quantities import Quantity, total_size
+from usarmjx.models.compile.kinematic_tree import BodyPoses, KinematicTree
+from usarmjx.models.drives.base import RobotState
+from usarmjx.models.types.robot import Mount
+from usarmjx.models.types.settings import NOT_NEGATIVE, ManualKey
+from usarmjx.models.types.shapes import SKY
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.raycast import DEFAULT_BUNDLE_SIZE, Hits
 from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
+
+FORMS = {"number": 1, "count": 1, "flag": 1, "yaw": 1, "vector": 3, "angles": 3}
+"""Kinds of quantities, and of how many numbers each is. `count` is a whole number, `flag` is 1 or 0, `yaw` an
+angle about the vertical to the left [rad], `vector` has x, y, z, and `angles` are roll, pitch, yaw [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """Numbers of a sensor's value that are one thing.
+
+    Attributes:
+        key: What it is called in messages, one word.
+        form: Which of `FORMS` it is.
+    """
+
+    key: str
+    form: str = "number"
+
+    def __post_init__(self) -> None:
+        """Refuse what no message can carry.
+
+        Raises:
+            SpecError: A form that there is not, or a key that is not one word.
+        """
+        if self.form not in FORMS:
+            raise SpecError(f"{self.key} is a {self.form!r}, expected one of {', '.join(FORMS)}")
+        if not self.key.isalnum():
+            raise SpecError(f"the key of a quantity is {self.key!r}, expected one word")
+
+    @property
+    def size(self) -> int:
+        """How many numbers it is."""
+        return FORMS[self.form]
+
+
+def total_size(quantities: Sequence[Quantity]) -> int:
+    """Return of how many numbers some quantities are."""
+    return sum(quantity.size for quantity in quantities)
+
 
 NOISE_SETTINGS = (
     *("noise", "sigma", "max_noise", "min_noise", "field_noise", "intensity_noise"),
@@ -306,3 +347,68 @@ class Sensor(ABC):
 
 
 SENSORS: Registry[type[Sensor]] = Registry("sensor")
+
+
+OutputCurve = tuple[tuple[float, float], ...]
+"""Points (input, output) of an OutputCurve, inputs ascending."""
+
+
+def relative_uniform(key: Array, data: Array, amplitude: Array | float) -> Array:
+    """Return data + random(amplitude) * data, random in [-amplitude, amplitude] (manual 10.2.2)."""
+    return data * (1 + random.uniform(key, data.shape, minval=-amplitude, maxval=amplitude))
+
+
+def relative_normal(key: Array, data: Array, mean: Array | float, sigma: Array | float) -> Array:
+    """Return data * (1 + N(mean, sigma)): noise proportional to the rate of change (manual 10.6)."""
+    return data * normal_factor(key, data.shape, mean, sigma)
+
+
+def normal_factor(key: Array, shape: Sequence[int], mean: Array | float, sigma: Array | float) -> Array:
+    """Return 1 + N(mean, sigma) of a shape; keys as of `random.normal`."""
+    if isinstance(sigma, float) and not sigma:
+        return xp.broadcast_to(xp.asarray(1 + mean, xp.float32), tuple(shape))
+    return 1 + mean + sigma * random.normal(key, shape)
+
+
+def setting_values(settings: Sequence[NoisySensorSettings], name: str) -> Array:
+    """Return a setting of each sensor (sensors,): numbers, or arrays where `with_noise` has scaled it."""
+    values = [getattr(s, name) for s in settings]
+    if not on_numpy() and any(isinstance(value, jax.Array) for value in values):
+        return xp.stack([xp.asarray(value, xp.float32) for value in values])
+    return np.array(values, np.float32)
+
+
+def noisy(key: Array, data: Array, settings: Sequence[NoisySensorSettings]) -> Array:
+    """Return data (sensors, ...) with each sensor's noise: uniform, then Gaussian where one is set.
+
+    Keys are folded by place: a sensor's noise does not depend on those after it. On NumPy of robots' keys
+    (robots,) and data (robots, sensors, ...) as well.
+    """
+    noise, mean, sigma = (setting_values(settings, name) for name in ("noise", "mean", "sigma"))
+    keys = random.fold_in(key, np.arange(len(settings)))
+    rows = (-1, *[1] * (data.ndim - random.axes(keys)))
+    told = data if _is_zero(noise) else relative_uniform(keys, data, noise.reshape(rows))
+    if _is_zero(mean) and _is_zero(sigma):
+        return told
+    return relative_normal(random.fold_in(keys, 1), told, mean.reshape(rows), sigma.reshape(rows))
+
+
+def _is_zero(values: Array) -> bool:
+    """Return whether numbers that are known by now are all 0."""
+    return isinstance(values, np.ndarray) and not values.any()
+
+
+def curve_problem(points: OutputCurve) -> str:
+    """Return what is wrong with the points of an OutputCurve, "" if nothing is."""
+    pairs = all(len(point) == 2 and all(map(math.isfinite, point)) for point in points)
+    if pairs and all(a[0] < b[0] for a, b in pairwise(points)):
+        return ""
+    return f"the points of OutputCurve are {points!r}, expected finite ones with growing inputs"
+
+
+def apply_output_curve(data: Array, points: OutputCurve) -> Array:
+    """Distort data by straight lines between points, zero outside them; no points: unchanged (manual 10)."""
+    if not points:
+        return data
+    inputs, outputs = zip(*points, strict=True)
+    return xp.interp(data, xp.array(inputs), xp.array(outputs), left=0.0, right=0.0)

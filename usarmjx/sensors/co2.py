@@ -5,8 +5,7 @@ from typing import Any
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
-from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput
-from usarmjx.sensors.noise import noisy
+from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput, noisy
 
 BREATH_CO2 = 4.0
 """CO2 in breath beyond that of air, percent by volume."""

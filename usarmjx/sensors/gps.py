@@ -16,15 +16,15 @@ from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
-from usarmjx.models.build.body_plan import BodyPoses
-from usarmjx.models.roads.geodesy import (
+from usarmjx.models.compile.kinematic_tree import BodyPoses
+from usarmjx.models.roads.network import (
     METRES_PER_LATITUDE_DEGREE,
     METRES_PER_LONGITUDE_DEGREE,
     LatLon,
     to_lat_lon,
 )
-from usarmjx.models.spec.robot import Options, options
-from usarmjx.models.spec.settings import NOT_NEGATIVE, ManualKey
+from usarmjx.models.types.robot import Options, options
+from usarmjx.models.types.settings import NOT_NEGATIVE, ManualKey
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
 
 MAX_SATELLITES, MIN_FIX_SATELLITES = 12, 4

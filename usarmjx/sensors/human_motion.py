@@ -9,11 +9,19 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
-from usarmjx.models.build.body_plan import BodyPoses
-from usarmjx.models.spec.settings import POSITIVE, ManualKey, NumberLimits
-from usarmjx.models.spec.shapes import GLASS, SKY
-from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput
-from usarmjx.sensors.noise import OutputCurve, apply_output_curve, curve_problem, noisy
+from usarmjx.models.compile.kinematic_tree import BodyPoses
+from usarmjx.models.types.settings import POSITIVE, ManualKey, NumberLimits
+from usarmjx.models.types.shapes import GLASS, SKY
+from usarmjx.sensors.base import (
+    SENSORS,
+    NoisySensorSettings,
+    OutputCurve,
+    Sensor,
+    SensorInput,
+    apply_output_curve,
+    curve_problem,
+    noisy,
+)
 from usarmjx.sensors.surroundings import Surroundings, nearest
 
 MAX_MOVERS = 8

@@ -16,9 +16,8 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rotation_vector
 from usarmjx.base.transforms import GRAVITY, flip_vector
-from usarmjx.models.spec.settings import NOT_NEGATIVE, POSITIVE, NumberLimits
-from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings, for_teams
-from usarmjx.sensors.quantities import Quantity
+from usarmjx.models.types.settings import NOT_NEGATIVE, POSITIVE, NumberLimits
+from usarmjx.sensors.base import SENSORS, Quantity, Sensor, SensorInput, SensorSettings, for_teams
 
 LIFT = np.array([0.0, 0.0, GRAVITY], np.float32)
 """The specific force of what rests, world axes [m/s2]."""

@@ -16,10 +16,19 @@ from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
 from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rotation_vector, wrap_angle
 from usarmjx.base.transforms import angles_from_mat, flip_angles, mat_from_angles
-from usarmjx.models.spec.robot import Mount
-from usarmjx.models.spec.settings import ANGLE_STEP, NOT_NEGATIVE, POSITIVE, ManualKey, NumberLimits
-from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput, SensorSettings, for_teams
-from usarmjx.sensors.noise import noisy, normal_factor, relative_normal
+from usarmjx.models.types.robot import Mount
+from usarmjx.models.types.settings import ANGLE_STEP, NOT_NEGATIVE, POSITIVE, ManualKey, NumberLimits
+from usarmjx.sensors.base import (
+    SENSORS,
+    NoisySensorSettings,
+    Sensor,
+    SensorInput,
+    SensorSettings,
+    for_teams,
+    noisy,
+    normal_factor,
+    relative_normal,
+)
 
 SHARE = NumberLimits(low=-1.0, low_exclusive=True)
 """An error as a share: what is measured stays above 0."""

@@ -5,10 +5,8 @@ from typing import Annotated, Any
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
-from usarmjx.models.spec.settings import POSITIVE
-from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput, for_teams
-from usarmjx.sensors.noise import noisy
-from usarmjx.sensors.quantities import Quantity
+from usarmjx.models.types.settings import POSITIVE
+from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Quantity, Sensor, SensorInput, for_teams, noisy
 
 
 @dataclass(frozen=True)

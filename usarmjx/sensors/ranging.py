@@ -7,13 +7,31 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
-from usarmjx.models.build.body_plan import BodyPoses
-from usarmjx.models.spec.settings import ANGLE_STEP, HALF_TURN, NOT_NEGATIVE, POSITIVE, TURN
-from usarmjx.models.spec.shapes import GLASS, SKY
-from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput, for_teams
-from usarmjx.sensors.noise import OutputCurve, apply_output_curve, curve_problem, noisy
+from usarmjx.models.compile.kinematic_tree import BodyPoses
+from usarmjx.models.types.settings import (
+    ANGLE_STEP,
+    HALF_TURN,
+    NOT_NEGATIVE,
+    POSITIVE,
+    TURN,
+    ManualKey,
+    NumberLimits,
+)
+from usarmjx.models.types.shapes import GLASS, SKY
+from usarmjx.sensors.base import (
+    SENSORS,
+    NoisySensorSettings,
+    OutputCurve,
+    Sensor,
+    SensorInput,
+    apply_output_curve,
+    curve_problem,
+    for_teams,
+    noisy,
+)
 from usarmjx.sensors.rays.bundles import Fans
 
 MAX_BEAMS = 65_536
@@ -284,3 +302,164 @@ class RangeScanner(Sensor):
 
 for _sensor in (Sonar, Ir, RangeScanner):
     SENSORS.add(_sensor.kind, _sensor)
+
+
+@dataclass(frozen=True)
+class IrScannerSettings(ScannerSettings):
+    """Manual 10.3.2: the range scanner's."""
+
+    @property
+    def beams(self) -> int:
+        """Number of beams: as many as steps, as the end of the field of view has none (IRScanner.uc)."""
+        return math.ceil(self.scan_fov / self.resolution - 1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class IrScanner(RangeScanner):
+    """A range scanner of infrared lines, which pass glass (manual 10.3); value: ranges [m] (beams,)."""
+
+    kind = "IRScanner"
+    transparent = Ir.transparent
+    settings_class = IrScannerSettings
+
+
+@dataclass(frozen=True)
+class Scanner3DSettings(RangeSettings):
+    """The manual only names this sensor (12.17.2). Keys and numbers of Ardabot's USARBot.ini.
+
+    Attributes:
+        scan_interval: Time between scans [s]; 0 is manual mode: scan on the SCAN command only.
+        vertical_fov: Angle from the first row to the last [rad].
+        vertical_resolution: Angle between two rows [rad].
+        horizontal_fov: Angle from the first beam of a row to the last [rad].
+        horizontal_resolution: Angle between two beams of a row [rad].
+    """
+
+    with_time_stamp: bool = True  # as the range scanner
+    scan_interval: float = 0.4
+    max_range: float = 1000.0
+    vertical_fov: Annotated[float, HALF_TURN, ManualKey("VerticalFOV")] = 0.4363
+    vertical_resolution: Annotated[float, ANGLE_STEP] = 0.0145
+    horizontal_fov: Annotated[float, TURN, ManualKey("HorizontalFOV")] = 1.0472
+    horizontal_resolution: Annotated[float, ANGLE_STEP] = 0.0209
+
+    def problem(self) -> str:
+        """Return what settings do not go together."""
+        return super().problem() or beam_count_problem(math.prod(self.shape))
+
+    @property
+    def fov(self) -> tuple[float, float]:
+        """Vertical and horizontal field of view [rad]."""
+        return self.vertical_fov, self.horizontal_fov
+
+    @property
+    def resolution(self) -> tuple[float, float]:
+        """Vertical and horizontal angle between beams [rad]."""
+        return self.vertical_resolution, self.horizontal_resolution
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of rows and of beams in a row, both ends included."""
+        rows, columns = (step_count(f, r) + 1 for f, r in zip(self.fov, self.resolution, strict=True))
+        return rows, columns
+
+
+def grid_directions(settings: Scanner3DSettings) -> np.ndarray:
+    """Return the unit directions of a scan about the x axis (rows, columns, 3).
+
+    Rows run from the highest to the lowest, which is how Player's driver reads them; the beams of a row
+    from right to left, as those of a range scanner.
+    """
+    down, left = (
+        -fov / 2 + np.arange(count) * resolution
+        for fov, resolution, count in zip(settings.fov, settings.resolution, settings.shape, strict=True)
+    )
+    down, left = np.meshgrid(down, left, indexing="ij")
+    lines = (np.cos(down) * np.cos(left), np.cos(down) * np.sin(left), -np.sin(down))
+    return np.stack(lines, -1).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class RangeScanner3D(RangeScanner):
+    """Rows of beams; value: ranges [m] (rows, columns)."""
+
+    kind = "RangeScanner3D"
+    settings_class = Scanner3DSettings
+
+    def directions(self) -> np.ndarray:
+        """Unit directions of the beams about the mount's x axis, row by row (beams, 3)."""
+        return grid_directions(self.settings[0]).reshape(-1, 3)
+
+    @for_teams
+    def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
+        """Scan once, all beams at the same moment."""
+        ranges = range_readings(inputs.hits.distance[..., None, :], self.settings, key)[..., 0, :]
+        return memory, ranges.reshape(*ranges.shape[:-1], *self.settings[0].shape)
+
+
+for _sensor in (IrScanner, RangeScanner3D):
+    SENSORS.add(_sensor.kind, _sensor)
+
+
+SHARE_OF_ALL = NumberLimits(low=0.0, high=1.0)
+NEAREST = 1.0
+"""The power of an echo falls with the square of the distance from here on [m]."""
+
+
+@dataclass(frozen=True)
+class LidarSettings(Scanner3DSettings):
+    """Keys of `[USARBot.Lidar]`: 16 rows 2 degrees apart, 180 beams all around (chosen).
+
+    Attributes:
+        reflectance: Share of the light that surfaces throw back.
+        min_power: Weaker echoes are lost; 1 is that of a white surface 1 m away that faces the sensor.
+        dropout: Probability with which any other echo is lost.
+        intensity_noise: Standard deviation of the noise of intensities, as a share.
+    """
+
+    scan_interval: float = 0.1
+    max_range: float = 100.0
+    vertical_fov: Annotated[float, HALF_TURN, ManualKey("VerticalFOV")] = math.radians(30)
+    vertical_resolution: Annotated[float, ANGLE_STEP] = math.radians(2)
+    horizontal_fov: Annotated[float, TURN, ManualKey("HorizontalFOV")] = math.radians(358)
+    horizontal_resolution: Annotated[float, ANGLE_STEP] = math.radians(2)
+    reflectance: Annotated[float, SHARE_OF_ALL] = 0.5
+    min_power: Annotated[float, NOT_NEGATIVE] = 5e-5
+    dropout: Annotated[float, SHARE_OF_ALL] = 0.0
+    intensity_noise: Annotated[float, NOT_NEGATIVE] = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Lidar(RangeScanner3D):
+    """Rows of beams and the strength of their echoes; value: ranges [m], then intensities (2, rows, columns).
+
+    An intensity is what the surface throws back, its reflectance times the cosine of the angle of incidence:
+    calibrated, that is, distance taken out. An echo that is lost is MaxRange with an intensity of 0.
+    """
+
+    kind = "Lidar"
+    settings_class = LidarSettings
+
+    @property
+    def needs_incidence(self) -> bool:
+        """It does: a surface met flatly throws back little."""
+        return True
+
+    @for_teams
+    def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
+        """Scan once, all beams at the same moment; noise of ranges as of any scanner."""
+        settings, hits = self.settings[0], inputs.hits
+        back = settings.reflectance * hits.cosine
+        power = back / xp.square(xp.maximum(hits.distance, NEAREST))
+        lost, noise = (random.fold_in(key, number) for number in (1, 2))
+        heard = (power >= settings.min_power) & (hits.distance < settings.max_range)
+        heard &= random.uniform(lost, heard.shape) >= settings.dropout
+        distance = xp.where(heard, hits.distance, xp.inf)
+        ranges = range_readings(distance[..., None, :], self.settings, key)[..., 0, :]
+        factor = 1 + settings.intensity_noise * random.normal(noise, back.shape)
+        intensity = xp.where(heard, xp.clip(back * factor, 0.0, 1.0), 0.0)
+        both = xp.stack([ranges, intensity], -2)
+        return memory, both.reshape(*both.shape[:-1], *settings.shape)
+
+
+SENSORS.add(Lidar.kind, Lidar)

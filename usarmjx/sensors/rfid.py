@@ -9,9 +9,9 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import set_at, xp
-from usarmjx.models.build.body_plan import BodyPoses
-from usarmjx.models.spec.settings import NOT_NEGATIVE, ManualKey, OneOf
-from usarmjx.models.spec.shapes import GLASS, SKY
+from usarmjx.models.compile.kinematic_tree import BodyPoses
+from usarmjx.models.types.settings import NOT_NEGATIVE, ManualKey, OneOf
+from usarmjx.models.types.shapes import GLASS, SKY
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings, for_teams
 from usarmjx.sensors.sketch import OverlayLines, no_overlay
 from usarmjx.sensors.surroundings import Surroundings, nearest

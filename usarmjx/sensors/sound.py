@@ -5,8 +5,16 @@ from typing import Any
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
-from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput
-from usarmjx.sensors.noise import OutputCurve, apply_output_curve, curve_problem, noisy
+from usarmjx.sensors.base import (
+    SENSORS,
+    NoisySensorSettings,
+    OutputCurve,
+    Sensor,
+    SensorInput,
+    apply_output_curve,
+    curve_problem,
+    noisy,
+)
 
 MIN_SOURCE_DISTANCE = 0.1
 """Sources sound no louder from nearer than this [m]."""

@@ -19,14 +19,35 @@ from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import named_scope, numpy_backend, on_numpy, set_at, vmap, xp
 from usarmjx.base.errors import UnknownNameError
-from usarmjx.models.build.body_plan import BodyPoses, KinematicTree, kinematic_tree_of
-from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.sensors.base import Reading, Sensor, SensorInput, is_for_teams
-from usarmjx.sensors.kinds import SENSORS
+from usarmjx.models.compile.kinematic_tree import BodyPoses, KinematicTree, kinematic_tree_of
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.sensors import (
+    co2,
+    gps,
+    human_motion,
+    inertial,
+    motion,
+    power,
+    ranging,
+    rfid,
+    sound,
+    touch,
+    victim,
+)
+from usarmjx.sensors.base import SENSORS, Reading, Sensor, SensorInput, is_for_teams
 from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayCaster, RayQuery, cast_rays
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sensors.settings import resolve_camera, resolve_settings
 from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
+
+__all__ = ["SENSORS", "SENSOR_MODULES"]
+
+SENSOR_MODULES = (
+    *(co2, gps, human_motion, inertial, ranging, motion, power),
+    *(ranging, rfid, ranging, sound, touch, victim),
+)
+"""One for each family of sensors."""
+
 
 CLOCK_SLACK = 1e-3
 """A scan that is due within this time is due now: sums of float32 steps do not meet exactly [s]."""

@@ -8,8 +8,8 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend, on_numpy, xp
-from usarmjx.models.build.tags import TagTable, tag_table
-from usarmjx.models.build.victims import (
+from usarmjx.models.compile.tags import TagTable, tag_table
+from usarmjx.models.compile.victims import (
     VictimTable,
     loudness,
     mouth_positions,

@@ -9,8 +9,8 @@ import numpy as np
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
-from usarmjx.models.build.body_plan import BodyPoses
-from usarmjx.models.spec.settings import ANGLE_STEP, HALF_TURN, NOT_NEGATIVE, POSITIVE, TURN, ManualKey
+from usarmjx.models.compile.kinematic_tree import BodyPoses
+from usarmjx.models.types.settings import ANGLE_STEP, HALF_TURN, NOT_NEGATIVE, POSITIVE, TURN, ManualKey
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
 from usarmjx.sensors.ranging import beam_count_problem, step_count
 from usarmjx.sensors.rays.bundles import Fans

@@ -7,13 +7,11 @@ import jax
 import jax.numpy as jnp
 
 from usarmjx.base.arrays import Array
-from usarmjx.cameras.annotation import Annotation, annotate
-from usarmjx.cameras.picture import camera_viewpoint
-from usarmjx.cameras.shading import RenderScene
 from usarmjx.engines.base import PhysicsState
-from usarmjx.models.build.body_plan import BodyPoses
-from usarmjx.sim.batch import Batch
-from usarmjx.sim.batch_state import BatchState
+from usarmjx.models.compile.kinematic_tree import BodyPoses
+from usarmjx.sensors.cameras.picture import Annotation, annotate, camera_viewpoint
+from usarmjx.sensors.cameras.shading import RenderScene
+from usarmjx.sim.batch import Batch, BatchState
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.views import GroupCamera, build_render_scene, find_camera, map_pictures
 from usarmjx.sim.world import World

@@ -11,24 +11,25 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import struct
 
 from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import set_at
-from usarmjx.base.errors import EngineError, UsageError
-from usarmjx.base.kept_programs import ProgramKeeper, compile_program
-from usarmjx.cameras.picture import Picture, Viewpoint, camera_viewpoint, render_picture_jit
+from usarmjx.base.errors import EngineError, UnsupportedFeatureError, UsageError
+from usarmjx.base.program_cache import ProgramKeeper, compile_program
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import clear_inboxes
-from usarmjx.engines import PhysicsState
-from usarmjx.models.build.arena_set import ArenaState
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.sim.batch_state import BatchState, Readings, select_worlds
+from usarmjx.engines import PhysicsState, choose_engine, make_engine
+from usarmjx.engines.base import Engine
+from usarmjx.models.compile.arena_set import ArenaState
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.sensors.base import Reading
+from usarmjx.sensors.cameras.picture import Picture, Viewpoint, camera_viewpoint, render_picture_jit
 from usarmjx.sim.control import CommandUpdate, ControlMode, update_command
 from usarmjx.sim.operate import OperationResult, find_operation, operate_in_worlds
 from usarmjx.sim.radio import mailboxes, outgoing_messages, radio_of, send, update_links_of_worlds
 from usarmjx.sim.reset import init_world, reset
 from usarmjx.sim.scene import Scene
-from usarmjx.sim.scene_engine import engine_of
 from usarmjx.sim.views import find_camera, render_groups, render_scene_of_world
 from usarmjx.sim.world import (
     GroupState,
@@ -38,6 +39,60 @@ from usarmjx.sim.world import (
     finish_step,
     observe,
 )
+
+Readings = tuple[tuple[Reading, ...], ...]
+"""Per group and sensor a reading with leading axes (worlds, robots of the group)."""
+
+
+class BatchState(struct.PyTreeNode, kw_only=True):
+    """A batch of worlds.
+
+    Attributes:
+        physics: The engine's own state.
+        worlds: Everything else (worlds, ...).
+        arenas: The arenas that resets draw from, which may be replaced by others of the same shapes
+            (arenas, ...); None where all worlds have the same arena.
+    """
+
+    physics: Any
+    worlds: World
+    arenas: ArenaState | None = None
+
+
+def select_worlds(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
+    """Return new where masked (worlds,), else old (worlds, ...)."""
+    return jnp.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+
+LONGEST_SOLVED_STEP = 0.025
+"""With longer steps a solver of contacts throws robots about [s]."""
+
+
+def engine_of(scene: Scene, name: str, worlds: int) -> Engine[Any]:
+    """Build the engine that steps copies of a scene.
+
+    Args:
+        scene: The scene.
+        name: Of the engine, or `auto`: the best to train with here.
+        worlds: How many copies.
+
+    Raises:
+        UnknownNameError: No such engine.
+        UnsupportedFeatureError: The scene has a feature that the engine would ignore, or too long steps.
+        EngineError: The engine cannot run here.
+    """
+    kind = choose_engine(name, "batch")
+    if kind == "planar":
+        from usarmjx.sim.calibration import ensure_calibrated
+
+        ensure_calibrated(robot for robot, _ in scene.robots)
+    elif scene.physics.timestep > LONGEST_SOLVED_STEP:
+        raise UnsupportedFeatureError(
+            f"engine {kind!r} cannot run this scene: physics steps of {scene.physics.timestep:g} s are for "
+            f"engine planar, others take up to {LONGEST_SOLVED_STEP:g} s"
+        )
+    built = scene.spec, scene.physics, worlds, scene.moved_geoms, scene.varied_bodies
+    return make_engine(kind, *built, robots=scene.robots)
 
 
 class Batch:
@@ -395,3 +450,26 @@ class Batch:
                 f"contact buffers overflowed in {lost} of {self.worlds} worlds; raise "
                 f"Physics.contacts_per_robot (now {self.scene.physics.contacts_per_robot})"
             )
+
+
+def put_robot(batch: Batch, state: BatchState, world: int, slot: int, pos: Array, quat: Array) -> BatchState:
+    """Return a batch with a robot put somewhere, at rest; its joints stay as they are.
+
+    Args:
+        batch: The batch.
+        state: Its state.
+        world: Index of the world.
+        slot: Slot of the robot.
+        pos: Where its chassis' origin shall be [m] (3,).
+        quat: How it shall be turned (4,).
+    """
+    scene = batch.scene
+    group, member = scene.group_of(slot)
+    index = scene.groups[group].indices[member]
+    shape = batch.worlds, scene.model.nq
+    pinned, qpos = np.zeros(shape, bool), np.zeros(shape, np.float32)
+    pinned_dof = np.zeros((batch.worlds, scene.model.nv), bool)
+    root = slice(index.root_qposadr, index.root_qposadr + 7)
+    pinned[world, root], qpos[world, root] = True, (*pos, *quat)
+    pinned_dof[world, index.root_dofadr : index.root_dofadr + 6] = True
+    return state.replace(physics=batch.engine.set_qpos(state.physics, pinned, pinned_dof, qpos))

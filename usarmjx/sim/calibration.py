@@ -32,10 +32,9 @@ from usarmjx.engines.planar.responses import (
     rolls,
     use_response,
 )
-from usarmjx.models.drives.ground import SkidSteer
-from usarmjx.models.drives.omni import OmniDrive
-from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.drives.ground import OmniDrive, SkidSteer
+from usarmjx.models.types.arena import ArenaSpec, StartPose
+from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 

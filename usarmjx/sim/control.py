@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cache
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -14,12 +15,84 @@ from usarmjx.base.backend import named_scope, on_numpy, xp
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.base.rotations import mat_from_quat, matvec
 from usarmjx.base.transforms import GRAVITY
-from usarmjx.models.build.body_plan import KinematicTree
-from usarmjx.models.build.parts import joint_names, parts_of
-from usarmjx.models.build.servos import actuated_servos
-from usarmjx.models.drives.state import RobotState
-from usarmjx.models.spec.robot import STALL_SPEED, RobotSpec
-from usarmjx.sim.torque import Joints, torque_inputs
+from usarmjx.models.compile.kinematic_tree import KinematicTree
+from usarmjx.models.compile.parts import joint_names, parts_of
+from usarmjx.models.compile.servos import Servos, actuated_servos
+from usarmjx.models.drives.base import RobotState
+from usarmjx.models.types.robot import STALL_SPEED, RobotSpec
+
+
+def joint_efforts(plan: KinematicTree, state: RobotState, act: Array, hold: Array) -> Array:
+    """Return the torque or force that acts on each joint [N m or N] (..., joints); 0 without a motor.
+
+    Args:
+        plan: Body plan of the robot class.
+        state: The robots; all arguments have the same leading axes (...,).
+        act: Activations of their pulling actuators (..., actuators).
+        hold: Inputs of their holding actuators (..., actuators).
+    """
+    here, servos = actuated_servos(plan)
+    pos, vel = state.joint_pos[..., here], state.joint_vel[..., here]
+    wanted = servos.stiffness * act - hold * (servos.stiffness * pos + servos.damping * vel)
+    most = servos.stiffness * np.maximum(servos.windup_limit, servos.brake_limit)
+    exerted = xp.clip(wanted, -most, most)
+    places = np.zeros((len(plan.actuated), len(plan.parts) - 1), np.float32)
+    places[np.arange(len(plan.actuated)), plan.actuated] = 1.0
+    return exerted @ places
+
+
+class Joints(NamedTuple):
+    """Joints with a motor, and what their servos did in the step before (..., actuators).
+
+    Attributes:
+        pos: Positions [rad or m].
+        vel: Velocities [rad/s or m/s].
+        act: Activations of the pulling actuators [rad or m].
+        held: Whether the holding actuators held them.
+    """
+
+    pos: Array
+    vel: Array
+    act: Array
+    held: Array
+
+
+def torque_inputs(
+    servos: Servos, torque: Array, speed: Array, joints: Joints, period: float
+) -> tuple[Array, Array, Array]:
+    """Return the inputs and activations of actuators that carry out torque orders (`ActuatorInputs`).
+
+    Args:
+        servos: Constants of the servos (actuators,).
+        torque: What each joint shall exert, no more than its motor can [N m or N] (..., actuators).
+        speed: Top speed of each joint [rad/s or m/s] (..., actuators).
+        joints: The joints and what their servos did (..., actuators).
+        period: Of a control step [s].
+
+    Returns:
+        ctrl: Inputs of the pulling actuators.
+        hold: Inputs of the holding ones: 0 where the joint exerts exactly the torque.
+        act: Activations of the pulling ones.
+    """
+    sign, bound = xp.sign(torque), xp.abs(torque)
+    room = speed - sign * joints.vel
+    # Whatever hangs on a joint, it has the inertia of its motor at least.
+    exact = bound * period <= servos.armature * room
+    even = joints.pos + servos.lead * joints.vel
+    # This much takes a joint that carries nothing just to its top speed.
+    fit = servos.damping * room
+    now = sign * servos.stiffness * (joints.act - even)
+    # More than this share of it per step would make a bare motor overshoot: so it is critically damped.
+    share = xp.minimum(0.25 * servos.damping * period / servos.armature, 1.0)
+    force = xp.where(joints.held, now + share * fit, fit)
+    # What is at rest need not begin with nothing; from half its top speed on a joint is on its way.
+    start = servos.damping * (2.0 * room - speed)
+    force = xp.maximum(force, xp.where(start > 0.0, start, -bound))
+    force = sign * xp.clip(force, -bound, bound)
+    ctrl = xp.where(exact, 0.0, xp.clip(joints.vel, -speed, speed))
+    act = xp.where(exact, torque, force) / servos.stiffness + xp.where(exact, 0.0, even)
+    return ctrl, xp.where(exact, 0.0, 1.0), act
+
 
 SURGE_SHARE = 0.6
 """Chosen: a P2DX has four fifths of the acceleration of its plain torque, and its wheels grip at walls."""

@@ -14,17 +14,21 @@ from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.rotations import matvec
 from usarmjx.base.transforms import flip_vector
 from usarmjx.engines.base import PhysicsState
-from usarmjx.models.build.body_plan import BodyPoses, KinematicTree, forward_kinematics, kinematic_tree_of
-from usarmjx.models.build.parts import parts_of
+from usarmjx.models.compile.kinematic_tree import (
+    BodyPoses,
+    KinematicTree,
+    forward_kinematics,
+    kinematic_tree_of,
+)
+from usarmjx.models.compile.parts import parts_of
 from usarmjx.models.effecters import MAX_DROPPED_TAGS, DroppedTags, Effect, Effecter, Opcode
-from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.models.spec.shapes import SKY
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.models.types.shapes import SKY
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.raycast import Hits, RayCaster, RayQuery, cast_rays
 from usarmjx.sim.control import CommandUpdate, ControlMode, RobotCommand, update_command
-from usarmjx.sim.robot_group import RobotGroup
-from usarmjx.sim.scene import Scene
-from usarmjx.sim.visible import ray_geoms, visible_arena
+from usarmjx.sim.ray_geometry import ray_geoms, visible_arena
+from usarmjx.sim.scene import RobotGroup, Scene
 from usarmjx.sim.world import World, powered, robot_states, time_of
 
 LIMIT_TOLERANCE = 1e-3

@@ -10,18 +10,16 @@ from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import Part, named_scope, on_numpy, set_rows, vmap, xp
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.comms.antenna import antenna_positions
 from usarmjx.comms.attenuation import AnyRadioSettings, RadioSettings, WorldRadioSettings
-from usarmjx.comms.links import Links, evaluate_links, is_due, without_old_events
+from usarmjx.comms.links import Links, antenna_positions, evaluate_links, is_due, without_old_events
 from usarmjx.comms.mail import BYTES_PER_NUMBER, Inboxes, MessageSettings, OutgoingMessages, deliver
 from usarmjx.comms.walls import arena_solids, bare_floor, with_boxes
 from usarmjx.engines.base import PhysicsState
-from usarmjx.models.build.doors import door_boxes
-from usarmjx.models.spec.shapes import SKY
+from usarmjx.models.compile.doors import door_boxes
+from usarmjx.models.types.shapes import SKY
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sim.scene import Scene
-from usarmjx.sim.streams import Stream
-from usarmjx.sim.world import World, episode_key, robot_states, time_of
+from usarmjx.sim.world import Stream, World, episode_key, robot_states, time_of
 
 
 def radio_of(scene: Scene) -> RadioSettings:

@@ -5,23 +5,22 @@ import jax
 from usarmjx.base import random
 from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import Part, named_scope, on_numpy, set_rows, xp
-from usarmjx.cameras.mounts import cameras_of
 from usarmjx.comms.links import no_links
 from usarmjx.comms.mail import empty_inboxes
 from usarmjx.engines.base import PhysicsState
-from usarmjx.models.build.arena_set import ArenaState
-from usarmjx.models.build.variation import max_wheel_radius, sample_values
+from usarmjx.models.compile.arena_set import ArenaState
+from usarmjx.models.compile.randomization import max_wheel_radius, sample_values
 from usarmjx.models.effecters import no_dropped_tags
+from usarmjx.sensors.cameras.mounts import cameras_of
 from usarmjx.sensors.suite import NO_MEMORY
 from usarmjx.sim.control import RobotCommand, idle_command
-from usarmjx.sim.robot_group import RobotGroup
-from usarmjx.sim.scene import Scene, origin_height, parking_position
-from usarmjx.sim.site import arena_state_at, start_poses
-from usarmjx.sim.streams import Stream
+from usarmjx.sim.ray_geometry import arena_state_at, start_poses
+from usarmjx.sim.scene import RobotGroup, Scene, origin_height, parking_position
 from usarmjx.sim.world import (
     CommandHistory,
     FaultCounts,
     GroupState,
+    Stream,
     World,
     episode_key,
     map_robots,

@@ -1,6 +1,6 @@
 """A scene: an arena with a roster of robots, composed and resolved. Static; every world is a copy of it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,35 +13,244 @@ from usarmjx.base.errors import SpecError
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings
 from usarmjx.comms.walls import arena_solids
-from usarmjx.models.build.arena_set import ArenaSet, ArenaState, arena_set
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.build.compose import Physics, add_robot, cap_contacts, new_spec
-from usarmjx.models.build.compose_arena import ARENA, VICTIM_PREFIX
-from usarmjx.models.build.layout import RobotIndex
-from usarmjx.models.build.moved import MovedGeoms
-from usarmjx.models.build.parts import parts_of
-from usarmjx.models.build.tags import TagTable, tag_table
-from usarmjx.models.build.variation import (
+from usarmjx.models.compile.arena_set import ArenaSet, ArenaState, arena_set
+from usarmjx.models.compile.compose import (
+    ARENA,
+    DOOR,
+    LOOSE_PREFIX,
+    VICTIM_PREFIX,
+    Physics,
+    add_robot,
+    cap_contacts,
+    new_spec,
+)
+from usarmjx.models.compile.geoms import MovedGeoms
+from usarmjx.models.compile.kinematic_tree import KinematicTree, kinematic_tree_of
+from usarmjx.models.compile.layout import RobotIndex, index_robot
+from usarmjx.models.compile.materials import materials_of, textures_of
+from usarmjx.models.compile.parts import parts_of
+from usarmjx.models.compile.randomization import (
     DomainRandomization,
     RandomizedBodies,
     check_randomization,
     is_randomized,
 )
-from usarmjx.models.build.victims import VictimTable, victim_table
+from usarmjx.models.compile.ray_geoms import ray_primitives_of
+from usarmjx.models.compile.tags import TagTable, tag_table
+from usarmjx.models.compile.victims import VictimTable, victim_table
+from usarmjx.models.effecters import Effecter, effecters_of
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.sensors.cameras.paint import labels_of
 from usarmjx.sensors.rays.targets import check_ray_kinds
-from usarmjx.sim.robot_group import RobotGroup, prefix_of, robot_groups
-from usarmjx.sim.scene_geoms import (
-    GeomTable,
-    LooseGeoms,
-    door_qpos,
-    fixed_geoms,
-    loose_geoms,
-    moved_geom_table,
-)
+from usarmjx.sensors.suite import Suite, suite_of
+
+
+@dataclass(frozen=True, eq=False)
+class RobotGroup:
+    """The robots of one class in a scene; arrays have a leading axis over them.
+
+    Attributes:
+        plan: Body plan of the class.
+        suite: Its sensors.
+        slots: Roster slots of the robots (n,).
+        indices: Where each lies in the model.
+    """
+
+    plan: KinematicTree
+    suite: Suite
+    slots: np.ndarray
+    indices: tuple[RobotIndex, ...]
+
+    @property
+    def robot(self) -> RobotSpec:
+        """The robot class."""
+        return self.plan.robot
+
+    def part(self, members: np.ndarray) -> "RobotGroup":
+        """Return a group of some of its robots (members,)."""
+        return replace(
+            self, slots=self.slots[members], indices=tuple(self.indices[int(i)] for i in members.tolist())
+        )
+
+    @property
+    def effecters(self) -> tuple[Effecter, ...]:
+        """The effecters of the class."""
+        return effecters_of(self.robot)
+
+    @property
+    def releases(self) -> tuple[int, ...]:
+        """What each effecter carries to release."""
+        return tuple(effecter.initial_stock for effecter in self.effecters)
+
+    @cached_property
+    def root_qposadr(self) -> np.ndarray:
+        """Qpos addresses of the free joints (n, 7)."""
+        return np.array([index.root_qposadr + np.arange(7) for index in self.indices])
+
+    @cached_property
+    def root_dofadr(self) -> np.ndarray:
+        """Qvel addresses of the free joints (n, 6)."""
+        return np.array([index.root_dofadr + np.arange(6) for index in self.indices])
+
+    @cached_property
+    def qposadr(self) -> np.ndarray:
+        """Qpos addresses of the joints (n, joints)."""
+        return np.array([index.qposadr for index in self.indices], int)
+
+    @cached_property
+    def dofadr(self) -> np.ndarray:
+        """Qvel addresses of the joints (n, joints)."""
+        return np.array([index.dofadr for index in self.indices], int)
+
+    @cached_property
+    def actuator_ids(self) -> np.ndarray:
+        """Ids of the actuators that pull (n, actuators)."""
+        return np.array([index.actuator_ids for index in self.indices], int)
+
+    @cached_property
+    def actadr(self) -> np.ndarray:
+        """Addresses of the actuators' activations (n, actuators)."""
+        return np.array([index.actadr for index in self.indices], int)
+
+    @cached_property
+    def hold_actuator_ids(self) -> np.ndarray:
+        """Ids of the actuators that hold the joints (n, actuators)."""
+        return np.array([index.hold_actuator_ids for index in self.indices], int)
+
+    @cached_property
+    def chassis(self) -> np.ndarray:
+        """Body ids of the chassis (n,)."""
+        return np.array([index.body_ids[0] for index in self.indices])
+
+
+def prefix_of(slot: int) -> str:
+    """Return the prefix of the names of a slot's robot in the model."""
+    return f"r{slot}/"
+
+
+def robot_groups(model: mujoco.MjModel, robots: Mapping[int, RobotSpec]) -> tuple[RobotGroup, ...]:
+    """Return the robots of a model, by slot, as groups by class."""
+    slots: dict[RobotSpec, list[int]] = {}
+    for slot, robot in robots.items():
+        slots.setdefault(robot, []).append(slot)
+    return tuple(
+        RobotGroup(
+            plan=kinematic_tree_of(robot),
+            suite=suite_of(robot),
+            slots=np.array(members),
+            indices=tuple(index_robot(model, robot, prefix_of(slot)) for slot in members),
+        )
+        for robot, members in slots.items()
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class GeomTable:
+    """Pieces of geoms.
+
+    Attributes:
+        geom: Ids of the geoms that they belong to (n,).
+        kind: MuJoCo types, or kinds of `models.build.pieces` (n,).
+        pos: Positions [m] (n, 3).
+        mat: Orientations (n, 3, 3).
+        size: Size numbers [m] (n, 3).
+        material: What they are made of; members of `spec.MATERIALS` (n,).
+        rgb: Their colours (n, 3).
+        label: What they are in a segmentation, see `cameras.paint` (n,).
+        texture: Codes of what is on them, see `models.spec.textures` (n,).
+    """
+
+    geom: np.ndarray
+    kind: np.ndarray
+    pos: np.ndarray
+    mat: np.ndarray
+    size: np.ndarray
+    material: np.ndarray
+    rgb: np.ndarray
+    label: np.ndarray
+    texture: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class LooseGeoms:
+    """Geoms of loose objects.
+
+    Attributes:
+        root_qpos: Qpos addresses of the objects' free joints (objects, 7).
+        root_dof: Qvel addresses (objects, 6).
+        owner: The object that each piece belongs to (n,).
+        local: The pieces, in the frames of their objects.
+    """
+
+    root_qposadr: np.ndarray
+    root_dof: np.ndarray
+    owner: np.ndarray
+    local: GeomTable
+
+
+def fixed_geoms(model: mujoco.MjModel, arena: ArenaSpec, moved: Sequence[str]) -> GeomTable:
+    """Return floor and arena as they are in the model, without the geoms that are data."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    names = [model.geom(i).name for i in range(model.ngeom)]
+    left = (model.geom_bodyid < 2) & ~np.isin(names, list(moved))  # the world's own body and the arena's
+    fixed = np.flatnonzero(left)
+    return _geom_table(model, arena, fixed, data.geom_xpos[fixed], data.geom_xmat[fixed].reshape(-1, 3, 3))
+
+
+def moved_geom_table(model: mujoco.MjModel, arena: ArenaSpec, moved: Sequence[str]) -> GeomTable:
+    """Return the geoms that are data, in the axes of the arena, where the model has them."""
+    geoms = np.array([model.geom(name).id for name in moved], int)
+    return _geom_table(model, arena, geoms, model.geom_pos[geoms], _matrices(model.geom_quat[geoms]))
+
+
+def loose_geoms(model: mujoco.MjModel, arena: ArenaSpec) -> LooseGeoms:
+    """Return what of the scene lies loose."""
+    names = [f"{LOOSE_PREFIX}{loose.name}" for loose in arena.loose]
+    bodies = [model.body(name).id for name in names]
+    mine = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
+    local = _geom_table(model, arena, mine, model.geom_pos[mine], _matrices(model.geom_quat[mine]))
+    joints = [model.joint(name) for name in names]
+    return LooseGeoms(
+        root_qposadr=np.array([j.qposadr[0] + np.arange(7) for j in joints], int).reshape(-1, 7),
+        root_dof=np.array([j.dofadr[0] + np.arange(6) for j in joints], int).reshape(-1, 6),
+        owner=np.searchsorted(bodies, model.geom_bodyid[local.geom]),
+        local=local,
+    )
+
+
+def door_qpos(model: mujoco.MjModel, arena: ArenaSpec) -> np.ndarray:
+    """Return the qpos addresses of the doors' hinges (doors,)."""
+    return np.array([model.joint(f"{DOOR}{door.name}").qposadr[0] for door in arena.doors], int)
+
+
+def _matrices(quats: np.ndarray) -> np.ndarray:
+    mats = np.zeros((len(quats), 9))
+    for mat, quat in zip(mats, quats, strict=True):
+        mujoco.mju_quat2Mat(mat, quat)
+    return mats.reshape(-1, 3, 3)
+
+
+def _geom_table(
+    model: mujoco.MjModel, arena: ArenaSpec, geoms: np.ndarray, pos: np.ndarray, mat: np.ndarray
+) -> GeomTable:
+    pieces = ray_primitives_of(model, geoms, materials_of(model, arena))
+    world_pos, world_mat = pieces.world_poses(pos, mat)
+    return GeomTable(
+        geom=geoms[pieces.geom],
+        kind=pieces.kind,
+        pos=np.asarray(world_pos, np.float32),
+        mat=np.asarray(world_mat, np.float32),
+        size=pieces.size,
+        material=pieces.material,
+        rgb=model.geom_rgba[geoms[pieces.geom], :3].astype(np.float32),
+        label=labels_of(model, arena)[geoms[pieces.geom]],
+        texture=textures_of(model, arena)[geoms[pieces.geom]],
+    )
+
 
 PARKING_HEIGHT = 30.0
 """Robots that no one uses wait this high above the arena, pinned in the air [m] (no contacts, no cost)."""

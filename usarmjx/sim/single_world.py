@@ -18,40 +18,85 @@ from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import SpecError, UsageError
-from usarmjx.base.transforms import Vec3
-from usarmjx.cameras.shading import RenderScene
+from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.comms.links import Links, no_links
 from usarmjx.engines.base import GeomPoses, PhysicsState
-from usarmjx.engines.c_rays import CRayCaster
-from usarmjx.engines.c_sight import CSight, Looks
-from usarmjx.engines.c_world import CWorld
-from usarmjx.engines.faults import PutBack
-from usarmjx.engines.placement import REACH, free_pose
-from usarmjx.models.build.compose import add_robot, new_spec, remove_robot
-from usarmjx.models.build.materials import materials_of
+from usarmjx.engines.c.camera_rays import CSight, Looks
+from usarmjx.engines.c.faults import PutBack
+from usarmjx.engines.c.placement import REACH, free_pose
+from usarmjx.engines.c.rays import CRayCaster
+from usarmjx.engines.c.world import CWorld
+from usarmjx.models.compile.compose import add_robot, new_spec, remove_robot
+from usarmjx.models.compile.materials import materials_of
 from usarmjx.models.effecters import Opcode, no_dropped_tags
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.base import Reading, SensorInput
+from usarmjx.sensors.cameras.shading import RenderScene
 from usarmjx.sensors.suite import carry_over, suite_of
 from usarmjx.sim.control import idle_command
-from usarmjx.sim.looks import looks_of
 from usarmjx.sim.operate import EffecterOrder, OperationResult, operate
 from usarmjx.sim.radio import update_links
+from usarmjx.sim.ray_geometry import moved_geom_poses
 from usarmjx.sim.reset import new_group_state, restarted, started
-from usarmjx.sim.robot_group import RobotGroup, prefix_of, robot_groups
-from usarmjx.sim.scene import RosterEntry, Scene, parking_position
-from usarmjx.sim.site import moved_geom_poses
-from usarmjx.sim.speed_limits import SpeedLimits
-from usarmjx.sim.views import build_render_scene
+from usarmjx.sim.scene import RobotGroup, RosterEntry, Scene, parking_position, prefix_of, robot_groups
+from usarmjx.sim.views import build_render_scene, looks_of
 from usarmjx.sim.world import (
     FaultCounts,
     GroupState,
     World,
     compute_inputs,
     observe,
+    runaway_limit,
     sense_self,
     time_of,
 )
+
+MAX_FALL = 1000.0
+"""Whoever has fallen further below the highest place where it was [m] has left the world, and is put back."""
+
+
+class SpeedLimits:
+    """Remembers how high robots have been.
+
+    Args:
+        groups: The robots.
+        tops: Highest place of some of them so far, by slot [m].
+        qpos: Where they are (nq,).
+        period: Length of a control step [s].
+    """
+
+    def __init__(
+        self, groups: Iterable[RobotGroup], tops: Mapping[int, float], qpos: np.ndarray, period: float
+    ) -> None:
+        robots = [
+            (int(slot), index.root_qposadr + 2, runaway_limit(group.robot))
+            for group in groups
+            for slot, index in zip(group.slots, group.indices, strict=True)
+        ]
+        self._slots = [slot for slot, _, _ in robots]
+        self._heights = np.array([address for _, address, _ in robots], int)
+        self._drives = np.array([limit for _, _, limit in robots])
+        self._step = GRAVITY * period
+        self._tops = np.array([tops.get(slot, float(qpos[address])) for slot, address, _ in robots])
+
+    @property
+    def tops(self) -> dict[int, float]:
+        """Highest place of each robot so far, by slot [m]."""
+        return dict(zip(self._slots, self._tops.tolist(), strict=True))
+
+    def begin_again(self, slots: Iterable[int], qpos: np.ndarray) -> None:
+        """Forget how high robots have been: they are somewhere else now."""
+        here = np.isin(self._slots, list(slots))
+        self._tops[here] = qpos[self._heights[here]]
+
+    def update(self, qpos: np.ndarray) -> dict[int, float]:
+        """Look where robots are; return how fast each may be after the next control step [m/s], by slot."""
+        height = qpos[self._heights]
+        height = np.where(np.isfinite(height), height, self._tops)
+        self._tops = np.maximum(self._tops, height)
+        fallen = np.sqrt(2 * GRAVITY * np.minimum(self._tops - height, MAX_FALL)) + self._step
+        return dict(zip(self._slots, np.hypot(self._drives, fallen).tolist(), strict=True))
+
 
 EMPTY_SEAT = RosterEntry(robot="", parked=True)
 """Stands in a roster where there is no robot."""

@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Callable
+from enum import IntEnum
 from functools import partial
 from typing import Any, TypeVar
 
@@ -17,23 +18,59 @@ from usarmjx.base.backend import Part, named_scope, on_numpy, set_rows, vmap, xp
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import Inboxes
 from usarmjx.engines.base import GeomPoses, Inputs, PhysicsState
-from usarmjx.models.build.arena_set import ArenaState
-from usarmjx.models.build.body_plan import BodyPoses, forward_kinematics
-from usarmjx.models.build.variation import RandomizedValues
-from usarmjx.models.drives.state import RobotState
+from usarmjx.models.compile.arena_set import ArenaState
+from usarmjx.models.compile.kinematic_tree import BodyPoses, forward_kinematics
+from usarmjx.models.compile.randomization import RandomizedValues
+from usarmjx.models.drives import DRY_DEPTH
+from usarmjx.models.drives.base import RobotState
 from usarmjx.models.effecters import DroppedTags
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.base import ROBOT_FIELDS, Reading, SensorInput
 from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayCaster, cast_rays
 from usarmjx.sensors.suite import SensorMemory
 from usarmjx.sensors.surroundings import Surroundings
 from usarmjx.sim.control import DriveConditions, RobotCommand, compute_actuation
-from usarmjx.sim.robot_group import RobotGroup
-from usarmjx.sim.scene import Scene
-from usarmjx.sim.site import moved_geom_poses, surroundings
-from usarmjx.sim.streams import Stream
-from usarmjx.sim.visible import ray_geoms, visible_arena, visible_doors, visible_loose, visible_robots
-from usarmjx.sim.water import depth_in_water, drowns
+from usarmjx.sim.ray_geometry import (
+    moved_geom_poses,
+    ray_geoms,
+    surroundings,
+    visible_arena,
+    visible_doors,
+    visible_loose,
+    visible_robots,
+)
+from usarmjx.sim.scene import RobotGroup, Scene
+
+
+class Stream(IntEnum):
+    """What a world draws random numbers for; see `world.episode_key`. A number that changes changes runs."""
+
+    SENSOR_START = 0
+    SENSOR_NOISE = 1
+    START_POSES = 2
+    RADIO = 3
+    MAIL = 4
+    TASK_START = 5
+    TASK_STEP = 6
+    RANDOMIZATION = 7
+
+
+def depth_in_water(arena: ArenaSpec, pos: Array) -> Array:
+    """Return how far points (..., 3) are below water, negative above it [m] (...,); else `DRY_DEPTH`."""
+    depth = xp.full(pos.shape[:-1], DRY_DEPTH)
+    for water in arena.waters:
+        low, high = np.array(water.low), np.array(water.high)
+        inside = (pos[..., :2] >= low[:2]).all(-1) & (pos[..., :2] <= high[:2]).all(-1)
+        here = inside & (pos[..., 2] >= low[2] + arena.floor)
+        depth = xp.where(here, high[2] + arena.floor - pos[..., 2], depth)
+    return depth
+
+
+def drowns(robot: RobotSpec, depth: Array) -> Array:
+    """Return whether water kills the battery: of all but underwater robots (KRobot.uc) (...,)."""
+    return (depth > 0) & (robot.drive.vehicle != "NauticVehicle")
+
 
 T = TypeVar("T")
 RUNAWAY_SPEED = 5.0

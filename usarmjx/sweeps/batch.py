@@ -15,13 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.models.build.arena_set import ArenaState
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.sim.batch_state import select_worlds
+from usarmjx.models.compile.arena_set import ArenaState
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.sim.batch import select_worlds
 from usarmjx.sweeps.resolve import Resolved
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Policy
 from usarmjx.train.envs.state import EnvState
+from usarmjx.train.envs.task import Policy
 
 Tick = Callable[[float], None]
 """Is told what share of a batch is done."""

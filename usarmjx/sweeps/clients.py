@@ -20,20 +20,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.server.bot_server import BotServerSettings
-from usarmjx.server.clock import StepClock
-from usarmjx.server.loop import ServerLoop
-from usarmjx.server.net import BotServer
-from usarmjx.server.ports import bound_ports, count_up
+from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.network.ports import bound_ports, count_up
+from usarmjx.server.runtime.loop import ServerLoop, StepClock
 from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
-from usarmjx.sim.streams import Stream
-from usarmjx.sim.world import episode_key
+from usarmjx.sim.world import Stream, episode_key
 from usarmjx.sweeps.batch import CellEpisodes
 from usarmjx.sweeps.drivers import CellDriver
 from usarmjx.sweeps.resolve import Resolved
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Policy
-from usarmjx.train.envs.task import TaskView
+from usarmjx.train.envs.task import Policy, TaskView
 
 HOST = "127.0.0.1"
 PATIENCE = 60.0

@@ -13,8 +13,8 @@ from typing import Any
 from usarmjx.base.errors import UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Policy
-from usarmjx.train.own_tasks import find_baseline
+from usarmjx.train.envs.task import Policy
+from usarmjx.train.make import find_baseline
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.sources import find_source
 

@@ -9,9 +9,16 @@ from matplotlib.figure import Figure
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import performance_profile
-from usarmjx.plots.palette import save_small
-from usarmjx.sweeps.answers import axes_of, front_points, policy_of, tasks_of
-from usarmjx.sweeps.axis_scores import AxisRow, axis_rows, shared_cells
+from usarmjx.plots.picture import save_small
+from usarmjx.sweeps.analysis import (
+    AxisRow,
+    axes_of,
+    axis_rows,
+    front_points,
+    policy_of,
+    shared_cells,
+    tasks_of,
+)
 from usarmjx.sweeps.store import StoredSweep
 from usarmjx.sweeps.table import scores_of
 

@@ -5,16 +5,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from usarmjx.base.estimates import Estimate
-from usarmjx.recording.versions import versions
-from usarmjx.sweeps.answers import (
+from usarmjx.recording.inputs import versions
+from usarmjx.sweeps.analysis import (
+    AxisRow,
+    axis_rows,
     changes,
     failures,
     front_points,
     label_of,
     other_versions,
+    overall_rows,
     policy_differences,
 )
-from usarmjx.sweeps.axis_scores import AxisRow, axis_rows, overall_rows
 from usarmjx.sweeps.store import StoredSweep
 
 MOST_POINTS = 12

@@ -12,21 +12,20 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.models.build.arena_set import arena_set
-from usarmjx.models.build.compose import PHYSICS, Physics
-from usarmjx.models.build.parts import parts_of as robot_parts
-from usarmjx.models.build.variation import QUANTITY_RULES, DomainRandomization
+from usarmjx.models.compile.arena_set import arena_set
+from usarmjx.models.compile.compose import PHYSICS, Physics
+from usarmjx.models.compile.parts import parts_of as robot_parts
+from usarmjx.models.compile.randomization import QUANTITY_RULES, DomainRandomization
 from usarmjx.models.generate import KINDS
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.sweeps.drivers import CellDriver, contents, find_driver
-from usarmjx.sweeps.settings import FIELDS, CellSettings
+from usarmjx.sweeps.spec import FIELDS, CellSettings
 from usarmjx.train.envs.recipe import GeneratedArenas, resolve_arenas, spec_of
 from usarmjx.train.envs.task import Task
-from usarmjx.train.make import make_task
-from usarmjx.train.own_tasks import file_of
-from usarmjx.train.scenes.buildings import Buildings
-from usarmjx.train.scenes.equip import flies
+from usarmjx.train.make import file_of, make_task
+from usarmjx.train.tasks.buildings import Buildings
+from usarmjx.train.tasks.equip import flies
 from usarmjx.train.tasks.victim_search import FLIPPERS
 
 RADIO_AS_DATA = ("pdo", "n", "cutoff", "atten_fac")

@@ -1,23 +1,241 @@
 """A sweep from its file to its results: plan, play what is missing, keep each cell."""
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+import sys
+import time
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
-from usarmjx.base.errors import UsageError
+import numpy as np
+
+from usarmjx.base.errors import UsageError, one_line
 from usarmjx.engines import choose_engine
-from usarmjx.sweeps.plan import WORLDS_OF_C, WORLDS_ON_CPU, WORLDS_ON_GPU, SweepPlan, plan_batches
 from usarmjx.sweeps.play import BatchWork, failure, play_batch, resolved
-from usarmjx.sweeps.progress import SweepProgress
 from usarmjx.sweeps.resolve import key_of, signature_of
-from usarmjx.sweeps.sinks import Sink
-from usarmjx.sweeps.spec import SweepSpec, find_spec, load_spec, read_spec
+from usarmjx.sweeps.spec import SweepSpec, as_text, find_spec, load_spec, read_spec
 from usarmjx.sweeps.store import CellRecord, StoredSweep, read_cell, read_sweep, write_cell, write_sweep
+from usarmjx.sweeps.table import scores_of
 from usarmjx.sweeps.workers import Workers
-from usarmjx.train.learning.defaults import on_gpu
+from usarmjx.train.learning.config import on_gpu
+from usarmjx.train.learning.metrics import find_wandb
+
+WORLDS_OF_C, WORLDS_ON_CPU, WORLDS_ON_GPU = 256, 1024, 8192
+"""Worlds of a batch at most if nobody says otherwise: engine `c`, and the others by what JAX runs on."""
+
+Signature = Mapping[str, Hashable]
+"""What must be alike in a batch, by what people call it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellGroup:
+    """Cells that differ in data only.
+
+    Attributes:
+        cells: Their numbers.
+        batches: The same in batches, one after the other.
+        size: Cells that a batch has room for: the last one's spare places repeat its last cell.
+    """
+
+    cells: tuple[int, ...]
+    batches: tuple[tuple[int, ...], ...]
+    size: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepPlan:
+    """What is played together.
+
+    Attributes:
+        groups: The groups.
+        differing: In what the groups differ, and in how many ways.
+    """
+
+    groups: tuple[CellGroup, ...]
+    differing: dict[str, int]
+
+    @property
+    def batches(self) -> int:
+        """How many batches there are."""
+        return sum(len(group.batches) for group in self.groups)
+
+    def as_text(self) -> str:
+        """Return how many batches of how many cells there are, and why, in a line."""
+        cells = sum(len(group.cells) for group in self.groups)
+        if not self.groups:
+            return "no cells to play"
+        sizes = sorted({len(batch) for group in self.groups for batch in group.batches})
+        each = f"{sizes[0]}" if len(sizes) == 1 else f"{sizes[0]} to {sizes[-1]}"
+        said = f"{_many(cells, 'cell')} in {_many(self.batches, 'batch')} of {each}, "
+        said += f"{_many(len(self.groups), 'compilation')}"
+        if self.differing:
+            parts = ", ".join(f"{what} ({count} kinds)" for what, count in self.differing.items())
+            return f"{said}: what is compiled in differs in {parts}; all else is data"
+        return f"{said}: the cells differ in data only"
+
+
+def _many(count: int, what: str) -> str:
+    plural = "es" if what.endswith("ch") else "s"
+    return f"{count} {what}{'' if count == 1 else plural}"
+
+
+def plan_batches(
+    signatures: Sequence[Signature],
+    episodes: Sequence[int],
+    most_worlds: int,
+    alone: Sequence[bool] | None = None,
+) -> SweepPlan:
+    """Return which cells are played together.
+
+    Args:
+        signatures: Of each cell (cells,).
+        episodes: Of each cell, one world each; those of one signature have as many (cells,).
+        most_worlds: Worlds that a batch has at most; a cell that has more is a batch of its own.
+        alone: Which cells share a batch with no other (cells,); None: none of them.
+    """
+    together: dict[Hashable, list[int]] = {}
+    for number, signature in enumerate(signatures):
+        own = number if alone is not None and alone[number] else None
+        together.setdefault((own, tuple(signature.items())), []).append(number)
+    groups: list[CellGroup] = []
+    for cells in together.values():
+        room = max(1, most_worlds // episodes[cells[0]])
+        count = -(-len(cells) // room)
+        size = -(-len(cells) // count)  # as even as can be: few places are spare
+        rows = tuple(tuple(cells[i : i + size]) for i in range(0, len(cells), size))
+        groups.append(CellGroup(cells=tuple(cells), batches=rows, size=size))
+    kinds = {name: len({row[name] for row in signatures}) for name in (signatures[0] if signatures else ())}
+    return SweepPlan(
+        groups=tuple(groups), differing={name: count for name, count in kinds.items() if count > 1}
+    )
+
+
+INTERVAL = 10.0
+"""So often a line is said where there is no terminal [s]."""
+TERMINAL_INTERVAL = 0.2
+CLEAR = "\r\033[K"
+
+
+class SweepProgress:
+    """Says how far a sweep is.
+
+    Args:
+        cells: How many are to be played.
+        stream: Where it is said; None: nowhere.
+    """
+
+    def __init__(self, cells: int, stream: TextIO | None = None) -> None:
+        self.cells, self._stream = cells, stream
+        self._terminal = stream is not None and stream.isatty()
+        self._begun = self._last = time.monotonic()
+        self.done = self.failed = 0
+        self._shown = False
+
+    def within(self, batch: int, share: float) -> None:
+        """Tell that a share of a batch of so many cells is played."""
+        self._say(self.done + batch * min(share, 1.0))
+
+    def add(self, done: int, failed: int) -> None:
+        """Count cells that have a result, and cells that have failed."""
+        self.done, self.failed = self.done + done + failed, self.failed + failed
+        self._say(float(self.done))
+
+    def _say(self, done: float) -> None:
+        now = time.monotonic()
+        if self._stream is None or now - self._last < (TERMINAL_INTERVAL if self._terminal else INTERVAL):
+            return
+        self._last = now
+        line = self.line(done, now - self._begun)
+        self._stream.write(f"{CLEAR}{line}" if self._terminal else f"{line}\n")
+        self._stream.flush()
+        self._shown = True
+
+    def line(self, done: float, seconds: float) -> str:
+        """Return what is said after so many cells and so long [s]."""
+        failed = f", {self.failed} failed" if self.failed else ""
+        left = f", about {_long((self.cells - done) * seconds / done)} left" if done > 0 else ""
+        return f"usarmjx: {self.done} of {self.cells} cells{failed}, {_long(seconds)}{left}"
+
+    def close(self) -> None:
+        """Leave the line as it is, and begin the next one."""
+        if self._terminal and self._shown and self._stream is not None:
+            self._stream.write(CLEAR)
+            self._stream.flush()
+
+
+def _long(seconds: float) -> str:
+    whole = round(seconds)
+    if whole < 100:
+        return f"{whole} s"
+    return f"{round(whole / 60)} min" if whole < 6000 else f"{whole / 3600:.1f} h"
+
+
+def usual_stream() -> TextIO:
+    """Return where progress is said: the error stream, so that output stays what was asked for."""
+    return sys.stderr
+
+
+Sink = Callable[[CellRecord], None]
+"""Is told of each cell that is finished or has failed."""
+
+
+def numbers_of(record: CellRecord) -> dict[str, float]:
+    """Return what is shown of a cell: mean score, means of the metrics, numbers among its settings."""
+    good = record.good
+    shown = {"score": float(scores_of(record).mean())} if good else {}
+    for name, values in record.metrics.items():
+        if good:
+            shown[f"metric/{name}"] = float(np.mean([values[number] for number in good]))
+    return shown
+
+
+def tensorboard_sink(folder: Path) -> Sink:
+    """Return what writes cells to TensorBoard: step k is the k-th cell that was played.
+
+    Raises:
+        UsageError: tensorboardX is missing.
+    """
+    try:
+        from usarmjx.train.learning.metrics import Board
+    except ImportError as error:
+        raise UsageError("TensorBoard needs tensorboardX: pip install usarmjx[train]") from error
+    board, count = Board(Path(folder), 0), [0]
+
+    def show(record: CellRecord) -> None:
+        count[0] += 1
+        settings = {
+            f"setting/{key}": float(value)
+            for key, value in record.settings.items()
+            if isinstance(value, int | float) and not isinstance(value, bool)
+        }
+        board.show(count[0], {**settings, **numbers_of(record)})
+
+    return show
+
+
+def wandb_sink(project: str, name: str) -> Sink:
+    """Return what sends cells to Weights & Biases, each as a run of one group.
+
+    Raises:
+        UsageError: wandb is missing, or cannot begin.
+    """
+    module = find_wandb()
+
+    def show(record: CellRecord) -> None:
+        config = {key: as_text(value) for key, value in record.settings.items()}
+        try:
+            run = module.init(
+                project=project, group=name, name=record.key, config=config, reinit="finish_previous"
+            )
+            run.log(numbers_of(record))
+            run.finish(exit_code=0 if record.failed is None else 1)
+        except Exception as error:  # of a service elsewhere
+            raise UsageError(f"Weights & Biases: {one_line(error)}") from error
+
+    return show
+
 
 KeyedSettings = tuple[str, dict[str, Any]]
 """Key and settings."""

@@ -10,7 +10,7 @@ import numpy as np
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import estimate, interquartile_mean
 from usarmjx.base.files import write_beside
-from usarmjx.sweeps.settings import as_text
+from usarmjx.sweeps.spec import as_text
 from usarmjx.sweeps.store import CellRecord, StoredSweep
 
 SUFFIXES = (".csv", ".parquet")

@@ -1,13 +1,186 @@
 """Environments by the name of their task."""
 
+import hashlib
+import importlib
+import importlib.util
 import math
+import sys
+import traceback
+from collections.abc import Callable
 from dataclasses import fields, replace
+from pathlib import Path
+from types import ModuleType
 
-from usarmjx.base.errors import UnknownNameError, UsageError
-from usarmjx.models.build.compose import Physics
+from usarmjx.base.errors import UnknownNameError, UsageError, one_line
+from usarmjx.models.compile.compose import Physics
+from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.task import Task
-from usarmjx.train.own_tasks import find_task, full_name
+from usarmjx.train.envs.task import Policy, Task
+from usarmjx.train.tasks import TASKS
+
+
+def is_own(name: str) -> bool:
+    """Return whether a name is that of a user's own task."""
+    return ":" in name or name.endswith(".py")
+
+
+def full_name(name: str) -> str:
+    """Return a task's name as it is kept: of an own one with the whole path of its file."""
+    place, _, found = name.rpartition(":")
+    return f"{_path(place)}:{found}" if place.endswith(".py") else name
+
+
+def same_class(one: str, other: str) -> bool:
+    """Return whether two names are of the same task, own ones perhaps in files that are elsewhere."""
+    if is_own(one) and is_own(other):
+        return one.rpartition(":")[2] == other.rpartition(":")[2]
+    return one.lower() == other.lower()
+
+
+def find_task(name: str) -> Task:
+    """Return the task of a name, with its usual settings.
+
+    An own one is made by its class without arguments. If that has a function `by_hand` that takes an `Env`
+    and returns a `Policy`, this is the task's baseline from now on.
+
+    Raises:
+        UnknownNameError: No such task of the package; lists those there are.
+        UsageError: An own one without file, class or sense; says what is missing, and where its code failed.
+    """
+    if not is_own(name):
+        return TASKS.get(name)
+    place, _, wanted = name.rpartition(":")
+    if not place:
+        place, wanted = name, ""
+    module = _module(name, place)
+    if not wanted:
+        raise UsageError(f"task {name}: say which, as {name}:{next(iter(_tasks_in(module)), 'CLASS')}")
+    found = getattr(module, wanted, None)
+    if found is None:
+        tasks = ", ".join(_tasks_in(module)) or "none"
+        raise UsageError(f"task {name}: {place} has no {wanted!r}; its tasks: {tasks}")
+    task = _made(name, found)
+    by_hand: Callable[[Env], Policy] | None = getattr(task, "by_hand", None)
+    if by_hand is not None:
+        BASELINES.replace(full_name(name), by_hand)
+    return task
+
+
+def find_baseline(name: str, task: str | None = None) -> str:
+    """Return the full name of a policy by hand, after importing the files of own tasks, which may have it.
+
+    Args:
+        name: Of the baseline, or of an own task that has one.
+        task: Of the task that it is tried on; None: of its own.
+
+    Raises:
+        UnknownNameError: No such baseline; lists those there are.
+        UsageError: An own task that has none, or cannot be imported.
+    """
+    for one in (name, task):
+        if one is not None and is_own(one):
+            find_task(one)
+    if is_own(name) and full_name(name) not in BASELINES:
+        raise UsageError(f"task {name} has no policy by hand: give its class a function by_hand(env)")
+    BASELINES.get(full_name(name))
+    return full_name(name)
+
+
+def check_there(name: str, whose: str) -> None:
+    """Refuse what needs a task whose file has gone.
+
+    Args:
+        name: Of the task, as it was kept.
+        whose: What needs it: a run, a policy's file.
+
+    Raises:
+        UsageError: Says which file is missing, and how to say where it is.
+    """
+    place, _, wanted = name.rpartition(":")
+    if place.endswith(".py") and not _path(place).is_file():
+        raise UsageError(
+            f"{whose} is for the task {wanted} of {place}, which is not there; if it is elsewhere, say so: "
+            f"--task FILE.py:{wanted}"
+        )
+
+
+def file_of(name: str) -> Path | None:
+    """Return the file that an own task is in; None: it is not named by one."""
+    place = name.rpartition(":")[0]
+    return _path(place) if place.endswith(".py") else None
+
+
+def _path(place: str) -> Path:
+    return Path(place).expanduser().absolute()
+
+
+def _tasks_in(module: ModuleType) -> list[str]:
+    """Return the names of the tasks that a module defines."""
+    return [
+        name
+        for name, value in vars(module).items()
+        if isinstance(value, type) and issubclass(value, Task) and value.__module__ == module.__name__
+    ]
+
+
+def _made(name: str, found: object) -> Task:
+    """Return the task that a class or an object stands for."""
+    if isinstance(found, Task):
+        return found
+    if not (isinstance(found, type) and issubclass(found, Task)):
+        kind = "a class" if isinstance(found, type) else f"of type {type(found).__name__}"
+        raise UsageError(
+            f"task {name}: that is {kind}, expected a class that extends usarmjx.train.envs.task.Task"
+        )
+    try:
+        return found()
+    except TypeError as error:  # an abstract one, or one with fields that have no value
+        raise UsageError(f"task {name}: cannot be made without arguments: {one_line(error)}") from error
+
+
+def _module(name: str, place: str) -> ModuleType:
+    """Return a module, imported once for each content that its file had.
+
+    Raises:
+        UsageError: There is none, or importing it fails; says at which line.
+    """
+    in_file = place.endswith(".py")
+    if in_file and not _path(place).is_file():
+        raise UsageError(f"task {name}: there is no file {_path(place)}")
+    try:
+        return _from_file(_path(place)) if in_file else importlib.import_module(place)
+    except (Exception, SystemExit) as error:
+        raise UsageError(f"task {name}: {_fault(error, place)}") from error
+
+
+def _from_file(path: Path) -> ModuleType:
+    known = f"usarmjx_own_{hashlib.sha256(bytes(path) + path.read_bytes()).hexdigest()[:16]}"
+    if known in sys.modules:
+        return sys.modules[known]
+    spec = importlib.util.spec_from_file_location(known, path)
+    assert spec is not None  # as the name ends in .py
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    if str(path.parent) not in sys.path:  # for modules beside it, as when Python runs the file
+        sys.path.append(str(path.parent))
+    sys.modules[known] = module  # where dataclasses look for annotations
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[known]
+        raise
+    return module
+
+
+def _fault(error: BaseException, place: str) -> str:
+    """Return in a line where an import failed, and why."""
+    why = f"{type(error).__name__}: {one_line(error) if isinstance(error, Exception) else error}"
+    if isinstance(error, SyntaxError) and error.lineno is not None:
+        return f"{error.filename}, line {error.lineno}: {type(error).__name__}: {error.msg}"
+    if not place.endswith(".py"):
+        return f"cannot import {place}: {why}"
+    own = [one for one in traceback.extract_tb(error.__traceback__) if one.filename == str(_path(place))]
+    return f"{own[-1].filename}, line {own[-1].lineno}: {why}" if own else f"{_path(place)}: {why}"
 
 
 def make_task(name: str, **overrides: object) -> Task:

@@ -10,31 +10,31 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.rotations import mat_from_quat, quat_from_mat
-from usarmjx.cameras.light import point_lights
-from usarmjx.cameras.mounts import Camera, cameras_of, headlight_of
-from usarmjx.cameras.paint import ARENA_LABEL, FALSE_ALARM_LABEL, ROBOT_LABEL, VICTIM_LABEL
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.engines.base import PhysicsState
-from usarmjx.models.build.body_plan import BodyPoses, forward_kinematics
-from usarmjx.models.build.parts import joint_names
-from usarmjx.models.build.tags import tag_ids
-from usarmjx.models.build.victims import PADDING_OWNER, VictimTable, orientations, segment_poses
-from usarmjx.models.drives.state import RobotState
-from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.models.spec.shapes import OPAQUE
+from usarmjx.models.compile.kinematic_tree import BodyPoses, forward_kinematics
+from usarmjx.models.compile.parts import joint_names
+from usarmjx.models.compile.tags import tag_ids
+from usarmjx.models.compile.victims import PADDING_OWNER, VictimTable, orientations, segment_poses
+from usarmjx.models.drives.base import RobotState
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.models.types.shapes import OPAQUE
 from usarmjx.sensors.base import Sensor
+from usarmjx.sensors.cameras.mounts import Camera, cameras_of, headlight_of
+from usarmjx.sensors.cameras.paint import ARENA_LABEL, FALSE_ALARM_LABEL, ROBOT_LABEL, VICTIM_LABEL
+from usarmjx.sensors.cameras.shading import point_lights
 from usarmjx.sensors.sketch import OverlayLines
-from usarmjx.sim.robot_group import RobotGroup
-from usarmjx.sim.scene import Scene
-from usarmjx.sim.site import moved_geom_poses, victims_of
-from usarmjx.sim.visible import (
+from usarmjx.sim.ray_geometry import (
     VisibleGeoms,
     drawn_limbs,
+    moved_geom_poses,
+    victims_of,
     visible_arena,
     visible_doors,
     visible_loose,
     visible_water,
 )
+from usarmjx.sim.scene import RobotGroup, Scene
 from usarmjx.sim.world import GroupState, World, robot_states, time_of
 from usarmjx.view.drawing import (
     NOBODY,

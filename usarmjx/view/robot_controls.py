@@ -1,20 +1,280 @@
 """What the person with the controls has for one robot: a pad, sliders, switches, and who drives it."""
 
+import html
 import math
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
 import viser
 
-from usarmjx.cameras.mounts import cameras_of
-from usarmjx.models.build.parts import part_name, parts_of
+from usarmjx.models.compile.parts import part_name, parts_of
+from usarmjx.models.drives.steering import can_climb, drive_values
 from usarmjx.models.effecters import effecters_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.robot import Part, RobotSpec
-from usarmjx.models.steering import can_climb, drive_values
-from usarmjx.view.controls import BY_PAGE, WorldControls, WorldStatus
-from usarmjx.view.drawing import DrawnRobot, Frame
-from usarmjx.view.drive_pad import DrivePad
+from usarmjx.models.types.robot import Part, RobotSpec
+from usarmjx.sensors.cameras.mounts import cameras_of
+from usarmjx.view.controls import BY_PAGE, StartPlace, WorldControls, WorldStatus
+from usarmjx.view.drawing import Drawing, DrawnRobot, Frame
+
+HOLD_RATE = 10.0
+"""So often the page tells that a button is held down [Hz]."""
+FORGET = 0.35
+"""A direction of which nothing is heard for so long is held no more [s]."""
+DIRECTIONS: dict[str, tuple[str, tuple[str, ...], str]] = {
+    "ahead": ("\u25b2", ("ArrowUp", "KeyW"), "1 / 2"),
+    "left": ("\u25c0", ("ArrowLeft", "KeyA"), "2 / 1"),
+    "right": ("\u25b6", ("ArrowRight", "KeyD"), "2 / 3"),
+    "back": ("\u25bc", ("ArrowDown", "KeyS"), "2 / 2"),
+    "up": ("\u21e7", ("KeyR",), "1 / 4"),
+    "down": ("\u21e9", ("KeyF",), "2 / 4"),
+}
+"""Sign, keys and place in the grid of each direction."""
+CLIMBING = ("up", "down")
+POINTER = 4242
+"""Number of the pointer that holds the buttons down: no real one's."""
+
+
+class DrivePad:
+    """The pad of one person; elements go where the present container of its GUI is.
+
+    Args:
+        gui: That person's GUI.
+        steer: Is told how far ahead, to the left and up to go [-1, 1] again and again while anything is held,
+            and 0, 0, 0 once nothing is; called in viser's thread.
+        climbs: Whether there is an up and a down.
+    """
+
+    def __init__(
+        self, gui: viser.GuiApi, steer: Callable[[float, float, float], None], *, climbs: bool = False
+    ) -> None:
+        self._steer = steer
+        self._held: dict[str, float] = {}
+        names = [name for name in DIRECTIONS if climbs or name not in CLIMBING]
+        buttons = {name: gui.add_button(f"drive {name}") for name in names}
+        for name, button in buttons.items():
+            self._listen(name, button)
+        # Viser's buttons have no other name in the page.
+        gui.add_html(pad_html({name: button._impl.uuid for name, button in buttons.items()}))
+
+    def _listen(self, name: str, button: viser.GuiButtonHandle) -> None:
+        # Asynchronous ones are called in order.
+        async def hold(event: object) -> None:
+            del event
+            self.hold(name, time.monotonic())
+
+        async def release(event: object) -> None:
+            del event
+            self.release(name, time.monotonic())
+
+        button.on_hold(hold, callback_hz=HOLD_RATE)
+        button.on_click(release)
+
+    def hold(self, name: str, now: float) -> None:
+        """A direction is held down at a time [s]."""
+        self._held[name] = now
+        self._tell(now)
+
+    def release(self, name: str, now: float) -> None:
+        """A direction is no longer held."""
+        if self._held.pop(name, None) is not None:
+            self._tell(now)
+
+    def _tell(self, now: float) -> None:
+        self._held = {name: since for name, since in self._held.items() if now - since < FORGET}
+        held = self._held.keys()
+        self._steer(
+            float(("ahead" in held) - ("back" in held)),
+            float(("left" in held) - ("right" in held)),
+            float(("up" in held) - ("down" in held)),
+        )
+
+
+def pad_html(buttons: Mapping[str, str]) -> str:
+    """Return the pad.
+
+    Args:
+        buttons: The ids of viser's buttons in the page, by direction.
+    """
+    keys = {code: buttons[name] for name in buttons for code in DIRECTIONS[name][1]}
+    hide = ",".join(f'div:has(> [id="{button}"])' for button in buttons.values())
+    arrows = "".join(map(partial(_arrow, buttons), buttons))
+    letters = "W A S D" + (", R and F for up and down" if "up" in buttons else "")
+    on_key = f"const k={_object(keys)}[event.code];if(k){{event.preventDefault();event.stopPropagation();"
+    leave = f"for(const k of {_list(buttons.values())}){_release('k')}"
+    return (
+        f"<style>{hide}{{display:none}}"
+        f".drivepad{{grid-template-columns:repeat({4 if 'up' in buttons else 3},3.2em)}}"
+        ".drivepad{display:grid;grid-auto-rows:3.2em;gap:.3em;"
+        "justify-content:center;padding:.4em;margin:0 .6em .5em;border-radius:.5em;outline:1px solid #8888;"
+        "touch-action:none;user-select:none;-webkit-user-select:none}"
+        ".drivepad:focus{outline:2px solid #4a90e2}"
+        ".drivepad button{font-size:1.4em;border:0;border-radius:.4em;background:#8883;color:inherit;"
+        "touch-action:none}.drivepad button:active{background:#4a90e2}"
+        ".drivepad small{grid-column:1 / -1;align-self:center;text-align:center;opacity:.7}</style>"
+        f'<div class="drivepad" tabindex="0" aria-label="drive" '
+        f'onkeydown="{_quoted(on_key + "if(!event.repeat)" + _press("k") + "}")}" '
+        f'onkeyup="{_quoted(on_key + _release("k") + "}")}" '
+        f'onblur="{_quoted(leave)}">'
+        f"{arrows}<small>Hold an arrow; or click here and hold arrow keys or {letters}.</small></div>"
+    )
+
+
+def _arrow(buttons: Mapping[str, str], name: str) -> str:
+    sign, _, place = DIRECTIONS[name]
+    button = repr(buttons[name])
+    press = (
+        "event.preventDefault();this.parentNode.focus();this.setPointerCapture(event.pointerId);"
+        + _press(button)
+    )
+    release = _quoted(_release(button))
+    return (
+        f'<button tabindex="-1" aria-label="{name}" style="grid-area:{place}" '
+        f'onpointerdown="{_quoted(press)}" onpointerup="{release}" onpointercancel="{release}" '
+        f'oncontextmenu="event.preventDefault()">{sign}</button>'
+    )
+
+
+def _press(button: str) -> str:
+    """Return the script that holds a button down."""
+    return f"document.getElementById({button})?.dispatchEvent({_pointer('pointerdown')});"
+
+
+def _release(button: str) -> str:
+    """Return the script that lets a button go: the click says so to the server."""
+    return (
+        f"{{const b=document.getElementById({button});"
+        f"if(b){{b.dispatchEvent({_pointer('pointerup')});b.click();}}}}"
+    )
+
+
+def _pointer(kind: str) -> str:
+    return f"new PointerEvent('{kind}',{{bubbles:true,button:0,pointerId:{POINTER}}})"
+
+
+def _object(pairs: Mapping[str, str]) -> str:
+    return "({" + ",".join(f"{key}:{value!r}" for key, value in pairs.items()) + "})"
+
+
+def _list(values: Iterable[str]) -> str:
+    return repr(list(values))
+
+
+def _quoted(script: str) -> str:
+    return html.escape(script, quote=True)
+
+
+SPEEDS: dict[str, float] = {
+    **{f"x {factor:g}": factor for factor in (0.1, 0.25, 0.5, 1.0, 2.0, 5.0)},
+    "as fast as it can": 0.0,
+}
+ELSEWHERE = "at x, y"
+FIRST_CLASS = "P2AT"
+
+
+class RunControls:
+    """Pause, single step, speed and reset; they go where the present container of the GUI is.
+
+    Args:
+        client: Whose page.
+        world: The number of the world.
+        controls: What may be done to it.
+        do: Does something if that person may.
+    """
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        world: int,
+        controls: WorldControls,
+        do: Callable[[Callable[[], None]], None],
+    ) -> None:
+        self._client, self._world, self._controls, self._do = client, world, controls, do
+        self._paused: bool | None = None
+        gui = client.gui
+        self._pause = gui.add_button("Pause")
+        self._pause.on_click(lambda _: do(self._pause_or_go))
+        gui.add_button("Single step", hint="One control step").on_click(lambda _: do(controls.step))
+        self._speed = gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="x 1")
+        self._speed.on_update(lambda _: do(lambda: controls.set_speed(SPEEDS[self._speed.value])))
+        gui.add_button("Reset", hint=controls.reset_about).on_click(lambda _: do(self._ask_reset))
+
+    def update(self, status: WorldStatus) -> None:
+        """Show whether the world stands still."""
+        if status.paused != self._paused:
+            self._paused = status.paused
+            self._pause.label = "Go on" if status.paused else "Pause"
+
+    def _pause_or_go(self) -> None:
+        self._controls.pause(not self._controls.status(self._world).paused)
+
+    def _ask_reset(self) -> None:
+        modal = self._client.gui.add_modal("Reset the world?")
+        with modal:
+            self._client.gui.add_markdown(self._controls.reset_about)
+            confirm = self._client.gui.add_button("Reset it", color="red")
+            cancel = self._client.gui.add_button("Leave it")
+
+        def done(_: object, confirmed: bool) -> None:
+            modal.close()
+            if confirmed:
+                self._do(partial(self._controls.reset, self._world))
+
+        confirm.on_click(partial(done, confirmed=True))
+        cancel.on_click(partial(done, confirmed=False))
+
+
+class SpawnForm:
+    """A form for a new robot: its class, its name, and where; it goes where the present container is.
+
+    Args:
+        gui: Whose page.
+        world: The number of the world.
+        drawing: What it looks like.
+        controls: What may be done to it.
+        do: Does something if that person may.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        world: int,
+        drawing: Drawing,
+        controls: WorldControls,
+        do: Callable[[Callable[[], None]], None],
+    ) -> None:
+        self._world, self._controls, self._floor = world, controls, drawing.floor
+        self._starts: Sequence[StartPlace] = controls.starts(world)
+        classes = tuple(controls.classes)
+        self._class = gui.add_dropdown(
+            "Class", classes, initial_value=FIRST_CLASS if FIRST_CLASS in classes else classes[0]
+        )
+        self._name = gui.add_text("Name", "", hint="Empty: one is found")
+        places = (*(start.tag for start in self._starts), ELSEWHERE)
+        self._place = gui.add_dropdown("Place", places, initial_value=places[0])
+        middle = drawing.extent.mean(axis=1)
+        self._xy = gui.add_vector2("x, y [m]", (float(middle[0]), float(middle[1])), step=0.1)
+        self._height = gui.add_number(
+            "Ground [m]", float(drawing.floor), step=0.1, hint="Height of the ground there"
+        )
+        self._yaw = gui.add_slider("Direction [deg]", -180, 180, 5, 0)
+        self._place.on_update(lambda _: self._show_fields())
+        self._show_fields()
+        gui.add_button("Spawn").on_click(lambda _: do(self._spawn))
+
+    def _show_fields(self) -> None:
+        for field in (self._xy, self._height, self._yaw):
+            field.visible = self._place.value == ELSEWHERE
+
+    def _spawn(self) -> None:
+        start = next((start for start in self._starts if start.tag == self._place.value), None)
+        if start is None:
+            x, y = self._xy.value
+            pos, yaw = (float(x), float(y), float(self._height.value)), math.radians(self._yaw.value)
+        else:
+            pos, yaw = start.pos, start.yaw
+        self._controls.spawn(self._world, self._class.value, self._name.value, pos, yaw)
+
 
 IDLE_ORDERS = ("nop",)
 """Operations of effecters that have no button."""

@@ -8,8 +8,7 @@ import numpy as np
 import viser
 
 from usarmjx.view.drawing import Drawing, DrawnShape, Frame
-from usarmjx.view.glb import Finish, glb_of
-from usarmjx.view.mesh import PLANE, meshes_of, rectangle
+from usarmjx.view.mesh import PLANE, Finish, glb_of, meshes_of, rectangle
 
 STILL_TOLERANCE = 1e-5
 """What moved by less, and turned by less, stays where it is drawn [m]."""

@@ -1,14 +1,73 @@
 """The live page of worlds in which robots learn; it takes next to nothing of the training's time."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
+import numpy as np
 
-from usarmjx.sim.batch import Batch
-from usarmjx.sim.batch_state import BatchState
-from usarmjx.view.batch_source import BatchSource
+from usarmjx.base.arrays import Array
+from usarmjx.engines.base import PhysicsState
+from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.world import World
+from usarmjx.view.capture import Capture
+from usarmjx.view.drawing import Drawing, Frame
 from usarmjx.view.page import MAX_WALL, ViewerPage
+
+
+class BatchSource:
+    """A `FrameSource` of a batch, whose state `show` tells it.
+
+    Args:
+        batch: The batch.
+        state: Its state.
+        worlds: Numbers of the worlds that can be looked at.
+    """
+
+    def __init__(self, batch: Batch, state: BatchState, worlds: Sequence[int]) -> None:
+        self._batch, self._state = batch, state
+        self._worlds = np.asarray(worlds, np.int32)
+        self._capture = Capture(batch.scene)
+        self._pick = jax.jit(_picked)
+        self._fetched: tuple[Any, ...] | None = None
+        self._drawings: dict[int, tuple[int, Drawing]] = {}
+
+    @property
+    def num_worlds(self) -> int:
+        """How many worlds can be looked at."""
+        return len(self._worlds)
+
+    def show(self, state: BatchState) -> None:
+        """Take the batch as it is now; nothing is fetched from its device before somebody looks."""
+        self._state, self._fetched = state, None
+
+    def drawing(self, world: int) -> Drawing:
+        """Return a world's drawing: another one when an episode brings another arena."""
+        state, physics = self._one(world)
+        episode = 0 if state.arena_state is None else int(state.episode)
+        known = self._drawings.get(world)
+        if known is None or known[0] != episode:
+            known = self._drawings[world] = episode, self._capture.drawing(state, physics)
+        return known[1]
+
+    def frame(self, world: int) -> Frame:
+        """Return a world as the batch was when it was last shown."""
+        return self._capture.frame(*self._one(world))
+
+    def _one(self, world: int) -> tuple[World, PhysicsState]:
+        if self._fetched is None:
+            worlds, physics = self._state.worlds, self._batch.physics(self._state)
+            keyed = worlds.replace(key=jax.random.key_data(worlds.key))
+            # All worlds at once: a transfer costs more than what is in it.
+            self._fetched = jax.device_get(self._pick((keyed, physics), self._worlds))
+        assert self._fetched is not None
+        return jax.tree.map(lambda x: x[world], self._fetched)
+
+
+def _picked(tree: tuple[World, PhysicsState], worlds: Array) -> tuple[World, PhysicsState]:
+    return jax.tree.map(lambda x: x[worlds], tree)
+
 
 TIME_SHARE = 0.01
 """The page takes no more than this share of the training's time, except for what somebody asks of it."""

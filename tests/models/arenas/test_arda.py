@@ -13,18 +13,18 @@ from tests.rig import Rig
 from tests.scripts import load
 from tests.server.peers import Peer, serving
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.arenas.arda import ARDA, FILES, STARTS
-from usarmjx.models.arenas.arda_roads import MISSIONS, NETWORK, ORIGIN, RADIUS
-from usarmjx.models.build.compose import Physics
-from usarmjx.models.roads.geodesy import (
+from usarmjx.models.arenas.arda import ARDA, FILES, MISSIONS, NETWORK, ORIGIN, RADIUS, STARTS
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.roads.network import (
+    FOOT,
     METRES_PER_LATITUDE_DEGREE,
     METRES_PER_LONGITUDE_DEGREE,
+    Lane,
+    Zone,
     to_lat_lon,
     to_local_xy,
 )
-from usarmjx.models.roads.mdf import read_mdf, write_mdf
-from usarmjx.models.roads.network import FOOT, Lane, Zone
-from usarmjx.models.roads.rndf import read_rndf, write_rndf
+from usarmjx.models.roads.rndf import read_mdf, read_rndf, write_mdf, write_rndf
 from usarmjx.models.roads.shapes import (
     KERB_WIDTH,
     LINE,

@@ -12,22 +12,39 @@ from tests.rig import Rig
 from tests.terrain import arena_of, heights, loose_qpos, loose_speeds
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.models.arenas.debris import (
+from usarmjx.models.arenas.elements import (
+    CELL,
+    POST,
+    RISE,
+    STEEP,
+    STEEPER,
+    STEP_FIELDS,
+    cover_boxes,
+    deck,
+    ramp,
+    ramps,
+    slope,
+    stairs,
+    step_field,
+)
+from usarmjx.models.arenas.elements import heights as posts_of
+from usarmjx.models.arenas.pieces import (
     CINDER,
+    EDGE,
+    PIPE,
+    brick,
     cinder_block,
     loose_board,
     loose_cinder_block,
+    loose_pipe,
     pallet,
     paper,
+    pipe,
+    pipe_steps,
     plank,
     rubble,
     slab,
 )
-from usarmjx.models.arenas.elements import CELL, RISE, STEEP, STEEPER, deck, ramp, ramps, slope, stairs
-from usarmjx.models.arenas.pieces import brick
-from usarmjx.models.arenas.pipes import EDGE, PIPE, loose_pipe, pipe, pipe_steps
-from usarmjx.models.arenas.step_fields import POST, STEP_FIELDS, cover_boxes, step_field
-from usarmjx.models.arenas.step_fields import heights as posts_of
 
 ATOL = 1e-9  # m: rays in double precision
 SINK = 1e-3  # m: how deep MuJoCo's soft contacts let things sink

@@ -9,11 +9,10 @@ import pytest
 from tests.rig import Rig
 from tests.starts import deepest
 from tests.tours import Tour
-from usarmjx.models.arenas.factory import FACTORY, FLOOR
-from usarmjx.models.arenas.factory_plan import BAY, DOCK, HEIGHT, WINDOW
-from usarmjx.models.build.reach import footprint_of, reach_map, victims_reached
+from usarmjx.models.arenas.factory import BAY, DOCK, FACTORY, FLOOR, HEIGHT, WINDOW
+from usarmjx.models.compile.reachability import footprint_of, reach_map, victims_reached
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.shapes import FENDER, GLASS, MIRROR
+from usarmjx.models.types.shapes import FENDER, GLASS, MIRROR
 from usarmjx.sim.scene import build_scene
 
 DEEP = 0.002  # m

@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from tests.cameras.test_qr_signs import SIDE, text_of
+from tests.sensors.cameras.test_qr_signs import SIDE, text_of
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.elements import CELL, WOOD
-from usarmjx.models.arenas.finishes import BARE, finished
 from usarmjx.models.arenas.lanes import LANES
-from usarmjx.models.arenas.targets import wall_sign
+from usarmjx.models.arenas.league_hall import wall_sign
+from usarmjx.models.arenas.pieces import BARE, finished
 from usarmjx.models.arenas.yellow_2025 import YELLOW_2025
-from usarmjx.models.spec.shapes import GLASS, Shape
+from usarmjx.models.types.shapes import GLASS, Shape
 from usarmjx.server.pictures.spectator import viewpoint_at
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 

@@ -24,10 +24,10 @@ from usarmjx.models.arenas.orange import (
     WEST,
     cell,
 )
-from usarmjx.models.build.victims import victim_table
 from usarmjx.models.check.arena import check_arena
+from usarmjx.models.compile.victims import victim_table
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.shapes import GLASS
+from usarmjx.models.types.shapes import GLASS
 
 TABLE_2 = (1.2, -2.3, 1.16)  # manual, Table 2: start position in the orange arena, wire axes
 ATOL = 1e-9  # m: rays in double precision

@@ -10,10 +10,10 @@ from tests.rig import Rig
 from tests.starts import deepest
 from tests.tours import Tour
 from usarmjx.models.arenas.outdoor import BASE, FLOOR, HALF, HILLS, OUTDOOR, TREES, ground
-from usarmjx.models.build.reach import footprint_of, reach_map, victims_reached
+from usarmjx.models.compile.reachability import footprint_of, reach_map, victims_reached
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import START_ELEVATION
-from usarmjx.models.spec.shapes import SKY
+from usarmjx.models.types.arena import START_ELEVATION
+from usarmjx.models.types.shapes import SKY
 from usarmjx.sim.scene import build_scene
 
 DEEP = 0.002  # m

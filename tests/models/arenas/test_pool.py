@@ -11,13 +11,13 @@ import pytest
 from tests.rig import Rig
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.pool import DECK, DEPTH, KEEL, POOL
-from usarmjx.models.build.victims import rest_height
+from usarmjx.models.compile.victims import rest_height
 from usarmjx.models.drives import DRY_DEPTH
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import START_ELEVATION, StartPose, Water
+from usarmjx.models.types.arena import START_ELEVATION, StartPose, Water
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import START_GAP, build_scene, start_height
-from usarmjx.sim.water import depth_in_water
+from usarmjx.sim.world import depth_in_water
 
 WATER_LEVEL = POOL.floor + DEPTH
 SONAR_NOISE = 0.05  # of the reading (manual 10.2.2)

@@ -12,10 +12,10 @@ from tests.rig import Rig
 from tests.terrain import deepest, follow, heights, loose_qpos, loose_speeds, on_starts, roots
 from usarmjx.base.transforms import flip_vector
 from usarmjx.models.arenas import ARENAS
+from usarmjx.models.arenas.elements import POST, STEP_FIELDS
 from usarmjx.models.arenas.red import LANE, PLANE_X, PLANE_Y, PLATFORM, RED, cell
-from usarmjx.models.arenas.step_fields import POST, STEP_FIELDS
-from usarmjx.models.build.victims import victim_table
 from usarmjx.models.check.arena import check_arena
+from usarmjx.models.compile.victims import victim_table
 from usarmjx.models.robots import ROBOTS
 
 TABLE_2 = (0.76, 2.3, 1.8)  # manual, Table 2: start position in the red arena, wire axes

@@ -22,8 +22,8 @@ from usarmjx.models.arenas.soccer import (
     SPOT,
     WIDTH,
 )
-from usarmjx.models.build.compose import Physics
-from usarmjx.server.adapter import Client
+from usarmjx.models.compile.compose import Physics
+from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.scene import build_scene
 

@@ -12,12 +12,12 @@ from tests.rig import Rig
 from tests.starts import deepest
 from tests.tours import Tour
 from usarmjx.base.transforms import flip_vector
-from usarmjx.engines.c import c_model
+from usarmjx.engines.c.batch import c_model
 from usarmjx.models.arenas.yellow import CELL, ORIGIN, START_CELLS, YELLOW
-from usarmjx.models.build.reach import footprint_of, reach_map, victims_reached
-from usarmjx.models.build.servos import servos_of
+from usarmjx.models.compile.reachability import footprint_of, reach_map, victims_reached
+from usarmjx.models.compile.servos import servos_of
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.shapes import FENDER, GLASS, MIRROR
+from usarmjx.models.types.shapes import FENDER, GLASS, MIRROR
 from usarmjx.sim.scene import build_scene, start_height
 
 TABLE_2 = (4.5, 1.9, 1.8)  # manual, Table 2: start position in the yellow arena, wire axes

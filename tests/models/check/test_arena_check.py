@@ -9,8 +9,8 @@ import pytest
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.check.arena import check_arena
-from usarmjx.models.spec.arena import ArenaSpec, Door, LooseObject, StartPose, Tag, Victim, Water
-from usarmjx.models.spec.shapes import HeightField, Shape
+from usarmjx.models.types.arena import ArenaSpec, Door, LooseObject, StartPose, Tag, Victim, Water
+from usarmjx.models.types.shapes import HeightField, Shape
 
 START = StartPose(tag="A", at=(0, 0, 0.188))
 ROOM = ArenaSpec(name="room", starts=(START,), extent=((-5, 5), (-5, 5)))

@@ -13,15 +13,15 @@ import pytest
 from tests.handy import GRABBER, GRIPPER, block, known, operate
 from tests.rig import Rig
 from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.build.parts import joint_names, parts_of
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.parts import joint_names, parts_of
 from usarmjx.models.effecters import EFFECTERS, effecters_of
 from usarmjx.models.effecters.gripper import LEVER
 from usarmjx.models.effecters.roller import RADIUS
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import CHASSIS, UP, Motor, Mount, Part, options
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.robot import CHASSIS, UP, Motor, Mount, Part, options
+from usarmjx.models.types.shapes import Shape
 
 MM = 1e-3
 

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 import dev
 from usarmjx.base.errors import ArenaFileError, UnknownNameError
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.build.compose import Physics, new_spec
-from usarmjx.models.build.skeleton import BONES, POSTURES
 from usarmjx.models.check.arena import check_arena
+from usarmjx.models.compile.compose import Physics, new_spec
+from usarmjx.models.compile.victims import BONES, POSTURES
 from usarmjx.models.files.load import find_arena, load_arena, read_arena, save_arena
-from usarmjx.models.spec.arena import (
+from usarmjx.models.types.arena import (
     ArenaSpec,
     Door,
     FalseAlarm,
@@ -30,7 +30,7 @@ from usarmjx.models.spec.arena import (
     Victim,
     Water,
 )
-from usarmjx.models.spec.shapes import MATERIALS, SURFACES, HeightField, Mesh, Shape
+from usarmjx.models.types.shapes import MATERIALS, SURFACES, HeightField, Mesh, Shape
 
 EXAMPLES = dev.ROOT / "examples" / "arenas"
 USED_BY = {"wedge.obj": "workshop.yaml", "rubble.obj": "workshop.yaml", "office.pgm": "office-map.yaml"}

@@ -14,11 +14,11 @@ from scipy.spatial import ConvexHull
 
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.drives import NoDrive
-from usarmjx.models.files import geoms, reader_child, values
+from usarmjx.models.files import mjcf, reader_child, values
 from usarmjx.models.files.load import load_arena
-from usarmjx.models.files.mjcf_size import check_model_size
 from usarmjx.models.files.reader_process import ReaderProcess
 from usarmjx.models.files.robot_mjcf import robot_from_mjcf
+from usarmjx.models.files.xml_size import check_model_size
 
 BRIEFLY = 10.0
 """Seconds of a processor; what was mended here took minutes to years."""
@@ -239,8 +239,8 @@ def test_a_reader_that_crashes_takes_nobody_along(program, says, tmp_path, monke
 
 def test_a_mesh_that_many_geoms_have_is_cut_into_pieces_once(tmp_path, monkeypatch):
     made = []
-    true = geoms.convex_pieces
-    monkeypatch.setattr(geoms, "convex_pieces", lambda *args, **kinds: made.append(1) or true(*args, **kinds))
+    true = mjcf.convex_pieces
+    monkeypatch.setattr(mjcf, "convex_pieces", lambda *args, **kinds: made.append(1) or true(*args, **kinds))
     tent = '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>'
     floor = '<geom type="plane" size="5 5 1"/>'
     path = write(

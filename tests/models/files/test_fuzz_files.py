@@ -22,11 +22,10 @@ from usarmjx.models.files.mjcf import mjcf_content
 from usarmjx.models.files.urdf import urdf_content
 from usarmjx.models.ini.parse import read_ini
 from usarmjx.models.ini.robots import load_robots
-from usarmjx.models.roads.mdf import read_mdf
-from usarmjx.models.roads.rndf import read_rndf
+from usarmjx.models.roads.rndf import read_mdf, read_rndf
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec, Door, HelpSound, LooseObject, StartPose, Victim
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import ArenaSpec, Door, HelpSound, LooseObject, StartPose, Victim
+from usarmjx.models.types.shapes import Shape
 from usarmjx.train.policies.sources import load_exported
 
 MANY = settings.default.max_examples if settings.default else 0

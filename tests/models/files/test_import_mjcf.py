@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.build.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import Physics, add_robot, new_spec
 from usarmjx.models.drives import NoDrive, SkidSteer
 from usarmjx.models.files.robot_mjcf import robot_from_mjcf
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import CHASSIS, Motor, Mount
-from usarmjx.sensors.payload import carried_weight
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.robot import CHASSIS, Motor, Mount
+from usarmjx.sensors.settings import carried_weight
 
 MASS_ATOL = 1e-6  # kg
 POSE_ATOL = 1e-5  # m, and the elements of rotation matrices

@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 from tests.rig import Rig
 from usarmjx.base.errors import SpecError, UnknownNameError
 from usarmjx.comms.walls import arena_solids, count_walls
-from usarmjx.models.build.arena_set import arena_set
-from usarmjx.models.build.compose import Physics, new_spec
-from usarmjx.models.build.compose_arena import ARENA, LOOSE_PREFIX, VICTIM_PREFIX
-from usarmjx.models.build.reach import footprint_of, reach_map, shapes_in_arena, victims_reached
+from usarmjx.models.compile.arena_set import arena_set
+from usarmjx.models.compile.compose import ARENA, LOOSE_PREFIX, VICTIM_PREFIX, Physics, new_spec
+from usarmjx.models.compile.reachability import footprint_of, reach_map, shapes_in_arena, victims_reached
 from usarmjx.models.generate import KINDS, Difficulty, budget, generate, generate_many
 from usarmjx.models.generate.contents import FORMS
 from usarmjx.models.generate.draw import RandomStream

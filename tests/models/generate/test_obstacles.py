@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from usarmjx.base.errors import SpecError
-from usarmjx.bench.trials.obstacles import HOPELESS, LEVELS
-from usarmjx.models.build.reach import DEFAULT_SLOPE, footprint_of, reach_map
+from usarmjx.models.compile.reachability import DEFAULT_SLOPE, footprint_of, reach_map
 from usarmjx.models.generate import KINDS, Difficulty, generate
-from usarmjx.models.generate.crossings import highest_at, highest_obstacle, measured_crossings
 from usarmjx.models.generate.draw import RandomStream
+from usarmjx.models.generate.kinds import highest_at, highest_obstacle, measured_crossings
 from usarmjx.models.generate.obstacles import HIGHEST, OBSTACLES, obstacle_height
 from usarmjx.models.generate.plan import CELL
 from usarmjx.models.robots import ROBOTS
+from usarmjx.sim.trials.obstacles import HOPELESS, LEVELS
 
 NEED = footprint_of(ROBOTS.get("P2AT"))
 NO_STEP, NO_SLOPE = 0.004, np.radians(3)  # m: who climbs nothing, not even the lowest obstacle

@@ -8,9 +8,9 @@ from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import Registry
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots.pioneer import P2AT, P2DX
-from usarmjx.sensors.payload import carried_weight
+from usarmjx.sensors.settings import carried_weight
 from usarmjx.sensors.suite import suite_of
-from usarmjx.server.messages.sensors import configuration
+from usarmjx.server.gamebots.sensors import configuration
 from usarmjx.server.protocol.grammar import format_message
 from usarmjx.sim.configure import settings_by_kind
 

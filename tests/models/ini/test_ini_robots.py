@@ -9,17 +9,17 @@ import pytest
 
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.registry import Registry
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.build.compose import Physics, add_robot, new_spec
-from usarmjx.models.build.parts import joint_names
+from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.parts import joint_names
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.flippers import TARANTULA
 from usarmjx.models.robots.lisa import LISA
 from usarmjx.models.robots.pioneer import P2AT, P2DX
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import CHASSIS, Motor, options
-from usarmjx.sensors.payload import carried_weight, overload
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.robot import CHASSIS, Motor, options
+from usarmjx.sensors.settings import carried_weight, overload
 from usarmjx.sensors.suite import suite_of
 from usarmjx.sim.configure import configure, settings_by_kind
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 
 from usarmjx.base.errors import SpecError
-from usarmjx.cameras.mounts import cameras_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import Mount, options
+from usarmjx.models.types.robot import Mount, options
+from usarmjx.sensors.cameras.mounts import cameras_of
 from usarmjx.sensors.settings import resolve_camera
 from usarmjx.sensors.suite import suite_of
 from usarmjx.sim.configure import configure

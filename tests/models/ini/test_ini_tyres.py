@@ -14,11 +14,11 @@ import pytest
 from tests.arenas import FLAT
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.registry import Registry
-from usarmjx.models.build.compose import Physics, add_robot, new_spec
-from usarmjx.models.build.parts import joint_names
+from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.parts import joint_names
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.sim.configure import settings_by_kind
 from usarmjx.sim.control import CommandUpdate, update_command
 from usarmjx.sim.scene import build_scene

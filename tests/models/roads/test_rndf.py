@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.roads.mdf import read_mdf, write_mdf
 from usarmjx.models.roads.network import (
     BOUNDARIES,
     Lane,
@@ -20,7 +19,7 @@ from usarmjx.models.roads.network import (
     mission_faults,
     network_faults,
 )
-from usarmjx.models.roads.rndf import read_rndf, write_rndf
+from usarmjx.models.roads.rndf import read_mdf, read_rndf, write_mdf, write_rndf
 
 RNDF = """\
 RNDF_name ours.txt

@@ -6,9 +6,8 @@ import pytest
 
 from usarmjx.base.errors import SpecError
 from usarmjx.models.roads.lines import MOST_BYTES
-from usarmjx.models.roads.mdf import read_mdf
 from usarmjx.models.roads.network import Lane, RoadSegment, RouteNetwork, mission_faults, network_faults
-from usarmjx.models.roads.rndf import read_rndf
+from usarmjx.models.roads.rndf import read_mdf, read_rndf
 from usarmjx.models.roads.shapes import road_shapes
 
 BRIEFLY = 10.0

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from usarmjx.models.roads.geodesy import to_lat_lon
-from usarmjx.models.roads.network import FOOT, Lane, RoadSegment, RouteNetwork
+from usarmjx.models.roads.network import FOOT, Lane, RoadSegment, RouteNetwork, to_lat_lon
 from usarmjx.models.roads.shapes import (
     DASH,
     GAP,

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from tests.rig import Rig
-from usarmjx.models.build.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import Physics, add_robot, new_spec
 from usarmjx.models.drives.fluid import AIR_DENSITY, added_mass, shape_factors
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.shapes import Shape
 
 G = 9.81
 SPEED_RTOL = 0.05

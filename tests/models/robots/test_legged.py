@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from tests.rig import Rig
-from usarmjx.models.build.compose import Physics
-from usarmjx.models.build.parts import joint_names
-from usarmjx.models.build.servos import servos_of
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.parts import joint_names
+from usarmjx.models.compile.servos import servos_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.shapes import Shape
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.control import ControlMode
 

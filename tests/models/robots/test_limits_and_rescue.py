@@ -12,7 +12,7 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.control import CommandUpdate, update_command
 from usarmjx.sim.scene import build_scene
 from usarmjx.sim.single_world import SingleWorld

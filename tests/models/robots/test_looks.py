@@ -11,17 +11,17 @@ import pytest
 
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import SpecError
-from usarmjx.models.build.body_plan import forward_kinematics, kinematic_tree_of
-from usarmjx.models.build.compose import Physics, add_robot, new_spec
-from usarmjx.models.build.figures import Solids, reach_of
-from usarmjx.models.build.parts import parts_of
-from usarmjx.models.drives.state import RobotState
+from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.kinematic_tree import forward_kinematics, kinematic_tree_of
+from usarmjx.models.compile.parts import parts_of
+from usarmjx.models.compile.visuals import Solids, reach_of
+from usarmjx.models.drives.base import RobotState
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.robots.looks_kit import block, hull
+from usarmjx.models.robots.kit import block, hull
 from usarmjx.models.robots.track_kit import Belt
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import Part, RobotSpec
-from usarmjx.models.spec.shapes import GLASS
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.robot import Part, RobotSpec
+from usarmjx.models.types.shapes import GLASS
 
 NOWHERE = ArenaSpec(name="nowhere", starts=(), extent=((0, 0), (0, 0)))
 ALL = [pytest.param(ROBOTS.get(name), id=name) for name in ROBOTS.names()]

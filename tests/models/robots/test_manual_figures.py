@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.build.measure import extent
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.measure import extent
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.suite import suite_of

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from tests.models.robots.test_manual_figures import FIGURES
-from usarmjx.models.build.compose import Physics, add_robot, new_spec
-from usarmjx.models.build.measure import extent
+from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.measure import extent
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.types.arena import ArenaSpec
 
 BUILT = 5e-4  # m: a Zerg's wheels of 2 x 0.0606 m rise above its deck by as much
 EQUIPMENT = {

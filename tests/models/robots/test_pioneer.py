@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from usarmjx.base.transforms import flip_vector
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.build.compose import Physics, add_robot, new_spec, remove_robot
-from usarmjx.models.build.layout import index_robot
-from usarmjx.models.build.parts import link_frames
+from usarmjx.models.compile.compose import Physics, add_robot, new_spec, remove_robot
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.layout import index_robot
+from usarmjx.models.compile.parts import link_frames
 from usarmjx.models.robots.pioneer import P2AT, P2DX
-from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.types.arena import ArenaSpec
 
 ROBOTS = [P2AT, P2DX]
 NOWHERE = ArenaSpec(name="nowhere", starts=(), extent=((0, 0), (0, 0)))

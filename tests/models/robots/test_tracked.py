@@ -8,8 +8,8 @@ import pytest
 from tests.climb import FOLDED, NEAR, Climb, flippers, stairs, step
 from tests.rig import PERIOD, Rig, steady_speed, steady_spin
 from usarmjx.base.transforms import flip_vector, mat_from_angles
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.build.parts import joint_names, parts_of
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.parts import joint_names, parts_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.flippers import kenaf, tarantula
 from usarmjx.models.robots.soryu import soryu

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from tests.rig import Rig
-from usarmjx.models.drives.fluid import WATER_DENSITY, added_mass
-from usarmjx.models.drives.underwater import plate_force
+from usarmjx.models.drives.fluid import WATER_DENSITY, added_mass, plate_force
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import Water
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import Water
+from usarmjx.models.types.shapes import Shape
 
 G = 9.81
 A, B, C = 6.5364 / 2, 1.1428 / 2, 1.9929 / 2  # manual 12.9: half length, half width, half height

@@ -9,10 +9,10 @@ import pytest
 from tests.arenas import FLAT
 from tests.rig import PERIOD, Rig, steady_speed, steady_spin
 from usarmjx.engines.base import check_features
-from usarmjx.models.build.body_plan import kinematic_tree_of
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.robot import SUSPENSION_SUFFIX
+from usarmjx.models.types.robot import SUSPENSION_SUFFIX
 from usarmjx.sensors.suite import suite_of
 from usarmjx.sim.scene import RosterEntry, build_scene
 

@@ -23,7 +23,7 @@ from usarmjx.sensors.rays.raycast import (
     nearest_hits,
     warp_hits,
 )
-from usarmjx.sensors.rays.surfaces import concatenated
+from usarmjx.sensors.rays.targets import concatenated
 
 ATOL = 1e-5  # m: the same kernels, differently contracted by the compiler
 

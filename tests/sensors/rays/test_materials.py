@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from jax.extend.core import jaxprs_in_params
 
-from usarmjx.models.build.compose import Physics, new_spec
-from usarmjx.models.build.materials import materials_of
-from usarmjx.models.build.pieces import FENDER_KIND, ray_primitives_of
+from usarmjx.models.compile.compose import Physics, new_spec
+from usarmjx.models.compile.materials import materials_of
+from usarmjx.models.compile.ray_geoms import FENDER_KIND, ray_primitives_of
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.arena import ArenaSpec, LooseObject, StartPose
-from usarmjx.models.spec.robot import Mount, options
-from usarmjx.models.spec.shapes import FENDER, GLASS, MATERIALS, MIRROR, OPAQUE, SKY, Shape
+from usarmjx.models.types.arena import ArenaSpec, LooseObject, StartPose
+from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.shapes import FENDER, GLASS, MATERIALS, MIRROR, OPAQUE, SKY, Shape
 from usarmjx.sensors.base import SENSORS
 from usarmjx.sensors.rays.kernels import BAR_WIDTH, GRID_PITCH, RAY_KERNELS
 from usarmjx.sensors.rays.raycast import RayQuery, cast_rays

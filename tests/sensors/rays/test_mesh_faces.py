@@ -12,10 +12,9 @@ import trimesh
 from tests.lands import Land
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.comms.walls import arena_solids, count_walls
-from usarmjx.models.build.compose import Physics, new_spec
+from usarmjx.models.compile.compose import Physics, new_spec
 from usarmjx.models.files import meshes
-from usarmjx.models.files.load import load_arena
-from usarmjx.models.files.save import save_arena
+from usarmjx.models.files.load import load_arena, save_arena
 from usarmjx.sensors.rays.raycast import nearest_hits
 from usarmjx.sensors.rays.targets import make_geoms
 from usarmjx.sim.scene import build_scene

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.lands import Land, hills, land, rays_at, stones
-from usarmjx.models.build.pieces import TRIANGLE_KIND, fitted, ray_primitives_of
-from usarmjx.models.spec.shapes import HeightField, Mesh, Shape
+from usarmjx.models.compile.ray_geoms import TRIANGLE_KIND, fitted, ray_primitives_of
+from usarmjx.models.types.shapes import HeightField, Mesh, Shape
 from usarmjx.sensors.rays.kernels import RAY_KERNELS
 from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
 from usarmjx.sensors.rays.targets import make_geoms

@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 
 from tests.sensors.rays.test_raycast import KINDS, make_rays, make_room
+from usarmjx.base import accelerator
 from usarmjx.base.errors import UsageError
-from usarmjx.models.build.pieces import FENDER_KIND, TRIANGLE_KIND
-from usarmjx.sensors.rays import choice
+from usarmjx.models.compile.ray_geoms import FENDER_KIND, TRIANGLE_KIND
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.kernels import RAY_KERNELS
 from usarmjx.sensors.rays.raycast import RayQuery, brute_force_hits, indexed_blocks, warp_hits
-from usarmjx.sensors.rays.surfaces import normals
-from usarmjx.sensors.rays.targets import make_geoms
+from usarmjx.sensors.rays.targets import make_geoms, normals
 
 pytest.importorskip("warp", reason="needs warp-lang")
-from usarmjx.sensors.rays.incidence_warp import cosines_of_hits  # needs Warp
+from usarmjx.sensors.rays.incidence_warp import cosines_of_hits
 
 ATOL = 1e-5  # m: the same arithmetic, differently contracted by the compilers
 RAYS = 300
@@ -127,12 +126,12 @@ def test_where_there_is_nothing_nothing_is_met():
 def test_a_gpu_takes_what_is_there(monkeypatch):
     def used(backend, installed):
         monkeypatch.setattr(jax, "default_backend", lambda: backend)
-        roads = {choice.ROADS[name] for name in installed}
-        monkeypatch.setattr(choice, "find_spec", lambda module: object() if module in roads else None)
-        return choice.caster_in_use.__wrapped__(), choice.warp_in_use.__wrapped__()
+        roads = {accelerator.ROADS[name] for name in installed}
+        monkeypatch.setattr(accelerator, "find_spec", lambda module: object() if module in roads else None)
+        return accelerator.caster_in_use.__wrapped__(), accelerator.warp_in_use.__wrapped__()
 
     assert used("cpu", {"warp", "pallas"}) == ("jax", False)
-    assert used("gpu", {"warp", "pallas"}) == (choice.PREFERRED[0], True)
+    assert used("gpu", {"warp", "pallas"}) == (accelerator.PREFERRED[0], True)
     assert used("gpu", {"warp"}) == ("warp", True)
     assert used("gpu", {"pallas"}) == ("pallas", False)
     assert used("gpu", set()) == ("jax", False)
@@ -140,8 +139,8 @@ def test_a_gpu_takes_what_is_there(monkeypatch):
 
 def test_jax_without_any_pallas_is_no_error(monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setitem(choice.ROADS, "pallas", "jax.no_such_package.triton")
-    assert choice.caster_in_use.__wrapped__() == "warp"
+    monkeypatch.setitem(accelerator.ROADS, "pallas", "jax.no_such_package.triton")
+    assert accelerator.caster_in_use.__wrapped__() == "warp"
 
 
 def test_rays_are_cast_by_what_is_in_use(monkeypatch):

@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.build.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.server.messages.sensors import geometry
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.server.gamebots.sensors import geometry
 from usarmjx.server.protocol.grammar import to_vector
 
 FOUR_DECIMALS = 1.01e-4

@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.spec.arena import Tag
-from usarmjx.server.messages.victims import MAX_TAG_TEXT, access_tag, initial_tag_texts
+from usarmjx.models.types.arena import Tag
+from usarmjx.server.gamebots.victims import MAX_TAG_TEXT, access_tag, initial_tag_texts
 from usarmjx.server.protocol.command_parsers import parse_command
 from usarmjx.server.protocol.commands import Set
 from usarmjx.server.protocol.grammar import format_message, parse_message

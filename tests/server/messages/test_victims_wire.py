@@ -9,11 +9,11 @@ import pytest
 
 from tests.arenas import FLAT
 from tests.handy import TAGGER, known
-from usarmjx.models.build.compose import Physics
-from usarmjx.models.spec.arena import HelpSound, SegmentMotion, Tag, Victim
-from usarmjx.models.spec.robot import Mount, options
-from usarmjx.models.spec.shapes import Shape
-from usarmjx.server.adapter import Client
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.types.arena import HelpSound, SegmentMotion, Tag, Victim
+from usarmjx.models.types.robot import Mount, options
+from usarmjx.models.types.shapes import Shape
+from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.pictures.views import snapshot
 from usarmjx.server.protocol import commands as wire
 from usarmjx.server.worlds.batch_world import BatchWorld

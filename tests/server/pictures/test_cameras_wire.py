@@ -10,8 +10,7 @@ from tests.server.test_adapter import F2, House, heard, numbers, pick
 from tests.server.watchers import MOLE, camera, classes, gallery, watcher
 from usarmjx.sensors.suite import suite_of
 from usarmjx.server.pictures.views import client_view
-from usarmjx.server.protocol.multi_view import MultiView
-from usarmjx.server.protocol.viewports import ViewBindings
+from usarmjx.server.protocol.viewports import MultiView, ViewBindings
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.control import idle_command
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.cameras.lenses import MIRROR_DISTANCE, omni_rays, untiled
-from usarmjx.cameras.mounts import cameras_of
-from usarmjx.cameras.picture import camera_viewpoint
-from usarmjx.models.build.body_plan import BodyPoses
+from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.models.robots import ROBOTS
+from usarmjx.sensors.cameras.lenses import MIRROR_DISTANCE, omni_rays, untiled
+from usarmjx.sensors.cameras.mounts import cameras_of
+from usarmjx.sensors.cameras.picture import camera_viewpoint
 from usarmjx.sensors.sketch import OverlayLines
-from usarmjx.server.pictures.dots import BALL_RADIUS, draw_sketch
+from usarmjx.server.pictures.views import BALL_RADIUS, draw_sketch
 
 WIDTH, HEIGHT = 160, 120
 RED, BLUE = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)

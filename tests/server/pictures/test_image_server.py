@@ -22,7 +22,7 @@ from tests.server.radio_servers import wait_until
 from tests.server.watchers import DISTANCE, SIDE, classes, gallery, on_show, shows
 from usarmjx.cli.app import app
 from usarmjx.server.pictures import image_server
-from usarmjx.server.protocol.multi_view import MultiView
+from usarmjx.server.protocol.viewports import MultiView
 from usarmjx.server.viewing.controls import ServedControls
 from usarmjx.server.viewing.viewer_service import ViewerService
 
@@ -454,7 +454,7 @@ def served(monkeypatch, *words):
         "usarmjx.server.worlds.make.make_worlds", lambda *args, **kwargs: [SimpleNamespace(period=0.02)]
     )
     monkeypatch.setattr(
-        "usarmjx.server.loop.serve", lambda servers, *_: box.update(services=asked_for(servers[0]))
+        "usarmjx.server.runtime.loop.serve", lambda servers, *_: box.update(services=asked_for(servers[0]))
     )
     result = CliRunner().invoke(app, ["serve", "--no-wireless", *words])
     return box["services"], result

@@ -18,11 +18,10 @@ from websockets.sync.client import connect
 
 from tests.server.peers import PATIENCE, Peer, serving
 from tests.server.watchers import DISTANCE, EYE, SIDE, classes, gallery, shows
-from usarmjx.cameras.paint import ROBOT_LABEL
 from usarmjx.cli.app import app
-from usarmjx.server.access import AccessRules
-from usarmjx.server.clock import StepClock
-from usarmjx.server.console import NOT_ALLOWED
+from usarmjx.sensors.cameras.paint import ROBOT_LABEL
+from usarmjx.server.gamebots.console import NOT_ALLOWED
+from usarmjx.server.network.access import AccessRules
 from usarmjx.server.pictures.spectator import (
     CHASE_ABOVE,
     CHASE_BEHIND,
@@ -33,7 +32,8 @@ from usarmjx.server.pictures.spectator import (
     start_position,
 )
 from usarmjx.server.pictures.spectator_server import Page, SpectatorServer, SpectatorSettings
-from usarmjx.server.protocol.multi_view import MultiView
+from usarmjx.server.protocol.viewports import MultiView
+from usarmjx.server.runtime.loop import StepClock
 from usarmjx.server.viewing.controls import ServedControls
 
 SIZE = (96, 72)

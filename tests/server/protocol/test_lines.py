@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from usarmjx.server.protocol.lines import DEFAULT_LIMIT, LineBuffer
+from usarmjx.server.protocol.grammar import DEFAULT_LIMIT, LineBuffer
 
 
 def feed_all(buffer, chunks):

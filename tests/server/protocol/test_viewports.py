@@ -7,9 +7,8 @@ import pytest
 
 from usarmjx.base.errors import PeerError, SpecError
 from usarmjx.server.protocol.commands import TRACE_COLORS, Trace
-from usarmjx.server.protocol.multi_view import MultiView, read_multi_view
-from usarmjx.server.protocol.viewports import ViewBindings, Viewports
-from usarmjx.server.worlds.traces import COLORS, MAX_POINTS, MIN_DISTANCE, MIN_INTERVAL, RobotTrace, Traces
+from usarmjx.server.protocol.viewports import MultiView, ViewBindings, Viewports, read_multi_view
+from usarmjx.server.worlds.robot import COLORS, MAX_POINTS, MIN_DISTANCE, MIN_INTERVAL, RobotTrace, Traces
 
 TALON = ["A", "B", "C", "D"]
 

@@ -14,8 +14,7 @@ from cbor2 import CBORTag, loads
 from PIL import Image
 
 from usarmjx.server.rosbridge.definitions import RosVersion
-from usarmjx.server.rosbridge.encodings import Compression, as_json, fragments, publication
-from usarmjx.server.rosbridge.serialisation import MessageBytes
+from usarmjx.server.rosbridge.encodings import Compression, MessageBytes, as_json, fragments, publication
 
 NONE_TURNED = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 HEADER = {1: "00000000010000000065cd1d0400000052312f61", 2: "00010000010000000065cd1d0500000052312f6100"}

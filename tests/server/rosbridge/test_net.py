@@ -21,13 +21,12 @@ from websockets.sync.client import connect
 from tests.arenas import COURSE, FLAT
 from tests.server.peers import PATIENCE, Peer, looping
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.cameras.mounts import cameras_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.robot import Mount
+from usarmjx.models.types.robot import Mount
+from usarmjx.sensors.cameras.mounts import cameras_of
 from usarmjx.sensors.suite import suite_of
-from usarmjx.server.access import AccessRules
-from usarmjx.server.bot_server import BotServerSettings
-from usarmjx.server.net import BotServer
+from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.network.access import AccessRules
 from usarmjx.server.rosbridge.definitions import RosVersion
 from usarmjx.server.rosbridge.net import RosbridgeServer, RosSettings
 from usarmjx.server.rosbridge.readings import sensor_topics

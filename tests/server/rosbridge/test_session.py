@@ -8,11 +8,17 @@ import pytest
 from usarmjx.base.errors import UsageError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.rosbridge.definitions import RosVersion
-from usarmjx.server.rosbridge.defragmenter import MAX_LENGTH, MAX_UNFINISHED
 from usarmjx.server.rosbridge.encodings import fragments
+from usarmjx.server.rosbridge.motion import Velocity, can_follow, drive_keys, read_twist
 from usarmjx.server.rosbridge.services import read_spawn
-from usarmjx.server.rosbridge.session import MAX_REPLIES, BridgeSession, Published, ServiceCall
-from usarmjx.server.rosbridge.velocity import Velocity, can_follow, drive_keys, read_twist
+from usarmjx.server.rosbridge.session import (
+    MAX_LENGTH,
+    MAX_REPLIES,
+    MAX_UNFINISHED,
+    BridgeSession,
+    Published,
+    ServiceCall,
+)
 
 TOPICS = {"/clock": "rosgraph_msgs/Clock", "/R1/cmd_vel": "geometry_msgs/Twist"}
 

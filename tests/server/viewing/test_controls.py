@@ -9,13 +9,12 @@ import pytest
 from tests.arenas import FLAT
 from tests.server.peers import PATIENCE, Peer, looping
 from usarmjx.base.errors import UsageError
-from usarmjx.server.bot_server import BotServerSettings
-from usarmjx.server.clock import IDLE_PERIOD, MAX_STEPS, StepClock
-from usarmjx.server.net import BotServer
+from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.runtime.loop import IDLE_PERIOD, MAX_STEPS, StepClock
+from usarmjx.server.viewing import controls
 from usarmjx.server.viewing import controls as controls_module
-from usarmjx.server.viewing import page_robots
 from usarmjx.server.viewing.controls import ServedControls
-from usarmjx.server.viewing.served_source import ServedSource
+from usarmjx.server.viewing.viewer_service import ServedSource
 from usarmjx.server.worlds.batch_world import BatchWorld
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.batch import Batch
@@ -192,7 +191,7 @@ def test_it_drives_and_stops_when_nobody_holds_it(served):
     served.controls.drive(0, slot, AHEAD)
     served.steps(40)
     assert np.linalg.norm(served.place(slot) - before) > 0.1
-    time.sleep(page_robots.HOLD_TIME)
+    time.sleep(controls.HOLD_TIME)
     served.steps(10)
     assert not np.asarray(served.world.robots[slot].command.setpoint).any()
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from usarmjx.server.access import AccessRules
-from usarmjx.server.viewing.seat import control_seat
+from usarmjx.server.network.access import AccessRules
+from usarmjx.server.viewing.controls import control_seat
 from usarmjx.view.controls import ControlSeat
 
 ME, YOU = 1, 2

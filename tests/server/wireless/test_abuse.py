@@ -18,7 +18,7 @@ from tests.arenas import FLAT
 from tests.server.peers import PATIENCE, Peer
 from tests.server.radio_servers import client, crowded, drain, on_air, spread, wait_until
 from usarmjx.server.wireless import sockets
-from usarmjx.server.wireless.data_link import MAX_PAYLOAD
+from usarmjx.server.wireless.dialect_a import MAX_PAYLOAD
 from usarmjx.server.wireless.sockets import MAX_WRITE_BUFFER
 
 

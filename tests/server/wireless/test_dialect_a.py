@@ -12,18 +12,19 @@ from hypothesis import strategies as st
 
 from tests.server.fake_radio import FakeRadio
 from usarmjx.base.errors import PeerError
-from usarmjx.server.wireless import comserver, data_link, dialect_a
+from usarmjx.server.wireless import comserver, dialect_a
 from usarmjx.server.wireless.comserver import ComServer, Endpoint, EndpointPair, Refusal, Register
-from usarmjx.server.wireless.data_link import MAX_PAYLOAD, DataLinkParser
-from usarmjx.server.wireless.data_link import DataLinkPhase as Part
 from usarmjx.server.wireless.dialect_a import (
     MAX_MESSAGE_SIZE,
+    MAX_PAYLOAD,
     TRANSITIONS,
     VERBS,
+    DataLinkParser,
     DialectAPhase,
     DialectASession,
     parse_request,
 )
+from usarmjx.server.wireless.dialect_a import DataLinkPhase as Part
 
 HERE, THERE = "127.0.0.1", "10.0.0.2"
 
@@ -481,7 +482,7 @@ def test_refusals_are_the_peers_fault():
 
 def test_the_framing_table_is_closed():
     """Every phase that can be reached has its way out, but CLOSED."""
-    table = data_link.TRANSITIONS
+    table = dialect_a.TRANSITIONS
     assert set().union(*table.values()) <= set(table)
     assert [phase for phase, following in table.items() if not following] == [Part.CLOSED]
     assert dialect_a.DialectAPhase is DialectAPhase

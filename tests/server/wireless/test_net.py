@@ -20,9 +20,9 @@ from typer.testing import CliRunner
 from tests.arenas import COURSE, FLAT
 from tests.server.radio_servers import REACH, SHORT, client, crowded, drain, on_air, spread, wait_until
 from usarmjx.cli.app import app
-from usarmjx.comms.antenna import antenna_of
+from usarmjx.comms.links import antenna_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.ports import bound_socket
+from usarmjx.server.network.ports import bound_socket
 from usarmjx.server.viewing.controls import ServedControls
 from usarmjx.server.viewing.viewer_service import ViewerService
 from usarmjx.server.wireless.sockets import log
@@ -93,7 +93,7 @@ def test_the_ini_names_the_port_and_the_constants(world, monkeypatch, tmp_path):
     monkeypatch.setattr("usarmjx.server.worlds.make.make_worlds", lambda *args, **kwargs: [world])
     seen = {}
     monkeypatch.setattr(
-        "usarmjx.server.loop.serve", lambda servers, *_: seen.update(services=asked_for(servers[0]))
+        "usarmjx.server.runtime.loop.serve", lambda servers, *_: seen.update(services=asked_for(servers[0]))
     )
     ini = tmp_path / "USARComServer.ini"
     ini.write_text("[USARBotAPI.ComServer]\nListenPort=4567\n[USARBotAPI.ComConnection]\neCutoff=-70\n")

@@ -8,9 +8,8 @@ import pytest
 
 from tests.arenas import FLAT
 from tests.server.radio_servers import crowded
-from usarmjx.comms.antenna import antenna_positions
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.comms.links import pair_powers, pairs_of
+from usarmjx.comms.links import antenna_positions, pair_powers, pairs_of
 from usarmjx.comms.walls import arena_solids
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots import ROBOTS

@@ -7,8 +7,8 @@ import pytest
 
 from tests.arenas import FLAT
 from usarmjx.base.errors import UsageError
-from usarmjx.cameras.paint import ROBOT_LABEL
 from usarmjx.models.robots import ROBOTS
+from usarmjx.sensors.cameras.paint import ROBOT_LABEL
 from usarmjx.sensors.suite import suite_of
 from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch, one_of
 from usarmjx.server.worlds.served_world import CameraRequest, ViewpointRequest

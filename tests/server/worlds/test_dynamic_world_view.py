@@ -8,12 +8,12 @@ import numpy as np
 
 from tests.server.peers import PATIENCE
 from tests.server.radio_servers import wait_until
-from usarmjx.cameras.paint import SKY_LABEL
-from usarmjx.cameras.picture import Picture
-from usarmjx.cameras.programs import PicturePrograms
 from usarmjx.models.robots.pioneer import P2DX
-from usarmjx.models.spec.arena import ArenaSpec, FalseAlarm, Light, LooseObject, StartPose, Victim, Water
-from usarmjx.models.spec.shapes import Mesh, Shape
+from usarmjx.models.types.arena import ArenaSpec, FalseAlarm, Light, LooseObject, StartPose, Victim, Water
+from usarmjx.models.types.shapes import Mesh, Shape
+from usarmjx.sensors.cameras.paint import SKY_LABEL
+from usarmjx.sensors.cameras.picture import Picture
+from usarmjx.sensors.cameras.programs import PicturePrograms
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.server.worlds.served_world import CameraRequest
 from usarmjx.sim.batch import Batch

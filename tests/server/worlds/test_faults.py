@@ -12,13 +12,13 @@ from tests.handy import known
 from tests.lands import land
 from tests.server.test_adapter import P2AT_REPORT, TABLE_2, TICK, House, heard, look
 from usarmjx.base.errors import SpecError
-from usarmjx.engines.placement import REACH
+from usarmjx.engines.c.placement import REACH
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots.pioneer import P2AT
-from usarmjx.models.spec.robot import options
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.robot import options
+from usarmjx.models.types.shapes import Shape
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
-from usarmjx.sim import single_world, speed_limits
+from usarmjx.sim import single_world
 
 WIRE = 0.011
 """Positions are told in whole centimetres [m]."""
@@ -194,7 +194,7 @@ def test_a_robot_that_falls_has_not_gone_bad(name):
 
 
 def test_who_falls_out_of_the_world_is_put_back(monkeypatch):
-    monkeypatch.setattr(speed_limits, "MAX_FALL", 30.0)
+    monkeypatch.setattr(single_world, "MAX_FALL", 30.0)
     plate = Shape(kind="box", size=(1.0, 1.0, 0.1), at=(0.0, 0.0, -0.1), surface="ground")
     house = make_house(land(plate))
     client = house.connect(init("P2AT", 0, 0, -0.3))

@@ -15,10 +15,10 @@ from tests.sensors.test_numpy_backend import EVERYTHING
 from tests.server.test_adapter import TICK, House, heard
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.build.parts import joint_names
+from usarmjx.models.compile.parts import joint_names
 from usarmjx.models.effecters import effecters_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.robot import Mount
+from usarmjx.models.types.robot import Mount
 from usarmjx.sensors.suite import suite_of
 from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol.command_parsers import parse_command

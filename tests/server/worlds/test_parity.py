@@ -16,8 +16,8 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.effecters import EFFECTERS, effecters_of
 from usarmjx.models.robots.pioneer import P2AT, P2DX
-from usarmjx.models.spec.robot import Mount
-from usarmjx.models.spec.shapes import OPAQUE
+from usarmjx.models.types.robot import Mount
+from usarmjx.models.types.shapes import OPAQUE
 from usarmjx.sensors.base import SENSORS
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.batch import Batch

@@ -11,23 +11,20 @@ import pytest
 from tests.scripts import load
 from tests.server.peers import PATIENCE, serving
 from usarmjx.base.errors import UsageError
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.compile.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.bot_server import BotServerSettings
-from usarmjx.server.net import BotServer
-from usarmjx.server.rosbridge.crew import RosCrew
+from usarmjx.server.gamebots.server import BotServer, BotServerSettings
 from usarmjx.server.rosbridge.definitions import RosVersion
+from usarmjx.server.rosbridge.services import RosCrew
 from usarmjx.server.rosbridge.topics import WorldTopics
-from usarmjx.server.switch import InstanceSwitch
-from usarmjx.server.viewing.page_robots import PageRobots
-from usarmjx.server.viewing.served_source import ServedSource
-from usarmjx.server.worlds import follow
-from usarmjx.server.worlds.follow import PolicyFollower, newest, wait_for_run
-from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
+from usarmjx.server.runtime.instance_selector import InstanceSwitch
+from usarmjx.server.viewing.controls import PageRobots
+from usarmjx.server.viewing.viewer_service import ServedSource
+from usarmjx.server.worlds import policy_world
+from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyFollower, PolicyWorld, newest, wait_for_run
 from usarmjx.sim.control import CommandUpdate
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Policy
-from usarmjx.train.envs.task import StepResult, Task, TeamMaps
+from usarmjx.train.envs.task import Policy, StepResult, Task, TeamMaps
 from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX
 
 P2AT = ROBOTS.get("P2AT")
@@ -313,7 +310,7 @@ def slower(share):
 def test_the_newest_checkpoint_of_a_run_drives(compiled, monkeypatch, tmp_path, caplog):
     caplog.set_level("INFO", "usarmjx")
     names = iter(["00001", "00001", "00002", "00002"])
-    monkeypatch.setattr(follow, "newest", lambda run: next(names, "00002"))
+    monkeypatch.setattr(policy_world, "newest", lambda run: next(names, "00002"))
     sources = iter([UsageError("gone already"), SimpleNamespace(policy=lambda env: slower(0.0))])
 
     def find(run, which):
@@ -322,7 +319,7 @@ def test_the_newest_checkpoint_of_a_run_drives(compiled, monkeypatch, tmp_path, 
             raise found
         return found
 
-    monkeypatch.setattr(follow, "find_source", find)
+    monkeypatch.setattr(policy_world, "find_source", find)
 
     async def serve():
         follower = PolicyFollower(compiled.policy_batch, tmp_path, interval=0.001)
@@ -351,8 +348,8 @@ def test_a_run_without_a_checkpoint_is_waited_for(monkeypatch, tmp_path):
             raise one
         return one
 
-    monkeypatch.setattr(follow, "newest", lambda run: next(looks))
-    monkeypatch.setattr(follow, "find_source", find)
+    monkeypatch.setattr(policy_world, "newest", lambda run: next(looks))
+    monkeypatch.setattr(policy_world, "find_source", find)
     assert wait_for_run(tmp_path, interval=0.001) == "policy"
     with pytest.raises(UsageError, match="broken"):
         wait_for_run(tmp_path, interval=0.001)

@@ -9,7 +9,7 @@ import pytest
 from tests.arenas import FLAT
 from tests.handy import block
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import Door
+from usarmjx.models.types.arena import Door
 from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.batch import Batch

@@ -4,8 +4,8 @@ import pytest
 
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.suite import suite_of
+from usarmjx.server.gamebots.reporter import TEAM, first_report
 from usarmjx.server.worlds.robot import Robot
-from usarmjx.server.worlds.turns import TEAM, first_report
 from usarmjx.sim.control import idle_command
 
 PERIOD = 0.02

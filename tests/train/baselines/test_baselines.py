@@ -13,7 +13,7 @@ from usarmjx.train.baselines import BASELINES
 from usarmjx.train.baselines.goal import BugCarry, bug_action
 from usarmjx.train.baselines.roam import roam_action
 from usarmjx.train.baselines.steering import driver
-from usarmjx.train.envs.policy import Policy
+from usarmjx.train.envs.task import Policy
 from usarmjx.train.evaluation.evaluate import Episodes, evaluate_episodes, evaluation_of, run_episodes
 from usarmjx.train.evaluation.radio_matters import interval
 

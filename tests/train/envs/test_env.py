@@ -12,9 +12,9 @@ from tests.listening import COMPILED, compilations
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings, OutgoingMessages
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.compile.compose import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.robot import Mount
+from usarmjx.models.types.robot import Mount
 from usarmjx.sim.actions import Actions, JointAction
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.recipe import GeneratedArenas, open_floor, with_sensors

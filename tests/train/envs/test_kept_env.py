@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from tests.train.envs.test_restart import bits
-from usarmjx.base import kept_programs
+from usarmjx.base import program_cache
 from usarmjx.base.compilation import PROGRAMS_FOLDER
-from usarmjx.models.build.compose import Physics
-from usarmjx.models.build.variation import DomainRandomization
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.randomization import DomainRandomization
 from usarmjx.models.robots import ROBOTS
 from usarmjx.train.envs.env import Env, keeper_of
 from usarmjx.train.envs.recipe import open_floor
@@ -26,7 +26,7 @@ TASK = make_task("drive-to-goal", **LIGHT)
 @pytest.fixture
 def kept(tmp_path, monkeypatch):
     monkeypatch.setenv(PROGRAMS_FOLDER, str(tmp_path))
-    monkeypatch.setattr(kept_programs, "_sources", lambda: "as they are")
+    monkeypatch.setattr(program_cache, "_sources", lambda: "as they are")
     return tmp_path
 
 

@@ -11,12 +11,10 @@ import pytest
 from scipy import stats
 
 import usarmjx
-from usarmjx.models.spec.shapes import Shape
-from usarmjx.sim.batch_state import select_worlds
+from usarmjx.models.types.shapes import Shape
+from usarmjx.sim.batch import select_worlds
 from usarmjx.train.envs import env as module
-from usarmjx.train.envs import episode
-from usarmjx.train.envs.env import restart_batch_size
-from usarmjx.train.envs.episode import start_episode
+from usarmjx.train.envs.env import restart_batch_size, start_episode
 from usarmjx.train.envs.recipe import open_floor
 from usarmjx.train.envs.state import Restart
 
@@ -67,8 +65,8 @@ def test_whichever_worlds_are_done_they_begin_as_all_together_would(env, in_full
 
 def test_what_sensors_read_is_traced_once_for_all_that_need_it(monkeypatch):
     """The shapes, the beginning of an episode and its steps: the largest part of what they are made of."""
-    traced, usual = [], episode.observe
-    monkeypatch.setattr(episode, "observe", lambda *args: traced.append(1) or usual(*args))
+    traced, usual = [], module.observe
+    monkeypatch.setattr(module, "observe", lambda *args: traced.append(1) or usual(*args))
     env = usarmjx.make("drive-to-goal", engine="c", ranges=())
     blank = env._blank(jax.random.key(0), 1.0, None)
     worlds, physics = blank.batch.worlds, env.batch.engine.state(env.batch.engine.start())

@@ -9,15 +9,14 @@ from typer.testing import CliRunner
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.cli.app import app
 from usarmjx.cli.policy_options import PolicyOptions
-from usarmjx.train.envs.policy import Policy
-from usarmjx.train.envs.recipe import GeneratedArenas
-from usarmjx.train.envs.splits import HELD_OUT_END, HELD_OUT_START, SPLITS, held_out
+from usarmjx.train.envs.recipe import HELD_OUT_END, HELD_OUT_START, SPLITS, GeneratedArenas, held_out
+from usarmjx.train.envs.task import Policy
 from usarmjx.train.evaluation.evaluate import play_episodes
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
+from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.make import make
-from usarmjx.train.processes.group import ProcessGroup
-from usarmjx.train.scenes.buildings import Buildings
+from usarmjx.train.tasks.buildings import Buildings
 
 SMALL = GeneratedArenas(kind="maze", count=1, levels=(0.0, 1.0), size=(3, 3))
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tests.listening import compilations
-from usarmjx.models.build.variation import DomainRandomization
+from usarmjx.models.compile.randomization import DomainRandomization
 from usarmjx.train.make import make
 
 CHUNK = 50

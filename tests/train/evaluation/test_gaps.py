@@ -10,21 +10,23 @@ from typer.testing import CliRunner
 from usarmjx.base.errors import UnsupportedFeatureError, UsageError
 from usarmjx.cli.app import app
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.shapes import Shape
-from usarmjx.train.evaluation import task_gap as task_gaps
-from usarmjx.train.evaluation.drives import (
+from usarmjx.models.types.arena import ArenaSpec, StartPose
+from usarmjx.models.types.shapes import Shape
+from usarmjx.train.evaluation import engine_gap as task_gaps
+from usarmjx.train.evaluation.engine_gap import (
     DriveTrace,
     drive_around,
     drive_gap,
     drive_table,
     place_of,
     places_for,
+    sources_of,
+    task_gap,
+    told,
 )
 from usarmjx.train.evaluation.evaluate import Episodes, evaluation_of
-from usarmjx.train.evaluation.task_gap import sources_of, task_gap, told
+from usarmjx.train.learning.checkpoint import RunRecord
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.record import RunRecord
 from usarmjx.train.make import make
 from usarmjx.train.policies.sources import PolicySource
 
@@ -184,7 +186,7 @@ def test_a_robot_too_large_for_the_maze_has_a_row_that_says_so(monkeypatch):
             period=0.4,
         )
 
-    monkeypatch.setattr("usarmjx.train.evaluation.drives.drive_around", driven)
+    monkeypatch.setattr("usarmjx.train.evaluation.engine_gap.drive_around", driven)
     rows = list(drive_table([ROBOTS.get("Hummer")]))[2:]
     assert rows[0] == "| Hummer, floor | 0.00 m | 0.00 m | 0.00 m | - / - / - | - / - | 0.0 / 0.0 |"
     assert rows[1] == "| Hummer, maze | too large for it | - | - | - | - | - |"

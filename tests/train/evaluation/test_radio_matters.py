@@ -19,7 +19,7 @@ from usarmjx.train.evaluation.radio_matters import (
     variants,
 )
 from usarmjx.train.make import make_task
-from usarmjx.train.tasks.team_parts import PERFECT_RADIO, WALLED_RADIO
+from usarmjx.train.tasks.team import PERFECT_RADIO, WALLED_RADIO
 
 STARTS = ((0.6, 0.9), (0.6, 2.1), (1.8, 0.9), (1.8, 2.1))
 TEAMS = {"explore": {"count": 3}, "relay-chain": {"count": 2}, "victim-search": {"wheeled": ("P2AT",) * 2}}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from usarmjx.base.errors import UnknownNameError, UsageError
-from usarmjx.train.envs.splits import held_out
+from usarmjx.train.envs.recipe import held_out
 from usarmjx.train.envs.state import AgentGroup
 from usarmjx.train.evaluation import yardsticks
 from usarmjx.train.evaluation.yardsticks import (
@@ -27,8 +27,8 @@ from usarmjx.train.evaluation.yardsticks import (
 )
 from usarmjx.train.make import make_task
 from usarmjx.train.policies.sources import PolicySource, arenas_of
-from usarmjx.train.scenes.buildings import Buildings
-from usarmjx.train.tasks.team_parts import PERFECT_RADIO
+from usarmjx.train.tasks.buildings import Buildings
+from usarmjx.train.tasks.team import PERFECT_RADIO
 
 STEPS, WORLDS = 8, 3
 

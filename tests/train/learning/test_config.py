@@ -10,13 +10,16 @@ import pytest
 
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.engines import ENGINES, choose_engine, engine_class
-from usarmjx.train.learning.config import Config, from_record, parse_settings, task_config
-from usarmjx.train.learning.defaults import (
+from usarmjx.train.learning.config import (
     HYPERPARAMETERS,
     ON_GPU,
     USUAL_ENGINE,
     USUAL_PHYSICS,
+    Config,
+    from_record,
     on_gpu,
+    parse_settings,
+    task_config,
     training_engine,
     training_fields,
 )

@@ -18,10 +18,10 @@ from usarmjx.train.evaluation.evaluate import run_episodes
 from usarmjx.train.learning.checkpoint import FORMAT, Checkpoints, read_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import JUDGING_SEED, Trainer
+from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.train_state import make_networks, policy_params
 from usarmjx.train.learning.trainer import train
-from usarmjx.train.processes.group import ProcessGroup
-from usarmjx.train.scenes.buildings import Buildings
+from usarmjx.train.tasks.buildings import Buildings
 
 ARENAS = GeneratedArenas(kind="maze", count=1, levels=(0.0, 0.5, 1.0), size=(3, 3))
 """One easy, one in the middle, one hard."""

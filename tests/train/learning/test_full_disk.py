@@ -15,7 +15,7 @@ from tests.train.learning.test_training import on_the_board
 from tests.train.runs import checksums, lines, run
 from usarmjx.base.errors import WriteError
 from usarmjx.train.learning.checkpoint import Checkpoints
-from usarmjx.train.processes.group import ProcessGroup
+from usarmjx.train.learning.processes import ProcessGroup
 
 
 class Disk:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from usarmjx.train.learning.gae import advantages
+from usarmjx.train.learning.ppo import advantages
 
 # Sums of at most 40 numbers of order 1 in single precision.
 ROUNDING = 1e-5

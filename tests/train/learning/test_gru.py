@@ -10,7 +10,7 @@ import pytest
 from jax.extend.core import jaxprs_in_params
 from numpy.testing import assert_allclose, assert_array_equal
 
-from usarmjx.train.learning.gru import recur
+from usarmjx.train.learning.networks import recur
 
 STEPS, WORLDS, ROBOTS, MEMORY = 6, 3, 2, 5
 # Sums of at most 36 products, handed on over 6 steps, of numbers of order 1, relative to the largest.

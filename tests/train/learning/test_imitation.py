@@ -12,13 +12,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.train.toys import DriveToy
 from usarmjx.base.errors import UsageError
 from usarmjx.train.baselines import BASELINES
-from usarmjx.train.envs.policy import Policy
+from usarmjx.train.envs.task import Policy
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.imitation import imitation_loss
 from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.ppo import MIN_LEARNING_RATE
+from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.train_state import policy_params
-from usarmjx.train.processes.group import ProcessGroup
 
 CONFIG = Config(worlds=32, rollout=16, minibatches=2, layers=(32,), critic_layers=(8,), learning_rate=3e-3)
 ROUND = CONFIG.worlds * CONFIG.rollout * 3

@@ -7,16 +7,16 @@ import jax
 import numpy as np
 import pytest
 
-from usarmjx.base import kept_programs
+from usarmjx.base import program_cache
 from usarmjx.base.compilation import PROGRAMS_FOLDER
 from usarmjx.train.envs.env import Env
 from usarmjx.train.learning import train_state
-from usarmjx.train.learning.ahead import compiling
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
+from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.rollout import Rollout
+from usarmjx.train.learning.trainer import compiling
 from usarmjx.train.make import make_task
-from usarmjx.train.processes.group import ProcessGroup
 
 CONFIG = Config(worlds=2, minibatches=1, rollout=2, layers=(4,), critic_layers=(4,))
 TASK = make_task("drive-to-goal", ranges=(), pose="GroundTruth")
@@ -49,7 +49,7 @@ def not_to_be_traced(name):
 @pytest.mark.parametrize("engine", ["planar", "c"])
 def test_the_second_start_traces_nothing_and_learns_the_same(engine, tmp_path, monkeypatch):
     monkeypatch.setenv(PROGRAMS_FOLDER, str(tmp_path))
-    monkeypatch.setattr(kept_programs, "_sources", lambda: "as they are")
+    monkeypatch.setattr(program_cache, "_sources", lambda: "as they are")
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # nothing of it is not kept
         first = trained(engine)
@@ -64,7 +64,7 @@ def test_the_second_start_traces_nothing_and_learns_the_same(engine, tmp_path, m
 
 def test_programs_are_those_of_any_seed(tmp_path, monkeypatch):
     """What another seed has kept does what the seed's own would do."""
-    monkeypatch.setattr(kept_programs, "_sources", lambda: "as they are")
+    monkeypatch.setattr(program_cache, "_sources", lambda: "as they are")
     other = replace(CONFIG, seed=1)
     monkeypatch.setenv(PROGRAMS_FOLDER, str(tmp_path / "own"))
     own = trained("planar", other)

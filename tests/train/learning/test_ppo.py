@@ -13,9 +13,9 @@ from tests.train.toys import DriveToy
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.ppo import _adapt, _shuffle, surrogate
+from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.statistics import init_statistics
 from usarmjx.train.learning.train_state import critic_values
-from usarmjx.train.processes.group import ProcessGroup
 
 CONFIG = Config(worlds=16, rollout=8, minibatches=2, epochs=2, layers=(8,), critic_layers=(8,), memory=4)
 

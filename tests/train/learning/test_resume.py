@@ -18,10 +18,10 @@ from usarmjx.base.errors import UsageError
 from usarmjx.train.learning.checkpoint import Checkpoints, load_policy, read_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
+from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.trainer import train
 from usarmjx.train.make import make
-from usarmjx.train.processes.group import ProcessGroup
-from usarmjx.view.batch_source import BatchSource
+from usarmjx.view.training_page import BatchSource
 
 
 def wait_for_lines(folder, count, process):

@@ -12,8 +12,8 @@ from tests.train.toys import DriveToy, group
 from usarmjx.base.errors import UsageError
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
+from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.train_state import make_networks, make_train_state, policy_params
-from usarmjx.train.processes.group import ProcessGroup
 
 CONFIG = Config(worlds=16, rollout=8, minibatches=2, layers=(8,), critic_layers=(8,), shared=True)
 

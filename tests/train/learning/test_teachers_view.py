@@ -15,7 +15,7 @@ from usarmjx.train.envs.env import Env
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.imitation import teacher_obs, teacher_of
 from usarmjx.train.learning.learner import Trainer
-from usarmjx.train.processes.group import ProcessGroup
+from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.tasks import TASKS
 
 STARTS = ((0.6, 0.9), (0.6, 2.1), (1.8, 0.9))

@@ -16,11 +16,10 @@ from tests.train.runs import CONFIG, lines
 from tests.train.toys import DriveToy, EndlessToy, MemoryToy
 from usarmjx.base.errors import UsageError
 from usarmjx.train.learning import trainer as trainer_module
-from usarmjx.train.learning.ahead import compiling
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
-from usarmjx.train.learning.trainer import train
-from usarmjx.train.processes.group import ProcessGroup
+from usarmjx.train.learning.processes import ProcessGroup
+from usarmjx.train.learning.trainer import compiling, train
 
 
 def test_three_robots_of_two_classes_learn_to_drive_to_their_goals(reference):

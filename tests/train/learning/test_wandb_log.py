@@ -6,7 +6,7 @@ import types
 import pytest
 
 from usarmjx.base.errors import UsageError
-from usarmjx.train.learning.wandb_log import wandb_watch
+from usarmjx.train.learning.metrics import wandb_watch
 
 
 def test_iterations_are_sent_over_agent_steps_and_a_dead_service_stops_nothing(monkeypatch):

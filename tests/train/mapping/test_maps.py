@@ -11,9 +11,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from usarmjx.base.errors import UsageError
-from usarmjx.models.build.reach import RobotFootprint
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.compile.reachability import RobotFootprint
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sensors.ranging import ScannerSettings
 from usarmjx.train.mapping import maps
 from usarmjx.train.mapping.maps import (

@@ -11,15 +11,21 @@ from tests.engines.gpu_threads import COMPILER, run_as_on_a_gpu
 from tests.train.mapping.mazes import mazes
 from tests.train.mapping.test_maps import labyrinth, shortest
 from usarmjx.train.mapping import wavefront
-from usarmjx.train.mapping.sweeps import swept_distances
+from usarmjx.train.mapping.fast_sweeping import swept_distances
 from usarmjx.train.mapping.wavefront import UNREACHABLE, distances, path_on_jax, spread_distances
 
 pytest.importorskip("warp", reason="needs warp-lang")
 import warp as wp
 
 from usarmjx.train.mapping import warp_waves
-from usarmjx.train.mapping.warp_distances import distances_on_warp, path_on_warp
-from usarmjx.train.mapping.warp_waves import LARGE_ROOM, LARGE_THREADS, SMALL_ROOM, SMALL_THREADS
+from usarmjx.train.mapping.warp_waves import (
+    LARGE_ROOM,
+    LARGE_THREADS,
+    SMALL_ROOM,
+    SMALL_THREADS,
+    distances_on_warp,
+    path_on_warp,
+)
 
 SHAPES = [(1, 1), (1, 9), (41, 33), (33, 48), (70, 100)]
 

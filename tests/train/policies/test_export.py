@@ -10,11 +10,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.train.toys import DriveToy
 from usarmjx.base.errors import UsageError
-from usarmjx.train.learning.checkpoint import load_policy
+from usarmjx.train.learning.checkpoint import EnvArguments, load_policy, make_record
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.record import EnvArguments, make_record
 from usarmjx.train.learning.train_state import make_networks, make_train_state, policy_params
-from usarmjx.train.policies.export import NumpyPolicy, export_run, save_policy
+from usarmjx.train.policies.policy_file import NumpyPolicy, export_run, save_policy
 
 # Sums of at most 32 products of order 1 in single precision, three layers of them, squashed to +-1.
 SAME = 1e-5
@@ -101,7 +100,7 @@ def test_an_exported_run_drives_robots_to_their_goals_without_jax(reference, tmp
     code = """
 import sys
 import numpy as np
-from usarmjx.train.policies.export import NumpyPolicy
+from usarmjx.train.policies.policy_file import NumpyPolicy
 policy = NumpyPolicy(sys.argv[1])
 group, arrived = policy.group("a"), 0
 for trial in range(20):

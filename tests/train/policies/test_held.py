@@ -7,10 +7,10 @@ import zipfile
 import numpy as np
 import pytest
 
-from tests.train.handmade import policy_file
+from tests.train.handmade import policy_file as written_policy
 from usarmjx.base.errors import UsageError
-from usarmjx.train.policies import held
-from usarmjx.train.policies.export import NumpyPolicy
+from usarmjx.train.policies import policy_file
+from usarmjx.train.policies.policy_file import NumpyPolicy
 
 
 def refused(file, says):
@@ -22,7 +22,7 @@ def refused(file, says):
 
 def rewritten(file, **changes):
     """The handmade policy with other arrays; None: without it."""
-    with np.load(policy_file(file)) as found:
+    with np.load(written_policy(file)) as found:
         arrays = {**found, **{name.replace("__", "/"): value for name, value in changes.items()}}
     np.savez(file, **{name: array for name, array in arrays.items() if array is not None})
     return file
@@ -31,11 +31,11 @@ def rewritten(file, **changes):
 def test_a_small_file_that_becomes_large_is_not_unpacked(tmp_path, monkeypatch):
     file = tmp_path / "a.npz"
     np.savez_compressed(file, about=np.array("{}"), large=np.zeros(16_000_001, np.float32))
-    monkeypatch.setattr(held.npy, "read_array", None)
+    monkeypatch.setattr(policy_file.npy, "read_array", None)
     size = file.stat().st_size
     assert size < 100_000
     refused(file, rf"has {size} bytes and becomes 64\d+; at most 8000000")
-    monkeypatch.setattr(held, "MOST_RATIO", 1e9)
+    monkeypatch.setattr(policy_file, "MOST_RATIO", 1e9)
     refused(file, "at most 64000000")
 
 
@@ -47,12 +47,12 @@ def test_a_shape_that_the_file_does_not_fill_is_not_allocated(tmp_path, monkeypa
     )
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as out:
         out.writestr("x.npy", header.getvalue() + bytes(16))
-    monkeypatch.setattr(held.npy, "read_array", None)
+    monkeypatch.setattr(policy_file.npy, "read_array", None)
     refused(tmp_path / "a.npz", r"array 'x' of shape \(274877906944,\) takes \d+ bytes, it has 144")
 
 
 def test_a_name_of_thousands_of_characters_is_quoted_in_short(tmp_path):
-    file = policy_file(tmp_path / "a.npz")
+    file = written_policy(tmp_path / "a.npz")
     data = bytearray(file.read_bytes())
     data[26:28] = (4000).to_bytes(2, "little")  # the length of the first member's name
     file.write_bytes(data)

@@ -14,12 +14,11 @@ from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.estimates import estimate
 from usarmjx.cli.app import app
 from usarmjx.train.envs.env import AgentGroup
-from usarmjx.train.envs.policy import Policy
-from usarmjx.train.envs.task import TASKS
+from usarmjx.train.envs.task import TASKS, Policy
 from usarmjx.train.evaluation.evaluate import as_record, evaluate_episodes
 from usarmjx.train.learning.checkpoint import load_policy
 from usarmjx.train.policies import FOLDER, POLICIES, policies_in, sources
-from usarmjx.train.policies.export import NumpyPolicy
+from usarmjx.train.policies.policy_file import NumpyPolicy
 from usarmjx.train.policies.sources import PolicySource, baseline, find_source, task_settings
 
 GOAL_GROUP = AgentGroup("P2AT", ("P2AT0",), 4, 2)

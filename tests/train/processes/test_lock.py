@@ -10,13 +10,13 @@ import pytest
 
 from tests.train.runs import ROOT, run
 from usarmjx.base.errors import UsageError, WriteError
-from usarmjx.train.processes import lock
-from usarmjx.train.processes.lock import run_lock
+from usarmjx.train.learning import processes
+from usarmjx.train.learning.processes import run_lock
 
 HOLD = """
 import sys
 from pathlib import Path
-from usarmjx.train.processes.lock import run_lock
+from usarmjx.train.learning.processes import run_lock
 with run_lock(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
@@ -41,11 +41,11 @@ def test_a_second_trainer_is_refused_also_when_the_first_has_written_nothing_yet
     """`test_resume.py` has one that comes while the first one trains."""
     with run_lock(tmp_path), pytest.raises(UsageError, match=rf"^process {os.getpid()} on .* trains in .*"):
         run(tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == [lock.LOCK_FILE]
+    assert [path.name for path in tmp_path.iterdir()] == [processes.LOCK_FILE]
 
 
 def test_where_nothing_can_be_locked_it_is_told(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(lock, "fcntl", None)
+    monkeypatch.setattr(processes, "fcntl", None)
     with run_lock(tmp_path), run_lock(tmp_path):
         pass
     (told, _) = capsys.readouterr().err.splitlines()
@@ -56,6 +56,6 @@ def test_where_nothing_can_be_locked_it_is_told(tmp_path, monkeypatch, capsys):
 
 
 def test_a_folder_that_cannot_be_locked_because_it_cannot_be_written_to(tmp_path):
-    (tmp_path / lock.LOCK_FILE).symlink_to("/dev/full")
+    (tmp_path / processes.LOCK_FILE).symlink_to("/dev/full")
     with pytest.raises(WriteError, match=r"trainer.lock: "), run_lock(tmp_path):
         pass

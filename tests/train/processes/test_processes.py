@@ -12,11 +12,11 @@ from tests.train.runs import CONFIG, PATIENCE, PROGRAM, lines, started
 from usarmjx.base.errors import UsageError
 from usarmjx.train.learning.checkpoint import load_policy
 from usarmjx.train.learning.config import Config
-from usarmjx.train.processes.launch import ProcessInfo, check_parent, process_info, spawn
+from usarmjx.train.learning.processes import ProcessInfo, check_parent, process_info, spawn
 
 SPAWN = """
 import sys
-from usarmjx.train.processes.launch import spawn
+from usarmjx.train.learning.processes import spawn
 sys.exit(spawn(2, [sys.executable, *sys.argv[1:]]))
 """
 
@@ -128,7 +128,7 @@ def test_a_process_whose_parent_is_gone_ends(monkeypatch):
 
 LOST = """
 from usarmjx.base.errors import UsageError
-from usarmjx.train.processes.group import ProcessGroup, distributed_run
+from usarmjx.train.learning.processes import ProcessGroup, distributed_run
 with distributed_run() as info:
     group = ProcessGroup()
     group.barrier("here")

@@ -5,12 +5,12 @@ import pytest
 
 from tests.train.views import placed
 from tests.train.views import view_of as start_of
-from usarmjx.cli.demo_run import clearance as demo_clearance
+from usarmjx.cli.demo import clearance as demo_clearance
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import ArenaSpec, StartPose
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.scene import build_scene
-from usarmjx.train.scenes.clearance import NO_OBSTACLE, Boxes, bounding_box_of, box_distance, clearance
+from usarmjx.train.tasks.clearance import NO_OBSTACLE, Boxes, bounding_box_of, box_distance, clearance
 
 STARTS = tuple(StartPose(tag=f"S{i}", at=(x, 0.0, 0.188)) for i, x in enumerate((0.0, 5.0)))
 HALF_LENGTH, HALF_WIDTH = 0.276, 0.2484

@@ -10,11 +10,10 @@ import pytest
 import usarmjx
 from tests.train.views import placed, told, view_of
 from usarmjx.base.errors import SpecError, UsageError
-from usarmjx.models.arenas.arda_roads import NETWORK, ORIGIN
+from usarmjx.models.arenas.arda import NETWORK, ORIGIN
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.baselines.pursuit import pursuit_action
-from usarmjx.train.tasks.convoy import AHEAD, Convoy, ConvoyMemory
-from usarmjx.train.tasks.lane import LanePath, closed_lane
+from usarmjx.train.tasks.convoy import AHEAD, Convoy, ConvoyMemory, LanePath, closed_lane
 
 SQUARE = LanePath(points=np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)]), width=4.0)
 STEPS = 80

@@ -12,7 +12,7 @@ from tests.train.scenes.test_clearance import HALF_LENGTH, solid, view_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.base import Reading
 from usarmjx.train.tasks.drive_to_goal import DriveToGoal, GoalMemory, goal_observation
-from usarmjx.train.tasks.ranges import range_lines, reduce_to_sectors
+from usarmjx.train.tasks.team import range_lines, reduce_to_sectors
 from usarmjx.train.tasks.wander import Wander
 
 GOAL = DriveToGoal(haste=0.02, bonus=2.0, radius=0.5)

@@ -18,12 +18,15 @@ from usarmjx.engines.base import check_features
 from usarmjx.models.arenas.soccer import BALL_RADIUS, GOAL_WIDTH, LENGTH, SOCCER
 from usarmjx.sim.world import observe
 from usarmjx.train.baselines import BASELINES
-from usarmjx.train.envs.policy import Policy
+from usarmjx.train.envs.task import Policy
 from usarmjx.train.evaluation.evaluate import run_episodes
-from usarmjx.train.tasks.soccer import MAIL_SETTINGS, SIDES, Soccer, SoccerMemory
-from usarmjx.train.tasks.soccer_belief import (
+from usarmjx.train.tasks.soccer import (
+    MAIL_SETTINGS,
     NEVER,
     NUMBERS,
+    SIDES,
+    Soccer,
+    SoccerMemory,
     compose_messages,
     find_ball,
     find_others,

@@ -14,18 +14,17 @@ from tests.train.rooms import begin, room, view_of
 from usarmjx.base.errors import UsageError
 from usarmjx.sim.world import FaultCounts
 from usarmjx.train.baselines.frontier import frontier_policy
-from usarmjx.train.envs import episode
+from usarmjx.train.envs import env
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import TaskState
 from usarmjx.train.envs.task import StepResult
-from usarmjx.train.learning.gae import advantages
+from usarmjx.train.learning.ppo import advantages
 from usarmjx.train.mapping import planning
 from usarmjx.train.mapping.maps import WALL
-from usarmjx.train.scenes.buildings import NEAR_START, Buildings, thin_victims
 from usarmjx.train.tasks import TASKS
+from usarmjx.train.tasks.buildings import NEAR_START, Buildings, thin_victims
 from usarmjx.train.tasks.explore import Explore
-from usarmjx.train.tasks.victim_parts import FENCE_GAIN, FENCE_MARGIN, fence_of, way_left
-from usarmjx.train.tasks.victim_search import VictimSearch
+from usarmjx.train.tasks.victim_search import FENCE_GAIN, FENCE_MARGIN, VictimSearch, fence_of, way_left
 
 LIBRARIES = {"explore": "05befc8fdd74e531", "victim-search": "4c75cb61092e929a"}
 """Digests of one building of each level, before there was a version 2."""
@@ -249,7 +248,7 @@ class Endless(struct.PyTreeNode):
 
 def played(time_limit, steps, monkeypatch):
     """Ends of a task that pays 1 in every step, (steps, 1) each: done, truncated, bad."""
-    monkeypatch.setattr(episode, "make_view", lambda scene, world, physics: (world, physics))
+    monkeypatch.setattr(env, "make_view", lambda scene, world, physics: (world, physics))
     no, zero = jnp.zeros((), bool), jnp.zeros(())
     task = SimpleNamespace(
         time_limit=time_limit,
@@ -277,7 +276,7 @@ def played(time_limit, steps, monkeypatch):
     faults = FaultCounts(**{one.name: jnp.zeros(1, jnp.int32) for one in fields(FaultCounts)})
     rows = []
     for _ in range(steps):
-        _, state = episode.evaluate_step(None, task, state, Endless(faults), world, faults)
+        _, state = env.evaluate_step(None, task, state, Endless(faults), world, faults)
         rows.append((state.done, state.truncated, state.bad))
     return tuple(jnp.stack(column) for column in zip(*rows, strict=True))
 

@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 
 from tests.train.rooms import DEPTH, WIDTH, begin, play, room, view_of
-from usarmjx.models.build.reach import footprint_of
-from usarmjx.models.build.variation import RandomizedValues
+from usarmjx.models.compile.randomization import RandomizedValues
+from usarmjx.models.compile.reachability import footprint_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.train.baselines.frontier import frontier_action
-from usarmjx.train.baselines.relay import relay_policy
+from usarmjx.train.baselines.frontier import frontier_action, relay_policy
 from usarmjx.train.mapping.belief import SECTOR_COUNT
 from usarmjx.train.mapping.maps import FREE, MARK, WALL, reachable_squares
-from usarmjx.train.scenes.buildings import Buildings, sort_starts
+from usarmjx.train.tasks.buildings import Buildings, sort_starts
 from usarmjx.train.tasks.explore import Explore, on_maps
 from usarmjx.train.tasks.relay_chain import RelayChain
-from usarmjx.train.tasks.team_parts import coverage, to_robot_frame
+from usarmjx.train.tasks.team import coverage, to_robot_frame
 from usarmjx.train.tasks.victim_search import VictimSearch
 
 STARTS = ((0.6, 0.9), (0.6, 2.1), (1.8, 0.9), (1.8, 2.1))

@@ -13,16 +13,175 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import set_rows
-from usarmjx.base.components import parts
-from usarmjx.base.fusion import kept_on_gpu
+from usarmjx.base.compilation import kept_on_gpu
+from usarmjx.base.errors import UnsupportedFeatureError
+from usarmjx.base.rotations import mat_from_quat, matmul, parts
 from usarmjx.engines.planar.drives import RollingGroup, rolling_groups
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.responses import check_robot
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.build.compose import add_robot
-from usarmjx.models.build.layout import RobotIndex
-from usarmjx.models.build.reach import STEP_SHARE
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.compile.compose import add_robot
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.layout import RobotIndex
+from usarmjx.models.compile.reachability import STEP_SHARE
+from usarmjx.models.types.robot import HOLD_SUFFIX, RobotSpec
+
+FREE, HINGE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE)
+
+
+@dataclass(frozen=True, eq=False)
+class FixedBodies:
+    """Bodies that stay where qpos has them.
+
+    Attributes:
+        pos: Origins of all bodies of the model at rest [m] (nbody, 3).
+        mat: Their orientations (nbody, 3, 3).
+        free: Bodies that lie loose (n,).
+        free_qpos: Where in qpos they are (n, 7).
+        hinged: Bodies on a hinge (n,).
+        hinge_qpos: Where in qpos their angles are (n,).
+        axis: Their axes, in their own axes (n, 3).
+    """
+
+    pos: np.ndarray
+    mat: np.ndarray
+    free: np.ndarray
+    free_qpos: np.ndarray
+    hinged: np.ndarray
+    hinge_qpos: np.ndarray
+    axis: np.ndarray
+
+    @property
+    def movable(self) -> np.ndarray:
+        """Bodies that need not be where they are at rest (n,)."""
+        return np.concatenate([self.free, self.hinged])
+
+    def poses(self, qpos: Array) -> tuple[Array, Array]:
+        """Return origins (nbody, 3) and orientations (nbody, 3, 3) of the bodies; of robots those at rest."""
+        pos, mat = jnp.asarray(self.pos, jnp.float32), jnp.asarray(self.mat, jnp.float32)
+        if len(self.free):
+            here = qpos[self.free_qpos]
+            pos = set_rows(pos, (self.free, here[:, :3]))
+            mat = set_rows(mat, (self.free, mat_from_quat(here[:, 3:])))
+        if len(self.hinged):
+            half = qpos[self.hinge_qpos][:, None] / 2
+            turn = mat_from_quat(jnp.concatenate([jnp.cos(half), jnp.sin(half) * self.axis], -1))
+            mat = set_rows(mat, (self.hinged, matmul(mat[self.hinged], turn)))
+        return pos, mat
+
+
+def fixed_bodies(model: mujoco.MjModel, robot_bodies: set[int]) -> FixedBodies:
+    """Return the bodies of a model that are no robot's.
+
+    Raises:
+        UnsupportedFeatureError: One hangs on a joint that this engine does not know.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    joints = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) not in robot_bodies]
+    free = [j for j in joints if model.jnt_type[j] == FREE]
+    hinges = [j for j in joints if model.jnt_type[j] == HINGE]
+    strange = set(joints) - set(free) - set(hinges)
+    strange |= {
+        j for j in hinges if np.any(model.jnt_pos[j]) or model.body_parentid[model.jnt_bodyid[j]] != 0
+    }
+    if strange:
+        names = ", ".join(repr(model.joint(j).name) for j in sorted(strange)[:4])
+        raise UnsupportedFeatureError(
+            f"engine 'planar' cannot run this scene: joints {names}: of what is no robot it knows bodies "
+            "that are fixed, that lie loose, or that turn on one hinge"
+        )
+    return FixedBodies(
+        pos=data.xpos.copy(),
+        mat=data.xmat.reshape(-1, 3, 3).copy(),
+        free=model.jnt_bodyid[free],
+        free_qpos=model.jnt_qposadr[free][:, None] + np.arange(7),
+        hinged=model.jnt_bodyid[hinges],
+        hinge_qpos=model.jnt_qposadr[hinges],
+        axis=model.jnt_axis[hinges],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarServos:
+    """The servos of a model, see `models.build.compose`.
+
+    Attributes:
+        pull: Actuators that pull towards a target (n,).
+        hold: Those that hold, likewise (n,).
+        act: Where in act the targets are (n,).
+        qpos: Where in qpos the joints are (n,).
+        qvel: Where in qvel they are (n,).
+        lag: By how much a joint trails its target at a speed: damping over stiffness [s] (n,).
+        low: Lower ends of their ranges (n,).
+        high: Upper ends (n,).
+        geared: Pairs of joints of which the first does what the second does, in qpos and qvel (pairs, 2).
+    """
+
+    pull: np.ndarray
+    hold: np.ndarray
+    act: np.ndarray
+    qpos: np.ndarray
+    qvel: np.ndarray
+    lag: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    geared_qpos: np.ndarray
+    geared_qvel: np.ndarray
+
+
+def servos_of(model: mujoco.MjModel) -> PlanarServos:
+    """Return the servos of a model."""
+    names = [model.actuator(i).name for i in range(model.nu)]
+    holds = [i for i, name in enumerate(names) if name.endswith(HOLD_SUFFIX)]
+    pulls = [names.index(names[i].removesuffix(HOLD_SUFFIX)) for i in holds]
+    joints = model.actuator_trnid[pulls, 0].astype(int)
+    gains = model.actuator_biasprm[holds], model.actuator_gainprm[holds]
+    damping, stiffness = -gains[1][:, 2], -gains[1][:, 1]
+    limited = model.jnt_limited[joints].astype(bool)
+    gears = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
+    pairs = np.stack([model.eq_obj1id[gears], model.eq_obj2id[gears]], -1).astype(int).reshape(-1, 2)
+    return PlanarServos(
+        pull=np.array(pulls, int),
+        hold=np.array(holds, int),
+        act=model.actuator_actadr[pulls].astype(int),
+        qpos=model.jnt_qposadr[joints].astype(int),
+        qvel=model.jnt_dofadr[joints].astype(int),
+        lag=damping / np.maximum(stiffness, 1e-9),
+        low=np.where(limited, model.jnt_range[joints, 0], -np.inf),
+        high=np.where(limited, model.jnt_range[joints, 1], np.inf),
+        geared_qpos=model.jnt_qposadr[pairs].astype(int),
+        geared_qvel=model.jnt_dofadr[pairs].astype(int),
+    )
+
+
+def move_joints(servos: PlanarServos, state: Any, ctrl: Array, act: Array, dt: float) -> Any:  # noqa: ANN401
+    """Return the state of one world after its joints have gone after their targets for a time.
+
+    The target moves at the speed of `ctrl`; the joint follows as a servo without load does, whose stiffness
+    pulls as its damping holds back: exact for that. A joint told to exert a torque stays.
+
+    Args:
+        servos: The servos.
+        state: A state with qpos (nq,), qvel (nv,) and act (na,).
+        ctrl: Inputs (nu,).
+        act: Activations at the beginning (na,).
+        dt: Time [s].
+    """
+    speed, aim = ctrl[servos.pull], act[servos.act]
+    before, lag = state.qpos[servos.qpos], jnp.maximum(jnp.asarray(servos.lag), 1e-4)
+    behind = aim - before
+    later = speed * lag + (behind - speed * lag) * jnp.exp(-dt / lag)
+    after = jnp.clip(aim + speed * dt - later, servos.low, servos.high)
+    held = ctrl[servos.hold] > 0
+    after = jnp.where(held, after, before)
+    rate = jnp.where(held, later / lag, 0.0)
+    qpos, qvel = set_rows(state.qpos, (servos.qpos, after)), set_rows(state.qvel, (servos.qvel, rate))
+    if len(servos.geared_qpos):
+        first, second = servos.geared_qpos.T
+        qpos = set_rows(qpos, (first, qpos[second]))
+        first, second = servos.geared_qvel.T
+        qvel = set_rows(qvel, (first, qvel[second]))
+    return state.replace(qpos=qpos, qvel=qvel, act=set_rows(act, (servos.act, aim + speed * dt)))
 
 
 class Motion(struct.PyTreeNode, kw_only=True):

@@ -9,12 +9,11 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.engines.planar.responses import Response, response_of, rolls
-from usarmjx.models.build.body_plan import KinematicTree, kinematic_tree_of
-from usarmjx.models.build.layout import RobotIndex
+from usarmjx.models.compile.kinematic_tree import KinematicTree, kinematic_tree_of
+from usarmjx.models.compile.layout import RobotIndex
 from usarmjx.models.drives.ackermann import Ackermann, Wheel
-from usarmjx.models.drives.ground import SkidSteer
-from usarmjx.models.drives.omni import OmniDrive
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.drives.ground import OmniDrive, SkidSteer
+from usarmjx.models.types.robot import RobotSpec
 
 SLOW = 0.05
 """At less speed robots turn as sharply as they like [m/s]."""

@@ -11,22 +11,34 @@ from flax import struct
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.engines.base import Engine, Inputs, PhysicsState
-from usarmjx.engines.planar.aims import Aims
-from usarmjx.engines.planar.bodies import Motion, PlanarRobots, robots_of
+from usarmjx.engines.planar.bodies import (
+    Motion,
+    PlanarRobots,
+    PlanarServos,
+    fixed_bodies,
+    move_joints,
+    robots_of,
+    servos_of,
+)
 from usarmjx.engines.planar.flight import fly, held_up
 from usarmjx.engines.planar.footprints import Footprints
-from usarmjx.engines.planar.looking import AllSolids, all_solids, around_robots, ground_below, nothing_known
-from usarmjx.engines.planar.neighbours import Neighbours, most_near
-from usarmjx.engines.planar.parting import part_robots
-from usarmjx.engines.planar.poses import fixed_bodies
+from usarmjx.engines.planar.neighbor_lists import Neighbours, most_near
+from usarmjx.engines.planar.neighbor_search import (
+    AllSolids,
+    all_solids,
+    around_robots,
+    ground_below,
+    nothing_known,
+)
+from usarmjx.engines.planar.proposed_motion import Aims
 from usarmjx.engines.planar.rolling import place_on_ground, reach_of, roll, rolled, stopped
-from usarmjx.engines.planar.servos import PlanarServos, move_joints, servos_of
+from usarmjx.engines.planar.separation import part_robots
 from usarmjx.engines.planar.solids import solid_geoms
-from usarmjx.models.build.compose import Physics
-from usarmjx.models.build.layout import RobotIndex
-from usarmjx.models.build.moved import MovedGeoms
-from usarmjx.models.build.variation import RandomizedBodies
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.geoms import MovedGeoms
+from usarmjx.models.compile.layout import RobotIndex
+from usarmjx.models.compile.randomization import RandomizedBodies
+from usarmjx.models.types.robot import RobotSpec
 
 LONGEST_FLIGHT_STEP = 0.05
 """What flies or dives is held upright by forces that are worked out once in a control step [s]."""

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import mujoco
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.components import (
+from usarmjx.base.rotations import (
     Numbers,
     Rows,
     apply,

@@ -14,8 +14,8 @@ from flax import struct
 from usarmjx.base.arrays import Array
 from usarmjx.base.rotations import matvec
 from usarmjx.engines.base import GeomPoses
+from usarmjx.engines.planar.bodies import FixedBodies
 from usarmjx.engines.planar.footprints import Footprints
-from usarmjx.engines.planar.poses import FixedBodies
 from usarmjx.engines.planar.solids import SolidGeoms
 
 

@@ -12,13 +12,12 @@ import mujoco
 
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.base.markdown import markdown_table
-from usarmjx.models.build.compose import add_robot
-from usarmjx.models.build.parts import parts_of
+from usarmjx.models.compile.compose import add_robot
+from usarmjx.models.compile.parts import parts_of
 from usarmjx.models.drives.ackermann import Ackermann
 from usarmjx.models.drives.base import Drive
-from usarmjx.models.drives.ground import NoDrive, SkidSteer
-from usarmjx.models.drives.omni import OmniDrive
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.drives.ground import NoDrive, OmniDrive, SkidSteer
+from usarmjx.models.types.robot import RobotSpec
 
 FILE = "responses.json"
 

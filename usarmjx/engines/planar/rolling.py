@@ -8,8 +8,8 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import set_rows
-from usarmjx.base.components import parts
-from usarmjx.base.fusion import kept_on_gpu
+from usarmjx.base.compilation import kept_on_gpu
+from usarmjx.base.rotations import parts
 from usarmjx.engines.base import Inputs
 from usarmjx.engines.planar.bodies import Motion, PlanarRobots, on_plan
 from usarmjx.engines.planar.drives import follow

@@ -5,8 +5,8 @@ from functools import reduce
 
 import mujoco
 
-from usarmjx.engines.planar import aims
-from usarmjx.engines.planar.neighbours import LAYERS
+from usarmjx.engines.planar import proposed_motion
+from usarmjx.engines.planar.neighbor_lists import LAYERS
 from usarmjx.engines.planar.solids import NOWHERE, STEEPEST
 
 SHAPE_NUMBERS = 30
@@ -149,7 +149,7 @@ WORDS: Mapping[str, object] = {
     **{name: int(getattr(_GEOM, f"mjGEOM_{name}")) for name in ("BOX", "ELLIPSOID", "CAPSULE", "SPHERE")},
     **{"KIND_NUMBERS": KIND_NUMBERS, "SHAPE_NUMBERS": SHAPE_NUMBERS, "FREE": FREE, "HINGED": HINGED},
     **{"STEEPEST": f"{STEEPEST:.9f}f", "NOWHERE": f"{NOWHERE}f", "LAYERS": LAYERS},
-    **aims.WORDS,
+    **proposed_motion.WORDS,
 }
 """What stands for numbers in native code."""
 

@@ -19,7 +19,7 @@ from usarmjx.models.arenas.red_2025 import RED_2025
 from usarmjx.models.arenas.soccer import SOCCER
 from usarmjx.models.arenas.yellow import YELLOW
 from usarmjx.models.arenas.yellow_2025 import YELLOW_2025
-from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.types.arena import ArenaSpec
 
 ARENAS: Registry[ArenaSpec] = Registry("arena")
 _TODAY = (YELLOW_2025, ORANGE_2025, RED_2025)

@@ -1,7 +1,7 @@
 """DM-Field: a large, flat, open ground for cars and flyers, with some walls at its edge. The plan is ours."""
 
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.types.shapes import Shape
 
 HALF = 200.0
 """Half the field's side [m]; the ground goes on behind it."""

@@ -1,7 +1,7 @@
 """Walls from a drawn floor plan, on a square grid as the NIST arenas use (cells of 1.2 m)."""
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.shapes import Shape
 
 WALL_RGBA = (0.85, 0.8, 0.6, 1.0)
 

@@ -12,13 +12,21 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from usarmjx.base.registry import Registry
-from usarmjx.models.arenas.elements import CELL, RISE, STEEP, block, deck, ramps, slope, stairs
-from usarmjx.models.arenas.finishes import BARE, finished
-from usarmjx.models.arenas.pieces import span
-from usarmjx.models.arenas.pipes import EDGE, FLAT, pipe, pipe_steps
-from usarmjx.models.arenas.step_fields import POST, step_field
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
-from usarmjx.models.spec.shapes import Position2D, Shape
+from usarmjx.models.arenas.elements import (
+    CELL,
+    POST,
+    RISE,
+    STEEP,
+    block,
+    deck,
+    ramps,
+    slope,
+    stairs,
+    step_field,
+)
+from usarmjx.models.arenas.pieces import BARE, EDGE, FLAT, finished, pipe, pipe_steps, span
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.types.shapes import Position2D, Shape
 
 LANE_PREFIX = "lane_"
 """Of the names of lanes where arenas are named."""

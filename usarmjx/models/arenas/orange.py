@@ -9,16 +9,9 @@ P2AT, whose origin is 0.26 m above the ground (5.3.6), 2 cm above it.
 import math
 from functools import partial
 
-from usarmjx.models.arenas.debris import (
-    cinder_block,
-    loose_board,
-    loose_cinder_block,
-    pallet,
-    paper,
-    plank,
-)
 from usarmjx.models.arenas.elements import (
     CELL,
+    POST,
     RAMP_ANGLE,
     RISE,
     STEEPER,
@@ -29,14 +22,27 @@ from usarmjx.models.arenas.elements import (
     ramps,
     slope,
     stairs,
+    step_field,
 )
-from usarmjx.models.arenas.finishes import BRICKED, finished
 from usarmjx.models.arenas.floorplan import walls
-from usarmjx.models.arenas.pieces import PANE, brick, span, waving
-from usarmjx.models.arenas.pipes import loose_pipe, pipe
-from usarmjx.models.arenas.step_fields import POST, step_field
-from usarmjx.models.build.victims import rest_height
-from usarmjx.models.spec.arena import (
+from usarmjx.models.arenas.pieces import (
+    BRICKED,
+    PANE,
+    brick,
+    cinder_block,
+    finished,
+    loose_board,
+    loose_cinder_block,
+    loose_pipe,
+    pallet,
+    paper,
+    pipe,
+    plank,
+    span,
+    waving,
+)
+from usarmjx.models.compile.victims import rest_height
+from usarmjx.models.types.arena import (
     START_ELEVATION,
     ArenaSpec,
     Door,
@@ -47,7 +53,7 @@ from usarmjx.models.spec.arena import (
     Tag,
     Victim,
 )
-from usarmjx.models.spec.shapes import GLASS
+from usarmjx.models.types.shapes import GLASS
 
 FLOOR = -1.44
 ORIGIN = (-4.2, -4.3)

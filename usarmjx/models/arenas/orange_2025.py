@@ -8,13 +8,11 @@ is in `lanes`; which lane is where is ours.
 
 import math
 
-from usarmjx.models.arenas.elements import CELL, RAMP_ANGLE, RISE, STEEP, ramps, slope, stairs
-from usarmjx.models.arenas.finishes import PANELLED, finished
-from usarmjx.models.arenas.hall import Hall
+from usarmjx.models.arenas.elements import CELL, POST, RAMP_ANGLE, RISE, STEEP, ramps, slope, stairs
 from usarmjx.models.arenas.lanes import hurdle
-from usarmjx.models.arenas.pipes import pipe_steps
-from usarmjx.models.arenas.step_fields import POST
-from usarmjx.models.spec.arena import ArenaSpec, Tag
+from usarmjx.models.arenas.league_hall import Hall
+from usarmjx.models.arenas.pieces import PANELLED, finished, pipe_steps
+from usarmjx.models.types.arena import ArenaSpec, Tag
 
 FLIGHT = 5
 """Rises of the stairs."""

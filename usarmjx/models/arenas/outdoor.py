@@ -15,10 +15,9 @@ import math
 import numpy as np
 
 from usarmjx.models.arenas.elements import WOOD, block, slope
-from usarmjx.models.arenas.finishes import BARE, finished
-from usarmjx.models.arenas.pieces import CONCRETE, brick, loose_box, span, waving
-from usarmjx.models.build.victims import rest_height
-from usarmjx.models.spec.arena import (
+from usarmjx.models.arenas.pieces import BARE, CONCRETE, brick, finished, loose_box, span, waving
+from usarmjx.models.compile.victims import rest_height
+from usarmjx.models.types.arena import (
     START_ELEVATION,
     ArenaSpec,
     FalseAlarm,
@@ -27,7 +26,7 @@ from usarmjx.models.spec.arena import (
     Tag,
     Victim,
 )
-from usarmjx.models.spec.shapes import SKY, HeightField, Rgba, Shape
+from usarmjx.models.types.shapes import SKY, HeightField, Rgba, Shape
 
 BASE = 0.5
 """Height of the flat parts above the arena's floor [m]."""

@@ -1,11 +1,15 @@
 """Pieces of buildings and things that lie about, which several arenas need."""
 
 import math
+import random
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.arenas.elements import WOOD, block
-from usarmjx.models.spec.arena import LooseObject, SegmentMotion
-from usarmjx.models.spec.shapes import OPAQUE, Rgba, Shape
+from usarmjx.models.arenas.elements import CELL, STONE, WOOD, block
+from usarmjx.models.arenas.floorplan import WALL_RGBA
+from usarmjx.models.types.arena import LooseObject, SegmentMotion
+from usarmjx.models.types.shapes import OPAQUE, ZERO, Position2D, Rgba, Shape
 
 CONCRETE: Rgba = (0.65, 0.65, 0.62, 1.0)
 STEEL: Rgba = (0.45, 0.48, 0.52, 1.0)
@@ -93,3 +97,179 @@ def drum(
         for yaw in (0.0, math.pi / 4)
     )
     return LooseObject(name=name, at=(*at, height / 2), shapes=shapes)
+
+
+CINDER: Vec3 = (0.39, 0.19, 0.19)
+"""A cement block [m]: 16 x 8 x 8 inches less the mortar."""
+CINDER_MASS = 13.0
+PLYWOOD_DENSITY = 600.0
+"""Density [kg/m3]."""
+PAPER: Rgba = (0.92, 0.92, 0.88, 1.0)
+
+
+def cinder_block(at: Position2D, *, z: float = 0.0, yaw: float = 0.0) -> Shape:
+    """Return a fixed cement block."""
+    return block(at, CINDER, z=z, yaw=yaw, rgba=STONE)
+
+
+def loose_cinder_block(name: str, at: Position2D, *, z: float = 0.0, yaw: float = 0.0) -> LooseObject:
+    """Return a loose cement block."""
+    return loose_box(name, at, CINDER, CINDER_MASS, z=z, yaw=yaw, rgba=STONE)
+
+
+def loose_board(name: str, at: Position2D, size: Vec3, *, z: float = 0.0, yaw: float = 0.0) -> LooseObject:
+    """Return a loose board of plywood of full lengths `size` [m]."""
+    return loose_box(name, at, size, PLYWOOD_DENSITY * math.prod(size), z=z, yaw=yaw, rgba=WOOD)
+
+
+def plank(at: Position2D, length: float, *, z: float = 0.0, yaw: float = 0.0) -> Shape:
+    """Return a fixed plank of 38 x 89 mm, a 2 by 4."""
+    return block(at, (length, 0.089, 0.038), z=z, yaw=yaw, rgba=WOOD)
+
+
+def paper(at: Position2D, *, yaw: float = 0.0) -> Shape:
+    """Return a stack of paper, 60 x 42 cm and 5 mm thick (chosen)."""
+    return block(at, (0.6, 0.42, 0.005), yaw=yaw, rgba=PAPER)
+
+
+def pallet(at: Position2D, *, z: float = 0.0, yaw: float = 0.0) -> tuple[Shape, ...]:
+    """Return a pallet of 1200 x 800 x 144 mm (EN 13698-1) with a closed deck on three runners."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    runners = (
+        block(
+            (at[0] - side * 0.35 * sin, at[1] + side * 0.35 * cos), (1.2, 0.1, 0.1), z=z, yaw=yaw, rgba=WOOD
+        )
+        for side in (-1, 0, 1)
+    )
+    return (block(at, (1.2, 0.8, 0.044), z=z + 0.1, yaw=yaw, rgba=WOOD), *runners)
+
+
+def slab(at: Vec3, size: Vec3, rotation: Vec3 = (0.0, 0.0, 0.0)) -> Shape:
+    """Return a plate of concrete of full lengths `size` [m], tilted by roll, pitch and yaw [rad]."""
+    half = (size[0] / 2, size[1] / 2, size[2] / 2)
+    return Shape(kind="box", size=half, at=at, rotation=rotation, surface="ground", rgba=CONCRETE)
+
+
+GOLDEN = math.pi * (3 - math.sqrt(5))
+
+
+def rubble(at: Position2D, radius: float, height: float, count: int, *, seed: int) -> tuple[Shape, ...]:
+    """Return a pile of tilted chunks, cone-shaped and without voids; the same for the same seed.
+
+    Args:
+        at: Its middle [m].
+        radius: Of the ring of the outermost chunks' middles [m].
+        height: About how high it is [m].
+        count: Number of chunks.
+        seed: Of their sizes and tilts.
+    """
+    draw = random.Random(seed)
+    chunks: list[Shape] = []
+    for i in range(count):
+        out = math.sqrt(i / count)
+        x, y = (radius * out * turn(i * GOLDEN) for turn in (math.cos, math.sin))
+        top, below = height * (1 - 0.85 * out), 0.15
+        half = (draw.uniform(0.15, 0.3), draw.uniform(0.1, 0.2), (top + below) / 2)
+        tilt = (draw.uniform(-0.3, 0.3), draw.uniform(-0.3, 0.3), draw.uniform(-math.pi, math.pi))
+        place = (at[0] + x, at[1] + y, (top - below) / 2)
+        grey = draw.uniform(0.45, 0.7)
+        chunks.append(
+            Shape(
+                kind="box",
+                size=half,
+                at=place,
+                rotation=tilt,
+                surface="ground",
+                rgba=(grey, grey, 0.95 * grey, 1.0),
+                texture="concrete",
+            )
+        )
+    return tuple(chunks)
+
+
+TexturesByColour = Mapping[Rgba, str]
+"""Textures of `spec.textures` by colours."""
+
+BARE: TexturesByColour = {WOOD: "wood", STONE: "concrete", CONCRETE: "concrete", BRICK: "brick"}
+"""What is made of plywood, stone, concrete and bricks looks it."""
+PANELLED: TexturesByColour = {**BARE, WALL_RGBA: "wood"}
+"""Walls of boards, as in halls for tests."""
+BRICKED: TexturesByColour = {**BARE, WALL_RGBA: "brick"}
+CAST: TexturesByColour = {**BARE, WALL_RGBA: "concrete"}
+
+
+def finished(shapes: Iterable[Shape], finish: TexturesByColour) -> tuple[Shape, ...]:
+    """Return solids with the textures of their colours."""
+    return tuple(
+        shape if shape.texture else replace(shape, texture=finish.get(shape.rgba, "")) for shape in shapes
+    )
+
+
+PIPE = 0.06
+"""Outer diameter of a 2 inch pipe [m]."""
+PIPE_MASS = 5.4
+"""Of a metre of it, in steel [kg]."""
+EDGE = 0.11
+"""Outer diameter of a 4 inch pipe [m]."""
+FLAT = math.cos(math.pi / 8)
+"""How high the axis of a pipe is that lies on a side, over its radius."""
+
+
+def _bars(
+    at: Vec3, length: float, diameter: float, yaw: float = 0.0, mass: float = 0.0, surface: str = "ground"
+) -> tuple[Shape, ...]:
+    half = diameter / math.sqrt(8)
+    return tuple(
+        Shape(
+            kind="box",
+            size=(length / 2, half, half),
+            at=at,
+            rotation=(roll, 0.0, yaw),
+            mass=mass / 2,
+            surface=surface,
+            rgba=STEEL,
+        )
+        for roll in (math.pi / 8, 3 * math.pi / 8)
+    )
+
+
+def pipe(
+    at: tuple[float, float], length: float, *, diameter: float = PIPE, z: float = 0.0, yaw: float = 0.0
+) -> tuple[Shape, ...]:
+    """Return a fixed pipe along `yaw` whose underside is at height `z` [m]; `at` is its middle."""
+    return _bars((*at, z + diameter / 2 * FLAT), length, diameter, yaw)
+
+
+def loose_pipe(
+    name: str, at: tuple[float, float], length: float, *, z: float = 0.0, yaw: float = 0.0
+) -> LooseObject:
+    """Return a loose pipe of steel along `yaw` whose underside is at height `z` [m]."""
+    shapes = _bars(ZERO, length, PIPE, mass=PIPE_MASS * length, surface="loose")
+    return LooseObject(name=name, at=(*at, z + PIPE / 2 * FLAT), rotation=(0.0, 0.0, yaw), shapes=shapes)
+
+
+def pipe_steps(
+    foot: tuple[float, float], uphill: float, count: int, *, rise: float = 0.2, width: float = CELL
+) -> tuple[Shape, ...]:
+    """Return steps half a cell deep whose edges are pipes, as those of ASTM E2802's hurdles (sizes chosen).
+
+    The upper side of each pipe is level with its step.
+
+    Args:
+        foot: Middle of the first step's face [m].
+        uphill: Direction of climb [rad].
+        count: Number of steps.
+        rise: Height of each [m].
+        width: Of the steps [m].
+    """
+    along = (math.cos(uphill), math.sin(uphill))
+    shapes: list[Shape] = []
+    for i in range(count):
+        top, near, far = (i + 1) * rise, i * CELL / 2, count * CELL / 2
+        middle = (near + far) / 2
+        at = (foot[0] + middle * along[0], foot[1] + middle * along[1])
+        edge = (foot[0] + near * along[0], foot[1] + near * along[1])
+        low = top - EDGE * FLAT
+        shapes.append(block(at, (far - near, width, top), yaw=uphill, rgba=WOOD))
+        shapes.extend(pipe(edge, width, diameter=EDGE, z=low, yaw=uphill + math.pi / 2))
+    return tuple(shapes)

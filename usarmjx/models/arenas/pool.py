@@ -6,10 +6,9 @@ basin is the arena's floor; the quay lies at the wire's origin height.
 
 import math
 
-from usarmjx.models.arenas.finishes import BARE, finished
-from usarmjx.models.arenas.pieces import CONCRETE, span, waving
-from usarmjx.models.build.victims import rest_height
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, HelpSound, StartPose, Tag, Victim, Water
+from usarmjx.models.arenas.pieces import BARE, CONCRETE, finished, span, waving
+from usarmjx.models.compile.victims import rest_height
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, HelpSound, StartPose, Tag, Victim, Water
 
 LENGTH, WIDTH, DEPTH = 60.0, 44.0, 5.0
 """Of the water [m]: room for the submarine to turn about, which takes it 36 m."""

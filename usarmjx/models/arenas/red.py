@@ -10,15 +10,25 @@ the ground (5.3.6), 2 cm above it.
 import math
 from functools import partial
 
-from usarmjx.models.arenas.debris import cinder_block, loose_board, loose_cinder_block, plank, rubble, slab
-from usarmjx.models.arenas.elements import CELL, cell_center, deck, slope
-from usarmjx.models.arenas.finishes import CAST, finished
+from usarmjx.models.arenas.elements import CELL, cell_center, deck, slope, step_field
 from usarmjx.models.arenas.floorplan import walls
-from usarmjx.models.arenas.pieces import brick, waving
-from usarmjx.models.arenas.pipes import loose_pipe, pipe, pipe_steps
-from usarmjx.models.arenas.step_fields import step_field
-from usarmjx.models.build.victims import rest_height
-from usarmjx.models.spec.arena import (
+from usarmjx.models.arenas.pieces import (
+    CAST,
+    brick,
+    cinder_block,
+    finished,
+    loose_board,
+    loose_cinder_block,
+    loose_pipe,
+    pipe,
+    pipe_steps,
+    plank,
+    rubble,
+    slab,
+    waving,
+)
+from usarmjx.models.compile.victims import rest_height
+from usarmjx.models.types.arena import (
     START_ELEVATION,
     ArenaSpec,
     FalseAlarm,

@@ -13,8 +13,8 @@ robots' hulls cover their wheels. It rolls without resistance until something st
 import math
 
 from usarmjx.models.arenas.elements import block
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, Light, LooseObject, StartPose
-from usarmjx.models.spec.shapes import Rgba, Shape
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, Light, LooseObject, StartPose
+from usarmjx.models.types.shapes import Rgba, Shape
 
 LENGTH, WIDTH = 5.4, 3.6
 """Between the goal lines and between the side lines [m]."""

@@ -13,11 +13,20 @@ import math
 from functools import partial
 
 from usarmjx.models.arenas.elements import CELL, WOOD, block, cell_center, ramp
-from usarmjx.models.arenas.finishes import PANELLED, finished
 from usarmjx.models.arenas.floorplan import walls
-from usarmjx.models.arenas.pieces import MESHWORK, PANE, SILVER, brick, loose_box, span, waving
-from usarmjx.models.build.victims import rest_height
-from usarmjx.models.spec.arena import (
+from usarmjx.models.arenas.pieces import (
+    MESHWORK,
+    PANE,
+    PANELLED,
+    SILVER,
+    brick,
+    finished,
+    loose_box,
+    span,
+    waving,
+)
+from usarmjx.models.compile.victims import rest_height
+from usarmjx.models.types.arena import (
     START_ELEVATION,
     ArenaSpec,
     FalseAlarm,
@@ -28,7 +37,7 @@ from usarmjx.models.spec.arena import (
     Tag,
     Victim,
 )
-from usarmjx.models.spec.shapes import FENDER, GLASS, MIRROR, Shape
+from usarmjx.models.types.shapes import FENDER, GLASS, MIRROR, Shape
 
 FLOOR = -2.08
 ORIGIN = (-2.4, -4.8)

@@ -4,16 +4,16 @@ from collections import Counter
 from collections.abc import Iterator
 
 from usarmjx.base.errors import SpecError
-from usarmjx.base.names import is_name
-from usarmjx.models.build.compose_arena import ARENA
-from usarmjx.models.build.reach import footprint_of, reach_map, victims_reached
-from usarmjx.models.build.tags import MAX_RELEASED_ID
+from usarmjx.base.registry import is_name
 from usarmjx.models.check.bodies import BodyProbe, check_close_starts
 from usarmjx.models.check.probe import ArenaProbe, format_position, in_water, solid_name
+from usarmjx.models.compile.compose import ARENA
+from usarmjx.models.compile.reachability import footprint_of, reach_map, victims_reached
+from usarmjx.models.compile.tags import MAX_RELEASED_ID
 from usarmjx.models.files.content import corners_of
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import AUTOMATIC_TAG_ID, ArenaSpec, StartPose
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.types.arena import AUTOMATIC_TAG_ID, ArenaSpec, StartPose
+from usarmjx.models.types.robot import RobotSpec
 
 STICKS_OUT = 0.5
 """How far a solid may reach over the extent, as an outer wall does [m]."""

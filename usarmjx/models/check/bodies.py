@@ -8,12 +8,11 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from usarmjx.models.build.compose import Physics, new_spec
-from usarmjx.models.build.compose_arena import ARENA, DOOR, VICTIM_PREFIX
-from usarmjx.models.build.victim_table import box_names
 from usarmjx.models.check.probe import GroundFinder, solid_name
-from usarmjx.models.spec.arena import ArenaSpec, Door, StartPose, Victim
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.compile.compose import ARENA, DOOR, VICTIM_PREFIX, Physics, new_spec
+from usarmjx.models.compile.victims import box_names
+from usarmjx.models.types.arena import ArenaSpec, Door, StartPose, Victim
+from usarmjx.models.types.robot import RobotSpec
 
 MAX_BODY_PENETRATION, MAX_LIMB_PENETRATION = 0.05, 0.15
 """How deep a victim's trunk and its limbs may lie in a solid: they lean on walls and sink into rubble [m]."""

@@ -6,12 +6,19 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.transforms import quat_from_angles
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.build.compose import Physics, add_robot, new_spec
-from usarmjx.models.build.compose_arena import ARENA, DOOR, LOOSE_PREFIX, VICTIM_PREFIX
-from usarmjx.models.build.victim_table import box_names
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.compile.compose import (
+    ARENA,
+    DOOR,
+    LOOSE_PREFIX,
+    VICTIM_PREFIX,
+    Physics,
+    add_robot,
+    new_spec,
+)
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.victims import box_names
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.types.robot import RobotSpec
 
 ELEVATION_TOLERANCE = 0.02
 """How far a start pose may be from its height above the ground [m]; the wire rounds to 1 cm."""

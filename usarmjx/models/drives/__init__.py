@@ -7,11 +7,9 @@ chassis. All of it takes leading axes, and runs on NumPy and, traced, on JAX: se
 
 from usarmjx.models.drives.ackermann import Ackermann, Wheel
 from usarmjx.models.drives.base import DRY_DEPTH, Drive, JointControl, VehicleType
+from usarmjx.models.drives.fluid import Underwater
 from usarmjx.models.drives.flying import Blimp, RotaryWing
-from usarmjx.models.drives.ground import NoDrive, SkidSteer
-from usarmjx.models.drives.omni import OmniDrive
-from usarmjx.models.drives.tracks import Tracks
-from usarmjx.models.drives.underwater import Underwater
+from usarmjx.models.drives.ground import NoDrive, OmniDrive, SkidSteer, Tracks
 
 __all__ = [
     "DRY_DEPTH",

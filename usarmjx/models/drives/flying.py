@@ -10,9 +10,8 @@ from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import xp
 from usarmjx.base.rotations import mat_from_quat, matvec
 from usarmjx.base.transforms import GRAVITY, Vec3
-from usarmjx.models.drives.base import Drive, VehicleType
+from usarmjx.models.drives.base import Drive, RobotState, VehicleType
 from usarmjx.models.drives.fluid import AIR_DENSITY, Hull
-from usarmjx.models.drives.state import RobotState
 
 MAX_TILT = math.radians(65)
 """No more tilt than this, whatever is asked [rad]."""

@@ -21,8 +21,8 @@ from usarmjx.models.effecters.base import (
 from usarmjx.models.effecters.gripper import Gripper
 from usarmjx.models.effecters.roller import RollerTable
 from usarmjx.models.effecters.still import Headlight, RfidReleaser
-from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.models.spec.settings import resolve_settings
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.models.types.settings import resolve_settings
 
 __all__ = [
     "EFFECTERS",

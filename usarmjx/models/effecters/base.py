@@ -16,8 +16,8 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import Vec3, mat_from_angles
-from usarmjx.models.spec.robot import Mount, Part, RobotSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.robot import Mount, Part, RobotSpec
+from usarmjx.models.types.shapes import Shape
 
 MAX_DROPPED_TAGS = 64
 """Most RFID tags that lie in one world (the manual's releasers have ids for 1001)."""

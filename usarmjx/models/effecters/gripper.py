@@ -7,8 +7,8 @@ from typing import Self
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
-from usarmjx.models.spec.robot import CHASSIS, Motor, Part, RobotSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.robot import CHASSIS, Motor, Part, RobotSpec
+from usarmjx.models.types.shapes import Shape
 
 # All measures are chosen: the manual gives none.
 LEVER = 0.12

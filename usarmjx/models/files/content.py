@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from usarmjx.base.transforms import Vec3, mat_from_angles
-from usarmjx.models.build.raster import half_lengths
-from usarmjx.models.build.reach import reach_map, shapes_in_arena
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, Door, LooseObject, StartPose
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.compile.raster import half_lengths
+from usarmjx.models.compile.reachability import reach_map, shapes_in_arena
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, Door, LooseObject, StartPose
+from usarmjx.models.types.shapes import Shape
 
 Rectangle = tuple[tuple[float, float], tuple[float, float]]
 MIN_WALL_HEIGHT = 0.3

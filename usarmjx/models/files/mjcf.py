@@ -1,22 +1,240 @@
 """MJCF files to arenas: what is fixed, what lies loose, and doors."""
 
-from dataclasses import replace
+import math
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
-from usarmjx.base.transforms import Vec3, flip_angles
+from usarmjx.base.transforms import Vec3, flip_angles, flip_vector
+from usarmjx.models.compile.doors import DOOR_GAP
+from usarmjx.models.compile.geoms import add_geom
 from usarmjx.models.files.content import Content, surface_of
-from usarmjx.models.files.doors import Hinge, door_of
-from usarmjx.models.files.geoms import FIXTURE, MeshPieces, geom_mass, geom_shapes
-from usarmjx.models.files.masses import with_masses
-from usarmjx.models.files.mjcf_size import check_model_size
-from usarmjx.models.files.mjcf_solids import Inertia, Pose, combine_inertias, usarsim_angles
+from usarmjx.models.files.meshes import ConvexPiece, convex_pieces
+from usarmjx.models.files.mjcf_solids import (
+    KINDS,
+    SIZES,
+    Inertia,
+    Pose,
+    combine_inertias,
+    inertia_box,
+    mat_of,
+    usarsim_angles,
+    usarsim_vector,
+    volume,
+)
 from usarmjx.models.files.reader_process import try_model
-from usarmjx.models.spec.arena import Door, LooseObject
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.files.xml_size import check_model_size
+from usarmjx.models.types.arena import Door, LooseObject
+from usarmjx.models.types.shapes import HeightField, Shape
+
+AXIS_TOLERANCE = 1e-3
+"""How far a hinge or an edge may lean [rad]."""
+HINGE_OFFSET_TOLERANCE = 0.02
+"""How far a hinge may lie from the door's end; the door is moved to it [m]."""
+FULL_TURN = (-math.pi, math.pi)
+"""Limits of a hinge that has none."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Hinge:
+    """What a door turns about, in the arena's axes.
+
+    Attributes:
+        anchor: A point of it (3,).
+        axis: Its direction (3,).
+        limits: Lowest and highest angle about that direction; None: none.
+        friction: Damping [N m s/rad].
+    """
+
+    anchor: np.ndarray
+    axis: np.ndarray
+    limits: tuple[float, float] | None
+    friction: float
+
+
+def door_of(
+    name: str, pose: Pose, half: np.ndarray, hinge: Hinge, mass: float, rgba: tuple[float, ...]
+) -> Door:
+    """Return a box that turns about a hinge as a door.
+
+    Args:
+        name: Its name.
+        pose: Where the box is while the door is closed, in the arena's axes.
+        half: Its half lengths [m] (3,).
+        hinge: The hinge.
+        mass: Mass of the door [kg].
+        rgba: Colour.
+
+    Raises:
+        ArenaFileError: The hinge or the box does not stand upright, or the hinge is not at the box's end.
+    """
+    if abs(hinge.axis[2]) < 1 - AXIS_TOLERANCE:
+        raise ArenaFileError(f"body {name!r}: its hinge is not upright; a door's is (axis 0 0 1)")
+    up = int(np.abs(pose.mat[2]).argmax())
+    if abs(pose.mat[2, up]) < 1 - AXIS_TOLERANCE:
+        raise ArenaFileError(f"body {name!r}: its box does not stand upright; a door does")
+    flat = [i for i in range(3) if i != up]
+    long = max(flat, key=lambda i: float(half[i]))
+    thin = next(i for i in flat if i != long)
+    offset = pose.pos[:2] - hinge.anchor[:2]
+    along = pose.mat[:2, long]
+    reach, aside = float(along @ offset), float(pose.mat[:2, thin] @ offset)
+    if reach < 0:
+        along, reach = -along, -reach
+    if abs(reach - half[long]) > HINGE_OFFSET_TOLERANCE or abs(aside) > HINGE_OFFSET_TOLERANCE + half[thin]:
+        raise ArenaFileError(f"body {name!r}: its hinge is not at a narrow side of its box; a door's is")
+    low, high = hinge.limits or FULL_TURN
+    if hinge.axis[2] < 0:
+        low, high = -high, -low
+    x, y = hinge.anchor[:2].tolist()
+    foot = float(pose.pos[2] - half[up]) - DOOR_GAP
+    red, green, blue, alpha = rgba
+    return Door(
+        name=name,
+        at=(x, y, foot),
+        yaw=math.atan2(along[1], along[0]),
+        size=(2 * float(half[long]), 2 * float(half[thin]), 2 * float(half[up]) + DOOR_GAP),
+        limits=(low, high),
+        mass=mass,
+        friction=hinge.friction,
+        rgba=(red, green, blue, alpha),
+    )
+
+
+GeomType = mujoco.mjtGeom
+FIXTURE = "fixture"
+"""Surface of what is seen but never touched."""
+
+
+class MeshPieces:
+    """The convex pieces of a model's meshes, each found once however many geoms have it.
+
+    Args:
+        model: The compiled model.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        self._known: dict[tuple[int, bool], list[ConvexPiece] | str] = {}
+
+    def of(self, geom: int, name: str, *, hull: bool = False) -> list[ConvexPiece]:
+        """Return the pieces of a geom's mesh, in the geom's axes.
+
+        Args:
+            geom: The geom's id.
+            name: What errors call it.
+            hull: Whether to take the hulls of pieces that are not convex.
+
+        Raises:
+            ArenaFileError: See `convex_pieces`.
+        """
+        key = int(self._model.geom_dataid[geom]), hull
+        if key not in self._known:
+            try:
+                self._known[key] = convex_pieces(*_mesh(self._model, key[0]), "", hull=hull)
+            except ArenaFileError as error:
+                self._known[key] = str(error)
+        found = self._known[key]
+        if isinstance(found, str):
+            raise ArenaFileError(f"{name}{found}")
+        return found
+
+
+def geom_shapes(
+    model: mujoco.MjModel, geom: int, pose: Pose, surface: str, name: str, meshes: MeshPieces
+) -> list[Shape]:
+    """Return a geom as shapes without mass; a mesh gives one for each of its pieces.
+
+    Args:
+        model: The compiled model.
+        geom: The geom's id.
+        pose: Where it is, in the axes that the shapes shall be in.
+        surface: Their surface.
+        name: What errors call it.
+        meshes: The pieces of the model's meshes.
+
+    Raises:
+        ArenaFileError: A geom of a kind that arenas do not have, or a mesh that is not convex.
+    """
+    kind, material = GeomType(model.geom_type[geom]), int(model.geom_matid[geom])
+    colour = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
+    red, green, blue, alpha = colour.tolist()
+    like = Shape(
+        kind="box",
+        at=flip_vector(usarsim_vector(pose.pos)),
+        rotation=flip_angles(usarsim_angles(pose.mat)),
+        surface=surface,
+        rgba=(red, green, blue, alpha),
+    )
+    if kind in KINDS:
+        form = KINDS[kind]
+        size = tuple(model.geom_size[geom][: SIZES[form]].tolist())
+        return [replace(like, kind=form, size=size)]
+    if kind == GeomType.mjGEOM_HFIELD:
+        return [_terrain(model, int(model.geom_dataid[geom]), like)]
+    if kind != GeomType.mjGEOM_MESH:
+        raise ArenaFileError(f"{name} is a {kind.name[7:].lower()}; arenas have none")
+    # What nothing touches is only looked at, by its faces.
+    pieces = meshes.of(geom, name, hull=surface == FIXTURE)
+    return [replace(like, kind="mesh", mesh=piece.mesh) for piece in pieces]
+
+
+def geom_mass(model: mujoco.MjModel, geom: int, described: mujoco.MjsGeom, meshes: MeshPieces) -> float:
+    """Return the mass that a geom would give its body [kg]."""
+    if np.isfinite(described.mass):
+        return float(described.mass)
+    if GeomType(model.geom_type[geom]) in KINDS:
+        return described.density * volume(model, geom)
+    found = meshes.of(geom, described.name, hull=True)
+    return described.density * sum(piece.volume for piece in found)
+
+
+def _terrain(model: mujoco.MjModel, number: int, like: Shape) -> Shape:
+    rows, columns, start = (
+        int(values[number]) for values in (model.hfield_nrow, model.hfield_ncol, model.hfield_adr)
+    )
+    x, y, top, base = model.hfield_size[number].tolist()
+    shares = model.hfield_data[start : start + rows * columns].reshape(rows, columns)
+    heights = HeightField(shares.astype(float) * top)
+    return replace(like, kind="hfield", size=(x, y, base), heights=heights)
+
+
+def _mesh(model: mujoco.MjModel, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and faces of a mesh."""
+    first, count = int(model.mesh_vertadr[number]), int(model.mesh_vertnum[number])
+    start, faces = int(model.mesh_faceadr[number]), int(model.mesh_facenum[number])
+    return model.mesh_vert[first : first + count].astype(float), model.mesh_face[start : start + faces]
+
+
+INERTIA_TOLERANCE = 1e-3
+"""Relative difference of inertias that counts as none."""
+
+
+def with_masses(shapes: list[Shape], whole: Inertia) -> tuple[Shape, ...]:
+    """Return solids whose masses make the given inertia, if need be all on one box more, never touched."""
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body()
+    body.add_freejoint()
+    for i, shape in enumerate(shapes):
+        add_geom(spec, body, str(i), shape)
+    if sum(shape.mass for shape in shapes) > 0:
+        model = spec.compile()
+        turn = mat_of(model.body_iquat[1])
+        tensor = turn @ np.diag(model.body_inertia[1]) @ turn.T
+        reach = np.sqrt(np.trace(whole.tensor) / whole.mass)
+        if (
+            abs(model.body_mass[1] - whole.mass) <= INERTIA_TOLERANCE * whole.mass
+            and np.abs(model.body_ipos[1] - whole.centre).max() <= INERTIA_TOLERANCE * reach
+            and np.abs(tensor - whole.tensor).max() <= INERTIA_TOLERANCE * np.trace(whole.tensor)
+        ):
+            return tuple(shapes)
+    box = inertia_box(whole)
+    box = replace(box, at=flip_vector(box.at), rotation=flip_angles(box.rotation))
+    return (*(replace(shape, mass=0.0) for shape in shapes), box)
+
 
 GeomType, JointType = mujoco.mjtGeom, mujoco.mjtJoint
 FLOOR_TOLERANCE = 1e-6

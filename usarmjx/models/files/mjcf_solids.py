@@ -8,8 +8,8 @@ import numpy as np
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import angles_from_mat, flip_angles, flip_vector
-from usarmjx.models.spec.robot import Vec3
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.robot import Vec3
+from usarmjx.models.types.shapes import Shape
 
 KINDS = {
     mujoco.mjtGeom.mjGEOM_BOX: "box",

@@ -13,8 +13,8 @@ from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.models.files.content import Content, surface_of
 from usarmjx.models.files.meshes import NO_MESH, load_convex_pieces, shapes_of
 from usarmjx.models.files.mjcf_solids import Pose, usarsim_angles, usarsim_vector
-from usarmjx.models.files.xml_file import read_xml
-from usarmjx.models.spec.shapes import Rgba, Shape
+from usarmjx.models.files.xml_size import read_xml
+from usarmjx.models.types.shapes import Rgba, Shape
 
 GREY = (0.7, 0.7, 0.7, 1.0)
 PACKAGE = "package://"

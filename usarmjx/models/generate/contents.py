@@ -12,22 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.models.build.raster import half_lengths
-from usarmjx.models.build.reach import RobotFootprint, shapes_in_arena
-from usarmjx.models.build.victims import rest_height
+from usarmjx.models.compile.raster import half_lengths
+from usarmjx.models.compile.reachability import RobotFootprint, shapes_in_arena
+from usarmjx.models.compile.victims import rest_height
 from usarmjx.models.generate.difficulty import Difficulty
 from usarmjx.models.generate.draw import RandomStream
 from usarmjx.models.generate.kinds import USUAL_STARTS, ArenaKind, counts
 from usarmjx.models.generate.plan import CELL, DIRECTIONS, START_CELL, THICKNESS, Cell, CellGrid, middle
-from usarmjx.models.generate.structures import (
-    STONE,
-    STRUCTURE_SIZE,
-    WOOD,
-    block,
-    lerp,
-    void,
-)
-from usarmjx.models.spec.arena import (
+from usarmjx.models.generate.structures import STONE, STRUCTURE_SIZE, WOOD, block, lerp, void
+from usarmjx.models.types.arena import (
     START_ELEVATION,
     HelpSound,
     LooseObject,
@@ -36,7 +29,7 @@ from usarmjx.models.spec.arena import (
     Tag,
     Victim,
 )
-from usarmjx.models.spec.shapes import Position2D, Rgba, Shape
+from usarmjx.models.types.shapes import Position2D, Rgba, Shape
 
 INNER = (CELL - THICKNESS) / 2
 """From the middle of a cell to its walls [m]."""

@@ -1,13 +1,183 @@
 """The kinds of generated arenas, and the most that each makes."""
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
 
+from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import Registry
-from usarmjx.models.generate import layouts, structures
-from usarmjx.models.generate.obstacles import MOST_SOLIDS
-from usarmjx.models.generate.plan import LONGEST
+from usarmjx.models.generate import structures
+from usarmjx.models.generate.difficulty import Difficulty
+from usarmjx.models.generate.draw import RandomStream
+from usarmjx.models.generate.obstacles import HIGHEST, LOWEST, MOST_SOLIDS
+from usarmjx.models.generate.plan import LONGEST, Cell, CellGrid, Edge, edge
 from usarmjx.models.generate.structures import Maker
+
+CROSSINGS_FILE = "crossings.json"
+
+SuccessCurve = Sequence[tuple[float, float]]
+"""Heights over the robot's step, rising, and the share of drives that got over obstacles of that height."""
+
+
+@cache
+def measured_crossings() -> Mapping[str, Mapping[str, SuccessCurve]]:
+    """Return what was measured, by class and kind of obstacle."""
+    return json.loads(files("usarmjx.models.generate").joinpath(CROSSINGS_FILE).read_text(encoding="utf-8"))[
+        "classes"
+    ]
+
+
+def highest_at(curve: SuccessCurve, success: float) -> float:
+    """Return up to which height over the step at least that share of the drives gets over obstacles.
+
+    What succeeds more often than something lower counts as that; between two heights it goes evenly.
+    """
+    held, share = curve[0]
+    for height, found in curve[1:]:
+        found = min(found, share)
+        if found < success:
+            return held + (height - held) * (share - success) / (share - found) if share > success else held
+        held, share = height, found
+    return held
+
+
+def highest_obstacle(robot: str, kind: str, risk: float) -> float:
+    """Return how high the highest obstacles are for a class, over its step.
+
+    Args:
+        robot: The class; "" if only a footprint is known.
+        kind: A name of `obstacles.OBSTACLES`.
+        risk: Share of the drives that may fail. Without any, obstacles are no higher than the step, and no
+            higher than every drive got over; classes that were not measured are taken to climb their step.
+
+    Raises:
+        SpecError: A risk for a class that was not measured.
+    """
+    known = measured_crossings()
+    curve = known.get(robot, {}).get(kind)
+    if curve is None:
+        if risk:
+            there = ", ".join(known)
+            raise SpecError(f"a risk of {risk:g} for {robot or 'a footprint'}: measured are {there}")
+        return HIGHEST
+    return max(LOWEST, highest_at(curve, 1.0 - risk)) if risk else min(HIGHEST, highest_at(curve, 1.0))
+
+
+SPARSEST = {"maze": 40, "field": 10}
+DENSEST = {"maze": 100, "field": 45}
+"""How many of a perfect maze's walls there are at wall density 0 and 1 [%]."""
+CORRIDOR_WIDTH = 5
+"""Buildings with at least so many cells across have a corridor."""
+
+
+def wall_count(low: int, high: int, level: float, count: int) -> int:
+    """Return which part of `count` a level between 0 and 1 makes, from `low` to `high` percent."""
+    return round((low + (high - low) * level) * count / 100)
+
+
+def maze(
+    plan: CellGrid, draw: RandomStream, difficulty: Difficulty, *, barred: tuple[Cell, ...] = ()
+) -> None:
+    """Lay out a maze: perfect at wall density and dead ends 1."""
+    plan.grow_tree(draw, bushy=False, barred=barred)
+    _thin(plan, draw, difficulty, "maze", barred)
+
+
+def open_field(
+    plan: CellGrid, draw: RandomStream, difficulty: Difficulty, *, barred: tuple[Cell, ...] = ()
+) -> None:
+    """Lay out an open field with some pieces of wall."""
+    plan.grow_tree(draw, bushy=True, barred=barred)
+    _thin(plan, draw, difficulty, "field", barred)
+
+
+def _thin(
+    plan: CellGrid, draw: RandomStream, difficulty: Difficulty, kind: str, barred: tuple[Cell, ...]
+) -> None:
+    """Put walls wherever no way leads, then open dead ends and take away walls.
+
+    Which ones, and in which order, does not depend on how many.
+    """
+    ways = plan.tree
+    closed = [(a, b) for a, b in plan.edges() if b not in ways.get(a, ())]
+    fixed = [(a, b) for a, b in closed if (a in barred) != (b in barred)]
+    closed = [(a, b) for a, b in closed if a not in barred and b not in barred]
+    ends = draw.shuffled([cell for cell in ways if len(ways[cell]) == 1])
+    opened: set[Edge] = set()
+    for rank, cell in enumerate(ends):
+        sides = [n for n in plan.around(cell) if n not in ways[cell] and n in ways]
+        if sides:
+            side = draw.choice(sides)
+            if rank >= round(difficulty.dead_ends * len(ends)):
+                opened.add(edge(cell, side))
+    keep = wall_count(SPARSEST[kind], DENSEST[kind], difficulty.wall_density, len(closed))
+    plan.walls = {*fixed, *draw.shuffled(closed)[:keep]} - opened
+
+
+Room = tuple[int, int, int, int]
+"""Columns from, to (not included), rows from, to."""
+
+
+def building(plan: CellGrid, draw: RandomStream, difficulty: Difficulty) -> None:
+    """Lay out rooms and, where there is space, a corridor; every wall between rooms has a doorway.
+
+    The largest room is parted, again and again; the wall density says for how long.
+    """
+    walls = _partitions(plan, draw)
+    keep = wall_count(25, 100, difficulty.wall_density, len(walls))
+    ranks = draw.shuffled(range(len(walls)))
+    for wall, rank in zip(walls[:keep], ranks, strict=False):
+        plan.walls.update(wall)
+        doors = draw.shuffled(wall)
+        both = len(doors) > 2 and rank >= round(difficulty.dead_ends * len(walls))
+        plan.walls.difference_update(doors[: 1 + both])
+    plan.grow_tree(draw, bushy=True)
+
+
+def _partitions(plan: CellGrid, draw: RandomStream) -> list[list[Edge]]:
+    """Return the walls that part a building, each as its edges, the first ones first."""
+    columns, rows = plan.size
+    rooms: list[Room] = [(0, columns, 0, rows)]
+    walls: list[list[Edge]] = []
+    if min(columns, rows) >= CORRIDOR_WIDTH:
+        tall = rows > columns
+        length = columns if tall else rows
+        at = draw.randint_between(2, length - 3)
+        for line in (at, at + 1):
+            walls.append(_line(rooms[0], line, tall))
+        rooms = [_part(rooms[0], 0, at, tall), _part(rooms[0], at + 1, length, tall)]
+    while rooms:
+        room = max(rooms, key=_area)
+        rooms.remove(room)
+        wide, deep = room[1] - room[0], room[3] - room[2]
+        upright = wide >= deep
+        length = max(wide, deep)
+        if length < 4:
+            continue
+        start = room[0] if upright else room[2]
+        at = start + draw.randint_between(2, length - 2)
+        walls.append(_line(room, at, upright))
+        rooms += [_part(room, start, at, upright), _part(room, at, start + length, upright)]
+    return walls
+
+
+def _area(room: Room) -> int:
+    return (room[1] - room[0]) * (room[3] - room[2])
+
+
+def _part(room: Room, start: int, stop: int, upright: bool) -> Room:
+    """Return the part of a room between two lines."""
+    return (start, stop, room[2], room[3]) if upright else (room[0], room[1], start, stop)
+
+
+def _line(room: Room, at: int, upright: bool) -> list[Edge]:
+    """Return the edges along a line across a room."""
+    if upright:
+        return [((at - 1, row), (at, row)) for row in range(room[2], room[3])]
+    return [((column, at - 1), (column, at)) for column in range(room[0], room[1])]
+
 
 MOST_LOOSE, MOST_VICTIMS, USUAL_STARTS, MOST_TAGS = 12, 16, 24, 16
 """In arenas of any size."""
@@ -43,13 +213,13 @@ class ArenaKind:
 
 
 KINDS: Registry[ArenaKind] = Registry("kind of arena")
-KINDS.add("maze", ArenaKind(about="Corridors one cell wide.", layout=layouts.maze))
-KINDS.add("building", ArenaKind(about="Rooms with doorways, and a corridor.", layout=layouts.building))
+KINDS.add("maze", ArenaKind(about="Corridors one cell wide.", layout=maze))
+KINDS.add("building", ArenaKind(about="Rooms with doorways, and a corridor.", layout=building))
 KINDS.add(
     "rubble",
     ArenaKind(
         about="An open field with heaps of slabs and blocks.",
-        layout=layouts.open_field,
+        layout=open_field,
         structure=structures.rubble,
         obstacle="slabs",
         structure_percent=25,
@@ -60,7 +230,7 @@ KINDS.add(
     "steps",
     ArenaKind(
         about="Step fields of posts between some walls.",
-        layout=layouts.open_field,
+        layout=open_field,
         structure=structures.steps,
         obstacle="posts",
         structure_percent=12,
@@ -71,7 +241,7 @@ KINDS.add(
     "ramps",
     ArenaKind(
         about="Ramps of 15 degrees, and a second floor along one side.",
-        layout=layouts.open_field,
+        layout=open_field,
         structure=structures.ramps,
         obstacle="ridge",
         structure_percent=20,
@@ -83,7 +253,7 @@ KINDS.add(
     "collapsed",
     ArenaKind(
         about="A building whose ceiling has come down in places; victims in voids.",
-        layout=layouts.building,
+        layout=building,
         structure=structures.collapsed,
         obstacle="slabs",
         structure_percent=20,

@@ -8,11 +8,11 @@ import math
 from collections.abc import Callable
 
 from usarmjx.base.registry import Registry
-from usarmjx.models.build.reach import RobotFootprint
+from usarmjx.models.compile.reachability import RobotFootprint
 from usarmjx.models.generate.draw import RandomStream
 from usarmjx.models.generate.plan import CELL, DIRECTIONS
 from usarmjx.models.generate.structures import CONCRETE, WOOD, block, lerp, slope
-from usarmjx.models.spec.shapes import Position2D, Shape
+from usarmjx.models.types.shapes import Position2D, Shape
 
 LOWEST, HIGHEST = 0.3, 0.95
 """Height of what must be stepped onto at roughness 0 and 1, over the robot's step."""

@@ -8,7 +8,7 @@ everything left is reached by every robot that fits between two walls.
 from collections.abc import Iterable, Iterator
 
 from usarmjx.models.generate.draw import RandomStream
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.shapes import Shape
 
 CELL = 1.2
 """Side of a cell of the NIST arenas' grid [m]."""

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from usarmjx.models.generate.draw import RandomStream
 from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, middle
-from usarmjx.models.spec.shapes import Position2D, Rgba, Shape
+from usarmjx.models.types.shapes import Position2D, Rgba, Shape
 
 STRUCTURE_SIZE = 1.1
 """Side of the square that a structure stays within [m]."""

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 from usarmjx.models.drives import Drive, NoDrive, SkidSteer, Tracks
 from usarmjx.models.drives.ackermann import Ackermann, Wheel
-from usarmjx.models.drives.omni import OmniDrive
+from usarmjx.models.drives.ground import OmniDrive
 from usarmjx.models.ini.items import WarningLog
 from usarmjx.models.ini.pairs import JointPair
 from usarmjx.models.ini.parse import Line
 from usarmjx.models.ini.read import as_name, as_struct, fail, number_of, reject_unknown
-from usarmjx.models.spec.robot import STEER_SUFFIX, Part, RobotSpec
+from usarmjx.models.types.robot import STEER_SUFFIX, Part, RobotSpec
 
 POWER_TYPES = ("Holo_Powered", "Left_Powered", "Right_Powered", "Not_Powered")
 STEER_TYPES = ("Holo_Steered", "Front_Steered", "Rear_Steered", "Not_Steered")

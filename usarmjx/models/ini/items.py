@@ -3,10 +3,10 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import NamedTuple
 
 from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
-from usarmjx.models.ini.keys import ITEM_CLASSES, ITEM_IGNORED, OLD_PARTS, SETTINGS_IGNORED, UU_ANGLES
-from usarmjx.models.ini.parse import IniValue, Line, Struct
+from usarmjx.models.ini.parse import IniFile, IniValue, Line, Section, Struct
 from usarmjx.models.ini.read import (
     UU_PER_RADIAN,
     Units,
@@ -17,8 +17,93 @@ from usarmjx.models.ini.read import (
     fail,
     vector_of,
 )
-from usarmjx.models.spec.robot import CHASSIS, Mount, Options, RobotSpec
-from usarmjx.models.spec.settings import checked, field_name
+from usarmjx.models.types.robot import CHASSIS, Mount, Options, RobotSpec
+from usarmjx.models.types.settings import checked, field_name
+
+ITEM_CLASSES = {
+    "SonarSensor": "Sonar",
+    "IRSensor": "IR",
+    "RangeScanner": "RangeScanner",
+    "IRScanner": "IRScanner",
+    "RangeScanner3D": "RangeScanner3D",
+    "OdometrySensor": "Odometry",
+    "GPSSensor": "GPS",
+    "INS": "INS",
+    "INSSensor": "INS",
+    "INU": "INU",
+    "INUSensor": "INU",
+    "EncoderSensor": "Encoder",
+    "TouchSensor": "Touch",
+    "RFIDSensor": "RFID",
+    "VictSensor": "VictSensor",
+    "SoundSensor": "Sound",
+    "HumanMotionSensor": "HumanMotion",
+    "CO2Sensor": "CO2Sensor",
+    "GroundTruth": "GroundTruth",
+    "GroundTruthSensor": "GroundTruth",
+    "RobotCamera": "Camera",
+    "Gripper": "Gripper",
+    "RFIDReleaser": "RFIDReleaser",
+    "RollerTable": "RollerTable",
+}
+"""Class of an item (manual 10 and 11) and the type that the wire and `Mount.kind` know it by."""
+
+UU_ANGLES = ("Resolution", "ScanFov")
+"""Angles that the manual gives in whole Unreal units (10.3.2); a number with a point is in radians."""
+
+OLD_PARTS = {"cameratilt": "CameraPanTilt_Link2", "camerapan": "CameraPanTilt_Link1"}
+"""Part names from before V3.0, which the excerpt of manual 12.1.2 still has, and the captured ones."""
+
+_LOOKS = "robots look as their solids do: there are no Unreal meshes and textures"
+_SERVO = "servos go to their target at full speed and hold it as a spring does: no gap within which they slow"
+
+KNOWN_IGNORED = {
+    "StaticMesh": _LOOKS,
+    "DrawScale": _LOOKS,
+    "DrawScale3D": _LOOKS,
+    "RobotSkins": _LOOKS,
+    "KParams": "it names a Karma object inside an Unreal package; CenterOfMass (ours) moves the mass",
+    "ConverterClass": "units and axes of the wire are fixed: metres, radians, z down",
+    "HingePropGap": _SERVO,
+    "SteerPropGap": _SERVO,
+    "TireAdhesion": "contacts push and rub, and never pull: nothing sticks to anything",
+    "TorqueCurve": "motors have one torque at all speeds",
+    "SafeForce": "joints do not stall under overload",
+    "ProtectTime": "joints do not stall under overload",
+    "FlipTorque": "DRIVE {Flip} turns a robot with a torque that follows from its weight and length",
+    "FlipTime": "DRIVE {Flip} lasts 3 s, the original's default, for every robot",
+    "HeadLights": "every robot has one headlight, at its front",
+    "CamTexActors": "an omnidirectional camera needs no second camera behind a texture",
+    "logging_period": "usarmjx writes no position log of its own",
+    "bDebug": "there is no Unreal log",
+    "bBarCode": "it drew into the Unreal client's window",
+    "bDisplayTeamBeacon": "it drew into the Unreal client's window",
+}
+"""Keys of a robot's section (manual 12.1.2, 14.4.2.3, KRobot.uc) that change nothing, and why."""
+
+JOINT_IGNORED = {
+    "DrawScale3D": _LOOKS,
+}
+"""The same for a part-joint pair (14.4.2.4)."""
+
+ITEM_IGNORED = {"uuDirection": "it is the original's own note of Direction in Unreal units"}
+"""The same for a mounted item (14.4.2.5)."""
+
+_WHEELS = (
+    "an INS has no wheels: the manual's 10.6.2 describes the key, which comes from 10.4.2, without showing it"
+)
+SETTINGS_IGNORED = {("INS", "righttire"): _WHEELS, ("INS", "lefttire"): _WHEELS}
+"""The same for settings of a type of item, by type and key in lower case."""
+
+SECTIONS_ELSEWHERE = ("USARBot.MultiView", "BotAPI.BotServer")
+"""Sections that are not about robots and that something else reads: the image server, the Gamebots server."""
+
+LINK_IGNORED = {
+    name: "it refers to a class of an Unreal package; Location, Orientation and the limits are given directly"
+    for name in ("LinkClass", "ParentMount", "SelfMount", "DrawScale3D")
+}
+"""Fields of the original's Links (KRobot.uc) that stand for what is given directly here."""
+
 
 ITEM_LISTS = {"Sensors": "sensors", "Effecters": "effecters", "Cameras": "cameras"}
 """Keys that list items, and the fields of RobotSpec that hold them."""
@@ -220,3 +305,86 @@ def examples(names: Sequence[str]) -> str:
     """Return the first names of a list, and how many more there are."""
     more = len(names) - SHOWN
     return ", ".join(names[:SHOWN]) + (f" and {more} more" if more > 0 else "")
+
+
+PREFIX = "usarbot."
+BASE_KEY = "BaseClass"
+MOST_ROUNDS = 32
+"""Item classes of a file that are based on each other in a row."""
+
+
+class ItemClass(NamedTuple):
+    """An item class of an ini file.
+
+    Attributes:
+        kind: Type of its items.
+        options: Its defaults, which come before those of the class that it is derived from.
+    """
+
+    kind: str
+    options: Options
+
+
+ItemClasses = Mapping[str, ItemClass]
+"""Item classes of ini files, by their names in lower case."""
+
+
+def read_classes(
+    files: Sequence[IniFile], robots: Iterable[str], settings: Settings | None, notes: WarningLog
+) -> dict[str, ItemClass]:
+    """Return the item classes that sections derive from others, in whatever order they stand.
+
+    Args:
+        files: The ini files; of a section in several of them a later one overrides.
+        robots: Names of the robot classes: sections of these are about robots.
+        settings: What there is to set.
+        notes: Takes the warnings.
+
+    Raises:
+        SpecError: A value of the wrong kind; names file and line.
+    """
+    taken = {name.lower() for name in robots}
+    waiting = {name: parts for name, parts in _based(files).items() if name not in taken}
+    found: dict[str, ItemClass] = {}
+    # Round by round: those whose base is known by now. What is left over has another base, or none.
+    rounds = 0
+    while ready := {name: base for name in waiting if (base := _base(waiting[name], found, settings))}:
+        rounds += 1
+        if rounds > MOST_ROUNDS:
+            line = _base_line(waiting[next(iter(ready))])
+            assert line is not None
+            fail(line, f"item classes are based on each other {rounds} in a row", f"at most {MOST_ROUNDS}")
+        for name, base in ready.items():
+            own = _options(base.kind, waiting.pop(name), settings, notes)
+            found[name] = ItemClass(base.kind, merged(base.options, own))
+    return found
+
+
+def _based(files: Sequence[IniFile]) -> dict[str, list[Section]]:
+    """Return the sections in which a BaseClass stands, all files' together, by name in lower case."""
+    found: dict[str, list[Section]] = {}
+    for file in files:
+        for name in dict.fromkeys(section.name.lower() for section in file.sections):
+            if name.startswith(PREFIX):
+                found.setdefault(name.removeprefix(PREFIX), []).append(file.section(name))
+    return {name: parts for name, parts in found.items() if _base_line(parts) is not None}
+
+
+def _base_line(parts: Sequence[Section]) -> Line | None:
+    lines = [line for part in parts if (line := part.last(BASE_KEY)) is not None]
+    return lines[-1] if lines else None
+
+
+def _base(parts: Sequence[Section], found: ItemClasses, settings: Settings | None) -> ItemClass | None:
+    """Return the item class that sections are based on, None if that is none, or none yet."""
+    line = _base_line(parts)
+    if line is None:
+        return None
+    name = as_class(line, line.value, BASE_KEY)
+    kind = kind_of(name, settings)
+    return found.get(name.lower()) if kind is None else ItemClass(kind, ())
+
+
+def _options(kind: str, parts: Sequence[Section], settings: Settings | None, notes: WarningLog) -> Options:
+    lines = [line for part in parts for line in part.lines if line.key.lower() != BASE_KEY.lower()]
+    return read_settings(kind, [(line.key, line, line.value) for line in lines], settings, notes)

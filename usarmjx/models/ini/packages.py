@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.ini.items import WarningLog
-from usarmjx.models.ini.keys import LINK_IGNORED
+from usarmjx.models.ini.items import LINK_IGNORED, WarningLog
 from usarmjx.models.ini.parse import IniFile, IniValue, Line, Struct
 from usarmjx.models.ini.read import (
     Units,
@@ -25,8 +24,8 @@ from usarmjx.models.ini.read import (
     vector_of,
 )
 from usarmjx.models.robots.packages import PACKAGES, mount_package
-from usarmjx.models.spec.robot import Link, MissionPackage, RobotSpec
-from usarmjx.models.spec.shapes import ZERO, Shape
+from usarmjx.models.types.robot import Link, MissionPackage, RobotSpec
+from usarmjx.models.types.shapes import ZERO, Shape
 
 PREFIX = "usarmispkg."
 LINK_FIELDS = (

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 from usarmjx.base.errors import SpecError
-from usarmjx.base.names import is_name
+from usarmjx.base.registry import is_name
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.ini.parse import UU_PER_METRE, IniValue, Line, Reference, Struct
 from usarmjx.models.ini.values import quote_short

@@ -6,22 +6,19 @@ from dataclasses import dataclass, field, replace
 
 from usarmjx.base.errors import SpecError, UsageError, one_line
 from usarmjx.base.registry import Registry
-from usarmjx.models.build.measure import with_measurements
-from usarmjx.models.build.parts import parts_of
+from usarmjx.models.compile.measure import with_measurements
+from usarmjx.models.compile.parts import parts_of
 from usarmjx.models.drives import SkidSteer
-from usarmjx.models.ini.classes import ItemClasses
 from usarmjx.models.ini.drive import change_wheels, drive_of, read_roles
-from usarmjx.models.ini.figures import apply_figures
-from usarmjx.models.ini.items import ITEM_LISTS, Settings, WarningLog, read_mount, resolve_parent
-from usarmjx.models.ini.joints import build_parts
+from usarmjx.models.ini.items import ITEM_LISTS, ItemClasses, Settings, WarningLog, read_mount, resolve_parent
 from usarmjx.models.ini.packages import Definitions, read_package, templates
-from usarmjx.models.ini.pairs import JointPair, read_pairs
+from usarmjx.models.ini.pairs import JointPair, build_parts, read_pairs
+from usarmjx.models.ini.parameters import apply_figures, with_stereo
 from usarmjx.models.ini.parse import Line
 from usarmjx.models.ini.read import Units, as_number, as_vector, fail
-from usarmjx.models.ini.stereo import with_stereo
 from usarmjx.models.robots.track_kit import mass_of
-from usarmjx.models.spec.robot import CHASSIS, MissionPackage, Mount, RobotSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.robot import CHASSIS, MissionPackage, Mount, RobotSpec
+from usarmjx.models.types.shapes import Shape
 
 LOCATED_MESSAGE = re.compile(r".+:\d+: ")
 """How a message begins that names file and line."""

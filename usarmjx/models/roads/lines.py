@@ -7,8 +7,7 @@ from pathlib import Path
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.files import read_bounded
-from usarmjx.models.roads.geodesy import LatLon
-from usarmjx.models.roads.network import Fault, point_name
+from usarmjx.models.roads.network import Fault, LatLon, point_name
 
 NUMBERED = re.compile(r"[0-9]{1,18}(\.[0-9]{1,18})*")
 """The first word of a line without a keyword: 1.2.3, or a plain number."""

@@ -12,9 +12,8 @@ from itertools import islice, pairwise
 import numpy as np
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.roads.geodesy import LatLon, to_local_xy
-from usarmjx.models.roads.network import FOOT, Lane, RouteNetwork, Spot
-from usarmjx.models.spec.shapes import Rgba, Shape
+from usarmjx.models.roads.network import FOOT, Lane, LatLon, RouteNetwork, Spot, to_local_xy
+from usarmjx.models.types.shapes import Rgba, Shape
 
 MOST_MARKINGS = 50_000
 """Of a network: all that an arena may have of solids."""

@@ -12,8 +12,7 @@ from usarmjx.models.robots.flippers import KENAF, TARANTULA
 from usarmjx.models.robots.kurt import KURT2D, KURT3D
 from usarmjx.models.robots.legged import ERS, QRIO
 from usarmjx.models.robots.lisa import LISA
-from usarmjx.models.robots.omni_pioneer import OMNI_P2AT, OMNI_P2DX
-from usarmjx.models.robots.pioneer import P2AT, P2DX
+from usarmjx.models.robots.pioneer import OMNI_P2AT, OMNI_P2DX, P2AT, P2DX
 from usarmjx.models.robots.small_wheeled import ATRVJR, STEREO_P2AT, ZERG
 from usarmjx.models.robots.soryu import SORYU
 from usarmjx.models.robots.station import COMSTATION
@@ -21,7 +20,7 @@ from usarmjx.models.robots.talon import RUGBOT, TALON
 from usarmjx.models.robots.telemax import TELEMAX
 from usarmjx.models.robots.underwater import SUBMARINE
 from usarmjx.models.robots.unit_loader import UNIT_LOADER
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.types.robot import RobotSpec
 
 ROBOTS: Registry[RobotSpec] = Registry("robot")
 for _spec in (

@@ -10,15 +10,17 @@ from itertools import pairwise
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import Blimp, RotaryWing
 from usarmjx.models.drives.fluid import AIR_DENSITY, Hull
-from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera
-from usarmjx.models.robots.looks_kit import (
+from usarmjx.models.robots.kit import (
+    BLACK,
     DARK,
     GLASS_BLACK,
     LAMP,
+    POSE_SENSORS,
     SILVER,
     STEEL,
     ball,
     block,
+    camera,
     drum,
     hull,
     lens,
@@ -26,8 +28,8 @@ from usarmjx.models.robots.looks_kit import (
     prism,
     rod,
 )
-from usarmjx.models.spec.robot import Link, MissionPackage, Motor, RobotSpec
-from usarmjx.models.spec.shapes import Rgba, Shape
+from usarmjx.models.types.robot import Link, MissionPackage, Motor, RobotSpec
+from usarmjx.models.types.shapes import Rgba, Shape
 
 WHITE: Rgba = (0.9, 0.9, 0.9, 1.0)
 ORANGE: Rgba = (0.95, 0.55, 0.1, 1.0)

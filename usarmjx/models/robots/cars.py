@@ -4,22 +4,24 @@ The manual gives sizes and speeds of most; the real cars' data sheets, and choic
 and Cooper have the manual's 100 rad/s; its 134 km/h for them are those of the Hummer's bigger wheels.
 """
 
-from usarmjx.models.robots.car_kit import Car, build_car
-from usarmjx.models.robots.car_looks import CarLook
-from usarmjx.models.robots.kit import camera, pan_tilt, sick_housing, sick_lms200
-from usarmjx.models.robots.looks_kit import (
+from usarmjx.models.robots.car_kit import Car, CarLook, build_car
+from usarmjx.models.robots.kit import (
     ALONG,
-    BLACK,
-    RUBBER,
+    LOOK_BLACK,
+    LOOK_RUBBER,
     SICK_YELLOW,
     SILVER,
     block,
+    camera,
     drum,
     lens,
+    pan_tilt,
     rod,
     sick,
+    sick_housing,
+    sick_lms200,
 )
-from usarmjx.models.spec.robot import CHASSIS, Mount, options
+from usarmjx.models.types.robot import CHASSIS, Mount, options
 
 HUMMER_LENGTH, HUMMER_WIDTH = 3.686, 1.799  # manual 12.5.1; the real one has 4.57 and 2.16
 _HUMMER = Car(
@@ -55,14 +57,17 @@ HUMMER = build_car(
     solids=(sick_housing(HUMMER_SCANNER),),
     looks=(
         *sick(HUMMER_SCANNER),
-        *(block((0.3, 0.04, 0.02), (1.1, y, _HUMMER.origin - _HUMMER.beltline), BLACK) for y in (-0.5, 0.5)),
-        rod((0.75, 0.92, -0.2), (0.75, 0.92, -1.2), 0.05, BLACK),  # the snorkel
+        *(
+            block((0.3, 0.04, 0.02), (1.1, y, _HUMMER.origin - _HUMMER.beltline), LOOK_BLACK)
+            for y in (-0.5, 0.5)
+        ),
+        rod((0.75, 0.92, -0.2), (0.75, 0.92, -1.2), 0.05, LOOK_BLACK),  # the snorkel
         rod((0.75, 0.0, -0.07), (0.58, 0.0, -0.98), 0.03, _HUMMER.rgba),  # two windscreens
-        *(rod((1.86, y, 0.35), (1.86, y, -0.1), 0.03, BLACK) for y in (-0.35, 0.35)),
-        rod((1.86, -0.6, -0.1), (1.86, 0.6, -0.1), 0.03, BLACK),
-        drum(0.36, 0.12, (-1.9, 0.35, 0.1), RUBBER, ALONG),  # the spare wheel
+        *(rod((1.86, y, 0.35), (1.86, y, -0.1), 0.03, LOOK_BLACK) for y in (-0.35, 0.35)),
+        rod((1.86, -0.6, -0.1), (1.86, 0.6, -0.1), 0.03, LOOK_BLACK),
+        drum(0.36, 0.12, (-1.9, 0.35, 0.1), LOOK_RUBBER, ALONG),  # the spare wheel
         drum(0.2, 0.13, (-1.9, 0.35, 0.1), _HUMMER.rgba, ALONG),
-        rod((-1.6, -0.8, -0.2), (-1.65, -0.8, -1.4), 0.012, BLACK),
+        rod((-1.6, -0.8, -0.2), (-1.65, -0.8, -1.4), 0.012, LOOK_BLACK),
     ),
     packages=(pan_tilt((0.0, 0.0, -_HUMMER.origin)),),  # chosen: on the roof; pans all around
     sensors=(sick_lms200(HUMMER_SCANNER),),
@@ -109,8 +114,8 @@ SNOWSTORM = build_car(
     solids=(sick_housing(SNOWSTORM_SCANNER),),
     looks=(
         *sick(SNOWSTORM_SCANNER),
-        *(rod((0.3, y, SNOWSTORM_ROOF), (-1.7, y, SNOWSTORM_ROOF), 0.03, BLACK) for y in (-0.55, 0.55)),
-        rod((0.8, -0.62, SNOWSTORM_ROOF), (0.8, 0.62, SNOWSTORM_ROOF), 0.025, BLACK),
+        *(rod((0.3, y, SNOWSTORM_ROOF), (-1.7, y, SNOWSTORM_ROOF), 0.03, LOOK_BLACK) for y in (-0.55, 0.55)),
+        rod((0.8, -0.62, SNOWSTORM_ROOF), (0.8, 0.62, SNOWSTORM_ROOF), 0.025, LOOK_BLACK),
         *lens((0.9, -HALF_STEREO_BASELINE, SNOWSTORM_ROOF + 0.1), 0.02),
         *lens((0.9, HALF_STEREO_BASELINE, SNOWSTORM_ROOF + 0.1), 0.02),
         drum(0.08, 0.03, (-0.8, 0.0, SNOWSTORM_ROOF - 0.02), SICK_YELLOW),  # the GPS

@@ -7,21 +7,24 @@ Flipper angles are the manual's and UsarCommander's: negative in front and posit
 import math
 from dataclasses import replace
 
-from usarmjx.models.robots.kit import BLACK, ENCODER_AXIS, POSE_SENSORS, camera
-from usarmjx.models.robots.looks_kit import (
+from usarmjx.models.robots.kit import (
     ACROSS,
     ALONG,
+    BLACK,
     DARK,
+    ENCODER_AXIS,
     LAMP,
+    LOOK_BLACK,
+    POSE_SENSORS,
     STEEL,
     block,
+    camera,
     drum,
     lens,
     mirrored,
     prism,
     rod,
 )
-from usarmjx.models.robots.looks_kit import BLACK as LOOK_BLACK
 from usarmjx.models.robots.track_kit import (
     FLIPPERS,
     Belt,
@@ -31,8 +34,8 @@ from usarmjx.models.robots.track_kit import (
     pair_looks,
     track_pair,
 )
-from usarmjx.models.spec.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec, options
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec, options
+from usarmjx.models.types.shapes import Shape
 
 RIGHT = (0.0, 1.0, 0.0)
 ORANGE = (0.9, 0.45, 0.1, 1.0)

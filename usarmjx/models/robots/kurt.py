@@ -4,35 +4,33 @@ import math
 
 from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots.kit import (
-    BLACK,
-    ENCODER_AXIS,
-    ON_THE_FLOOR,
-    POSE_SENSORS,
-    camera,
-    firm_motor,
-    sick_housing,
-    sick_lms200,
-    wheel,
-)
-from usarmjx.models.robots.looks_kit import (
     ACROSS,
     ALONG,
+    BLACK,
     DARK,
+    ENCODER_AXIS,
     GOLD,
+    LOOK_BLACK,
+    ON_THE_FLOOR,
+    POSE_SENSORS,
     SICK_YELLOW,
     STEEL,
     TAIL_LAMP,
     block,
+    camera,
     drum,
+    firm_motor,
     lens,
     mirrored,
     prism,
     rod,
     sick,
+    sick_housing,
+    sick_lms200,
+    wheel,
 )
-from usarmjx.models.robots.looks_kit import BLACK as LOOK_BLACK
-from usarmjx.models.spec.robot import CHASSIS, Mount, Part, RobotSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.robot import CHASSIS, Mount, Part, RobotSpec
+from usarmjx.models.types.shapes import Shape
 
 LENGTH, WIDTH, HEIGHT = 0.45, 0.29, 0.35  # manual 12.16.1; the scanner is the highest
 MASS = 35.0  # manual 12.16.1

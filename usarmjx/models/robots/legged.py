@@ -11,12 +11,130 @@ from dataclasses import replace
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import NoDrive
-from usarmjx.models.robots import legged_looks as looks
-from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, RUBBER, camera
-from usarmjx.models.spec.robot import CHASSIS, UP, Motor, Mount, Part, RobotSpec, options
-from usarmjx.models.spec.shapes import Rgba, Shape
+from usarmjx.models.robots.kit import (
+    ACROSS,
+    ALONG,
+    BLACK,
+    DARK,
+    GLASS_BLACK,
+    LOOK_BLACK,
+    POSE_SENSORS,
+    RUBBER,
+    SILVER,
+    STEEL,
+    ball,
+    block,
+    camera,
+    drum,
+    rod,
+)
+from usarmjx.models.types.robot import CHASSIS, UP, Motor, Mount, Part, RobotSpec, options
+from usarmjx.models.types.shapes import Rgba, Shape
 
-SILVER: Rgba = (0.7, 0.72, 0.75, 1.0)
+PEARL: Rgba = (0.92, 0.92, 0.9, 1.0)
+BLUE: Rgba = (0.25, 0.5, 0.95, 1.0)
+PINK: Rgba = (0.85, 0.35, 0.5, 1.0)
+NAVY: Rgba = (0.16, 0.22, 0.42, 1.0)
+
+ERS_BODY_LOOK = (
+    ball((0.115, 0.052, 0.045), (-0.005, 0.0, -0.008), PEARL),
+    ball((0.05, 0.055, 0.05), (0.06, 0.0, -0.012), PEARL),  # its chest
+    ball((0.045, 0.052, 0.042), (-0.075, 0.0, -0.006), PEARL),
+    block((0.05, 0.018, 0.004), (-0.005, 0.0, -0.052), BLUE),  # the switches on its back
+    ball((0.03, 0.04, 0.025), (0.085, 0.0, 0.008), DARK),
+    rod((-0.105, 0.0, -0.03), (-0.165, 0.0, -0.085), 0.006, PEARL),
+    ball((0.009, 0.009, 0.009), (-0.167, 0.0, -0.087), LOOK_BLACK),
+)
+ERS_NECK = (rod((0.0, 0.0, -0.01), (0.0, 0.0, -0.07), 0.017, DARK),)
+ERS_COLLAR = (drum(0.024, 0.008, (0.0, 0.0, 0.012), DARK), ball((0.02, 0.02, 0.02), rgba=STEEL))
+ERS_HEAD = (
+    ball((0.055, 0.046, 0.042), (0.0, 0.0, -0.012), PEARL),
+    ball((0.042, 0.036, 0.026), (0.045, 0.0, 0.004), PEARL),  # muzzle
+    ball((0.03, 0.041, 0.018), (0.036, 0.0, -0.022), GLASS_BLACK),  # the visor of its face
+    *(ball((0.004, 0.006, 0.006), (0.064, y, -0.022), BLUE) for y in (-0.016, 0.016)),
+    ball((0.008, 0.012, 0.007), (0.085, 0.0, -0.006), LOOK_BLACK),  # nose
+    drum(0.007, 0.003, (0.083, 0.0, 0.0146), LOOK_BLACK, ALONG),  # and camera
+    ball((0.02, 0.022, 0.005), (0.05, 0.0, 0.026), PINK),
+    *(
+        ball((0.02, 0.009, 0.038), (-0.012, y, 0.006), DARK, (0.25 * y / 0.05, 0.15, 0.0))
+        for y in (-0.05, 0.05)
+    ),
+    ball((0.02, 0.014, 0.006), (-0.01, 0.0, -0.053), BLUE),
+)
+
+
+def ers_thigh(length: float) -> tuple[Shape, ...]:
+    """Return the upper half of a leg, down from the shoulder."""
+    return (
+        ball((0.025, 0.02, 0.58 * length), (0.0, 0.0, 0.42 * length), PEARL),
+        drum(0.022, 0.022, rgba=DARK, rotation=ACROSS),
+        drum(0.014, 0.024, rgba=SILVER, rotation=ACROSS),
+    )
+
+
+def ers_shin(length: float, paw: float) -> tuple[Shape, ...]:
+    """Return the lower half of a leg, and the paw at its end."""
+    return (
+        drum(0.014, 0.019, rgba=DARK, rotation=ACROSS),
+        ball((0.015, 0.016, 0.55 * length), (0.0, 0.0, 0.45 * length), PEARL),
+        ball((0.017, 0.018, paw), (0.003, 0.0, length), DARK),
+        *(ball((0.008, 0.006, 0.007), (0.016, y, length + 0.003), PEARL) for y in (-0.009, 0.0, 0.009)),
+    )
+
+
+QRIO_PELVIS = (
+    ball((0.05, 0.068, 0.04), (0.0, 0.0, -0.005), SILVER),
+    block((0.046, 0.05, 0.01), (0.0, 0.0, -0.03), DARK),
+)
+QRIO_WAIST = (drum(0.034, 0.02, rgba=DARK),)
+QRIO_TORSO_LOOK = (
+    ball((0.075, 0.082, 0.085), (-0.018, 0.0, -0.075), SILVER),
+    block((0.02, 0.045, 0.035), (0.035, 0.0, -0.085), NAVY),
+    drum(0.012, 0.004, (0.057, 0.0, -0.085), BLUE, ALONG),
+    block((0.03, 0.055, 0.05), (-0.075, 0.0, -0.08), DARK),  # what it carries on its back
+    drum(0.024, 0.1, (0.0, 0.0, -0.12), DARK, ACROSS),  # shoulders
+)
+QRIO_NECK = (drum(0.02, 0.016, rgba=DARK),)
+QRIO_HEAD_LOOK = (
+    ball((0.062, 0.07, 0.058), (0.0, 0.0, -0.06), SILVER),
+    ball((0.03, 0.055, 0.032), (0.038, 0.0, -0.06), GLASS_BLACK),
+    *(ball((0.006, 0.012, 0.012), (0.064, y, -0.064), BLUE) for y in (-0.024, 0.024)),
+    *(drum(0.022, 0.008, (0.0, y, -0.06), NAVY, ACROSS) for y in (-0.068, 0.068)),
+    ball((0.035, 0.03, 0.01), (-0.005, 0.0, -0.113), NAVY),
+)
+
+
+def qrio_limb(length: float, radius: float, rgba: Rgba = SILVER) -> tuple[Shape, ...]:
+    """Return a limb that hangs down from its joint."""
+    return (
+        ball((radius, 0.95 * radius, 0.6 * length), (0.0, 0.0, 0.5 * length), rgba),
+        drum(0.7 * radius, 0.98 * radius, rgba=DARK, rotation=ACROSS),
+    )
+
+
+def qrio_forearm(length: float) -> tuple[Shape, ...]:
+    """Return a forearm with a hand of three fingers."""
+    return (
+        *qrio_limb(0.7 * length, 0.022),
+        ball((0.014, 0.01, 0.018), (0.0, 0.0, 0.8 * length), DARK),
+        *(
+            rod((x, 0.0, 0.85 * length), (1.2 * x, 0.0, 1.02 * length), 0.005, STEEL)
+            for x in (-0.01, 0.0, 0.01)
+        ),
+    )
+
+
+def qrio_foot(sole: float) -> tuple[Shape, ...]:
+    """Return a foot; `sole` is how far below the ankle it ends."""
+    return (
+        block((0.08, 0.035, 0.005), (0.02, 0.0, sole - 0.005), DARK),
+        ball((0.076, 0.034, 0.026), (0.02, 0.0, sole - 0.01), SILVER),
+        ball((0.026, 0.026, 0.026), rgba=DARK),
+        ball((0.02, 0.03, 0.015), (0.07, 0.0, sole - 0.012), NAVY, (0.0, math.pi / 12, 0.0)),
+    )
+
+
+SILVER_SHELL: Rgba = (0.7, 0.72, 0.75, 1.0)
 LIFT: Vec3 = (0.0, 1.0, 0.0)
 BEND: Vec3 = (0.0, -1.0, 0.0)
 """Axes to the right and left: what hangs down swings forward about the first, backward about the second."""
@@ -39,7 +157,7 @@ def _range(low: float, high: float, rest: float = 0.0) -> tuple[float, float]:
 
 def _box(size: Vec3, mass: float, at: Vec3 = (0.0, 0.0, 0.0), surface: str = "hull") -> Shape:
     x, y, z = size
-    rgba = BLACK if surface == "fixture" else SILVER
+    rgba = BLACK if surface == "fixture" else SILVER_SHELL
     return Shape(kind="box", size=(x / 2, y / 2, z / 2), at=at, mass=mass, surface=surface, rgba=rgba)
 
 
@@ -97,7 +215,7 @@ def _ers_leg(side: str, end: str) -> tuple[Part, Part, Part]:
         motor=ERS_KNEE,
         limits=_range(-10.0, 88.0),
         shapes=(_box((0.04, 0.055, ERS_UPPER), 0.05, (0.0, 0.0, ERS_UPPER / 2), "fixture"),),
-        looks=looks.ers_thigh(ERS_UPPER),
+        looks=ers_thigh(ERS_UPPER),
     )
     lower = Part(
         name=f"{name}Knee",
@@ -108,7 +226,7 @@ def _ers_leg(side: str, end: str) -> tuple[Part, Part, Part]:
         motor=ERS_KNEE,
         limits=_range(-25.0, 122.0, rest=knee),
         shapes=(_box((0.022, 0.03, shin), 0.025, (0.0, 0.0, shin / 2)), paw),
-        looks=looks.ers_shin(shin, ERS_PAW),
+        looks=ers_shin(shin, ERS_PAW),
     )
     return rotator, elevator, lower
 
@@ -146,7 +264,7 @@ ERS = RobotSpec(
         _box((0.21, 0.10, 0.085), ERS_BODY, (-0.005, 0.0, -0.005)),
         _box((0.054, 0.012, 0.012), 0.0, (-0.137, 0.0, -0.035), "fixture"),  # tail
     ),
-    looks=looks.ERS_BODY,
+    looks=ERS_BODY_LOOK,
     parts=(
         *(part for side, end in ERS_LEGS for part in _ers_leg(side, end)),
         Part(
@@ -156,7 +274,7 @@ ERS = RobotSpec(
             motor=Motor(max_speed=3.185, **ERS_SERVO),
             limits=_range(-75.0, 0.0),
             shapes=(_box((0.03, 0.03, 0.06), 0.04, (0.0, 0.0, -0.04), "fixture"),),
-            looks=looks.ERS_NECK,
+            looks=ERS_NECK,
         ),
         Part(
             name="HeadPan",
@@ -166,7 +284,7 @@ ERS = RobotSpec(
             motor=Motor(max_speed=10.057, **ERS_SERVO),
             limits=_range(-88.0, 88.0),
             shapes=(_gear(0.02, 0.04),),
-            looks=looks.ERS_COLLAR,
+            looks=ERS_COLLAR,
         ),
         Part(
             name="HeadNod",
@@ -175,7 +293,7 @@ ERS = RobotSpec(
             motor=Motor(max_speed=5.781, **ERS_SERVO),
             limits=_range(-15.0, 45.0),
             shapes=(_box((0.125, 0.085, 0.08), 0.20, (0.025, 0.0, -0.009)),),
-            looks=looks.ERS_HEAD,
+            looks=ERS_HEAD,
         ),
     ),
     drive=NoDrive(kind="LeggedRobot", steering_type="FourLegs"),
@@ -254,15 +372,15 @@ def _qrio_arm(side: str, y: float) -> tuple[Part, ...]:
 
 
 QRIO_LOOKS = {
-    "HipPitch": looks.qrio_limb(QRIO_THIGH, 0.034),
-    "Knee": looks.qrio_limb(QRIO_SHIN, 0.03, looks.NAVY),
-    "AnkleRoll": looks.qrio_foot(QRIO_ANKLE),
-    "BodyPan": looks.QRIO_WAIST,
-    "BodyTilt": looks.QRIO_TORSO,
-    "ShoulderRoll": looks.qrio_limb(0.09, 0.025),
-    "Elbow": looks.qrio_forearm(0.12),
-    "HeadPan": looks.QRIO_NECK,
-    "HeadTilt": looks.QRIO_HEAD,
+    "HipPitch": qrio_limb(QRIO_THIGH, 0.034),
+    "Knee": qrio_limb(QRIO_SHIN, 0.03, NAVY),
+    "AnkleRoll": qrio_foot(QRIO_ANKLE),
+    "BodyPan": QRIO_WAIST,
+    "BodyTilt": QRIO_TORSO_LOOK,
+    "ShoulderRoll": qrio_limb(0.09, 0.025),
+    "Elbow": qrio_forearm(0.12),
+    "HeadPan": QRIO_NECK,
+    "HeadTilt": QRIO_HEAD_LOOK,
 }
 """By the name of the joint, without its side."""
 
@@ -280,7 +398,7 @@ QRIO = RobotSpec(
     mass=7.0,  # data sheet; the 50 of the manual's CONF example is also the ATRVJr's
     origin_height=QRIO_ANKLE + QRIO_SHIN + QRIO_THIGH,
     chassis=(_box((0.09, 0.13, 0.07), 0.60, (0.0, 0.0, -0.005)),),
-    looks=looks.QRIO_PELVIS,
+    looks=QRIO_PELVIS,
     parts=tuple(
         replace(part, looks=_qrio_looks(part.name))
         for part in (

@@ -6,12 +6,24 @@ The manual gives its wheels and no figures, as the real one was not built yet: a
 import math
 
 from usarmjx.models.drives.ackermann import Wheel
-from usarmjx.models.drives.omni import OmniDrive
-from usarmjx.models.robots.kit import BLACK, ENCODER_AXIS, POSE_SENSORS, car_wheel, firm_motor, wheel
-from usarmjx.models.robots.looks_kit import BLACK as LOOK_BLACK
-from usarmjx.models.robots.looks_kit import DARK, STEEL, ball, block, drum, rod
-from usarmjx.models.spec.robot import STEER_SUFFIX, Mount, RobotSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.drives.ground import OmniDrive
+from usarmjx.models.robots.kit import (
+    BLACK,
+    DARK,
+    ENCODER_AXIS,
+    LOOK_BLACK,
+    POSE_SENSORS,
+    STEEL,
+    ball,
+    block,
+    car_wheel,
+    drum,
+    firm_motor,
+    rod,
+    wheel,
+)
+from usarmjx.models.types.robot import STEER_SUFFIX, Mount, RobotSpec
+from usarmjx.models.types.shapes import Shape
 
 ORIGIN = 0.40
 RADIUS, TYRE = 0.125, 0.05

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.robots.kit import BLACK, pan_tilt
-from usarmjx.models.robots.looks_kit import DARK, STEEL, ball, drum, rod
-from usarmjx.models.spec.robot import Link, MissionPackage
-from usarmjx.models.spec.shapes import ZERO, Shape
+from usarmjx.models.robots.kit import BLACK, DARK, STEEL, ball, drum, pan_tilt, rod
+from usarmjx.models.types.robot import Link, MissionPackage
+from usarmjx.models.types.shapes import ZERO, Shape
 
 GLASSY = (0.75, 0.8, 0.85, 1.0)
 PILLAR_STEP = 0.1

@@ -5,23 +5,142 @@ UsarCommander's copy of USARBot.ini (sonar rings), and what had to be chosen, ma
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
+from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots.kit import (
+    ACROSS,
+    ALONG,
+    AMBER,
     BLACK,
+    DARK,
     ENCODER_AXIS,
+    LAMP,
+    LOOK_BLACK,
     ON_THE_FLOOR,
     POSE_SENSORS,
+    STEEL,
+    ball,
+    block,
     camera,
+    drum,
+    mirrored,
     pan_tilt,
+    prism,
+    rod,
+    sick,
     sick_housing,
     sick_lms200,
+    sonar_discs,
     wheel,
+    wheel_looks,
 )
-from usarmjx.models.robots.pioneer_looks import RED, at_looks, at_wheel, dx_looks
-from usarmjx.models.spec.robot import Motor, Mount, RobotSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.robots.packages import PACKAGES, mount_package
+from usarmjx.models.types.robot import MissionPackage, Motor, Mount, RobotSpec
+from usarmjx.models.types.shapes import Rgba, Shape
+
+RED: Rgba = (0.78, 0.1, 0.1, 1.0)
+
+
+def _discs(sonars: Sequence[Mount], push: float) -> tuple[Shape, ...]:
+    return sonar_discs([(mount.at, mount.direction[2]) for mount in sonars], push)
+
+
+def at_looks(sonars: Sequence[Mount], scanner: tuple[float, float, float], rgba: Rgba) -> tuple[Shape, ...]:
+    """Return a P2AT without its wheels and its camera."""
+    rings = (drum(0.148, 0.021, (x, 0.0, 0.0), LOOK_BLACK) for x in (0.10, -0.10))
+    return (
+        block((0.262, 0.18, 0.04), (0.0, 0.0, 0.07), rgba),
+        block((0.23, 0.165, 0.03), (0.0, 0.0, 0.125), rgba),
+        block((0.275, 0.15, 0.02), (0.0, 0.0, 0.095), LOOK_BLACK),  # bumpers
+        *rings,
+        *_discs(sonars, 0.012),
+        block((0.258, 0.2, 0.003), (0.0, 0.0, -0.0223), rgba),
+        block((0.245, 0.187, 0.003), (0.0, 0.0, -0.0283), LOOK_BLACK),
+        block((0.06, 0.06, 0.006), (scanner[0], 0.0, -0.0365), DARK),
+        *sick(scanner),
+        block((0.05, 0.07, 0.012), (-0.12, 0.0, -0.043), DARK),  # its radio, and the antenna
+        rod((-0.16, 0.05, -0.04), (-0.16, 0.05, -0.24), 0.004, LOOK_BLACK),
+    )
+
+
+def at_wheel(y: float, radius: float, width: float) -> tuple[Shape, ...]:
+    """Return a tyre that reaches as far inward as the real one, on the side of `y`."""
+    wide = 0.055
+    return wheel_looks(radius, wide, rim=0.5, shift=-math.copysign((wide - width) / 2, y), bars=2)
+
+
+def dx_looks(sonars: Sequence[Mount], scanner: tuple[float, float, float], rgba: Rgba) -> tuple[Shape, ...]:
+    """Return a P2DX without its wheels and its camera."""
+    return (
+        block((0.06, 0.145, 0.06), (-0.02, 0.0, 0.08), rgba),
+        drum(0.145, 0.06, (0.045, 0.0, 0.08), rgba),
+        drum(0.145, 0.06, (-0.075, 0.0, 0.08), rgba),
+        drum(0.15, 0.02, (0.066, 0.0, 0.0), LOOK_BLACK),
+        *_discs(sonars, 0.012),
+        *(drum(0.165, 0.005, (x, 0.0, -0.015), rgba) for x in (0.055, -0.055)),
+        block((0.055, 0.165, 0.005), (0.0, 0.0, -0.015), rgba),
+        block((0.1, 0.12, 0.003), (-0.03, 0.0, -0.021), LOOK_BLACK),
+        ball((0.0375, 0.0375, 0.0375), (-0.16, 0.0, 0.1625), LOOK_BLACK),
+        drum(0.02, 0.03, (-0.16, 0.0, 0.135), STEEL),
+        block((0.06, 0.06, 0.018), (scanner[0], 0.0, scanner[2] + 0.068), DARK),
+        *sick(scanner),
+    )
+
+
+def atrv_looks(
+    sonars: Sequence[Mount], scanner: tuple[float, float, float], top: float, rgba: Rgba
+) -> tuple[Shape, ...]:
+    """Return an ATRVJr without its wheels and its camera; `top` is z of its deck."""
+    lower = [(0.30, 0.27), (0.385, 0.17), (0.385, 0.0), (-0.385, 0.0), (-0.385, 0.17), (-0.30, 0.27)]
+    return (
+        prism(lower, 0.19, DARK),
+        prism([(0.385, 0.005), (0.30, top), (-0.30, top), (-0.385, 0.005)], 0.312, rgba, top=0.23),
+        block((0.27, 0.2, 0.004), (0.0, 0.0, top - 0.002), LOOK_BLACK),
+        *(block((0.012, 0.17, 0.03), (x, 0.0, 0.12), rgba) for x in (0.39, -0.39)),
+        *sonar_discs([((m.at[0], m.at[1], 0.06), m.direction[2]) for m in sonars], 0.042, 0.02),
+        drum(0.03, 0.19, (0.0, 0.0, 0.1978), STEEL, ACROSS),
+        block((0.06, 0.06, 0.006), (scanner[0], 0.0, top - 0.006), DARK),
+        *sick(scanner),
+        *(drum(0.012, 0.012, (-0.28, y, top - 0.015), (0.85, 0.1, 0.1, 1.0)) for y in (0.16, -0.16)),
+        rod((-0.26, 0.0, top), (-0.26, 0.0, top - 0.25), 0.006, LOOK_BLACK),
+    )
+
+
+def zerg_looks(length: float, rgba: Rgba) -> tuple[Shape, ...]:
+    """Return a Zerg without its wheels and its camera: a flat body with sloping ends and a roll bar."""
+    x = length / 2
+    profile = mirrored([(x - 0.03, 0.035), (x, 0.02), (x - 0.04, -0.032)])
+    return (
+        prism(profile, 0.15, rgba),
+        block((0.085, 0.11, 0.003), (0.0, 0.0, -0.034), LOOK_BLACK),
+        block((0.006, 0.1, 0.012), (x - 0.004, 0.0, 0.018), LOOK_BLACK),
+        rod((-0.06, -0.13, -0.03), (-0.06, -0.13, -0.055), 0.006, LOOK_BLACK),
+        rod((-0.06, 0.13, -0.03), (-0.06, 0.13, -0.055), 0.006, LOOK_BLACK),
+        rod((-0.06, -0.13, -0.055), (-0.06, 0.13, -0.055), 0.006, LOOK_BLACK),
+    )
+
+
+def loader_looks(
+    length: float, width: float, scanner: tuple[float, float, float], rgba: Rgba
+) -> tuple[Shape, ...]:
+    """Return a UnitLoader without wheels and rollers: a platform with warning stripes on its sides."""
+    stripes = tuple(
+        block((0.022, width / 2 + 0.002, 0.0199), (x, 0.0, -0.05), LOOK_BLACK)
+        for x in (-0.24, -0.12, 0.0, 0.12, 0.24)
+    )
+    return (
+        block((0.28, 0.2, 0.05), (0.0, 0.0, 0.075), DARK),
+        block((0.2, 0.16, 0.03), (-0.04, 0.0, 0.0), DARK),
+        block((length / 2, width / 2, 0.02), (0.0, 0.0, -0.05), rgba),
+        *stripes,
+        *sick(scanner),
+        *(drum(0.02, 0.01, (0.295, y, 0.0), LAMP, ALONG) for y in (0.14, -0.14)),
+        rod((-0.27, 0.2, -0.07), (-0.27, 0.2, -0.09), 0.025, AMBER),
+    )
+
 
 # Side sonars of a front ring: y and yaw, from right to left seen from above (manual 12.1.1, degrees
 # there; F1 looks left). x differs between the robots.
@@ -198,4 +317,38 @@ P2DX = RobotSpec(
         ("encoder directions, wheel names", "captured"),
         ("track, caster, scanner and camera mounts, motors", "chosen"),
     ),
+)
+
+
+LOOKS_UP: Vec3 = (-3.1415927, 1.5707964, 0.0)
+"""Direction of the camera towards the mirror above it (manual 10.15.2: Y=1.5707964, Z=-3.1415927)."""
+ORANGE: Rgba = (0.88, 0.36, 0.08, 1.0)
+ON_SCANNER = -0.11
+"""The base stands on the scanner's housing [m] (chosen)."""
+
+
+def _omni(
+    base: RobotSpec, package: MissionPackage, link: int, at: Vec3, looks: tuple[Shape, ...]
+) -> RobotSpec:
+    pillar = mount_package(package, (at[0], at[1], at[2] + ON_SCANNER))
+    eye = camera(at=(0.0, 0.0, -0.09), parent=f"{package.name}_Link{link}", direction=LOOKS_UP)
+    return replace(
+        base,
+        name=f"Omni{base.name}",
+        looks=looks,
+        packages=(pillar,),
+        cameras=(eye,),
+        sources=(*base.sources, ("camera", "chosen")),
+    )
+
+
+def _sonars(robot: RobotSpec) -> list[Mount]:
+    return [mount for mount in robot.sensors if mount.kind == "Sonar"]
+
+
+OMNI_P2AT = _omni(
+    P2AT, PACKAGES.get("OmniCamPillar"), 4, P2AT_SCANNER, at_looks(_sonars(P2AT), P2AT_SCANNER, ORANGE)
+)
+OMNI_P2DX = _omni(
+    P2DX, PACKAGES.get("OmniCamera"), 1, P2DX_SCANNER, dx_looks(_sonars(P2DX), P2DX_SCANNER, ORANGE)
 )

@@ -15,10 +15,9 @@ from usarmjx.models.robots.kit import (
     sick_lms200,
     wheel,
 )
-from usarmjx.models.robots.pioneer import P2AT, P2AT_SCANNER
-from usarmjx.models.robots.pioneer_looks import at_looks, atrv_looks, zerg_looks
-from usarmjx.models.spec.robot import Motor, Mount, Part, RobotSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.robots.pioneer import P2AT, P2AT_SCANNER, at_looks, atrv_looks, zerg_looks
+from usarmjx.models.types.robot import Motor, Mount, Part, RobotSpec
+from usarmjx.models.types.shapes import Shape
 
 WINE = (0.5, 0.08, 0.3, 1.0)
 GREEN = (0.2, 0.4, 0.25, 1.0)

@@ -3,11 +3,10 @@
 from dataclasses import replace
 
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera
-from usarmjx.models.robots.looks_kit import DARK, STEEL, ball, block, drum, lens, rod
+from usarmjx.models.robots.kit import BLACK, DARK, POSE_SENSORS, STEEL, ball, block, camera, drum, lens, rod
 from usarmjx.models.robots.track_kit import Belt, drive_tracks, mass_of, track, track_names
-from usarmjx.models.spec.robot import CHASSIS, LEFT, UP, Motor, Part, RobotSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.robot import CHASSIS, LEFT, UP, Motor, Part, RobotSpec
+from usarmjx.models.types.shapes import Shape
 
 RIGHT: Vec3 = (0.0, 1.0, 0.0)
 DOWN: Vec3 = (0.0, 0.0, 1.0)

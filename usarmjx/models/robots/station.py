@@ -1,11 +1,9 @@
 """ComStation, the base station of the wireless simulation (manual 3.2.4.1): it stands where it was put."""
 
 from usarmjx.models.drives import NoDrive
-from usarmjx.models.robots.kit import BLACK
-from usarmjx.models.robots.looks_kit import ALONG, DARK, STEEL, WHITE, ball, block, drum, rod
-from usarmjx.models.robots.looks_kit import BLACK as LOOK_BLACK
-from usarmjx.models.spec.robot import Mount, RobotSpec
-from usarmjx.models.spec.shapes import Rgba, Shape
+from usarmjx.models.robots.kit import ALONG, BLACK, DARK, LOOK_BLACK, STEEL, WHITE, ball, block, drum, rod
+from usarmjx.models.types.robot import Mount, RobotSpec
+from usarmjx.models.types.shapes import Rgba, Shape
 
 LAMPS: tuple[Rgba, ...] = ((0.9, 0.15, 0.1, 1.0), (0.98, 0.7, 0.1, 1.0), (0.2, 0.75, 0.25, 1.0))
 GREY: Rgba = (0.6, 0.6, 0.65, 1.0)

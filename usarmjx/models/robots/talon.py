@@ -3,22 +3,27 @@
 import math
 
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera, pan_tilt, sick_housing, sick_lms200
-from usarmjx.models.robots.looks_kit import (
+from usarmjx.models.robots.kit import (
     ACROSS,
     ALONG,
+    BLACK,
     DARK,
     LAMP,
+    LOOK_BLACK,
+    POSE_SENSORS,
     STEEL,
     block,
+    camera,
     drum,
     lens,
     mirrored,
+    pan_tilt,
     prism,
     rod,
     sick,
+    sick_housing,
+    sick_lms200,
 )
-from usarmjx.models.robots.looks_kit import BLACK as LOOK_BLACK
 from usarmjx.models.robots.track_kit import (
     GRIPPER_FINGERS_MASS,
     Belt,
@@ -27,8 +32,8 @@ from usarmjx.models.robots.track_kit import (
     pair_looks,
     track_pair,
 )
-from usarmjx.models.spec.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec
+from usarmjx.models.types.shapes import Shape
 
 OLIVE = (0.35, 0.38, 0.22, 1.0)
 RED = (0.75, 0.1, 0.1, 1.0)

@@ -4,10 +4,21 @@ import math
 from typing import Literal
 
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera
-from usarmjx.models.robots.looks_kit import ACROSS, LAMP, block, drum, lens, mirrored, prism, rod
-from usarmjx.models.robots.looks_kit import ALONG as ALONG_TUBE
-from usarmjx.models.robots.looks_kit import BLACK as LOOK_BLACK
+from usarmjx.models.robots.kit import (
+    ACROSS,
+    BLACK,
+    LAMP,
+    LOOK_BLACK,
+    POSE_SENSORS,
+    block,
+    camera,
+    drum,
+    lens,
+    mirrored,
+    prism,
+    rod,
+)
+from usarmjx.models.robots.kit import ALONG as ALONG_TUBE
 from usarmjx.models.robots.track_kit import (
     FLIPPERS,
     GRIPPER_FINGERS_MASS,
@@ -18,8 +29,8 @@ from usarmjx.models.robots.track_kit import (
     pair_looks,
     track_pair,
 )
-from usarmjx.models.spec.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec
+from usarmjx.models.types.shapes import Shape
 
 BLUE = (0.2, 0.3, 0.5, 1.0)
 SILVER = (0.75, 0.75, 0.78, 1.0)

@@ -10,12 +10,11 @@ from dataclasses import dataclass, replace
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import Tracks
-from usarmjx.models.robots.kit import BLACK, wheel
-from usarmjx.models.robots.looks_kit import ACROSS, STEEL, block, cleats, drum
-from usarmjx.models.robots.looks_kit import belt as belt_looks
-from usarmjx.models.robots.looks_kit import sprocket as sprocket_looks
-from usarmjx.models.spec.robot import CHASSIS, MissionPackage, Motor, Part
-from usarmjx.models.spec.shapes import ZERO, Rgba, Shape
+from usarmjx.models.robots.kit import ACROSS, BLACK, STEEL, block, cleats, drum, wheel
+from usarmjx.models.robots.kit import belt as belt_looks
+from usarmjx.models.robots.kit import sprocket as sprocket_looks
+from usarmjx.models.types.robot import CHASSIS, MissionPackage, Motor, Part
+from usarmjx.models.types.shapes import ZERO, Rgba, Shape
 
 BELT_STIFFNESS, BELT_DAMPING = 2000.0, 70.0
 """Gains of a wheel's servo over its inertia [1/s2], [1/s]: as stiff as 5 ms steps bear (a twentieth and a

@@ -9,21 +9,24 @@ import math
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import Underwater
 from usarmjx.models.drives.fluid import WATER_DENSITY, Hull
-from usarmjx.models.robots.kit import BLACK, POSE_SENSORS, camera, pan_tilt
-from usarmjx.models.robots.looks_kit import (
+from usarmjx.models.robots.kit import (
     ALONG,
+    BLACK,
     GLASS_BLACK,
     LAMP,
+    POSE_SENSORS,
     STEEL,
     WHITE,
     ball,
     block,
+    camera,
     drum,
     hull,
+    pan_tilt,
     rod,
 )
-from usarmjx.models.spec.robot import Mount, RobotSpec
-from usarmjx.models.spec.shapes import Rgba, Shape
+from usarmjx.models.types.robot import Mount, RobotSpec
+from usarmjx.models.types.shapes import Rgba, Shape
 
 NAVY: Rgba = (0.2, 0.25, 0.35, 1.0)
 SAIL = ((0.65, 0.0), (0.3, 0.15), (0.3, -0.15), (-0.62, 0.0), (-0.2, 0.14), (-0.2, -0.14))

@@ -5,9 +5,9 @@ A release of 2011 could spawn a class of that name; of its looks and figures not
 
 from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots.kit import POSE_SENSORS, sick_housing, sick_lms200, wheel
-from usarmjx.models.robots.pioneer_looks import loader_looks
-from usarmjx.models.spec.robot import Motor, Mount, RobotSpec
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.robots.pioneer import loader_looks
+from usarmjx.models.types.robot import Motor, Mount, RobotSpec
+from usarmjx.models.types.shapes import Shape
 
 RADIUS, TRACK, BASE = 0.12, 0.50, 0.34
 LENGTH, WIDTH, DECK = 0.60, 0.56, 0.34  # the deck's height, on which the rollers stand

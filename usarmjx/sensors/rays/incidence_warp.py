@@ -9,12 +9,18 @@ import warp as wp
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.warp_functions import warp_function
+from usarmjx.sensors.rays.batched_calls import over_worlds
 from usarmjx.sensors.rays.bundles import Fans
-from usarmjx.sensors.rays.over_worlds import over_worlds
-from usarmjx.sensors.rays.raycast_warp import GROUP_SIZE, four_at, local, place_of, thread_index, whole_part
-from usarmjx.sensors.rays.surfaces import GeomHits
-from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo
-from usarmjx.sensors.rays.warp_calls import pack
+from usarmjx.sensors.rays.raycast_warp import (
+    GROUP_SIZE,
+    four_at,
+    local,
+    pack,
+    place_of,
+    thread_index,
+    whole_part,
+)
+from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, GeomHits
 from usarmjx.sensors.rays.warp_kinds import normal_of
 
 wp.set_module_options({"enable_backward": False})

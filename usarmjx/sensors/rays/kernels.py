@@ -14,7 +14,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
-from usarmjx.models.build.pieces import FENDER_KIND, TRIANGLE_KIND
+from usarmjx.models.compile.ray_geoms import FENDER_KIND, TRIANGLE_KIND
 
 TINY = 1e-12
 """Stands in for a zero component of a direction, so that slabs parallel to a ray divide safely."""

@@ -9,24 +9,65 @@ are seen as their triangles, see `models.build.pieces`.
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 from flax import struct
+from jax.custom_batching import custom_vmap
 
+from usarmjx.base.accelerator import caster_in_use
 from usarmjx.base.arrays import Array, Bool, Float, Int
 from usarmjx.base.backend import xp
-from usarmjx.models.build.pieces import TRIANGLE_KIND
+from usarmjx.models.compile.ray_geoms import TRIANGLE_KIND
 from usarmjx.sensors.rays.bundles import Fans
-from usarmjx.sensors.rays.choice import caster_in_use
 from usarmjx.sensors.rays.kernels import RAY_KERNELS
 from usarmjx.sensors.rays.raycast_cpu import nearest_of_bundles
-from usarmjx.sensors.rays.surfaces import GeomHits, normals, sloped
-from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, Geoms
-from usarmjx.sensors.rays.wanted import cast_if_wanted
+from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, GeomHits, Geoms, normals, sloped
+
+T = TypeVar("T")
+
+
+def cast_if_wanted(wanted: Bool[Array, ""] | None, cast: Callable[..., T], missed: T, *args: Any) -> T:  # noqa: ANN401
+    """Return `cast(*args)` where that is wanted, else misses.
+
+    Mapped over robots and worlds it is cast for all of them if any one wants it, and not at all if none does.
+    (A plain `lax.cond` would become a select there, which always casts.)
+
+    Args:
+        wanted: Whether anybody wants to know (); None: yes.
+        cast: A function of arrays only; it must not close over any that are traced.
+        missed: What a miss is, a number for each array of its result.
+        args: Its arguments.
+    """
+    if wanted is None:
+        return cast(*args)
+    hits = _cast_if_any(wanted, cast, missed, args)
+    return jax.tree.map(lambda hit, miss: jnp.where(wanted, hit, miss), hits, missed)
+
+
+def _cast_if_any(wanted: Array, cast: Callable[..., T], missed: T, args: tuple[Any, ...]) -> T:
+    """Return what is cast, if any of many want it (...); else misses of the same shape."""
+    cast = jax.jit(cast, inline=True)  # traced once: for its shapes, for its work, and for all maps
+
+    @custom_vmap
+    def run(wanted: Array, args: tuple[Any, ...]) -> T:
+        shapes = jax.eval_shape(cast, *args)
+        blank = jax.tree.map(lambda hit, miss: jnp.full(hit.shape, miss, hit.dtype), shapes, missed)
+        return jax.lax.cond(jnp.any(wanted), lambda args: cast(*args), lambda _: blank, args)
+
+    @run.def_vmap
+    def run_mapped(size: int, batched: Any, wanted: Array, args: tuple[Any, ...]) -> tuple[T, Any]:  # noqa: ANN401
+        axes = jax.tree.map(lambda mapped: 0 if mapped else None, batched[1])
+        mapped = jax.vmap(cast, in_axes=axes, axis_size=size)
+        # Not `run` again: an outer map calls this rule too, with one axis more on everything.
+        hits = _cast_if_any(wanted, mapped, missed, args)
+        return hits, jax.tree.map(lambda _: True, hits)
+
+    return run(wanted, args)
+
 
 DEFAULT_BUNDLE_SIZE = 32
 """Rays after each other that go about the same way, if nobody says otherwise."""
@@ -190,7 +231,7 @@ def gpu_hits(
     interpret: bool = False,
 ) -> GeomHits:
     """As `nearest_hits`: see `raycast_gpu`."""
-    from usarmjx.sensors.rays.raycast_gpu import nearest_of_bundles, pack  # Pallas is of use on GPUs only
+    from usarmjx.sensors.rays.raycast_gpu import nearest_of_bundles, pack
 
     packed = [(part.info, pack(part.info.kind, part.block)) for part in seen]
     wanted = jnp.ones((), bool) if query.wanted is None else query.wanted
@@ -211,7 +252,7 @@ def warp_hits(
     query: RayQuery = DEFAULT_QUERY,
 ) -> GeomHits:
     """As `nearest_hits`: see `raycast_warp`."""
-    from usarmjx.sensors.rays.warp_calls import nearest_of_bundles  # Warp need not be installed
+    from usarmjx.sensors.rays.raycast_warp import nearest_of_bundles
 
     wanted = jnp.ones((), bool) if query.wanted is None else query.wanted
     found = nearest_of_bundles(
@@ -263,7 +304,7 @@ def _incidence(
 ) -> Array:
     """Return the cosine between each ray and the surface that it meets (rays,); frames as below."""
     if caster_in_use() == "warp":
-        from usarmjx.sensors.rays.incidence_warp import cosines_of_hits  # Warp need not be installed
+        from usarmjx.sensors.rays.incidence_warp import cosines_of_hits
 
         rays = (origin, direction) if lines is None else Fans(frames[0], frames[1], lines)
         return cosines_of_hits(indexed_blocks(geoms, query.transparent), rays, first)

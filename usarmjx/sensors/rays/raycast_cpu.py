@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
+from usarmjx.sensors.rays.batched_calls import over_worlds
 from usarmjx.sensors.rays.bundles import (
     Cone,
     Fans,
@@ -23,9 +24,7 @@ from usarmjx.sensors.rays.bundles import (
     cone_sphere_distance,
 )
 from usarmjx.sensors.rays.kernels import RAY_KERNELS, XYZ, bounding_radius
-from usarmjx.sensors.rays.over_worlds import over_worlds
-from usarmjx.sensors.rays.surfaces import GeomHits
-from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo
+from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, GeomHits
 
 RAYS_AT_A_TIME = 256
 """Rays of the casts that are done together, about: they wait for each other."""

@@ -6,7 +6,7 @@ Vectors are in the geom's frame. What each means is said there; the arithmetic i
 import mujoco
 import warp as wp
 
-from usarmjx.models.build.pieces import FENDER_KIND, TRIANGLE_KIND
+from usarmjx.models.compile.ray_geoms import FENDER_KIND, TRIANGLE_KIND
 from usarmjx.sensors.rays import kernels
 
 wp.set_module_options({"enable_backward": False, "fast_math": True})

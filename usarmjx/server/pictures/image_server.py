@@ -14,21 +14,15 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from usarmjx.server.access import EVERYBODY, AccessRules
-from usarmjx.server.gate import Gate, peer_address
+from usarmjx.server.network.access import EVERYBODY, AccessRules
+from usarmjx.server.network.gate import Gate, peer_address
+from usarmjx.server.network.ports import IMAGE_PORT
 from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.views import CompositeView, client_view
-from usarmjx.server.ports import IMAGE_PORT
+from usarmjx.server.protocol.grammar import HttpRequestError
 from usarmjx.server.protocol.images import ImageSession, Region, encode_frame
-from usarmjx.server.protocol.lines import HttpRequestError
-from usarmjx.server.protocol.multi_view import MultiView
-from usarmjx.server.wireless.sockets import (
-    READ_SIZE,
-    STALL,
-    close_gracefully,
-    limit_kernel_buffer,
-    listen,
-)
+from usarmjx.server.protocol.viewports import MultiView
+from usarmjx.server.wireless.sockets import READ_SIZE, STALL, close_gracefully, limit_kernel_buffer, listen
 from usarmjx.server.worlds.served_world import ServedWorld
 
 log = logging.getLogger(__name__)

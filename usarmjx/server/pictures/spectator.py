@@ -16,8 +16,8 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.errors import PeerError
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.cameras.picture import HIDDEN_GEOMS_MULTIPLE, Viewpoint
-from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.sensors.cameras.picture import HIDDEN_GEOMS_MULTIPLE, Viewpoint
 from usarmjx.sensors.rays.raycast import EXCLUDE_NONE
 from usarmjx.server.pictures.views import CompositeView, all_robots_view, robot_view
 from usarmjx.server.worlds.robot import Robot

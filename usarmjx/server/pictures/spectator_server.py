@@ -20,17 +20,15 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from usarmjx.base.errors import PeerError
-from usarmjx.server.access import EVERYBODY, AccessRules, parse_address
-from usarmjx.server.console import SpectatorConsole, WatchingCamera
-from usarmjx.server.gate import Gate
-from usarmjx.server.log_tail import LogTail
+from usarmjx.server.gamebots.console import LogTail, SpectatorConsole, WatchingCamera
+from usarmjx.server.network.access import EVERYBODY, AccessRules, parse_address
+from usarmjx.server.network.gate import Gate
+from usarmjx.server.network.ports import bound_socket
+from usarmjx.server.network.web_gate import FROM_ELSEWHERE, is_own_page, listen_for_websockets
 from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.spectator import Spectator, read_message
 from usarmjx.server.pictures.views import CompositeView
-from usarmjx.server.ports import bound_socket
 from usarmjx.server.protocol.images import jpeg
-from usarmjx.server.web_gate import FROM_ELSEWHERE, is_own_page
-from usarmjx.server.web_listen import listen_for_websockets
 from usarmjx.server.worlds.served_world import ServedWorld
 
 if TYPE_CHECKING:

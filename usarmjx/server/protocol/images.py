@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 from usarmjx.base.errors import UsageError
-from usarmjx.server.protocol.lines import LineBuffer
+from usarmjx.server.protocol.grammar import LineBuffer
 
 FORMATS = ("raw", "super", "good", "normal", "average", "bad")
 """Names of the picture types, in the order of their numbers."""

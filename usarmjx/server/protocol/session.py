@@ -37,8 +37,14 @@ from usarmjx.server.protocol.commands import (
     TurnCamera,
 )
 from usarmjx.server.protocol.dialects import MANUAL, Dialect
-from usarmjx.server.protocol.grammar import Message, clip, format_message, parse_message
-from usarmjx.server.protocol.lines import DEFAULT_LIMIT, LineBuffer
+from usarmjx.server.protocol.grammar import (
+    DEFAULT_LIMIT,
+    LineBuffer,
+    Message,
+    clip,
+    format_message,
+    parse_message,
+)
 
 # A robot sends a few kB of reports per second: a peer this far behind has not read for minutes.
 SEND_LIMIT = 1 << 20

@@ -2,7 +2,7 @@
 
 import math
 
-from usarmjx.cameras.mounts import Camera
+from usarmjx.sensors.cameras.mounts import Camera
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
 from usarmjx.server.rosbridge.motion import frame_name, optical_name
 

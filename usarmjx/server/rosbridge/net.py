@@ -16,22 +16,19 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from usarmjx.base.errors import UsageError
-from usarmjx.server.access import EVERYBODY, AccessRules
-from usarmjx.server.fault_log import FaultLog
-from usarmjx.server.gate import Gate
-from usarmjx.server.host_names import is_own_name
-from usarmjx.server.net import BotServer
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.network.access import EVERYBODY, AccessRules
+from usarmjx.server.network.gate import Gate
+from usarmjx.server.network.ports import bound_socket
+from usarmjx.server.network.web_gate import FROM_ELSEWHERE, is_own_name, listen_for_websockets
 from usarmjx.server.pictures.render_thread import RenderThread
-from usarmjx.server.ports import bound_socket
-from usarmjx.server.rosbridge.crew import RosCrew
 from usarmjx.server.rosbridge.definitions import RosVersion
 from usarmjx.server.rosbridge.encodings import BridgeFrame, Compression, publication
 from usarmjx.server.rosbridge.images import PictureRequest, image_view, picture_messages
-from usarmjx.server.rosbridge.services import REMOVE, SPAWN, TopicServices, read_spawn
+from usarmjx.server.rosbridge.services import REMOVE, SPAWN, RosCrew, TopicServices, read_spawn
 from usarmjx.server.rosbridge.session import BridgeSession, Published, ServiceCall, TopicSubscription
 from usarmjx.server.rosbridge.topics import RosTopic, WorldTopics
-from usarmjx.server.web_gate import FROM_ELSEWHERE
-from usarmjx.server.web_listen import listen_for_websockets
+from usarmjx.server.runtime.logs import FaultLog
 from usarmjx.server.worlds.served_world import ServedWorld
 
 log = logging.getLogger(__name__)

@@ -5,7 +5,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from usarmjx.models.roads.geodesy import LatLon
+from usarmjx.models.roads.network import LatLon
 from usarmjx.sensors.base import Sensor
 from usarmjx.sensors.gps import MIN_FIX_SATELLITES, Gps, geographic_coordinates
 from usarmjx.sensors.inertial import Imu

@@ -16,8 +16,7 @@ segments, one word as a value.
 import re
 from enum import Enum
 
-from usarmjx.server.protocol.grammar import Message, format_message
-from usarmjx.server.protocol.lines import LineBuffer
+from usarmjx.server.protocol.grammar import LineBuffer, Message, format_message
 from usarmjx.server.wireless.switchboard import Route, Switchboard
 
 MAX_LINE_SIZE = 1024

@@ -15,10 +15,10 @@ from typing import Protocol
 
 from usarmjx.base.errors import PeerError
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.server.access import EVERYBODY, AccessRules
-from usarmjx.server.gate import LINE_ENDS, Gate, peer_address
-from usarmjx.server.ports import POSITION_PORT, WSS2_PORT, WSS_PORT
-from usarmjx.server.protocol.lines import HttpRequestError
+from usarmjx.server.network.access import EVERYBODY, AccessRules
+from usarmjx.server.network.gate import LINE_ENDS, Gate, peer_address
+from usarmjx.server.network.ports import POSITION_PORT, WSS2_PORT, WSS_PORT
+from usarmjx.server.protocol.grammar import HttpRequestError
 from usarmjx.server.wireless.dialect_a import MESSAGE_END
 from usarmjx.server.wireless.net_a import DataLinkServer
 from usarmjx.server.wireless.net_b import ProxyServer

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from usarmjx.base.errors import PeerError
 from usarmjx.server.wireless.channel import reaches
 from usarmjx.server.wireless.comserver import ComServer, Endpoint, EndpointPair
-from usarmjx.server.wireless.data_link import DataLinkParser, DataLinkPhase
-from usarmjx.server.wireless.dialect_a import DialectASession
+from usarmjx.server.wireless.dialect_a import DataLinkParser, DataLinkPhase, DialectASession
 from usarmjx.server.wireless.radio_channel import RadioChannel
 from usarmjx.server.wireless.sockets import DATA_READ_SIZE, Throttle, close_gracefully, connect, drain, log
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import partial
 
 from usarmjx.base.errors import PeerError, UsageError
-from usarmjx.server.fault_log import FaultLog
-from usarmjx.server.gate import Gate, peer_address
-from usarmjx.server.ports import may_dial
+from usarmjx.server.network.gate import Gate, peer_address
+from usarmjx.server.network.ports import may_dial
+from usarmjx.server.runtime.logs import FaultLog
 from usarmjx.server.wireless.comserver import normalize_address
 from usarmjx.server.wireless.dialect_b import DialectBSession
 from usarmjx.server.wireless.radio_channel import RadioChannel

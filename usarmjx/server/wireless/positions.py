@@ -11,16 +11,16 @@ not answered, as in the original.
 """  # noqa: E501 - an answer is one line
 
 from usarmjx.base.errors import PeerError
-from usarmjx.server.protocol.frames import flip_wire_vector
 from usarmjx.server.protocol.grammar import (
+    LineBuffer,
     Message,
+    flip_wire_vector,
     format_message,
     four_decimals_list,
     parse_message,
     to_vector,
     two_decimals,
 )
-from usarmjx.server.protocol.lines import LineBuffer
 from usarmjx.server.wireless.channel import RadioAccess
 
 MAX_LINE_SIZE = 1024

@@ -12,7 +12,7 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.base.transforms import Vec3
 from usarmjx.comms.attenuation import RadioSettings, received_power
 from usarmjx.comms.links import Links
-from usarmjx.models.drives.state import RobotState
+from usarmjx.models.drives.base import RobotState
 from usarmjx.server.wireless.channel import Presence
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from types import TracebackType
 
 from usarmjx.base.errors import PeerError, UsageError
-from usarmjx.server.gate import LINE_ENDS, Gate, Handler, guarded, keep_alive
-from usarmjx.server.ports import FIRST_DIALLED, bound_socket, may_dial
+from usarmjx.server.network.gate import LINE_ENDS, Gate, Handler, guarded, keep_alive
+from usarmjx.server.network.ports import FIRST_DIALLED, bound_socket, may_dial
 
 log = logging.getLogger("usarmjx.server.wireless")
 """One logger for all of it: USARComServer.ini's bDebug turns it on."""

@@ -16,28 +16,61 @@ import numpy as np
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Vec3, quat_from_angles
-from usarmjx.cameras.picture import Picture
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links
 from usarmjx.engines import PhysicsState
-from usarmjx.models.build.body_plan import kinematic_tree_of
-from usarmjx.models.drives.state import RobotState
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.drives.base import RobotState
 from usarmjx.models.effecters import Opcode
-from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.recording.inputs import WorldSetup
-from usarmjx.recording.setups import batch_setup, orders_of
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.recording.inputs import WorldSetup, batch_setup, orders_of
+from usarmjx.sensors.cameras.picture import Picture
 from usarmjx.sensors.suite import suite_of
-from usarmjx.server.instances import check_instances
 from usarmjx.server.worlds.recorded import keep_reading, record_step
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
-from usarmjx.sim.batch import Batch
-from usarmjx.sim.batch_state import BatchState, Readings
+from usarmjx.sim.batch import Batch, BatchState, Readings, put_robot
 from usarmjx.sim.control import RobotCommand, idle_command
-from usarmjx.sim.putting import put_robot
 from usarmjx.sim.reset import new_group_state, started
 from usarmjx.sim.scene import PARKING_HEIGHT
 from usarmjx.sim.world import GroupState, World, time_of
+
+
+def parse_instances(text: str, worlds: int) -> tuple[int, ...]:
+    """Return the numbers of the worlds that a text names, ascending.
+
+    Args:
+        text: `all`, or numbers and ranges, as `0,2-5`.
+        worlds: Worlds in the batch.
+
+    Raises:
+        UsageError: It is not of that form, or there is no such world.
+    """
+    if text.strip().lower() == "all":
+        return tuple(range(worlds))
+    numbers: set[int] = set()
+    for part in (part.strip() for part in text.split(",")):
+        first, dash, last = (end.strip() for end in part.partition("-"))
+        last = last if dash else first
+        if not (first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
+            raise UsageError(f"instances {text!r} are not of the form all or 0,2-5: {part!r}")
+        check_instances((int(first), int(last)), worlds)
+        numbers.update(range(int(first), int(last) + 1))
+    return tuple(sorted(numbers))
+
+
+def check_instances(instances: Sequence[int], worlds: int) -> None:
+    """Refuse numbers of worlds that a batch does not have.
+
+    Raises:
+        UsageError: One is none of its worlds, or there is none.
+    """
+    if not instances:
+        raise UsageError("no instance is to be served")
+    for instance in instances:
+        if not 0 <= instance < worlds:
+            raise UsageError(f"instance {instance} is not among worlds 0 to {worlds - 1}")
+
 
 log = logging.getLogger(__name__)
 

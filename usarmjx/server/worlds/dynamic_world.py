@@ -9,22 +9,22 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
-from usarmjx.base.memory import return_freed_memory
+from usarmjx.base.process import return_freed_memory
 from usarmjx.base.transforms import Vec3, quat_from_angles
-from usarmjx.cameras.picture import Picture
-from usarmjx.cameras.programs import PicturePrograms
 from usarmjx.engines import PhysicsState
-from usarmjx.models.build.compose import Physics
+from usarmjx.models.compile.compose import Physics
 from usarmjx.models.effecters import Opcode
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.robot import RobotSpec
 from usarmjx.recording.inputs import WorldSetup
+from usarmjx.sensors.cameras.picture import Picture
+from usarmjx.sensors.cameras.programs import PicturePrograms
 from usarmjx.sensors.suite import suite_of
 from usarmjx.server.worlds.recorded import keep_reading, record_step, single_setup
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
+from usarmjx.sim.configure import redescribe
 from usarmjx.sim.control import RobotCommand, idle_command
-from usarmjx.sim.redescribe import redescribe
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.single_world import SingleWorld
 from usarmjx.sim.world import World

@@ -6,8 +6,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.engines import choose_engine
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.instances import check_instances
-from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch
+from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch, check_instances
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.sim.batch import Batch

@@ -4,8 +4,12 @@ All worlds of the batch do the policy's task. It reads sensors once for each act
 clients get the same readings, so nothing changes for the policy when somebody looks on.
 """
 
+import asyncio
+import logging
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -15,23 +19,24 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
-from usarmjx.base.kept_programs import compile_program
+from usarmjx.base.program_cache import compile_program
 from usarmjx.base.transforms import Vec3
 from usarmjx.engines import PhysicsState
-from usarmjx.models.drives.state import RobotState
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.drives.base import RobotState
+from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.base import Reading
 from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch
 from usarmjx.server.worlds.recorded import keep_reading
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.actions import apply_actions
-from usarmjx.sim.batch_state import select_worlds
+from usarmjx.sim.batch import select_worlds
 from usarmjx.sim.control import idle_command
 from usarmjx.sim.radio import update_links
 from usarmjx.sim.world import World, observe
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Policy
-from usarmjx.train.envs.task import TaskView, TeamMaps
+from usarmjx.train.envs.task import Policy, TaskView, TeamMaps
+from usarmjx.train.learning.checkpoint import Checkpoints
+from usarmjx.train.policies.sources import PolicySource, find_source
 
 Readings = tuple[tuple[Reading, ...], ...]
 
@@ -339,3 +344,83 @@ class PolicyWorld(BatchWorld):
         for robot in due:
             group, member = self.scene.group_of(robot.slot)
             robot.drowned = bool(self._state.worlds.groups[group].drowned[self._instance, member])
+
+
+log = logging.getLogger(__name__)
+
+INTERVAL = 2.0
+"""A run's folder is looked into so often [s]."""
+
+
+def newest(run: Path) -> str | None:
+    """Return the name of a run's newest checkpoint; None: there is none yet."""
+    try:
+        return Checkpoints(run).find("last").name
+    except UsageError:
+        return None
+
+
+def wait_for_run(run: Path, interval: float = INTERVAL) -> PolicySource:
+    """Return the policy of a run's newest checkpoint, as soon as there is one.
+
+    Raises:
+        UsageError: There is one that cannot be read, and stays.
+    """
+    while True:
+        found = newest(run)
+        try:
+            if found is not None:
+                return find_source(str(run), "last")
+        except UsageError:
+            if newest(run) == found:  # else it was deleted for a newer one
+                raise
+        time.sleep(interval)
+
+
+class PolicyFollower:
+    """Lets the newest checkpoint of a run drive a served batch; a `net.Service`.
+
+    It is read and compiled in a thread; the world goes on meanwhile.
+
+    Args:
+        shared: The batch.
+        run: Folder of the run.
+        interval: Time between two looks [s].
+    """
+
+    def __init__(self, shared: PolicyBatch, run: Path, interval: float = INTERVAL) -> None:
+        self._shared, self._run, self._interval = shared, run, interval
+        self._driving = newest(run)
+        self._task: asyncio.Task[None] | None = None
+
+    async def start(self) -> list[str]:
+        """Begin to look."""
+        self._task = asyncio.create_task(self._watch())
+        return [f"the newest checkpoint of {self._run} drives"]
+
+    async def _watch(self) -> None:
+        while True:
+            await asyncio.sleep(self._interval)
+            found = newest(self._run)
+            if found not in (None, self._driving):
+                await self._take(found)
+
+    async def _take(self, name: str | None) -> None:
+        try:
+            await asyncio.to_thread(self._load)
+        except (UsageError, OSError) as error:  # it may have been deleted for a newer one
+            log.warning("%s: %s", self._run, error)
+            return
+        self._driving = name
+        log.info("checkpoint %s drives", name)
+
+    def _load(self) -> None:
+        self._shared.drive_by(find_source(str(self._run), "last").policy(self._shared.env))
+
+    def tick(self) -> None:
+        """Nothing to do."""
+
+    def stop(self) -> None:
+        """Look no more."""
+        if self._task is not None:
+            self._task.cancel()

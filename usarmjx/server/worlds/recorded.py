@@ -9,9 +9,8 @@ import numpy as np
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links
 from usarmjx.recording.file import RecordingFile
-from usarmjx.recording.inputs import SINGLE, WorldSetup
+from usarmjx.recording.inputs import SINGLE, WorldSetup, versions
 from usarmjx.recording.recorder import Look, WorldRecorder
-from usarmjx.recording.versions import versions
 
 if TYPE_CHECKING:
     import mujoco

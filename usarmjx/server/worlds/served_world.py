@@ -19,34 +19,47 @@ import numpy as np
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Vec3
-from usarmjx.cameras.mounts import cameras_of
-from usarmjx.cameras.picture import Picture, Viewpoint, camera_viewpoint
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links, no_links
 from usarmjx.comms.walls import count_walls
 from usarmjx.engines import PhysicsState
-from usarmjx.models.build.body_plan import BodyPoses, forward_kinematics, robot_state
-from usarmjx.models.drives.state import RobotState
+from usarmjx.models.compile.kinematic_tree import BodyPoses, forward_kinematics, robot_state
+from usarmjx.models.drives.base import RobotState
 from usarmjx.models.effecters import Opcode, effecters_of
-from usarmjx.models.spec.arena import ArenaSpec, StartPose
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.types.arena import ArenaSpec, StartPose
+from usarmjx.models.types.robot import RobotSpec
 from usarmjx.recording.inputs import WorldSetup
 from usarmjx.recording.recorder import WorldRecorder
 from usarmjx.sensors.base import SensorInput
+from usarmjx.sensors.cameras.mounts import cameras_of
+from usarmjx.sensors.cameras.picture import Picture, Viewpoint, camera_viewpoint
 from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.sensors.suite import SensorMemory, suite_of
-from usarmjx.server.messages.victims import initial_tag_texts
-from usarmjx.server.protocol.multi_view import MultiView
+from usarmjx.server.gamebots.victims import initial_tag_texts
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
-from usarmjx.server.protocol.viewports import ViewBindings
-from usarmjx.server.worlds.mishaps import Mishaps
-from usarmjx.server.worlds.robot import Robot
-from usarmjx.server.worlds.traces import Traces
+from usarmjx.server.protocol.viewports import MultiView, ViewBindings
+from usarmjx.server.worlds.robot import Robot, Traces
 from usarmjx.sim.control import CommandUpdate, RobotCommand, update_command
 from usarmjx.sim.operate import NO_NUMBER, OperationResult
 from usarmjx.sim.radio import radio_obstacles, update_links
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.world import World, sense_self
+
+
+@dataclass
+class Mishaps:
+    """What has happened to a world's physics so far.
+
+    Attributes:
+        put_back: Robots and objects that went bad and were put back.
+        resets: How often the whole world was reset for that.
+        names: What was put back last.
+    """
+
+    put_back: int = 0
+    resets: int = 0
+    names: tuple[str, ...] = ()
+
 
 ROBOT_FIELDS = ("state", "bodies", "hits")
 """What of a group's `SensorInput` has a leading axis over robots."""

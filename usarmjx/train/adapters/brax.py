@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, cast
 import jax
 import jax.numpy as jnp
 
-from usarmjx.base.extras import extra
+from usarmjx.base.errors import extra
 from usarmjx.train.adapters.agents import MAX_SEED, check_one_group
 
 with extra("train"):

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 
-from usarmjx.base.errors import UsageError
-from usarmjx.base.extras import extra
+from usarmjx.base.errors import UsageError, extra
 from usarmjx.train.adapters.agents import MAX_SEED, agents_of, by_agent, check_one_world, stack_actions
 
 with extra("rl"):

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from usarmjx.base.errors import UsageError
-from usarmjx.base.extras import extra
+from usarmjx.base.errors import UsageError, extra
 from usarmjx.train.adapters.agents import (
     agents_of,
     by_agent,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usarmjx.base.extras import extra
+from usarmjx.base.errors import extra
 from usarmjx.train.adapters.gymnasium import Robots, VectorWorlds
 
 with extra("sb3"):

@@ -9,15 +9,14 @@ from collections.abc import Callable
 
 from usarmjx.base.registry import Registry
 from usarmjx.train.baselines.climb import climb_policy
-from usarmjx.train.baselines.frontier import frontier_policy
+from usarmjx.train.baselines.frontier import frontier_policy, relay_policy
 from usarmjx.train.baselines.goal import bug_policy
 from usarmjx.train.baselines.hover import inspection_policy
 from usarmjx.train.baselines.pursuit import pursuit_policy
-from usarmjx.train.baselines.relay import relay_policy
 from usarmjx.train.baselines.roam import roam_policy
 from usarmjx.train.baselines.soccer import soccer_policy
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Policy
+from usarmjx.train.envs.task import Policy
 
 BASELINES: Registry[Callable[[Env], Policy]] = Registry("baseline")
 BASELINES.add("drive-to-goal", bug_policy)

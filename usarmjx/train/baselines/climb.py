@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
+from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.tasks.stairs import MAX_FLIPPER_ANGLE, Stairs
 
 UP = 0.6

@@ -6,15 +6,10 @@ from flax import struct
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import wrap_angle
-from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.train.baselines.steering import (
-    choose_direction,
-    free_distances,
-    obstacles,
-    steer_toward,
-)
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.train.baselines.steering import choose_direction, free_distances, obstacles, steer_toward
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
+from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.tasks.drive_to_goal import MAX_GOAL_DISTANCE, DriveToGoal
 
 LEAVE_MARGIN = 0.4

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
+from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.tasks.hover_inspect import POSITION_SCALE, SPEED_SCALE, TURN_RATE_SCALE, HoverInspect
 
 GAIN, TURN_GAIN = 1.0, 1.2

@@ -7,7 +7,7 @@ import numpy as np
 from usarmjx.base.errors import UsageError
 from usarmjx.models.drives import Ackermann
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
+from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.tasks.convoy import AHEAD, BEAMS, RANGE_SCALE, SPEED_SCALE, Convoy
 
 LOOKAHEAD = 3.0, 0.6

@@ -8,11 +8,11 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.models.drives import Ackermann
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.types.robot import RobotSpec
 from usarmjx.train.baselines.steering import ANGLES, NO_OBSTACLE_DISTANCE, driver, free_distances, obstacles
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
-from usarmjx.train.scenes.clearance import bounding_box_of
+from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
+from usarmjx.train.tasks.clearance import bounding_box_of
 from usarmjx.train.tasks.wander import Wander
 
 STOP, GO, SLOW_DISTANCE = 0.2, 0.45, 0.7

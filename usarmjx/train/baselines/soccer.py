@@ -4,7 +4,7 @@ import jax
 
 from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
+from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.tasks.soccer import Soccer
 from usarmjx.train.tasks.soccer_play import soccer_action
 

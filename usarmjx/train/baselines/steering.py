@@ -9,9 +9,9 @@ import numpy as np
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import wrap_angle
 from usarmjx.models.drives import Ackermann, RotaryWing, SkidSteer, Tracks
-from usarmjx.models.spec.robot import RobotSpec
-from usarmjx.train.scenes.clearance import bounding_box_of
-from usarmjx.train.tasks.ranges import MAX_RANGE, range_lines
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.train.tasks.clearance import bounding_box_of
+from usarmjx.train.tasks.team import MAX_RANGE, range_lines
 
 MAX_SPEED = 1.0
 """Hand-written policies drive no faster than this [m/s]."""

@@ -1,7 +1,7 @@
 """What a task's scene is made from: its arenas, and robots with only the sensors that the task reads."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import jax
@@ -9,14 +9,71 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
+from usarmjx.base.registry import Registry
 from usarmjx.base.worker_processes import spread
-from usarmjx.models.build.reach import RobotFootprint
+from usarmjx.models.compile.reachability import RobotFootprint
 from usarmjx.models.generate import KINDS, Difficulty, generate
 from usarmjx.models.generate.kinds import USUAL_STARTS
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
-from usarmjx.models.spec.robot import Mount, RobotSpec
-from usarmjx.train.envs.splits import SPLITS
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.types.robot import Mount, RobotSpec
+
+GENERATED = "DM-"
+"""How names of generated arenas begin."""
+HELD_OUT_START, TEST_START, HELD_OUT_END = 4_000_000_000, 4_000_001_000, 4_000_010_000
+"""Nobody trains on seeds from the first to the last; from the second on they are for tests."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Split:
+    """Seeds of generated arenas that are used for one thing.
+
+    Attributes:
+        start: The first; those for training leave out what is held out.
+        end: The one after the last.
+        arenas: How many are tried, at least; 0: as many as a task has.
+    """
+
+    start: int
+    end: int
+    arenas: int = 0
+
+    def seeds(self, seed: int | tuple[int, ...], count: int) -> np.ndarray:
+        """Return the seeds of so many arenas (count,): drawn by `seed`, or of a held-out split the first.
+
+        Args:
+            seed: A number, or several.
+            count: How many.
+
+        Raises:
+            UsageError: More than there are.
+        """
+        if not self.arenas:
+            drawn = np.random.SeedSequence(seed).generate_state(count, np.uint32).astype(np.int64)
+            kept = (drawn >= HELD_OUT_START) & (drawn < HELD_OUT_END)
+            return np.where(kept, drawn - (HELD_OUT_END - HELD_OUT_START), drawn)
+        if count > self.end - self.start:
+            raise UsageError(f"{count} arenas of a held-out split, which has {self.end - self.start}")
+        return np.arange(self.start, self.start + count)
+
+
+SPLITS: Registry[Split] = Registry("split")
+SPLITS.add("train", Split(start=0, end=2**32))
+SPLITS.add("validation", Split(start=HELD_OUT_START, end=TEST_START, arenas=100))
+SPLITS.add("test", Split(start=TEST_START, end=HELD_OUT_END, arenas=200))
+
+
+def held_out(arenas: Iterable[ArenaSpec]) -> str | None:
+    """Return the name of the split of the first of some arenas that nobody may train on; None: all may be."""
+    for arena in arenas:
+        seed = arena.name.rpartition("-")[2]
+        if not (arena.name.startswith(GENERATED) and seed.isdecimal()):
+            continue
+        for name, split in SPLITS:
+            if split.arenas and split.start <= int(seed) < split.end:
+                return name
+    return None
+
 
 MIN_START_DISTANCE = 1.0
 """Least distance of two start poses on an open floor [m]."""

@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 import jax
 from flax import struct
 
-from usarmjx.sim.batch_state import BatchState
+from usarmjx.sim.batch import BatchState
 from usarmjx.sim.world import World
 
 Memory: TypeAlias = Any

@@ -5,9 +5,9 @@ truly is.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -20,19 +20,18 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import Inboxes, MessageSettings
 from usarmjx.engines import PhysicsState
-from usarmjx.models.build.compose import PHYSICS, Physics
-from usarmjx.models.build.variation import DomainRandomization
-from usarmjx.models.build.victims import VictimTable
-from usarmjx.models.drives.state import RobotState
-from usarmjx.models.spec.arena import ArenaSpec
-from usarmjx.models.spec.robot import Mount, RobotSpec
+from usarmjx.models.compile.compose import PHYSICS, Physics
+from usarmjx.models.compile.randomization import DomainRandomization
+from usarmjx.models.compile.victims import VictimTable
+from usarmjx.models.drives.base import RobotState
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.robot import Mount, RobotSpec
 from usarmjx.sensors.base import Reading
 from usarmjx.sim.actions import Actions
 from usarmjx.sim.radio import mailboxes
+from usarmjx.sim.ray_geometry import start_poses, victims_of
 from usarmjx.sim.scene import Scene, build_scene
-from usarmjx.sim.site import start_poses, victims_of
-from usarmjx.sim.streams import Stream
-from usarmjx.sim.world import World, episode_key, robot_states, time_of
+from usarmjx.sim.world import Stream, World, episode_key, robot_states, time_of
 from usarmjx.train.envs.recipe import (
     SPARE_ROOM,
     Arenas,
@@ -42,6 +41,27 @@ from usarmjx.train.envs.recipe import (
     with_sensors,
 )
 from usarmjx.train.envs.state import Memory
+
+ObservationArrays = tuple[jax.Array, ...]
+"""Per agent group (worlds, robots, obs_size)."""
+ActionArrays = tuple[jax.Array, ...]
+"""Per agent group (worlds, robots, action_size)."""
+Carry: TypeAlias = Any
+"""A policy's own between two steps: any tree of arrays (worlds, ...)."""
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A policy of all groups of an environment.
+
+    Attributes:
+        initial_carry: Returns the carry at the start of an episode, for a number of worlds.
+        act: Returns the carry and the actions from the carry, the observations and a random key. It is pure.
+    """
+
+    initial_carry: Callable[[int], Carry]
+    act: Callable[[Carry, ObservationArrays, jax.Array], tuple[Carry, ActionArrays]]
+
 
 TimeLimit = Literal["end", "truncation"]
 """What the time limit is to an episode: its end, or where it is only cut off."""

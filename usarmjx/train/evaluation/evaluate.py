@@ -10,9 +10,9 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import Estimate, estimate, interquartile_mean
-from usarmjx.sim.batch_state import select_worlds
+from usarmjx.sim.batch import select_worlds
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Policy
+from usarmjx.train.envs.task import Policy
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,8 +27,7 @@ from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.task import TASKS
 from usarmjx.train.make import make_task
-from usarmjx.train.tasks.team import TeamTask
-from usarmjx.train.tasks.team_parts import PERFECT_RADIO
+from usarmjx.train.tasks.team import PERFECT_RADIO, TeamTask
 
 GAIN, UNLINKED = 0.1, 0.2
 """What a radio must be worth, as a share of the score, and how many pair-steps must be without a link."""

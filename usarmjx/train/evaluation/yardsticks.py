@@ -22,16 +22,15 @@ import numpy as np
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.estimates import Estimate, estimate
 from usarmjx.base.markdown import markdown_table
-from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env, EnvState
-from usarmjx.train.envs.policy import ActionArrays, ObservationArrays, Policy
+from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.evaluation.radio_matters import few_arenas
 from usarmjx.train.make import make_task
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.sources import PolicySource, arenas_of, find_source, task_settings
-from usarmjx.train.tasks.team import TeamTask
-from usarmjx.train.tasks.team_parts import PERFECT_RADIO
+from usarmjx.train.tasks.team import PERFECT_RADIO, TeamTask
 from usarmjx.train.tasks.victim_search import VictimSearch
 
 QUARTERS = (0.25, 0.5, 0.75)

@@ -13,20 +13,23 @@ import shutil
 import zlib
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any, TypeGuard, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.errors import UsageError, UsarmjxError, WriteError
-from usarmjx.base.extras import extra
+from usarmjx.base.errors import UsageError, UsarmjxError, WriteError, extra
 from usarmjx.base.files import PARTIAL, disk_fault, write_beside, writing
+from usarmjx.train.envs.env import AgentGroup, Env
+from usarmjx.train.learning.config import Config, differences, from_record
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
-from usarmjx.train.learning.record import RunRecord, load_record
+from usarmjx.train.learning.processes import ProcessGroup, Tree
 from usarmjx.train.learning.train_state import (
     Networks,
     TrainState,
@@ -35,7 +38,133 @@ from usarmjx.train.learning.train_state import (
     policy_params,
 )
 from usarmjx.train.learning.trajectory import RolloutState
-from usarmjx.train.processes.group import ProcessGroup, Tree
+
+RECORD_FILE = "config.json"
+CONFIG_FORMAT = 1
+PACKAGES = ("jax", "jaxlib", "flax", "optax", "brax", "mujoco", "mujoco-mjx", "numpy")
+MAY_CHANGE = ("steps", "keep", "checkpoint_every")
+"""Settings that may be other ones when a run is resumed."""
+FIXED = ("task", "engine", "overrides", "groups", "privileged_size", "episode_steps", "processes")
+
+
+@dataclass(frozen=True)
+class EnvArguments:
+    """What an environment was made with; see `make`.
+
+    Attributes:
+        engine: As asked for.
+        overrides: Fields of the task that were set otherwise, as typed: `config.parse_settings` reads them.
+    """
+
+    engine: str = "auto"
+    overrides: dict[str, str] = field(default_factory=dict[str, str])
+
+
+DEFAULT_ENV_ARGUMENTS = EnvArguments()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRecord:
+    """What a run was started with.
+
+    Attributes:
+        task: Name of the environment.
+        engine: As asked for.
+        overrides: Fields of the task that were set otherwise, as typed.
+        groups: The agents.
+        privileged_size: Numbers that only critics see.
+        episode_steps: Steps of an episode at most.
+        period: Simulated time of a step [s].
+        processes: How many trained together.
+        config: All settings.
+        versions: Of the packages that results depend on.
+        began_with: Run and checkpoint whose networks it began with, see `TrainedNetworks.origin`; None: with
+            random ones.
+    """
+
+    task: str
+    engine: str = "auto"
+    overrides: dict[str, str] = field(default_factory=dict[str, str])
+    groups: tuple[AgentGroup, ...]
+    privileged_size: int
+    episode_steps: int
+    period: float
+    processes: int
+    config: Config
+    versions: dict[str, str] = field(default_factory=dict[str, str])
+    began_with: dict[str, Any] | None = None
+
+    def save(self, folder: Path) -> None:
+        """Write the record into a folder.
+
+        Raises:
+            WriteError: It cannot be written to.
+        """
+        text = json.dumps({"format": CONFIG_FORMAT, **asdict(self)}, indent=1)
+        with write_beside(folder / RECORD_FILE) as fresh:
+            fresh.write_text(text + "\n")
+
+    def check_resumes(self, old: "RunRecord", folder: Path) -> None:
+        """Refuse to go on with a run that was started as another one.
+
+        Raises:
+            UsageError: Says what differs.
+        """
+        changed = differences(old.config, self.config, but=MAY_CHANGE)
+        for name in FIXED:
+            before, now = _plain(getattr(old, name)), _plain(getattr(self, name))
+            if before != now:
+                changed.append(f"{name}: {before} -> {now}")
+        if changed:
+            raise UsageError(f"the run in {folder} was started otherwise: {'; '.join(changed)}")
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - anything that JSON can hold
+    """Return a value as it is after writing and reading."""
+    if isinstance(value, tuple):
+        items = cast(tuple[Any, ...], value)
+        value = [asdict(one) if isinstance(one, AgentGroup) else one for one in items]
+    return json.loads(json.dumps(value))
+
+
+def make_record(
+    env: Env, config: Config, processes: int, origin: EnvArguments = DEFAULT_ENV_ARGUMENTS
+) -> RunRecord:
+    """Return the record of a run."""
+    return RunRecord(
+        task=env.name,
+        engine=origin.engine,
+        overrides=origin.overrides,
+        groups=tuple(AgentGroup(g.name, tuple(g.agents), g.obs_size, g.action_size) for g in env.groups),
+        privileged_size=env.privileged_size,
+        episode_steps=env.episode_steps,
+        period=env.period,
+        processes=processes,
+        config=config,
+        versions={name: version(name) for name in PACKAGES},
+    )
+
+
+def load_record(folder: Path) -> RunRecord:
+    """Return the record of a run.
+
+    Raises:
+        UsageError: There is none, or it does not read.
+    """
+    file = Path(folder) / RECORD_FILE
+    if not file.is_file():
+        raise UsageError(f"{folder} is no run: it has no {RECORD_FILE}")
+    try:
+        values = json.loads(file.read_text())
+        if values.pop("format") != CONFIG_FORMAT:
+            raise UsageError(f"{file} was written by another version of usarmjx")
+        values["config"] = from_record(values["config"])
+        groups: list[dict[str, Any]] = [{**one, "agents": tuple(one["agents"])} for one in values["groups"]]
+        values["groups"] = tuple(AgentGroup(**one) for one in groups)
+        return RunRecord(**values)
+    except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
+        raise UsageError(f"{file} does not read: {error}") from error
+
 
 with extra("train"):
     import orbax.checkpoint as ocp

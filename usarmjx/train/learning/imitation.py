@@ -15,9 +15,8 @@ import jax.numpy as jnp
 from usarmjx.base.errors import UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Carry, ObservationArrays, Policy
 from usarmjx.train.envs.state import Memory
-from usarmjx.train.envs.task import Task
+from usarmjx.train.envs.task import Carry, ObservationArrays, Policy, Task
 
 if TYPE_CHECKING:
     from brax.training.distribution import NormalTanhDistribution

@@ -9,16 +9,17 @@ import jax
 from jax.sharding import PartitionSpec
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.kept_programs import AheadProgram, ProgramKeeper, compile_program
+from usarmjx.base.program_cache import AheadProgram, ProgramKeeper, compile_program
 from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Carry, Policy
-from usarmjx.train.envs.splits import held_out
+from usarmjx.train.envs.recipe import held_out
+from usarmjx.train.envs.task import Carry, Policy
 from usarmjx.train.evaluation.evaluate import play_episodes
+from usarmjx.train.learning.arena_stream import ArenaStream, workers_for
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.imitation import teacher_of
 from usarmjx.train.learning.ppo import update
-from usarmjx.train.learning.renewal import ArenaStream, workers_for
+from usarmjx.train.learning.processes import PROCESS_AXIS, ProcessGroup
 from usarmjx.train.learning.rollout import Rollout
 from usarmjx.train.learning.train_state import (
     ROLLOUT_STREAM,
@@ -29,7 +30,6 @@ from usarmjx.train.learning.train_state import (
     train_state_maker,
 )
 from usarmjx.train.learning.trajectory import RolloutState
-from usarmjx.train.processes.group import PROCESS_AXIS, ProcessGroup
 
 JUDGING_SEED = 2**31 - 1
 """Of the episodes in which policies are compared under a curriculum."""

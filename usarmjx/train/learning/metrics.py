@@ -2,7 +2,11 @@
 
 import json
 import math
-from collections.abc import Callable
+import os
+import socket
+import struct
+import time
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -11,9 +15,104 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from usarmjx.base.errors import UsageError, WriteError
+from usarmjx.base.errors import UsageError, WriteError, extra, one_line
 from usarmjx.base.files import AppendedFile, write_beside
 from usarmjx.base.progress import Seldom
+
+with extra("train"):
+    from tensorboardX.proto.event_pb2 import Event, SessionLog
+    from tensorboardX.proto.summary_pb2 import Summary
+    from tensorboardX.record_writer import masked_crc32c
+
+
+class Board(AppendedFile):
+    """Numbers for TensorBoard, over agent steps.
+
+    They are written at once: tensorboardX's own writer has a thread for that, which ends when the disk is
+    full, and then whoever hands it more waits for ever.
+
+    Args:
+        folder: For the file.
+        after: Agent steps that are behind already; TensorBoard forgets what it was shown of later ones.
+    """
+
+    def __init__(self, folder: Path, after: int) -> None:
+        now = f"{time.time():.0f}.{socket.gethostname()}.{os.getpid()}"
+        super().__init__(folder / f"events.out.tfevents.{now}")
+        start: Any = SessionLog(status=SessionLog.START)
+        first = Event(step=after + 1, file_version="brain.Event:2")
+        self._waiting = [_framed(first), _framed(Event(step=after + 1, session_log=start))]
+
+    def show(self, agent_steps: int, numbers: Mapping[str, float]) -> None:
+        """Write down the numbers of an iteration, after so many agent steps in all.
+
+        Raises:
+            WriteError: Nothing was written; they wait.
+        """
+        values = [Summary.Value(tag=name, simple_value=value) for name, value in numbers.items()]
+        self.append(_framed(Event(step=agent_steps, wall_time=time.time(), summary=Summary(value=values))))
+
+
+def _framed(event: Any) -> bytes:  # noqa: ANN401 - protobuf's
+    """Return an event as a TFRecord: length, checksum of that, event, checksum of that."""
+    data: bytes = event.SerializeToString()
+    size = struct.pack("<Q", len(data))
+    return b"".join((size, _checksum(size), data, _checksum(data)))
+
+
+def _checksum(data: bytes) -> bytes:
+    return struct.pack("<I", masked_crc32c(data))
+
+
+IterationWatch = Callable[[dict[str, Any]], None]
+"""Is told what is written of each iteration."""
+
+
+def find_wandb() -> Any:  # noqa: ANN401 - a package that may be missing
+    """Return the module wandb.
+
+    Raises:
+        UsageError: It is missing.
+    """
+    try:
+        import wandb  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise UsageError("Weights & Biases needs wandb: pip install wandb") from error
+    return wandb
+
+
+def wandb_watch(
+    project: str, name: str, settings: Mapping[str, Any], say: Callable[[str], None]
+) -> IterationWatch:
+    """Return what sends iterations to a project. What the service refuses later is told of once.
+
+    Args:
+        project: Of Weights & Biases.
+        name: Of the run; one that is resumed is gone on with, by this name.
+        settings: Of the run.
+        say: Takes a line.
+
+    Raises:
+        UsageError: wandb is missing, or cannot begin.
+    """
+    module = find_wandb()
+    try:
+        run = module.init(project=project, id=name, name=name, config=dict(settings), resume="allow")
+    except Exception as error:  # of a service elsewhere
+        raise UsageError(f"Weights & Biases: {one_line(error)}") from error
+    failed: list[str] = []
+
+    def watch(line: dict[str, Any]) -> None:
+        numbers = {key: value for key, value in line.items() if value is not None}
+        try:
+            run.log(numbers, step=line["agent_steps"])
+        except Exception as error:  # the training is worth more than its curve
+            if not failed:
+                say(f"note: Weights & Biases: {one_line(error)}; training goes on")
+            failed.append(one_line(error))
+
+    return watch
+
 
 PER_EPISODE = ("return", "score", "length")
 
@@ -75,7 +174,7 @@ class Log:
     def __init__(
         self, folder: Path, iterations: int, after: int = 0, bar: bool = True, console: Console | None = None
     ) -> None:
-        from usarmjx.train.learning.board import Board  # who only reads needs no TensorBoard
+        pass  # REMOVED_IMPORT
 
         file = folder / "metrics.jsonl"
         kept = [record for record in read_lines(file) if record["iteration"] <= after]

@@ -14,11 +14,11 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from usarmjx.base.extras import extra
+from usarmjx.base.errors import extra
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.gae import advantages
 from usarmjx.train.learning.imitation import imitation_loss
 from usarmjx.train.learning.networks import apply_network, fold_all, fold_each
+from usarmjx.train.learning.processes import PROCESS_AXIS
 from usarmjx.train.learning.statistics import normalise, update_statistics
 from usarmjx.train.learning.train_state import (
     ActorCriticParams,
@@ -28,7 +28,42 @@ from usarmjx.train.learning.train_state import (
     make_optimiser,
 )
 from usarmjx.train.learning.trajectory import RolloutEnds, Trajectory
-from usarmjx.train.processes.group import PROCESS_AXIS
+
+
+def advantages(
+    reward: jax.Array,
+    value: jax.Array,
+    bootstrap: jax.Array,
+    last_value: jax.Array,
+    ends: tuple[jax.Array, ...],
+    discount: float,
+    gae_lambda: float,
+) -> jax.Array:
+    """Return how much better than expected each action turned out.
+
+    Args:
+        reward: Of each step (steps, ...).
+        value: The critic's value of the state that each step began in (steps, ...).
+        bootstrap: That of the state before the reset, used where truncated (steps, ...).
+        last_value: That of the state after the last step (...).
+        ends: Whether the episode ended with the step, whether that was by time-out, and whether the
+            transition is bad, each (steps, ...).
+        discount: Of the next step's value.
+        gae_lambda: Lambda: weight of what lies further ahead.
+    """
+    done, truncated, bad = ends
+    following = jnp.concatenate([value[1:], last_value[None]])
+    following = jnp.where(done, jnp.where(truncated, bootstrap, 0.0), following)
+    td_error = jnp.where(bad, 0.0, reward + discount * following - value)
+    keep = jnp.where(done | bad, 0.0, discount * gae_lambda)
+
+    def back(later: jax.Array, step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        now = step[0] + step[1] * later
+        return now, now
+
+    _, found = jax.lax.scan(back, jnp.zeros_like(last_value), (td_error, keep), reverse=True)
+    return found
+
 
 with extra("train"):
     import optax

@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.kept_programs import AheadProgram, ProgramKeeper, compile_program
+from usarmjx.base.program_cache import AheadProgram, ProgramKeeper, compile_program
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.policy import Carry, Policy
 from usarmjx.train.envs.state import EnvState, Memory
+from usarmjx.train.envs.task import Carry, Policy
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.imitation import reset_carry, teacher_obs
 from usarmjx.train.learning.networks import fold_each, sample_actions

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from usarmjx.base.extras import extra
+from usarmjx.base.errors import extra
 
 MAX_NORMALISED = 10.0
 """Normalised observations are cut to +- this many deviations."""

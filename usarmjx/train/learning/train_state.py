@@ -9,9 +9,8 @@ import jax
 import jax.numpy as jnp
 from flax.struct import PyTreeNode
 
-from usarmjx.base.errors import UsageError
-from usarmjx.base.extras import extra
-from usarmjx.base.kept_programs import ProgramKeeper, compile_program
+from usarmjx.base.errors import UsageError, extra
+from usarmjx.base.program_cache import ProgramKeeper, compile_program
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.networks import (

@@ -1,38 +1,74 @@
 """Training: rollout, update, log, checkpoint; and going on where a run was left."""
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, nullcontext
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from threading import Event
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import jax
+from jax.sharding import SingleDeviceSharding
 
-from usarmjx.base.errors import UsageError, WriteError
-from usarmjx.base.extras import extra, need_module
+from usarmjx.base.errors import UsageError, WriteError, extra, need_module
 from usarmjx.base.files import PARTIAL, writing
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState
-from usarmjx.train.learning.ahead import compiling
-from usarmjx.train.learning.checkpoint import FULL, Checkpoints, read_part
-from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_begun
-from usarmjx.train.learning.learner import EnvFactory, Trainer
-from usarmjx.train.learning.metrics import Log, read_lines, summary
-from usarmjx.train.learning.record import (
+from usarmjx.train.learning.checkpoint import (
     DEFAULT_ENV_ARGUMENTS,
+    FULL,
     RECORD_FILE,
+    Checkpoints,
     EnvArguments,
     RunRecord,
     load_record,
     make_record,
+    read_part,
 )
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_begun
+from usarmjx.train.learning.learner import EnvFactory, Trainer
+from usarmjx.train.learning.metrics import Log, read_lines, summary
+from usarmjx.train.learning.processes import ProcessGroup, check_parent, run_lock
 from usarmjx.train.learning.train_state import TrainState
 from usarmjx.train.learning.trajectory import RolloutState
-from usarmjx.train.processes.group import ProcessGroup
-from usarmjx.train.processes.launch import check_parent
-from usarmjx.train.processes.lock import run_lock
+
+if TYPE_CHECKING:
+    from usarmjx.train.learning.learner import Trainer
+
+
+@contextmanager
+def compiling(trainer: "Trainer") -> Generator[None]:
+    """Compile rollout and update beside what is done meanwhile, and wait for both.
+
+    That begins once the rollout is with XLA, which takes longest for it: two programs that Python traces at
+    once take turns.
+
+    What is wrong with one is for its first call to tell, which compiles it again. Worlds that cannot be
+    traced have no rollout to compile, and nothing is done.
+    """
+    if not trainer.env.traceable:
+        yield
+        return
+    place = SingleDeviceSharding(trainer.process_group.device)
+    shapes = jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=place), trainer.start_shapes()
+    )
+    lowered = Event()
+    with ThreadPoolExecutor(2, "compiling") as pool:
+
+        def update_too(collected: tuple[object, ...]) -> None:
+            lowered.set()
+            pool.submit(trainer.compile_update, shapes[0], collected)
+
+        done = pool.submit(trainer.rollout.compile_ahead, *shapes, tell=update_too)
+        done.add_done_callback(lambda _: lowered.set())
+        lowered.wait()
+        yield
+        done.exception()  # until then there may be more to submit
+
 
 with extra("train"):  # said before anything is built, although it is needed only later
     need_module("brax")

@@ -13,8 +13,8 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
-from usarmjx.models.build.reach import RobotFootprint, reach_map
-from usarmjx.models.spec.arena import ArenaSpec
+from usarmjx.models.compile.reachability import RobotFootprint, reach_map
+from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.sensors.ranging import ScannerSettings
 
 UNKNOWN, FREE, WALL, MARK = 0, 1, 2, 3

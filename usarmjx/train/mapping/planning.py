@@ -11,7 +11,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import set_rows
-from usarmjx.base.fusion import kept_on_gpu
+from usarmjx.base.compilation import kept_on_gpu
 from usarmjx.train.mapping.belief import RECENT_AGE, STALE_AGE, Belief
 from usarmjx.train.mapping.maps import FREE, MapGrid
 from usarmjx.train.mapping.wavefront import (

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.accelerator import warp_in_use
 from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.sensors.rays.choice import warp_in_use
+from usarmjx.train.mapping.fast_sweeping import swept_distances
 from usarmjx.train.mapping.maps import FREE, UNKNOWN, WALL, MapGrid
-from usarmjx.train.mapping.sweeps import swept_distances
 
 NEIGHBOURS = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j)
 UNREACHABLE = 1e6
@@ -67,7 +67,7 @@ def distances(start: Array, open_: Array, toll: ArrayLike = 0.0, *, until: Array
     enter = jnp.where(open_, jnp.asarray(toll, jnp.float32), jnp.inf)
     enter = jnp.broadcast_to(enter, start.shape)
     if on_warp:
-        from usarmjx.train.mapping.warp_distances import distances_on_warp  # Warp need not be installed
+        from usarmjx.train.mapping.warp_waves import distances_on_warp
 
         return distances_on_warp(start, enter, until)
     return swept_distances(start, enter, until)
@@ -99,7 +99,7 @@ def shortest_path(far: Array, square: Array, steps: int) -> jax.Array:
     Where the way ends the last square is repeated.
     """
     if warp_in_use():
-        from usarmjx.train.mapping.warp_distances import path_on_warp  # as above
+        from usarmjx.train.mapping.warp_waves import path_on_warp
 
         return path_on_warp(far, square, steps)
     return path_on_jax(far, square, steps)

@@ -10,14 +10,13 @@ import jax.numpy as jnp
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import AgentGroup, Env
-from usarmjx.train.envs.policy import Policy
 from usarmjx.train.envs.recipe import GeneratedArenas
+from usarmjx.train.envs.task import Policy
 from usarmjx.train.learning.config import parse_settings
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
-from usarmjx.train.make import make, make_task
-from usarmjx.train.own_tasks import check_there, find_baseline
+from usarmjx.train.make import check_there, find_baseline, make, make_task
 from usarmjx.train.policies import POLICIES
-from usarmjx.train.policies.export import NumpyPolicy
+from usarmjx.train.policies.policy_file import NumpyPolicy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,7 +156,7 @@ def find_source(what: str, checkpoint: str = "best") -> PolicySource:
     """
     path = Path(what)
     if path.is_dir():
-        from usarmjx.train.learning.checkpoint import Checkpoints, load_policy  # which `train` is for
+        from usarmjx.train.learning.checkpoint import Checkpoints, load_policy
 
         policy, params, record = load_policy(path, checkpoint)
         return PolicySource(

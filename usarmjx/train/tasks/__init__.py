@@ -9,7 +9,7 @@ docs/tasks.md; figures there hold for exactly these functions.
 from dataclasses import replace
 
 from usarmjx.train.envs.task import TASKS
-from usarmjx.train.scenes.buildings import Buildings
+from usarmjx.train.tasks.buildings import Buildings
 from usarmjx.train.tasks.convoy import Convoy
 from usarmjx.train.tasks.drive_to_goal import DriveToGoal
 from usarmjx.train.tasks.explore import Explore

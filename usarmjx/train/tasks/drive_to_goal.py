@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from usarmjx.models.spec.robot import Mount, RobotSpec
+from usarmjx.models.types.robot import Mount, RobotSpec
 from usarmjx.train.envs.recipe import spec_of
 from usarmjx.train.envs.task import StepResult, Task, TaskView
-from usarmjx.train.tasks.ranges import first_kind, ranges
+from usarmjx.train.tasks.team import first_kind, ranges
 
 MAX_GOAL_DISTANCE = 10.0
 """A goal farther away than this is seen at this distance [m]."""

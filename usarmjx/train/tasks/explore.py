@@ -8,12 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.models.types.robot import RobotSpec
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping.maps import FREE
-from usarmjx.train.scenes.equip import mapping_robot
-from usarmjx.train.tasks.team import TeamTask
-from usarmjx.train.tasks.team_parts import TeamMemory, coverage
+from usarmjx.train.tasks.equip import mapping_robot
+from usarmjx.train.tasks.team import TeamMemory, TeamTask, coverage
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,14 +12,14 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.arenas.elements import block
 from usarmjx.models.drives import RotaryWing
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
-from usarmjx.models.spec.robot import Mount, RobotSpec, options
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.types.robot import Mount, RobotSpec, options
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.actions import Actions
 from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.recipe import spec_of
 from usarmjx.train.envs.task import StepResult, Task, TaskView, drive_keys
-from usarmjx.train.scenes.clearance import NO_OBSTACLE, box_distance, obstacle_boxes, robot_boxes
+from usarmjx.train.tasks.clearance import NO_OBSTACLE, box_distance, obstacle_boxes, robot_boxes
 
 LONG, WIDE, HIGH, THICK = 5.0, 5.0, 3.0, 0.1
 """Length along x, width and height of each room, and thickness of walls [m]."""

@@ -10,18 +10,17 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.comms.connectivity import reachable
-from usarmjx.models.spec.robot import RobotSpec
+from usarmjx.comms.links import reachable
+from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.radio import world_radio
 from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping import planning
 from usarmjx.train.mapping.belief import Belief, other_slots, update_base_contact
 from usarmjx.train.mapping.wavefront import UNREACHABLE, distances, frontier, passable
-from usarmjx.train.scenes.buildings import Buildings
-from usarmjx.train.scenes.equip import base_station, mapping_robot
-from usarmjx.train.tasks.team import TeamTask
-from usarmjx.train.tasks.team_parts import POSITION_SCALE, TeamMemory, station_slot, to_robot_frame
+from usarmjx.train.tasks.buildings import Buildings
+from usarmjx.train.tasks.equip import base_station, mapping_robot
+from usarmjx.train.tasks.team import POSITION_SCALE, TeamMemory, TeamTask, station_slot, to_robot_frame
 
 INWARD_COST = 3.0
 """So many squares of way is a square worth that lies one square farther from the base."""

@@ -28,10 +28,10 @@ from usarmjx.models.arenas.soccer import (
     SOCCER,
 )
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
-from usarmjx.models.spec.robot import Mount, RobotSpec, options
-from usarmjx.models.spec.shapes import Shape
-from usarmjx.train.scenes.equip import GROUND_TRUTH
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.types.robot import Mount, RobotSpec, options
+from usarmjx.models.types.shapes import Shape
+from usarmjx.train.tasks.equip import GROUND_TRUTH
 
 GOAL_LINE, SIDE_BOARD = LENGTH / 2, CARPET[1] / 2
 """Where the boards are [m]."""

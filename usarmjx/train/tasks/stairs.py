@@ -12,9 +12,9 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots.kit import ENCODER_AXIS
-from usarmjx.models.spec.arena import START_ELEVATION, ArenaSpec, StartPose
-from usarmjx.models.spec.robot import Mount, RobotSpec, options
-from usarmjx.models.spec.shapes import Shape
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
+from usarmjx.models.types.robot import Mount, RobotSpec, options
+from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.actions import Actions, JointAction
 from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.recipe import spec_of

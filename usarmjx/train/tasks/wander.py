@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.models.spec.robot import Mount, RobotSpec
+from usarmjx.models.types.robot import Mount, RobotSpec
 from usarmjx.train.envs.recipe import Arenas, spec_of
 from usarmjx.train.envs.task import StepResult, Task, TaskView
-from usarmjx.train.scenes.clearance import clearance
-from usarmjx.train.tasks.ranges import first_kind, ranges
+from usarmjx.train.tasks.clearance import clearance
+from usarmjx.train.tasks.team import first_kind, ranges
 
 
 class WanderMemory(struct.PyTreeNode, kw_only=True):

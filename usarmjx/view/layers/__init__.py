@@ -7,14 +7,19 @@ where sensors are in `mounts`. To add one, write a `NodeLayer` and list it here.
 from usarmjx.base.registry import Registry
 from usarmjx.view.layers.base import Layer
 from usarmjx.view.layers.bodies import CameraLayer, SensorBodyLayer
-from usarmjx.view.layers.echoes import InfraredLayer, SonarLayer
-from usarmjx.view.layers.ground import GridLayer, TagLayer
-from usarmjx.view.layers.lasers import LaserLayer
+from usarmjx.view.layers.echoes import InfraredLayer, LaserLayer, SonarLayer
 from usarmjx.view.layers.light import HeadlightLayer, LampLayer, SkyLayer
 from usarmjx.view.layers.maps import MapLayer
-from usarmjx.view.layers.marks import NameLayer, RingLayer
+from usarmjx.view.layers.marks import (
+    GridLayer,
+    NameLayer,
+    RfidLayer,
+    RingLayer,
+    TagLayer,
+    TrailLayer,
+    VictimHitLayer,
+)
 from usarmjx.view.layers.radio import RadioLayer
-from usarmjx.view.layers.sketches import RfidLayer, TrailLayer, VictimHitLayer
 
 LAYERS: Registry[type[Layer]] = Registry("layer")
 """All layers; their switches stand in the order of their names."""

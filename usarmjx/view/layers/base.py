@@ -3,9 +3,48 @@
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
+import numpy as np
 import viser
 
 from usarmjx.view.drawing import Drawing, Frame
+
+ROBOT_COLORS = np.array(
+    [
+        (0, 180, 255),
+        (255, 75, 105),
+        (165, 255, 0),
+        (105, 0, 240),
+        (240, 180, 105),
+        (105, 75, 0),
+        (240, 195, 240),
+        (135, 135, 0),
+        (195, 90, 195),
+        (60, 75, 120),
+        (120, 255, 180),
+        (135, 45, 60),
+        (105, 105, 255),
+        (150, 195, 0),
+        (255, 120, 165),
+        (120, 30, 180),
+    ],
+    np.uint8,
+)
+"""Red, green and blue of robots by slot; from then on they come again. They were searched for, so that any
+two are far apart for people with normal, protanopic, deuteranopic and tritanopic sight."""
+SCALE = np.array([(213, 94, 0), (240, 228, 66), (0, 158, 115)], float)
+"""From bad over fair to good, which the colour-blind can tell apart too (Okabe and Ito's colours)."""
+
+
+def robot_colors(slots: np.ndarray) -> np.ndarray:
+    """Return the colours of robots by slot, 0 to 255 (..., 3)."""
+    return ROBOT_COLORS[np.asarray(slots, int) % len(ROBOT_COLORS)]
+
+
+def scale_colors(share: np.ndarray) -> np.ndarray:
+    """Return colours of shares from 0, bad, to 1, good (...,), 0 to 255 (..., 3)."""
+    places = np.linspace(0.0, 1.0, len(SCALE))
+    columns = [np.interp(share, places, SCALE[:, channel]) for channel in range(3)]
+    return np.stack(columns, -1).astype(np.uint8)
 
 
 class Layer(ABC):

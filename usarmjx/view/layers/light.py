@@ -5,9 +5,14 @@ import math
 import numpy as np
 import viser
 
-from usarmjx.cameras.light import HEADLIGHT_BRIGHTNESS, SPOT_INNER_ANGLE, SPOT_OUTER_ANGLE, SUN_DIRECTION
+from usarmjx.sensors.cameras.shading import (
+    HEADLIGHT_BRIGHTNESS,
+    SPOT_INNER_ANGLE,
+    SPOT_OUTER_ANGLE,
+    SUN_DIRECTION,
+)
 from usarmjx.view.drawing import Drawing, Frame
-from usarmjx.view.layers.mounts import mount_poses
+from usarmjx.view.layers.bodies import mount_poses
 from usarmjx.view.layers.nodes import LineNode, NodeLayer, PointNode
 
 WHITE_CANDELA = math.pi

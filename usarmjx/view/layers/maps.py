@@ -7,8 +7,8 @@ import viser
 
 from usarmjx.sensors.ranging import RangeScanner, ScannerSettings
 from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX, Drawing, Frame
-from usarmjx.view.layers.lasers import beam_directions_of
-from usarmjx.view.layers.mounts import HeldMounts, sensors_of
+from usarmjx.view.layers.bodies import HeldMounts, sensors_of
+from usarmjx.view.layers.echoes import beam_directions_of
 from usarmjx.view.layers.nodes import NodeLayer
 
 UNKNOWN, FREE, WALL, MARK = 0, 1, 2, 3

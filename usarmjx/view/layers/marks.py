@@ -1,13 +1,208 @@
 """Who is who: names over robots and rings in their colours."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import viser
 
+from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.view.drawing import Drawing, Frame
-from usarmjx.view.layers.colors import robot_colors
-from usarmjx.view.layers.nodes import InstanceNode, NodeLayer
+from usarmjx.view.layers.base import robot_colors
+from usarmjx.view.layers.nodes import UPRIGHT, InstanceNode, LineNode, NodeLayer, PointNode
+
+CELL = 1.2
+"""Side of a cell of the grid: the side of an element that USARSim's arenas are built of [m]."""
+CELLS_OF_SECTION = 5
+"""So many cells a line is stronger."""
+WIDE = 60.0
+"""In arenas of more than this along a side only the stronger lines are drawn [m]: the others would melt into
+one grey."""
+LIFT, LIFT_SHARE = 0.008, 4e-4
+"""What lies on the floor is drawn so far above it [m], in large arenas by a share of their size: else both
+would flicker through each other."""
+TAG_RADIUS, TAG_HEIGHT, TAG_SIDES = 0.09, 0.02, 20
+TAG_RGB, DROPPED_RGB = (255, 196, 0), (255, 110, 0)
+TAG_TEXT_HEIGHT = 0.22
+"""Of the numbers over tags [m]."""
+
+
+class GridLayer(NodeLayer):
+    """A grid on the floor."""
+
+    name = "Grid"
+    about = "a grid of 1.2 m on the floor, each fifth line stronger"
+    shown_at_first = True
+
+    def draw(self, drawing: Drawing) -> None:
+        """Lay it below all that is worth seeing, its lines where the arena's elements meet."""
+        low, high = np.asarray(drawing.extent, float).T
+        cell = CELL if (high - low).max() <= WIDE else CELL * CELLS_OF_SECTION
+        cells = np.ceil((high - low) / cell - 1e-6) + 2
+        width, height = (cells * cell).tolist()
+        x, y = (low + cell * (cells / 2 - 1)).tolist()
+        size = math.hypot(width, height)
+        self.scene.add_grid(
+            f"{self.root}/lines",
+            width,
+            height,
+            cell_size=cell,
+            section_size=cell * CELLS_OF_SECTION,
+            cell_color=(120, 112, 100),
+            section_color=(84, 76, 66),
+            cell_thickness=0.8,
+            section_thickness=1.2,
+            fade_distance=4 * size,
+            fade_strength=1.0,
+            shadow_opacity=0.0,
+            position=(x, y, drawing.floor + max(LIFT, LIFT_SHARE * size)),
+        )
+
+    def update(self, drawing: Drawing, frame: Frame) -> None:
+        """It stays as it is."""
+        del drawing, frame
+
+
+def disc() -> tuple[np.ndarray, np.ndarray]:
+    """Return corners (corners, 3) and triangles (triangles, 3) of a flat disc that stands on z = 0."""
+    around = 2 * math.pi * np.arange(TAG_SIDES) / TAG_SIDES
+    circle = TAG_RADIUS * np.stack([np.cos(around), np.sin(around)], -1)
+    top = np.column_stack([circle, np.full(TAG_SIDES, TAG_HEIGHT)])
+    bottom = np.column_stack([circle, np.zeros(TAG_SIDES)])
+    this = np.arange(TAG_SIDES)
+    following = (this + 1) % TAG_SIDES
+    middle = np.array([[0.0, 0.0, TAG_HEIGHT]])
+    faces = [
+        np.stack([this, following, np.full(TAG_SIDES, 2 * TAG_SIDES)], -1),
+        np.stack([this, TAG_SIDES + this, following], -1),
+        np.stack([following, TAG_SIDES + this, TAG_SIDES + following], -1),
+    ]
+    return np.concatenate([top, bottom, middle]), np.concatenate(faces)
+
+
+class TagLayer(NodeLayer):
+    """RFID tags with their numbers, and those that robots dropped."""
+
+    name = "Tags"
+    about = "RFID tags with their numbers, and those that robots have dropped"
+    shown_at_first = True
+
+    def draw(self, drawing: Drawing) -> None:
+        """Draw the arena's tags."""
+        for place, tag in enumerate(drawing.tags):
+            self.scene.add_label(
+                f"{self.root}/number{place}",
+                str(tag.number),
+                position=tuple(np.add(tag.pos, (0.0, 0.0, TAG_TEXT_HEIGHT))),
+                anchor="bottom-center",
+                font_size_mode="scene",
+                font_scene_height=TAG_TEXT_HEIGHT,
+                depth_test=True,
+            )
+        self._discs = InstanceNode(self.scene, f"{self.root}/discs", disc())
+        self._dropped: np.ndarray | None = None
+        self._fixed = np.array([tag.pos for tag in drawing.tags], np.float32).reshape(-1, 3)
+
+    def update(self, drawing: Drawing, frame: Frame) -> None:
+        """Show what was dropped too."""
+        del drawing
+        dropped = np.asarray(frame.dropped_tags, np.float32).reshape(-1, 3)
+        if self._dropped is not None and np.array_equal(dropped, self._dropped):
+            return
+        self._dropped = dropped
+        pos = np.concatenate([self._fixed, dropped])
+        rgb = np.repeat([TAG_RGB, DROPPED_RGB], [len(self._fixed), len(dropped)], axis=0)
+        self._discs.set(pos, np.tile(UPRIGHT, (len(pos), 1)), np.ones(len(pos)), rgb)
+
+
+HIT_SIZE, TRAIL_SIZE = 0.02, 0.035
+"""Radii of the points of victim sensors and of trails [m]."""
+
+
+NO_SKETCHES = np.zeros((0, 2, 3)), np.zeros((0, 3), np.uint8), np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+
+
+def split_sketches(sketches: Sequence[OverlayLines]) -> tuple[np.ndarray, ...]:
+    """Return lines and points of sketches.
+
+    Returns:
+        Where lines start and end [m] (lines, 2, 3), their colours, 0 to 255 (lines, 3), points [m]
+        (points, 3), and their colours (points, 3).
+    """
+    if not sketches:
+        return NO_SKETCHES
+    shown = [np.asarray(one.shown, bool) for one in sketches]
+    start, end, rgb = (
+        np.concatenate(
+            [
+                np.zeros((0, 3)),
+                *(np.asarray(getattr(one, name))[own] for one, own in zip(sketches, shown, strict=True)),
+            ]
+        )
+        for name in ("start", "end", "rgb")
+    )
+    colors = (np.clip(rgb, 0.0, 1.0) * 255).astype(np.uint8)
+    is_point = (start == end).all(-1)
+    ends = np.stack([start, end], 1)
+    return ends[~is_point], colors[~is_point], end[is_point], colors[is_point]
+
+
+class RfidLayer(NodeLayer):
+    """Lines from RFID sensors with bTraceRFIDs to tags."""
+
+    name = "RFID lines"
+    about = "lines to the tags near sensors with bTraceRFIDs: green strong, red weak, black out of reach"
+    shown_at_first = True
+
+    def draw(self, drawing: Drawing) -> None:
+        """Nothing stays."""
+        del drawing
+        self._lines = LineNode(self.scene, f"{self.root}/lines", width=3.0)
+
+    def update(self, drawing: Drawing, frame: Frame) -> None:
+        """Show the lines of the last readings."""
+        del drawing
+        ends, rgb, _, _ = split_sketches(frame.overlays)
+        self._lines.set(ends, rgb)
+
+
+class VictimHitLayer(NodeLayer):
+    """Where the rays of victim sensors with bShowResults ended."""
+
+    name = "Victim hits"
+    about = "where rays of victim sensors with bShowResults ended: green on a victim, yellow on a false alarm"
+    shown_at_first = True
+
+    def draw(self, drawing: Drawing) -> None:
+        """Nothing stays."""
+        del drawing
+        self._points = PointNode(self.scene, f"{self.root}/points", HIT_SIZE)
+
+    def update(self, drawing: Drawing, frame: Frame) -> None:
+        """Show the points of the last readings."""
+        del drawing
+        _, _, points, rgb = split_sketches(frame.overlays)
+        self._points.set(points, rgb)
+
+
+class TrailLayer(NodeLayer):
+    """The points that the Trace command lets robots leave behind."""
+
+    name = "Trails"
+    about = "the points that robots leave behind since Trace was sent, in its colour"
+    shown_at_first = True
+
+    def draw(self, drawing: Drawing) -> None:
+        """Nothing stays."""
+        del drawing
+        self._points = PointNode(self.scene, f"{self.root}/points", TRAIL_SIZE)
+
+    def update(self, drawing: Drawing, frame: Frame) -> None:
+        """Show all points."""
+        del drawing
+        _, _, points, rgb = split_sketches(() if frame.trace is None else (frame.trace,))
+        self._points.set(points, rgb)
+
 
 NAME_GAP = 0.15
 """Names stand so far above robots [m]."""

@@ -5,9 +5,9 @@ import viser
 
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.comms.antenna import MIN_ANTENNA_HEIGHT
+from usarmjx.comms.links import MIN_ANTENNA_HEIGHT
 from usarmjx.view.drawing import Drawing, Frame
-from usarmjx.view.layers.colors import scale_colors
+from usarmjx.view.layers.base import scale_colors
 from usarmjx.view.layers.nodes import LineNode, NodeLayer
 
 GAP_SHARE, GAP_SPACING = 0.025, 0.05

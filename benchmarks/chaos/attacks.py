@@ -1,0 +1,120 @@
+"""The attacks: what each attacker says first, and what it says then without end."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from usarmjx.base.errors import UnknownNameError
+from usarmjx.server.protocol.grammar import DEFAULT_LIMIT
+
+CHUNK = 64 * 1024
+"""About so much is repeated at a time [bytes]."""
+INIT = "INIT {ClassName USARBot.P2AT}"
+PIECES = 1000
+"""Most pieces of a long line."""
+DEEP, DIGITS = 1000, 400
+"""Brackets within brackets, and digits of a number, in messages of a page [characters]."""
+MASK = bytes(4)
+"""What a page's message is masked with: nothing changes."""
+
+
+@dataclass(frozen=True)
+class Attack:
+    """What an attacker does.
+
+    Attributes:
+        name: Its name.
+        about: What it does, in words.
+        first: What it says as soon as it is connected.
+        load: What it repeats without end; nothing: it is silent.
+        reads: Whether it reads what it is told.
+        stay: After how long it goes, to come again at once [s].
+        rude: Whether it breaks its connection off then instead of closing it.
+        page: Whether it goes to the page's port.
+    """
+
+    name: str
+    about: str
+    first: bytes = b""
+    load: bytes = b""
+    reads: bool = True
+    stay: float = math.inf
+    rude: bool = False
+    page: bool = False
+
+
+def repeat(*lines: str) -> bytes:
+    """Return lines over and over, about a chunk of them."""
+    once = "".join(f"{line}\r\n" for line in lines).encode("latin-1")
+    return once * max(1, CHUNK // len(once))
+
+
+def fill(head: str, piece: str, tail: str = "") -> str:
+    """Return a line with as many pieces as a line has room for, a thousand at most."""
+    room = DEFAULT_LIMIT - len(head) - len(tail)
+    return head + piece * min(PIECES, room // len(piece)) + tail
+
+
+def page_message(text: str) -> bytes:
+    """Return a page's message as a frame of RFC 6455; it must have 126 to 65535 bytes."""
+    data = text.encode()
+    return b"\x81\xfe" + len(data).to_bytes(2, "big") + MASK + data
+
+
+def _junk() -> bytes:
+    noise = np.random.default_rng(0).integers(0, 256, CHUNK // 2, np.uint8).tobytes()
+    return (
+        noise + b"\r\n" + repeat("DRIVE {Left nan}", "GETGEO {Type X}", "{{{}}}", "SET {Params")[: CHUNK // 2]
+    )
+
+
+JOIN = f"{INIT}\r\n".encode()
+REQUEST = b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Type: text/plain\r\nContent-Length: 65536\r\n\r\n"
+UPGRADE = (
+    b"GET /view HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+    b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+)
+VECTOR = fill("SET {Type INS} {Name INS} {Opcode POSE} {Params ", "1.2345,", "1}")
+POSE = "SET {Type INS} {Name INS} {Opcode POSE} {Params 1,2,3,0,0,0}"
+
+QUIET = Attack("quiet", "nobody does anything: what the others are compared with")
+ATTACKS = (
+    Attack("junk", "lines that mean nothing", load=_junk()),
+    Attack("giant", "one line without an end", load=b"x" * CHUNK),
+    Attack("unknown-init", "INIT of a class that there is not", load=repeat("INIT {ClassName Nope}")),
+    Attack("init-storm", "INIT, and gone at once", JOIN, stay=0.02),
+    Attack("connect-storm", "connections that come and go", stay=0.01),
+    Attack("reset-storm", "connections that come and are broken off", stay=0.01, rude=True),
+    Attack("deaf", "asks for descriptions and never reads", JOIN, repeat("GETGEO {Type Sonar}"), reads=False),
+    Attack("company", "all join and do nothing: what so many robots cost by being there", JOIN),
+    Attack("crowd", "all join at once and then SET without a pause", JOIN, repeat(POSE)),
+    Attack("vector", "SET with a vector of 8 kB", JOIN, repeat(VECTOR)),
+    Attack("segments", "DRIVE with 1,000 segments", JOIN, repeat(fill("DRIVE ", "{Left 1}"))),
+    Attack("trace", "Trace with 1,000 segments", JOIN, repeat(fill("TRACE {On True} ", "{C Red}"))),
+    Attack("start-poses", "GETSTARTPOSES and never reads", load=repeat("GETSTARTPOSES"), reads=False),
+    Attack("silent", "connections on which nothing is said"),
+    Attack(
+        "http", "a web page's POST with commands in it", REQUEST, repeat(INIT, "DRIVE {Left 1} {Right 1}")
+    ),
+    Attack(
+        "page",
+        "a page's messages, nested deeply and with long numbers",
+        UPGRADE,
+        (page_message("[" * DEEP) + page_message(f'{{"move": [{"9" * DIGITS}, 0, 0]}}')) * 20,
+        page=True,
+    ),
+)
+"""All of them, in the order in which they are played."""
+
+
+def find_attack(name: str) -> Attack:
+    """Return the attack of that name.
+
+    Raises:
+        UnknownNameError: There is none; lists those known.
+    """
+    for attack in ATTACKS:
+        if attack.name == name.lower():
+            return attack
+    raise UnknownNameError(f"unknown attack {name!r}; known: {', '.join(one.name for one in ATTACKS)}")

@@ -1,0 +1,154 @@
+"""`usarmjx chaos`: attacks on a server of one's own, and what a well-behaved neighbour notices."""
+
+import contextlib
+import json as json_format
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+import typer
+
+from usarmjx.base.errors import UsageError
+from usarmjx.cli.common import ErrorExit, SeedOption, grouped
+from usarmjx.cli.completion import complete_arenas
+from usarmjx.server.network.ports import LAST_PORT
+
+if TYPE_CHECKING:
+    from benchmarks.chaos.target import Target
+
+MEGABYTE = 1e6
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetOptions:
+    """Which server is attacked; each field is an option."""
+
+    panel: ClassVar[str] = "Server"
+
+    address: Annotated[str | None, typer.Argument(help="HOST:PORT of the server; or --self.")] = None
+    own: Annotated[bool, typer.Option("--self", help="Start a server for it, and attack that.")] = False
+    arena: Annotated[
+        str, typer.Option(help="With --self: arena name, or a file.", autocompletion=complete_arenas)
+    ] = "yellow"
+    spectator_port: Annotated[
+        int | None, typer.Option(min=1, max=LAST_PORT, help="Port of the server's page; else it is spared.")
+    ] = None
+    metrics_port: Annotated[
+        int | None, typer.Option(min=1, max=LAST_PORT, help="Port of its metrics, which a soak needs.")
+    ] = None
+    pid: Annotated[
+        int | None, typer.Option(min=1, help="Its process; else who listens there, if that is yours.")
+    ] = None
+    own_server: Annotated[
+        bool,
+        typer.Option(
+            "--own-server",
+            help="The address is not loopback, but the server is yours, and so is the network.",
+        ),
+    ] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttackOptions:
+    """What is done to it; each field is an option."""
+
+    panel: ClassVar[str] = "Attacks"
+
+    attack: Annotated[list[str] | None, typer.Option(help="Only this attack; may be repeated. Else all.")] = (
+        None
+    )
+    attackers: Annotated[int, typer.Option(min=1, max=15, help="Attackers at once.")] = 15
+    seconds: Annotated[float, typer.Option(min=0.1, max=600.0, help="Length of each attack.")] = 8.0
+    volume: Annotated[
+        float, typer.Option(min=0.001, max=100.0, help="Most that one attacker sends in an attack, in MB.")
+    ] = 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SoakOptions:
+    """Robots for hours in place of attacks; each field is an option."""
+
+    panel: ClassVar[str] = "Hours"
+
+    soak: Annotated[
+        float | None,
+        typer.Option(min=1.0, help="Drive robots at random for so many seconds instead, and watch it grow."),
+    ] = None
+    clients: Annotated[int, typer.Option(min=1, max=64, help="With --soak: how many robots.")] = 12
+    every: Annotated[float, typer.Option(min=0.1, help="With --soak: seconds between two samples.")] = 30.0
+
+
+@grouped
+def chaos(
+    server: TargetOptions,
+    what: AttackOptions,
+    hours: SoakOptions,
+    seed: SeedOption = 0,
+    json: Annotated[
+        Path | None, typer.Option(help="Append a line for each attack or sample to this file.")
+    ] = None,
+) -> None:
+    """Attack a server of your own, within bounds, and tell what a well-behaved neighbour noticed of it.
+
+    Its columns: the neighbour's longest wait for a report, the most processor time that the server's main
+    thread used between two of its reports, reports at a wrong time of the world, lines that are none; what
+    was sent, how often attackers came and were hung up on; and whether all seats were free again.
+    """
+    with ErrorExit(), _target(server) as target:
+        say = partial(typer.echo, err=True)
+        if hours.soak is None:
+            _attack(target, what, json, say)
+            return
+        from benchmarks.chaos.soak import SoakCase
+        from benchmarks.chaos.soak import soak as run
+
+        case = SoakCase(
+            target=target, seconds=hours.soak, clients=hours.clients, every=hours.every, seed=seed
+        )
+        typer.echo(json_format.dumps(run(case, json, say), indent=1))
+
+
+def _attack(target: "Target", what: AttackOptions, json: Path | None, say: Callable[[str], None]) -> None:
+    """Play attacks one after the other, and tell what came of them."""
+    from benchmarks.chaos.attacks import ATTACKS, find_attack
+    from benchmarks.chaos.play import ChaosCase, play_attacks, table
+    from benchmarks.chaos.target import main_thread_clock
+    from benchmarks.tools import append_record
+
+    chosen = [find_attack(name) for name in what.attack] if what.attack else ATTACKS
+    if target.page_port is None:
+        chosen = [one for one in chosen if not one.page]
+    case = ChaosCase(
+        host=target.host,
+        port=target.port,
+        page_port=target.page_port,
+        attacks=tuple(chosen),
+        attackers=what.attackers,
+        seconds=what.seconds,
+        volume=round(what.volume * MEGABYTE),
+    )
+    clock = None if target.process is None else main_thread_clock(target.process, say)
+    outcomes = play_attacks(case, clock, say)
+    typer.echo(table(outcomes))
+    for outcome in outcomes:
+        append_record(outcome.as_record(), json)
+
+
+@contextlib.contextmanager
+def _target(options: TargetOptions) -> "Iterator[Target]":
+    """Yield whom the options name."""
+    from benchmarks.chaos.target import Target, check_loopback, local_process, parse_host_port, started
+
+    if options.own == (options.address is not None):
+        raise UsageError("name either HOST:PORT of a server that runs, or --self")
+    if options.address is None:
+        with started(options.arena, 16) as target:
+            yield target
+        return
+    host, port = parse_host_port(options.address)
+    if not options.own_server:
+        check_loopback(host)
+    process = options.pid or (None if options.own_server else local_process(port))
+    yield Target(host, port, options.spectator_port, options.metrics_port, process)

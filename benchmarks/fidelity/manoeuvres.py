@@ -1,0 +1,270 @@
+"""The manoeuvres: each is driven once and gives one number."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from benchmarks.fidelity.track import MAX_SPEED, Order, Orders, Track, orders_of, touches_ground
+from usarmjx.base.errors import EngineError
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.measure import extent
+from usarmjx.models.effecters import effecters_of
+from usarmjx.models.effecters.gripper import LEVER
+from usarmjx.models.types.arena import LooseObject
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.models.types.shapes import Shape
+
+MASSES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+"""Of the blocks that are gripped [kg]."""
+HALF = 0.03
+"""Half the edge of a block [m]."""
+WIDE = 2 * math.asin((HALF + 0.0005) / LEVER)
+"""Angle to which a gripper opens, its fingers 1 mm farther apart than a block is wide [rad]."""
+HELD = 2 * HALF
+"""A block that has slipped by less is held [m]."""
+AWAY = (3.0, 0.0, HALF)
+"""Where a block lies until it is put between the fingers [m]."""
+
+
+def flipper_lift(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+    """How much higher it stands on its flippers, after 8 s [m]."""
+    assert orders.flippers is not None
+    track = Track(physics, robot)
+    track.run(1.0)
+    low = track.pose()[0][2]
+    track.move(orders.flippers)
+    track.run(8.0)
+    return float(track.pose()[0][2] - low)
+
+
+class Grasp:
+    """A robot whose gripper closes on a block that was put between its fingers.
+
+    Args:
+        physics: The settings.
+        robot: The class.
+        gripper: Index of its gripper.
+        mass: Of the block [kg].
+    """
+
+    def __init__(self, physics: Physics, robot: RobotSpec, gripper: int, mass: float) -> None:
+        shape = Shape(kind="box", size=(HALF, HALF, HALF), mass=mass, surface="loose")
+        self.track = Track(physics, robot, loose=(LooseObject(name="block", at=AWAY, shapes=(shape,)),))
+        self._hand = effecters_of(robot)[gripper]
+        engine = self.track.world.engine
+        self._block = engine.model.body("loose/block").id
+        fingers = [self.track.body(name) for name in self._hand.joints]
+        self._geoms = np.flatnonzero(np.isin(engine.model.geom_bodyid, fingers))
+        self._operate(gripper, WIDE)
+        self.track.run(2.0)
+        start = engine.model.body_jntadr[self._block]
+        place, rest = engine.model.jnt_qposadr[start], engine.model.jnt_dofadr[start]
+        engine.data.qpos[place : place + 3] = engine.data.geom_xpos[self._geoms].mean(0)
+        mujoco.mju_mat2Quat(engine.data.qpos[place + 3 : place + 7], engine.data.xmat[fingers[0]])
+        engine.data.qvel[rest : rest + 6] = 0.0
+        self._operate(gripper, 0.0)
+
+    def _operate(self, gripper: int, angle: float) -> None:
+        opened = self._hand.opcode("Open")
+        assert opened is not None
+        self.track.world.operate(0, gripper, opened, angle)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the block is between the fingers."""
+        data = self.track.world.engine.data
+        apart = data.xpos[self._block] - data.geom_xpos[self._geoms].mean(0)
+        return bool(np.linalg.norm(apart) < HELD)
+
+
+def gripper_hold(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+    """The heaviest block that its gripper holds for 4 s [kg]; 0: none."""
+    assert orders.gripper is not None
+    heaviest = 0.0
+    for mass in MASSES:
+        grasp = Grasp(physics, robot, orders.gripper, mass)
+        grasp.track.run(4.0)
+        if not grasp.holds:
+            break
+        heaviest = mass
+    return heaviest
+
+
+BOARDS = (0.02, 0.04, 0.06, 0.08, 0.10, 0.13, 0.16, 0.20, 0.25)
+"""Heights of boards that robots are driven at [m]."""
+SLOPE = math.radians(15.0)
+RAMP = Shape(
+    kind="box",
+    size=(20.0, 5.0, 0.1),
+    at=(0.1 * math.sin(SLOPE), 0.0, -0.1 * math.cos(SLOPE)),
+    rotation=(0.0, -SLOPE, 0.0),
+)
+GAP = 1.0
+"""How far ahead of a robot a wall, a board, a block or half of the way to the other robot is [m]."""
+SHARE = 0.4
+"""Share of the straight order at which robots meet with things."""
+LENGTH = 1.0
+"""How much farther a robot may need to get onto a board [m]."""
+BLOCK_MASS = 2.0
+"""[kg]"""
+
+
+def _ahead(robot: RobotSpec) -> float:
+    """Return how far ahead of its middle a robot meets with something [m]."""
+    return GAP + float(extent(robot)[1][0])
+
+
+def _slowly(orders: Orders) -> Order:
+    return {key: SHARE * value for key, value in orders.straight.items()}
+
+
+def top_speed(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+    """Distance in 4 s from a standing start [m]."""
+    track = Track(physics, robot)
+    track.tell(orders.straight)
+    track.run(4.0)
+    return float(np.linalg.norm(track.pose()[0][:2]))
+
+
+def spin(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+    """How far it turns on the spot in 6 s [rad]."""
+    assert orders.spin is not None
+    track = Track(physics, robot)
+    track.tell(orders.spin)
+    return track.turn(6.0)
+
+
+def arc(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+    """How far it turns round a bend in 6 s [rad]."""
+    assert orders.arc is not None
+    track = Track(physics, robot)
+    track.tell(orders.arc)
+    return track.turn(6.0)
+
+
+def ramp_hold(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+    """How far it creeps in 5 s on a slope of 15 degrees, from 1 s after it was put there [m]."""
+    del orders
+    track = Track(physics, robot, (RAMP,), slope=SLOPE)
+    track.run(1.0)
+    before = track.pose()[0]
+    track.run(5.0)
+    return float(np.linalg.norm(track.pose()[0] - before))
+
+
+def climb(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+    """The highest board that it gets onto [m]."""
+    height = 0.0
+    for board in BOARDS:
+        x = _ahead(robot)
+        step = Shape(kind="box", size=(10.0, 5.0, board / 2), at=(x + 10.0, 0.0, board / 2))
+        track = Track(physics, robot, (step,))
+        track.tell(_slowly(orders))
+        track.run(3.0 * (x + LENGTH) / (SHARE * min(robot.drive.top_speed, MAX_SPEED)))
+        if track.pose()[0][0] < x:
+            break
+        height = board
+    return height
+
+
+def wall(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+    """How far it gets in 5 s of driving straight at a wall [m]."""
+    x = _ahead(robot)
+    block = Shape(kind="box", size=(0.1, 10.0, 2.0), at=(x + 0.1, 0.0, 0.0))
+    track = Track(physics, robot, (block,))
+    track.tell(_slowly(orders))
+    track.run(5.0)
+    return float(track.pose()[0][0])
+
+
+def oblique_wall(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+    """How far it gets in 5 s against a wall that stands 30 degrees from its way [m]."""
+    x = _ahead(robot)
+    block = Shape(
+        kind="box", size=(10.0, 0.1, 2.0), at=(x, 0.0, 0.0), rotation=(0.0, 0.0, math.radians(30.0))
+    )
+    track = Track(physics, robot, (block,))
+    track.tell(_slowly(orders))
+    track.run(5.0)
+    return float(np.linalg.norm(track.pose()[0][:2]))
+
+
+def head_on(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+    """How far apart two robots are that drive at each other for 5 s [m]."""
+    x = _ahead(robot)
+    track = Track(physics, robot, poses=((-x, 0.0, 0.0), (x, 0.0, math.pi)))
+    for slot in (0, 1):
+        track.tell(_slowly(orders), slot)
+    track.run(5.0)
+    return float(np.linalg.norm((track.pose(0)[0] - track.pose(1)[0])[:2]))
+
+
+def push(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
+    """How far a block of 2 kg is pushed in 5 s [m]."""
+    x, half = _ahead(robot), 0.15
+    shape = Shape(kind="box", size=(half, 0.4, half), mass=BLOCK_MASS)
+    track = Track(physics, robot, loose=(LooseObject(name="block", at=(x, 0.0, half), shapes=(shape,)),))
+    body = track.world.engine.model.body("loose/block").id
+    track.tell(_slowly(orders))
+    track.run(5.0)
+    return float(track.world.engine.data.xpos[body][0] - x)
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """A manoeuvre.
+
+    Attributes:
+        measure: Drives it.
+        unit: Of its number.
+        least: A difference that counts for nothing, however small the number.
+        ground: Whether it needs ground under the robot.
+        needs: The one of `Orders` that it needs.
+    """
+
+    measure: Callable[[Physics, RobotSpec, Orders], float]
+    unit: str
+    least: float
+    ground: bool = True
+    needs: str = "straight"
+
+    def fits(self, robot: RobotSpec, orders: Orders | None) -> bool:
+        """Return whether a class can be driven so."""
+        return (
+            orders is not None
+            and (touches_ground(robot) or not self.ground)
+            and getattr(orders, self.needs) is not None
+        )
+
+
+MANOEUVRES = {
+    "top speed": Manoeuvre(top_speed, "m", 0.02, ground=False),
+    "spin": Manoeuvre(spin, "rad", 0.05, ground=False, needs="spin"),
+    "arc": Manoeuvre(arc, "rad", 0.05, ground=False, needs="arc"),
+    "ramp hold": Manoeuvre(ramp_hold, "m", 0.02),
+    "climb": Manoeuvre(climb, "m", 0.021),
+    "wall": Manoeuvre(wall, "m", 0.02),
+    "oblique wall": Manoeuvre(oblique_wall, "m", 0.05),
+    "head-on": Manoeuvre(head_on, "m", 0.02),
+    "push": Manoeuvre(push, "m", 0.05),
+    "flipper lift": Manoeuvre(flipper_lift, "m", 0.005, needs="flippers"),
+    "gripper hold": Manoeuvre(gripper_hold, "kg", 0.1, needs="gripper"),
+}
+
+
+def drive_all(physics: Physics, robot: RobotSpec) -> dict[str, float]:
+    """Return the numbers of all manoeuvres that fit a class; NaN where the physics went bad."""
+    orders = orders_of(robot)
+    if orders is None:
+        return {}
+    numbers: dict[str, float] = {}
+    for name, manoeuvre in MANOEUVRES.items():
+        if manoeuvre.fits(robot, orders):
+            try:
+                numbers[name] = manoeuvre.measure(physics, robot, orders)
+            except EngineError:
+                numbers[name] = math.nan
+    return numbers

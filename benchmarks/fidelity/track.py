@@ -1,0 +1,186 @@
+"""A piece of ground with robots of one class on it, and how they are told to go."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from usarmjx.base.backend import numpy_backend
+from usarmjx.base.errors import EngineError
+from usarmjx.base.transforms import quat_from_angles
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.parts import joint_names
+from usarmjx.models.drives import Blimp, RotaryWing, Underwater
+from usarmjx.models.effecters import effecters_of
+from usarmjx.models.effecters.gripper import Gripper
+from usarmjx.models.robots.track_kit import FLIPPERS
+from usarmjx.models.types.arena import ArenaSpec, LooseObject, StartPose, Water
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.models.types.shapes import Shape
+from usarmjx.sim.control import CommandUpdate, idle_command, set_drive, update_command
+from usarmjx.sim.scene import build_scene, start_height
+from usarmjx.sim.single_world import SingleWorld
+
+MAX_SPEED = 3.0
+"""Fastest that any robot is driven [m/s]."""
+FLIPPER_ANGLE = 1.5
+"""[rad]"""
+START = StartPose(tag="start", at=(0.0, 0.0, 0.0))
+SEA = (Water(low=(-200.0, -200.0, -90.0), high=(200.0, 200.0, 90.0)),)
+Order = Mapping[str, float]
+LIFTED: Order = dict(
+    zip(FLIPPERS, (FLIPPER_ANGLE, FLIPPER_ANGLE, -FLIPPER_ANGLE, -FLIPPER_ANGLE), strict=True)
+)
+"""Flippers that press down: positive in front and negative behind [rad]."""
+
+
+@dataclass(frozen=True)
+class Orders:
+    """How a class is told to go.
+
+    Attributes:
+        straight: Straight on.
+        spin: To turn on the spot; None: it cannot.
+        arc: Round a bend; None: it does not.
+        flippers: Where its flippers go to lift it, by joint [rad]; None: it has none.
+        gripper: Index of the effecter that grips; None: it has none.
+    """
+
+    straight: Order
+    spin: Order | None = None
+    arc: Order | None = None
+    flippers: Order | None = None
+    gripper: int | None = None
+
+
+def orders_of(robot: RobotSpec) -> Orders | None:
+    """Return how a class is driven; None: by no DRIVE."""
+    orders = _drive_orders(robot)
+    if orders is None:
+        return None
+    has_flippers = LIFTED.keys() <= set(joint_names(robot))
+    grippers = [i for i, effecter in enumerate(effecters_of(robot)) if isinstance(effecter, Gripper)]
+    return replace(
+        orders, flippers=LIFTED if has_flippers else None, gripper=grippers[0] if grippers else None
+    )
+
+
+def _drive_orders(robot: RobotSpec) -> Orders | None:
+    full, drive = robot.drive.full_scale, robot.drive
+    share = min(1.0, MAX_SPEED / drive.top_speed) if full else 0.0
+    if "Left" in full:
+        top = share * full["Left"]
+        return Orders(
+            {"Left": top, "Right": top}, {"Left": -top, "Right": top}, {"Left": 0.5 * top, "Right": top}
+        )
+    if "FrontSteer" in full:
+        straight = {"Speed": share * full["Speed"]}
+        return Orders(straight, arc=straight | {"FrontSteer": 0.5 * full["FrontSteer"]})
+    if "WheelSpeed0" in full:
+        return Orders({key: share * top for key, top in full.items() if key.startswith("WheelSpeed")})
+    if "LinearVelocity" in full:
+        straight = {"LinearVelocity": share * full["LinearVelocity"]}
+        spin = {"RotationalVelocity": 0.5 * full["RotationalVelocity"]}
+        return Orders(straight, spin, straight | spin)
+    if "ThrustPropeller" in full:
+        return Orders({"ThrustPropeller": full["ThrustPropeller"]})
+    if "Propeller" in full:
+        straight = {"Propeller": full["Propeller"]}
+        return Orders(straight, arc=straight | {"Rudder": 0.5 * full["Rudder"]})
+    return None
+
+
+def touches_ground(robot: RobotSpec) -> bool:
+    """Return whether a class neither flies nor dives."""
+    return not isinstance(robot.drive, RotaryWing | Blimp | Underwater)
+
+
+class Track:
+    """A world of C MuJoCo with robots of a class on a piece of ground.
+
+    Args:
+        physics: The settings.
+        robot: The class.
+        shapes: What stands there.
+        loose: What lies there.
+        poses: Where robots stand: x, y [m] and heading [rad] of each.
+        slope: How the ground, which is one of the shapes then, rises ahead [rad].
+
+    Attributes:
+        world: The world.
+    """
+
+    def __init__(
+        self,
+        physics: Physics,
+        robot: RobotSpec,
+        shapes: tuple[Shape, ...] = (),
+        loose: tuple[LooseObject, ...] = (),
+        poses: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),),
+        slope: float = 0.0,
+    ) -> None:
+        arena = ArenaSpec(
+            name="track",
+            has_floor=touches_ground(robot) and not slope,
+            shapes=shapes,
+            loose=loose,
+            starts=(START,),
+            waters=SEA if isinstance(robot.drive, Underwater) else (),
+            extent=((-50, 50), (-50, 50)),
+        )
+        self._robot, self._physics = robot, physics
+        self.world = SingleWorld(build_scene(arena, [], physics), seats=len(poses))
+        height = start_height(arena, START, robot) + 0.01
+        ahead, up = (math.cos(slope), math.sin(slope)), (-math.sin(slope), math.cos(slope))
+        for i, (x, y, yaw) in enumerate(poses):
+            place = (x * ahead[0] + height * up[0], y, x * ahead[1] + height * up[1])
+            self.world.add(robot, f"robot{i}", [(place, quat_from_angles(0.0, -slope, yaw))])
+
+    def tell(self, order: Order, slot: int = 0) -> None:
+        """Give a robot an order."""
+        with numpy_backend():
+            values = {key: np.array(value, np.float32) for key, value in order.items()}
+            self.world.edit(slot, command=set_drive(self._robot, idle_command(self._robot), values))
+
+    def move(self, targets: Order) -> None:
+        """Tell joints of the first robot where to go [rad]."""
+        with numpy_backend():
+            plan = self.world.scene.groups[0].plan
+            angles = {joint: np.array(angle, np.float32) for joint, angle in targets.items()}
+            told = update_command(plan, self.world.state_of(0).command, CommandUpdate(joints=angles))
+            self.world.edit(0, command=told)
+
+    def body(self, part: str) -> int:
+        """Return the body of a part of the first robot."""
+        group = self.world.scene.groups[0]
+        return int(group.indices[0].body_ids[group.plan.parts.index(part)])
+
+    def run(self, seconds: float) -> None:
+        """Let time pass.
+
+        Raises:
+            EngineError: The physics went bad.
+        """
+        for _ in range(round(seconds / self._physics.period)):
+            if self.world.step():
+                raise EngineError(f"the physics of {self._robot.name} went bad at {self.world.time:.2f} s")
+
+    def pose(self, slot: int = 0) -> tuple[np.ndarray, float]:
+        """Return a robot's position [m] (3,) and heading [rad]."""
+        group, member = self.world.scene.group_of(slot)
+        pose = self.world.engine.pose(self.world.scene.groups[group].indices[member])
+        mat = np.zeros(9)
+        mujoco.mju_quat2Mat(mat, pose[3:])
+        return pose[:3], math.atan2(mat[3], mat[0])
+
+    def turn(self, seconds: float) -> float:
+        """Let time pass; return how far the first robot turns [rad], with whole turns counted."""
+        total, before = 0.0, self.pose()[1]
+        for _ in range(round(seconds / 0.1)):
+            self.run(0.1)
+            now = self.pose()[1]
+            total += math.remainder(now - before, 2 * math.pi)
+            before = now
+        return total

@@ -1,0 +1,119 @@
+"""What the fast settings do to a robot, beside the reference's, and how numbers are compared."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+
+from benchmarks.fidelity.manoeuvres import drive_all, flipper_lift, gripper_hold, spin, top_speed
+from benchmarks.fidelity.scorecard import differences, write_scorecard
+from benchmarks.fidelity.track import Orders, Track, orders_of
+from tests.benchmarks.records import faults
+from usarmjx.base.errors import SpecError, UnknownNameError
+from usarmjx.models.compile.compose import PHYSICS, Physics
+from usarmjx.models.effecters import gripper
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.types.shapes import SURFACES
+
+P2AT = ROBOTS.get("P2AT")
+
+
+@pytest.mark.parametrize("name", ["P2AT", "P2DX", "Zerg"])
+def test_what_these_classes_do_under_the_fast_settings_is_what_they_do_under_the_reference(name):
+    """docs/performance.md lists no differences of theirs."""
+    reference, fast = ({name: drive_all(one, ROBOTS.get(name))} for one in (Physics(), Physics.fast()))
+    assert list(differences(reference, fast)) == []
+    assert len(reference[name]) == 9  # nothing to lift or to grip with
+
+
+@pytest.mark.parametrize(("name", "lever"), [("Tarantula", 0.148), ("kenaf", 0.180), ("TeleMax", 0.209)])
+def test_flippers_lift_as_the_page_of_robots_says(name, lever):
+    """Measured there at 1.5 rad (docs/robots.md), as their lever says (test_tracked.py)."""
+    robot = ROBOTS.get(name)
+    orders = orders_of(robot)
+    assert orders is not None
+    assert flipper_lift(Physics(), robot, orders) == pytest.approx(lever, abs=0.001)
+
+
+def test_a_gripper_holds_no_more_than_the_friction_of_its_fingers_carries(monkeypatch):
+    """Two fingers carry 2 mu times their force; a block creeps out of them before it slips."""
+    held = []
+    for force in (60.0, 5.0):
+        monkeypatch.setattr(gripper, "MOTOR", replace(gripper.MOTOR, torque=force))
+        robot = replace(ROBOTS.get("Talon"), name=f"Talon{force:g}")
+        orders = orders_of(robot)
+        assert orders is not None
+        held.append(gripper_hold(Physics(), robot, orders))
+        assert 0.0 < held[-1] <= 2 * force * SURFACES["finger"].friction / 9.81
+    assert held[0] > held[1]
+
+
+def test_the_top_speed_is_that_of_its_wheels():
+    """Wheel speed times radius, less what 4 s from a standing start and the slip cost: a tenth at most."""
+    orders = orders_of(P2AT)
+    assert orders is not None
+    distance = top_speed(Physics(), P2AT, orders)
+    assert 0.9 * 4.0 * P2AT.drive.top_speed < distance < 4.0 * P2AT.drive.top_speed
+
+
+def test_whole_turns_are_counted():
+    """A P2AT spins at 114 degrees a second (docs/design.md): nearly two turns in 6 s."""
+    orders = orders_of(P2AT)
+    assert orders is not None
+    assert spin(Physics(), P2AT, orders) == pytest.approx(6 * math.radians(114), rel=0.05)
+
+
+def test_a_difference_is_one_beyond_a_tenth_and_beyond_what_counts_for_nothing():
+    reference = {"P2AT": {"top speed": 2.0, "ramp hold": 0.001, "spin": 10.0, "wall": 1.0}}
+    other = {"P2AT": {"top speed": 2.3, "ramp hold": 0.015, "spin": 10.9, "wall": math.nan}}
+    assert [row[1] for row in differences(reference, other)] == ["top speed", "wall"]
+
+
+def test_the_record_has_both_numbers_of_every_manoeuvre(tmp_path):
+    file = tmp_path / "physics.jsonl"
+    text = write_scorecard(Physics.fast(), ["passarola"], file=file)
+    record = json.loads(file.read_text())
+    reference, fast = record["numbers"]["Passarola"]["top speed"]
+    assert fast == pytest.approx(reference, rel=0.02)  # in the air there is no contact to differ by
+    assert record["settings"]["timestep"] == 0.01
+    assert faults(record) == []
+    assert "1 of 1 numbers" in text
+
+
+def test_a_manoeuvre_whose_physics_went_bad_has_no_number(monkeypatch, tmp_path):
+    """A wheel's speed that is no number puts the robot back, and what it did then tells nothing."""
+    tell = Track.tell
+
+    def break_one_wheel(self, order, slot=0):
+        tell(self, order, slot)
+        self.world.engine.data.qvel[6] = math.nan
+
+    monkeypatch.setattr(Track, "tell", break_one_wheel)
+    numbers = drive_all(Physics(), P2AT)
+    assert math.isnan(numbers["spin"])
+    assert math.isfinite(numbers["ramp hold"])  # nobody tells it anything there
+    file = tmp_path / "physics.jsonl"
+    write_scorecard(Physics.fast(), ["P2AT"], file=file)
+    record = json.loads(file.read_text(), parse_constant=pytest.fail)
+    assert record["numbers"]["P2AT"]["spin"] == [None, None]
+    assert ["P2AT", "spin"] in record["differing"]
+
+
+def test_who_has_no_drive_has_no_numbers():
+    assert orders_of(ROBOTS.get("ComStation")) is None
+    assert drive_all(Physics(), ROBOTS.get("ComStation")) == {}
+    assert isinstance(orders_of(ROBOTS.get("Sedan")), Orders)
+
+
+def test_settings_have_names_that_an_error_lists():
+    assert PHYSICS.get("Fast") == Physics.fast()
+    assert PHYSICS.get("reference") == Physics()
+    with pytest.raises(UnknownNameError, match="known: coarse, fast, reference"):
+        PHYSICS.get("quick")
+    with pytest.raises(SpecError, match="cone 'round' is not one of elliptic, pyramidal"):
+        Physics(cone="round")
+    with pytest.raises(SpecError, match="solver 'PGS' is not one of CG, Newton"):
+        Physics(solver="PGS")
+    with pytest.raises(SpecError, match="sleep_tolerance -1 is no speed from 0 on"):
+        Physics(sleep_tolerance=-1)

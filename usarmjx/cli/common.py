@@ -1,0 +1,179 @@
+"""What the commands of all sub-applications share."""
+
+import inspect
+from collections.abc import Callable
+from contextlib import suppress
+from copy import copy
+from dataclasses import MISSING, Field, fields, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
+
+import typer
+from typer.models import OptionInfo
+
+from usarmjx.base.errors import UsageError, UsarmjxError
+from usarmjx.base.files import disk_fault
+from usarmjx.cli.completion import complete_arenas, complete_engines, complete_robots
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def grouped(command: F) -> F:
+    """Return a command for typer with all fields of the groups that the given one takes as its options.
+
+    Args:
+        command: A function. A parameter whose type is a dataclass is a group: each field, annotated as an
+            option of typer's, becomes an option, shown under the group's `panel` in the help. Other
+            parameters stay as they are.
+    """
+    kinds = get_type_hints(command, include_extras=True)
+    parameters: list[inspect.Parameter] = []
+    groups: dict[str, type] = {}
+    for name, parameter in inspect.signature(command).parameters.items():
+        kind = kinds[name]
+        if is_dataclass(kind) and isinstance(kind, type):
+            groups[name] = kind
+            parameters += _options_of(kind)
+        else:
+            parameters.append(parameter.replace(annotation=kind, kind=inspect.Parameter.KEYWORD_ONLY))
+
+    def run(**values: Any) -> Any:  # noqa: ANN401 - what the command returns
+        for name, kind in groups.items():
+            values[name] = kind(**{one.name: values.pop(one.name) for one in fields(kind)})
+        return command(**values)
+
+    run.__name__, run.__doc__, run.__module__ = command.__name__, command.__doc__, command.__module__
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore - as inspect looks for it
+    run.__annotations__ = {one.name: one.annotation for one in parameters}
+    return run  # type: ignore - called by typer only, with options
+
+
+def _options_of(group: type) -> list[inspect.Parameter]:
+    """Return the fields of a group as parameters, each with the group's panel."""
+    kinds, panel = get_type_hints(group, include_extras=True), getattr(group, "panel", None)
+    return [
+        inspect.Parameter(
+            one.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=_default(one),
+            annotation=_in_panel(kinds[one.name], panel),
+        )
+        for one in fields(group)
+    ]
+
+
+def _default(field: Field[Any]) -> Any:  # noqa: ANN401 - of any type
+    return inspect.Parameter.empty if field.default is MISSING else field.default
+
+
+def _in_panel(kind: Any, panel: str | None) -> Any:  # noqa: ANN401 - annotations
+    """Return an annotation whose option is shown in a panel of the help, unless it has one of its own."""
+    for info in get_args(kind)[1:]:
+        if isinstance(info, OptionInfo) and panel and info.rich_help_panel is None:
+            moved = copy(info)
+            moved.rich_help_panel = panel
+            return Annotated[get_args(kind)[0], moved]
+    return kind
+
+
+FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
+"""Exit codes beside 0: what was tried did not come out well; it could not be tried as asked for; Ctrl-C."""
+
+
+class ErrorExit:
+    """Turns our own exceptions, and a disk's, into one line and an exit code; anything else is a bug.
+
+    The code is `BAD_INPUT` where the caller can do something about it, else `FAILED`.
+    A disk is met here where what a command shows goes to a file.
+    """
+
+    def __enter__(self) -> None:
+        """Begin."""
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> bool:
+        """End the command if the error is one of ours, or a disk's."""
+        text = str(error) if isinstance(error, UsarmjxError) else None
+        if isinstance(error, OSError) and (reason := disk_fault(error)):
+            text = f"{error.filename or 'the output'}: {reason}"
+        if text is None:
+            return False
+        with suppress(OSError):  # the error stream may go to the same disk
+            typer.echo(f"usarmjx: {text}", err=True)
+        raise typer.Exit(BAD_INPUT if isinstance(error, UsageError | OSError) else FAILED)
+
+
+OutOption = Annotated[Path | None, typer.Option("--out", help="File to write; needed.", show_default=False)]
+OutFolderOption = Annotated[
+    Path | None, typer.Option("--out", help="Folder for the pictures; needed.", show_default=False)
+]
+SeedOption = Annotated[int, typer.Option(help="Seed of all random numbers.")]
+EngineOption = Annotated[
+    str,
+    typer.Option(
+        help="warp, jax, c, planar, or auto: the best for the purpose here.", autocompletion=complete_engines
+    ),
+]
+ArenaOption = Annotated[
+    str,
+    typer.Option(help="Arena name, as `usarmjx list` shows them, or a file.", autocompletion=complete_arenas),
+]
+ArenaArgument = Annotated[str, typer.Argument(help="Arena name, or a file.", autocompletion=complete_arenas)]
+RobotOption = Annotated[str, typer.Option(help="Robot class.", autocompletion=complete_robots)]
+IniOption = Annotated[
+    list[Path] | None,
+    typer.Option("--ini", help="USARBot.ini or USARMisPkg.ini with robots; may be given several times."),
+]
+WorldsOption = Annotated[int, typer.Option(min=1, help="Worlds in the batch.")]
+RadioIniOption = Annotated[
+    Path | None, typer.Option("--radio-ini", help="USARComServer.ini with the radio's constants.")
+]
+PortOffsetOption = Annotated[
+    int, typer.Option(min=0, max=65535, help="Added to this port and all others, for a second server.")
+]
+UnitOption = Annotated[float, typer.Option(help="Unreal units in a metre, for ini files with bMountByUU.")]
+
+
+def read_size(text: str) -> tuple[int, int]:
+    """Return columns and rows of a size given as 12x8.
+
+    Raises:
+        UsageError: It is not of that form.
+    """
+    columns, _, rows = text.partition("x")
+    if not (columns.isdecimal() and rows.isdecimal()):
+        raise UsageError(f"size {text!r} is not of the form 12x8 (columns x rows)")
+    return int(columns), int(rows)
+
+
+OldOutArgument = Annotated[Path | None, typer.Argument(hidden=True)]
+"""Where to write to, as it was once said: by its place."""
+
+
+def chosen_out(out: Path | None, old: Path | None) -> Path:
+    """Return where to write to.
+
+    Args:
+        out: What `--out` says.
+        old: What stands at the place where it once stood; that is told.
+
+    Raises:
+        UsageError: Neither says it, or both do.
+    """
+    if out is not None and old is not None:
+        raise UsageError(f"{old} is too much: --out says where to write to")
+    if old is not None:
+        typer.echo(f"usarmjx: where to write to is --out now: --out {old}", err=True)
+    where = out or old
+    if where is None:
+        raise UsageError("say where to write to: --out PATH")
+    return where
+
+
+def configure_from(files: list[Path] | None, uu_per_metre: float) -> None:
+    """Put the robots of ini files in force; what they say in vain goes to the standard error stream."""
+    if not files:
+        return
+    from usarmjx.sim.configure import configure
+
+    for warning in configure(files, uu_per_metre).warnings:
+        typer.echo(f"usarmjx: warning: {warning}", err=True)

@@ -1,0 +1,220 @@
+"""A connection to a server's port for robots."""
+
+import asyncio
+import os
+import re
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+from usarmjx.base.errors import PeerError, UsageError, WriteError
+from usarmjx.cli.console.knowledge import Knowledge
+from usarmjx.server.network.access import AUTH
+from usarmjx.server.protocol.grammar import LineBuffer, Message, parse_message
+
+SENT, RECEIVED, NOTE = ">", "<", "#"
+"""Directions: from us, to us; and what is no message, as that the connection was lost."""
+
+
+class Transcript:
+    """A file of lines `2026-01-31T12:00:00.123Z > DRIVE {Left 1}`; `>` was sent, `<` came, `#` is a remark.
+
+    Args:
+        path: The file, which is continued if it is there; None: nothing is kept.
+        now: Tells the time.
+
+    Raises:
+        WriteError: It cannot be written.
+    """
+
+    def __init__(self, path: Path | None, now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
+        self._path, self._now = path, now
+        self._file: IO[str] | None = None
+        if path is not None:
+            try:
+                # Line by line, so that what there was is there whatever becomes of the console.
+                self._file = path.open("a", encoding="utf-8", buffering=1)
+            except OSError as error:
+                raise WriteError(f"--transcript: cannot write {path}: {error.strerror}") from error
+
+    def write(self, direction: str, line: str) -> None:
+        """Add a line.
+
+        Raises:
+            WriteError: It cannot be written.
+        """
+        if self._file is None:
+            return
+        when = self._now().astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        try:
+            self._file.write(f"{when} {direction} {line}\n")
+        except OSError as error:
+            self._file = None
+            raise WriteError(f"--transcript: cannot write {self._path}: {error.strerror}") from error
+
+    def __enter__(self) -> "Transcript":
+        """Begin."""
+        return self
+
+    def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+
+
+LONGEST_LINE = 1 << 20
+"""Longest line that is taken [bytes]: a scan in three dimensions has many numbers."""
+READ_SIZE = 65536
+TIMEOUT = 10.0
+"""So long a connection may take [s]."""
+SECRET = re.compile(rf"^(\s*{AUTH}\b).*", re.IGNORECASE | re.DOTALL)
+"""A line with a token, which no transcript and no pane shows."""
+
+
+@dataclass(frozen=True)
+class Received:
+    """A line of the server.
+
+    Attributes:
+        line: The line, without its end.
+        message: What it means; None: nothing that the protocol has.
+    """
+
+    line: str
+    message: Message | None
+
+    @property
+    def kind(self) -> str:
+        """Its type, for the panes."""
+        return self.message.kind if self.message else "?"
+
+
+class ConsoleClient:
+    """A connection, which is a robot's once INIT was sent.
+
+    Args:
+        host: The server.
+        port: Its port for robots.
+        token: What it wants to hear first; nothing: it does not.
+        transcript: Takes all that is said; None: nobody does.
+
+    Attributes:
+        knowledge: What its messages have told.
+    """
+
+    def __init__(self, host: str, port: int, token: str = "", transcript: Transcript | None = None) -> None:
+        self.host, self.port, self.knowledge = host, port, Knowledge()
+        self._token, self._transcript = token, transcript or Transcript(None)
+        self._reader: asyncio.StreamReader | None = None
+        self._writer: asyncio.StreamWriter | None = None
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether it is connected."""
+        return self._writer is not None and not self._writer.is_closing()
+
+    async def connect(self) -> None:
+        """Connect; what was known is forgotten.
+
+        Raises:
+            UsageError: There is no such server.
+        """
+        self.close()
+        self.knowledge = Knowledge()
+        try:
+            async with asyncio.timeout(TIMEOUT):
+                self._reader, self._writer = await asyncio.open_connection(self.host, self.port)
+        except (OSError, TimeoutError) as error:
+            reason = failure_of(error)
+            raise UsageError(f"no connection to {self.host}:{self.port}: {reason}") from error
+        self._transcript.write(NOTE, f"connected to {self.host}:{self.port}")
+        if self._token:
+            await self.send(f"{AUTH} {{Token {self._token}}}")
+
+    async def send(self, line: str) -> str:
+        """Send a line.
+
+        Returns:
+            What of it may be shown.
+
+        Raises:
+            UsageError: There is no connection, or a line end in the line.
+        """
+        if self._writer is None or self._writer.is_closing():
+            raise UsageError(f"not connected to {self.host}:{self.port}")
+        if "\n" in line or "\r" in line:
+            raise UsageError("a line has no line end inside")
+        shown = SECRET.sub(r"\1 ...", line)
+        self._transcript.write(SENT, shown)
+        try:
+            self._writer.write(line.encode("latin-1", "replace") + b"\r\n")
+            await self._writer.drain()
+        except ConnectionError as error:
+            self._writer.close()
+            raise UsageError(f"{self.host}:{self.port} has hung up") from error
+        message = _parsed(line)
+        if message is not None:
+            self.knowledge.said(message)
+        return shown
+
+    async def messages(self) -> AsyncIterator[Received]:
+        """Yield what the server says until it hangs up."""
+        lines = LineBuffer(LONGEST_LINE)
+        while self._reader is not None:
+            try:
+                data = await self._reader.read(READ_SIZE)
+            except ConnectionError:
+                data = b""
+            for line in lines.feed(data) if data else lines.end():
+                received = Received(line, _parsed(line))
+                self._transcript.write(RECEIVED, line)
+                if received.message is not None:
+                    self.knowledge.hear(received.message)
+                yield received
+            if not data:
+                break
+        self._transcript.write(NOTE, f"{self.host}:{self.port} has hung up")
+        self.close()
+
+    def close(self) -> None:
+        """Hang up; the robot leaves."""
+        if self._writer is not None:
+            self._writer.close()
+        self._writer = None
+
+
+def failure_of(error: OSError | TimeoutError) -> str:
+    """Return why there is no connection, in words."""
+    number = error.errno if isinstance(error, OSError) else None
+    return os.strerror(number) if number and number > 0 else str(error) or f"no answer in {TIMEOUT:g} s"
+
+
+def fault_of(line: str) -> str:
+    """Return why a server cannot read a line; nothing if it can."""
+    try:
+        parse_message(line)
+    except PeerError as error:
+        return str(error)
+    return ""
+
+
+def _parsed(line: str) -> Message | None:
+    try:
+        return parse_message(line)
+    except PeerError:
+        return None
+
+
+def parse_place(text: str, what: str = "HOST:PORT") -> tuple[str, int]:
+    """Return host and port of `HOST:PORT`; only a port means this machine, `[::1]:3000` is IPv6.
+
+    Raises:
+        UsageError: It is neither.
+    """
+    host, _, port = text.rpartition(":")
+    if not (port.isdecimal() and port.isascii() and len(port) <= 5 and 0 < int(port) < 1 << 16):
+        raise UsageError(f"{text!r} is no place; expected {what}, as 127.0.0.1:3000 or 3000")
+    return host.strip("[]") or "127.0.0.1", int(port)

@@ -1,0 +1,206 @@
+"""What the messages of a server have told of the arena and of the client's robot."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from usarmjx.base.errors import PeerError
+from usarmjx.cli.console.vocabulary import ASKED_TYPES, SENSOR_TYPES
+from usarmjx.server.protocol.grammar import Message, Segment, to_float, to_vector
+
+REPORTED_SEGMENTS = frozenset(
+    {"type", "time", "frontsteer", "rearsteer", "sternplaneangle", "rudderangle"}
+    | {"lighttoggle", "lightintensity", "battery", "view"}
+)
+"""Keys of STA that are no joints'."""
+TYPES_OF_ROBOTS = ("GroundVehicle", "LeggedRobot", "NauticVehicle", "AerialVehicle")
+
+
+@dataclass
+class PackageLink:
+    """One link of a mission package.
+
+    Attributes:
+        parent: Number of the link that it hangs on; -1: the chassis.
+        orientation: Roll, pitch, yaw on its parent [rad].
+        limits: Lowest and highest position; None: not told, or there are none.
+        value: Where it is [rad or m].
+    """
+
+    parent: int = -1
+    orientation: tuple[float, ...] = (0.0, 0.0, 0.0)
+    limits: tuple[float, float] | None = None
+    value: float = 0.0
+
+
+@dataclass
+class Knowledge:
+    """What is known so far.
+
+    Attributes:
+        level: The arena.
+        starts: Start poses: location and rotation as texts, by tag.
+        class_name: The robot's class.
+        robot: The robot's name, as it was said in INIT.
+        steering: How it steers, as CONF says.
+        max_rear_steer: How far its rear wheels steer [rad].
+        has_robot: Whether it has reported.
+        light: Whether its headlight is on.
+        battery: For how long its battery lasts yet [s].
+        time: Simulated time [s].
+        items: Names of its items by type, as the server spells them.
+        mounts: Parts that its items are on, by type and name in lower case.
+        fovs: Fields of view of its cameras [rad], by name.
+        fov_limits: Smallest and largest one.
+        packages: Links of its mission packages by number, by name.
+        opcodes: Operations of its effecters, by name in lower case.
+        joints: Names of joints that it reports.
+    """
+
+    level: str = ""
+    starts: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])
+    class_name: str = ""
+    robot: str = ""
+    steering: str = ""
+    max_rear_steer: float = 0.0
+    has_robot: bool = False
+    light: bool = False
+    battery: str = ""
+    time: float = 0.0
+    items: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
+    mounts: dict[tuple[str, str], str] = field(default_factory=dict[tuple[str, str], str])
+    fovs: dict[str, float] = field(default_factory=dict[str, float])
+    fov_limits: dict[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
+    packages: dict[str, dict[int, PackageLink]] = field(default_factory=dict[str, dict[int, PackageLink]])
+    opcodes: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
+    joints: list[str] = field(default_factory=list[str])
+    _asked: set[str] = field(default_factory=set[str])
+
+    def hear(self, message: Message) -> None:
+        """Take a message of the server; what it says wrongly is not learned."""
+        learn = {"NFO": self._nfo, "STA": self._sta, "MISSTA": self._missta, "SEN": self._sen}
+        learn |= {"GEO": self._geo, "CONF": self._conf, "RES": self._res}
+        try:
+            if message.kind in learn:
+                learn[message.kind](message)
+        except (PeerError, LookupError, ValueError):
+            return
+
+    def said(self, message: Message) -> None:
+        """Take a message of the client."""
+        if message.kind == "INIT":
+            self.robot = message.get("Name") or self.robot
+
+    def questions(self) -> list[str]:
+        """Return what to ask the server now to know more; each question once."""
+        wanted = ["GETSTARTPOSES"] if self.level else []
+        if self.has_robot:
+            wanted += [f"GETGEO {{Type {kind}}}" for kind in (*ASKED_TYPES, *SENSOR_TYPES, *self.items)]
+            wanted += [f"GETCONF {{Type {kind}}}" for kind in (*ASKED_TYPES, *self.items)]
+        new = [line for line in dict.fromkeys(wanted) if line not in self._asked]
+        self._asked.update(new)
+        return new
+
+    def names(self, kind: str) -> list[str]:
+        """Return the names of the items of a type, case ignored; of a package's links too for Joint."""
+        if kind.lower() == "mispkg":
+            return list(self.packages)
+        if kind.lower() == "joint":
+            links = [f"{name}_Link{number}" for name, links in self.packages.items() for number in links]
+            return [*links, *self.joints]
+        found = (names for known, names in self.items.items() if known.lower() == kind.lower())
+        return next(found, [])
+
+    def _add(self, kind: str, name: str) -> None:
+        known = next((one for one in self.items if one.lower() == kind.lower()), kind)
+        if name not in self.items.setdefault(known, []):
+            self.items[known].append(name)
+
+    def _nfo(self, message: Message) -> None:
+        self.level = message.get("Level") or self.level
+        if message.get("StartPoses") and len(message.segments) > 1:
+            words = " ".join(" ".join(pair) for pair in message.segments[1:]).split()
+            self.starts = {
+                tag: (at, turn) for tag, at, turn in zip(*(words[i::3] for i in range(3)), strict=False)
+            }
+
+    def _sta(self, message: Message) -> None:
+        self.has_robot = True
+        self.time = to_float(message.get("Time"))
+        self.light, self.battery = message.get("LightToggle").lower() == "true", message.get("Battery")
+        self.joints = [key for key, _ in message.segments if key.lower() not in REPORTED_SEGMENTS]
+
+    def _missta(self, message: Message) -> None:
+        links = self.packages.setdefault(message.get("Name"), {})
+        for number, fields in _by_link(message.segments):
+            links.setdefault(number, PackageLink()).value = to_float(fields.get("value", "0"))
+
+    def _sen(self, message: Message) -> None:
+        for name in message.all("Name"):
+            self._add(message.get("Type"), name.split()[0])
+
+    def _geo(self, message: Message) -> None:
+        kind = message.get("Type")
+        if kind in TYPES_OF_ROBOTS:
+            self.class_name = message.get("Name")
+        elif kind.lower() == "mispkg":
+            for name, segments in _by_name(message.segments):
+                links = self.packages.setdefault(name, {})
+                for number, fields in _by_link(segments):
+                    link = links.setdefault(number, PackageLink())
+                    link.parent = int(to_float(fields.get("parentlink", "-1")))
+                    link.orientation = to_vector(fields.get("orientation", "0,0,0"))
+        else:
+            for words in (value.split() for value in message.all("Name")):
+                if len(words) > 1 and kind.lower() != "effecter":  # else it is an echo: there is none
+                    self._add(kind, words[0])
+                    self.mounts[kind.lower(), words[0].lower()] = words[-1]
+
+    def _conf(self, message: Message) -> None:
+        kind = message.get("Type")
+        if kind in TYPES_OF_ROBOTS:
+            self.steering = message.get("SteeringType")
+            self.max_rear_steer = to_float(message.get("MaxRearSteer"))
+        if kind.lower() == "camera":
+            self._cameras(message)
+        for name, segments in _by_name(message.segments):
+            fields = {key.lower(): value for key, value in segments}
+            if kind.lower() == "effecter" and "opcode" in fields:
+                self.opcodes[name.lower()] = [value for key, value in segments if key.lower() == "opcode"]
+                self._add("Effecter", name)
+            elif kind.lower() == "mispkg":
+                links = self.packages.setdefault(name, {})
+                for number, told in _by_link(segments):
+                    low, high = (to_float(told.get(key, "0")) for key in ("minrange", "maxrange"))
+                    links.setdefault(number, PackageLink()).limits = (low, high) if low <= high else None
+
+    def _cameras(self, message: Message) -> None:
+        """Learn the fields of view: the message names no camera, it has them in the order of GEO."""
+        told = ([to_float(text) for text in message.all(f"Camera{key}Fov")] for key in ("", "Min", "Max"))
+        for name, fov, low, high in zip(self.names("Camera"), *told, strict=False):
+            self.fovs[name], self.fov_limits[name] = fov, (low, high)
+
+    def _res(self, message: Message) -> None:
+        for name, segments in _by_name(message.segments):
+            fields = {key.lower(): value for key, value in segments}
+            if "fov" in fields:
+                self.fovs[name] = to_float(fields["fov"])
+
+
+def _by_name(segments: tuple[Segment, ...]) -> Iterator[tuple[str, tuple[Segment, ...]]]:
+    """Yield the segments that follow each `{Name ...}`, with the name."""
+    at = [index for index, (key, _) in enumerate(segments) if key.lower() == "name"]
+    for first, last in zip(at, (*at, len(segments))[1:], strict=True):
+        if segments[first][1]:
+            yield segments[first][1].split()[0], segments[first + 1 : last]
+
+
+def _by_link(segments: tuple[Segment, ...]) -> Iterator[tuple[int, dict[str, str]]]:
+    """Yield the fields that follow each `{Link n}`, by their keys in lower case, with the number."""
+    number, fields = 0, dict[str, str]()
+    for key, value in (*segments, ("Link", "0")):
+        if key.lower() == "link":
+            if number:
+                yield number, fields
+            number, fields = int(to_float(value)), {}
+        else:
+            fields[key.lower()] = value

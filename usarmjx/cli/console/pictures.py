@@ -1,0 +1,136 @@
+"""Pictures of the image server in a terminal: two pixels in each character, and files of them."""
+
+import asyncio
+import io
+import struct
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+from PIL import Image
+
+from usarmjx.base.errors import UsageError, WriteError
+from usarmjx.cli.console.client import TIMEOUT, failure_of
+from usarmjx.server.network.access import AUTH
+
+HEADER = struct.Struct(">BI")
+RAW_SIZE = struct.Struct(">HH")
+MAX_SIZE = 64 << 20
+"""Longest picture that is taken [bytes]."""
+HALF_BLOCK = "\N{UPPER HALF BLOCK}"
+"""Its upper half has the character's colour, the lower one that of its background."""
+
+Pixel = tuple[int, int, int]
+HalfBlocks = list[list[tuple[Pixel, Pixel]]]
+"""Characters of a picture, row by row: the colours of their upper and lower halves."""
+
+
+class PictureStream:
+    """A client of the image server.
+
+    Args:
+        host: The server.
+        port: Its port for pictures.
+        token: What it wants to hear first; nothing: it does not.
+        fps: Most pictures per second.
+
+    Attributes:
+        address: What the server calls it, for `SET {Type Camera} {Client ...}`.
+    """
+
+    def __init__(self, host: str, port: int, token: str = "", fps: float = 5.0) -> None:
+        self._host, self._port, self._token, self._period = host, port, token, 1 / fps
+        self.address = ""
+
+    async def pictures(self) -> AsyncIterator[Image.Image]:
+        """Yield pictures until the server hangs up.
+
+        Raises:
+            UsageError: There is no such server, or it sends no pictures.
+        """
+        try:
+            async with asyncio.timeout(TIMEOUT):
+                reader, writer = await asyncio.open_connection(self._host, self._port)
+        except (OSError, TimeoutError) as error:
+            reason = failure_of(error)
+            raise UsageError(f"no pictures from {self._host}:{self._port}: {reason}") from error
+        self.address = "{}:{}".format(*writer.get_extra_info("sockname")[:2])
+        if self._token:
+            writer.write(f"{AUTH} {{Token {self._token}}}\r\n".encode("latin-1"))
+        loop = asyncio.get_running_loop()
+        try:
+            while True:
+                began = loop.time()
+                number, size = HEADER.unpack(await reader.readexactly(HEADER.size))
+                if size > MAX_SIZE:
+                    raise UsageError(f"{self._host}:{self._port} is no image server")
+                yield decode(number, await reader.readexactly(size))
+                await asyncio.sleep(max(0.0, began + self._period - loop.time()))
+                writer.write(b"OK")
+        except (ConnectionError, asyncio.IncompleteReadError):
+            return
+        finally:
+            writer.close()
+
+    async def save_all(self, files: "PictureFiles") -> None:
+        """Save pictures until the server hangs up; raises what `pictures` and `PictureFiles.save` do."""
+        async for picture in self.pictures():
+            files.save(picture)
+
+
+def decode(number: int, data: bytes) -> Image.Image:
+    """Return a picture of one of the server's types.
+
+    Raises:
+        UsageError: It is none.
+    """
+    try:
+        if number:
+            with Image.open(io.BytesIO(data), formats=("JPEG",)) as image:
+                return image.convert("RGB")
+        size = RAW_SIZE.unpack_from(data)
+        return Image.frombytes("RGB", size, data[RAW_SIZE.size :])
+    except (OSError, ValueError, struct.error, Image.DecompressionBombError) as error:
+        raise UsageError(f"a picture that cannot be read: {' '.join(str(error).split())}") from error
+
+
+def half_blocks(image: Image.Image, width: int, height: int) -> HalfBlocks:
+    """Return a picture as characters, as large as fits into so many of them and in proportion."""
+    scale = min(width / image.width, 2 * height / image.height)
+    columns = max(1, min(width, round(image.width * scale)))
+    rows = max(1, min(height, round(image.height * scale / 2)))
+    pixels = list(image.resize((columns, 2 * rows), Image.Resampling.BOX).tobytes())
+    colors = [(pixels[i], pixels[i + 1], pixels[i + 2]) for i in range(0, len(pixels), 3)]
+    lines = [colors[i : i + columns] for i in range(0, len(colors), columns)]
+    return [list(zip(*lines[i : i + 2], strict=True)) for i in range(0, 2 * rows, 2)]
+
+
+class PictureFiles:
+    """A folder that pictures are put into.
+
+    Args:
+        folder: The folder, which is made.
+
+    Raises:
+        WriteError: It cannot be made.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._count = folder, 0
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise WriteError(f"--save-pictures: cannot make {folder}: {error.strerror}") from error
+
+    def save(self, image: Image.Image) -> Path:
+        """Save a picture under the next free number.
+
+        Raises:
+            WriteError: It cannot be written.
+        """
+        while (path := self._folder / f"picture-{self._count:06d}.png").exists():
+            self._count += 1
+        try:
+            image.save(path)
+        except OSError as error:
+            raise WriteError(f"--save-pictures: cannot write {path}: {error.strerror}") from error
+        return path

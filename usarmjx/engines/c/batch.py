@@ -1,0 +1,212 @@
+"""C MuJoCo: starts at once, needs no accelerator, and is the oracle for the others."""
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from usarmjx.base.arrays import Array
+from usarmjx.base.process import cores
+from usarmjx.engines.base import Engine, Inputs, PhysicsState, SolvedStep
+from usarmjx.engines.c.moved_geoms import MovedBody
+from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.geoms import MovedGeoms
+from usarmjx.models.compile.randomization import RandomizedBodies
+
+STATE = mujoco.mjtState
+INTEGRATION_STATE = STATE.mjSTATE_INTEGRATION
+"""All that a step depends on, warm start included, so that a state can be stepped again bit for bit."""
+
+
+VISIBLE = (STATE.mjSTATE_QPOS, STATE.mjSTATE_QVEL, STATE.mjSTATE_ACT)
+BUFFER_WARNINGS = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
+"""The warnings about buffers that are too small."""
+
+
+class CState(NamedTuple):
+    """What C MuJoCo's worlds go on from.
+
+    Attributes:
+        integration: MuJoCo's integration states (worlds, n).
+        qpos: The positions among them (worlds, nq).
+        qvel: The velocities among them (worlds, nv).
+        act: The activations among them (worlds, na).
+        overflow: Warnings about full buffers in the last control step (worlds,).
+        solved: Contacts, rows and iterations of the last physics step (worlds, 3).
+    """
+
+    integration: np.ndarray
+    qpos: np.ndarray
+    qvel: np.ndarray
+    act: np.ndarray
+    overflow: np.ndarray
+    solved: np.ndarray
+
+
+def c_model(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a copy that does not silently reset a world that went bad; we count and reset those."""
+    copy = model.__copy__()
+    copy.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    return copy
+
+
+def state_slices(model: mujoco.MjModel) -> dict[mujoco.mjtState, slice]:
+    """Return where the parts of `INTEGRATION_STATE` are in a state of it."""
+    places: dict[mujoco.mjtState, slice] = {}
+    start = 0
+    for bit in range(int(mujoco.mjtState.mjNSTATE)):
+        part = mujoco.mjtState(1 << bit)
+        if INTEGRATION_STATE & part:
+            end = start + mujoco.mj_stateSize(model, part)
+            places[part], start = slice(start, end), end
+    return places
+
+
+def buffer_warnings(data: mujoco.MjData) -> int:
+    """Return how often this data's contact or constraint buffer was too small."""
+    return int(data.warning.number[BUFFER_WARNINGS].sum())
+
+
+def _pin(data: mujoco.MjData, pinned: Array, pinned_dof: Array, qpos: Array) -> None:
+    np.copyto(data.qpos, qpos, where=pinned)
+    data.qvel[pinned_dof] = 0.0
+    data.qacc_warmstart[pinned_dof] = 0.0
+
+
+class CEngine(Engine[CState]):
+    """Steps worlds one by one, on all cores."""
+
+    name = "c"
+    traceable = False
+
+    def __init__(
+        self,
+        spec: mujoco.MjSpec,
+        physics: Physics,
+        worlds: int,
+        moved_geoms: MovedGeoms | None = None,
+        varied_bodies: RandomizedBodies | None = None,
+    ) -> None:
+        super().__init__(spec, physics, worlds, moved_geoms, varied_bodies)
+        self._parts = state_slices(self.model)
+        count = min(worlds, cores())
+        # Each thread has its own model, as what differs in the world that it steps is part of it.
+        same = moved_geoms is None and varied_bodies is None
+        self.moved_body = MovedBody(self.model, self.moved_ids) if self.moved_ids else None
+        self._models = [self.model if same else self.model.__copy__() for _ in range(count)]
+        self._fields = None if self.varied_model is None else jax.jit(self.varied_model.fields)
+        self._datas = [mujoco.MjData(self.model) for _ in range(count)]
+        self._pool = ThreadPoolExecutor(count) if count > 1 else None
+
+    def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
+        """Return the model, with silent resets off."""
+        model = c_model(spec.compile())
+        if self.varied_bodies is not None and self.varied_bodies.vary.wheel is not None:
+            # The boxes around wheels are out of date then: each geom is compared with each.
+            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
+        return model
+
+    def start(self) -> CState:
+        """Return every world at the model's reference configuration."""
+        size = mujoco.mj_stateSize(self.model, INTEGRATION_STATE)
+        blank = CState(
+            integration=np.zeros((self.worlds, size)),
+            qpos=np.zeros((self.worlds, self.model.nq)),
+            qvel=np.zeros((self.worlds, self.model.nv)),
+            act=np.zeros((self.worlds, self.model.na)),
+            overflow=np.zeros(self.worlds, np.int32),
+            solved=np.zeros((self.worlds, 3), np.int32),
+        )
+        return self.reset(blank, np.ones(self.worlds, bool), np.tile(self.model.qpos0, (self.worlds, 1)))
+
+    def _save(self, data: mujoco.MjData, state: CState, world: int) -> None:
+        mujoco.mj_getState(self.model, data, state.integration[world], INTEGRATION_STATE)
+        state.qpos[world], state.qvel[world], state.act[world] = data.qpos, data.qvel, data.act
+
+    def advance(self, engine_state: CState, inputs: Inputs) -> CState:
+        """Step every world by one control step."""
+        told = jax.tree.map(np.asarray, inputs)
+        fields = self._varied_fields(inputs)
+        everything, overflow = self._applied(engine_state, told), np.zeros(self.worlds, np.int32)
+        solved = np.zeros((self.worlds, 3), np.int32)
+
+        def work(thread: int) -> None:
+            model, data = self._models[thread], self._datas[thread]
+            before = buffer_warnings(data)
+            varied = [(getattr(model, name), values) for name, values in fields.items()]
+            for world in range(thread, self.worlds, len(self._datas)):
+                mujoco.mj_setState(model, data, everything[world], INTEGRATION_STATE)
+                for array, values in varied:
+                    array[:] = values[world]
+                if told.geom_poses is not None and self.moved_body is not None:
+                    here = told.geom_poses
+                    size = None if here.size is None else here.size[world]
+                    self.moved_body.move(model, here.pos[world], here.quat[world], size, world)
+                mujoco.mj_step(model, data, nstep=self.physics.substeps)
+                mujoco.mj_getState(model, data, everything[world], INTEGRATION_STATE)
+                warnings = buffer_warnings(data)
+                overflow[world], before = warnings - before, warnings
+                solved[world] = data.ncon, data.nefc, data.solver_niter[0]
+
+        if self._pool is None:
+            work(0)
+        else:
+            list(self._pool.map(work, range(len(self._datas))))
+        qpos, qvel, act = (everything[:, self._parts[part]].copy() for part in VISIBLE)
+        return CState(everything, qpos, qvel, act, overflow, solved)
+
+    def _varied_fields(self, inputs: Inputs) -> dict[str, np.ndarray]:
+        """Return the model's fields that differ between worlds (worlds, ...)."""
+        if self._fields is None or inputs.varied is None:
+            return {}
+        return {name: np.asarray(values) for name, values in self._fields(inputs.varied).items()}
+
+    def _applied(self, own: CState, told: Inputs) -> np.ndarray:
+        """Return the integration states with the inputs in them (worlds, n)."""
+        new, at = own.integration.copy(), self._parts
+        new[:, at[STATE.mjSTATE_CTRL]], new[:, at[STATE.mjSTATE_ACT]] = told.ctrl, told.act
+        new[:, at[STATE.mjSTATE_XFRC_APPLIED]] = told.xfrc_applied.reshape(self.worlds, -1)
+        np.copyto(new[:, at[STATE.mjSTATE_QPOS]], told.qpos, where=told.pinned)
+        for part in (STATE.mjSTATE_QVEL, STATE.mjSTATE_WARMSTART):
+            np.copyto(new[:, at[part]], 0.0, where=told.pinned_dof)
+        return new
+
+    def set_qpos(self, engine_state: CState, pinned: Array, pinned_dof: Array, qpos: Array) -> CState:
+        """Put the pinned coordinates at qpos, at rest."""
+        new = CState(*(array.copy() for array in engine_state))
+        data = self._datas[0]
+        for world in np.flatnonzero(np.asarray(pinned).any(-1)):
+            mujoco.mj_setState(self.model, data, engine_state.integration[world], INTEGRATION_STATE)
+            _pin(data, np.asarray(pinned)[world], np.asarray(pinned_dof)[world], np.asarray(qpos)[world])
+            self._save(data, new, int(world))
+        return new
+
+    def reset(self, engine_state: CState, mask: Array, qpos: Array) -> CState:
+        """Put the masked worlds at rest at qpos; the others are untouched."""
+        new = CState(*(array.copy() for array in engine_state))
+        data, qpos = self._datas[0], np.asarray(qpos)
+        for world in np.flatnonzero(np.asarray(mask)):
+            mujoco.mj_resetData(self.model, data)
+            data.qpos[:] = qpos[world]
+            self._save(data, new, int(world))
+        return new
+
+    def state(self, engine_state: CState) -> PhysicsState:
+        """Return positions, velocities and activations in single precision."""
+        return PhysicsState(
+            qpos=jnp.asarray(np.float32(engine_state.qpos)),
+            qvel=jnp.asarray(np.float32(engine_state.qvel)),
+            act=jnp.asarray(np.float32(engine_state.act)),
+        )
+
+    def overflow(self, engine_state: CState, inputs: Inputs) -> jax.Array:
+        """Return the number of buffer warnings of the last step (worlds,)."""
+        del inputs
+        return jnp.asarray(engine_state.overflow)
+
+    def solved(self, engine_state: CState) -> SolvedStep:
+        """Return what the solver met in each world's last physics step."""
+        return SolvedStep(*engine_state.solved.T)

@@ -1,0 +1,444 @@
+"""What is around robots looked up on Warp, of those of whom it is not known.
+
+A block of threads has a world to itself: it finds out of which robots what is known no longer holds, and only
+if there are any works out where the solids are that can be elsewhere; its warps have some of those robots
+each, its lanes some solids. On a CPU, where tests run it, the first thread does the whole world. What each
+step means is told in `neighbor_lists`, `movable` and `solids`; other than there, robots of whom it holds go
+on by what they know.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from usarmjx.engines.planar import neighbor_lists
+from usarmjx.engines.planar.rolling import STANCE
+from usarmjx.engines.planar.warp_solids import scene_code
+
+wp.set_module_options({"enable_backward": False, "fast_math": False})
+
+GROUND = """
+#if defined(__CUDA_ARCH__)
+    const unsigned together = __activemask();
+#endif
+    struct Stance { float x, y, c, s, length, width, limits[4]; };
+    const int own = world, r = (int)((unsigned)index % (unsigned)count);
+    const float* const went = kept.data + (size_t)index * 3;
+    const float* const was = at.data + (size_t)index * 4;
+    const float* const free = room.data + (size_t)index * 4;
+    const Stance mine = {
+        went[0], went[1], cos(went[2]), sin(went[2]),
+        STANCE * told(r, NUMBER_LENGTH), STANCE * told(r, NUMBER_WIDTH),
+        {told(r, NUMBER_LIMIT_0), told(r, NUMBER_LIMIT_1), told(r, NUMBER_LIMIT_2), told(r, NUMBER_LIMIT_3)},
+    };
+    const float dx = mine.x - was[0], dy = mine.y - was[1];
+    const float limit = max(max(mine.limits[0], mine.limits[1]), max(mine.limits[2], mine.limits[3]));
+    const bool knows = free[2] > sqrt(dx * dx + dy * dy) && free[3] > abs(limit - was[3]);
+    const auto stand_on = [&](const Stance& a, const Solid& o, float* most) {
+        for (int j = 0; j < 4; ++j) {
+            const float ahead = j < 2 ? a.length : -a.length, left = j == 0 || j == 3 ? a.width : -a.width;
+            const float foot_x = a.x + (ahead * a.c - left * a.s), foot_y = a.y + (ahead * a.s + left * a.c);
+            most[j] = max(most[j], top_under(o, foot_x, foot_y, a.limits[j]));
+        }
+    };
+    const int solids = fixed + others;
+    const auto solid = [&](int i) -> Solid {
+        if (i >= fixed) return moved(i - fixed);
+        const float* const q = still.data + 12 * i;
+        return {q[0], q[1], q[2], q[3], q[4], q[5], q[6], q[7], q[8], q[9], q[10], q[11]};
+    };
+    float found[4] = {floor, floor, floor, floor};
+    if (knows) {
+        const int layers = min(solids, LAYERS);
+        const float* const rows = under.data + (size_t)world * 12 * layers * count + r;
+        const auto number = [&](int i, int k) { return rows[((size_t)i * layers + k) * count]; };
+        for (int k = 0; k < layers; ++k)
+            stand_on(mine, {number(0, k), number(1, k), number(2, k), number(3, k), number(4, k),
+                            number(5, k), number(6, k), number(7, k), number(8, k), number(9, k),
+                            number(10, k), number(11, k)}, found);
+    }
+#if defined(__CUDA_ARCH__)
+    // Who of a warp has to look at all solids is helped by all its threads, that look at some each.
+    const int lane = (int)(threadIdx.x % 32u), helpers = __popc(together);
+    const int place = __popc(together & ((1u << lane) - 1u));
+    for (unsigned left = __ballot_sync(together, !knows); left != 0u; left &= left - 1u) {
+        const int who = __ffs((int)left) - 1;
+        const auto its = [&](auto value) { return __shfl_sync(together, value, who); };
+        const auto its_limit = [&](int j) { return its(mine.limits[j]); };
+        const Stance a = {its(mine.x), its(mine.y), its(mine.c), its(mine.s), its(mine.length),
+                          its(mine.width), {its_limit(0), its_limit(1), its_limit(2), its_limit(3)}};
+        world = its(own);
+        float most[4] = {floor, floor, floor, floor};
+        for (int i = place; i < solids; i += helpers) stand_on(a, solid(i), most);
+        for (unsigned one = together; one != 0u; one &= one - 1u)
+            for (int j = 0; j < 4; ++j) {
+                const float other = __shfl_sync(together, most[j], __ffs((int)one) - 1);
+                if (lane == who) found[j] = max(found[j], other);
+            }
+    }
+#else
+    for (int i = 0; i < solids && !knows; ++i) stand_on(mine, solid(i), found);
+#endif
+    for (int j = 0; j < 4; ++j) ground.data[((size_t)own * 4 + j) * count + r] = found[j];
+"""
+"""What a robot's thread does: `neighbours.ground_of`, or `solids.ground_under` where that is not known."""
+
+
+ROBOT = """
+    int world = (int)((unsigned)index / (unsigned)sizes.data[0]);  // that of which solids are asked
+"""
+WORDS = {"STANCE": f"{STANCE}f"}
+GROUND_THREADS = 128
+"""Threads of a block."""
+
+
+@wp.func_native(scene_code(ROBOT, GROUND, WORDS))
+def _ground_under_robot(
+    robots: wp.array[float],
+    sizes: wp.array[int],
+    kinds: wp.array[int],
+    shapes: wp.array[float],
+    still: wp.array[float],
+    loose: wp.array[float],
+    geom_pos: wp.array[float],
+    geom_quat: wp.array[float],
+    geom_size: wp.array[float],
+    kept: wp.array[float],
+    at: wp.array[float],
+    room: wp.array[float],
+    under: wp.array[float],
+    floor: float,
+    index: int,
+    ground: wp.array[float],
+) -> None: ...
+
+
+@wp.kernel(enable_backward=False, grid_stride=False)
+def ground_under_robots(
+    robots: wp.array[float],
+    sizes: wp.array[int],
+    kinds: wp.array[int],
+    shapes: wp.array[float],
+    still: wp.array[float],
+    loose: wp.array[float],
+    geom_pos: wp.array[float],
+    geom_quat: wp.array[float],
+    geom_size: wp.array[float],
+    kept: wp.array[float],
+    at: wp.array[float],
+    room: wp.array[float],
+    under: wp.array[float],
+    floor: float,
+    ground: wp.array[float],
+) -> None:
+    """Find how high the ground is under the four stances of each robot."""
+    # fmt: off
+    _ground_under_robot(
+        robots, sizes, kinds, shapes, still, loose, geom_pos, geom_quat, geom_size, kept, at, room, under,
+        floor, wp.tid(), ground,
+    )
+    # fmt: on
+
+
+wp.set_module_options({"enable_backward": False, "fast_math": False})
+
+THREADS = 128
+"""Threads of a block, which has a world to itself."""
+CHANGED = ("at", "room", "left_out", "near", "under", "known_loose", "known_geoms")
+"""What the first kernel changes where a world needs it."""
+ROOMS = (64, 128, 256, 416, 600)
+"""So many solids a world has room for in shared memory: the least that is enough."""
+
+LOOK = """
+#if defined(__CUDA_ARCH__)
+    const int thread = (int)((unsigned)index % THREADS);
+    const int lane = thread % 32, lanes = 32, warp = thread / 32, warps = THREADS / 32;
+    __shared__ Solid here[ROOM];
+    __shared__ int held_keys[THREADS / 32 * ROOM * 2];
+    int* const near_keys = held_keys + warp * ROOM * 2;
+    const auto wait = []() { __syncwarp(); };
+    const auto wait_for_all = []() { __syncthreads(); };
+    const auto any_of_all = [](bool x) { return __syncthreads_or(x) != 0; };
+    const auto any = [](bool x) { return __any_sync(0xffffffffu, x) != 0; };
+    const auto least = [](auto x) {
+        for (int step = 16; step > 0; step /= 2) x = min(x, __shfl_xor_sync(0xffffffffu, x, step));
+        return x;
+    };
+    const auto sum = [](int x) {
+        for (int step = 16; step > 0; step /= 2) x += __shfl_xor_sync(0xffffffffu, x, step);
+        return x;
+    };
+#else
+    if ((unsigned)index % THREADS != 0) return;
+    const int thread = 0, lane = 0, lanes = 1, warp = 0, warps = 1;
+    Solid here[ROOM];
+    int near_keys[2 * ROOM];
+    const auto wait = []() {};
+    const auto wait_for_all = []() {};
+    const auto any_of_all = [](bool x) { return x; };
+    const auto any = [](bool x) { return x; };
+    const auto least = [](auto x) { return x; };
+    const auto sum = [](int x) { return x; };
+#endif
+    const int threads = lanes * warps;
+    int* const ground_keys = near_keys + ROOM;
+    float* const was = at.data + (size_t)world * count * 4;
+    float* const free = room.data + (size_t)world * count * 4;
+    const auto limit_of = [&](int r) {
+        return max(max(told(r, NUMBER_LIMIT_0), told(r, NUMBER_LIMIT_1)),
+                   max(told(r, NUMBER_LIMIT_2), told(r, NUMBER_LIMIT_3)));
+    };
+    const auto size_of = [&](int r) {
+        const float length = told(r, NUMBER_LENGTH), width = told(r, NUMBER_WIDTH);
+        return sqrt(length * length + width * width);
+    };
+
+    // neighbours.farthest_in_a_step
+    const auto way_of = [&](int r) {
+        const float x = told(r, NUMBER_THERE_X) - told(r, NUMBER_BEFORE_X);
+        const float y = told(r, NUMBER_THERE_Y) - told(r, NUMBER_BEFORE_Y);
+        return sqrt(x * x + y * y);
+    };
+    const auto up_of = [&](int r) {
+        return max(told(r, NUMBER_BEFORE_LOW) - told(r, NUMBER_THERE_LOW),
+                   told(r, NUMBER_THERE_HIGH) - told(r, NUMBER_BEFORE_HIGH));
+    };
+    float farthest = 0.0f;
+    for (int r = lane; r < count; r += lanes) farthest = max(farthest, way_of(r));
+    farthest = -least(-farthest);
+
+    // Neighbours.holds, of one robot
+    const auto is_lost = [&](int r) -> bool {
+        const float x = told(r, NUMBER_BEFORE_X) - was[4 * r], y = told(r, NUMBER_BEFORE_Y) - was[4 * r + 1];
+        const float aside = sqrt(x * x + y * y) + (way_of(r) + farthest + SLACK), up = up_of(r);
+        const float sank = abs(told(r, NUMBER_BEFORE_LOW) - was[4 * r + 2]) + up;
+        const float tilted = abs(limit_of(r) - was[4 * r + 3]) + up;
+        return !(free[4 * r] > aside && free[4 * r + 1] > sank && free[4 * r + 2] > aside
+            && free[4 * r + 3] > tilted);
+    };
+    bool lost = false;
+    for (int r = lane; r < count; r += lanes) lost = lost || is_lost(r);
+    lost = any(lost);
+    float* const loose_was = known_loose.data + (size_t)world * numbers;
+    const float* const loose_now = loose.data + (size_t)world * numbers;
+    bool other_world = false;
+    for (int i = thread; i < numbers; i += threads)
+        other_world = other_world || !(loose_was[i] == loose_now[i]);
+
+    // MovableSolids.where, came_near
+    float* const geoms_were = known_geoms.data + (size_t)world * data_geoms * 10;
+    const auto row_of = [&](int m) { return kinds.data[m * KIND_NUMBERS + 4]; };
+    const auto geom_now = [&](int m, int i) -> float {
+        const size_t place = (size_t)world * places + kinds.data[m * KIND_NUMBERS + 1];
+        if (i < 3) return geom_pos.data[3 * place + i];
+        if (i < 7) return geom_quat.data[4 * place + i - 3];
+        return sized ? geom_size.data[3 * place + i - 7] : shapes.data[m * SHAPE_NUMBERS + 20 + i];
+    };
+    const auto meets = [&](int m, const float* ten) -> bool {
+        const float* const p = shapes.data + m * SHAPE_NUMBERS;
+        const float x = p[0] + (p[3] * ten[0] + p[4] * ten[1] + p[5] * ten[2]);
+        const float y = p[1] + (p[6] * ten[0] + p[7] * ten[1] + p[8] * ten[2]);
+        for (int r = 0; r < count; ++r) {
+            const float far = size_of(r) + (way_of(r) + farthest + SLACK) + (ten[7] + ten[8] + ten[9]);
+            const float dx = told(r, NUMBER_BEFORE_X) - x, dy = told(r, NUMBER_BEFORE_Y) - y;
+            if (dx * dx + dy * dy < far * far) return true;
+        }
+        return false;
+    };
+    for (int m = thread; m < others && !other_world; m += threads) {
+        if (row_of(m) < 0) continue;
+        const float* const then = geoms_were + row_of(m) * 10;
+        float now[10];
+        bool other = false;
+        for (int i = 0; i < 10; ++i) {
+            now[i] = geom_now(m, i);
+            other = other || now[i] != then[i];
+        }
+        // Who looks while something is elsewhere than it is known to be has all look: that is known of all.
+        other_world = other && (lost || meets(m, then) || meets(m, now));
+    }
+    other_world = any_of_all(other_world);
+    for (int r = thread; r < count; r += threads) left_out.data[(size_t)world * count + r] = 0;
+    if (!lost && !other_world) return;
+
+    for (int i = thread; i < numbers; i += threads) loose_was[i] = loose_now[i];
+    for (int m = thread; m < others; m += threads) {
+        here[m] = moved(m);
+        if (row_of(m) >= 0)
+            for (int i = 0; i < 10; ++i) geoms_were[row_of(m) * 10 + i] = geom_now(m, i);
+    }
+    wait_for_all();
+    const int solids = fixed + others;
+    const auto number_of = [&](int i, int n) -> float {
+        return i < fixed ? still.data[12 * i + n] : reinterpret_cast<const float*>(here + (i - fixed))[n];
+    };
+    const auto solid = [&](int i) -> Solid {
+        if (i >= fixed) return here[i - fixed];
+        const float* const p = still.data + 12 * i;
+        return {p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11]};
+    };
+    const float last_step = (float)(1073741824 / solids - 1);
+    const auto key_of = [&](float rank, int i) -> int {
+        return (int)min(max((rank + DEEPEST) / NEARNESS, 0.0f), last_step) * solids + i;
+    };
+    for (int r = warp; r < count; r += warps) {
+        if (!other_world && !is_lost(r)) continue;
+        wait();  // until all lanes have asked
+        const float x = told(r, NUMBER_BEFORE_X), y = told(r, NUMBER_BEFORE_Y), step = told(r, NUMBER_STEP);
+        const float low = told(r, NUMBER_BEFORE_LOW), high = told(r, NUMBER_BEFORE_HIGH);
+        const float limit = limit_of(r), size = size_of(r);
+        const float aside_reach = way_of(r) + farthest + SLACK, up_reach = up_of(r);
+        // neighbours.look_around: how far away it is on the plan, in height, and above what may be ground
+        float apart, higher, deep, steep;
+        const auto measure = [&](const Solid& o) {
+            const float dx = x - o.x, dy = y - o.y;
+            const float ahead = max(abs(dx * o.c + dy * o.s) - o.l, 0.0f);
+            const float aside = max(abs(dy * o.c - dx * o.s) - o.w, 0.0f);
+            apart = sqrt(ahead * ahead + aside * aside) - o.r - size;
+            higher = height_apart(o, x, y, low, high, step);
+            steep = abs(o.slope_x) + abs(o.slope_y);
+            deep = o.top + dx * o.slope_x + dy * o.slope_y - size * steep - limit;
+        };
+        int stopping = 0;
+        for (int i = lane; i < solids; i += lanes) {
+            const Solid o = solid(i);
+            measure(o);
+            stopping += higher < 0.0f && apart < aside_reach;
+            near_keys[i] = key_of(higher < 0.0f ? apart : max(apart, higher) + LAST, i);
+            ground_keys[i] = key_of(o.highest < floor ? NOWHERE : max(apart, deep), i);
+        }
+        stopping = sum(stopping);
+
+        // neighbours._nearest: by the least of those that are greater than the last, then in their own order
+        const auto keep = [&](const int* keys, int most, float* rows) -> int {
+            int chosen[MOST], last = -1;
+            for (int j = 0; j < most; ++j) {
+                int next = 0x7fffffff;
+                for (int i = lane; i < solids; i += lanes) next = keys[i] > last ? min(next, keys[i]) : next;
+                last = least(next);
+                chosen[j] = last % solids;
+            }
+            for (int j = 0; j < most; ++j) {
+                int place = 0;
+                for (int i = 0; i < most; ++i) place += chosen[i] < chosen[j];
+                for (int n = lane; n < 12; n += lanes)
+                    rows[((size_t)n * most + place) * count + r] = number_of(chosen[j], n);
+            }
+            return last;
+        };
+        const int near_count = min(solids, MOST), under_count = min(solids, LAYERS);
+        float* const near_rows = near.data + (size_t)world * 12 * near_count * count;
+        float* const under_rows = under.data + (size_t)world * 12 * under_count * count;
+        const int near_last = keep(near_keys, near_count, near_rows);
+        const int under_last = keep(ground_keys, under_count, under_rows);
+
+        // neighbours._margin, of what may stop it and of what may be ground
+        float aside[2] = {NOWHERE, NOWHERE}, height[2] = {NOWHERE, NOWHERE};
+        for (int pass = 0; pass < 2; ++pass) {
+            for (int i = lane; i < solids; i += lanes) {
+                const Solid o = solid(i);
+                measure(o);
+                for (int n = 0; n < 2; ++n) {
+                    const bool other = n == 0 ? near_keys[i] > near_last
+                                              : ground_keys[i] > under_last && o.highest >= floor;
+                    if (!other) continue;
+                    const float up = n == 0 ? higher : deep;
+                    const bool by_height = apart * (up_reach + SWAY) < up * aside_reach;
+                    const float until = by_height ? max(apart, up / (2.0f * max(steep, 1e-6f))) : apart;
+                    if (pass == 0)
+                        aside[n] = min(aside[n], until);
+                    else if (by_height && apart < aside[n])
+                        height[n] = min(height[n], steep > 0.0f ? up / 2.0f : up);
+                }
+            }
+            for (int n = 0; n < 2; ++n) {
+                if (pass == 0) aside[n] = least(aside[n]);
+                else height[n] = least(height[n]);
+            }
+        }
+        if (lane == 0) {
+            was[4 * r] = x; was[4 * r + 1] = y; was[4 * r + 2] = low; was[4 * r + 3] = limit;
+            for (int n = 0; n < 2; ++n) {
+                free[4 * r + 2 * n] = aside[n];
+                free[4 * r + 2 * n + 1] = height[n];
+            }
+            left_out.data[(size_t)world * count + r] = max(stopping - MOST, 0);
+        }
+    }
+"""
+"""What the lanes of a world do."""
+
+WORLD = """
+    const int world = (int)((unsigned)index / THREADS);
+"""
+
+
+def _code(most: int, room: int) -> str:
+    """Return the native code that looks at so many solids closely, with room for so many in all."""
+    measures = ("SLACK", "SWAY", "DEEPEST", "NEARNESS", "LAST")
+    words: dict[str, object] = {name: f"{getattr(neighbor_lists, name)}f" for name in measures}
+    return scene_code(WORLD, LOOK, {**words, "MOST": most, "ROOM": room, "THREADS": f"{THREADS}u"})
+
+
+def room_for(solids: int) -> int | None:
+    """Return for how many solids a kernel has room, so many at least; None: none has."""
+    return next((room for room in ROOMS if room >= solids), None)
+
+
+@cache
+def looking_kernel(most: int, places: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
+    """Return the kernel that looks around, at so many solids closely, with places for those of `room_for`."""
+
+    @wp.func_native(_code(most, places))
+    def look_in_world(
+        robots: wp.array[float],
+        sizes: wp.array[int],
+        kinds: wp.array[int],
+        shapes: wp.array[float],
+        still: wp.array[float],
+        loose: wp.array[float],
+        geom_pos: wp.array[float],
+        geom_quat: wp.array[float],
+        geom_size: wp.array[float],
+        floor: float,
+        index: int,
+        at: wp.array[float],
+        room: wp.array[float],
+        left_out: wp.array[int],
+        near: wp.array[float],
+        under: wp.array[float],
+        known_loose: wp.array[float],
+        known_geoms: wp.array[float],
+    ) -> None: ...
+
+    def look_around_robots(
+        robots: wp.array[float],
+        sizes: wp.array[int],
+        kinds: wp.array[int],
+        shapes: wp.array[float],
+        still: wp.array[float],
+        loose: wp.array[float],
+        geom_pos: wp.array[float],
+        geom_quat: wp.array[float],
+        geom_size: wp.array[float],
+        floor: float,
+        at: wp.array[float],
+        room: wp.array[float],
+        left_out: wp.array[int],
+        near: wp.array[float],
+        under: wp.array[float],
+        known_loose: wp.array[float],
+        known_geoms: wp.array[float],
+    ) -> None:
+        # fmt: off
+        look_in_world(
+            robots, sizes, kinds, shapes, still, loose, geom_pos, geom_quat, geom_size, floor, wp.tid(),
+            at, room, left_out, near, under, known_loose, known_geoms,
+        )
+        # fmt: on
+
+    # By this name XLA knows it: another for each of these numbers, whichever was made first.
+    look_around_robots.__qualname__ = f"look_around_robots_{most}_{places}"
+    kernel: Any = wp.kernel
+    return kernel(look_around_robots, enable_backward=False, grid_stride=False, module="unique")

@@ -1,0 +1,324 @@
+"""Descriptions to MuJoCo: an arena and its robots as bodies of one MjSpec.
+
+Every robot is a free body with the name prefix that the caller gives ("r0/"); within it, `chassis`, one
+body per part (wheels, flippers, legs, mission package links, fingers), each with one joint of the same name
+and, if it has a motor, an actuator. Parts of one robot do not touch each other: joint limits keep them apart.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from usarmjx.base.errors import SpecError
+from usarmjx.base.registry import Registry
+from usarmjx.base.transforms import Vec3, flip_angles, flip_vector, quat_from_angles
+from usarmjx.models.compile.doors import door_panel
+from usarmjx.models.compile.geoms import add_geom
+from usarmjx.models.compile.parts import chassis_shapes, parts_of
+from usarmjx.models.compile.victims import segment_poses, victim_table
+from usarmjx.models.compile.visuals import flipped
+from usarmjx.models.types.arena import ArenaSpec, Door, LooseObject
+from usarmjx.models.types.robot import CHASSIS, HOLD_SUFFIX, Motor, Part, RobotSpec
+from usarmjx.models.types.shapes import SURFACES, Shape
+
+FLOOR_SIZE = (0.0, 0.0, 1.0)
+"""MuJoCo: a plane with zero half sizes is unbounded."""
+FLOOR_RGBA = (0.87, 0.88, 0.88, 1.0)
+"""Light grey, as pictures of cameras have it beyond their checkers."""
+ARENA, LOOSE_PREFIX, DOOR, VICTIM_PREFIX = "arena/", "loose/", "door/", "victim/"
+"""What the names of the geoms of fixed solids, and of loose objects, doors and victims' bones start with."""
+MAX_BOX_PIECES = 512
+"""Of an arena's boxes for engines that want short ones."""
+
+
+def add_arena(spec: mujoco.MjSpec, arena: ArenaSpec) -> None:
+    """Add the arena and its floor to an empty description.
+
+    Raises:
+        SpecError: A solid that cannot be built; see `geoms.add_geom` and `victims.victim_table`.
+    """
+    if arena.has_floor:
+        at = (0.0, 0.0, arena.floor)
+        floor = Shape(kind="box", size=FLOOR_SIZE, at=at, surface="ground", rgba=FLOOR_RGBA)
+        add_geom(spec, spec.worldbody, "floor", floor, kind=mujoco.mjtGeom.mjGEOM_PLANE)
+    body = spec.worldbody.add_body(name="arena", pos=[0.0, 0.0, arena.floor], mocap=True)
+    for i, shape in enumerate(arena.shapes):
+        add_geom(spec, body, f"{ARENA}{i}", shape)
+    _add_victims(spec, body, arena)
+    for loose in arena.loose:
+        _add_loose(spec, loose, arena.floor)
+    for door in arena.doors:
+        _add_door(spec, door, arena.floor)
+
+
+def _add_victims(spec: mujoco.MjSpec, body: mujoco.MjsBody, arena: ArenaSpec) -> None:
+    """Add the boxes of victims and false alarms where they are at the start."""
+    table = victim_table(arena.victims, arena.false_alarms)
+    pos, quat = segment_poses(table, np.zeros(()))
+    for i in range(table.num_boxes):
+        skin = Shape(kind="box", size=tuple(table.size[i]), surface="ground", rgba=tuple(table.rgba[i]))
+        geom = add_geom(spec, body, f"{VICTIM_PREFIX}{i}", skin)
+        geom.pos, geom.quat = pos[i], quat[i]
+
+
+def _add_loose(spec: mujoco.MjSpec, loose: LooseObject, floor: float) -> None:
+    x, y, z = loose.at
+    name = f"{LOOSE_PREFIX}{loose.name}"
+    body = spec.worldbody.add_body(name=name, pos=(x, y, z + floor), quat=quat_from_angles(*loose.rotation))
+    body.add_freejoint(name=name)
+    for i, shape in enumerate(loose.shapes):
+        add_geom(spec, body, f"{name}/{i}", shape)
+
+
+def _add_door(spec: mujoco.MjSpec, door: Door, floor: float) -> None:
+    x, y, z = door.at
+    body = spec.worldbody.add_body(
+        name=f"{DOOR}{door.name}", pos=(x, y, z + floor), quat=quat_from_angles(0.0, 0.0, door.yaw)
+    )
+    body.add_joint(
+        name=f"{DOOR}{door.name}",
+        type=mujoco.mjtJoint.mjJNT_HINGE,
+        axis=(0.0, 0.0, 1.0),
+        limited=True,
+        range=door.limits,
+        damping=[door.friction, 0.0, 0.0],
+    )
+    add_geom(spec, body, f"{DOOR}{door.name}", door_panel(door))
+
+
+def split_long_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
+    """Return the model with the arena's boxes cut into pieces of at most `longest` [m] along each axis.
+
+    For engines that look for contacts by bounding spheres, to which a long wall is near everything. In an
+    arena so large that this would give more than `MAX_BOX_PIECES`, the pieces are longer.
+    """
+    spec = spec.copy()
+    arena = spec.body("arena")
+    if arena is None:
+        return spec.compile()
+    touching = [geom for geom in arena.geoms if geom.type == mujoco.mjtGeom.mjGEOM_BOX and geom.contype]
+    boxes = np.array([geom.size for geom in touching])
+    while len(boxes) and np.ceil(2 * boxes / longest - 1e-6).prod(-1).sum() > MAX_BOX_PIECES:
+        longest *= 1.25
+    for geom in list(arena.geoms):
+        parts = [max(1, int(np.ceil(2 * half / longest - 1e-6))) for half in geom.size]
+        fixed = geom.name.startswith(ARENA) and geom.contype
+        if geom.type != mujoco.mjtGeom.mjGEOM_BOX or max(parts) == 1 or not fixed:
+            continue
+        mat = np.zeros(9)
+        mujoco.mju_quat2Mat(mat, geom.quat)
+        kept = ("type", "quat", "rgba", "friction", "priority", "contype", "conaffinity", "condim", "mass")
+        shared = {name: getattr(geom, name) for name in kept}
+        for piece in np.ndindex(*parts):
+            offset = (2 * (np.array(piece) + 0.5) / parts - 1) * geom.size
+            name = f"{geom.name}/{'.'.join(map(str, piece))}"
+            pos = geom.pos + mat.reshape(3, 3) @ offset
+            arena.add_geom(name=name, pos=pos, size=geom.size / parts, **shared)
+        spec.delete(geom)
+    return spec.compile()
+
+
+CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
+SOLVERS = {"CG": mujoco.mjtSolver.mjSOL_CG, "Newton": mujoco.mjtSolver.mjSOL_NEWTON}
+USUAL_GEOMS = 7
+"""Touching geoms of a P2AT, for which contacts_per_robot and pairs_per_robot are meant."""
+LOOSE_CONTACTS = 5
+"""Room in contact buffers for each touching geom of a loose object: a box that lies has four corners."""
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Solver and time settings of a scene.
+
+    The elliptic cone with friction impedance ratio 2 lets robots turn in place as rigid wheels do and
+    hold slopes; CG is as fast as Newton for few robots, far faster for many, and free of the batched
+    Cholesky factorisation. docs/design.md tables the measurements.
+
+    Attributes:
+        timestep: Physics step [s].
+        substeps: Physics steps per control step.
+        iterations: Cap on solver iterations.
+        ls_iterations: Cap on line-search iterations.
+        cone: Friction cone of the contacts.
+        solver: MuJoCo's solver of the constraints.
+        contacts_per_robot: Room in contact buffers for a robot like the P2AT, on average over a world's
+            robots; robots with more (or fewer) touching geoms count for more (or fewer).
+        pairs_per_robot: Geom pairs of one kind that `jax` looks at closely, likewise; the nearest by
+            bounding spheres.
+        sleep_tolerance: On `warp` a loose object that has been slower than this for half a second has no
+            contacts until something comes near [m/s]; 0: all have, as on the other engines.
+    """
+
+    timestep: float = 0.005
+    substeps: int = 4
+    impratio: float = 2.0
+    iterations: int = 10
+    ls_iterations: int = 10
+    cone: Literal["elliptic", "pyramidal"] = "elliptic"
+    solver: Literal["CG", "Newton"] = "CG"
+    contacts_per_robot: int = 16
+    pairs_per_robot: int = 32
+    sleep_tolerance: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a cone or a solver that there is not, and a speed below 0.
+
+        Raises:
+            SpecError: Says what there is.
+        """
+        if not self.sleep_tolerance >= 0.0:
+            raise SpecError(f"sleep_tolerance {self.sleep_tolerance} is no speed from 0 on")
+        for what, name, known in (("cone", self.cone, CONES), ("solver", self.solver, SOLVERS)):
+            if name not in known:
+                raise SpecError(f"{what} {name!r} is not one of {', '.join(known)}")
+
+    @property
+    def period(self) -> float:
+        """The control step [s]."""
+        return self.timestep * self.substeps
+
+    @property
+    def rows_per_contact(self) -> int:
+        """Constraint rows of a contact with sliding friction."""
+        return 3 if self.cone == "elliptic" else 4
+
+    @classmethod
+    def fast(cls) -> "Physics":
+        """Return settings for training and sweeps: several times as fast, and less exact.
+
+        Found by a search over settings; docs/performance.md tables what every robot class does under them,
+        beside the reference settings, and what they are not for.
+        """
+        return cls(timestep=0.01, substeps=2, iterations=8, ls_iterations=5)
+
+    @classmethod
+    def coarse(cls) -> "Physics":
+        """Return settings for engine `planar` alone, which takes a control step of 50 ms at once."""
+        return cls(timestep=0.05, substeps=1)
+
+    @classmethod
+    def sleeping(cls) -> "Physics":
+        """Return the reference settings, but that loose objects which nobody touches sleep on `warp`."""
+        return cls(sleep_tolerance=0.005)
+
+
+PHYSICS: Registry[Physics] = Registry("physics")
+PHYSICS.add("reference", Physics())
+PHYSICS.add("fast", Physics.fast())
+PHYSICS.add("coarse", Physics.coarse())
+PHYSICS.add("sleeping", Physics.sleeping())
+
+
+def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:
+    """Return a model description with the arena, its floor and no robots."""
+    spec = mujoco.MjSpec()
+    spec.modelname = arena.name
+    spec.compiler.degree = False  # joint limits are radians, as everything here
+    option = spec.option
+    option.timestep = physics.timestep
+    # MJX-JAX's implicitfast goes on damping a servo that is at its force limit, C and Warp do not; with
+    # Euler all three agree, and the servos' gains are low enough for it.
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.cone = CONES[physics.cone]
+    option.solver = SOLVERS[physics.solver]
+    option.impratio = physics.impratio
+    # One contact per pair of convex geoms: with several, wheels stick at the edge of a 4 cm board.
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
+    option.iterations = physics.iterations
+    option.ls_iterations = physics.ls_iterations
+    add_arena(spec, arena)
+    return spec
+
+
+def cap_contacts(
+    spec: mujoco.MjSpec, physics: Physics, arena: ArenaSpec, robots: Sequence[RobotSpec]
+) -> None:
+    """Size the contact buffers of the batch engines, in the custom numbers that MJX reads; C ignores them."""
+    geoms = sum(_touching(shapes) for robot in robots for shapes in _solids(robot))
+    loose = sum(_touching(thing.shapes) for thing in arena.loose)
+    contacts = max(1.0, geoms / USUAL_GEOMS) * physics.contacts_per_robot + loose * LOOSE_CONTACTS
+    pairs = max(1.0, (geoms + loose) / USUAL_GEOMS) * physics.pairs_per_robot
+    for name, room in (("max_contact_points", contacts), ("max_geom_pairs", pairs)):
+        spec.add_numeric(name=name, size=1, data=[int(np.ceil(room))])
+
+
+def _solids(robot: RobotSpec) -> list[tuple[Shape, ...]]:
+    return [chassis_shapes(robot), *(part.shapes for part in parts_of(robot))]
+
+
+def _touching(shapes: tuple[Shape, ...]) -> int:
+    return sum(bool(SURFACES[shape.surface].contype) for shape in shapes)
+
+
+def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw: float = 0.0) -> None:
+    """Add a robot of that class whose chassis origin starts at `pos`, with names starting with `prefix`."""
+    chassis = spec.worldbody.add_body(name=f"{prefix}chassis", pos=pos, quat=quat_from_angles(0, 0, yaw))
+    chassis.add_freejoint(name=f"{prefix}root")
+    for i, shape in enumerate(chassis_shapes(robot)):
+        add_geom(spec, chassis, f"{prefix}chassis/{i}", flipped(shape))
+    bodies = {CHASSIS: chassis}
+    for part in parts_of(robot):
+        bodies[part.name] = _add_part(spec, bodies[part.parent], part, prefix)
+        if part.geared is not None:
+            gear = spec.add_equality(name=prefix + part.name, type=mujoco.mjtEq.mjEQ_JOINT)
+            gear.name1, gear.name2 = prefix + part.name, prefix + part.geared
+            gear.data[:2] = 0.0, 1.0
+    names = [body.name for body in bodies.values()]
+    for i, first in enumerate(names):
+        for second in names[i + 1 :]:
+            spec.add_exclude(bodyname1=first, bodyname2=second)
+
+
+def remove_robot(spec: mujoco.MjSpec, prefix: str) -> None:
+    """Remove the robot with that prefix, with its joints, gears, actuators and exclusions."""
+    for exclude in list(spec.excludes):
+        if exclude.bodyname1.startswith(prefix):
+            spec.delete(exclude)
+    for gear in list(spec.equalities):
+        if gear.name.startswith(prefix):
+            spec.delete(gear)
+    for actuator in list(spec.actuators):
+        if actuator.name.startswith(prefix):
+            spec.delete(actuator)
+    spec.delete(spec.body(f"{prefix}chassis"))
+
+
+def _add_part(spec: mujoco.MjSpec, parent: mujoco.MjsBody, part: Part, prefix: str) -> mujoco.MjsBody:
+    name = prefix + part.name
+    turn = quat_from_angles(*flip_angles(part.rotation))
+    body = parent.add_body(name=name, pos=flip_vector(part.at), quat=turn)
+    kind = mujoco.mjtJoint.mjJNT_HINGE if part.joint == "hinge" else mujoco.mjtJoint.mjJNT_SLIDE
+    joint = body.add_joint(name=name, type=kind, axis=flip_vector(part.axis))
+    for i, shape in enumerate(part.shapes):
+        add_geom(spec, body, f"{name}/{i}", flipped(shape))
+    if part.motor is not None:
+        joint.armature = part.motor.armature
+        _add_servo(spec, joint, part.motor)
+    elif part.limits is not None:
+        joint.limited, joint.range = True, part.limits
+    if part.spring is not None:
+        spring = part.spring
+        joint.stiffness, joint.damping = [spring.stiffness, 0, 0], [spring.damping, 0, 0]
+        joint.springref = -spring.load / spring.stiffness
+    return body
+
+
+def _add_servo(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, motor: Motor) -> None:
+    """Add a servo of limited torque in two actuators: one pulls towards its target, one holds back.
+
+    Together they are MuJoCo's integrated-velocity servo, kp (target - position) - kv velocity. Without the
+    second, whose input is 1 or 0, the first is a motor that exerts exactly kp times its target.
+    """
+    pull = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    pull.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+    pull.gainprm[0] = motor.stiffness
+    hold = spec.add_actuator(
+        name=joint.name + HOLD_SUFFIX, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+    )
+    hold.gaintype = mujoco.mjtGain.mjGAIN_AFFINE
+    hold.gainprm[:3] = [0.0, -motor.stiffness, -motor.damping]
+    joint.actfrclimited = True
+    joint.actfrcrange = [-motor.strongest, motor.strongest]

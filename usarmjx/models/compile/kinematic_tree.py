@@ -1,0 +1,298 @@
+"""The body plan of a robot class: its own little kinematic tree and its shapes, as arrays.
+
+Sensors need to know where a robot's bodies and shapes are. Computing that from the robot's own state
+with its own plan, rather than reading an engine's arrays, makes sensors independent of the engine, of
+the other robots in the model, and of the half step by which an engine's poses trail its state.
+"""
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from flax import struct
+
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import xp
+from usarmjx.base.rotations import mat_from_quat, matmul, matvec
+from usarmjx.base.transforms import Vec3
+from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.layout import RobotIndex, index_robot
+from usarmjx.models.compile.parts import chassis_looks, joint_names, parts_of
+from usarmjx.models.compile.ray_geoms import ray_primitives_of
+from usarmjx.models.compile.visuals import Figure, Solids, build_figure, flipped
+from usarmjx.models.drives.base import RobotState
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.robot import CHASSIS, RobotSpec
+
+
+class BodyPoses(struct.PyTreeNode, kw_only=True):
+    """Poses of a robot's bodies: chassis, then its parts.
+
+    Attributes:
+        pos: Origins in the world [m] (bodies, 3).
+        mat: Orientations (bodies, 3, 3).
+    """
+
+    pos: Array
+    mat: Array
+
+
+class JointMotions(NamedTuple):
+    """How joints at q move bodies in their parents: each slides or turns.
+
+    To `offset + q * slide`, and by `fixed + sin(q) * sine + cos(q) * cosine`: the orientation at rest, then
+    Rodrigues' formula.
+
+    Attributes:
+        offset: Body origins with the joints at 0 [m] (joints, 3).
+        slide: Along what prismatic joints move (joints, 3).
+        fixed: What does not change of an orientation (joints, 3, 3).
+        sine: What goes with the sine (joints, 3, 3).
+        cosine: What goes with the cosine (joints, 3, 3).
+    """
+
+    offset: np.ndarray
+    slide: np.ndarray
+    fixed: np.ndarray
+    sine: np.ndarray
+    cosine: np.ndarray
+
+
+class BodyLevel(NamedTuple):
+    """The bodies that have as many joints between them and the chassis.
+
+    Attributes:
+        joints: Their joints (n,).
+        parents: Places of their parents in the level above (n,); None: the only one there.
+    """
+
+    joints: np.ndarray
+    parents: np.ndarray | None
+
+
+@dataclass(frozen=True, eq=False)
+class KinematicTree:
+    """A robot class, resolved.
+
+    Attributes:
+        robot: The description.
+        parts: Body names as the wire uses them: HARD, then its parts.
+        parent: Parent body of each body; -1 for the chassis.
+        offset: Body origin in its parent (bodies, 3).
+        rest_mat: Orientation of the body in its parent with its joint at 0 (bodies, 3, 3).
+        axis: Joint axis in the body (bodies, 3); zero for the chassis.
+        slides: Whether the joint is prismatic (bodies,).
+        rest_pos: Body origins on the chassis with all joints at 0 (bodies, 3).
+        geom_type: MuJoCo geom types (geoms,); meshes come as their triangles, see `pieces`.
+        geom_body: The body each geom belongs to (geoms,).
+        geom_size: MuJoCo sizes (geoms, 3).
+        geom_pos: Geom centres in their body (geoms, 3).
+        geom_mat: Geom orientations in their body (geoms, 3, 3).
+        geom_rgb: Their colours (geoms, 3).
+        actuated: Which joints have a motor, as places in the order of joints (actuators,).
+        mass: Mass of the built model [kg].
+        centre_of_mass: Where it is on the chassis with all joints at 0 [m].
+        clearance: Height of the chassis origin above the lowest point of the robot at rest [m].
+    """
+
+    robot: RobotSpec
+    parts: tuple[str, ...]
+    parent: tuple[int, ...]
+    offset: np.ndarray
+    rest_mat: np.ndarray
+    axis: np.ndarray
+    slides: np.ndarray
+    rest_pos: np.ndarray
+    geom_type: np.ndarray
+    geom_body: np.ndarray
+    geom_size: np.ndarray
+    geom_pos: np.ndarray
+    geom_mat: np.ndarray
+    geom_rgb: np.ndarray
+    actuated: np.ndarray
+    mass: float
+    centre_of_mass: Vec3
+    clearance: float
+
+    @cached_property
+    def solids(self) -> Solids:
+        """Its geoms: what contacts and the rays of sensors meet. Their frames are the bodies."""
+        return Solids(
+            kind=self.geom_type,
+            frame=self.geom_body,
+            size=self.geom_size,
+            pos=self.geom_pos,
+            mat=self.geom_mat,
+            rgb=self.geom_rgb,
+        )
+
+    @cached_property
+    def figure(self) -> Figure:
+        """What is drawn of it, which contacts and range sensors do not meet: its frames are the bodies.
+
+        Raises:
+            SpecError: It is not opaque.
+        """
+        looks = [chassis_looks(self.robot), *(part.looks for part in parts_of(self.robot))]
+        return build_figure([[flipped(shape) for shape in some] for some in looks])
+
+    @cached_property
+    def rest_frames(self) -> np.ndarray:
+        """Orientations of the bodies on the chassis with all joints at 0 (bodies, 3, 3); see `rest_pos`."""
+        frames = [np.eye(3, dtype=np.float32)]
+        for parent, own in zip(self.parent[1:], self.rest_mat[1:], strict=True):
+            frames.append(frames[parent] @ own)
+        return np.stack(frames)
+
+    @cached_property
+    def joint_motions(self) -> JointMotions:
+        """What moves the bodies, see `forward_kinematics`."""
+        rest, slides = self.rest_mat[1:].astype(float), self.slides[1:, None]
+        x, y, z = self.axis[1:].astype(float).T
+        zero = np.zeros_like(x)
+        across = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
+        twice = np.where(slides[:, None], 0.0, rest @ across @ across)
+        motions = (
+            self.offset[1:],
+            np.where(slides, (rest @ self.axis[1:, :, None])[..., 0], 0.0),
+            rest + twice,
+            np.where(slides[:, None], 0.0, rest @ across),
+            -twice,
+        )
+        return JointMotions(*(np.asarray(motion, np.float32) for motion in motions))
+
+    @cached_property
+    def levels(self) -> tuple[BodyLevel, ...]:
+        """The bodies behind the chassis, level by level."""
+        levels, above = list[BodyLevel](), [0]
+        while below := [body for body, parent in enumerate(self.parent) if parent in above]:
+            parents = np.array([above.index(self.parent[body]) for body in below])
+            levels.append(BodyLevel(np.array(below) - 1, parents if len(above) > 1 else None))
+            above = below
+        return tuple(levels)
+
+    @cached_property
+    def places(self) -> np.ndarray:
+        """Where each body is among the chassis and the levels, one after the other (bodies,)."""
+        return np.argsort(np.concatenate([[-1], *(level.joints for level in self.levels)]))
+
+    def joint_index(self, name: str) -> int | None:
+        """Return the place of a joint by its name, case ignored; None when there is none."""
+        return self._joint_indices.get(name.lower())
+
+    @cached_property
+    def _joint_indices(self) -> dict[str, int]:
+        return {part.lower(): joint for joint, part in enumerate(self.parts[1:])}
+
+
+@cache
+def kinematic_tree_of(robot: RobotSpec) -> KinematicTree:
+    """Return the body plan of a robot class, read off its compiled model."""
+    nowhere = ArenaSpec(name="nowhere", starts=(), extent=((0, 0), (0, 0)))
+    spec = new_spec(nowhere, Physics())
+    add_robot(spec, robot, "", (0.0, 0.0, 0.0))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    index = index_robot(model, robot, "")
+    body = list(index.body_ids)
+    local = {b: i for i, b in enumerate(body)}
+    geoms = np.array([g for g in range(model.ngeom) if model.geom_bodyid[g] in local], int)
+    mats = np.zeros((len(geoms), 9))
+    for mat, g in zip(mats, geoms, strict=True):
+        mujoco.mju_quat2Mat(mat, model.geom_quat[g])
+    pieces = ray_primitives_of(model, geoms)
+    piece_pos, piece_mat = pieces.world_poses(model.geom_pos[geoms], mats.reshape(-1, 3, 3))
+    turns = np.zeros((len(body), 9))
+    for mat, b in zip(turns, body, strict=True):
+        mujoco.mju_quat2Mat(mat, model.body_quat[b])
+    joints = np.array([model.body_jntadr[b] for b in body[1:]], int)
+    masses = model.body_mass[body]
+    x, y, z = (masses @ data.xipos[body] / masses.sum()).tolist()
+    return KinematicTree(
+        robot=robot,
+        parts=(CHASSIS, *joint_names(robot)),
+        parent=tuple(local.get(int(model.body_parentid[b]), -1) for b in body),
+        offset=model.body_pos[body].astype(np.float32),
+        rest_mat=turns.reshape(-1, 3, 3).astype(np.float32),
+        axis=np.concatenate([np.zeros((1, 3)), model.jnt_axis[joints]]).astype(np.float32),
+        slides=np.array([False, *(model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE)]),
+        rest_pos=data.xpos[body].astype(np.float32),
+        geom_type=pieces.kind,
+        geom_body=np.array([local[int(model.geom_bodyid[g])] for g in geoms[pieces.geom]]),
+        geom_size=pieces.size,
+        geom_pos=np.asarray(piece_pos, np.float32),
+        geom_mat=np.asarray(piece_mat, np.float32),
+        geom_rgb=model.geom_rgba[geoms[pieces.geom], :3].astype(np.float32),
+        actuated=np.array([i for i, part in enumerate(parts_of(robot)) if part.motor is not None], int),
+        mass=float(model.body_subtreemass[body[0]]),
+        centre_of_mass=(x, y, z),
+        clearance=-lowest_point(model, data, model.geom_bodyid >= 2),  # behind the world and the arena
+    )
+
+
+def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> float:
+    """Return the height of the lowest point of the masked geoms (ngeom,) [m]; kinematics must be current.
+
+    Boxes, spheres, capsules, cylinders and ellipsoids are exact; other types count as their bounding sphere.
+    """
+    up = np.abs(data.geom_xmat.reshape(-1, 3, 3)[:, 2, :])
+    radius, length = model.geom_size[:, 0], model.geom_size[:, 1]
+    kinds = mujoco.mjtGeom
+    reach = np.select(
+        [
+            model.geom_type == kind
+            for kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE, kinds.mjGEOM_ELLIPSOID)
+        ],
+        [
+            (up * model.geom_size).sum(-1),
+            radius,
+            radius + length * up[:, 2],
+            np.sqrt(((up * model.geom_size) ** 2).sum(-1)),
+        ],
+        np.where(
+            model.geom_type == kinds.mjGEOM_CYLINDER,
+            radius * np.sqrt(np.maximum(0.0, 1 - up[:, 2] ** 2)) + length * up[:, 2],
+            model.geom_rbound,
+        ),
+    )
+    return float((data.geom_xpos[:, 2] - reach)[geoms].min())
+
+
+def robot_state(index: RobotIndex, qpos: Array, qvel: Array) -> RobotState:
+    """Pick a robot's state out of its world's qpos (..., nq) and qvel (..., nv)."""
+    q, v = index.root_qposadr, index.root_dofadr
+    return RobotState(
+        pos=qpos[..., q : q + 3],
+        quat=qpos[..., q + 3 : q + 7],
+        linear=qvel[..., v : v + 3],
+        angular=qvel[..., v + 3 : v + 6],
+        joint_pos=qpos[..., np.array(index.qposadr, int)],
+        joint_vel=qvel[..., np.array(index.dofadr, int)],
+    )
+
+
+def forward_kinematics(plan: KinematicTree, state: RobotState) -> BodyPoses:
+    """Forward kinematics of robots, with the leading axes of their state."""
+    move, q = plan.joint_motions, state.joint_pos[..., None]
+    angle = q[..., None]
+    turned = move.fixed + xp.sin(angle) * move.sine + xp.cos(angle) * move.cosine
+    away = move.offset + q * move.slide
+    pos, mat = [state.pos[..., None, :]], [mat_from_quat(state.quat)[..., None, :, :]]
+    for joints, parents in plan.levels:
+        below, frame = pos[-1], mat[-1]
+        if parents is not None:
+            below, frame = below[..., parents, :], frame[..., parents, :, :]
+        pos.append(below + matvec(frame, away[..., joints, :]))
+        mat.append(matmul(frame, turned[..., joints, :, :]))
+    return BodyPoses(
+        pos=xp.concatenate(pos, -2)[..., plan.places, :],
+        mat=xp.concatenate(mat, -3)[..., plan.places, :, :],
+    )
+
+
+def geom_poses(plan: KinematicTree, bodies: BodyPoses) -> tuple[Array, Array]:
+    """Return the world poses of robots' geoms: centres (..., geoms, 3), orientations (..., geoms, 3, 3)."""
+    return plan.solids.poses(bodies.pos, bodies.mat)

@@ -1,0 +1,55 @@
+"""Figures of a robot that follow from its parts: what GETGEO and GETCONF report of one built from a file."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.robot import RobotSpec
+
+DIGITS = 6
+"""Figures are rounded to micrometres and milligrams: body plans are in single precision."""
+
+
+def with_measurements(robot: RobotSpec) -> RobotSpec:
+    """Return a robot with dimensions, mass, height and wheel figures as it is built.
+
+    `dimensions` are those of the box around it at rest, `wheel_separation` and `wheel_base` the largest
+    distances of its wheels.
+
+    Raises:
+        SpecError: It cannot be built.
+    """
+    plan = kinematic_tree_of(robot)
+    low, high = extent(robot)
+    wheels = [i for i, part in enumerate(plan.parts) if part in {wheel.name for wheel in robot.wheels}]
+    spread = np.ptp(plan.rest_pos[wheels], axis=0) if wheels else np.zeros(3)
+    radii = [shape.size[0] for part in robot.wheels for shape in part.shapes if shape.kind != "box"]
+    length, width, height = (high - low).round(DIGITS).tolist()
+    return replace(
+        robot,
+        dimensions=(length, width, height),
+        mass=round(plan.mass, DIGITS),
+        origin_height=round(plan.clearance, DIGITS),
+        wheel_radius=radii[0] if radii else 0.0,
+        wheel_separation=round(float(spread[1]), DIGITS),
+        wheel_base=round(float(spread[0]), DIGITS),
+    )
+
+
+def extent(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lower and upper corner of the box around a robot at rest [m] (3,), MuJoCo's axes."""
+    spec = new_spec(ArenaSpec(name="nowhere", starts=(), extent=((0, 0), (0, 0))), Physics())
+    add_robot(spec, robot, "", (0.0, 0.0, 0.0))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    own = model.geom_bodyid >= 2  # behind the world and the arena
+    mat = data.geom_xmat[own].reshape(-1, 3, 3)
+    middle, half = model.geom_aabb[own, :3], model.geom_aabb[own, 3:]
+    centre = data.geom_xpos[own] + np.einsum("gij,gj->gi", mat, middle)
+    reach = np.einsum("gij,gj->gi", np.abs(mat), half)
+    return (centre - reach).min(0), (centre + reach).max(0)

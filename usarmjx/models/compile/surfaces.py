@@ -1,0 +1,175 @@
+"""Surfaces over the squares of a grid, one above the other, and how they hang together."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from usarmjx.base.errors import SpecError
+from usarmjx.models.compile.raster import Grid, SpanTable
+
+TINY = 1e-6
+MOST_PAIRS = 5e8
+"""Squares times the square of the surfaces over one of them: that many pairs are looked at."""
+SIDES = ((1, 0), (0, 1))
+CORNERS = ((1, 1), (1, -1))
+
+
+Squares = tuple[slice, slice]
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceAdjacency:
+    """Which surfaces are joined to which in the next square, for all squares and one direction.
+
+    Attributes:
+        corner: Whether the squares touch at a corner only.
+        here: The squares on this side, as an index.
+        there: Those on the other side.
+        joined: For a layer here and one there, which surfaces of them are joined (i, j).
+    """
+
+    corner: bool
+    here: Squares
+    there: Squares
+    joined: dict[tuple[int, int], np.ndarray]
+
+
+def walkable_surfaces(
+    solids: SpanTable, grid: Grid, floor: float, step: float, height: float, steepest: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return height and steepness of the surfaces with room above them (layers, i, j).
+
+    Each square's solids are passed from the lowest to the highest; what leaves less room than the robot is
+    high belongs to one block. Steep faces are no surface, unless they rise by no more than a step.
+
+    Raises:
+        SpecError: There are too many surfaces one above the other (`MOST_PAIRS`).
+    """
+    squares = grid.shape[0] * grid.shape[1]
+    top, steep, count = np.full(squares, floor), np.zeros(squares), np.zeros(squares, int)
+    firm = top.copy()  # the highest of this block that is not too steep
+    grounds, steeps = [np.full(squares, np.nan)], [np.zeros(squares)]
+
+    def close(which: np.ndarray) -> None:
+        which = which[np.isfinite(firm[which]) & (top[which] <= firm[which] + step)]
+        for layer in range(int(count[which].max(initial=-1)) + 1):
+            if layer == len(grounds):
+                if squares * (layer + 1) ** 2 > MOST_PAIRS:
+                    raise SpecError(f"more than {layer} surfaces one above the other on {squares} squares")
+                grounds.append(np.full(squares, np.nan))
+                steeps.append(np.zeros(squares))
+            these = which[count[which] == layer]
+            grounds[layer][these], steeps[layer][these] = top[these], steep[these]
+        count[which] += 1
+
+    order = np.lexsort((solids.low, solids.square))
+    square, low, high, slant = (v[order] for v in (solids.square, solids.low, solids.high, solids.slope))
+    first = np.searchsorted(square, square)
+    rank = np.arange(len(square)) - first
+    for now in np.split(np.argsort(rank, kind="stable"), np.cumsum(np.bincount(rank))[:-1]):
+        at = square[now]
+        free = at[low[now] - top[at] >= height]
+        close(free)
+        firm[free] = -np.inf
+        firm[at] = np.where(slant[now] <= steepest, np.maximum(firm[at], high[now]), firm[at])
+        above = high[now] > top[at]
+        top[at[above]], steep[at[above]] = high[now][above], slant[now][above]
+    close(np.arange(squares))
+    shape = (len(grounds), *grid.shape)
+    return np.stack(grounds).reshape(shape), np.stack(steeps).reshape(shape)
+
+
+def blocked(things: SpanTable, ground: np.ndarray, step: float, height: float) -> np.ndarray:
+    """Return on which surfaces things stand in a robot's way (layers, i, j)."""
+    flat = ground.reshape(len(ground), -1)
+    under = flat[:, things.square]
+    hit = (things.low < under + height) & (things.high > under + step)  # False beside NaN
+    taken = np.zeros(flat.shape, bool)
+    layer, row = np.nonzero(hit)
+    taken[layer, things.square[row]] = True
+    return taken.reshape(ground.shape)
+
+
+def _slices(offset: int) -> tuple[slice, slice]:
+    """Return which squares have a neighbour at that offset, and which are those neighbours."""
+    if offset == 0:
+        return slice(None), slice(None)
+    return (slice(None, -1), slice(1, None)) if offset > 0 else (slice(1, None), slice(None, -1))
+
+
+def surface_adjacencies(
+    ground: np.ndarray, steep: np.ndarray, step: float, cell: float
+) -> Iterator[SurfaceAdjacency]:
+    """Yield which surfaces of neighbouring squares are joined, for half of the directions."""
+    for di, dj in (*SIDES, *CORNERS):
+        (here_i, there_i), (here_j, there_j) = _slices(di), _slices(dj)
+        here, there = (here_i, here_j), (there_i, there_j)
+        length = math.hypot(di, dj) * cell
+        joined = {}
+        for a, b in product(range(len(ground)), repeat=2):
+            rise = step + TINY + length * np.maximum(steep[a][here], steep[b][there])
+            joined[a, b] = np.abs(ground[a][here] - ground[b][there]) <= rise  # False beside NaN
+        some = {pair: which for pair, which in joined.items() if pair == (0, 0) or which.any()}
+        yield SurfaceAdjacency(corner=bool(di and dj), here=here, there=there, joined=some)
+
+
+def octagon(steps: int) -> Iterator[bool]:
+    """Yield for each step of one square whether corners count, so that together they make an octagon."""
+    share = 1 / (1 + math.sqrt(2))
+    for step in range(steps):
+        yield round((step + 1) * share) > round(step * share)
+
+
+def dilate(which: np.ndarray, links: tuple[SurfaceAdjacency, ...], corners: bool) -> np.ndarray:
+    """Return the given surfaces and those joined to them (layers, i, j)."""
+    grown = which.copy()
+    for link in links:
+        if corners or not link.corner:
+            for (a, b), joined in link.joined.items():
+                grown[b][link.there] |= which[a][link.here] & joined
+                grown[a][link.here] |= which[b][link.there] & joined
+    return grown
+
+
+def erode(which: np.ndarray, links: tuple[SurfaceAdjacency, ...], steps: int) -> np.ndarray:
+    """Return the surfaces that lie more than some squares from where they end (layers, i, j).
+
+    A surface ends where a neighbouring square has none joined to it; not at the edge of the grid.
+    """
+    for corners in octagon(steps):
+        kept = which.copy()
+        for link in links:
+            if corners or not link.corner:
+                here, there = which[:, *link.here], which[:, *link.there]
+                ahead, behind = np.zeros_like(here), np.zeros_like(there)
+                for (a, b), joined in link.joined.items():
+                    ahead[a] |= there[b] & joined
+                    behind[b] |= here[a] & joined
+                kept[:, *link.here] &= ahead
+                kept[:, *link.there] &= behind
+        which = kept
+    return which
+
+
+def label_areas(which: np.ndarray, links: tuple[SurfaceAdjacency, ...]) -> np.ndarray:
+    """Number the areas that hang together by the squares' sides; -1 elsewhere (layers, i, j)."""
+    from scipy.sparse import coo_array  # a fifth of a second, of which serving a world has no need
+    from scipy.sparse.csgraph import connected_components
+
+    count = np.count_nonzero(which)
+    number = np.full(which.shape, -1, np.int32)
+    number[which] = np.arange(count, dtype=np.int32)
+    starts, ends = [], []
+    for link in links:
+        if not link.corner:
+            for (a, b), joined in link.joined.items():
+                both = joined & which[a][link.here] & which[b][link.there]
+                starts.append(number[a][link.here][both])
+                ends.append(number[b][link.there][both])
+    pairs = np.concatenate(starts), np.concatenate(ends)
+    graph = coo_array((np.ones(len(pairs[0]), np.int8), pairs), shape=(count, count))
+    number[which] = connected_components(graph, directed=False)[1]
+    return number

@@ -1,0 +1,314 @@
+"""What victims are drawn as: the solids that stand in pictures for each box of a `VictimTable`.
+
+Sensors meet the boxes. Every box has the same slots, so that what is drawn of boxes that are data, whichever
+bones they are, has one shape in all worlds; a slot that its bone has no use for is not drawn.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from types import ModuleType
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from usarmjx.base.arrays import Array
+from usarmjx.base.errors import SpecError
+from usarmjx.base.rotations import matmul, matvec
+from usarmjx.base.transforms import Vec3, flip_angles, flip_vector, mat_from_angles
+from usarmjx.models.compile.geoms import add_geom
+from usarmjx.models.compile.ray_geoms import TRIANGLE_KIND, ray_primitives_of
+from usarmjx.models.compile.victims import PARKED_COORDINATE, PART_NAMES, VictimTable
+from usarmjx.models.types.robot import Mount, RobotSpec
+from usarmjx.models.types.settings import field_name
+from usarmjx.models.types.shapes import OPAQUE, Shape
+
+GeomType = mujoco.mjtGeom
+FIGURE_MEMORY = 1 << 16
+"""What a figure's MjData takes: it is never stepped [bytes]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solids:
+    """Solids that follow frames, meshes as their triangles (`models.build.pieces`).
+
+    Attributes:
+        kind: MuJoCo types, or `pieces.TRIANGLE_KIND` (n,).
+        frame: The frame that each follows: a robot's body, a victim's bone (n,).
+        size: Size numbers [m] (n, 3).
+        pos: Positions in their frames [m] (n, 3).
+        mat: Orientations in their frames (n, 3, 3).
+        rgb: Colours (n, 3).
+    """
+
+    kind: np.ndarray
+    frame: np.ndarray
+    size: np.ndarray
+    pos: np.ndarray
+    mat: np.ndarray
+    rgb: np.ndarray
+
+    def poses(self, pos: Array, mat: Array) -> tuple[Array, Array]:
+        """Return where they are (..., n, 3), (..., n, 3, 3) for frames at (..., frames, 3), (..., 3, 3)."""
+        turn = mat[..., self.frame, :, :]
+        return pos[..., self.frame, :] + matvec(turn, self.pos), matmul(turn, self.mat)
+
+
+def reach_of(solids: Solids, mat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far solids reach from their positions along the axes: least and most [m] (n, 3) twice.
+
+    Args:
+        solids: Boxes, spheres, capsules, cylinders, ellipsoids and triangles.
+        mat: How they are turned (n, 3, 3).
+    """
+    size, kind = solids.size, solids.kind[:, None]
+    round_, long = size[:, :1], size[:, 1:2]
+    up = np.abs(mat[:, :, 2])
+    half = np.select(
+        [kind == one for one in (GeomType.mjGEOM_BOX, GeomType.mjGEOM_CYLINDER, GeomType.mjGEOM_CAPSULE)],
+        [
+            (np.abs(mat) * size[:, None]).sum(-1),
+            round_ * np.sqrt(np.maximum(0.0, 1 - up * up)) + long * up,
+            round_ + long * up,
+        ],
+        np.sqrt(((mat * size[:, None]) ** 2).sum(-1)),
+    )
+    half = np.where(kind == GeomType.mjGEOM_SPHERE, round_, half)
+    corners = np.stack(
+        [0 * mat[:, :, 0], round_ * mat[:, :, 0], long * mat[:, :, 0] + size[:, 2:] * mat[:, :, 1]]
+    )
+    is_triangle = kind == TRIANGLE_KIND
+    return np.where(is_triangle, corners.min(0), -half), np.where(is_triangle, corners.max(0), half)
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """What is drawn.
+
+    Attributes:
+        model: Its solids as geoms of mocap bodies, which are the frames.
+        solids: The geoms, meshes in triangles.
+        geom_of: The geom that each of the solids belongs to (n,).
+    """
+
+    model: mujoco.MjModel
+    solids: Solids
+    geom_of: np.ndarray
+
+
+def flipped(shape: Shape) -> Shape:
+    """Return a robot's shape in MuJoCo's axes."""
+    return Shape(**{**vars(shape), "at": flip_vector(shape.at), "rotation": flip_angles(shape.rotation)})
+
+
+def build_figure(shapes: Sequence[Sequence[Shape]]) -> Figure:
+    """Return the figure of the shapes that follow each frame, in MuJoCo's axes.
+
+    Raises:
+        SpecError: A shape is not opaque.
+    """
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.memory = FIGURE_MEMORY
+    frame = np.repeat(np.arange(len(shapes)), [len(some) for some in shapes]).astype(int)
+    for number, some in enumerate(shapes):
+        body = spec.worldbody.add_body(name=str(number), mocap=True)
+        for place, shape in enumerate(some):
+            if shape.material != OPAQUE:
+                raise SpecError(f"what is drawn of a robot is {OPAQUE}, not {shape.material!r}")
+            add_geom(spec, body, f"{number}/{place}", shape)
+    model = spec.compile()
+    mats = np.zeros((model.ngeom, 9))
+    for mat, quat in zip(mats, model.geom_quat, strict=True):
+        mujoco.mju_quat2Mat(mat, quat)
+    pieces = ray_primitives_of(model, np.arange(model.ngeom))
+    pos, mat = pieces.world_poses(model.geom_pos, mats.reshape(-1, 3, 3))
+    solids = Solids(
+        kind=pieces.kind,
+        frame=frame[pieces.geom],
+        size=pieces.size,
+        pos=np.asarray(pos, np.float32),
+        mat=np.asarray(mat, np.float32),
+        rgb=model.geom_rgba[pieces.geom, :3].astype(np.float32),
+    )
+    return Figure(model=model, solids=solids, geom_of=pieces.geom)
+
+
+HOUSING_SIZE = (0.02, 0.012, 0.008)
+"""Half lengths of a housing: longest along the axis that the sensor looks along [m] (chosen)."""
+HOUSING_RGBA = (0.95, 0.75, 0.1, 1.0)
+
+
+def is_shown(mount: Mount) -> bool:
+    """Whether a mount's settings show it; by default sensors are hidden (manual 10)."""
+    said = [value for key, value in mount.all_options if field_name(key) == "hidden_sensor"]
+    return bool(said) and said[-1] is False
+
+
+def housings(robot: RobotSpec, parent: str) -> tuple[Shape, ...]:
+    """Return the housings of the sensors that are shown on a part; their front is at the mount."""
+    shown = [mount for mount in robot.sensors if mount.parent == parent and is_shown(mount)]
+    return tuple(_housing(mount) for mount in shown)
+
+
+def _housing(mount: Mount) -> Shape:
+    ahead = mat_from_angles(*mount.direction)[:, 0]
+    x, y, z = (float(a - HOUSING_SIZE[0] * way) for a, way in zip(mount.at, ahead, strict=True))
+    return Shape(
+        kind="box",
+        size=HOUSING_SIZE,
+        at=(x, y, z),
+        rotation=mount.direction,
+        surface="fixture",
+        rgba=HOUSING_RGBA,
+    )
+
+
+ELLIPSOID, CAPSULE = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+SLOTS = (ELLIPSOID,) * 6 + (CAPSULE,) * 2
+"""Kinds of the solids that a box has room for."""
+MEASURE = {ELLIPSOID: (0, 1, 2), CAPSULE: (0, 2, 2)}
+"""Which half length of the box each size number is a share of: a capsule stands along z."""
+
+SKIN, HAIR, EYE, LIPS = (0.87, 0.68, 0.57), (0.22, 0.13, 0.07), (0.1, 0.12, 0.2), (0.65, 0.25, 0.25)
+STRIPE, BELT, SOLE = (0.93, 0.92, 0.85), (0.12, 0.09, 0.07), (0.75, 0.73, 0.7)
+
+
+class Trait(NamedTuple):
+    """One solid of a bone, in shares of the half lengths of its box and in its axes.
+
+    Attributes:
+        at: Its centre.
+        size: Radii of an ellipsoid; of a capsule the radius, and half the length of its tube.
+        rgb: Its colour; None: the bone's.
+        kind: What it is.
+    """
+
+    at: Vec3
+    size: Vec3
+    rgb: Vec3 | None = None
+    kind: int = ELLIPSOID
+
+
+def _limb(z: float, radius: float, half: float, rgb: Vec3 | None = None) -> Trait:
+    return Trait((0.0, 0.0, z), (radius, half, half), rgb, CAPSULE)
+
+
+TRAITS: dict[str, tuple[Trait, ...]] = {
+    "Head": (
+        Trait((0.0, 0.0, 0.2), (0.93, 0.95, 0.8)),
+        Trait((-0.2, 0.0, 0.48), (0.95, 1.06, 0.62), HAIR),
+        Trait((0.95, 0.0, 0.08), (0.2, 0.14, 0.17)),  # nose
+        Trait((0.84, 0.38, 0.27), (0.1, 0.17, 0.07), EYE),
+        Trait((0.84, -0.38, 0.27), (0.1, 0.17, 0.07), EYE),
+        Trait((0.8, 0.0, -0.2), (0.1, 0.33, 0.05), LIPS),
+        _limb(-0.7, 0.5, 0.35),  # neck
+    ),
+    "Chest": (
+        Trait((0.0, 0.0, 0.1), (1.0, 0.98, 1.1)),
+        Trait((0.0, 0.0, -0.65), (0.92, 0.86, 0.75)),
+        Trait((0.0, 0.0, 0.62), (0.72, 1.3, 0.42)),  # shoulders
+        Trait((0.0, 0.0, 0.1), (1.03, 1.01, 0.14), STRIPE),
+        Trait((0.05, 0.0, 0.98), (0.5, 0.36, 0.2), SKIN),  # what the collar leaves open
+    ),
+    "Pelvis": (
+        Trait((0.0, 0.0, -0.1), (1.0, 1.02, 1.05)),
+        Trait((0.0, 0.0, 0.72), (0.98, 0.94, 0.2), BELT),
+    ),
+    "Arm": (_limb(0.42, 1.05, 0.4), _limb(-0.45, 0.8, 0.45, SKIN)),
+    "Hand": (
+        Trait((0.0, 0.0, 0.35), (0.95, 1.0, 0.65)),
+        Trait((-0.05, 0.0, -0.45), (0.75, 0.8, 0.55)),  # fingers
+        Trait((0.95, 0.0, 0.25), (0.3, 0.8, 0.45)),  # thumb
+    ),
+    "Leg": (_limb(0.45, 1.0, 0.42), _limb(-0.5, 0.78, 0.42)),
+    "Foot": (
+        Trait((0.1, 0.0, -0.1), (0.92, 1.0, 1.0)),
+        Trait((-0.45, 0.0, 0.5), (0.5, 0.88, 1.2)),  # heel and ankle
+        Trait((0.05, 0.0, -0.75), (1.0, 1.05, 0.3), SOLE),
+    ),
+}
+
+
+class DrawnBones(NamedTuple):
+    """What is drawn of the boxes of a table; arrays have axes over boxes and slots.
+
+    Attributes:
+        size: Size numbers [m] (boxes, slots, 3).
+        offset: Centres in the axes of their boxes, seen from these; far away what is not drawn
+            [m] (boxes, slots, 3).
+        rgb: Colours (boxes, slots, 3).
+    """
+
+    size: Array
+    offset: Array
+    rgb: Array
+
+
+class _Columns(NamedTuple):
+    """`TRAITS` as arrays over parts and slots; `bare` are slots in the colour of their bone."""
+
+    size: np.ndarray
+    at: np.ndarray
+    rgb: np.ndarray
+    bare: np.ndarray
+    used: np.ndarray
+
+
+@cache
+def _columns() -> _Columns:
+    parts, slots = len(PART_NAMES), len(SLOTS)
+    size, at, rgb = (np.zeros((parts, slots, 3), np.float32) for _ in range(3))
+    bare, used = np.zeros((parts, slots), bool), np.zeros((parts, slots), bool)
+    for row, part in enumerate(PART_NAMES):
+        for trait in TRAITS[part]:
+            slot = next(i for i, kind in enumerate(SLOTS) if kind == trait.kind and not used[row, i])
+            used[row, slot], bare[row, slot] = True, trait.rgb is None
+            size[row, slot], at[row, slot], rgb[row, slot] = trait.size, trait.at, trait.rgb or (0, 0, 0)
+    return _Columns(size, at, rgb, bare, used)
+
+
+def used_slots(part: Array) -> np.ndarray:
+    """Return which slots are drawn of boxes that are some parts (boxes,), places in `PART_NAMES`."""
+    return _columns().used[np.asarray(part)]
+
+
+def drawn_bones(table: VictimTable, xp: ModuleType = np) -> DrawnBones:
+    """Return what is drawn of a table's boxes; numpy or JAX arrays, of one world."""
+    size, at, rgb, bare, used = (xp.asarray(column)[table.part] for column in _columns())
+    half, rgba = xp.asarray(table.size), xp.asarray(table.rgba)
+    of_slot = half[:, np.array([MEASURE[kind] for kind in SLOTS])]
+    return DrawnBones(
+        size=xp.where(used[..., None], size * of_slot, 1e-3),
+        offset=xp.where(used[..., None], at * half[:, None], PARKED_COORDINATE),
+        rgb=xp.where(bare[..., None], rgba[:, None, :3], rgb),
+    )
+
+
+_KINDS = {ELLIPSOID: "ellipsoid", CAPSULE: "capsule"}
+
+
+def victim_figure(table: VictimTable, owner: int) -> Figure:
+    """Return what is drawn of an owner's boxes, a victim's or a false alarm's: these are its frames."""
+    mine = np.flatnonzero(table.owner == owner)
+    drawn, used = drawn_bones(table), used_slots(table.part)
+    rows = (
+        tuple(
+            (_KINDS[SLOTS[slot]], *(tuple(column[box, slot].tolist()) for column in drawn))
+            for slot in np.flatnonzero(used[box])
+        )
+        for box in mine
+    )
+    return _figure(tuple(rows))
+
+
+@cache
+def _figure(rows: tuple[tuple[tuple, ...], ...]) -> Figure:  # type: ignore[type-arg] - kind, size, at, rgb
+    """Return the figure of solids by box; victims of one size share it."""
+    return build_figure(
+        [
+            [Shape(kind=kind, size=size, at=at, rgba=(*rgb, 1.0)) for kind, size, at, rgb in solids]
+            for solids in rows
+        ]
+    )

@@ -1,0 +1,323 @@
+"""A picture that a robot's camera takes: colours, depths, and what every pixel shows."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from flax import struct
+
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import on_numpy, xp
+from usarmjx.base.errors import UsageError
+from usarmjx.models.compile.kinematic_tree import BodyPoses
+from usarmjx.sensors.cameras.casters import SOLID_QUERY, Caster, GeomCaster, Met
+from usarmjx.sensors.cameras.imaging import levels, smoothed
+from usarmjx.sensors.cameras.lenses import MIRROR_DISTANCE, omni_rays, pinhole_rays, untiled
+from usarmjx.sensors.cameras.mounts import Camera
+from usarmjx.sensors.cameras.paint import INSTANCES, OUTSIDE_LABEL, SKY_LABEL, camera_owners
+from usarmjx.sensors.cameras.shading import RenderScene, Shaded, shade, shadow_gain
+from usarmjx.sensors.rays.targets import GeomBlock, concatenated
+
+MAX_SIDE = 4096
+"""Most pixels along a side."""
+HIDDEN_GEOMS_MULTIPLE = 256
+"""Robots have a multiple of so many geoms, as far as the shape of a `Viewpoint` tells."""
+CHUNK = 16_384
+"""Rays that are cast together on NumPy: what they meet fits into a processor's cache."""
+
+
+class Viewpoint(struct.PyTreeNode, kw_only=True):
+    """From where a picture is taken, and through what: all that differs between cameras.
+
+    Attributes:
+        pos: Where the camera is [m] (3,).
+        mat: Its orientation; x is the optical axis, z up in the picture (3, 3).
+        eye_offsets: Where its eyes are, in its own axes [m] (eyes, 3).
+        fov: Its field of view [rad] ().
+        default_fov: That which it starts with [rad] ().
+        slot: Its robot's slot in the roster ().
+        hidden_geoms: Geoms of its robot that it does not see: `Camera.hidden_geoms`, then False (geoms,).
+        exposure: Factor on the brightness of its pictures ().
+        distortion: k1 and k2 of its lens, see `lenses.undistorted` (2,); None: none.
+        noise: Standard deviation of each colour of a pixel, of 255 (); None: none.
+        lens: What it looks through; static.
+        supersampling: Rays along each side of a pixel; static.
+    """
+
+    pos: Array
+    mat: Array
+    eye_offsets: Array
+    fov: Array
+    default_fov: Array
+    slot: Array
+    hidden_geoms: Array
+    lens: str = struct.field(pytree_node=False)
+    exposure: Array | float = 1.0
+    distortion: Array | None = None
+    noise: Array | None = None
+    supersampling: int = struct.field(pytree_node=False, default=1)
+
+
+def camera_viewpoint(camera: Camera, bodies: BodyPoses, slot: Array, fov: Array) -> Viewpoint:
+    """Return from where a robot's camera looks; numpy arrays if those given are.
+
+    Args:
+        camera: The camera.
+        bodies: Poses of the robot's bodies.
+        slot: Its slot in the roster ().
+        fov: The camera's field of view [rad] ().
+    """
+    pos, mat = bodies.pos[camera.body], bodies.mat[camera.body]
+    return Viewpoint(
+        pos=pos + mat @ camera.pos,
+        mat=mat @ camera.mat,
+        eye_offsets=camera.eye_offsets,
+        fov=fov,
+        default_fov=np.asarray(camera.default_fov, np.float32),
+        slot=slot,
+        hidden_geoms=np.pad(camera.hidden_geoms, (0, -len(camera.hidden_geoms) % HIDDEN_GEOMS_MULTIPLE)),
+        lens=camera.lens,
+        exposure=np.array(camera.imaging.exposure, np.float32),
+        distortion=camera.imaging.distortion,
+        noise=None if camera.imaging.noise is None else np.array(camera.imaging.noise, np.float32),
+        supersampling=camera.imaging.supersampling,
+    )
+
+
+class Picture(struct.PyTreeNode, kw_only=True):
+    """What a camera sees; rows from the top, columns from the left.
+
+    Attributes:
+        rgb: Colours, 0 to 255, uint8 (..., height, width, 3).
+        depth: How far away it is, of a pinhole perpendicular to the picture, of an omnidirectional camera
+            from its mirror's focus; infinite for the sky and outside of the mirror; glass is looked
+            through and mirrors are looked at, float32 [m] (..., height, width).
+        segmentation: What it is, see `paint`; int32 (..., height, width).
+    """
+
+    rgb: Array
+    depth: Array
+    segmentation: Array
+
+
+def check_size(camera: Camera, width: int, height: int) -> None:
+    """Refuse sizes that a picture cannot have.
+
+    Raises:
+        UsageError: A side below 1 or above `MAX_SIDE`, or an odd width of a stereo pair.
+    """
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise UsageError(f"a picture of {width} x {height} pixels; expected 1 to {MAX_SIDE} along each side")
+    if width % len(camera.eye_offsets):
+        raise UsageError(f"a stereo picture is {width} pixels wide; expected an even number, for two eyes")
+
+
+def render_picture(
+    render_scene: RenderScene,
+    viewpoint: Viewpoint,
+    width: int,
+    height: int,
+    caster: Caster | None = None,
+) -> Picture:
+    """Return what a robot's camera sees; pure, the size is static.
+
+    The robot sees itself, but for what covers the lens (`Camera.hidden_geoms`). A stereo camera's picture
+    has the left eye's in its left half and the right eye's in the other (MultiView's subview, manual
+    3.2.6.2). The mirror of an omnidirectional camera fills the picture at the default field of view, and
+    grows as it shrinks.
+
+    Args:
+        render_scene: What there is to see.
+        viewpoint: From where.
+        width: Pixels along a row.
+        height: Rows.
+        caster: What casts this camera's rays, on NumPy; None: JAX does.
+    """
+    view = camera_view(viewpoint, width, height)
+    exposed = render_scene.replace(exposure=viewpoint.exposure, gain=shadow_gain(render_scene.lights))
+    seen = _see(exposed, viewpoint, view.start, view.along, caster)
+    times, inside = viewpoint.supersampling, view.inside
+    rgb = view.picture(xp.where(inside[:, None], seen.rgb, 0.0))
+    depth = view.picture(xp.where(inside, seen.distance * view.depth_scale, xp.inf).astype(xp.float32))
+    label = view.picture(xp.where(inside, seen.label, OUTSIDE_LABEL).astype(xp.int32))
+    if times > 1:
+        middle = slice(times // 2, None, times)
+        rgb, depth, label = smoothed(rgb, times), depth[middle, middle], label[middle, middle]
+    return Picture(
+        rgb=levels(rgb, viewpoint.noise, render_scene.seed, viewpoint.slot), depth=depth, segmentation=label
+    )
+
+
+class CameraView(NamedTuple):
+    """The rays of all eyes of a camera, and how pictures are made of what they meet.
+
+    Attributes:
+        start: Where they start [m] (rays, 3).
+        along: Unit vectors (rays, 3).
+        depth_scale: What a ray's length is multiplied by to be a depth (rays,).
+        inside: Whether its pixel shows anything at all (rays,).
+        eyes: How many eyes there are.
+        size: Width and height of each one's picture, in rays.
+    """
+
+    start: Array
+    along: Array
+    depth_scale: Array
+    inside: Array
+    eyes: int
+    size: tuple[int, int]
+
+    def picture(self, values: Array) -> Array:
+        """Return values of rays (rays, ...) as a picture (rows, columns, ...), the left eye's on the left."""
+        return xp.concatenate([untiled(one, *self.size) for one in xp.split(values, self.eyes)], 1)
+
+
+def camera_view(viewpoint: Viewpoint, width: int, height: int) -> CameraView:
+    """Return the rays of a camera's picture of so many pixels, those of an eye one after the other."""
+    offsets = xp.asarray(viewpoint.eye_offsets)
+    eyes, times = len(offsets), viewpoint.supersampling
+    size = width // eyes * times, height * times
+    if viewpoint.lens == "omni":
+        rays = omni_rays(*size, xp.tan(viewpoint.default_fov / 2) / xp.tan(viewpoint.fov / 2))
+        offsets = offsets + xp.array([MIRROR_DISTANCE, 0.0, 0.0])
+    else:
+        rays = pinhole_rays(*size, viewpoint.fov, viewpoint.distortion)
+    along = xp.stack(
+        [sum(viewpoint.mat[i, j] * rays.direction[:, j] for j in range(3)) for i in range(3)], -1
+    )
+    start = xp.repeat(viewpoint.pos + offsets @ viewpoint.mat.T, len(along), 0)
+    columns = (xp.tile(along, (eyes, 1)), xp.tile(rays.depth_scale, eyes), xp.tile(rays.inside, eyes))
+    return CameraView(start, *columns, eyes, size)
+
+
+def _see(
+    render_scene: RenderScene, viewpoint: Viewpoint, start: Array, along: Array, caster: Caster | None
+) -> Shaded:
+    """Return what a camera's rays see; on NumPy some of them after the others."""
+    slot = xp.asarray(viewpoint.slot)
+    if on_numpy():
+        parts = [slice(first, first + CHUNK) for first in range(0, len(start), CHUNK)]
+        seen = [shade(render_scene, start[part], along[part], slot, caster) for part in parts]
+        return Shaded(*(xp.concatenate(columns) for columns in zip(*seen, strict=True)))
+    blocks = [
+        block.replace(owner=camera_owners(block.owner, viewpoint.slot, viewpoint.hidden_geoms))
+        for block in render_scene.geoms.blocks
+    ]
+    geoms = render_scene.geoms.replace(blocks=tuple(blocks))
+    return shade(render_scene.replace(geoms=geoms), start, along, slot, caster)
+
+
+@partial(jax.jit, static_argnames=("width", "height"))
+@jax.default_matmul_precision("highest")
+def render_picture_jit(render_scene: RenderScene, viewpoint: Viewpoint, width: int, height: int) -> Picture:
+    """As `render_picture`, compiled once for all cameras with as many eyes and the same lens."""
+    return render_picture(render_scene, viewpoint, width, height)
+
+
+class Annotation(struct.PyTreeNode, kw_only=True):
+    """What a camera's pixels show; rows from the top, columns from the left.
+
+    Attributes:
+        instances: What they belong to, see `paint.instances`; the sky has 0 and what is outside of a mirror
+            -1, int32 (..., height, width).
+        normals: Unit normals of the surfaces, in the camera's axes (x along its optical axis, y to the left,
+            z up), towards it; zero where nothing is (..., height, width, 3).
+        flow: How far what is there moves in the picture, to the right and down, until another moment; of a
+            pinhole, NaN where nothing is or where it is behind the camera then [pixels] (..., height,
+            width, 2).
+    """
+
+    instances: Array
+    normals: Array
+    flow: Array
+
+
+class _Seen(NamedTuple):
+    """What one ray for each pixel meets.
+
+    Attributes:
+        view: The rays.
+        met: What they meet.
+        normal: Unit normals there, towards the rays (rays, 3).
+        point: Where that is [m] (rays, 3).
+    """
+
+    view: CameraView
+    met: Met
+    normal: Array
+    point: Array
+
+
+def annotate(
+    render_scene: RenderScene,
+    viewpoint: Viewpoint,
+    later_scene: RenderScene,
+    later_viewpoint: Viewpoint,
+    width: int,
+    height: int,
+) -> Annotation:
+    """Return what a camera's pixels show, and where it goes until another moment; pure, the size is static.
+
+    Args:
+        render_scene: What there is to see.
+        viewpoint: From where.
+        later_scene: The same things, where they are at the other moment.
+        later_viewpoint: Where the camera is then.
+        width: Pixels along a row.
+        height: Rows.
+    """
+    plain = viewpoint.replace(supersampling=1)
+    seen = _first_hits(render_scene, plain, width, height)
+    there, which = seen.met.geom_index >= 0, xp.maximum(xp.asarray(seen.met.geom_index), 0)
+    instance = xp.asarray(render_scene.appearance.instance)[which]
+    instance = xp.where(there, instance, SKY_LABEL * INSTANCES)
+    instance = xp.where(seen.view.inside, instance, OUTSIDE_LABEL)
+    shown = (there & seen.view.inside)[:, None]
+    normal = xp.where(shown, seen.normal @ xp.asarray(viewpoint.mat), 0.0)
+    now, then = (
+        jax.tree.map(lambda column: xp.asarray(column)[which], concatenated(scene.geoms))
+        for scene in (render_scene, later_scene)
+    )
+    moved = _carried(seen.point, now, then)
+    there_then = _image(later_viewpoint, moved, seen.view)
+    flow = xp.where(shown, there_then - _image(viewpoint, seen.point, seen.view), xp.nan)
+    return Annotation(
+        instances=seen.view.picture(instance.astype(xp.int32)),
+        normals=seen.view.picture(normal),
+        flow=seen.view.picture(flow),
+    )
+
+
+def _first_hits(render_scene: RenderScene, viewpoint: Viewpoint, width: int, height: int) -> _Seen:
+    blocks = [
+        block.replace(owner=camera_owners(block.owner, viewpoint.slot, viewpoint.hidden_geoms))
+        for block in render_scene.geoms.blocks
+    ]
+    geoms = render_scene.geoms.replace(blocks=tuple(blocks))
+    caster = GeomCaster(geoms, render_scene.appearance, xp.asarray(viewpoint.slot))
+    view = camera_view(viewpoint, width, height)
+    met = caster.from_camera(view.start, view.along, SOLID_QUERY)
+    reach = xp.where(met.geom_index >= 0, met.distance, 0.0)[:, None]
+    normal = caster.normals(met, view.start, view.along)
+    return _Seen(view, met, normal, view.start + reach * view.along)
+
+
+def _carried(point: Array, now: GeomBlock, then: GeomBlock) -> Array:
+    """Return where points (rays, 3) on geoms are when these are elsewhere."""
+    local = ((point - now.pos)[:, None, :] * xp.swapaxes(now.mat, -1, -2)).sum(-1)
+    return then.pos + (then.mat * local[:, None, :]).sum(-1)
+
+
+def _image(viewpoint: Viewpoint, point: Array, view: CameraView) -> Array:
+    """Return where a pinhole's eyes see points (rays, 3): to the right and down [pixels] (rays, 2)."""
+    count = len(point) // view.eyes
+    eye = viewpoint.pos + xp.asarray(viewpoint.eye_offsets) @ viewpoint.mat.T
+    local = (point - xp.repeat(eye, count, 0)) @ xp.asarray(viewpoint.mat)
+    ahead = local[:, :1]
+    flat = -local[:, 1:] / xp.where(ahead > 0, ahead, xp.nan)
+    if viewpoint.distortion is not None:
+        square = (flat * flat).sum(-1, keepdims=True)
+        flat = flat * (1 + square * (viewpoint.distortion[0] + viewpoint.distortion[1] * square))
+    focal = view.size[0] / 2 / xp.tan(viewpoint.fov / 2)
+    return flat * focal if viewpoint.lens == "pinhole" else xp.full(flat.shape, np.nan)

@@ -1,0 +1,377 @@
+"""What rays see: the one place where geoms get their colours, for cameras and for still pictures.
+
+A surface has light from everywhere, that of the sun or of the one lamp that gives it most, and that of the
+headlight that gives it most, the latter two if nothing stands in between. Mirrors reflect once; glass and
+water mix their own colour with what is behind them, and lights shine through them. Floors have checkers,
+and the arena's solids a faint pattern of bricks, so that there is structure to see.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from flax import struct
+
+from usarmjx.base.arrays import Array
+from usarmjx.base.backend import on_numpy, xp
+from usarmjx.base.transforms import Vec3
+from usarmjx.models.types.arena import Light
+from usarmjx.models.types.shapes import GLASS, MIRROR
+from usarmjx.models.types.textures import SIGNS
+from usarmjx.sensors.cameras.casters import PANE_QUERY, SOLID_QUERY, Beams, Caster, GeomCaster, Met
+from usarmjx.sensors.cameras.paint import ARENA_LABEL, SKY_LABEL, GeomAppearance
+from usarmjx.sensors.cameras.textures import on_face, textured
+from usarmjx.sensors.rays.targets import Geoms
+
+AMBIENT, DIFFUSE = 0.45, 0.6
+"""Daylight from everywhere, and that of the sun on what faces it."""
+INDOOR_AMBIENT = 0.3
+"""Light from everywhere in an arena with lamps."""
+INDOOR_GAIN = 2.5
+"""By how much cameras brighten what is dark where there are lamps (chosen); see `developed`."""
+SUN_DIRECTION: Vec3 = (0.45, 0.35, 0.82)
+"""Direction to the sun; need not be a unit vector."""
+AMBIENT_GRADIENT = np.array([0.12, -0.08, 0.2], np.float32) / AMBIENT
+"""By which share light from everywhere changes with a surface's slope, so that sides in shadow differ."""
+MIN_LIGHT_DISTANCE = 0.25
+"""What is nearer to a light than this is lit as at this distance [m]."""
+SPOT_OUTER_ANGLE, SPOT_INNER_ANGLE = math.radians(30.0), math.radians(20.0)
+"""Half the opening of a headlight's cone, and within which it is at its brightest (chosen) [rad]."""
+HEADLIGHT_BRIGHTNESS = 2.0
+"""Brightness of a headlight at 1 m, as `Light.brightness` (chosen)."""
+
+
+class PointLights(struct.PyTreeNode, kw_only=True):
+    """An arena's lamps.
+
+    Attributes:
+        pos: Where they are, in the world [m] (n, 3).
+        rgb: Colour times brightness at 1 m; zero for those that there are not (n, 3).
+    """
+
+    pos: Array
+    rgb: Array
+
+
+class Headlights(struct.PyTreeNode, kw_only=True):
+    """The robots' headlights.
+
+    Attributes:
+        pos: Where they are [m] (n, 3).
+        direction: Where they shine, unit vectors (n, 3).
+        on: Which shine (n,).
+        label: Label of the robot, which does not stand in the way of its own light (n,).
+    """
+
+    pos: Array
+    direction: Array
+    on: Array
+    label: Array
+
+
+def no_headlights() -> Headlights:
+    """Return none."""
+    none = np.zeros((0, 3), np.float32)
+    return Headlights(pos=none, direction=none, on=np.zeros(0, bool), label=np.zeros(0, np.int32))
+
+
+def point_lights(lights: Sequence[Light], floor: float) -> PointLights:
+    """Return an arena's lamps; numpy arrays."""
+    pos = [np.add(light.at, (0.0, 0.0, floor)) for light in lights]
+    rgb = [np.multiply(light.rgb, light.brightness) for light in lights]
+    return PointLights(
+        pos=np.array(pos, np.float32).reshape(-1, 3), rgb=np.array(rgb, np.float32).reshape(-1, 3)
+    )
+
+
+def daylight(lamps: PointLights) -> Array:
+    """Return 1 where the sun lights the arena, 0 where it has lamps ()."""
+    return 1.0 - (xp.asarray(lamps.rgb) > 0).any().astype(xp.float32)
+
+
+def shadow_gain(lamps: PointLights) -> Array:
+    """Return by how much cameras brighten what is dark in the light of an arena ()."""
+    return xp.where(daylight(lamps) > 0, 1.0, INDOOR_GAIN)
+
+
+def developed(rgb: Array, gain: Array | float) -> Array:
+    """Return colours that are `gain` times as bright near black and the same at white, in [0, 1] as they."""
+    return gain * rgb / (1 + (gain - 1) * rgb)
+
+
+def falloff(distance: Array) -> Array:
+    """Return a light's brightness at a distance [m], that at 1 m being 1."""
+    return 1.0 / xp.square(xp.maximum(distance, MIN_LIGHT_DISTANCE))
+
+
+def spot_falloff(cosine: Array) -> Array:
+    """Return a headlight's brightness off its axis, from 1 in its core to 0 at the edge of its cone."""
+    edge, core = math.cos(SPOT_OUTER_ANGLE), math.cos(SPOT_INNER_ANGLE)
+    share = xp.clip((cosine - edge) / (core - edge), 0.0, 1.0)
+    return share * share * (3 - 2 * share)
+
+
+SKY_RGB = np.array([0.93, 0.95, 0.97], np.float32)
+NIGHT_RGB = np.array([0.1, 0.11, 0.14], np.float32)
+"""The sky above arenas with lamps."""
+CHECKER_RGB = np.array([[0.86, 0.86, 0.84], [0.78, 0.78, 0.76]], np.float32)
+"""Colours of the floor's checkers."""
+FLOOR_RGB = np.array([0.87, 0.88, 0.88], np.float32)
+"""Colour of the floor beyond them."""
+BRICK_CONTRAST = 0.03
+"""By which share the bricks of the arena's solids are brighter or darker than their colour."""
+RAY_BIAS, RAY_BIAS_PER_METRE = 5e-4, 3e-5
+"""Rays that leave a surface start this far off [m], and this far for every metre of the way there."""
+MIN_LIGHT = 1e-3
+"""Light that is not looked for."""
+
+
+class RenderScene(struct.PyTreeNode, kw_only=True):
+    """All that there is to see in one world.
+
+    Attributes:
+        geoms: What rays meet; of whole worlds with the owners of `paint.robot_geom_owner`.
+        appearance: What that looks like.
+        sun_direction: Direction to the sun, a unit vector (3,).
+        lights: The arena's lamps; with any, there is no sun.
+        headlights: The robots' headlights.
+        checker_size: Side of the floor's checkers [m] ().
+        checker_bounds: Where the floor has checkers: least and largest x and y [m] (2, 2).
+        exposure: Factor on all light that surfaces throw back ().
+        gain: By how much what is dark is brightened, see `light.developed` ().
+        seed: Of the noise of pictures, another one for each world and moment ().
+    """
+
+    geoms: Geoms
+    appearance: GeomAppearance
+    sun_direction: Array
+    lights: PointLights
+    headlights: Headlights
+    checker_size: Array
+    checker_bounds: Array
+    exposure: Array | float = 1.0
+    gain: Array | float = 1.0
+    seed: Array | int = 0
+
+
+Darkness = Callable[[Beams], Array]
+"""Returns where something stands in the way of lights, as `Caster.is_dark`."""
+
+
+class Shaded(NamedTuple):
+    """What rays see.
+
+    Attributes:
+        rgb: Colours in [0, 1] (rays, 3).
+        distance: How far away it is, infinite where it is the sky; glass does not count [m] (rays,).
+        label: What it is, see `paint` (rays,).
+    """
+
+    rgb: Array
+    distance: Array
+    label: Array
+
+
+class _Surface(NamedTuple):
+    """Where rays end.
+
+    Vectors have their components first, as processors like it: (3, rays).
+
+    Attributes:
+        met: Whether they end at all (rays,).
+        geom_index: On which geom (rays,).
+        point: Just off its surface [m] (3, rays).
+        normal: The surface's, towards the rays (3, rays).
+        rgb: Its colour (3, rays).
+    """
+
+    met: Array
+    geom_index: Array
+    point: Array
+    normal: Array
+    rgb: Array
+
+
+def shade(
+    render_scene: RenderScene,
+    origin: Array,
+    direction: Array,
+    exclude_owner: Array,
+    caster: Caster | None = None,
+) -> Shaded:
+    """Return what rays see.
+
+    Args:
+        render_scene: What there is.
+        origin: Where they start [m] (rays, 3).
+        direction: Unit vectors (rays, 3).
+        exclude_owner: Geoms of this owner are transparent to them; `EXCLUDE_NONE`: none ().
+        caster: What casts them, and knows how geoms look; None: JAX does, at those of `render_scene`.
+    """
+    caster = caster or GeomCaster(render_scene.geoms, render_scene.appearance, exclude_owner)
+    look = caster.appearance
+    first = caster.from_camera(origin, direction, SOLID_QUERY)
+    surface = _surface(render_scene, caster, first, origin, direction)
+    rgb = _lit(render_scene, caster, surface)
+    if MIRROR in caster.materials:
+        gloss = xp.where(surface.met, xp.asarray(look.reflectance)[surface.geom_index], 0.0)
+        rgb = _if(
+            (gloss > 0).any(),
+            lambda rgb: _reflected(render_scene, caster, surface, direction, gloss, rgb),
+            rgb,
+        )
+    if GLASS in caster.materials:
+        pane = caster.from_camera(origin, direction, PANE_QUERY)
+        pane = pane._replace(geom_index=xp.where(pane.distance < first.distance, pane.geom_index, -1))
+        rgb = _if(
+            (pane.geom_index >= 0).any(),
+            lambda rgb: _behind_panes(render_scene, caster, pane, origin, direction, rgb),
+            rgb,
+        )
+    label = xp.where(surface.met, xp.asarray(look.label)[surface.geom_index], SKY_LABEL)
+    return Shaded(rgb.T, first.distance, label)
+
+
+def _if(needed: Array | np.bool, change: Callable[[Array], Array], value: Array) -> Array:
+    if on_numpy():
+        return change(value) if needed else value
+    return jax.lax.cond(needed, change, lambda value: value, value)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _reflected(
+    render_scene: RenderScene, caster: Caster, surface: _Surface, along: Array, gloss: Array, rgb: Array
+) -> Array:
+    """Return colours with what mirrors reflect, in which a camera sees all of its robot."""
+    ahead, start = along.T, surface.point.T
+    back = (ahead - 2 * _dot(ahead, surface.normal) * surface.normal).T
+    first = caster.from_surfaces(start, back, gloss > 0)
+    mirrored = _lit(render_scene, caster, _surface(render_scene, caster, first, start, back))
+    return xp.where(gloss > 0, (1 - gloss) * rgb + gloss * mirrored, rgb)
+
+
+def _behind_panes(
+    render_scene: RenderScene, caster: Caster, pane: Met, start: Array, along: Array, rgb: Array
+) -> Array:
+    """Return colours with the panes that are in front of them: lit, whatever is in between."""
+    surface = _surface(render_scene, caster, pane, start, along)
+    clear = xp.asarray(caster.appearance.transparency)[surface.geom_index]
+    seen = (1 - clear) * _lit(render_scene, caster, surface, shadows=False) + clear * rgb
+    return xp.where(surface.met, seen, rgb)
+
+
+def _surface(render_scene: RenderScene, caster: Caster, first: Met, start: Array, along: Array) -> _Surface:
+    met, which = first.geom_index >= 0, xp.maximum(first.geom_index, 0)
+    reach = xp.where(met, first.distance, 0.0)
+    point, normal = start.T + reach * along.T, caster.normals(first, start, along).T
+    look = caster.appearance
+    of_floor = xp.asarray(caster.is_plane)[which]
+    bricks = (xp.asarray(look.label)[which] == ARENA_LABEL) & ~of_floor
+    shade = xp.where(bricks, 1 + BRICK_CONTRAST * _bricks(render_scene, point, normal), 1.0)
+    rgb = xp.asarray(look.rgb).T[:, which] * shade
+    rgb = xp.where(of_floor, _checkers(render_scene, point), rgb)
+    if look.texture is not None:
+        rgb = _with_textures(caster, first, point, normal, rgb)
+    return _Surface(met, which, point + (RAY_BIAS + RAY_BIAS_PER_METRE * reach) * normal, normal, rgb)
+
+
+def _with_textures(caster: Caster, first: Met, point: Array, normal: Array, rgb: Array) -> Array:
+    """Return colours (3, rays) with what is on surfaces, in place of their bricks."""
+    look, which = caster.appearance, xp.maximum(first.geom_index, 0)
+    code = xp.where(first.geom_index >= 0, xp.asarray(look.texture)[which], 0)
+    plain = xp.asarray(look.rgb).T[:, which]
+    level = xp.abs(normal[2]) > 0.7
+    side = point[1] * normal[0] - point[0] * normal[1]  # along a wall
+    place = xp.where(level, point[0], side), xp.where(level, point[1], point[2])
+    sign = on_face(*caster.frames(which), point, normal) if SIGNS.keys() & look.textures else place
+    return xp.where(code > 0, textured(look.textures, code, plain, place, sign), rgb)
+
+
+def _checkers(render_scene: RenderScene, point: Array) -> Array:
+    """Return the floor's colour at points (3, rays)."""
+    x, y = point[0], point[1]
+    odd = (xp.floor(x / render_scene.checker_size) + xp.floor(y / render_scene.checker_size)).astype(
+        xp.int32
+    ) % 2 == 1
+    (x0, x1), (y0, y1) = render_scene.checker_bounds
+    within = (x > x0) & (x < x1) & (y > y0) & (y < y1)
+    light, dark = CHECKER_RGB[:, :, None]
+    return xp.where(within, xp.where(odd, dark, light), FLOOR_RGB[:, None])
+
+
+def _bricks(render_scene: RenderScene, point: Array, normal: Array) -> Array:
+    """Return -1 or 1 by turns along a surface: on walls bricks half as high as long, on ground squares."""
+    level = xp.abs(normal[2]) > 0.7
+    side = point[1] * normal[0] - point[0] * normal[1]  # along a wall
+    across = xp.where(level, point[0], side) / render_scene.checker_size
+    up = xp.where(level, point[1], 2 * point[2]) / render_scene.checker_size
+    return 1.0 - 2.0 * ((xp.floor(across) + xp.floor(up)).astype(xp.int32) % 2)
+
+
+def _lit(render_scene: RenderScene, caster: Caster, surface: _Surface, *, shadows: bool = True) -> Array:
+    """Return the colours of surfaces in their light (3, rays), of the sky where rays met nothing."""
+    day = daylight(render_scene.lights)
+    everywhere = xp.where(day > 0, AMBIENT, INDOOR_AMBIENT) * (
+        1 + _dot(surface.normal, xp.asarray(AMBIENT_GRADIENT))
+    )
+    dark = caster.is_dark if shadows else None
+    light = everywhere + _main_light(render_scene, surface, day, dark)
+    if len(render_scene.headlights.on):
+        on = xp.asarray(render_scene.headlights.on).any()
+        light = _if(on, lambda light: light + _headlight(render_scene, surface, dark), light)
+    sky = xp.where(day > 0, SKY_RGB, NIGHT_RGB)[:, None]
+    lit = xp.clip(surface.rgb * (light * render_scene.exposure), 0, 1)
+    return xp.where(surface.met, developed(lit, render_scene.gain), sky)
+
+
+def _main_light(render_scene: RenderScene, surface: _Surface, day: Array, dark: Darkness | None) -> Array:
+    """Return the light of the sun, or of the lamp that gives most (3, rays)."""
+    sun, lights = xp.asarray(render_scene.sun_direction), render_scene.lights
+    facing = xp.maximum(_dot(surface.normal, sun), 0.0)
+    best = DIFFUSE * 3 * day * facing  # of all three colours together
+    colour = xp.broadcast_to(xp.ones((3, 1)) / 3, surface.point.shape)
+    toward = xp.broadcast_to(sun[:, None], surface.point.shape)
+    away, source = xp.full(len(best), xp.inf), xp.full(len(best), -1)
+    for number, (pos, rgb) in enumerate(zip(lights.pos, lights.rgb, strict=True)):
+        way, distance = _way(surface.point, pos)
+        total = rgb.sum()
+        lamp = total * xp.maximum(_dot(surface.normal, way), 0.0) * falloff(distance)
+        more = lamp > best
+        best, toward = xp.where(more, lamp, best), xp.where(more, way, toward)
+        away, source = xp.where(more, distance, away), xp.where(more, number, source)
+        colour = xp.where(more, rgb[:, None] / xp.maximum(total, MIN_LIGHT), colour)
+    if dark is not None:
+        wanted = surface.met & (best > MIN_LIGHT)
+        best = best * ~dark(Beams(wanted, surface.point, toward, away, source, lights.pos, sun))
+    return best * colour
+
+
+def _headlight(render_scene: RenderScene, surface: _Surface, dark: Darkness | None) -> Array:
+    """Return the light of the headlight that gives most (rays,); its own robot does not stand in its way."""
+    best, toward = xp.zeros(len(surface.met)), xp.zeros_like(surface.point)
+    away, source = xp.zeros(len(surface.met)), xp.zeros(len(surface.met), xp.int32)
+    lights = render_scene.headlights
+    for number, (pos, along, on) in enumerate(zip(lights.pos, lights.direction, lights.on, strict=True)):
+        way, distance = _way(surface.point, pos)
+        own = xp.maximum(_dot(surface.normal, way), 0.0) * spot_falloff(-_dot(way, along))
+        own = own * HEADLIGHT_BRIGHTNESS * falloff(distance) * on
+        more = own > best
+        best, away = xp.where(more, own, best), xp.where(more, distance, away)
+        toward, source = xp.where(more, way, toward), xp.where(more, number, source)
+    if dark is not None:
+        wanted, sun = surface.met & (best > MIN_LIGHT), render_scene.sun_direction
+        beams = Beams(wanted, surface.point, toward, away, source, lights.pos, sun, lights.label)
+        best = best * (wanted & ~dark(beams))
+    return best
+
+
+def _way(point: Array, to: Array) -> tuple[Array, Array]:
+    """Return unit vectors from points (3, rays) to a place (3,), and how far it is [m] (rays,)."""
+    way = xp.asarray(to)[:, None] - point
+    distance = xp.sqrt(_dot(way, way))
+    return way / xp.maximum(distance, 1e-9), distance

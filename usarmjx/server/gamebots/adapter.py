@@ -1,0 +1,439 @@
+"""The bridge between a client's dialogue and a robot in a served world; knows no socket."""
+
+import logging
+import time
+from collections.abc import Callable
+
+from usarmjx.base.arrays import ArrayLike
+from usarmjx.base.errors import PeerError, UsageError
+from usarmjx.models.compile.parts import part_name
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.types.robot import STEER_SUFFIX, MissionPackage, RobotSpec
+from usarmjx.sensors.rfid import Rfid
+from usarmjx.server.gamebots.reporter import Reporter, battery_left, first_report
+from usarmjx.server.gamebots.sensors import configuration, geometry, link_joint
+from usarmjx.server.gamebots.spawning import appear
+from usarmjx.server.gamebots.victims import access_tag
+from usarmjx.server.protocol import commands as wire
+from usarmjx.server.protocol import reports
+from usarmjx.server.protocol.commands import LinkCommand, MisPkg, TurnCamera
+from usarmjx.server.protocol.dialects import MANUAL, Dialect
+from usarmjx.server.protocol.grammar import (
+    Message,
+    clip,
+    flip_wire_angles,
+    flip_wire_vector,
+    four_decimals,
+    to_vector,
+)
+from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
+from usarmjx.server.protocol.session import MAX_FAULTS, RobotSession
+from usarmjx.server.runtime.logs import INTERVAL, FaultLog, summary
+from usarmjx.server.worlds.robot import Robot, RobotTrace
+from usarmjx.server.worlds.served_world import ServedWorld
+from usarmjx.sim.control import FLIP_TIME, CommandUpdate, ControlMode
+
+PAN_LINK, TILT_LINK = 1, 2
+"""The links of a pan-tilt frame."""
+RELATIVE_ANGLE = 10
+"""The order that adds to the present angle (KRobot.uc)."""
+
+
+def pan_tilt_of(robot: RobotSpec) -> MissionPackage | None:
+    """Return the pan-tilt frame that carries a robot's first camera; None: it has none such."""
+    for package in robot.packages:
+        parts = {part_name(package, link) for link in package.links}
+        is_frame = {link.number for link in package.links} == {PAN_LINK, TILT_LINK}
+        if is_frame and robot.cameras and robot.cameras[0].parent in parts:
+            return package
+    return None
+
+
+def package_command(robot: RobotSpec, command: TurnCamera) -> MisPkg | None:
+    """Return the MISPKG that turns a robot's first camera as a CAMERA says; None: nothing does.
+
+    Angles are relative unless bAbsoluteCamera is True; what shall not turn goes on as it does.
+    """
+    frame = pan_tilt_of(robot)
+    if frame is None or command.rotation is None:
+        return None
+    _, tilt, pan = command.rotation
+    is_relative = command.order == 0 and not robot.absolute_camera
+    order = RELATIVE_ANGLE if is_relative else command.order
+    turns = (
+        (PAN_LINK, -pan),
+        (TILT_LINK, tilt),
+    )  # yaw is positive to the right on the wire, link 1 to the left
+    links = tuple(LinkCommand(link, turn, order) for link, turn in turns if turn or not is_relative)
+    return MisPkg(frame.name, links)
+
+
+log = logging.getLogger(__name__)
+
+BRAKE = 3
+"""The wire's order for holding a joint where it is (KRobot.uc)."""
+ORDERS = (
+    *(wire.DriveRobot, wire.DriveWheels, wire.DriveJoint, wire.MultiDrive),
+    *(wire.MisPkg, wire.Set, wire.SetJoint, wire.SetFov, wire.TurnCamera),
+)
+"""What a robot that somebody else drives meanwhile does not do for its client."""
+RELATIVE_MODES = {10: ControlMode.POSITION, 11: ControlMode.VELOCITY, 12: ControlMode.TORQUE}
+"""The wire's orders that add to the present position, or to the speed or torque in force (KRobot.uc)."""
+
+
+class Client:
+    """One connection: a session, and a robot once INIT has spawned one.
+
+    Args:
+        world: The served world.
+        peer: The peer's address, for the log.
+        fault_log: Where its faults are logged; None: in a log of its own.
+        dialect: In which version's words it speaks.
+        time_limit: Minutes of simulated time after which the world ends; 0: never.
+    """
+
+    def __init__(
+        self,
+        world: ServedWorld,
+        peer: str,
+        fault_log: FaultLog | None = None,
+        dialect: Dialect = MANUAL,
+        time_limit: int = 0,
+    ) -> None:
+        self.session = RobotSession(reports.nfo_greeting(world.arena.name, time_limit), dialect=dialect)
+        self.robot: Robot | None = None
+        self._reporter = Reporter(world, self.session)
+        self._trace_state: RobotTrace | None = None
+        self._fault_log = fault_log or FaultLog(log)
+        self._next_log, self._logged = 0.0, 0
+        self._world = world
+        self._peer = peer
+        self._handlers: dict[type, Callable[..., None]] = {
+            wire.GetStartPoses: self._start_poses,
+            wire.DriveRobot: self._drive,
+            wire.DriveWheels: self._drive_wheels,
+            wire.DriveJoint: self._drive_joint,
+            wire.MultiDrive: self._drive_joints,
+            wire.SetJoint: self._set_joint,
+            wire.MisPkg: self._move_package,
+            wire.Set: self._set,
+            wire.SetFov: self._zoom,
+            wire.SetViewports: self._set_viewports,
+            wire.SetView: self._set_view,
+            wire.Trace: self._trace,
+            wire.TurnCamera: self._turn_camera,
+            wire.GetGeo: self._geometry,
+            wire.GetConf: self._configuration,
+            wire.OwnCommand: self._own_command,
+        }
+
+    def handle(self, command: wire.Command) -> None:
+        """Carry out any command but INIT; nothing if the robot is lost: its slot may be another's."""
+        if self.robot is not None and self.robot.obeys not in (None, self) and isinstance(command, ORDERS):
+            self.session.add_fault(f"{self.robot.name} is driven from the page: {type(command).__name__}")
+        elif not self.lost:
+            self._handlers[type(command)](command)
+
+    def log_faults(self, *, is_last: bool = False) -> None:
+        """Log what was wrong with the client's lines, in a line at most once a second; the last at once."""
+        now = time.monotonic()
+        count = self.session.fault_count - self._logged
+        if count and (is_last or now >= self._next_log):
+            self._next_log, self._logged = now + INTERVAL, self.session.fault_count
+            faults = self.session.take_faults()[:MAX_FAULTS]
+            self._fault_log.warning("%s: %s", self._peer, summary(faults, count))
+
+    # INIT comes in two halves, so that the server can prepare the class in a thread.
+
+    def class_of(self, init: wire.Init) -> RobotSpec | None:
+        """Return the robot class that an INIT asks for; None when there is no such class."""
+        if init.class_name in ROBOTS:
+            return ROBOTS.get(init.class_name)
+        known = ", ".join(ROBOTS.names())
+        self.session.note_refusal(f"unknown robot {clip(init.class_name)}; known: {known}")
+        return None
+
+    def spawn(self, init: wire.Init, spec: RobotSpec) -> bool:
+        """Put the robot into the world; return whether that worked (the client hears nothing, as ever)."""
+        try:
+            robot = appear(self._world, init, spec)
+        except UsageError as error:
+            self.session.note_refusal(str(error))
+            return False
+        self.adopt(robot, robot.spawn_time)
+        log.info("%s: spawned %s as %r", self._peer, spec.name, robot.name)
+        return True
+
+    def adopt(self, robot: Robot, since: float) -> None:
+        """Have a robot that is in the world already, and report from a time on [s]."""
+        self.robot = robot
+        robot.next_report = first_report(robot, self._world.robots.values(), since, self._world.period)
+
+    def record_lines(self, peer: str, data: bytes, *, sent: bool) -> None:
+        """Let what went to the client or came from it be recorded, if anything is."""
+        if data and self._world.recorder is not None:
+            self._world.recorder.lines(peer, self.robot.name if self.robot else "", data, sent=sent)
+
+    def leave(self) -> None:
+        """Take the robot out of the world (the connection is gone)."""
+        if self.robot is not None:
+            self._world.remove(self.robot)
+            self.robot = None
+        self.session.close()
+
+    @property
+    def lost(self) -> bool:
+        """Whether the robot has vanished under the client (its world was reset)."""
+        return self.robot is not None and self._world.robots.get(self.robot.slot) is not self.robot
+
+    @property
+    def battery_empty(self) -> bool:
+        """Whether the robot has used up its battery: then only STA goes on (KRobot.uc)."""
+        return battery_left(self._world, self._present) <= 0
+
+    @property
+    def _present(self) -> Robot:
+        if self.robot is None:
+            raise UsageError("the client has no robot")
+        return self.robot
+
+    # Commands
+
+    def _start_poses(self, command: wire.GetStartPoses) -> None:
+        del command
+        arena = self._world.arena
+        poses = [
+            (
+                start.tag,
+                flip_wire_vector((*start.at[:2], arena.floor + start.at[2])),
+                flip_wire_angles(start.angles),
+            )
+            for start in arena.starts
+        ]
+        self.session.send(reports.nfo_start_poses(poses))
+
+    def _drive(self, command: wire.DriveRobot) -> None:
+        self._steer(dict(command.values), command)
+
+    def _drive_wheels(self, command: wire.DriveWheels) -> None:
+        values: dict[str, float] = {}
+        for wheel in command.wheels:
+            for key, value in (("WheelSpeed", wheel.speed), ("WheelSteer", wheel.steer)):
+                if value is not None:
+                    values[f"{key}{wheel.number}"] = value
+        self._steer(values, command)
+
+    def _steer(self, values: dict[str, float], command: wire.DriveRobot | wire.DriveWheels) -> None:
+        """Set keys of DRIVE; those that the robot's drive does not have are logged and left out."""
+        robot = self._present
+        full = robot.spec.drive.full_scale | robot.spec.drive.other_keys
+        unknown = [key for key in values if key not in full]
+        if unknown:
+            self.session.add_fault(f"{robot.spec.name} has no DRIVE {{{'} {'.join(unknown)}}}")
+        known = {k: v * full[k] / 100 if command.normalized else v for k, v in values.items() if k in full}
+        flip_until = self._world.time + FLIP_TIME if command.flip else None
+        self._update_command(CommandUpdate(drive=known, light=command.light, flip_until=flip_until))
+
+    def _update_command(self, update: CommandUpdate) -> None:
+        self._world.update_command(self._present, update)
+
+    def _set_joint_mode(self, joint: int, order: int, value: float) -> bool:
+        """Give one joint an order as the wire numbers them; return whether there is such an order."""
+        robot = self._present
+        target, present = robot.command.target[joint], robot.command.mode[joint]
+        goal: ArrayLike = value
+        if order == BRAKE:
+            goal, mode = 0.0, ControlMode.VELOCITY
+        elif order in RELATIVE_MODES:
+            mode = RELATIVE_MODES[order]
+            now = self._world.state(robot).joint_pos[joint] if mode == ControlMode.POSITION else 0.0
+            goal = value + (target if mode != ControlMode.POSITION and present == mode else now)
+        elif order in tuple(ControlMode):
+            mode = ControlMode(order)
+        else:
+            return False
+        self._update_command(CommandUpdate(joints={robot.plan.parts[1 + joint]: goal}, mode=mode))
+        return True
+
+    def _set_named_joint(self, name: str, order: int, value: float) -> None:
+        joint = self._present.plan.joint_index(name)
+        if joint is None:
+            self.session.add_fault(f"{self._present.spec.name} has no joint {clip(name)}")
+        elif not self._set_joint_mode(joint, order, value):
+            self.session.add_fault(f"no such order as {order} for joint {clip(name)}")
+
+    def _drive_joint(self, command: wire.DriveJoint | wire.SetJoint) -> None:
+        if command.value is not None:
+            self._set_named_joint(command.name, command.order, command.value)
+        if command.steer is not None:
+            self._set_named_joint(command.name + STEER_SUFFIX, ControlMode.POSITION, command.steer)
+
+    def _set_joint(self, command: wire.SetJoint) -> None:
+        if not self.battery_empty:
+            self._drive_joint(command)
+
+    def _drive_joints(self, command: wire.MultiDrive) -> None:
+        # All in one update: a gait sends a dozen joints in each control step, and a client's time is short.
+        plan, goals = self._present.plan, dict[str, ArrayLike]()
+        for name, angle in command.joints:
+            joint = plan.joint_index(name)
+            if joint is None:
+                self.session.add_fault(f"{self._present.spec.name} has no joint {clip(name)}")
+            else:
+                goals[plan.parts[1 + joint]] = angle
+        if goals:
+            self._update_command(CommandUpdate(joints=goals, mode=ControlMode.POSITION))
+
+    def _move_package(self, command: wire.MisPkg) -> None:
+        for link in command.links:
+            joint = link_joint(self._present.spec, command.name, link.link)
+            if joint is None:
+                self.session.add_fault(f"no link {link.link} in package {clip(command.name)}")
+            elif not self._set_joint_mode(joint, link.order, link.value):
+                self.session.add_fault(f"MISPKG order {link.order} is not supported")
+
+    def _set(self, command: wire.Set) -> None:
+        robot = self._present
+        if self.battery_empty:
+            return
+        sensor = robot.suite.find(command.type, command.name)
+        if sensor is not None and robot.suite.sensors[sensor].kind == Rfid.kind:
+            self.session.send(self._access_tag(robot, sensor, command))
+            return
+        values = self._numbers(command.params)
+        status = STATUS_FAILED
+        if values is not None:
+            camera = robot.camera_index(command.name) if command.type.lower() == "camera" else None
+            if sensor is not None:
+                status = self._operate_sensor(robot, sensor, command.opcode, values)
+            elif camera is not None:
+                status = self._operate_camera(robot, camera, command.opcode, values)
+            else:
+                status = self._operate(robot, command, values)
+        self.session.send(reports.res(self._world.time, command.type, command.name, status))
+
+    def _operate_sensor(self, robot: Robot, sensor: int, opcode: str, values: tuple[float, ...]) -> str:
+        """Carry out a SET on a sensor; return the Status to answer."""
+        if opcode.upper() == "POSE" and len(values) == 6:
+            values = (*flip_wire_vector(values[:3]), *flip_wire_angles(values[3:]))
+        done = self._world.operate_sensor(robot, sensor, opcode, values)
+        return STATUS_OK if done else STATUS_FAILED
+
+    def _operate_camera(self, robot: Robot, camera: int, opcode: str, values: tuple[float, ...]) -> str:
+        """Carry out the older form of zooming; the Status is the field of view [rad]."""
+        if opcode.lower() != "zoom" or not values:
+            return STATUS_FAILED
+        self._world.zoom(robot, camera, values[0])
+        return four_decimals(robot.fovs[camera])
+
+    def _zoom(self, command: wire.SetFov) -> None:
+        robot = self._present
+        if self.battery_empty:
+            return
+        statuses = [STATUS_OK] * len(robot.cameras)
+        for name, fov in command.cameras:
+            camera = robot.camera_index(name)
+            if camera is None:
+                self.session.add_fault(f"{robot.spec.name} has no camera {clip(name)}")
+            else:
+                statuses[camera] = STATUS_OK if self._world.zoom(robot, camera, fov) else STATUS_FAILED
+        names = [camera.mount.name for camera in robot.cameras]
+        lines = zip(names, robot.fovs, statuses, strict=True)
+        self.session.send(reports.res_camera(self._world.time, lines))
+
+    def _turn_camera(self, command: wire.TurnCamera) -> None:
+        """Carry out a CAMERA; nobody is answered, as ever."""
+        robot = self._present
+        move = package_command(robot.spec, command)
+        if move is not None:
+            self._move_package(move)
+        elif command.rotation is not None:
+            self.session.add_fault(f"{robot.spec.name} has no pan-tilt frame under its first camera")
+        if command.fov is not None and robot.cameras and not self.battery_empty:
+            self._world.zoom(robot, 0, command.fov)
+
+    def _set_viewports(self, command: wire.SetViewports) -> None:
+        robot = self._present
+        if self.battery_empty:
+            return
+        names = [camera.mount.name for camera in robot.cameras]
+        status, statuses = robot.viewports.arrange(names, command.config, command.cameras)
+        shown = zip(robot.viewports.shown, statuses, strict=True)
+        config = (robot.viewports.config, status)
+        self.session.send(reports.res_viewports(self._world.time, config, shown))
+
+    def _set_view(self, command: wire.SetView) -> None:
+        """Bind an image client's view to a camera, or unbind it; nobody is answered, as ever."""
+        if not command.robot:
+            self._world.view_bindings.unbind(command.client)
+            return
+        try:
+            self._world.view_bindings.bind(command.client, command.robot, command.name)
+        except PeerError as error:
+            self.session.add_fault(str(error))
+
+    def _trace(self, command: wire.Trace) -> None:
+        self._trace_state = RobotTrace(command, self._trace_state.last if self._trace_state else None)
+
+    def add_trace_point(self) -> None:
+        """Add a point to the robot's trace if it is time to; to be called after every control step."""
+        if (
+            self._trace_state is not None
+            and self._trace_state.due(self._world.time)
+            and not (self.robot is None or self.lost)
+        ):
+            x, y, z = (float(value) for value in self._world.state(self.robot).pos)
+            self._world.traces.add_point(self._trace_state, (x, y, z), self._world.time)
+
+    def _access_tag(self, robot: Robot, sensor: int, command: wire.Set) -> Message:
+        """Read or write an RFID tag; return the RES."""
+
+        def reaches(number: int) -> bool:
+            return self._world.operate_sensor(robot, sensor, command.opcode, (float(number),))
+
+        return access_tag(command, self._world.time, self._world.tag_texts, reaches)
+
+    def _operate(self, robot: Robot, command: wire.Set, values: tuple[float, ...]) -> str:
+        """Carry out a SET on the first effecter of that type and name; return the Status to answer."""
+        index = robot.effecter_index(command.type, command.name)
+        opcode = None if index is None else robot.effecters[index].opcode(command.opcode)
+        value = values[0] if values else opcode and opcode.default_val
+        if index is None or opcode is None or value is None:
+            return STATUS_FAILED
+        return self._world.operate(robot, index, opcode, value)
+
+    def _numbers(self, params: str) -> tuple[float, ...] | None:
+        """Return the numbers of a SET; None, logged, when one is not finite: the client stays."""
+        try:
+            return to_vector(params)
+        except PeerError as error:
+            self.session.add_fault(str(error))
+            return None
+
+    def _geometry(self, command: wire.GetGeo) -> None:
+        if not self.battery_empty:
+            for message in geometry(self._present.plan, command.type, command.name):
+                self.session.send(message)
+
+    def _configuration(self, command: wire.GetConf) -> None:
+        if not self.battery_empty:
+            robot = self._present
+            known = (robot.spec, robot.suite.sensors, robot.fovs)
+            for message in configuration(*known, command.type, command.name):
+                self.session.send(message)
+
+    def _own_command(self, command: wire.OwnCommand) -> None:
+        answer = command.action(self._world, self._present, command.message)
+        if answer is not None:
+            self.session.send(answer)
+
+    # Reports
+
+    def due(self) -> bool:
+        """Whether the robot's message timer has run out."""
+        return self.robot is not None and self._world.time >= self.robot.next_report - 1e-6
+
+    def report(self) -> None:
+        """Tell the client what its robot reports, and the log what could not be told."""
+        self._reporter.report(self._present)
+        self.log_faults()

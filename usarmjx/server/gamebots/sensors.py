@@ -1,0 +1,477 @@
+"""Which message each kind of sensor speaks, and what GEO and CONF say of it: tables, no state."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+
+from usarmjx.base.arrays import Array
+from usarmjx.models.compile.kinematic_tree import KinematicTree
+from usarmjx.models.compile.parts import joint_names, part_name
+from usarmjx.models.effecters import Effecter, effecters_of
+from usarmjx.models.roads.network import LatLon
+from usarmjx.models.types.robot import Link, MissionPackage, Mount, RobotSpec
+from usarmjx.models.types.settings import camel_case, field_names
+from usarmjx.sensors.base import NoisySensorSettings, Quantity, Sensor
+from usarmjx.sensors.cameras.mounts import Camera, cameras_of
+from usarmjx.sensors.gps import MIN_FIX_SATELLITES, geographic_coordinates
+from usarmjx.server.gamebots import victims
+from usarmjx.server.protocol import reports
+from usarmjx.server.protocol.descriptions import (
+    ConfField,
+    LinkConfiguration,
+    LinkGeometry,
+    RobotConfiguration,
+    RobotGeometry,
+    conf_effecters,
+    conf_items,
+    conf_mispkg,
+    conf_nothing,
+    conf_robot,
+    geo_items,
+    geo_mispkg,
+    geo_nothing,
+    geo_robot,
+)
+from usarmjx.server.protocol.grammar import (
+    Message,
+    Segment,
+    check_word,
+    flip_wire_angles,
+    flip_wire_vector,
+    four_decimals,
+    four_decimals_list,
+    wrap_angles,
+)
+from usarmjx.sim.control import RobotCommand
+
+T = TypeVar("T")
+
+_COMMON = frozenset(field.name for field in dataclasses.fields(NoisySensorSettings))
+
+_WORDS: dict[str, Callable[[Sequence[float]], str]] = {
+    "number": lambda numbers: four_decimals(numbers[0]),
+    "count": lambda numbers: str(round(numbers[0])),
+    "flag": lambda numbers: str(bool(numbers[0])),
+    "yaw": lambda numbers: four_decimals(flip_wire_angles((0.0, 0.0, numbers[0]))[2]),
+    "vector": lambda numbers: four_decimals_list(flip_wire_vector(numbers)),
+    "angles": lambda numbers: four_decimals_list(flip_wire_angles(numbers)),
+}
+"""How each of `sensors.quantities.FORMS` is written, in the wire's axes."""
+
+
+def lookup_by_type(sensor: Sensor, table: Mapping[str, T]) -> T | None:
+    """Return what a table has of a sensor's type, or of the nearest type that it is derived from.
+
+    None: there is nothing, or a type before says itself what its value is.
+    """
+    for base in type(sensor).__mro__:
+        own = vars(base)
+        if own.get("quantities"):
+            return None
+        if own.get("kind") in table:
+            return table[own["kind"]]
+    return None
+
+
+def of_type(kind: str, message: Message) -> Message:
+    """Return a SEN as one of that type."""
+    if ("Type", kind) in message.segments:
+        return message
+    segments = tuple((key, kind if key == "Type" else text) for key, text in message.segments)
+    return Message(message.kind, segments)
+
+
+def report(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    """Return the SEN of a reading: its quantities, as `Sensor.quantities` lists them, in that order.
+
+    Without such a list all numbers are one `{Value ...}`. Sensors that report together have a segment each,
+    `{Name F1 Range 1.0000}`, others a segment for each quantity.
+
+    Args:
+        sensor: The sensor.
+        value: Its reading, in our axes (...,); of a group (mounts, ...).
+        time: Simulated time [s]; None leaves it out.
+    """
+    head: tuple[Segment, ...] = () if time is None else (("Time", four_decimals(time)),)
+    rows = np.asarray(value, float).reshape(len(sensor.mounts) if sensor.grouped else 1, -1).tolist()
+    segments: list[Segment] = []
+    for mount, row in zip(sensor.mounts, rows, strict=False):
+        pairs = _pairs(sensor.quantities, row)
+        if sensor.grouped:
+            words = " ".join(f"{key} {text}" for key, text in pairs)
+            segments.append(("Name", f"{check_word(mount.name)} {words}"))
+        else:
+            segments += [("Name", mount.name), *pairs]
+    return Message("SEN", (*head, ("Type", sensor.kind), *segments))
+
+
+def _pairs(quantities: Sequence[Quantity], numbers: Sequence[float]) -> list[Segment]:
+    """Return key and text of each quantity."""
+    if not quantities:
+        return [("Value", four_decimals_list(numbers))]
+    pairs, start = [], 0
+    for quantity in quantities:
+        end = start + quantity.size
+        pairs.append((quantity.key, _WORDS[quantity.form](numbers[start:end])))
+        start = end
+    return pairs
+
+
+def fields(settings: object) -> list[ConfField]:
+    """Return what CONF says of a sensor: those of its settings that are its own, and one number or word."""
+    names = field_names(type(settings)).items()
+    pairs = [(camel_case(name), getattr(settings, field)) for name, field in names if field not in _COMMON]
+    return [(key, value) for key, value in pairs if isinstance(value, bool | int | float | str)]
+
+
+# Reports: (sensor, its value, time or None) -> message.
+
+
+def _range(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    pairs = [(mount.name, v) for mount, v in zip(sensor.mounts, value.tolist(), strict=True)]
+    return reports.sen_range(sensor.kind, time, pairs)
+
+
+def _scanner(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    settings = sensor.settings[0]
+    scan = reports.RangeScan(sensor.mounts[0].name, settings.resolution, settings.scan_fov, value.tolist())
+    return reports.sen_scanner(sensor.kind, time, scan)
+
+
+def _scanner_3d(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    settings = sensor.settings[0]
+    scan = reports.RangeScan3D(
+        sensor.mounts[0].name, settings.resolution, settings.fov, value.reshape(-1).tolist()
+    )
+    return reports.sen_scanner_3d(time, scan)
+
+
+def _lidar(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    settings, (ranges, echoes) = sensor.settings[0], value.reshape(2, -1).tolist()
+    scan = reports.RangeScan3D(sensor.mounts[0].name, settings.resolution, settings.fov, ranges)
+    return reports.sen_lidar(time, scan, echoes)
+
+
+def _odometry(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    x, y, heading = value.tolist()
+    (x, y, _), (_, _, heading) = flip_wire_vector((x, y, 0.0)), flip_wire_angles((0.0, 0.0, heading))
+    return reports.sen_odometry(time, sensor.mounts[0].name, (x, y, heading))
+
+
+def _ins(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    return reports.sen_ins(
+        time,
+        sensor.mounts[0].name,
+        flip_wire_vector(value[:3].tolist()),
+        wrap_angles(flip_wire_angles(value[3:].tolist())),
+    )
+
+
+def _ground_truth(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    return reports.sen_ground_truth(
+        time,
+        sensor.mounts[0].name,
+        flip_wire_vector(value[:3].tolist()),
+        wrap_angles(flip_wire_angles(value[3:].tolist())),
+    )
+
+
+def _encoder(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    ticks = [(mount.name, int(v)) for mount, v in zip(sensor.mounts, value, strict=True)]
+    return reports.sen_encoder(time, ticks)
+
+
+def _touch(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    touched = [(mount.name, bool(v)) for mount, v in zip(sensor.mounts, value, strict=True)]
+    return reports.sen_touch(time, touched)
+
+
+def _gps(sensor: Sensor, value: np.ndarray, time: float | None, origin: LatLon | None = None) -> Message:
+    *position, satellites = value.tolist()
+    has_fix = satellites >= MIN_FIX_SATELLITES
+    coordinates = geographic_coordinates(sensor.settings[0], position, origin) if has_fix else None
+    return reports.sen_gps(time, sensor.mounts[0].name, coordinates, int(satellites))
+
+
+REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message | None]] = {
+    "Sonar": _range,
+    "IR": _range,
+    "RangeScanner": _scanner,
+    "IRScanner": _scanner,
+    "RangeScanner3D": _scanner_3d,
+    "Lidar": _lidar,
+    "Odometry": _odometry,
+    "INS": _ins,
+    "GroundTruth": _ground_truth,
+    "Encoder": _encoder,
+    "Touch": _touch,
+    "GPS": _gps,
+    **victims.REPORTS,
+}
+
+_SCANNER_FIELDS = (
+    ("MaxRange", "max_range"),
+    ("MinRange", "min_range"),
+    ("Resolution", "resolution"),
+    ("Fov", "scan_fov"),
+    ("Paning", "yaw"),
+    ("Tilting", "pitch"),
+)
+_SCANNER_3D_FIELDS = (
+    ("MaxRange", "max_range"),
+    ("MinRange", "min_range"),
+    ("Resolution", "resolution"),
+    ("FOV", "fov"),  # so, unlike the others': Player's driver looks for it
+)
+# CONF of sensors: wire key -> settings field, in the order of captured lines (Fov and Paning are spelled so).
+CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
+    "Sonar": (("MaxRange", "max_range"), ("MinRange", "min_range"), ("BeamAngle", "beam_angle")),
+    "IR": (("MaxRange", "max_range"), ("MinRange", "min_range")),
+    "RangeScanner": _SCANNER_FIELDS,
+    "IRScanner": _SCANNER_FIELDS,
+    "RangeScanner3D": _SCANNER_3D_FIELDS,
+    "Lidar": _SCANNER_3D_FIELDS,
+    "Odometry": (("ScanInterval", "scan_interval"), ("EncoderResolution", "encoder_resolution")),
+    "GPS": (("ScanInterval", "scan_interval"),),
+    "INS": (("ScanInterval", "scan_interval"),),
+    "GroundTruth": (("ScanInterval", "scan_interval"),),
+    "Encoder": (("Resolution", "resolution"),),
+    "Touch": (("Diameter", "diameter"),),
+    **victims.CONFIGURATION,
+}
+
+
+def sensor_report(
+    sensor: Sensor,
+    value: np.ndarray,
+    time: float,
+    origin: LatLon | None = None,
+    texts: victims.TagTexts | None = None,
+    *,
+    stamped: bool = False,
+) -> Message | None:
+    """Return the SEN message of a reading, with its time if the sensor is set so; None: nothing to say.
+
+    A type that is not in `REPORTS` speaks as the one that it is derived from, or as `generic` has it.
+
+    Args:
+        sensor: The sensor.
+        value: Its reading.
+        time: Simulated time [s].
+        origin: Latitude and longitude of the arena's origin [degrees], if the arena says them.
+        texts: What is written on RFID tags.
+        stamped: Whether it has its time whatever the sensor is set to.
+    """
+    report = lookup_by_type(sensor, REPORTS) or report
+    if report is _gps:
+        report = partial(_gps, origin=origin)
+    elif report is victims.tags:
+        report = partial(victims.tags, texts=texts)
+    message = report(sensor, value, time if stamped or sensor.settings[0].with_time_stamp else None)
+    return None if message is None else of_type(sensor.kind, message)
+
+
+def _asked(kind: str, name: str, item_kind: str, item_name: str) -> bool:
+    """Whether a query means the item: types and names match without case, no name means all."""
+    return item_kind.lower() == kind.lower() and (not name or item_name.lower() == name.lower())
+
+
+def _mounts(mounts: Sequence[Mount], kind: str, name: str) -> list[Mount]:
+    return [mount for mount in mounts if _asked(kind, name, mount.kind, mount.name)]
+
+
+def _effecters(robot: RobotSpec, kind: str, name: str) -> list[Effecter]:
+    own = (effecter for effecter in effecters_of(robot) if effecter.is_type(kind))
+    return [effecter for effecter in own if not name or effecter.mount.name.lower() == name.lower()]
+
+
+def _packages(robot: RobotSpec, kind: str, name: str) -> list[MissionPackage]:
+    return [package for package in robot.packages if _asked(kind, name, "MisPkg", package.name)]
+
+
+def geometry(plan: KinematicTree, kind: str, name: str) -> list[Message]:
+    """Return the answers to GETGEO, one line per category that matches (KRobot.uc); an echo without any.
+
+    Args:
+        plan: The robot's class.
+        kind: Type asked for.
+        name: Name asked for, "" for all of the type.
+    """
+    robot = plan.robot
+    if kind.lower() == "robot":
+        return [
+            geo_robot(
+                RobotGeometry(
+                    kind=robot.drive.vehicle,
+                    name=robot.name,
+                    dimensions=robot.dimensions,
+                    cog=flip_wire_vector(plan.centre_of_mass),
+                    wheel_radius=robot.wheel_radius,
+                    wheel_separation=robot.wheel_separation,
+                    wheel_base=robot.wheel_base,
+                )
+            )
+        ]
+    answers = []
+    effecters = [effecter.mount for effecter in _effecters(robot, kind, name)]
+    for matching in (_mounts(robot.sensors, kind, name), effecters, _mounts(robot.cameras, kind, name)):
+        if matching:
+            answers.append(geo_items(kind, [(m.name, m.at, m.direction, m.parent) for m in matching]))
+    packages = _packages(robot, kind, name)
+    if packages:
+        links = [
+            (p.name, [LinkGeometry(k.number, k.parent, k.location, k.orientation) for k in p.links])
+            for p in packages
+        ]
+        answers.append(geo_mispkg(links))
+    return answers or [geo_nothing(kind, name)]
+
+
+def _sensor_fields(sensor: Sensor, index: int) -> list[ConfField]:
+    settings: Any = sensor.settings[index]
+    fields: list[ConfField] = [("Name", sensor.mounts[index].name)]
+    known = lookup_by_type(sensor, CONFIGURATION)
+    if known is None:
+        return [*fields, *fields(settings)]
+    for key, field in known:
+        value = getattr(settings, field)
+        fields.append((key, four_decimals_list(value) if isinstance(value, tuple) else value))
+    return fields
+
+
+def _camera_fields(camera: Camera, fov: float) -> list[ConfField]:
+    return [
+        ("CameraDefFov", camera.default_fov),
+        ("CameraMinFov", camera.min_fov),
+        ("CameraMaxFov", camera.max_fov),
+        ("CameraFov", fov),
+    ]
+
+
+def configuration(
+    robot: RobotSpec, sensors: Sequence[Sensor], fovs: Sequence[float], kind: str, name: str
+) -> list[Message]:
+    """Return the answers to GETCONF, as `geometry` does for GETGEO.
+
+    Args:
+        robot: The robot's class.
+        sensors: Its sensors.
+        fovs: Field of view in force of each of its cameras [rad].
+        kind: Type asked for.
+        name: Name asked for, "" for all of the type.
+    """
+    if kind.lower() == "robot":
+        return [
+            conf_robot(
+                RobotConfiguration(
+                    kind=robot.drive.vehicle,
+                    name=robot.name,
+                    steering=robot.drive.steering,
+                    mass=robot.mass,
+                    max_speed=robot.drive.max_speed,
+                    max_torque=robot.max_torque,
+                    max_front_steer=robot.drive.max_steering[0],
+                    max_rear_steer=robot.drive.max_steering[1],
+                )
+            )
+        ]
+    answers = []
+    fields = [
+        _sensor_fields(sensor, index)
+        for sensor in sensors
+        for index, mount in enumerate(sensor.mounts)
+        if _asked(kind, name, sensor.kind, mount.name)
+    ]
+    if fields:
+        answers.append(conf_items(kind, fields))
+    fields = [
+        _camera_fields(camera, fov)
+        for camera, fov in zip(cameras_of(robot), fovs, strict=True)
+        if _asked(kind, name, camera.mount.kind, camera.mount.name)
+    ]
+    if fields:
+        answers.append(conf_items(kind, fields))
+    effecters = _effecters(robot, kind, name)
+    if effecters and kind.lower() == "effecter":
+        answers.append(conf_effecters([(e.mount.name, _operations(e)) for e in effecters]))
+    elif effecters:
+        answers.append(conf_items(kind, [[("Name", e.mount.name)] for e in effecters]))
+    packages = _packages(robot, kind, name)
+    if packages:
+        answers.append(conf_mispkg([(p.name, [_link_configuration(k) for k in p.links]) for p in packages]))
+    return answers or [conf_nothing(kind, name)]
+
+
+def _operations(effecter: Effecter) -> list[tuple[str, float, float]]:
+    return [(opcode.name, opcode.max_val, opcode.min_val) for opcode in effecter.opcodes]
+
+
+def _link_configuration(link: Link) -> LinkConfiguration:
+    return LinkConfiguration(
+        link=link.number,
+        joint=link.joint,
+        max_speed=link.max_speed,
+        max_torque=link.max_torque,
+        min_range=link.min_range,
+        max_range=link.max_range,
+    )
+
+
+def robot_report(
+    plan: KinematicTree, command: RobotCommand, joints: Array, time: float, battery: int, view: int = -1
+) -> Message:
+    """Return a robot's STA: its steering angles, flippers, headlight and battery (manual 9.3).
+
+    Args:
+        plan: The robot's class.
+        command: Its command.
+        joints: Its joint positions [rad or m] (joints,).
+        time: Simulated time [s].
+        battery: Time left [s].
+        view: Its tile of the MultiView, -1 without one.
+    """
+    drive, light = plan.robot.drive, bool(command.light)
+    angles = dict(zip(plan.parts[1:], joints.tolist(), strict=True))
+    angles_of: dict[str, Any] = drive.steering_angles(angles, command.setpoint)
+    return reports.sta(
+        drive.vehicle,
+        reports.RobotStatus(
+            time=time,
+            light=light,
+            intensity=100 if light else 0,
+            battery=battery,
+            view=view,
+            joints=tuple((name, angles[name]) for name in plan.robot.reported_joints),
+            **angles_of,
+        ),
+    )
+
+
+def package_report(plan: KinematicTree, joints: Array, efforts: Array, time: float) -> list[Message]:
+    """Return the MISSTA messages of a robot's mission packages.
+
+    Args:
+        plan: The robot's class.
+        joints: Its joint positions [rad or m] (joints,).
+        efforts: What acts on its joints [N m or N] (joints,).
+        time: Simulated time [s].
+    """
+    states = dict(zip(plan.parts[1:], zip(joints.tolist(), efforts.tolist(), strict=True), strict=True))
+    return [
+        reports.missta(
+            time, package.name, [(link.number, *states[part_name(package, link)]) for link in package.links]
+        )
+        for package in plan.robot.packages
+    ]
+
+
+def link_joint(robot: RobotSpec, package: str, number: int) -> int | None:
+    """Return the joint of a mission package's link, None when there is none; names match without case."""
+    for candidate in robot.packages:
+        for link in candidate.links:
+            if candidate.name.lower() == package.lower() and link.number == number:
+                return joint_names(robot).index(part_name(candidate, link))
+    return None

@@ -1,0 +1,447 @@
+"""The Gamebots server of one world: sockets, and whose turn it is."""
+
+import asyncio
+import logging
+import math
+import socket
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from usarmjx.base.errors import PeerError, UsageError
+from usarmjx.models.ini.parse import read_ini
+from usarmjx.models.ini.read import as_whole, fail
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.server.gamebots.adapter import Client
+from usarmjx.server.gamebots.budget import INIT_COST, JOIN_SHARE, BudgetPool, ClientBudget
+from usarmjx.server.network.access import EVERYBODY, AccessRules
+from usarmjx.server.network.gate import Gate, peer_address
+from usarmjx.server.network.ports import BOT_PORT
+from usarmjx.server.protocol.commands import Command, Init
+from usarmjx.server.protocol.dialects import MANUAL, Dialect
+from usarmjx.server.runtime.logs import FaultLog
+from usarmjx.server.wireless.sockets import has_hung_up, limit_receive_buffer, listen
+from usarmjx.server.worlds.served_world import ServedWorld
+
+SECTION = "BotAPI.BotServer"
+KEYS = {"listenport": ("port", 0, 65535), "maxconnections": ("max_connections", 1, 4096)}
+"""What each key sets of `BotServerSettings`, its least and its largest value; port 0 picks a free one."""
+
+
+@dataclass(frozen=True)
+class BotServerSettings:
+    """How to serve.
+
+    Attributes:
+        host: Address to bind; loopback by default.
+        port: TCP port (BotAPI.ini: ListenPort); 0 picks a free one.
+        max_connections: Most clients at once (BotAPI.ini: MaxConnections).
+        init_timeout: Who has no robot and asks for nothing for so long makes room, and who only asks
+            does when no seat is left; 0: nobody has to [s].
+        max_faults: A client is dropped after so many lines in a row that could not be used, of which a
+            refused INIT counts as `session.REFUSAL_FAULTS`; 0: never.
+        access: Who may connect.
+        dialect: In which version's words clients speak.
+        time_limit: Minutes of simulated time after which serving ends (manual 5.1: TimeLimit); 0: never.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = BOT_PORT
+    max_connections: int = 16
+    init_timeout: float = 60.0
+    max_faults: int = 1000
+    access: AccessRules = EVERYBODY
+    dialect: Dialect = MANUAL
+    time_limit: int = 0
+
+
+@dataclass
+class Tally:
+    """What a server has counted since it began.
+
+    Attributes:
+        connections: Clients that were accepted.
+        commands: Legal commands by their types.
+        faults: What was wrong with the lines of clients that have left.
+    """
+
+    connections: int = 0
+    commands: Counter[type] = field(default_factory=Counter[type])
+    faults: int = 0
+
+
+def read_bot_server(paths: Iterable[str | Path]) -> dict[str, int]:
+    """Return `[BotAPI.BotServer]` of ini files by fields of `BotServerSettings`; later files override.
+
+    Raises:
+        SpecError: A file cannot be read, or the section has a wrong key or value; names file and line.
+    """
+    fields: dict[str, int] = {}
+    for path in paths:
+        for line in read_ini(Path(path)).section(SECTION).lines:
+            if line.key.lower() not in KEYS:
+                fail(line, f"[{SECTION}] has no key {line.key}", "ListenPort or MaxConnections")
+            name, least, most = KEYS[line.key.lower()]
+            fields[name] = as_whole(line, least, most)
+    return fields
+
+
+log = logging.getLogger(__name__)
+
+READ_SIZE = 256
+"""Most bytes taken at once of what a client says: between two such pieces it is another one's turn."""
+RECEIVE_BUFFER = 32 * 1024
+"""The system keeps so much of what a client says beyond that, and then lets it wait [bytes]."""
+MAX_WRITE_BUFFER = 64 * 1024
+"""While this much waits in a socket's buffer, reports queue up in the session, which has its own bound."""
+
+
+@dataclass(eq=False)
+class RobotConnection:
+    """A client's connection.
+
+    Attributes:
+        client: The client.
+        reader: What it says.
+        writer: What it is told.
+        peer: What the log calls it.
+        budget: What its lines may cost.
+        last_asked: When it gave a command that was legal last [s].
+        since: When it connected [s].
+    """
+
+    client: Client
+    reader: asyncio.StreamReader
+    writer: asyncio.StreamWriter
+    peer: str
+    budget: ClientBudget
+    last_asked: float = field(default_factory=time.monotonic)
+    since: float = field(default_factory=time.monotonic)
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether it has no robot, and waits for none."""
+        client = self.client
+        return client.robot is None and not client.session.awaits_answer and not self.writer.is_closing()
+
+    @property
+    def has_left(self) -> bool:
+        """Whether either side has closed the connection, however much of it is still to be read."""
+        return self.writer.is_closing() or has_hung_up(self.writer.get_extra_info("socket"))
+
+    def flush(self) -> None:
+        """Write what waits to be sent, if the socket can take it."""
+        if not self.writer.is_closing() and self._unread < MAX_WRITE_BUFFER:
+            data = self.client.session.data_to_send()
+            if data:
+                self.writer.write(data)
+                self.client.record_lines(self.peer, data, sent=True)
+
+    def hang_up(self) -> None:
+        """Close the connection; break it off if the client does not read: closing would wait for ever."""
+        if self._unread:
+            self.writer.transport.abort()
+        else:
+            self.writer.close()
+
+    @property
+    def _unread(self) -> int:
+        return self.writer.transport.get_write_buffer_size()
+
+
+class Service(Protocol):
+    """Something else that is served in the same loop, as the radio is."""
+
+    async def start(self) -> list[str]:
+        """Listen; return lines for the user.
+
+        Raises:
+            UsageError: A port is taken or the address is not ours.
+        """
+        ...
+
+    def tick(self) -> None:
+        """The world has made a control step; must be quick."""
+
+    def stop(self) -> None:
+        """Close all connections."""
+
+
+class BotServer:
+    """Serves one world to many clients, in the loop of `loop.ServerLoop`.
+
+    Args:
+        world: The world.
+        settings: How to serve it.
+        services: What else to serve.
+        bound: A socket that is bound to the port already.
+        title: What the log calls the world; nothing if it is the only one.
+
+    Attributes:
+        world: The world.
+        settings: How it is served.
+        services: What else is served.
+        title: What the log calls the world.
+        tally: What has been counted.
+        port: The port in use, once started.
+        guests: Robots' dialogues that have no connection: what they report is thrown away.
+    """
+
+    def __init__(
+        self,
+        world: ServedWorld,
+        settings: BotServerSettings,
+        services: Iterable[Service] = (),
+        bound: socket.socket | None = None,
+        title: str = "",
+    ) -> None:
+        self.world, self.settings, self.services, self.title = world, settings, list(services), title
+        self.port, self.tally = settings.port, Tally()
+        self.guests: list[Client] = []
+        self._bound = bound
+        self._gate = Gate(
+            settings.access, settings.max_connections, f"{title}, robots" if title else "robots"
+        )
+        self._listener: asyncio.Server | None = None
+        self._connections: dict[Client, RobotConnection] = {}
+        self._budgets, self._joins = BudgetPool(world.period), BudgetPool(world.period, JOIN_SHARE)
+        self._fault_log = FaultLog(log)
+        self._stepped = asyncio.Event()
+        self._joining = asyncio.Lock()
+        self._leaving: deque[Client] = deque()
+        self._stopped = False
+        # `ServedWorld.prepare` runs here: the loop steps on meanwhile.
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix="prepare")
+
+    @property
+    def clients(self) -> Collection[Client]:
+        """Who is connected."""
+        return self._connections.keys()
+
+    @property
+    def faults(self) -> int:
+        """How many lines of clients could not be used so far."""
+        return self.tally.faults + sum(client.session.fault_count for client in self._connections)
+
+    async def start(self) -> list[str]:
+        """Listen, and let the services listen; return lines for the user.
+
+        Raises:
+            UsageError: A port is taken or the address is not ours.
+        """
+        host = self.settings.host
+        where = host, self.settings.port
+        self._listener, self.port = await listen(where, self._accept, self._gate, self._bound)
+        more = [line for service in self.services for line in await service.start()]
+        return [f"listening on {host}:{self.port}", *more]
+
+    def tick(self, moves: bool = True) -> None:
+        """Make a control step, unless the world stands still; send what is due."""
+        if moves:
+            self.world.step()
+            for client in self._connections:
+                client.add_trace_point()
+        # Readings are taken after the step and just before the reports: what clients get is never a step old.
+        due = [client for client in (*self._connections, *self.guests) if client.due() and not client.lost]
+        if due:
+            self.world.observe([client.robot for client in due if client.robot is not None])
+        for client in due:
+            self._guarded(client, client.report)
+        for guest in self.guests:
+            guest.session.data_to_send()
+        now = time.monotonic()
+        for connection in list(self._connections.values()):
+            self._attend(connection, now)
+        for service in self.services:
+            service.tick()
+        self._fault_log.flush()
+        self._budgets.refill()
+        self._joins.refill()
+        self._let_leave()
+        self._stepped.set()
+        self._stepped.clear()
+
+    def stop(self) -> None:
+        """Close all connections."""
+        if self._listener is not None:
+            self._listener.close()
+        for service in self.services:
+            service.stop()
+        for connection in list(self._connections.values()):
+            connection.writer.close()
+        self._stopped = True
+        while self._leaving:
+            self._leaving.popleft().leave()
+        self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def _attend(self, connection: RobotConnection, now: float) -> None:
+        """Send a client what waits for it, or hang up if it has no robot any more or asks for none."""
+        client, patience = connection.client, self.settings.init_timeout
+        if client.lost:
+            log.warning("a client's robot is gone: its connection is closed")
+            connection.writer.close()
+        elif patience and now > connection.last_asked + patience and connection.is_idle:
+            self._fault_log.warning(
+                "%s: no INIT for %g s: its connection is closed", connection.peer, patience
+            )
+            connection.hang_up()
+        if connection.budget.balance <= 0.0 and connection.has_left:
+            connection.budget.dismiss("it has left, and the rest of what it had sent is dropped")
+        connection.flush()
+
+    def _let_leave(self) -> None:
+        """Take the robot whose client went first out of the world, unless others have just left or joined."""
+        if self._leaving and not self._joins.is_spent:
+            began = self._joins.clock()
+            self._leaving.popleft().leave()
+            self._joins.spend(self._joins.clock() - began)
+
+    def _guarded(self, client: Client, action: Callable[[], None]) -> None:
+        try:
+            action()
+        except Exception as error:  # whatever it is: the others' reports are to come
+            connection = self._connections.get(client)
+            self._fault_log.warning("%s: dropped: %s", connection.peer if connection else "guest", error)
+            if not isinstance(error, PeerError):
+                log.debug("because of", exc_info=error)
+            if connection is not None:
+                connection.writer.transport.abort()
+
+    async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        peer = "{}:{}".format(*peer_address(writer))
+        if self.title:
+            peer = f"{self.title}, {peer}"
+        if not self._make_room():
+            self._gate.refuse(peer, f"{len(self._connections)} connections are open")
+            writer.close()
+            return
+        limit_receive_buffer(writer, RECEIVE_BUFFER)
+        settings = self.settings
+        client = Client(self.world, peer, self._fault_log, settings.dialect, settings.time_limit)
+        budget = ClientBudget(self._budgets)
+        connection = self._connections[client] = RobotConnection(client, reader, writer, peer, budget)
+        self.tally.connections += 1
+        log.info("%s: connected", peer)
+        try:
+            connection.flush()
+            await self._listen(connection)
+        except (ConnectionError, PeerError) as error:
+            self._fault_log.warning("%s: %s", peer, error)
+        except asyncio.CancelledError:
+            log.info("%s: the server stops", peer)  # the end of this task; nobody waits for its result
+        finally:
+            del self._connections[client]
+            self.tally.faults += client.session.fault_count
+            client.log_faults(is_last=True)
+            if client.robot is None or self._stopped:
+                client.leave()
+            else:
+                self._leaving.append(client)
+                self._let_leave()
+            connection.hang_up()
+            log.info("%s: disconnected", peer)
+
+    def _make_room(self) -> bool:
+        """Return whether another client fits; if need be who has been here longest without a robot yields."""
+        if len(self._connections) < self.settings.max_connections:
+            return True
+        latest = time.monotonic() - (self.settings.init_timeout or math.inf)
+        idle = [
+            connection
+            for connection in self._connections.values()
+            if connection.since < latest and connection.is_idle
+        ]
+        if idle:
+            longest = min(idle, key=lambda connection: connection.since)
+            self._fault_log.warning("%s: makes room, it has no robot", longest.peer)
+            longest.hang_up()
+        return bool(idle)
+
+    async def _listen(self, connection: RobotConnection) -> None:
+        client = connection.client
+        while not connection.writer.is_closing():
+            data = await connection.reader.read(READ_SIZE)
+            client.record_lines(connection.peer, data, sent=False)
+            async with connection.budget:
+                commands = client.session.receive_data(data) if data else client.session.receive_eof()
+            await self._obey(connection, commands)
+            client.log_faults()
+            connection.flush()
+            if not data:
+                return
+            if 0 < self.settings.max_faults <= client.session.faults_in_a_row:
+                raise PeerError("dropped: too many faults in a row")
+
+    async def _obey(self, connection: RobotConnection, commands: list[Command]) -> None:
+        client = connection.client
+        while commands:
+            for command in commands:
+                self.tally.commands[type(command)] += 1
+                if not isinstance(command, Init):
+                    async with connection.budget:
+                        client.handle(command)
+            last, connection.last_asked = commands[-1], time.monotonic()
+            if not (client.session.awaits_answer and isinstance(last, Init)):
+                return
+            accepted = await self._init(connection, last)
+            async with connection.budget:
+                commands = client.session.answer_init(accepted)
+            connection.last_asked = time.monotonic()
+
+    def _hand_over(self, client: Client, init: Init, spec: RobotSpec) -> bool:
+        """Give a client the guest's robot of that class and name, where it is; say whether there is one."""
+        for guest in self.guests:
+            robot = guest.robot
+            if robot is None or guest.lost or (robot.name.lower(), robot.spec) != (init.name.lower(), spec):
+                continue
+            guest.robot, robot.obeys = None, None
+            client.adopt(robot, self.world.time)
+            return True
+        return False
+
+    async def prepare(self, spec: RobotSpec) -> None:
+        """Let a thread do what takes long before the first robot of a class can appear.
+
+        Raises:
+            UsageError: No robot can be built of that class.
+        """
+        await asyncio.get_running_loop().run_in_executor(self._executor, self.world.prepare, spec)
+
+    @staticmethod
+    def _check_is_here(connection: RobotConnection) -> None:
+        if connection.has_left:
+            raise PeerError("it has left before its robot came")
+
+    async def _init(self, connection: RobotConnection, init: Init) -> bool:
+        client = connection.client
+        async with connection.budget:
+            connection.budget.charge(INIT_COST)
+            spec = client.class_of(init)
+        if spec is None:
+            return False
+        try:
+            await self.prepare(spec)
+        except UsageError as error:
+            client.session.note_refusal(str(error))
+            return False
+        # Not in the lock's own queue: who has left meanwhile would keep its connection there until its turn.
+        while self._joining.locked():
+            await self._stepped.wait()
+            self._check_is_here(connection)
+        async with self._joining:  # one robot in a control step, so that a crowd keeps nobody waiting
+            self._check_is_here(connection)
+            await self._stepped.wait()
+            while self._leaving or self._joins.is_spent:
+                await self._stepped.wait()
+            self._check_is_here(connection)
+            began = self._joins.clock()
+            accepted = self._hand_over(client, init, spec) or client.spawn(init, spec)
+            cost = self._joins.clock() - began
+            self._joins.spend(cost)
+            if not accepted:
+                connection.budget.charge(cost)
+            return accepted

@@ -1,0 +1,46 @@
+"""Where and under what name the robot of an INIT appears (manual 9.4)."""
+
+from usarmjx.base.errors import UsageError
+from usarmjx.base.transforms import Vec3
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.server.protocol.commands import Init
+from usarmjx.server.protocol.grammar import clip, flip_wire_angles, flip_wire_vector
+from usarmjx.server.worlds.robot import Robot
+from usarmjx.server.worlds.served_world import ServedWorld
+from usarmjx.sim.scene import start_height
+
+
+def appear(world: ServedWorld, init: Init, spec: RobotSpec) -> Robot:
+    """Put the robot of an INIT into a world.
+
+    Raises:
+        UsageError: There is no room for it, or no such start pose.
+    """
+    poses = _poses(world, init, spec)
+    tile = world.free_tile(spec)
+    robot = world.spawn_at(spec, init.name or free_name(world, spec), poses)
+    robot.tile = tile
+    return robot
+
+
+def free_name(world: ServedWorld, spec: RobotSpec) -> str:
+    """Return a name for a robot of a class that no other has."""
+    taken = {robot.name.lower() for robot in world.robots.values()}
+    numbers = (f"{spec.name}_{i}" for i in range(len(taken) + 1))
+    return next(name for name in numbers if name.lower() not in taken)
+
+
+def _poses(world: ServedWorld, init: Init, spec: RobotSpec) -> list[tuple[Vec3, Vec3]]:
+    """Return where an INIT lets the robot appear, the best first: where it says, or at any start pose."""
+    arena = world.arena
+    tags = {start.tag.lower(): start for start in arena.starts}
+    if init.start and init.start.lower() not in tags:
+        known = ", ".join(start.tag for start in tags.values())
+        raise UsageError(f"no start pose {clip(init.start)}; known: {known}")
+    angles = flip_wire_angles(init.rotation) if init.rotation else None
+    if init.location is not None and not init.start:
+        return [(flip_wire_vector(init.location), angles or (0.0, 0.0, 0.0))]
+    if not tags:
+        raise UsageError(f"arena {arena.name} has no start poses: give a Location")
+    starts = [tags[init.start.lower()]] if init.start else world.starts_for(spec)
+    return [((*start.at[:2], start_height(arena, start, spec)), angles or start.angles) for start in starts]

@@ -1,0 +1,177 @@
+"""Where a connection comes in: refused, asked for the token, or let through to what serves the port."""
+
+import asyncio
+import logging
+import socket
+import time
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from typing import TypeAlias
+
+from usarmjx.base.errors import PeerError
+from usarmjx.server.network.access import AUTH, AccessRules, IPAddress, parse_address, token_of
+from usarmjx.server.runtime.logs import LineLimit
+
+log = logging.getLogger(__name__)
+
+Handler: TypeAlias = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
+
+LINE_ENDS = b"\r\n"
+"""Either ends a line."""
+AUTH_TIMEOUT = 10.0
+"""Who connects has so long to say the token [s]."""
+MAX_AUTH_SIZE = 192
+"""Longest line with a token [bytes]."""
+MAX_STRANGERS = 64
+"""So many connections to one kind of port may owe the token; for one more the oldest is closed."""
+LOG_INTERVAL = 10.0
+"""Refusals are logged so often at most, with the number of those in between [s]."""
+KEEPALIVE_IDLE, KEEPALIVE_INTERVAL, KEEPALIVE_COUNT = 60, 10, 6
+"""A peer that is silent for so long is probed [s], so often [s], and is gone after so many without answer."""
+
+
+class Gate:
+    """Decides who comes to one kind of port, and counts them.
+
+    Args:
+        rules: Who may connect.
+        room: Most connections there at once.
+        name: What the log calls the port.
+        now: The clock [s].
+    """
+
+    def __init__(
+        self, rules: AccessRules, room: int, name: str, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.rules, self._room = rules, room
+        self._limit = -(-3 * room // 4) if rules.per_address is None else rules.per_address
+        self._name, self._lines = name, LineLimit(1, LOG_INTERVAL, now)
+        self._counts: Counter[IPAddress] = Counter()
+        self._strangers: list[asyncio.WriteTransport] = []
+
+    def enter(self, address: str) -> bool:
+        """Return whether a connection from an address is let in; tell `leave` when it has ended."""
+        try:
+            found = parse_address(address)
+        except ValueError:  # it has gone already
+            return False
+        if not self.rules.allows(found):
+            self.refuse(address, "it is not in --allow")
+            return False
+        if self._counts[found] >= self._limit and not found.is_loopback:
+            self.refuse(address, f"{self._limit} connections of that address are open")
+            return False
+        self._counts[found] += 1
+        return True
+
+    @property
+    def is_full(self) -> bool:
+        """Whether more are let in than there is room for; a service with places of its own need not ask."""
+        return self._counts.total() > self._room
+
+    def leave(self, address: str) -> None:
+        """Note that a connection that was let in has ended."""
+        found = parse_address(address)
+        self._counts[found] -= 1
+        if not self._counts[found]:
+            del self._counts[found]
+
+    def refuse(self, peer: str, reason: str) -> None:
+        """Log that a peer is refused, unless another one was just before: then it is counted."""
+        count = self._lines.take_left_out()
+        if self._lines.admits():
+            more = f" ({count} more since the last such line)" if count else ""
+            log.warning("%s: %s is refused: %s%s", self._name, peer, reason, more)
+
+    async def is_known(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, ends: bytes) -> bool:
+        """Return whether a peer says the token, if one is asked for; what follows its line stays unread."""
+        if not self.rules.token:
+            return True
+        if len(self._strangers) >= MAX_STRANGERS:
+            self._strangers.pop(0).abort()
+        self._strangers.append(writer.transport)
+        try:
+            async with asyncio.timeout(AUTH_TIMEOUT):
+                line = await _read_line(reader, ends)
+            if self.rules.knows(token_of(line)):
+                return True
+            reason = "a wrong token"
+        except TimeoutError:
+            reason = f"no token for {AUTH_TIMEOUT:g} s"
+        except (OSError, PeerError) as error:
+            reason = f"no token: {error}"
+        finally:
+            if writer.transport in self._strangers:
+                self._strangers.remove(writer.transport)
+        self.refuse(peer_address(writer)[0], reason)
+        return False
+
+
+def guarded(gate: Gate, handler: Handler, ends: bytes | None = LINE_ENDS) -> Handler:
+    """Return a handler of connections that leaves to another one only those that a gate lets in.
+
+    Args:
+        gate: Decides.
+        handler: Gets the others.
+        ends: Bytes that end the line with the token; None: it is not asked for here.
+    """
+
+    async def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        address, _ = peer_address(writer)
+        if not gate.enter(address):
+            writer.transport.abort()
+            return
+        try:
+            keep_alive(writer.get_extra_info("socket"))
+            if ends is None or await gate.is_known(reader, writer, ends):
+                await handler(reader, writer)
+            else:
+                writer.transport.abort()
+        except asyncio.CancelledError:
+            writer.transport.abort()  # the server stops, and nobody waits for this task
+        finally:
+            gate.leave(address)
+
+    return accept
+
+
+def keep_alive(connection: socket.socket) -> None:
+    """Let the system find out when a peer has vanished without a word."""
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in (
+        ("TCP_KEEPIDLE", KEEPALIVE_IDLE),
+        ("TCP_KEEPINTVL", KEEPALIVE_INTERVAL),
+        ("TCP_KEEPCNT", KEEPALIVE_COUNT),
+    ):
+        if hasattr(socket, name):  # not on every system
+            connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+
+def peer_address(writer: asyncio.StreamWriter) -> tuple[str, int]:
+    """Return address and port of a peer; nothing and 0 if it is gone already."""
+    peer = writer.get_extra_info("peername")
+    return (peer[0], peer[1]) if peer else ("", 0)
+
+
+async def _read_line(reader: asyncio.StreamReader, ends: bytes) -> str:
+    r"""Return the first line that is not blank, up to its end or to where it is no AUTH any more.
+
+    Of the end "\r\n" the second byte may stay unread.
+
+    Raises:
+        PeerError: There is none, or it is too long.
+    """
+    line = bytearray()
+    for _ in range(MAX_AUTH_SIZE):
+        byte = await reader.read(1)
+        if not byte:
+            raise PeerError("it has hung up")
+        if byte not in ends:
+            line += byte
+        elif line.strip():
+            break
+        if not AUTH.encode().startswith(line.lstrip()[: len(AUTH)].upper()):
+            break  # who waits for an answer to something else shall not wait
+    else:
+        raise PeerError(f"its first line has more than {MAX_AUTH_SIZE} bytes")
+    return line.decode("latin-1")

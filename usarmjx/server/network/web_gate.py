@@ -1,0 +1,194 @@
+"""The gate of a port for browsers: they say the token in an address once, and by a cookie from then on."""
+
+import asyncio
+import re
+import socket
+from collections.abc import Awaitable, Callable, Collection
+from dataclasses import replace
+from http import HTTPStatus
+from typing import TypeAlias
+from urllib.parse import unquote
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.http11 import Request, Response
+
+from usarmjx.base.errors import UsageError
+from usarmjx.server.network.access import parse_address
+from usarmjx.server.network.gate import Gate, keep_alive
+from usarmjx.server.protocol.grammar import clip
+
+RequestAnswer: TypeAlias = Callable[[ServerConnection, Request], Response | None]
+"""Answers a request over HTTP; None lets a websocket begin."""
+
+COOKIE = "usarmjx"
+"""Name of the cookie."""
+TOKEN_QUERY = "token="
+"""What comes before the token in an address."""
+NO_TOKEN = "this server asks for its token: open /?token=...\n"
+FROM_ELSEWHERE = "this page is from elsewhere\n"
+
+
+def gated_connection(gate: Gate) -> type[ServerConnection]:
+    """Return the class of connections that a gate lets in: others are closed before anything is read."""
+
+    class GatedConnection(ServerConnection):
+        _entered = ""
+
+        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+            peer = transport.get_extra_info("peername")
+            address = str(peer[0]) if peer else ""
+            if gate.enter(address):
+                self._entered = address
+                keep_alive(transport.get_extra_info("socket"))
+                super().connection_made(transport)
+            elif isinstance(transport, asyncio.Transport):
+                transport.abort()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            if self._entered:
+                gate.leave(self._entered)
+                super().connection_lost(exc)
+
+    return GatedConnection
+
+
+def asking_token(gate: Gate, answer: RequestAnswer) -> RequestAnswer:
+    """Return what refuses requests without the token or its cookie, and leaves the others to another one.
+
+    Args:
+        gate: Knows the token; if none is asked for, nobody is refused.
+        answer: Answers the others; it does not get to see the token.
+    """
+
+    def answer_known(connection: ServerConnection, request: Request) -> Response | None:
+        path, _, query = request.path.partition("?")
+        given = next((part for part in query.split("&") if part.startswith(TOKEN_QUERY)), "")
+        said = gate.rules.knows(unquote(given.removeprefix(TOKEN_QUERY)))
+        if gate.rules.token and not said and not any(map(gate.rules.knows_cookie, _cookies(request))):
+            peer = connection.remote_address
+            gate.refuse(str(peer[0]) if peer else "", "a wrong token" if given else "no token")
+            return connection.respond(HTTPStatus.FORBIDDEN, NO_TOKEN)
+        response = answer(connection, replace(request, path=path))
+        if said and response is not None:
+            cookie = f"{COOKIE}={gate.rules.cookie}; Path=/; HttpOnly; SameSite=Strict"
+            response.headers["Set-Cookie"] = cookie
+            response.headers["Referrer-Policy"] = "no-referrer"
+            response.headers["Cache-Control"] = "no-store"
+        return response
+
+    return answer_known
+
+
+def is_own_page(request: Request) -> bool:
+    """Return whether a request is no page's from elsewhere: browsers say where a page is that asks.
+
+    There is one Host header: `host_names.for_own_names` has seen to that.
+    """
+    host = request.headers.get_all("Host")
+    return all([origin.partition("://")[2]] == host for origin in request.headers.get_all("Origin"))
+
+
+def _cookies(request: Request) -> list[str]:
+    """Return the values of all cookies of our name."""
+    texts = (text for line in request.headers.get_all("Cookie") for text in line.split(";"))
+    pairs = (text.strip().partition("=") for text in texts)
+    return [value for name, _, value in pairs if name == COOKIE]
+
+
+_HOST = re.compile(r"(?:\[([0-9a-f:.]+)\]|([a-z0-9._-]+))(?::[0-9]+)?", re.IGNORECASE)
+_NAME = re.compile(r"[a-z0-9._-]+|[0-9a-f:.]+", re.IGNORECASE)
+LOCALHOST = re.compile(r"(?:.+\.)?localhost")
+"""These names are no site's: they always mean the browser's own machine."""
+
+
+def check_names(names: Collection[str], option: str = "--allow-host") -> tuple[str, ...]:
+    """Return the names of an option as they are compared.
+
+    Raises:
+        UsageError: One is no host name and no IP address.
+    """
+    for name in names:
+        if not _NAME.fullmatch(name):
+            wanted = "expected a name or IP address alone, as sim.example.org"
+            raise UsageError(f"{option}: {name!r} is no host; {wanted}")
+    return tuple(map(_plain, names))
+
+
+def is_own_name(host: str, names: Collection[str]) -> bool:
+    """Return whether a Host header names this server.
+
+    Args:
+        host: The header, with or without a port.
+        names: What it is called beside `LOCALHOST`: names and IP addresses, as from `check_names`.
+    """
+    found = _HOST.fullmatch(host)
+    name = _plain(found[1] or found[2]) if found else ""
+    return name in names or LOCALHOST.fullmatch(name) is not None
+
+
+def for_own_names(names: Collection[str], answer: RequestAnswer) -> RequestAnswer:
+    """Return what refuses requests under names that are not ours, and leaves the others to another one.
+
+    Args:
+        names: What the server is called beside `LOCALHOST` and the IP address that a connection came to.
+        answer: Answers the others.
+    """
+    names = {_plain(name) for name in names}
+
+    def answer_own(connection: ServerConnection, request: Request) -> Response | None:
+        hosts, here = request.headers.get_all("Host"), connection.local_address
+        own = {*names, _plain(str(here[0]))} if here else set(names)
+        if len(hosts) == 1 and is_own_name(hosts[0], own):
+            return answer(connection, request)
+        told = f"not served under the name {clip(', '.join(hosts))}; --allow-host NAME allows one\n"
+        return connection.respond(HTTPStatus.FORBIDDEN, told)
+
+    return answer_own
+
+
+def _plain(name: str) -> str:
+    """Return a name or IP address in the one way in which it is compared."""
+    try:
+        return str(parse_address(name))
+    except ValueError:
+        return name.lower().removesuffix(".")
+
+
+Accept: TypeAlias = Callable[[ServerConnection], Awaitable[None]]
+"""Serves a websocket until it ends."""
+
+
+async def listen_for_websockets(
+    accept: Accept,
+    bound: socket.socket,
+    names: Collection[str],
+    gate: Gate,
+    answer: RequestAnswer,
+    max_size: int,
+) -> Server:
+    """Listen on a bound socket for browsers and programs that ask for us by name and say the token.
+
+    Args:
+        accept: Serves a websocket.
+        bound: The socket; closed if this fails.
+        names: The names that are ours.
+        gate: Of the port.
+        answer: Answers requests over HTTP; None lets a websocket begin.
+        max_size: Of a message [bytes].
+
+    Raises:
+        UsageError: The port is taken or the address is not ours.
+    """
+    try:
+        return await serve(
+            accept,
+            sock=bound,
+            process_request=for_own_names(names, asking_token(gate, answer)),
+            create_connection=gated_connection(gate),
+            max_size=max_size,
+            compression=None,
+        )
+    except OSError as error:
+        host, port = bound.getsockname()[:2]
+        bound.close()
+        raise UsageError(f"cannot listen on {host}:{port}: {error}") from error

@@ -1,0 +1,1 @@
+"""The loop that serves worlds: its clock, its logs and metrics, and how it ends."""

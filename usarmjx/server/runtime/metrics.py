@@ -1,0 +1,176 @@
+"""What a running server tells Prometheus, and a health line: over HTTP, in the loop that all is served in.
+
+What is counted is counted where it happens, by an addition; all else is looked up when somebody asks.
+"""
+
+import json
+import socket
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from http import HTTPStatus
+from itertools import accumulate
+
+from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
+from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
+from prometheus_client.registry import Collector
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.http11 import Request, Response
+
+from usarmjx.base.errors import UsageError
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.network.gate import Gate
+from usarmjx.server.network.web_gate import asking_token, gated_connection
+from usarmjx.server.runtime.loop import GAP_BOUNDS, StepMeter
+
+REQUEST_LIMIT = 5.0
+"""Who connects has so long to ask [s]."""
+MAX_CONNECTIONS = 16
+"""An address may have three quarters of so many, unless the operator says otherwise."""
+IN_TIME = 0.9
+"""A world that makes less than this share of the time that it should is behind."""
+GAUGES: tuple[tuple[str, str, Callable[[StepMeter], float]], ...] = (
+    (
+        "realtime_factor",
+        "Simulated seconds per second, over the last five.",
+        lambda meter: meter.realtime_factor(time.perf_counter()),
+    ),
+    ("clients", "Connections to the Gamebots port.", lambda meter: len(meter.server.clients)),
+    ("robots", "Robots that clients have.", lambda meter: len(meter.server.world.robots)),
+)
+COUNTERS: tuple[tuple[str, str, Callable[[StepMeter], float]], ...] = (
+    ("simulated_seconds", "Simulated time.", lambda meter: meter.server.world.time),
+    ("connections", "Connections to the Gamebots port so far.", lambda meter: meter.server.tally.connections),
+    ("faults", "Lines that could not be used.", lambda meter: meter.server.faults),
+    (
+        "robots_put_back",
+        "Robots whose physics went bad and that were put back.",
+        lambda meter: meter.server.world.mishaps.put_back,
+    ),
+    (
+        "world_resets",
+        "Resets of the whole world because its physics went bad.",
+        lambda meter: meter.server.world.mishaps.resets,
+    ),
+)
+"""Name, meaning and value of what a world has; all begin with usarmjx_."""
+
+
+class WorldCollector(Collector):
+    """Looks up the metrics of the worlds that are served.
+
+    Args:
+        meters: One for each, by its number.
+    """
+
+    def __init__(self, meters: Mapping[int, StepMeter]) -> None:
+        self._meters = {str(number): meter for number, meter in meters.items()}
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield the metrics of all worlds."""
+        for kind, metrics in ((GaugeMetricFamily, GAUGES), (CounterMetricFamily, COUNTERS)):
+            for name, about, value in metrics:
+                family = kind(f"usarmjx_{name}", about, labels=["world"])
+                for world, meter in self._meters.items():
+                    family.add_metric([world], value(meter))
+                yield family
+        commands = CounterMetricFamily(
+            "usarmjx_commands", "Commands that were legal.", labels=["world", "kind"]
+        )
+        gaps = HistogramMetricFamily(
+            "usarmjx_step_gap_seconds", "Time between two control steps.", labels=["world"]
+        )
+        bounds = [*map(str, GAP_BOUNDS), "+Inf"]
+        for world, meter in self._meters.items():
+            for command, count in meter.server.tally.commands.items():
+                commands.add_metric([world, command.__name__], count)
+            gaps.add_metric([world], list(zip(bounds, accumulate(meter.gaps), strict=True)), meter.gap_sum)
+        yield commands
+        yield gaps
+
+
+class MetricsServer:
+    """A `net.Service` that answers `/metrics` and `/healthz` for all worlds.
+
+    Args:
+        servers: Those of the worlds; each gets a `StepMeter`.
+        factor: Simulated seconds per second that are wanted; 0: as many as there can be.
+        bound: A socket that is bound to the port.
+        numbers: Which worlds of the batch they are; None: the first ones.
+    """
+
+    def __init__(
+        self,
+        servers: Sequence[BotServer],
+        factor: float,
+        bound: socket.socket,
+        numbers: Sequence[int] | None = None,
+    ) -> None:
+        self._meters = [StepMeter(server) for server in servers]
+        for server, meter in zip(servers, self._meters, strict=True):
+            server.services.append(meter)
+        self._factor, self._bound = factor, bound
+        self._registry = CollectorRegistry()
+        own = range(len(servers)) if numbers is None else numbers
+        self._registry.register(WorldCollector(dict(zip(own, self._meters, strict=True))))
+        ProcessCollector(namespace="usarmjx", registry=self._registry)
+        self._gate = Gate(servers[0].settings.access, MAX_CONNECTIONS, "metrics")
+        self._server: Server | None = None
+
+    async def start(self) -> list[str]:
+        """Listen; return lines for the user.
+
+        Raises:
+            UsageError: The port cannot be listened on.
+        """
+        host, port = self._bound.getsockname()[:2]
+        try:
+            self._server = await serve(
+                _no_websocket,
+                sock=self._bound,
+                process_request=asking_token(self._gate, self._answer),
+                create_connection=gated_connection(self._gate),
+                open_timeout=REQUEST_LIMIT,
+            )
+        except OSError as error:
+            raise UsageError(f"cannot listen on {host}:{port}: {error}") from error
+        return [f"metrics at http://{host}:{port}/metrics"]
+
+    def tick(self) -> None:
+        """Nothing to do: the meters count."""
+
+    def stop(self) -> None:
+        """Close all connections."""
+        if self._server is not None:
+            self._server.close()
+
+    def health(self) -> dict[str, object]:
+        """Return how it goes: `status` is ok, or behind if a world makes too little simulated time."""
+        now = time.perf_counter()
+        factors = [meter.realtime_factor(now) for meter in self._meters]
+        behind = min(factors) < IN_TIME * self._factor
+        return {
+            "status": "behind" if behind else "ok",
+            "realtime_factor": round(min(factors), 3),
+            "clients": sum(len(meter.server.clients) for meter in self._meters),
+            "worlds": len(self._meters),
+        }
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response:
+        path = request.path.partition("?")[0]
+        if path == "/metrics":
+            return _respond(connection, generate_latest(self._registry).decode(), CONTENT_TYPE_PLAIN_0_0_4)
+        if path == "/healthz":
+            return _respond(connection, json.dumps(self.health()) + "\n", "application/json")
+        return connection.respond(HTTPStatus.NOT_FOUND, "there is /metrics and /healthz\n")
+
+
+async def _no_websocket(connection: ServerConnection) -> None:
+    """Do nothing: every request is answered before it gets here."""
+
+
+def _respond(connection: ServerConnection, text: str, kind: str) -> Response:
+    response = connection.respond(HTTPStatus.OK, text)
+    del response.headers["Content-Type"]
+    response.headers["Content-Type"] = kind
+    return response

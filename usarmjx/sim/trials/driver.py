@@ -1,0 +1,252 @@
+"""One robot in an arena, driven along points by who knows where it is."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from usarmjx.base.backend import numpy_backend
+from usarmjx.base.errors import UsageError
+from usarmjx.base.transforms import quat_from_angles
+from usarmjx.models.arenas.lanes import MobilityLane
+from usarmjx.models.drives.steering import drive_values
+from usarmjx.models.types.arena import ArenaSpec, StartPose
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.models.types.shapes import Position2D
+from usarmjx.sim.control import CommandUpdate, idle_command, update_command
+from usarmjx.sim.scene import build_scene, start_height
+from usarmjx.sim.single_world import SingleWorld
+
+Posture = Callable[[float], dict[str, float]]
+"""From the pitch [rad], nose up positive, to angles of joints [rad]."""
+FRONT, REAR = ("FRFlipper", "FLFlipper"), ("RRFlipper", "RLFlipper")
+RAISED = -0.6
+"""Front flippers on level ground: tips up, to get onto what is ahead [rad]."""
+STEEPEST = 0.6
+"""Pitch from which on flippers do not move further [rad]."""
+
+
+def crawl(pitch: float) -> dict[str, float]:
+    """Return flippers that are up ahead on level ground, flat in front and pressed down behind in a climb."""
+    climb = min(max(pitch, 0.0), STEEPEST)
+    return dict.fromkeys(FRONT, RAISED + climb) | dict.fromkeys(REAR, -0.8 * climb)
+
+
+def posture_of(robot: RobotSpec) -> Posture | None:
+    """Return what a class does on the way; None: it has no flippers."""
+    return crawl if {*FRONT, *REAR} <= {part.name for part in robot.parts} else None
+
+
+NEAR = 0.25
+"""How near to a point of its way a robot must get [m]."""
+GAIN = 2.0
+"""Steering for each radian that its heading is off."""
+ORDER_TIME = 0.1
+"""How long an order lasts [s]."""
+PATIENCE = 10.0
+"""Who comes no nearer for so long is stuck [s]."""
+PROGRESS = 0.05
+"""Nearer than this is nearer [m]."""
+BACK_OFF = 1.5
+"""How long a stuck robot goes back before it tries once more [s]."""
+OVER = math.cos(math.radians(80))
+"""How upright a robot must stay."""
+
+
+@dataclass(frozen=True)
+class Ride:
+    """How a robot got along its way.
+
+    Attributes:
+        reached: Points that it got to.
+        seconds: Simulated time that it took [s].
+        fault: "" if it got to all of them, else what stopped it.
+    """
+
+    reached: int
+    seconds: float
+    fault: str = ""
+
+
+class Trial:
+    """A robot alone in an arena.
+
+    Args:
+        arena: The arena.
+        robot: Its class, which drives on the ground.
+        share: Share of its top speed at which it is driven.
+
+    Raises:
+        UsageError: The class does not drive on the ground, or has no room at the first start pose.
+    """
+
+    def __init__(self, arena: ArenaSpec, robot: RobotSpec, share: float = 1.0) -> None:
+        if robot.drive.steering not in ("SkidSteered", "AckermanSteered", "OmniDrive"):
+            raise UsageError(f"a {robot.name} is not steered on the ground: no lane is for it")
+        self._arena, self._robot, self._share = arena, robot, share
+        self._posture = posture_of(robot)
+        self._keys = robot.drive.full_scale
+        self.world = SingleWorld(build_scene(arena, []), seats=1)
+        self._period = self.world.scene.physics.period
+        self._slot = self.world.add(robot, robot.name, [self._pose_at(arena.starts[0])])
+
+    def _pose_at(self, start: StartPose) -> tuple[tuple[float, float, float], np.ndarray]:
+        x, y, _ = start.at
+        turned = np.array(quat_from_angles(0.0, 0.0, start.yaw))
+        return (x, y, start_height(self._arena, start, self._robot)), turned
+
+    def put_back(self, start: StartPose) -> None:
+        """Put the robot onto a start pose, at rest."""
+        self.world.reset()
+        pos, quat = self._pose_at(start)
+        self.world.engine.place(self._index, np.array(pos), quat)
+
+    @property
+    def _index(self):  # noqa: ANN202 - a RobotIndex
+        group, member = self.world.scene.group_of(self._slot)
+        return self.world.scene.groups[group].indices[member]
+
+    def stands(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return position [m] (3,) and orientation (3, 3) of the robot."""
+        pose, mat = self.world.engine.pose(self._index), np.zeros(9)
+        mujoco.mju_quat2Mat(mat, pose[3:])
+        return pose[:3], mat.reshape(3, 3)
+
+    def tell(self, ahead: float, left: float, pitch: float = 0.0) -> None:
+        """Tell the robot to drive, as shares of its speed, with its flippers as its pitch [rad] asks for."""
+        scene = self.world.scene
+        group, _ = scene.group_of(self._slot)
+        drive = drive_values(self._keys, ahead, left, 0.0, self._share)
+        update = CommandUpdate(drive=drive, joints=self._posture(pitch) if self._posture else {})
+        with numpy_backend():
+            told = update_command(scene.groups[group].plan, idle_command(self._robot), update)
+        self.world.edit(self._slot, command=told)
+
+    def run(self, seconds: float) -> bool:
+        """Let time pass; return whether the physics stayed sound."""
+        return not any([bool(self.world.step()) for _ in range(round(seconds / self._period))])
+
+    def follow(self, way: Sequence[Position2D], seconds: float, near: float = NEAR) -> Ride:
+        """Drive along points for a time at most [s]; the driver backs off once where it is stuck."""
+        begun, reached, retried = self.world.time, 0, False
+        best, since = math.inf, begun
+        while reached < len(way):
+            pos, mat = self.stands()
+            now = self.world.time
+            if mat[2, 2] < OVER:
+                return Ride(reached, now - begun, f"turned over at {_place(pos)}")
+            away = np.subtract(way[reached], pos[:2])
+            distance = float(np.linalg.norm(away))
+            if distance < near:
+                reached, best, since, retried = reached + 1, math.inf, now, False
+                continue
+            if distance < best - PROGRESS:
+                best, since = distance, now
+            if now - begun >= seconds:
+                return Ride(reached, now - begun, f"out of time at {_place(pos)}")
+            if now - since > PATIENCE:
+                if retried:
+                    return Ride(reached, now - begun, f"stuck at {_place(pos)}")
+                retried, since = True, now
+                self.tell(-1.0, 0.0)
+                self.run(BACK_OFF)
+                continue
+            self._steer(away, mat)
+            if not self.run(ORDER_TIME):
+                return Ride(reached, self.world.time - begun, f"was put back at {_place(pos)}")
+        return Ride(reached, self.world.time - begun)
+
+    def _steer(self, away: np.ndarray, mat: np.ndarray) -> None:
+        """Head for a point that lies `away` [m] (2,), slower ahead the sharper the turn."""
+        forward = mat[:2, 0]
+        error = math.atan2(forward[0] * away[1] - forward[1] * away[0], float(forward @ away))
+        turn = max(-1.0, min(1.0, GAIN * error))
+        ahead = max(0.0, 1.0 - abs(turn) / 2) if abs(error) < math.pi / 3 else 0.0
+        self.tell(ahead, turn, math.asin(max(-1.0, min(1.0, float(mat[2, 0])))))
+
+    def stop(self) -> None:
+        """Let the robot come to rest."""
+        self.tell(0.0, 0.0)
+        self.run(0.5)
+
+
+def _place(pos: np.ndarray) -> str:
+    return f"{pos[0]:.2f}, {pos[1]:.2f}"
+
+
+MOST_FAULTS = 3
+"""After so many a test is over."""
+
+
+@dataclass(frozen=True)
+class LaneScore:
+    """What a robot did in a lane.
+
+    Attributes:
+        lane: The lane.
+        robot: Name of its class.
+        seconds: Simulated time that counted [s].
+        repetitions: Traverses with the whole robot from one end to the other; there and back in lanes where
+            that is one.
+        faults: In words why traverses did not count; after each the robot is put back to its start.
+    """
+
+    lane: MobilityLane
+    robot: str
+    seconds: float
+    repetitions: int
+    faults: tuple[str, ...] = ()
+
+    @property
+    def per_minute(self) -> float:
+        """Repetitions per minute."""
+        return 60.0 * self.repetitions / self.seconds if self.seconds else 0.0
+
+    @property
+    def metres_per_minute(self) -> float:
+        """Length of lane in counted repetitions, per minute [m/min]."""
+        return self.per_minute * self.lane.length * (2 if self.lane.round_trip else 1)
+
+    def __str__(self) -> str:
+        """Return the score as a line."""
+        return (
+            f"{self.lane.arena.name} ({self.lane.method}), {self.robot}: {self.repetitions} repetitions in "
+            f"{self.seconds / 60:.1f} min, {self.per_minute:.2f}/min, {self.metres_per_minute:.2f} m/min, "
+            f"{len(self.faults)} faults"
+        )
+
+
+def run_lane(
+    lane: MobilityLane, robot: RobotSpec, minutes: float = 5.0, share: float = 1.0, most: int | None = None
+) -> LaneScore:
+    """Drive a robot to and fro in a lane and return its score.
+
+    Args:
+        lane: The lane.
+        robot: The robot's class.
+        minutes: How long [min].
+        share: Share of its top speed.
+        most: Repetitions after which the test is over; None: only time ends it.
+
+    Raises:
+        UsageError: The class does not drive on the ground.
+    """
+    trial, starts = Trial(lane.arena, robot, share), lane.arena.starts
+    left, done, faults, at = 60.0 * minutes, 0, [], 0
+    legs = 2 if lane.round_trip else 1
+    while left > 0 and len(faults) < MOST_FAULTS and (most is None or done // legs < most):
+        ride = trial.follow(lane.way(back=bool(at)), left)
+        left -= ride.seconds
+        if not ride.fault:
+            done, at = done + 1, 1 - at
+            continue
+        if left <= 0:
+            break
+        faults.append(ride.fault)
+        done -= done % legs
+        at = 0 if lane.round_trip else at
+        trial.put_back(starts[at])
+    seconds = 60.0 * minutes - max(left, 0.0)
+    return LaneScore(lane, robot.name, seconds, done // legs, tuple(faults))

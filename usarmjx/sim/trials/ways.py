@@ -1,0 +1,208 @@
+"""Whether a robot really gets where a plan of an arena says: it is driven to every start pose and victim."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from usarmjx.models.check.arena import ARM
+from usarmjx.models.check.probe import in_water
+from usarmjx.models.compile.reachability import (
+    DEFAULT_CELL_SIZE,
+    ReachMap,
+    footprint_of,
+    reach_map,
+    shapes_in_arena,
+)
+from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose, Victim
+from usarmjx.models.types.robot import RobotSpec
+from usarmjx.models.types.shapes import Position2D
+from usarmjx.sim.trials.driver import Trial
+
+FINE_CELL_SIZE = 0.02
+"""Side of the squares of a plan where a robot fits narrowly [m]."""
+SPACING = 0.3
+"""Distance of the points that a robot is driven along [m]."""
+SLOWEST = 0.1
+"""Share of its top speed at which a robot gets on at least, else it is out of time."""
+GRACE = 15.0
+"""What it may need besides, for turning and backing off [s]."""
+BORDER, BORDER_COST = 0.1, 3.0
+"""Ways keep away from where a robot does not fit: so far [m], and what they give for it."""
+
+
+class Leg(NamedTuple):
+    """A way between two places.
+
+    Attributes:
+        goal: What is there: "start 'B'".
+        way: Points [m].
+        length: Length [m].
+        home: Where the robot is put if it does not get there.
+    """
+
+    goal: str
+    way: tuple[Position2D, ...]
+    length: float
+    home: StartPose
+
+
+@dataclass(frozen=True)
+class Tour:
+    """How a robot got round an arena.
+
+    Attributes:
+        legs: Ways that it was sent.
+        metres: Length of those that it made [m].
+        seconds: Simulated time of those [s].
+        faults: A sentence for each way that it did not make.
+    """
+
+    legs: int
+    metres: float
+    seconds: float
+    faults: tuple[str, ...]
+
+    @property
+    def success(self) -> float:
+        """Share of the ways that it made."""
+        return 1.0 - len(self.faults) / self.legs if self.legs else 1.0
+
+
+def drive_arena(arena: ArenaSpec, robot: RobotSpec, share: float = 1.0) -> Tour:
+    """Drive a robot from the first start pose on ground to all others and to victims, where a plan leads.
+
+    Ways are planned with its size and the step that it should climb; whether it climbs, tips over or gets
+    stuck is what is found out. After a fault it goes on from the next start pose.
+
+    Args:
+        arena: The arena.
+        robot: Its class.
+        share: Share of its top speed.
+
+    Raises:
+        UsageError: The class does not drive on the ground, or there is no start pose for it.
+    """
+    dry = tuple(start for start in arena.starts if not in_water(arena, start))
+    arena = replace(arena, starts=dry or arena.starts)
+    trial, legs = Trial(arena, robot, share), plan_legs(arena, robot)
+    metres = seconds = 0.0
+    faults: list[str] = []
+    for leg in legs:
+        limit = GRACE + leg.length / (SLOWEST * max(robot.drive.top_speed, 1e-3) * share)
+        ride = trial.follow(leg.way, limit)
+        if ride.fault:
+            faults.append(f"{leg.goal}: a driven {robot.name} {_verb(ride.fault)}")
+            trial.put_back(leg.home)
+            continue
+        metres, seconds = metres + leg.length, seconds + ride.seconds
+    return Tour(len(legs), metres, seconds, tuple(faults))
+
+
+def _verb(fault: str) -> str:
+    return f"is {fault}" if fault.startswith(("stuck", "out of")) else fault
+
+
+def plan_legs(arena: ArenaSpec, robot: RobotSpec) -> list[Leg]:
+    """Return ways to all start poses and victims that a robot should reach, the nearest next."""
+    site = _WayFinder(arena, robot)
+    goals = {f"start {start.tag!r}": (site.node(start), start) for start in arena.starts[1:]}
+    goals |= {f"victim {victim.name!r}": (site.beside(victim), None) for victim in arena.victims}
+    left = {name: (node, start) for name, (node, start) in goals.items() if node >= 0}
+    here, home, legs = site.node(arena.starts[0]), arena.starts[0], []
+    while left and here >= 0:
+        lengths, before = site.search(here)
+        name = min(left, key=lambda one: lengths[left[one][0]])
+        node, start = left.pop(name)
+        if not math.isfinite(lengths[node]):
+            continue
+        home = start or home
+        way = site.way(before, here, node)
+        legs.append(Leg(name, way, _length(way), home))
+        here = node
+    return legs
+
+
+def _length(way: Sequence[Position2D]) -> float:
+    return sum(math.dist(a, b) for a, b in itertools.pairwise(way))
+
+
+class _WayFinder:
+    """Shortest ways over the surfaces of an arena on which a robot has room to turn."""
+
+    def __init__(self, arena: ArenaSpec, robot: RobotSpec) -> None:
+        size = footprint_of(robot)
+        for cell in (DEFAULT_CELL_SIZE, FINE_CELL_SIZE):
+            self.map: ReachMap = reach_map(arena, size.radius, size.step, height=size.height, cell=cell)
+            if self.map.start_area >= 0:
+                break
+        self._free = (self.map.area == self.map.start_area) & (self.map.start_area >= 0)
+        self._numbers = np.full(self._free.shape, -1)
+        self._numbers[self._free] = np.arange(int(self._free.sum()))
+        _, i, j = np.nonzero(self._free)
+        low, cell = self.map.grid.low, self.map.grid.cell
+        self._points = np.stack([low[0] + (i + 0.5) * cell, low[1] + (j + 0.5) * cell], -1)
+        self._graph = self._edges()
+
+    def _edges(self):  # noqa: ANN202 - a sparse matrix of scipy
+        from scipy.ndimage import distance_transform_edt
+        from scipy.sparse import csr_array
+
+        cell = self.map.grid.cell
+        room = [np.asarray(distance_transform_edt(np.pad(layer, 1)))[1:-1, 1:-1] for layer in self._free]
+        cost = 1.0 + BORDER_COST * np.exp(-np.stack(room) * cell / BORDER)
+        ends: list[np.ndarray] = []
+        weights: list[np.ndarray] = []
+        for link in self.map.links:
+            for (lower, upper), joined in link.joined.items():
+                here = self._numbers[lower][link.here][joined]
+                there = self._numbers[upper][link.there][joined]
+                dear = (cost[lower][link.here][joined] + cost[upper][link.there][joined]) / 2
+                both = (here >= 0) & (there >= 0)
+                ends.append(np.stack([here[both], there[both]]))
+                weights.append(dear[both] * cell * (math.sqrt(2.0) if link.corner else 1.0))
+        count = len(self._points)
+        if not ends:
+            return csr_array((count, count))
+        pairs = np.concatenate(ends, axis=1)
+        return csr_array((np.concatenate(weights), (pairs[0], pairs[1])), shape=(count, count))
+
+    def node(self, start: StartPose) -> int:
+        """Return the square under a start pose; -1: the robot does not get there."""
+        return self._near(start.at[0], start.at[1], start.at[2] - START_ELEVATION, 4 * self.map.grid.cell)
+
+    def beside(self, victim: Victim) -> int:
+        """Return the square nearest to a victim that the robot may stand on; -1: none is near."""
+        found = [self._near(*part.at, ARM) for part in shapes_in_arena(victim)]
+        found = [node for node in found if node >= 0]
+        if not found:
+            return -1
+        at = np.array(victim.at[:2])
+        return min(found, key=lambda node: float(np.linalg.norm(self._points[node] - at)))
+
+    def _near(self, x: float, y: float, z: float, most: float) -> int:
+        if not len(self._points):
+            return -1
+        ground = self.map.ground[self._free]
+        away = np.hypot(*(self._points - (x, y)).T) + np.where(np.abs(ground - z) < ARM, 0.0, 10.0 * ARM)
+        best = int(away.argmin())
+        return best if away[best] <= most else -1
+
+    def search(self, node: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the cost of ways from a square to all others, and the squares before them."""
+        from scipy.sparse.csgraph import dijkstra
+
+        lengths, before = dijkstra(self._graph, directed=False, indices=node, return_predecessors=True)
+        return np.asarray(lengths), np.asarray(before)
+
+    def way(self, before: np.ndarray, here: int, there: int) -> tuple[Position2D, ...]:
+        """Return points along a way."""
+        squares = [there]
+        while squares[-1] != here:
+            squares.append(int(before[squares[-1]]))
+        every = max(1, round(SPACING / self.map.grid.cell))
+        chosen = [*squares[::-1][every::every], there]
+        return tuple((float(x), float(y)) for x, y in self._points[chosen])

@@ -1,0 +1,326 @@
+"""Several processes train together: one for each device, each with worlds of its own.
+
+Only gradients and sums cross between processes; checkpoints are written by all of them to one folder, which
+all hosts must share.
+"""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from usarmjx.base.errors import UsageError, UsarmjxError
+from usarmjx.base.files import writing
+
+COORDINATOR, COUNT, INDEX, PARENT = (
+    "USARMJX_COORDINATOR",
+    "USARMJX_PROCESSES",
+    "USARMJX_PROCESS",
+    "USARMJX_PARENT",
+)
+# Variables that say how many processes there are, which this is, and which of them its host's first device
+# is for; the first launcher is ours. The last two name the coordinator: host, and port.
+LAUNCHERS = (
+    ("usarmjx", COUNT, INDEX, INDEX),
+    ("torchrun", "WORLD_SIZE", "RANK", "LOCAL_RANK"),
+    ("Slurm", "SLURM_NTASKS", "SLURM_PROCID", "SLURM_LOCALID"),
+    ("Open MPI", "OMPI_COMM_WORLD_SIZE", "OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_LOCAL_RANK"),
+)
+
+
+@dataclass(frozen=True)
+class ProcessInfo:
+    """Which of several processes this is.
+
+    Attributes:
+        count: How many there are.
+        index: Which this is, from 0.
+        local_index: Which it is on its host.
+        coordinator: Address of the first one, as host:port; empty: jax finds it from the launcher.
+    """
+
+    count: int
+    index: int
+    local_index: int
+    coordinator: str = ""
+
+
+def process_info(environment: Mapping[str, str]) -> ProcessInfo | None:
+    """Return which of several processes this is, by the environment variables; None: the only one."""
+    for name, count, index, local in LAUNCHERS:
+        number = environment.get(count, "")
+        if index in environment and number.isdecimal() and int(number) > 1:
+            address = environment.get(COORDINATOR, "")
+            if name == "torchrun":
+                host, port = environment.get("MASTER_ADDR"), environment.get("MASTER_PORT")
+                if not host or not port:
+                    raise UsageError(f"{count} is {number}, but MASTER_ADDR or MASTER_PORT is not set")
+                address = f"{host}:{port}"
+            where = environment.get(local, environment[index])
+            return ProcessInfo(int(number), int(environment[index]), int(where), address)
+    return None
+
+
+def spawn(processes: int, command: Sequence[str]) -> int:
+    """Run a command in several processes on this host, and return the first exit code that is not 0.
+
+    Each sees one GPU, if there are any. If one ends with a fault, the others are ended.
+
+    Args:
+        processes: How many.
+        command: Program and arguments, the same for all.
+    """
+    address = f"127.0.0.1:{_free_port()}"
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    gpus = visible.split(",") if visible else [str(i) for i in range(processes)]
+    if visible and len(gpus) < processes:
+        raise UsageError(f"{processes} processes, but CUDA_VISIBLE_DEVICES shows {len(gpus)} devices")
+    running: list[subprocess.Popen[bytes]] = []
+    try:
+        for i in range(processes):
+            ours = {COORDINATOR: address, COUNT: str(processes), INDEX: str(i), PARENT: str(os.getpid())}
+            environment = {**os.environ, **ours, "CUDA_VISIBLE_DEVICES": gpus[i]}
+            running.append(subprocess.Popen(command, env=environment))
+        return _wait(running)
+    finally:
+        _end(running)
+
+
+def _wait(running: list[subprocess.Popen[bytes]]) -> int:
+    while True:
+        codes = [process.poll() for process in running]
+        bad = [code for code in codes if code]
+        if bad or all(code == 0 for code in codes):
+            return bad[0] if bad else 0
+        time.sleep(0.1)
+
+
+def _end(running: list[subprocess.Popen[bytes]], patience: float = 5.0) -> None:
+    for process in running:
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+    until = time.monotonic() + patience
+    for process in running:
+        try:
+            process.wait(max(0.1, until - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def check_parent() -> None:
+    """End this process if `spawn` started it and is there no more: nobody would ever stop it."""
+    parent = os.environ.get(PARENT)
+    if parent is not None and os.getppid() != int(parent):
+        sys.exit("usarmjx: the process that started this one is gone")
+
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
+LOCK_FILE = "trainer.lock"
+
+
+@contextmanager
+def run_lock(run: Path) -> Generator[None]:
+    """Keep other trainers out of the folder of a run, which is there.
+
+    The system holds the lock for this process, so none is left behind, however the process ends.
+
+    Raises:
+        UsageError: Another process trains there; says which.
+        WriteError: The folder cannot be written to.
+    """
+    path = run / LOCK_FILE
+    with writing(path):
+        file = path.open("a+")
+    with file:
+        if not _lock(file.fileno()):
+            file.seek(0)
+            who = file.read().strip() or "another process"
+            raise UsageError(f"{who} trains in {run}: wait for its end, or choose another folder")
+        with writing(path):
+            file.truncate(0)
+            file.write(f"process {os.getpid()} on {socket.gethostname()}\n")
+            file.flush()
+        yield
+
+
+def _lock(descriptor: int) -> bool:
+    """Return whether nobody else holds the lock; true also where the system has none, which is told."""
+    reason = "this system has no fcntl"
+    if fcntl is not None:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        except BlockingIOError:
+            return False
+        except OSError as error:
+            reason = str(error.strerror)
+    sys.stderr.write(
+        f"usarmjx: a second trainer in this folder would not be noticed, as it cannot be locked: {reason}\n"
+    )
+    return True
+
+
+Tree = TypeVar("Tree")
+"""Any tree of arrays."""
+PROCESS_AXIS = "process"
+"""Axis of the mesh of all processes."""
+
+
+def initialize(environment: Mapping[str, str] | None = None) -> ProcessInfo:
+    """Join the other processes, if there are any; before anything runs on a device.
+
+    Raises:
+        UsageError: The environment variables contradict each other, or JAX runs already.
+    """
+    info = process_info(os.environ if environment is None else environment)
+    if info is None:
+        return ProcessInfo(1, 0, 0)
+    if jax.distributed.is_initialized():
+        return info
+    cast(Any, jax.config).update("jax_cpu_collectives_implementation", "gloo")
+    arguments: dict[str, Any] = {"num_processes": info.count, "process_id": info.index}
+    if info.coordinator:
+        arguments["coordinator_address"] = info.coordinator
+    try:
+        jax.distributed.initialize(**arguments, local_device_ids=None if _chosen() else [info.local_index])
+    except (RuntimeError, ValueError) as error:
+        raise UsageError(f"process {info.index} of {info.count} cannot join the others: {error}") from error
+    return info
+
+
+@contextmanager
+def distributed_run() -> Generator[ProcessInfo, None, None]:
+    """Join the other processes, and fail at once if this one fails: else they would wait for each other.
+
+    JAX has each process wait for all others at its end, for minutes, while those wait for what this one
+    was to add. So the process ends without goodbye, and `spawn`, or the launcher, ends the others.
+
+    Raises:
+        UsageError: See `initialize`.
+    """
+    info = initialize()
+    threading.Thread(target=_start_devices, name="devices", daemon=True).start()
+    try:
+        yield info
+    except BaseException as error:
+        if info.count == 1:
+            raise
+        ours = isinstance(error, UsarmjxError)
+        if ours:
+            sys.stderr.write(f"usarmjx: {error}\n")
+        else:
+            traceback.print_exc()
+        sys.stderr.flush()
+        os._exit(2 if ours else 1)
+
+
+def _start_devices() -> None:
+    """Let JAX start its devices while modules are imported and worlds built: a GPU takes seconds.
+
+    What is wrong with them is for the first who needs them to tell, as JAX tries again.
+    """
+    with suppress(Exception):
+        jax.devices()
+
+
+def _chosen() -> bool:
+    """Return whether the device has been chosen already: a CPU, or the only GPU that is shown."""
+    shown = os.environ.get("CUDA_VISIBLE_DEVICES")
+    return os.environ.get("JAX_PLATFORMS") == "cpu" or (shown is not None and "," not in shown)
+
+
+class ProcessGroup:
+    """All processes, as the update sees them.
+
+    Attributes:
+        count: How many there are.
+        index: Which this is.
+        device: What this one computes on.
+        mesh: One device of each.
+    """
+
+    def __init__(self) -> None:
+        self.count, self.index = jax.process_count(), jax.process_index()
+        firsts: dict[int, Any] = {}
+        for device in jax.devices():
+            firsts.setdefault(device.process_index, device)
+        self.device = firsts[self.index]
+        self.mesh = Mesh(np.array([firsts[i] for i in range(self.count)]), (PROCESS_AXIS,))
+
+    def device_put(self, tree: Tree) -> Tree:
+        """Return a tree with its JAX arrays placed on this process's device; others stay as they are."""
+        # Without weak types, so that the second iteration finds what the first one compiled.
+        return jax.tree.map(
+            lambda leaf: jax.device_put(_strong(leaf), self.device) if isinstance(leaf, jax.Array) else leaf,
+            tree,
+        )
+
+    def to_global(self, tree: Tree, axis: int | None) -> Tree:
+        """Return global arrays, of which this process has the local part `tree`.
+
+        Args:
+            tree: Arrays of this process.
+            axis: Which the local parts are joined along; None: all processes have the same.
+        """
+
+        def join_up(leaf: jax.Array, whole: jax.ShapeDtypeStruct) -> jax.Array:
+            return jax.make_array_from_single_device_arrays(whole.shape, whole.sharding, [leaf])
+
+        return jax.tree.map(join_up, tree, self.global_shapes(tree, axis))
+
+    def global_shapes(self, tree: Tree, axis: int | None) -> Tree:
+        """Return the shapes of what `to_global` returns; of the tree only shapes are looked at."""
+        spec = PartitionSpec() if axis is None else PartitionSpec(*[None] * axis, PROCESS_AXIS)
+        sharding = NamedSharding(self.mesh, spec)
+
+        def joined(leaf: jax.Array) -> jax.ShapeDtypeStruct:
+            shape = [n * self.count if i == axis else n for i, n in enumerate(leaf.shape)]
+            return jax.ShapeDtypeStruct(tuple(shape), leaf.dtype, sharding=sharding)
+
+        return jax.tree.map(joined, tree)
+
+    @staticmethod
+    def to_local(tree: Tree) -> Tree:
+        """Return the local part of global arrays."""
+        return jax.tree.map(lambda leaf: leaf.addressable_data(0), tree)
+
+    def barrier(self, name: str) -> None:
+        """Wait for all others to come here."""
+        if self.count > 1:
+            multihost_utils.sync_global_devices(name)
+
+    def everywhere(self, true: bool) -> bool:
+        """Return whether something is true in all processes; each waits here for the others."""
+        if self.count == 1:
+            return true
+        found: Any = multihost_utils.process_allgather(np.array([true]))
+        return bool(np.all(found))
+
+
+def _strong(leaf: jax.Array) -> jax.Array:
+    return leaf.astype(leaf.dtype) if getattr(leaf, "weak_type", False) else leaf

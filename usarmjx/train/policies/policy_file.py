@@ -1,0 +1,371 @@
+"""A policy as one small file, and its inference in plain NumPy: what a robot's client needs, and no more.
+
+The file is NumPy's `.npz`: `about` is JSON (format, task, period, groups, layers), the other arrays are
+`mean/0`, `std/0` and the weights of group 0 (`weights/0/layer_0/kernel`), and so on, in single precision or
+the weights in half. This module imports neither JAX nor anything that needs it.
+"""
+
+import io
+import json
+import math
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.lib import format as npy
+
+from usarmjx.base.errors import UsageError, one_line
+from usarmjx.base.files import write_beside
+from usarmjx.train.policies import POLICIES
+
+if TYPE_CHECKING:
+    from usarmjx.train.learning.checkpoint import RunRecord
+    from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
+
+
+FORMAT = 1
+MOST_BYTES = 64_000_000
+"""Of a policy's arrays, unpacked."""
+USUAL_BYTES, MOST_RATIO = 8_000_000, 100
+"""Of arrays that may be packed as small as they are, and how much larger than their file others may be."""
+MOST_ARRAYS = 1000
+HEADER = 4096
+"""Bytes at the start of an array that have its shape; ours have 128."""
+
+
+def read_arrays(file: Path) -> tuple[Any, dict[str, np.ndarray]]:
+    """Return what is said under `about` in a policy's file, and its other arrays.
+
+    No array is read before all shapes are known to be as large as the file says, and no larger than may be.
+
+    Raises:
+        UsageError: The file is too large, or no policy.
+    """
+    try:
+        with zipfile.ZipFile(file) as held:
+            members = {one.filename.removesuffix(".npy"): one for one in held.infolist()}
+            _check_sizes(file, list(members.values()))
+            for name, member in members.items():
+                _check_header(held, member, name)
+            found = {name: _read(held, member) for name, member in members.items()}
+            return json.loads(str(found.pop("about"))), found
+    except UsageError:
+        raise
+    except KeyError:
+        raise UsageError(f"{file} is no policy of usarmjx: it has no `about`") from None
+    except Exception as error:  # zipfile and NumPy raise whatever they run into
+        raise UsageError(f"{file} is no policy of usarmjx: {one_line(error)}") from error
+
+
+def _check_sizes(file: Path, members: Sequence[zipfile.ZipInfo]) -> None:
+    if len(members) > MOST_ARRAYS:
+        raise UsageError(f"{file} has {len(members)} arrays; a policy has at most {MOST_ARRAYS}")
+    packed, unpacked = file.stat().st_size, sum(one.file_size for one in members)
+    most = min(MOST_BYTES, max(USUAL_BYTES, MOST_RATIO * packed))
+    if unpacked > most:
+        raise UsageError(f"{file} has {packed} bytes and becomes {unpacked}; at most {most}")
+
+
+def _check_header(held: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> None:
+    """Check that an array is of numbers or a text, and as large as its member is said to be."""
+    with held.open(member) as stream:
+        head = io.BytesIO(stream.read(HEADER))
+    read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}[npy.read_magic(head)]
+    shape, _, kind = read(head)
+    if kind.kind not in ("f", "U") or (kind.kind == "U") != (name == "about"):
+        raise ValueError(f"array {name[:40]!r} is of type {kind}; expected floating-point numbers")
+    size = math.prod(shape) * kind.itemsize + head.tell()
+    if size != member.file_size:
+        raise ValueError(
+            f"array {name[:40]!r} of shape {shape} takes {size} bytes, it has {member.file_size}"
+        )
+
+
+def _read(held: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
+    with held.open(member) as stream:
+        array = np.asarray(npy.read_array(stream, allow_pickle=False))
+    return array.astype(np.float32) if array.dtype.kind == "f" else array
+
+
+def check_about(about: Any) -> None:  # noqa: ANN401 - whatever the file has
+    """Check that a policy's file says what a policy needs.
+
+    Raises:
+        ValueError: Something is missing, or of another kind; names it.
+    """
+    _check("about", about, dict, about)
+    for key, kind in (("task", str), ("overrides", dict), ("period", int | float), ("groups", list)):
+        _check(key, about, kind)
+    for key in ("layers", "memory"):
+        _check_whole(key, about)
+    if not (0 < about["period"] < math.inf and about["groups"] and about["layers"]):
+        raise ValueError("its period is above 0, and it has groups and layers")
+    _check_texts("overrides", [*about["overrides"], *about["overrides"].values()])
+    for group in about["groups"]:
+        _check("group", group, dict, group)
+        if group.keys() != {"name", "agents", "obs_size", "action_size"}:
+            raise ValueError(f"a group has {', '.join(sorted(group))[:100]}, not what groups have")
+        _check("name", group, str)
+        _check("agents", group, list)
+        _check_texts("agents", group["agents"])
+        _check_whole("obs_size", group)
+        _check_whole("action_size", group)
+
+
+def _check(key: str, held: Mapping[str, Any], kind: Any, value: Any = None) -> None:  # noqa: ANN401
+    found = held[key] if value is None else value
+    if not isinstance(found, kind) or isinstance(found, bool):
+        raise ValueError(f"its {key} is a {type(found).__name__}")
+
+
+def _check_whole(key: str, held: Mapping[str, Any]) -> None:
+    _check(key, held, int)
+    if not 0 <= held[key] <= MOST_BYTES:
+        raise ValueError(f"its {key} is {held[key]}")
+
+
+def _check_texts(key: str, found: Sequence[Any]) -> None:
+    if not all(isinstance(one, str) for one in found):
+        raise ValueError(f"its {key} are texts")
+
+
+def check_shapes(about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
+    """Check that a policy's arrays fit together, so that it can act.
+
+    Raises:
+        ValueError: An array has another shape than it must have; names it.
+        KeyError: It is not there.
+    """
+    memory = about["memory"]
+    for g, group in enumerate(about["groups"]):
+        width = group["obs_size"]
+        wanted = {f"mean/{g}": (width,), f"std/{g}": (width,)}
+        start = f"weights/{g}/"
+        for i in range(about["layers"]):
+            out = arrays[f"{start}layer_{i}/bias"].size
+            wanted |= {f"{start}layer_{i}/kernel": (width, out), f"{start}layer_{i}/bias": (out,)}
+            width = out
+        if memory:
+            wanted |= {f"{start}gates/kernel": (width, 3 * memory), f"{start}gates/bias": (3 * memory,)}
+            wanted |= {f"{start}recurrent": (memory, 3 * memory), f"{start}recurrent_bias": (memory,)}
+            width = memory
+        out = 2 * group["action_size"]
+        wanted |= {f"{start}head/kernel": (width, out), f"{start}head/bias": (out,)}
+        for name, shape in wanted.items():
+            if arrays[name].shape != shape:
+                raise ValueError(f"array {name!r} has the shape {arrays[name].shape}, not {shape}")
+            if not np.isfinite(arrays[name]).all():
+                raise ValueError(f"array {name!r} has numbers that are not finite")
+        extra = [name for name in arrays if name.startswith(start) and name not in wanted]
+        if extra:
+            raise ValueError(f"array {extra[0][:60]!r} belongs to no layer")
+
+
+MAX_NORMALISED = 10.0  # as in `statistics`
+MIN_STD = 0.01  # as in `networks`
+
+Vector = np.ndarray
+ParamTree = Mapping[str, Any]
+
+
+def _sigmoid(x: Vector) -> Vector:
+    return 0.5 * (1.0 + np.tanh(0.5 * x))
+
+
+def _elu(x: Vector) -> Vector:
+    return np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0)))
+
+
+def _dense(layer: ParamTree, x: Vector) -> Vector:
+    return x @ layer["kernel"] + layer["bias"]
+
+
+def forward(weights: ParamTree, layers: int, x: Vector, carry: Vector) -> tuple[Vector, Vector]:
+    """Return what a policy's network says (..., outputs), and the carry after it (..., memory).
+
+    Args:
+        weights: Of the network, by layer.
+        layers: Number of hidden layers.
+        x: Normalised observations (..., n).
+        carry: That before it (..., memory).
+    """
+    for i in range(layers):
+        x = _elu(_dense(weights[f"layer_{i}"], x))
+    if "gates" in weights:
+        reset, update, new = np.split(_dense(weights["gates"], x), 3, axis=-1)
+        own_reset, own_update, own_new = np.split(carry @ weights["recurrent"], 3, axis=-1)
+        update = _sigmoid(update + own_update)
+        new = np.tanh(new + _sigmoid(reset + own_reset) * (own_new + weights["recurrent_bias"]))
+        x = carry = (1.0 - update) * new + update * carry
+    return _dense(weights["head"], x), carry
+
+
+class NumpyPolicy:
+    """A policy from a file.
+
+    Args:
+        file: Written by `save_policy`.
+
+    Attributes:
+        task: Name of the task that it was trained for.
+        period: Simulated time between two actions [s].
+        groups: Of each group `name`, `agents`, `obs_size`, `action_size`.
+        memory: Units of memory of each robot; 0: none.
+        overrides: Fields of the task that were set otherwise in training, as typed.
+        layers: Number of hidden layers.
+        weights: Per group a tree of weights.
+        mean: Of the observations in training, per group (obs_size,).
+        std: Their deviation, per group (obs_size,).
+
+    Raises:
+        UsageError: The file is no policy, or is broken.
+    """
+
+    def __init__(self, file: str | Path) -> None:
+        about, arrays = read_arrays(Path(file))
+        try:
+            if about["format"] != FORMAT:
+                raise UsageError(f"{file} was written by another version of usarmjx")
+            check_about(about)
+            check_shapes(about, arrays)
+            self.task, self.period = about["task"], about["period"]
+            self.overrides: dict[str, str] = about["overrides"]
+            self.groups: list[dict[str, Any]] = about["groups"]
+            self.memory, self.layers = about["memory"], about["layers"]
+            self.mean = [arrays[f"mean/{g}"] for g in range(len(self.groups))]
+            self.std = [arrays[f"std/{g}"] for g in range(len(self.groups))]
+            self.weights = [_tree(arrays, f"weights/{g}/") for g in range(len(self.groups))]
+        except (KeyError, ValueError, TypeError) as error:
+            raise UsageError(f"{file} is no policy of usarmjx: {error}") from error
+
+    def group(self, name: str) -> int:
+        """Return the number of the group of a robot class, case ignored.
+
+        Raises:
+            UsageError: The policy has none; lists those it has.
+        """
+        known = [one["name"] for one in self.groups]
+        for index, one in enumerate(known):
+            if one.lower() == name.lower():
+                return index
+        raise UsageError(f"this policy is not for {name}; it is for: {', '.join(known)}")
+
+    def initial_carry(self, group: int, *shape: int) -> Vector:
+        """Return the carry of a group's robots at first (*shape, memory)."""
+        return np.zeros((*shape, self.memory), np.float32)
+
+    def act(
+        self, group: int, obs: Vector, carry: Vector, draw: np.random.Generator | None = None
+    ) -> tuple[Vector, Vector]:
+        """Return actions of a group's robots, and the carry after them.
+
+        Args:
+            group: Number of the group.
+            obs: What they observe (..., obs_size).
+            carry: That before them (..., memory).
+            draw: Where random numbers come from; None: the most probable actions are taken.
+
+        Raises:
+            UsageError: Observations of another size.
+        """
+        obs, mean, std = np.asarray(obs, np.float32), self.mean[group], self.std[group]
+        if obs.shape[-1:] != mean.shape:
+            raise UsageError(f"observations have {obs.shape[-1:]} numbers, this policy needs {mean.shape}")
+        seen = np.clip((np.where(np.isfinite(obs), obs, mean) - mean) / std, -MAX_NORMALISED, MAX_NORMALISED)
+        logits, carry = forward(self.weights[group], self.layers, seen, carry)
+        loc, scale = np.split(logits, 2, axis=-1)
+        if draw is not None:
+            deviation = np.logaddexp(scale, 0.0) + MIN_STD
+            loc = loc + deviation * draw.standard_normal(loc.shape, np.float32)
+        return np.tanh(loc), carry
+
+
+def _tree(arrays: Mapping[str, Vector], start: str) -> dict[str, Any]:
+    """Return the arrays whose names begin so, nested by the parts of their names."""
+    found: dict[str, Any] = {}
+    for name, array in arrays.items():
+        if name.startswith(start):
+            *path, last = name.removeprefix(start).split("/")
+            branch = found
+            for part in path:
+                branch = branch.setdefault(part, {})
+            branch[last] = array
+    return found
+
+
+def _flat(tree: ParamTree, start: str) -> dict[str, Vector]:
+    found: dict[str, Vector] = {}
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            found |= _flat(cast(ParamTree, value), f"{start}{name}/")
+        else:
+            found[f"{start}{name}"] = np.asarray(value)
+    return found
+
+
+def save_policy(
+    file: str | Path,
+    policy: "LearnedPolicy",
+    params: "PolicyParams",
+    record: "RunRecord",
+    half: bool = False,
+) -> None:
+    """Write a policy to a file, which `NumpyPolicy` reads.
+
+    Args:
+        file: To write.
+        policy: Its network.
+        params: Weights and statistics.
+        record: What it was trained for.
+        half: Write weights as numbers of 16 bits, rounded by up to 2^-11 of themselves.
+
+    Raises:
+        WriteError: The file cannot be written.
+    """
+    about = {
+        "format": FORMAT,
+        "task": record.task,
+        "overrides": record.overrides,
+        "period": record.period,
+        "groups": [vars(group) for group in policy.groups],
+        "layers": len(policy.layers),
+        "memory": policy.memory,
+    }
+    arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
+    for g in range(len(policy.groups)):
+        arrays[f"mean/{g}"], arrays[f"std/{g}"] = np.asarray(params.mean[g]), np.asarray(params.std[g])
+        arrays |= _flat(params.weights[g]["params"], f"weights/{g}/")
+    _write_arrays(file, arrays, half)
+
+
+def _write_arrays(file: str | Path, arrays: Mapping[str, Vector], half: bool) -> None:
+    """Write what a policy's file has, weights as numbers of 16 bits if wanted."""
+    kept = {
+        name: arrays[name].astype(np.float16) if half and name.startswith("weights/") else arrays[name]
+        for name in sorted(arrays)
+    }
+    with write_beside(Path(file)) as fresh, fresh.open("wb") as out:
+        np.savez_compressed(out, **cast(Any, kept))
+
+
+def export_run(run: str | Path, file: str | Path, which: str = "best", half: bool = False) -> None:
+    """Write the policy of a run, or a packaged one, to a file.
+
+    Args:
+        run: Folder of the run; or, where there is none of that name, the task of a packaged policy.
+        file: To write.
+        which: Checkpoint: `best`, `last`, or the number of an iteration.
+        half: See `save_policy`.
+
+    Raises:
+        UsageError: No run, no such checkpoint, a broken one, or a file that cannot be written.
+    """
+    if str(run) in POLICIES and not Path(run).exists():
+        about, arrays = read_arrays(POLICIES.get(str(run)))
+        _write_arrays(file, {"about": np.array(json.dumps(about)), **arrays}, half)
+        return
+    from usarmjx.train.learning.checkpoint import load_policy
+
+    save_policy(file, *load_policy(Path(run), which), half=half)
