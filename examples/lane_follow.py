@@ -149,7 +149,7 @@ def degrees(text: str) -> float:
 
 
 @dataclass
-class Log:
+class MetricsLog:
     """What happened.
 
     Attributes:
@@ -177,7 +177,7 @@ class LaneFollower:
 
     def __init__(self, robot: UsarsimClient, path: Way, start: Pose, by: str):
         self.robot, self.path, self.by = robot, path, by
-        self.log = Log()
+        self.log = MetricsLog()
         geo, mount = robot.geo("Robot"), robot.geo("GPS").items()
         self.wheel_radius, self.wheel_base = geo.vector("WheelRadius")[0], geo.vector("WheelBase")[0]
         x, y, _ = (float(n) for n in next(iter(mount.values()))["Location"].split(","))
@@ -187,7 +187,7 @@ class LaneFollower:
         self.now = self.began = -1.0
         self.speed = 0.0
 
-    def run(self, seconds: float, top: float) -> Log:
+    def run(self, seconds: float, top: float) -> MetricsLog:
         """Follow the lane for that many simulated seconds, or once round or to its end, then stop."""
         done, along = 0.0, self.path.nearest(self.truth[:2])[0]
         for message in self.robot:

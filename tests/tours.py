@@ -9,7 +9,7 @@ NEAR = 0.12  # m: close enough to a place
 TURN = 4.0  # rad/s of the wheels when turning in place, per radian
 
 
-class Tour:
+class ArenaRoute:
     """Drives a skid-steered robot of a rig along places.
 
     Attributes:

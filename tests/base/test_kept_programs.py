@@ -13,8 +13,8 @@ import pytest
 from usarmjx.base import program_cache
 from usarmjx.base.compilation import PROGRAMS_FOLDER
 from usarmjx.base.program_cache import (
-    AheadProgram,
-    ProgramKeeper,
+    PrecompiledProgram,
+    ProgramCache,
     SourcesChangedError,
     compile_program,
     conditions,
@@ -39,7 +39,7 @@ def start(tmp_path, traced):
             traced.append(jax.tree.leaves(tree)[0].dtype)
             return {**tree, "drawn": 3 * tree["a"] + jax.random.normal(key, (3,))}
 
-        return compile_program(tripled, ProgramKeeper(tmp_path, digest), owner)
+        return compile_program(tripled, ProgramCache(tmp_path, digest), owner)
 
     return started
 
@@ -98,7 +98,7 @@ def test_a_broken_file_is_warned_of_and_the_program_is_kept_anew(start, traced, 
 
 def test_where_nothing_can_be_written_it_is_warned_of_and_computed(traced, tmp_path):
     (tmp_path / "file").touch()
-    program = compile_program(jnp.sin, ProgramKeeper(tmp_path / "file", "x"), "test")
+    program = compile_program(jnp.sin, ProgramCache(tmp_path / "file", "x"), "test")
     with pytest.warns(UserWarning, match="Error writing the kept program"):
         assert program(0.0) == 0.0
 
@@ -107,12 +107,12 @@ def test_what_calls_this_process_back_is_not_kept(tmp_path):
     def called(x):
         return jax.pure_callback(np.sin, jax.ShapeDtypeStruct((), np.float32), x)
 
-    assert compile_program(called, ProgramKeeper(tmp_path, "x"), "test")(0.0) == 0.0
+    assert compile_program(called, ProgramCache(tmp_path, "x"), "test")(0.0) == 0.0
     assert not list(tmp_path.iterdir())
 
 
 def test_two_functions_of_a_name_are_not_mixed_up(tmp_path):
-    keeper = ProgramKeeper(tmp_path, "x")
+    keeper = ProgramCache(tmp_path, "x")
     programs = [compile_program(function, keeper, "test") for function in (lambda x: x + 1, lambda x: x + 2)]
     assert [program(1.0) for program in programs] == [2.0, 3.0]
 
@@ -130,7 +130,7 @@ def test_values_are_made_once(tmp_path):
         made.append(1)
         return (jax.ShapeDtypeStruct((2,), jnp.float32), ("a",))
 
-    first, second = (ProgramKeeper(tmp_path, "x").value("shapes", make) for _ in range(2))
+    first, second = (ProgramCache(tmp_path, "x").value("shapes", make) for _ in range(2))
     assert first == second
     assert len(made) == 1
 
@@ -235,7 +235,7 @@ def test_a_program_that_was_compiled_ahead_is_called_and_others_are_compiled(tra
         traced.append(one.shape)
         return {"twice": 2 * one}
 
-    told, program = [], AheadProgram(compile_program(doubled, None, "test"))
+    told, program = [], PrecompiledProgram(compile_program(doubled, None, "test"))
     program.compile(jax.ShapeDtypeStruct((3,), np.float32), tell=told.append)
     assert told[0]["twice"].shape == (3,)
     np.testing.assert_array_equal(program(jnp.arange(3.0))["twice"], [0, 2, 4])

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import dev
 from usarmjx.cli import demo
 from usarmjx.cli.app import app
-from usarmjx.cli.demo import Guide, has_display, starting_at
+from usarmjx.cli.demo import DemoGuide, has_display, starting_at
 from usarmjx.client.usarsim_client import UsarsimClient
 from usarmjx.models.arenas import ARENAS
 
@@ -45,7 +45,7 @@ def test_the_guide_tells_once_and_opens_the_page_if_it_may(browser, monkeypatch,
     opened = threading.Event()
     asked = []
     monkeypatch.setattr(webbrowser, "open", lambda address: (asked.append(address), opened.set()))
-    guide = Guide(PAGE, 3001, ["P2AT0", "P2AT3"], browser)
+    guide = DemoGuide(PAGE, 3001, ["P2AT0", "P2AT3"], browser)
     for _ in range(3):
         guide.tick()
     if browser:

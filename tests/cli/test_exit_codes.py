@@ -15,13 +15,13 @@ from typer.testing import CliRunner
 
 import dev
 from usarmjx.base.errors import EngineError, PeerError, UsageError, WriteError
-from usarmjx.base.progress import Seldom
+from usarmjx.base.progress import RateLimitedLog
 from usarmjx.cli import doctor
 from usarmjx.cli.app import app
 from usarmjx.cli.common import BAD_INPUT, FAILED, INTERRUPTED, ErrorExit
 from usarmjx.cli.demo import DemoError
 from usarmjx.cli.doctor import Finding
-from usarmjx.train.learning.metrics import Log
+from usarmjx.train.learning.metrics import MetricsLog
 
 PATIENCE = 300.0  # s
 
@@ -137,7 +137,7 @@ def test_a_signal_while_a_command_works_is_130():
 
 def test_lines_come_seldom():
     told, now = [], [0.0]
-    seldom = Seldom(told.append, period=15.0, clock=lambda: now[0])
+    seldom = RateLimitedLog(told.append, period=15.0, clock=lambda: now[0])
     for second in range(61):
         now[0] = float(second)
         seldom(f"{second}")
@@ -145,13 +145,13 @@ def test_lines_come_seldom():
 
 
 def test_a_training_without_a_terminal_tells_how_far_it_is(tmp_path, monkeypatch):
-    monkeypatch.setattr("usarmjx.base.progress.Seldom.__init__.__defaults__", (0.0, lambda: 0.0))
+    monkeypatch.setattr("usarmjx.base.progress.RateLimitedLog.__init__.__defaults__", (0.0, lambda: 0.0))
     record = {"agent_steps": 10, "steps_per_s": 1234.5, "return": 0.5, "score": 2.0, "bad": 0.0}
     said = {}
     for terminal in (False, True):
         file = io.StringIO()
         console = Console(file=file, force_terminal=terminal, width=200)
-        with Log(tmp_path / str(terminal), 4, console=console) as log:
+        with MetricsLog(tmp_path / str(terminal), 4, console=console) as log:
             log.write({"iteration": 1, **record})
         said[terminal] = file.getvalue()
     assert "usarmjx: 0/4 iterations, compiling\n" in said[False]

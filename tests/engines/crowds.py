@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.engines.planar.footprints import Footprints
-from usarmjx.engines.planar.movable import WhereSolids
-from usarmjx.engines.planar.neighbor_lists import Neighbours
+from usarmjx.engines.planar.movable import SolidPlacement
+from usarmjx.engines.planar.neighbor_lists import NeighborList
 from usarmjx.engines.planar.overlap import Outlines
-from usarmjx.engines.planar.proposed_motion import Aims
+from usarmjx.engines.planar.proposed_motion import ProposedMotion
 from usarmjx.engines.planar.solids import NOWHERE, PlanSolids, as_numbers
 
 SOLIDS = 8
@@ -71,7 +71,7 @@ def flat(case: dict[str, Any]) -> dict[str, Any]:
     return {**case, "near": case["near"]._replace(radius=jnp.zeros_like(case["near"].radius))}
 
 
-def as_the_engine_has_it(case: dict[str, Any], *, discs: bool = True) -> tuple[Aims, Neighbours]:
+def as_the_engine_has_it(case: dict[str, Any], *, discs: bool = True) -> tuple[ProposedMotion, NeighborList]:
     """Return a crowd as aims and what is around them: all its solids are at the height of all robots."""
     shape = case["moves"].shape
     near = Outlines(*(jnp.moveaxis(part, -1, 0) for part in case["near"]))
@@ -79,8 +79,8 @@ def as_the_engine_has_it(case: dict[str, Any], *, discs: bool = True) -> tuple[A
     solids = PlanSolids(
         outline=near, low=-high, top=high, slope_x=flat, slope_y=flat, highest=high, discs=discs
     )
-    scene = WhereSolids(loose=jnp.zeros((shape[0], 0)), geoms=jnp.zeros((shape[0], 0, 10)))
-    around = Neighbours(
+    scene = SolidPlacement(loose=jnp.zeros((shape[0], 0)), geoms=jnp.zeros((shape[0], 0, 10)))
+    around = NeighborList(
         at=jnp.zeros((*shape, 4)),
         room=jnp.zeros((*shape, 4)),
         left_out=jnp.zeros(shape, jnp.int32),
@@ -91,4 +91,4 @@ def as_the_engine_has_it(case: dict[str, Any], *, discs: bool = True) -> tuple[A
     )
     limit, qpos = jnp.zeros((shape[0], 4, shape[1])), jnp.zeros((shape[0], 0))
     before, after, moves, stacked = (case[name] for name in ("before", "after", "moves", "stacked"))
-    return Aims(before, after, moves, stacked, limit, scene, qpos, None), around
+    return ProposedMotion(before, after, moves, stacked, limit, scene, qpos, None), around

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.engines.planar.movable import WhereSolids
+from usarmjx.engines.planar.movable import SolidPlacement
 from usarmjx.engines.planar.neighbor_lists import Margin, look_around
 from usarmjx.engines.planar.responses import Response, use_response
 from usarmjx.models.robots import ROBOTS
@@ -27,7 +27,7 @@ def around(prints, solids, floor=0.0):
 
     def of_world(one):
         reach = Margin(aside=jnp.full_like(one.low, 0.1), height=jnp.zeros_like(one.low))
-        scene = WhereSolids(loose=jnp.zeros(0), geoms=jnp.zeros((0, 10)))
+        scene = SolidPlacement(loose=jnp.zeros(0), geoms=jnp.zeros((0, 10)))
         return look_around(one, one.low + one.step, solids, floor, reach, scene)
 
     return jax.vmap(of_world)(prints)

@@ -9,7 +9,7 @@ import pytest
 
 from tests.arenas import COURSE, FLAT
 from tests.crowd import UPRIGHT, Crowd
-from usarmjx.engines.c.faults import REACHES, PutBack, bad_robots, step_and_recover
+from usarmjx.engines.c.faults import REACHES, RecoveryResult, bad_robots, step_and_recover
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.types.arena import LooseObject
 from usarmjx.models.types.shapes import Shape
@@ -156,7 +156,7 @@ def test_a_robot_goes_bad_and_no_other_notices(undisturbed, fault, flags):
     course = Course(flags=flags)
     moved, told = course.run(fault), undisturbed[flags]
     assert [step for step, found in enumerate(course.put_back) if found] == [BEGIN]
-    assert course.put_back[BEGIN] == PutBack(robots=frozenset({2}))
+    assert course.put_back[BEGIN] == RecoveryResult(robots=frozenset({2}))
     np.testing.assert_array_equal(moved[: BEGIN + 1, :2], told[: BEGIN + 1, :2])
     if flags:
         np.testing.assert_array_equal(moved[:, :2], told[:, :2])
@@ -190,7 +190,7 @@ def test_who_touches_a_bad_robot_is_put_back_with_it_and_nobody_else(undisturbed
         fault(course, 2)
 
     moved = course.run(collide)
-    assert course.put_back[BEGIN] == PutBack(robots=frozenset({1, 2}))
+    assert course.put_back[BEGIN] == RecoveryResult(robots=frozenset({1, 2}))
     assert sum(map(bool, course.put_back)) == 1
     np.testing.assert_array_equal(moved[:, 0], undisturbed[Disable.mjDSBL_WARMSTART][:, 0])
     np.testing.assert_allclose(moved[BEGIN, 1:, :3], [course.homes[k][:3] for k in (1, 2)], atol=SETTLED)
@@ -213,7 +213,7 @@ def test_who_goes_bad_within_the_step_is_put_back_before_it_hits_others(undistur
     mujoco.mj_step(plain.model, plain.data, nstep=SUBSTEPS)
     assert 1 in bad_robots(plain.data, plain.indices, plain.limits), "it is hit, were nothing done"
     moved = course.run(push)
-    assert course.put_back[BEGIN] == PutBack(robots=frozenset({2}))
+    assert course.put_back[BEGIN] == RecoveryResult(robots=frozenset({2}))
     np.testing.assert_array_equal(moved[:, :2], undisturbed[Disable.mjDSBL_WARMSTART][:, :2])
 
 
@@ -226,7 +226,7 @@ def test_a_loose_object_that_goes_bad_lies_where_the_model_has_it():
         course.data.joint("loose/brick").qvel[1] = np.nan
 
     moved = course.run(spoil)
-    assert course.put_back[BEGIN] == PutBack(others=("loose/brick",))
+    assert course.put_back[BEGIN] == RecoveryResult(others=("loose/brick",))
     np.testing.assert_array_equal(moved, undisturbed)
     sunk = 1e-3  # into the floor [m]; less
     np.testing.assert_allclose(joint.qpos, (*BRICK.at, *UPRIGHT), atol=sunk)
@@ -244,7 +244,7 @@ def test_with_a_loose_object_the_robot_on_it_is_put_back():
         course.data.joint("loose/brick").qvel[1] = np.nan
 
     moved = course.run(spoil)
-    assert course.put_back[BEGIN] == PutBack(robots=frozenset({2}), others=("loose/brick",))
+    assert course.put_back[BEGIN] == RecoveryResult(robots=frozenset({2}), others=("loose/brick",))
     np.testing.assert_array_equal(moved[:, :2], undisturbed[:, :2])
 
 
@@ -255,7 +255,7 @@ def test_who_finds_its_home_taken_is_put_beside():
     course.crowd.put(1, course.homes[1][:3])
     course.tell()
     nan_velocity(course, 2)
-    assert course.step() == PutBack(robots=frozenset({2}))
+    assert course.step() == RecoveryResult(robots=frozenset({2}))
     away = np.linalg.norm(course.crowd.qpos(2)[:2] - course.homes[2][:2])
     assert 0.2 < away <= REACHES[0]
     assert course.touching() == set()
@@ -278,7 +278,7 @@ def test_who_is_bad_at_home_too_does_not_stop_the_world():
     course = Course(replace(FLAT, loose=(BRICK,)))
     course.run(steps=2)
     course.limits = dict.fromkeys(course.indices, 0.0)
-    assert course.step() == PutBack(robots=frozenset({0, 1, 2}), others=("loose/brick",))
+    assert course.step() == RecoveryResult(robots=frozenset({0, 1, 2}), others=("loose/brick",))
     for robot, home in course.homes.items():
         np.testing.assert_array_equal(course.crowd.qpos(robot)[:7], home)
 

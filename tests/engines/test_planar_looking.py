@@ -17,7 +17,7 @@ from usarmjx.engines.planar import engine as planar
 from usarmjx.engines.planar import neighbor_search, separation
 from usarmjx.engines.planar.bodies import fixed_bodies
 from usarmjx.engines.planar.footprints import Footprints
-from usarmjx.engines.planar.movable import WhereSolids, movable_solids
+from usarmjx.engines.planar.movable import SolidPlacement, movable_solids
 from usarmjx.engines.planar.neighbor_lists import NEAR, farthest_in_a_step, places_of
 from usarmjx.engines.planar.neighbor_search import (
     AllSolids,
@@ -28,7 +28,7 @@ from usarmjx.engines.planar.neighbor_search import (
     looked_up,
     nothing_known,
 )
-from usarmjx.engines.planar.proposed_motion import Aims
+from usarmjx.engines.planar.proposed_motion import ProposedMotion
 from usarmjx.engines.planar.solids import SolidGeoms, seen_from_above
 from usarmjx.models.compile.compose import Physics
 from usarmjx.models.types.arena import ArenaSpec, StartPose
@@ -213,8 +213,8 @@ def test_their_slope_is_that_of_jax():
         step=one + 0.05,
         mass=one + 1.0,
     )
-    scene = WhereSolids(loose=jnp.zeros((1, 0)), geoms=jnp.zeros((1, 0, 10)))
-    aims = Aims(here, here, one == 0, None, jnp.ones((1, 4, 1)), scene, jnp.zeros((1, 0)), None)
+    scene = SolidPlacement(loose=jnp.zeros((1, 0)), geoms=jnp.zeros((1, 0, 10)))
+    aims = ProposedMotion(here, here, one == 0, None, jnp.ones((1, 4, 1)), scene, jnp.zeros((1, 0)), None)
     known = nothing_known(solids, aims).packed
 
     def height(look, find, x):

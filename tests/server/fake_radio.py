@@ -1,6 +1,6 @@
 """A radio whose answers a test sets."""
 
-from usarmjx.server.wireless.channel import Presence
+from usarmjx.server.wireless.channel import RadioRobot
 
 
 class FakeRadio:
@@ -19,7 +19,7 @@ class FakeRadio:
 
     def present(self):
         return [
-            Presence(name, self.positions.get(name, (0.0, 0.0, 0.0)), name in self.empty)
+            RadioRobot(name, self.positions.get(name, (0.0, 0.0, 0.0)), name in self.empty)
             for name in self.robots
         ]
 

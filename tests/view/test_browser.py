@@ -15,7 +15,7 @@ from usarmjx.server.runtime.loop import StepClock
 from usarmjx.server.viewing.controls import ServedControls
 from usarmjx.server.viewing.viewer_service import ServedSource, ViewerService, ViewerSettings
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
-from usarmjx.view.controls import ControlSeat
+from usarmjx.view.controls import ControlLock
 
 PATIENCE = 60.0  # s
 CLASS = "Zerg"
@@ -27,16 +27,16 @@ class Show:
 
     def __init__(self):
         self.worlds = [DynamicWorld(FLAT, max_robots=3, number=n) for n in range(2)]
-        self.clock, self.seat = StepClock(), ControlSeat()
+        self.clock, self.seat = StepClock(), ControlLock()
         self.servers = [BotServer(world, BotServerSettings(port=0)) for world in self.worlds]
         self.controls = ServedControls(self.servers, self.clock)
         source = ServedSource(self.worlds)
 
         def make_page(server):
             from usarmjx.view.page import ViewerPage
-            from usarmjx.view.user_panels import PeoplePanel
+            from usarmjx.view.user_panels import UserPanels
 
-            panels = [partial(PeoplePanel, seat=self.seat)]
+            panels = [partial(UserPanels, seat=self.seat)]
             return ViewerPage(source, server=server, controls=self.controls, panels=panels)
 
         self.service = ViewerService(source, ViewerSettings(), make_page=make_page)

@@ -11,7 +11,7 @@ from tests.view.scenery import HEAD, ROOT, WALLS, distance_to_boxes, drawn, node
 from usarmjx.sensors.ranging import RangeScanner, Sonar
 from usarmjx.sim.control import CommandUpdate
 from usarmjx.view.layers.base import ROBOT_COLORS
-from usarmjx.view.layers.bodies import HeldMounts, sensors_of
+from usarmjx.view.layers.bodies import ReadingPoses, sensors_of
 from usarmjx.view.layers.echoes import LONGEST_BEAM, InfraredLayer, LaserLayer, SonarLayer
 
 ON_SURFACE = 2e-5
@@ -109,7 +109,7 @@ def test_scans_stay_where_they_were_taken_until_the_next(scene, seer):
 def test_readings_that_met_nothing_go_along(seer):
     _, source = seer
     drawing, frame = source.drawing(0), source.frame(0)
-    held = HeldMounts(sensors_of(drawing, RangeScanner)[:1])
+    held = ReadingPoses(sensors_of(drawing, RangeScanner)[:1])
     far = (np.full_like(frame.robots[0].readings[0], 3.0), *frame.robots[0].readings[1:])
     frame = replace(frame, robots={0: replace(frame.robots[0], readings=far)})
     assert held.look(frame) == [0]

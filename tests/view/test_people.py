@@ -15,16 +15,16 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.server.viewing.viewer_service import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.view import user_panels as people_module
-from usarmjx.view.controls import BY_CLIENT, BY_PAGE, ControlSeat, StartPlace, WorldStatus
+from usarmjx.view.controls import BY_CLIENT, BY_PAGE, ControlLock, StartPoseChoice, WorldStatus
 from usarmjx.view.drawing import RobotFrame
 from usarmjx.view.page import ViewerPage
 from usarmjx.view.robot_controls import DIRECTIONS, FORGET, DrivePad, pad_html
 from usarmjx.view.robot_panel import MAX_POINTS, WINDOW, SensorPlot, state_html
-from usarmjx.view.user_panels import TAKE, PeoplePanel, banner_html
+from usarmjx.view.user_panels import TAKE, UserPanels, banner_html
 
 CLASSES = ("Talon", "kenaf", "AirRobot", "ERS", "UnitLoader")
 TALON, KENAF, DRONE, DOG, LOADER = range(len(CLASSES))
-STARTS = [StartPlace("S0", (1.0, 2.0, 0.0), 0.5)]
+STARTS = [StartPoseChoice("S0", (1.0, 2.0, 0.0), 0.5)]
 
 
 class Noted:
@@ -63,13 +63,13 @@ def controls():
 
 @pytest.fixture
 def seat():
-    return ControlSeat()
+    return ControlLock()
 
 
 @pytest.fixture
 def page(world, controls, seat, monkeypatch):
     monkeypatch.setattr(people_module, "UPDATE_PERIOD", 0.0)
-    page = ViewerPage(ServedSource([world]), controls=controls, panels=[partial(PeoplePanel, seat=seat)])
+    page = ViewerPage(ServedSource([world]), controls=controls, panels=[partial(UserPanels, seat=seat)])
     yield page
     page.close()
 
@@ -149,8 +149,8 @@ def test_who_goes_gives_the_controls_back_and_lets_go(page, controls, seat):
 
 
 def test_where_nobody_may_there_is_no_button(world, controls):
-    seat = ControlSeat(allowed=False)
-    page = ViewerPage(ServedSource([world]), controls=controls, panels=[partial(PeoplePanel, seat=seat)])
+    seat = ControlLock(allowed=False)
+    page = ViewerPage(ServedSource([world]), controls=controls, panels=[partial(UserPanels, seat=seat)])
     try:
         with visiting(port_of(page)) as one:
             until(page, lambda: TAKE in labels(one))
@@ -291,7 +291,7 @@ def test_the_banner_tells_what_went_wrong():
         put_back=4,
         put_back_names=("R1", "<b>crate"),
     )
-    text = re.sub(r"<[^>]*>", " ", banner_html(status, ControlSeat()))
+    text = re.sub(r"<[^>]*>", " ", banner_html(status, ControlLock()))
     assert "12.3 s" in text
     assert "x 0.50 real time" in text
     assert "3 connected" in text

@@ -15,7 +15,7 @@ from usarmjx.sensors.cameras.picture import camera_viewpoint
 from usarmjx.view.viewpoint import (
     FOV,
     USED,
-    Onlooker,
+    Viewer,
     ViewMode,
     Walls,
     bounds_of,
@@ -84,7 +84,7 @@ def test_over_a_robot_one_looks_from_where_no_wall_hides_it():
     frame = frame_of(drawing)
     robot, walls = drawing.robots[0], Walls(drawing)
     client = SimpleNamespace(atomic=contextlib.nullcontext, camera=SimpleNamespace(fov=FOV))
-    onlooker = Onlooker(client, robot=0, mode=ViewMode.OVER)
+    onlooker = Viewer(client, robot=0, mode=ViewMode.OVER)
     turn = {"away from the wall": (0.7071, 0, 0, 0.7071), "along it": (1.0, 0, 0, 0)}
     frame.pos[1:4] = (-2.0, 0.4, 0.2)  # the wall is along the x axis, 2 m high, in reach of the view
     heights = {}
@@ -141,7 +141,7 @@ class Client:
 
 def test_robots_follow_one_another_and_c_goes_from_the_camera_over_it():
     drawing = drawing_of(robots=3)
-    frame, onlooker = frame_of(drawing), Onlooker(Client())
+    frame, onlooker = frame_of(drawing), Viewer(Client())
     seen = []
     for _ in range(4):
         onlooker.attach_next(drawing, frame)
@@ -162,7 +162,7 @@ def test_robots_follow_one_another_and_c_goes_from_the_camera_over_it():
 
 
 def test_who_is_with_a_robot_that_leaves_looks_freely():
-    onlooker = Onlooker(Client())
+    onlooker = Viewer(Client())
     onlooker.attach(1)
     onlooker.update(drawing_of(robots=1), frame_of(drawing_of(robots=1)), np.zeros(3))
     assert onlooker.robot is None

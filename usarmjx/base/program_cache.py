@@ -229,7 +229,7 @@ def _version(distribution: str) -> str:
         return "none"
 
 
-def find_keeper(*made_from: object) -> "ProgramKeeper | None":
+def find_keeper(*made_from: object) -> "ProgramCache | None":
     """Return what keeps programs that close over some values; None: nothing is kept.
 
     That is so where `keep_compilations` has not been called, on several devices or on what is neither a CPU
@@ -242,14 +242,14 @@ def find_keeper(*made_from: object) -> "ProgramKeeper | None":
     if not folder or jax.default_backend() not in ("cpu", "gpu") or jax.device_count() != 1:
         return None
     try:
-        return ProgramKeeper(Path(folder), fingerprint(_sources(), conditions(), made_from))
+        return ProgramCache(Path(folder), fingerprint(_sources(), conditions(), made_from))
     except (FingerprintError, SourcesChangedError, RecursionError, OSError):
         return None
 
 
 def compile_program(
     function: Callable[..., Any],
-    keeper: "ProgramKeeper | None",
+    keeper: "ProgramCache | None",
     owner: str,
     *,
     static: tuple[int, ...] = (),
@@ -273,7 +273,7 @@ def compile_program(
     return compiled if keeper is None or static else keeper.keep(f"{owner}.{named.__name__}", compiled)
 
 
-class ProgramKeeper:
+class ProgramCache:
     """Keeps programs, and what is known of them, in a folder.
 
     Args:
@@ -295,7 +295,7 @@ class ProgramKeeper:
         if name in self._names:
             return compiled
         self._names.add(name)
-        return KeptProgram(self, name, compiled)
+        return CachedProgram(self, name, compiled)
 
     def value(self, name: str, make: Callable[[], T]) -> T:
         """Return a value as it is made, or as it was made at an earlier start.
@@ -311,14 +311,14 @@ class ProgramKeeper:
             write_kept(path, pickle.dumps(found))
         return found
 
-    def of(self, *made_from: object) -> "ProgramKeeper | None":
+    def of(self, *made_from: object) -> "ProgramCache | None":
         """Return a keeper of programs that close over more values; None: one has no `fingerprint`.
 
         Args:
             made_from: As for `find_keeper`, without what this one's programs are made from.
         """
         try:
-            return ProgramKeeper(self._folder, fingerprint(self._digest, made_from))
+            return ProgramCache(self._folder, fingerprint(self._digest, made_from))
         except (FingerprintError, RecursionError):
             return None
 
@@ -333,14 +333,14 @@ class ProgramKeeper:
         return self._folder / f"{name}-{digest.hexdigest()}"
 
 
-class AheadProgram:
+class PrecompiledProgram:
     """A compiled function that can be compiled before there is anything to give it.
 
     Args:
         program: As `compile_program` returns it.
     """
 
-    def __init__(self, program: Any) -> None:  # noqa: ANN401 - JAX's own, or a `KeptProgram`
+    def __init__(self, program: Any) -> None:  # noqa: ANN401 - JAX's own, or a `CachedProgram`
         self._program, self._ready = program, None
 
     def __call__(self, *args: Any) -> Any:  # noqa: ANN401 - PyTrees
@@ -364,7 +364,7 @@ class AheadProgram:
         self._ready = lowered.compile()
 
 
-class KeptProgram:
+class CachedProgram:
     """A compiled function of arrays, read from a file where it was traced before.
 
     Args:
@@ -373,7 +373,7 @@ class KeptProgram:
         compiled: The function, as `jax.jit` returned it.
     """
 
-    def __init__(self, keeper: ProgramKeeper, name: str, compiled: Any) -> None:  # noqa: ANN401 - JAX's own
+    def __init__(self, keeper: ProgramCache, name: str, compiled: Any) -> None:  # noqa: ANN401 - JAX's own
         self._keeper, self._name, self._compiled = keeper, name, compiled
         self._programs: dict[Any, Callable[..., Any]] = {}
 

@@ -7,7 +7,7 @@ PERIOD = 30.0
 """Time between two lines [s]."""
 
 
-class Seldom:
+class RateLimitedLog:
     """Passes on what it is told, once in a while; the first line only after a while, too.
 
     Args:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.progress import Seldom
+from usarmjx.base.progress import RateLimitedLog
 from usarmjx.cli.common import ErrorExit, SeedOption
 from usarmjx.cli.startup_messages import announce, say
 
@@ -99,4 +99,4 @@ def _task_rows(
     from usarmjx.train.evaluation.engine_gap import TASKS_TRIED, sources_of, task_gap
 
     tried = sources_of(names or TASKS_TRIED)
-    return task_gap(engines.split(","), tried, episodes, seeds, worlds, split, Seldom(say))
+    return task_gap(engines.split(","), tried, episodes, seeds, worlds, split, RateLimitedLog(say))

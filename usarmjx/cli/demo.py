@@ -63,7 +63,7 @@ SAY_EVERY = 5.0
 TITLE = "usarmjx demo"
 
 
-class Guide:
+class DemoGuide:
     """A `net.Service`: tells how to begin once the robots move, and opens the page in a browser.
 
     Args:
@@ -164,7 +164,9 @@ def run_live(browser: bool, port: int | None, viewer_port: int | None, rosbridge
         world = make_world()
         assert ports.page is not None
         page = f"http://{listen.host}:{port_of(ports.page)}/"
-        guide = Guide(page, port_of(ports.bound[0]["--port"]), [*world.agents()], browser and has_display())
+        guide = DemoGuide(
+            page, port_of(ports.bound[0]["--port"]), [*world.agents()], browser and has_display()
+        )
         host.serve([world], ports, services, signals, batch_size=1, more=[guide])
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from usarmjx.base.files import write_beside
-from usarmjx.base.progress import Seldom
+from usarmjx.base.progress import RateLimitedLog
 from usarmjx.cli.common import ErrorExit, SeedOption, grouped
 from usarmjx.cli.completion import complete_policies, complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions, SplitOption
@@ -120,7 +120,7 @@ def evaluate_policy(
         many, episodes = driver.amount(found, split, worlds, episodes)
         env, policy = driver.env(found, many, engine, split)
         numbers = range(driver.seed, driver.seed + seeds)
-        result = evaluate_episodes(env, policy, episodes, numbers, level, Seldom(say))
+        result = evaluate_episodes(env, policy, episodes, numbers, level, RateLimitedLog(say))
         count = result.score.count
         bad = sum(run.bad for run in result.episodes)
         over = f"{count} episodes" if seeds == 1 else f"{seeds} seeds, {count} episodes"

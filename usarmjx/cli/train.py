@@ -414,11 +414,11 @@ class _ShownTraining:
         del config
         from usarmjx.view.page import ViewerPage
         from usarmjx.view.training_page import TrainingPage
-        from usarmjx.view.user_panels import PeoplePanel
+        from usarmjx.view.user_panels import UserPanels
 
         self._page = TrainingPage(
             env.batch,
-            lambda source: ViewerPage(source, title=self._title, panels=[PeoplePanel], server=self._server),
+            lambda source: ViewerPage(source, title=self._title, panels=[UserPanels], server=self._server),
         )
 
     def look(self, state: "EnvState") -> None:

@@ -157,11 +157,11 @@ def add_viewer(
     def make_page(server: "viser.ViserServer") -> "ViewerPage":
         from usarmjx.server.viewing.inset import CameraInset, ConsolePanel
         from usarmjx.view.page import ViewerPage
-        from usarmjx.view.user_panels import PeoplePanel
+        from usarmjx.view.user_panels import UserPanels
 
         title = worlds[0].arena.name
         panels = [
-            partial(PeoplePanel, seat=seat),
+            partial(UserPanels, seat=seat),
             partial(CameraInset, worlds=worlds),
             partial(ConsolePanel, worlds=worlds, seat=seat, tail=tail),
         ]

@@ -16,7 +16,7 @@ from matplotlib.image import imsave
 
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.files import write_beside
-from usarmjx.engines.c.camera_rays import NOBODY, CSight
+from usarmjx.engines.c.camera_rays import NOBODY, CCameraRays
 from usarmjx.models.compile.compose import Physics, new_spec
 from usarmjx.models.compile.kinematic_tree import KinematicTree, kinematic_tree_of
 from usarmjx.models.compile.materials import materials_of
@@ -85,7 +85,7 @@ def portrait(robot: RobotSpec, width: int = 480, height: int = 360) -> np.ndarra
     )
     looks = looks_of(scene)
     light = lit_scene(Geoms(blocks=(), kinds=(), materials=()), looks.appearance, DEFAULT_LIGHTING)
-    sight = CSight(scene.model, data, looks)
+    sight = CCameraRays(scene.model, data, looks)
     return downsample(np.asarray(sight.render(light, viewpoint, 2 * width, 2 * height).rgb) / 255)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from usarmjx.engines.base import PhysicsState
 from usarmjx.recording.file import RecordingFile
 from usarmjx.recording.inputs import batch_setup, orders_of, versions
-from usarmjx.recording.recorder import Look, WorldRecorder
+from usarmjx.recording.recorder import WorldRecorder, WorldSnapshot
 from usarmjx.sim.world import World
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState
@@ -79,7 +79,7 @@ class EpisodeRecorder:
                 recorder.stepped(self._time, qpos, qvel, act, steps=env.task.repeat)
             if recorder.frame_is_due:
                 score = float(np.asarray(state.score)[number])
-                recorder.look(Look(scene=env.scene, world=world, physics=physics, score=score))
+                recorder.look(WorldSnapshot(scene=env.scene, world=world, physics=physics, score=score))
         self._time += env.period
 
 

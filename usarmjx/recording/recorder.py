@@ -95,7 +95,7 @@ class WorldMessages:
                 scan = foxglove.laser_scan(drawing, robot, sensor, value, at)
                 file.write(self._channel("scan", about), at, scan)
 
-    def look(self, look: "Look", at: float, file: RecordingFile) -> None:
+    def look(self, look: "WorldSnapshot", at: float, file: RecordingFile) -> None:
         """Write what a world looks like, and its drawing where that is another one."""
         world, scene = look.world, look.scene
         episode = 0 if world.arena_state is None else int(world.episode)
@@ -133,7 +133,7 @@ SensorValues = list[tuple[int, int, np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class WorldSnapshot:
     """A world at one moment, to be drawn by another thread: nothing in it changes any more.
 
     Attributes:
@@ -280,7 +280,7 @@ class WorldRecorder:
         """Whether it is time for another `look`."""
         return self._time >= self._next_frame - 1e-6
 
-    def look(self, look: Look) -> None:
+    def look(self, look: WorldSnapshot) -> None:
         """Keep what the world looks like now."""
         self._next_frame = self._time + FRAME_PERIOD
         self.file.put(partial(self._messages.look, look, self.since + self._time))

@@ -219,10 +219,10 @@ def recording_page(
         server: Who serves the page; None: a server of its own.
     """
     from usarmjx.view.page import ViewerPage
-    from usarmjx.view.user_panels import PeoplePanel
+    from usarmjx.view.user_panels import UserPanels
 
     title = source.recording.path.name
-    page = ViewerPage(source, title=title, panels=[Timeline, PeoplePanel], server=server)
+    page = ViewerPage(source, title=title, panels=[Timeline, UserPanels], server=server)
     (timeline,) = (panel for panel in page.panels if isinstance(panel, Timeline))
     return page, timeline
 

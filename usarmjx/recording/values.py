@@ -16,10 +16,9 @@ from usarmjx.base.errors import UsageError
 
 MODULES = (
     *("comms.attenuation", "comms.links", "comms.mail"),
-    *("models.build.compose", "models.build.variation"),
+    *("models.compile.compose", "models.compile.randomization"),
     *("models.drives.ackermann", "models.drives.base", "models.drives.fluid", "models.drives.flying"),
-    *("models.drives.ground", "models.drives.omni", "models.drives.tracks", "models.drives.underwater"),
-    *("models.spec.arena", "models.spec.robot", "models.spec.shapes"),
+    *("models.drives.ground", "models.types.arena", "models.types.robot", "models.types.shapes"),
     *("recording.inputs", "sensors.sketch", "sim.control", "sim.scene", "view.drawing"),
 )
 """Where the dataclasses are that files may hold."""

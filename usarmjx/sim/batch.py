@@ -16,7 +16,7 @@ from flax import struct
 from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import set_at
 from usarmjx.base.errors import EngineError, UnsupportedFeatureError, UsageError
-from usarmjx.base.program_cache import ProgramKeeper, compile_program
+from usarmjx.base.program_cache import ProgramCache, compile_program
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import clear_inboxes
 from usarmjx.engines import PhysicsState, choose_engine, make_engine
@@ -113,7 +113,7 @@ class Batch:
         UnknownNameError: No such engine.
     """
 
-    _keeper: ProgramKeeper | None = None
+    _keeper: ProgramCache | None = None
     """Of its programs; None: they are compiled at each start."""
 
     def __init__(

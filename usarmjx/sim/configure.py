@@ -109,7 +109,7 @@ def settings_by_kind() -> dict[str, type]:
 
 
 @dataclass
-class FilesInForce:
+class ActiveFiles:
     """The ini files that are in force, so that further ones come after them as if read together.
 
     Attributes:
@@ -139,7 +139,7 @@ class FilesInForce:
         return others
 
 
-_in_force = [FilesInForce()]
+_in_force = [ActiveFiles()]
 
 
 def configure(paths: Iterable[str | Path], uu_per_metre: float = UU_PER_METRE) -> LoadedRobots:
@@ -160,7 +160,7 @@ def configure(paths: Iterable[str | Path], uu_per_metre: float = UU_PER_METRE) -
     Raises:
         SpecError: A file or value that is wrong, or a robot that cannot be built; nothing has changed then.
     """
-    before = _in_force[0] if _in_force[0].hold_in(ROBOTS) else FilesInForce()
+    before = _in_force[0] if _in_force[0].hold_in(ROBOTS) else ActiveFiles()
     stock, files = before.without(ROBOTS), (*before.files, *read_files(paths, uu_per_metre))
     loaded = build_robots(files, stock, settings_by_kind())
     warnings = [*loaded.warnings, *_check(loaded, stock, ", ".join(file.path for file in files))]
@@ -170,7 +170,7 @@ def configure(paths: Iterable[str | Path], uu_per_metre: float = UU_PER_METRE) -
     fresh = tuple(text for text in warnings if text not in before.warnings)
     loaded = replace(loaded, robots=told, warnings=fresh)
     loaded.apply(ROBOTS)
-    _in_force[0] = FilesInForce(
+    _in_force[0] = ActiveFiles(
         files=files,
         robots=dict(ROBOTS),
         originals={name: stock.find(name) for name in new},

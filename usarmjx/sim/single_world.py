@@ -21,8 +21,8 @@ from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.transforms import GRAVITY, Vec3
 from usarmjx.comms.links import Links, no_links
 from usarmjx.engines.base import GeomPoses, PhysicsState
-from usarmjx.engines.c.camera_rays import CSight, Looks
-from usarmjx.engines.c.faults import PutBack
+from usarmjx.engines.c.camera_rays import CCameraRays, GeomColors
+from usarmjx.engines.c.faults import RecoveryResult
 from usarmjx.engines.c.placement import REACH, free_pose
 from usarmjx.engines.c.rays import CRayCaster
 from usarmjx.engines.c.world import CWorld
@@ -142,7 +142,7 @@ class SingleWorld:
         self._homes: dict[int, np.ndarray] = {}
         self._parts: dict[frozenset[int], SomeRobots] = {}
         self._speeds = SpeedLimits((), {}, self.engine.data.qpos, scene.physics.period)
-        self._looks: tuple[Scene, Looks] | None = None
+        self._looks: tuple[Scene, GeomColors] | None = None
         self._moved_from: tuple[int, GeomPoses | None] = -STEPS_AHEAD, None
         self._regroup({}, {})
 
@@ -264,7 +264,7 @@ class SingleWorld:
     # What happens in a tick
 
     @numpy_backend()
-    def step(self) -> PutBack:
+    def step(self) -> RecoveryResult:
         """Advance by one control step under the commands in force.
 
         Returns:
@@ -410,12 +410,12 @@ class SingleWorld:
         return links
 
     @numpy_backend()
-    def sight(self) -> CSight:
+    def sight(self) -> CCameraRays:
         """Return what casts cameras' rays at the world as it is now, whatever becomes of it."""
         self.engine.move(self._moved())
         if self._looks is None or self._looks[0] is not self.scene:
             self._looks = self.scene, looks_of(self.scene)
-        return CSight(self.engine.model, self.engine.data, self._looks[1])
+        return CCameraRays(self.engine.model, self.engine.data, self._looks[1])
 
     @numpy_backend()
     def render_scene(self) -> RenderScene:

@@ -10,7 +10,7 @@ from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import named_scope, xp
 from usarmjx.engines.base import PhysicsState
-from usarmjx.engines.c.camera_rays import Looks, WornFigure
+from usarmjx.engines.c.camera_rays import AttachedVisual, GeomColors
 from usarmjx.models.compile.compose import VICTIM_PREFIX
 from usarmjx.models.compile.kinematic_tree import BodyPoses, forward_kinematics
 from usarmjx.models.compile.materials import materials_of, textures_of
@@ -40,7 +40,7 @@ from usarmjx.sim.scene import Scene
 from usarmjx.sim.world import Stream, World, episode_key, powered, robot_states, time_of
 
 
-def looks_of(scene: Scene) -> Looks:
+def looks_of(scene: Scene) -> GeomColors:
     """Return how all geoms of a scene's model look, its water, and the figures of robots and victims."""
     model, water = scene.model, visible_water(scene)
     materials, label = materials_of(model, scene.arena), labels_of(model, scene.arena)
@@ -60,7 +60,7 @@ def looks_of(scene: Scene) -> Looks:
     for one in figures:
         replaced |= np.isin(np.arange(model.ngeom) if one.of_geoms else model.geom_bodyid, one.frames)
     boxes = GeomBlock(pos=water.pos, mat=water.mat, size=water.size, owner=water.owner)
-    return Looks(appearance, materials, boxes, figures, np.flatnonzero(replaced))
+    return GeomColors(appearance, materials, boxes, figures, np.flatnonzero(replaced))
 
 
 def _textures(scene: Scene, others: int) -> dict[str, Any]:
@@ -69,22 +69,22 @@ def _textures(scene: Scene, others: int) -> dict[str, Any]:
     return {"texture": code, "textures": names_of(code)} if code.any() else {}
 
 
-def _robots(scene: Scene) -> list[WornFigure]:
+def _robots(scene: Scene) -> list[AttachedVisual]:
     return [
-        WornFigure(group.plan.figure, np.array(index.body_ids), False, ROBOT_LABEL + int(slot), int(slot))
+        AttachedVisual(group.plan.figure, np.array(index.body_ids), False, ROBOT_LABEL + int(slot), int(slot))
         for group in scene.groups
         for slot, index in zip(group.slots, group.indices, strict=True)
     ]
 
 
-def _victims(scene: Scene) -> list[WornFigure]:
+def _victims(scene: Scene) -> list[AttachedVisual]:
     """Return the figures of the victims, and of the false alarms."""
-    table, found = scene.victims, list[WornFigure]()
+    table, found = scene.victims, list[AttachedVisual]()
     for owner in np.unique(table.owner).tolist():
         boxes = np.flatnonzero(table.owner == owner)
         geoms = np.array([scene.model.geom(f"{VICTIM_PREFIX}{box}").id for box in boxes])
         label = int(bone_labels(np.array(owner)))
-        found.append(WornFigure(victim_figure(table, owner), geoms, True, label))
+        found.append(AttachedVisual(victim_figure(table, owner), geoms, True, label))
     return found
 
 

@@ -198,10 +198,10 @@ def tensorboard_sink(folder: Path) -> Sink:
         UsageError: tensorboardX is missing.
     """
     try:
-        from usarmjx.train.learning.metrics import Board
+        from usarmjx.train.learning.metrics import TensorBoardLog
     except ImportError as error:
         raise UsageError("TensorBoard needs tensorboardX: pip install usarmjx[train]") from error
-    board, count = Board(Path(folder), 0), [0]
+    board, count = TensorBoardLog(Path(folder), 0), [0]
 
     def show(record: CellRecord) -> None:
         count[0] += 1

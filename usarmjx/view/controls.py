@@ -16,7 +16,7 @@ BY_PAGE, BY_CLIENT, BY_POLICY = "page", "client", "policy"
 
 
 @dataclass(frozen=True)
-class StartPlace:
+class StartPoseChoice:
     """A start pose of an arena: its name, the ground there [m] (3,) and the direction [rad]."""
 
     tag: str
@@ -75,7 +75,7 @@ class WorldControls(Protocol):
         """Return how a world goes."""
         ...
 
-    def starts(self, world: int) -> Sequence[StartPlace]:
+    def starts(self, world: int) -> Sequence[StartPoseChoice]:
         """Return the start poses of a world's arena."""
         ...
 
@@ -140,7 +140,7 @@ class WorldControls(Protocol):
         ...
 
 
-class ControlSeat:
+class ControlLock:
     """Which of the people at a page has its controls: the first who asks, until given back.
 
     Args:

@@ -19,7 +19,7 @@ from usarmjx.view.stage import Stage, StagedWorld, in_rows
 from usarmjx.view.viewpoint import (
     FOV,
     CameraPose,
-    Onlooker,
+    Viewer,
     ViewMode,
     bounds_of,
     framed,
@@ -143,7 +143,7 @@ class ViewButtons:
 
         page.post(act)
 
-    def _caption(self, onlooker: Onlooker) -> str:
+    def _caption(self, onlooker: Viewer) -> str:
         robot = self._page.drawing.robots.get(-1 if onlooker.robot is None else onlooker.robot)
         if robot is None:
             return "You look **freely**: drag to turn, scroll to come closer."
@@ -247,7 +247,7 @@ class ViewerPage:
         self.server = server or make_viser_server(host, port)
         self.source, self.controls, self.world, self.wall = source, controls, 0, False
         self.robot: int | None = None
-        self.onlookers: dict[int, Onlooker] = {}
+        self.onlookers: dict[int, Viewer] = {}
         self.layers: dict[str, Layer] = {name: make() for name, make in LAYERS}
         self._posted: deque[Callable[[], None]] = deque()
         self._next_update, self._turn = 0.0, 0
@@ -407,7 +407,7 @@ class ViewerPage:
 
     def _greet(self, client: viser.ClientHandle) -> None:
         def join() -> None:
-            self.onlookers[client.client_id] = Onlooker(client)
+            self.onlookers[client.client_id] = Viewer(client)
             if client.camera.aspect < 1.0:  # a phone
                 move_camera(client, self._pose_for(client, self.first_pose()))
 

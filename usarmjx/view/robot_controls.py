@@ -14,7 +14,7 @@ from usarmjx.models.effecters import effecters_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import Part, RobotSpec
 from usarmjx.sensors.cameras.mounts import cameras_of
-from usarmjx.view.controls import BY_PAGE, StartPlace, WorldControls, WorldStatus
+from usarmjx.view.controls import BY_PAGE, StartPoseChoice, WorldControls, WorldStatus
 from usarmjx.view.drawing import Drawing, DrawnRobot, Frame
 
 HOLD_RATE = 10.0
@@ -244,7 +244,7 @@ class SpawnForm:
         do: Callable[[Callable[[], None]], None],
     ) -> None:
         self._world, self._controls, self._floor = world, controls, drawing.floor
-        self._starts: Sequence[StartPlace] = controls.starts(world)
+        self._starts: Sequence[StartPoseChoice] = controls.starts(world)
         classes = tuple(controls.classes)
         self._class = gui.add_dropdown(
             "Class", classes, initial_value=FIRST_CLASS if FIRST_CLASS in classes else classes[0]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import viser
 
-from usarmjx.view.controls import ControlSeat, WorldControls, WorldStatus
+from usarmjx.view.controls import ControlLock, WorldControls, WorldStatus
 from usarmjx.view.drawing import Drawing, Frame
 from usarmjx.view.robot_controls import RobotControls, RunControls, SpawnForm
 from usarmjx.view.robot_panel import RobotReadout
@@ -27,7 +27,7 @@ NO_ROBOT: str = "none"
 TAKE, LEAVE = "Take the controls", "Give the controls back"
 
 
-class PeoplePanel:
+class UserPanels:
     """A `panel.Panel`: a banner for all, and for each person what that person may see and do.
 
     Args:
@@ -35,11 +35,11 @@ class PeoplePanel:
         seat: Who has the controls; None: nobody can.
     """
 
-    def __init__(self, page: "ViewerPage", seat: ControlSeat | None = None) -> None:
-        self._page, self._seat = page, seat or ControlSeat(allowed=False)
+    def __init__(self, page: "ViewerPage", seat: ControlLock | None = None) -> None:
+        self._page, self._seat = page, seat or ControlLock(allowed=False)
         self._banner_text = ""
         self._banner = page.server.gui.add_html("")
-        self._people: dict[int, PersonPanel] = {}
+        self._people: dict[int, UserPanel] = {}
         self._next_update = 0.0
         page.server.on_client_disconnect(lambda client: self._leave(client.client_id))
 
@@ -63,7 +63,7 @@ class PeoplePanel:
         for number, onlooker in list(onlookers.items()):
             if number not in self._people:
                 order = self._banner.order
-                self._people[number] = PersonPanel(self._page, onlooker.client, self._seat, order)
+                self._people[number] = UserPanel(self._page, onlooker.client, self._seat, order)
                 self._people[number].begin(drawing, frame)
             self._people[number].update(frame, status, onlooker.robot)
 
@@ -77,7 +77,7 @@ class PeoplePanel:
             self._page.controls.let_go()
 
 
-def banner_html(status: WorldStatus, seat: ControlSeat) -> str:
+def banner_html(status: WorldStatus, seat: ControlLock) -> str:
     """Return how a world goes, in a few lines."""
     goes = "paused" if status.paused else f"x {status.realtime_factor:.2f} real time"
     held = "" if not seat.allowed else ", somebody has the controls" if seat.holder is not None else ""
@@ -90,7 +90,7 @@ def banner_html(status: WorldStatus, seat: ControlSeat) -> str:
     return f'<div style="font-size:.85em;margin:0 1em .5em">{"<br>".join(lines)}</div>'
 
 
-class PersonPanel:
+class UserPanel:
     """What one person sees beside the picture.
 
     Args:
@@ -101,7 +101,7 @@ class PersonPanel:
     """
 
     def __init__(
-        self, page: "ViewerPage", client: viser.ClientHandle, seat: ControlSeat, order: float
+        self, page: "ViewerPage", client: viser.ClientHandle, seat: ControlLock, order: float
     ) -> None:
         self._page, self._client, self._seat, self._order = page, client, seat, order
         self._slot: int | None = None

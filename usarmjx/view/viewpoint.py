@@ -138,7 +138,7 @@ class ViewMode(Enum):
 
 
 @dataclass
-class Onlooker:
+class Viewer:
     """Somebody at the page.
 
     Attributes:

@@ -1,7 +1,7 @@
 """A robot in a world, and what a console knows of it: the server's dialogue without sockets."""
 
 from tests.arenas import FLAT
-from usarmjx.cli.console.driving import Pilot
+from usarmjx.cli.console.driving import KeyDriver
 from usarmjx.cli.console.knowledge import Knowledge
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.gamebots.adapter import Client
@@ -16,7 +16,7 @@ class Driven:
         self.world = DynamicWorld(arena, seed=1)
         self.client = Client(self.world, "console")
         self.knowledge = Knowledge()
-        self.pilot = Pilot(self.knowledge)
+        self.pilot = KeyDriver(self.knowledge)
         line = f"INIT {{ClassName USARBot.{kind}}} {{Name R1}} {{Location {at[0]},{at[1]},{-height}}}"
         self.knowledge.said(parse_message(line))
         (init,) = self.client.session.receive_data(f"{line}\r\n".encode())

@@ -14,7 +14,7 @@ from textual.widgets import Input, RichLog, Static, TabbedContent
 from tests.server.peers import PATIENCE, serving
 from tests.server.watchers import classes, gallery
 from usarmjx.base.errors import UsageError
-from usarmjx.cli.console.app import BUTTONS, VIEW, ConsoleApp, Extras
+from usarmjx.cli.console.app import BUTTONS, VIEW, ConsoleApp, ConsoleOptions
 from usarmjx.cli.console.client import ConsoleClient, Transcript
 from usarmjx.cli.console.driving import ACTIONS, AXIS, EVENT, FULL
 from usarmjx.cli.console.panes import (
@@ -147,7 +147,7 @@ def test_a_robot_is_brought_and_seen_and_driven(tmp_path):
     with served() as (world, port, image_port), Transcript(tmp_path / "talk.txt") as kept:
         client = ConsoleClient("127.0.0.1", port, transcript=kept)
         pictures = PictureStream("127.0.0.1", image_port, fps=2.0)
-        app = ConsoleApp(client, Extras(ROBOTS.names, pictures, PictureFiles(tmp_path / "seen")))
+        app = ConsoleApp(client, ConsoleOptions(ROBOTS.names, pictures, PictureFiles(tmp_path / "seen")))
 
         def bound():
             host, _, number = pictures.address.rpartition(":")
@@ -177,7 +177,7 @@ def test_a_robot_is_brought_and_seen_and_driven(tmp_path):
 def test_a_joystick_drives_and_may_go(tmp_path):
     os.mkfifo(tmp_path / "js0")
     with served() as (world, port, _), contextlib.ExitStack() as open_files:
-        app = ConsoleApp(ConsoleClient("127.0.0.1", port), Extras(joystick=tmp_path / "js0"))
+        app = ConsoleApp(ConsoleClient("127.0.0.1", port), ConsoleOptions(joystick=tmp_path / "js0"))
 
         async def script(pilot):
             device = open_files.enter_context(open(tmp_path / "js0", "wb", buffering=0))
@@ -206,7 +206,9 @@ def test_who_is_not_there_ends_the_console_with_one_line():
 def test_a_server_that_goes_and_a_robot_that_is_not_there_are_told():
     with contextlib.ExitStack() as server:
         _, port, _ = server.enter_context(served())
-        app = ConsoleApp(ConsoleClient("127.0.0.1", port), Extras(pictures=PictureStream("127.0.0.1", 1)))
+        app = ConsoleApp(
+            ConsoleClient("127.0.0.1", port), ConsoleOptions(pictures=PictureStream("127.0.0.1", 1))
+        )
 
         async def script(pilot):
             await until(

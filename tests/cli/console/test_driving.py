@@ -22,8 +22,8 @@ from usarmjx.cli.console.driving import (
     NO_DRIVE,
     NO_ROBOT,
     JoystickDevice,
-    Pilot,
-    Stick,
+    JoystickDriver,
+    KeyDriver,
     find_joystick,
     joystick_path,
     link_axis,
@@ -160,12 +160,12 @@ def test_light_and_trace_are_switched():
 
 
 def test_what_cannot_be_driven_says_so():
-    assert Pilot(Knowledge()).press("forward") == []
-    assert Pilot(Knowledge()).problem() == NO_ROBOT
+    assert KeyDriver(Knowledge()).press("forward") == []
+    assert KeyDriver(Knowledge()).problem() == NO_ROBOT
     walker = Driven("QRIO")
     assert walker.pilot.press("forward") == []
     assert walker.pilot.problem() == NO_DRIVE
-    assert Pilot(Knowledge()).press("tilt_up") == Pilot(Knowledge()).press("zoom_in") == []
+    assert KeyDriver(Knowledge()).press("tilt_up") == KeyDriver(Knowledge()).press("zoom_in") == []
 
 
 def test_every_key_does_something():
@@ -188,7 +188,7 @@ def event(kind, number, value):
 
 def test_a_stick_drives_as_far_as_it_is_pushed():
     robot = Driven("P2AT")
-    stick = Stick(robot.pilot)
+    stick = JoystickDriver(robot.pilot)
     assert stick.feed(event(AXIS | AT_FIRST, 1, 0)) == []
     assert stick.feed(event(AXIS, 1, -FULL)) == ["DRIVE {Normalized True} {Left 100} {Right 100}"]
     assert stick.feed(event(AXIS, 1, -FULL // 2)) == ["DRIVE {Normalized True} {Left 50} {Right 50}"]

@@ -8,7 +8,7 @@ import pytest
 
 from tests.rig import Rig
 from tests.starts import deepest
-from tests.tours import Tour
+from tests.tours import ArenaRoute
 from usarmjx.models.arenas.factory import BAY, DOCK, FACTORY, FLOOR, HEIGHT, WINDOW
 from usarmjx.models.compile.reachability import footprint_of, reach_map, victims_reached
 from usarmjx.models.robots import ROBOTS
@@ -72,7 +72,7 @@ def test_the_window_is_1_4_m_wide_and_high(built):
 def test_an_airrobot_flies_through_the_window_by_its_drive_commands():
     """Up to the window's middle, ahead through it, stop; nothing is touched. 0.2 m are free on each side."""
     rig = Rig("AirRobot", arena=FACTORY, places=((13.6, (WINDOW[0] + WINDOW[1]) / 2, 0.0),))
-    flight = Tour(rig)
+    flight = ArenaRoute(rig)
 
     def fly(seconds, **values):
         rig.tell(**values)
@@ -93,7 +93,7 @@ def test_an_airrobot_flies_through_the_window_by_its_drive_commands():
 
 def test_the_same_flight_a_metre_to_the_side_meets_the_wall():
     rig = Rig("AirRobot", arena=FACTORY, places=((13.6, WINDOW[0] - 0.3, 0.0),))
-    flight = Tour(rig)
+    flight = ArenaRoute(rig)
     for seconds, values in ((2.9, {"AltitudeVelocity": 0.5}), (5.0, {"LinearVelocity": 0.8})):
         rig.tell(**({"AltitudeVelocity": 0.0} | values))
         for _ in range(round(seconds * 50)):
@@ -109,7 +109,7 @@ def test_a_p2at_pushes_a_door_open_and_goes_through(name, way):
     y = y if way > 0 else y + 2.0
     rig = Rig("P2AT", arena=FACTORY, places=((x, y, way * math.pi / 2),))
     door = rig.data.joint(f"door/{name}")
-    tour = Tour(rig)
+    tour = ArenaRoute(rig)
     assert door.qpos[0] == 0.0
     assert tour.to([(x, y + way * 2.0)], limit=10.0)
     assert way * door.qpos[0] > math.radians(60), "away from the robot: counter-clockwise going north"
@@ -126,7 +126,7 @@ def test_doors_stay_shut_by_themselves():
 
 def test_a_p2at_drives_up_the_ramp_onto_the_dock():
     rig = Rig("P2AT", arena=FACTORY, places=((DOCK[0] - 3.0, 1.2, 0.0),))
-    tour = Tour(rig)
+    tour = ArenaRoute(rig)
     assert tour.to([(DOCK[0] + 1.0, 1.2)], limit=20.0)
     height = tour.path[-1, 2] - FLOOR
     assert height == pytest.approx(DOCK[2] + ROBOTS.get("P2AT").origin_height, abs=0.01)

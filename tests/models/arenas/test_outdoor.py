@@ -8,7 +8,7 @@ import pytest
 
 from tests.rig import Rig
 from tests.starts import deepest
-from tests.tours import Tour
+from tests.tours import ArenaRoute
 from usarmjx.models.arenas.outdoor import BASE, FLOOR, HALF, HILLS, OUTDOOR, TREES, ground
 from usarmjx.models.compile.reachability import footprint_of, reach_map, victims_reached
 from usarmjx.models.robots import ROBOTS
@@ -89,7 +89,7 @@ def test_robots_cross_more_than_14_m_of_hills_and_stay_on_them(name, way):
     yaw = 0.0 if rest[0][0] > x else math.pi
     rig = Rig(name, arena=OUTDOOR, places=((x, y, yaw, ground(x, y)),))
     terrain = np.flatnonzero(rig.model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD)
-    tour = Tour(rig).ignore(terrain)
+    tour = ArenaRoute(rig).ignore(terrain)
     assert tour.to(rest, speed=0.6, limit=40.0)
     path = tour.path
     assert abs(path[-1, 0] - path[0, 0]) > 14.0

@@ -8,7 +8,7 @@ import pytest
 
 from tests.rig import Rig
 from tests.starts import deepest
-from tests.tours import Tour
+from tests.tours import ArenaRoute
 from usarmjx.engines.base import check_features
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.soccer import (
@@ -139,7 +139,7 @@ def test_the_ball_stays_on_the_field(field):
 def test_a_robot_dribbles_the_ball_over_the_goal_line():
     """The whole of the ball, within the goal; it comes back off the board, as nothing else stops it."""
     rig = Rig("P2AT", arena=SOCCER, places=((SPOT[0] - 0.6, 0.0, 0.0),))
-    assert Tour(rig).to([(2.2, 0.0)], speed=0.5)
+    assert ArenaRoute(rig).to([(2.2, 0.0)], speed=0.5)
     rig.tell(Left=0.0, Right=0.0)
     places = []
     for _ in range(100):

@@ -10,7 +10,7 @@ import pytest
 
 from tests.rig import Rig
 from tests.starts import deepest
-from tests.tours import Tour
+from tests.tours import ArenaRoute
 from usarmjx.base.transforms import flip_vector
 from usarmjx.engines.c.batch import c_model
 from usarmjx.models.arenas.yellow import CELL, ORIGIN, START_CELLS, YELLOW
@@ -188,7 +188,7 @@ def centre(cell):
 def test_a_p2at_drives_around_a_loop_of_24_cells_and_touches_nothing():
     """28.8 m by way points, past the pane and the mirror; walls leave it 0.3 m on each side."""
     rig = Rig("P2AT", arena=YELLOW, places=((*centre(LOOP[0]), 0.0),))
-    tour = Tour(rig)
+    tour = ArenaRoute(rig)
     assert tour.to([centre(cell) for cell in (*LOOP[1:], LOOP[0])], speed=0.5, limit=15.0)
     driven = np.hypot(*np.diff(tour.path[:, :2], axis=0).T).sum()
     assert driven > 0.9 * CELL * len(LOOP), "it cuts corners by the 0.12 m that is near enough"
@@ -198,7 +198,7 @@ def test_a_p2at_drives_around_a_loop_of_24_cells_and_touches_nothing():
 
 def test_the_tour_above_would_notice_a_wall():
     rig = Rig("P2AT", arena=YELLOW, places=((*centre((6, 6)), math.pi),))
-    tour = Tour(rig)
+    tour = ArenaRoute(rig)
     assert not tour.to([centre((5, 6))], limit=5.0), "there is a wall between"
     assert tour.touched > 1.0
 

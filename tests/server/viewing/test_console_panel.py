@@ -9,7 +9,7 @@ from usarmjx.server.gamebots.console import NOT_ALLOWED
 from usarmjx.server.viewing.inset import SOMEBODY_ELSE, ConsolePanel
 from usarmjx.server.viewing.viewer_service import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
-from usarmjx.view.controls import ControlSeat
+from usarmjx.view.controls import ControlLock
 from usarmjx.view.page import ViewerPage
 
 YARD = ArenaSpec(
@@ -39,7 +39,7 @@ def shown(visitor):
 
 
 def test_who_has_the_controls_edits_robots_and_the_others_may_look(world):
-    seat = ControlSeat()
+    seat = ControlLock()
     page = ViewerPage(ServedSource([world]), panels=[lambda page: ConsolePanel(page, [world], seat)])
     try:
         with visiting(page.server.get_port()) as visitor:

@@ -4,7 +4,7 @@ import pytest
 
 from usarmjx.server.network.access import AccessRules
 from usarmjx.server.viewing.controls import control_seat
-from usarmjx.view.controls import ControlSeat
+from usarmjx.view.controls import ControlLock
 
 ME, YOU = 1, 2
 
@@ -28,7 +28,7 @@ def test_strangers_only_watch_unless_the_operator_wants_more(address, token, wan
 
 
 def test_the_first_who_asks_has_them_until_they_are_given_back():
-    seat = ControlSeat()
+    seat = ControlLock()
     assert seat.take(ME)
     assert not seat.take(YOU)
     assert not seat.leave(YOU), "nobody can give back what another has"

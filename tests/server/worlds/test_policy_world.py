@@ -15,7 +15,7 @@ from usarmjx.models.compile.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.gamebots.server import BotServer, BotServerSettings
 from usarmjx.server.rosbridge.definitions import RosVersion
-from usarmjx.server.rosbridge.services import RosCrew
+from usarmjx.server.rosbridge.services import RosRobots
 from usarmjx.server.rosbridge.topics import WorldTopics
 from usarmjx.server.runtime.instance_selector import InstanceSwitch
 from usarmjx.server.viewing.controls import PageRobots
@@ -246,7 +246,7 @@ def test_maps_that_the_tasks_robots_build_are_shown(world):
 
 
 def test_ros_sees_the_robots_that_the_policy_drives_and_does_not_drive_them(world):
-    topics, crew = WorldTopics(world, (32, 24)), RosCrew(BotServer(world, BotServerSettings(port=0)), "ros")
+    topics, crew = WorldTopics(world, (32, 24)), RosRobots(BotServer(world, BotServerSettings(port=0)), "ros")
     run(world, 1.0)
     there = topics.all()
     assert {f"/P2AT{n}/{name}" for n in (0, 1) for name in ("odom", "joint_states", "cmd_vel")} <= set(there)

@@ -23,7 +23,7 @@ from usarmjx.train.learning.config import (
     training_engine,
     training_fields,
 )
-from usarmjx.train.learning.metrics import Log, read_lines, summary
+from usarmjx.train.learning.metrics import MetricsLog, read_lines, summary
 from usarmjx.train.tasks import TASKS
 
 ROOT = Path(__file__).parents[3]
@@ -259,10 +259,12 @@ def test_the_log_drops_what_is_done_again_and_shows_a_bar(tmp_path):
             pass
 
     line = {"agent_steps": 1, "steps_per_s": 1234.0, "return": 0.5, "score": 0.25, "bad": 0.125}
-    with Log(tmp_path, 5, bar=False) as log:
+    with MetricsLog(tmp_path, 5, bar=False) as log:
         for iteration in (1, 2, 3):
             log.write({"iteration": iteration, **line})
-    with Log(tmp_path, 5, after=1, console=Console(file=Sink(), force_terminal=True, width=120)) as log:
+    with MetricsLog(
+        tmp_path, 5, after=1, console=Console(file=Sink(), force_terminal=True, width=120)
+    ) as log:
         log.write({"iteration": 2, **line, "score": 0.75})
     assert [(r["iteration"], r["score"]) for r in read_lines(tmp_path / "metrics.jsonl")] == [
         (1, 0.25),

@@ -15,7 +15,7 @@ from textual.widgets import Button, Footer, Input, Static
 from usarmjx.base.errors import UsageError, UsarmjxError
 from usarmjx.cli.console.client import ConsoleClient, Received, fault_of
 from usarmjx.cli.console.completion import Completer
-from usarmjx.cli.console.driving import JoystickDevice, Pilot, Stick
+from usarmjx.cli.console.driving import JoystickDevice, JoystickDriver, KeyDriver
 from usarmjx.cli.console.panes import CommandLine, KeyPad, MessagePanes, PictureView, RangeBars, SensorTree
 from usarmjx.cli.console.pictures import PictureFiles, PictureStream, half_blocks
 
@@ -39,7 +39,7 @@ PAD_TEXT = "F2: drive by arrows, Space, + -, I J K L, U O, H, T; Esc or the righ
 
 
 @dataclass
-class Extras:
+class ConsoleOptions:
     """What a console has beside its connection.
 
     Attributes:
@@ -91,11 +91,11 @@ class ConsoleApp(App[str]):
     ]
     ENABLE_COMMAND_PALETTE = False
 
-    def __init__(self, client: ConsoleClient, extras: Extras | None = None) -> None:
+    def __init__(self, client: ConsoleClient, extras: ConsoleOptions | None = None) -> None:
         super().__init__()
-        self._client, self._extras = client, extras or Extras()
+        self._client, self._extras = client, extras or ConsoleOptions()
         self._robot_classes: Sequence[str] = ()
-        self._pilot, self._stick = Pilot(client.knowledge), None
+        self._pilot, self._stick = KeyDriver(client.knowledge), None
         self._device: JoystickDevice | None = None
         self._viewed = -1
         self._messages, self._sensors, self._ranges = MessagePanes(), SensorTree(), RangeBars()
@@ -145,8 +145,8 @@ class ConsoleApp(App[str]):
 
     async def _begin(self) -> None:
         await self._client.connect()
-        self._pilot, self._viewed = Pilot(self._client.knowledge), -1
-        self._stick = Stick(self._pilot)
+        self._pilot, self._viewed = KeyDriver(self._client.knowledge), -1
+        self._stick = JoystickDriver(self._pilot)
         self.say(f"connected to {self._client.host}:{self._client.port}")
         self.run_worker(self._listen(), group="connection", exclusive=True)
 

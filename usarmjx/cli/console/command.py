@@ -135,10 +135,10 @@ def _run_panes(
 ) -> None:
     if importlib.util.find_spec(LIBRARY) is None:
         raise UsageError(f"the panes need {LIBRARY}: pip install {LIBRARY}; --script does without")
-    from usarmjx.cli.console.app import ConsoleApp, Extras
+    from usarmjx.cli.console.app import ConsoleApp, ConsoleOptions
     from usarmjx.cli.console.driving import joystick_path
 
-    extras = Extras(_robot_classes, pictures, files, joystick_path(joystick), ask)
+    extras = ConsoleOptions(_robot_classes, pictures, files, joystick_path(joystick), ask)
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise UsageError("the panes need a terminal; with --script FILE (or -) lines are sent without")
     problem = ConsoleApp(client, extras).run()

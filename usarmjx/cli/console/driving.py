@@ -117,7 +117,7 @@ NO_ROBOT = "there is no robot yet: send INIT first"
 
 
 @dataclass
-class Pilot:
+class KeyDriver:
     """Turns what is pressed into lines to send.
 
     Attributes:
@@ -246,8 +246,8 @@ ACTIONS = {
     "backward": lambda pilot: pilot.go(-1.0, 0.0),
     "left": lambda pilot: pilot.go(0.0, 1.0),
     "right": lambda pilot: pilot.go(0.0, -1.0),
-    "straight": Pilot.straight,
-    "stop": Pilot.stop,
+    "straight": KeyDriver.straight,
+    "stop": KeyDriver.stop,
     "faster": lambda pilot: pilot.change_speed(SPEED_STEP),
     "slower": lambda pilot: pilot.change_speed(-SPEED_STEP),
     "up": lambda pilot: pilot.climb(1.0),
@@ -259,9 +259,9 @@ ACTIONS = {
     "pan_right": lambda pilot: pilot.camera.pan(-1),
     "zoom_in": lambda pilot: pilot.camera.zoom(1),
     "zoom_out": lambda pilot: pilot.camera.zoom(-1),
-    "light": Pilot.toggle_light,
-    "trace": Pilot.toggle_trace,
-    "flip": Pilot.flip,
+    "light": KeyDriver.toggle_light,
+    "trace": KeyDriver.toggle_trace,
+    "flip": KeyDriver.flip,
 }
 """What keys and buttons do."""
 
@@ -289,7 +289,7 @@ def find_joystick(folder: Path = FOLDER) -> Path | None:
 
 
 @dataclass
-class Stick:
+class JoystickDriver:
     """Turns a joystick's events into lines to send.
 
     Attributes:
@@ -297,7 +297,7 @@ class Stick:
         axes: How far axes are from their middle, by number.
     """
 
-    pilot: Pilot
+    pilot: KeyDriver
     axes: dict[int, float] = field(default_factory=dict[int, float])
     _rest: bytes = b""
 

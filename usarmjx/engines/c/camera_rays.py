@@ -20,7 +20,7 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.engines.c.rays import HIDDEN_GROUP, MARGIN, MIN_COSINE, CRayCaster, nearest_of_block
 from usarmjx.models.compile.visuals import Figure
 from usarmjx.models.types.shapes import GLASS, OPAQUE
-from usarmjx.sensors.cameras.casters import SOLID_QUERY, Beams, Met
+from usarmjx.sensors.cameras.casters import SOLID_QUERY, Beams, RayHits
 from usarmjx.sensors.cameras.paint import PLANE, ROBOT_LABEL, GeomAppearance
 from usarmjx.sensors.cameras.picture import Picture, Viewpoint, render_picture
 from usarmjx.sensors.cameras.shading import RenderScene
@@ -34,7 +34,7 @@ NOBODY = -1
 
 
 @dataclass(frozen=True, eq=False)
-class WornFigure:
+class AttachedVisual:
     """A figure, and what it follows.
 
     Attributes:
@@ -184,7 +184,7 @@ NO_GEOMS = np.zeros(0, int)
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
+class GeomColors:
     """How the geoms of a model look, and water and figures, which are no geoms of it.
 
     Attributes:
@@ -198,11 +198,11 @@ class Looks:
     appearance: GeomAppearance
     materials: Sequence[str]
     water: GeomBlock
-    figures: Sequence[WornFigure]
+    figures: Sequence[AttachedVisual]
     replaced: np.ndarray
 
 
-class CSight:
+class CCameraRays:
     """A world as it is at the moment of the call; may be looked at in another thread, one at a time.
 
     Args:
@@ -211,7 +211,7 @@ class CSight:
         looks: How it looks.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, looks: Looks) -> None:
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, looks: GeomColors) -> None:
         self.model, self.looks = model.__copy__(), looks
         self._places = {name: getattr(data, name).copy() for name in ("qpos", "mocap_pos", "mocap_quat")}
 
@@ -272,7 +272,7 @@ class CameraCaster:
         hidden: Geoms of that robot's figure that the camera does not see (n,).
     """
 
-    def __init__(self, sight: CSight, slot: int, hidden: np.ndarray) -> None:
+    def __init__(self, sight: CCameraRays, slot: int, hidden: np.ndarray) -> None:
         (self._world, *self._figures), self._looks = sight.targets, sight.looks
         self._slot, self._hidden, self._sight = slot, hidden, sight
         rest = np.zeros(len(sight.looks.appearance.label) - sight.model.ngeom, bool)
@@ -289,22 +289,22 @@ class CameraCaster:
         water, figures = [GLASS] * len(self._looks.water.owner), [OPAQUE] * len(self._figures)
         return {*self._looks.materials, *water, *figures}
 
-    def from_camera(self, origin: Array, direction: Array, query: RayQuery) -> Met:
+    def from_camera(self, origin: Array, direction: Array, query: RayQuery) -> RayHits:
         """Return what the camera's own rays meet (rays, 3); what covers its lens is left out."""
         start, along = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
         distance, geom, normal = self._meet(start, along, query)
         water = self._looks.water
         if GLASS in query.transparent or not len(water.owner):
-            return Met(distance, geom, normal)
+            return RayHits(distance, geom, normal)
         reach, which, its_normal = nearest_of_block(BOX, water, start, along)
         closer = reach < distance
-        return Met(
+        return RayHits(
             distance=np.where(closer, reach, distance).astype(np.float32),
             geom_index=np.where(closer, len(self._looks.materials) + which, geom),
             normal=np.where(closer[:, None], _towards(its_normal, along), normal),
         )
 
-    def from_surfaces(self, origin: Array, direction: Array, wanted: Array) -> Met:
+    def from_surfaces(self, origin: Array, direction: Array, wanted: Array) -> RayHits:
         """Return what solids rays meet (rays, 3) that a mirror throws back; those that are wanted (rays,)."""
         count, rays = len(origin), np.flatnonzero(wanted)
         start, along = (np.asarray(x, np.float64)[rays] for x in (origin, direction))
@@ -314,7 +314,7 @@ class CameraCaster:
         distance, geom = np.full(count, np.inf, np.float32), np.full(count, -1)
         normal = np.zeros((count, 3), np.float32)
         distance[rays], geom[rays], normal[rays] = met[0], met[2], _towards(met[1], along)
-        return Met(distance, geom, normal)
+        return RayHits(distance, geom, normal)
 
     def is_dark(self, beams: Beams) -> Array:
         """Return where something stands in the way of the light, of what is wanted (rays,)."""
@@ -339,7 +339,7 @@ class CameraCaster:
             dark[rays] = met[2] >= 0
         return dark
 
-    def normals(self, met: Met, origin: Array, direction: Array) -> Array:
+    def normals(self, met: RayHits, origin: Array, direction: Array) -> Array:
         """Return the unit normals of the surfaces that rays meet, towards the rays (rays, 3)."""
         del origin, direction  # it was found with what they met
         assert met.normal is not None

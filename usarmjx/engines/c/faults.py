@@ -27,7 +27,7 @@ FAR = 1000.0
 
 
 @dataclass(frozen=True)
-class PutBack:
+class RecoveryResult:
     """What a control step has put back; false if nothing.
 
     Attributes:
@@ -81,7 +81,7 @@ def step_and_recover(
     limits: Mapping[int, float],
     homes: Mapping[int, Array],
     floor: float,
-) -> PutBack:
+) -> RecoveryResult:
     """Make one control step; robots that go bad, and those that touch them, are put back and stand still.
 
     Loose objects and doors that go bad are put where the model has them. What was put back has heard nothing
@@ -100,7 +100,7 @@ def step_and_recover(
     before = _saved(model, data)
     mujoco.mj_step(model, data, nstep=substeps)
     if _is_finite(*_everything(data)) and not _fast_robots(data, indices, limits):
-        return PutBack()
+        return RecoveryResult()
     recovery = _Recovery(model, data, indices, limits)
     gone: set[int] = set()
     while True:
@@ -205,10 +205,10 @@ class _Recovery:
                 return np.concatenate(pose)
         return home
 
-    def report(self, trees: set[int]) -> PutBack:
+    def report(self, trees: set[int]) -> RecoveryResult:
         """Return what these trees are."""
         roots = {tree: int(np.argmax(self._model.body_treeid == tree)) for tree in trees - self._slots.keys()}
-        return PutBack(
+        return RecoveryResult(
             robots=frozenset(self._slots[tree] for tree in trees if tree in self._slots),
             others=tuple(self._model.body(roots[tree]).name for tree in sorted(roots)),
         )

@@ -12,7 +12,7 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.engines.base import GeomPoses, Inputs, PhysicsState
 from usarmjx.engines.c.batch import buffer_warnings
-from usarmjx.engines.c.faults import PutBack, put_all_back, step_and_recover
+from usarmjx.engines.c.faults import RecoveryResult, put_all_back, step_and_recover
 from usarmjx.engines.c.moved_geoms import MovedBody
 from usarmjx.engines.c.rays import CRayCaster
 from usarmjx.models.compile.geoms import MovedGeoms
@@ -91,7 +91,7 @@ class CWorld:
 
     def advance(
         self, robots: Mapping[int, RobotIndex], limits: Mapping[int, float], homes: Mapping[int, Array]
-    ) -> tuple[int, PutBack]:
+    ) -> tuple[int, RecoveryResult]:
         """Advance by a control step; robots that go bad are put back, see `faults.step_and_recover`.
 
         Args:

@@ -22,7 +22,7 @@ from usarmjx.engines.planar.bodies import (
 )
 from usarmjx.engines.planar.flight import fly, held_up
 from usarmjx.engines.planar.footprints import Footprints
-from usarmjx.engines.planar.neighbor_lists import Neighbours, most_near
+from usarmjx.engines.planar.neighbor_lists import NeighborList, most_near
 from usarmjx.engines.planar.neighbor_search import (
     AllSolids,
     all_solids,
@@ -30,7 +30,7 @@ from usarmjx.engines.planar.neighbor_search import (
     ground_below,
     nothing_known,
 )
-from usarmjx.engines.planar.proposed_motion import Aims
+from usarmjx.engines.planar.proposed_motion import ProposedMotion
 from usarmjx.engines.planar.rolling import place_on_ground, reach_of, roll, rolled, stopped
 from usarmjx.engines.planar.separation import part_robots
 from usarmjx.engines.planar.solids import solid_geoms
@@ -61,7 +61,7 @@ class PlanarState(struct.PyTreeNode, kw_only=True):
     act: Array
     touched: Array
     left_out: Array
-    around: Neighbours
+    around: NeighborList
 
 
 class PlanarEngine(Engine[PlanarState]):
@@ -113,15 +113,15 @@ class PlanarEngine(Engine[PlanarState]):
             around=self._nothing_known(PhysicsState(**here)),
         )
 
-    def _nothing_known(self, state: PhysicsState) -> Neighbours:
+    def _nothing_known(self, state: PhysicsState) -> NeighborList:
         """Return that of nothing around the robots is known."""
 
-        def aims_of(state: PhysicsState) -> Aims:
+        def aims_of(state: PhysicsState) -> ProposedMotion:
             robots = jax.vmap(self._robots.motion)(state)
             prints = jax.vmap(self._robots.footprints)(robots)
             limit = jax.vmap(partial(reach_of, self._robots))(robots)
             scene = jax.vmap(self._solids.elsewhere.where, (0, None))(state.qpos, None)
-            return Aims(prints, prints, prints.yaw > 0, None, limit, scene, state.qpos, None)
+            return ProposedMotion(prints, prints, prints.yaw > 0, None, limit, scene, state.qpos, None)
 
         return nothing_known(self._solids, jax.eval_shape(aims_of, state))
 
@@ -147,7 +147,7 @@ class PlanarEngine(Engine[PlanarState]):
 
     def _aim(
         self, state: PhysicsState, inputs: Inputs, moves: Array
-    ) -> tuple[PhysicsState, Motion, Motion, Aims]:
+    ) -> tuple[PhysicsState, Motion, Motion, ProposedMotion]:
         """Return one world with its joints turned, where robots are and would go."""
         dt, robots = self.physics.period, self._robots
         moved = move_joints(self._servos, state, inputs.ctrl, inputs.act, dt)
@@ -162,7 +162,12 @@ class PlanarEngine(Engine[PlanarState]):
         there = there.replace(low=jnp.minimum(left.low, there.low), high=jnp.maximum(left.high, there.high))
         limit, poses = reach_of(robots, before), inputs.geom_poses
         scene = self._solids.elsewhere.where(state.qpos, poses)
-        return turned, before, after, Aims(left, there, moves, stacked, limit, scene, state.qpos, poses)
+        return (
+            turned,
+            before,
+            after,
+            ProposedMotion(left, there, moves, stacked, limit, scene, state.qpos, poses),
+        )
 
     def _stop(self, before: Motion, after: Motion, kept: Footprints, touched: Array) -> Motion:
         return stopped(self._robots, before, after, kept, touched, self.physics.period)

@@ -89,7 +89,7 @@ def layout(prints: Footprints) -> Layout:
     return Layout(outline, prints.yaw.T, prints.low.T, prints.high.T, prints.mass.T)
 
 
-class Deepest(NamedTuple):
+class DeepestOverlap(NamedTuple):
     """What each robot is deepest in.
 
     Attributes:
@@ -103,7 +103,7 @@ class Deepest(NamedTuple):
     which: Array
 
 
-class Push(NamedTuple):
+class SeparationStep(NamedTuple):
     """How each robot gets out of what it is deepest in.
 
     Attributes:
@@ -119,7 +119,7 @@ class Push(NamedTuple):
     at: tuple[Array, Array]
 
 
-class Meetings(NamedTuple):
+class ContactCandidates(NamedTuple):
     """What robots may meet.
 
     Attributes:
@@ -137,7 +137,7 @@ class Meetings(NamedTuple):
     discs: bool
 
 
-class Parting(NamedTuple):
+class Separation(NamedTuple):
     """How far robots have been brought apart.
 
     Attributes:
@@ -151,7 +151,7 @@ class Parting(NamedTuple):
     """
 
     prints: Layout
-    first: Push
+    first: SeparationStep
     depth: Array
     allowed: Array
     touched: Array
@@ -159,7 +159,7 @@ class Parting(NamedTuple):
     stuck: Array
 
 
-def deepest_of(robots: Outlines, around: Meetings, level: Array) -> Deepest:
+def deepest_of(robots: Outlines, around: ContactCandidates, level: Array) -> DeepestOverlap:
     """Return what robots (robots, worlds) are deepest in, for their part."""
     near, discs = around.near, around.discs
 
@@ -176,7 +176,7 @@ def deepest_of(robots: Outlines, around: Meetings, level: Array) -> Deepest:
     push, which = rows[0], jnp.zeros(rows[0].shape, jnp.int32)
     for row, other in enumerate(rows[1:], 1):
         which, push = jnp.where(other > push, row, which), jnp.maximum(push, other)
-    return Deepest(jnp.maximum(reduce(jnp.maximum, met, push), -1.0), push, which)
+    return DeepestOverlap(jnp.maximum(reduce(jnp.maximum, met, push), -1.0), push, which)
 
 
 def _robots_met(robots: Outlines, level: Array) -> Array:
@@ -184,7 +184,9 @@ def _robots_met(robots: Outlines, level: Array) -> Array:
     return jnp.where(level, side_depth(robots, Outlines(*(part[:, None] for part in robots)))[0], -1.0)
 
 
-def push_of(robots: Outlines, around: Meetings, found: Deepest, needed: Array | None = None) -> Push:
+def push_of(
+    robots: Outlines, around: ContactCandidates, found: DeepestOverlap, needed: Array | None = None
+) -> SeparationStep:
     """Return how robots get out of what they are deepest in; anything, unless it is needed ()."""
     needed = jnp.bool_(True) if needed is None else needed
 
@@ -194,7 +196,7 @@ def push_of(robots: Outlines, around: Meetings, found: Deepest, needed: Array | 
     worst = _when(needed, _outlines_of, found.which, around.near, robots)
     x, y = _when(needed, direction, robots, worst)
     place = _when(needed, meeting_place, robots, worst, (x, y))
-    return Push(found.push, x, y, meeting_point(robots, worst, (x, y), place, discs=around.discs))
+    return SeparationStep(found.push, x, y, meeting_point(robots, worst, (x, y), place, discs=around.discs))
 
 
 def _when(needed: Any, function: Callable[..., Any], *args: Any, otherwise: float = 0.0) -> Any:  # noqa: ANN401
@@ -232,12 +234,12 @@ def _solid_depth(mine: Outlines, solids: Outlines, discs: bool) -> tuple[Array, 
 
 def meetings(
     before: Layout, after: Layout, near: Outlines, moves: Array, stacked: Array | None, *, discs: bool
-) -> Meetings:
+) -> ContactCandidates:
     """Return what robots may meet; the arguments are those of `keep_apart`, worlds last."""
     # Who does not move is a wall.
     weight = jnp.where(moves, after.mass, 1e9)[:, None]
     share = weight / (weight + after.mass)
-    return Meetings(near, _level(after, stacked), _level(before, stacked), share, discs)
+    return ContactCandidates(near, _level(after, stacked), _level(before, stacked), share, discs)
 
 
 def _level(prints: Layout, stacked: Array | None) -> Array:
@@ -247,7 +249,7 @@ def _level(prints: Layout, stacked: Array | None) -> Array:
     return level if stacked is None else level & ~stacked
 
 
-def parted(prints: Layout, push: Push, moves: Array) -> Layout:
+def parted(prints: Layout, push: SeparationStep, moves: Array) -> Layout:
     """Return robots a push further out of what each is deepest in."""
     one = prints.outline
     lever = (push.at[0] - one.x) * push.y - (push.at[1] - one.y) * push.x
@@ -289,17 +291,23 @@ def keep_apart(
     over = None if stacked is None else jnp.moveaxis(stacked, 0, -1)
     met = meetings(begin, end, near, pushable, over, discs=discs)
 
-    def look(number: Array, now: Parting) -> Parting:
+    def look(number: Array, now: Separation) -> Separation:
         # One look at what overlaps, whatever is done then: it is what takes long to run and to compile.
         level = jnp.where(number == 1, met.level_before, met.level)
         return _turn(number, now, begin, pushable, met, deepest_of(now.seen, met, level))
 
-    def turn(number: Array, now: Parting) -> Parting:
+    def turn(number: Array, now: Separation) -> Separation:
         return jax.lax.cond(now.stuck, look, lambda _, same: same, number, now)
 
     none = jnp.zeros(end.yaw.shape)
-    start = Parting(
-        end, Push(none, none, none, (none, none)), none, none, none > 0, end.outline, jnp.bool_(True)
+    start = Separation(
+        end,
+        SeparationStep(none, none, none, (none, none)),
+        none,
+        none,
+        none > 0,
+        end.outline,
+        jnp.bool_(True),
     )
     kept = jax.lax.fori_loop(0, 2 + ROUNDS + RESTS, turn, start)
     x, y, yaw = kept.prints.outline.x.T, kept.prints.outline.y.T, kept.prints.yaw.T
@@ -308,8 +316,13 @@ def keep_apart(
 
 
 def _turn(
-    number: Array, now: Parting, before: Layout, moves: Array, around: Meetings, found: Deepest
-) -> Parting:
+    number: Array,
+    now: Separation,
+    before: Layout,
+    moves: Array,
+    around: ContactCandidates,
+    found: DeepestOverlap,
+) -> Separation:
     """Do what it is the turn for with what robots are deepest in.
 
     First it is seen what they overlap where they would go; only if anybody does, how deep they were in it
@@ -335,4 +348,4 @@ def _turn(
         yaw=next_of(before.yaw, now.prints.yaw, apart.yaw),
     )
     seen = jax.tree.map(partial(jnp.where, is_first), before.outline, prints.outline)
-    return Parting(prints, push, depth, allowed, now.touched | (depth > 0), seen, stuck.any())
+    return Separation(prints, push, depth, allowed, now.touched | (depth > 0), seen, stuck.any())

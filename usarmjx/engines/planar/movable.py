@@ -19,7 +19,7 @@ from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.solids import SolidGeoms
 
 
-class WhereSolids(struct.PyTreeNode, kw_only=True):
+class SolidPlacement(struct.PyTreeNode, kw_only=True):
     """Where the solids of a world are that can be elsewhere.
 
     Attributes:
@@ -49,7 +49,7 @@ class MovableSolids:
     origin: np.ndarray
     turn: np.ndarray
 
-    def where(self, qpos: Array, poses: GeomPoses | None) -> WhereSolids:
+    def where(self, qpos: Array, poses: GeomPoses | None) -> SolidPlacement:
         """Return where they are in one world; geoms of which nothing is told are at zero.
 
         Args:
@@ -58,10 +58,10 @@ class MovableSolids:
         """
         loose, count = qpos[self.loose], len(self.places)
         if poses is None or not count:
-            return WhereSolids(loose=loose, geoms=jnp.zeros((count, 10)))
+            return SolidPlacement(loose=loose, geoms=jnp.zeros((count, 10)))
         size = jnp.asarray(self.size, jnp.float32) if poses.size is None else poses.size[self.places]
         parts = poses.pos[self.places], poses.quat[self.places], size
-        return WhereSolids(loose=loose, geoms=jnp.concatenate(parts, -1))
+        return SolidPlacement(loose=loose, geoms=jnp.concatenate(parts, -1))
 
     def came_near(self, then: Array, now: Array, prints: Footprints, reach: Array) -> Array:
         """Return whether geoms of one world have moved that are near a robot now, or were ().

@@ -13,7 +13,7 @@ from flax import struct
 from usarmjx.base.arrays import Array
 from usarmjx.base.compilation import rounds_at_once
 from usarmjx.engines.planar.footprints import Footprints
-from usarmjx.engines.planar.movable import WhereSolids
+from usarmjx.engines.planar.movable import SolidPlacement
 from usarmjx.engines.planar.overlap import Outlines
 from usarmjx.engines.planar.solids import NOWHERE, PlanSolids, as_numbers, as_solids, tops_under
 
@@ -51,7 +51,7 @@ class Margin(struct.PyTreeNode, kw_only=True):
         return (self.aside > other.aside) & (self.height > other.height)
 
 
-class Neighbours(struct.PyTreeNode, kw_only=True):
+class NeighborList(struct.PyTreeNode, kw_only=True):
     """What is around the robots of each world; of whom `room` is 0, it is not known.
 
     Where kernels of Warp keep it, solids are numbers of one array, see `solids.as_numbers`; a CPU is slower
@@ -74,7 +74,7 @@ class Neighbours(struct.PyTreeNode, kw_only=True):
     left_out: Array
     near_solids: PlanSolids | Array
     under_solids: PlanSolids | Array
-    scene: WhereSolids
+    scene: SolidPlacement
     discs: bool = struct.field(pytree_node=False)
 
     @property
@@ -108,7 +108,7 @@ class Neighbours(struct.PyTreeNode, kw_only=True):
         return as_numbers(self.under_solids)
 
     @property
-    def packed(self) -> "Neighbours":
+    def packed(self) -> "NeighborList":
         """The same, with solids as numbers."""
         return self.replace(near_solids=self.near_numbers, under_solids=self.under_numbers)
 
@@ -148,7 +148,7 @@ def most_near(half: np.ndarray) -> int:
 
 
 def places_of(prints: Footprints, limit: Array) -> Array:
-    """Return where robots are, as `Neighbours.at` has it (..., robots, 4)."""
+    """Return where robots are, as `NeighborList.at` has it (..., robots, 4)."""
     return jnp.stack([prints.pos[..., 0], prints.pos[..., 1], prints.low, limit], -1)
 
 
@@ -171,9 +171,9 @@ def look_around(
     solids: PlanSolids,
     floor: float,
     reach: Margin,
-    scene: WhereSolids,
+    scene: SolidPlacement,
     most: int = NEAR,
-) -> Neighbours:
+) -> NeighborList:
     """Look up what is around the robots of one world.
 
     Args:
@@ -206,7 +206,7 @@ def look_around(
     under, others = _nearest(solids, may_hold, LAYERS)
     grounded = _margin(apart, deep, steep, others & (found.highest >= floor), reach)
     left_out = (stops & (apart < reach.aside[:, None])).sum(-1) - most
-    return Neighbours(
+    return NeighborList(
         at=places_of(prints, limit),
         room=jnp.stack([free.aside, free.height, grounded.aside, grounded.height], -1),
         left_out=jnp.maximum(left_out, 0).astype(jnp.int32),

@@ -21,13 +21,13 @@ from usarmjx.engines.planar.bodies import FixedBodies
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.movable import MovableSolids, movable_solids
 from usarmjx.engines.planar.neighbor_lists import (
-    Neighbours,
+    NeighborList,
     farthest_in_a_step,
     ground_of,
     look_around,
     places_of,
 )
-from usarmjx.engines.planar.proposed_motion import Aims, rows_of
+from usarmjx.engines.planar.proposed_motion import ProposedMotion, rows_of
 from usarmjx.engines.planar.rolling import feet_of
 from usarmjx.engines.planar.solids import (
     PlanSolids,
@@ -173,21 +173,21 @@ def all_solids(model: mujoco.MjModel, geoms: SolidGeoms, fixed: FixedBodies, mos
     )
 
 
-def nothing_known(solids: AllSolids, aims: Aims) -> Neighbours:
+def nothing_known(solids: AllSolids, aims: ProposedMotion) -> NeighborList:
     """Return zeros of the shapes of what is around robots: nothing is known."""
     on_warp = _fits_on_warp(solids, aims)
     shapes = jax.eval_shape(partial(_as_it_is_kept, solids, on_warp), aims)
     return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shapes)
 
 
-def around_robots(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbours:
+def around_robots(solids: AllSolids, known: NeighborList, aims: ProposedMotion) -> NeighborList:
     """Return what is around all robots, looked up anew where some may have come to what was far away."""
     if not solids.count:
         return known
     return (around_on_warp if _fits_on_warp(solids, aims) else around_by_jax)(solids, known, aims)
 
 
-def around_by_jax(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbours:
+def around_by_jax(solids: AllSolids, known: NeighborList, aims: ProposedMotion) -> NeighborList:
     """As `around_robots`, by JAX: all robots of a world that needs it look."""
     reach, worlds = farthest_in_a_step(aims.left, aims.there), len(aims.moves)
     holds = known.holds(places_of(aims.left, aims.limit.max(1)), aims.scene.loose, reach)
@@ -204,31 +204,31 @@ def around_by_jax(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbour
     return where_needed(needed, partial(_as_it_is_kept, solids, on_warp), known, aims)
 
 
-def _as_it_is_kept(solids: AllSolids, on_warp: bool, aims: Aims) -> Neighbours:
+def _as_it_is_kept(solids: AllSolids, on_warp: bool, aims: ProposedMotion) -> NeighborList:
     """As `looked_up`, as Warp's kernels keep it or not."""
     found = looked_up(solids, aims)
     return found.packed if on_warp else found
 
 
-def looked_up(solids: AllSolids, aims: Aims) -> Neighbours:
+def looked_up(solids: AllSolids, aims: ProposedMotion) -> NeighborList:
     """Look up what is around the robots of all worlds."""
     reach = farthest_in_a_step(aims.left, aims.there)
 
-    def of_world(aims: Aims, reach: Any) -> Neighbours:  # noqa: ANN401 - a world's part of a margin
+    def of_world(aims: ProposedMotion, reach: Any) -> NeighborList:  # noqa: ANN401 - a world's part of a margin
         here, limit = solids.of_world(aims.qpos, aims.poses), aims.limit.max(0)
         return look_around(aims.left, limit, here, solids.floor, reach, aims.scene, solids.most)
 
     return jax.vmap(of_world)(aims, reach)
 
 
-def ground_below(solids: AllSolids, around: Neighbours, kept: Footprints, aims: Aims) -> Array:
+def ground_below(solids: AllSolids, around: NeighborList, kept: Footprints, aims: ProposedMotion) -> Array:
     """Return how high the ground is under robots where they came to [m] (worlds, 4, robots)."""
     if not solids.count:
         return jnp.full(aims.limit.shape, solids.floor)
     return (ground_on_warp if _fits_on_warp(solids, aims) else ground_by_jax)(solids, around, kept, aims)
 
 
-def ground_by_jax(solids: AllSolids, around: Neighbours, kept: Footprints, aims: Aims) -> Array:
+def ground_by_jax(solids: AllSolids, around: NeighborList, kept: Footprints, aims: ProposedMotion) -> Array:
     """As `ground_below`, by JAX."""
     feet = jax.vmap(feet_of)(kept)
     known = around.knows_ground(places_of(kept, aims.limit.max(1))).all(-1)
@@ -241,7 +241,7 @@ def ground_by_jax(solids: AllSolids, around: Neighbours, kept: Footprints, aims:
     return where_needed(jnp.logical_not(known), jax.vmap(everywhere), found, *args)
 
 
-def _fits_on_warp(solids: AllSolids, aims: Aims) -> bool:
+def _fits_on_warp(solids: AllSolids, aims: ProposedMotion) -> bool:
     """Return whether they are for Warp here: some robots, and as many solids as it has room for."""
     if not warp_in_use() or not aims.moves.size:
         return False
@@ -250,17 +250,17 @@ def _fits_on_warp(solids: AllSolids, aims: Aims) -> bool:
     return room_for(solids.count) is not None
 
 
-def around_on_warp(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbours:
+def around_on_warp(solids: AllSolids, known: NeighborList, aims: ProposedMotion) -> NeighborList:
     """As `around_robots`, on Warp: one launch, in which only those robots look that need it."""
     return _around_with_slope(solids, known, aims)
 
 
-def ground_on_warp(solids: AllSolids, around: Neighbours, kept: Footprints, aims: Aims) -> Array:
+def ground_on_warp(solids: AllSolids, around: NeighborList, kept: Footprints, aims: ProposedMotion) -> Array:
     """As `ground_below`, on Warp."""
     return _ground_with_slope(solids, around, kept, aims)
 
 
-def _launch_look(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbours:
+def _launch_look(solids: AllSolids, known: NeighborList, aims: ProposedMotion) -> NeighborList:
     from usarmjx.engines.planar.warp_neighbor_search import GROUND_THREADS, room_for
 
     worlds, room = len(aims.moves), room_for(solids.count)
@@ -281,7 +281,7 @@ def _launch_look(solids: AllSolids, known: Neighbours, aims: Aims) -> Neighbours
     )
 
 
-def _launch_ground(solids: AllSolids, around: Neighbours, kept: Footprints, aims: Aims) -> Array:
+def _launch_ground(solids: AllSolids, around: NeighborList, kept: Footprints, aims: ProposedMotion) -> Array:
     worlds, robots = aims.moves.shape
     places = jnp.concatenate([kept.pos, kept.yaw[..., None]], -1)
     found = _grounding()(
@@ -299,7 +299,7 @@ def _flat(part: Array) -> Array:
     return jnp.asarray(part).reshape(-1) if part.size else jnp.zeros(1, part.dtype)
 
 
-def _scene(solids: AllSolids, aims: Aims) -> tuple[Array, ...]:
+def _scene(solids: AllSolids, aims: ProposedMotion) -> tuple[Array, ...]:
     """Return what both kernels are told of solids, see `warp_solids`."""
     (kinds, shapes, still), poses = solids.tables, aims.poses
     places, sized = (0, False) if poses is None else (poses.pos.shape[1], poses.size is not None)

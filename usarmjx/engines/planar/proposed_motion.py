@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from usarmjx.base.arrays import Array
 from usarmjx.engines.base import GeomPoses
 from usarmjx.engines.planar.footprints import Footprints
-from usarmjx.engines.planar.movable import WhereSolids
+from usarmjx.engines.planar.movable import SolidPlacement
 
 
-class Aims(NamedTuple):
+class ProposedMotion(NamedTuple):
     """What the robots of all worlds would do in a step, and where else solids are.
 
     Attributes:
@@ -29,7 +29,7 @@ class Aims(NamedTuple):
     moves: Array
     stacked: Array | None
     limit: Array
-    scene: WhereSolids
+    scene: SolidPlacement
     qpos: Array
     poses: GeomPoses | None
 
@@ -48,7 +48,7 @@ WORDS = {f"NUMBER_{name.upper()}": place for place, name in enumerate(NUMBERS)}
 """What native code calls their places."""
 
 
-def rows_of(aims: Aims) -> Array:
+def rows_of(aims: ProposedMotion) -> Array:
     """Return the rows of robots (numbers * worlds * robots,): first the first number of all of them."""
     there = aims.there
     places = [number for prints in (aims.left, there) for number in _place(prints)]

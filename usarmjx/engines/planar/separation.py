@@ -9,16 +9,16 @@ from usarmjx.base.accelerator import warp_in_use
 from usarmjx.base.arrays import Array
 from usarmjx.base.warp_functions import warp_function
 from usarmjx.engines.planar.footprints import Footprints, keep_apart
-from usarmjx.engines.planar.neighbor_lists import Neighbours, stopping
-from usarmjx.engines.planar.proposed_motion import Aims, rows_of
+from usarmjx.engines.planar.neighbor_lists import NeighborList, stopping
+from usarmjx.engines.planar.proposed_motion import ProposedMotion, rows_of
 
 
-def part_robots(aims: Aims, around: Neighbours) -> tuple[Footprints, Array]:
+def part_robots(aims: ProposedMotion, around: NeighborList) -> tuple[Footprints, Array]:
     """Return where robots come to, as `keep_apart` does; on Warp where that is in use, within rounding."""
     return (parted_on_warp if _fits_on_warp(aims.moves.shape[1]) else _parted)(aims, around)
 
 
-def _parted(aims: Aims, around: Neighbours) -> tuple[Footprints, Array]:
+def _parted(aims: ProposedMotion, around: NeighborList) -> tuple[Footprints, Array]:
     near = stopping(aims.left, around.near)
     return keep_apart(aims.left, aims.there, near, aims.moves, aims.stacked, discs=around.discs)
 
@@ -32,12 +32,12 @@ def _fits_on_warp(robots: int) -> bool:
     return 0 < robots <= MOST_ROBOTS
 
 
-def parted_on_warp(aims: Aims, around: Neighbours) -> tuple[Footprints, Array]:
+def parted_on_warp(aims: ProposedMotion, around: NeighborList) -> tuple[Footprints, Array]:
     """As `part_robots`, on Warp: one launch, in which each world does as many turns as it needs."""
     return _with_slope(aims, around)
 
 
-def _launched(aims: Aims, around: Neighbours) -> tuple[Footprints, Array]:
+def _launched(aims: ProposedMotion, around: NeighborList) -> tuple[Footprints, Array]:
     worlds, robots = aims.moves.shape
     stacked, near = aims.stacked, around.near_numbers
     over = jnp.zeros(1, jnp.int32) if stacked is None else jnp.asarray(stacked, jnp.int32).reshape(-1)

@@ -175,7 +175,7 @@ SKIN, HAIR, EYE, LIPS = (0.87, 0.68, 0.57), (0.22, 0.13, 0.07), (0.1, 0.12, 0.2)
 STRIPE, BELT, SOLE = (0.93, 0.92, 0.85), (0.12, 0.09, 0.07), (0.75, 0.73, 0.7)
 
 
-class Trait(NamedTuple):
+class BonePart(NamedTuple):
     """One solid of a bone, in shares of the half lengths of its box and in its axes.
 
     Attributes:
@@ -191,42 +191,42 @@ class Trait(NamedTuple):
     kind: int = ELLIPSOID
 
 
-def _limb(z: float, radius: float, half: float, rgb: Vec3 | None = None) -> Trait:
-    return Trait((0.0, 0.0, z), (radius, half, half), rgb, CAPSULE)
+def _limb(z: float, radius: float, half: float, rgb: Vec3 | None = None) -> BonePart:
+    return BonePart((0.0, 0.0, z), (radius, half, half), rgb, CAPSULE)
 
 
-TRAITS: dict[str, tuple[Trait, ...]] = {
+TRAITS: dict[str, tuple[BonePart, ...]] = {
     "Head": (
-        Trait((0.0, 0.0, 0.2), (0.93, 0.95, 0.8)),
-        Trait((-0.2, 0.0, 0.48), (0.95, 1.06, 0.62), HAIR),
-        Trait((0.95, 0.0, 0.08), (0.2, 0.14, 0.17)),  # nose
-        Trait((0.84, 0.38, 0.27), (0.1, 0.17, 0.07), EYE),
-        Trait((0.84, -0.38, 0.27), (0.1, 0.17, 0.07), EYE),
-        Trait((0.8, 0.0, -0.2), (0.1, 0.33, 0.05), LIPS),
+        BonePart((0.0, 0.0, 0.2), (0.93, 0.95, 0.8)),
+        BonePart((-0.2, 0.0, 0.48), (0.95, 1.06, 0.62), HAIR),
+        BonePart((0.95, 0.0, 0.08), (0.2, 0.14, 0.17)),  # nose
+        BonePart((0.84, 0.38, 0.27), (0.1, 0.17, 0.07), EYE),
+        BonePart((0.84, -0.38, 0.27), (0.1, 0.17, 0.07), EYE),
+        BonePart((0.8, 0.0, -0.2), (0.1, 0.33, 0.05), LIPS),
         _limb(-0.7, 0.5, 0.35),  # neck
     ),
     "Chest": (
-        Trait((0.0, 0.0, 0.1), (1.0, 0.98, 1.1)),
-        Trait((0.0, 0.0, -0.65), (0.92, 0.86, 0.75)),
-        Trait((0.0, 0.0, 0.62), (0.72, 1.3, 0.42)),  # shoulders
-        Trait((0.0, 0.0, 0.1), (1.03, 1.01, 0.14), STRIPE),
-        Trait((0.05, 0.0, 0.98), (0.5, 0.36, 0.2), SKIN),  # what the collar leaves open
+        BonePart((0.0, 0.0, 0.1), (1.0, 0.98, 1.1)),
+        BonePart((0.0, 0.0, -0.65), (0.92, 0.86, 0.75)),
+        BonePart((0.0, 0.0, 0.62), (0.72, 1.3, 0.42)),  # shoulders
+        BonePart((0.0, 0.0, 0.1), (1.03, 1.01, 0.14), STRIPE),
+        BonePart((0.05, 0.0, 0.98), (0.5, 0.36, 0.2), SKIN),  # what the collar leaves open
     ),
     "Pelvis": (
-        Trait((0.0, 0.0, -0.1), (1.0, 1.02, 1.05)),
-        Trait((0.0, 0.0, 0.72), (0.98, 0.94, 0.2), BELT),
+        BonePart((0.0, 0.0, -0.1), (1.0, 1.02, 1.05)),
+        BonePart((0.0, 0.0, 0.72), (0.98, 0.94, 0.2), BELT),
     ),
     "Arm": (_limb(0.42, 1.05, 0.4), _limb(-0.45, 0.8, 0.45, SKIN)),
     "Hand": (
-        Trait((0.0, 0.0, 0.35), (0.95, 1.0, 0.65)),
-        Trait((-0.05, 0.0, -0.45), (0.75, 0.8, 0.55)),  # fingers
-        Trait((0.95, 0.0, 0.25), (0.3, 0.8, 0.45)),  # thumb
+        BonePart((0.0, 0.0, 0.35), (0.95, 1.0, 0.65)),
+        BonePart((-0.05, 0.0, -0.45), (0.75, 0.8, 0.55)),  # fingers
+        BonePart((0.95, 0.0, 0.25), (0.3, 0.8, 0.45)),  # thumb
     ),
-    "Leg": (_limb(0.45, 1.0, 0.42), _limb(-0.5, 0.78, 0.42)),
+    "RouteSegment": (_limb(0.45, 1.0, 0.42), _limb(-0.5, 0.78, 0.42)),
     "Foot": (
-        Trait((0.1, 0.0, -0.1), (0.92, 1.0, 1.0)),
-        Trait((-0.45, 0.0, 0.5), (0.5, 0.88, 1.2)),  # heel and ankle
-        Trait((0.05, 0.0, -0.75), (1.0, 1.05, 0.3), SOLE),
+        BonePart((0.1, 0.0, -0.1), (0.92, 1.0, 1.0)),
+        BonePart((-0.45, 0.0, 0.5), (0.5, 0.88, 1.2)),  # heel and ankle
+        BonePart((0.05, 0.0, -0.75), (1.0, 1.05, 0.3), SOLE),
     ),
 }
 

@@ -24,7 +24,7 @@ PANE_QUERY = RayQuery(transparent=frozenset(MATERIALS) - {GLASS}, bundle_size=TI
 """What rays pass that look for solids, and for panes."""
 
 
-class Met(NamedTuple):
+class RayHits(NamedTuple):
     """What rays meet first.
 
     Attributes:
@@ -80,7 +80,7 @@ class Caster(Protocol):
         """Which of them are planes (geoms,)."""
         ...
 
-    def from_camera(self, origin: Array, direction: Array, query: RayQuery) -> Met:
+    def from_camera(self, origin: Array, direction: Array, query: RayQuery) -> RayHits:
         """Return what the camera's own rays meet; what covers its lens is left out.
 
         Args:
@@ -90,7 +90,7 @@ class Caster(Protocol):
         """
         ...
 
-    def from_surfaces(self, origin: Array, direction: Array, wanted: Array) -> Met:
+    def from_surfaces(self, origin: Array, direction: Array, wanted: Array) -> RayHits:
         """Return what solids rays meet (rays, 3) that a mirror throws back; those that are wanted (rays,)."""
         ...
 
@@ -98,7 +98,7 @@ class Caster(Protocol):
         """Return where something stands in the way of the light, of what is wanted (rays,)."""
         ...
 
-    def normals(self, met: Met, origin: Array, direction: Array) -> Array:
+    def normals(self, met: RayHits, origin: Array, direction: Array) -> Array:
         """Return the unit normals of the surfaces that rays meet, towards the rays (rays, 3)."""
         ...
 
@@ -125,15 +125,15 @@ class GeomCaster:
         kinds = zip(geoms.kinds, geoms.blocks, strict=True)
         self.is_plane = np.concatenate([np.full(len(block.owner), kind == PLANE) for kind, block in kinds])
 
-    def from_camera(self, origin: Array, direction: Array, query: RayQuery) -> Met:
+    def from_camera(self, origin: Array, direction: Array, query: RayQuery) -> RayHits:
         """As `Caster` says."""
         query = query.replace(exclude_owner=self._exclude_owner)
-        return Met(*nearest_hits(self._geoms, origin, direction, query))
+        return RayHits(*nearest_hits(self._geoms, origin, direction, query))
 
-    def from_surfaces(self, origin: Array, direction: Array, wanted: Array) -> Met:
+    def from_surfaces(self, origin: Array, direction: Array, wanted: Array) -> RayHits:
         """As `Caster` says."""
         rays = _needed(wanted, jnp.asarray(origin).T, jnp.asarray(direction).T)
-        return Met(*nearest_hits(self._geoms, *rays, SOLID_QUERY))
+        return RayHits(*nearest_hits(self._geoms, *rays, SOLID_QUERY))
 
     def is_dark(self, beams: Beams) -> Array:
         """As `Caster` says; what is met first on the way to a light is in its way."""
@@ -146,7 +146,7 @@ class GeomCaster:
         own = label == jnp.asarray(beams.carrier)[jnp.maximum(beams.source, 0)]
         return dark & ~(own & (block.geom_index >= 0))
 
-    def normals(self, met: Met, origin: Array, direction: Array) -> Array:
+    def normals(self, met: RayHits, origin: Array, direction: Array) -> Array:
         """As `Caster` says."""
         met_arrays = GeomHits(jnp.asarray(met.distance), jnp.asarray(met.geom_index))
         return normals(self._geoms, met_arrays, jnp.asarray(origin), jnp.asarray(direction))

@@ -11,7 +11,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import on_numpy, xp
 from usarmjx.base.errors import UsageError
 from usarmjx.models.compile.kinematic_tree import BodyPoses
-from usarmjx.sensors.cameras.casters import SOLID_QUERY, Caster, GeomCaster, Met
+from usarmjx.sensors.cameras.casters import SOLID_QUERY, Caster, GeomCaster, RayHits
 from usarmjx.sensors.cameras.imaging import levels, smoothed
 from usarmjx.sensors.cameras.lenses import MIRROR_DISTANCE, omni_rays, pinhole_rays, untiled
 from usarmjx.sensors.cameras.mounts import Camera
@@ -244,7 +244,7 @@ class _Seen(NamedTuple):
     """
 
     view: CameraView
-    met: Met
+    met: RayHits
     normal: Array
     point: Array
 

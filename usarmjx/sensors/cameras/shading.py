@@ -20,7 +20,7 @@ from usarmjx.base.transforms import Vec3
 from usarmjx.models.types.arena import Light
 from usarmjx.models.types.shapes import GLASS, MIRROR
 from usarmjx.models.types.textures import SIGNS
-from usarmjx.sensors.cameras.casters import PANE_QUERY, SOLID_QUERY, Beams, Caster, GeomCaster, Met
+from usarmjx.sensors.cameras.casters import PANE_QUERY, SOLID_QUERY, Beams, Caster, GeomCaster, RayHits
 from usarmjx.sensors.cameras.paint import ARENA_LABEL, SKY_LABEL, GeomAppearance
 from usarmjx.sensors.cameras.textures import on_face, textured
 from usarmjx.sensors.rays.targets import Geoms
@@ -256,7 +256,7 @@ def _reflected(
 
 
 def _behind_panes(
-    render_scene: RenderScene, caster: Caster, pane: Met, start: Array, along: Array, rgb: Array
+    render_scene: RenderScene, caster: Caster, pane: RayHits, start: Array, along: Array, rgb: Array
 ) -> Array:
     """Return colours with the panes that are in front of them: lit, whatever is in between."""
     surface = _surface(render_scene, caster, pane, start, along)
@@ -265,7 +265,9 @@ def _behind_panes(
     return xp.where(surface.met, seen, rgb)
 
 
-def _surface(render_scene: RenderScene, caster: Caster, first: Met, start: Array, along: Array) -> _Surface:
+def _surface(
+    render_scene: RenderScene, caster: Caster, first: RayHits, start: Array, along: Array
+) -> _Surface:
     met, which = first.geom_index >= 0, xp.maximum(first.geom_index, 0)
     reach = xp.where(met, first.distance, 0.0)
     point, normal = start.T + reach * along.T, caster.normals(first, start, along).T
@@ -280,7 +282,7 @@ def _surface(render_scene: RenderScene, caster: Caster, first: Met, start: Array
     return _Surface(met, which, point + (RAY_BIAS + RAY_BIAS_PER_METRE * reach) * normal, normal, rgb)
 
 
-def _with_textures(caster: Caster, first: Met, point: Array, normal: Array, rgb: Array) -> Array:
+def _with_textures(caster: Caster, first: RayHits, point: Array, normal: Array, rgb: Array) -> Array:
     """Return colours (3, rays) with what is on surfaces, in place of their bricks."""
     look, which = caster.appearance, xp.maximum(first.geom_index, 0)
     code = xp.where(first.geom_index >= 0, xp.asarray(look.texture)[which], 0)

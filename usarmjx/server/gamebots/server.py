@@ -60,7 +60,7 @@ class BotServerSettings:
 
 
 @dataclass
-class Tally:
+class ConnectionCounts:
     """What a server has counted since it began.
 
     Attributes:
@@ -200,7 +200,7 @@ class BotServer:
         title: str = "",
     ) -> None:
         self.world, self.settings, self.services, self.title = world, settings, list(services), title
-        self.port, self.tally = settings.port, Tally()
+        self.port, self.tally = settings.port, ConnectionCounts()
         self.guests: list[Client] = []
         self._bound = bound
         self._gate = Gate(

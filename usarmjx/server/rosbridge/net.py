@@ -25,7 +25,7 @@ from usarmjx.server.pictures.render_thread import RenderThread
 from usarmjx.server.rosbridge.definitions import RosVersion
 from usarmjx.server.rosbridge.encodings import BridgeFrame, Compression, publication
 from usarmjx.server.rosbridge.images import PictureRequest, image_view, picture_messages
-from usarmjx.server.rosbridge.services import REMOVE, SPAWN, RosCrew, TopicServices, read_spawn
+from usarmjx.server.rosbridge.services import REMOVE, SPAWN, RosRobots, TopicServices, read_spawn
 from usarmjx.server.rosbridge.session import BridgeSession, Published, ServiceCall, TopicSubscription
 from usarmjx.server.rosbridge.topics import RosTopic, WorldTopics
 from usarmjx.server.runtime.logs import FaultLog
@@ -81,7 +81,7 @@ class RosClient:
 
     socket: ServerConnection
     session: BridgeSession
-    crew: RosCrew
+    crew: RosRobots
     wake: asyncio.Event = field(default_factory=asyncio.Event)
 
     async def send(self) -> None:
@@ -95,7 +95,7 @@ class RosClient:
                 await self.socket.send(frame)
 
 
-class WantedPicture(NamedTuple):
+class PictureSubscription(NamedTuple):
     """A picture that a client waits for."""
 
     client: RosClient
@@ -124,7 +124,7 @@ class RosbridgeServer:
         self._topics = WorldTopics(world, settings.size)
         self._services = TopicServices(self._topics, settings.version, lambda: world.time)
         self._clients: list[RosClient] = []
-        self._left: deque[RosCrew] = deque()
+        self._left: deque[RosRobots] = deque()
         self._gate = Gate(settings.access, settings.max_connections, "rosbridge")
         self._render_thread = RenderThread(world)
         self._stepped, self._joining = asyncio.Event(), asyncio.Lock()
@@ -155,7 +155,7 @@ class RosbridgeServer:
         if self._left:
             self._left[0].let_one_go()
         made: dict[PublicationKey, BridgeFrame] = {}
-        pictures: list[WantedPicture] = []
+        pictures: list[PictureSubscription] = []
         topics = self._topics.all() if self._clients else {}
         for client in self._clients:
             client.crew.forget_lost()
@@ -165,7 +165,7 @@ class RosbridgeServer:
                 if topic is None or news is None or news == wanted.told:
                     continue
                 if topic.make is None:
-                    pictures.append(WantedPicture(client, wanted, topic, news))
+                    pictures.append(PictureSubscription(client, wanted, topic, news))
                 elif frame := self._told(topic, wanted, made):
                     wanted.put(frame, news, self._world.time)
                     client.wake.set()
@@ -194,7 +194,7 @@ class RosbridgeServer:
                 self._fault_log.warning("%s is not told: %s", topic.name, error)
         return made[key]
 
-    async def _show(self, wanted: Sequence[WantedPicture]) -> None:
+    async def _show(self, wanted: Sequence[PictureSubscription]) -> None:
         now, size = self._world.time, self._settings.size
         views = {one.topic: image_view(one.topic, size) for one in wanted}
         asked = [
@@ -221,7 +221,7 @@ class RosbridgeServer:
             await connection.close(1013, f"{len(self._clients)} clients are connected already")
             return
         session = BridgeSession(self._settings.version, self._type_of)
-        client = RosClient(connection, session, RosCrew(self.server, peer))
+        client = RosClient(connection, session, RosRobots(self.server, peer))
         self._clients.append(client)
         log.info("%s: connected", peer)
         sender = asyncio.create_task(client.send())

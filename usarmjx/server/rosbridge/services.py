@@ -27,7 +27,7 @@ from usarmjx.sim.control import CommandUpdate
 log = logging.getLogger(__name__)
 
 
-class RosCrew:
+class RosRobots:
     """What a client has; the robots that it let appear go when it goes.
 
     Args:

@@ -110,7 +110,7 @@ class ServiceCall(NamedTuple):
 BridgeRequest: TypeAlias = Published | ServiceCall
 
 
-class SubscriptionWish(NamedTuple):
+class SubscriptionRequest(NamedTuple):
     """What one of a client's subscriptions to a topic asks for.
 
     Attributes:
@@ -142,7 +142,7 @@ class TopicSubscription:
 
     type: str
     version: RosVersion
-    wishes: dict[str, SubscriptionWish] = field(default_factory=dict[str, SubscriptionWish])
+    wishes: dict[str, SubscriptionRequest] = field(default_factory=dict[str, SubscriptionRequest])
     told: Hashable = None
     due: float = 0.0
     waiting: deque[BridgeFrame] = field(default_factory=deque[BridgeFrame])
@@ -334,7 +334,7 @@ def _read(text: str | bytes) -> RosMessage:
     return said
 
 
-def _wish(said: RosMessage) -> SubscriptionWish:
+def _wish(said: RosMessage) -> SubscriptionRequest:
     """Return what a subscription asks for.
 
     Raises:
@@ -347,7 +347,7 @@ def _wish(said: RosMessage) -> SubscriptionWish:
     if 0 < size < SHORTEST_FRAGMENT:
         raise UsageError(f"fragment_size is {size}, expected 0 or at least {SHORTEST_FRAGMENT}")
     pause, length = _number(said, "throttle_rate") / 1000, int(_number(said, "queue_length"))
-    return SubscriptionWish(pause, length, size, Compression(compression))
+    return SubscriptionRequest(pause, length, size, Compression(compression))
 
 
 def _text(said: RosMessage, key: str, default: str | None = None) -> str:

@@ -25,7 +25,7 @@ from usarmjx.server.protocol.grammar import flip_wire_angles, flip_wire_vector
 from usarmjx.server.runtime.loop import StepClock, StepMeter
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.scene import START_ELEVATION, START_GAP
-from usarmjx.view.controls import BY_CLIENT, BY_PAGE, BY_POLICY, ControlSeat, StartPlace, WorldStatus
+from usarmjx.view.controls import BY_CLIENT, BY_PAGE, BY_POLICY, ControlLock, StartPoseChoice, WorldStatus
 
 log = logging.getLogger(__name__)
 
@@ -36,7 +36,7 @@ MAX_NAME = 40
 
 
 @dataclass(eq=False)
-class Hand:
+class HeldRobot:
     """A robot that the page has.
 
     Attributes:
@@ -59,7 +59,7 @@ class PageRobots:
 
     def __init__(self, server: BotServer) -> None:
         self._server, self._world = server, server.world
-        self._hands: dict[int, Hand] = {}
+        self._hands: dict[int, HeldRobot] = {}
 
     def tick(self, now: float) -> None:
         """Stop robots that have not been told again in time; forget those that are gone."""
@@ -99,7 +99,7 @@ class PageRobots:
             self._server.guests.append(client)
         else:
             client.robot, robot.obeys = robot, client
-        self._hands[slot] = Hand(client, own=False)
+        self._hands[slot] = HeldRobot(client, own=False)
         log.info("the page has taken over %s", self._name(slot))
 
     def give_back(self, slot: int) -> None:
@@ -153,7 +153,7 @@ class PageRobots:
         client = Client(self._world, "the page")
         client.adopt(robot, robot.spawn_time)
         self._server.guests.append(client)
-        self._hands[robot.slot] = Hand(client, own=True)
+        self._hands[robot.slot] = HeldRobot(client, own=True)
         log.info("the page: spawned %s as %r", spec.name, robot.name)
 
     def remove(self, slot: int, anyones: bool) -> None:
@@ -178,19 +178,19 @@ class PageRobots:
         if name.lower() in {robot.name.lower() for robot in self._world.robots.values()}:
             raise UsageError(f"there is a robot {name} already")
 
-    def _hand(self, slot: int) -> Hand:
+    def _hand(self, slot: int) -> HeldRobot:
         hand = self._hands.get(slot)
         if hand is not None and hand.client.robot is not None and not hand.client.lost:
             return hand
         raise UsageError(f"{self._name(slot)} has a driver: take it over first")
 
     @staticmethod
-    def _robot(hand: Hand) -> Robot:
+    def _robot(hand: HeldRobot) -> Robot:
         if hand.client.robot is None:
             raise UsageError("the robot has gone")
         return hand.client.robot
 
-    def _tell(self, hand: Hand, command: wire.Command) -> None:
+    def _tell(self, hand: HeldRobot, command: wire.Command) -> None:
         """Carry out a command.
 
         Raises:
@@ -205,7 +205,7 @@ class PageRobots:
         if isinstance(command, wire.Set) and "{Status Failed}" in answer:
             raise UsageError(f"{self._robot(hand).name} cannot do {command.opcode} of {command.name} now")
 
-    def _stop(self, hand: Hand) -> None:
+    def _stop(self, hand: HeldRobot) -> None:
         hand.stops_at = math.inf
         robot = hand.client.robot
         if robot is not None and not hand.client.lost:
@@ -226,7 +226,7 @@ class PageRobots:
         return f"robot {slot}" if robot is None else robot.name
 
 
-def control_seat(address: str, rules: AccessRules, wanted: bool = False) -> ControlSeat:
+def control_seat(address: str, rules: AccessRules, wanted: bool = False) -> ControlLock:
     """Return the seat of a page's controls.
 
     People can take it where only this machine can open the page, or only who knows the token; elsewhere only
@@ -238,7 +238,7 @@ def control_seat(address: str, rules: AccessRules, wanted: bool = False) -> Cont
         wanted: Whether everybody who can open the page may have its controls.
     """
     is_loopback = ipaddress.ip_address(address.partition("%")[0]).is_loopback
-    return ControlSeat(allowed=wanted or is_loopback or bool(rules.token))
+    return ControlLock(allowed=wanted or is_loopback or bool(rules.token))
 
 
 MAX_WAITING = 64
@@ -340,11 +340,13 @@ class ServedControls:
             taken_over=robots.taken_over(),
         )
 
-    def starts(self, world: int) -> Sequence[StartPlace]:
+    def starts(self, world: int) -> Sequence[StartPoseChoice]:
         """Return the start poses of a world's arena."""
         arena = self._servers[world].world.arena
         return [
-            StartPlace(start.tag, (*start.at[:2], arena.floor + start.at[2] - START_ELEVATION), start.yaw)
+            StartPoseChoice(
+                start.tag, (*start.at[:2], arena.floor + start.at[2] - START_ELEVATION), start.yaw
+            )
             for start in arena.starts
         ]
 

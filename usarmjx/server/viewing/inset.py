@@ -18,7 +18,7 @@ from usarmjx.server.gamebots.console import NOT_ALLOWED, LogTail, SpectatorConso
 from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.views import CompositeView, all_robots_view, robot_view
 from usarmjx.server.worlds.served_world import ServedWorld, ViewpointRequest
-from usarmjx.view.controls import ControlSeat
+from usarmjx.view.controls import ControlLock
 from usarmjx.view.drawing import Drawing, Frame
 
 if TYPE_CHECKING:
@@ -50,11 +50,11 @@ class ConsolePanel:
         self,
         page: "ViewerPage",
         worlds: Sequence[ServedWorld],
-        seat: ControlSeat,
+        seat: ControlLock,
         tail: LogTail | None = None,
     ) -> None:
         self._page, self._worlds, self._seat, self._tail = page, worlds, seat, tail
-        self._people: dict[int, PersonConsole] = {}
+        self._people: dict[int, UserConsole] = {}
         self._updates: deque[float] = deque(maxlen=MANY_UPDATES)
 
     def begin(self, drawing: Drawing) -> None:
@@ -68,7 +68,7 @@ class ConsolePanel:
             del self._people[number]
         for number, onlooker in onlookers.items():
             if number not in self._people:
-                self._people[number] = PersonConsole(
+                self._people[number] = UserConsole(
                     onlooker.client, partial(self.run, onlooker.client), self._page
                 )
 
@@ -103,7 +103,7 @@ class ConsolePanel:
         return WatchingCamera(np.array(client.camera.position), np.stack([ahead, -right, -down], 1), rate)
 
 
-class PersonConsole:
+class UserConsole:
     """One person's console."""
 
     def __init__(self, client: viser.ClientHandle, run: partial[str], page: "ViewerPage") -> None:

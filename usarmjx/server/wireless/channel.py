@@ -8,7 +8,7 @@ from usarmjx.base.transforms import Vec3
 
 
 @dataclass(frozen=True, slots=True)
-class Presence:
+class RadioRobot:
     """A robot in the world; a base station is one too.
 
     Attributes:
@@ -31,7 +31,7 @@ class RadioAccess(Protocol):
 
     cutoff: float
 
-    def present(self) -> Sequence[Presence]:
+    def present(self) -> Sequence[RadioRobot]:
         """Return all robots in the world."""
         ...
 

@@ -13,7 +13,7 @@ from usarmjx.base.transforms import Vec3
 from usarmjx.comms.attenuation import RadioSettings, received_power
 from usarmjx.comms.links import Links
 from usarmjx.models.drives.base import RobotState
-from usarmjx.server.wireless.channel import Presence
+from usarmjx.server.wireless.channel import RadioRobot
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 
@@ -43,10 +43,10 @@ class RadioChannel:
         self._links: Links | None = None
         world.solids_between((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))  # finds solids that cannot be counted
 
-    def present(self) -> list[Presence]:
+    def present(self) -> list[RadioRobot]:
         """Return all robots in the world, in the order of their slots."""
         return [
-            Presence(robot.name, _vec3(self._state(robot).pos), self._world.battery(robot) <= 0)
+            RadioRobot(robot.name, _vec3(self._state(robot).pos), self._world.battery(robot) <= 0)
             for robot in self._robots()
         ]
 

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from usarmjx.server.wireless.channel import Presence, RadioAccess, reaches
+from usarmjx.server.wireless.channel import RadioAccess, RadioRobot, reaches
 
 MAX_PORTS_PER_ROBOT = 64
 """Forwarded ports that one robot may hold."""
@@ -207,7 +207,7 @@ class Switchboard:
         listens = route.port in self.ports_of(route.callee) and route.caller in self._participants
         return listens and reaches(self.radio, route.caller, route.callee)
 
-    def _is_gone(self, name: str, robot: Presence | None) -> bool:
+    def _is_gone(self, name: str, robot: RadioRobot | None) -> bool:
         participant = self._participants[name]
         if robot is not None and not robot.battery_empty:
             participant.seen = True

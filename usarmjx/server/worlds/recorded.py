@@ -10,7 +10,7 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links
 from usarmjx.recording.file import RecordingFile
 from usarmjx.recording.inputs import SINGLE, WorldSetup, versions
-from usarmjx.recording.recorder import Look, WorldRecorder
+from usarmjx.recording.recorder import WorldRecorder, WorldSnapshot
 
 if TYPE_CHECKING:
     import mujoco
@@ -75,7 +75,7 @@ def record_step(
     if recorder.frame_is_due:
         state, seen = world.one_world()
         recorder.look(
-            Look(
+            WorldSnapshot(
                 scene=world.scene,
                 world=state,
                 physics=seen,

@@ -47,7 +47,7 @@ from usarmjx.sim.world import World, sense_self
 
 
 @dataclass
-class Mishaps:
+class RecoveryLog:
     """What has happened to a world's physics so far.
 
     Attributes:
@@ -147,9 +147,9 @@ class ServedWorld(ABC):
         return initial_tag_texts(self.arena)
 
     @cached_property
-    def mishaps(self) -> Mishaps:
+    def mishaps(self) -> RecoveryLog:
         """How often its physics went bad."""
-        return Mishaps()
+        return RecoveryLog()
 
     @property
     @abstractmethod

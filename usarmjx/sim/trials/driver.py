@@ -56,7 +56,7 @@ OVER = math.cos(math.radians(80))
 
 
 @dataclass(frozen=True)
-class Ride:
+class DriveRun:
     """How a robot got along its way.
 
     Attributes:
@@ -128,7 +128,7 @@ class Trial:
         """Let time pass; return whether the physics stayed sound."""
         return not any([bool(self.world.step()) for _ in range(round(seconds / self._period))])
 
-    def follow(self, way: Sequence[Position2D], seconds: float, near: float = NEAR) -> Ride:
+    def follow(self, way: Sequence[Position2D], seconds: float, near: float = NEAR) -> DriveRun:
         """Drive along points for a time at most [s]; the driver backs off once where it is stuck."""
         begun, reached, retried = self.world.time, 0, False
         best, since = math.inf, begun
@@ -136,7 +136,7 @@ class Trial:
             pos, mat = self.stands()
             now = self.world.time
             if mat[2, 2] < OVER:
-                return Ride(reached, now - begun, f"turned over at {_place(pos)}")
+                return DriveRun(reached, now - begun, f"turned over at {_place(pos)}")
             away = np.subtract(way[reached], pos[:2])
             distance = float(np.linalg.norm(away))
             if distance < near:
@@ -145,18 +145,18 @@ class Trial:
             if distance < best - PROGRESS:
                 best, since = distance, now
             if now - begun >= seconds:
-                return Ride(reached, now - begun, f"out of time at {_place(pos)}")
+                return DriveRun(reached, now - begun, f"out of time at {_place(pos)}")
             if now - since > PATIENCE:
                 if retried:
-                    return Ride(reached, now - begun, f"stuck at {_place(pos)}")
+                    return DriveRun(reached, now - begun, f"stuck at {_place(pos)}")
                 retried, since = True, now
                 self.tell(-1.0, 0.0)
                 self.run(BACK_OFF)
                 continue
             self._steer(away, mat)
             if not self.run(ORDER_TIME):
-                return Ride(reached, self.world.time - begun, f"was put back at {_place(pos)}")
-        return Ride(reached, self.world.time - begun)
+                return DriveRun(reached, self.world.time - begun, f"was put back at {_place(pos)}")
+        return DriveRun(reached, self.world.time - begun)
 
     def _steer(self, away: np.ndarray, mat: np.ndarray) -> None:
         """Head for a point that lies `away` [m] (2,), slower ahead the sharper the turn."""

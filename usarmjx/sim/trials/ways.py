@@ -34,7 +34,7 @@ BORDER, BORDER_COST = 0.1, 3.0
 """Ways keep away from where a robot does not fit: so far [m], and what they give for it."""
 
 
-class Leg(NamedTuple):
+class RouteSegment(NamedTuple):
     """A way between two places.
 
     Attributes:
@@ -51,7 +51,7 @@ class Leg(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Tour:
+class ArenaRoute:
     """How a robot got round an arena.
 
     Attributes:
@@ -72,7 +72,7 @@ class Tour:
         return 1.0 - len(self.faults) / self.legs if self.legs else 1.0
 
 
-def drive_arena(arena: ArenaSpec, robot: RobotSpec, share: float = 1.0) -> Tour:
+def drive_arena(arena: ArenaSpec, robot: RobotSpec, share: float = 1.0) -> ArenaRoute:
     """Drive a robot from the first start pose on ground to all others and to victims, where a plan leads.
 
     Ways are planned with its size and the step that it should climb; whether it climbs, tips over or gets
@@ -99,14 +99,14 @@ def drive_arena(arena: ArenaSpec, robot: RobotSpec, share: float = 1.0) -> Tour:
             trial.put_back(leg.home)
             continue
         metres, seconds = metres + leg.length, seconds + ride.seconds
-    return Tour(len(legs), metres, seconds, tuple(faults))
+    return ArenaRoute(len(legs), metres, seconds, tuple(faults))
 
 
 def _verb(fault: str) -> str:
     return f"is {fault}" if fault.startswith(("stuck", "out of")) else fault
 
 
-def plan_legs(arena: ArenaSpec, robot: RobotSpec) -> list[Leg]:
+def plan_legs(arena: ArenaSpec, robot: RobotSpec) -> list[RouteSegment]:
     """Return ways to all start poses and victims that a robot should reach, the nearest next."""
     site = _WayFinder(arena, robot)
     goals = {f"start {start.tag!r}": (site.node(start), start) for start in arena.starts[1:]}
@@ -121,7 +121,7 @@ def plan_legs(arena: ArenaSpec, robot: RobotSpec) -> list[Leg]:
             continue
         home = start or home
         way = site.way(before, here, node)
-        legs.append(Leg(name, way, _length(way), home))
+        legs.append(RouteSegment(name, way, _length(way), home))
         here = node
     return legs
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnsupportedFeatureError, UsageError
-from usarmjx.base.program_cache import ProgramKeeper, compile_program, find_keeper
+from usarmjx.base.program_cache import ProgramCache, compile_program, find_keeper
 from usarmjx.engines import PhysicsState, choose_engine, engine_class
 from usarmjx.models.compile.arena_set import ArenaState
 from usarmjx.sensors.base import Reading
@@ -166,7 +166,7 @@ def restart_batch_size(worlds: int, episode_steps: int) -> int:
     return min(worlds, math.ceil(ends + 3 * math.sqrt(ends)))
 
 
-def keeper_of(task: Task, scene: Scene, worlds: int, engine: str, first: int) -> ProgramKeeper | None:
+def keeper_of(task: Task, scene: Scene, worlds: int, engine: str, first: int) -> ProgramCache | None:
     """Return what keeps the programs of an environment, see `find_keeper`; arguments are those of `Env`."""
     if choose_engine(engine, "batch") == "warp":
         return None  # MuJoCo Warp's launches mean nothing to another process
@@ -182,7 +182,7 @@ class EnvBatch(Batch):
         keeper: Of programs; its digest covers all that the batch is made from.
     """
 
-    def __init__(self, keeper: ProgramKeeper | None, *args: Any, **settings: Any) -> None:  # noqa: ANN401
+    def __init__(self, keeper: ProgramCache | None, *args: Any, **settings: Any) -> None:  # noqa: ANN401
         self._keeper = keeper
         super().__init__(*args, **settings)
 

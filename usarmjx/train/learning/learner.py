@@ -9,7 +9,7 @@ import jax
 from jax.sharding import PartitionSpec
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.program_cache import AheadProgram, ProgramKeeper, compile_program
+from usarmjx.base.program_cache import PrecompiledProgram, ProgramCache, compile_program
 from usarmjx.sim.scene import Scene
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.recipe import held_out
@@ -69,7 +69,7 @@ class Trainer:
         workers = workers_for(process_group.count)
         self.stream = ArenaStream(env, config.renew, self.iterations, workers)
         teacher = teacher_of(env) if config.imitate else None
-        known: ProgramKeeper | None = getattr(env, "keeper", None)
+        known: ProgramCache | None = getattr(env, "keeper", None)
         # Of each seed they are the same.
         general = replace(config, seed=0, checkpoint_every=1, keep=1)
         self._keeper = known and known.of(general, self.networks, process_group.index, process_group.count)
@@ -84,7 +84,9 @@ class Trainer:
             out_specs=(PartitionSpec(), PartitionSpec()),
             check_vma=False,
         )
-        self._update = AheadProgram(compile_program(self._updated, self._keeper, "Trainer", precise=False))
+        self._update = PrecompiledProgram(
+            compile_program(self._updated, self._keeper, "Trainer", precise=False)
+        )
         keys = [jax.random.fold_in(jax.random.key(config.seed), s) for s in (ROLLOUT_STREAM, UPDATE_STREAM)]
         self._key, updates = process_group.device_put((keys[0], jax.random.key_data(keys[1])))
         self._stream = process_group.to_global(updates, None)

@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 
 from usarmjx.base.errors import UsageError, WriteError, extra, one_line
 from usarmjx.base.files import AppendedFile, write_beside
-from usarmjx.base.progress import Seldom
+from usarmjx.base.progress import RateLimitedLog
 
 with extra("train"):
     from tensorboardX.proto.event_pb2 import Event, SessionLog
@@ -25,7 +25,7 @@ with extra("train"):
     from tensorboardX.record_writer import masked_crc32c
 
 
-class Board(AppendedFile):
+class TensorBoardLog(AppendedFile):
     """Numbers for TensorBoard, over agent steps.
 
     They are written at once: tensorboardX's own writer has a thread for that, which ends when the disk is
@@ -157,7 +157,7 @@ def read_lines(file: Path) -> list[dict[str, Any]]:
     return records
 
 
-class Log:
+class MetricsLog:
     """Writes down each iteration. What the disk refuses waits for the next one, and is told of once.
 
     Args:
@@ -181,7 +181,7 @@ class Log:
         with write_beside(file) as fresh:
             fresh.write_text("".join(json.dumps(record) + "\n" for record in kept))
         behind = kept[-1]["agent_steps"] if kept else 0
-        self._lines, self._board = AppendedFile(file), Board(folder / "tensorboard", behind)
+        self._lines, self._board = AppendedFile(file), TensorBoardLog(folder / "tensorboard", behind)
         self._faults: dict[Path, WriteError] = {}
         self._shown: dict[str, float] = {}
         self._bar = Progress(
@@ -194,10 +194,10 @@ class Log:
         )
         # A file or a pipe gets a line now and then in its place.
         shown = bar and not self._bar.console.is_terminal
-        self._far, self._total = Seldom(self.say) if shown else None, iterations
+        self._far, self._total = RateLimitedLog(self.say) if shown else None, iterations
         self._task: TaskID = self._bar.add_task("compiling", total=iterations, completed=after)
 
-    def __enter__(self) -> "Log":
+    def __enter__(self) -> "MetricsLog":
         """Begin."""
         self._bar.start()
         if self._far is not None:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.program_cache import AheadProgram, ProgramKeeper, compile_program
+from usarmjx.base.program_cache import PrecompiledProgram, ProgramCache, compile_program
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState, Memory
 from usarmjx.train.envs.task import Carry, Policy
@@ -73,7 +73,7 @@ class Rollout:
         config: Config,
         first: int = 0,
         teacher: Policy | None = None,
-        keeper: ProgramKeeper | None = None,
+        keeper: ProgramCache | None = None,
     ) -> None:
         self.env, self.networks, self.config, self.first = env, networks, config, first
         self.teacher = teacher
@@ -83,7 +83,7 @@ class Rollout:
         self._decide, self._account = kept(self._decided), kept(self._accounted)
         self._stack, self._bound = kept(_stacked), kept(self._bounded)
         self._begin = kept(self._initial)
-        self._collect_at_once = AheadProgram(kept(self._scan))
+        self._collect_at_once = PrecompiledProgram(kept(self._scan))
 
     def collect(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Collected:
         """Return the next rollout state, trajectory, ends, and sums for the log."""

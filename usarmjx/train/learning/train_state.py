@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from flax.struct import PyTreeNode
 
 from usarmjx.base.errors import UsageError, extra
-from usarmjx.base.program_cache import ProgramKeeper, compile_program
+from usarmjx.base.program_cache import ProgramCache, compile_program
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.networks import (
@@ -153,7 +153,7 @@ def make_train_state(networks: Networks, config: Config) -> TrainState:
 
 
 def train_state_maker(
-    networks: Networks, config: Config, keeper: ProgramKeeper | None
+    networks: Networks, config: Config, keeper: ProgramCache | None
 ) -> Callable[[jax.Array], TrainState]:
     """Return what makes the train state before the first update of a key, compiled in one.
 

@@ -30,7 +30,7 @@ from usarmjx.train.learning.checkpoint import (
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_begun
 from usarmjx.train.learning.learner import EnvFactory, Trainer
-from usarmjx.train.learning.metrics import Log, read_lines, summary
+from usarmjx.train.learning.metrics import MetricsLog, read_lines, summary
 from usarmjx.train.learning.processes import ProcessGroup, check_parent, run_lock
 from usarmjx.train.learning.train_state import TrainState
 from usarmjx.train.learning.trajectory import RolloutState
@@ -155,7 +155,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
         with compiling(trainer):
             train_state, worlds, before = _restore(trainer, checkpoints, source)
         trainer.rollout.look(worlds.env_state)
-        log = Log(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None
+        log = MetricsLog(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None
         left = train_state, worlds, before
         return _run(trainer, checkpoints, left, log, watch or (lambda line: None), began)
 
@@ -280,7 +280,7 @@ def _run(
     trainer: Trainer,
     checkpoints: Checkpoints,
     left: tuple[TrainState, RolloutState, int],
-    log: Log | None,
+    log: MetricsLog | None,
     watch: Callable[[dict[str, Any]], None],
     began: float,
 ) -> TrainResult:

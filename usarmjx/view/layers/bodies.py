@@ -79,7 +79,7 @@ def settings_of(kind: type[Sensor], mount: DrawnMount) -> tuple[Any, ...]:
     )
 
 
-class HeldMounts:
+class ReadingPoses:
     """Where the mounts of range sensors were when they took their readings.
 
     Else a scan would go along with a robot that drives on. A reading is taken to be new when it differs from

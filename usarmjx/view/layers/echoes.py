@@ -17,7 +17,7 @@ from usarmjx.sensors.ranging import (
 )
 from usarmjx.view.drawing import Drawing, Frame
 from usarmjx.view.layers.base import robot_colors
-from usarmjx.view.layers.bodies import DrawnSensor, HeldMounts, sensors_of
+from usarmjx.view.layers.bodies import DrawnSensor, ReadingPoses, sensors_of
 from usarmjx.view.layers.nodes import InstanceNode, LineNode, MeshNode, NodeLayer, PointNode
 
 LONGEST_BEAM = 8.0
@@ -53,7 +53,7 @@ class LaserLayer(NodeLayer):
 
     def draw(self, drawing: Drawing) -> None:
         """Look which scanners there are."""
-        self._held = HeldMounts(sensors_of(drawing, RangeScanner))
+        self._held = ReadingPoses(sensors_of(drawing, RangeScanner))
         self._scans = [
             _Scan(self.scene, f"{self.root}/{number}", sensor)
             for number, sensor in enumerate(self._held.sensors)
@@ -146,7 +146,7 @@ class SonarLayer(NodeLayer):
 
     def draw(self, drawing: Drawing) -> None:
         """Look which sonars there are; those with the same angle are instances of one cone."""
-        self._held = HeldMounts(sensors_of(drawing, Sonar))
+        self._held = ReadingPoses(sensors_of(drawing, Sonar))
         angles = np.array([one.beam_angle for sensor in self._held.sensors for one in sensor.settings])
         self._cones = [
             (
@@ -177,7 +177,7 @@ class InfraredLayer(NodeLayer):
 
     def draw(self, drawing: Drawing) -> None:
         """Look which sensors there are."""
-        self._held = HeldMounts(sensors_of(drawing, Ir))
+        self._held = ReadingPoses(sensors_of(drawing, Ir))
         settings = [one for sensor in self._held.sensors for one in sensor.settings]
         self._max_range = np.array([one.max_range for one in settings], np.float32)
         self._lines = LineNode(self.scene, f"{self.root}/lines")
@@ -197,12 +197,12 @@ class InfraredLayer(NodeLayer):
         self._points.set(points, np.broadcast_to(IR_RGB, points.shape))
 
 
-def _slots(held: HeldMounts) -> np.ndarray:
+def _slots(held: ReadingPoses) -> np.ndarray:
     """Return whose each mount is (mounts,)."""
     return np.array([sensor.slot for sensor in held.sensors for _ in sensor.settings], int)
 
 
-def _ranges(held: HeldMounts) -> np.ndarray:
+def _ranges(held: ReadingPoses) -> np.ndarray:
     """Return what each mount told [m], 0 where its robot is not there (mounts,)."""
     ranges = np.zeros(len(held.pos), np.float32)
     for rows, reading in zip(held.rows, held.readings, strict=True):

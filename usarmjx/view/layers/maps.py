@@ -7,7 +7,7 @@ import viser
 
 from usarmjx.sensors.ranging import RangeScanner, ScannerSettings
 from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX, Drawing, Frame
-from usarmjx.view.layers.bodies import HeldMounts, sensors_of
+from usarmjx.view.layers.bodies import ReadingPoses, sensors_of
 from usarmjx.view.layers.echoes import beam_directions_of
 from usarmjx.view.layers.nodes import NodeLayer
 
@@ -102,7 +102,7 @@ class MapLayer(NodeLayer):
         """Begin an empty map."""
         low, high = np.asarray(drawing.extent, float).T
         self._scans = ScanMap(low, high)
-        self._held = HeldMounts(
+        self._held = ReadingPoses(
             [
                 sensor
                 for sensor in sensors_of(drawing, RangeScanner)
