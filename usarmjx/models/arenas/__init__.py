@@ -21,6 +21,8 @@ from usarmjx.models.arenas.yellow import YELLOW
 from usarmjx.models.arenas.yellow_2025 import YELLOW_2025
 from usarmjx.models.types.arena import ArenaSpec
 
+__all__ = ["ARENAS"]
+
 ARENAS: Registry[ArenaSpec] = Registry("arena")
 _TODAY = (YELLOW_2025, ORANGE_2025, RED_2025)
 for _spec in (YELLOW, ORANGE, RED, FIELD, POOL, FACTORY, OUTDOOR, SOCCER, ARDA, *_TODAY):

@@ -1,6 +1,5 @@
-"""What `usarmjx arena check` looks at: whether robots can start, what they reach, what lies in what.
+"""Checks of `usarmjx arena check`: start poses, reachability, and overlapping solids.
 
-`arena` has the checks, each a generator of sentences; `probe` is the arena on C MuJoCo with one robot in
-it. Begin with `arena.check_arena`. A check says where, and how far from right; it never raises for what it
-finds.
+`arena` has the checks, each a generator of sentences; `probe` is the arena on C MuJoCo with one robot. Begin
+with `arena.check_arena`. A check reports position and error distance; it never raises for a finding.
 """

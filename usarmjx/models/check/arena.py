@@ -1,4 +1,4 @@
-"""What is wrong with an arena, in words: its plan, where robots start, what they reach, what lies in what."""
+"""Findings of an arena check, in sentences: plan, names, start poses, reachability and overlaps."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -16,20 +16,20 @@ from usarmjx.models.types.arena import AUTOMATIC_TAG_ID, ArenaSpec, StartPose
 from usarmjx.models.types.robot import RobotSpec
 
 STICKS_OUT = 0.5
-"""How far a solid may reach over the extent, as an outer wall does [m]."""
+"""Largest overhang of a solid over the extent, as of an outer wall [m]."""
 ARM = 1.0
-"""How near a robot must get to a victim [m]."""
+"""Distance at which a victim counts as reached [m]."""
 BESIDE = 0.3
-"""How near to another start pose [m]."""
+"""Distance at which another start pose counts as reached [m]."""
 
 
 def check_arena(arena: ArenaSpec, robot: str = "P2AT") -> list[str]:
-    """Return what is wrong with an arena, a sentence each; empty: nothing was found.
+    """Return the faults of an arena, a sentence each; empty: none was found.
 
-    Looked at: the plan (extent, names and IDs, what lies outside), each start pose for a robot of that
-    class (ground under it, at the height of manual 5.3.5; no solid in the robot; room between two of them),
-    what it can reach from the first start pose on ground (the others, the victims), loose objects and victims
-    that lie in something or hang in the air, doors that cannot turn, and water.
+    Checks: the plan (extent, names and IDs, items outside), each start pose for a robot of that class (ground
+    under it, at the height of manual 5.3.5; no solid in the robot; room between two of them), reachability
+    from the first start pose on ground (the others, the victims), loose objects and victims that lie in a
+    solid or float in the air, doors that cannot turn, and water.
 
     Raises:
         UnknownNameError: No such robot class.
@@ -37,37 +37,37 @@ def check_arena(arena: ArenaSpec, robot: str = "P2AT") -> list[str]:
     spec = ROBOTS.get(robot)
     found = [*_plan(arena), *_names(arena), *_tags(arena)]
     try:
-        site = ArenaProbe(arena, spec)
+        probe = ArenaProbe(arena, spec)
     except (SpecError, ValueError) as error:
         return [*found, f"it cannot be built: {error}"]
-    found += [*site.check_starts(), *site.check_loose(), *site.check_waters()]
+    found += [*probe.check_starts(), *probe.check_loose(), *probe.check_waters()]
     bodies = BodyProbe(arena)
     found += [*check_close_starts(arena, spec), *bodies.check_victims(), *bodies.check_doors()]
     dry = [start for start in arena.starts if not in_water(arena, start)]
     if not dry or any(fault.startswith(f"start {dry[0].tag!r}") for fault in found):
-        return found  # from there nobody gets anywhere
+        return found  # reachability starts from that pose
     return [*found, *_reach(arena, spec, dry)]
 
 
 def _plan(arena: ArenaSpec) -> Iterator[str]:
-    """Yield what is wrong with the extent, and what lies outside."""
+    """Yield faults of the extent, and items outside it."""
     (x0, x1), (y0, y1) = arena.extent
     for i, shape in enumerate(arena.shapes):
         low, high = corners_of(shape)
         over = max(x0 - low[0], high[0] - x1, y0 - low[1], high[1] - y1)
         if over > STICKS_OUT:
             yield f"{solid_name(arena, f'{ARENA}{i}')} reaches {over:.2f} m over the extent; widen it"
-    places = [(f"start {s.tag!r}", s.at) for s in arena.starts]
-    places += [(f"victim {v.name!r}", v.at) for v in arena.victims]
-    places += [(f"false alarm {i} ({a.part})", a.at) for i, a in enumerate(arena.false_alarms)]
-    places += [(f"tag {i} (ID {tag.id})", tag.at) for i, tag in enumerate(arena.tags)]
-    for name, (x, y, _) in places:
+    items = [(f"start {s.tag!r}", s.at) for s in arena.starts]
+    items += [(f"victim {v.name!r}", v.at) for v in arena.victims]
+    items += [(f"false alarm {i} ({a.part})", a.at) for i, a in enumerate(arena.false_alarms)]
+    items += [(f"tag {i} (ID {tag.id})", tag.at) for i, tag in enumerate(arena.tags)]
+    for name, (x, y, _) in items:
         if not (x0 <= x <= x1 and y0 <= y <= y1):
             yield f"{name} at {format_position(x, y)} is outside the extent"
 
 
 def _names(arena: ArenaSpec) -> Iterator[str]:
-    """Yield what is wrong with names."""
+    """Yield faults of names."""
     if not arena.starts:
         yield "it has no start pose"
     for tag, count in Counter(start.tag for start in arena.starts).items():
@@ -81,6 +81,7 @@ def _names(arena: ArenaSpec) -> Iterator[str]:
 
 
 def _tags(arena: ArenaSpec) -> Iterator[str]:
+    """Yield faults of the IDs of tags."""
     given = Counter(tag.id for tag in arena.tags if tag.id != AUTOMATIC_TAG_ID)
     for number, count in given.items():
         if count > 1:
@@ -90,7 +91,7 @@ def _tags(arena: ArenaSpec) -> Iterator[str]:
 
 
 def _reach(arena: ArenaSpec, robot: RobotSpec, dry: list[StartPose]) -> Iterator[str]:
-    """Yield what a robot cannot reach from the first of the start poses that are not in water."""
+    """Yield the starts and victims that a robot cannot reach from the first start pose on dry ground."""
     size = footprint_of(robot)
     found = reach_map(arena, size.radius, size.step, height=size.height, start=dry[0])
     if found.start_area < 0:

@@ -1,4 +1,4 @@
-"""What cannot be where it is: victims in walls or in the air, doors that do not turn, starts side by side."""
+"""Checks of solids that overlap or float: victims, doors that do not turn, starts side by side."""
 
 import itertools
 import math
@@ -15,17 +15,18 @@ from usarmjx.models.types.arena import ArenaSpec, Door, StartPose, Victim
 from usarmjx.models.types.robot import RobotSpec
 
 MAX_BODY_PENETRATION, MAX_LIMB_PENETRATION = 0.05, 0.15
-"""How deep a victim's trunk and its limbs may lie in a solid: they lean on walls and sink into rubble [m]."""
+"""Largest depth of a victim's trunk and of its limbs in a solid, as they lean on walls [m]."""
 TRUNK = ("Pelvis", "Chest", "Head")
 MAX_FALL = 0.1
-"""How far above the ground the lowest part of a victim may be [m]."""
+"""Largest height of the lowest part of a victim above the ground [m]."""
 MAX_DOOR_PENETRATION = 0.02
-"""How deep a closed door may stand in what it is hung on [m]."""
+"""Largest depth of a closed door in its frame [m]."""
 LEAST_OPENING = math.radians(30)
-"""How far a door must turn to one side at least."""
+"""Angle by which a door must turn to one side [rad]."""
 DOOR_STEP = math.radians(3)
+"""Angle between two tests of a turning door [rad]."""
 MOST_NAMED = 3
-"""Pairs of starts that are named."""
+"""Number of pairs of starts that are listed."""
 SOLID_KINDS = (
     mujoco.mjtGeom.mjGEOM_BOX,
     mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -34,7 +35,7 @@ SOLID_KINDS = (
     mujoco.mjtGeom.mjGEOM_ELLIPSOID,
     mujoco.mjtGeom.mjGEOM_MESH,
 )
-"""Of these MuJoCo knows the distance to others."""
+"""Geom types whose distance to others `mj_geomDistance` computes."""
 
 
 def check_close_starts(arena: ArenaSpec, robot: RobotSpec) -> Iterator[str]:
@@ -88,7 +89,7 @@ class BodyProbe:
         self._solids = [i for i, name in enumerate(self._names) if touched[i] and name.startswith(ARENA)]
 
     def check_victims(self) -> Iterator[str]:
-        """Yield which victims are in solids, in the air or below the ground."""
+        """Yield victims that are in solids, in the air or below the ground."""
         table = box_names(self._arena.victims, self._arena.false_alarms)
         ground = GroundFinder(self._model, self._data, ignore=VICTIM_PREFIX)
         for victim in self._arena.victims:
@@ -102,6 +103,7 @@ class BodyProbe:
                 yield from self._over_ground(victim, parts, ground)
 
     def _in_solids(self, victim: Victim, parts: Mapping[int, str]) -> Iterator[str]:
+        """Yield the deepest overlap of a victim with a fixed solid, if too deep."""
         found: list[tuple[float, int]] = []
         for part, bone in parts.items():
             depth, solid = self._deepest(part)
@@ -113,6 +115,7 @@ class BodyProbe:
             yield f"victim {victim.name!r} is {depth:.2f} m deep in {where}"
 
     def _over_ground(self, victim: Victim, parts: Mapping[int, str], ground: GroundFinder) -> Iterator[str]:
+        """Yield a victim that floats, or is below the floor; victims in water may do either."""
         floor, gaps = self._arena.floor, []
         for part in parts:
             x, y, z = (float(v) for v in self._data.geom_xpos[part])
@@ -130,7 +133,7 @@ class BodyProbe:
             yield f"victim {victim.name!r} hangs in the air, {gap:.2f} m above the ground"
 
     def check_doors(self) -> Iterator[str]:
-        """Yield which doors are hung in solids or cannot turn."""
+        """Yield doors that are hung in solids or cannot turn."""
         for door in self._arena.doors:
             geom = self._names.index(f"{DOOR}{door.name}")
             depth, solid = self._deepest(geom)
@@ -144,7 +147,7 @@ class BodyProbe:
                 yield f"door {door.name!r} opens by {widest:.0f} degrees only: solids are in its way"
 
     def _opening(self, door: Door, geom: int, limit: float) -> float:
-        """Return how far a door turns from closed towards a limit before a solid stops it [rad]."""
+        """Return the angle that a door turns from closed towards a limit before a solid stops it [rad]."""
         address = int(self._model.joint(f"{DOOR}{door.name}").qposadr[0])
         angle, way = 0.0, math.copysign(1.0, limit)
         while angle < min(abs(limit), LEAST_OPENING):
@@ -158,10 +161,11 @@ class BodyProbe:
         return min(angle, abs(limit))
 
     def _deepest(self, geom: int) -> tuple[float, int]:
-        """Return how deep a geom lies in a fixed solid, and in which; 0 and -1 if it is in none."""
+        """Return the depth of a geom in a fixed solid, and that solid; 0 and -1 if it is in none."""
         model, data = self._model, self._data
         best = (0.0, -1)
         for solid in self._solids:
+            # Bounding spheres first: mj_geomDistance is much slower, and most solids are far.
             apart = np.linalg.norm(data.geom_xpos[solid] - data.geom_xpos[geom])
             if apart > model.geom_rbound[solid] + model.geom_rbound[geom]:
                 continue

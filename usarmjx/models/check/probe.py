@@ -1,4 +1,4 @@
-"""An arena on C MuJoCo with one robot: what is under its start poses, and what lies in what."""
+"""An arena on C MuJoCo with one robot: the ground under its start poses, and overlapping solids."""
 
 from collections.abc import Iterator
 
@@ -21,28 +21,28 @@ from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.types.robot import RobotSpec
 
 ELEVATION_TOLERANCE = 0.02
-"""How far a start pose may be from its height above the ground [m]; the wire rounds to 1 cm."""
+"""Tolerance of a start pose's height above the ground [m]; the wire rounds to 1 cm."""
 MAX_PENETRATION, MAX_GROUND_PENETRATION = 0.02, 0.08
-"""How deep a robot may start in a solid, and in what it drives on: robots are put level on slopes [m]."""
+"""Largest initial depth of a robot in a solid, and in the ground [m]: robots start level on slopes."""
 MAX_LOOSE_PENETRATION = 0.005
-"""How deep a loose object may lie in another solid [m]."""
+"""Largest depth of a loose object in another solid [m]."""
 MAX_WATER_GAP = 0.1
-"""How far above the ground a volume of water may end [m]."""
+"""Largest height of the lower end of a volume of water above the ground [m]."""
 WALL_TOP = 0.8
-"""A wall at least so high is not meant to be stood on [m]."""
+"""Height from which on a wall is not meant to be stood on [m]."""
 AWAY_HEIGHT = 1000.0
-"""Where the robot waits while the arena is looked at without it [m]."""
+"""Height at which the robot is parked while it must not be in the way [m]."""
 RAY_STEP = 1e-4
-"""What a ray moves on below something that is seen but never touched [m]."""
+"""Distance by which a ray goes on below a solid that is visible but not touchable [m]."""
 
 
 def format_position(*at: float) -> str:
-    """Return a place as messages show it."""
+    """Return a position as messages show it."""
     return ", ".join(f"{v:.4g}" for v in at)
 
 
 def solid_name(arena: ArenaSpec, geom: str) -> str:
-    """Return how people call the solid that a geom is of: its place in the arena, or its name."""
+    """Return a geom's solid in words: its index in the arena, or its name."""
     if geom.startswith(ARENA):
         number = geom.removeprefix(ARENA).split("/")[0]
         shape = arena.shapes[int(number)]
@@ -66,24 +66,24 @@ def in_water(arena: ArenaSpec, start: StartPose) -> bool:
 
 
 class GroundFinder:
-    """Looks for what can be stood on, straight down.
+    """Finds the ground straight below a point.
 
     Args:
         model: A model with an arena.
-        data: Its present state.
-        ignore: What the names of geoms start with that are no ground.
+        data: Its state.
+        ignore: Prefix of the names of geoms that are no ground.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, ignore: str = "\0") -> None:
         self._model, self._data, self._ignore = model, data, ignore
 
     def below(self, at: tuple[float, float, float]) -> float | None:
-        """Return the height of the first solid below a place in the world that can be touched [m]."""
+        """Return the height of the first touchable solid below a point in the world [m]."""
         found = self.find(at)
         return None if found is None else found[0]
 
     def find(self, at: tuple[float, float, float]) -> tuple[float, str] | None:
-        """Return height [m] and geom of the first solid below a place in the world that can be touched."""
+        """Return height [m] and geom of the first touchable solid below a point in the world."""
         point, down = np.array(at), np.array([0.0, 0.0, -1.0])
         geom = np.zeros((1, 1), np.int32)
         while (distance := mujoco.mj_ray(self._model, self._data, point, down, None, 1, -1, geom)) >= 0:
@@ -98,7 +98,7 @@ class GroundFinder:
 
 
 class ArenaProbe:
-    """The arena on C MuJoCo with one robot, which is put where it is needed.
+    """The arena on C MuJoCo with one robot, which can be moved to any pose.
 
     Args:
         arena: The arena.
@@ -119,7 +119,7 @@ class ArenaProbe:
         mujoco.mj_forward(self._model, self._data)
 
     def check_starts(self) -> Iterator[str]:
-        """Yield what is wrong with start poses."""
+        """Yield faults of start poses."""
         for start in self._arena.starts:
             name = f"start {start.tag!r}"
             if not in_water(self._arena, start):
@@ -139,7 +139,7 @@ class ArenaProbe:
                 yield f"{name}: a {self._robot.name} stands {depth:.2f} m deep in {solid}"
 
     def check_loose(self) -> Iterator[str]:
-        """Yield what loose objects lie in."""
+        """Yield overlaps of loose objects."""
         self._set_robot_pose((0.0, 0.0, AWAY_HEIGHT), 0.0)
         for (one, other), depth in self._contacts().items():
             if depth > MAX_LOOSE_PENETRATION and LOOSE_PREFIX in (
@@ -151,7 +151,7 @@ class ArenaProbe:
                 yield f"{first} lies {depth:.3f} m deep in {second}"
 
     def check_waters(self) -> Iterator[str]:
-        """Yield what is wrong with water."""
+        """Yield faults of water."""
         for i, water in enumerate(self._arena.waters):
             x, y = ((a + b) / 2 for a, b in zip(water.low[:2], water.high[:2], strict=True))
             ground = self._ground((x, y, water.low[2] + RAY_STEP))
@@ -165,18 +165,18 @@ class ArenaProbe:
         mujoco.mj_forward(self._model, self._data)
 
     def _ground(self, at: tuple[float, float, float]) -> float | None:
-        """Return the height of the first solid below a place that can be touched, in the arena's axes."""
+        """Return the height of the first touchable solid below a point, in the arena's axes."""
         found = self._find_ground(at)
         return None if found is None else found[0]
 
     def _find_ground(self, at: tuple[float, float, float]) -> tuple[float, str] | None:
-        """Return height, in the arena's axes, and geom of the first solid below a place."""
+        """Return height, in the arena's axes, and geom of the first touchable solid below a point."""
         self._set_robot_pose((0.0, 0.0, AWAY_HEIGHT), 0.0)
         found = GroundFinder(self._model, self._data).find((at[0], at[1], at[2] + self._arena.floor))
         return None if found is None else (found[0] - self._arena.floor, found[1])
 
     def _inside(self, start: StartPose) -> dict[str, float]:
-        """Return the solids that the robot is in when it starts there, and how deep."""
+        """Return the solids that overlap the robot at a start pose, with their depths."""
         x, y, z = start.at
         height = self._arena.floor + z - START_ELEVATION + kinematic_tree_of(self._robot).clearance
         self._set_robot_pose((x, y, height), start.yaw)
@@ -195,11 +195,11 @@ class ArenaProbe:
         return self._arena.shapes[int(geom.removeprefix(ARENA).split("/")[0])].surface
 
     def _bearable(self, geom: str) -> float:
-        """Return how deep in a solid a robot may start."""
+        """Return the largest depth in a solid at which a robot may start."""
         return MAX_GROUND_PENETRATION if self._surface(geom) == "ground" else MAX_PENETRATION
 
     def _contacts(self) -> dict[tuple[str, str], float]:
-        """Return the pairs of geoms that touch, and how deep."""
+        """Return the pairs of geoms in contact, with their depths."""
         found: dict[tuple[str, str], float] = {}
         for contact in self._data.contact:
             one, other = (self._names[geom] for geom in contact.geom)

@@ -1,8 +1,8 @@
-"""Several arenas as one model: each world of a batch has one of them, and nothing is compiled again.
+"""Several arenas as one model: each world of a batch has one of them, without recompilation.
 
-The model has a slot for every box that any of the arenas has, by surface and material, since those cannot
-differ between worlds; where a box is and how large, is data. So are victims, start poses, and where loose
-objects lie; slots that an arena does not need wait out of the way.
+The model has a slot for every box of any arena, by surface and material, since those cannot differ between
+worlds; positions and sizes of boxes are data. So are victims, start poses, and poses of loose objects; slots
+that an arena does not use are parked out of reach.
 """
 
 import math
@@ -23,22 +23,22 @@ from usarmjx.models.types.arena import ArenaSpec, LooseObject, StartPose
 from usarmjx.models.types.shapes import Shape
 
 PARKED_SIZE = (1e-3, 1e-3, 1e-3)
-"""Half lengths of boxes that an arena does not have [m]."""
+"""Half lengths of unused boxes [m]."""
 Thing = TypeVar("Thing")
 
 
 @dataclass(frozen=True, eq=False)
 class ArenaSlots:
-    """What a model has room for, whichever arena a world has.
+    """Capacity of a model, whichever arena a world has.
 
     Attributes:
         boxes: An example for each slot, the longest of a form first.
-        half_lengths: The largest half length that fits into each, those of victims last [m] (boxes,).
+        half_lengths: The largest half length that fits into each box, victims' boxes last [m] (boxes,).
         objects: An example of the loose object for each slot.
-        victims: Boxes of victims, and victims.
-        tags: RFID tags.
-        starts: Start poses, of which every arena has as many at least.
-        lamps: Lamps.
+        victims: Numbers of victims' boxes and of victims.
+        tags: Number of RFID tags.
+        starts: Number of start poses, the fewest of any arena.
+        lamps: Number of lamps.
     """
 
     boxes: tuple[Shape, ...]
@@ -51,7 +51,7 @@ class ArenaSlots:
 
 
 def slots_for(arenas: Sequence[ArenaSpec], spare: float) -> ArenaSlots:
-    """Return the slots that arenas need, and a share more of them, the largest of each form."""
+    """Return the slots that arenas need, plus a spare share, the largest of each form first."""
 
     def room(count: int) -> int:
         return math.ceil(count * (1.0 + spare))
@@ -83,7 +83,7 @@ def slots_for(arenas: Sequence[ArenaSpec], spare: float) -> ArenaSlots:
 
 
 def form_of(shape: Shape) -> Hashable:
-    """Return what cannot differ between the boxes that take turns in a slot."""
+    """Return the properties of a box that cannot differ between the boxes of one slot."""
     return shape.surface, shape.material
 
 
@@ -93,12 +93,12 @@ def sorted_boxes(arena: ArenaSpec) -> list[Shape]:
 
 
 def pieces_of(loose: LooseObject) -> Hashable:
-    """Return what cannot differ between the loose objects that take turns in a slot."""
+    """Return the properties of a loose object that cannot differ between those of one slot."""
     return loose.shapes
 
 
 def _by_form(groups: Sequence[Sequence[Thing]], form: Callable[[Thing], Hashable]) -> list[list[list[Thing]]]:
-    """Return what groups have of each form (forms, groups, ...)."""
+    """Return the members of groups by their form (forms, groups, ...)."""
     forms = dict.fromkeys(form(one) for group in groups for one in group)
     return [[[one for one in group if form(one) == kind] for group in groups] for kind in forms]
 
@@ -106,53 +106,53 @@ def _by_form(groups: Sequence[Sequence[Thing]], form: Callable[[Thing], Hashable
 def fill_slots(
     slots: Sequence[Thing], group: Sequence[Thing], form: Callable[[Thing], Hashable], name: str
 ) -> list[Thing | None]:
-    """Return what is in each slot: the first of a form in the first one of that form.
+    """Return the content of each slot: the first of a form in the first slot of that form.
 
     Raises:
-        SpecError: There are too few.
+        SpecError: There are too few slots.
     """
-    places: dict[Hashable, list[int]] = {}
-    for place, example in enumerate(slots):
-        places.setdefault(form(example), []).append(place)
-    free = {kind: iter(own) for kind, own in places.items()}
+    indices: dict[Hashable, list[int]] = {}
+    for index, example in enumerate(slots):
+        indices.setdefault(form(example), []).append(index)
+    free = {kind: iter(own) for kind, own in indices.items()}
     filled: list[Thing | None] = [None] * len(slots)
     for one in group:
-        place = next(free.get(form(one), iter(())), None)
-        if place is None:
+        slot = next(free.get(form(one), iter(())), None)
+        if slot is None:
             raise SpecError(
                 f"arena {name} has more {type(one).__name__}s of a form than its batch has room for"
             )
-        filled[place] = one
+        filled[slot] = one
     return filled
 
 
 PARKED_POS = (0.0, 0.0, -1000.0)
-"""Where boxes wait that an arena does not have [m]: nothing comes there."""
+"""Position of unused boxes, out of reach of everything [m]."""
 LOOSE_PARK, LOOSE_STEP = (-20.0, -20.0, 30.0), 2.0
-"""Where loose objects wait, pinned in the air, and how far apart [m]."""
+"""Corner of the grid in the air where unused loose objects are pinned, and its spacing [m]."""
 REMEMBERED = 64
-"""Of so many generations of replaced arenas one can tell what they were made from."""
+"""Number of generations of replaced arenas that `ArenaSet.arena_of` keeps."""
 STRIDE = 7919
-"""So many arenas further is the one of a world's next episode: a prime, so that it comes to all of them."""
+"""Step between the arenas of a world's successive episodes: a prime, so that it visits all of them."""
 
 
 class ArenaState(struct.PyTreeNode, kw_only=True):
-    """An arena as data: what may differ between the worlds of a batch.
+    """An arena as data: the part that may differ between the worlds of a batch.
 
     Attributes:
-        pos: Centres of the boxes but for the victims', in the arena's axes [m] (boxes, 3).
+        pos: Centres of the boxes except the victims', in the arena's axes [m] (boxes, 3).
         quat: Orientations (boxes, 4).
         size: Half lengths [m] (boxes, 3).
         rgb: Colours (boxes, 3).
         victims: The victims.
         tags: The RFID tags.
         starts: Start poses: x, y, z [m] and yaw [rad] (starts, 4).
-        loose: Where loose objects start, in the world: position [m] and quaternion (objects, 7).
-        present: Which of them there are (objects,).
-        lamps: Where its lamps are, in the world [m], and their colour times brightness at 1 m; zero for those
-            that it does not have (lamps, 6).
-        serial: Its number, by which `ArenaSet.arena_of` knows it ().
-        notes: What a task knows of it beside all this, by name.
+        loose: Initial poses of loose objects in the world: position [m] and quaternion (objects, 7).
+        present: Whether each of them exists (objects,).
+        lamps: Positions of its lamps in the world [m], and their colour times brightness at 1 m; zero for
+            unused ones (lamps, 6).
+        serial: Its number, the argument of `ArenaSet.arena_of` ().
+        notes: Further data of a task, by name.
     """
 
     pos: Array
@@ -174,11 +174,11 @@ class ArenaSet:
     """Arenas, resolved.
 
     Attributes:
-        arenas: What they are made from.
+        arenas: Descriptions of the first arenas.
         template: The arena that the model is compiled from, with all boxes and loose objects parked; its last
             boxes are for victims.
         states: The arenas as data (arenas, ...); numpy arrays.
-        slots: What the template has room for.
+        slots: Capacity of the template.
     """
 
     arenas: tuple[ArenaSpec, ...]
@@ -189,14 +189,14 @@ class ArenaSet:
 
     @property
     def max_half_length(self) -> np.ndarray:
-        """The largest half length of each box in any arena, victims' boxes last [m] (boxes,)."""
+        """Largest half length of each box in any arena, victims' boxes last [m] (boxes,)."""
         return self.slots.half_lengths
 
     def check_fits(self, arena: ArenaSpec) -> None:
-        """Refuse an arena that the model has no room for.
+        """Refuse an arena that exceeds the model's capacity.
 
         Raises:
-            SpecError: Says what there is too much of.
+            SpecError: Names the excess.
         """
         _check(arena, self.template)
         (low, high), (own_low, own_high) = (np.transpose(one.extent) for one in (self.template, arena))
@@ -213,8 +213,8 @@ class ArenaSet:
         """Return other arenas for the same model as data (arenas, ...), without notes; numpy arrays.
 
         Args:
-            arenas: As many as there were at the beginning; each fits, see `check_fits`.
-            generation: How often they have been replaced; of the last `REMEMBERED` `arena_of` knows them.
+            arenas: As many as the first ones; each fits, see `check_fits`.
+            generation: Number of replacements so far; `arena_of` keeps the last `REMEMBERED`.
         """
         serials = np.arange(len(arenas)) + generation * len(arenas)
         for serial in [one for one in self._later if one < serials[0] - REMEMBERED * len(arenas)]:
@@ -223,7 +223,7 @@ class ArenaSet:
         return _states(arenas, self.slots, serials)
 
     def arena_of(self, serial: int) -> ArenaSpec:
-        """Return what an arena was made from; long after it was replaced, the template."""
+        """Return the description of an arena; long after its replacement, the template."""
         if serial < len(self.arenas):
             return self.arenas[serial]
         return self._later.get(serial, self.template)
@@ -233,8 +233,8 @@ def arena_set(arenas: Sequence[ArenaSpec], spare: float = 0.0) -> ArenaSet:
     """Resolve arenas for one batch.
 
     Args:
-        arenas: What worlds have in turn.
-        spare: Share of further slots, for arenas that come later: of boxes of each form, victims and tags.
+        arenas: Arenas, which worlds take in turn.
+        spare: Share of additional slots, for later arenas: of boxes of each form, victims and tags.
 
     Raises:
         SpecError: No arenas; an arena with doors, water or solids other than boxes, which cannot differ
@@ -260,7 +260,7 @@ def _states(
     """Return arenas as data.
 
     Raises:
-        SpecError: One that there is no room for.
+        SpecError: One that does not fit.
     """
     boxed = [fill_slots(slots.boxes, sorted_boxes(arena), form_of, arena.name) for arena in arenas]
     lying = [fill_slots(slots.objects, arena.loose, pieces_of, arena.name) for arena in arenas]
@@ -298,7 +298,7 @@ def _states(
 
 
 def arena_index_of(number: Array, episode: Array, arenas: int) -> Array:
-    """Return which arena a world has in an episode: worlds go through the arenas in turn (...,)."""
+    """Return the arena of a world in an episode: worlds go through the arenas in turn (...,)."""
     return (number + STRIDE * episode) % arenas
 
 
@@ -321,7 +321,7 @@ def _box(shape: Shape) -> np.ndarray:
 
 
 def _lie(floor: float, index: int, loose: LooseObject | None) -> np.ndarray:
-    """Where a loose object is at the start, in the world; without one, where its slot is parked."""
+    """Return the initial pose of a loose object in the world; without one, the pose of its parked slot."""
     if loose is None:
         return np.array([*_park(index), 1.0, 0.0, 0.0, 0.0])
     x, y, z = loose.at
@@ -337,7 +337,10 @@ def _park(index: int) -> tuple[float, float, float]:
 def _template(
     arenas: tuple[ArenaSpec, ...], boxes: Sequence[Shape], objects: Sequence[LooseObject], bones: int
 ) -> ArenaSpec:
-    """Return the arena with all slots. Solids are turned, lest MuJoCo takes their frames for their body's."""
+    """Return the arena with all slots.
+
+    Solids are rotated: MuJoCo treats a geom with the frame of its body as such, and could not move it.
+    """
     turned = (0.1, 0.2, 0.3)
     slots = [replace(shape, at=PARKED_POS, rotation=turned, size=PARKED_SIZE) for shape in boxes]
     skin = Shape(kind="box", size=PARKED_SIZE, at=PARKED_POS, rotation=turned, surface="ground")

@@ -1,8 +1,8 @@
-"""Descriptions to MuJoCo: an arena and its robots as bodies of one MjSpec.
+"""Composition of descriptions to MuJoCo: an arena and its robots as bodies of one MjSpec.
 
-Every robot is a free body with the name prefix that the caller gives ("r0/"); within it, `chassis`, one
-body per part (wheels, flippers, legs, mission package links, fingers), each with one joint of the same name
-and, if it has a motor, an actuator. Parts of one robot do not touch each other: joint limits keep them apart.
+Every robot is a free body with the caller's name prefix ("r0/"); within it, `chassis`, one body per part
+(wheels, flippers, legs, mission package links, fingers), each with one joint of the same name and, if it has
+a motor, an actuator. Parts of one robot do not touch each other: joint limits keep them apart.
 """
 
 from collections.abc import Sequence
@@ -25,13 +25,13 @@ from usarmjx.models.types.robot import CHASSIS, HOLD_SUFFIX, Motor, Part, RobotS
 from usarmjx.models.types.shapes import SURFACES, Shape
 
 FLOOR_SIZE = (0.0, 0.0, 1.0)
-"""MuJoCo: a plane with zero half sizes is unbounded."""
+"""Size of an unbounded plane in MuJoCo: zero half sizes."""
 FLOOR_RGBA = (0.87, 0.88, 0.88, 1.0)
-"""Light grey, as pictures of cameras have it beyond their checkers."""
+"""Light grey, the colour of the floor beyond its checkers in pictures."""
 ARENA, LOOSE_PREFIX, DOOR, VICTIM_PREFIX = "arena/", "loose/", "door/", "victim/"
-"""What the names of the geoms of fixed solids, and of loose objects, doors and victims' bones start with."""
+"""Prefixes of the names of geoms: of fixed solids, loose objects, doors and victims' bones."""
 MAX_BOX_PIECES = 512
-"""Of an arena's boxes for engines that want short ones."""
+"""Largest number of pieces of an arena's boxes, for engines that need short boxes."""
 
 
 def add_arena(spec: mujoco.MjSpec, arena: ArenaSpec) -> None:
@@ -55,7 +55,7 @@ def add_arena(spec: mujoco.MjSpec, arena: ArenaSpec) -> None:
 
 
 def _add_victims(spec: mujoco.MjSpec, body: mujoco.MjsBody, arena: ArenaSpec) -> None:
-    """Add the boxes of victims and false alarms where they are at the start."""
+    """Add the boxes of victims and false alarms in their initial poses."""
     table = victim_table(arena.victims, arena.false_alarms)
     pos, quat = segment_poses(table, np.zeros(()))
     for i in range(table.num_boxes):
@@ -92,8 +92,8 @@ def _add_door(spec: mujoco.MjSpec, door: Door, floor: float) -> None:
 def split_long_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
     """Return the model with the arena's boxes cut into pieces of at most `longest` [m] along each axis.
 
-    For engines that look for contacts by bounding spheres, to which a long wall is near everything. In an
-    arena so large that this would give more than `MAX_BOX_PIECES`, the pieces are longer.
+    For engines whose broad phase compares bounding spheres: that of a long wall overlaps everything. Where an
+    arena would give more than `MAX_BOX_PIECES`, the pieces are longer.
     """
     spec = spec.copy()
     arena = spec.body("arena")
@@ -122,11 +122,13 @@ def split_long_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
 
 
 CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
+"""MuJoCo's friction cones by name."""
 SOLVERS = {"CG": mujoco.mjtSolver.mjSOL_CG, "Newton": mujoco.mjtSolver.mjSOL_NEWTON}
+"""MuJoCo's constraint solvers by name."""
 USUAL_GEOMS = 7
-"""Touching geoms of a P2AT, for which contacts_per_robot and pairs_per_robot are meant."""
+"""Touching geoms of a P2AT, the reference of contacts_per_robot and pairs_per_robot."""
 LOOSE_CONTACTS = 5
-"""Room in contact buffers for each touching geom of a loose object: a box that lies has four corners."""
+"""Capacity in contact buffers per touching geom of a loose object: a resting box has four corners in contact."""
 
 
 @dataclass(frozen=True)
@@ -144,12 +146,12 @@ class Physics:
         ls_iterations: Cap on line-search iterations.
         cone: Friction cone of the contacts.
         solver: MuJoCo's solver of the constraints.
-        contacts_per_robot: Room in contact buffers for a robot like the P2AT, on average over a world's
-            robots; robots with more (or fewer) touching geoms count for more (or fewer).
-        pairs_per_robot: Geom pairs of one kind that `jax` looks at closely, likewise; the nearest by
-            bounding spheres.
-        sleep_tolerance: On `warp` a loose object that has been slower than this for half a second has no
-            contacts until something comes near [m/s]; 0: all have, as on the other engines.
+        contacts_per_robot: Capacity of contact buffers per robot like the P2AT, on average over a world's
+            robots; other robots count in proportion to their touching geoms.
+        pairs_per_robot: Geom pairs of one kind that engine `jax` examines, likewise; the nearest by bounding
+            spheres.
+        sleep_tolerance: Speed below which a loose object sleeps on engine `warp` [m/s]: after half a second
+            it has no contacts until something comes near. 0: none sleeps, as on the other engines.
     """
 
     timestep: float = 0.005
@@ -164,10 +166,10 @@ class Physics:
     sleep_tolerance: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse a cone or a solver that there is not, and a speed below 0.
+        """Refuse an unknown cone or solver, and a negative speed.
 
         Raises:
-            SpecError: Says what there is.
+            SpecError: Names the allowed values.
         """
         if not self.sleep_tolerance >= 0.0:
             raise SpecError(f"sleep_tolerance {self.sleep_tolerance} is no speed from 0 on")
@@ -177,7 +179,7 @@ class Physics:
 
     @property
     def period(self) -> float:
-        """The control step [s]."""
+        """Control step [s]."""
         return self.timestep * self.substeps
 
     @property
@@ -189,23 +191,24 @@ class Physics:
     def fast(cls) -> "Physics":
         """Return settings for training and sweeps: several times as fast, and less exact.
 
-        Found by a search over settings; docs/performance.md tables what every robot class does under them,
-        beside the reference settings, and what they are not for.
+        Found by a search over settings; docs/performance.md tables the behaviour of every robot class under
+        them, beside the reference settings, and their limits.
         """
         return cls(timestep=0.01, substeps=2, iterations=8, ls_iterations=5)
 
     @classmethod
     def coarse(cls) -> "Physics":
-        """Return settings for engine `planar` alone, which takes a control step of 50 ms at once."""
+        """Return settings for engine `planar` alone, which takes a control step of 50 ms in one step."""
         return cls(timestep=0.05, substeps=1)
 
     @classmethod
     def sleeping(cls) -> "Physics":
-        """Return the reference settings, but that loose objects which nobody touches sleep on `warp`."""
+        """Return the reference settings, except that untouched loose objects sleep on `warp`."""
         return cls(sleep_tolerance=0.005)
 
 
 PHYSICS: Registry[Physics] = Registry("physics")
+"""Physics settings by name."""
 PHYSICS.add("reference", Physics())
 PHYSICS.add("fast", Physics.fast())
 PHYSICS.add("coarse", Physics.coarse())
@@ -236,7 +239,7 @@ def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:
 def cap_contacts(
     spec: mujoco.MjSpec, physics: Physics, arena: ArenaSpec, robots: Sequence[RobotSpec]
 ) -> None:
-    """Size the contact buffers of the batch engines, in the custom numbers that MJX reads; C ignores them."""
+    """Set the capacity of the batch engines' contact buffers, in custom numbers that MJX reads and C ignores."""
     geoms = sum(_touching(shapes) for robot in robots for shapes in _solids(robot))
     loose = sum(_touching(thing.shapes) for thing in arena.loose)
     contacts = max(1.0, geoms / USUAL_GEOMS) * physics.contacts_per_robot + loose * LOOSE_CONTACTS
@@ -254,7 +257,7 @@ def _touching(shapes: tuple[Shape, ...]) -> int:
 
 
 def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw: float = 0.0) -> None:
-    """Add a robot of that class whose chassis origin starts at `pos`, with names starting with `prefix`."""
+    """Add a robot of that class whose chassis origin starts at `pos`, with prefixed names."""
     chassis = spec.worldbody.add_body(name=f"{prefix}chassis", pos=pos, quat=quat_from_angles(0, 0, yaw))
     chassis.add_freejoint(name=f"{prefix}root")
     for i, shape in enumerate(chassis_shapes(robot)):
@@ -269,6 +272,7 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw
     names = [body.name for body in bodies.values()]
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
+            # MuJoCo skips contacts of a parent with its child only; siblings need an exclusion.
             spec.add_exclude(bodyname1=first, bodyname2=second)
 
 
@@ -307,7 +311,7 @@ def _add_part(spec: mujoco.MjSpec, parent: mujoco.MjsBody, part: Part, prefix: s
 
 
 def _add_servo(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, motor: Motor) -> None:
-    """Add a servo of limited torque in two actuators: one pulls towards its target, one holds back.
+    """Add a servo of limited torque as two actuators: one pulls towards its target, one holds back.
 
     Together they are MuJoCo's integrated-velocity servo, kp (target - position) - kv velocity. Without the
     second, whose input is 1 or 0, the first is a motor that exerts exactly kp times its target.

@@ -1,4 +1,4 @@
-"""Where doors are, by the angles of their hinges."""
+"""Poses of doors, by the angles of their hinges."""
 
 from types import ModuleType
 
@@ -10,7 +10,7 @@ from usarmjx.models.types.arena import ArenaSpec, Door
 from usarmjx.models.types.shapes import Shape
 
 DOOR_GAP = 0.01
-"""Between a door and the floor [m]."""
+"""Gap between a door and the floor [m]."""
 
 
 def door_panel(door: Door) -> Shape:
@@ -27,7 +27,7 @@ def door_panel(door: Door) -> Shape:
 
 
 def door_boxes(arena: ArenaSpec, angles: Array, xp: ModuleType = np) -> tuple[Array, Array, np.ndarray]:
-    """Return where the panels of an arena's doors are in the world, and their half lengths.
+    """Return the poses of the panels of an arena's doors in the world, and their half lengths.
 
     Args:
         arena: The arena.

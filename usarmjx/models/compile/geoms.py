@@ -1,4 +1,4 @@
-"""One solid of a description to one geom of an MjSpec body."""
+"""Conversion of one solid of a description to one geom of an MjSpec body."""
 
 from dataclasses import dataclass
 
@@ -13,12 +13,12 @@ from usarmjx.models.types.textures import texture_problem
 
 @dataclass(frozen=True, eq=False)
 class MovedGeoms:
-    """Which geoms of a model are data. All hang on the mocap body `arena`.
+    """Geoms of a model whose poses are data. All are children of the mocap body `arena`.
 
     Attributes:
         names: Their names in the model.
         max_half_length: The largest half length of each in any world [m] (geoms,).
-        resized: Whether their sizes differ between worlds too; they are boxes then.
+        resized: Whether their sizes differ between worlds too; they are then boxes.
     """
 
     names: tuple[str, ...]
@@ -35,10 +35,11 @@ GEOM_TYPES = {
     "mesh": mujoco.mjtGeom.mjGEOM_MESH,
     "hfield": mujoco.mjtGeom.mjGEOM_HFIELD,
 }
+"""MuJoCo's geom types by kind of shape."""
 
 
 FLAT = 1e-3
-"""MuJoCo's least rise of a terrain [m]."""
+"""Smallest rise of a terrain that MuJoCo accepts [m]."""
 
 
 def add_geom(
@@ -83,6 +84,7 @@ def add_geom(
 
 
 def _check(name: str, shape: Shape) -> None:
+    """Refuse a shape whose fields contradict each other."""
     if shape.material not in MATERIALS:
         raise SpecError(f"{name}: no material {shape.material!r}; there is: {', '.join(MATERIALS)}")
     if problem := texture_problem(shape.texture):
@@ -95,7 +97,7 @@ def _check(name: str, shape: Shape) -> None:
 
 
 def _add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> None:
-    """Add a mesh: MuJoCo makes faces for corners without any, and touches the hull of either."""
+    """Add a mesh; MuJoCo makes faces for vertices without any, and uses the hull for contacts."""
     described = spec.add_mesh(name=name, uservert=np.asarray(mesh.vertices, float).ravel())
     if mesh.faces is not None:
         described.userface = np.asarray(mesh.faces, np.int32).ravel()  # type: ignore - not in the stubs
@@ -104,7 +106,10 @@ def _add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> None:
 
 
 def _add_terrain(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, shape: Shape) -> None:
-    """Give a geom its terrain. MuJoCo stretches heights to [0, 1], so the lowest is the geom's zero."""
+    """Give a geom its terrain.
+
+    MuJoCo scales heights to [0, 1], so the lowest height becomes the geom's zero.
+    """
     assert shape.heights is not None
     heights, name = np.asarray(shape.heights.heights, float), geom.name
     if heights.ndim != 2 or min(heights.shape) < 2 or not np.isfinite(heights).all() or heights.min() < 0:

@@ -1,8 +1,8 @@
-"""The body plan of a robot class: its own little kinematic tree and its shapes, as arrays.
+"""The kinematic tree of a robot class with its shapes, as arrays.
 
-Sensors need to know where a robot's bodies and shapes are. Computing that from the robot's own state
-with its own plan, rather than reading an engine's arrays, makes sensors independent of the engine, of
-the other robots in the model, and of the half step by which an engine's poses trail its state.
+Sensors need the poses of a robot's bodies and shapes. Computing them from the robot's own state with its own
+tree, rather than reading an engine's arrays, makes sensors independent of the engine, of the other robots in
+the model, and of the half step by which an engine's poses trail its state.
 """
 
 from dataclasses import dataclass
@@ -40,17 +40,17 @@ class BodyPoses(struct.PyTreeNode, kw_only=True):
 
 
 class JointMotions(NamedTuple):
-    """How joints at q move bodies in their parents: each slides or turns.
+    """Motion of bodies in their parents for joints at q: a slide or a rotation.
 
-    To `offset + q * slide`, and by `fixed + sin(q) * sine + cos(q) * cosine`: the orientation at rest, then
-    Rodrigues' formula.
+    The origin is at `offset + q * slide`, the orientation is `fixed + sin(q) * sine + cos(q) * cosine`: that
+    at rest times Rodrigues' formula.
 
     Attributes:
         offset: Body origins with the joints at 0 [m] (joints, 3).
-        slide: Along what prismatic joints move (joints, 3).
-        fixed: What does not change of an orientation (joints, 3, 3).
-        sine: What goes with the sine (joints, 3, 3).
-        cosine: What goes with the cosine (joints, 3, 3).
+        slide: Direction of prismatic joints, zero for hinges (joints, 3).
+        fixed: Constant term of the orientation (joints, 3, 3).
+        sine: Factor of the sine (joints, 3, 3).
+        cosine: Factor of the cosine (joints, 3, 3).
     """
 
     offset: np.ndarray
@@ -61,11 +61,11 @@ class JointMotions(NamedTuple):
 
 
 class BodyLevel(NamedTuple):
-    """The bodies that have as many joints between them and the chassis.
+    """The bodies at one depth of the tree.
 
     Attributes:
         joints: Their joints (n,).
-        parents: Places of their parents in the level above (n,); None: the only one there.
+        parents: Indices of their parents within the level above (n,); None: the only one there.
     """
 
     joints: np.ndarray
@@ -85,15 +85,15 @@ class KinematicTree:
         axis: Joint axis in the body (bodies, 3); zero for the chassis.
         slides: Whether the joint is prismatic (bodies,).
         rest_pos: Body origins on the chassis with all joints at 0 (bodies, 3).
-        geom_type: MuJoCo geom types (geoms,); meshes come as their triangles, see `pieces`.
+        geom_type: MuJoCo geom types (geoms,); meshes are split into triangles, see `ray_geoms`.
         geom_body: The body each geom belongs to (geoms,).
         geom_size: MuJoCo sizes (geoms, 3).
         geom_pos: Geom centres in their body (geoms, 3).
         geom_mat: Geom orientations in their body (geoms, 3, 3).
         geom_rgb: Their colours (geoms, 3).
-        actuated: Which joints have a motor, as places in the order of joints (actuators,).
+        actuated: Indices of the joints with a motor (actuators,).
         mass: Mass of the built model [kg].
-        centre_of_mass: Where it is on the chassis with all joints at 0 [m].
+        centre_of_mass: Centre of mass on the chassis with all joints at 0 [m].
         clearance: Height of the chassis origin above the lowest point of the robot at rest [m].
     """
 
@@ -118,7 +118,7 @@ class KinematicTree:
 
     @cached_property
     def solids(self) -> Solids:
-        """Its geoms: what contacts and the rays of sensors meet. Their frames are the bodies."""
+        """Its geoms, for contacts and the rays of sensors. Their frames are the bodies."""
         return Solids(
             kind=self.geom_type,
             frame=self.geom_body,
@@ -130,10 +130,10 @@ class KinematicTree:
 
     @cached_property
     def figure(self) -> Figure:
-        """What is drawn of it, which contacts and range sensors do not meet: its frames are the bodies.
+        """Its visuals, for pictures only: their frames are the bodies.
 
         Raises:
-            SpecError: It is not opaque.
+            SpecError: A visual is not opaque.
         """
         looks = [chassis_looks(self.robot), *(part.looks for part in parts_of(self.robot))]
         return build_figure([[flipped(shape) for shape in some] for some in looks])
@@ -148,7 +148,7 @@ class KinematicTree:
 
     @cached_property
     def joint_motions(self) -> JointMotions:
-        """What moves the bodies, see `forward_kinematics`."""
+        """Motion of the bodies in their parents, see `forward_kinematics`."""
         rest, slides = self.rest_mat[1:].astype(float), self.slides[1:, None]
         x, y, z = self.axis[1:].astype(float).T
         zero = np.zeros_like(x)
@@ -165,7 +165,7 @@ class KinematicTree:
 
     @cached_property
     def levels(self) -> tuple[BodyLevel, ...]:
-        """The bodies behind the chassis, level by level."""
+        """Bodies of the tree below the chassis, level by level."""
         levels, above = list[BodyLevel](), [0]
         while below := [body for body, parent in enumerate(self.parent) if parent in above]:
             parents = np.array([above.index(self.parent[body]) for body in below])
@@ -175,11 +175,11 @@ class KinematicTree:
 
     @cached_property
     def places(self) -> np.ndarray:
-        """Where each body is among the chassis and the levels, one after the other (bodies,)."""
+        """Index of each body in the concatenation of the chassis and the levels (bodies,)."""
         return np.argsort(np.concatenate([[-1], *(level.joints for level in self.levels)]))
 
     def joint_index(self, name: str) -> int | None:
-        """Return the place of a joint by its name, case ignored; None when there is none."""
+        """Return the index of a joint by its name, case ignored; None if unknown."""
         return self._joint_indices.get(name.lower())
 
     @cached_property
@@ -189,7 +189,7 @@ class KinematicTree:
 
 @cache
 def kinematic_tree_of(robot: RobotSpec) -> KinematicTree:
-    """Return the body plan of a robot class, read off its compiled model."""
+    """Return the kinematic tree of a robot class, read off its compiled model."""
     nowhere = ArenaSpec(name="nowhere", starts=(), extent=((0, 0), (0, 0)))
     spec = new_spec(nowhere, Physics())
     add_robot(spec, robot, "", (0.0, 0.0, 0.0))
@@ -229,7 +229,9 @@ def kinematic_tree_of(robot: RobotSpec) -> KinematicTree:
         actuated=np.array([i for i, part in enumerate(parts_of(robot)) if part.motor is not None], int),
         mass=float(model.body_subtreemass[body[0]]),
         centre_of_mass=(x, y, z),
-        clearance=-lowest_point(model, data, model.geom_bodyid >= 2),  # behind the world and the arena
+        clearance=-lowest_point(
+            model, data, model.geom_bodyid >= 2
+        ),  # bodies 0 and 1 are the world and the arena
     )
 
 
@@ -274,25 +276,28 @@ def robot_state(index: RobotIndex, qpos: Array, qvel: Array) -> RobotState:
     )
 
 
-def forward_kinematics(plan: KinematicTree, state: RobotState) -> BodyPoses:
-    """Forward kinematics of robots, with the leading axes of their state."""
-    move, q = plan.joint_motions, state.joint_pos[..., None]
+def forward_kinematics(tree: KinematicTree, state: RobotState) -> BodyPoses:
+    """Return the poses of robots' bodies, with the leading axes of their state.
+
+    One step per level of the tree, not per body: fewer and larger operations compile and run faster.
+    """
+    move, q = tree.joint_motions, state.joint_pos[..., None]
     angle = q[..., None]
     turned = move.fixed + xp.sin(angle) * move.sine + xp.cos(angle) * move.cosine
     away = move.offset + q * move.slide
     pos, mat = [state.pos[..., None, :]], [mat_from_quat(state.quat)[..., None, :, :]]
-    for joints, parents in plan.levels:
+    for joints, parents in tree.levels:
         below, frame = pos[-1], mat[-1]
         if parents is not None:
             below, frame = below[..., parents, :], frame[..., parents, :, :]
         pos.append(below + matvec(frame, away[..., joints, :]))
         mat.append(matmul(frame, turned[..., joints, :, :]))
     return BodyPoses(
-        pos=xp.concatenate(pos, -2)[..., plan.places, :],
-        mat=xp.concatenate(mat, -3)[..., plan.places, :, :],
+        pos=xp.concatenate(pos, -2)[..., tree.places, :],
+        mat=xp.concatenate(mat, -3)[..., tree.places, :, :],
     )
 
 
-def geom_poses(plan: KinematicTree, bodies: BodyPoses) -> tuple[Array, Array]:
+def geom_poses(tree: KinematicTree, bodies: BodyPoses) -> tuple[Array, Array]:
     """Return the world poses of robots' geoms: centres (..., geoms, 3), orientations (..., geoms, 3, 3)."""
-    return plan.solids.poses(bodies.pos, bodies.mat)
+    return tree.solids.poses(bodies.pos, bodies.mat)

@@ -1,4 +1,4 @@
-"""Names to indices, once: where a robot's bodies, joints and actuators lie in the compiled model."""
+"""Indices of a robot's bodies, joints and actuators in the compiled model, looked up by name once."""
 
 from dataclasses import dataclass
 
@@ -8,24 +8,25 @@ from usarmjx.models.compile.parts import joint_names, parts_of
 from usarmjx.models.types.robot import HOLD_SUFFIX, RobotSpec
 
 Ids = tuple[int, ...]
+"""Indices of a robot's items, in the order of `RobotIndex`."""
 
 
 @dataclass(frozen=True)
 class RobotIndex:
     """Indices of one robot in an MjModel.
 
-    Bodies are in the order chassis, then parts (`models.build.parts.parts_of`); joints in that order without
-    the chassis; actuators likewise, but only of the parts with a motor.
+    Bodies are in the order chassis, then parts (`models.compile.parts.parts_of`); joints in that order
+    without the chassis; actuators likewise, but only of the parts with a motor.
 
     Attributes:
         body_ids: Body ids.
-        root_qposadr: Where the free joint's 7 numbers start in qpos.
-        root_dofadr: Where its 6 numbers start in qvel.
+        root_qposadr: Address of the free joint's 7 numbers in qpos.
+        root_dofadr: Address of its 6 numbers in qvel.
         qposadr: qpos addresses of the joints.
         dofadr: qvel addresses of the joints.
         actuator_ids: Ids of the actuators that pull towards a target.
         actadr: Addresses of their activations: the targets.
-        hold_actuator_ids: Ids of the actuators that hold the joints; input 1, or 0 for a torque order.
+        hold_actuator_ids: Ids of the actuators that hold the joints; input 1, or 0 in torque mode.
     """
 
     body_ids: Ids

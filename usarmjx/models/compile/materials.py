@@ -1,4 +1,4 @@
-"""What the geoms of a compiled model are made of (manual 14.1.2), and what is on them in pictures."""
+"""Materials (manual 14.1.2) and textures of the geoms of a compiled model."""
 
 import mujoco
 import numpy as np
@@ -10,7 +10,7 @@ from usarmjx.models.types.textures import code_of
 
 
 def materials_of(model: mujoco.MjModel, arena: ArenaSpec) -> list[str]:
-    """Return the material of every geom of a model of that arena, as `spec.MATERIALS` calls them.
+    """Return the material of every geom of a model of that arena, one of `shapes.MATERIALS`.
 
     The arena's fixed solids and loose objects have their own; its floor, doors and victims, and all robots
     are opaque.
@@ -22,7 +22,7 @@ def materials_of(model: mujoco.MjModel, arena: ArenaSpec) -> list[str]:
 
 
 def textures_of(model: mujoco.MjModel, arena: ArenaSpec) -> np.ndarray:
-    """Return the codes of the textures of a model's geoms (ngeom,): those of the arena's fixed solids."""
+    """Return the texture codes of a model's geoms (ngeom,): those of the arena's fixed solids."""
     known = {f"{ARENA}{i}": code_of(shape.texture) for i, shape in enumerate(arena.shapes) if shape.texture}
     if not known:
         return np.zeros(model.ngeom, np.int32)

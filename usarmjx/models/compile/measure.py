@@ -1,4 +1,4 @@
-"""Figures of a robot that follow from its parts: what GETGEO and GETCONF report of one built from a file."""
+"""Measurements of a robot that follow from its parts, for GETGEO and GETCONF of one built from a file."""
 
 from dataclasses import replace
 
@@ -11,11 +11,11 @@ from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import RobotSpec
 
 DIGITS = 6
-"""Figures are rounded to micrometres and milligrams: body plans are in single precision."""
+"""Decimals of the measurements, micrometres and milligrams: kinematic trees are in single precision."""
 
 
 def with_measurements(robot: RobotSpec) -> RobotSpec:
-    """Return a robot with dimensions, mass, height and wheel figures as it is built.
+    """Return a robot with dimensions, mass, height and wheel measurements of its parts.
 
     `dimensions` are those of the box around it at rest, `wheel_separation` and `wheel_base` the largest
     distances of its wheels.
@@ -23,17 +23,17 @@ def with_measurements(robot: RobotSpec) -> RobotSpec:
     Raises:
         SpecError: It cannot be built.
     """
-    plan = kinematic_tree_of(robot)
+    tree = kinematic_tree_of(robot)
     low, high = extent(robot)
-    wheels = [i for i, part in enumerate(plan.parts) if part in {wheel.name for wheel in robot.wheels}]
-    spread = np.ptp(plan.rest_pos[wheels], axis=0) if wheels else np.zeros(3)
+    wheels = [i for i, part in enumerate(tree.parts) if part in {wheel.name for wheel in robot.wheels}]
+    spread = np.ptp(tree.rest_pos[wheels], axis=0) if wheels else np.zeros(3)
     radii = [shape.size[0] for part in robot.wheels for shape in part.shapes if shape.kind != "box"]
     length, width, height = (high - low).round(DIGITS).tolist()
     return replace(
         robot,
         dimensions=(length, width, height),
-        mass=round(plan.mass, DIGITS),
-        origin_height=round(plan.clearance, DIGITS),
+        mass=round(tree.mass, DIGITS),
+        origin_height=round(tree.clearance, DIGITS),
         wheel_radius=radii[0] if radii else 0.0,
         wheel_separation=round(float(spread[1]), DIGITS),
         wheel_base=round(float(spread[0]), DIGITS),
@@ -47,7 +47,7 @@ def extent(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    own = model.geom_bodyid >= 2  # behind the world and the arena
+    own = model.geom_bodyid >= 2  # bodies 0 and 1 are the world and the arena
     mat = data.geom_xmat[own].reshape(-1, 3, 3)
     middle, half = model.geom_aabb[own, :3], model.geom_aabb[own, 3:]
     centre = data.geom_xpos[own] + np.einsum("gij,gj->gi", mat, middle)

@@ -1,4 +1,4 @@
-"""All parts of a robot in one list: its own, the links of its mission packages, what its effecters add."""
+"""All parts of a robot in one list: its own, the links of its mission packages, and its effecters' parts."""
 
 from dataclasses import replace
 from functools import cache
@@ -17,7 +17,7 @@ LINK_STIFFNESS, LINK_DAMPING, LINK_ARMATURE = 40.0, 4.0, 0.02
 
 
 def part_name(package: MissionPackage, link: Link) -> str:
-    """Return a mission package part's name: its own, or the wire's (captured: `CameraPanTilt_Link2`)."""
+    """Return the name of a mission package's part: its own, or the wire's (captured: `CameraPanTilt_Link2`)."""
     return link.part or f"{package.name}_Link{link.number}"
 
 
@@ -33,7 +33,7 @@ def link_frames(package: MissionPackage) -> dict[int, tuple[np.ndarray, np.ndarr
 
 
 def link_motor(link: Link) -> Motor:
-    """Return a link's motor: its own, or the usual small servo with the reported limits."""
+    """Return a link's motor: its own, or a small servo with the reported limits."""
     return link.motor or Motor(
         max_speed=link.max_speed,
         torque=link.max_torque,
@@ -49,7 +49,10 @@ def _vector(array: np.ndarray) -> Vec3:
 
 
 def _link_parts(package: MissionPackage) -> list[Part]:
-    """Parts are parallel to the chassis at rest (captured mounts show it); joints turn about link z."""
+    """Return the parts of a package's links.
+
+    Parts are parallel to the chassis at rest (captured mounts show it); joints turn about link z.
+    """
     frames, names = link_frames(package), {-1: CHASSIS}
     parts = []
     for link in package.links:
@@ -72,10 +75,10 @@ def _link_parts(package: MissionPackage) -> list[Part]:
 
 @cache
 def parts_of(robot: RobotSpec) -> tuple[Part, ...]:
-    """Return all parts of a robot: its own in their order, the links of its packages, those of its effecters.
+    """Return all parts of a robot: its own in their order, the links of its packages, its effecters' parts.
 
-    Parents come first. This is the order of a robot's joints everywhere. Each has `looks`, which are its
-    solids unless it is drawn as something else.
+    Parents come first. This is the order of a robot's joints everywhere. Each part has `looks`, by default
+    its solids.
 
     Raises:
         SpecError: Two parts of one name, a part or an effecter whose parent does not exist, or a drive or an
@@ -91,9 +94,9 @@ def parts_of(robot: RobotSpec) -> tuple[Part, ...]:
     if doubles:
         raise SpecError(f"robot {robot.name}: several parts are called {', '.join(sorted(doubles))}")
     parts: list[Part] = []
-    there = {CHASSIS}
+    placed = {CHASSIS}
     while waiting:
-        ready = next((part for part in waiting if part.parent in there), None)
+        ready = next((part for part in waiting if part.parent in placed), None)
         if ready is None:
             lost = ", ".join(f"{part.name} (on {part.parent})" for part in waiting)
             raise SpecError(f"robot {robot.name}: parts without a parent: {lost}; parts: {', '.join(names)}")
@@ -101,14 +104,14 @@ def parts_of(robot: RobotSpec) -> tuple[Part, ...]:
         items = _item_shapes(robot, ready.name)
         looks = (*(ready.looks or ready.shapes), *items)
         parts.append(replace(ready, shapes=(*ready.shapes, *items), looks=looks))
-        there.add(ready.name)
+        placed.add(ready.name)
     _check_joints(robot, parts)
     return tuple(parts)
 
 
 def _check_joints(robot: RobotSpec, parts: list[Part]) -> None:
     motors = {part.name for part in parts if part.motor is not None}
-    users = [("drive", aim.joint) for aim in robot.drive.joint_controls]
+    users = [("drive", control.joint) for control in robot.drive.joint_controls]
     for effecter in effecters_of(robot):
         mount = effecter.mount
         if mount.parent not in (CHASSIS, *(part.name for part in parts)):
@@ -125,12 +128,12 @@ def _item_shapes(robot: RobotSpec, parent: str) -> tuple[Shape, ...]:
 
 
 def chassis_shapes(robot: RobotSpec) -> tuple[Shape, ...]:
-    """Return the solids of the chassis, with what effecters and shown sensors add to it."""
+    """Return the solids of the chassis, including those of effecters and shown sensors."""
     return (*robot.chassis, *_item_shapes(robot, CHASSIS))
 
 
 def chassis_looks(robot: RobotSpec) -> tuple[Shape, ...]:
-    """Return what the chassis is drawn as, with what effecters and shown sensors add to it."""
+    """Return the visuals of the chassis, including those of effecters and shown sensors."""
     return (*(robot.looks or robot.chassis), *_item_shapes(robot, CHASSIS))
 
 

@@ -1,7 +1,7 @@
-"""Domain randomisation: what differs between worlds, robots and episodes beside arenas and noise, as data.
+"""Domain randomisation: values that differ between worlds, robots and episodes beside arenas and noise.
 
-`DomainRandomization` says from which ranges, `RandomizedValues` has one world's numbers. Those that are
-physics reach the engine as fields of its model that differ between worlds (`engines.varied`).
+`DomainRandomization` holds the ranges, `RandomizedValues` one world's numbers. Physical ones reach the engine
+as fields of its model that differ between worlds (`engines.varied`).
 """
 
 import math
@@ -21,22 +21,22 @@ from usarmjx.models.compile.parts import parts_of
 from usarmjx.models.types.robot import RobotSpec
 
 Range = tuple[float, float]
-"""The lowest and the highest value; in between all are as likely."""
+"""Lowest and highest value of a uniform distribution."""
 
 LONGEST_LATENCY = 100
-"""More control steps than this are no latency but a mistake."""
+"""Largest latency that is accepted [control steps]; more is taken for a mistake."""
 
 
 class QuantityRule(NamedTuple):
-    """What a quantity of `DomainRandomization` may be.
+    """Allowed values of a quantity of `DomainRandomization`.
 
     Attributes:
-        robots: Whether each robot has its own; else the world has one.
-        neutral: What a robot has that does not vary.
+        robots: Whether each robot has its own value; else the world has one.
+        neutral: Value of a robot that does not vary.
         positive: Whether it must be above 0.
-        least: Else the lowest value allowed.
-        most: The highest.
-        whole: Whether it is a whole number.
+        least: Lowest value, unless it must be positive.
+        most: Highest value.
+        whole: Whether it is an integer.
     """
 
     robots: bool = False
@@ -61,28 +61,31 @@ QUANTITY_RULES = {
     "radio_cutoff": QuantityRule(),
     "radio_atten_fac": QuantityRule(least=0.0),
 }
-"""The quantities. New ones come last: a quantity draws its numbers by its place here."""
+"""Rules of the quantities.
+
+New ones come last: the index of a quantity here is part of its random key.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DomainRandomization:
-    """Ranges that worlds, and the robots in them, draw from at the start of each episode; None: no variation.
+    """Ranges from which worlds and their robots draw at the start of each episode; None: no variation.
 
     Attributes:
-        friction: Factor on the sliding friction of everything, one for a world.
-        mass: Factor on mass and inertia of a robot's chassis, as a load spread over it.
-        wheel: Factor on the radius of a robot's wheels, which odometry does not know of. Rays and pictures
-            show them as described.
-        torque: Factor on what a robot's motors can exert.
-        speed: Factor on how fast a robot's motors turn, at any command and at most; what flies or dives has
-            its commanded speeds multiplied.
-        noise: Factor on the noise of a robot's sensors; 0 is none.
-        latency: Control steps by which a robot's motors hear of what it is told later; whole numbers.
+        friction: Factor on the sliding friction of all surfaces, one per world.
+        mass: Factor on mass and inertia of a robot's chassis, as of a load spread over it.
+        wheel: Factor on the radius of a robot's wheels, which odometry does not know. Rays and pictures show
+            the radius of the description.
+        torque: Factor on the torque of a robot's motors.
+        speed: Factor on the speed of a robot's motors, at any command and at most; for robots that fly or
+            dive, on their commanded speeds.
+        noise: Factor on the noise of a robot's sensors; 0 removes it.
+        latency: Delay from command to motors [control steps].
         radio_pdo: Power received at the reference distance [dBm].
-        radio_n: How fast power falls with distance.
-        radio_cutoff: A link holds from this power on [dBm].
-        radio_atten_fac: What each solid takes [dB].
-        classes: Robot classes that vary; empty: all of the roster.
+        radio_n: Path loss exponent of the radio.
+        radio_cutoff: Lowest power at which a link holds [dBm].
+        radio_atten_fac: Attenuation per solid [dB].
+        classes: Robot classes that vary; empty: all classes of the roster.
 
     Raises:
         SpecError: A range that is not allowed; says what is.
@@ -102,7 +105,7 @@ class DomainRandomization:
     classes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
+        """Refuse invalid ranges."""
         for name, rule in QUANTITY_RULES.items():
             span = getattr(self, name)
             if span is not None:
@@ -127,7 +130,7 @@ def _check_range(name: str, span: object, rule: QuantityRule) -> None:
 
 
 class RandomizedValues(struct.PyTreeNode, kw_only=True):
-    """The numbers of one world in one episode, as `DomainRandomization` explains them; None: not varied.
+    """Values of one world in one episode, as in `DomainRandomization`; None: not varied.
 
     Attributes:
         friction: Factor ().
@@ -159,23 +162,23 @@ class RandomizedValues(struct.PyTreeNode, kw_only=True):
 def sample_values(
     vary: DomainRandomization, varies: np.ndarray, key: Array, ranges: Mapping[str, Array] | None = None
 ) -> RandomizedValues:
-    """Return the numbers of a world for an episode.
+    """Return a world's values for an episode.
 
-    A number depends on the key, the quantity and the robot's slot alone: neither on the other quantities nor
-    on who else is there.
+    A value depends on the key, the quantity and the robot's slot alone: neither on the other quantities nor
+    on the other robots.
 
     Args:
         vary: The ranges.
         varies: Which robots vary, by slot (robots,).
-        key: The world's and the episode's.
+        key: Random key of the world and the episode.
         ranges: The world's own ranges of some of these quantities, lowest and highest (2,).
     """
     drawn, given = {}, ranges or {}
-    for place, (name, rule) in enumerate(QUANTITY_RULES.items()):
+    for index, (name, rule) in enumerate(QUANTITY_RULES.items()):
         if vary.range_of(name) is None:
             continue
         span = given.get(name, vary.range_of(name))
-        own = random.fold_in(key, place)
+        own = random.fold_in(key, index)
         if not rule.robots:
             drawn[name] = _number(rule, span, own)
             continue
@@ -193,7 +196,7 @@ def _number(rule: QuantityRule, span: Any, key: Array) -> Array:  # noqa: ANN401
 
 @dataclass(frozen=True, eq=False)
 class RandomizedBodies:
-    """Where in a model the robots are that vary.
+    """Bodies of a model whose robots vary.
 
     Attributes:
         vary: The ranges.
@@ -211,7 +214,7 @@ class RandomizedBodies:
 
 
 def check_randomization(vary: DomainRandomization, robots: Sequence[RobotSpec], radio: bool) -> None:
-    """Refuse a variation that would have no, or a wrong, effect on some robots of a scene.
+    """Refuse a variation that would have no effect, or a wrong one, on some robots of a scene.
 
     Args:
         vary: The ranges.
@@ -256,9 +259,9 @@ _LACKS = {
     "wheel": ("has no wheels", lambda robot: max_wheel_radius(robot) == 0.0),
     "torque": ("has no motors at its joints to move by", lambda robot: _pushed(robot) or not _motors(robot)),
     "speed": ("has no motors", lambda robot: not _pushed(robot) and not _motors(robot)),
-    "latency": ("has nothing to be told", lambda robot: not _pushed(robot) and not _motors(robot)),
+    "latency": ("has no motors to command", lambda robot: not _pushed(robot) and not _motors(robot)),
 }
-"""What a robot lacks that a quantity is about."""
+"""Conditions under which a quantity does not apply to a robot, with the reason."""
 
 
 def max_wheel_radius(robot: RobotSpec) -> float:

@@ -1,8 +1,8 @@
-"""Solids above the squares of a grid: from where to where each stands over the middle of a square.
+"""Vertical extents of solids above the cells of a grid.
 
-Boxes are taken as they are, turned and tilted; meshes as their convex hulls; spheres, capsules, cylinders
-and ellipsoids as the boxes around them; terrain by the nearest of its heights. A solid is widened by half
-a square on every side (not upwards), so that a wall thinner than a square is not missed between two.
+Boxes are exact, turned and tilted; meshes are their convex hulls; spheres, capsules, cylinders and ellipsoids
+the boxes around them; terrain is sampled at the nearest of its heights. A solid is widened by half a cell on
+every side (not upwards), so that a wall thinner than a cell is not missed between two.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,22 +15,22 @@ from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.types.shapes import SKY, SURFACES, Shape
 
 MOST_ROWS = 10_000_000
-"""Of a table: squares that solids stand over, each counted as often as it has one."""
+"""Largest number of rows of a table: pairs of a solid and a cell."""
 FLAT = 1e-9
-"""A face whose normal has less than this along z is upright."""
+"""Bound on the z component of the normal of a vertical face."""
 UPWARD = 0.5
-"""A face whose normal has more than this along z keeps its place when solids are widened: slopes must not
-rise by that."""
+"""Bound on the z component of a normal above which a face is not moved when solids are widened: the move
+would raise slopes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Squares over a rectangle; square (i, j) has its middle at `low + (i + 0.5, j + 0.5) cell`.
+    """Cells of a rectangle; cell (i, j) has its middle at `low + (i + 0.5, j + 0.5) cell`.
 
     Attributes:
-        low: Its corner with the lowest x and y [m].
-        cell: Side of a square [m].
-        shape: Squares along x and y.
+        low: Corner with the lowest x and y [m].
+        cell: Side of a cell [m].
+        shape: Number of cells along x and y.
     """
 
     low: tuple[float, float]
@@ -38,23 +38,23 @@ class Grid:
     shape: tuple[int, int]
 
     def index(self, x: float, y: float) -> tuple[int, int]:
-        """Return the square that a place lies in; it may lie outside the grid."""
+        """Return the cell of a point; it may lie outside the grid."""
         return int((x - self.low[0]) // self.cell), int((y - self.low[1]) // self.cell)
 
     def holds(self, i: int, j: int) -> bool:
-        """Return whether there is such a square."""
+        """Return whether a cell is within the grid."""
         return 0 <= i < self.shape[0] and 0 <= j < self.shape[1]
 
 
 @dataclass(frozen=True, eq=False)
 class SpanTable:
-    """What stands over the middles of squares; one row for each solid and square.
+    """Vertical extents of solids at the middles of cells; one row per solid and cell.
 
     Attributes:
-        square: Number of the square, i times squares along y plus j (n,).
-        low: Where the solid begins [m] (n,).
-        high: Where it ends [m] (n,).
-        slope: Rise of its upper face per metre (n,).
+        square: Flat index of the cell, i times cells along y plus j (n,).
+        low: Lower end of the solid [m] (n,).
+        high: Upper end [m] (n,).
+        slope: Rise per metre of its upper face (n,).
     """
 
     square: np.ndarray
@@ -81,7 +81,7 @@ def half_lengths(shape: Shape) -> tuple[float, float, float]:
 
 
 def rasterize(shapes: Sequence[Shape], grid: Grid) -> SpanTable:
-    """Return what the solids that robots can touch fill over a grid's squares.
+    """Return the vertical extents over a grid's cells of the solids that robots can touch.
 
     Raises:
         SpecError: The table would have more than `MOST_ROWS` rows.
@@ -96,6 +96,7 @@ def rasterize(shapes: Sequence[Shape], grid: Grid) -> SpanTable:
 
 
 SpanRows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Columns of a `SpanTable`."""
 
 
 def _parts(solid: Sequence[Shape], grid: Grid) -> Iterator[SpanRows]:
@@ -122,7 +123,7 @@ def _boxes(shapes: Sequence[Shape], grid: Grid) -> SpanRows:
 
 
 def _hull(shape: Shape, grid: Grid) -> SpanRows:
-    from scipy.spatial import ConvexHull  # as long as half of JAX, and of use for meshes only
+    from scipy.spatial import ConvexHull  # imports in half the time of JAX; only meshes need it
 
     assert shape.mesh is not None
     corners = shape.mesh.vertices @ mat_from_angles(*np.array(shape.rotation)).T + shape.at
@@ -134,14 +135,14 @@ def _hull(shape: Shape, grid: Grid) -> SpanRows:
 def _rows(
     normals: np.ndarray, offsets: np.ndarray, low: np.ndarray, high: np.ndarray, grid: Grid
 ) -> SpanRows:
-    """Cut the upright lines through the squares' middles with solids given by their faces.
+    """Cut vertical lines through the cells' middles with convex solids given by their faces.
 
     Args:
-        normals: Of each solid's faces (n, faces, 3).
-        offsets: Of the faces: a point p is inside where `normals @ p <= offsets` for all (n, faces).
+        normals: Normals of each solid's faces (n, faces, 3).
+        offsets: Offsets of the faces: a point p is inside where `normals @ p <= offsets` for all (n, faces).
         low: Lowest x and y of each solid (n, 2).
         high: Highest x and y (n, 2).
-        grid: The squares.
+        grid: The cells.
     """
     owner, i, j = _windows(low, high, grid)
     across = np.hypot(normals[..., 0], normals[..., 1])
@@ -167,17 +168,17 @@ def _rows(
 
 
 def _windows(low: np.ndarray, high: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (solid, i, j) of all squares that each solid may fill."""
+    """Return (solid, i, j) of all cells that each solid may fill."""
     limit = np.array(grid.shape)
-    # Middles lie half a square in; a solid turned by 45 degrees is widened by 0.71 squares along an axis.
+    # Middles lie half a cell in; a solid turned by 45 degrees is widened by 0.71 cells along an axis.
     first = np.ceil((low - grid.low) / grid.cell - 1.25).astype(int).clip(0, limit)
     last = np.floor((high - grid.low) / grid.cell + 1.25).astype(int).clip(0, limit)
     count = last - first
     each = count.prod(-1)
     _check_total(int(each.sum()))
     owner = np.repeat(np.arange(len(low)), each)
-    place = np.arange(len(owner)) - np.repeat(np.cumsum(each) - each, each)
-    return owner, first[owner, 0] + place // count[owner, 1], first[owner, 1] + place % count[owner, 1]
+    index = np.arange(len(owner)) - np.repeat(np.cumsum(each) - each, each)
+    return owner, first[owner, 0] + index // count[owner, 1], first[owner, 1] + index % count[owner, 1]
 
 
 def _terrain(shape: Shape, grid: Grid) -> SpanRows:

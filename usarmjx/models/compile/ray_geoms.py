@@ -1,6 +1,6 @@
-"""What rays see of a model's geoms: each as it is, or in triangles; a grid fender as a kind of its own.
+"""Primitives of a model's geoms for ray casting: unchanged, as triangles, or as a grid fender.
 
-Triangles are those of C MuJoCo's `mj_ray`: a mesh's faces, and for terrain two to a cell, split from the
+Triangles are those of C MuJoCo's `mj_ray`: a mesh's faces, and for terrain two per cell, split from the
 corner with the lowest x and y to the opposite one, with its sides down to the bottom and the bottom itself.
 """
 
@@ -14,28 +14,31 @@ from usarmjx.base.arrays import Array
 from usarmjx.models.types.shapes import FENDER, OPAQUE
 
 TRIANGLE_KIND, FENDER_KIND, COLUMN_KIND = 201, 202, 203
-"""Kinds of geoms beside MuJoCo's own `mjtGeom`. A triangle's position is its first corner, the x axis of its
-frame its first edge and z its normal, outward for solids; its size: the length of that edge, x and y of the
-third corner. A fender is a box. A column is what the radio sees of a terrain, see `terrain_columns`."""
+"""Kinds of primitives beside MuJoCo's own `mjtGeom`.
+
+A triangle's position is its first corner, the x axis of its frame its first edge and z its normal, outward
+for solids; its size: the length of that edge, x and y of the third corner. A fender is a box. A column is a
+piece of terrain for the radio, see `terrain_columns`.
+"""
 GeomType = mujoco.mjtGeom
 MESH, HFIELD = int(GeomType.mjGEOM_MESH), int(GeomType.mjGEOM_HFIELD)
 SMALLEST = 1e-12
-"""Twice the area of a triangle that is none [m2]."""
+"""Bound on twice the area of a triangle, below which it is dropped [m2]."""
 FLATNESS = 1e-5
-"""A corner that is above a face by no more than this share of the mesh's size is in its plane."""
+"""Height above a face within which a corner is in its plane, relative to the mesh's size."""
 
 
 @dataclass(frozen=True, eq=False)
 class RayPrimitives:
-    """Pieces of geoms; arrays have a leading axis over pieces, those of a geom follow one another.
+    """Primitives of geoms; arrays have a leading axis over primitives, those of a geom adjacent.
 
     Attributes:
-        geom: The geom each piece belongs to, as its place among those that were asked for (n,).
+        geom: Index of the geom of each among the requested ones (n,).
         kind: `mjtGeom`, or a kind of this module (n,).
-        material: What it is made of; a member of `spec.MATERIALS` (n,).
-        pos: Where it is in its geom's frame [m] (n, 3).
-        mat: How it is turned in its geom's frame (n, 3, 3).
-        size: Its size numbers [m] (n, 3).
+        material: Material; a member of `shapes.MATERIALS` (n,).
+        pos: Position in its geom's frame [m] (n, 3).
+        mat: Orientation in its geom's frame (n, 3, 3).
+        size: Size numbers [m] (n, 3).
     """
 
     geom: np.ndarray
@@ -46,7 +49,7 @@ class RayPrimitives:
     size: np.ndarray
 
     def world_poses(self, pos: Array, mat: Array) -> tuple[Array, Array]:
-        """Return positions (n, 3) and orientations (n, 3, 3) of the pieces for those of the geoms."""
+        """Return positions (n, 3) and orientations (n, 3, 3) of the primitives for those of the geoms."""
         if (self.kind < TRIANGLE_KIND).all():
             return pos[self.geom], mat[self.geom]
         turn, local = mat[self.geom], self.pos.astype(np.float32)
@@ -62,17 +65,17 @@ def ray_primitives_of(
     *,
     columns: bool = False,
 ) -> RayPrimitives:
-    """Return what rays see of some of a model's geoms.
+    """Return the primitives of some of a model's geoms.
 
     Args:
         model: The compiled model.
         geoms: Ids of the geoms.
-        materials: What each geom of the model is made of, see `materials_of`; None: all opaque.
-        columns: Whether terrain is to be cut into columns instead of triangles, and meshes are their hulls:
-            what the radio counts.
+        materials: Material of each geom of the model, see `materials_of`; None: all opaque.
+        columns: Whether terrain is cut into columns instead of triangles, and meshes are replaced by their
+            hulls, as for the radio.
     """
     parts = []
-    for place, geom in enumerate(geoms):
+    for index, geom in enumerate(geoms):
         kind, material = int(model.geom_type[geom]), OPAQUE if materials is None else materials[geom]
         if kind == HFIELD and columns:
             kind, (pos, mat, size) = COLUMN_KIND, terrain_columns(model, geom)
@@ -81,7 +84,7 @@ def ray_primitives_of(
         else:
             kind = FENDER_KIND if material == FENDER else kind
             pos, mat, size = np.zeros((1, 3)), np.eye(3)[None], model.geom_size[geom][None]
-        parts.append((place, kind, material, pos, mat, size))
+        parts.append((index, kind, material, pos, mat, size))
     counts = [len(part[3]) for part in parts]
     stacked = [
         np.concatenate([part[k] for part in parts]) if parts else np.zeros((0, *shape))
@@ -107,7 +110,7 @@ def triangles_of(model: mujoco.MjModel, geom: int, *, hull: bool = False) -> Fra
     Args:
         model: The compiled model.
         geom: The geom's id.
-        hull: Whether a mesh that is not convex is to be its hull instead of its faces.
+        hull: Whether a mesh that is not convex is replaced by its hull.
     """
     data = int(model.geom_dataid[geom])
     if int(model.geom_type[geom]) == HFIELD:
@@ -122,13 +125,13 @@ def triangles_of(model: mujoco.MjModel, geom: int, *, hull: bool = False) -> Fra
 def _convex(triangles: Frames, corners: np.ndarray) -> bool:
     """Return whether all corners (n, 3) lie behind the planes of all triangles."""
     first, mat, _ = triangles
-    height = [((corners - place) @ turn[:, 2]).max() for place, turn in zip(first, mat, strict=True)]
+    height = [((corners - origin) @ turn[:, 2]).max() for origin, turn in zip(first, mat, strict=True)]
     return max(height, default=0.0) <= FLATNESS * float(np.ptp(corners, 0).max())
 
 
 def _hull_faces(corners: np.ndarray) -> np.ndarray:
-    """Return the corners of the triangles of points' convex hull (triangles, 3, 3)."""
-    from scipy.spatial import ConvexHull  # slow to import, and of use for such meshes only
+    """Return the triangles of points' convex hull (triangles, 3, 3)."""
+    from scipy.spatial import ConvexHull  # slow to import; only such meshes need it
 
     hull = ConvexHull(corners)
     triangles = corners[hull.simplices]
@@ -139,9 +142,9 @@ def _hull_faces(corners: np.ndarray) -> np.ndarray:
 
 
 def fitted(corners: np.ndarray) -> Frames:
-    """Return triangles of given corners (n, 3, 3), counter-clockwise seen from outside, as frames.
+    """Return the frames of triangles (n, 3, 3), corners counter-clockwise seen from outside.
 
-    Those without an area are left out.
+    Triangles without an area are left out.
     """
     corners = np.asarray(corners, float)
     first, second, third = corners[:, 0], corners[:, 1], corners[:, 2]
@@ -179,11 +182,11 @@ def _terrain_faces(x: np.ndarray, y: np.ndarray, z: np.ndarray, size: np.ndarray
 
 
 def terrain_columns(model: mujoco.MjModel, geom: int) -> Frames:
-    """Return a terrain as columns that stand below its surface's triangles, in its geom's frame.
+    """Return a terrain as columns below its surface's triangles, in its geom's frame.
 
     A column's frame is not orthonormal: x and y run from 0 at its first corner to 1 at the other two (0 on
-    the side between these: x + y = 1), z is the height above its top. The size: how much higher than the
-    first corner the others are, and how far the bottom is below it [m].
+    the side between these: x + y = 1), z is the height above its top. The size: heights of the other two
+    corners above the first, and the depth of the bottom below it [m].
     """
     data = int(model.geom_dataid[geom])
     x, y, z = heights_of(model, data)
@@ -195,7 +198,7 @@ def terrain_columns(model: mujoco.MjModel, geom: int) -> Frames:
     edges = np.stack([second - first, third - first], -1)  # as columns
     basis = np.concatenate([edges, np.zeros((len(first), 3, 1))], -1)
     basis[:, 2, 2] = 1.0
-    # Kernels multiply by the transpose: what it shall be is the inverse of the basis.
+    # Kernels multiply by the transpose, which has to be the inverse of the basis.
     mat = np.swapaxes(np.linalg.inv(basis), 1, 2)
     size = np.stack([edges[:, 2, 0], edges[:, 2, 1], first[:, 2] + model.hfield_size[data][3]], -1)
     return first, mat, size

@@ -1,14 +1,13 @@
-"""Where in an arena a robot of some size can get to from its first start pose.
+"""Reachability: the part of an arena that a robot of some size can reach from a start pose.
 
-The arena's solids are cut along upright lines through the squares of a grid, each of which gets the
-surfaces that a robot has room to stand on, one above the other. Surfaces of neighbouring squares are joined
-where they differ by no more than a step, or by what a slope rises. The robot's middle stays away by its
-radius from where they are not, measured along the surfaces; so it may drive up a ramp to a second floor, and
-under that.
+Vertical lines through the cells of a grid cut the arena's solids, which gives each cell the surfaces with
+enough room above them, one above the other. Surfaces of neighbouring cells are joined where they differ by no
+more than a step, or by the rise of a slope. The robot's middle keeps its radius from the edges of surfaces,
+measured along them; so it may drive up a ramp to a second floor, and below it.
 
-What moves is left out (doors, robots). Loose objects and victims stand in the way where they are higher than
-a step, but are no ground. What becomes of the robot on the way, as turning over on rubble, is not looked at:
-this is a plan, not a drive.
+Moving things are left out (doors, robots). Loose objects and victims are obstacles where they are higher than
+a step, but are no ground. Dynamics, as turning over on rubble, are not considered: this is a plan, not a
+drive.
 """
 
 import math
@@ -36,22 +35,24 @@ from usarmjx.models.types.robot import RobotSpec
 from usarmjx.models.types.shapes import ZERO, Shape
 
 DEFAULT_CELL_SIZE = 0.05
-"""Side of a square [m]; more in arenas that would need more than MOST_SQUARES of them."""
+"""Side of a cell [m]; more in arenas that would need more than MAX_CELLS of them."""
 MAX_CELLS = 1_000_000
+"""Largest number of cells of a grid."""
 DEFAULT_HEIGHT = 0.4
-"""Room that a robot needs above the ground if none is given [m]."""
+"""Default of the room that a robot needs above the ground [m]."""
 DEFAULT_SLOPE = math.radians(30)
-"""Steepest slope that counts as passable if none is given (chosen; friction 0.8 holds to 38 degrees)."""
+"""Default of the steepest passable slope [rad] (chosen; friction 0.8 holds to 38 degrees)."""
 STEP_SHARE = 0.5
-"""Wheels get onto what is no higher than this share of their radius: on `c` a P2AT onto boards of 6 cm."""
+"""Highest step relative to a wheel's radius: on `c` a P2AT climbs boards of 6 cm."""
 SURFACE_TOLERANCE = 0.1
-"""Heights that differ by less are those of the same surface [m]."""
+"""Difference of heights up to which they belong to one surface [m]."""
 TINY = 1e-6
+"""Tolerance of rounding to whole cells."""
 
 
 @dataclass(frozen=True)
 class RobotFootprint:
-    """What a robot needs to pass [m]: the circle it turns in, how high a step it climbs, its height."""
+    """Room that a robot needs to pass [m]: radius of its turning circle, highest step, height."""
 
     radius: float
     step: float
@@ -59,7 +60,7 @@ class RobotFootprint:
 
 
 def footprint_of(robot: RobotSpec) -> RobotFootprint:
-    """Return what a robot needs to pass, from its `dimensions`.
+    """Return the room that a robot needs to pass, from its `dimensions`.
 
     The step is half a wheel's radius; for robots without wheels a sixth of their height (chosen).
     """
@@ -70,14 +71,14 @@ def footprint_of(robot: RobotSpec) -> RobotFootprint:
 
 @dataclass(frozen=True, eq=False)
 class ReachMap:
-    """Surfaces of an arena and which of them hang together for a robot.
+    """Surfaces of an arena and their connected areas for a robot.
 
     Attributes:
-        grid: The squares.
-        ground: Height of each surface, from the lowest up; NaN where there is no more (layers, i, j).
-        area: Number of the area that a robot's middle can move in, -1 where it does not fit (layers, i, j).
+        grid: The cells.
+        ground: Height of each surface, from the lowest up; NaN above the last (layers, i, j).
+        area: Connected area of positions of a robot's middle, -1 where it does not fit (layers, i, j).
         start_area: Area of the start pose (the highest surface under it); -1: the robot does not fit there.
-        links: Which surfaces are joined.
+        links: Joined surfaces.
     """
 
     grid: Grid
@@ -87,7 +88,7 @@ class ReachMap:
     links: tuple[SurfaceAdjacency, ...]
 
     def fits(self, x: float, y: float, z: float | None = None) -> bool:
-        """Return whether the robot's middle can be there, on the surface at height `z` or on any."""
+        """Return whether the robot's middle fits there, on the surface at height `z` or on any."""
         return bool((self.areas(x, y, z) >= 0).any())
 
     def reachable(self, x: float, y: float, z: float | None = None) -> bool:
@@ -95,7 +96,7 @@ class ReachMap:
         return self.start_area >= 0 and bool((self.areas(x, y, z) == self.start_area).any())
 
     def reachable_places(self, places: np.ndarray) -> np.ndarray:
-        """Return `reachable` of places x, y [m], on any surface: (..., 2) to (...)."""
+        """Return `reachable` of points x, y [m], on any surface: (..., 2) to (...)."""
         i, j = np.moveaxis((np.asarray(places, float) - self.grid.low) // self.grid.cell, -1, 0).astype(int)
         rows, columns = self.grid.shape
         held = (i >= 0) & (i < rows) & (j >= 0) & (j < columns)
@@ -103,10 +104,10 @@ class ReachMap:
         return held & there[np.clip(i, 0, rows - 1), np.clip(j, 0, columns - 1)]
 
     def reaches_within(self, x: float, y: float, z: float | None = None, distance: float = 1.0) -> bool:
-        """Return whether the robot's middle gets within a distance [m] of a place.
+        """Return whether the robot's middle gets within a distance [m] of a point.
 
         The distance is measured around walls and along the ground, to the surface under height `z`, or to
-        any. It is right within a square.
+        any, with the resolution of a cell.
         """
         i, j = self.grid.index(x, y)
         if not self.grid.holds(i, j):
@@ -117,7 +118,7 @@ class ReachMap:
         return bool(self._spread(distance)[under, i, j].any())
 
     def areas(self, x: float, y: float, z: float | None = None) -> np.ndarray:
-        """Return the areas over a place; `z`: only on surfaces within `SURFACE_TOLERANCE` of that height."""
+        """Return the areas at a point; `z`: only on surfaces within `SURFACE_TOLERANCE` of that height."""
         i, j = self.grid.index(x, y)
         if not self.grid.holds(i, j):
             return np.zeros(0, int)
@@ -133,7 +134,7 @@ class ReachMap:
         return {}
 
     def _spread(self, distance: float) -> np.ndarray:
-        """Return which surfaces lie that close to the robot's way, along surfaces (layers, i, j)."""
+        """Return the surfaces within a distance of reachable ones, along surfaces (layers, i, j)."""
         steps = int(distance / self.grid.cell)
         if steps not in self._spreads:
             reached = (self.area == self.start_area) & (self.start_area >= 0)
@@ -153,17 +154,17 @@ def reach_map(
     cell: float = DEFAULT_CELL_SIZE,
     start: StartPose | None = None,
 ) -> ReachMap:
-    """Return where a robot can get to.
+    """Return the surfaces that a robot can reach.
 
     Args:
-        arena: The arena; its extent is looked at, and what the start poses need beyond it.
-        radius: Of the circle that the robot turns in [m].
+        arena: The arena; the grid covers its extent and its start poses.
+        radius: Radius of the robot's turning circle [m].
         step: Highest step that it climbs [m].
         height: Room that it needs above the ground [m].
         slope: Steepest slope that it climbs [rad].
-        cell: Side of the grid's squares [m]: gaps that are wider than the robot by less than three of them
-            may count as closed, none as open that is narrower.
-        start: Where it starts; None: at the arena's first start pose.
+        cell: Side of the grid's cells [m]: gaps wider than the robot by less than three of them may count as
+            closed, none as open that is narrower.
+        start: Start pose; None: the arena's first one.
     """
     grid = _grid(arena, cell)
     solids = rasterize(arena.shapes, grid)
@@ -174,7 +175,7 @@ def reach_map(
         [shape for thing in (*arena.loose, *arena.victims) for shape in shapes_in_arena(thing)], grid
     )
     free = np.isfinite(ground) & ~blocked(things, ground, step=step, height=height)
-    # Solids are half a square too wide already.
+    # Solids are half a cell too wide already.
     steps = max(0, math.ceil(radius / grid.cell - 0.5 - TINY))
     area = label_areas(erode(free, links, steps), links)
     x, y, z = (start or arena.starts[0]).at
@@ -186,7 +187,7 @@ def reach_map(
 
 
 def shapes_in_arena(thing: LooseObject | Victim) -> list[Shape]:
-    """Return the solids of a loose object or a victim where it is at the start, in the arena's axes."""
+    """Return the solids of a loose object or a victim in its initial pose, in the arena's axes."""
     shapes = thing.shapes if isinstance(thing, LooseObject) else _body(thing)
     mat = mat_from_angles(*np.array(thing.rotation))
     at = np.array([shape.at for shape in shapes]) @ mat.T + thing.at
@@ -204,7 +205,7 @@ def _body(victim: Victim) -> tuple[Shape, ...]:
 
 @lru_cache(maxsize=256)
 def _boxes(victim: Victim) -> tuple[Shape, ...]:
-    """Return the boxes of a victim at the origin; many have the same posture."""
+    """Return the boxes of a victim at the origin, cached as many victims share a posture."""
     table = victim_table((victim,))
     pos, quat = segment_poses(table, np.zeros(()))
     mat = np.zeros((table.num_boxes, 9))

@@ -1,4 +1,4 @@
-"""The servos at robots' joints, as arrays."""
+"""Servos of robots' joints, as arrays."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -12,7 +12,7 @@ from usarmjx.models.types.robot import Motor, RobotSpec
 
 @dataclass(frozen=True, eq=False)
 class Servos:
-    """Constants of a robot's joint servos (joints,); those without a motor have zeros and ones.
+    """Constants of a robot's joint servos (joints,); joints without a motor have zeros and ones.
 
     Attributes:
         speed: Highest speed.
@@ -22,14 +22,13 @@ class Servos:
         armature: Inertia of the motor.
         low: Lowest position.
         high: Highest position.
-        lead: How far a servo's target is ahead of its joint per speed of that, without torque.
-        windup_limit: How much farther it may be: just enough to exert its full torque. Without the bound a
-            stalled wheel would have to unwind first, and a braked one would roll back.
-        brake_limit: The same for a joint that is told to stand still.
-        has_brake: Whether that is another torque than it moves by.
-        stall_limit: How much more of it there is at standstill.
-        surge: How fast its torque speeds up a joint with a stall torque and its share of the robot
-            [rad/s^2].
+        lead: Distance of a servo's target ahead of its joint per joint speed, without torque.
+        windup_limit: Further distance of the target, just enough for full torque. Without the bound a stalled
+            wheel would have to unwind first, and a braked one would roll back.
+        brake_limit: The same for a joint at commanded speed 0.
+        has_brake: Whether the braking torque differs from the driving torque.
+        stall_limit: Additional distance at standstill.
+        surge: Acceleration by its torque of a joint with a stall torque and its share of the robot [rad/s^2].
     """
 
     speed: np.ndarray
@@ -83,9 +82,9 @@ def _surge(robot: RobotSpec, motor: Motor, motors: list[Motor]) -> float:
 
 
 @cache
-def actuated_servos(plan: KinematicTree) -> tuple[np.ndarray | slice, Servos]:
-    """Return which joints of a robot class have a motor, and the constants of these alone (actuators,)."""
-    servos, here = servos_of(plan.robot), plan.actuated
+def actuated_servos(tree: KinematicTree) -> tuple[np.ndarray | slice, Servos]:
+    """Return the joints of a robot class with a motor, and the constants of these alone (actuators,)."""
+    servos, here = servos_of(tree.robot), tree.actuated
     own = Servos(**{name: values[here] for name, values in vars(servos).items()})
-    # All of them need not be picked out.
+    # A slice where all joints have a motor: it saves a gather at every step.
     return slice(None) if len(here) == len(servos.speed) else here, own

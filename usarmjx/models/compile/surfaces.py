@@ -1,4 +1,4 @@
-"""Surfaces over the squares of a grid, one above the other, and how they hang together."""
+"""Walkable surfaces over the cells of a grid, one above the other, and their connections."""
 
 import math
 from collections.abc import Iterator
@@ -11,24 +11,28 @@ from usarmjx.base.errors import SpecError
 from usarmjx.models.compile.raster import Grid, SpanTable
 
 TINY = 1e-6
+"""Tolerance of a rise [m]."""
 MOST_PAIRS = 5e8
-"""Squares times the square of the surfaces over one of them: that many pairs are looked at."""
+"""Largest product of the number of cells and the squared number of layers, which bounds the work."""
 SIDES = ((1, 0), (0, 1))
+"""Offsets of half of the neighbours that share a side; the other half follows by symmetry."""
 CORNERS = ((1, 1), (1, -1))
+"""Offsets of half of the neighbours that share a corner."""
 
 
 Squares = tuple[slice, slice]
+"""Index of cells: slices along x and y."""
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceAdjacency:
-    """Which surfaces are joined to which in the next square, for all squares and one direction.
+    """Joined surfaces of neighbouring cells, for all cells and one direction.
 
     Attributes:
-        corner: Whether the squares touch at a corner only.
-        here: The squares on this side, as an index.
-        there: Those on the other side.
-        joined: For a layer here and one there, which surfaces of them are joined (i, j).
+        corner: Whether the cells touch at a corner only.
+        here: Index of the cells on this side.
+        there: Index of the cells on the other side.
+        joined: Whether surfaces are joined (i, j), by layer here and layer there.
     """
 
     corner: bool
@@ -42,15 +46,15 @@ def walkable_surfaces(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return height and steepness of the surfaces with room above them (layers, i, j).
 
-    Each square's solids are passed from the lowest to the highest; what leaves less room than the robot is
-    high belongs to one block. Steep faces are no surface, unless they rise by no more than a step.
+    Each cell's solids are visited from the lowest to the highest; solids with less room between them than the
+    robot's height form one block. Steep faces are no surface, unless they rise by no more than a step.
 
     Raises:
         SpecError: There are too many surfaces one above the other (`MOST_PAIRS`).
     """
     squares = grid.shape[0] * grid.shape[1]
     top, steep, count = np.full(squares, floor), np.zeros(squares), np.zeros(squares, int)
-    firm = top.copy()  # the highest of this block that is not too steep
+    firm = top.copy()  # the highest face of this block that is not too steep
     grounds, steeps = [np.full(squares, np.nan)], [np.zeros(squares)]
 
     def close(which: np.ndarray) -> None:
@@ -69,6 +73,7 @@ def walkable_surfaces(
     square, low, high, slant = (v[order] for v in (solids.square, solids.low, solids.high, solids.slope))
     first = np.searchsorted(square, square)
     rank = np.arange(len(square)) - first
+    # All cells at once: the k-th pass handles the k-th lowest solid of every cell that has one.
     for now in np.split(np.argsort(rank, kind="stable"), np.cumsum(np.bincount(rank))[:-1]):
         at = square[now]
         free = at[low[now] - top[at] >= height]
@@ -83,7 +88,7 @@ def walkable_surfaces(
 
 
 def blocked(things: SpanTable, ground: np.ndarray, step: float, height: float) -> np.ndarray:
-    """Return on which surfaces things stand in a robot's way (layers, i, j)."""
+    """Return the surfaces on which things obstruct a robot (layers, i, j)."""
     flat = ground.reshape(len(ground), -1)
     under = flat[:, things.square]
     hit = (things.low < under + height) & (things.high > under + step)  # False beside NaN
@@ -94,7 +99,7 @@ def blocked(things: SpanTable, ground: np.ndarray, step: float, height: float) -
 
 
 def _slices(offset: int) -> tuple[slice, slice]:
-    """Return which squares have a neighbour at that offset, and which are those neighbours."""
+    """Return the cells with a neighbour at that offset, and those neighbours."""
     if offset == 0:
         return slice(None), slice(None)
     return (slice(None, -1), slice(1, None)) if offset > 0 else (slice(1, None), slice(None, -1))
@@ -103,7 +108,7 @@ def _slices(offset: int) -> tuple[slice, slice]:
 def surface_adjacencies(
     ground: np.ndarray, steep: np.ndarray, step: float, cell: float
 ) -> Iterator[SurfaceAdjacency]:
-    """Yield which surfaces of neighbouring squares are joined, for half of the directions."""
+    """Yield the joined surfaces of neighbouring cells, for half of the directions."""
     for di, dj in (*SIDES, *CORNERS):
         (here_i, there_i), (here_j, there_j) = _slices(di), _slices(dj)
         here, there = (here_i, here_j), (there_i, there_j)
@@ -117,7 +122,10 @@ def surface_adjacencies(
 
 
 def octagon(steps: int) -> Iterator[bool]:
-    """Yield for each step of one square whether corners count, so that together they make an octagon."""
+    """Yield for each step of one cell whether corners count, so that all steps together make an octagon.
+
+    A square or a diamond of neighbours alone would err by 41 % of the distance in some directions.
+    """
     share = 1 / (1 + math.sqrt(2))
     for step in range(steps):
         yield round((step + 1) * share) > round(step * share)
@@ -135,9 +143,9 @@ def dilate(which: np.ndarray, links: tuple[SurfaceAdjacency, ...], corners: bool
 
 
 def erode(which: np.ndarray, links: tuple[SurfaceAdjacency, ...], steps: int) -> np.ndarray:
-    """Return the surfaces that lie more than some squares from where they end (layers, i, j).
+    """Return the surfaces farther than some steps from their edge (layers, i, j).
 
-    A surface ends where a neighbouring square has none joined to it; not at the edge of the grid.
+    A surface ends where a neighbouring cell has none joined to it; not at the edge of the grid.
     """
     for corners in octagon(steps):
         kept = which.copy()
@@ -155,8 +163,8 @@ def erode(which: np.ndarray, links: tuple[SurfaceAdjacency, ...], steps: int) ->
 
 
 def label_areas(which: np.ndarray, links: tuple[SurfaceAdjacency, ...]) -> np.ndarray:
-    """Number the areas that hang together by the squares' sides; -1 elsewhere (layers, i, j)."""
-    from scipy.sparse import coo_array  # a fifth of a second, of which serving a world has no need
+    """Number the areas connected by the cells' sides; -1 elsewhere (layers, i, j)."""
+    from scipy.sparse import coo_array  # imports in a fifth of a second; serving a world does not need it
     from scipy.sparse.csgraph import connected_components
 
     count = np.count_nonzero(which)

@@ -1,4 +1,4 @@
-"""RFID tags that lie in an arena from the start, as arrays (manual 9.3, 10.9)."""
+"""RFID tags of an arena as arrays (manual 9.3, 10.9)."""
 
 from collections.abc import Sequence
 
@@ -10,16 +10,16 @@ from usarmjx.base.errors import SpecError
 from usarmjx.models.types.arena import AUTOMATIC_TAG_ID, Tag
 
 MAX_RELEASED_ID = 1000
-"""Largest ID that releasers give (manual 11.2.1); an arena's tags have larger ones."""
+"""Largest ID of releasers (manual 11.2.1); an arena's tags have larger ones."""
 
 
 class TagTable(struct.PyTreeNode, kw_only=True):
     """The tags of an arena; every number is an array leaf, so that tables of several worlds can be stacked.
 
     Attributes:
-        pos: Where they are, in the arena's axes [m] (tags, 3).
+        pos: Positions, in the arena's axes [m] (tags, 3).
         id: Their IDs, -1 for padding (tags,).
-        single: Whether they answer only once (tags,).
+        single: Whether each answers only once (tags,).
     """
 
     pos: Array
@@ -28,10 +28,10 @@ class TagTable(struct.PyTreeNode, kw_only=True):
 
 
 def tag_ids(tags: Sequence[Tag]) -> tuple[int, ...]:
-    """Return the IDs of an arena's tags: automatic ones take the smallest free ones above `MAX_RELEASED_ID`.
+    """Return the IDs of an arena's tags; automatic ones take the smallest free IDs above `MAX_RELEASED_ID`.
 
     Raises:
-        SpecError: An ID that releasers give, or one that two tags have.
+        SpecError: An ID of releasers, or one that two tags have.
     """
     given = [tag.id for tag in tags if tag.id != AUTOMATIC_TAG_ID]
     for number in given:
@@ -54,7 +54,7 @@ def tag_table(tags: Sequence[Tag], capacity: int | None = None) -> TagTable:
 
     Args:
         tags: The tags.
-        capacity: How many the table shall have; the rest is padding. None: as many as there are.
+        capacity: Number of rows of the table; the rest is padding. None: the number of tags.
 
     Raises:
         SpecError: An ID that is taken; more tags than there is room for.

@@ -1,6 +1,7 @@
-"""Victims in motion: where every box of theirs is at a time, and what is heard of them (manual 14.1.3).
+"""Victims: their bodies, and the poses, speeds and sounds of their moving boxes over time (manual 14.1.3).
 
-Pure functions of a `VictimTable` and the time, over numpy or JAX arrays alike: `xp` is the array module.
+Bodies are built into a `VictimTable`; the rest are pure functions of it and the time, over numpy or JAX
+arrays alike: `xp` is the array module.
 """
 
 import math
@@ -14,7 +15,7 @@ from flax import struct
 
 from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.errors import SpecError
-from usarmjx.base.rotations import Numbers, parts, plus, quat_times, rotated
+from usarmjx.base.rotations import Components, parts, plus, quat_times, rotated
 from usarmjx.base.transforms import Vec3, quat_from_angles
 from usarmjx.models.types.arena import FalseAlarm, SegmentMotion, Victim
 from usarmjx.models.types.shapes import ZERO, Rgba
@@ -23,19 +24,20 @@ BODY_HEIGHT = 1.75
 """Height of a standing victim [m]."""
 
 SKIN, SHIRT, TROUSERS = (0.85, 0.65, 0.55, 1.0), (0.75, 0.2, 0.2, 1.0), (0.2, 0.25, 0.45, 1.0)
+"""Colours of bones."""
 SHOES = (0.15, 0.12, 0.1, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bone:
-    """One bone; lengths in shares of the body's height, in the axes of an unposed body.
+    """One bone; lengths as shares of the body's height, in the axes of an unposed body.
 
     Attributes:
-        parent: The bone it hangs on; None: the root.
-        part: What a victim sensor calls it (manual 9.3).
-        joint: Where its joint is, seen from the parent's joint.
+        parent: Parent bone; None: the root.
+        part: Name of its part in reports of victim sensors (manual 9.3).
+        joint: Position of its joint, relative to the parent's joint.
         half: Half lengths of its box.
-        offset: Centre of the box, seen from its joint.
+        offset: Centre of the box, relative to its joint.
         rgba: Colour.
     """
 
@@ -50,7 +52,7 @@ class Bone:
 # Heights: ankle 0.039, hip 0.530, shoulder 0.818; arm without hand 0.332, hand 0.108, foot 0.152 x 0.055,
 # hips 0.191 wide. Seat 0.48, waist 0.62 and depths are chosen. The neck belongs to the head.
 def _limbs(left: str, side: float) -> Iterator[tuple[str, Bone]]:
-    """The arm and the leg of a side; `side` is 1 on the left."""
+    """Yield the arm and the leg of a side; `side` is 1 on the left."""
     arm, leg = f"{left}Arm", f"{left}Leg"
     yield (
         arm,
@@ -120,12 +122,13 @@ BONES: dict[str, Bone] = {
 """The bones, parents first; no bone has more than three above it."""
 
 PART_NAMES = ("Head", "Arm", "Hand", "Chest", "Pelvis", "Leg", "Foot")
-"""What victim sensors call parts (manual 9.3); `VictimTable.part` counts in this order."""
+"""Part names of victim sensors (manual 9.3); `VictimTable.part` indexes them."""
 PART_OF_BONE: dict[str, str] = {name: bone.part for name, bone in BONES.items()}
+"""Part name of each bone."""
 
 
 def _both(part: str, angles: Vec3) -> dict[str, Vec3]:
-    """The same pose on both sides, the right one mirrored."""
+    """Return the same pose on both sides, the right one mirrored."""
     pitch, yaw, roll = angles
     return {f"Left{part}": angles, f"Right{part}": (pitch, -yaw, -roll)}
 
@@ -157,36 +160,36 @@ POSTURES: dict[str, dict[str, Vec3]] = {
 
 
 MAX_SEGMENTS = 8
-"""Most segments with a motion of their own (manual 14.1.3)."""
+"""Largest number of segments with a motion of their own (manual 14.1.3)."""
 PARKED_COORDINATE = 1e6
-"""Where boxes wait that a world does not have, along each axis [m]."""
+"""Coordinate along each axis of padding boxes, out of reach [m]."""
 PADDING_OWNER = -(1 << 20)
-"""Owner of such a box."""
+"""Owner of a padding box."""
 
 
 class VictimTable(struct.PyTreeNode, kw_only=True):
-    """The visible boxes of an arena's victims and false alarms, and what there is to hear of the victims.
+    """The boxes of an arena's victims and false alarms, and the sounds of the victims.
 
-    Every number is an array leaf, so that the tables of several worlds can be stacked once `pad_table` to one
-    size.
+    Every number is an array leaf, so that the tables of several worlds can be stacked once `pad_table` has
+    given them one size.
 
     Attributes:
         size: Half lengths of the boxes [m] (boxes, 3).
-        part: Places in `PART_NAMES` (boxes,).
-        owner: Place of the victim; -1 - k for false alarm k; `PADDING_OWNER` for padding (boxes,).
+        part: Indices in `PART_NAMES` (boxes,).
+        owner: Index of the victim; -1 - k for false alarm k; `PADDING_OWNER` for padding (boxes,).
         rgba: Colours (boxes, 4).
-        parent: The box that each hangs on, -1 for none (boxes,).
-        joint: Where its joint is, seen from the parent's joint; without parent, in the arena [m] (boxes, 3).
-        base: Orientation that its angles turn, w first; of boxes without parent, in the arena (boxes, 4).
+        parent: Parent box of each, -1 for none (boxes,).
+        joint: Joint position relative to the parent's joint; without parent, in the arena [m] (boxes, 3).
+        base: Orientation at zero angles, w first; of boxes without parent, in the arena (boxes, 4).
         initial: First pitch, yaw and roll [rad] (boxes, 3).
         final: Last pitch, yaw and roll [rad] (boxes, 3).
-        rate: How fast they change [rad/s] (boxes, 3).
-        offset: Centre of the box, seen from its joint [m] (boxes, 3).
-        swing: Farthest that a corner of it gets from where it began [m]; 0: it never moves (boxes,).
-        at: Where each victim's pelvis is [m] (victims, 3).
-        mouth: The box that it cries and breathes from: head, or else pelvis; -1: `at` (victims,).
+        rate: Rates of change [rad/s] (boxes, 3).
+        offset: Centre of the box, relative to its joint [m] (boxes, 3).
+        swing: Largest displacement of a corner from its initial position [m]; 0: it never moves (boxes,).
+        at: Position of each victim's pelvis [m] (victims, 3).
+        mouth: Box of the victim's mouth: head, or else pelvis; -1: `at` (victims,).
         loudness: Loudness of its cries at 1 m (victims,).
-        duration: How long a cry lasts [s] (victims,).
+        duration: Duration of a cry [s] (victims,).
         pause: Time between two cries [s] (victims,).
         breathes: Whether it breathes (victims,).
     """
@@ -223,7 +226,7 @@ class VictimTable(struct.PyTreeNode, kw_only=True):
 
 @dataclass(frozen=True)
 class _Box:
-    """One row of the table; fields as there, and the bone's name."""
+    """One row of the table; fields as in `VictimTable`, and the bone's name."""
 
     name: str
     size: np.ndarray
@@ -240,7 +243,7 @@ class _Box:
 
 
 def build_table(victims: Sequence[Victim], false_alarms: Sequence[FalseAlarm] = ()) -> VictimTable:
-    """Return the table of victims and false alarms, swings left out; see `victims.victim_table`.
+    """Return the table of victims and false alarms with zero swings; see `victim_table`.
 
     Raises:
         SpecError: Two victims of one name; an unknown posture or bone; more than `MAX_SEGMENTS` segments or
@@ -271,7 +274,7 @@ def box_names(victims: Sequence[Victim], false_alarms: Sequence[FalseAlarm] = ()
 
 
 def check(victim: Victim) -> None:
-    """Find what is wrong with a victim; see `build_table`."""
+    """Refuse an invalid victim; see `build_table`."""
     where = f"victim {victim.name!r}"
     if victim.posture not in POSTURES:
         raise SpecError(f"{where}: unknown posture {victim.posture!r}; known: {', '.join(POSTURES)}")
@@ -293,7 +296,7 @@ def check(victim: Victim) -> None:
 
 def _not_negative(where: str, **values: float) -> None:
     for name, value in values.items():
-        if not value >= 0:  # nor not a number
+        if not value >= 0:  # also refuses NaN
             raise SpecError(f"{where}: {name} is {value}, expected at least 0")
 
 
@@ -304,7 +307,7 @@ def _bone(name: str, where: str) -> Bone:
 
 
 def _body(victim: Victim, owner: int, first: int) -> list[_Box]:
-    """The visible boxes of a victim, parents first; `first` is the place of the first one.
+    """Return the visible boxes of a victim, parents first; `first` is the index of the first one.
 
     A segment whose poses are both zero has no pose of its own: it only scales its bone.
     """
@@ -339,7 +342,7 @@ def _body(victim: Victim, owner: int, first: int) -> list[_Box]:
 
 
 def _alarm(alarm: FalseAlarm, owner: int) -> list[_Box]:
-    """The box of a false alarm; none when its scale is 0."""
+    """Return the box of a false alarm; none when its scale is 0."""
     where = f"false alarm at {alarm.at}"
     bone = _bone(alarm.part, where)
     _not_negative(where, scale=alarm.scale)
@@ -380,9 +383,9 @@ def _table(boxes: Sequence[_Box], victims: Sequence[Victim], mouths: Sequence[in
 
 
 def pad_table(table: VictimTable, boxes: int, victims: int) -> VictimTable:
-    """Return a table with room for so many boxes and victims: numpy arrays.
+    """Return a table padded to a number of boxes and victims: numpy arrays.
 
-    The boxes that it fills up with are 1 mm large, far away and nobody's; the victims make no sound.
+    Padding boxes are 1 mm large, out of reach and without owner; padding victims are silent.
 
     Raises:
         SpecError: The table is larger already.
@@ -432,9 +435,9 @@ __all__ = [
 ]
 
 SPEED_STEP = 0.01
-"""Half of the time that a speed is measured over [s]."""
+"""Half of the time over which a speed is measured [s]."""
 SWING_STEPS = 9
-"""In how many places a motion is looked at to find how far it goes."""
+"""Samples of a motion from which its largest displacement is found."""
 
 
 def victim_table(victims: Sequence[Victim], false_alarms: Sequence[FalseAlarm] = ()) -> VictimTable:
@@ -453,9 +456,9 @@ def victim_table(victims: Sequence[Victim], false_alarms: Sequence[FalseAlarm] =
 
 
 def segment_angles(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> tuple[Array, Array]:
-    """Return the joints' angles [rad] and how fast they change [rad/s] at a time [s].
+    """Return the joints' angles [rad] and their rates [rad/s] at a time [s].
 
-    Each angle goes from its initial value to its final one and back again, over and over, at its rate.
+    Each angle goes from its initial value to its final one and back again, without end, at its rate.
 
     Args:
         table: The victims.
@@ -475,7 +478,7 @@ def segment_angles(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> 
 
 
 def segment_poses(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> tuple[Array, Array]:
-    """Return where the boxes are at a time.
+    """Return the poses of the boxes at a time.
 
     Args:
         table: The victims; numpy or JAX arrays, of one world (map over worlds by `jax.vmap`).
@@ -490,10 +493,10 @@ def segment_poses(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> t
 
 
 def segment_speeds(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> Array:
-    """Return how fast the boxes move at a time (...,), each by its fastest corner [m/s] (..., boxes).
+    """Return the speeds of the boxes at a time (...,), each of its fastest corner [m/s] (..., boxes).
 
-    Central differences over `SPEED_STEP` either way along the present direction of motion, which do not
-    suffer from the turning points, nor from the resolution of the time.
+    Central differences over `SPEED_STEP` either way along the present direction of motion, which are exact at
+    the turning points too, and independent of the resolution of the time.
     """
     angles, rates = segment_angles(table, time, xp)
     ahead = _corners(table, angles + SPEED_STEP * rates, xp)
@@ -512,7 +515,7 @@ def loudness(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> Array:
 
 
 def mouth_positions(table: VictimTable, pos: Array, xp: ModuleType = np) -> Array:
-    """Return where the victims cry and breathe [m] (..., victims, 3), from the boxes' centres `pos`."""
+    """Return the positions of the victims' mouths [m] (..., victims, 3), from the boxes' centres `pos`."""
     if table.num_boxes == 0:
         return xp.broadcast_to(table.at, (*pos.shape[:-2], *table.at.shape))
     found = pos[..., xp.maximum(table.mouth, 0), :]
@@ -521,7 +524,7 @@ def mouth_positions(table: VictimTable, pos: Array, xp: ModuleType = np) -> Arra
 
 @cache
 def rest_height(posture: str) -> float:
-    """Return how high above the ground a pelvis is [m] when a victim in that posture lies or stands on it.
+    """Return the height of a pelvis above the ground [m] for a victim that rests on it in that posture.
 
     Raises:
         SpecError: No such posture.
@@ -544,13 +547,13 @@ def orientations(quat: Array, xp: ModuleType = np) -> Array:
 
 
 def _poses(table: VictimTable, angles: Array, xp: ModuleType) -> tuple[Array, Array]:
-    """Forward kinematics: centres and orientations for joint angles (..., boxes, 3)."""
+    """Return centres and orientations for joint angles (..., boxes, 3), by forward kinematics."""
     quat = quat_times(parts(table.base), _quat(angles, xp))
     pos = parts(xp.broadcast_to(table.joint, angles.shape))
     parent = table.parent
     if table.num_boxes == 0:
         return xp.stack(pos, -1), xp.stack(quat, -1)
-    # Twice as far up the chain each time, so twice is enough for four bones in a row.
+    # Pointer doubling: each pass composes twice as many ancestors, so two passes reach four bones in a row.
     for _ in range(2):
         above, hangs = xp.maximum(parent, 0), parent >= 0
         turn, base = (tuple(number[..., above] for number in numbers) for numbers in (quat, pos))
@@ -562,7 +565,7 @@ def _poses(table: VictimTable, angles: Array, xp: ModuleType) -> tuple[Array, Ar
 
 
 def _corners(table: VictimTable, angles: Array, xp: ModuleType) -> Array:
-    """Where the boxes' corners are for joint angles (..., boxes, 3) [m] (..., boxes, 8, 3)."""
+    """Return the boxes' corners for joint angles (..., boxes, 3) [m] (..., boxes, 8, 3)."""
     pos, quat = _poses(table, angles, xp)
     signs = xp.asarray([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     offsets = signs.astype(table.size.dtype) * table.size[:, None]
@@ -570,8 +573,8 @@ def _corners(table: VictimTable, angles: Array, xp: ModuleType) -> Array:
     return pos[..., None, :] + xp.stack(away, -1)
 
 
-def _quat(angles: Array, xp: ModuleType) -> Numbers:
-    """The numbers of w-first quaternions (...,) of pitch, yaw and roll (..., 3), applied as ZYX."""
+def _quat(angles: Array, xp: ModuleType) -> Components:
+    """Return w-first quaternions (...,) of pitch, yaw and roll (..., 3), applied as ZYX."""
     cosine, sine = xp.cos(angles / 2), xp.sin(angles / 2)
     cp, cy, cr = cosine[..., 0], cosine[..., 1], cosine[..., 2]
     sp, sy, sr = sine[..., 0], sine[..., 1], sine[..., 2]

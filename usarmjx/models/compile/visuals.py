@@ -1,8 +1,4 @@
-"""What victims are drawn as: the solids that stand in pictures for each box of a `VictimTable`.
-
-Sensors meet the boxes. Every box has the same slots, so that what is drawn of boxes that are data, whichever
-bones they are, has one shape in all worlds; a slot that its bone has no use for is not drawn.
-"""
+"""Solids and visuals that follow frames: of robots in pictures, and of victims."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,16 +22,16 @@ from usarmjx.models.types.shapes import OPAQUE, Shape
 
 GeomType = mujoco.mjtGeom
 FIGURE_MEMORY = 1 << 16
-"""What a figure's MjData takes: it is never stepped [bytes]."""
+"""Arena of a visual model's MjData, which is never stepped [bytes]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solids:
-    """Solids that follow frames, meshes as their triangles (`models.build.pieces`).
+    """Solids that follow frames, meshes as their triangles (`models.compile.ray_geoms`).
 
     Attributes:
-        kind: MuJoCo types, or `pieces.TRIANGLE_KIND` (n,).
-        frame: The frame that each follows: a robot's body, a victim's bone (n,).
+        kind: MuJoCo types, or `ray_geoms.TRIANGLE_KIND` (n,).
+        frame: Frame of each: a robot's body, a victim's bone (n,).
         size: Size numbers [m] (n, 3).
         pos: Positions in their frames [m] (n, 3).
         mat: Orientations in their frames (n, 3, 3).
@@ -50,17 +46,17 @@ class Solids:
     rgb: np.ndarray
 
     def poses(self, pos: Array, mat: Array) -> tuple[Array, Array]:
-        """Return where they are (..., n, 3), (..., n, 3, 3) for frames at (..., frames, 3), (..., 3, 3)."""
+        """Return their poses (..., n, 3), (..., n, 3, 3) for frames at (..., frames, 3), (..., 3, 3)."""
         turn = mat[..., self.frame, :, :]
         return pos[..., self.frame, :] + matvec(turn, self.pos), matmul(turn, self.mat)
 
 
 def reach_of(solids: Solids, mat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far solids reach from their positions along the axes: least and most [m] (n, 3) twice.
+    """Return the extent of solids from their positions along the axes: lowest and highest [m] (n, 3) twice.
 
     Args:
         solids: Boxes, spheres, capsules, cylinders, ellipsoids and triangles.
-        mat: How they are turned (n, 3, 3).
+        mat: Orientations (n, 3, 3).
     """
     size, kind = solids.size, solids.kind[:, None]
     round_, long = size[:, :1], size[:, 1:2]
@@ -84,12 +80,12 @@ def reach_of(solids: Solids, mat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """What is drawn.
+    """Visuals as a MuJoCo model.
 
     Attributes:
         model: Its solids as geoms of mocap bodies, which are the frames.
         solids: The geoms, meshes in triangles.
-        geom_of: The geom that each of the solids belongs to (n,).
+        geom_of: Geom of each of the solids (n,).
     """
 
     model: mujoco.MjModel
@@ -103,7 +99,7 @@ def flipped(shape: Shape) -> Shape:
 
 
 def build_figure(shapes: Sequence[Sequence[Shape]]) -> Figure:
-    """Return the figure of the shapes that follow each frame, in MuJoCo's axes.
+    """Return the visuals of the shapes that follow each frame, in MuJoCo's axes.
 
     Raises:
         SpecError: A shape is not opaque.
@@ -112,12 +108,12 @@ def build_figure(shapes: Sequence[Sequence[Shape]]) -> Figure:
     spec.compiler.degree = False
     spec.memory = FIGURE_MEMORY
     frame = np.repeat(np.arange(len(shapes)), [len(some) for some in shapes]).astype(int)
-    for number, some in enumerate(shapes):
+    for number, some in enumerate(shapes):  # a mocap body is a frame that is set, not simulated
         body = spec.worldbody.add_body(name=str(number), mocap=True)
-        for place, shape in enumerate(some):
+        for index, shape in enumerate(some):
             if shape.material != OPAQUE:
                 raise SpecError(f"what is drawn of a robot is {OPAQUE}, not {shape.material!r}")
-            add_geom(spec, body, f"{number}/{place}", shape)
+            add_geom(spec, body, f"{number}/{index}", shape)
     model = spec.compile()
     mats = np.zeros((model.ngeom, 9))
     for mat, quat in zip(mats, model.geom_quat, strict=True):
@@ -136,14 +132,14 @@ def build_figure(shapes: Sequence[Sequence[Shape]]) -> Figure:
 
 
 HOUSING_SIZE = (0.02, 0.012, 0.008)
-"""Half lengths of a housing: longest along the axis that the sensor looks along [m] (chosen)."""
+"""Half lengths of a housing, longest along the sensor's axis [m] (chosen)."""
 HOUSING_RGBA = (0.95, 0.75, 0.1, 1.0)
 
 
 def is_shown(mount: Mount) -> bool:
-    """Whether a mount's settings show it; by default sensors are hidden (manual 10)."""
-    said = [value for key, value in mount.all_options if field_name(key) == "hidden_sensor"]
-    return bool(said) and said[-1] is False
+    """Return whether a mount's settings show it; by default sensors are hidden (manual 10)."""
+    values = [value for key, value in mount.all_options if field_name(key) == "hidden_sensor"]
+    return bool(values) and values[-1] is False
 
 
 def housings(robot: RobotSpec, parent: str) -> tuple[Shape, ...]:
@@ -167,11 +163,12 @@ def _housing(mount: Mount) -> Shape:
 
 ELLIPSOID, CAPSULE = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 SLOTS = (ELLIPSOID,) * 6 + (CAPSULE,) * 2
-"""Kinds of the solids that a box has room for."""
+"""Kinds of the solids that a victim's box can have."""
 MEASURE = {ELLIPSOID: (0, 1, 2), CAPSULE: (0, 2, 2)}
-"""Which half length of the box each size number is a share of: a capsule stands along z."""
+"""Half length of the box that each size number scales: a capsule stands along z."""
 
 SKIN, HAIR, EYE, LIPS = (0.87, 0.68, 0.57), (0.22, 0.13, 0.07), (0.1, 0.12, 0.2), (0.65, 0.25, 0.25)
+"""Colours of victims."""
 STRIPE, BELT, SOLE = (0.93, 0.92, 0.85), (0.12, 0.09, 0.07), (0.75, 0.73, 0.7)
 
 
@@ -182,7 +179,7 @@ class BonePart(NamedTuple):
         at: Its centre.
         size: Radii of an ellipsoid; of a capsule the radius, and half the length of its tube.
         rgb: Its colour; None: the bone's.
-        kind: What it is.
+        kind: Geom type.
     """
 
     at: Vec3
@@ -210,7 +207,7 @@ TRAITS: dict[str, tuple[BonePart, ...]] = {
         BonePart((0.0, 0.0, -0.65), (0.92, 0.86, 0.75)),
         BonePart((0.0, 0.0, 0.62), (0.72, 1.3, 0.42)),  # shoulders
         BonePart((0.0, 0.0, 0.1), (1.03, 1.01, 0.14), STRIPE),
-        BonePart((0.05, 0.0, 0.98), (0.5, 0.36, 0.2), SKIN),  # what the collar leaves open
+        BonePart((0.05, 0.0, 0.98), (0.5, 0.36, 0.2), SKIN),  # the open collar
     ),
     "Pelvis": (
         BonePart((0.0, 0.0, -0.1), (1.0, 1.02, 1.05)),
@@ -222,22 +219,23 @@ TRAITS: dict[str, tuple[BonePart, ...]] = {
         BonePart((-0.05, 0.0, -0.45), (0.75, 0.8, 0.55)),  # fingers
         BonePart((0.95, 0.0, 0.25), (0.3, 0.8, 0.45)),  # thumb
     ),
-    "RouteSegment": (_limb(0.45, 1.0, 0.42), _limb(-0.5, 0.78, 0.42)),
+    "Leg": (_limb(0.45, 1.0, 0.42), _limb(-0.5, 0.78, 0.42)),
     "Foot": (
         BonePart((0.1, 0.0, -0.1), (0.92, 1.0, 1.0)),
         BonePart((-0.45, 0.0, 0.5), (0.5, 0.88, 1.2)),  # heel and ankle
         BonePart((0.05, 0.0, -0.75), (1.0, 1.05, 0.3), SOLE),
     ),
 }
+"""Visuals of each part of a victim's body."""
 
 
 class DrawnBones(NamedTuple):
-    """What is drawn of the boxes of a table; arrays have axes over boxes and slots.
+    """Visuals of the boxes of a table; arrays have axes over boxes and slots.
 
     Attributes:
         size: Size numbers [m] (boxes, slots, 3).
-        offset: Centres in the axes of their boxes, seen from these; far away what is not drawn
-            [m] (boxes, slots, 3).
+        offset: Centres in the axes of their boxes, relative to these; out of reach for unused slots [m]
+            (boxes, slots, 3).
         rgb: Colours (boxes, slots, 3).
     """
 
@@ -247,7 +245,7 @@ class DrawnBones(NamedTuple):
 
 
 class _Columns(NamedTuple):
-    """`TRAITS` as arrays over parts and slots; `bare` are slots in the colour of their bone."""
+    """`TRAITS` as arrays over parts and slots; `bare` marks slots in the colour of their bone."""
 
     size: np.ndarray
     at: np.ndarray
@@ -270,12 +268,12 @@ def _columns() -> _Columns:
 
 
 def used_slots(part: Array) -> np.ndarray:
-    """Return which slots are drawn of boxes that are some parts (boxes,), places in `PART_NAMES`."""
+    """Return the used slots of boxes by their parts (boxes,), indices in `PART_NAMES`."""
     return _columns().used[np.asarray(part)]
 
 
 def drawn_bones(table: VictimTable, xp: ModuleType = np) -> DrawnBones:
-    """Return what is drawn of a table's boxes; numpy or JAX arrays, of one world."""
+    """Return the visuals of a table's boxes; numpy or JAX arrays, of one world."""
     size, at, rgb, bare, used = (xp.asarray(column)[table.part] for column in _columns())
     half, rgba = xp.asarray(table.size), xp.asarray(table.rgba)
     of_slot = half[:, np.array([MEASURE[kind] for kind in SLOTS])]
@@ -290,7 +288,7 @@ _KINDS = {ELLIPSOID: "ellipsoid", CAPSULE: "capsule"}
 
 
 def victim_figure(table: VictimTable, owner: int) -> Figure:
-    """Return what is drawn of an owner's boxes, a victim's or a false alarm's: these are its frames."""
+    """Return the visuals of an owner's boxes, a victim's or a false alarm's: these are its frames."""
     mine = np.flatnonzero(table.owner == owner)
     drawn, used = drawn_bones(table), used_slots(table.part)
     rows = (
@@ -305,7 +303,7 @@ def victim_figure(table: VictimTable, owner: int) -> Figure:
 
 @cache
 def _figure(rows: tuple[tuple[tuple, ...], ...]) -> Figure:  # type: ignore[type-arg] - kind, size, at, rgb
-    """Return the figure of solids by box; victims of one size share it."""
+    """Return the visuals of solids by box; victims of one size share them."""
     return build_figure(
         [
             [Shape(kind=kind, size=size, at=at, rgba=(*rgb, 1.0)) for kind, size, at, rgb in solids]

@@ -1,8 +1,8 @@
-"""How robots are driven: one module per kind of locomotion.
+"""Drives of robots: one module per kind of locomotion.
 
-A `Drive` says which keys of DRIVE there are, and turns a setpoint into targets of joints or a force on the
-chassis. All of it takes leading axes, and runs on NumPy and, traced, on JAX: see `usarmjx.base.backend`.
-`fluid` is what air and water do to those that fly and dive. Begin with `base.Drive` and `ground`.
+A `Drive` defines its keys of DRIVE, and converts a setpoint to joint targets or to a force on the chassis.
+All of it takes leading axes, and runs on NumPy and, traced, on JAX: see `usarmjx.base.backend`. `fluid` has
+buoyancy and drag for robots that fly or dive. Begin with `base.Drive` and `ground`.
 """
 
 from usarmjx.models.drives.ackermann import Ackermann, Wheel

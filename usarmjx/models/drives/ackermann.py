@@ -12,18 +12,18 @@ from usarmjx.base.backend import xp
 from usarmjx.models.drives.base import Drive, JointControl
 
 POSITION_MODE, VELOCITY_MODE, TORQUE_MODE = 0, 1, 2
-"""Orders of a joint (manual 9.4); `control.ControlMode` has them too, one layer up."""
+"""Control modes of a joint (manual 9.4), equal to those of `control.ControlMode`, one layer up."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wheel:
-    """A wheel as drives that steer see it.
+    """A wheel of a drive that steers or sets wheel speeds.
 
     Attributes:
-        joint: Joint that it spins about.
-        steer: Joint that it steers about, positive to the left; empty: it does not.
-        x: Where it is on the chassis, forward [m].
-        y: To the right [m].
+        joint: Name of the spin joint.
+        steer: Name of the steering joint, positive to the left; empty: none.
+        x: Position on the chassis, forward [m].
+        y: Position on the chassis, to the right [m].
         powered: Whether it has a motor.
         brakes: Whether it has a brake; powered wheels brake anyway.
     """
@@ -38,16 +38,16 @@ class Wheel:
 
 @dataclass(frozen=True, kw_only=True)
 class Ackermann(Drive):
-    """Front, and perhaps rear, wheels that steer so that the axes of all wheels meet in one turning centre.
+    """Front, and perhaps rear, wheels that steer so that the axles of all wheels meet in one turning centre.
 
     FrontSteer and RearSteer are the angles of single wheels in the middle of the foremost and the rearmost
-    axle (the bicycle that turns alike), positive to the left. Equal angles make a crab, opposite ones turn
-    about a point beside the robot's middle.
+    axle (the equivalent bicycle), positive to the left. Equal angles make a crab, opposite ones turn about a
+    point beside the robot's middle.
 
     Attributes:
         wheels: All wheels.
         max_spin: Highest speed of the powered wheels [rad/s].
-        radius: Of the powered wheels [m].
+        radius: Radius of the powered wheels [m].
         max_front_steer: Largest FrontSteer [rad].
         max_rear_steer: Largest RearSteer [rad]; 0 if the rear wheels do not steer.
     """
@@ -76,7 +76,7 @@ class Ackermann(Drive):
 
     @property
     def joint_controls(self) -> tuple[JointControl, ...]:
-        """The powered wheels, those that only brake, then the joints that steer."""
+        """The powered wheels, the wheels that only brake, then the steering joints."""
         spins = [JointControl(joint=wheel.joint) for wheel in self.wheels if wheel.powered]
         brakes = [
             JointControl(joint=wheel.joint, mode=TORQUE_MODE) for wheel in self.wheels if _only_brakes(wheel)
@@ -85,10 +85,10 @@ class Ackermann(Drive):
         return (*spins, *brakes, *turns)
 
     def control_modes(self, setpoint: Array) -> Array:
-        """Return the orders (..., aims): wheels that only brake are held at Speed 0, else free."""
-        orders = np.array([aim.mode for aim in self.joint_controls], np.int32)
-        stands = (setpoint[..., 0:1] == 0.0) & (orders == TORQUE_MODE)
-        return xp.where(stands, VELOCITY_MODE, orders)
+        """Return the control modes (..., joints): wheels that only brake are held at Speed 0, else free."""
+        modes = np.array([aim.mode for aim in self.joint_controls], np.int32)
+        stands = (setpoint[..., 0:1] == 0.0) & (modes == TORQUE_MODE)
+        return xp.where(stands, VELOCITY_MODE, modes)
 
     @property
     def wheel_base(self) -> float:
@@ -96,11 +96,10 @@ class Ackermann(Drive):
         return float(np.ptp([wheel.x for wheel in self.wheels]))
 
     def targets(self, setpoint: Array) -> Array:
-        """Speeds of the powered wheels, zeros for those that only brake, angles of those that steer.
+        """Return speeds of the powered wheels, zeros for wheels that only brake, and steering angles.
 
-        Every wheel turns as fast as its distance from the turning centre asks for; Speed is that of the
-        middle of the powered wheels. Where the outermost would have to turn faster than it can, all turn
-        slower.
+        The speed of a wheel is proportional to its distance from the turning centre; Speed is that of the
+        middle of the powered wheels. Where the outermost wheel would exceed its limit, all are slowed alike.
         """
         speed, front, rear = (setpoint[..., i : i + 1] for i in range(3))
         powered = _wheel_positions([wheel for wheel in self.wheels if wheel.powered])
@@ -115,10 +114,10 @@ class Ackermann(Drive):
         return xp.concatenate([spin, still, xp.arctan2(left, ahead)], -1)
 
     def _heading(self, positions: np.ndarray, front: Array, rear: Array) -> tuple[Array, Array]:
-        """Return which way places of the chassis (2, places) go, ahead and left (..., places).
+        """Return the directions of motion of points of the chassis (2, points), ahead and left (..., points).
 
-        The length is their distance from the turning centre over that of the robot's middle line, so that
-        it stays finite when the robot goes straight on.
+        The length is their distance from the turning centre over that of the robot's middle line, which stays
+        finite on a straight course.
         """
         x, y = positions
         curvature = (xp.tan(front) - xp.tan(rear)) / self.wheel_base
@@ -126,7 +125,7 @@ class Ackermann(Drive):
         return 1.0 + curvature * y, xp.tan(front) + curvature * behind
 
     def steering_angles(self, joints: Mapping[str, float], setpoint: Array) -> dict[str, float]:
-        """Return FrontSteer and RearSteer that the measured angles of the wheels amount to [rad].
+        """Return FrontSteer and RearSteer equivalent to the measured angles of the wheels [rad].
 
         A wheel of angle a at y turns with the angle c of its axle's middle: tan c = tan a (1 + y / r) for a
         turning radius r. The mean of that over both axles' wheels gives r, then the angles.
@@ -151,12 +150,12 @@ class Ackermann(Drive):
 
     @property
     def max_steering(self) -> tuple[float, float]:
-        """The largest FrontSteer and RearSteer [rad]."""
+        """Largest FrontSteer and RearSteer [rad]."""
         return (self.max_front_steer, self.max_rear_steer)
 
     @property
     def top_speed(self) -> float:
-        """What the wheels make of their highest speed [m/s]."""
+        """Speed at the highest wheel speed [m/s]."""
         return self.max_spin * self.radius
 
 

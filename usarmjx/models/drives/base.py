@@ -1,7 +1,7 @@
-"""What a drive is: what the keys of DRIVE mean for one kind of robot (manual 9.4).
+"""The interface of drives: the meaning of the keys of DRIVE for one kind of robot (manual 9.4).
 
-A drive keeps a setpoint, one number per key. It turns it into targets of the robot's joints when a command
-comes (`aim`), into a force on the chassis at every control step (`wrench`), or both.
+A drive keeps a setpoint, one number per key. It converts it to targets of the robot's joints when a command
+comes (`targets`), to a force on the chassis at every control step (`wrench`), or both.
 """
 
 from abc import ABC, abstractmethod
@@ -17,14 +17,14 @@ from usarmjx.base.backend import xp
 
 
 class RobotState(struct.PyTreeNode, kw_only=True):
-    """Where a robot is and how it moves.
+    """Pose and velocities of robots.
 
     Attributes:
         pos: Chassis origin in the world [m] (3,).
         quat: Chassis orientation, w first (4,).
         linear: Velocity of the chassis origin, world axes [m/s] (3,).
         angular: Angular velocity, chassis axes [rad/s] (3,).
-        joint_pos: Joint positions in the order of `models.build.parts.parts_of` [rad or m] (joints,).
+        joint_pos: Joint positions in the order of `models.compile.parts.parts_of` [rad or m] (joints,).
         joint_vel: Joint velocities [rad/s or m/s] (joints,).
     """
 
@@ -37,13 +37,14 @@ class RobotState(struct.PyTreeNode, kw_only=True):
 
 
 VehicleType = Literal["GroundVehicle", "LeggedRobot", "NauticVehicle", "AerialVehicle"]
+"""Vehicle types that STA, GEO and CONF report."""
 DRY_DEPTH = -1e3
-"""Depth of what is not in water [m]."""
+"""Depth of a robot outside water [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointControl:
-    """What a drive asks of one joint: which, in which control order, and from which row of numbers.
+    """The joint of one target of a drive, and its control mode.
 
     Attributes:
         joint: Name of the joint.
@@ -55,14 +56,14 @@ class JointControl:
 
 
 class Drive(ABC):
-    """How DRIVE moves a robot. Subclasses are frozen dataclasses with the figures."""
+    """Locomotion of a robot class. Subclasses are frozen dataclasses with the parameters."""
 
     is_wheeled: ClassVar[bool] = False
-    """Whether it stands on wheels or tracks, so that DRIVE {Flip} means something to it."""
+    """Whether the robot stands on wheels or tracks, so that DRIVE {Flip} applies."""
 
     @property
     def vehicle(self) -> VehicleType:
-        """The type that STA, GEO and CONF report."""
+        """The vehicle type that STA, GEO and CONF report."""
         return "GroundVehicle"
 
     @property
@@ -72,42 +73,42 @@ class Drive(ABC):
 
     @property
     def full_scale(self) -> dict[str, float]:
-        """The keys of DRIVE and what 100 means for each when Normalized (rad/s, m/s or rad)."""
+        """Keys of DRIVE, each with its value at 100 when Normalized [rad/s, m/s or rad]."""
         return {}
 
     @property
     def other_keys(self) -> dict[str, float]:
-        """Keys that DRIVE takes beside its own and `in_own_keys` puts in terms of those, as `full_scale`."""
+        """Further keys of DRIVE with their full scale, which `in_own_keys` converts to the drive's own."""
         return {}
 
     def in_own_keys(self, values: Mapping[str, ArrayLike], setpoint: Array) -> Mapping[str, ArrayLike]:
-        """Return what is set (...,) by the drive's own keys, where some of it was told by `other_keys`.
+        """Return values (...,) by the drive's own keys, after conversion of `other_keys`.
 
         Args:
             values: Numbers by keys (...,).
-            setpoint: What each of the own keys was last set to (..., keys).
+            setpoint: Present value of each of the own keys (..., keys).
         """
         del setpoint
         return values
 
     @property
     def joint_controls(self) -> tuple[JointControl, ...]:
-        """The joints that it moves."""
+        """Joints that the drive moves."""
         return ()
 
     def targets(self, setpoint: Array) -> Array:
-        """Return the targets of `joint_controls` (..., aims) for a setpoint (..., keys)."""
+        """Return the targets of `joint_controls` (..., joints) for a setpoint (..., keys)."""
         del setpoint
         raise NotImplementedError
 
     def control_modes(self, setpoint: Array) -> Array:
-        """Return the orders (..., aims) for a setpoint (..., keys): those that `joint_controls` name."""
+        """Return the control modes (..., joints) for a setpoint (..., keys): those of `joint_controls`."""
         del setpoint
-        return np.array([aim.mode for aim in self.joint_controls], np.int32)
+        return np.array([control.mode for control in self.joint_controls], np.int32)
 
     @property
     def pushes(self) -> bool:
-        """Whether it moves robots by a force on the chassis, as those that fly or dive."""
+        """Whether it moves robots by a force on the chassis, as drives that fly or dive."""
         return type(self).wrench is not Drive.wrench
 
     def wrench(self, setpoint: Array, state: RobotState, depth: Array) -> Array:
@@ -116,21 +117,21 @@ class Drive(ABC):
         Args:
             setpoint: One number per key, finite and within `full_scale` (..., keys).
             state: The robots; leading axes (...,).
-            depth: How far their origins are below the surface of water [m] (...,); `DRY_DEPTH` outside.
+            depth: Depth of their origins below the surface of water [m] (...,); `DRY_DEPTH` outside.
         """
         del setpoint, depth
         return xp.zeros((*state.pos.shape[:-1], 6))
 
     def passive_wrench(self, state: RobotState, depth: Array) -> Array:
-        """Return what acts on the chassis with or without power: buoyancy and drag (..., 6).
+        """Return the wrench on the chassis with or without power: buoyancy and drag (..., 6).
 
-        Only drives that push have it.
+        Only drives with a `wrench` of their own have one.
         """
         del depth
         return xp.zeros((*state.pos.shape[:-1], 6))
 
     def steering_angles(self, joints: Mapping[str, float], setpoint: Array) -> dict[str, float]:
-        """Return what STA reports of rudders and steered wheels, by the fields of `RobotStatus` [rad].
+        """Return the angles of rudders and steered wheels for STA, by the fields of `RobotStatus` [rad].
 
         Args:
             joints: Positions of the robot's joints by name [rad or m].
@@ -141,22 +142,22 @@ class Drive(ABC):
 
     @property
     def max_speed(self) -> float:
-        """What CONF reports as MaxSpeed of a ground vehicle [rad/s]."""
+        """MaxSpeed of a ground vehicle in CONF [rad/s]."""
         return 0.0
 
     @property
     def max_steering(self) -> tuple[float, float]:
-        """The largest steering angles of front and rear wheels [rad] (CONF)."""
+        """Largest steering angles of front and rear wheels [rad] (CONF)."""
         return (0.0, 0.0)
 
     @property
     @abstractmethod
     def top_speed(self) -> float:
-        """About how fast it can go [m/s]; a robot far beyond this is a fault of the physics."""
+        """Approximate top speed [m/s]; a robot far beyond it is a fault of the physics."""
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """The keys of DRIVE, in the order of a setpoint."""
+        """Keys of DRIVE, in the order of a setpoint."""
         return tuple(self.full_scale)
 
     @property

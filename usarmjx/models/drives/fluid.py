@@ -1,7 +1,7 @@
-"""What air and water do to a hull: buoyancy, added mass and drag of an ellipsoid.
+"""Forces of air and water on a hull: buoyancy, added mass and drag of an ellipsoid; the underwater drive.
 
-All of it acts as an external wrench, so that every engine computes the same. Body axes are MuJoCo's
-(x forward, y left, z up) with the origin in the hull's middle.
+All of it acts as an external wrench, so that every engine computes the same. Body axes are MuJoCo's (x
+forward, y left, z up) with the origin in the hull's middle.
 """
 
 import math
@@ -20,7 +20,8 @@ from usarmjx.models.drives.base import Drive, RobotState, VehicleType
 AIR_DENSITY, WATER_DENSITY = 1.225, 1000.0
 """Densities of air at sea level (ISA) and of fresh water [kg/m3]."""
 NODES = 40
-"""Points of the quadrature; Lamb's integrals come out to 1e-8 even for a rod 50 times as long as wide."""
+"""Gauss-Legendre nodes of Lamb's integrals, which reach an error of 1e-8 even for a rod 50 times as long as
+wide."""
 
 
 def shape_factors(radii: Vec3) -> np.ndarray:
@@ -38,11 +39,11 @@ def shape_factors(radii: Vec3) -> np.ndarray:
 
 
 def added_mass(radii: Vec3) -> tuple[np.ndarray, np.ndarray]:
-    """Return what an ellipsoid drags along, as shares of the fluid that it displaces.
+    """Return the added mass of an ellipsoid, relative to the displaced fluid.
 
     Returns:
-        Shares of its mass for motion along the axes (3,), and of its moments of inertia for turns about
-        them (3,): k1, k2 and k' of Lamb's table (Hydrodynamics, 115) where two axes are the same.
+        Ratios to its mass for motion along the axes (3,), and to its moments of inertia for rotation about
+        them (3,): k1, k2 and k' of Lamb's table (Hydrodynamics, 115) where two axes are equal.
     """
     factors, square = shape_factors(radii), np.square(radii)
     along = factors / (2 - factors)
@@ -57,19 +58,19 @@ def added_mass(radii: Vec3) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, kw_only=True)
 class Hull:
-    """An ellipsoid that weighs as much as the fluid that it displaces, with what is inside it.
+    """An ellipsoid that weighs as much as the fluid that it displaces, with its contents.
 
-    Two things differ from a bare ellipsoid: the moment that turns a long hull broadside on (Munk's) is
-    left out, as if fixed fins balanced it, and roll and pitch have some damping at rest.
+    Two things differ from a bare ellipsoid: the moment that turns a long hull broadside on (Munk's) is left
+    out, as if fixed fins balanced it, and roll and pitch have some damping at rest.
 
     Attributes:
         radii: Half length, half width, half height [m].
-        density: Of the fluid [kg/m3].
-        mass: Of the robot as the physics engine has it; less than the displaced fluid's where the gas in
-            the hull does not count [kg].
-        inertia: Of the robot as the physics engine has it, about its centre of gravity [kg m2].
-        drag: Drag coefficients for flow along x, y and z, on the areas seen from there.
-        cog_depth: Centre of gravity below the hull's middle [m].
+        density: Density of the fluid [kg/m3].
+        mass: Mass of the robot in the physics engine; less than the displaced fluid's where the gas in the
+            hull does not count [kg].
+        inertia: Moments of inertia in the physics engine, about its centre of gravity [kg m2].
+        drag: Drag coefficients for flow along x, y and z, on the areas facing it.
+        cog_depth: Depth of the centre of gravity below the hull's middle [m].
         damping: Damping ratio of roll and pitch.
     """
 
@@ -88,7 +89,7 @@ class Hull:
 
     @cached_property
     def weight(self) -> float:
-        """Of the hull with all that is inside [N]."""
+        """Weight of the hull with its contents [N]."""
         return self.displaced_mass * GRAVITY
 
     @cached_property
@@ -99,7 +100,7 @@ class Hull:
 
     @cached_property
     def added_mass_factors(self) -> tuple[np.ndarray, np.ndarray]:
-        """The shares of `added_mass`."""
+        """Ratios of `added_mass`."""
         return added_mass(self.radii)
 
     @cached_property
@@ -117,17 +118,17 @@ class Hull:
         return along, pressure * 8 / 15 * about
 
     def effective_inertia(self, share: ArrayLike = 1.0) -> tuple[Array, Array]:
-        """Return mass and inertia (..., 3) with what is dragged along, for an immersed share (..., 1)."""
+        """Return mass and inertia (..., 3) with the added mass, for an immersed share (..., 1)."""
         along, about = self.added_mass_factors
         return self.displaced_mass * (1 + share * along), self.displaced_inertia * (1 + share * about)
 
     def immersion(self, depth: Array, up: Array) -> tuple[Array, Array]:
-        """Return the share of the hull under water (..., 1) and where its middle is [m] (..., 3).
+        """Return the share of the hull under water (..., 1) and the centre of that volume [m] (..., 3).
 
         An ellipsoid is a stretched ball, and so is the part of it below a plane.
 
         Args:
-            depth: Of the hull's middle below the surface [m] (...,).
+            depth: Depth of the hull's middle below the surface [m] (...,).
             up: The upward direction in body axes (..., 3).
         """
         radii = np.array(self.radii, np.float32)
@@ -138,13 +139,16 @@ class Hull:
         return share, radii**2 * up / reach * middle
 
     def body_wrench(self, mat: Array, force: Array, torque: Array, share: ArrayLike = 1.0) -> Array:
-        """Return the wrench (..., 6), world axes, that moves the engine's body as force and torque the hull.
+        """Return the wrench (..., 6), world axes, that gives the engine's body the hull's acceleration.
+
+        The engine knows neither the added mass nor the gas, so force and torque are scaled by the ratio of
+        its inertia to the hull's.
 
         Args:
             mat: Orientation (..., 3, 3).
             force: Body axes [N] (..., 3).
             torque: About the centre of gravity, body axes [N m] (..., 3).
-            share: Immersed share, which drags along fluid (..., 1).
+            share: Immersed share, which has added mass (..., 1).
         """
         mass, inertia = self.effective_inertia(share)
         force = force * (self.mass / mass)
@@ -156,13 +160,14 @@ class Hull:
 
         Args:
             state: The robots; leading axes (...,).
-            depth: Of their origins below the surface [m] (...,); None: they are wholly immersed.
+            depth: Depth of their origins below the surface [m] (...,); None: they are wholly immersed.
         """
         mat = mat_from_quat(state.quat)
         up, linear, angular = mat[..., 2, :], matvec(mat.mT, state.linear), state.angular
         share, middle = (1.0, np.zeros(3, np.float32)) if depth is None else self.immersion(depth, up)
         along, about = self.drag_factors
         mass, _ = self.effective_inertia(share)
+        # Righting moment per angle; the damping is 2 z sqrt(k I), of the same ratio z at every size.
         stiff = np.array([1.0, 1.0, 0.0]) * self.weight * self.cog_depth
         calm = 2 * self.damping * np.sqrt(stiff * self.effective_inertia()[1])
         force = (share - 1) * self.weight * up - share * along * xp.abs(linear) * linear
@@ -182,14 +187,14 @@ STALLED = 1.17
 def plate_force(area: float, slope: float, speed: Array, across: Array) -> Array:
     """Return the force on a plate along its normal [N] (...,).
 
-    Thin-plate theory, with a coefficient of the normal force of `slope` times the sine of the angle of
-    attack, up to what a plate across the flow has.
+    Thin-plate theory: the coefficient of the normal force is `slope` times the sine of the angle of attack,
+    up to that of a plate across the flow.
 
     Args:
-        area: Of the plate [m2].
-        slope: Of the lift coefficient over the angle of attack [1/rad].
-        speed: Of the plate through the water [m/s] (...,).
-        across: The part of it along the plate's normal [m/s] (...,).
+        area: Area of the plate [m2].
+        slope: Slope of the lift coefficient over the angle of attack [1/rad].
+        speed: Speed of the plate through the water [m/s] (...,).
+        across: Its component along the plate's normal [m/s] (...,).
     """
     sine = across / xp.maximum(speed, 1e-6)
     return -WATER_DENSITY / 2 * area * speed**2 * xp.clip(slope * sine, -STALLED, STALLED)
@@ -210,15 +215,15 @@ class Underwater(Drive):
     turns freely and the plates with the flow.
 
     Attributes:
-        hull: What the water acts on.
-        propeller_pitch: Of the propeller [m].
-        max_spin: Of the propeller [rad/s].
-        slip: Share of the propeller's way that is lost.
-        rudder_area: [m2].
-        plane_area: [m2].
-        max_angle: Of rudder and stern plane [rad].
-        stern_arm: How far rudder and planes are behind the middle [m].
-        slope: Of their lift coefficient over the angle of attack [1/rad].
+        hull: Hull in the water.
+        propeller_pitch: Pitch of the propeller [m].
+        max_spin: Highest speed of the propeller [rad/s].
+        slip: Relative loss of the propeller's advance.
+        rudder_area: Area of the rudder [m2].
+        plane_area: Area of the stern plane [m2].
+        max_angle: Largest angle of rudder and stern plane [rad].
+        stern_arm: Distance of rudder and stern plane behind the middle [m].
+        slope: Slope of their lift coefficient over the angle of attack [1/rad].
     """
 
     hull: Hull
@@ -233,12 +238,12 @@ class Underwater(Drive):
 
     @property
     def vehicle(self) -> VehicleType:
-        """The type that STA, GEO and CONF report."""
+        """The vehicle type that STA, GEO and CONF report."""
         return "NauticVehicle"
 
     @property
     def steering(self) -> str:
-        """The SteeringType that CONF reports: the only one in manual 9.3's text, whose example differs."""
+        """The SteeringType that CONF reports: the only one in manual 9.3's text; its example has another."""
         return "VariableDepth"
 
     @property
@@ -248,7 +253,7 @@ class Underwater(Drive):
 
     @property
     def top_speed(self) -> float:
-        """What the propeller makes of its highest speed [m/s]."""
+        """Speed at the propeller's highest speed [m/s]."""
         return self.max_spin * self.propeller_pitch / (2 * math.pi) * (1 - self.slip)
 
     def steering_angles(self, joints: Mapping[str, float], setpoint: Array) -> dict[str, float]:
@@ -258,16 +263,19 @@ class Underwater(Drive):
 
     @cached_property
     def _grip(self) -> float:
-        """Thrust over squared speed of the water sent back [N s2/m2]."""
+        """Thrust over squared speed of the wash [N s2/m2].
+
+        At the steady speed (1 - slip) w thrust equals drag, which gives this ratio.
+        """
         advance = (1 - self.slip) ** 2
         return float(self.hull.drag_factors[0][0]) * advance / (1 - advance)
 
     def passive_wrench(self, state: RobotState, depth: Array) -> Array:
-        """Return buoyancy and drag (..., 6), nothing outside water."""
+        """Return buoyancy and drag (..., 6), zero outside water."""
         return self.hull.fluid_wrench(state, depth)
 
     def wrench(self, setpoint: Array, state: RobotState, depth: Array) -> Array:
-        """Return what propeller, rudder and stern plane exert (..., 6)."""
+        """Return the wrench of propeller, rudder and stern plane (..., 6)."""
         mat = mat_from_quat(state.quat)
         spin, rudder, plane = (setpoint[..., i] for i in range(3))
         linear = xp.moveaxis(matvec(mat.mT, state.linear), -1, 0)

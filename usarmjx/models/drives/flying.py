@@ -14,30 +14,30 @@ from usarmjx.models.drives.base import Drive, RobotState, VehicleType
 from usarmjx.models.drives.fluid import AIR_DENSITY, Hull
 
 MAX_TILT = math.radians(65)
-"""No more tilt than this, whatever is asked [rad]."""
+"""Largest tilt, whatever the command [rad]."""
 LOWEST_LIFT = 0.3
-"""Rotors carry at least this share of the weight."""
+"""Smallest lift of the rotors, as a share of the weight."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RotaryWing(Drive):
-    """Rotors that push along the body's up axis, and turn the body to push where it should go.
+    """Rotors that push along the body's up axis, and turn the body in order to move it.
 
-    Speed is controlled by acceleration, that by tilt, that by torque. Speeds are those of the body's
-    heading, level with the ground; they are held until the next command. Signs: up, forward, to the right,
-    clockwise seen from above.
+    A cascade: speed is controlled by acceleration, acceleration by tilt, tilt by torque. Speeds are those of
+    the body's heading, level with the ground; they are held until the next command. Signs: up, forward, to
+    the right, clockwise seen from above.
 
     Attributes:
         max_speeds: Highest vertical, forward and lateral speed [m/s].
         max_turn: Highest rotational speed [rad/s].
-        mass: Of the robot [kg].
-        inertia: About its centre of gravity [kg m2].
+        mass: Mass of the robot [kg].
+        inertia: Moments of inertia about its centre of gravity [kg m2].
         drag_areas: Drag coefficient times area for air along x, y and z [m2].
-        max_thrust: Of all rotors together [N].
-        max_torque: Of the rotors about x, y and z [N m].
-        acceleration_tilt: Tilt for speeding up and slowing down [rad]; holding a speed may take more.
+        max_thrust: Largest thrust of all rotors together [N].
+        max_torque: Largest torque of the rotors about x, y and z [N m].
+        acceleration_tilt: Largest tilt for speeding up and slowing down [rad]; holding a speed may take more.
         speed_gain: Acceleration over error of speed [1/s].
-        bandwidth: Of the tilt [rad/s]; the damping ratio is 0.9.
+        bandwidth: Bandwidth of the tilt control [rad/s]; the damping ratio is 0.9.
         turn_gain: Angular acceleration over error of turning rate [1/s].
     """
 
@@ -55,7 +55,7 @@ class RotaryWing(Drive):
 
     @property
     def vehicle(self) -> VehicleType:
-        """The type that STA, GEO and CONF report."""
+        """The vehicle type that STA, GEO and CONF report."""
         return "AerialVehicle"
 
     @property
@@ -71,11 +71,11 @@ class RotaryWing(Drive):
 
     @property
     def top_speed(self) -> float:
-        """All three speeds at once [m/s]."""
+        """Speed with all three components at their highest [m/s]."""
         return math.hypot(*self.max_speeds)
 
     def _drag(self, mat: Array, linear: Array) -> Array:
-        """Return the force of the air, world axes [N] (..., 3)."""
+        """Return the drag of the air, world axes [N] (..., 3)."""
         speed, areas = matvec(mat.mT, linear), np.array(self.drag_areas, np.float32)
         return matvec(mat, -AIR_DENSITY / 2 * areas * xp.abs(speed) * speed)
 
@@ -96,7 +96,7 @@ class RotaryWing(Drive):
         return xp.concatenate([thrust, matvec(mat, self._torque(force, mat, state.angular, turn))], -1)
 
     def _wanted_force(self, setpoint: Array, mat: Array, linear: Array, turn: Array) -> Array:
-        """Return what the rotors should exert, world axes [N] (..., 3): against weight, drag and inertia.
+        """Return the wanted force of the rotors, world axes [N] (..., 3): against weight, drag and inertia.
 
         Args:
             setpoint: One number per key (..., 4).
@@ -120,10 +120,10 @@ class RotaryWing(Drive):
         return xp.concatenate([sideways, rise], -1)
 
     def _torque(self, force: Array, mat: Array, angular: Array, turn: Array) -> Array:
-        """Return the torque, body axes [N m] (..., 3), that tilts the up axis into the force and turns.
+        """Return the torque, body axes [N m] (..., 3), that turns the up axis into the force, and yaws.
 
         Args:
-            force: Wanted, world axes [N] (..., 3).
+            force: Wanted force, world axes [N] (..., 3).
             mat: Orientations (..., 3, 3).
             angular: Turning rates, body axes [rad/s] (..., 3).
             turn: Wanted turning rates about the vertical [rad/s] (..., 1).
@@ -132,7 +132,7 @@ class RotaryWing(Drive):
         tilt = _left_of(wanted[..., :2])  # z cross wanted: its length is the angle's sine
         up = wanted[..., 2:]
         tilt = xp.where(up > 0, tilt, tilt / xp.maximum(_length(tilt), 1e-3))
-        # Upside down every axis is as good: over its side.
+        # Upside down the axis of the tilt is undefined: turn over the side.
         tilt = xp.where(up < -0.99, np.array([1.0, 0.0], np.float32), tilt)
         rate = angular - turn * mat[..., 2, :]
         pull = xp.concatenate([self.bandwidth**2 * tilt, xp.zeros_like(up)], -1)
@@ -152,10 +152,10 @@ def _left_of(level: Array) -> Array:
 
 
 def _thrust(force: Array, axis: Array) -> Array:
-    """Return how hard to push along the body's up axis (..., 3) for a wanted force (..., 3) [N] (..., 1).
+    """Return the thrust along the body's up axis (..., 3) for a wanted force (..., 3) [N] (..., 1).
 
-    While the axis is near the force, as hard as keeps the height. A body that is far from where it should
-    point, as after a crash, does not push itself on: only the part of the force along the axis remains.
+    While the axis is near the force, the thrust keeps the height. A body far from its wanted attitude, as
+    after a crash, must not push itself on: only the component of the force along the axis remains.
     """
     near, far = math.cos(math.radians(5)), math.cos(math.radians(15))
     along = (force * axis).sum(-1, keepdims=True)
@@ -167,22 +167,22 @@ def _thrust(force: Array, axis: Array) -> Array:
 class Blimp(Drive):
     """Two thrusters on a bar that turns, and a propeller at the tail.
 
-    ThrustPropeller is the speed to be had along the bar's direction in the body's x-z plane, XZAngle that
+    ThrustPropeller is the wanted speed along the bar's direction in the body's x-z plane, XZAngle that
     direction, positive upward; TailPropeller is the turning rate, positive to the left (manual 12.21.3's
     example turns right with -0.3). It takes the keys of other flying robots too. Manual 12.21.1 gives the
-    same top speed forward and upward, though the hull has many times the drag upward: so the thrust is
-    governed to hold the speed, and takes away what it drifts to the side (chosen). All forces act through
-    the centre of gravity.
+    same top speed forward and upward, though the hull has many times the drag upward: so a governor adjusts
+    the thrust to hold the speed, and damps sideways drift (chosen). All forces act through the centre of
+    gravity.
 
     Attributes:
-        hull: What the air acts on.
+        hull: Hull in the air.
         max_angle: Largest angle of the bar [rad].
         max_thrust_speed: Highest speed [m/s].
         max_turn: Highest turning rate [rad/s].
-        max_thrust: Of both thrusters [N].
-        max_torque: Of the tail propeller [N m].
-        response: Time in which the governors close an error [s].
-        leeway: Time in which its governors take two thirds of a drift to the side [s].
+        max_thrust: Largest thrust of both thrusters [N].
+        max_torque: Largest torque of the tail propeller [N m].
+        response: Time constant of the governors [s].
+        leeway: Time in which its governors remove two thirds of a sideways drift [s].
     """
 
     hull: Hull
@@ -196,12 +196,12 @@ class Blimp(Drive):
 
     @property
     def vehicle(self) -> VehicleType:
-        """The type that STA, GEO and CONF report."""
+        """The vehicle type that STA, GEO and CONF report."""
         return "AerialVehicle"
 
     @property
     def steering(self) -> str:
-        """The SteeringType that CONF reports: manual 9.3 knows only this one for what flies."""
+        """The SteeringType that CONF reports: manual 9.3 has only this one for flying robots."""
         return "RotaryWing"
 
     @property
@@ -215,21 +215,23 @@ class Blimp(Drive):
 
     @property
     def other_keys(self) -> dict[str, float]:
-        """The keys of what flies (manual 9.4); it cannot move sideways, so that 0 is the only speed there."""
+        """Keys of flying robots (manual 9.4); it cannot move sideways, so 0 is the only lateral speed."""
         speed = self.max_thrust_speed
         names = ("AltitudeVelocity", "LinearVelocity", "LateralVelocity", "RotationalVelocity")
         return dict(zip(names, (speed, speed, 0.0, self.max_turn), strict=True))
 
     def in_own_keys(self, values: Mapping[str, ArrayLike], setpoint: Array) -> Mapping[str, ArrayLike]:
-        """Return speeds up and ahead as the bar's angle and the speed along it, and turns with their sign."""
-        told = {key: xp.asarray(value, xp.float32) for key, value in values.items()}
-        own: dict[str, ArrayLike] = {key: value for key, value in told.items() if key not in self.other_keys}
-        if "RotationalVelocity" in told:
-            own["TailPropeller"] = -told["RotationalVelocity"]
-        if "AltitudeVelocity" in told or "LinearVelocity" in told:
+        """Return speeds up and ahead as the bar's angle and the speed along it, and turns with its sign."""
+        given = {key: xp.asarray(value, xp.float32) for key, value in values.items()}
+        own: dict[str, ArrayLike] = {key: value for key, value in given.items() if key not in self.other_keys}
+        if "RotationalVelocity" in given:
+            own["TailPropeller"] = -given["RotationalVelocity"]
+        if "AltitudeVelocity" in given or "LinearVelocity" in given:
             angle, speed = setpoint[..., 0], setpoint[..., 1]
-            up = told.get("AltitudeVelocity", speed * xp.sin(angle))
-            ahead = told.get("LinearVelocity", speed * xp.cos(angle))
+            up = given.get("AltitudeVelocity", speed * xp.sin(angle))
+            ahead = given.get("LinearVelocity", speed * xp.cos(angle))
+            # XZAngle covers a half turn only: a speed backwards is a negative speed along the opposite
+            # direction.
             sign = xp.where(ahead < 0.0, -1.0, 1.0)
             total = xp.hypot(up, ahead)
             own["XZAngle"] = xp.where(total > 1e-6, xp.arctan2(sign * up, sign * ahead), angle)
@@ -238,7 +240,7 @@ class Blimp(Drive):
 
     @property
     def top_speed(self) -> float:
-        """In any direction [m/s]."""
+        """Highest speed, in any direction [m/s]."""
         return self.max_thrust_speed
 
     def passive_wrench(self, state: RobotState, depth: Array) -> Array:
@@ -256,7 +258,7 @@ class Blimp(Drive):
         linear = matvec(mat.mT, state.linear)
         wanted = speed * xp.concatenate([xp.cos(angle), xp.zeros_like(angle), xp.sin(angle)], -1)
         thrust = along * xp.abs(wanted) * wanted + mass / self.response * (wanted - linear)
-        thrust = thrust + xp.cross(state.angular, mass * linear)  # what a turn takes from the speed ahead
+        thrust = thrust + xp.cross(state.angular, mass * linear)  # Coriolis force of the turn
         thrust = thrust * np.array([1.0, 0.0, 1.0])
         thrust = thrust * (self.max_thrust / xp.maximum(_length(thrust), self.max_thrust))
         aside = np.array([0.0, 1.0, 0.0], np.float32) * mass / self.leeway

@@ -1,4 +1,4 @@
-"""Drives of ground vehicles whose wheels do not steer, and of things that do not move."""
+"""Drives of ground vehicles: skid-steered wheels, tracks, single wheels, and robots without a drive."""
 
 import math
 from collections.abc import Mapping
@@ -15,15 +15,15 @@ from usarmjx.models.drives.base import Drive, JointControl, VehicleType
 
 @dataclass(frozen=True, kw_only=True)
 class OmniDrive(Drive):
-    """Wheels that are told their speeds and angles one by one, by their numbers.
+    """Wheels with individual speeds and angles, by their numbers.
 
-    DRIVE's {WheelNumber i} {WheelSpeed v} {WheelSteer a} are the keys WheelSpeed<i> and WheelSteer<i>. Which
-    of them go together is the client's business: wheels at odds skid.
+    DRIVE's {WheelNumber i} {WheelSpeed v} {WheelSteer a} are the keys WheelSpeed<i> and WheelSteer<i>. Their
+    coordination is left to the client: contradictory wheels skid.
 
     Attributes:
-        wheels: Wheels in the order of their numbers; passive ones may be left out behind the last driven one.
+        wheels: Wheels in the order of their numbers; passive ones after the last driven one may be left out.
         max_spin: Highest speed of the powered wheels [rad/s].
-        radius: Of the powered wheels [m].
+        radius: Radius of the powered wheels [m].
         max_steer: Largest angle of the steered wheels [rad] (MaxSteerAngle).
     """
 
@@ -53,20 +53,20 @@ class OmniDrive(Drive):
     @property
     def joint_controls(self) -> tuple[JointControl, ...]:
         """One joint for each key."""
-        aims: list[JointControl] = []
+        controls: list[JointControl] = []
         for wheel in self.wheels:
-            aims += [JointControl(joint=wheel.joint)] * wheel.powered
-            aims += [JointControl(joint=wheel.steer, mode=0)] * bool(wheel.steer)
-        return tuple(aims)
+            controls += [JointControl(joint=wheel.joint)] * wheel.powered
+            controls += [JointControl(joint=wheel.steer, mode=0)] * bool(wheel.steer)
+        return tuple(controls)
 
     def targets(self, setpoint: Array) -> Array:
-        """The keys are the targets."""
+        """Return the setpoint: the keys are the targets."""
         return setpoint
 
     def steering_angles(self, joints: Mapping[str, float], setpoint: Array) -> dict[str, float]:
         """Return the mean measured angles of the steered wheels before and behind the middle [rad].
 
-        STA has room for no more; chosen, as the manual does not say what it reports of such robots.
+        STA has room for no more; chosen, as the manual does not define its report for such robots.
         """
         angles: dict[str, float] = {}
         for field, sign in (("front_steer", 1), ("rear_steer", -1)):
@@ -81,12 +81,12 @@ class OmniDrive(Drive):
 
     @property
     def max_steering(self) -> tuple[float, float]:
-        """The largest angle, before and behind the middle [rad]."""
+        """Largest angle, before and behind the middle [rad]."""
         return (self.max_steer, self.max_steer)
 
     @property
     def top_speed(self) -> float:
-        """What the wheels make of their highest speed [m/s]."""
+        """Speed at the highest wheel speed [m/s]."""
         return self.max_spin * self.radius
 
 
@@ -98,10 +98,10 @@ class SkidSteer(Drive):
         left: Names of the left wheels' joints.
         right: Names of the right wheels' joints.
         max_spin: Highest wheel speed [rad/s].
-        radius: Of the wheels [m].
-        max_turn: Highest turning rate that its controller asks for [rad/s].
-        lever: What the difference of both sides' speeds over the turning rate comes to [m]: the distance of
-            two wheels; more where wheels skid.
+        radius: Radius of the wheels [m].
+        max_turn: Highest turning rate of its controller [rad/s].
+        lever: Difference of both sides' speeds over the turning rate [m]: the distance of two wheels; more
+            where wheels skid.
     """
 
     is_wheeled: ClassVar[bool] = True
@@ -125,15 +125,15 @@ class SkidSteer(Drive):
 
     @property
     def joint_controls(self) -> tuple[JointControl, ...]:
-        """All wheels."""
+        """All wheels, left ones first."""
         return tuple(JointControl(joint=name) for name in (*self.left, *self.right))
 
     def targets(self, setpoint: Array) -> Array:
-        """Every wheel turns as fast as its side; what turns it too fast is taken from both sides alike."""
+        """Return the wheels' speeds, those of their sides; both sides give up the excess over `max_turn`."""
         if self.lever and math.isfinite(self.max_turn):
             most = self.max_turn * self.lever / self.radius
             over = setpoint[..., 1] - setpoint[..., 0]
-            # A side that is no number leaves the other as it is.
+            # A NaN on one side must not spread to the other.
             over = xp.where(xp.isfinite(over), (over - xp.clip(over, -most, most)) / 2, 0.0)
             setpoint = xp.stack([setpoint[..., 0] + over, setpoint[..., 1] - over], -1)
         return setpoint[..., np.repeat([0, 1], [len(self.left), len(self.right)])]
@@ -145,17 +145,17 @@ class SkidSteer(Drive):
 
     @property
     def top_speed(self) -> float:
-        """What the wheels make of their highest speed [m/s]."""
+        """Speed at the highest wheel speed [m/s]."""
         return self.max_spin * self.radius
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoDrive(Drive):
-    """What is moved joint by joint (legs), or not at all (a base station).
+    """A robot without DRIVE: moved joint by joint (legs), or not at all (a base station).
 
     Attributes:
         kind: The vehicle type that it reports.
-        steering_type: What CONF reports: TwoLegs, FourLegs, or nothing that moves it.
+        steering_type: SteeringType in CONF: TwoLegs, FourLegs, or None.
     """
 
     kind: VehicleType = "GroundVehicle"
@@ -163,7 +163,7 @@ class NoDrive(Drive):
 
     @property
     def vehicle(self) -> VehicleType:
-        """The type that STA, GEO and CONF report."""
+        """The vehicle type that STA, GEO and CONF report."""
         return self.kind
 
     @property
@@ -173,7 +173,7 @@ class NoDrive(Drive):
 
     @property
     def top_speed(self) -> float:
-        """It does not go far by itself [m/s]."""
+        """Bound on the speed of a robot that legs or other joints push [m/s]."""
         return 0.5
 
 
@@ -190,5 +190,5 @@ class Tracks(SkidSteer):
     ratios: tuple[float, ...]
 
     def targets(self, setpoint: Array) -> Array:
-        """Every wheel's surface is as fast as its side's belt."""
+        """Return the wheels' speeds, at which their surfaces have the speed of their side's belt."""
         return super().targets(setpoint) * np.array(self.ratios, np.float32)

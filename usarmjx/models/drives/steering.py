@@ -1,32 +1,33 @@
-"""Driving by hand: what the keys of DRIVE are for whoever wants to go ahead, to the left, or up.
+"""Manual driving: values of the keys of DRIVE for motion ahead, to the left, or up.
 
-Knows no robot, only the keys that it has and their largest values: also clients can use it.
+It needs only a robot's keys and their largest values, so clients can use it too.
 """
 
 from collections.abc import Mapping
 
 WHEEL_SPEED, WHEEL_STEER = "WheelSpeed", "WheelSteer"
+"""Prefixes of OmniDrive's numbered keys."""
 ANGLES = frozenset({"FrontSteer", "RearSteer", "Rudder", "SternPlane", "XZAngle"})
-"""Keys that are no speeds."""
+"""Keys that are angles, not speeds."""
 TURN_SHARE = 0.5
-"""Tracked robots turn with so much of their speed for a whole turn's order."""
+"""Share of their speed with which tracked robots make a full turn."""
 
 
 def can_climb(keys: Mapping[str, float]) -> bool:
-    """Return whether a robot with these keys of DRIVE goes up and down."""
+    """Return whether a robot with these keys of DRIVE moves up and down."""
     return bool({"AltitudeVelocity", "XZAngle", "SternPlane"} & keys.keys())
 
 
 def drive_values(
     keys: Mapping[str, float], ahead: float = 0.0, left: float = 0.0, up: float = 0.0, speed: float = 1.0
 ) -> dict[str, float]:
-    """Return what to set each key of DRIVE to.
+    """Return values of the keys of DRIVE for a direction.
 
     Args:
         keys: The keys that a robot has and the largest value of each, as `Drive.full_scale`.
-        ahead: How fast ahead, as a share of `speed` [-1, 1].
-        left: How sharply to the left [-1, 1].
-        up: How fast up, for those that fly or dive [-1, 1].
+        ahead: Speed ahead, as a share of `speed` [-1, 1].
+        left: Turn to the left [-1, 1].
+        up: Speed up, for robots that fly or dive [-1, 1].
         speed: Share of the largest speeds that is used [0, 1].
     """
     shares = {

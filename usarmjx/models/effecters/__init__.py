@@ -1,9 +1,8 @@
-"""Effecters: what robots act on the world with (manual 8, 11).
+"""Effecters: devices with which robots act on the world (manual 8, 11).
 
-`base.Effecter` is one of a robot, with the parts and solids that it adds and what its operations do;
-`gripper`, `roller` and `still` are the manual's, found by type in `EFFECTERS`. `effect` runs on NumPy and,
-traced, on JAX: see `usarmjx.base.backend`. Begin with `still`. A type that is not registered here is refused
-while the scene is built.
+`base.Effecter` is an effecter of a robot, with its own parts, solids and operations; `gripper`, `roller` and
+`still` are the manual's, found by type in `EFFECTERS`. `effect` runs on NumPy and, traced, on JAX: see
+`usarmjx.base.backend`. Begin with `still`. Building a scene refuses a type that is not registered here.
 """
 
 from functools import cache

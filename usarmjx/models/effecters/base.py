@@ -1,8 +1,7 @@
-"""What an effecter is: the parts it adds to its robot, its operations, what each does (manual 8, 14.3).
+"""The interface of effecters: the parts they add to a robot, their operations and effects (manual 8, 14.3).
 
-An effecter acts in three ways only: it gives its joints an order, it switches the headlight, or it takes
-something from its stock and drops it. `effect` says which as plain arrays; `usarmjx.sim.operate` carries it
-out.
+An effecter acts in three ways only: it commands its joints, switches the headlight, or takes an item from its
+stock and drops it. `effect` returns these as plain arrays; `usarmjx.sim.operate` applies them.
 """
 
 from abc import ABC, abstractmethod
@@ -20,18 +19,18 @@ from usarmjx.models.types.robot import Mount, Part, RobotSpec
 from usarmjx.models.types.shapes import Shape
 
 MAX_DROPPED_TAGS = 64
-"""Most RFID tags that lie in one world (the manual's releasers have ids for 1001)."""
+"""Capacity of a world for dropped RFID tags (the manual's releasers have IDs for 1001)."""
 
 
 class DroppedTags(struct.PyTreeNode, kw_only=True):
     """RFID tags that releasers have dropped in one world since it began.
 
-    The tag in place i has the ID i, so that IDs are unique and among those that releasers may give, 0 to
-    1000 (manual 11.2.1).
+    The tag at index i has the ID i, so that IDs are unique and within those of releasers, 0 to 1000 (manual
+    11.2.1).
 
     Attributes:
-        pos: Where they lie [m] (TAG_ROOM, 3); only the first `count` are there.
-        count: How many there are ().
+        pos: Positions [m] (MAX_DROPPED_TAGS, 3); only the first `count` are valid.
+        count: Number of tags ().
     """
 
     pos: Array
@@ -39,19 +38,19 @@ class DroppedTags(struct.PyTreeNode, kw_only=True):
 
 
 def no_dropped_tags() -> DroppedTags:
-    """Return the tags of a world in which none was dropped yet."""
+    """Return the tags of a new world: none."""
     return DroppedTags(pos=xp.zeros((MAX_DROPPED_TAGS, 3)), count=xp.zeros((), xp.int32))
 
 
 @dataclass(frozen=True)
 class Opcode:
-    """An operation that an effecter understands.
+    """An operation of an effecter.
 
     Attributes:
         name: Its name on the wire: the manual's vocabulary (8), or the type's own (11).
         max_val: Largest parameter; an operation whose limits are equal takes none.
         min_val: Smallest parameter.
-        default_val: The parameter of a client that gives none; None: it must give one.
+        default_val: The parameter if a client gives none; None: the parameter is required.
     """
 
     name: str
@@ -61,7 +60,7 @@ class Opcode:
 
     @property
     def takes_value(self) -> bool:
-        """Whether its parameter means something."""
+        """Whether its parameter has an effect."""
         return self.max_val > self.min_val
 
 
@@ -71,16 +70,16 @@ RESET = Opcode("Reset")
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """What a valid operation does; arrays (...,).
+    """The result of a valid operation; arrays (...,).
 
     Attributes:
-        target: What all of the effecter's joints are told, by way of `joint_target`; None leaves them alone.
-        mode: What `target` is: 0 for a position, 1 for a velocity.
-        light: Whether the headlight is on; None leaves it alone.
-        stock: What is left in stock; None: as much as before.
-        drops: Whether something is dropped on the ground below.
+        target: Target of all of the effecter's joints, by way of `joint_target`; None leaves them unchanged.
+        mode: Control mode of `target`: 0 for a position, 1 for a velocity.
+        light: Whether the headlight is on; None leaves it unchanged.
+        stock: Remaining stock; None: unchanged.
+        drops: Whether an item is dropped on the ground below.
         possible: Whether it can be done now.
-        reply_number: What the answer is instead of OK; None: OK.
+        reply_number: Number to answer in place of OK; None: OK.
     """
 
     target: Array | None = None
@@ -94,10 +93,10 @@ class Effect:
 
 @dataclass(frozen=True)
 class EffecterSettings:
-    """Settings that all effecters have.
+    """Settings common to all effecters.
 
     Attributes:
-        weight: Adds to the payload [kg] (manual 11.2.2).
+        weight: Weight, part of the payload [kg] (manual 11.2.2).
     """
 
     weight: float = 0.4
@@ -110,7 +109,7 @@ class Effecter(ABC):
     Attributes:
         kind: Type as on the wire.
         settings_class: The class of its settings, a dataclass with the manual's ini keys.
-        mount: Where it sits.
+        mount: Position and orientation on the robot.
         settings: Its settings with the mount's overrides.
     """
 
@@ -121,23 +120,23 @@ class Effecter(ABC):
     settings: Any
 
     def fitted(self, robot: RobotSpec) -> Self:
-        """Return it as it is on a robot, where its settings leave something to what that has."""
+        """Return the effecter adapted to a robot, for settings that depend on its parts."""
         del robot
         return self
 
     @property
     @abstractmethod
     def opcodes(self) -> tuple[Opcode, ...]:
-        """The operations that it understands."""
+        """Operations of this type."""
 
     @abstractmethod
     def effect(self, opcode: Opcode, value: Array, stock: Array) -> Effect:
-        """Return what an operation does.
+        """Return the effect of an operation.
 
         Args:
             opcode: One of `opcodes`.
             value: Parameter, within the operation's limits (...,).
-            stock: What is left in stock (...,).
+            stock: Remaining stock (...,).
         """
 
     @property
@@ -146,29 +145,29 @@ class Effecter(ABC):
         return ()
 
     def joint_target(self, part: Part, target: Array) -> Array:
-        """Return the target of one of its joints [rad or m, or per second] for that of all (...,)."""
+        """Return the target of one of its joints [rad or m, or per second] for the common target (...,)."""
         del part
         return target
 
     @property
     def initial_stock(self) -> int:
-        """How much it carries to release."""
+        """Number of items to release at the start."""
         return 0
 
     def parts(self) -> tuple[Part, ...]:
-        """Return the parts that it consists of; those that the robot has already are not added."""
+        """Return its parts; those that the robot already has are not added."""
         return ()
 
     def shapes(self) -> tuple[Shape, ...]:
-        """Return solids that it adds to the part it is mounted on, in that part's axes."""
+        """Return solids to add to its parent part, in that part's axes."""
         return ()
 
     def is_type(self, kind: str) -> bool:
-        """Return whether it is of that type, case ignored; all are of the type Effecter (manual 9.4)."""
+        """Return whether it is of a type, case ignored; all are of the type Effecter (manual 9.4)."""
         return kind.lower() in (self.kind.lower(), "effecter")
 
     def opcode(self, name: str) -> Opcode | None:
-        """Return the operation of that name, case ignored; None when there is none."""
+        """Return the operation of that name, case ignored; None if unknown."""
         return next((opcode for opcode in self.opcodes if opcode.name.lower() == name.lower()), None)
 
     def to_parent(self, at: Vec3) -> Vec3:
@@ -177,14 +176,15 @@ class Effecter(ABC):
         return (x, y, z)
 
     def part_in_parent(self, part: Part) -> Part:
-        """Return a part, described in the effecter's axes, as its parent has it."""
+        """Convert a part from the effecter's axes to its parent's."""
         return replace(
             part, parent=self.mount.parent, at=self.to_parent(part.at), rotation=self.mount.direction
         )
 
     def shape_in_parent(self, shape: Shape) -> Shape:
-        """Return a solid, upright in the effecter's axes, as its parent has it."""
+        """Convert a solid, upright in the effecter's axes, to its parent's."""
         return replace(shape, at=self.to_parent(shape.at), rotation=self.mount.direction)
 
 
 EFFECTERS: Registry[type[Effecter]] = Registry("effecter")
+"""Classes of effecters by type."""

@@ -12,16 +12,16 @@ from usarmjx.models.types.shapes import Shape
 
 # All measures are chosen: the manual gives none.
 LEVER = 0.12
-"""Length of the linkage that carries a finger [m], which half the angle turns outward."""
+"""Length of the linkage that carries a finger [m]; half the angle turns it outward."""
 FINGER = (0.05, 0.006, 0.015)
 """Half lengths of a finger [m]."""
 PALM = (0.01, 0.05, 0.02)
-"""Half lengths of the plate that the fingers stand on [m]."""
-# 60 N hold 2 kg through a skid-steered turn. Gains as the servo of a 0.6 kg slide wants them at 5 ms.
+"""Half lengths of the plate that carries the fingers [m]."""
+# 60 N hold 2 kg through a skid-steered turn. Gains are stable for a 0.6 kg slide at a time step of 5 ms.
 MOTOR = Motor(max_speed=0.1, torque=60.0, stiffness=2000.0, damping=60.0, armature=0.5)
 GREY = (0.3, 0.3, 0.3, 1.0)
 OWN_FINGERS = ("LeftFinger", "RightFinger")
-"""What a gripper calls the fingers that it brings along."""
+"""Part names of a gripper's own fingers."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class GripperSettings(EffecterSettings):
     Attributes:
         max_angle: Largest angle between the fingers [rad].
         min_angle: Smallest angle between the fingers [rad].
-        left_finger: Name of the left finger's part; the gripper brings it along if the robot has none such.
+        left_finger: Name of the left finger's part; the gripper adds one if the robot has no such part.
             Empty: see `Gripper.fitted`.
         right_finger: The same of the right finger.
     """
@@ -46,9 +46,9 @@ class GripperSettings(EffecterSettings):
 class Gripper(Effecter):
     """Opens and closes two fingers, which point along its x axis.
 
-    Its own fingers stay parallel, as those of a linkage do, so that flat things are held by their faces:
-    fingers that turned would squeeze all but one size of them out. What is commanded is the angle of the
-    linkage. Fingers that are parts of the robot turn by half the angle each, and open by positive angles.
+    Its own fingers stay parallel, as on a linkage, so that flat things are held by their faces: fingers that
+    turned would squeeze things of all but one size out. The command is the angle of the linkage. Fingers that
+    are parts of the robot turn by half the angle each, and open by positive angles.
     """
 
     kind = "Gripper"
@@ -57,8 +57,8 @@ class Gripper(Effecter):
     def fitted(self, robot: RobotSpec) -> Self:
         """Return it with its fingers: of the parts on its base, the last on either side (manual 11.1.2).
 
-        Wheels, and whatever is on a chassis, are no fingers. What has no two such parts has fingers of the
-        gripper's own, LeftFinger and RightFinger.
+        Wheels and parts on a chassis are no fingers. If two such parts are missing, the gripper adds fingers
+        of its own, LeftFinger and RightFinger.
         """
         mount, own = self.mount, self.settings
         if own.left_finger and own.right_finger:
@@ -75,7 +75,7 @@ class Gripper(Effecter):
 
     @property
     def opcodes(self) -> tuple[Opcode, ...]:
-        """Open to an angle; Animate is the vocabulary's word for it; Reset closes, NOP stops."""
+        """Open to an angle; Animate is the vocabulary's synonym; Reset closes, NOP stops."""
         high, low = self.settings.max_angle, self.settings.min_angle
         return (Opcode("Open", high, low, None), Opcode("Animate", high, low, None), RESET, NOP)
 
@@ -85,18 +85,18 @@ class Gripper(Effecter):
         return (self.settings.left_finger, self.settings.right_finger)
 
     def effect(self, opcode: Opcode, value: Array, stock: Array) -> Effect:
-        """Closing on a thing, the servos press with their full force."""
+        """Return the target angle; on contact the servos press with their full force."""
         del stock
         if opcode == NOP:
             return Effect(target=xp.zeros_like(value), mode=1)
         return Effect(target=xp.full_like(value, self.settings.min_angle) if opcode == RESET else value)
 
     def joint_target(self, part: Part, target: Array) -> Array:
-        """Each finger has half of the angle."""
+        """Return half of the angle, or the travel of a parallel finger for it."""
         return LEVER * xp.sin(target / 2) if part.joint == "slide" else target / 2
 
     def parts(self) -> tuple[Part, ...]:
-        """Two fingers, geared to each other, that meet at angle 0."""
+        """Return two fingers, geared to each other, that meet at angle 0."""
         left, right = self.settings.left_finger, self.settings.right_finger
         return (self._finger(left, -1.0, None), self._finger(right, 1.0, left))
 
@@ -118,7 +118,7 @@ class Gripper(Effecter):
         )
 
     def shapes(self) -> tuple[Shape, ...]:
-        """The palm."""
+        """Return the palm."""
         return (self.shape_in_parent(Shape(kind="box", size=PALM, at=(PALM[0], 0.0, 0.0), rgba=GREY)),)
 
 

@@ -1,4 +1,4 @@
-"""The roller table (manual 11.3): a row of driven rollers that move things along its x axis."""
+"""The roller table (manual 11.3): a row of driven rollers that convey objects along its x axis."""
 
 from dataclasses import dataclass, replace
 
@@ -11,11 +11,11 @@ from usarmjx.models.types.shapes import Shape
 
 # All measures are chosen: the manual gives none.
 RADIUS, WIDTH = 0.03, 0.36
-"""Of a roller [m]."""
+"""Radius and width of a roller [m]."""
 ROLLERS, ROLLER_SPACING = 6, 0.08
-"""How many there are, and how far from one to the next [m]."""
+"""Number of rollers, and their spacing [m]."""
 PLATE = (0.23, 0.2, 0.01)
-"""Half lengths of the base below them [m]; its top closes the gaps between rollers to things that fall in."""
+"""Half lengths of the base plate [m]; its top closes the gaps between rollers to falling objects."""
 MOTOR = Motor(max_speed=6.0, torque=2.0, stiffness=20.0, damping=1.0, armature=0.01)
 
 
@@ -32,7 +32,7 @@ class RollerTableSettings(EffecterSettings):
 
 @dataclass(frozen=True)
 class RollerTable(Effecter):
-    """Turns all rollers at one speed; its mount is the middle of the plane that things lie on."""
+    """Turns all rollers at one speed; its mount is the middle of the plane of conveyance."""
 
     kind = "RollerTable"
     settings_class = RollerTableSettings
@@ -49,15 +49,16 @@ class RollerTable(Effecter):
         return tuple(f"{self.mount.name}_{i}" for i in range(1, ROLLERS + 1))
 
     def effect(self, opcode: Opcode, value: Array, stock: Array) -> Effect:
-        """A positive speed moves what lies on the rollers along +x."""
+        """Return the speed; a positive one conveys along +x."""
         del stock
         return Effect(target=value if opcode.takes_value else xp.zeros_like(value), mode=1)
 
     def parts(self) -> tuple[Part, ...]:
-        """The rollers."""
+        """Return the rollers."""
         motor = replace(MOTOR, max_speed=self.settings.max_speed)
-        places = [(i - (ROLLERS - 1) / 2) * ROLLER_SPACING for i in range(ROLLERS)]
-        # MuJoCo has one contact between a cylinder and a box: on two halves a box lies still.
+        offsets = [(i - (ROLLERS - 1) / 2) * ROLLER_SPACING for i in range(ROLLERS)]
+        # MuJoCo makes one contact point between a cylinder and a box, on which a box would rock: with two halves
+        # it lies still.
         half = Shape(
             kind="cylinder", size=(RADIUS, WIDTH / 4), rotation=AXLE_ROTATION, mass=0.15, surface="wheel"
         )
@@ -66,11 +67,11 @@ class RollerTable(Effecter):
             self.part_in_parent(
                 Part(name=name, at=(x, 0.0, RADIUS), motor=motor, is_wheel=True, shapes=halves)
             )
-            for name, x in zip(self.joints, places, strict=True)
+            for name, x in zip(self.joints, offsets, strict=True)
         )
 
     def shapes(self) -> tuple[Shape, ...]:
-        """The base plate, its top half a radius below the plane that things lie on."""
+        """Return the base plate, its top half a radius below the plane of conveyance."""
         plate = Shape(
             kind="box", size=PLATE, at=(0.0, 0.0, RADIUS / 2 + PLATE[2]), rgba=(0.5, 0.5, 0.55, 1.0)
         )

@@ -12,7 +12,7 @@ class ReleaserSettings(EffecterSettings):
     """Manual 11.2.2.
 
     Attributes:
-        num_tags: How many tags it carries.
+        num_tags: Number of tags at the start.
     """
 
     num_tags: int = 10
@@ -24,7 +24,7 @@ RELEASE = Opcode("Release")
 
 @dataclass(frozen=True)
 class RfidReleaser(Effecter):
-    """Drops one RFID tag after the other on the ground below it."""
+    """Drops RFID tags, one by one, on the ground below it."""
 
     kind = "RFIDReleaser"
     settings_class = ReleaserSettings
@@ -36,11 +36,11 @@ class RfidReleaser(Effecter):
 
     @property
     def initial_stock(self) -> int:
-        """Tags that it starts with."""
+        """Number of tags at the start."""
         return self.settings.num_tags
 
     def effect(self, opcode: Opcode, value: Array, stock: Array) -> Effect:
-        """Without tags left it fails to release one."""
+        """Return the effect; a release without tags left is impossible."""
         del value
         if opcode == RELEASE:
             return Effect(stock=stock - 1, drops=True, possible=stock > 0)
@@ -54,17 +54,17 @@ ACTIVATE = Opcode("Activate", 1.0, 0.0, 1.0)
 
 @dataclass(frozen=True)
 class Headlight(Effecter):
-    """Switches the robot's headlight, as DRIVE {Light} does (manual 11.5 wants it to be an effecter)."""
+    """Switches the robot's headlight, as DRIVE {Light} does (manual 11.5 makes it an effecter)."""
 
     kind = "Headlight"
 
     @property
     def opcodes(self) -> tuple[Opcode, ...]:
-        """Activate with 1 or nothing is on, with 0 off; Reset and NOP are off."""
+        """Activate with 1 or without a value is on, with 0 off; Reset and NOP are off."""
         return (ACTIVATE, RESET, NOP)
 
     def effect(self, opcode: Opcode, value: Array, stock: Array) -> Effect:
-        """On is what is nearer to 1 than to 0."""
+        """Return on for values above 0.5."""
         del stock
         return Effect(light=value > 0.5 if opcode == ACTIVATE else xp.zeros_like(value, bool))
 

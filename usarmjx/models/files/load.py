@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 
 from usarmjx.base.errors import ArenaFileError, UnknownNameError
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.lanes import LANE_PREFIX, LANES
 from usarmjx.models.files.content import EMPTY, Content
@@ -49,7 +49,7 @@ def save_arena(arena: ArenaSpec, path: str | Path) -> Path:
         raise ArenaFileError(f"{path}: cannot be written: No such file or directory")
     plain = _Files(path).plain(arena)
     text = yaml.safe_dump(plain, default_flow_style=None, sort_keys=False, width=WIDTH, allow_unicode=False)
-    with write_beside(path) as fresh:
+    with atomic_write(path) as fresh:
         fresh.write_text(HEADER + text, encoding="utf-8")
     return path
 
@@ -97,7 +97,7 @@ def _write_mesh(mesh: Mesh, path: Path, number: int) -> str | dict[str, str]:
     else:
         lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
     name = f"{path.stem}-mesh-{number}.obj"
-    with write_beside(path.parent / name) as fresh:
+    with atomic_write(path.parent / name) as fresh:
         fresh.write_text("\n".join(lines) + "\n", encoding="ascii")
     return {"file": name, "rays": "faces"} if mesh.faces is not None else name
 

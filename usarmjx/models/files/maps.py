@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 from usarmjx.base.transforms import Vec3, mat_from_angles
 from usarmjx.models.files.content import Content, Rectangle
 from usarmjx.models.files.fields import check_keys, option, read, required
@@ -59,7 +59,7 @@ def write_heights(path: Path, heights: np.ndarray) -> float:
 
     top = float(np.max(heights))
     steps = np.rint(np.asarray(heights, float) / (top or 1.0) * 65535).astype(np.uint16)
-    with write_beside(path) as fresh:
+    with atomic_write(path) as fresh:
         Image.fromarray(np.ascontiguousarray(steps[::-1])).save(fresh)
     return top
 

@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from usarmjx.base.errors import SpecError, UsageError, one_line
+from usarmjx.base.errors import SpecError, UsageError, quoted
 from usarmjx.base.registry import Registry
 from usarmjx.models.compile.measure import with_measurements
 from usarmjx.models.compile.parts import parts_of
@@ -102,7 +102,7 @@ def build_robot(section: RobotSection, base: RobotSpec | None, sources: BuildCon
             raise
         raise SpecError(f"{section.where}: {error}") from error
     except ValueError as error:  # MuJoCo's, of masses and sizes that it cannot work with
-        raise SpecError(f"{section.where}: {robot.name} cannot be built: {one_line(error)}") from error
+        raise SpecError(f"{section.where}: {robot.name} cannot be built: {quoted(error)}") from error
 
 
 def _changed_robot(

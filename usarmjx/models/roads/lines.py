@@ -1,4 +1,4 @@
-"""Lines of keywords and numbers, as DARPA's RNDF and MDF files have them, with the place of every mistake."""
+"""Lines of keywords and numbers, as in DARPA's RNDF and MDF files, with the line number of every error."""
 
 import math
 import re
@@ -10,21 +10,21 @@ from usarmjx.base.files import read_bounded
 from usarmjx.models.roads.network import Fault, LatLon, point_name
 
 NUMBERED = re.compile(r"[0-9]{1,18}(\.[0-9]{1,18})*")
-"""The first word of a line without a keyword: 1.2.3, or a plain number."""
+"""Pattern of the first word of a line without a keyword: 1.2.3, or a plain number."""
 MOST_BYTES = 16_000_000
-"""Of a file."""
+"""Largest size of a file [bytes]."""
 MOST_SAID, MOST_QUOTED = 1000, 100
-"""Characters of an error, and of what it quotes."""
+"""Largest lengths of an error and of a quotation in it [characters]."""
 
 
 class RoadLines:
-    """The lines of a file that are not blank, without their comments, read one after the other.
+    """Reader of the lines of a file, without blank lines and comments, one after the other.
 
     Args:
         source: A path, or the text itself: a string with a line break.
 
     Attributes:
-        fault_lines: The line of each thing that a check of the whole may find wrong, by the first of `Fault`.
+        fault_lines: Line of each item that a later check may refuse, by the key of `Fault`.
 
     Raises:
         SpecError: The file cannot be read, or a comment has no end.
@@ -53,7 +53,7 @@ class RoadLines:
 
     @property
     def word(self) -> str:
-        """First word of the next line, as keywords are spelt; empty at the end."""
+        """First word of the next line in lower case, as keywords are; empty at the end."""
         return self._lines[self._next][1][0].lower() if self._next < len(self._lines) else ""
 
     @property
@@ -62,32 +62,32 @@ class RoadLines:
         return bool(NUMBERED.fullmatch(self.word))
 
     def fault(self, text: str, line: int | None = None) -> SpecError:
-        """Return an error at a line, by default the next one; what it quotes is printable and cut short."""
+        """Return an error at a line, by default the next one; quotations are made printable and cut short."""
         short = text if len(text) <= MOST_SAID else f"{text[:MOST_SAID]}..."
         shown = "".join(letter if letter.isprintable() else "?" for letter in short)
         return SpecError(f"{self.file}:{self.line if line is None else line}: {shown}")
 
     def unexpected(self, *allowed: str) -> SpecError:
-        """Return the error that the next line is none of those."""
+        """Return the error that the next line has none of the allowed keywords."""
         found = f"found {_short(self._lines[self._next][1][0])!r}" if self.word else "the file ends"
         return self.fault(f"{found}; allowed here: {', '.join(allowed)}")
 
     def words(self, count: int | None = None, meaning: str = "") -> list[str]:
-        """Return what follows the first word of the next line, and go on to the one after it.
+        """Return the words after the first one of the next line, and advance.
 
         Args:
-            count: How many words must follow; None: any number but none.
-            meaning: What they are, for the error.
+            count: Number of words that must follow; None: any number above zero.
+            meaning: Description of the words, for the error.
         """
         first, *rest = self._lines[self._next][1]
         if (not rest) if count is None else (len(rest) != count):
-            said = _short(f"{first} {' '.join(rest)}".rstrip())
-            raise self.fault(f"{said}; expected: {_short(first)} {meaning}".rstrip())
+            found = _short(f"{first} {' '.join(rest)}".rstrip())
+            raise self.fault(f"{found}; expected: {_short(first)} {meaning}".rstrip())
         self._next += 1
         return rest
 
     def take(self, keyword: str) -> None:
-        """Go past a line that has only that keyword.
+        """Skip a line that has only that keyword.
 
         Raises:
             SpecError: The next line is another one.
@@ -97,13 +97,13 @@ class RoadLines:
         self.words(0)
 
     def text(self, keyword: str) -> str:
-        """Return the text that follows a keyword which must be next."""
+        """Return the text after a keyword which must be next."""
         if self.word != keyword.lower():
             raise self.unexpected(keyword)
         return " ".join(self.words(meaning="name"))
 
     def numbers(self, keyword: str, count: int = 1) -> tuple[int, ...]:
-        """Return the numbers `1.2` that follow a keyword which must be next; `count` of them."""
+        """Return the numbers `1.2` after a keyword which must be next; `count` of them."""
         if self.word != keyword.lower():
             raise self.unexpected(keyword)
         line, (word,) = self.line, self.words(1, ".".join("MNP"[:count]))
@@ -119,7 +119,7 @@ class RoadLines:
         return numbers
 
     def named(self, keyword: str, *numbers: int) -> None:
-        """Go past `segment 1`, where numbering goes on with exactly those numbers."""
+        """Skip `segment 1`, whose numbers must be exactly the given ones."""
         line, found = self.line, self.numbers(keyword, len(numbers))
         if found != numbers:
             raise self.fault(
@@ -129,7 +129,7 @@ class RoadLines:
             )
 
     def real(self, word: str, what: str, low: float, high: float, line: int) -> float:
-        """Return a number of that range."""
+        """Return a number within a range."""
         try:
             value = float(word)
         except ValueError:
@@ -139,10 +139,10 @@ class RoadLines:
         return value
 
     def points(self, owner: tuple[int, int], expected: int, what: str) -> tuple[LatLon, ...]:
-        """Return latitudes and longitudes of the lines `1.2.3 34.5 -117.3` that follow.
+        """Return latitudes and longitudes of the following lines `1.2.3 34.5 -117.3`.
 
         Raises:
-            SpecError: Their numbers do not go up from 1, or there are not as many as expected.
+            SpecError: Their numbers do not go up from 1, or their count differs from the announced one.
         """
         points: list[LatLon] = []
         while self.numbered:
@@ -159,23 +159,23 @@ class RoadLines:
             raise self.fault(f"{self.word}; expected {point_name(numbers)}: numbers go up one by one")
 
     def count(self, found: int, expected: int, what: str) -> None:
-        """Check that there were as many of something as its count had said."""
+        """Check a number of items against the announced one."""
         if found != expected:
             raise self.fault(f"{found} {what}, but {expected} were announced")
 
     def header(self, keywords: Mapping[str, Callable[[], None]]) -> None:
-        """Read lines with those keywords, in any order, as long as there are any."""
+        """Read lines with those keywords, in any order, until another line comes."""
         while read := keywords.get(self.word):
             read()
 
     def refuse(self, faults: list[Fault]) -> None:
-        """Raise the first fault that a check of the whole has found, at its line."""
+        """Raise the first fault of a check of the whole, at its line."""
         for where, text in faults:
             raise self.fault(text, self.fault_lines.get(where, self._end))
 
 
 def _without_comments(text: str) -> str:
-    """Return a text with a space, or line breaks, in place of each comment; one without its end stays."""
+    """Return a text with each comment replaced by a space or its line breaks; one without an end stays."""
     parts: list[str] = []
     at = 0
     while (start := text.find("/*", at)) >= 0 and (end := text.find("*/", start + 2)) >= 0:
@@ -189,14 +189,15 @@ def _short(text: str) -> str:
 
 
 Row = tuple[str | int | float | tuple[int, ...] | None, ...]
-"""A line to write; without a value (None, or an empty text) it is left out."""
+"""Values of a line to write; a line with None or an empty text is left out."""
 
 
 def written(rows: list[Row]) -> str:
     """Return the text of lines, with tabs between words.
 
     Raises:
-        SpecError: A text that would be read as another one: with line breaks, comment marks or white space
+        SpecError: A text that would not be read back unchanged: with line breaks, comment marks or white
+            space
             other than single spaces.
     """
     shown = [row for row in rows if None not in row and "" not in row]

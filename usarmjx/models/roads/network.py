@@ -1,7 +1,7 @@
-"""Route networks and missions of the DARPA Urban Challenge (manual 3.2.1.2), and what is wrong with them.
+"""Route networks and missions of the DARPA Urban Challenge (manual 3.2.1.2), and their checks.
 
 Segments have numbers from 1, zones the numbers after the last segment's; lanes, spots and waypoints have
-numbers from 1 within what holds them. Places are latitude and longitude in floating-point degrees, as before
+numbers from 1 within their owner. Positions are latitude and longitude in floating-point degrees, as before
 DARPA's revision of December 2006 (manual 10.13). Widths are feet and speeds miles per hour, as in the files.
 """
 
@@ -11,24 +11,25 @@ from dataclasses import dataclass
 from functools import cached_property
 
 METRES_PER_LATITUDE_DEGREE, METRES_PER_LONGITUDE_DEGREE = 111200.0, 71670.0
-"""Metres of a degree (GPSSensor.uc), wherever on earth."""
+"""Metres per degree (GPSSensor.uc), at any latitude."""
 
 LatLon = tuple[float, float]
 """Latitude and longitude [degrees], north and east positive."""
 
 
 METRES_PER_DEGREE = (METRES_PER_LATITUDE_DEGREE, METRES_PER_LONGITUDE_DEGREE)
+"""Metres per degree of latitude and of longitude."""
 
 
 def to_lat_lon(
     origin: LatLon, at: tuple[float, float], scales: tuple[float, float] = METRES_PER_DEGREE
 ) -> LatLon:
-    """Return latitude and longitude [degrees] of a place x, y [m] in an arena whose origin lies there.
+    """Return latitude and longitude [degrees] of a point x, y [m] of an arena with that origin.
 
     Args:
-        origin: Where the arena's origin lies.
-        at: The place.
-        scales: Metres of a degree of latitude and of longitude; negative ones turn the axis round.
+        origin: Latitude and longitude of the arena's origin.
+        at: The point.
+        scales: Metres per degree of latitude and of longitude; negative ones reverse the axis.
     """
     return origin[0] + at[0] / scales[0], origin[1] - at[1] / scales[1]
 
@@ -39,20 +40,20 @@ def to_local_xy(origin: LatLon, at: LatLon) -> tuple[float, float]:
 
 
 FOOT = 0.3048
-"""Metres."""
+"""Length of a foot [m]."""
 WIDEST = 1e3
-"""Widest lane or spot that is taken for one [feet]."""
+"""Largest width of a lane or spot that is accepted [feet]."""
 LISTED = 100
-"""Numbers that a message lists."""
+"""Largest count of numbers in a message."""
 FASTEST = 1e3
-"""Highest speed that is taken for one [miles per hour]."""
+"""Largest speed that is accepted [miles per hour]."""
 BOUNDARIES = ("double_yellow", "solid_yellow", "solid_white", "broken_white")
-"""What lane boundaries can be."""
+"""Kinds of lane boundaries."""
 
 PointId = tuple[int, int, int]
 """M.N.P: segment, lane and waypoint; zone, 0 and perimeter point; zone, spot and waypoint."""
 Fault = tuple[tuple[object, ...], str]
-"""Which thing is wrong (as `exit`, from, to), and what is wrong with it."""
+"""Key of a faulty item (as `exit`, from, to), and the fault in words."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +67,7 @@ class Lane:
         right: Right boundary, likewise.
         checkpoints: Waypoint and checkpoint of each checkpoint.
         stops: Waypoints with a stop sign.
-        exits: Waypoint of each exit, and the waypoint or perimeter point elsewhere to which it leads.
+        exits: Waypoint of each exit, and the waypoint or perimeter point to which it leads.
     """
 
     waypoints: tuple[LatLon, ...]
@@ -88,10 +89,10 @@ class RoadSegment:
 
 @dataclass(frozen=True, kw_only=True)
 class Spot:
-    """A parking spot: its mouth, and where to park.
+    """A parking spot: its mouth, and the parking position.
 
     Attributes:
-        waypoints: Two of them.
+        waypoints: The mouth, then the parking position.
         width: Width [feet]; None: not given.
         checkpoints: Waypoint and checkpoint of each checkpoint.
     """
@@ -106,7 +107,7 @@ class Zone:
     """An area without lanes, as a car park.
 
     Attributes:
-        perimeter: Corners, and the points where cars come in and go out.
+        perimeter: Corners, and the points of entry and exit.
         exits: Perimeter point of each exit, and the waypoint or perimeter point to which it leads.
         spots: Parking spots.
         name: Name; empty: none.
@@ -120,7 +121,7 @@ class Zone:
 
 @dataclass(frozen=True, kw_only=True)
 class RouteNetwork:
-    """What a route network definition file (RNDF) says."""
+    """Contents of a route network definition file (RNDF)."""
 
     name: str
     segments: tuple[RoadSegment, ...]
@@ -133,7 +134,7 @@ class RouteNetwork:
         return {(*owner, i): at for owner, part in self.parts() for i, at in enumerate(_points(part), 1)}
 
     def checkpoints(self) -> dict[int, PointId]:
-        """Return where each checkpoint is."""
+        """Return the point of each checkpoint."""
         return {
             checkpoint: (*owner, point)
             for owner, part in self.parts()
@@ -143,7 +144,7 @@ class RouteNetwork:
 
     @cached_property
     def entries(self) -> frozenset[PointId]:
-        """The points to which exits lead."""
+        """Points to which exits lead."""
         parts = [part for _, part in self.parts()]
         return frozenset(to for part in parts if not isinstance(part, Spot) for _, to in part.exits)
 
@@ -152,7 +153,7 @@ class RouteNetwork:
         return self.segments[segment - 1].lanes[lane - 1]
 
     def parts(self) -> Iterator[tuple[tuple[int, int], Lane | Zone | Spot]]:
-        """Iterate over what has points, with the first two of their numbers: lanes, perimeters, spots."""
+        """Iterate over lanes, perimeters and spots, with the first two numbers of their points."""
         for m, segment in enumerate(self.segments, 1):
             for n, lane in enumerate(segment.lanes, 1):
                 yield (m, n), lane
@@ -173,15 +174,15 @@ class SpeedLimit:
 
 @dataclass(frozen=True, kw_only=True)
 class Mission:
-    """What a mission data file (MDF) says: checkpoints to visit in order, and speed limits.
+    """Contents of a mission data file (MDF): checkpoints to visit in order, and speed limits.
 
     Attributes:
         name: Name of the mission.
         rndf: Name of its route network.
-        checkpoints: Checkpoints in their order; one may come more than once.
+        checkpoints: Checkpoints in their order, repetitions allowed.
         speed_limits: Speed limits.
         format_version: Version of the format.
-        creation_date: When it was made.
+        creation_date: Date of creation.
     """
 
     name: str
@@ -197,15 +198,15 @@ def _points(part: Lane | Zone | Spot) -> tuple[LatLon, ...]:
 
 
 def point_name(numbers: tuple[int, ...]) -> str:
-    """Return numbers as the files have them: 1.2.3."""
+    """Return numbers in the notation of the files: 1.2.3."""
     return ".".join(map(str, numbers))
 
 
 def network_faults(network: RouteNetwork) -> list[Fault]:
-    """Return what is wrong with a route network; nothing if it is sound.
+    """Return the faults of a route network; empty if it is sound.
 
-    Checkpoints, stop signs and exits are at points that their lane, zone or spot has; exits lead to points
-    that there are; no two checkpoints have one number; figures are in their ranges.
+    Checkpoints, stop signs and exits are at existing points of their lane, zone or spot; exits lead to
+    existing points; checkpoints have unique numbers; values are in their ranges.
     """
     known, last = network.points(), {owner: len(_points(part)) for owner, part in network.parts()}
     faults: list[Fault] = [] if network.name else [(("name",), "a route network needs a name")]
@@ -248,7 +249,7 @@ def _wrong_figures(owner: tuple[int, int], part: Lane | Zone | Spot) -> Iterator
 
 
 def _marks(part: Lane | Zone | Spot) -> Iterator[tuple[str, int, int | PointId | None]]:
-    """Iterate over checkpoints, stops and exits: which, at which point, and its number or where it leads."""
+    """Iterate over checkpoints, stops and exits: kind, point, and number or destination."""
     if not isinstance(part, Zone):
         yield from (("checkpoint", point, checkpoint) for point, checkpoint in part.checkpoints)
     if isinstance(part, Lane):
@@ -263,10 +264,10 @@ def _extent(last: dict[tuple[int, int], int], lost: PointId) -> str:
 
 
 def mission_faults(mission: Mission, network: RouteNetwork | None = None) -> list[Fault]:
-    """Return what is wrong with a mission; nothing if it is sound.
+    """Return the faults of a mission; empty if it is sound.
 
-    Speed limits have their lowest speed first, and there is one for a segment or zone. With its route
-    network: its checkpoints are there, and its speed limits are of segments and zones that are there.
+    Speed limits have their lowest speed first, and there is at most one for a segment or zone. With its route
+    network: its checkpoints, segments and zones exist there.
     """
     faults: list[Fault] = []
     if not (mission.name and mission.rndf):
@@ -282,7 +283,7 @@ def mission_faults(mission: Mission, network: RouteNetwork | None = None) -> lis
 
 
 def _strangers(mission: Mission, network: RouteNetwork | None) -> Iterator[Fault]:
-    """Iterate over what a mission refers to and its network has not."""
+    """Iterate over references of a mission that its network lacks."""
     known = network.checkpoints() if network else {}
     there = _listed(known) if network else "1 and up"
     areas = len(network.segments) + len(network.zones) if network else None

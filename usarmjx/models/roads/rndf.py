@@ -1,4 +1,4 @@
-"""Route network definition files (RNDF) of the DARPA Urban Challenge: text to data and back.
+"""Route network (RNDF) and mission (MDF) files of the DARPA Urban Challenge: text to data and back.
 
 The format is DARPA's "RNDF and MDF Formats" (manual 10.13): keywords and their values on lines, blocks closed
 by `end_...`, comments between /* and */. Keywords are matched without case, white space and line breaks of
@@ -37,8 +37,9 @@ def read_mdf(source: str | Path, network: RouteNetwork | None = None) -> Mission
         network: Its route network; with it, checkpoints and numbers of segments are checked too.
 
     Raises:
-        SpecError: It does not follow the format, its speed limits are turned round, or its network has not
-            what it refers to; the message names file and line, what was wrong and what is allowed.
+        SpecError: It does not follow the format, a speed limit has its lowest speed last, or its network
+            lacks
+            an item that it refers to; the message names file and line, the error and the allowed values.
     """
     lines = RoadLines(source)
     name = lines.text("MDF_name")
@@ -121,8 +122,9 @@ def read_rndf(source: str | Path) -> RouteNetwork:
         source: Its path, or its text: a string with a line break.
 
     Raises:
-        SpecError: It does not follow the format, or refers to points that it has not; the message names file
-            and line, what was wrong and what is allowed.
+        SpecError: It does not follow the format, or refers to points that do not exist; the message names
+            file
+            and line, the error and the allowed values.
     """
     lines = RoadLines(source)
     name = lines.text("RNDF_name")
@@ -181,7 +183,7 @@ def _segment(lines: RoadLines, number: int) -> RoadSegment:
 
 
 class _Head:
-    """What stands before the points of a lane, a perimeter or a spot.
+    """Header of a lane, a perimeter or a spot: the lines before its points.
 
     Args:
         lines: The file.
@@ -196,7 +198,7 @@ class _Head:
         self.marks: dict[str, list[Any]] = {"checkpoint": [], "stop": [], "exit": []}
 
     def read(self, count: str, *others: str) -> None:
-        """Read the lines of the header: the count, unless it is empty, and what else is allowed there."""
+        """Read the lines of the header: the count, unless it is empty, and the other allowed keywords."""
         readers: dict[str, Callable[[], None]] = {
             "lane_width": partial(self._width, "lane_width"),
             "spot_width": partial(self._width, "spot_width"),

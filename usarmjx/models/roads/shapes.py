@@ -1,8 +1,8 @@
-"""What a route network looks like on the ground: lane markings, stop lines, kerbs and parking spots.
+"""Markings of a route network: lane boundaries, stop lines, kerbs and parking spots.
 
 Sizes of markings are those of the United States' Manual on Uniform Traffic Control Devices (MUTCD). A lane's
-markings end where it can be left, and begin again at the next waypoint where it can be joined: there it
-crosses another road. Paint is seen, but not felt.
+markings end at a waypoint with an exit, and begin again at the next waypoint with an entry: there it crosses
+another road. Paint is visible, but has no contacts.
 """
 
 import math
@@ -16,19 +16,19 @@ from usarmjx.models.roads.network import FOOT, Lane, LatLon, RouteNetwork, Spot,
 from usarmjx.models.types.shapes import Rgba, Shape
 
 MOST_MARKINGS = 50_000
-"""Of a network: all that an arena may have of solids."""
+"""Largest number of markings of a network: the limit of an arena's solids."""
 LANE_WIDTH = 12.0
-"""Of lanes whose network does not say it [feet] (chosen: that of highways)."""
+"""Width of lanes without a given width [feet] (chosen: that of highways)."""
 LINE, STOP_LINE = 0.10, 0.45
-"""Widths [m] (MUTCD 3A.06: 4 to 6 inches; 3B.16: 12 to 24 inches)."""
+"""Widths of lines and of stop lines [m] (MUTCD 3A.06: 4 to 6 inches; 3B.16: 12 to 24 inches)."""
 DASH, GAP = 10 * FOOT, 30 * FOOT
-"""Of broken lines [m] (MUTCD 3A.06)."""
+"""Lengths of the dashes of a broken line and of the gaps between them [m] (MUTCD 3A.06)."""
 PAINT = 0.004
-"""Thickness of paint [m]; it lies on asphalt of half of that."""
+"""Thickness of paint [m], twice that of the asphalt below it."""
 KERB_WIDTH, KERB_HEIGHT = 0.15, 0.15
-"""Six inches (chosen: the usual barrier kerb) [m]."""
+"""Width and height of a kerb [m]: six inches (chosen: the usual barrier kerb)."""
 STRAIGHT = 2e-3
-"""A bend of less than this is none [rad]."""
+"""Bend below which a path counts as straight [rad]."""
 
 WHITE, YELLOW = (0.95, 0.95, 0.95, 1.0), (0.95, 0.75, 0.1, 1.0)
 CONCRETE = (0.65, 0.65, 0.62, 1.0)
@@ -47,7 +47,7 @@ def road_shapes(network: RouteNetwork, origin: LatLon) -> tuple[Shape, ...]:
     Raises:
         SpecError: There are more than `MOST_MARKINGS` of them.
     """
-    # A stop line at a waypoint where the one before is has no length.
+    # A stop line at a waypoint that repeats the one before has no length.
     seen = (shape for shape in _markings(network, origin) if min(shape.size) > 0)
     shapes = tuple(islice(seen, MOST_MARKINGS + 1))
     if len(shapes) > MOST_MARKINGS:
@@ -78,7 +78,7 @@ def lane_path(lane: Lane, origin: LatLon) -> np.ndarray:
 
 
 def lane_runs(network: RouteNetwork, owner: tuple[int, int], origin: LatLon) -> list[np.ndarray]:
-    """Return the paths of a lane between crossings, x, y [m] (points, 2), each of two points at least."""
+    """Return the paths of a lane between crossings, x, y [m] (points, 2), each of at least two points."""
     lane = network.lane(*owner)
     left = {point for point, _ in lane.exits}
     entries = network.entries
@@ -89,7 +89,7 @@ def lane_runs(network: RouteNetwork, owner: tuple[int, int], origin: LatLon) -> 
 
 
 def _distinct(path: np.ndarray) -> np.ndarray:
-    """Return a path without points that are where the one before is (points, 2)."""
+    """Return a path without repeated points (points, 2)."""
     return path[np.r_[True, (np.diff(path, axis=0) != 0).any(axis=1)]] if len(path) else path
 
 
@@ -100,6 +100,7 @@ def offset_path(path: np.ndarray, left: float) -> np.ndarray:
     along /= np.where(lengths > 0, lengths, 1.0)
     normal = np.column_stack([-along[:, 1], along[:, 0]])
     before, after = np.vstack([normal[:1], normal]), np.vstack([normal, normal[-1:]])
+    # Mitre joint: the bisector of two normals, lengthened by 1 / cos of half the bend.
     return path + left * (before + after) / (1 + (before * after).sum(1, keepdims=True))
 
 
@@ -129,7 +130,7 @@ def _pieces(path: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 def _boundary(run: np.ndarray, edge: float, kind: str) -> Iterator[Shape]:
-    """Iterate over the lines of a lane's boundary, which lies that far to the left of its path."""
+    """Iterate over the lines of a lane's boundary, which lies `edge` [m] to the left of its path."""
     inwards, rgba = -math.copysign(1.0, edge), YELLOW if "yellow" in kind else WHITE
     if kind == "broken_white":
         path = offset_path(run, edge + inwards * LINE / 4)
@@ -167,7 +168,7 @@ def _stop_lines(lane: Lane, origin: LatLon) -> Iterator[Shape]:
 
 
 def _spot_lines(spots: tuple[Spot, ...], origin: LatLon) -> Iterator[Shape]:
-    """Iterate over the lines beside spots, twice as long as from the mouth to where one parks.
+    """Iterate over the lines beside spots, twice as long as from the mouth to the parking position.
 
     Neighbours share one.
     """

@@ -9,6 +9,21 @@ from usarmjx.base.registry import Registry
 from usarmjx.models.robots.airborne import AIRROBOT, PASSAROLA
 from usarmjx.models.robots.cars import COOPER, HUMMER, SEDAN, SNOWSTORM
 from usarmjx.models.robots.flippers import KENAF, TARANTULA
+from usarmjx.models.robots.kit import (
+    POSE_SENSORS,
+    ball,
+    block,
+    camera,
+    drum,
+    hull,
+    mirrored,
+    pan_tilt,
+    prism,
+    rod,
+    sick,
+    sick_lms200,
+    wheel,
+)
 from usarmjx.models.robots.kurt import KURT2D, KURT3D
 from usarmjx.models.robots.legged import ERS, QRIO
 from usarmjx.models.robots.lisa import LISA
@@ -21,6 +36,23 @@ from usarmjx.models.robots.telemax import TELEMAX
 from usarmjx.models.robots.underwater import SUBMARINE
 from usarmjx.models.robots.unit_loader import UNIT_LOADER
 from usarmjx.models.types.robot import RobotSpec
+
+__all__ = [
+    "POSE_SENSORS",
+    "ROBOTS",
+    "ball",
+    "block",
+    "camera",
+    "drum",
+    "hull",
+    "mirrored",
+    "pan_tilt",
+    "prism",
+    "rod",
+    "sick",
+    "sick_lms200",
+    "wheel",
+]
 
 ROBOTS: Registry[RobotSpec] = Registry("robot")
 for _spec in (

@@ -1,6 +1,6 @@
-"""What robots and arenas are: frozen dataclasses, no code that depends on one of them.
+"""Descriptions of robots and arenas: frozen dataclasses without behaviour.
 
-`robot` has the parts and joints of a robot, `shapes` the solids of both, `arena` what stands and lies in an
-arena, `settings` how a mount overrides a sensor's settings. A field added here reaches YAML files by itself
-(`models.files.fields`); it needs a default, or files that were written before do not load any more.
+`robot` holds the parts and joints of a robot, `shapes` the solids of both, `arena` the contents of an arena,
+`settings` the overrides of a mount. YAML files read and write a new field without further code
+(`models.files.fields`); give it a default, or files written before it no longer load.
 """

@@ -1,8 +1,8 @@
-"""What an arena is made of: frozen values, no code.
+"""Arena descriptions: frozen values without behaviour.
 
-Arena descriptions are written in MuJoCo's axes (z up, x forward, y left; roll, pitch, yaw applied as ZYX)
-with the floor at height zero, and say where that floor lies in the world. Lengths are metres, angles
-radians, masses kilograms. Solids are `spec.Shape`, as robots' are.
+Axes are MuJoCo's (z up, x forward, y left; roll, pitch, yaw applied as ZYX), with the floor at height zero;
+`ArenaSpec.floor` is the height of that floor in the world. Lengths are metres, angles radians, masses
+kilograms. Solids are `types.shapes.Shape`, as robots' are.
 """
 
 from dataclasses import dataclass
@@ -13,11 +13,11 @@ from usarmjx.models.types.shapes import ZERO, Rgba, Shape
 
 @dataclass(frozen=True, kw_only=True)
 class LooseObject:
-    """A loose object of an arena: what robots push, climb, grip and carry.
+    """A loose object of an arena, which robots push, climb, grip and carry.
 
     Attributes:
         name: Unique within the arena.
-        at: Where its origin starts, in the arena's axes.
+        at: Initial position of its origin, in the arena's axes.
         rotation: Roll, pitch, yaw.
         shapes: Its solids; together they need a mass.
     """
@@ -30,7 +30,7 @@ class LooseObject:
 
 @dataclass(frozen=True, kw_only=True)
 class Door:
-    """A door on a hinge, which robots push open; the radio counts it where it stands.
+    """A door on a hinge, which robots push open; the radio counts it at its present angle.
 
     Attributes:
         name: Unique within the arena.
@@ -39,7 +39,7 @@ class Door:
         size: Width, thickness and height.
         limits: Lowest and highest angle; 0 is closed, positive counter-clockwise seen from above.
         mass: Mass.
-        friction: What the hinge holds against [N m s/rad].
+        friction: Damping of the hinge [N m s/rad].
         rgba: Colour.
     """
 
@@ -62,19 +62,19 @@ class Water:
 
 
 START_ELEVATION = 0.188
-"""How high above the ground under it a start pose is given [m] (manual 5.3.5)."""
+"""Height of a start pose above the ground under it [m] (manual 5.3.5)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StartPose:
-    """A named place to start from (manual 5.3.2).
+    """A named start pose (manual 5.3.2).
 
     Attributes:
         tag: Its name.
-        at: `START_ELEVATION` above the ground there [m].
+        at: Position, `START_ELEVATION` above the ground [m].
         yaw: Heading, counter-clockwise [rad].
-        pitch: How far the nose is down, on a slope [rad]; robots of a batch begin upright.
-        roll: How far it leans to its right [rad].
+        pitch: Pitch, nose down, on a slope [rad]; robots of a batch begin upright.
+        roll: Roll to the right [rad].
     """
 
     tag: str
@@ -91,17 +91,17 @@ class StartPose:
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentMotion:
-    """How one segment of a victim's body moves (manual 14.1.3).
+    """The motion of one segment of a victim's body (manual 14.1.3).
 
-    Its joint turns from the first pose to the last one at the given rates and back again, over and over
-    (a waving hand); a rate of zero keeps that angle where it began.
+    Its joint turns from the first pose to the last one at the given rates and back again, without end (a
+    waving hand); a rate of zero keeps that angle at its initial value.
 
     Attributes:
         name: A bone of `victims.BONES`, as LeftArm.
         initial: First pitch, yaw and roll on its parent bone.
         final: Last pitch, yaw and roll.
         rates: Pitch, yaw and roll rate at `Victim.anim_timer` 1 [rad/s].
-        scale: Size of the bone and of all that hangs on it; 0 hides them.
+        scale: Size of the bone and of its descendants; 0 hides them.
     """
 
     name: str
@@ -113,11 +113,11 @@ class SegmentMotion:
 
 @dataclass(frozen=True, kw_only=True)
 class HelpSound:
-    """What a victim is heard by (manual 10.11, 14.1.3).
+    """The cries of a victim (manual 10.11, 14.1.3).
 
     Attributes:
         loudness: Loudness at 1 m.
-        duration: How long each cry lasts [s].
+        duration: Duration of a cry [s].
         pause: Time between two cries [s].
     """
 
@@ -134,12 +134,12 @@ class Victim:
         name: Unique within the arena.
         at: Centre of its pelvis, in the arena's axes.
         rotation: Roll, pitch and yaw of its pelvis; all zero stands upright and looks along x.
-        posture: A key of `victims.POSTURES`: where the segments are that have no pose of their own.
+        posture: A key of `victims.POSTURES`: the angles of segments without a pose of their own.
         segments: At most 8 segments with poses and motions of their own.
-        anim_timer: How fast they move; 0 keeps them still.
-        help_sound: What is heard of it; None: nothing.
+        anim_timer: Factor on the rates of the segments; 0 keeps them still.
+        help_sound: Its cries; None: silent.
         breathes: Whether it breathes out CO2.
-        state: In words for people: still, moving, hidden behind a board, in a void.
+        state: Condition in words for people: still, moving, hidden behind a board, in a void.
     """
 
     name: str
@@ -161,7 +161,7 @@ class FalseAlarm:
         part: A bone of `victims.BONES`.
         at: Its centre, in the arena's axes.
         rotation: Roll, pitch, yaw.
-        scale: Its size beside a victim's.
+        scale: Size relative to a victim's part.
     """
 
     part: str
@@ -171,7 +171,7 @@ class FalseAlarm:
 
 
 AUTOMATIC_TAG_ID = -1
-"""A tag with this ID takes the next free one above 1000, which releasers do not give (manual 10.9, 11.2)."""
+"""ID of a tag that gets the next free one above 1000, which releasers never use (manual 10.9, 11.2)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,9 +179,9 @@ class Tag:
     """An RFID tag that lies in the arena from the start (manual 10.9).
 
     Attributes:
-        at: Where it is, in the arena's axes.
+        at: Position, in the arena's axes.
         id: Its ID, above 1000, or `AUTOMATIC_TAG_ID`.
-        memory: What is written on it.
+        memory: Text stored on it.
         single_shot: Whether it answers only once.
     """
 
@@ -196,7 +196,7 @@ class Light:
     """A lamp; an arena without any is lit by daylight.
 
     Attributes:
-        at: Where it is, in the arena's axes.
+        at: Position, in the arena's axes.
         brightness: Brightness at 1 m, 1 being a lit white wall.
         rgb: Colour.
     """
@@ -213,20 +213,20 @@ class ArenaSpec:
     Attributes:
         name: Level name as the greeting reports it (DM-USAR_yellow).
         aliases: Short names.
-        about: What it is, in a sentence.
+        about: Description, in one sentence.
         floor: Height of the floor in the world, z up.
-        has_floor: Whether there is an unbounded floor at height zero; without it, what falls falls.
+        has_floor: Whether an unbounded floor lies at height zero; without it, objects fall for ever.
         shapes: Fixed solids.
         starts: Start poses, in the order in which robots without a pose of their own take them.
-        extent: x and y limits of the floor plan ((x0, x1), (y0, y1)), for pictures and random places.
+        extent: x and y limits of the floor plan ((x0, x1), (y0, y1)), for pictures and random positions.
         loose: Loose objects.
         doors: Doors.
         waters: Volumes of water.
         victims: Victims.
-        false_alarms: Body parts that lie about.
+        false_alarms: Loose body parts.
         tags: RFID tags.
         lights: Lamps.
-        gps: Latitude and longitude of its origin [degrees], north and east positive; None: not known.
+        gps: Latitude and longitude of its origin [degrees], north and east positive; None: unknown.
         robots: Recommended robot classes.
     """
 

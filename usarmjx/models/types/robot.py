@@ -1,8 +1,8 @@
-"""What a robot is made of: frozen values, no code. Its solids are in `spec.shapes`, arenas in `spec.arena`.
+"""Robot descriptions: frozen values without behaviour. Solids are in `types.shapes`, arenas in `types.arena`.
 
-Robot descriptions are written in USARSim's axes (x forward, y right, z down; roll, pitch, yaw applied
-as ZYX), so that a line can be compared with the manual's tables; `models.build.compose` converts them once.
-Lengths are metres, angles radians, masses kilograms.
+Axes are USARSim's (x forward, y right, z down; roll, pitch, yaw applied as ZYX), so that a line can be
+compared with the manual's tables; `models.compile.compose` converts them once. Lengths are metres, angles
+radians, masses kilograms.
 """
 
 from dataclasses import dataclass, fields
@@ -13,19 +13,21 @@ from usarmjx.models.drives import Drive
 from usarmjx.models.types.shapes import ZERO, Shape
 
 LEFT: Vec3 = (0.0, -1.0, 0.0)
-"""Axis of wheels and flippers: a positive angle rolls forward, and turns a front flipper down."""
+"""Joint axis of wheels and flippers: a positive angle rolls forward, and turns a front flipper down."""
 UP: Vec3 = (0.0, 0.0, -1.0)
+"""Joint axis of turntables and steered wheels: a positive angle turns to the left."""
 CHASSIS = "HARD"
-"""The wire's name for 'mounted on the chassis' (captured GEO lines)."""
+"""Parent name of an item mounted on the chassis, as on the wire (captured GEO lines)."""
 
 STEER_SUFFIX, SUSPENSION_SUFFIX = "_Steer", "_Suspension"
-"""What follows a wheel's name in the names of the joints that steer and spring it: the manual's car-wheel
-joint (14.4.2.4) is one joint for all three."""
+"""Suffixes of the joints that steer and spring a wheel, after its name: the manual's car-wheel joint
+(14.4.2.4) is one joint for all three."""
 
 HOLD_SUFFIX = "/hold"
-"""What follows a joint's name in the name of the actuator that holds it; see `compose`."""
+"""Suffix of the actuator that holds a joint, after the joint's name; see `compose`."""
 
 Options = tuple[tuple[str, object], ...]
+"""Ini-style settings: pairs of key and value."""
 
 
 def options(**keys: object) -> Options:
@@ -34,7 +36,7 @@ def options(**keys: object) -> Options:
 
 
 STALL_SPEED = 2.0
-"""Speed up to which a motor with a stall torque has more than its torque [rad/s or m/s]."""
+"""Speed above which a motor has no more than its torque, whatever its stall torque [rad/s or m/s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,13 +45,13 @@ class Motor:
 
     Attributes:
         max_speed: Highest speed [rad/s or m/s].
-        torque: Most it can exert [N m or N].
+        torque: Largest torque or force [N m or N].
         stiffness: Gain on the joint's position [N m/rad or N/m].
         damping: Gain on its velocity [N m s/rad or N s/m].
         armature: Inertia of the motor seen at the joint [kg m2 or kg].
-        brake: Most it can exert to stand still, told the speed 0; None: its torque [N m or N].
-        stall_torque: Most it can exert at standstill, falling to its torque at `STALL_SPEED`; None: no
-            more than that [N m or N].
+        brake: Largest torque or force at speed 0; None: `torque` [N m or N].
+        stall_torque: Largest torque or force at standstill, which falls to `torque` at `STALL_SPEED`; None:
+            `torque` [N m or N].
     """
 
     max_speed: float
@@ -62,7 +64,7 @@ class Motor:
 
     @property
     def strongest(self) -> float:
-        """The most it can exert, moving or standing still [N m or N]."""
+        """Largest torque or force, moving or standing still [N m or N]."""
         return max(self.torque, self.brake or 0.0, self.stall_torque or 0.0)
 
 
@@ -73,7 +75,7 @@ class Spring:
     Attributes:
         stiffness: [N/m or N m/rad].
         damping: [N s/m or N m s/rad].
-        load: What it carries in the position that the description shows [N or N m].
+        load: Load in the position that the description shows [N or N m].
     """
 
     stiffness: float
@@ -87,20 +89,20 @@ class Part:
 
     Attributes:
         name: Name of part and joint, unique within the robot.
-        parent: `HARD`, or the name of a part that hangs on it in turn.
-        at: Where the joint is on its parent.
+        parent: `HARD`, or the name of a part.
+        at: Position of the joint on its parent.
         rotation: Roll, pitch, yaw of the part on its parent at joint position 0.
-        axis: Unit vector that the joint turns about or slides along, in the part's axes.
+        axis: Unit vector of the joint, in the part's axes: axis of rotation, or direction of sliding.
         joint: Kind of joint.
-        motor: What moves it; None: it moves freely, or on its spring.
-        limits: Lowest and highest position; None: no limits. Servos stay within; joints without a motor
-            are stopped by MuJoCo.
+        motor: Servo of the joint; None: it moves freely, or on its spring.
+        limits: Lowest and highest position; None: no limits. Servos keep their targets within; MuJoCo stops
+            joints without a motor.
         spring: Spring and damper.
-        geared: Part whose joint this one's is geared to: both have the same position.
+        geared: Part to whose joint this one is geared: both have the same position.
         shapes: Its solids; together they need a mass.
-        looks: What it is drawn as instead of its solids, to which contacts and range sensors keep; empty: as
-            these. In the same axes, opaque; mass and surface mean nothing.
-        is_wheel: Whether it is a wheel, which DRIVE stops by zero speed rather than holding an angle.
+        looks: Visuals: the solids of pictures, instead of `shapes`, which contacts and range sensors use;
+            empty: as `shapes`. In the same axes, opaque; mass and surface have no effect.
+        is_wheel: Whether DRIVE stops it by speed 0 instead of holding an angle.
     """
 
     name: str
@@ -122,11 +124,11 @@ class Part:
 class Link:
     """One part of a mission package, in the manual's GEO and CONF terms (9.3).
 
-    Location and orientation are the link frame's in its parent's frame; the joint turns about (or
-    slides along) the link frame's z axis. `min_range` above `max_range` means no limits. `max_torque` is
-    what CONF reports, in the original's units; `motor` says what the joint can do, and None makes it a
-    servo for parts of some 0.5 kg with the reported limits. `looks` are as a `Part`'s. `part` is the name of
-    its part and joint if it is not `<Package>_Link<number>`.
+    Location and orientation are the link frame's in its parent's frame; the joint turns about (or slides
+    along) the link frame's z axis. `min_range` above `max_range` means no limits. CONF reports `max_torque`,
+    in the original's units; the joint itself uses `motor`, and None makes it a servo for parts of about 0.5
+    kg with the reported limits. `looks` are as a `Part`'s. `part` names its part and joint if not
+    `<Package>_Link<number>`.
     """
 
     number: int
@@ -146,7 +148,7 @@ class Link:
 
 @dataclass(frozen=True, kw_only=True)
 class MissionPackage:
-    """Parts and joints that work together for something else than driving (manual 7)."""
+    """Parts and joints that work together for a purpose other than driving (manual 7)."""
 
     name: str
     links: tuple[Link, ...]
@@ -162,9 +164,9 @@ class Mount:
         at: Position on its parent.
         direction: Roll, pitch, yaw on its parent.
         parent: `HARD`, a part's name, or `<Package>_Link<number>`.
-        options: Settings that are this mount's own, by the manual's ini keys.
-        defaults: Settings of its class where they differ from the type's: captured figures, or what a
-            section of an ini file says of the class instead. Options override them.
+        options: Settings of this mount alone, by the manual's ini keys.
+        defaults: Settings of its class where they differ from the type's: captured values, or those of the
+            class's section of an ini file. Options override them.
     """
 
     kind: str
@@ -177,7 +179,7 @@ class Mount:
 
     @property
     def all_options(self) -> Options:
-        """Defaults and options; of a key that stands twice the last counts."""
+        """Defaults, then options; the last value of a key counts."""
         return (*self.defaults, *self.options)
 
 
@@ -189,26 +191,26 @@ class RobotSpec:
         name: Class name without `USARBot.`.
         dimensions: Length, width, height as GETGEO reports them.
         mass: Total mass as GETCONF reports it.
-        payload: What it can carry.
+        payload: Largest load.
         origin_height: Chassis origin above flat ground (manual 5.3.6).
         chassis: Solids of the chassis.
-        looks: What the chassis is drawn as; see `Part`.
-        parts: What hangs on it by joints, parents first.
-        drive: How DRIVE moves it.
+        looks: Visuals of the chassis; see `Part`.
+        parts: Parts with joints, parents first.
+        drive: Locomotion: the keys of DRIVE and their effect.
         packages: Mission packages.
-        sensors: Sensors, in the order in which they report.
+        sensors: Sensors, in the order of their reports.
         cameras: Cameras.
         effecters: Effecters.
         wheel_radius: Radius of the driven wheels; 0 without wheels.
-        wheel_separation: Lateral distance of the wheels (what odometry divides by).
+        wheel_separation: Lateral distance of the wheels, the divisor of odometry.
         wheel_base: Distance of the axles.
-        max_torque: What CONF reports, in Unreal units.
-        battery_life: [s].
+        max_torque: Torque that CONF reports, in Unreal units.
+        battery_life: Battery life [s].
         msg_timer: Time between two reports [s].
         absolute_camera: Whether angles of CAMERA are absolute, not steps.
         reported_joints: Joints whose positions STA reports (flippers).
-        antenna: Where its radio's antenna is on the chassis; None: half its height above the origin.
-        sources: Where its figures are from: (field, `manual 12.x`, `captured`, `data sheet` or `chosen`).
+        antenna: Position of the radio's antenna on the chassis; None: half its height above the origin.
+        sources: Sources of its numbers: (field, `manual 12.x`, `captured`, `data sheet` or `chosen`).
     """
 
     name: str
@@ -236,7 +238,7 @@ class RobotSpec:
     sources: tuple[tuple[str, str], ...] = ()
 
     def __hash__(self) -> int:
-        """Return the hash of all that it says, worked out once: what is resolved of it is looked up by it."""
+        """Return the hash of all fields, computed once: caches of robots look it up at every call."""
         known = vars(self).get("_hash")
         if known is None:
             known = hash(tuple(getattr(self, one.name) for one in fields(self)))
@@ -244,10 +246,10 @@ class RobotSpec:
         return known
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled: not the hash, which is another one in each process."""
+        """Return the fields to pickle, without the hash, which differs between processes."""
         return {name: value for name, value in vars(self).items() if name != "_hash"}
 
     @property
     def wheels(self) -> tuple[Part, ...]:
-        """The parts that roll."""
+        """Parts that roll."""
         return tuple(part for part in self.parts if part.is_wheel)

@@ -1,8 +1,8 @@
-"""Settings of mounted items: fields named after the manual's ini keys, and how a mount overrides them.
+"""Settings of mounted items: fields named after the manual's ini keys, and the overrides of a mount.
 
-Which values a setting takes stands in its annotation, as `Annotated[float, POSITIVE]`; so does the manual's
-key where the field's name does not follow from it: `Annotated[float, ManualKey("dBmTXPower")]`. What two
-settings must be to each other, in the method `problem` of the settings.
+The annotation of a setting holds its limits, as `Annotated[float, POSITIVE]`, and the manual's key where it
+does not follow from the field's name: `Annotated[float, ManualKey("dBmTXPower")]`. Conditions between two
+settings are in the method `problem` of the settings.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 class NumberLimits(NamedTuple):
-    """Which numbers a setting takes: from `low` to `high`.
+    """Numbers that a setting accepts: from `low` to `high`.
 
     Attributes:
         low: The smallest.
@@ -34,37 +34,37 @@ class NumberLimits(NamedTuple):
     low_exclusive: bool = False
 
     def __contains__(self, value: object) -> bool:
-        """Whether it takes a value."""
+        """Return whether a value is within the limits."""
         return isinstance(value, int | float) and (
             self.low < value <= self.high if self.low_exclusive else self.low <= value <= self.high
         )
 
     def __str__(self) -> str:
-        """Return what it takes, for messages."""
+        """Return the limits in words, for messages."""
         low = f"above {self.low:g}" if self.low_exclusive else f"from {self.low:g}"
         return f"a number {low}" + ("" if math.isinf(self.high) else f" to {self.high:g}")
 
 
 class OneOf(tuple[str, ...]):
-    """Which words a setting takes, case ignored."""
+    """Words that a setting accepts, case ignored."""
 
     __slots__ = ()
 
     def __contains__(self, value: object) -> bool:
-        """Whether it takes a value."""
+        """Return whether a value is one of the words."""
         return isinstance(value, str) and value.lower() in map(str.lower, self)
 
     def __str__(self) -> str:
-        """Return what it takes, for messages."""
+        """Return the words, for messages."""
         return f"one of {', '.join(self)}"
 
 
 SMALLEST_NUMBER = float(np.finfo(np.float32).tiny)
-"""Numbers nearer to zero are subnormal in single precision: some devices take them for zero, some do not."""
+"""Smallest normal number in single precision; some devices flush smaller ones to zero, some do not."""
 
 
 class ManualKey(str):
-    """The manual's key of a setting whose field is not called as `field_name` says, or is spelt otherwise."""
+    """The manual's key of a setting whose field name does not follow from it by `field_name`."""
 
     __slots__ = ()
 
@@ -72,11 +72,11 @@ class ManualKey(str):
 NOT_NEGATIVE = NumberLimits(low=0.0)
 POSITIVE = NumberLimits(low=0.0, low_exclusive=True)
 ANGLE_STEP = NumberLimits(low=1e-5)
-"""An angle between two of many rays, or of two ticks [rad]."""
+"""Limits of an angle between neighbouring rays, or of two ticks [rad]."""
 HALF_TURN = NumberLimits(low=0.0, high=math.pi + 1e-5)
-"""An angle up to half a turn [rad]; a little more, for those who write 3.1416 (of 3.1415927)."""
+"""Limits of an angle up to half a turn [rad]; a little more, for 3.1416 in place of 3.1415927."""
 TURN = NumberLimits(low=0.0, high=2 * math.pi + 1e-5, low_exclusive=True)
-"""An angle up to a full turn [rad]."""
+"""Limits of an angle up to a full turn [rad]."""
 
 
 def field_name(key: str) -> str:
@@ -86,14 +86,14 @@ def field_name(key: str) -> str:
 
 
 def camel_case(field: str) -> str:
-    """Return the key of a field, that of a flag without its b: `max_range` -> `MaxRange`."""
+    """Return the key of a field, without the b of a flag: `max_range` -> `MaxRange`."""
     return "".join(part[:1].upper() + part[1:] for part in field.split("_"))
 
 
 def _notes(kind: type) -> Iterator[tuple[str, object]]:
-    """Yield the fields of settings with what their annotations say besides the type.
+    """Yield the fields of settings with the metadata of their annotations.
 
-    A class that gives a field another default keeps the notes of the one that it is derived from.
+    A class that gives a field another default keeps the metadata of its base class.
     """
     for base in reversed(kind.__mro__):
         for name, hint in get_type_hints(base, include_extras=True).items():
@@ -103,7 +103,7 @@ def _notes(kind: type) -> Iterator[tuple[str, object]]:
 
 @cache
 def limits_of(kind: type) -> dict[str, NumberLimits | OneOf]:
-    """Return what the fields of settings take, by name, where there is anything to say."""
+    """Return the limits of settings by field, for fields that have any."""
     return {name: note for name, note in _notes(kind) if isinstance(note, NumberLimits | OneOf)}
 
 
@@ -120,17 +120,17 @@ def manual_keys(kind: type[Any]) -> dict[str, str]:
 
 @cache
 def field_names(kind: type[Any]) -> dict[str, str]:
-    """Return the fields of settings by what `field_name` makes of their keys."""
+    """Return the fields of settings by the `field_name` of their keys."""
     told = {name: field_name(note) for name, note in _notes(kind) if isinstance(note, ManualKey)}
     return {told.get(field.name, field.name): field.name for field in dataclasses.fields(kind)}
 
 
 def checked(kind: type, overrides: Options, owner: str) -> dict[str, Any]:
-    """Return a mount's overrides by field, each for itself allowed.
+    """Return a mount's overrides by field, each checked alone.
 
     Raises:
-        UnknownNameError: A key that this item does not have; lists those it has.
-        UsageError: A value of another kind than the setting's: text for a number, a number for true or false.
+        UnknownNameError: The item has no such key; the message lists its keys.
+        UsageError: A value of another type than the setting's: text for a number, a number for true or false.
         SpecError: A number that is not finite or is subnormal, or a value beyond the setting's limits.
     """
     fields, names = {f.name: f for f in dataclasses.fields(kind)}, field_names(kind)
@@ -155,7 +155,7 @@ def checked(kind: type, overrides: Options, owner: str) -> dict[str, Any]:
             )
         if limits is not None and value not in limits:
             raise SpecError(f"{owner}: setting {key} is {value!r}, expected {limits}")
-        # A whole number of a file is a length or an angle like any other: messages tell its decimals.
+        # An integer in a file is a length or an angle like any other: messages show its decimals.
         values[name] = float(value) if isinstance(wanted, float) and number else value  # type: ignore[arg-type]
     return values
 
@@ -166,7 +166,7 @@ def resolve_settings(kind: type[T], overrides: Options, owner: str) -> T:
     Raises:
         UnknownNameError: See `checked`.
         UsageError: See `checked`.
-        SpecError: See `checked`; or settings that do not go together, as `problem` says.
+        SpecError: See `checked`; or settings that contradict each other (`problem`).
     """
     settings = kind(**checked(kind, overrides, owner))
     problem = getattr(settings, "problem", None)  # settings of effecters have none

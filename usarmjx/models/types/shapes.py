@@ -1,7 +1,7 @@
-"""Solids: what robots, arenas and effecters are built of, how they touch others and what they do to rays.
+"""Solids of robots, arenas and effecters: their geometry, contact surface and material.
 
 A shape lies in the axes of the description that holds it: USARSim's for robots and effecters (see
-`spec.robot`); x forward, y left, z up for arenas. Lengths are metres, angles radians, masses kilograms.
+`types.robot`); x forward, y left, z up for arenas. Lengths are metres, angles radians, masses kilograms.
 """
 
 import math
@@ -15,22 +15,22 @@ from usarmjx.base.transforms import Vec3
 Position2D: TypeAlias = tuple[float, float]
 """x and y on the ground [m]."""
 Rgba: TypeAlias = tuple[float, float, float, float]
-"""Red, green, blue and how opaque, each from 0 to 1."""
+"""Red, green, blue and opacity, each from 0 to 1."""
 
 ZERO: Vec3 = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Surface:
-    """How a kind of surface touches others.
+    """Contact parameters of a kind of surface.
 
     Attributes:
         friction: Sliding friction coefficient.
         priority: MuJoCo's: of two touching surfaces the one with the higher priority sets the friction.
         contype: MuJoCo's collision type bits.
         conaffinity: MuJoCo's collision affinity bits.
-        solref: MuJoCo's: time in which a contact settles [s], and its damping ratio.
-        solimp: MuJoCo's: share of the force that a contact takes up where it begins and at a depth [m].
+        solref: MuJoCo's: time constant of a contact [s], and its damping ratio.
+        solimp: MuJoCo's: impedance at zero depth and at a depth, and that depth [m].
     """
 
     friction: float
@@ -42,11 +42,11 @@ class Surface:
 
 
 HULL_BIT, WHEEL_BIT, FIXED_BIT = 1, 2, 4
-"""Collision bits. Fixed things do not touch each other; nor do wheels: a robot's hull covers its wheels, and
+"""Collision bits. Fixed solids do not touch each other; nor do wheels: a robot's hull covers its wheels, and
 cylinder against cylinder is the least reliable pair of MJX-JAX."""
 
-# Friction 0.8 holds a robot on slopes up to 38 degrees. Walls are slick and have the last word, so that
-# a robot that pushes one spins its wheels instead of climbing it.
+# Friction 0.8 holds a robot on slopes up to 38 degrees. Walls are slick and have the highest priority, so
+# that a robot that pushes one spins its wheels instead of climbing it.
 SURFACES = {
     "ground": Surface(friction=0.8, priority=0, contype=FIXED_BIT, conaffinity=HULL_BIT | WHEEL_BIT),
     "wall": Surface(friction=0.3, priority=2, contype=FIXED_BIT, conaffinity=HULL_BIT | WHEEL_BIT),
@@ -73,28 +73,28 @@ SURFACES = {
 
 
 MOST_SLIP, MOST_SOFTNESS, NO_BOUNCE, MOST_BOUNCE = 10.0, 9.0, 1e-3, 0.95
-"""What contacts bear: slip times or through this, settling time times one more than that, and which shares
-of its speed thrown back."""
+"""Limits of a tyre's contact: factor on or divisor of the slip, softness (settling time times one more than
+that), and the smallest and largest restitution. The solver is stable within them."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tyre:
-    """Figures of a tyre in Karma's terms (manual 14.4.2.3), whose defaults are the surface as it is.
+    """Parameters of a tyre in Karma's terms (manual 14.4.2.3); the defaults keep the surface unchanged.
 
-    A contact has one friction coefficient in all directions, and one slip, the speed at which it creeps under
-    a force: for both the geometric mean of Karma's two directions counts. Slip and softness bring the other
-    with them a little: what gives sideways gives downwards.
+    A MuJoCo contact has one friction coefficient in all directions, and one slip, the speed at which it
+    creeps under a force: both use the geometric mean of Karma's two directions. Slip and softness affect each
+    other slightly: a contact that gives sideways also gives downwards.
 
     Attributes:
         roll_friction: Friction in the tyre's direction.
-        lateral_friction: Friction across.
+        lateral_friction: Friction across the tyre.
         roll_slip: Largest slip in the tyre's direction.
-        lateral_slip: Largest slip across.
+        lateral_slip: Largest slip across the tyre.
         min_slip: Smallest slip in both directions.
-        slip_rate: Slip for each Unreal unit a second of its robot's top speed.
-        softness: 1 doubles the time in which a contact settles.
-        restitution: Share of its speed with which it bounces back.
-        speed: That top speed [Unreal units/s].
+        slip_rate: Slip per Unreal unit a second of its robot's top speed.
+        softness: Softness; 1 doubles the time in which a contact settles.
+        restitution: Ratio of rebound to impact speed.
+        speed: Top speed of its robot [Unreal units/s].
     """
 
     roll_friction: float = 15.0
@@ -109,17 +109,18 @@ class Tyre:
 
     @property
     def slip(self) -> float:
-        """Karma's slip at that speed: the mean of both directions."""
+        """Karma's slip at the top speed: the mean of both directions."""
         grown = self.min_slip + self.slip_rate * self.speed
         return math.sqrt(min(self.roll_slip, grown) * min(self.lateral_slip, grown))
 
     def on(self, surface: Surface) -> Surface:
-        """Return how a surface touches that is a stock tyre's; a tyre also decides for the ground."""
+        """Return a stock tyre's surface changed by these parameters; it takes priority over the ground."""
         stock = Tyre(speed=self.speed)
         grip = math.sqrt(self.roll_friction * self.lateral_friction) / stock.roll_friction
         slip = min(max(self.slip / stock.slip, 1 / MOST_SLIP), MOST_SLIP)
         begins, deep, depth = surface.solimp
-        # The ratio of damping that lets a spring throw back that share, at the frequency that it had.
+        # Damping ratio of a mass on a spring with that coefficient of restitution, at an unchanged frequency:
+        # e = exp(-pi z / sqrt(1 - z^2)), solved for z.
         loss = math.log(min(max(self.restitution, NO_BOUNCE), MOST_BOUNCE))
         ratio = 1.0 if self.restitution <= NO_BOUNCE else -loss / math.hypot(math.pi, loss)
         return replace(
@@ -127,43 +128,45 @@ class Tyre:
             friction=surface.friction * grip,
             priority=max(surface.priority, 1),
             solref=(surface.solref[0] * (1 + min(self.softness, MOST_SOFTNESS)) / ratio, ratio),
+            # MuJoCo's contact creeps in proportion to (1 - d) / d for impedance d: scaling that ratio scales
+            # the slip.
             solimp=(*(1 / (1 + (1 / share - 1) * slip) for share in (begins, deep)), depth),
         )
 
 
 OPAQUE, GLASS, MIRROR, FENDER, SKY = "opaque", "glass", "mirror", "fender", "sky"
 MATERIALS = (OPAQUE, GLASS, MIRROR, FENDER, SKY)
-"""What a solid does to rays (manual 14.1.2), beside stopping them: glass lets infrared and light through,
-not sound; a mirror reflects light; a grid fender lets every ray through that meets one of its holes; the sky
-lets everything but light through, is never touched, and is no wall to the radio."""
+"""Effects of a solid on rays (manual 14.1.2): glass passes infrared and light, not sound; a mirror reflects
+light; a grid fender passes every ray that meets one of its holes; the sky passes everything but light, is
+never touched and does not attenuate radio. All others stop rays."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A solid: its corners [m] (vertices, 3), of which contacts and the radio take the convex hull.
+    """A solid given by its vertices [m] (vertices, 3); contacts and the radio use their convex hull.
 
-    Rays and pictures see its faces (faces, 3), indices of three corners each, counter-clockwise from outside;
-    those of the hull where it has none. Two are the same if they have the same corners and faces.
+    Rays and pictures use its faces (faces, 3), three vertex indices each, counter-clockwise from outside;
+    those of the hull if it has none. Meshes with equal vertices and faces are equal.
     """
 
     vertices: np.ndarray
     faces: np.ndarray | None = None
 
     def __eq__(self, other: object) -> bool:
-        """Whether the other has the same corners and faces."""
+        """Return whether the other has the same vertices and faces."""
         if not isinstance(other, Mesh) or (self.faces is None) != (other.faces is None):
             return False
         same = np.array_equal(self.vertices, other.vertices)
         return same and (self.faces is None or np.array_equal(self.faces, other.faces))  # type: ignore[arg-type]
 
     def __hash__(self) -> int:
-        """Return the hash of the corners."""
+        """Return the hash of the vertices."""
         return hash(self.vertices.tobytes())
 
 
 @dataclass(frozen=True, eq=False)
 class HeightField:
-    """Terrain: heights above the shape's place on a regular grid, none below zero [m] (rows, columns).
+    """Terrain: heights above the shape's position on a regular grid, none below zero [m] (rows, columns).
 
     Rows run along y, columns along x, from the corner with the lowest of both; the shape's size is half the
     lengths along x and y, and the thickness of the ground below the lowest point.
@@ -174,7 +177,7 @@ class HeightField:
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """One solid, seen by contacts and by rays.
+    """One solid, for contacts and for rays.
 
     Attributes:
         kind: MuJoCo geom type.
@@ -183,12 +186,12 @@ class Shape:
         rotation: Roll, pitch, yaw.
         mass: Mass; 0 leaves the body's mass to its other shapes.
         surface: A key of `SURFACES`.
-        tyre: Figures of a tyre that change how its surface touches.
-        material: What it does to rays; one of `MATERIALS`. Fenders are boxes.
+        tyre: Tyre parameters that modify its surface.
+        material: Effect on rays; one of `MATERIALS`. Fenders are boxes.
         mesh: The solid of kind mesh.
         heights: The terrain of kind hfield.
         rgba: Colour, for pictures.
-        texture: What is on it in pictures, of the arena's fixed solids; see `spec.textures`.
+        texture: Texture in pictures, for the arena's fixed solids; see `types.textures`.
     """
 
     kind: Literal["box", "sphere", "capsule", "cylinder", "ellipsoid", "mesh", "hfield"]

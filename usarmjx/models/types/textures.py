@@ -1,17 +1,18 @@
-"""Names of what a surface has on it, for pictures alone; `cameras.textures` draws it."""
+"""Names and codes of textures, for pictures alone; `cameras.textures` draws them."""
 
 from typing import Any
 
 TEXTURES = ("brick", "tiles", "wood", "concrete", "chart", "hazmat", "tag", "qr")
-"""All there are: patterns of walls and floors, and signs."""
+"""All textures: patterns of walls and floors, and signs."""
 SIGNS = {"chart": 999, "hazmat": 5, "tag": 9, "qr": 9}
-"""Textures that are signs in the middle of each face of a box, and their largest numbers (`tag:7`)."""
+"""Textures that are signs in the middle of each face of a box, with their largest numbers (`tag:7`)."""
 KINDS = 16
-"""A code is the texture's place plus this times its number."""
+"""Number of texture codes per sign number: a code is one plus the index of the texture, plus this times its
+number."""
 
 
 def texture_problem(texture: str) -> str:
-    """Return what is wrong with a texture, "" if nothing is; "" is none."""
+    """Return the error of a texture's name, "" if it is valid; "" itself is no texture."""
     name, colon, number = texture.partition(":")
     if not texture or (name in TEXTURES and not colon):
         return ""
@@ -23,13 +24,13 @@ def texture_problem(texture: str) -> str:
 
 
 def code_of(texture: str) -> int:
-    """Return the code of a texture; 0 is none."""
+    """Return the code of a texture; 0 is no texture."""
     name, _, number = texture.partition(":")
     return TEXTURES.index(name) + 1 + KINDS * int(number or 0) if name else 0
 
 
 def numbers_of(code: Any) -> tuple[Any, Any]:  # noqa: ANN401 - a whole number, or an array of them
-    """Return which texture, counting from 1, and which number some codes are."""
+    """Return the texture, counted from 1, and the sign number of codes."""
     return code % KINDS, code // KINDS
 
 
