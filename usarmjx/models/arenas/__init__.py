@@ -1,9 +1,8 @@
-"""The arenas that ship with usarmjx, one module each; `ARENAS` finds them by name or alias.
+"""The packaged arenas, one module each; `ARENAS` finds them by name or alias.
 
-What several of them are built of is in `elements`, `pieces`, `debris`, `pipes`, `step_fields`, `targets`,
-`hall` and `floorplan`, what they look like in `finishes`; `lanes` has single elements between walls. Begin
-with `yellow`. Arenas are measured, drawn and trained on: to move a wall changes results of others, and the
-tests of each arena say what it must offer (slopes, ways, hidden victims).
+`elements`, `pieces`, `league_hall` and `floorplan` have the parts that several of them share; `lanes` has
+single elements between walls. Begin with `yellow`. Arenas are benchmarks: moving a wall changes results that
+others have measured, and the tests of each arena list its required features (slopes, ways, hidden victims).
 """
 
 from usarmjx.base.registry import Registry
@@ -24,6 +23,7 @@ from usarmjx.models.types.arena import ArenaSpec
 __all__ = ["ARENAS"]
 
 ARENAS: Registry[ArenaSpec] = Registry("arena")
+"""Packaged arenas by name or alias."""
 _TODAY = (YELLOW_2025, ORANGE_2025, RED_2025)
 for _spec in (YELLOW, ORANGE, RED, FIELD, POOL, FACTORY, OUTDOOR, SOCCER, ARDA, *_TODAY):
     ARENAS.add(_spec.name, _spec, aliases=_spec.aliases)

@@ -1,7 +1,7 @@
-"""DM-ARDA: streets of a small town for cars, as the DARPA Urban Challenge had (manual 3.2.1.2).
+"""DM-ARDA: streets of a small town for cars, as in the DARPA Urban Challenge (manual 3.2.1.2).
 
-The roads are those of `arda_roads`, whose files ship beside this one. Flat ground and open sky; houses hide
-some of the satellites. Four traffic cones lie loose, all else is fixed.
+The route network and its missions are also packaged as files (`FILES`). Flat ground and open sky; houses hide
+some of the satellites. Four traffic cones are loose, all else is fixed.
 """
 
 import math
@@ -26,28 +26,30 @@ from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, LooseObject, 
 from usarmjx.models.types.shapes import Rgba, Shape
 
 Point = tuple[float, float]
-"""North and east of the middle of town [m]."""
+"""Position north and east of the middle of town [m]."""
 
 ORIGIN: LatLon = (34.587, -117.367)
 """Latitude and longitude of the middle of town [degrees], on the air base."""
 DECIMALS = 8
-"""Of degrees in the files: 1 mm."""
+"""Decimals of degrees in the files: 1 mm."""
 
 WIDTH = 12.0
-"""Of lanes [feet]."""
+"""Width of lanes [feet]."""
 LANE_OFFSET = WIDTH * FOOT / 2
-"""From the middle of a road to the middle of a lane [m]."""
+"""Distance from the middle of a road to the middle of a lane [m]."""
 NORTH, EAST, RADIUS = 60.0, 45.0, 15.0
 """Half lengths of the loop, and the radius of its curves, all of the middle of the road [m]."""
 ARC = 5
-"""Waypoints on a curve, one every 22.5 degrees."""
+"""Waypoints on a curve, one per 22.5 degrees."""
 SETBACK = 8.0
-"""From the middle of a junction to where lanes end and begin [m]."""
+"""Distance from the middle of a junction to the ends of lanes [m]."""
 JUNCTIONS: tuple[Point, ...] = ((0.0, 0.0), (NORTH, 0.0), (-NORTH, 0.0), (0.0, EAST), (0.0, -EAST))
+"""Middles of the junctions."""
 JUNCTION_RADIUS = 1.2 * SETBACK
+"""Radius around a junction that contains the ends of its lanes [m]."""
 
 DRIVEWAY_IN, DRIVEWAY_OUT = 31.0, 15.0
-"""Where the westbound lane of Cross Street leads into the car park and out of it, east [m]."""
+"""Entrance and exit of the car park on the westbound lane of Cross Street, east [m]."""
 PERIMETER: tuple[Point, ...] = (
     (8.0, 10.0),
     (8.0, 21.0),
@@ -56,18 +58,18 @@ PERIMETER: tuple[Point, ...] = (
     (52.0, 37.0),
     (52.0, 10.0),
 )
-"""Of the car park; the second point leads out, the third in."""
+"""Perimeter of the car park; the second point is an exit, the third an entry."""
 SPOT_WIDTH, SPOTS = 9.0, 4
-"""Of parking spots [feet], and how many there are."""
+"""Width of parking spots [feet], and their number."""
 SPOT_MOUTH, SPOT_MIDDLE, FIRST_SPOT = 30.0, 32.75, 20.0
-"""Where spots begin and where one parks, east, and where the first one is, north [m]."""
+"""Mouth and parking position of spots, east, and position of the first one, north [m]."""
 
 
 def _loop(side: float) -> list[Point]:
     """Return a lane of the loop, clockwise seen from above from behind the northern junction.
 
     Args:
-        side: Where it is from the middle of the road, outwards [m].
+        side: Offset from the middle of the road, outwards [m].
     """
     north, east = NORTH - RADIUS, EAST - RADIUS
     radius = RADIUS + side
@@ -128,7 +130,7 @@ def _dot(a: Point, b: Point) -> float:
 
 
 def _at_junction(junction: Point, coming: bool) -> Iterator[tuple[PointId, Point]]:
-    """Iterate over waypoints, and headings, where lanes come to a junction, or where they go on from it."""
+    """Iterate over waypoints, with headings, at which lanes enter a junction, or leave it."""
     for owner, way in WAYS.items():
         for i, (north, east) in enumerate(way):
             heading, there = _heading(way, i), (junction[0] - north, junction[1] - east)
@@ -137,7 +139,7 @@ def _at_junction(junction: Point, coming: bool) -> Iterator[tuple[PointId, Point
 
 
 def _exits() -> dict[PointId, list[PointId]]:
-    """Return where every exit leads: to all that goes on from its junction, but not back."""
+    """Return the entries of every exit: all lanes that leave its junction, except back."""
     exits: dict[PointId, list[PointId]] = {}
     for junction in JUNCTIONS:
         for point, heading in _at_junction(junction, coming=True):
@@ -206,11 +208,11 @@ def _mission(number: int, *checkpoints: int) -> Mission:
 
 
 MISSIONS = (_mission(1, 1, 2, 1), _mission(2, 5, 7, 3, 6, 8, 4, 10))
-"""Round the loop; and through all streets, to end in the second parking spot."""
+"""Around the loop; and through all streets, to end in the second parking spot."""
 
 
 FILES = tuple(Path(__file__).with_name(name) for name in (NETWORK.name, *(m.name for m in MISSIONS)))
-"""The route network and the missions as files, for controllers."""
+"""Files of the route network and the missions, for controllers."""
 
 ASPHALT, GRASS = (0.28, 0.28, 0.3, 1.0), (0.35, 0.5, 0.25, 1.0)
 BRICK, PLASTER = (0.6, 0.35, 0.3, 1.0), (0.85, 0.8, 0.65, 1.0)
@@ -220,11 +222,11 @@ ORANGE = (0.95, 0.4, 0.1, 1.0)
 def _box(at: Point, size: tuple[float, float, float], surface: str, rgba: Rgba, yaw: float = 0.0) -> Shape:
     """Return a box of full lengths north, east and up on the floor; `yaw` turns it clockwise."""
     half = (size[0] / 2, size[1] / 2, size[2] / 2)
-    place = (at[0], -at[1], half[2])
-    return Shape(kind="box", size=half, at=place, rotation=(0.0, 0.0, -yaw), surface=surface, rgba=rgba)
+    middle = (at[0], -at[1], half[2])
+    return Shape(kind="box", size=half, at=middle, rotation=(0.0, 0.0, -yaw), surface=surface, rgba=rgba)
 
 
-# Asphalt lies lower than paint, grass on it: all of them are seen and not felt.
+# Asphalt lies lower than paint, grass on it: all of them are visible, without contacts.
 GROUND_SHAPES = (
     _box((0.0, 0.0), (2 * NORTH + 12, 2 * EAST + 12, PAINT / 2), "fixture", ASPHALT),
     *(_box((north, east), (45.0, 30.0, PAINT), "fixture", GRASS)
@@ -249,12 +251,12 @@ OBSTACLES = (
     _box((46.0, 16.0), (0.6, 3.05, 0.81), "wall", CONCRETE, math.radians(30)),
 )
 CONE_MASS = 3.2
-"""Of a cone of 28 inches [kg] (MUTCD 6F.64 asks for 28 inches; 7 lb is usual)."""
+"""Mass of a cone of 28 inches [kg] (MUTCD 6F.64 asks for 28 inches; 7 lb is usual)."""
 CONES: tuple[Point, ...] = ((16.0, 16.0), (22.0, 20.0), (34.0, 20.0), (42.0, 20.0))
 
 
 def _cone(number: int, at: Point) -> LooseObject:
-    """Return a traffic cone of boxes, which wheels may meet."""
+    """Return a traffic cone of boxes, which have contacts with wheels on every engine."""
     foot, body, band = 0.04, (0.10, 0.10, 0.32), 0.06
     return LooseObject(
         name=f"Cone{number}",
@@ -289,7 +291,7 @@ def _cone(number: int, at: Point) -> LooseObject:
 
 _SOUTH, _WEST = 180.0, 270.0
 STARTS: tuple[tuple[str, Point, float], ...] = (
-    # Tag, place, and heading [degrees] clockwise from north: on the right of all roads, then in the spots.
+    # Tag, position, and heading [degrees] clockwise from north: on the right of all roads, then in the spots.
     ("Loop1", (NORTH - LANE_OFFSET, 20.0), 90.0),
     ("Loop2", (30.0, EAST - LANE_OFFSET), _SOUTH),
     ("Loop3", (-30.0, EAST - LANE_OFFSET), _SOUTH),

@@ -1,9 +1,8 @@
-"""Elements of the arenas of NIST, as ASTM's standard test methods for response robots have them since.
+"""Elements of the NIST arenas, later ASTM's standard test methods for response robots.
 
 All stand on a grid of 1.2 m, the width of a sheet of plywood. Ramps of 15 degrees are ASTM E2826's
-(continuous) and E2827's (crossing), stairs E2804's; there is more in `step_fields`, `pipes` and `debris`.
-Lengths that these leave open are marked chosen. Positions are in the arena's axes, headings are
-counter-clockwise from x.
+(continuous) and E2827's (crossing), stairs E2804's, step fields E2828's. Lengths that these leave open are
+marked chosen. Positions are in the arena's axes, headings are counter-clockwise from x.
 """
 
 import math
@@ -15,12 +14,13 @@ from usarmjx.models.types.shapes import Position2D, Rgba, Shape
 CELL = 1.2
 """Side of a grid cell [m]."""
 RAMP_ANGLE = math.radians(15)
+"""Slope of ramps [rad]."""
 STEEP, STEEPER = math.radians(35), math.radians(40)
-"""Stairs of the orange arena, and the steeper ones."""
+"""Slopes of the stairs of the orange arena, and of the steeper ones [rad]."""
 RISE = 0.18
-"""Of one stair [m] (chosen)."""
+"""Rise of one stair [m] (chosen)."""
 PLYWOOD_THICKNESS = 0.10
-"""Thickness of decks and slabs with the joists under them [m] (chosen)."""
+"""Thickness of decks and slabs with their joists [m] (chosen)."""
 
 WOOD: Rgba = (0.7, 0.55, 0.35, 1.0)
 STONE: Rgba = (0.6, 0.6, 0.6, 1.0)
@@ -67,7 +67,7 @@ def slope(
 ) -> Shape:
     """Return a slab whose upper face rises from the middle of its low edge to that of its high edge [m].
 
-    Its ends are at right angles to that face.
+    Its ends are perpendicular to that face.
     """
     along, across, rise = (b - a for a, b in zip(foot, head, strict=True))
     run = math.hypot(along, across)
@@ -95,7 +95,7 @@ def ramp(
 ) -> Shape:
     """Return a slab that rises out of the floor at `angle`, over `run` [m] towards `uphill` [rad].
 
-    `at` is the slab's centre; what of it lies under the floor meets nothing.
+    `at` is the slab's centre; its part below the floor has no contacts.
     """
     back = run / 2 + thickness / 2 * math.sin(angle)
     x, y = at[0] - back * math.cos(uphill), at[1] - back * math.sin(uphill)
@@ -104,6 +104,7 @@ def ramp(
 
 
 UPHILL = {">": 0.0, "^": math.pi / 2, "<": math.pi, "v": -math.pi / 2}
+"""Directions of climb of the arrows in a plan of ramps [rad]."""
 
 
 def ramps(
@@ -154,8 +155,8 @@ def stairs(
         uphill: Direction of climb [rad].
         count: Number of rises.
         rise: Height of each [m].
-        angle: Of the line over the edges of the steps [rad].
-        width: Of the flight [m].
+        angle: Slope of the line through the edges of the steps [rad].
+        width: Width of the flight [m].
     """
     going = rise / math.tan(angle)
     steps: list[Shape] = []
@@ -216,6 +217,7 @@ STEP_FIELDS = {
 """Heights of the posts in units, rows along y from the largest on; the hill's ridge lies along y."""
 
 PostHeights = list[list[int]]
+"""Heights of posts in units, rows along x, columns along y."""
 
 
 def heights(pattern: str) -> PostHeights:
@@ -231,9 +233,9 @@ def heights(pattern: str) -> PostHeights:
 
 
 def cover_boxes(grid: PostHeights) -> list[tuple[int, int, int, int, int]]:
-    """Return few boxes with the same top as one post per place: (height, first and last row and column).
+    """Return few boxes with the same top as one post per cell: (height, first and last row and column).
 
-    A box may reach under higher ones, where no one sees it: a lone post on flat ground is one box more. The
+    A box may extend under higher ones, where it is hidden: a lone post on flat ground is one box more. The
     last row and column are one past the box, as in `range`.
     """
     boxes: list[tuple[int, int, int, int, int]] = []
@@ -247,7 +249,7 @@ def cover_boxes(grid: PostHeights) -> list[tuple[int, int, int, int, int]]:
 
 
 def _boxes_at(grid: PostHeights, post: tuple[int, int], height: int) -> list[tuple[int, int, int, int]]:
-    """Return for every length along the rows the widest box from that post on that none is lower than."""
+    """Return for every length along the rows the widest box from that post on with no lower post."""
     boxes: list[tuple[int, int, int, int]] = []
     first, column = post
     left, right = 0, len(grid[0])
@@ -272,12 +274,12 @@ def step_field(
 
     Args:
         at: Its middle [m].
-        pattern: A key of `STEP_FIELDS`, or rows of digits of one's own.
+        pattern: A key of `STEP_FIELDS`, or custom rows of digits.
         unit: Height of a unit [m]: a post's width in cubic fields, half of it in half cubic ones.
         turns: Quarter turns, counter-clockwise.
 
     Raises:
-        SpecError: The pattern is not drawn as it should be.
+        SpecError: The pattern is invalid.
     """
     grid = heights(STEP_FIELDS.get(pattern, pattern))
     size, yaw = (len(grid) * POST, len(grid[0]) * POST), turns * math.pi / 2
@@ -286,8 +288,8 @@ def step_field(
     for height, x0, x1, y0, y1 in cover_boxes(grid):
         x, y = (x0 + x1) / 2 * POST - size[0] / 2, (y0 + y1) / 2 * POST - size[1] / 2
         half = ((x1 - x0) * POST / 2, (y1 - y0) * POST / 2, height * unit / 2)
-        place = (at[0] + x * cos - y * sin, at[1] + x * sin + y * cos, half[2])
+        middle = (at[0] + x * cos - y * sin, at[1] + x * sin + y * cos, half[2])
         shapes.append(
-            Shape(kind="box", size=half, at=place, rotation=(0.0, 0.0, yaw), surface="ground", rgba=WOOD)
+            Shape(kind="box", size=half, at=middle, rotation=(0.0, 0.0, yaw), surface="ground", rgba=WOOD)
         )
     return tuple(shapes)

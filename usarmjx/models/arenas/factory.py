@@ -1,7 +1,7 @@
 """DM-Factory: a hall with a loading bay, a corridor and four rooms under one roof.
 
-A captured greeting names a level DM-Factory_250; nothing of its plan is known, so this one is ours. Of it
-(x from the west wall, y from the south wall):
+A captured greeting names a level DM-Factory_250; its plan is unknown, so this one is ours (x from the west
+wall, y from the south wall):
 
     y 16 +-----------+-----------+-----------+-----------+
          | Office    | Store     | Control   | Workshop  |
@@ -15,8 +15,8 @@ A captured greeting names a level DM-Factory_250; nothing of its plan is known, 
          x 0         6           12      16  18         24
 
 Doors (D) that robots push open, a pane (G), and a window without one (W), 1.4 m wide and high, for AirRobots;
-gaps are open passages. P2ATs get into every room. The floor lies as deep as that of the yellow arena, so that
-the height which test programs use there (1.8, z down) is just above it here too.
+gaps are open passages. P2ATs get into every room. The floor has the height of the yellow arena's, so that the
+height of test programs there (1.8, z down) is just above it here too.
 """
 
 import math
@@ -57,18 +57,18 @@ OUTER, INNER = 0.2, 0.1
 """Thickness of walls [m]."""
 CORRIDOR = (9.0, 11.0)
 BAY = 16.0
-"""y of the corridor's walls, x of the wall between hall and bay [m]."""
+"""x of the wall between hall and bay [m]."""
 ROOMS = (6.0, 12.0, 18.0)
 """x of the walls between rooms [m]."""
 DOORWAY, PASSAGE = 2.1, 2.4
 """Height of openings with a door and without [m]."""
 WINDOW = (2.8, 4.2, 0.8, 2.2)
-"""Of the bay's wall: y from and to, height from and to [m]."""
+"""Window in the bay's wall: y from and to, height from and to [m]."""
 GATE = (4.0, 7.0)
 """y of the gate to the outside [m]."""
 PRESS = (6.0, 4.6)
 DOCK = (20.0, 2.4, 0.6)
-"""Where the dock begins along x, ends along y, and its height [m]."""
+"""Beginning of the dock along x, its end along y, and its height [m]."""
 RAMP_RUN = 2.4
 
 RED: Rgba = (0.7, 0.25, 0.2, 1.0)
@@ -77,13 +77,13 @@ BELT: Rgba = (0.2, 0.2, 0.22, 1.0)
 ROOF: Rgba = (0.6, 0.6, 0.6, 0.12)
 
 Opening = tuple[float, float, float, float]
-"""Where it begins and ends along the wall, lower and upper edge [m]."""
+"""Beginning and end along the wall, lower and upper edge [m]."""
 
 
 def _wall(
     at: float, start: float, stop: float, openings: tuple[Opening, ...] = (), along: str = "x"
 ) -> tuple[Shape, ...]:
-    """Return an inner wall with openings: its pieces, and what is below and above the openings."""
+    """Return an inner wall with openings: its pieces, and the wall below and above the openings."""
     pieces: list[Shape] = []
 
     def add(begin: float, end: float, low: float, high: float) -> None:
@@ -207,6 +207,7 @@ FURNITURE = (
 
 
 FLOOR = -2.08
+"""Height of the floor in the world [m]."""
 
 
 def _door(name: str, x: float, y: float) -> Door:

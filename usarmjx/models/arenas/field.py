@@ -4,7 +4,7 @@ from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.types.shapes import Shape
 
 HALF = 200.0
-"""Half the field's side [m]; the ground goes on behind it."""
+"""Half the field's side [m]; the ground extends beyond it."""
 WALL = (10.0, 0.1, 1.5)
 """Half lengths of a wall [m]."""
 SPACING = 10.0

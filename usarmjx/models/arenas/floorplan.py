@@ -1,4 +1,4 @@
-"""Walls from a drawn floor plan, on a square grid as the NIST arenas use (cells of 1.2 m)."""
+"""Walls from a drawn floor plan, on a square grid as in the NIST arenas (cells of 1.2 m)."""
 
 from usarmjx.base.errors import SpecError
 from usarmjx.models.types.shapes import Shape

@@ -1,10 +1,10 @@
-"""Lanes: single elements between walls, for tests of robots, one for each test method for response robots.
+"""Lanes: single elements between walls for robot tests, one for each test method for response robots.
 
-Named after NIST's test methods, as ASTM has published them (E2801, E2802, E2803, E2804, E2826, E2827, E2828,
-E2829) and the RoboCup Rescue league uses them. Known of these, without their text at hand, are the lane of
-1.2 m, slopes of 15 degrees of ramps, posts 10 cm wide, and the steps of 10 cm in which hurdles and gaps
-grow. Chosen are lengths of lanes, areas of 2.4 m in which robots turn at both ends, rises of stairs,
-thicknesses, and friction, which is that of all ground.
+Named after NIST's test methods, as published by ASTM (E2801, E2802, E2803, E2804, E2826, E2827, E2828, E2829)
+and used by the RoboCup Rescue league. Known of these, without their text at hand, are the lane of 1.2 m,
+slopes of 15 degrees of ramps, posts 10 cm wide, and the steps of 10 cm in which hurdles and gaps grow. Chosen
+are lengths of lanes, turning areas of 2.4 m at both ends, rises of stairs, thicknesses, and friction, which
+is that of all ground.
 """
 
 import math
@@ -29,24 +29,24 @@ from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.types.shapes import Position2D, Shape
 
 LANE_PREFIX = "lane_"
-"""Of the names of lanes where arenas are named."""
+"""Prefix of the names of lanes among those of arenas."""
 END = 2 * CELL
 """Length and width of the areas at both ends [m]."""
 MOUTH = 0.5
-"""How far before a lane a robot is straight ahead of it [m]."""
+"""Distance before a lane at which a robot is aligned with it [m]."""
 HEIGHT = 1.2
-"""Of walls above the highest ground of a lane [m]."""
+"""Height of walls above the highest ground of a lane [m]."""
 THICKNESS = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
 class MobilityLane:
-    """A lane along x from zero on, with areas to turn in before and behind it.
+    """A lane along x from zero on, with turning areas before and behind it.
 
     Attributes:
-        method: The test method that it is after.
+        method: Test method.
         arena: The lane.
-        length: Of the lane without its ends [m].
+        length: Length of the lane without its ends [m].
         round_trip: Whether a repetition is there and back; else each way counts.
     """
 
@@ -64,7 +64,7 @@ class MobilityLane:
 def hurdle(at: Position2D, height: float, *, yaw: float = 0.0, width: float = CELL) -> tuple[Shape, ...]:
     """Return a hurdle: a beam as wide as a pipe with a pipe on it, `height` above the ground [m].
 
-    Its pipe does not turn, as that of ASTM E2802 does.
+    Its pipe does not turn, unlike that of ASTM E2802.
     """
     beam = height - EDGE * FLAT
     top = pipe(at, width, diameter=EDGE, z=beam, yaw=yaw + math.pi / 2)
@@ -72,7 +72,7 @@ def hurdle(at: Position2D, height: float, *, yaw: float = 0.0, width: float = CE
 
 
 def _walls(length: float, top: float) -> Iterable[Shape]:
-    """Yield walls round a lane and its ends, a wall's height above the ground at each end."""
+    """Yield walls around a lane and its ends, a wall's height above the ground at each end."""
     low, high, half, side = -END, length + END, CELL / 2, END / 2
     for x0, x1, y, z in ((0.0, length, half, top), (low, 0.0, side, 0.0), (length, high, side, top)):
         yield span((x0, y, 0.0), (x1, y + THICKNESS, z + HEIGHT))
@@ -91,10 +91,10 @@ def lane_of(
 
     Args:
         name: Its name.
-        method: The test method that it is after.
-        about: What it is, without a full stop.
-        length: Of the lane without its ends [m].
-        shapes: What is in it, from x = 0 to `length`, 1.2 m wide.
+        method: Test method.
+        about: Description, without a full stop.
+        length: Length of the lane without its ends [m].
+        shapes: Elements of the lane, from x = 0 to `length`, 1.2 m wide.
         top: Height of its far end [m].
         twice: Whether there and back is one repetition.
     """
@@ -171,6 +171,7 @@ _STEPS_RUN = 2 * CELL
 _CORNER = (0.0, -CELL / 2)
 
 LANES: Registry[MobilityLane] = Registry("lane")
+"""Lanes by name, with or without `LANE_PREFIX`."""
 for _one in (
     lane_of("flat", "ASTM E2829", "A bare floor to drive fast on", 8 * CELL),
     lane_of("continuous", "ASTM E2826", "Continuous ramps of 15 degrees", 4 * CELL, *ramps("><><", _CORNER)),

@@ -1,7 +1,7 @@
-"""A hall with parallel lanes, as the arenas of today are laid out.
+"""A hall with parallel lanes, the layout of recent league arenas.
 
-Rows are lanes along x between walls, with starts before them and victims behind; the columns at both ends
-are open from side to side.
+Rows are lanes along x between walls, with starts before them and victims behind; the columns at both ends are
+open from side to side.
 """
 
 import itertools
@@ -17,11 +17,11 @@ from usarmjx.models.types.arena import START_ELEVATION, HelpSound, Light, StartP
 from usarmjx.models.types.shapes import Position2D, Rgba, Shape
 
 HOLE = 0.15
-"""Width and height of the hole that a victim is looked at through [m] (RoboCup Rescue; estimated)."""
+"""Width and height of the hole through which a victim is visible [m] (RoboCup Rescue; estimated)."""
 BOX_LENGTH, BOX_WIDTH, BOX_HEIGHT = 0.6, 0.7, 0.96
-"""Of a victim box: over the trunk of a victim that sits, whose legs come out below (chosen) [m]."""
+"""Size of a victim box [m]: over the trunk of a sitting victim, whose legs come out below (chosen)."""
 BACK = 0.2
-"""From a victim's pelvis to the back of its box [m]."""
+"""Distance from a victim's pelvis to the back of its box [m]."""
 EYES = 0.72
 """Height of the middle of the hole [m]."""
 SLOT = 0.3
@@ -34,7 +34,7 @@ WHITE: Rgba = (0.95, 0.95, 0.95, 1.0)
 
 
 def victim_box(at: Position2D, heading: float) -> tuple[Shape, ...]:
-    """Return a box over a victim that sits at a place [m] and looks towards `heading` [rad]."""
+    """Return a box over a victim that sits at a point [m] and faces `heading` [rad]."""
     front, half = BOX_LENGTH - BACK, BOX_WIDTH / 2
     low, high = EYES - HOLE / 2, EYES + HOLE / 2
     corners = (
@@ -52,16 +52,16 @@ def victim_box(at: Position2D, heading: float) -> tuple[Shape, ...]:
     for a, b in corners:
         x, y, z = ((p + q) / 2 for p, q in zip(a, b, strict=True))
         dx, dy, dz = ((q - p) / 2 for p, q in zip(a, b, strict=True))
-        place = (at[0] + x * cos - y * sin, at[1] + x * sin + y * cos, z)
+        middle = (at[0] + x * cos - y * sin, at[1] + x * sin + y * cos, z)
         turn = (0.0, 0.0, heading)
         shapes.append(
-            Shape(kind="box", size=(dx, dy, dz), at=place, rotation=turn, surface="wall", rgba=WOOD)
+            Shape(kind="box", size=(dx, dy, dz), at=middle, rotation=turn, surface="wall", rgba=WOOD)
         )
     return tuple(shapes)
 
 
 def wall_sign(at: Position2D, heading: float, texture: str, *, z: float = 0.8) -> Shape:
-    """Return a square with a chart, a label or a tag on a wall, which looks towards `heading` [rad]."""
+    """Return a square with a chart, a label or a tag on a wall, which faces `heading` [rad]."""
     return Shape(
         kind="box",
         size=(0.005, SIGN / 2, SIGN / 2),
@@ -74,14 +74,15 @@ def wall_sign(at: Position2D, heading: float, texture: str, *, z: float = 0.8) -
 
 
 HALL_HEIGHT, PARAPET = 1.5, 0.5
-"""Of the hall's walls, and of walls beside a lane above its highest ground (chosen) [m]."""
+"""Height of the hall's walls, and of walls beside a lane above its highest ground (chosen) [m]."""
 
 SIGNS = ("chart", "hazmat", "tag", "qr")
+"""Kinds of signs, in turn."""
 SPARE = 0.15
-"""By so much the first lane, which is bare, is wider, for robots as large as a Talon [m]."""
+"""Additional width of the first lane, which is bare, for robots as large as a Talon [m]."""
 THICKNESS = 0.05
 OFF_THE_WALL = 0.08
-"""Robots start so far from the middle of their cells, as the longest are as long as a cell [m]."""
+"""Distance of start poses from the middle of their cells [m]: the longest robots are as long as a cell."""
 
 
 @dataclass(frozen=True)
@@ -102,12 +103,12 @@ class Hall:
 
     @property
     def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """The x and y limits of the hall [m]."""
+        """x and y limits of the hall [m]."""
         return (0.0, self.columns * CELL), (-SPARE, self.rows * CELL)
 
     @property
     def rows(self) -> int:
-        """Rows of cells, each a lane."""
+        """Number of rows of cells, each a lane."""
         return len(self.tops)
 
     def at(self, column: float, row: float) -> Position2D:
@@ -115,7 +116,7 @@ class Hall:
         return cell_center((0.0, 0.0), column, row)
 
     def walls(self) -> tuple[Shape, ...]:
-        """Return walls round the hall and between the lanes."""
+        """Return walls around the hall and between the lanes."""
         (_, east), (south, north) = self.extent
         edges = (
             ((0.0, south), (east, south)),
@@ -143,7 +144,7 @@ class Hall:
         return deck((x0, row * CELL), (x1, (row + 1) * CELL), top, thickness=top)
 
     def seats(self, rows: Sequence[int]) -> tuple[Position2D, ...]:
-        """Return where victims sit at the far wall [m]."""
+        """Return the positions of victims at the far wall [m]."""
         return tuple((self.columns * CELL - 0.3, self.at(0, row)[1]) for row in rows)
 
     def boxes(self, rows: Sequence[int]) -> tuple[Shape, ...]:
@@ -165,7 +166,7 @@ class Hall:
         )
 
     def signs(self, rows: Sequence[int]) -> tuple[Shape, ...]:
-        """Return signs of all sorts on the far wall."""
+        """Return signs of all kinds on the far wall."""
         x = self.columns * CELL - 0.03
         return tuple(
             wall_sign((x, self.at(0, row)[1]), math.pi, f"{SIGNS[i % len(SIGNS)]}:{i}")
@@ -197,5 +198,5 @@ def _wall(low: Position2D, high: Position2D, height: float) -> Shape:
 
 
 def ceiling(at: Position2D, length: float, height: float) -> Shape:
-    """Return a slab over a lane under which there is `height` [m] of room."""
+    """Return a slab over a lane with `height` [m] of room below."""
     return block(at, (length, CELL, 0.1), z=height, surface="wall")

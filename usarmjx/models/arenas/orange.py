@@ -1,9 +1,9 @@
 """DM-USAR_orange, modelled on NIST's orange arena.
 
 The manual (3.2.1.1): a bi-level arena with stairs and a ramp, its floor covered with debris, as paper, pipes
-and cement blocks. It gives no measures: the plan is ours, on the grid of the NIST arenas. The floor lies
-1.44 m below the wire's origin, so that the manual's start position (Table 2: 1.2,-2.3,1.16, z down) puts a
-P2AT, whose origin is 0.26 m above the ground (5.3.6), 2 cm above it.
+and cement blocks. It gives no measures: the plan is ours, on the grid of the NIST arenas. The floor lies 1.44
+m below the wire's origin, so that the manual's start position (Table 2: 1.2,-2.3,1.16, z down) puts a P2AT,
+whose origin is 0.26 m above the ground (5.3.6), 2 cm above it.
 """
 
 import math
@@ -79,11 +79,13 @@ PLAN = """
 +--+--+--+--+--+--+--+--+--+--+
 """
 STAIRS = 7
+"""Number of rises of the stairs."""
 UPPER = STAIRS * RISE
 """Height of the upper floor [m]."""
 WEST, SOUTH = ORIGIN[0] + 6 * CELL, ORIGIN[1] + 4 * CELL
+"""West and south edge of the upper floor, over the columns from 6 and the rows from 4 [m]."""
 EAST, NORTH = ORIGIN[0] + COLUMNS * CELL, ORIGIN[1] + ROWS * CELL
-"""Its edges: it lies over the columns from 6 and the rows from 4."""
+"""East and north edge of the upper floor and of the arena [m]."""
 RAMP_RUN = UPPER / math.tan(RAMP_ANGLE)
 PARAPET = 0.3
 
@@ -91,7 +93,7 @@ PARAPET = 0.3
 cell = partial(cell_center, ORIGIN)
 RAMP_Y, STAIRS_Y, STEEPER_X = cell(0, 7)[1], cell(0, 4)[1], cell(9, 0)[0]
 SIDE = cell(0, 6.5)[1]
-"""The open side of the ramp's upper half, under which is a void."""
+"""y of the open side of the ramp's upper half, above a void [m]."""
 
 UPPER_FLOOR = (
     deck((WEST, SOUTH), (EAST, NORTH), UPPER),
@@ -133,7 +135,7 @@ HIDING = (
         PANE,
         material=GLASS,
     ),
-    # The board that a victim sits behind, in the corner of the first column.
+    # A board that hides a victim, in the corner of the first column.
     block((ORIGIN[0] + 0.75, ORIGIN[1] + 0.95), (1.0, 0.02, 0.9), surface="wall", rgba=WOOD),
 )
 

@@ -1,9 +1,9 @@
-"""The orange arena of today: lanes of structured obstacles side by side.
+"""The orange arena of 2025: lanes of structured obstacles side by side.
 
 From one side to the other: a bare lane, crossing ramps (ASTM E2827), continuous ramps (E2826), hurdles of 10
 cm (E2802), half cubic step fields (E2828), stairs of 35 degrees to a deck (E2804) and an inclined plane of 30
-degrees down (E2803), two pipe steps, and a gap of 20 cm between two decks (E2801). What figures are chosen
-is in `lanes`; which lane is where is ours.
+degrees down (E2803), two pipe steps, and a gap of 20 cm between two decks (E2801). `lanes` lists the chosen
+measures; the order of lanes is ours.
 """
 
 import math
@@ -15,7 +15,7 @@ from usarmjx.models.arenas.pieces import PANELLED, finished, pipe_steps
 from usarmjx.models.types.arena import ArenaSpec, Tag
 
 FLIGHT = 5
-"""Rises of the stairs."""
+"""Number of rises of the stairs."""
 UPPER, STEPS, LOW = FLIGHT * RISE, 0.4, 0.3
 """Height of the decks behind the stairs and the pipe steps, and beside the gap [m]."""
 RIDGE = CELL * math.tan(RAMP_ANGLE)
@@ -32,9 +32,9 @@ def _across(row: int) -> float:
 
 
 HEAD = WEST + CELL + (FLIGHT - 1) * RISE / math.tan(STEEP)
-"""Where the stairs end [m]."""
+"""x of the end of the stairs [m]."""
 FOOT = EAST - CELL / 2
-"""Where the inclined plane ends [m]."""
+"""x of the end of the inclined plane [m]."""
 BRINK = FOOT - UPPER / math.tan(math.radians(30))
 MIDDLE = (WEST + EAST) / 2
 

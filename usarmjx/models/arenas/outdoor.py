@@ -1,12 +1,12 @@
-"""DM-Outdoor: hills under an open sky, trees, and a building that has come down on people.
+"""DM-Outdoor: hills under an open sky, trees, and a building that has collapsed on people.
 
-The manual says that outdoor areas and collapsed buildings exist (3.2.1.1), and that an outdoor world has the
-sky all around it, without which GPS does not work (10.5.2); the plan is ours. The terrain is a height field
-of 1 m cells over 40 x 40 m in a bowl whose rim is too steep to drive out of. Its flat parts lie `BASE` above
-the arena's floor and 2.08 m below the wire's origin, as the floor of the yellow arena does.
+By the manual, outdoor areas and collapsed buildings exist (3.2.1.1), and an outdoor world has the sky all
+around it, without which GPS does not work (10.5.2); the plan is ours. The terrain is a height field of 1 m
+cells over 40 x 40 m in a bowl whose rim is too steep to drive out of. Its flat parts lie `BASE` above the
+arena's floor and 2.08 m below the wire's origin, as the floor of the yellow arena does.
 
 Heights are polynomials, rounded to millimetres: the same on every machine. Engine `jax` has no contacts of
-cylinders with height fields; this arena is for `c`. Loose boxes that lie on a height field rock and creep by
+cylinders with height fields; this arena is for `c`. Loose boxes on a height field rock and creep by
 centimetres, as MuJoCo finds one contact for each of its cells; here they lie on the building's foundation.
 """
 
@@ -31,12 +31,13 @@ from usarmjx.models.types.shapes import SKY, HeightField, Rgba, Shape
 BASE = 0.5
 """Height of the flat parts above the arena's floor [m]."""
 FLOOR = -2.08 - BASE
+"""Height of the floor in the world [m]."""
 FOUNDATION_TOP = BASE + 0.04
 """Height of the building's foundation above the arena's floor [m]: a step for wheels."""
 HALF, CELLS = 20.0, 40
-"""Half the side of the terrain [m] and its cells along a side."""
+"""Half the side of the terrain [m] and its number of cells along a side."""
 RIM, STEEPNESS = 17.0, 0.25
-"""Where the rim begins to rise [m], and by what times the squared distance from there [1/m]."""
+"""Distance at which the rim begins to rise [m], and its rise over the squared distance from there [1/m]."""
 HILLS = (
     (-10.0, 9.0, 8.0, 1.6),
     (9.0, -10.0, 8.0, 1.4),
@@ -57,7 +58,7 @@ AIR: Rgba = (0.6, 0.75, 0.95, 0.06)
 def ground(x: float, y: float) -> float:
     """Return the height of the terrain above the arena's floor [m], exact on the grid of 1 m.
 
-    A hill falls off as (1 - r^2 / R^2)^2: level on top and at its foot, at most 1.54 height / R steep.
+    A hill falls off as (1 - r^2 / R^2)^2: level on top and at its foot, its slope at most 1.54 height / R.
     """
     height = BASE
     for hill_x, hill_y, radius, rise in HILLS:
@@ -69,8 +70,8 @@ def ground(x: float, y: float) -> float:
 
 
 def _terrain() -> Shape:
-    places = [i * 2 * HALF / CELLS - HALF for i in range(CELLS + 1)]
-    heights = np.array([[ground(x, y) for x in places] for y in places])
+    lines = [i * 2 * HALF / CELLS - HALF for i in range(CELLS + 1)]
+    heights = np.array([[ground(x, y) for x in lines] for y in lines])
     return Shape(
         kind="hfield",
         size=(HALF, HALF, 0.5),
@@ -81,7 +82,7 @@ def _terrain() -> Shape:
 
 
 def _sky() -> tuple[Shape, ...]:
-    """Return the sky's four sides and its top, which nothing touches."""
+    """Return the sky's four sides and its top, without contacts."""
     far, thick, top = HALF + 0.5, 0.1, SKY_HEIGHT
     sides = [
         ((-far, -far, 0.0), (-far + thick, far, top)),
@@ -116,7 +117,7 @@ def _chunk(x: float, y: float, size: float, turn: float) -> Shape:
 
 
 def _beam(foot: tuple[float, float, float], head: tuple[float, float, float]) -> Shape:
-    """Return a beam of 20 cm between two places, given as heights above the foundation."""
+    """Return a beam of 20 cm between two points, given as heights above the foundation."""
     low, high = ((x, y, FOUNDATION_TOP + z) for x, y, z in (foot, head))
     return slope(low, high, 0.2, thickness=0.2, rgba=WOOD)
 
@@ -135,7 +136,7 @@ STOREY = 2.4
 # x from 4 to 14, y from 3 to 11.
 BUILDING = (
     span((2.6, 1.2, 0.0), (14.3, 11.3, FOUNDATION_TOP), surface="ground"),
-    # What still stands: a corner, the stumps of two walls, two columns.
+    # Standing remains: a corner, the stumps of two walls, two columns.
     span((8.0, 10.8, 0.0), (14.0, 11.0, FOUNDATION_TOP + STOREY)),
     span((13.8, 6.5, 0.0), (14.0, 10.8, FOUNDATION_TOP + STOREY)),
     span((4.0, 3.0, 0.0), (4.2, 6.0, FOUNDATION_TOP + 1.0)),
@@ -147,7 +148,7 @@ BUILDING = (
     # A floor with one edge on the ground, to drive up, and one on a block.
     slope((4.9, 5.0, FOUNDATION_TOP), (7.6, 5.0, FOUNDATION_TOP + 0.9), 2.4, thickness=0.2, rgba=CONCRETE),
     block((7.5, 5.0), (0.4, 2.0, FOUNDATION_TOP + 0.6), surface="ground", rgba=CONCRETE),
-    # Two floors that came down flat on each other, half a metre apart.
+    # Two floors that collapsed flat on each other, half a metre apart.
     *(
         block((x, 4.4), (0.3, 2.2, FOUNDATION_TOP + 0.5), surface="ground", rgba=CONCRETE)
         for x in (10.9, 13.1)

@@ -1,4 +1,4 @@
-"""Pieces of buildings and things that lie about, which several arenas need."""
+"""Building parts, debris, pipes and finishes that several arenas share."""
 
 import math
 import random
@@ -37,7 +37,7 @@ def span(
 
 
 def waving(arm: str = "RightArm", rate: float = 2.0) -> tuple[SegmentMotion, ...]:
-    """Return the motion of a victim that waves with a raised arm; `rate` is how fast it turns [rad/s]."""
+    """Return the motion of a victim that waves with a raised arm, at a rate [rad/s]."""
     out = 0.5 if arm == "LeftArm" else -0.5
     move = SegmentMotion(
         name=arm, initial=(-2.7, 0.0, out), final=(-2.7, 0.0, -0.8 * out), rates=(0.0, 0.0, rate)
@@ -80,9 +80,9 @@ def brick(name: str, at: tuple[float, float], *, z: float = 0.0, yaw: float = 0.
 def drum(
     name: str, at: tuple[float, float], mass: float, radius: float = 0.2, height: float = 0.6
 ) -> LooseObject:
-    """Return a loose drum that stands: two boxes across each other make its eight sides.
+    """Return a loose upright drum: two boxes across each other make its eight sides.
 
-    Eight corners instead of a round wall, as engine `jax` cannot have cylinders touch each other.
+    Eight corners instead of a round wall, as engine `jax` has no contacts between cylinders.
     """
     half = radius * math.cos(math.pi / 8)
     shapes = tuple(
@@ -100,10 +100,11 @@ def drum(
 
 
 CINDER: Vec3 = (0.39, 0.19, 0.19)
-"""A cement block [m]: 16 x 8 x 8 inches less the mortar."""
+"""Size of a cement block [m]: 16 x 8 x 8 inches less the mortar."""
 CINDER_MASS = 13.0
+"""Mass of a cement block [kg]."""
 PLYWOOD_DENSITY = 600.0
-"""Density [kg/m3]."""
+"""Density of plywood [kg/m3]."""
 PAPER: Rgba = (0.92, 0.92, 0.88, 1.0)
 
 
@@ -151,6 +152,7 @@ def slab(at: Vec3, size: Vec3, rotation: Vec3 = (0.0, 0.0, 0.0)) -> Shape:
 
 
 GOLDEN = math.pi * (3 - math.sqrt(5))
+"""Golden angle [rad], which spreads points evenly over a disc."""
 
 
 def rubble(at: Position2D, radius: float, height: float, count: int, *, seed: int) -> tuple[Shape, ...]:
@@ -158,10 +160,10 @@ def rubble(at: Position2D, radius: float, height: float, count: int, *, seed: in
 
     Args:
         at: Its middle [m].
-        radius: Of the ring of the outermost chunks' middles [m].
-        height: About how high it is [m].
+        radius: Radius of the ring of the outermost chunks' middles [m].
+        height: Approximate height [m].
         count: Number of chunks.
-        seed: Of their sizes and tilts.
+        seed: Seed of their sizes and tilts.
     """
     draw = random.Random(seed)
     chunks: list[Shape] = []
@@ -171,13 +173,13 @@ def rubble(at: Position2D, radius: float, height: float, count: int, *, seed: in
         top, below = height * (1 - 0.85 * out), 0.15
         half = (draw.uniform(0.15, 0.3), draw.uniform(0.1, 0.2), (top + below) / 2)
         tilt = (draw.uniform(-0.3, 0.3), draw.uniform(-0.3, 0.3), draw.uniform(-math.pi, math.pi))
-        place = (at[0] + x, at[1] + y, (top - below) / 2)
+        middle = (at[0] + x, at[1] + y, (top - below) / 2)
         grey = draw.uniform(0.45, 0.7)
         chunks.append(
             Shape(
                 kind="box",
                 size=half,
-                at=place,
+                at=middle,
                 rotation=tilt,
                 surface="ground",
                 rgba=(grey, grey, 0.95 * grey, 1.0),
@@ -188,14 +190,16 @@ def rubble(at: Position2D, radius: float, height: float, count: int, *, seed: in
 
 
 TexturesByColour = Mapping[Rgba, str]
-"""Textures of `spec.textures` by colours."""
+"""Names of textures (`types.textures`) by colour."""
 
 BARE: TexturesByColour = {WOOD: "wood", STONE: "concrete", CONCRETE: "concrete", BRICK: "brick"}
-"""What is made of plywood, stone, concrete and bricks looks it."""
+"""Textures of plywood, stone, concrete and bricks."""
 PANELLED: TexturesByColour = {**BARE, WALL_RGBA: "wood"}
-"""Walls of boards, as in halls for tests."""
+"""Finish with walls of boards, as in test halls."""
 BRICKED: TexturesByColour = {**BARE, WALL_RGBA: "brick"}
+"""Finish with walls of bricks."""
 CAST: TexturesByColour = {**BARE, WALL_RGBA: "concrete"}
+"""Finish with walls of concrete."""
 
 
 def finished(shapes: Iterable[Shape], finish: TexturesByColour) -> tuple[Shape, ...]:
@@ -208,16 +212,19 @@ def finished(shapes: Iterable[Shape], finish: TexturesByColour) -> tuple[Shape, 
 PIPE = 0.06
 """Outer diameter of a 2 inch pipe [m]."""
 PIPE_MASS = 5.4
-"""Of a metre of it, in steel [kg]."""
+"""Mass of a 2 inch steel pipe per length [kg/m]."""
 EDGE = 0.11
 """Outer diameter of a 4 inch pipe [m]."""
 FLAT = math.cos(math.pi / 8)
-"""How high the axis of a pipe is that lies on a side, over its radius."""
+"""Height of the axis of an octagonal pipe that lies on a side, over its radius."""
 
 
 def _bars(
     at: Vec3, length: float, diameter: float, yaw: float = 0.0, mass: float = 0.0, surface: str = "ground"
 ) -> tuple[Shape, ...]:
+    """Return a pipe as two boxes across each other, eight-sided: engine `jax` has no contacts of cylinders with
+    boxes.
+    """
     half = diameter / math.sqrt(8)
     return tuple(
         Shape(
@@ -251,7 +258,7 @@ def loose_pipe(
 def pipe_steps(
     foot: tuple[float, float], uphill: float, count: int, *, rise: float = 0.2, width: float = CELL
 ) -> tuple[Shape, ...]:
-    """Return steps half a cell deep whose edges are pipes, as those of ASTM E2802's hurdles (sizes chosen).
+    """Return steps half a cell deep with edges of pipes, as those of ASTM E2802's hurdles (sizes chosen).
 
     The upper side of each pipe is level with its step.
 
@@ -260,7 +267,7 @@ def pipe_steps(
         uphill: Direction of climb [rad].
         count: Number of steps.
         rise: Height of each [m].
-        width: Of the steps [m].
+        width: Width of the steps [m].
     """
     along = (math.cos(uphill), math.sin(uphill))
     shapes: list[Shape] = []

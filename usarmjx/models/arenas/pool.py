@@ -1,7 +1,7 @@
-"""DM-Pool: a walled basin with a quay along one side, for the submarine and what must not fall in.
+"""DM-Pool: a walled basin with a quay along one side, for the submarine and for robots beside the water.
 
 The manual's list of files has maps for submarines, but describes none: the plan is ours. The floor of the
-basin is the arena's floor; the quay lies at the wire's origin height.
+basin is the arena's floor; the quay is at the height of the wire's origin.
 """
 
 import math
@@ -11,9 +11,9 @@ from usarmjx.models.compile.victims import rest_height
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, HelpSound, StartPose, Tag, Victim, Water
 
 LENGTH, WIDTH, DEPTH = 60.0, 44.0, 5.0
-"""Of the water [m]: room for the submarine to turn about, which takes it 36 m."""
+"""Size of the water [m]: room for the submarine to turn about, which takes it 36 m."""
 FREEBOARD, QUAY, WALL, PARAPET = 0.4, 4.0, 0.3, 1.2
-"""Quay above the water, its width, thickness of walls and deck, height of the parapet [m]."""
+"""Height of the quay above the water, its width, thickness of walls and deck, height of the parapet [m]."""
 DECK = DEPTH + FREEBOARD
 KEEL = 1.5
 """Height of the submarines' keels over the floor when they start [m]."""
@@ -24,7 +24,7 @@ TILES = (0.45, 0.65, 0.75, 1.0)
 RUST = (0.5, 0.3, 0.2, 1.0)
 
 X, Y = LENGTH / 2, WIDTH / 2
-SHORE = -Y - QUAY  # where the quay ends
+SHORE = -Y - QUAY  # y of the quay's outer edge
 SHAPES = (
     # The basin: far side, both ends, and the quay's side up to the deck.
     span((-X - WALL, Y, 0.0), (X + WALL, Y + WALL, DECK + PARAPET), TILES),
@@ -34,7 +34,7 @@ SHAPES = (
     # The quay and the wall behind it.
     span((-X, SHORE, DECK - WALL), (X, -Y, DECK), surface="ground"),
     span((-X - WALL, SHORE - WALL, 0.0), (X + WALL, SHORE, DECK + PARAPET), CONCRETE),
-    # On the floor: a step for sonars to hear, and a wreck to look at.
+    # On the floor: a step for sonars, and a wreck for cameras.
     span((15.0, -Y, 0.0), (X, -10.0, 1.0), TILES),
     span((12.0, 12.0, 0.0), (16.0, 13.5, 1.2), RUST),
 )

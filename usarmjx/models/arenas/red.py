@@ -2,9 +2,9 @@
 
 The manual (3.2.1.1): few perceptual difficulties, but maximal demand on locomotion; rubble piles, cement
 blocks, slabs and debris on the floor. It gives no measures: the plan is ours, on the grid of the NIST arenas,
-with the cubic step fields that stand for rubble there. The floor lies 2.08 m below the wire's origin, so
-that the manual's start position (Table 2: 0.76,2.3,1.8, z down) puts a P2AT, whose origin is 0.26 m above
-the ground (5.3.6), 2 cm above it.
+with cubic step fields in place of rubble. The floor lies 2.08 m below the wire's origin, so that the manual's
+start position (Table 2: 0.76,2.3,1.8, z down) puts a P2AT, whose origin is 0.26 m above the ground (5.3.6), 2
+cm above it.
 """
 
 import math

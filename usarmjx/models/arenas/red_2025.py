@@ -1,9 +1,9 @@
-"""The red arena of today: lanes of unstructured and high obstacles side by side.
+"""The red arena of 2025: lanes of unstructured and high obstacles side by side.
 
 From one side to the other: a bare lane, two lanes of cubic step fields (ASTM E2828), hurdles of 20 cm
 (E2802), stairs of 45 degrees to a deck and down again (E2804), four pipe steps and an inclined plane of 30
-degrees, rubble with cement blocks, and crossing ramps under a low ceiling (E2827). What figures are chosen
-is in `lanes`; which lane is where is ours.
+degrees, rubble with cement blocks, and crossing ramps under a low ceiling (E2827). `lanes` lists the chosen
+measures; the order of lanes is ours.
 """
 
 import math
@@ -15,7 +15,7 @@ from usarmjx.models.arenas.pieces import PANELLED, cinder_block, finished, pipe_
 from usarmjx.models.types.arena import ArenaSpec, Tag
 
 FLIGHT = 5
-"""Rises of the stairs."""
+"""Number of rises of the stairs."""
 UPPER, PIPES, ROOM = FLIGHT * RISE, 0.8, 0.75
 """Height of the deck between the stairs and of four pipe steps, room under the ceiling (chosen) [m]."""
 HALL = Hall(columns=11, first=2, last=8, tops=(0.0, 0.4, 0.4, 0.2, UPPER, PIPES, 0.45, ROOM - 0.4))
@@ -31,9 +31,9 @@ def _across(row: int) -> float:
 
 FLIGHT_RUN = (FLIGHT - 1) * RISE / math.tan(STAIR_ANGLE)
 HEAD, TAIL = WEST + CELL + FLIGHT_RUN, EAST - CELL - FLIGHT_RUN
-"""Where the stairs end and begin again [m]."""
+"""x of the end of the stairs up, and of the beginning of those down [m]."""
 BRINK = WEST + CELL / 2 + 2 * CELL + CELL / 2
-"""Where the inclined plane begins behind the pipe steps [m]."""
+"""x of the beginning of the inclined plane behind the pipe steps [m]."""
 
 LANES = (
     *HALL.fields(1, 3, ("flat", "hill", "diagonal", "hill"), POST),

@@ -1,13 +1,13 @@
 """DM-Soccer: a small soccer field, for teams of two against two.
 
 Start poses BlueGoal, MiddleField and YellowGoal are those of the manual's answer to GETSTARTPOSES (5.3.3),
-which puts the floor at height 0. They stand in front of goals whose lines are 5.4 m apart, as on the field of
+which puts the floor at height 0. They are in front of goals whose lines are 5.4 m apart, as on the field of
 the Four-Legged League (RoboCup rules of 2005: 5.4 x 3.6 m between the lines, carpet 6 x 4 m, goals 0.8 m wide
 and 0.3 m deep). The rest is chosen.
 
-The ball is a sphere that touches ground, walls, hulls and loose things, but no wheels, tracks and casters, as
-wheels do not touch each other either: engine `jax` has no reliable contact of cylinder and sphere, and the
-robots' hulls cover their wheels. It rolls without resistance until something stops it.
+The ball is a sphere with contacts to ground, walls, hulls and loose objects, but not to wheels, tracks and
+casters, as wheels do not touch each other either: engine `jax` has no reliable contact of cylinder and
+sphere, and the robots' hulls cover their wheels. It rolls without resistance until something stops it.
 """
 
 import math
@@ -20,7 +20,7 @@ LENGTH, WIDTH = 5.4, 3.6
 """Between the goal lines and between the side lines [m]."""
 CARPET = (6.0, 4.0)
 GOAL_WIDTH, GOAL_DEPTH, GOAL_HEIGHT, POST = 0.8, 0.3, 0.5, 0.05
-"""Of the goals; the height and the thickness of their sides are chosen [m]."""
+"""Size of the goals; the height and the thickness of their sides are chosen [m]."""
 BOARD = (0.05, 0.3)
 """Thickness and height of the boards around the carpet (chosen) [m]."""
 LINE, PAINT = 0.05, 0.002
@@ -28,10 +28,10 @@ LINE, PAINT = 0.05, 0.002
 BOX = (0.6, 2.0)
 """Depth and width of the penalty areas (chosen) [m]."""
 CIRCLE, SIDES = 0.5, 12
-"""Radius of the centre circle (chosen) [m] and how many lines make it."""
+"""Radius of the centre circle (chosen) [m] and the number of its lines."""
 BALL_RADIUS, BALL_MASS = 0.11, 0.43  # FIFA's size 5: circumference 68 to 70 cm, 410 to 450 g
 SPOT = (1.2, 0.0)
-"""Where the ball lies: on the centre spot stands who starts at MiddleField."""
+"""Position of the ball: the centre spot is the start pose MiddleField."""
 
 WHITE: Rgba = (0.95, 0.95, 0.95, 1.0)
 GREEN: Rgba = (0.25, 0.55, 0.3, 1.0)
@@ -59,7 +59,7 @@ def _goal(side: int, rgba: Rgba) -> tuple[Shape, ...]:
 
 
 def _boards() -> tuple[Shape, ...]:
-    """Return the boards around the carpet, with gaps where the goals' backs are."""
+    """Return the boards around the carpet, with gaps for the goals' backs."""
     thick, high = BOARD
     x, y = (CARPET[0] + thick) / 2, (CARPET[1] + thick) / 2
     inner = GOAL_WIDTH / 2 + POST
@@ -74,7 +74,7 @@ def _boards() -> tuple[Shape, ...]:
 
 
 def _beacons() -> tuple[Shape, ...]:
-    """Return the coloured beacons outside of the corners, pink above or below as the league has them."""
+    """Return the coloured beacons outside of the corners, pink above or below by the league's rules."""
     x, y = CARPET[0] / 2 + 0.2, CARPET[1] / 2 + 0.2
     return tuple(
         block((side * x, far * y), (0.1, 0.1, 0.2), z=z, surface="wall", rgba=rgba)
@@ -85,7 +85,7 @@ def _beacons() -> tuple[Shape, ...]:
 
 
 def _markings() -> tuple[Shape, ...]:
-    """Return carpet and lines, which nothing touches."""
+    """Return carpet and lines, without contacts."""
     depth, width = BOX
     lines = [block((0.0, 0.0), (*CARPET, PAINT / 2), surface="fixture", rgba=GREEN)]
     lines += [_line((0.0, far * WIDTH / 2), LENGTH + LINE) for far in (-1, 1)]

@@ -1,12 +1,12 @@
 """DM-USAR_yellow, modelled on NIST's yellow arena.
 
-The manual (3.2.1.1): the simplest arena, a large flat floor with perpendicular walls and moderately
-difficult obstacles. The plan is ours, on the 1.2 m grid of the NIST arenas. The floor lies 2.08 m below
-the wire's origin, so that the manual's start position (Table 2: 4.5,1.9,1.8, z down) puts a P2AT, whose
-origin is 0.26 m above the ground (5.3.6), 2 cm above the floor.
+The manual (3.2.1.1): the simplest arena, a large flat floor with perpendicular walls and moderately difficult
+obstacles. The plan is ours, on the 1.2 m grid of the NIST arenas. The floor lies 2.08 m below the wire's
+origin, so that the manual's start position (Table 2: 4.5,1.9,1.8, z down) puts a P2AT, whose origin is 0.26 m
+above the ground (5.3.6), 2 cm above the floor.
 
-What the manual says of all arenas (3.2.1.1) is in the upper rows, where no start is, and blocks no loop:
-victims, glass, a mirror, a grid fender, and few loose things, as each costs the solver time.
+The manual's features of all arenas (3.2.1.1) are in the upper rows, away from starts and without blocking a
+loop: victims, glass, a mirror, a grid fender, and few loose objects, as each costs solver time.
 """
 
 import math
@@ -69,13 +69,13 @@ _cell = partial(cell_center, ORIGIN)
 def _block(
     column: int, row: int, size: tuple[float, float, float], offset: tuple[float, float] = (0, 0)
 ) -> Shape:
-    """A box of full lengths `size` standing on the floor, in reach of wheels."""
+    """Return a box of full lengths `size` on the floor, in reach of wheels."""
     x, y = _cell(column, row)
     return block((x + offset[0], y + offset[1]), size)
 
 
 def _ramp(column: int, row: int, uphill: float) -> Shape:
-    """A 15 degree slope that rises out of the floor; `uphill` is the direction of climb [rad]."""
+    """Return a 15 degree slope that rises out of the floor; `uphill` is the direction of climb [rad]."""
     return ramp(_cell(column, row), uphill)
 
 
@@ -96,8 +96,8 @@ OBSTACLES = (
     _ramp(10, 0, 0.0),
 )
 
-# The first is the manual's. 47 more on cell centres and beside them, so that a team of any usual size
-# has places of its own; all at least 0.6 m from the next and clear of walls and obstacles.
+# The first is the manual's. 47 more on cell centres and beside them, enough for a team of any usual size;
+# all at least 0.6 m from the next and clear of walls and obstacles.
 START_CELLS = (
     (0, 0), (1, 0), (4, 0), (5, 0), (7, 0), (8, 0), (11, 0),
     (0, 1), (1, 1), (2, 1), (3, 1), (5, 1), (6, 1), (8, 1), (11, 1),
@@ -141,7 +141,7 @@ VICTIMS = (
 )
 
 LOOSE_GAP = 0.001
-"""Above the floor where loose things start [m]: as robots, they start out of contact."""
+"""Initial gap between loose objects and the floor [m]: as robots, they start out of contact."""
 LOOSE = (
     brick("Brick1", (9.0, 4.5), z=LOOSE_GAP, yaw=0.4),
     brick("Brick2", (-0.9, 4.6), z=LOOSE_GAP, yaw=-0.2),

@@ -1,8 +1,8 @@
-"""The yellow arena as the RoboCup Rescue league has had it since: the same maze on continuous ramps.
+"""The yellow arena of 2025, by the RoboCup Rescue league: the same maze on continuous ramps.
 
-For robots that find their way themselves: between level ground at both ends every floor is full ramps of 15
-degrees (ASTM E2826), so that who drives along x pitches and who drives along y rolls. Victims sit in boxes
-with a hole, signs hang on walls. Walls are those of `yellow`; where things are is ours.
+For autonomous robots: between level ground at both ends the whole floor is full ramps of 15 degrees (ASTM
+E2826), so that a drive along x pitches and a drive along y rolls. Victims sit in boxes with a hole, signs
+hang on walls. Walls are those of `yellow`; positions of contents are ours.
 """
 
 import math
@@ -18,7 +18,7 @@ from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, HelpSound, Li
 
 COLUMNS, ROWS = 12, 8
 FIRST, LAST = 2, 10
-"""Columns from and to (not included) which the floor is ramps."""
+"""First column of ramps, and the first one after them."""
 EAST, NORTH = COLUMNS * CELL, ROWS * CELL
 
 _cell = partial(cell_center, (0.0, 0.0))
@@ -38,7 +38,7 @@ SITTING = rest_height("sitting")
 HIDING = (("Alma", (0, 7), -math.pi / 2), ("Boris", (11, 7), -math.pi / 2), ("Chen", (11, 0), math.pi / 2))
 """Victims in boxes: names, cells and headings."""
 AWAY = 0.3
-"""From the middle of the cell towards its wall [m]."""
+"""Distance from the middle of the cell towards its wall [m]."""
 
 
 def _seat(cell: tuple[int, int], heading: float) -> tuple[float, float]:

@@ -128,7 +128,7 @@ SOLVERS = {"CG": mujoco.mjtSolver.mjSOL_CG, "Newton": mujoco.mjtSolver.mjSOL_NEW
 USUAL_GEOMS = 7
 """Touching geoms of a P2AT, the reference of contacts_per_robot and pairs_per_robot."""
 LOOSE_CONTACTS = 5
-"""Capacity in contact buffers per touching geom of a loose object: a resting box has four corners in contact."""
+"""Capacity of contact buffers per touching geom of a loose object: a resting box has four contacts."""
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ def new_spec(arena: ArenaSpec, physics: Physics) -> mujoco.MjSpec:
 def cap_contacts(
     spec: mujoco.MjSpec, physics: Physics, arena: ArenaSpec, robots: Sequence[RobotSpec]
 ) -> None:
-    """Set the capacity of the batch engines' contact buffers, in custom numbers that MJX reads and C ignores."""
+    """Set the capacity of the batch engines' contact buffers, in custom numbers that only MJX reads."""
     geoms = sum(_touching(shapes) for robot in robots for shapes in _solids(robot))
     loose = sum(_touching(thing.shapes) for thing in arena.loose)
     contacts = max(1.0, geoms / USUAL_GEOMS) * physics.contacts_per_robot + loose * LOOSE_CONTACTS

@@ -17,7 +17,7 @@ LINK_STIFFNESS, LINK_DAMPING, LINK_ARMATURE = 40.0, 4.0, 0.02
 
 
 def part_name(package: MissionPackage, link: Link) -> str:
-    """Return the name of a mission package's part: its own, or the wire's (captured: `CameraPanTilt_Link2`)."""
+    """Return the name of a mission package's part: its own, or as captured: `CameraPanTilt_Link2`."""
     return link.part or f"{package.name}_Link{link.number}"
 
 

@@ -505,7 +505,7 @@ def segment_speeds(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> 
 
 
 def loudness(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> Array:
-    """Return how loud each victim cries at a time (...,), measured at 1 m; 0 while silent (..., victims).
+    """Return the loudness of victims' cries at a time (...,), at 1 m; 0 while silent (..., victims).
 
     The first cry begins at time 0.
     """

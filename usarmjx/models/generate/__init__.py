@@ -1,8 +1,9 @@
 """Generated arenas: mazes, buildings, rubble, step fields, ramps, collapsed buildings.
 
-Same kind, size, difficulty and seed, same arena, on every machine and in every version: `draw` is our own,
-and the order of draws may not change. `layouts` draws walls on the grid of `plan`, `structures` and
-`contents` fill its cells, `kinds` says how much each kind makes at most. Begin with `arena.generate`.
+The same kind, size, difficulty and seed give the same arena on every machine and in every version: `draw` is
+our own random generator, and the order of draws must not change. `layouts` draws walls on the grid of `plan`,
+`structures`, `obstacles` and `contents` fill its cells, `kinds` defines the kinds with their limits. Begin
+with `arena.generate`.
 """
 
 from usarmjx.models.generate.arena import generate, generate_many

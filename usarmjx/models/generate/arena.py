@@ -1,4 +1,4 @@
-"""Endless arenas on the NIST arenas' grid: same kind, size, difficulty and seed, same arena, everywhere."""
+"""Generation of arenas on the NIST arenas' grid, reproducible from kind, size, difficulty and seed."""
 
 import math
 from dataclasses import replace
@@ -35,11 +35,11 @@ from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import Shape
 
 STEEP = math.radians(25)
-"""The steepest ridge where no drive may fail: steeper ones are hard on slick ground."""
+"""Steepest ridge of arenas without risk [rad]: steeper ones are hard on slick ground."""
 
 
 def place_obstacles(builder: ArenaBuilder) -> None:
-    """Put obstacles into rings of cells; more rings with more obstacles, the same ones first."""
+    """Put obstacles into rings of cells; more obstacles keep those of fewer."""
     share, obstacle = builder.difficulty.obstacles, builder.kind.obstacle
     if not share:
         return
@@ -60,14 +60,17 @@ def place_obstacles(builder: ArenaBuilder) -> None:
 
 
 def ring_height(builder: ArenaBuilder, kind: str) -> float:
-    """Return how high obstacles of a kind are [m]."""
+    """Return the height of obstacles of a kind [m]."""
     highest = highest_obstacle(builder.robot, kind, builder.difficulty.risk)
     height = obstacle_height(builder.footprint, builder.difficulty.roughness, highest)
     return height if builder.difficulty.risk or kind != "ridge" else min(height, STEEP / SLOPE)
 
 
 def _rings(builder: ArenaBuilder, away: dict[Cell, int]) -> list[list[Cell]]:
-    """Return the rings that can have obstacles, no two of them side by side; what bars the way needs none."""
+    """Return the rings of cells that can have obstacles, no two of them adjacent.
+
+    A ring is all cells of the tree at one distance from the base: the way outward crosses it.
+    """
     farthest = max(away.values())
     rings: list[list[Cell]] = []
     for count in range(2, farthest, 2):
@@ -79,7 +82,7 @@ def _rings(builder: ArenaBuilder, away: dict[Cell, int]) -> list[list[Cell]]:
 
 
 def distances(plan: CellGrid) -> dict[Cell, int]:
-    """Return how many cells each cell is from the base, where no wall is in between."""
+    """Return the number of steps from the base to each cell, around walls."""
     found: dict[Cell, int] = {START_CELL: 0}
     front: list[Cell] = [START_CELL]
     for cell in front:
@@ -91,22 +94,22 @@ def distances(plan: CellGrid) -> dict[Cell, int]:
 
 
 def _ways(plan: CellGrid, cell: Cell) -> list[int]:
-    """Return in which directions a cell is left, in quarter turns."""
+    """Return the directions in which a cell is open, in quarter turns."""
     ends = [(cell[0] + dx, cell[1] + dy) for dx, dy in DIRECTIONS]
     beside = plan.around(cell)
     return [i for i, end in enumerate(ends) if end in beside and edge(cell, end) not in plan.walls]
 
 
 SMALLEST, LARGEST = 3, 64
-"""Cells along a side."""
+"""Smallest and largest number of cells along a side."""
 DIGITS = 6
 """Decimals of all numbers of an arena; further ones differ between machines."""
 SQUARES = (CELL / 18, 0.02)
-"""Side of the squares in which ways are looked for [m]: the first, or for wide robots the second."""
+"""Side of the squares of the reachability check [m]: the first, or for wide robots the second."""
 ABOVE = 1.01
-"""A step so many times as high as the highest obstacle is a step over it."""
+"""Step of a robot that climbs all obstacles, over the highest obstacle."""
 TRIES = 8
-"""How many arenas are made, at most, until victims are reached as they should be."""
+"""Largest number of arenas that are made until the reachable victims are as stated."""
 
 
 def generate(  # noqa: PLR0913 - all but the kind may be left out
@@ -121,18 +124,18 @@ def generate(  # noqa: PLR0913 - all but the kind may be left out
 ) -> ArenaSpec:
     """Return an arena, as DM-maze-8x6-0.
 
-    All start poses hang together for the robot, and the stated share of victims: it gets within 1 m of a part
-    of their bodies. The other victims sit in cells of four walls.
+    The robot can drive between all start poses, and from them to within 1 m of a body part of the stated
+    share of victims. The other victims sit in cells of four walls.
 
     Args:
         kind: A name of `KINDS`.
         size: Columns and rows of cells of 1.2 m.
-        seed: Any integer that is not negative.
-        difficulty: How difficult; None: `Difficulty()`.
-        robot: The robot that passes: a class, or what it needs.
-        reachable: Share of the victims that it reaches.
-        victims: How many; None: one for 12 cells, at most 16. There are fewer if they find no room.
-        starts: How many start poses, at least 1; fewer if there are not as many free cells.
+        seed: Any integer from 0.
+        difficulty: Difficulty; None: `Difficulty()`.
+        robot: Robot that must pass: a class, or a footprint.
+        reachable: Share of the victims that it can reach.
+        victims: Number of victims; None: one for 12 cells, at most 16. There are fewer if they find no room.
+        starts: Number of start poses, at least 1; fewer if there are fewer free cells.
 
     Raises:
         UnknownNameError: No such kind or robot.
@@ -149,8 +152,8 @@ def generate(  # noqa: PLR0913 - all but the kind may be left out
     if not 0 <= count <= most:
         raise SpecError(f"{count} victims, expected 0 to {most} in {size[0]}x{size[1]} cells")
     for attempt in range(TRIES):
-        # Of one stream of draws per attempt; 2**64 seeds do not meet those of the next attempt.
-        site = ArenaBuilder(
+        # One stream of draws per attempt: the shift by 2**64 keeps the seeds of attempts apart.
+        builder = ArenaBuilder(
             plan=CellGrid(size),
             kind=made,
             difficulty=difficulty,
@@ -159,10 +162,10 @@ def generate(  # noqa: PLR0913 - all but the kind may be left out
             robot=name,
             most_starts=starts,
         )
-        _fill(site, count, reachable)
-        arena = _arena(site, f"DM-{_spelt(kind)}-{size[0]}x{size[1]}-{seed}", name)
+        _fill(builder, count, reachable)
+        arena = _arena(builder, f"DM-{_spelt(kind)}-{size[0]}x{size[1]}-{seed}", name)
         slope = 1.01 * STEEPEST if difficulty.risk else DEFAULT_SLOPE
-        if _as_stated(arena, _climbing(site), slope):
+        if _as_stated(arena, _climbing(builder), slope):
             return arena
     raise SpecError(f"no {kind} of {size[0]}x{size[1]} cells in {TRIES} tries that a robot of {needs} passes")
 
@@ -178,7 +181,7 @@ def generate_many(  # noqa: PLR0913 - as above
     reachable: float = 1.0,
     starts: int = USUAL_STARTS,
 ) -> list[ArenaSpec]:
-    """Return arenas of seeds that follow from one; see `generate`."""
+    """Return arenas of seeds derived from one; see `generate`."""
     seeds = np.random.SeedSequence(seed).generate_state(count, np.uint32).tolist()
     return [generate(kind, size, each, difficulty, robot, reachable, starts=starts) for each in seeds]
 
@@ -199,7 +202,7 @@ def _check(size: tuple[int, int], seed: int, needs: RobotFootprint, reachable: f
 
 
 def _passes(needs: RobotFootprint, square: float, strip: float = 0.0) -> bool:
-    """Return whether a robot passes a corridor seen in squares of that size; see `reach_map`."""
+    """Return whether a robot passes a corridor at that resolution; see `reach_map`."""
     return 2 * needs.radius + 3 * square + strip <= CELL - THICKNESS
 
 
@@ -208,7 +211,7 @@ def _spelt(kind: str) -> str:
 
 
 def _fill(builder: ArenaBuilder, count: int, reachable: float) -> None:
-    """Lay out the walls and put everything in its place."""
+    """Lay out the walls and add the contents."""
     plan, kind = builder.plan, builder.kind
     if kind.second_floor and plan.size[0] >= STOREY_CELLS + 2:
         _upstairs(builder, round(reachable * count) > 0)
@@ -252,7 +255,7 @@ def _upstairs(builder: ArenaBuilder, victim: bool) -> None:
 
 
 def _arena(builder: ArenaBuilder, name: str, robot: str) -> ArenaSpec:
-    """Return what was made, with all numbers rounded."""
+    """Return the finished arena, with all numbers rounded."""
     outer, inner = builder.plan.wall_shapes()
     inner = builder.random_stream("shadow").shuffled(inner)
     twice = round(builder.difficulty.radio_shadow * len(inner))
@@ -292,7 +295,7 @@ def _rounded(shapes: list[Shape]) -> tuple[Shape, ...]:
 
 
 def _climbing(builder: ArenaBuilder) -> RobotFootprint:
-    """Return what the robot needs, with a step that takes it over the highest obstacle."""
+    """Return the robot's footprint with a step over the highest obstacle."""
     if not builder.difficulty.risk:
         return builder.footprint
     highest = max(ring_height(builder, kind) for kind in OBSTACLES.names())
@@ -300,7 +303,7 @@ def _climbing(builder: ArenaBuilder) -> RobotFootprint:
 
 
 def _as_stated(arena: ArenaSpec, needs: RobotFootprint, slope: float) -> bool:
-    """Return whether all starts, and the victims that should be, are reached, and no others."""
+    """Return whether the robot reaches all starts and exactly the stated victims."""
     square = SQUARES[0] if _passes(needs, SQUARES[0]) else SQUARES[1]
     there = reach_map(arena, needs.radius, needs.step, height=needs.height, slope=slope, cell=square)
     meant = ["walled in" not in victim.state for victim in arena.victims]

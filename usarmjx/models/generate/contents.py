@@ -1,7 +1,7 @@
-"""What lies and stands in a generated arena: victims, boards, blocks, loose objects, tags, start poses.
+"""Contents of a generated arena: victims, structures, boards, obstacles, loose objects, tags, start poses.
 
-What is beside the ways lies in a strip along one side of the cells, the same side in all of them, so that
-robots pass by keeping to the other one.
+Clutter lies in a strip along one side of the cells, the same side in all of them, so that robots can pass on
+the other side.
 """
 
 import math
@@ -32,17 +32,17 @@ from usarmjx.models.types.arena import (
 from usarmjx.models.types.shapes import Position2D, Rgba, Shape
 
 INNER = (CELL - THICKNESS) / 2
-"""From the middle of a cell to its walls [m]."""
+"""Distance from the middle of a cell to its walls [m]."""
 STRIP = 0.205
-"""Width of the strip beside the ways [m]."""
+"""Width of the strip of clutter [m]."""
 ASIDE = 0.1
-"""How far robots start from the middle of a cell, away from the strips [m]."""
+"""Distance of start poses from the middle of a cell, away from the strips [m]."""
 GAP = 0.005
-"""Left between a wall and what lies beside it, and below what lies loose [m]."""
+"""Gap between a wall and clutter beside it, and five times that below loose objects [m]."""
 FEWEST = 4
-"""Cells that are always left to drive in."""
+"""Number of cells that always remain passable."""
 ENOUGH = 17
-"""Cells without boards, so that 16 robots can start, if there are as many."""
+"""Number of cells without boards if there are as many, so that 16 robots can start."""
 ROOF, LOW_ROOF = 1.0, 0.5
 """Height of the slabs over sitting and over lying victims [m]."""
 
@@ -56,24 +56,24 @@ FORMS = {
     "CinderBlock": _loose_form((0.195, 0.095, 0.095), 13.0, STONE),
     "Plank": _loose_form((0.5, 0.045, 0.02), 1.8, WOOD),
 }
-"""Loose objects; their masses are those of clay, hollow concrete and spruce of that size."""
+"""Shapes of loose objects; their masses are those of clay, hollow concrete and spruce of that size."""
 
 
 @dataclass
 class ArenaBuilder:
-    """An arena while it is made.
+    """An arena under construction.
 
     Attributes:
         plan: Walls and ways.
-        kind: What is made.
+        kind: Kind of arena.
         difficulty: How difficult.
-        footprint: What the robot needs to pass.
-        seed: Of the draws.
+        footprint: Room that the robot needs to pass.
+        seed: Seed of the draws.
         robot: Its class; "" if only its footprint is known.
-        most_starts: Start poses, at most; a free cell has one.
+        most_starts: Largest number of start poses; a free cell has one.
         shapes: Solids other than walls.
-        corner: The sides of cells along which things lie, along x and y; 0: none do.
-        clear: Cells where nothing lies: victims, or a second floor, are reached from there.
+        corner: Sides of cells with strips of clutter, along x and y; 0: none.
+        clear: Cells without contents: access to victims or to a second floor.
         obstructed: Cells with obstacles that must be crossed.
     """
 
@@ -94,17 +94,17 @@ class ArenaBuilder:
     starts: list[StartPose] = field(default_factory=list)
 
     def random_stream(self, purpose: str) -> RandomStream:
-        """Return the draws for a purpose."""
+        """Return the random stream of a purpose."""
         return RandomStream(self.seed, purpose)
 
     def max_count(self, what: str) -> int:
-        """Return the most of something for this size."""
+        """Return the limit of a content for this size."""
         return counts(self.plan.size)[what]
 
 
 @cache
 def outline(posture: str) -> tuple[float, float]:
-    """Return from where to where a victim reaches along the x axis of its pelvis [m]."""
+    """Return the extent of a victim along the x axis of its pelvis [m]: lowest and highest."""
     ends = []
     for part in shapes_in_arena(Victim(name="one", at=(0.0, 0.0, 0.0), posture=posture)):
         mat = mat_from_angles(*np.array(part.rotation))
@@ -116,7 +116,7 @@ def outline(posture: str) -> tuple[float, float]:
 def add_victim(
     builder: ArenaBuilder, at: Position2D, facing: int, posture: str, where: str, ground: float = 0.0
 ) -> None:
-    """Add a victim whose body's middle is at a place; `facing` in quarter turns from x."""
+    """Add a victim with the middle of its body at a point; `facing` in quarter turns from x."""
     number = len(builder.victims) + 1
     ahead, (back, front) = DIRECTIONS[facing], outline(posture)
     shift = -(back + front) / 2
@@ -140,7 +140,7 @@ def add_victim(
 
 
 def place_victims(builder: ArenaBuilder, count: int, reachable: float) -> None:
-    """Place victims at tips of the ways, which they bar; the others in cells of four walls."""
+    """Put victims into leaves of the tree, which they block; unreachable ones into cells of four walls."""
     plan, draw, walled_in = builder.plan, builder.random_stream("victims"), 0
     while len(builder.victims) < count and len(plan.tree) > FEWEST:
         tips = plan.leaves()
@@ -179,7 +179,7 @@ def place_victims(builder: ArenaBuilder, count: int, reachable: float) -> None:
 
 
 def place_structures(builder: ArenaBuilder, count: int) -> None:
-    """Put what bars the way at tips of the ways."""
+    """Put impassable structures into leaves of the tree."""
     maker, draw = builder.kind.structure, builder.random_stream("structures")
     for _ in range(count if maker else 0):
         tips = builder.plan.leaves()
@@ -191,7 +191,7 @@ def place_structures(builder: ArenaBuilder, count: int) -> None:
 
 
 def place_boards(builder: ArenaBuilder) -> set[Cell]:
-    """Put boards across the ways, which the robot can drive over; return their cells."""
+    """Put boards across the ways, low enough for the robot; return their cells."""
     draw = builder.random_stream("boards")
     barred = {START_CELL, *builder.clear, *builder.obstructed}
     cells = [cell for cell in builder.plan.tree if cell not in barred]
@@ -206,9 +206,9 @@ def place_boards(builder: ArenaBuilder) -> set[Cell]:
 
 
 def place_clutter(builder: ArenaBuilder, free: list[Cell]) -> None:
-    """Put loose objects and fixed blocks beside the ways; more with more clutter, the same ones first.
+    """Put loose objects and fixed blocks into the strips; more clutter keeps that of less.
 
-    The forms of loose objects take turns, so that the arenas of a batch need few of each.
+    The shapes of loose objects alternate, so that the arenas of a batch need few slots of each.
     """
     draw, clutter, corner = builder.random_stream("clutter"), builder.difficulty.clutter, builder.corner
     cells = draw.shuffled([cell for cell in free if cell not in builder.clear])
@@ -233,7 +233,7 @@ def place_clutter(builder: ArenaBuilder, free: list[Cell]) -> None:
 
 
 class _ClutterSpot(NamedTuple):
-    """Where something may lie in a cell: in a strip along a side that no way leads across, or in a corner."""
+    """Position of clutter in a cell: in a strip along a side without a way across, or in a corner."""
 
     cell: Cell
     strip: bool
@@ -254,7 +254,7 @@ def _closed(plan: CellGrid, cell: Cell, side: Cell) -> bool:
 
 
 def _beside(cell: Cell, corner: Cell, half: tuple[float, ...], turned: int, along: float) -> Position2D:
-    """Return where something lies in a strip: `along` is 1 in the corner, 0 as far from it as it may be."""
+    """Return a position in a strip: `along` is 1 in the corner, 0 at the other end."""
     x, y = middle(cell)
     far = INNER - GAP - half[0]
     offset = (corner[0] * (2 * along - 1) * far, corner[1] * (INNER - GAP - half[1]))
@@ -265,7 +265,7 @@ def _beside(cell: Cell, corner: Cell, half: tuple[float, ...], turned: int, alon
 
 
 def place_tags(builder: ArenaBuilder, free: list[Cell]) -> None:
-    """Lay tags on the floor beside where robots start, short of the strips."""
+    """Put tags on the floor beside the start poses, short of the strips."""
     draw = builder.random_stream("tags")
     side = 0.3 if any(builder.corner) else 0.42
     for cell in draw.shuffled(free)[: builder.max_count("tags")]:
@@ -275,7 +275,7 @@ def place_tags(builder: ArenaBuilder, free: list[Cell]) -> None:
 
 
 def place_starts(builder: ArenaBuilder, free: list[Cell]) -> None:
-    """Put the first start pose into the base, others into free cells, all looking along a way."""
+    """Put the first start pose into the base, others into free cells, all facing along a way."""
     others = builder.random_stream("starts").shuffled([cell for cell in free if cell != START_CELL])
     for number, cell in enumerate([START_CELL, *others][: builder.most_starts]):
         x, y = middle(cell)

@@ -1,7 +1,7 @@
-"""Draws that are the same on every machine and with every version of numpy.
+"""Random streams that are the same on every machine and with every version of numpy.
 
-NumPy promises that of the bits of its bit generators, not of what its `Generator` makes of them; so these
-are integers made of the bits here.
+NumPy guarantees the bits of its bit generators, but not the output of its `Generator`; so the integers here
+are made of the bits directly.
 """
 
 from collections.abc import Sequence
@@ -13,15 +13,15 @@ import numpy as np
 T = TypeVar("T")
 
 POOL_SIZE = 512
-"""So many draws are made at once."""
+"""Number of draws that are made at once."""
 
 
 class RandomStream:
-    """A stream of draws.
+    """A stream of random integers.
 
     Args:
         seed: The arena's seed, not negative.
-        purpose: What the draws are for: streams of different purposes do not disturb each other.
+        purpose: Purpose of the draws: streams of different purposes do not disturb each other.
     """
 
     def __init__(self, seed: int, purpose: str) -> None:
@@ -32,7 +32,7 @@ class RandomStream:
         """Return an integer from 0 to below `count`."""
         if not self._pool:
             self._pool = self._bits.random_raw(POOL_SIZE).tolist()
-        return self._pool.pop() % count  # 2**64 is so much more that no rest is favoured noticeably
+        return self._pool.pop() % count  # the bias of the remainder is below count / 2**64
 
     def randint_between(self, low: int, high: int) -> int:
         """Return an integer from `low` to `high`, both included."""

@@ -1,4 +1,4 @@
-"""The kinds of generated arenas, and the most that each makes."""
+"""The kinds of generated arenas, and the limits of their contents."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -18,21 +18,21 @@ from usarmjx.models.generate.structures import Maker
 CROSSINGS_FILE = "crossings.json"
 
 SuccessCurve = Sequence[tuple[float, float]]
-"""Heights over the robot's step, rising, and the share of drives that got over obstacles of that height."""
+"""Heights over the robot's step, ascending, with the share of drives that crossed such obstacles."""
 
 
 @cache
 def measured_crossings() -> Mapping[str, Mapping[str, SuccessCurve]]:
-    """Return what was measured, by class and kind of obstacle."""
+    """Return the measured success curves, by class and kind of obstacle."""
     return json.loads(files("usarmjx.models.generate").joinpath(CROSSINGS_FILE).read_text(encoding="utf-8"))[
         "classes"
     ]
 
 
 def highest_at(curve: SuccessCurve, success: float) -> float:
-    """Return up to which height over the step at least that share of the drives gets over obstacles.
+    """Return the largest height over the step at which at least that share of the drives succeeds.
 
-    What succeeds more often than something lower counts as that; between two heights it goes evenly.
+    The curve is made monotonic and interpolated linearly.
     """
     held, share = curve[0]
     for height, found in curve[1:]:
@@ -44,13 +44,13 @@ def highest_at(curve: SuccessCurve, success: float) -> float:
 
 
 def highest_obstacle(robot: str, kind: str, risk: float) -> float:
-    """Return how high the highest obstacles are for a class, over its step.
+    """Return the height of the highest obstacles for a class, over its step.
 
     Args:
         robot: The class; "" if only a footprint is known.
         kind: A name of `obstacles.OBSTACLES`.
-        risk: Share of the drives that may fail. Without any, obstacles are no higher than the step, and no
-            higher than every drive got over; classes that were not measured are taken to climb their step.
+        risk: Share of the drives that may fail. At 0, obstacles are no higher than the step, and than the
+            height that every drive crossed; unmeasured classes are assumed to climb their step.
 
     Raises:
         SpecError: A risk for a class that was not measured.
@@ -66,14 +66,15 @@ def highest_obstacle(robot: str, kind: str, risk: float) -> float:
 
 
 SPARSEST = {"maze": 40, "field": 10}
+"""Share of a perfect maze's walls at wall density 0 [%]."""
 DENSEST = {"maze": 100, "field": 45}
-"""How many of a perfect maze's walls there are at wall density 0 and 1 [%]."""
+"""Share of a perfect maze's walls at wall density 1 [%]."""
 CORRIDOR_WIDTH = 5
-"""Buildings with at least so many cells across have a corridor."""
+"""Number of cells across from which on buildings have a corridor."""
 
 
 def wall_count(low: int, high: int, level: float, count: int) -> int:
-    """Return which part of `count` a level between 0 and 1 makes, from `low` to `high` percent."""
+    """Return the part of `count` for a level between 0 and 1, from `low` to `high` percent."""
     return round((low + (high - low) * level) * count / 100)
 
 
@@ -96,9 +97,9 @@ def open_field(
 def _thin(
     plan: CellGrid, draw: RandomStream, difficulty: Difficulty, kind: str, barred: tuple[Cell, ...]
 ) -> None:
-    """Put walls wherever no way leads, then open dead ends and take away walls.
+    """Put walls wherever no way leads, then open dead ends and remove walls.
 
-    Which ones, and in which order, does not depend on how many.
+    The order does not depend on their number, so that arenas of one seed are nested.
     """
     ways = plan.tree
     closed = [(a, b) for a, b in plan.edges() if b not in ways.get(a, ())]
@@ -117,13 +118,13 @@ def _thin(
 
 
 Room = tuple[int, int, int, int]
-"""Columns from, to (not included), rows from, to."""
+"""Columns from, to (excluded), rows from, to."""
 
 
 def building(plan: CellGrid, draw: RandomStream, difficulty: Difficulty) -> None:
     """Lay out rooms and, where there is space, a corridor; every wall between rooms has a doorway.
 
-    The largest room is parted, again and again; the wall density says for how long.
+    The largest room is divided repeatedly, as often as the wall density demands.
     """
     walls = _partitions(plan, draw)
     keep = wall_count(25, 100, difficulty.wall_density, len(walls))
@@ -137,7 +138,7 @@ def building(plan: CellGrid, draw: RandomStream, difficulty: Difficulty) -> None
 
 
 def _partitions(plan: CellGrid, draw: RandomStream) -> list[list[Edge]]:
-    """Return the walls that part a building, each as its edges, the first ones first."""
+    """Return the walls that divide a building, each as its edges, the first ones first."""
     columns, rows = plan.size
     rooms: list[Room] = [(0, columns, 0, rows)]
     walls: list[list[Edge]] = []
@@ -180,7 +181,7 @@ def _line(room: Room, at: int, upright: bool) -> list[Edge]:
 
 
 MOST_LOOSE, MOST_VICTIMS, USUAL_STARTS, MOST_TAGS = 12, 16, 24, 16
-"""In arenas of any size."""
+"""Limits of contents in arenas of any size."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,14 +189,14 @@ class ArenaKind:
     """A kind of generated arena.
 
     Attributes:
-        about: What it is, in a sentence.
-        layout: Lays out walls and ways, from a plan, draws and a difficulty.
-        structure: Makes what bars the way in some cells; None: nothing does.
-        structure_percent: Of cells with that [%].
-        max_solids: Solids of one of them.
+        about: Description, in one sentence.
+        layout: Function that lays out walls and ways, from a plan, draws and a difficulty.
+        structure: Maker of impassable structures; None: none.
+        structure_percent: Share of cells with a structure [%].
+        max_solids: Largest number of solids of a structure.
         voids: Whether victims lie under slabs.
-        second_floor: Whether there is one, along the last row.
-        obstacle: What must be crossed, where obstacles are asked for; a name of `obstacles.OBSTACLES`.
+        second_floor: Whether a second floor lies along the last row.
+        obstacle: Kind of obstacle at difficulties with obstacles; a name of `obstacles.OBSTACLES`.
     """
 
     about: str
@@ -208,11 +209,12 @@ class ArenaKind:
     obstacle: str = "bars"
 
     def structures(self, size: tuple[int, int]) -> int:
-        """Return in how many cells something bars the way."""
+        """Return the number of cells with structures."""
         return size[0] * size[1] * self.structure_percent // 100
 
 
 KINDS: Registry[ArenaKind] = Registry("kind of arena")
+"""Kinds of arenas by name."""
 KINDS.add("maze", ArenaKind(about="Corridors one cell wide.", layout=maze))
 KINDS.add("building", ArenaKind(about="Rooms with doorways, and a corridor.", layout=building))
 KINDS.add(
@@ -265,7 +267,7 @@ KINDS.add(
 
 @dataclass(frozen=True)
 class Budget:
-    """The most of everything that a kind makes for a size."""
+    """Limits of all contents of a kind for a size."""
 
     shapes: int
     loose: int
@@ -275,7 +277,7 @@ class Budget:
 
 
 def counts(size: tuple[int, int]) -> dict[str, int]:
-    """Return the most loose objects, fixed blocks, boards, obstacles, victims and tags for a size."""
+    """Return the limits of loose objects, fixed blocks, boards, obstacles, victims and tags for a size."""
     cells = size[0] * size[1]
     return {
         "loose": min(MOST_LOOSE, cells // 4),
@@ -288,7 +290,7 @@ def counts(size: tuple[int, int]) -> dict[str, int]:
 
 
 def budget(kind: str, size: tuple[int, int]) -> Budget:
-    """Return the most of everything that a kind makes for a size in cells, at any difficulty.
+    """Return the limits of all contents of a kind for a size in cells, at any difficulty.
 
     Raises:
         UnknownNameError: No such kind.

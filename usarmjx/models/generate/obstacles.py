@@ -1,7 +1,7 @@
-"""Obstacles that are made to be crossed: each covers a cell from wall to wall.
+"""Obstacles that robots have to cross: each covers a cell from wall to wall.
 
-How high they are goes with the robot's step and the roughness; `usarmjx arena check --drive` proves them
-passable. `rings` puts them where nobody gets round them.
+Their height depends on the robot's step and the roughness; `usarmjx arena check --drive` proves them
+passable. `contents.place_obstacles` puts them where no way leads around.
 """
 
 import math
@@ -15,22 +15,22 @@ from usarmjx.models.generate.structures import CONCRETE, WOOD, block, lerp, slop
 from usarmjx.models.types.shapes import Position2D, Shape
 
 LOWEST, HIGHEST = 0.3, 0.95
-"""Height of what must be stepped onto at roughness 0 and 1, over the robot's step."""
+"""Heights of steps at roughness 0 and 1, over the robot's step."""
 SLOPE, STEEPEST = math.radians(350), math.radians(40)
-"""Slope of a ridge over the height of a step [rad/m], and the steepest."""
+"""Slope of a ridge over the height of a step [rad/m], and the steepest [rad]."""
 POSTS = 3
-"""Posts along each side of a step field."""
+"""Number of posts along each side of a step field."""
 BARS = 3
-"""Bars across a way."""
+"""Number of bars across a way."""
 MOST_SOLIDS = POSTS**2
-"""Of one obstacle."""
+"""Largest number of solids of one obstacle."""
 
 Obstacle = Callable[[RandomStream, Position2D, float, int], list[Shape]]
-"""From draws, the cell's middle [m], a height [m] and the way across in quarter turns."""
+"""Maker of an obstacle from draws, the cell's middle [m], a height [m] and the way across in quarter turns."""
 
 
 def bars(draw: RandomStream, at: Position2D, height: float, toward: int) -> list[Shape]:
-    """Beams from wall to wall, the highest of that height."""
+    """Return beams from wall to wall, the highest of that height."""
     ahead, yaw = DIRECTIONS[toward], toward * math.pi / 2
     shares = draw.shuffled((1.0, 0.8, 0.6))
     return [
@@ -45,7 +45,7 @@ def bars(draw: RandomStream, at: Position2D, height: float, toward: int) -> list
 
 
 def slabs(draw: RandomStream, at: Position2D, height: float, toward: int) -> list[Shape]:
-    """Four slabs of broken floor, each tilted about a random axis so that an edge is that high."""
+    """Return four slabs of broken floor, each tilted about a random axis so that an edge is that high."""
     side, thick = CELL / 2, 0.3
     shapes: list[Shape] = []
     for sx, sy in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
@@ -70,7 +70,7 @@ def slabs(draw: RandomStream, at: Position2D, height: float, toward: int) -> lis
 
 
 def posts(draw: RandomStream, at: Position2D, height: float, toward: int) -> list[Shape]:
-    """A step field whose neighbouring posts differ by no more than that height."""
+    """Return a step field whose neighbouring posts differ by no more than that height."""
     pitch = CELL / POSTS
     shapes: list[Shape] = []
     for i in range(POSTS):
@@ -83,7 +83,7 @@ def posts(draw: RandomStream, at: Position2D, height: float, toward: int) -> lis
 
 
 def ridge(draw: RandomStream, at: Position2D, height: float, toward: int) -> list[Shape]:
-    """A hill from wall to wall: a ramp up, a level top and a ramp down, as steep as the height is high."""
+    """Return a hill from wall to wall: a ramp up, a level top and a ramp down, steeper with the height."""
     angle, run = min(STEEPEST, SLOPE * height), CELL / 3
     top = block(at, (run, CELL, run * math.tan(angle)), yaw=toward * math.pi / 2, rgba=WOOD)
     return [
@@ -97,11 +97,12 @@ def ridge(draw: RandomStream, at: Position2D, height: float, toward: int) -> lis
 
 
 def obstacle_height(robot: RobotFootprint, roughness: float, highest: float = HIGHEST) -> float:
-    """Return how high obstacles are for a robot [m]; `highest` at roughness 1, over its step."""
+    """Return the height of obstacles for a robot [m]; `highest` at roughness 1, over its step."""
     return lerp(min(LOWEST, highest), highest, roughness) * robot.step
 
 
 OBSTACLES: Registry[Obstacle] = Registry("kind of obstacle")
+"""Kinds of obstacles by name."""
 OBSTACLES.add("bars", bars)
 OBSTACLES.add("slabs", slabs)
 OBSTACLES.add("posts", posts)

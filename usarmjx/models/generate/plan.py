@@ -1,8 +1,7 @@
-"""The plan of a generated arena: walls between the cells of a grid, and the ways that are kept free.
+"""The plan of a generated arena: walls between the cells of a grid, and the ways between them.
 
-The ways are a tree over the cells. Where the plan needs a place for something that bars the way, it takes a
-cell at a tip of the tree away: what is left still hangs together. Walls never cut the tree, so that
-everything left is reached by every robot that fits between two walls.
+The ways are a tree over the cells. An impassable structure takes a leaf of the tree: the rest stays
+connected. Walls never cut the tree, so that every robot that fits between two walls can reach the whole rest.
 """
 
 from collections.abc import Iterable, Iterator
@@ -13,11 +12,11 @@ from usarmjx.models.types.shapes import Shape
 CELL = 1.2
 """Side of a cell of the NIST arenas' grid [m]."""
 WALL_HEIGHT, THICKNESS = 1.2, 0.05
-"""Of walls [m]."""
+"""Height and thickness of walls [m]."""
 LONGEST = 4
-"""Cells along the longest piece of wall."""
+"""Largest length of a piece of wall [cells]."""
 START_CELL = (0, 0)
-"""The cell of the first start pose."""
+"""Cell of the first start pose."""
 WALL_RGBA = (0.85, 0.8, 0.6, 1.0)
 DOUBLE_RGBA = (0.6, 0.6, 0.62, 1.0)
 
@@ -28,7 +27,7 @@ DIRECTIONS: tuple[Cell, ...] = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
 def edge(a: Cell, b: Cell) -> Edge:
-    """Return what lies between two neighbouring cells."""
+    """Return the edge between two neighbouring cells."""
     return (a, b) if a < b else (b, a)
 
 
@@ -44,9 +43,9 @@ class CellGrid:
         size: Columns and rows.
 
     Attributes:
-        walls: Where there are inner walls.
-        tree: The tree: which cells hang together with which.
-        kept: Cells that are not taken away.
+        walls: Edges with inner walls.
+        tree: Tree of ways: the neighbours of each cell.
+        kept: Cells that may not be removed.
     """
 
     def __init__(self, size: tuple[int, int]) -> None:
@@ -63,11 +62,11 @@ class CellGrid:
     def around(self, cell: Cell) -> list[Cell]:
         """Return the neighbours of a cell."""
         columns, rows = self.size
-        places = [(cell[0] + dx, cell[1] + dy) for dx, dy in DIRECTIONS]
-        return [(c, r) for c, r in places if 0 <= c < columns and 0 <= r < rows]
+        beside = [(cell[0] + dx, cell[1] + dy) for dx, dy in DIRECTIONS]
+        return [(c, r) for c, r in beside if 0 <= c < columns and 0 <= r < rows]
 
     def edges(self) -> list[Edge]:
-        """Return all places for inner walls."""
+        """Return all edges that can have inner walls."""
         columns, rows = self.size
         return [
             ((c, r), (c + dx, r + dy))
@@ -77,12 +76,12 @@ class CellGrid:
         ]
 
     def grow_tree(self, draw: RandomStream, *, bushy: bool, barred: Iterable[Cell] = ()) -> None:
-        """Grow the tree over all cells that walls do not part from the base.
+        """Grow the tree over all cells that walls do not separate from the base.
 
         Args:
-            draw: Draws.
+            draw: Random stream.
             bushy: Whether it has many short branches rather than few long ones.
-            barred: Cells that do not belong to it.
+            barred: Cells outside the tree.
         """
         taken: set[Cell] = {START_CELL, *barred}
         self.tree = {START_CELL: []}
@@ -101,17 +100,17 @@ class CellGrid:
             self.tree[new] = [cell]
 
     def leaves(self) -> list[Cell]:
-        """Return the cells that can be taken away."""
+        """Return the leaves of the tree that can be removed."""
         return [cell for cell, next_to in self.tree.items() if len(next_to) == 1 and cell not in self.kept]
 
     def remove_leaf(self, cell: Cell) -> Cell:
-        """Take a tip away and return the cell that it hung on."""
+        """Remove a leaf of the tree and return its neighbour."""
         (neighbour,) = self.tree.pop(cell)
         self.tree[neighbour].remove(cell)
         return neighbour
 
     def seal(self, cell: Cell) -> None:
-        """Wall a cell in."""
+        """Enclose a cell with walls."""
         self.walls.update(edge(cell, neighbour) for neighbour in self.around(cell))
 
     def wall_shapes(self) -> tuple[list[Shape], list[Shape]]:
@@ -154,7 +153,7 @@ def _wall(x0: int, x1: int, y0: int, y1: int) -> Shape:
 
 
 def doubled(wall: Shape) -> list[Shape]:
-    """Return a wall as two sheets of half its thickness, one at the other: the radio counts both."""
+    """Return a wall as two sheets of half its thickness, side by side: the radio counts both."""
     x, y, z = wall.at
     along, across, up = wall.size
     half = THICKNESS / 4

@@ -1,8 +1,7 @@
-"""What stands in cells that bar the way: rubble, step fields, ramps, slabs; and a second floor.
+"""Impassable structures of cells: rubble, step fields, ramps, slabs; and a second floor.
 
-Each maker gets draws, the cell's middle and a roughness from 0 to 1. What it makes stays within
-`STRUCTURE_SIZE` about the middle, so that it never meets a wall. Which solids there are, and how they lie,
-does not depend on the roughness; how high they are, does.
+Each maker gets draws, the cell's middle and a roughness from 0 to 1. Its solids stay within `STRUCTURE_SIZE`
+around the middle, clear of all walls. Roughness changes their heights, never their number or arrangement.
 """
 
 import math
@@ -13,7 +12,7 @@ from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, middle
 from usarmjx.models.types.shapes import Position2D, Rgba, Shape
 
 STRUCTURE_SIZE = 1.1
-"""Side of the square that a structure stays within [m]."""
+"""Side of the square that contains a structure [m]."""
 RAMP = math.radians(15)
 """Slope of ramps, as in the NIST arenas."""
 STOREY_CELLS = 2
@@ -23,17 +22,18 @@ STOREY = STOREY_CELLS * CELL * math.tan(RAMP)
 DECK = 0.1
 """Thickness of decks and slabs [m]."""
 POSTS = 4
-"""Posts of a step field along each side."""
+"""Number of posts of a step field along each side."""
 
 WOOD = (0.7, 0.55, 0.35, 1.0)
 STONE = (0.6, 0.6, 0.6, 1.0)
 CONCRETE = (0.55, 0.53, 0.5, 1.0)
 
 Maker = Callable[[RandomStream, Position2D, float], list[Shape]]
+"""Maker of a structure from draws, the cell's middle [m] and a roughness."""
 
 
 def lerp(low: float, high: float, roughness: float) -> float:
-    """Return what lies between `low` at roughness 0 and `high` at 1."""
+    """Return the value between `low` at roughness 0 and `high` at 1."""
     return low + (high - low) * roughness
 
 
@@ -51,10 +51,10 @@ def slope(at: Position2D, run: float, width: float, angle: float, uphill: int, r
     """Return a slab whose upper face rises out of the floor.
 
     Args:
-        at: Middle of what it covers [m].
-        run: Length of that [m].
-        width: Its width [m].
-        angle: Of its upper face [rad].
+        at: Middle of its footprint [m].
+        run: Length of the footprint [m].
+        width: Width [m].
+        angle: Slope of its upper face [rad].
         uphill: Direction of climb, in quarter turns from x.
         rgba: Colour.
     """
@@ -72,7 +72,7 @@ def slope(at: Position2D, run: float, width: float, angle: float, uphill: int, r
 
 
 def rubble(draw: RandomStream, at: Position2D, roughness: float) -> list[Shape]:
-    """A slab that leans, and three blocks around it, all turned at random."""
+    """Return a slab that leans, and three blocks around it, all turned at random."""
     shapes = []
     for i, (sx, sy) in enumerate(draw.shuffled(((1, 1), (1, -1), (-1, 1), (-1, -1)))):
         spot = (at[0] + 0.27 * sx, at[1] + 0.27 * sy)
@@ -89,7 +89,7 @@ def rubble(draw: RandomStream, at: Position2D, roughness: float) -> list[Shape]:
 
 
 def _slab(at: Position2D, size: tuple[float, float, float], tilt: float, yaw: float) -> Shape:
-    """A slab that lies on one of its lower edges."""
+    """Return a slab that rests on one of its lower edges."""
     lift = size[0] / 2 * math.sin(tilt) + size[2] / 2 * math.cos(tilt)
     half = (size[0] / 2, size[1] / 2, size[2] / 2)
     return Shape(
@@ -98,7 +98,7 @@ def _slab(at: Position2D, size: tuple[float, float, float], tilt: float, yaw: fl
 
 
 def steps(draw: RandomStream, at: Position2D, roughness: float) -> list[Shape]:
-    """A field of square posts of four heights, higher towards one side, one corner or the middle."""
+    """Return a field of square posts of four heights, higher towards one side, one corner or the middle."""
     pitch, unit = STRUCTURE_SIZE / POSTS, lerp(0.03, 0.08, roughness)
     sx, sy = draw.choice(((1, 0), (0, 1), (1, 1), (1, -1), (0, 0)))
     shapes = []
@@ -113,17 +113,17 @@ def steps(draw: RandomStream, at: Position2D, roughness: float) -> list[Shape]:
 
 
 def ramps(draw: RandomStream, at: Position2D, roughness: float) -> list[Shape]:
-    """A ramp of 15 degrees, the longer the rougher, up to a drop."""
+    """Return a ramp of 15 degrees that ends in a drop, longer with the roughness."""
     run = lerp(0.45, 1.0, roughness)
     return [slope(at, run, STRUCTURE_SIZE, RAMP, draw.randint(4))]
 
 
 def collapsed(draw: RandomStream, at: Position2D, roughness: float) -> list[Shape]:
-    """A floor slab fallen down on one side, propped up by a block, and another block on the floor."""
+    """Return a floor slab fallen down on one side, propped up by a block, and another block on the floor."""
     uphill = draw.randint(4)
     angle = lerp(math.radians(8), math.radians(30), roughness)
     slab = slope(at, 0.8, 1.0, angle, uphill, CONCRETE)
-    # The block stands where the slab's lower face is just above it.
+    # The block fits just below the slab's lower face.
     ahead = ((1, 0), (0, 1), (-1, 0), (0, -1))[uphill]
     prop = max(0.02, 0.7 * math.tan(angle) - DECK / math.cos(angle))
     spots = [(at[0] + d * ahead[0], at[1] + d * ahead[1]) for d in (0.35, -0.47)]
@@ -132,7 +132,7 @@ def collapsed(draw: RandomStream, at: Position2D, roughness: float) -> list[Shap
 
 
 def void(at: Position2D, facing: int, length: float, roof: float) -> list[Shape]:
-    """A slab over a victim, on two walls beside it.
+    """Return a slab over a victim, on two walls beside it.
 
     Args:
         at: Middle of the slab [m].
@@ -152,10 +152,10 @@ def void(at: Position2D, facing: int, length: float, roof: float) -> list[Shape]
 
 
 def second_floor(landing: Cell, step: int, columns: int) -> list[Shape]:
-    """A ramp up from beside a landing, a deck behind it, and a ramp down where there is room for one.
+    """Return a ramp up from beside a landing, a deck behind it, and a ramp down where there is room.
 
     Args:
-        landing: Where the ramp begins.
+        landing: Cell at the foot of the ramp.
         step: 1 if it leads towards larger columns, -1 if towards smaller ones.
         columns: Columns of the arena.
     """

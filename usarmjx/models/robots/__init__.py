@@ -55,6 +55,7 @@ __all__ = [
 ]
 
 ROBOTS: Registry[RobotSpec] = Registry("robot")
+"""Robot classes by the name that INIT gives them."""
 for _spec in (
     P2AT,
     P2DX,

@@ -1,7 +1,7 @@
 """The flying robots AirRobot and Passarola (manual 12.20, 12.21).
 
-The manual gives sizes, masses and speeds. The rest is chosen, as no drawing or ini file of them is known;
-the AirRobot's limits of tilt are those of its successor in the UDK version.
+The manual gives sizes, masses and speeds. The rest is chosen, as no drawing or ini file of them is known; the
+AirRobot's limits of tilt are those of its successor in the UDK version.
 """
 
 import math
@@ -36,10 +36,10 @@ ORANGE: Rgba = (0.95, 0.55, 0.1, 1.0)
 ROTOR_BLADE: Rgba = (0.2, 0.21, 0.23, 1.0)
 ROTOR: Rgba = (0.3, 0.3, 0.3, 0.6)
 ALONG = (0.0, math.pi / 2, 0.0)
-"""Turns a capsule's axis (z) to the front (x)."""
+"""Rotation of a capsule's axis (z) to the front (x)."""
 POSES = tuple(sensor for sensor in POSE_SENSORS if sensor.kind != "Odometry")  # there are no wheels to count
 TILT_MOTOR = Motor(max_speed=0.17, torque=1.0, stiffness=4.0, damping=0.2, armature=0.002)
-"""Light enough not to shake a robot of 1 kg; the speed is that of captured camera heads."""
+"""Servo light enough not to shake a robot of 1 kg; the speed is that of captured camera heads."""
 
 
 def tilt_camera(at: Vec3, mass: float = 0.06) -> MissionPackage:
@@ -126,7 +126,7 @@ AIRROBOT = RobotSpec(
     origin_height=0.097,
     chassis=(
         Shape(kind="box", size=(0.10, 0.10, 0.045), at=(0.0, 0.0, -0.03), mass=0.54, rgba=BLACK),
-        # What meets walls and other robots: the frame around the rotors.
+        # The frame around the rotors makes contact with walls and other robots.
         *(_bar(x, y) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))),
         *(
             Shape(
@@ -174,8 +174,8 @@ PASSAROLA_TOP = -0.1  # of the envelope's middle
 PASSAROLA_RADII = (2.0, 1.0, 1.0)
 PASSAROLA_COG = 0.230  # of the 3 kg, below the origin
 
-# 3 kg hang below 10.3 kg of gas and air, which weigh as much as the air outside: the righting moment is
-# that of the 3 kg below the envelope's middle.
+# 3 kg are suspended below 10.3 kg of gas and air, which weigh as much as the displaced air: the righting
+# moment is that of the 3 kg below the envelope's middle.
 PASSAROLA_ARM = (
     3.0 * (PASSAROLA_COG - PASSAROLA_TOP) / (AIR_DENSITY * 4 / 3 * math.pi * math.prod(PASSAROLA_RADII))
 )
@@ -217,7 +217,7 @@ def _passarola_looks() -> tuple[Shape, ...]:
 
 
 def _thruster_looks(at: Vec3) -> tuple[Shape, ...]:
-    """Return a ring with a propeller in it that pushes ahead."""
+    """Return a ring with a propeller that pushes ahead."""
     x, y, z = at
     ring = [(0.15 * math.cos(k * math.pi / 6), 0.15 * math.sin(k * math.pi / 6)) for k in range(13)]
     return (
@@ -246,7 +246,7 @@ PASSAROLA = RobotSpec(
             surface="fixture",
             rgba=ORANGE,
         ),
-        # What the envelope touches with: its nose and tail, its sides, its top.
+        # Contact boxes of the envelope: its nose and tail, its sides, its top.
         Shape(kind="box", size=(2.0, 0.2, 0.2), at=(0.0, 0.0, PASSAROLA_TOP), rgba=ORANGE),
         Shape(kind="box", size=(1.1, 0.9, 0.3), at=(0.0, 0.0, PASSAROLA_TOP), rgba=ORANGE),
         Shape(kind="box", size=(1.1, 0.3, 0.9), at=(0.0, 0.0, PASSAROLA_TOP), rgba=ORANGE),

@@ -1,4 +1,4 @@
-"""How cars are built from their figures: four sprung wheels, the front ones steered, a body with a cabin."""
+"""Construction of cars from measurements: four sprung wheels, the front ones steered, body and cabin."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,17 +31,17 @@ from usarmjx.models.types.shapes import Rgba, Shape
 
 @dataclass(frozen=True, kw_only=True)
 class CarLook:
-    """How a car differs from others; x as shares of half the length, from its middle, forward.
+    """Style of a car; x as shares of half the length, from its middle, forward.
 
     Attributes:
         cowl: x of the windscreen's foot.
         roof: x of the roof's front and rear edge.
         deck: x of the rear window's foot.
-        nose: How much lower the bonnet is at its front than at the cowl [m].
-        tuck: How much narrower the roof is than the beltline, on each side [m].
+        nose: Drop of the bonnet from the cowl to its front [m].
+        tuck: Inset of the roof from the beltline, on each side [m].
         pillars: x of the pillars between the doors, at the beltline.
         lamps: Whether headlights are round.
-        grille: Slots of the grille, from one side to the other.
+        grille: Number of slots of the grille.
         trim: Colour of bumpers.
     """
 
@@ -58,7 +58,7 @@ class CarLook:
 
 @dataclass(frozen=True, kw_only=True)
 class CarFrame:
-    """Figures of a car that its look needs, see `car_kit.Car`; the origin is `origin` above the ground."""
+    """Measurements of a car that its visuals need, see `Car`; the origin is `origin` above the ground."""
 
     size: Vec3
     wheel_base: float
@@ -76,10 +76,10 @@ def car_looks(car: CarFrame, look: CarLook) -> tuple[Shape, ...]:
 
 
 def _lower_body(car: CarFrame, look: CarLook) -> tuple[Shape, ...]:
-    """A tub between the wheels, sills between the arches, and all that is above the arches."""
+    """Return a tub between the wheels, sills between the arches, and the body above the arches."""
     (length, width, _), (radius, tyre) = car.size, car.tyre
     half, up = length / 2, car.origin
-    arch, room = 2 * radius + 0.06, radius + 0.07  # its height above the ground, half its length
+    arch, room = 2 * radius + 0.06, radius + 0.07  # height above the ground and half length of an arch
     front, rear = car.wheel_base / 2, -car.wheel_base / 2
     inner = car.track / 2 - tyre / 2 - 0.03
     nose, door = car.beltline - look.nose, (car.beltline - arch) / 2
@@ -115,7 +115,7 @@ def _lower_body(car: CarFrame, look: CarLook) -> tuple[Shape, ...]:
 
 
 def _cabin(car: CarFrame, look: CarLook) -> tuple[Shape, ...]:
-    """Windows all around, and over them the roof on its pillars."""
+    """Return the windows, and above them the roof on its pillars."""
     (length, width, height), up = car.size, car.origin
     half, foot, top = length / 2, width / 2 - 0.04, width / 2 - 0.04 - look.tuck
     low, high = up - car.beltline, up - height + 0.05
@@ -145,7 +145,7 @@ def _cabin(car: CarFrame, look: CarLook) -> tuple[Shape, ...]:
 
 
 def _ends(car: CarFrame, look: CarLook) -> tuple[Shape, ...]:
-    """Bumpers, lamps, grille and number plates."""
+    """Return bumpers, lamps, grille and number plates."""
     (length, width, _), up = car.size, car.origin
     half, side = length / 2, width / 2
     lamp = up - (car.beltline - look.nose - 0.16)
@@ -165,55 +165,57 @@ def _ends(car: CarFrame, look: CarLook) -> tuple[Shape, ...]:
 
 
 def _lamps(look: CarLook, front: float, side: float, z: float) -> tuple[Shape, ...]:
-    places = (-side + 0.2, side - 0.2)
+    sides = (-side + 0.2, side - 0.2)
     blinkers = (block((0.02, 0.04, 0.04), (front - 0.015, y * (side - 0.07), z), AMBER) for y in (-1.0, 1.0))
     if look.lamps:
-        return (*(drum(0.09, 0.03, (front - 0.02, y, z), LAMP, ALONG) for y in places), *blinkers)
-    return (*(block((0.025, 0.12, 0.055), (front - 0.015, y, z), LAMP) for y in places), *blinkers)
+        return (*(drum(0.09, 0.03, (front - 0.02, y, z), LAMP, ALONG) for y in sides), *blinkers)
+    return (*(block((0.025, 0.12, 0.055), (front - 0.015, y, z), LAMP) for y in sides), *blinkers)
 
 
 def _spread(count: int, half: float) -> Sequence[float]:
-    """Return places spread evenly from -half to half."""
+    """Return positions spread evenly from -half to half."""
     return [half * (2 * (k + 0.5) / count - 1) for k in range(count)]
 
 
 MAX_SPIN = 100.0
-"""Highest wheel speed [rad/s] (manual 12.5, 12.7, 12.8; chosen for the SnowStorm, which has none there)."""
+"""Highest wheel speed [rad/s] (manual 12.5, 12.7, 12.8; chosen for the SnowStorm, whose section lacks it)."""
 MAX_STEER, LOCK = 0.56, 0.7
-"""Largest FrontSteer, and room for the inner wheel's angle then [rad] (chosen: past the 30 degrees of manual
-9.4's example; turning circles come out near the data sheets' 10.7 m of the Mini, 10.9 m of the Cherokee)."""
+"""Largest FrontSteer, and the limit of a wheel, whose inner one turns further [rad] (chosen: past the 30
+degrees of manual 9.4's example; turning circles come out near the data sheets' 10.7 m of the Mini, 10.9 m
+of the Cherokee)."""
 STEER_RATE = 1.438
-"""How fast wheels steer [rad/s] (manual 14.4.2.3: SteerSpeed 15000, as a rotation in Unreal units)."""
+"""Steering rate [rad/s] (manual 14.4.2.3: SteerSpeed 15000, as a rotation in Unreal units)."""
 SUSPENSION_FREQUENCY, DAMPING, SUSPENSION_TRAVEL = 11.0, 0.5, 0.12
-"""Suspension (chosen): frequency [rad/s] and damping ratio of the car on it, and how far it springs [m]; the
+"""Suspension (chosen): natural frequency [rad/s] and damping ratio of the car on it, and its travel [m]; the
 travel of manual 14.4.2.3, SuspHighLimit 1.0 or 0.2 m, would put low cars on their floor."""
 ARMATURE, STEER_ARMATURE = 0.05, 0.02
-"""Inertia of motors per mass and wheel radius squared, and per mass [m2] (chosen). Less of the first and the
-solver's iterations do not always suffice to hold a car still; less of the second gives in to the road."""
+"""Inertia of motors per mass and wheel radius squared, and per mass [m2] (chosen). With less of the first the
+solver's iterations do not always suffice to hold a car still; with less of the second the road turns the
+wheels."""
 STEER_TORQUE = 1.3
-"""Per mass [N m/kg] (chosen: a few times what turning a standing wheel takes)."""
+"""Torque of steering per mass [N m/kg] (chosen: a few times the torque that turns a standing wheel)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Car:
-    """Figures of a car; heights are above the ground.
+    """Measurements of a car; heights are above the ground.
 
     Attributes:
         name: Class name.
         dimensions: Length, width, height.
-        mass: All of it.
+        mass: Total mass.
         wheel_base: Distance of the axles.
         track: Lateral distance of the wheels.
         tyre: Radius and width of a wheel.
         unsprung: Masses of a wheel and of its hub.
         floor: Lowest point of the body.
-        beltline: Where the body ends and the cabin begins.
+        beltline: Border between body and cabin.
         cog_height: Height of the centre of gravity.
         front_weight_share: Share of the weight on the front wheels.
         all_wheel: Whether all wheels are powered; else only the front ones are.
-        max_acceleration: Acceleration and deceleration that its motors are good for [m/s2].
-        rgba: Of the body.
-        look: What else it is drawn with.
+        max_acceleration: Largest acceleration and deceleration by its motors [m/s2].
+        rgba: Colour of the body.
+        look: Style of its visuals.
     """
 
     name: str
@@ -239,7 +241,7 @@ class Car:
 
 
 def _axle(car: Car, front: bool) -> tuple[list[Part], list[Wheel]]:
-    """Return the parts of an axle, and its wheels as the drive sees them."""
+    """Return the parts of an axle, and its wheels for the drive."""
     (radius, _), (mass, hub) = car.tyre, car.unsprung
     share, x = (
         (car.front_weight_share, car.wheel_base / 2)
@@ -275,7 +277,7 @@ def _axle(car: Car, front: bool) -> tuple[list[Part], list[Wheel]]:
 
 
 def _body(car: Car, head: float) -> tuple[Shape, ...]:
-    """Return body and cabin, and within them all mass but wheels, hubs and camera head [kg]."""
+    """Return body and cabin, and within them the mass except wheels, hubs and camera head [kg]."""
     length, width, height = car.dimensions
     unsprung = 4 * sum(car.unsprung)
     sprung = car.mass - unsprung
@@ -322,7 +324,7 @@ def _frame(car: Car) -> CarFrame:
 ODOMETRY = Mount(
     kind="Odometry", name="Odometry", options=options(LeftTire="LeftRWheel", RightTire="RightRWheel")
 )
-"""By the rear wheels, which do not steer: what they roll gives the heading."""
+"""Odometry by the rear wheels, which do not steer: the difference of their paths gives the heading."""
 
 
 def build_car(
@@ -335,16 +337,16 @@ def build_car(
     cameras: tuple[Mount, ...] = (),
     sources: tuple[tuple[str, str], ...],
 ) -> RobotSpec:
-    """Return a car with what is mounted on it, odometry and pose sensors besides.
+    """Return a car with its equipment, odometry and pose sensors included.
 
     Args:
-        car: Its figures.
-        solids: More solids of the chassis, without mass.
-        looks: What these are drawn as, and whatever else is drawn of it alone.
+        car: Its measurements.
+        solids: Further solids of the chassis, without mass.
+        looks: Visuals of these solids, and further visuals.
         packages: Mission packages, whose mass is part of the car's.
         sensors: Sensors of its own.
         cameras: Cameras.
-        sources: Where its figures are from; steering, suspension and pose sensors are chosen for all.
+        sources: Sources of its numbers; steering, suspension and pose sensors are chosen for all.
     """
     head = sum(shape.mass for package in packages for link in package.links for shape in link.shapes)
     (front, steered), (rear, straight) = _axle(car, front=True), _axle(car, front=False)

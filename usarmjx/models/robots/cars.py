@@ -1,7 +1,7 @@
 """The cars: Hummer, SnowStorm, Sedan and Cooper (manual 12.5 to 12.8).
 
-The manual gives sizes and speeds of most; the real cars' data sheets, and choices, fill in the rest. Sedan
-and Cooper have the manual's 100 rad/s; its 134 km/h for them are those of the Hummer's bigger wheels.
+The manual gives sizes and speeds of most; data sheets of the real cars, and choices, complete them. Sedan and
+Cooper have the manual's 100 rad/s; its 134 km/h for them are those of the Hummer's bigger wheels.
 """
 
 from usarmjx.models.robots.car_kit import Car, CarLook, build_car

@@ -1,7 +1,7 @@
 """The robots on tracks with four flippers: Tarantula and Kenaf (manual 12.10, 12.23).
 
-Flipper angles are the manual's and UsarCommander's: negative in front and positive behind is up, and
-{FR,FL} 1.5 with {RR,RL} -1.5 lifts the chassis (12.23).
+Flipper angles are the manual's and UsarCommander's: negative in front and positive behind is up, and {FR,FL}
+1.5 with {RR,RL} -1.5 lifts the chassis (12.23).
 """
 
 import math
@@ -41,8 +41,8 @@ RIGHT = (0.0, 1.0, 0.0)
 ORANGE = (0.9, 0.45, 0.1, 1.0)
 GREEN = (0.2, 0.45, 0.25, 1.0)
 
-# The Tarantula is a toy that stands on its four tracked arms alone; where the inner ends of front and rear
-# track meet is the chassis' row of wheels here, so that no edge gets between them.
+# The Tarantula is a toy that stands on its four tracked arms alone. Here a row of wheels of the chassis
+# closes the gap between the inner ends of front and rear track, so that no edge gets between them.
 TARANTULA_HEIGHT = 0.1406  # manual 12.10.1; that of the tracks, whose wheels fill it
 TARANTULA_WIDTH, TARANTULA_LENGTH = 0.444, 0.6778  # manual 12.10.1; with the flippers out
 TARANTULA_BELT = Belt(
@@ -83,7 +83,7 @@ _TARANTULA_BODY = (
 
 
 def tarantula(wheels: int = 4) -> RobotSpec:
-    """Return the Tarantula with so many wheels in each row of the chassis (manual 12.10.2)."""
+    """Return the Tarantula with a number of wheels in each row of the chassis (manual 12.10.2)."""
     row = {
         "separation": TARANTULA_SEPARATION,
         "front": TARANTULA_PIVOT,
@@ -244,7 +244,7 @@ _KENAF_BODY = (
 
 
 def kenaf(wheels: int = 8) -> RobotSpec:
-    """Return the Kenaf with so many wheels in each of its two body tracks (manual 12.10.2)."""
+    """Return the Kenaf with a number of wheels in each of its two body tracks (manual 12.10.2)."""
     row = {"separation": KENAF_SEPARATION, "front": KENAF_PIVOT, "rear": -KENAF_PIVOT, "height": 0.0}
     rows = track_pair(KENAF_BELT, wheels, **row)
     parts = (*rows, *KENAF_FLIPPERS.parts(KENAF_NARROW))

@@ -1,4 +1,4 @@
-"""Parts that many robots share: wheels, pan-tilt heads, the usual sensors."""
+"""Building blocks that many robots share: visuals, wheels, camera heads and sensors."""
 
 import math
 from collections.abc import Sequence
@@ -24,6 +24,7 @@ from usarmjx.models.types.robot import (
 from usarmjx.models.types.shapes import ZERO, Mesh, Rgba, Shape
 
 ACROSS: Vec3 = (-math.pi / 2, 0.0, 0.0)
+"""Rotations of a cylinder's axis (z) to the side (y), and ahead (x)."""
 ALONG: Vec3 = (0.0, math.pi / 2, 0.0)
 """Turn a cylinder's axis (z) to the side (y), and ahead (x)."""
 
@@ -44,7 +45,7 @@ TAIL_LAMP: Rgba = (0.8, 0.07, 0.07, 1.0)
 
 
 def block(size: Vec3, at: Vec3 = ZERO, rgba: Rgba = DARK, rotation: Vec3 = ZERO) -> Shape:
-    """Return a box of some half lengths."""
+    """Return a box of given half lengths."""
     return Shape(kind="box", size=size, at=at, rotation=rotation, rgba=rgba, surface="fixture")
 
 
@@ -71,29 +72,32 @@ def rod(start: Vec3, end: Vec3, radius: float, rgba: Rgba = DARK, *, blunt: bool
 
 
 def mirrored(half_profile: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return a profile (x, z) and its image behind x = 0."""
+    """Return a profile (x, z) followed by its mirror image at x = 0."""
     return [*half_profile, *((-x, z) for x, z in reversed(half_profile))]
 
 
 @cache
 def _mesh(corners: tuple[Vec3, ...]) -> Mesh:
-    """Return a mesh: unlike its place, its corners are not turned when a robot is built."""
+    """Return a mesh in MuJoCo's axes.
+
+    Composition converts the pose of a shape, not the vertices of its mesh.
+    """
     return Mesh(np.array([flip_vector(corner) for corner in corners], float))
 
 
 def hull(corners: Sequence[Vec3], rgba: Rgba = DARK) -> Shape:
-    """Return the convex solid about some corners."""
+    """Return the convex hull of some points."""
     return Shape(kind="mesh", mesh=_mesh(tuple(corners)), rgba=rgba, surface="fixture")
 
 
 def prism(profile: Sequence[tuple[float, float]], half: float, rgba: Rgba, top: float | None = None) -> Shape:
-    """Return a convex solid of one profile (x, z) from side to side.
+    """Return a convex solid with one profile (x, z) from side to side.
 
     Args:
-        profile: Its corners.
+        profile: Corners of the profile.
         half: Half its width.
-        rgba: Its colour.
-        top: Half the width of its highest corners; None: as of all.
+        rgba: Colour.
+        top: Half the width at its highest corners; None: `half`.
     """
     height = min(z for _, z in profile)
     wide = [half if z > height or top is None else top for _, z in profile]
@@ -111,15 +115,15 @@ def wheel_looks(
     rgba: Rgba = SILVER,
     shift: float = 0.0,
 ) -> tuple[Shape, ...]:
-    """Return a wheel whose turning shows: tyre, dish, spokes from rim to rim, hub cap.
+    """Return a wheel with visible rotation: tyre, dish, spokes from rim to rim, hub cap.
 
     Args:
-        radius: Of the tyre [m].
-        width: Of the tyre [m].
+        radius: Radius of the tyre [m].
+        width: Width of the tyre [m].
         rim: Radius of the dish over the tyre's.
-        bars: How many bars of two spokes each.
+        bars: Number of bars of two spokes each.
         rgba: Colour of spokes and hub cap.
-        shift: How far to the right of its axle's middle it is drawn [m].
+        shift: Offset to the right of its axle's middle [m].
     """
     inner, half, at = rim * radius, width / 2, (0.0, shift, 0.0)
     spoke = (0.96 * inner, half + 0.03 * radius, 0.09 * radius)
@@ -132,13 +136,13 @@ def wheel_looks(
 
 
 def cleats(radius: float, width: float, count: int, thick: float) -> tuple[Shape, ...]:
-    """Return the cleats of a track's wheel: bars across it, of which the tips stand out of the belt.
+    """Return the cleats of a track's wheel: bars across it, whose tips stand out of the belt.
 
     Args:
-        radius: How far out they reach [m].
-        width: Of the track [m].
+        radius: Radius of the tips [m].
+        width: Width of the track [m].
         count: Bars of two cleats each.
-        thick: Of a bar [m].
+        thick: Thickness of a bar [m].
     """
     return tuple(
         block((radius, width / 2, thick / 2), rgba=TREAD, rotation=(0.0, k * math.pi / count, 0.0))
@@ -158,19 +162,19 @@ def sprocket(radius: float, width: float, rgba: Rgba) -> tuple[Shape, ...]:
 
 
 def belt(front: Vec3, rear: Vec3, radii: tuple[float, float], width: float) -> tuple[Shape, ...]:
-    """Return a track's belt about two axles that lie ahead of each other.
+    """Return a track's belt around two axles, one ahead of the other.
 
     Args:
         front: Middle of the front axle.
         rear: Middle of the rear axle.
         radii: Outer radii of the belt about them [m].
-        width: Of the belt [m].
+        width: Width of the belt [m].
     """
     (x0, y, z0), (x1, _, z1), half = front, rear, width / 2
     ends = (drum(radii[0], half, front, LOOK_RUBBER, ACROSS), drum(radii[1], half, rear, LOOK_RUBBER, ACROSS))
     if radii[0] == radii[1] and z0 == z1:
         return (*ends, block(((x0 - x1) / 2, half, radii[0]), ((x0 + x1) / 2, y, z0), LOOK_RUBBER))
-    lean = (radii[1] - radii[0]) / math.hypot(x0 - x1, z0 - z1)  # where straight runs touch both ends
+    lean = (radii[1] - radii[0]) / math.hypot(x0 - x1, z0 - z1)  # sine of the common tangents' slope
     ahead, rise, corners = math.copysign(1.0, x0 - x1), math.sqrt(1 - lean * lean), list[Vec3]()
     for (x, z), radius in zip(((x0, z0), (x1, z1)), radii, strict=True):
         for side in (-1.0, 1.0):
@@ -181,7 +185,7 @@ def belt(front: Vec3, rear: Vec3, radii: tuple[float, float], width: float) -> t
 
 
 def sick(at: Vec3) -> tuple[Shape, ...]:
-    """Return a SICK LMS200, whose beams leave at `at`: a blue box with a dark window all around its front."""
+    """Return a SICK LMS200 whose beams leave at `at`: a blue box with a dark window around its front."""
     x, y, z = at
     return (
         block((0.0775, 0.078, 0.03), (x, y, z + 0.02), SICK_BLUE),
@@ -195,7 +199,7 @@ def sick(at: Vec3) -> tuple[Shape, ...]:
 def sonar_discs(
     sonars: Sequence[tuple[Vec3, float]], push: float, radius: float = 0.017
 ) -> tuple[Shape, ...]:
-    """Return the golden fronts of sonars at (place, yaw), pushed ahead of their places [m]."""
+    """Return the golden fronts of sonars at (position, yaw), shifted ahead [m]."""
     return tuple(
         drum(
             radius,
@@ -209,7 +213,7 @@ def sonar_discs(
 
 
 def lens(at: Vec3, radius: float, rgba: Rgba = LOOK_BLACK, depth: float = 0.012) -> tuple[Shape, ...]:
-    """Return a camera's lens that looks ahead: a barrel and its glass."""
+    """Return a camera's lens that points ahead: a barrel and its glass."""
     x, y, z = at
     return (
         drum(radius, depth, at, rgba, ALONG),
@@ -220,10 +224,10 @@ def lens(at: Vec3, radius: float, rgba: Rgba = LOOK_BLACK, depth: float = 0.012)
 RUBBER: Rgba = (0.15, 0.15, 0.15, 1.0)
 BLACK: Rgba = (0.1, 0.1, 0.1, 1.0)
 ON_THE_FLOOR = options(MaxIncidence=1.309)
-"""Of sonars that look level over the ground: it is silent, as in captured sessions of a P2AT, which read up
-to 5 m where their cones meet the floor at 1.5 m."""
+"""Options of level sonars above the ground: the floor returns no echo, as in captured sessions of a P2AT,
+which read up to 5 m though their cones meet the floor at 1.5 m."""
 AXLE_ROTATION = (-math.pi / 2, 0.0, 0.0)
-"""Turns a cylinder's axis (z) to the side (y)."""
+"""Rotation of a cylinder's axis (z) to the side (y)."""
 
 
 def wheel(
@@ -236,7 +240,7 @@ def wheel(
     parent: str = CHASSIS,
     surface: str = "wheel",
 ) -> Part:
-    """Return a wheel of (radius, width) [m]; without a motor it rolls freely. It is drawn with spokes."""
+    """Return a wheel of (radius, width) [m] with spokes; without a motor it rolls freely."""
     radius, width = size
     tyre = Shape(
         kind="cylinder",
@@ -251,13 +255,13 @@ def wheel(
 
 
 def firm_motor(max_speed: float, torque: float, inertia: float, armature: float) -> Motor:
-    """Return a firm servo: gains a tenth and a third of those at which steps of 5 ms break down.
+    """Return a stiff servo: gains are a tenth and a third of the stability limit at steps of 5 ms.
 
     Args:
-        max_speed: [rad/s].
-        torque: [N m].
-        inertia: Of what it turns [kg m2].
-        armature: Its own, seen at the joint [kg m2].
+        max_speed: Highest speed [rad/s].
+        torque: Torque [N m].
+        inertia: Inertia of the load [kg m2].
+        armature: Inertia of the motor, seen at the joint [kg m2].
     """
     whole = inertia + armature
     return Motor(
@@ -277,15 +281,15 @@ def car_wheel(
     """Return the manual's car-wheel joint (14.4.2.4): `<wheel>_Suspension`, `<wheel>_Steer`, then the wheel.
 
     Args:
-        tyre: The wheel as it would be without them (`kit.wheel`).
-        hub: Mass of what does not spin with it: brake, a share of axle and springs [kg].
-        spring: Its suspension, positive when compressed; None: it has none.
-        travel: How far it springs, up and down [m].
-        steer: What turns it about the vertical, positive to the left; None: it does not steer.
-        lock: How far it steers to each side [rad].
+        tyre: The wheel without suspension and steering (`kit.wheel`).
+        hub: Mass that does not spin with it: brake, a share of axle and springs [kg].
+        spring: Suspension, positive when compressed; None: none.
+        travel: Travel of the suspension, up and down [m].
+        steer: Steering servo about the vertical, positive to the left; None: none.
+        lock: Steering limit to each side [rad].
     """
     name, joints = tyre.name, (spring is not None) + (steer is not None)
-    # Out of sight and of contacts, within the tyre.
+    # Every body of a joint needs a mass; these are hidden within the tyre and have no contacts.
     size = (tyre.shapes[0].size[1],)
     knuckle = Shape(kind="sphere", size=size, mass=hub / max(1, joints), surface="fixture", rgba=BLACK)
     parts: list[Part] = []
@@ -321,10 +325,10 @@ def car_wheel(
 def pan_tilt(
     location: Vec3, *, tilt: tuple[float, float] = (-0.16, 0.40), name: str = "CameraPanTilt"
 ) -> MissionPackage:
-    """Return the usual camera head with the captured frames: pan about the vertical, tilt up positive.
+    """Return the common camera head with the captured frames: pan about the vertical, tilt up positive.
 
     Args:
-        location: Of the pan joint on the chassis.
+        location: Position of the pan joint on the chassis.
         tilt: Range of the tilt joint (manual 9.3's example by default).
         name: Name of the package.
     """
@@ -332,7 +336,7 @@ def pan_tilt(
     head = Shape(
         kind="box", size=(0.05, 0.04, 0.03), at=(0.02, 0.0, 0.0), mass=0.3, surface="fixture", rgba=BLACK
     )
-    # Drawn as a pedestal, and between two cheeks the head, with its lens where the cameras are.
+    # Visuals: a pedestal, and the head between two cheeks, with its lens at the position of the camera.
     pedestal = (drum(0.034, 0.012, (0.0, 0.0, -0.012)), drum(0.024, 0.02, (0.0, 0.0, -0.03), STEEL))
     face = (
         block((0.036, 0.036, 0.026), (0.026, 0.0, 0.026), DARK),
@@ -373,7 +377,7 @@ def pan_tilt(
 
 
 def camera(name: str = "Camera", at: Vec3 = (0.0820, 0.0002, 0.0613), **where: object) -> Mount:
-    """Return a colour camera, by default where captures have it: on the tilting part of `CameraPanTilt`.
+    """Return a colour camera, by default on the tilting part of `CameraPanTilt`, as captured.
 
     Args:
         name: Item name.
@@ -381,8 +385,8 @@ def camera(name: str = "Camera", at: Vec3 = (0.0820, 0.0002, 0.0613), **where: o
         where: `parent` and `direction` of the mount.
     """
     fov = options(CameraDefFov=0.8727, CameraMinFov=0.3491, CameraMaxFov=2.0944)  # manual 9.3's CONF
-    place = {"parent": "CameraPanTilt_Link2", **where}
-    return Mount(kind="Camera", name=name, at=at, defaults=fov, **place)  # type: ignore[arg-type]
+    mounting = {"parent": "CameraPanTilt_Link2", **where}
+    return Mount(kind="Camera", name=name, at=at, defaults=fov, **mounting)  # type: ignore[arg-type]
 
 
 def sick_lms200(at: Vec3, name: str = "Scanner1", parent: str = CHASSIS) -> Mount:
@@ -402,7 +406,7 @@ POSE_SENSORS = (
     Mount(kind="INS", name="INS"),
     Mount(kind="GroundTruth", name="GroundTruth"),
 )
-"""What the manual gives most robots, and the GroundTruth that captured ones carry too."""
+"""Pose sensors of most robots by the manual, and the GroundTruth of captured ones."""
 
 ENCODER_AXIS = (0.0, 0.0, math.pi / 2)
-"""Direction of an encoder that looks along the axle to the right (captured for ECRight)."""
+"""Direction of an encoder along the axle to the right (captured for ECRight)."""

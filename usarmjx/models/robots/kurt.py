@@ -57,7 +57,7 @@ SCANNER = (0.10, 0.0, ORIGIN - DECK - 0.06)  # chosen: on the deck
 SCANNER_MASS = 4.5  # data sheet of the LMS200
 
 SENSES = (
-    # Where the manual's sonar and seven IR sensors look is chosen: ahead, and a fan over the front half.
+    # Directions of the manual's sonar and seven IR sensors are chosen: ahead, and a fan over the front half.
     Mount(kind="Sonar", name="F1", at=(LENGTH / 2, 0.0, 0.04), defaults=ON_THE_FLOOR),
     *(
         Mount(

@@ -73,7 +73,7 @@ def ers_thigh(length: float) -> tuple[Shape, ...]:
 
 
 def ers_shin(length: float, paw: float) -> tuple[Shape, ...]:
-    """Return the lower half of a leg, and the paw at its end."""
+    """Return the lower half of a leg with its paw."""
     return (
         drum(0.014, 0.019, rgba=DARK, rotation=ACROSS),
         ball((0.015, 0.016, 0.55 * length), (0.0, 0.0, 0.45 * length), PEARL),
@@ -91,7 +91,7 @@ QRIO_TORSO_LOOK = (
     ball((0.075, 0.082, 0.085), (-0.018, 0.0, -0.075), SILVER),
     block((0.02, 0.045, 0.035), (0.035, 0.0, -0.085), NAVY),
     drum(0.012, 0.004, (0.057, 0.0, -0.085), BLUE, ALONG),
-    block((0.03, 0.055, 0.05), (-0.075, 0.0, -0.08), DARK),  # what it carries on its back
+    block((0.03, 0.055, 0.05), (-0.075, 0.0, -0.08), DARK),  # its backpack
     drum(0.024, 0.1, (0.0, 0.0, -0.12), DARK, ACROSS),  # shoulders
 )
 QRIO_NECK = (drum(0.02, 0.016, rgba=DARK),)
@@ -105,7 +105,7 @@ QRIO_HEAD_LOOK = (
 
 
 def qrio_limb(length: float, radius: float, rgba: Rgba = SILVER) -> tuple[Shape, ...]:
-    """Return a limb that hangs down from its joint."""
+    """Return a limb that extends down from its joint."""
     return (
         ball((radius, 0.95 * radius, 0.6 * length), (0.0, 0.0, 0.5 * length), rgba),
         drum(0.7 * radius, 0.98 * radius, rgba=DARK, rotation=ACROSS),
@@ -125,7 +125,7 @@ def qrio_forearm(length: float) -> tuple[Shape, ...]:
 
 
 def qrio_foot(sole: float) -> tuple[Shape, ...]:
-    """Return a foot; `sole` is how far below the ankle it ends."""
+    """Return a foot; `sole` is the depth of its end below the ankle."""
     return (
         block((0.08, 0.035, 0.005), (0.02, 0.0, sole - 0.005), DARK),
         ball((0.076, 0.034, 0.026), (0.02, 0.0, sole - 0.01), SILVER),
@@ -136,13 +136,14 @@ def qrio_foot(sole: float) -> tuple[Shape, ...]:
 
 SILVER_SHELL: Rgba = (0.7, 0.72, 0.75, 1.0)
 LIFT: Vec3 = (0.0, 1.0, 0.0)
+"""Axes to the right and left: a limb swings forward about the first, backward about the second."""
 BEND: Vec3 = (0.0, -1.0, 0.0)
 """Axes to the right and left: what hangs down swings forward about the first, backward about the second."""
 POSES = tuple(sensor for sensor in POSE_SENSORS if sensor.kind != "Odometry")  # there are no wheels to count
 
 
 def _out(y: float) -> Vec3:
-    """Return the axis about which a limb on the side of `y` goes outward."""
+    """Return the axis about which a limb on the side of `y` turns outward."""
     return (-math.copysign(1.0, y), 0.0, 0.0)
 
 
@@ -151,7 +152,7 @@ def _toes_out(y: float) -> Vec3:
 
 
 def _range(low: float, high: float, rest: float = 0.0) -> tuple[float, float]:
-    """Return a range [rad] from one in degrees, counted from where the joint rests [rad]."""
+    """Return a range [rad] from one in degrees, relative to the joint's rest angle [rad]."""
     return (math.radians(low) - rest, math.radians(high) - rest)
 
 
@@ -162,7 +163,7 @@ def _box(size: Vec3, mass: float, at: Vec3 = (0.0, 0.0, 0.0), surface: str = "hu
 
 
 def _gear(radius: float, mass: float) -> Shape:
-    """Return the servo of a joint that shares its place with the next one: seen, but never touched."""
+    """Return the servo of a joint at the same point as the next one: visible, without contacts."""
     return Shape(kind="sphere", size=(radius,), mass=mass, surface="fixture", rgba=BLACK)
 
 
@@ -172,7 +173,7 @@ ERS_HIP = (0.065, 0.0625)  # half the distances of the shoulders; the width (0.1
 ERS_UPPER, ERS_PAW = 0.0695, 0.012  # data sheet; chosen radius
 ERS_LOWER = {"F": 0.0715, "R": 0.0765}  # knee to the end of the paw (front: data sheet; rear: chosen)
 ERS_STAND = 0.117  # shoulder above the paw's centre (chosen: knees bent by some 50 degrees)
-ERS_BODY = 1.6 - 4 * 0.14 - 0.28  # what legs and head leave of the manual's mass
+ERS_BODY = 1.6 - 4 * 0.14 - 0.28  # the manual's mass less legs and head
 
 # Speeds and ranges: Sony's recommended values for the ERS-7. Torques, gains and inertia are chosen: to stand
 # takes a tenth of the torque, and the knees give by 0.2 degrees.
@@ -183,7 +184,7 @@ ERS_ROTATOR_RANGE = {"F": (-115.0, 130.0), "R": (-130.0, 115.0)}
 
 
 def _ers_rest(end: str) -> tuple[float, float]:
-    """Return the angles of shoulder and knee that put the paw below the shoulder: the law of cosines."""
+    """Return the angles of shoulder and knee that put the paw below the shoulder, by the law of cosines."""
     upper, lower, reach = ERS_UPPER, ERS_LOWER[end] - ERS_PAW, ERS_STAND
     shoulder = math.acos((reach**2 + upper**2 - lower**2) / (2 * reach * upper))
     knee = math.pi - math.acos((upper**2 + lower**2 - reach**2) / (2 * upper * lower))
@@ -232,7 +233,7 @@ def _ers_leg(side: str, end: str) -> tuple[Part, Part, Part]:
 
 
 def _ers_paw_button(side: str, end: str) -> Mount:
-    """Return the paw sensor: it looks straight down while the robot stands."""
+    """Return the paw sensor, which points straight down while the robot stands."""
     shoulder, knee = _ers_rest(end)
     lean = (knee - shoulder) * (1 if end == "F" else -1)
     shin = ERS_LOWER[end] - ERS_PAW
@@ -382,7 +383,7 @@ QRIO_LOOKS = {
     "HeadPan": QRIO_NECK,
     "HeadTilt": QRIO_HEAD_LOOK,
 }
-"""By the name of the joint, without its side."""
+"""Visuals by the name of the joint, without its side."""
 
 
 def _qrio_looks(name: str) -> tuple[Shape, ...]:

@@ -1,6 +1,7 @@
-"""Lisa, whose two big wheels in opposite corners steer and drive each for itself (manual 12.18).
+"""Lisa, whose two big wheels in opposite corners steer and drive independently (manual 12.18).
 
-The manual gives its wheels and no figures, as the real one was not built yet: all but the steering is chosen.
+The manual gives its wheels but no measurements, as the real one was not built yet: all but the steering is
+chosen.
 """
 
 import math

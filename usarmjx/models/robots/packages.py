@@ -14,7 +14,7 @@ PILLAR_STEP = 0.1
 
 
 def _fixed(number: int, parent: int, location: Vec3, *shapes: Shape, looks: tuple[Shape, ...] = ()) -> Link:
-    """A link that does not move: both of its limits are 0."""
+    """Return a link that does not move: both of its limits are 0."""
     return Link(
         number=number,
         parent=parent,
@@ -30,7 +30,7 @@ def _fixed(number: int, parent: int, location: Vec3, *shapes: Shape, looks: tupl
 
 
 def _omni_looks() -> tuple[Shape, ...]:
-    """The camera on its base, and above it the mirror, rounded below, on the staves of its tube."""
+    """Return the camera on its base, and above it the mirror, rounded below, on the staves of its tube."""
     corners = [(0.042 * x, 0.042 * y) for x, y in ((1, 0), (-0.5, 0.866), (-0.5, -0.866))]
     return (
         drum(0.05, 0.015, (0.0, 0.0, -0.015), BLACK),
@@ -44,7 +44,7 @@ def _omni_looks() -> tuple[Shape, ...]:
 
 
 def _omni_head() -> tuple[Shape, ...]:
-    """Base, and above it the mirror that the camera looks up to (manual 10.15; sizes chosen)."""
+    """Return the base, and above it the mirror that faces the camera (manual 10.15; sizes chosen)."""
     base = Shape(
         kind="cylinder", size=(0.05, 0.015), at=(0, 0, -0.015), mass=0.3, surface="fixture", rgba=BLACK
     )
@@ -72,7 +72,7 @@ def omni_pillar(centre_links: int = 2) -> MissionPackage:
 
 
 def mount_package(package: MissionPackage, location: Vec3, name: str = "") -> MissionPackage:
-    """Return a package somewhere on the chassis, under another name if given."""
+    """Return a package at a position on the chassis, under another name if given."""
     links = tuple(
         replace(link, location=tuple(a + b for a, b in zip(link.location, location, strict=True)))
         if link.parent == -1
@@ -83,6 +83,7 @@ def mount_package(package: MissionPackage, location: Vec3, name: str = "") -> Mi
 
 
 PACKAGES: Registry[MissionPackage] = Registry("mission package")
+"""Mission packages by name."""
 for _package in (
     pan_tilt(ZERO),
     MissionPackage(name="OmniCamera", links=(_fixed(1, -1, ZERO, *_omni_head(), looks=_omni_looks()),)),

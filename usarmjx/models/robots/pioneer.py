@@ -1,7 +1,7 @@
-"""The Pioneer robots P2AT and P2DX (manual 12.1, 12.3).
+"""The Pioneer robots P2AT and P2DX, also with omnidirectional cameras (manual 12.1, 12.3).
 
 Sources, best first: messages captured from a UT2004 server (NIST MOAST's `usarsiminf.c`), the manual,
-UsarCommander's copy of USARBot.ini (sonar rings), and what had to be chosen, marked so.
+UsarCommander's copy of USARBot.ini (sonar rings), and choices, marked so.
 """
 
 import math
@@ -67,7 +67,7 @@ def at_looks(sonars: Sequence[Mount], scanner: tuple[float, float, float], rgba:
 
 
 def at_wheel(y: float, radius: float, width: float) -> tuple[Shape, ...]:
-    """Return a tyre that reaches as far inward as the real one, on the side of `y`."""
+    """Return a tyre as wide inward as the real one, on the side of `y`."""
     wide = 0.055
     return wheel_looks(radius, wide, rim=0.5, shift=-math.copysign((wide - width) / 2, y), bars=2)
 
@@ -158,7 +158,7 @@ def _front_ring(xs: tuple[float, ...]) -> tuple[Mount, ...]:
 
 
 def _rear_ring(xs: tuple[float, ...]) -> tuple[Mount, ...]:
-    """The front ring turned by half a turn about the vertical: R1 stands opposite F1."""
+    """Return the front ring turned by half a turn about the vertical: R1 is opposite F1."""
     return tuple(
         Mount(
             kind="Sonar",
@@ -188,11 +188,11 @@ P2AT = RobotSpec(
     chassis=(
         # Body between the wheels; carries all mass that is not wheels and camera (chosen: low, as the
         # batteries lie at the bottom, though the captured COG is the origin). It reaches just past the
-        # tyres, so that this, near axle height, is what meets a wall: pushing with the tyres they would
-        # climb it, pushing with the deck the robot would turn over backwards.
+        # tyres, so that it makes contact with walls near axle height: the tyres would climb a wall, and
+        # pushing with the deck the robot would turn over backwards.
         Shape(kind="box", size=(0.276, 0.20, 0.05), at=(0.0, 0.0, 0.11), mass=9.5, rgba=RED),
-        # Deck over body and wheels, up to the captured height: what meets other robots beside it, and what
-        # their sonars, 0.26 m above the ground, see of it.
+        # Deck over body and wheels, up to the captured height: it makes contact with robots beside it, and
+        # their sonars, 0.26 m above the ground, see it.
         Shape(kind="box", size=(0.2619, P2AT_WIDTH / 2, 0.0207), at=(0.0, 0.0, -0.0106), rgba=BLACK),
         sick_housing(P2AT_SCANNER),
     ),
@@ -248,8 +248,8 @@ P2DX_WHEEL = 0.0825  # manual 12.3.1: diameter 16.5 cm
 P2DX_TRACK = 0.38 - 0.037  # chosen: manual's width less a wheel's width
 P2DX_SCANNER = (0.05, 0.0, -0.11)  # chosen: on the deck
 P2DX_CASTER = 0.0375  # chosen radius
-# Chosen: what neither a start nor a stop lifts the caster by; at standstill more than the 1.9 N m with which
-# a wheel begins to climb an edge of 2 cm.
+# Chosen: a torque at which neither a start nor a stop lifts the caster; at standstill more than the 1.9 N m
+# with which a wheel begins to climb an edge of 2 cm.
 P2DX_MOTOR = Motor(max_speed=1.8 / P2DX_WHEEL, torque=1.5, armature=0.03, stall_torque=3.0)
 
 P2DX = RobotSpec(
@@ -270,8 +270,8 @@ P2DX = RobotSpec(
             rgba=BLACK,
         ),
         sick_housing(P2DX_SCANNER),
-        # A bumper behind, low and just past the deck: what backs into a wall askew meets it with this. With
-        # the corner of the deck it bowed until its wheels hung in the air.
+        # A bumper behind, low and just past the deck: it makes contact when the robot backs into a wall
+        # askew. With the corner of the deck the robot pitched until its wheels left the ground.
         Shape(kind="box", size=(0.031, 0.192, 0.015), at=(-0.191, 0.0, 0.125), rgba=BLACK),
         # A rounded, smooth nose: with an edge on the floor and its tail against a wall it stayed there, as a
         # ladder does.
@@ -321,10 +321,10 @@ P2DX = RobotSpec(
 
 
 LOOKS_UP: Vec3 = (-3.1415927, 1.5707964, 0.0)
-"""Direction of the camera towards the mirror above it (manual 10.15.2: Y=1.5707964, Z=-3.1415927)."""
+"""Direction of a camera towards the mirror above it (manual 10.15.2: Y=1.5707964, Z=-3.1415927)."""
 ORANGE: Rgba = (0.88, 0.36, 0.08, 1.0)
 ON_SCANNER = -0.11
-"""The base stands on the scanner's housing [m] (chosen)."""
+"""Height of the base on the scanner's housing [m] (chosen)."""
 
 
 def _omni(

@@ -1,4 +1,4 @@
-"""Four wheels, skid-steered: StereoP2AT, ATRVJr and Zerg (manual 12.2, 12.4, 12.11)."""
+"""Skid-steered robots on four wheels: StereoP2AT, ATRVJr and Zerg (manual 12.2, 12.4, 12.11)."""
 
 import math
 from dataclasses import replace
@@ -151,7 +151,7 @@ ATRVJR = RobotSpec(
         ("dimensions, wheels", "manual 9.3"),
         ("mass, payload, top speed, sonars", "manual 12.4"),
         ("origin height", "manual 5.3.6"),
-        ("layout, where the mass is, Odometry, INS, GroundTruth", "chosen"),
+        ("layout, mass distribution, Odometry, INS, GroundTruth", "chosen"),
     ),
 )
 
@@ -182,7 +182,7 @@ ZERG = RobotSpec(
             mass=ZERG_MASS - 4 * ZERG_WHEEL_MASS - 0.5,
             rgba=YELLOW,
         ),
-        # A roll bar between the wheels, as high as they are, so that it is as high as the manual says.
+        # A roll bar between the wheels, as high as they are, which gives the manual's height.
         Shape(
             kind="box", size=(0.02, 0.15, 0.03), at=(-0.05, 0.0, ZERG_ORIGIN - ZERG_HEIGHT + 0.03), rgba=BLACK
         ),

@@ -1,4 +1,4 @@
-"""The Soryu: three cars on two tracks each, with a joint to pan and one to tilt between them (12.15)."""
+"""The Soryu: three cars on two tracks each, with a pan and a tilt joint between them (manual 12.15)."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ BELT = Belt(
     trim=YELLOW,
 )
 CROWN = 0.006
-"""How much the end cars' axles are smaller: on the flat it stands on its middle car, and so can turn."""
+"""Reduction of the end cars' axle radius [m]: on flat ground it stands on its middle car, and so can turn."""
 END_BELT = replace(
     BELT, radius=BELT.radius - CROWN, max_spin=BELT.max_spin * BELT.radius / (BELT.radius - CROWN)
 )
@@ -40,13 +40,13 @@ PAN_MOTOR = Motor(max_speed=1.0, torque=30.0, stiffness=600.0, damping=21.0, arm
 
 
 def _body(mass: float, at: Vec3 = (0.0, 0.0, 0.0)) -> tuple[Shape, ...]:
-    """A car between and inside its tracks: a hull that its wheels' rims stand out of on all sides."""
+    """Return a car's hull between and inside its tracks; the wheels' rims stand out of it on all sides."""
     half = (CAR / 2 - 0.04, WIDTH / 2 - 0.003, 0.02)
     return (Shape(kind="box", size=half, at=at, mass=mass, rgba=YELLOW),)
 
 
 def _car_looks(x: float, belt: Belt = END_BELT) -> tuple[Shape, ...]:
-    """A car with its middle at x: two belts and a hull between, with a lid on top as below."""
+    """Return a car with its middle at x: two belts and a hull between, with a lid above and below."""
     belts = (belt.looks((x + AXLE, y, 0.0), (x - AXLE, y, 0.0)) for y in (-SEPARATION / 2, SEPARATION / 2))
     return (
         *(solid for track_looks in belts for solid in track_looks),
@@ -57,7 +57,7 @@ def _car_looks(x: float, belt: Belt = END_BELT) -> tuple[Shape, ...]:
 
 
 def _face(x: float) -> tuple[Shape, ...]:
-    """The two cameras and the lamps at the front of the first car."""
+    """Return the two cameras and the lamps at the front of the first car."""
     front = x + CAR / 2
     return (
         *lens((front - 0.012, 0.0, -0.03), 0.01),
@@ -98,7 +98,7 @@ def _joint_pair(end: str, sign: int) -> tuple[Part, Part]:
 
 
 def soryu(wheels: int = 4) -> RobotSpec:
-    """Return the Soryu with so many wheels in each of its six tracks (manual 12.10.2)."""
+    """Return the Soryu with a number of wheels in each of its six tracks (manual 12.10.2)."""
     joints = (*_joint_pair("Front", 1), *_joint_pair("Rear", -1))
     cars = (("FrontTilt", PITCH / 2), (CHASSIS, 0.0), ("RearTilt", -PITCH / 2))
     tracks: list[Part] = []

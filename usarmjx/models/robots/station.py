@@ -1,4 +1,4 @@
-"""ComStation, the base station of the wireless simulation (manual 3.2.4.1): it stands where it was put."""
+"""ComStation, the immobile base station of the wireless simulation (manual 3.2.4.1)."""
 
 from usarmjx.models.drives import NoDrive
 from usarmjx.models.robots.kit import ALONG, BLACK, DARK, LOOK_BLACK, STEEL, WHITE, ball, block, drum, rod

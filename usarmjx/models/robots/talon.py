@@ -53,14 +53,14 @@ TALON_BELT = Belt(
 )
 TALON_SEPARATION = TALON_WIDTH - TALON_BELT.width
 TALON_BUMPER = 0.004
-"""How far its bumpers stand out before and behind its tracks, above the steps that it climbs [m]: they are
-what meets a wall, which it would climb with its tracks, and turn over."""
+"""Overhang of its bumpers before and behind its tracks, above the steps that it climbs [m]: they make contact
+with walls, which the tracks would climb until the robot turned over."""
 TALON_AXLE = TALON_LENGTH / 2 - TALON_BELT.radius
 TALON_AXLE_HEIGHT = TALON_ORIGIN - TALON_BELT.radius  # z down: the axles are 1 cm above the origin
 
 
 def _arm_motor(torque: float, armature: float) -> Motor:
-    """Stiff enough that the arm's weight bends no joint by a hundredth of a radian."""
+    """Return a servo so stiff that the arm's weight bends no joint by a hundredth of a radian."""
     return Motor(
         max_speed=0.5, torque=torque, stiffness=4000.0 * armature, damping=60.0 * armature, armature=armature
     )
@@ -130,7 +130,7 @@ def _talon_body(top: float) -> tuple[Shape, ...]:
 
 
 def talon(wheels: int = 10) -> RobotSpec:
-    """Return the Talon with so many wheels in each track (manual 12.10.2)."""
+    """Return the Talon with a number of wheels in each track (manual 12.10.2)."""
     row = {
         "separation": TALON_SEPARATION,
         "front": TALON_AXLE,
@@ -212,7 +212,7 @@ RUGBOT_SCANNER = (0.08, 0.0, RUGBOT_DECK - 0.055)
 
 
 def rugbot(wheels: int = 3) -> RobotSpec:
-    """Return the Rugbot with so many wheels in each track (manual 12.10.2)."""
+    """Return the Rugbot with a number of wheels in each track (manual 12.10.2)."""
     row = {"separation": RUGBOT_SEPARATION, "front": RUGBOT_AXLE, "rear": -RUGBOT_AXLE, "height": 0.0}
     parts = track_pair(RUGBOT_BELT, wheels, **row)
     packages = (pan_tilt((-0.05, 0.0, RUGBOT_DECK - 0.05)),)

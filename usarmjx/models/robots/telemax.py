@@ -91,7 +91,7 @@ def _link(
     bar: Shape,
     joint: Literal["Revolute", "Prismatic"] = "Revolute",
 ) -> Link:
-    """Return a link at (location, orientation) on the one before it."""
+    """Return a link at (location, orientation) on the previous one."""
     return Link(
         number=number,
         parent=number - 1 if number > 1 else -1,
@@ -115,7 +115,7 @@ def _bar(start: float, end: float, thick: float, mass: float) -> Shape:
 
 
 def _tube(bar: Shape) -> tuple[Shape, ...]:
-    """Return what a bar of the arm is drawn as: a tube, the drum of its joint, a collar at its end."""
+    """Return the visuals of a bar of the arm: a tube, the drum of its joint, a collar at its end."""
     half, thick, _ = bar.size
     start, end = bar.at[0] - half, bar.at[0] + half
     return (
@@ -163,7 +163,7 @@ _TELEMAX_BODY = (
 
 
 def telemax(wheels: int = 4) -> RobotSpec:
-    """Return the TeleMax with so many wheels in each row of the chassis (manual 12.10.2)."""
+    """Return the TeleMax with a number of wheels in each row of the chassis (manual 12.10.2)."""
     row = {"separation": TELEMAX_SEPARATION, "front": TELEMAX_PIVOT, "rear": -TELEMAX_PIVOT, "height": 0.0}
     rows = track_pair(TELEMAX_BELT, wheels, **row)
     parts = (*rows, *TELEMAX_FLIPPERS.parts(TELEMAX_BELT))

@@ -1,7 +1,7 @@
-"""Tracks as the original built them (manual 12.10.2): rows of driven wheels, on the chassis or on flippers.
+"""Tracks in the original's way (manual 12.10.2): rows of driven wheels, on the chassis or on flippers.
 
-Wheels of one robot never touch each other, so those of a row overlap: the more there are, the closer the
-row is to a belt, and the more it costs. Every wheel has a motor, and all of a side run at one belt speed.
+Wheels of one robot never touch each other, so those of a row may overlap: more wheels approximate a belt
+better, and cost more. Every wheel has a motor, and all of a side run at one belt speed.
 """
 
 import math
@@ -17,24 +17,24 @@ from usarmjx.models.types.robot import CHASSIS, MissionPackage, Motor, Part
 from usarmjx.models.types.shapes import ZERO, Rgba, Shape
 
 BELT_STIFFNESS, BELT_DAMPING = 2000.0, 70.0
-"""Gains of a wheel's servo over its inertia [1/s2], [1/s]: as stiff as 5 ms steps bear (a twentieth and a
-third of what they are stable at), damped to 0.8 of critical."""
+"""Gains of a wheel's servo over its inertia [1/s2], [1/s]: stable at steps of 5 ms (a twentieth and a third
+of the limits), damped to 0.8 of critical."""
 CLEAT_PITCH = 5.5
-"""How far apart cleats are drawn, over how far they stand out."""
+"""Spacing of drawn cleats over their height."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Belt:
-    """What all wheels of a robot's tracks have in common.
+    """Common properties of the wheels of a robot's tracks.
 
     Attributes:
         radius: Radius of the wheels whose speed DRIVE sets [m].
         max_spin: Highest speed of those wheels [rad/s].
         width: Width of the tracks [m].
-        max_pull: Most that one wheel can pull [N].
-        inertia: What a wheel's motor weighs at the belt [kg].
-        wheel_mass: Mass of a wheel of that radius [kg]; smaller ones are lighter as their area.
-        cleat: How far its cleats are drawn to stand out [m]; the wheels' radii go to their tips.
+        max_pull: Largest pull of one wheel [N].
+        inertia: Inertia of a wheel's motor at the belt [kg].
+        wheel_mass: Mass of a wheel of that radius [kg]; those of smaller ones scale with their area.
+        cleat: Height of the drawn cleats [m]; the wheels' radii include it.
         trim: Colour of its sprockets.
     """
 
@@ -71,21 +71,21 @@ class Belt:
         return (drum(0.28 * radius, self.width / 2 + 0.003, rgba=self.trim, rotation=ACROSS),)
 
     def driven(self, part: Part, *, sprocket: bool = False) -> Part:
-        """Return a wheel drawn with the cleats that pass it, which so run as fast as the belt does."""
+        """Return a wheel with the cleats that pass it as visuals, which thus run at the belt's speed."""
         radius = part.shapes[0].size[0]
         bars = max(3, round(math.pi * radius / (CLEAT_PITCH * self.cleat)))
         side = sprocket_looks(0.66 * radius, self.width, self.trim) if sprocket else self._bearing(radius)
         return replace(part, looks=(*cleats(radius, self.width, bars, 0.9 * self.cleat), *side))
 
     def looks(self, front: Vec3, rear: Vec3, radii: tuple[float, float] | None = None) -> tuple[Shape, ...]:
-        """Return the belt about the foremost and the rearmost of a row's wheels, for what these are on."""
+        """Return the belt around the foremost and the rearmost of a row's wheels, as visuals of their parent."""
         outer = (self.radius, self.radius) if radii is None else radii
         first, last = (radius - self.cleat for radius in outer)
         return belt_looks(front, rear, (first, last), 0.96 * self.width)
 
 
 def _with_cleats(belt: Belt, row: Sequence[Part]) -> tuple[Part, ...]:
-    """Return a row of wheels, of which as many have cleats as it takes that the belt's never pause."""
+    """Return a row of wheels, some with cleats, spaced so that the belt's cleats show no gap."""
     apart = abs(row[0].at[0] - row[-1].at[0]) / (len(row) - 1)
     shown = 2 * math.sqrt(2 * belt.radius * belt.cleat)  # along the belt, of a wheel's cleats
     step = max(1, round(shown / apart))
@@ -111,21 +111,21 @@ def track(
     """Return a straight row of equal wheels, evenly spaced.
 
     Args:
-        belt: What its wheels are.
-        names: Of the wheels, from front to rear; at least two.
+        belt: Properties of its wheels.
+        names: Names of the wheels, from front to rear; at least two.
         front: Axle of the foremost wheel.
-        rear: Axle of the rearmost.
-        parent: What they are mounted on.
+        rear: Axle of the rearmost wheel.
+        parent: Part that carries them.
     """
-    places = zip(*(_along(a, b, len(names)) for a, b in zip(front, rear, strict=True)), strict=True)
-    row = [belt.wheel(name, at, belt.radius, parent) for name, at in zip(names, places, strict=True)]
+    axles = zip(*(_along(a, b, len(names)) for a, b in zip(front, rear, strict=True)), strict=True)
+    row = [belt.wheel(name, at, belt.radius, parent) for name, at in zip(names, axles, strict=True)]
     return _with_cleats(belt, row)
 
 
 def pair_looks(
     belt: Belt, *, separation: float, front: float, rear: float, height: float
 ) -> tuple[Shape, ...]:
-    """Return the belts of a `track_pair`, which takes the same figures, for the chassis."""
+    """Return the belts of a `track_pair` with the same arguments, visuals of the chassis."""
     sides = (-separation / 2, separation / 2)
     return tuple(solid for y in sides for solid in belt.looks((front, y, height), (rear, y, height)))
 
@@ -136,11 +136,11 @@ def track_pair(
     """Return a left and a right track on the chassis.
 
     Args:
-        belt: What their wheels are.
-        count: Wheels of each (manual 12.10.2 lets users set it).
+        belt: Properties of their wheels.
+        count: Wheels of each track (manual 12.10.2 lets users set it).
         separation: Lateral distance of the tracks.
         front: x of the foremost axles.
-        rear: x of the rearmost.
+        rear: x of the rearmost axles.
         height: z of the axles, down.
     """
     sides = (("Left", -separation / 2), ("Right", separation / 2))
@@ -155,11 +155,11 @@ class Flippers:
     Attributes:
         pivot: x and y of the hinges, both positive [m].
         height: z of the hinges, down [m].
-        length: From hinge to the axle of the tip's wheel [m].
-        tip: Radius of the tip's wheel, smaller than the belt's, which is that at the hinge [m].
+        length: Distance from the hinge to the axle of the tip's wheel [m].
+        tip: Radius of the tip's wheel, smaller than the belt's radius at the hinge [m].
         count: Wheels on each flipper; the one around the hinge belongs to the chassis' tracks.
-        mass: Of a flipper without its wheels [kg].
-        motor: What turns it.
+        mass: Mass of a flipper without its wheels [kg].
+        motor: Servo of the hinge.
     """
 
     pivot: tuple[float, float]
@@ -190,22 +190,22 @@ class Flippers:
             )
             arm = (self._arm(out, belt),)
             flippers.append(Part(name=name, at=(*at, self.height), motor=self.motor, shapes=arm, looks=looks))
-            for i, (place, radius) in enumerate(self._row(belt.radius), start=1):
-                part = belt.wheel(f"{name}Wheel{i}", (out * place, 0.0, 0.0), radius, name)
+            for i, (distance, radius) in enumerate(self._row(belt.radius), start=1):
+                part = belt.wheel(f"{name}Wheel{i}", (out * distance, 0.0, 0.0), radius, name)
                 wheels.append(belt.driven(part, sprocket=i == self.count))
         return (*flippers, *wheels)
 
     def _row(self, root: float) -> list[tuple[float, float]]:
         """Return distance from the hinge and radius of each wheel.
 
-        Both edges of the track are straight, and each wheel is smaller than the one before by the same
-        factor, so that all gaps are alike but for their size.
+        Both edges of the track are straight, and the radii form a geometric series, so that all gaps between
+        wheels are similar.
         """
         radii = [root * (self.tip / root) ** (i / self.count) for i in range(1, self.count + 1)]
         return [(self.length * (root - radius) / (root - self.tip), radius) for radius in radii]
 
     def _arm(self, out: int, belt: Belt) -> Shape:
-        """The arm inside its track touches nothing: the wheels are around it."""
+        """Return the arm inside its track, without contacts: the wheels surround it."""
         half = (self.length / 2, 0.4 * belt.width, self.tip / 2)
         return Shape(
             kind="box",
@@ -218,16 +218,17 @@ class Flippers:
 
 
 FLIPPERS = ("FRFlipper", "FLFlipper", "RRFlipper", "RLFlipper")
+"""Names of the flippers' parts."""
 GRIPPER_FINGERS_MASS = 0.2
-"""What the two fingers of a gripper weigh [kg]: part of the robot's mass, but not of its own parts."""
+"""Mass of the two fingers of a gripper [kg]: part of the robot's mass, but not of its own parts."""
 
 
 def drive_tracks(parts: Sequence[Part], belt: Belt) -> Tracks:
-    """Return the drive of all wheels among the parts, by the side of the robot on which they are."""
-    places = {part.name: part for part in parts}
+    """Return the drive of all wheels among the parts, by their side of the robot."""
+    by_name = {part.name: part for part in parts}
 
     def side(part: Part) -> float:
-        return part.at[1] + (side(places[part.parent]) if part.parent in places else 0.0)
+        return part.at[1] + (side(by_name[part.parent]) if part.parent in by_name else 0.0)
 
     wheels = [part for part in parts if part.is_wheel]
     left = [part for part in wheels if side(part) < 0]
@@ -242,7 +243,7 @@ def drive_tracks(parts: Sequence[Part], belt: Belt) -> Tracks:
 
 
 def mass_of(parts: Sequence[Part], packages: Sequence[MissionPackage] = ()) -> float:
-    """Return the mass of parts and mission packages, so that the chassis can have the rest [kg]."""
+    """Return the mass of parts and mission packages, to subtract from the chassis' [kg]."""
     shapes = [shape for part in parts for shape in part.shapes]
     shapes += [shape for package in packages for link in package.links for shape in link.shapes]
     return sum(shape.mass for shape in shapes)

@@ -1,7 +1,7 @@
-"""The Submarine (manual 12.9): a standard boat, not based on any real one.
+"""The Submarine (manual 12.9): a generic boat, not based on any real one.
 
-The manual gives its size, areas, angles and propeller. Its mass is that of the water that an ellipsoid of
-its size displaces, as it neither rises nor sinks; the CONF example's 50 kg is that of other robots.
+The manual gives its size, areas, angles and propeller. Its mass is that of the water that an ellipsoid of its
+size displaces, as it neither rises nor sinks; the CONF example's 50 kg is that of other robots.
 """
 
 import math
@@ -30,7 +30,7 @@ from usarmjx.models.types.shapes import Rgba, Shape
 
 NAVY: Rgba = (0.2, 0.25, 0.35, 1.0)
 SAIL = ((0.65, 0.0), (0.3, 0.15), (0.3, -0.15), (-0.62, 0.0), (-0.2, 0.14), (-0.2, -0.14))
-"""Corners of the drawn sail, seen from above [m]."""
+"""Corners of the sail, seen from above [m]."""
 BRASS: Rgba = (0.72, 0.55, 0.25, 1.0)
 RED: Rgba = (0.5, 0.1, 0.1, 1.0)
 GREY: Rgba = (0.5, 0.5, 0.55, 1.0)
@@ -97,7 +97,7 @@ SUBMARINE = RobotSpec(
             surface="fixture",
             rgba=NAVY,
         ),
-        # What it touches with: length and sides, which carry all but the ballast; keel; sail.
+        # Contact boxes: length and sides, which carry all but the ballast; keel; sail.
         Shape(kind="box", size=(LENGTH / 2, 0.2, 0.2), rgba=NAVY),
         Shape(kind="box", size=(2.6, TUBE, 0.22), mass=MASS - BALLAST - HEAD_MASS, rgba=NAVY),
         Shape(

@@ -1,6 +1,7 @@
-"""UnitLoader: a platform on four wheels with a roller table, which takes packages over and hands them on.
+"""UnitLoader: a platform on four wheels with a roller table, which receives packages and passes them on.
 
-A release of 2011 could spawn a class of that name; of its looks and figures nothing is known. All are chosen.
+A release of 2011 could spawn a class of that name; its appearance and measurements are unknown. All are
+chosen.
 """
 
 from usarmjx.models.drives import SkidSteer

@@ -70,7 +70,9 @@ class ManualKey(str):
 
 
 NOT_NEGATIVE = NumberLimits(low=0.0)
+"""Limits of a setting that may be 0."""
 POSITIVE = NumberLimits(low=0.0, low_exclusive=True)
+"""Limits of a setting above 0."""
 ANGLE_STEP = NumberLimits(low=1e-5)
 """Limits of an angle between neighbouring rays, or of two ticks [rad]."""
 HALF_TURN = NumberLimits(low=0.0, high=math.pi + 1e-5)

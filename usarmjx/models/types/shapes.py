@@ -70,6 +70,7 @@ SURFACES = {
     ),
     "fixture": Surface(friction=0.3, priority=0, contype=0, conaffinity=0),  # seen, but never touched
 }
+"""Contact parameters by the names that `Shape.surface` takes."""
 
 
 MOST_SLIP, MOST_SOFTNESS, NO_BOUNCE, MOST_BOUNCE = 10.0, 9.0, 1e-3, 0.95
@@ -135,6 +136,7 @@ class Tyre:
 
 
 OPAQUE, GLASS, MIRROR, FENDER, SKY = "opaque", "glass", "mirror", "fender", "sky"
+"""Values of `Shape.material`; `MATERIALS` describes them."""
 MATERIALS = (OPAQUE, GLASS, MIRROR, FENDER, SKY)
 """Effects of a solid on rays (manual 14.1.2): glass passes infrared and light, not sound; a mirror reflects
 light; a grid fender passes every ray that meets one of its holes; the sky passes everything but light, is
