@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from usarmjx.base.compilation import rounds_at_once
+from usarmjx.base.accelerator import warp_in_use
+from usarmjx.base.compilation import unroll_on_gpu
 from usarmjx.base.errors import UsageError, extra
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.envs.task import Policy
@@ -46,6 +47,11 @@ def recur(
 def _in_turn(
     gates: jax.Array, weights: jax.Array, bias: jax.Array, carry: jax.Array, is_first: jax.Array
 ) -> jax.Array:
+    if _on_warp(gates, carry):
+        from usarmjx.train.learning.warp_gru import recur_on_warp
+
+        return recur_on_warp(gates, weights, bias, carry, is_first)
+
     def step(carry: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         gates, is_first = now
         before = _reset(is_first, carry)
@@ -56,7 +62,16 @@ def _in_turn(
         after = (1.0 - update) * new + update * before
         return after, after
 
-    return jax.lax.scan(step, carry, (gates, is_first), unroll=rounds_at_once(GPU_STEPS))[1]
+    return jax.lax.scan(step, carry, (gates, is_first), unroll=unroll_on_gpu(GPU_STEPS))[1]
+
+
+def _on_warp(gates: jax.Array, carry: jax.Array) -> bool:
+    """Return whether a kernel of Warp runs the sequence; XLA fuses a single step with what is around it."""
+    if len(gates) < 2 or not warp_in_use():
+        return False
+    from usarmjx.train.learning.warp_gru import fits
+
+    return fits(carry.shape[-1], gates.dtype)
 
 
 def _reset(where: jax.Array, carry: jax.Array) -> jax.Array:
@@ -68,24 +83,35 @@ def _forward(*given: jax.Array) -> tuple[jax.Array, Residuals]:
     return after, (*given, after)
 
 
-def _backward(kept: Residuals, slopes: jax.Array) -> tuple[Any, ...]:
-    """Return the gradient by what `recur` was given, from that by what came out."""
-    gates, weights, bias, carry, is_first, after = kept
-    before = _reset(is_first, jnp.concatenate([carry[None], after[:-1]]))
-    own, new, update = _slopes_of_a_step(gates, before, before @ weights, bias)
+def _slopes_in_turn(
+    slopes: jax.Array, own: jax.Array, update: jax.Array, weights: jax.Array, is_first: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Return the slopes of the first carry and of that after each step; arguments as of `slopes_on_warp`."""
+    if _on_warp(slopes, update):
+        from usarmjx.train.learning.warp_gru import slopes_on_warp
+
+        return slopes_on_warp(slopes, own, update, weights, is_first)
 
     def step(later: jax.Array, now: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
         slope, own, update, is_first = now
         slope = slope + later
         return _reset(is_first, (jnp.tile(slope, 3) * own) @ weights.T + slope * update), slope
 
-    start, slopes = jax.lax.scan(
+    return jax.lax.scan(
         step,
-        jnp.zeros_like(carry),
+        jnp.zeros_like(update[0]),
         (slopes, own, update, is_first),
         reverse=True,
-        unroll=rounds_at_once(GPU_STEPS),
+        unroll=unroll_on_gpu(GPU_STEPS),
     )
+
+
+def _backward(kept: Residuals, slopes: jax.Array) -> tuple[Any, ...]:
+    """Return the gradient by what `recur` was given, from that by what came out."""
+    gates, weights, bias, carry, is_first, after = kept
+    before = _reset(is_first, jnp.concatenate([carry[None], after[:-1]]))
+    own, new, update = _slopes_of_a_step(gates, before, before @ weights, bias)
+    start, slopes = _slopes_in_turn(slopes, own, update, weights, is_first)
     by_own = jnp.tile(slopes, 3) * own
     by_reset, by_update, by_new = jnp.split(by_own, 3, axis=-1)
     return (
