@@ -103,7 +103,7 @@ class Hall:
 
     @property
     def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """x and y limits of the hall [m]."""
+        """Limits of x and y of the hall [m]."""
         return (0.0, self.columns * CELL), (-SPARE, self.rows * CELL)
 
     @property

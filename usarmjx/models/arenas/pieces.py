@@ -222,8 +222,9 @@ FLAT = math.cos(math.pi / 8)
 def _bars(
     at: Vec3, length: float, diameter: float, yaw: float = 0.0, mass: float = 0.0, surface: str = "ground"
 ) -> tuple[Shape, ...]:
-    """Return a pipe as two boxes across each other, eight-sided: engine `jax` has no contacts of cylinders with
-    boxes.
+    """Return a pipe as two boxes across each other, with eight sides.
+
+    Engine `jax` has no contacts of cylinders with boxes.
     """
     half = diameter / math.sqrt(8)
     return tuple(

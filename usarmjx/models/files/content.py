@@ -1,4 +1,4 @@
-"""What files add to an arena, and what of it nobody said: surfaces, extent, a place to start from."""
+"""Content of files for arenas, and defaults for missing surfaces, extents and start poses."""
 
 import math
 from collections.abc import Sequence
@@ -13,34 +13,35 @@ from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, Door, LooseOb
 from usarmjx.models.types.shapes import Shape
 
 Rectangle = tuple[tuple[float, float], tuple[float, float]]
+"""Limits of x and of y [m]."""
 MIN_WALL_HEIGHT = 0.3
-"""What is at least this high, and thinner than high, is a wall unless told otherwise [m]."""
+"""Height from which a solid that is thinner than high is a wall by default [m]."""
 UPRIGHT_TOLERANCE = 1e-3
-"""A solid whose z axis leans by less stands upright [rad]."""
+"""Lean of the z axis up to which a solid is upright [rad]."""
 MARGIN = 1.0
-"""Of an extent round the solids [m]."""
+"""Margin of an extent around the solids [m]."""
 EMPTY: Rectangle = ((-5.0, 5.0), (-5.0, 5.0))
 """Extent of an arena without solids."""
 START_CLEARANCE = (0.45, 0.05)
-"""Radius of the circle that a start pose wants free, and the highest step in it [m]."""
+"""Radius of the free circle that a start pose needs, and the highest step in it [m]."""
 PREFERRED_START_SLOPE, MAX_START_SLOPE = math.radians(2), math.radians(20)
-"""Slope that it wants, and what it takes where there is no such place [rad]."""
+"""Largest slope of a start pose, first choice and fallback [rad]."""
 TAG = "PlayerStart"
-"""Of the start pose that nobody gave, as the Unreal editor calls them (manual 5.3.2)."""
+"""Tag of an automatic start pose, the Unreal editor's (manual 5.3.2)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Content:
-    """What a file has for an arena, in the arena's axes.
+    """Content of a file for an arena, in the arena's axes.
 
     Attributes:
         shapes: Fixed solids.
         loose: Loose objects.
         doors: Doors.
-        floor: Whether it has an unbounded floor at height zero; None: it says nothing of floors.
-        extent: Its floor plan; None: as its solids have it.
-        free_position: x and y of a place that is free; None: to be found.
-        warnings: What of the file is not taken, in words.
+        floor: Whether it has an unbounded floor at height zero; None: unspecified.
+        extent: Its floor plan; None: that of its solids.
+        free_position: x and y of a free position; None: to be found.
+        warnings: Content that was left out, in words.
     """
 
     shapes: tuple[Shape, ...] = ()
@@ -83,7 +84,7 @@ def corners_of(shape: Shape) -> np.ndarray:
 
 
 def surface_of(shape: Shape) -> str:
-    """Return what a solid of a file is that does not say: "wall" if it stands upright, else "ground"."""
+    """Return the default surface of a solid: "wall" if it stands upright, else "ground"."""
     low, high = corners_of(shape)
     length, width, height = high - low
     upright = mat_from_angles(*np.array(shape.rotation))[2, 2] > np.cos(UPRIGHT_TOLERANCE)
@@ -91,7 +92,7 @@ def surface_of(shape: Shape) -> str:
 
 
 def transform_content(content: Content, at: Vec3, yaw: float) -> Content:
-    """Return content turned about the vertical through the origin, and then moved."""
+    """Return content rotated about the vertical through the origin, and then moved."""
     if at == (0.0, 0.0, 0.0) and yaw == 0.0:
         return content
     mat = mat_from_angles(0.0, 0.0, np.float64(yaw))
@@ -114,7 +115,7 @@ def transform_content(content: Content, at: Vec3, yaw: float) -> Content:
 
 
 def extent_of(shapes: Sequence[Shape], loose: Sequence[LooseObject] = ()) -> Rectangle:
-    """Return x and y limits of solids with a margin round them."""
+    """Return x and y limits of solids with a margin around them."""
     solids = [*shapes, *(shape for one in loose for shape in shapes_in_arena(one))]
     if not solids:
         return EMPTY
@@ -128,11 +129,11 @@ def _around(points: np.ndarray) -> Rectangle:
 
 
 def free_start_pose(arena: ArenaSpec, wish: tuple[float, float] | None = None) -> StartPose | None:
-    """Return a start pose on level ground with room round it: in the largest free area, near its middle.
+    """Return a start pose on level ground with clearance: in the largest free area, near its middle.
 
     Args:
         arena: The arena; it needs no start poses yet.
-        wish: x and y of where it should be; taken if there is room.
+        wish: Preferred x and y; used if there is room.
     """
     nowhere = StartPose(tag=TAG, at=(*np.mean(arena.extent, axis=1).tolist(), START_ELEVATION))
     found = reach_map(replace(arena, starts=(nowhere,)), *START_CLEARANCE, slope=PREFERRED_START_SLOPE)

@@ -1,4 +1,4 @@
-"""Values of a file to the frozen dataclasses of `models.spec`, by their type hints."""
+"""Conversion of values of a file to the frozen dataclasses of `models.types`, by their type hints."""
 
 import math
 import types
@@ -25,11 +25,11 @@ SIZES = {
     "ellipsoid": (3, "radii along x, y and z"),
     "hfield": (3, "half lengths along x and y, and the ground's thickness below the lowest point"),
 }
-"""How many numbers the size of a kind of solid has, and what they are; a mesh has none."""
+"""Number and meaning of the size numbers of a kind of solid; a mesh has none."""
 
 
 def problem(record: object) -> str:
-    """Return what is wrong with a dataclass of an arena, and what is allowed; empty: nothing."""
+    """Return the error of a dataclass of an arena, with the allowed values; empty: it is valid."""
     return ARENA_RULES.get(type(record), _fine)(record)
 
 
@@ -134,13 +134,14 @@ ARENA_RULES: dict[type, Callable[[Any], str]] = {
     Victim: _victim,
     Water: _water,
 }
+"""Check of each dataclass, which returns its error."""
 
 
 T = TypeVar("T")
 Special = Mapping[type, Callable[[YamlValue], Any]]
-"""How types are read that a YAML file gives in another way, as meshes by the name of a file."""
+"""Readers of types with a YAML form of their own, as meshes by the name of a file."""
 DEGREES = "deg"
-"""What may follow an angle; without it, it is in radians."""
+"""Suffix of an angle in degrees; without it, it is in radians."""
 
 
 def read_record(kind: type[T], value: YamlValue, special: Special, **defaults: object) -> T:
@@ -149,8 +150,8 @@ def read_record(kind: type[T], value: YamlValue, special: Special, **defaults: o
     Args:
         kind: The dataclass.
         value: The mapping.
-        special: How to read some types.
-        defaults: Fields that the mapping need not have.
+        special: Readers of some types.
+        defaults: Fields that the mapping may omit.
 
     Raises:
         ArenaFileError: An unknown or missing key, a value of another type, or one that is not allowed.
@@ -170,10 +171,10 @@ def read_record(kind: type[T], value: YamlValue, special: Special, **defaults: o
 
 
 def read(hint: Any, value: YamlValue, special: Special) -> Any:  # noqa: ANN401 - as the hint says
-    """Return a value as what a type hint says: scalars, tuples, unions with None, dataclasses.
+    """Convert a value by a type hint: scalars, tuples, unions with None, dataclasses.
 
     Raises:
-        ArenaFileError: It is something else; names the place and what is allowed.
+        ArenaFileError: The value is of another type; names its position and the allowed values.
     """
     if hint in special:
         return special[hint](value)
@@ -207,10 +208,10 @@ def hints_of(kind: type) -> dict[str, Any]:
 
 
 def check_keys(value: YamlValue, allowed: list[str]) -> None:
-    """Refuse keys of a mapping that nobody reads.
+    """Refuse unknown keys of a mapping.
 
     Raises:
-        ArenaFileError: Names the key, the likely one, and those that are allowed.
+        ArenaFileError: Names the key, the most similar one, and the allowed ones.
     """
     for key, item in value.mapping().items():
         if key not in allowed:
@@ -220,8 +221,9 @@ def check_keys(value: YamlValue, allowed: list[str]) -> None:
 
 
 def _number(value: YamlValue) -> float:
+    """Return a finite number, or an angle in degrees as radians."""
     data = value.data
-    if isinstance(data, str):  # YAML takes 1e-3 for a word
+    if isinstance(data, str):  # PyYAML reads 1e-3 as a string: its floats need a dot
         word = data.removesuffix(DEGREES)
         try:
             data = math.radians(float(word)) if word != data else float(word)
@@ -253,7 +255,9 @@ SCALARS: dict[Any, Callable[[YamlValue], Any]] = {
     bool: _exactly(bool),
     str: _exactly(str),
 }
+"""Reader of each scalar type."""
 NAMES = {float: "a number", int: "a whole number", bool: "true or false", str: "a text"}
+"""Scalar types in words."""
 
 
 def _said(hint: Any) -> str:  # noqa: ANN401 - a type hint
@@ -272,10 +276,10 @@ def _said(hint: Any) -> str:  # noqa: ANN401 - a type hint
 
 
 def required(value: YamlValue, key: str) -> YamlValue:
-    """Return what a mapping has under a key.
+    """Return the value under a key of a mapping.
 
     Raises:
-        ArenaFileError: It has nothing there.
+        ArenaFileError: The key is missing.
     """
     given = value.mapping()
     if key not in given:
@@ -284,6 +288,6 @@ def required(value: YamlValue, key: str) -> YamlValue:
 
 
 def option(hint: Any, value: YamlValue, key: str, default: Any) -> Any:  # noqa: ANN401 - as the hint says
-    """Return what a mapping has under a key, as the hint says, else the default."""
+    """Return the value under a key of a mapping, converted by the hint, else the default."""
     given = value.mapping()
     return read(hint, given[key], {}) if key in given else default

@@ -2,7 +2,7 @@
 
 `load_arena` reads YAML files with the fields of `ArenaSpec` and the names of other files (see `yaml_file`),
 and these others by themselves: MJCF, URDF, meshes, grey images, maps of ROS' map_server. `save_arena` writes
-any arena as YAML. What a file has that an arena cannot have is refused by name, or left out with a warning.
+any arena as YAML. Unsupported content of a file is refused by name, or left out with a warning.
 """
 
 import logging
@@ -29,17 +29,19 @@ from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import HeightField, Mesh
 
 HEADER = "# An arena of usarmjx. Lengths in metres, angles in radians; x forward, y left, z up.\n"
+"""Comment at the top of saved files."""
 WIDTH = 110
+"""Line length of saved files."""
 
 
 def save_arena(arena: ArenaSpec, path: str | Path) -> Path:
     """Write an arena as a YAML file that `load_arena` reads as an equal one; return its path.
 
     Meshes go into OBJ files beside it, terrain into PNG files of 16 bits, whose heights are rounded to a
-    65535th of the highest one. All numbers else are kept to the last digit.
+    65535th of the highest one. All other numbers are kept to the last digit.
 
     Raises:
-        ArenaFileError: A name that does not end in .yaml, or a folder that is not there.
+        ArenaFileError: A name that does not end in .yaml, or a missing folder.
         WriteError: The folder cannot be written to.
     """
     path = Path(path)
@@ -55,10 +57,10 @@ def save_arena(arena: ArenaSpec, path: str | Path) -> Path:
 
 
 class _Files:
-    """Turns values into what YAML has, and writes the files that they name.
+    """Converter of values to YAML's types, which writes the files that they name.
 
     Args:
-        path: The YAML file; the others are beside it and begin with its name.
+        path: The YAML file; the others are beside it and begin with its stem.
     """
 
     def __init__(self, path: Path) -> None:
@@ -89,7 +91,7 @@ def _write(value: Mesh | HeightField, path: Path, number: int) -> object:
 
 
 def _write_mesh(mesh: Mesh, path: Path, number: int) -> str | dict[str, str]:
-    """Write the corners and the faces, its own or those of their hull; return what names them."""
+    """Write the vertices and the faces, its own or those of their hull; return its YAML value."""
     vertices = np.asarray(mesh.vertices, float)
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
     if mesh.faces is None:
@@ -103,7 +105,7 @@ def _write_mesh(mesh: Mesh, path: Path, number: int) -> str | dict[str, str]:
 
 
 def _hull_lines(vertices: np.ndarray) -> list[str]:
-    """Return the faces of corners' hull as lines of an OBJ file."""
+    """Return the faces of vertices' hull as lines of an OBJ file."""
     from scipy.spatial import ConvexHull
 
     hull, lines = ConvexHull(vertices), list[str]()
@@ -115,7 +117,7 @@ def _hull_lines(vertices: np.ndarray) -> list[str]:
 
 
 def _write_terrain(terrain: HeightField, path: Path, number: int) -> dict[str, object]:
-    """Write heights as grey values; return the file's name and what white is."""
+    """Write heights as grey values; return the file's name and the height of white."""
     name = f"{path.stem}-heights-{number}.png"
     return {"file": name, "height": write_heights(path.parent / name, terrain.heights)}
 
@@ -125,21 +127,21 @@ __all__ = ["SUFFIXES", "find_arena", "load_arena", "read_arena", "save_arena"]
 logger = logging.getLogger(__name__)
 
 PIXEL = 0.1
-"""Distance of the heights in a grey image that is loaded by itself [m]."""
+"""Spacing of the heights in a grey image that is loaded by itself [m]."""
 RISE = 1.0
 """Height of white in it [m]."""
 
 
 def load_arena(path: str | Path) -> ArenaSpec:
-    """Return the arena in a file; what of it is left out goes to the log as warnings.
+    """Return the arena in a file; content that is left out is logged as warnings.
 
-    By themselves, an MJCF, URDF or mesh file stands as it is, a grey PNG image is terrain with heights 0.1 m
+    By itself, an MJCF, URDF or mesh file is used unchanged, a grey PNG image is terrain with heights 0.1 m
     apart and up to 1 m, and a map of map_server has walls of 1.2 m. Then the arena has the file's name, an
-    extent 1 m round its solids (a map's is the map's), and one start pose in its largest free area; all of
-    which a YAML file can say.
+    extent 1 m around its solids (a map's is the map's), and one start pose in its largest free area; a YAML
+    file can set all of these.
 
     Raises:
-        ArenaFileError: A file that is not there or does not read, or something that an arena cannot have.
+        ArenaFileError: A missing or unreadable file, or content that an arena cannot have.
     """
     arena, warnings = read_arena(path)
     for warning in warnings:
@@ -148,7 +150,7 @@ def load_arena(path: str | Path) -> ArenaSpec:
 
 
 def read_arena(path: str | Path) -> tuple[ArenaSpec, tuple[str, ...]]:
-    """Return the arena in a file, and in words what of it is left out; see `load_arena`."""
+    """Return the arena in a file, and the content that was left out, in words; see `load_arena`."""
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise ArenaFileError(f"{path}: arenas are files with names in {', '.join(SUFFIXES)}")
@@ -170,7 +172,7 @@ def find_arena(arena: str | Path) -> ArenaSpec:
 
     Raises:
         UnknownNameError: Neither a known name nor the name of a file.
-        ArenaFileError: A file that does not read.
+        ArenaFileError: An unreadable file.
     """
     name = str(arena)
     if name in ARENAS:
@@ -185,7 +187,7 @@ def find_arena(arena: str | Path) -> ArenaSpec:
 
 
 def _xml(path: Path) -> Content:
-    """Read MJCF, or URDF that is called .xml."""
+    """Read MJCF, or URDF with the suffix .xml."""
     return urdf_content(path) if b"<robot" in read_bytes(path) else mjcf_content(path)
 
 
@@ -212,6 +214,7 @@ READERS: dict[str, Callable[[Path], Content]] = {
     ".png": _terrain,
     ".pgm": _picture,
 }
+"""Reader of each suffix, apart from YAML."""
 YAML = (".yaml", ".yml")
 SUFFIXES = (*YAML, *READERS)
-"""How the names of files end that arenas are read from."""
+"""Suffixes of files with arenas."""

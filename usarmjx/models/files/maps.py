@@ -1,4 +1,4 @@
-"""Maps of ROS' map_server to walls: a picture of what is occupied, and a YAML file about it."""
+"""Maps of ROS' map_server as walls: an image of occupancy, and a YAML file that describes it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,15 +15,15 @@ from usarmjx.models.files.values import YamlValue, read_bytes
 from usarmjx.models.types.shapes import Shape
 
 FORMATS = ("PNG", "PPM", "BMP", "JPEG", "GIF")
-"""What images may be, as Pillow calls it (PPM: also PGM and PBM); others run programs of their own."""
+"""Image formats by Pillow's names (PPM: also PGM and PBM); decoders of others run external programs."""
 MOST_PIXELS = 16_000_000
-"""Of a map."""
+"""Largest number of pixels of a map."""
 MOST_HEIGHTS = 1_000_000
-"""Of a terrain."""
+"""Largest number of heights of a terrain."""
 LOSSY = ("JPEG",)
-"""What smears its pixels into each other."""
+"""Formats with lossy compression."""
 WHITE_BY_MODE = {"L": 255, "I;16": 65535, "I;16B": 65535, "I": 65535}
-"""Modes of Pillow with one grey value, and white in each."""
+"""Value of white in Pillow's modes with one grey value."""
 
 
 def read_heights(path: Path, height: float) -> np.ndarray:
@@ -32,8 +32,8 @@ def read_heights(path: Path, height: float) -> np.ndarray:
     Black is 0 and white is `height`; the first line of the image is far, at the largest y.
 
     Raises:
-        ArenaFileError: A file that does not read, has colours, or is too small or too large, or is a JPEG,
-            whatever it is called: its heights would not be those that somebody drew.
+        ArenaFileError: A file that is unreadable, has colours, or is too small or too large, or is a JPEG,
+            whatever its suffix: lossy compression changes the heights.
     """
     mode, pixels, form = _read_image(path, MOST_HEIGHTS)
     if form in LOSSY:
@@ -51,7 +51,7 @@ def read_heights(path: Path, height: float) -> np.ndarray:
 
 
 def write_heights(path: Path, heights: np.ndarray) -> float:
-    """Write a terrain (rows, columns) as a PNG file of 16 bits, and return the height that white is [m].
+    """Write a terrain (rows, columns) as a PNG file of 16 bits, and return the height of white [m].
 
     Heights are rounded to a 65535th of that.
     """
@@ -65,12 +65,12 @@ def write_heights(path: Path, heights: np.ndarray) -> float:
 
 
 def read_grey(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean of an image's channels, 0 to 255, and where it is opaque, both (rows, columns).
+    """Return the mean of an image's channels, 0 to 255, and its opaque pixels, both (rows, columns).
 
     The lowest row of y comes first.
 
     Raises:
-        ArenaFileError: A file that does not read or is too large.
+        ArenaFileError: A file that is unreadable or too large.
     """
     mode, pixels = _pixels(path, MOST_PIXELS)
     pixels = pixels[::-1].astype(float) * (255 / WHITE_BY_MODE.get(mode, 255))
@@ -113,24 +113,27 @@ def _read_image(path: Path, most: int) -> tuple[str, np.ndarray, str]:
 
 
 KEYS = ["image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode"]
+"""Keys of a map's YAML file."""
 DEFAULT_WALL_HEIGHT = 1.2
-"""Of walls if none is given [m]: the NIST arenas'."""
+"""Default height of walls [m]: the NIST arenas'."""
 MOST_BOXES = 2000
+"""Largest number of boxes of a map."""
 WALL_RGBA = (0.85, 0.8, 0.6, 1.0)
 GRADED_WALL_VALUE = 50
-"""From which of the values 0 to 100 between free and occupied a cell of a graded map is a wall."""
+"""Value from which a cell of a graded map is a wall, from 0 (free) to 100 (occupied)."""
 LAST_RAW = 100
-"""Raw values above are unknown, as map_server's -1."""
+"""Largest known raw value; higher ones are unknown, as map_server's -1."""
 Unknown = Literal["free", "occupied"]
+"""Treatment of unknown cells."""
 
 
 @dataclass(frozen=True, eq=False)
 class OccupancyGrid:
-    """A map.
+    """A map's cells.
 
     Attributes:
         wall: Whether each cell is a wall (rows, columns), the lowest row of y first.
-        free: Whether each cell is known to be free (rows, columns).
+        free: Whether each cell is certainly free (rows, columns).
         resolution: Side of a cell [m].
         origin: x, y and yaw of the outer corner of the first cell.
     """
@@ -149,18 +152,17 @@ def is_map(value: YamlValue) -> bool:
 def read_occupancy_grid(value: YamlValue, unknown: Unknown = "free") -> OccupancyGrid:
     """Return the map that a YAML file of map_server describes.
 
-    The modes are map_server's: `trinary` and `scale` compare the mean m of a pixel's channels as
-    (255 - m) / 255, or m / 255 if `negate`, with the thresholds: above occupied_thresh is occupied, below
-    free_thresh is free; in between it is unknown, or with `scale`, unless transparent, in proportion. There
-    a cell is a wall from the middle on. In `raw` maps it is one from 100 times occupied_thresh on, and
-    unknown above 100.
+    The modes are map_server's: `trinary` and `scale` compare the mean m of a pixel's channels as (255 - m) /
+    255, or m / 255 if `negate`, with the thresholds: above occupied_thresh is occupied, below free_thresh is
+    free; in between it is unknown, or with `scale`, unless transparent, graded: a wall from the middle on. In
+    `raw` maps a cell is a wall from 100 times occupied_thresh on, and unknown above 100.
 
     Args:
         value: The file.
-        unknown: What becomes of unknown cells.
+        unknown: Treatment of unknown cells.
 
     Raises:
-        ArenaFileError: A wrong key or value, or an image that does not read.
+        ArenaFileError: A wrong key or value, or an unreadable image.
     """
     check_keys(value, KEYS)
     image = value.path.parent / read(str, required(value, "image"), {})
@@ -193,7 +195,7 @@ def read_occupancy_grid(value: YamlValue, unknown: Unknown = "free") -> Occupanc
 
 
 def _truth(value: YamlValue) -> bool:
-    """Return `negate`, which map_server's files have as 0 or 1."""
+    """Return `negate`, which is 0 or 1 in map_server's files."""
     given = value.mapping().get("negate")
     if given is None:
         return False
@@ -205,7 +207,7 @@ def _truth(value: YamlValue) -> bool:
 def occupancy_grid_content(
     value: YamlValue, height: float = DEFAULT_WALL_HEIGHT, unknown: Unknown = "free"
 ) -> Content:
-    """Return a map as walls: as few boxes as are found quickly, `height` metres high.
+    """Return a map as walls, `height` metres high, merged into few boxes.
 
     Raises:
         ArenaFileError: See `read_occupancy_grid`; or the map has too many walls.
@@ -238,9 +240,9 @@ Cells = tuple[int, int, int, int]
 
 
 def rectangles(filled: np.ndarray, most: float = np.inf) -> list[Cells]:
-    """Cover the true cells (rows, columns) with rectangles, each as long as it goes and then as wide.
+    """Cover the true cells (rows, columns) with rectangles, each as long as possible and then as wide.
 
-    It stops in the row where there are more than `most`.
+    It stops after the row that exceeds `most`.
     """
     left, found = filled.copy(), []
     for row in range(left.shape[0]):
@@ -260,7 +262,7 @@ def _turned(found: list[Cells]) -> list[Cells]:
 
 
 def _there(plan: OccupancyGrid, column: float, row: float) -> tuple[float, float]:
-    """Return x and y of a place on a map, in cells from its first corner."""
+    """Return x and y of a point on a map, given in cells from its first corner."""
     x, y, yaw = plan.origin
     local = np.array([column * plan.resolution, row * plan.resolution, 0.0])
     dx, dy, _ = (mat_from_angles(0.0, 0.0, np.float64(yaw)) @ local).tolist()
@@ -288,7 +290,7 @@ def _extent(plan: OccupancyGrid) -> Rectangle:
 
 
 def _free_position(plan: OccupancyGrid) -> tuple[float, float] | None:
-    """Return the known free place that is farthest from all others."""
+    """Return the free position farthest from all cells that are not free."""
     from scipy.ndimage import distance_transform_edt
 
     if not plan.free.any():

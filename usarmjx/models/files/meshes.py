@@ -1,7 +1,7 @@
-"""Mesh files (OBJ, STL) to convex solids, one for each connected piece.
+"""Mesh files (OBJ, STL) as convex solids, one for each connected piece.
 
-Contacts and the radio take a solid of kind mesh as the convex hull of its corners. A piece that is not
-convex is therefore refused, unless its hull is asked for; rays and pictures see its faces then.
+Contacts and the radio treat a solid of kind mesh as the convex hull of its vertices. A piece that is not
+convex is therefore refused, unless its hull is requested; rays and pictures then use its faces.
 """
 
 import hashlib
@@ -22,16 +22,17 @@ from usarmjx.models.files.values import FARTHEST, read_bytes
 from usarmjx.models.types.shapes import Mesh, Shape
 
 MOST_MESH_BYTES = 64_000_000
-"""Of a mesh file."""
+"""Largest size of a mesh file [bytes]."""
 HEADER, FACET = 84, 50
-"""Bytes of a binary STL file before its facets, and of each of them."""
+"""Size of the header of a binary STL file, and of a facet [bytes]."""
 FACETS = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
+"""Layout of a facet of a binary STL file."""
 FAR_OUT = 1e6
-"""Times as far as most corners of a file, no corner is meant to be."""
+"""Distance of a corner over the median of a file, beyond which it is corrupt."""
 ALIKE = 0.9
-"""Cosine between the normal in a file and that of the corners."""
+"""Smallest cosine between a facet's normal in a file and that of its corners."""
 CLIPPED = 40
-"""Characters of a word that messages show."""
+"""Largest length of a quoted word in messages [characters]."""
 
 
 def check_mesh(path: Path, data: bytes) -> None:
@@ -39,10 +40,10 @@ def check_mesh(path: Path, data: bytes) -> None:
 
     Args:
         path: The file, for its kind and for messages.
-        data: What it holds.
+        data: Its content.
 
     Raises:
-        ArenaFileError: Says what is wrong, and in which line or facet.
+        ArenaFileError: Names the error, and its line or facet.
     """
     if not data.strip():
         raise broken(path, "it is empty, it has no faces")
@@ -50,7 +51,7 @@ def check_mesh(path: Path, data: bytes) -> None:
 
 
 def broken(path: Path, text: str, line: int | None = None) -> ArenaFileError:
-    """Return the error that a mesh file does not read."""
+    """Return the error of an unreadable mesh file."""
     return ArenaFileError(f"{path}{'' if line is None else f':{line}'}: does not read as a mesh: {text}")
 
 
@@ -138,10 +139,10 @@ def _check_facets(path: Path, facets: np.ndarray) -> None:
 
 
 def find_corrupt_facet(path: Path, data: bytes) -> str:
-    """Return in words which facet of a binary STL file cannot be meant; "" if none is suspect.
+    """Return in words the first suspect facet of a binary STL file; "" if there is none.
 
-    For files that read and make no solid: a facet is suspect that has no area, one corner far from all
-    others, or a normal unlike that of its corners where most facets' are alike.
+    For files that are readable but make no solid: a facet is suspect that has no area, one corner far from
+    all others, or a normal unlike that of its corners in a file whose other normals agree.
     """
     announced = int.from_bytes(data[HEADER - 4 : HEADER], "little")
     if path.suffix.lower() != ".stl" or len(data) != HEADER + FACET * announced:
@@ -199,27 +200,28 @@ def _words(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 MESH_CHECKS: dict[str, Callable[[Path, bytes], None]] = {".obj": _check_obj, ".stl": _check_stl}
-"""Kinds of mesh files by their suffix, and what checks them."""
+"""Check of each kind of mesh files, by their suffix."""
 
 
 MOST_VERTICES = 200
-"""Corners of one solid's hull: MJX looks at all of them in every contact."""
+"""Largest number of vertices of one solid's hull: MJX tests all of them in every contact."""
 MAX_MESH_PIECES = 500
-"""Pieces of one file."""
+"""Largest number of pieces of one file."""
 CONVEX = 1.01
-"""A hull with less than this times the piece's volume is that of a convex piece."""
+"""Ratio of the hull's volume to the piece's up to which a piece is convex."""
 THINNEST = 1e-12
-"""Least volume of a solid [m3]."""
+"""Smallest volume of a solid [m3]."""
 MOST_FACES = 20_000
-"""Of a piece that is not convex: all are looked for by rays."""
+"""Largest number of faces of a piece that is not convex: rays test all of them."""
 SeenBy = Literal["faces", "hull"]
-"""What rays and pictures meet of a piece that is not convex."""
+"""Geometry of a piece that is not convex for rays and pictures."""
 NO_MESH = Mesh(np.zeros((0, 3)))
-"""Of a shape whose solid is still to come."""
+"""Placeholder of a shape's mesh."""
 ADVICE = (
     "cut it into convex pieces (with a tool as CoACD or V-HACD) and name their files under "
     "`decomposition`, or give `hull: true`: robots and radio meet its hull then, rays its faces"
 )
+"""Advice about pieces that are not convex, for messages."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,10 +229,10 @@ class ConvexPiece:
     """A connected piece of a mesh.
 
     Attributes:
-        name: What errors call it.
+        name: Name in errors.
         corners: Corners of its convex hull [m] (n, 3).
         volume: Volume of the hull [m3].
-        seen: What rays see of a piece that is not convex; None: its hull.
+        seen: Geometry for rays of a piece that is not convex; None: its hull.
     """
 
     name: str
@@ -250,14 +252,15 @@ def load_convex_pieces(
     """Return the convex pieces of a mesh file: one for each object, and each connected part of it.
 
     Args:
-        path: OBJ or STL file; its axes are taken as they are, z up.
-        scale: What its x, y and z are multiplied with.
-        hull: Whether to take the hulls of pieces that are not convex.
-        rays: What rays meet of such pieces.
+        path: OBJ or STL file; its axes are used unchanged, z up.
+        scale: Factors of x, y and z.
+        hull: Whether to replace pieces that are not convex by their hulls.
+        rays: Geometry of such pieces for rays.
 
     Raises:
-        ArenaFileError: A file that does not read or is corrupt; a piece that is not closed or not convex,
-            flat, or that has too many corners; names it.
+        ArenaFileError: A file that is unreadable or corrupt; a piece that is not closed or not convex, flat,
+            or
+            that has too many vertices; names it.
     """
     x, y, z = scale
     digest = _checked(path)
@@ -271,7 +274,7 @@ def load_convex_pieces(
 
 @lru_cache(maxsize=64)
 def _pieces_of(path: Path, digest: bytes, scale: Vec3, hull: bool, rays: SeenBy) -> tuple[ConvexPiece, ...]:
-    """Return the pieces of a file with that content; a building has a hundred doors of one file."""
+    """Return the pieces of a file, cached by its content: a building has a hundred doors of one file."""
     found: list[ConvexPiece] = []
     for name, vertices, faces in _objects(path):
         called = f"{path}: {name}".rstrip(": ")
@@ -282,10 +285,10 @@ def _pieces_of(path: Path, digest: bytes, scale: Vec3, hull: bool, rays: SeenBy)
 
 
 def vertices_of_file(path: Path) -> np.ndarray:
-    """Return all vertices of a mesh file in its order [m] (n, 3): the corners of one convex solid.
+    """Return all vertices of a mesh file in its order [m] (n, 3): those of one convex solid.
 
     Raises:
-        ArenaFileError: A file that does not read, or has too many vertices.
+        ArenaFileError: A file that is unreadable, or has too many vertices.
     """
     _checked(path)
     vertices = np.concatenate([vertices for _, vertices, _ in _objects(path)])
@@ -293,10 +296,10 @@ def vertices_of_file(path: Path) -> np.ndarray:
 
 
 def faces_of_file(path: Path) -> Mesh:
-    """Return all vertices and faces of a mesh file in its order: a solid of which rays meet the faces.
+    """Return all vertices and faces of a mesh file in its order: a solid whose faces rays meet.
 
     Raises:
-        ArenaFileError: A file that does not read, or has too many faces or corners of its hull.
+        ArenaFileError: A file that is unreadable, or has too many faces or vertices of its hull.
     """
     _checked(path)
     vertices, faces, before = list[np.ndarray](), list[np.ndarray](), 0
@@ -312,7 +315,7 @@ def faces_of_file(path: Path) -> Mesh:
 
 
 def checked_corners(vertices: np.ndarray, name: str) -> np.ndarray:
-    """Return the corners of a solid (n, 3) if they make one.
+    """Return the vertices of a solid (n, 3) if they are valid.
 
     Raises:
         ArenaFileError: They lie in a plane or too far away, or are too many.
@@ -391,7 +394,7 @@ def _check_faces(count: int, name: str) -> None:
 
 
 def _hull(vertices: np.ndarray, name: str) -> tuple[np.ndarray, float]:
-    """Return the corners of the convex hull, in their order, and its volume."""
+    """Return the vertices of the convex hull, in their order, and its volume."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -404,7 +407,7 @@ def _hull(vertices: np.ndarray, name: str) -> tuple[np.ndarray, float]:
 
 
 def _checked(path: Path) -> bytes:
-    """Look for what is broken in a mesh file; return a digest of what it holds."""
+    """Check a mesh file for defects; return a digest of its content."""
     if path.suffix.lower() not in MESH_CHECKS:
         raise ArenaFileError(f"{path}: meshes are {' or '.join(MESH_CHECKS)} files")
     if not path.is_file():
@@ -422,16 +425,16 @@ def _objects(path: Path) -> Iterator[MeshArrays]:
     if any(vertices.shape[1:] != (3,) or not np.isfinite(vertices).all() for _, vertices, _ in found):
         raise broken(path, "vertices are three finite numbers each")
     for name, vertices, faces in found:
-        used, places = np.unique(faces, return_inverse=True)
+        used, indices = np.unique(faces, return_inverse=True)
         if used[0] < -len(vertices) or used[-1] >= len(vertices):
             raise broken(path, f"faces have vertices {used[0]} to {used[-1]} of {len(vertices)}")
-        yield (name if len(found) > 1 else ""), vertices[used], places.reshape(faces.shape)
+        yield (name if len(found) > 1 else ""), vertices[used], indices.reshape(faces.shape)
 
 
 def shapes_of(found: Sequence[ConvexPiece], like: Shape, mass: float = 0.0) -> tuple[Shape, ...]:
-    """Return pieces as shapes, all where `like` is, sharing a mass by volume.
+    """Return pieces as shapes with the pose of `like`, sharing a mass by volume.
 
-    A piece gets the surface that its form suggests if `like` has none ("").
+    A piece gets a surface by its form if `like` has none ("").
     """
     whole = sum(piece.volume for piece in found)
     shapes = [replace(like, mesh=piece.mesh, mass=mass * piece.volume / whole) for piece in found]

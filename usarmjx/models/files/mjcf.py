@@ -1,4 +1,4 @@
-"""MJCF files to arenas: what is fixed, what lies loose, and doors."""
+"""MJCF files as arenas: fixed solids, loose objects, and doors."""
 
 import math
 from dataclasses import dataclass, replace
@@ -31,21 +31,21 @@ from usarmjx.models.types.arena import Door, LooseObject
 from usarmjx.models.types.shapes import HeightField, Shape
 
 AXIS_TOLERANCE = 1e-3
-"""How far a hinge or an edge may lean [rad]."""
+"""Largest lean of a hinge or an edge [rad]."""
 HINGE_OFFSET_TOLERANCE = 0.02
-"""How far a hinge may lie from the door's end; the door is moved to it [m]."""
+"""Largest distance of a hinge from the door's end, to which the door is moved [m]."""
 FULL_TURN = (-math.pi, math.pi)
-"""Limits of a hinge that has none."""
+"""Limits of a hinge without limits [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hinge:
-    """What a door turns about, in the arena's axes.
+    """The hinge of a door, in the arena's axes.
 
     Attributes:
-        anchor: A point of it (3,).
+        anchor: A point on it (3,).
         axis: Its direction (3,).
-        limits: Lowest and highest angle about that direction; None: none.
+        limits: Lowest and highest angle about that direction; None: no limits.
         friction: Damping [N m s/rad].
     """
 
@@ -62,7 +62,7 @@ def door_of(
 
     Args:
         name: Its name.
-        pose: Where the box is while the door is closed, in the arena's axes.
+        pose: Pose of the box while the door is closed, in the arena's axes.
         half: Its half lengths [m] (3,).
         hinge: The hinge.
         mass: Mass of the door [kg].
@@ -106,11 +106,11 @@ def door_of(
 
 GeomType = mujoco.mjtGeom
 FIXTURE = "fixture"
-"""Surface of what is seen but never touched."""
+"""Surface of solids that are visible, without contacts."""
 
 
 class MeshPieces:
-    """The convex pieces of a model's meshes, each found once however many geoms have it.
+    """Convex pieces of a model's meshes, cached as several geoms may share one.
 
     Args:
         model: The compiled model.
@@ -125,8 +125,8 @@ class MeshPieces:
 
         Args:
             geom: The geom's id.
-            name: What errors call it.
-            hull: Whether to take the hulls of pieces that are not convex.
+            name: Name in errors.
+            hull: Whether to replace pieces that are not convex by their hulls.
 
         Raises:
             ArenaFileError: See `convex_pieces`.
@@ -151,10 +151,10 @@ def geom_shapes(
     Args:
         model: The compiled model.
         geom: The geom's id.
-        pose: Where it is, in the axes that the shapes shall be in.
+        pose: Pose in the axes of the shapes.
         surface: Their surface.
-        name: What errors call it.
-        meshes: The pieces of the model's meshes.
+        name: Name in errors.
+        meshes: Pieces of the model's meshes.
 
     Raises:
         ArenaFileError: A geom of a kind that arenas do not have, or a mesh that is not convex.
@@ -177,13 +177,13 @@ def geom_shapes(
         return [_terrain(model, int(model.geom_dataid[geom]), like)]
     if kind != GeomType.mjGEOM_MESH:
         raise ArenaFileError(f"{name} is a {kind.name[7:].lower()}; arenas have none")
-    # What nothing touches is only looked at, by its faces.
+    # Solids without contacts are only seen, by their faces: they need not be convex.
     pieces = meshes.of(geom, name, hull=surface == FIXTURE)
     return [replace(like, kind="mesh", mesh=piece.mesh) for piece in pieces]
 
 
 def geom_mass(model: mujoco.MjModel, geom: int, described: mujoco.MjsGeom, meshes: MeshPieces) -> float:
-    """Return the mass that a geom would give its body [kg]."""
+    """Return the mass that a geom would contribute to its body [kg]."""
     if np.isfinite(described.mass):
         return float(described.mass)
     if GeomType(model.geom_type[geom]) in KINDS:
@@ -210,11 +210,11 @@ def _mesh(model: mujoco.MjModel, number: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 INERTIA_TOLERANCE = 1e-3
-"""Relative difference of inertias that counts as none."""
+"""Relative difference of inertias that is neglected."""
 
 
 def with_masses(shapes: list[Shape], whole: Inertia) -> tuple[Shape, ...]:
-    """Return solids whose masses make the given inertia, if need be all on one box more, never touched."""
+    """Return solids with masses of the given inertia, if need be all on an added box without contacts."""
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body()
     body.add_freejoint()
@@ -238,28 +238,28 @@ def with_masses(shapes: list[Shape], whole: Inertia) -> tuple[Shape, ...]:
 
 GeomType, JointType = mujoco.mjtGeom, mujoco.mjtJoint
 FLOOR_TOLERANCE = 1e-6
-"""How far a floor may be from height zero [m], and its normal from the vertical."""
+"""Largest distance of a floor from height zero [m], and of its normal from the vertical."""
 MOST_MOVING = 1000
-"""Loose objects and doors of a file."""
+"""Largest number of loose objects and doors of a file."""
 LOOSE_SURFACE = "loose"
-"""Surface of what lies loose."""
+"""Surface of loose objects."""
 
 
 def mjcf_content(path: Path, surface: str = "") -> Content:
-    """Return what an MJCF file has for an arena, at its reference configuration.
+    """Return the content of an MJCF file for an arena, at its reference configuration.
 
     Geoms of the world and of bodies without joints are fixed solids; a plane at height zero is the floor. A
-    body with a free joint is a loose object, with all that is fixed to it. A body with one hinge about the
-    vertical is a door, if it is one upright box that hangs on one of its narrow sides. Any other joint is
-    refused, as are tendons, equality constraints and flexes. Actuators, sensors, lights, cameras, sites and
-    options are left out, with a warning. Friction is ours: see `surface_of`.
+    body with a free joint is a loose object, including all bodies fixed to it. A body with one hinge about
+    the vertical is a door, if it is one upright box with the hinge at one of its narrow sides. Any other
+    joint is refused, as are tendons, equality constraints and flexes. Actuators, sensors, lights, cameras,
+    sites and options are left out, with a warning. Friction is ours: see `surface_of`.
 
     Args:
         path: The file.
-        surface: Surface of its fixed solids; empty: as their form suggests.
+        surface: Surface of its fixed solids; empty: by their form.
 
     Raises:
-        ArenaFileError: A file that does not read, or something that an arena cannot have; names it.
+        ArenaFileError: An unreadable file, or content that an arena cannot have; names it.
     """
     check_model_size(path)
     if wrong := try_model(path):
@@ -276,13 +276,13 @@ def mjcf_content(path: Path, surface: str = "") -> Content:
 
 
 class _MjcfReader:
-    """A compiled file, its bodies sorted by what they are part of.
+    """A compiled file, its bodies sorted by the moving body that they belong to.
 
     Args:
         path: The file, for messages.
         spec: Its description, for densities.
         model: The compiled model.
-        surface: Surface of fixed solids; empty: as their form suggests.
+        surface: Surface of fixed solids; empty: by their form.
     """
 
     def __init__(self, path: Path, spec: mujoco.MjSpec, model: mujoco.MjModel, surface: str) -> None:
@@ -304,7 +304,7 @@ class _MjcfReader:
             self._members.setdefault(self._owner[body], []).append(body)
 
     def content(self) -> Content:
-        """Return what the file has."""
+        """Return the file's content."""
         model, loose, doors = self._model, [], []
         moving = sum(owner == body for body, owner in enumerate(self._owner)) - 1
         if moving > MOST_MOVING:
@@ -336,11 +336,11 @@ class _MjcfReader:
         return getattr(self._model, kind)(number).name or f"number {number}"
 
     def _geoms(self, owner: int) -> list[int]:
-        """Return the geoms of a body and of all that is fixed to it."""
+        """Return the geoms of a body and of all bodies fixed to it."""
         return self._owned.get(owner, [])
 
     def _free(self, body: int) -> bool:
-        """Return whether a body with joints lies loose, and refuse what is neither that nor a door."""
+        """Return whether a body with joints is a loose object; refuse anything but that and doors."""
         model, first = self._model, int(self._model.body_jntadr[body])
         kinds = [
             JointType(kind) for kind in model.jnt_type[first : first + int(model.body_jntnum[body])].tolist()
@@ -375,7 +375,7 @@ class _MjcfReader:
         ]
 
     def _shapes(self, geom: int, pose: Pose, surface: str) -> list[Shape]:
-        """Return a geom as shapes where `pose` says; those that touch nothing get surface "fixture"."""
+        """Return a geom as shapes with a pose; those without contacts get surface "fixture"."""
         touches = bool(self._model.geom_contype[geom] or self._model.geom_conaffinity[geom])
         name = f"{self._path}: geom {self._name('geom', geom)!r}"
         try:
@@ -411,7 +411,7 @@ class _MjcfReader:
         return Pose(frame.mat.T @ (pos - frame.pos), frame.mat.T @ mat)
 
     def _inertia(self, body: int, frame: Pose) -> Inertia:
-        """Return mass, centre and inertia of a body with what is fixed to it, in the body's axes."""
+        """Return mass, centre and inertia of a body including bodies fixed to it, in the body's axes."""
         parts = []
         for member in self._members[body]:
             mat = frame.mat.T @ self._data.ximat[member].reshape(3, 3)
@@ -428,7 +428,7 @@ class _MjcfReader:
             raise self._error(f"body {name!r} has a hinge and is not one box; a door is")
         (geom,) = geoms
         low, high = (model.jnt_range[joint] - model.qpos0[model.jnt_qposadr[joint]]).tolist()
-        place = Pose(self._data.geom_xpos[geom], self._data.geom_xmat[geom].reshape(3, 3))
+        pose = Pose(self._data.geom_xpos[geom], self._data.geom_xmat[geom].reshape(3, 3))
         hinge = Hinge(
             anchor=self._data.xanchor[joint],
             axis=self._data.xaxis[joint],
@@ -438,7 +438,7 @@ class _MjcfReader:
         try:
             return door_of(
                 name,
-                place,
+                pose,
                 model.geom_size[geom],
                 hinge,
                 mass=float(model.body_mass[body]),
@@ -454,7 +454,7 @@ def _vec(vector: np.ndarray) -> Vec3:
 
 
 def _ignored(path: Path, spec: mujoco.MjSpec) -> list[str]:
-    """Return what of a file is left out, in words."""
+    """Return the content of a file that is left out, in words."""
     kinds = {
         "actuators": spec.actuators,
         "sensors": spec.sensors,

@@ -1,4 +1,4 @@
-"""Solids and masses of a body that was read from an MJCF or URDF file."""
+"""Solids and masses of a body from an MJCF or URDF file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,13 +18,15 @@ KINDS = {
     mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
     mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
 }
+"""Kinds of shapes by MuJoCo's geom types."""
 SIZES = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
+"""Number of size numbers of each kind."""
 THIN = 1e-5
-"""Least half edge of a box that stands for an inertia [m]: MuJoCo takes none of 0."""
+"""Smallest half edge of a box with a given inertia [m]: MuJoCo refuses 0."""
 INERTIA_TOLERANCE = 1e-6
-"""Relative difference of masses and inertias that counts as none."""
+"""Relative difference of masses and inertias that is neglected."""
 GIMBAL_TOLERANCE = 1e-7
-"""Cosine of a pitch so near to 90 degrees that roll and yaw are one rotation."""
+"""Cosine of the pitch below which roll and yaw are one rotation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +37,7 @@ class Pose:
     mat: np.ndarray
 
     def compose(self, pos: np.ndarray, quat: np.ndarray) -> "Pose":
-        """Return a frame that is given in this one, by position (3,) and quaternion (4,)."""
+        """Return a frame that is given relative to this one, by position (3,) and quaternion (4,)."""
         return Pose(self.pos + self.mat @ pos, self.mat @ mat_of(quat))
 
 
@@ -47,13 +49,13 @@ def mat_of(quat: np.ndarray) -> np.ndarray:
 
 
 def usarsim_vector(vector: np.ndarray) -> Vec3:
-    """Return a vector (3,) of MuJoCo's axes in USARSim's."""
+    """Convert a vector (3,) from MuJoCo's axes to USARSim's."""
     x, y, z = (np.array(flip_vector(vector.tolist())) + 0.0).tolist()
     return (x, y, z)
 
 
 def usarsim_angles(mat: np.ndarray) -> Vec3:
-    """Return roll, pitch, yaw in USARSim's axes of an orientation (3, 3) in MuJoCo's."""
+    """Convert an orientation (3, 3) from MuJoCo's axes to roll, pitch, yaw in USARSim's."""
     angles = angles_from_mat(mat)
     if np.hypot(mat[0, 0], mat[1, 0]) < GIMBAL_TOLERANCE:
         angles = np.array([0.0, angles[1], np.arctan2(-mat[0, 1], mat[1, 1])])
@@ -71,7 +73,7 @@ class Inertia:
 
 
 def combine_inertias(parts: Sequence[Inertia]) -> Inertia:
-    """Return the inertia of several bodies that are one."""
+    """Return the inertia of several rigidly joined bodies."""
     mass = sum(part.mass for part in parts)
     if mass <= 0:
         return Inertia(0.0, np.zeros(3), np.zeros((3, 3)))
@@ -84,7 +86,7 @@ def combine_inertias(parts: Sequence[Inertia]) -> Inertia:
 
 
 def inertia_box(inertia: Inertia) -> Shape:
-    """Return a box that is seen but never touched, with that mass and inertia."""
+    """Return a box with that mass and inertia, without contacts."""
     moments, axes = np.linalg.eigh(inertia.tensor)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     squares = 6 * (moments.sum() - 2 * moments) / inertia.mass
@@ -100,7 +102,7 @@ def inertia_box(inertia: Inertia) -> Shape:
 
 
 def shape_of(model: mujoco.MjModel, geom: int, frame: Pose, surface: str, mass: float) -> Shape:
-    """Return a geom as a shape of the part in whose axes `frame`, that of its body, is given.
+    """Return a geom as a shape of a part; `frame` is the pose of the geom's body in the part's axes.
 
     Raises:
         SpecError: A geom of a kind that robots cannot have.
@@ -124,7 +126,7 @@ def shape_of(model: mujoco.MjModel, geom: int, frame: Pose, surface: str, mass: 
 
 
 def geom_inertia(model: mujoco.MjModel, geom: int, frame: Pose, mass: float) -> Inertia:
-    """Return the inertia of a solid, even geom of that mass, in the axes in which `frame` is given."""
+    """Return the inertia of a homogeneous geom of that mass, in the axes of `frame`."""
     x, y, z = model.geom_size[geom]
     kind = mujoco.mjtGeom(model.geom_type[geom])
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
@@ -145,6 +147,7 @@ def geom_inertia(model: mujoco.MjModel, geom: int, frame: Pose, mass: float) -> 
 
 
 def _capsule_shares(radius: float, half: float) -> tuple[float, float]:
+    """Return the shares of a capsule's volume in its cylinder and in its two half balls."""
     rod, ball = 2 * half, 4 * radius / 3
     return rod / (rod + ball), ball / (rod + ball)
 
@@ -163,7 +166,7 @@ def volume(model: mujoco.MjModel, geom: int) -> float:
 
 
 def agrees(one: Inertia, other: Inertia) -> bool:
-    """Return whether two inertias are the same, as to their sizes."""
+    """Return whether two inertias are equal within the tolerance."""
     if abs(one.mass - other.mass) > INERTIA_TOLERANCE * other.mass:
         return False
     reach = np.sqrt(np.trace(other.tensor) / other.mass)

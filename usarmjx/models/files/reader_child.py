@@ -1,8 +1,7 @@
-"""The program of the process that reads files for `reader_process`; it imports nothing of usarmjx.
+"""Program of the process that reads files for `reader_process`; it imports nothing of usarmjx.
 
-A line of JSON on its input names a file and how to read it; a line of JSON on its output says what came of
-it, with as many bytes behind it as the line says. A crash, an endless loop or a flood of memory ends this
-process and no other.
+A line of JSON on its input names a file and its kind; a line of JSON on its output holds the result, followed
+by as many bytes as the line announces. A crash, an endless loop or a flood of memory ends only this process.
 """
 
 import contextlib
@@ -15,7 +14,7 @@ from collections.abc import Callable
 from typing import Any, BinaryIO
 
 UNKNOWN = "Caught an unknown exception"
-"""What MuJoCo says where it gets no memory."""
+"""MuJoCo's message when an allocation fails."""
 MOST_MADE = {
     **dict.fromkeys(("ngeom", "nbody", "nsite", "njnt"), 50_000),
     "nhfielddata": 1_000_000,
@@ -23,28 +22,31 @@ MOST_MADE = {
     "ntexdata": 256_000_000,
     "nuserdata": 1_000_000,
 }
-"""Sizes of a model: those of `mjcf_size`, for files that do not parse there and do here."""
+"""Largest sizes of a model: those of `xml_size`, for files whose XML is readable only by MuJoCo."""
 LARGEST = {
     **dict.fromkeys(
         ("body_pos", "body_ipos", "geom_pos", "geom_size", "jnt_pos", "mesh_vert", "hfield_size"), 1e7
     ),
     **dict.fromkeys(("body_mass", "body_inertia", "dof_damping", "dof_armature", "jnt_range"), 1e25),
 }
-"""Arrays of a model, and what their numbers may be: finite, and so that their cubes are."""
+"""Bounds of the numbers in a model's arrays: finite, also when cubed."""
 LOADING: dict[str, dict[str, Any]] = {
     "obj": {"process": False, "maintain_order": True, "skip_materials": True, "split_objects": True},
     "stl": {"process": False},
 }
-"""Kinds of mesh files, and how trimesh shall read them: as they are."""
+"""Options of trimesh by kind of mesh file, which keep the file's order and vertices."""
 
 
 OPTIONS = json.loads(sys.argv[1]) if __name__ == "__main__" else ([], 0, 0, 0)
 SEARCH_PATH, CPU_TIME, MEMORY, IDLE = OPTIONS
-"""Where modules are; what reading one file may take [s], [bytes]; after how long without one to end [s]."""
+"""Module search path; limits for one file [s], [bytes]; time without requests after which to end [s]."""
 
 
 def limit() -> None:
-    """Lower this process' limits to what the next file may take, where the system has limits."""
+    """Lower this process's limits to the allowance of the next file, where the system has limits.
+
+    Each call adds an allowance to the present use: a limit covers all files of the process together.
+    """
     try:
         import resource
     except ImportError:
@@ -63,12 +65,12 @@ def limit() -> None:
 
 
 def try_model(path: str) -> tuple[dict[str, object], list[Any]]:
-    """Compile an MJCF or URDF file, and make the data that goes with it."""
+    """Compile an MJCF or URDF file, and allocate its data."""
     import mujoco
 
     limit()
     warned: list[str] = []
-    # MuJoCo would write them to a file.
+    # MuJoCo's default handler appends warnings to a file, MUJOCO_LOG.TXT.
     mujoco.set_mju_user_warning(warned.append)
     model = mujoco.MjSpec.from_file(path).compile()
     if wrong := [text for text in warned if "NaN" in text]:
@@ -104,7 +106,7 @@ def read_mesh(path: str) -> tuple[dict[str, object], list[Any]]:
 
 
 def _as_utf8(file: BinaryIO, kind: str) -> BinaryIO:
-    """Return a text file with what is no UTF-8 in it replaced; trimesh would want another module for that."""
+    """Return a text file with invalid UTF-8 replaced; trimesh would need another module for that."""
     import io
 
     data = file.read()
@@ -117,27 +119,28 @@ READERS: dict[str, Callable[[str], tuple[dict[str, object], list[Any]]]] = {
     "model": try_model,
     "mesh": read_mesh,
 }
+"""Reader of each kind of file."""
 
 
 def answer(line: bytes) -> tuple[dict[str, object], list[Any]]:
-    """Return what came of reading a file: the values it has, or under "error" what is wrong with it."""
+    """Return the result of reading a file: its values, or under "error" the reason of failure."""
     kind, path = json.loads(line)
     try:
         return READERS[kind](path)
     except MemoryError:
         return {"error": f"reading it takes more than {MEMORY // 1_000_000} MB of memory"}, []
     except Exception as error:  # readers raise whatever they run into
-        said = " ".join(str(error).split())[:500] or type(error).__name__
-        if UNKNOWN in said:
-            said = f"MuJoCo gives no reason, as where {MEMORY // 1_000_000} MB of memory do not suffice"
-        return {"error": said}, []
+        reason = " ".join(str(error).split())[:500] or type(error).__name__
+        if UNKNOWN in reason:
+            reason = f"MuJoCo gives no reason, as where {MEMORY // 1_000_000} MB of memory do not suffice"
+        return {"error": reason}, []
 
 
 def main() -> None:
-    """Answer line by line, until nobody asks any more."""
+    """Answer line by line, until no request comes for `IDLE` seconds."""
     sys.path[:] = SEARCH_PATH
     out = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what the readers print is no answer
+    os.dup2(2, 1)  # prints of the readers must not mix with answers
     while os.name == "nt" or select.select([0], [], [], IDLE)[0]:
         line = sys.stdin.buffer.readline()
         if not line:

@@ -1,8 +1,8 @@
-"""Files whose readers are not ours are first read in a process of their own, under limits.
+"""Sandbox for third-party readers: files are first read in a process of their own, under limits.
 
 MuJoCo reads MJCF, trimesh reads meshes. Whatever a file does to them, this process gets one line of it. The
-other process is started for the first file (see docs/security.md for what that costs), stays for those that
-follow within seconds, and ends by itself.
+other process starts with the first file (docs/security.md has the cost), stays for those that follow within
+seconds, and ends by itself.
 """
 
 import atexit
@@ -22,21 +22,21 @@ from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.files import reader_child
 
 CPU_TIME = 20
-"""Of a processor, for reading one file [s]."""
+"""Processor time for reading one file [s]."""
 MEMORY = 2_000_000_000
-"""For reading one file, beyond what the readers take themselves [bytes]."""
+"""Memory for reading one file, beyond the readers' own [bytes]."""
 PATIENCE = 120.0
-"""For one file, by the clock on the wall [s]: six times as long as its share of a processor."""
+"""Wall-clock time for one file [s]: six times its processor time."""
 IDLE = 10.0
-"""After so long without a file the other process ends [s]."""
+"""Time without a file after which the other process ends [s]."""
 ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "2"}
-"""Threads reserve memory that nobody uses, and the limit counts it."""
+"""Variables of the other process: threads reserve address space without using it, which the limit counts."""
 MeshArrays = tuple[str, np.ndarray, np.ndarray]
 """Name, vertices (n, 3) and faces (m, 3) of an object."""
 
 
 def try_model(path: Path) -> str:
-    """Read and compile an MJCF or URDF file elsewhere; return what is wrong with it, empty: nothing."""
+    """Read and compile an MJCF or URDF file in the other process; return its error, empty: none."""
     return _READER.read("model", path)[0].get("error", "")
 
 
@@ -44,7 +44,7 @@ def read_mesh_objects(path: Path) -> list[MeshArrays]:
     """Return the objects of a mesh file.
 
     Raises:
-        ArenaFileError: What is wrong with it, in one line.
+        ArenaFileError: Names the defect, in one line.
     """
     head, body = _READER.read("mesh", path)
     if "error" in head:
@@ -58,13 +58,13 @@ def read_mesh_objects(path: Path) -> list[MeshArrays]:
 
 
 class ReaderProcess:
-    """The other process, which is there while it has something to do.
+    """The other process, which is started on demand.
 
     Args:
-        cpu_time: Of a processor, for reading one file [s].
-        memory: For reading one file, beyond what the readers take themselves [bytes].
-        patience: For one file, by the clock on the wall [s].
-        idle: After so long without a file it ends [s].
+        cpu_time: Processor time for reading one file [s].
+        memory: Memory for reading one file, beyond the readers' own [bytes].
+        patience: Wall-clock time for one file [s].
+        idle: Time without a file after which it ends [s].
     """
 
     def __init__(
@@ -77,21 +77,21 @@ class ReaderProcess:
         self._cpu_time, self._memory, self._patience, self._idle = cpu_time, memory, patience, idle
         self._lock = threading.Lock()
         self._child: subprocess.Popen[bytes] | None = None
-        self._owner = 0  # of the child: after a fork it is somebody else's
+        self._owner = 0  # process id: after a fork the child belongs to the parent process
 
     def read(self, kind: str, path: Path) -> tuple[dict[str, Any], bytes]:
-        """Return what the other process says about a file, and the bytes behind that.
+        """Return the other process's answer about a file, and the bytes behind it.
 
         Args:
-            kind: How to read it, one of `reader_child.READERS`.
+            kind: One of `reader_child.READERS`.
             path: The file.
 
         Returns:
-            Values; under "error" what is wrong with the file, or why the process ended over it.
+            Values; under "error" the defect of the file, or the reason why the process ended.
         """
         request = json.dumps([kind, str(path.absolute())]).encode() + b"\n"
         with self._lock:
-            found = self._ask(request) or self._ask(request)  # it may end just before it is asked
+            found = self._ask(request) or self._ask(request)  # it may end by itself just before the request
         return found or ({"error": "the process that reads it does not start"}, b"")
 
     def close(self) -> None:
@@ -102,7 +102,7 @@ class ReaderProcess:
             child.communicate()
 
     def _ask(self, request: bytes) -> tuple[dict[str, Any], bytes] | None:
-        """Return the answer; None from a process that had ended for want of questions."""
+        """Return the answer; None from a process that had ended for lack of requests."""
         try:
             child = self._started()
         except OSError as error:
@@ -131,7 +131,7 @@ class ReaderProcess:
         return {"error": self._why(ended, timed_out=timed_out)}, b""
 
     def _started(self) -> subprocess.Popen[bytes]:
-        """Return the process that is there, or a new one."""
+        """Return the running process, or a new one."""
         if self._child is not None and self._owner == os.getpid() and self._child.poll() is None:
             return self._child
         self.close()
@@ -145,11 +145,13 @@ class ReaderProcess:
             env={**os.environ, **ENVIRONMENT},
         )
         self._owner = os.getpid()
-        threading.Thread(target=self._child.wait, daemon=True).start()  # else it stays as a zombie
+        threading.Thread(
+            target=self._child.wait, daemon=True
+        ).start()  # reaps it when it ends, lest it stays a zombie
         return self._child
 
     def _why(self, ended: int, *, timed_out: bool) -> str:
-        """Return why reading ended without an answer."""
+        """Return the reason why reading ended without an answer."""
         if timed_out:
             return f"reading it takes longer than {self._patience:g} s"
         if ended == -getattr(signal, "SIGXCPU", 0):

@@ -1,4 +1,4 @@
-"""Robots from MJCF and URDF files (14.4.1 in our days: a geometric model made with other tools)."""
+"""Robots from MJCF and URDF files, today's form of manual 14.4.1: a geometric model made with other tools."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -31,11 +31,12 @@ from usarmjx.models.types.robot import CHASSIS, Motor, Part, RobotSpec, Spring
 from usarmjx.models.types.shapes import Shape
 
 DEFAULT_STIFFNESS_RATIO = 20.0
-"""Stiffness over damping of a motor that has no stiffness of its own [1/s] (a P2AT's)."""
+"""Stiffness over damping of a motor without stiffness [1/s] (a P2AT's)."""
 STIFFNESS, DAMPING = 667.0, 33.0
-"""Gains over inertia of one that has neither [1/s2], [1/s] (a P2AT's)."""
+"""Gains over inertia of a motor without gains [1/s2], [1/s] (a P2AT's)."""
 MAX_STIFFNESS, MAX_DAMPING = 0.1, 0.5
-"""What a step may turn a joint's error into: kp dt2 / I and kv dt / I; servos are explicit in it."""
+"""Bounds of kp dt2 / I and kv dt / I, the change of a joint's error in a step: servos are integrated
+explicitly."""
 USUAL_TRAVEL = np.pi
 """Error at which a position servo without a force limit has its full torque [rad] (chosen)."""
 
@@ -46,7 +47,7 @@ def motors_of(model: mujoco.MjModel, given: Mapping[str, Motor], max_speed: floa
     Args:
         model: The compiled file.
         given: Motors by joint, which replace those of the file.
-        max_speed: Of motors whose actuator does not limit it [rad/s or m/s].
+        max_speed: Highest speed of motors whose actuator does not limit it [rad/s or m/s].
 
     Raises:
         SpecError: An actuator of a kind that servos cannot stand for, two of them at one joint, or a motor
@@ -72,7 +73,7 @@ def _name(model: mujoco.MjModel, actuator: int) -> str:
 
 
 def _motor(model: mujoco.MjModel, actuator: int, joint: int, max_speed: float) -> Motor:
-    """Return the servo that does what an actuator does."""
+    """Return the servo equivalent to an actuator."""
     gear = abs(float(model.actuator_gear[actuator, 0]))
     bias = -model.actuator_biasprm[actuator, 1:3] * gear**2
     kind = _kind(model, actuator, *bias)
@@ -106,7 +107,7 @@ def _motor(model: mujoco.MjModel, actuator: int, joint: int, max_speed: float) -
 
 
 def _kind(model: mujoco.MjModel, actuator: int, stiffness: float, damping: float) -> str:
-    """Return which of MuJoCo's shortcuts an actuator is."""
+    """Return the name of MuJoCo's shortcut for an actuator."""
     dynamics, gain, bias = (
         getattr(model, f"actuator_{name}type")[actuator] for name in ("dyn", "gain", "bias")
     )
@@ -128,7 +129,7 @@ def _kind(model: mujoco.MjModel, actuator: int, stiffness: float, damping: float
 
 
 def _torque(model: mujoco.MjModel, actuator: int, joint: int, gear: float) -> float:
-    """Return the least limit of an actuator's force on its joint [N m or N]; infinite without any."""
+    """Return the smallest limit of an actuator's force on its joint [N m or N]; infinite without any."""
     limits = [np.inf]
     if model.actuator_forcelimited[actuator]:
         limits.append(float(np.abs(model.actuator_forcerange[actuator]).max()) * gear)
@@ -138,13 +139,13 @@ def _torque(model: mujoco.MjModel, actuator: int, joint: int, gear: float) -> fl
 
 
 USUAL_SPEED = 6.2832
-"""Highest speed of a joint whose actuator sets none [rad/s or m/s]: the wheel joint's in the UDK version."""
+"""Highest speed of a joint whose actuator has no limit [rad/s or m/s]: the wheel joint's in the UDK version."""
 NO_STIFFNESS = 1e-9
-"""Of a joint that has a damper alone: our springs need some [N m/rad]."""
+"""Stiffness of a joint that has a damper alone: our springs need some [N m/rad]."""
 VELOCITY_MODE = 1
-"""Order of a joint that DRIVE gives a speed (`JointControl`)."""
+"""Control mode of joints with a speed (`JointControl`)."""
 TAKEN = ("chassis", "root")
-"""Names that the composed model has itself."""
+"""Names in use in the composed model."""
 MESH, BOX = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_BOX
 
 
@@ -299,7 +300,7 @@ class _BodyTree:
         return name
 
     def part(self, owner: int, motor: Motor | None, rolling: set[str]) -> Part:
-        """Return the part of a body that has a joint."""
+        """Return the part of a body with a joint."""
         model, joint = self._model, int(self._model.body_jntadr[owner])
         parent, name = int(model.body_parentid[owner]), self.name(owner)
         quat = model.body_quat[owner]
@@ -324,7 +325,7 @@ class _BodyTree:
         )
 
     def _spring(self, joint: int, *, driven: bool) -> Spring | None:
-        """Return a joint's spring and damper; a motor has the damper of a joint without a spring."""
+        """Return a joint's spring and damper; without a spring the damper is part of the motor."""
         model, qposadr = self._model, self._model.jnt_qposadr[joint]
         stiffness = float(np.ravel(model.jnt_stiffness[joint])[0])
         damping = float(np.ravel(model.dof_damping[model.jnt_dofadr[joint]])[0])
@@ -336,7 +337,7 @@ class _BodyTree:
         )
 
     def shapes(self, owner: int, surface: str) -> tuple[Shape, ...]:
-        """Return the solids of a part; masses on them, or all on one box more."""
+        """Return the solids of a part; masses on them, or all on an added box."""
         model, fitted = self._model, self._fitted
         whole = combine_inertias([self._inertia(body) for body in self._members(owner)])
         if whole.mass <= 0:
@@ -359,7 +360,7 @@ class _BodyTree:
         return (*light, inertia_box(whole))
 
     def _mass(self, geom: int) -> float:
-        """Return the mass that a geom would give its body."""
+        """Return the mass that a geom would contribute to its body."""
         described = self._described[geom]
         if np.isfinite(described.mass):
             return float(described.mass)

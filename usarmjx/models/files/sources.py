@@ -1,4 +1,4 @@
-"""Files that an arena's YAML file takes solids from."""
+"""Other files as sources of solids for an arena's YAML file."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ LOOSE_SURFACE = "loose"
 
 
 class Scale(tuple[float, float, float]):
-    """What x, y and z of a mesh are multiplied with; a file may give one number for all."""
+    """Factors of x, y and z of a mesh; a file may give one number for all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,9 +31,9 @@ class ModelFile:
 
     Attributes:
         file: The file, from the YAML file's folder.
-        at: Where its origin is in the arena.
-        yaw: How far it is turned about the vertical.
-        surface: Surface of its fixed solids; empty: as their form suggests.
+        at: Position of its origin in the arena.
+        yaw: Rotation about the vertical.
+        surface: Surface of its fixed solids; empty: by their form.
     """
 
     file: Path
@@ -48,17 +48,17 @@ class MeshFile:
 
     Attributes:
         file: OBJ or STL file.
-        at: Where its origin is.
+        at: Position of its origin.
         rotation: Roll, pitch, yaw.
-        scale: What its numbers are multiplied with to be metres.
-        surface: Surface; empty: as the form of each piece suggests, or "loose".
+        scale: Factors that convert its numbers to metres.
+        surface: Surface; empty: by the form of each piece, or "loose".
         material: Material.
         rgba: Colour.
-        mass: Above zero it is one loose object of that mass [kg], else fixed.
+        mass: Mass [kg]; above zero it is one loose object, else fixed.
         name: Name of the loose object; empty: the file's.
-        hull: Whether robots meet the hulls of pieces that are not convex.
-        rays: What rays meet of those: their faces, or the hull too.
-        decomposition: Files with convex pieces to take instead.
+        hull: Whether contacts use the hulls of pieces that are not convex.
+        rays: Geometry of those for rays: their faces, or the hull too.
+        decomposition: Files with convex pieces that replace it.
     """
 
     file: Path
@@ -83,8 +83,8 @@ class TerrainFile:
         file: PNG file of 8 or 16 bits.
         size: Lengths along x and y [m].
         height: Height of white above black [m].
-        at: Where the middle is, at the height of black.
-        yaw: How far it is turned about the vertical.
+        at: Position of its middle, at the height of black.
+        yaw: Rotation about the vertical.
         base: Thickness of the ground below black [m].
         surface: Surface.
         rgba: Colour.
@@ -107,9 +107,9 @@ class MapFile:
     Attributes:
         file: Its YAML file.
         height: Height of the walls [m].
-        unknown: What becomes of unknown cells.
-        at: Where the map's origin is.
-        yaw: How far it is turned about the vertical.
+        unknown: Treatment of unknown cells.
+        at: Position of the map's origin.
+        yaw: Rotation about the vertical.
     """
 
     file: Path
@@ -161,7 +161,7 @@ def map_file_content(plan: MapFile) -> Content:
 
 
 def model_content(reader: Callable[[Path, str], Content], model: ModelFile) -> Content:
-    """Return an MJCF or URDF file's content where it is wanted."""
+    """Return an MJCF or URDF file's content in its pose."""
     return transform_content(reader(model.file, model.surface), model.at, model.yaw)
 
 
@@ -172,4 +172,4 @@ SOLID_SOURCES: dict[str, tuple[type, Callable[[Any], Content]]] = {
     "heightfield": (TerrainFile, terrain_content),
     "map": (MapFile, map_file_content),
 }
-"""Keys of other files, what they take, and how that becomes content."""
+"""Keys of other files, with their dataclass and reader."""

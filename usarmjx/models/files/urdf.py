@@ -1,4 +1,4 @@
-"""URDF files to fixed solids: a building as a tree of links, its joints at zero."""
+"""URDF files as fixed solids: a building as a tree of links, its joints at zero."""
 
 import math
 import xml.etree.ElementTree as ElementTree
@@ -18,24 +18,26 @@ from usarmjx.models.types.shapes import Rgba, Shape
 
 GREY = (0.7, 0.7, 0.7, 1.0)
 PACKAGE = "package://"
+"""Prefix of files in ROS packages."""
 MOST_MESH_FILES = 1000
-"""Meshes that a file names, repeated ones counted each time."""
+"""Largest number of meshes in a file, repetitions included."""
 GEOMETRY_KINDS = ("box", "sphere", "cylinder", "mesh")
+"""Supported geometry elements."""
 
 
 def urdf_content(path: Path, surface: str = "") -> Content:
     """Return the links of a URDF file as fixed solids, with the root link at the origin.
 
-    What a link collides with is touched; of a link without collision geometry the visual one is seen, but
-    never touched. Masses, limits, transmissions and plugins are left out.
+    Collision geometry has contacts; a link without it gets its visual geometry, without contacts. Masses,
+    limits, transmissions and plugins are left out.
 
     Args:
-        path: The file; names of meshes count from its folder, those of packages from the nearest folder
+        path: The file; names of meshes are relative to its folder, those of packages to the nearest folder
             above that has a folder of that name.
-        surface: Surface of the solids; empty: as their form suggests.
+        surface: Surface of the solids; empty: by their form.
 
     Raises:
-        ArenaFileError: A file that does not read, or something that an arena cannot have; names it.
+        ArenaFileError: An unreadable file, or content that an arena cannot have; names it.
     """
     root = _parse(path)
     meshes = sum(1 for _ in root.iter("mesh"))
@@ -58,7 +60,7 @@ def urdf_content(path: Path, surface: str = "") -> Content:
 
 @dataclass(frozen=True, eq=False)
 class _Where:
-    """What the solids of a link have in common: its name for errors, its place, surface and colour."""
+    """Common properties of the solids of a link: its name for errors, pose, surface and colour."""
 
     name: str
     frame: Pose
@@ -77,7 +79,7 @@ def _parse(path: Path) -> ElementTree.Element:
 
 
 def _frames(path: Path, root: ElementTree.Element) -> dict[str, Pose]:
-    """Return where each link is, all joints at zero."""
+    """Return the pose of each link, all joints at zero."""
     above: dict[str, tuple[str, Pose]] = {}
     names = dict.fromkeys(link.get("name", "") for link in root.findall("link"))
     for joint in root.findall("joint"):
@@ -93,7 +95,7 @@ def _frames(path: Path, root: ElementTree.Element) -> dict[str, Pose]:
         above[child] = (parent, _origin(joint, where))
     frames: dict[str, Pose] = {}
     for name in names:
-        waiting: dict[str, None] = {}  # links up to one whose place is known, or to a root
+        waiting: dict[str, None] = {}  # links up to one with a known pose, or to a root
         while name in above and name not in frames:
             if name in waiting:
                 raise ArenaFileError(f"{path}: link {name!r} hangs on itself")
@@ -140,11 +142,11 @@ def _solid(path: Path, element: ElementTree.Element, where: _Where) -> Iterator[
     if form is None or form.tag not in GEOMETRY_KINDS:
         found = "no geometry" if form is None else f"the geometry <{form.tag}>"
         raise ArenaFileError(f"{where.name}: has {found}; allowed: {', '.join(GEOMETRY_KINDS)}")
-    place = _then(where.frame, _origin(element, where.name))
+    pose = _then(where.frame, _origin(element, where.name))
     like = Shape(
         kind="box",
-        at=flip_vector(usarsim_vector(place.pos)),
-        rotation=flip_angles(usarsim_angles(place.mat)),
+        at=flip_vector(usarsim_vector(pose.pos)),
+        rotation=flip_angles(usarsim_angles(pose.mat)),
         surface=where.surface,
         rgba=where.rgba,
     )
@@ -168,7 +170,7 @@ def _solid(path: Path, element: ElementTree.Element, where: _Where) -> Iterator[
 
 
 def _mesh_file(path: Path, name: str, where: str) -> Path:
-    """Return the file that a mesh's name means."""
+    """Return the file of a mesh's name."""
     if not name:
         raise ArenaFileError(f"{where}: a mesh has no filename")
     if not name.startswith(PACKAGE):

@@ -1,4 +1,4 @@
-"""YAML text to values that know where they stand, so that a mistake can be named by file and line."""
+"""YAML text as values with their positions, so that errors can name file and line."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,20 +9,22 @@ import yaml
 from usarmjx.base.errors import ArenaFileError
 
 MOST_BYTES = 16_000_000
-"""Of a YAML file."""
+"""Largest size of a YAML file [bytes]."""
 MOST_VALUES = 500_000
-"""In a YAML file, repeated ones counted each time."""
+"""Largest number of values in a YAML file, repetitions by aliases included."""
 MOST_DIGITS = 100
-"""Characters of a number; one in base 60 takes the square of its length to read."""
+"""Largest length of a number [characters]; YAML's base 60 takes quadratic time."""
 MOST_KEY = 100
-"""Characters of a key."""
+"""Largest length of a key [characters]."""
 MERGE = "tag:yaml.org,2002:merge"
+"""YAML's tag of a merge key (<<)."""
 FARTHEST = 1e7
-"""Farthest place of an arena from its origin, and largest length [m]."""
+"""Largest distance from an arena's origin, and largest length [m]."""
 SHOWN = 100
-"""Characters of a value that errors quote, and of what leads to it."""
+"""Largest length of a quoted value, and of its name, in errors [characters]."""
 
 Plain = dict[str, "YamlValue"] | list["YamlValue"] | str | int | float | bool | None
+"""Content of a value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +32,10 @@ class YamlValue:
     """A value of a YAML file.
 
     Attributes:
-        data: The value; what it holds are values in turn.
+        data: The value; items and entries are values in turn.
         path: The file.
-        line: Where it begins, from 1.
-        name: What leads to it, as shapes[3].size; empty: the whole file.
+        line: Line of its beginning, from 1.
+        name: Path within the file, as shapes[3].size; empty: the whole file.
     """
 
     data: Plain
@@ -42,7 +44,7 @@ class YamlValue:
     name: str = ""
 
     def error(self, text: str) -> ArenaFileError:
-        """Return an error at this place."""
+        """Return an error at this position."""
         name = f"{self.name}: " if self.name else ""
         return ArenaFileError(f"{self.path}:{self.line}: {name}{text}")
 
@@ -50,7 +52,7 @@ class YamlValue:
         """Return the keys and their values.
 
         Raises:
-            ArenaFileError: It is something else.
+            ArenaFileError: It is no mapping.
         """
         if isinstance(self.data, dict):
             return self.data
@@ -60,7 +62,7 @@ class YamlValue:
         """Return the items of a list.
 
         Raises:
-            ArenaFileError: It is something else.
+            ArenaFileError: It is no list.
         """
         if isinstance(self.data, list):
             return self.data
@@ -68,7 +70,7 @@ class YamlValue:
 
     @property
     def shown(self) -> str:
-        """The value as errors quote it."""
+        """The value as quoted in errors."""
         if isinstance(self.data, dict):
             return "a mapping"
         if isinstance(self.data, list):
@@ -79,10 +81,10 @@ class YamlValue:
 
 
 def read_bytes(path: Path, most: int = MOST_BYTES) -> bytes:
-    """Return what a file holds.
+    """Return the content of a file.
 
     Raises:
-        ArenaFileError: It is not there, cannot be read, or has more bytes than `most`.
+        ArenaFileError: It is missing, cannot be read, or has more bytes than `most`.
     """
     try:
         size = path.stat().st_size
@@ -97,10 +99,10 @@ def read_bytes(path: Path, most: int = MOST_BYTES) -> bytes:
 
 
 def read_yaml(path: Path) -> YamlValue:
-    """Return what a YAML file holds.
+    """Return the content of a YAML file.
 
     Raises:
-        ArenaFileError: A file that does not read, is no YAML, or says a key twice; names the line.
+        ArenaFileError: A file that is unreadable, is no YAML, or repeats a key; names the line.
     """
     text = read_bytes(path)
     try:
@@ -124,7 +126,7 @@ def _first_line(error: Exception) -> str:
 
 
 class _BoundedLoader(yaml.SafeLoader):
-    """Stops where a file has too many values to keep.
+    """A loader that refuses a file with too many values while it parses.
 
     Args:
         text: The file's text.
@@ -144,7 +146,7 @@ class _BoundedLoader(yaml.SafeLoader):
 
 
 class _YamlReader:
-    """Turns the nodes of a document into values, and counts them: aliases can make many of few."""
+    """Converter of a document's nodes to values; it counts them, as aliases can make many of few."""
 
     def __init__(self, path: Path, loader: yaml.SafeLoader) -> None:
         self._path, self._loader, self._count = path, loader, 0
@@ -161,7 +163,7 @@ class _YamlReader:
         return YamlValue(data, self._path, line, name)
 
     def _counted(self, node: yaml.Node, more: int = 1) -> int:
-        """Count a value, or several; return its line."""
+        """Count one value or more; return its line."""
         self._count += more
         line = node.start_mark.line + 1
         if self._count > MOST_VALUES:
@@ -189,14 +191,14 @@ class _YamlReader:
 
     def _pairs(self, node: yaml.MappingNode) -> dict[str, yaml.Node]:
         """Return keys and values, after those of a merge (<<), which they replace."""
-        if id(node) in self._flat:  # it stands here again, by an alias
+        if id(node) in self._flat:  # a repetition by an alias
             return self._flat[id(node)]
         self._check_keys(node)
-        self._flat[id(node)] = {}  # of a mapping that merges itself
+        self._flat[id(node)] = {}  # ends the recursion of a mapping that merges itself
         merged: dict[str, yaml.Node] = {}
         for key, child in node.value:
             if key.tag == MERGE:
-                for other in reversed(self._merged(child)):  # the first one counts
+                for other in reversed(self._merged(child)):  # the first one has priority
                     pairs = self._pairs(other)
                     self._counted(other, len(pairs))
                     merged |= pairs
@@ -204,7 +206,7 @@ class _YamlReader:
         return self._flat[id(node)]
 
     def _merged(self, node: yaml.Node) -> list[yaml.MappingNode]:
-        """Return the mappings that a merge names: one, or a list of them."""
+        """Return the mappings of a merge: one, or a list of them."""
         named: list[yaml.Node] = node.value if isinstance(node, yaml.SequenceNode) else [node]
         found = [one for one in named if isinstance(one, yaml.MappingNode)]
         if len(found) < len(named):
@@ -226,6 +228,6 @@ class _YamlReader:
 
 
 def _joined(name: str, more: str) -> str:
-    """Return what leads to a value, cut short: each value keeps its own."""
+    """Return the path of a value, cut short: every value keeps its own."""
     whole = name + more
     return whole if len(whole) <= SHOWN else "..." + whole[3 - SHOWN :]

@@ -1,4 +1,4 @@
-"""How much an MJCF or URDF file makes, counted on its XML before anything is built."""
+"""Size of an MJCF or URDF model, counted on its XML before anything is built."""
 
 import math
 import xml.etree.ElementTree as ElementTree
@@ -10,9 +10,9 @@ from usarmjx.models.files.maps import MOST_HEIGHTS
 from usarmjx.models.files.values import read_bytes
 
 MOST_ELEMENTS = 50_000
-"""In an XML file, and in a model with all that it repeats and includes."""
+"""Largest number of elements in an XML file, and in a model including its repetitions and includes."""
 MOST_NESTED = 200
-"""Elements within each other."""
+"""Largest depth of elements."""
 
 
 def read_xml(path: Path, text: str | None = None) -> ElementTree.Element:
@@ -20,11 +20,11 @@ def read_xml(path: Path, text: str | None = None) -> ElementTree.Element:
 
     Args:
         path: The file.
-        text: What to read in place of what it holds.
+        text: Text to read instead of the file's content.
 
     Raises:
-        ArenaFileError: A file that is not there, is too large, or is nested too deeply, or defines a document
-            type; names what was found and what is allowed.
+        ArenaFileError: A file that is missing, is too large, or is nested too deeply, or defines a document
+            type; names the finding and the limit.
         ElementTree.ParseError: It is no XML.
     """
     parser = ElementTree.XMLParser(target=_BoundedTree(path))
@@ -33,7 +33,7 @@ def read_xml(path: Path, text: str | None = None) -> ElementTree.Element:
 
 
 class _BoundedTree(ElementTree.TreeBuilder):
-    """Builds a tree while that is small enough.
+    """A tree builder with limits of size and depth.
 
     Args:
         path: The file, for messages.
@@ -44,7 +44,7 @@ class _BoundedTree(ElementTree.TreeBuilder):
         self._path, self._depth, self._count = path, 0, 0
 
     def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
-        """Refuse a document type, as what comes with it can make much of little."""
+        """Refuse a document type: its entities can expand exponentially."""
         raise ArenaFileError(f"{self._path}: defines a document type (<!DOCTYPE {name}>); models have none")
 
     def start(self, tag: str, attrs: dict[str, str], /) -> ElementTree.Element:
@@ -63,13 +63,13 @@ class _BoundedTree(ElementTree.TreeBuilder):
 
 
 MOST_TEXELS = 64_000_000
-"""Pixels of a model's textures."""
+"""Largest number of pixels of a model's textures."""
 MOST_FILES = 100
-"""Files that a model is made of, meshes and pictures left out."""
+"""Largest number of files of a model, apart from meshes and pictures."""
 MOST_MEMORY = 1e9
-"""What a model may reserve for its simulation [bytes]."""
+"""Largest memory of a model's simulation [bytes]."""
 SUFFIXES = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
-"""Of memory."""
+"""Suffixes of memory sizes."""
 BOUNDS: dict[tuple[str, str], float] = {
     ("size", "memory"): MOST_MEMORY,
     ("size", "nstack"): MOST_MEMORY / 8,
@@ -80,18 +80,19 @@ BOUNDS: dict[tuple[str, str], float] = {
     ("numeric", "size"): 1e6,
     ("mesh", "params"): 1e3,
 }
-"""Attributes by their elements, and the largest number that each may have."""
+"""Largest number in an attribute, by element and attribute."""
 BOUNDS_ANYWHERE = {"nsample": 1e4, **{f"nuser_{kind}": 1e3 for kind in (
     "body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")}}  # fmt: skip
-"""The same for attributes of whatever element."""
+"""Largest number in an attribute of any element."""
 CUBE_SIDES = {"cube": 6, "skybox": 6, "2d": 1}
+"""Number of faces of a texture type."""
 
 
 def check_model_size(path: Path) -> None:
-    """Refuse a file of MJCF or URDF that makes more than a model may have.
+    """Refuse an MJCF or URDF file that exceeds the limits of a model.
 
     Elements count as often as they are repeated (`replicate`, `composite`, `flexcomp`), included and
-    attached. What does not parse is left to MuJoCo, which names it.
+    attached. Files that are no XML are left to MuJoCo, which names the error.
 
     Raises:
         ArenaFileError: Names the element, the number found, and the bound.
@@ -100,10 +101,10 @@ def check_model_size(path: Path) -> None:
 
 
 class _Tally:
-    """What has been counted so far.
+    """Running totals of a model.
 
     Args:
-        path: The file, for messages and for names of others.
+        path: The file, for messages and for relative names.
     """
 
     def __init__(self, path: Path) -> None:
@@ -112,12 +113,12 @@ class _Tally:
         self._elements = self._heights = self._texels = 0.0
 
     def add_file(self, path: Path, times: float, within: tuple[Path, ...]) -> None:
-        """Add a file as often as it is there.
+        """Add a file as often as it is included.
 
         Args:
             path: The file.
-            times: How often.
-            within: Files that it is included by.
+            times: Number of repetitions.
+            within: Files that include it.
         """
         path = path.resolve()
         if path in within:
@@ -146,7 +147,7 @@ class _Tally:
         depth: int,
         models: dict[str | None, str],
     ) -> None:
-        """Add an element and what is in it."""
+        """Add an element and its content."""
         if depth > MOST_NESTED:
             raise self._error(f"<{element.tag}> is nested {depth} deep; at most {MOST_NESTED}")
         self._check_bounds(element)
@@ -161,7 +162,7 @@ class _Tally:
             self._add(child, times, within, depth + 1, models)
 
     def _add_amounts(self, element: ElementTree.Element, times: float) -> None:
-        """Add what an element makes by itself."""
+        """Add the amounts of an element itself."""
         made = times * (
             _product(element, "count") * _product(element, "cellcount")
             if element.tag in ("composite", "flexcomp")
@@ -177,7 +178,7 @@ class _Tally:
             self._texels = self._within(self._texels + made, MOST_TEXELS, element, "pixels")
 
     def _add_other(self, name: str, times: float, within: tuple[Path, ...]) -> None:
-        """Add another file; names count from the model's folder, or that of the file that names it."""
+        """Add another file; names are relative to the model's folder, or to that of the including file."""
         for folder in (self._path.parent, within[-1].parent):
             if name and (folder / name).is_file():
                 self.add_file(folder / name, times, within)
@@ -201,7 +202,7 @@ class _Tally:
 
 
 def _without_comments(text: str) -> str:
-    """Return XML without its comments, in which many a file has more dashes than XML allows."""
+    """Return XML without its comments: many files have more dashes in them than XML allows."""
     parts: list[str] = []
     at = 0
     while (start := text.find("<!--", at)) >= 0:

@@ -1,4 +1,4 @@
-"""An arena's YAML file: the fields of `ArenaSpec`, and other files to take solids from."""
+"""An arena's YAML file: the fields of `ArenaSpec`, and other files as sources of solids."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -20,20 +20,20 @@ from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import HeightField, Mesh
 
 MOST_SOLIDS = 50_000
-"""Solids of an arena, and victims."""
+"""Largest number of solids and victims of an arena."""
 MOST_OTHER_FILES = {
     **dict.fromkeys(("heights", "heightfield", "map"), 32),
     **dict.fromkeys(("mjcf", "urdf"), 100),
     **dict.fromkeys(("mesh", "meshes", "decomposition"), 1000),
 }
-"""Keys that name other files, and how many of them an arena may have."""
+"""Largest number of files under each key that names other files."""
 
 
 def arena_of_yaml(value: YamlValue) -> tuple[ArenaSpec, tuple[str, ...]]:
-    """Return the arena that a YAML file describes, and what of its other files is left out.
+    """Return the arena that a YAML file describes, and the content of its other files that is left out.
 
     Raises:
-        ArenaFileError: Something unknown, missing, of a wrong type or not allowed; names file and line.
+        ArenaFileError: An unknown, missing or invalid value; names file and line.
     """
     given = value.mapping()
     check_keys(value, [*hints_of(ArenaSpec), *SOLID_SOURCES])
@@ -48,7 +48,7 @@ def arena_of_yaml(value: YamlValue) -> tuple[ArenaSpec, tuple[str, ...]]:
 
 
 def _check_number_of_files(value: YamlValue) -> None:
-    """Refuse a file that names more other files than an arena may be made of."""
+    """Refuse a file that names too many other files."""
     found: Counter[str] = Counter()
     waiting = [value]
     while waiting:
@@ -64,13 +64,13 @@ def _check_number_of_files(value: YamlValue) -> None:
 
 
 def complete_arena(arena: ArenaSpec, content: Content, value: YamlValue, given: set[str]) -> ArenaSpec:
-    """Return an arena with the content of other files, and with what nobody gave found.
+    """Return an arena with the content of other files, and with defaults for missing fields.
 
     Args:
         arena: The arena.
-        content: What other files have.
-        value: Where it was read, for errors.
-        given: Fields that are settled.
+        content: Content of other files.
+        value: The file's value, for errors.
+        given: Fields that the file has.
     """
     shapes, loose = (*arena.shapes, *content.shapes), (*arena.loose, *content.loose)
     solids = [*shapes, *(shape for one in loose for shape in one.shapes)]
@@ -130,7 +130,7 @@ def _scale(value: YamlValue) -> Scale:
 
 
 def _mesh(value: YamlValue) -> Mesh:
-    """Read a solid's corners: the name of a file, a list of them, or a file of which rays meet the faces."""
+    """Read a solid's mesh: the name of a file, a list of vertices, or a file with its faces for rays."""
     if isinstance(value.data, dict):
         check_keys(value, ["file", "rays"])
         if read(Literal["faces", "hull"], required(value, "rays"), {}) == "faces":
@@ -164,3 +164,4 @@ SPECIAL: Mapping[type, Callable[[YamlValue], Any]] = {
     Mesh: _mesh,
     HeightField: _heights,
 }
+"""Readers of types with a YAML form of their own."""

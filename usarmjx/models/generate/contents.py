@@ -66,7 +66,7 @@ class ArenaBuilder:
     Attributes:
         plan: Walls and ways.
         kind: Kind of arena.
-        difficulty: How difficult.
+        difficulty: Difficulty of the arena.
         footprint: Room that the robot needs to pass.
         seed: Seed of the draws.
         robot: Its class; "" if only its footprint is known.

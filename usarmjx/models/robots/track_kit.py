@@ -78,7 +78,7 @@ class Belt:
         return replace(part, looks=(*cleats(radius, self.width, bars, 0.9 * self.cleat), *side))
 
     def looks(self, front: Vec3, rear: Vec3, radii: tuple[float, float] | None = None) -> tuple[Shape, ...]:
-        """Return the belt around the foremost and the rearmost of a row's wheels, as visuals of their parent."""
+        """Return the belt around a row's foremost and rearmost wheel, as visuals of their parent."""
         outer = (self.radius, self.radius) if radii is None else radii
         first, last = (radius - self.cleat for radius in outer)
         return belt_looks(front, rear, (first, last), 0.96 * self.width)
