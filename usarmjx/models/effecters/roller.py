@@ -15,8 +15,7 @@ RADIUS, WIDTH = 0.03, 0.36
 ROLLERS, ROLLER_SPACING = 6, 0.08
 """Number of rollers, and their spacing [m]."""
 PLATE = (0.23, 0.2, 0.01)
-"""Half lengths of the base plate [m]; its top closes the gaps
-between rollers."""
+"""Half lengths of the base plate [m]; its top closes the gaps between rollers."""
 MOTOR = Motor(max_speed=6.0, torque=2.0, stiffness=20.0, damping=1.0, armature=0.01)
 
 

@@ -139,7 +139,7 @@ def _torque(model: mujoco.MjModel, actuator: int, joint: int, gear: float) -> fl
 
 
 USUAL_SPEED = 6.2832
-"""Highest speed of a joint whose actuator has no limit [rad/s or m/s]: the wheel joint's in the UDK version."""
+"""Default of the highest speed of a joint [rad/s or m/s]: the wheel joint's in the UDK version."""
 NO_STIFFNESS = 1e-9
 """Stiffness of a joint that has a damper alone: our springs need some [N m/rad]."""
 VELOCITY_MODE = 1
@@ -160,40 +160,33 @@ def robot_from_mjcf(
 ) -> RobotSpec:
     """Return a robot class from an MJCF or URDF file, whose x axis points to the head and z up.
 
-    The first body under the world is the chassis; its free joint is dropped, other bodies under the world
-    and fixed geoms are left out. Every body with one hinge or slide is a part with that joint's name, at the
-    joint; bodies without joints belong to what carries them. Positions count from the pose the file shows.
+    The first body under the world is the chassis; its free joint is dropped, other bodies under the world and
+    fixed geoms are left out. Every body with one hinge or slide is a part with that joint's name, at the
+    joint; bodies without joints belong to their parents' parts. Positions count from the file's initial pose.
 
-    Boxes, spheres, capsules, cylinders and ellipsoids stay; of a mesh remains the box with its inertia. What
-    touched nothing touches nothing; all else gets our surfaces, with our friction: joints that the drive
-    gives a velocity are wheels. Only boxes may touch what another robot rolls on, on the engine `jax`.
-    Mass, centre and inertia are the file's: on the geoms where these account for them, else on an added box,
-    seen by sensors but never touched, that has them.
+    Boxes, spheres, capsules, cylinders and ellipsoids stay; a mesh becomes the box with its inertia. Geoms
+    without contacts stay so; all others get our surfaces, with our friction: joints that the drive gives a
+    velocity are wheels. On the engine `jax` only boxes may touch another robot's wheels. Mass, centre and
+    inertia are the file's: on the geoms where these account for them, else on an added box without contacts,
+    which sensors see.
 
-    Actuators (position, velocity, intvelocity, motor) become servos with their gains and limits; a joint
-    gets armature where its gains need it at our step of 5 ms. Springs and dampers of joints stay; friction
-    losses, passive armature, sensors, sites and cameras of the file do not.
+    Actuators (position, velocity, intvelocity, motor) become servos with their gains and limits; a joint gets
+    armature where its gains need it at our step of 5 ms. Springs and dampers of joints stay; friction losses,
+    passive armature, sensors, sites and cameras of the file do not.
 
     Args:
         path: The file.
         name: Class name.
-        drive: How DRIVE moves it, by the file's joint names.
-        motors: Motors of joints that have no actuator (none in URDF), or instead of theirs, by joint.
-        max_speed: Of motors whose actuator does not limit it [rad/s or m/s].
+        drive: Its drive, with the file's joint names.
+        motors: Motors of joints without an actuator (URDF has none), or replacements, by joint.
+        max_speed: Highest speed of motors whose actuator does not limit it [rad/s or m/s].
         fields: Other fields of RobotSpec: sensors, cameras, packages, payload, ...; `dimensions`, `mass` and
-            wheel figures are measured unless given.
+            wheel measurements are measured unless given.
 
     Raises:
-        SpecError: A file that does not read, or something in it that a robot cannot have; names it.
+        SpecError: An unreadable file, or content that a robot cannot have; names it.
     """
-    spec, root = _open(Path(path))
-    model = _compile(spec, path)
-    boxes = spec.copy()
-    for geom in boxes.geoms:
-        if geom.type == MESH:
-            geom.type = BOX
-    fitted = _compile(boxes, path)
-    tree = _BodyTree(model, fitted, spec, model.body(root).id)
+    model, tree = _read_tree(Path(path))
     rolling = {aim.joint for aim in drive.joint_controls if aim.mode == VELOCITY_MODE}
     servos = motors_of(model, motors or {}, max_speed)
     parts = tuple(
@@ -215,6 +208,18 @@ def robot_from_mjcf(
         )
     )
     return replace(robot, **fields)
+
+
+def _read_tree(path: Path) -> tuple[mujoco.MjModel, "_BodyTree"]:
+    """Return the compiled file and its bodies, sorted by part."""
+    spec, root = _open(path)
+    model = _compile(spec, path)
+    boxes = spec.copy()
+    for geom in boxes.geoms:
+        if geom.type == MESH:
+            geom.type = BOX  # MuJoCo then fits a box to the mesh
+    fitted = _compile(boxes, path)
+    return model, _BodyTree(model, fitted, spec, model.body(root).id)
 
 
 def _open(path: Path) -> tuple[mujoco.MjSpec, str]:

@@ -26,7 +26,7 @@ MOST_SOLIDS = POSTS**2
 """Largest number of solids of one obstacle."""
 
 Obstacle = Callable[[RandomStream, Position2D, float, int], list[Shape]]
-"""Maker of an obstacle from draws, cell's middle [m], height [m] and direction of the way in quarter turns."""
+"""Maker of an obstacle from draws, cell's middle [m], height [m] and direction in quarter turns."""
 
 
 def bars(draw: RandomStream, at: Position2D, height: float, toward: int) -> list[Shape]:

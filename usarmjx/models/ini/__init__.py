@@ -1,8 +1,8 @@
-"""Unreal's ini files, by which USARSim is configured: robots changed and made anew (manual 12.1.2, 14.4.2).
+"""Unreal's ini files, USARSim's configuration: changed and new robot classes (manual 12.1.2, 14.4.2).
 
-Three steps: `parse` knows the syntax, `read` the types of values, the others what sections and keys mean to
-a robot: `sort` first, then `spec` with `figures`, `pairs`, `joints`, `drive`, `items`, `packages`. Begin
-with `robots.load_robots`. A key that means nothing here is a warning that says why (`keys`), a value that
-is wrong a `SpecError` with its line. Lengths are in Unreal units, and turned into metres where they are
-read.
+Three steps: `parse` has the syntax, `read` the types of values, the others the meaning of sections and keys
+for a robot: `robots` sorts and loads them, `spec` builds one robot with `parameters`, `pairs`, `drive`,
+`items` and `packages`. Begin with `robots.load_robots`. An unknown key becomes a warning with the reason
+(`items.KNOWN_IGNORED`), a wrong value a `SpecError` with its line. Lengths in Unreal units are converted to
+metres on reading.
 """

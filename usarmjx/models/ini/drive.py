@@ -1,4 +1,4 @@
-"""The drive that follows from a robot's part-joint pairs and its `Wheels` lines (manual 12.18.2)."""
+"""The drive of a robot's part-joint pairs and its `Wheels` lines (manual 12.18.2)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,17 +13,18 @@ from usarmjx.models.ini.read import as_name, as_struct, fail, number_of, reject_
 from usarmjx.models.types.robot import STEER_SUFFIX, Part, RobotSpec
 
 POWER_TYPES = ("Holo_Powered", "Left_Powered", "Right_Powered", "Not_Powered")
+"""Values of PowerType."""
 STEER_TYPES = ("Holo_Steered", "Front_Steered", "Rear_Steered", "Not_Steered")
-"""The manual has the Holo types and Not_Powered (12.18.2); the others are ours."""
+"""Values of SteerType. The manual has the Holo types and Not_Powered (12.18.2); the others are ours."""
 MAX_STEER = 0.6
-"""Largest steering angle where no MaxSteerAngle is given [rad] (chosen)."""
+"""Default of MaxSteerAngle [rad] (chosen)."""
 MIDDLE = 1e-3
-"""Wheels nearer to the middle line than this are on neither side [m]."""
+"""Distance from the middle line within which a wheel is on neither side [m]."""
 
 
 @dataclass(frozen=True)
 class WheelRole:
-    """What a `Wheels` line says of the wheel of that number; None: nothing."""
+    """The role of a wheel by its `Wheels` line; None: unspecified."""
 
     line: Line
     power: str | None
@@ -32,12 +33,12 @@ class WheelRole:
 
     @property
     def steers(self) -> bool:
-        """Whether it says that the wheel steers."""
+        """Whether the wheel is to steer."""
         return self.steer not in (None, "Not_Steered")
 
 
 def read_roles(lines: Sequence[Line]) -> dict[int, WheelRole]:
-    """Return what wheels are for, by their Number; a later line of a number counts.
+    """Return the roles of wheels, by their Number; a later line of a number replaces earlier ones.
 
     Raises:
         SpecError: An unknown field or type; names file and line.
@@ -63,10 +64,10 @@ def read_roles(lines: Sequence[Line]) -> dict[int, WheelRole]:
 def drive_of(
     pairs: Sequence[JointPair], parts: Sequence[Part], roles: Mapping[int, WheelRole], notes: WarningLog
 ) -> tuple[tuple[Part, ...], Drive]:
-    """Return the parts, those that are not driven without their motor, and the drive of the others.
+    """Return the parts, undriven ones without their motor, and the drive of the others.
 
-    Wheels of a Holo type make an OmniDrive, wheels that steer an Ackermann drive, others a SkidSteer whose
-    sides are those of the robot.
+    Wheels of a Holo type make an OmniDrive, wheels that steer an Ackermann drive, others a SkidSteer with the
+    robot's sides.
 
     Raises:
         SpecError: Wheels that none of these can drive; names file and line.
@@ -98,7 +99,7 @@ def drive_of(
 def _braked(
     wheels: Sequence[JointPair], driven: set[str], notes: WarningLog, *, car: bool
 ) -> dict[str, float]:
-    """Return the BrakeTorque of wheels that only brake, by name [N m]: a car's can, others roll."""
+    """Return the BrakeTorque of undriven wheels, by name [N m]: a car's can brake, others roll."""
     found: dict[str, float] = {}
     for pair in wheels:
         if pair.name in driven or not pair.brake:
@@ -118,10 +119,10 @@ def _undriven(wheel: Part, braked: Mapping[str, float]) -> Part:
 
 
 def change_wheels(robot: RobotSpec, roles: Mapping[int, WheelRole]) -> RobotSpec:
-    """Return an omnidirectional robot with other wheels powered and steered (manual 12.18.2).
+    """Return an omnidirectional robot with changed powers and steering of wheels (manual 12.18.2).
 
     Raises:
-        SpecError: A robot with another drive, or a wheel that cannot do what a line says; names the line.
+        SpecError: A robot with another drive, or a wheel without the needed motor; names the line.
     """
     drive, parts = robot.drive, {part.name: part for part in robot.parts}
     for number, role in roles.items():
@@ -130,7 +131,7 @@ def change_wheels(robot: RobotSpec, roles: Mapping[int, WheelRole]) -> RobotSpec
                 role.line, f"Wheels are for an OmniDrive, {robot.name} has {drive.steering}", "JointParts too"
             )
         powered = role.power not in (None, "Not_Powered")
-        if number >= len(drive.wheels):  # those behind the last driven one only roll
+        if number >= len(drive.wheels):  # wheels after the last driven one only roll
             if powered or role.steers:
                 fail(role.line, f"{robot.name} drives no wheel {number}", f"0 to {len(drive.wheels) - 1}")
             continue

@@ -1,4 +1,4 @@
-"""Mounted items of an ini file: Sensors, Effecters and Cameras, and the defaults of their classes."""
+"""Mounted items of ini files: Sensors, Effecters and Cameras, their classes and defaults; ignored keys."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -46,13 +46,13 @@ ITEM_CLASSES = {
     "RFIDReleaser": "RFIDReleaser",
     "RollerTable": "RollerTable",
 }
-"""Class of an item (manual 10 and 11) and the type that the wire and `Mount.kind` know it by."""
+"""Type on the wire and in `Mount.kind` of each class of items (manual 10 and 11)."""
 
 UU_ANGLES = ("Resolution", "ScanFov")
 """Angles that the manual gives in whole Unreal units (10.3.2); a number with a point is in radians."""
 
 OLD_PARTS = {"cameratilt": "CameraPanTilt_Link2", "camerapan": "CameraPanTilt_Link1"}
-"""Part names from before V3.0, which the excerpt of manual 12.1.2 still has, and the captured ones."""
+"""Captured part names of names before V3.0, which the excerpt of manual 12.1.2 still has."""
 
 _LOOKS = "robots look as their solids do: there are no Unreal meshes and textures"
 _SERVO = "servos go to their target at full speed and hold it as a spring does: no gap within which they slow"
@@ -79,7 +79,7 @@ KNOWN_IGNORED = {
     "bBarCode": "it drew into the Unreal client's window",
     "bDisplayTeamBeacon": "it drew into the Unreal client's window",
 }
-"""Keys of a robot's section (manual 12.1.2, 14.4.2.3, KRobot.uc) that change nothing, and why."""
+"""Keys of a robot's section (manual 12.1.2, 14.4.2.3, KRobot.uc) without effect, with the reason."""
 
 JOINT_IGNORED = {
     "DrawScale3D": _LOOKS,
@@ -96,28 +96,29 @@ SETTINGS_IGNORED = {("INS", "righttire"): _WHEELS, ("INS", "lefttire"): _WHEELS}
 """The same for settings of a type of item, by type and key in lower case."""
 
 SECTIONS_ELSEWHERE = ("USARBot.MultiView", "BotAPI.BotServer")
-"""Sections that are not about robots and that something else reads: the image server, the Gamebots server."""
+"""Sections that other readers use: the image server, the Gamebots server."""
 
 LINK_IGNORED = {
     name: "it refers to a class of an Unreal package; Location, Orientation and the limits are given directly"
     for name in ("LinkClass", "ParentMount", "SelfMount", "DrawScale3D")
 }
-"""Fields of the original's Links (KRobot.uc) that stand for what is given directly here."""
+"""Fields of the original's Links (KRobot.uc) with direct equivalents here."""
 
 
 ITEM_LISTS = {"Sensors": "sensors", "Effecters": "effecters", "Cameras": "cameras"}
-"""Keys that list items, and the fields of RobotSpec that hold them."""
+"""Keys that list items, and their fields of RobotSpec."""
 ITEM_FIELDS = ("ItemClass", "ItemName", "Parent", "Position", "Direction", *ITEM_IGNORED)
+"""Fields of an item's line that are no settings."""
 SHOWN = 3
-"""So many examples a warning gives."""
+"""Number of examples in a warning."""
 
 Settings = Mapping[str, type]
-"""The settings of each type of item, by type: dataclasses with fields named after ini keys."""
+"""Dataclass of the settings of each type of item, with fields named after ini keys."""
 
 
 @dataclass
 class WarningLog:
-    """Warnings, in the order in which they arose, each once."""
+    """Warnings in the order of their occurrence, without repetitions."""
 
     texts: list[str] = field(default_factory=list)
 
@@ -129,21 +130,21 @@ class WarningLog:
 
 
 def kind_of(name: str, settings: Settings | None) -> str | None:
-    """Return the type of an item class, case ignored, or None: one of the manual's or one with settings."""
+    """Return the type of an item class, case ignored, or None if it is unknown."""
     kinds = {known.lower(): kind for known, kind in ITEM_CLASSES.items()}
     kinds |= {kind.lower(): kind for kind in settings or ()}
     return kinds.get(name.lower())
 
 
 def read_setting(kind: str, key: str, line: Line, value: IniValue, settings: Settings | None) -> Options:
-    """Return one key of an item as the option it stands for.
+    """Return one key of an item as an option.
 
     Args:
         kind: Type of the item.
         key: The key.
-        line: Where it stands.
-        value: What it is set to.
-        settings: What there is to set; None checks nothing here.
+        line: Its line.
+        value: Its value.
+        settings: Settings by type; None skips the check.
 
     Raises:
         UnknownNameError: The type has no such key.
@@ -161,7 +162,7 @@ def read_setting(kind: str, key: str, line: Line, value: IniValue, settings: Set
 
 
 def _setting_value(line: Line, key: str, value: IniValue) -> object:
-    """Return a value as settings have it: curves as points, other structs as options, angles in radians."""
+    """Convert a value to a setting: curves to points, other structs to options, angles to radians."""
     if isinstance(value, Struct) and (points := value.get("Points")) is not None:
         return tuple(_point(line, point) for point in (points if isinstance(points, tuple) else ()))
     if isinstance(value, Struct):
@@ -181,7 +182,7 @@ def _point(line: Line, point: IniValue) -> tuple[float, float]:
 def read_settings(
     kind: str, pairs: Iterable[tuple[str, Line, IniValue]], settings: Settings | None, notes: WarningLog
 ) -> Options:
-    """Return keys of an item as options; those that it does not have become warnings."""
+    """Return keys of an item as options; unknown ones become warnings."""
     found: list[tuple[str, object]] = []
     for key, line, value in pairs:
         reason = SETTINGS_IGNORED.get((kind, key.lower()))
@@ -204,15 +205,15 @@ def read_mount(
 ) -> Mount | None:
     """Return the item that a line of Sensors, Effecters or Cameras mounts (manual 12.1.2, 14.4.2.5).
 
-    Names within the brackets that are not of the manual's structure are settings of this one item (ours).
-    None, with a warning, for a class that is known but not built.
+    Names within the brackets beyond the manual's structure are settings of this one item (ours). None, with a
+    warning, for a class that is known but not built.
 
     Args:
         line: The line.
-        units: Of its Position and Direction.
-        settings: What there is to set.
-        notes: Takes the warnings.
-        classes: Type and defaults of the item classes of the files' own, by name in lower case.
+        units: Units of its Position and Direction.
+        settings: Settings by type.
+        notes: Log of warnings.
+        classes: Type and defaults of the files' own item classes, by name in lower case.
 
     Raises:
         SpecError: Something is missing or wrong; names file and line.
@@ -241,7 +242,7 @@ def read_mount(
 
 
 def merged(before: Options, after: Options) -> Options:
-    """Return options of which those that come after override those before."""
+    """Return options, of which later ones override earlier ones."""
     if not before:
         return after
     named = {field_name(key): (key, value) for key, value in (*before, *after)}
@@ -253,7 +254,7 @@ def _is_field(key: str) -> bool:
 
 
 def _parent(line: Line, struct: Struct) -> str:
-    """Return the part an item is mounted on; none, `None` and `HARD` mean the chassis (KRobot.uc)."""
+    """Return the parent part of an item; none, `None` and `HARD` mean the chassis (KRobot.uc)."""
     value = struct.get("Parent")
     if value is None or value == "":
         return CHASSIS
@@ -262,10 +263,10 @@ def _parent(line: Line, struct: Struct) -> str:
 
 
 def resolve_parent(mount: Mount, line: Line, names: Sequence[str], notes: WarningLog) -> Mount:
-    """Return a mount with its parent spelt as the robot does, older names replaced.
+    """Return a mount with its parent in the robot's spelling, older names replaced.
 
     Raises:
-        SpecError: The robot has no such part; lists those it has.
+        SpecError: The robot has no such part; lists its parts.
     """
     spelt = {name.lower(): name for name in names}
     wanted = mount.parent.lower()
@@ -280,12 +281,12 @@ def resolve_parent(mount: Mount, line: Line, names: Sequence[str], notes: Warnin
 def with_defaults(
     robot: RobotSpec, defaults: Mapping[str, Options], kept: dict[tuple[str, str], list[str]]
 ) -> RobotSpec:
-    """Return a robot whose items have what sections say of their classes, unless their own options differ.
+    """Return a robot whose items have the defaults of their classes' sections, unless their options differ.
 
     Args:
         robot: The robot.
         defaults: Options by type of item.
-        kept: Takes down, by type and key, which items kept their own.
+        kept: Output: names of the items with options of their own, by type and key.
     """
 
     def filled(mount: Mount) -> Mount:
@@ -302,15 +303,17 @@ def with_defaults(
 
 
 def examples(names: Sequence[str]) -> str:
-    """Return the first names of a list, and how many more there are."""
+    """Return the first names of a list, and the number of the others."""
     more = len(names) - SHOWN
     return ", ".join(names[:SHOWN]) + (f" and {more} more" if more > 0 else "")
 
 
 PREFIX = "usarbot."
+"""Prefix of sections of robots and items."""
 BASE_KEY = "BaseClass"
+"""Key of the base class of a section."""
 MOST_ROUNDS = 32
-"""Item classes of a file that are based on each other in a row."""
+"""Largest length of a chain of base classes."""
 
 
 class ItemClass(NamedTuple):
@@ -318,7 +321,7 @@ class ItemClass(NamedTuple):
 
     Attributes:
         kind: Type of its items.
-        options: Its defaults, which come before those of the class that it is derived from.
+        options: Its defaults, merged with those of its base class.
     """
 
     kind: str
@@ -332,13 +335,13 @@ ItemClasses = Mapping[str, ItemClass]
 def read_classes(
     files: Sequence[IniFile], robots: Iterable[str], settings: Settings | None, notes: WarningLog
 ) -> dict[str, ItemClass]:
-    """Return the item classes that sections derive from others, in whatever order they stand.
+    """Return the item classes that sections derive from others, in any order.
 
     Args:
         files: The ini files; of a section in several of them a later one overrides.
-        robots: Names of the robot classes: sections of these are about robots.
-        settings: What there is to set.
-        notes: Takes the warnings.
+        robots: Names of the robot classes, whose sections are skipped.
+        settings: Settings by type.
+        notes: Log of warnings.
 
     Raises:
         SpecError: A value of the wrong kind; names file and line.
@@ -346,7 +349,7 @@ def read_classes(
     taken = {name.lower() for name in robots}
     waiting = {name: parts for name, parts in _based(files).items() if name not in taken}
     found: dict[str, ItemClass] = {}
-    # Round by round: those whose base is known by now. What is left over has another base, or none.
+    # Each round resolves the classes whose base is known by then. The rest has an unknown base, or none.
     rounds = 0
     while ready := {name: base for name in waiting if (base := _base(waiting[name], found, settings))}:
         rounds += 1
@@ -361,7 +364,7 @@ def read_classes(
 
 
 def _based(files: Sequence[IniFile]) -> dict[str, list[Section]]:
-    """Return the sections in which a BaseClass stands, all files' together, by name in lower case."""
+    """Return the sections with a BaseClass, all files' together, by name in lower case."""
     found: dict[str, list[Section]] = {}
     for file in files:
         for name in dict.fromkeys(section.name.lower() for section in file.sections):
@@ -376,7 +379,7 @@ def _base_line(parts: Sequence[Section]) -> Line | None:
 
 
 def _base(parts: Sequence[Section], found: ItemClasses, settings: Settings | None) -> ItemClass | None:
-    """Return the item class that sections are based on, None if that is none, or none yet."""
+    """Return the item class on which sections are based, None if there is none, or none yet."""
     line = _base_line(parts)
     if line is None:
         return None

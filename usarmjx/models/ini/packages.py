@@ -1,7 +1,7 @@
 """Mission packages of ini files: `[USARMisPkg.X]` sections, and the MisPkgs lines that mount them on robots.
 
-The manual shows no section of USARMisPkg.ini, and the original's refers to classes of an Unreal package.
-Ours gives the links of a package directly, close to the part-joint pairs of 14.4.2.4; see `docs/robots.md`.
+The manual shows no section of USARMisPkg.ini, and the original's refers to classes of an Unreal package. Ours
+gives the links of a package directly, close to the part-joint pairs of 14.4.2.4; see `docs/robots.md`.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -28,16 +28,18 @@ from usarmjx.models.types.robot import Link, MissionPackage, RobotSpec
 from usarmjx.models.types.shapes import ZERO, Shape
 
 PREFIX = "usarmispkg."
+"""Prefix of sections of packages."""
 LINK_FIELDS = (
     "Number", "Parent", "Location", "Orientation", "MaxSpeed", "MaxTorque", "MinRange", "MaxRange",
     "JointType", "Mass", "Size",
 )  # fmt: skip
+"""Fields of a `Links` line."""
 SYNONYMS = {"linknumber": "Number", "parentlinknumber": "Parent"}
 """The original's names of two fields (KRobot.uc)."""
 MOST_LINKS = 200
-"""Of a package."""
+"""Largest number of links of a package."""
 JOINT_TYPES = ("Revolute", "Prismatic")
-# A link that nothing is known of: captured figures of CameraPanTilt; size and mass chosen.
+# Defaults of a link: captured values of CameraPanTilt; size and mass chosen.
 DEFAULT_LINK = Link(
     number=0, parent=-1, location=ZERO, orientation=ZERO, max_speed=0.17, max_torque=20.0, min_range=1.0,
     max_range=0.0, shapes=(Shape(kind="box", size=(0.02, 0.02, 0.02), mass=0.2, surface="fixture"),),
@@ -46,7 +48,7 @@ DEFAULT_LINK = Link(
 
 @dataclass(frozen=True)
 class LinkLine:
-    """One `Links=` line: its number, the line, its fields, and the units that they are in."""
+    """One `Links=` line: its number, the line, its fields, and their units."""
 
     number: int
     line: Line
@@ -55,14 +57,14 @@ class LinkLine:
 
 
 Definitions = Mapping[str, tuple[LinkLine, ...]]
-"""The links of each package class, by its name in lower case."""
+"""Links of each package class, by its name in lower case."""
 
 
 def read_packages(files: Sequence[IniFile], notes: WarningLog) -> Definitions:
-    """Return the packages that `[USARMisPkg.X]` sections define; a later file's Links replace all before.
+    """Return the packages that `[USARMisPkg.X]` sections define; Links of a later file replace earlier ones.
 
     Raises:
-        SpecError: A link that does not read; names file and line.
+        SpecError: An invalid link; names file and line.
     """
     found: dict[str, tuple[LinkLine, ...]] = {}
     for file in files:
@@ -99,7 +101,7 @@ def _link_line(line: Line, units: Units, notes: WarningLog) -> LinkLine:
 
 
 def _check_tree(links: Sequence[LinkLine]) -> None:
-    """Refuse a link of a number that was there before, or with a parent that was not."""
+    """Refuse a link with a repeated number, or with a parent that is not defined before it."""
     known = {-1}
     for link in links:
         if len(known) > MOST_LINKS:
@@ -113,7 +115,7 @@ def _check_tree(links: Sequence[LinkLine]) -> None:
 
 
 def _shapes(link: LinkLine, before: Link) -> tuple[Shape, ...]:
-    """Return the solids: what was there, or one box of the given Size and Mass."""
+    """Return the previous solids, or one box of the given Size and Mass."""
     if link.fields.get("Size") is None and link.fields.get("Mass") is None:
         return before.shapes
     mass = number_of(link.line, link.fields, "Mass", sum(shape.mass for shape in before.shapes), above=0.0)
@@ -125,7 +127,7 @@ def _shapes(link: LinkLine, before: Link) -> tuple[Shape, ...]:
 
 
 def _link(link: LinkLine, before: Link | None, base: Vec3) -> Link:
-    """Return a link: as before, but for what its line says; `base` is where the package is mounted."""
+    """Return a link with the changes of its line; `base` is the position of the package."""
     line, fields, units = link.line, link.fields, link.units
     parent = int(number_of(line, fields, "Parent", before.parent if before else -1))
     before = before or replace(DEFAULT_LINK, location=base if parent == -1 else ZERO)
@@ -163,7 +165,7 @@ def _link(link: LinkLine, before: Link | None, base: Vec3) -> Link:
 
 
 def redefine(package: MissionPackage, definitions: Definitions) -> MissionPackage:
-    """Return a package with the links that an ini file gives it; what their lines leave open stays."""
+    """Return a package with the links of an ini file; fields without a value stay."""
     lines = definitions.get(package.name.lower(), ())
     if not lines:
         return package
@@ -174,7 +176,7 @@ def redefine(package: MissionPackage, definitions: Definitions) -> MissionPackag
 
 
 def base_of(package: MissionPackage) -> Vec3:
-    """Return where a package is mounted on the chassis: where its first link is."""
+    """Return the position of a package on the chassis, that of its first link."""
     return next((link.location for link in package.links if link.parent == -1), ZERO)
 
 
@@ -184,7 +186,7 @@ def _sum(first: Vec3, second: Vec3, sign: int = 1) -> Vec3:
 
 
 def templates(packages: Iterable[MissionPackage], definitions: Definitions) -> dict[str, MissionPackage]:
-    """Return packages by class name in lower case, as the ini files have them, mounted at the origin."""
+    """Return packages by class name in lower case, with the ini files' changes, mounted at the origin."""
     found = {}
     for package in packages:
         bare = mount_package(package, _sum(ZERO, base_of(package), -1))
@@ -193,7 +195,7 @@ def templates(packages: Iterable[MissionPackage], definitions: Definitions) -> d
 
 
 def known_packages(robots: Registry[RobotSpec], definitions: Definitions) -> dict[str, MissionPackage]:
-    """Return all packages there are: the robots', those of `PACKAGES`, and new ones of the ini files."""
+    """Return all packages: the robots', those of `PACKAGES`, and new ones of the ini files."""
     new = [MissionPackage(name=name, links=()) for name in definitions]
     others = [package for _, robot in robots for package in robot.packages]
     return templates([*new, *others, *(package for _, package in PACKAGES)], definitions)
@@ -202,10 +204,10 @@ def known_packages(robots: Registry[RobotSpec], definitions: Definitions) -> dic
 def read_package(line: Line, known: Mapping[str, MissionPackage]) -> MissionPackage:
     """Return the package that a MisPkgs line mounts (manual 10.15.2).
 
-    Location is in metres and z down whatever bMountByUU says (KRobot.uc).
+    Location is in metres and z down regardless of bMountByUU (KRobot.uc).
 
     Raises:
-        SpecError: No such package class; names file and line, and the classes there are.
+        SpecError: No such package class; names file and line, and the known classes.
     """
     struct = as_struct(line)
     reject_unknown(line, struct, ("PkgName", "Location", "PkgClass"))

@@ -1,7 +1,7 @@
-"""Part-joint pairs of an ini file (manual 14.4.2.4), read and checked; `joints` makes parts of them.
+"""Part-joint pairs of an ini file (manual 14.4.2.4), read, checked and built as parts.
 
-Axes are written in Unreal's axes (z up) whatever bMountByUU says (KRobot.uc does not convert them),
-positions as everything else.
+Axes are in Unreal's axes (z up) regardless of bMountByUU (KRobot.uc does not convert them), positions in the
+section's units.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,36 +37,39 @@ FIELDS = (
     "PartName", "PartClass", "JointClass", "bSteeringLocked", "bSuspensionLocked", "Parent", "ParentPos",
     "ParentAxis", "ParentAxis2", "SelfPos", "SelfAxis", "SelfAxis2", "BrakeTorque", *JOINT_IGNORED,
 )  # fmt: skip
+"""Fields of a pair in the original."""
 OURS = ("Radius", "Width", "Size", "Mass", "MaxSpeed", "Torque", "MinRange", "MaxRange")
-"""Fields that we add: the original has them in the classes of wheels and parts."""
+"""Additional fields: the original has them in the classes of wheels and parts."""
 JOINT_CLASSES = {
     "kcarwheeljoint": "wheel",
     "kscarwheeljoint": "wheel",
     "kdhinge": "hinge",
     "kslider": "slide",
 }
+"""Kind of joint of each JointClass."""
 AXES_TOLERANCE = 0.5
-"""A wheel's own axes may stand so far from the angle of its parent's [degrees]."""
+"""Largest difference between the angles of a wheel's own axes and its parent's [degrees]."""
 MOST_PARTS = 500
-"""Of a robot."""
+"""Largest number of parts of a robot."""
 CHASSIS_NAMES = ("", "none", CHASSIS.lower())
+"""Names of the chassis as a Parent."""
 
 
 @dataclass(frozen=True)
 class JointPair:
-    """A part-joint pair, read.
+    """A part-joint pair.
 
     Attributes:
-        line: Where it stands.
+        line: Its line.
         struct: Its fields.
-        units: What its positions are in.
-        number: Its number among the pairs, by which `Wheels` knows it.
+        units: Units of its positions.
+        number: Its number among the pairs, the Number of its `Wheels` line.
         name: PartName.
         joint: Kind: wheel, hinge or slide.
-        parent: The part it hangs on, or `HARD`.
-        at: Where the joint is in the axes of the parent's joint [m].
-        middle: Where the part's own middle is in the axes of its joint [m].
-        chassis_position: Where the joint is on the chassis, parts unturned [m].
+        parent: Parent part, or `HARD`.
+        at: Position of the joint in the axes of the parent's joint [m].
+        middle: Position of the part's middle in the axes of its joint [m].
+        chassis_position: Position of the joint on the chassis, with all joints at 0 [m].
     """
 
     line: Line
@@ -82,7 +85,7 @@ class JointPair:
 
     @property
     def steers(self) -> bool:
-        """Whether the wheel's steering is free; as in Unreal, False is what is left out."""
+        """Whether the wheel's steering is free; as in Unreal, the default is False."""
         return not self._locked("bSteeringLocked")
 
     @property
@@ -92,7 +95,7 @@ class JointPair:
 
     @property
     def brake(self) -> float | None:
-        """BrakeTorque: with what a wheel that is told to stand still is braked [N m]; None: not said."""
+        """BrakeTorque: torque at commanded speed 0 [N m]; None: unspecified."""
         value = self.struct.get("BrakeTorque")
         return None if value is None else as_number(self.line, value, "BrakeTorque", above=-1e-9)
 
@@ -105,8 +108,8 @@ def read_pairs(lines: Mapping[int, tuple[Line, Units]], notes: WarningLog) -> li
     """Return the pairs in the order of their numbers.
 
     Raises:
-        SpecError: A field that is missing, unknown or wrong, a name that is there twice, or a parent that is
-            not defined before; names file and line.
+        SpecError: A field that is missing, unknown or wrong, a repeated name, or a parent that is not defined
+            before; names file and line.
     """
     pairs: dict[str, JointPair] = {}
     for number, (line, units) in sorted(lines.items()):
@@ -160,23 +163,23 @@ def _add(first: Vec3, second: Vec3, sign: int = 1) -> Vec3:
 
 
 def spin_axis(pair: JointPair) -> Vec3:
-    """Return a wheel's spin axis, which may lean, on its left: positive turns roll it forward."""
+    """Return a wheel's spin axis, which may lean, towards its left: positive turns roll it forward."""
     return _near(pair, "ParentAxis2", LEFT, 0.5)
 
 
 def leaning(axis: Vec3) -> Vec3:
-    """Return roll, pitch and yaw of the least turn that takes the left to an axis on that side."""
+    """Return roll, pitch and yaw of the smallest rotation from the left to an axis on that side."""
     x, y, z = axis
-    cross = np.array([[0.0, -x, 0.0], [x, 0.0, z], [0.0, -z, 0.0]])  # of LEFT x axis
+    cross = np.array([[0.0, -x, 0.0], [x, 0.0, z], [0.0, -z, 0.0]])  # cross-product matrix of LEFT x axis
     roll, pitch, yaw = (angles_from_mat(np.eye(3) + cross + cross @ cross / (1.0 - y)) + 0.0).tolist()
     return (roll, pitch, yaw)
 
 
 def check_own_axes(pair: JointPair) -> None:
-    """Check that the axes of a wheel's own fit its parent's; being round, it needs no more of them.
+    """Check that the axes of a wheel's own fit its parent's; a round wheel needs no more of them.
 
     Raises:
-        SpecError: They stand at another angle to each other, so that they cannot meet both.
+        SpecError: Their angle to each other differs, so that they cannot both coincide.
     """
     if pair.struct.get("SelfAxis") is None and pair.struct.get("SelfAxis2") is None:
         return
@@ -200,7 +203,7 @@ def check_own_axes(pair: JointPair) -> None:
 
 
 def steering_axis(pair: JointPair) -> Vec3:
-    """Return a wheel's steering axis, which may lean, on its upper side: positive turns it to the left."""
+    """Return a wheel's steering axis, which may lean, upwards: positive turns it to the left."""
     return _near(pair, "ParentAxis", UP, 0.5)
 
 
@@ -226,7 +229,7 @@ def unit_of(pair: JointPair, field: str) -> np.ndarray:
 
 
 def part_rotation(pair: JointPair) -> Vec3:
-    """Return how a part is turned on its parent: so that its SelfAxis meets the parent's ParentAxis."""
+    """Return a part's rotation on its parent, which makes its SelfAxis coincide with the ParentAxis."""
     struct = pair.struct
     if struct.get("SelfAxis") is None:
         return ZERO
@@ -252,8 +255,8 @@ def _frame(pair: JointPair, first: np.ndarray, field: str) -> np.ndarray:
     return np.stack([first, second, np.cross(first, second)], 1)
 
 
-# All below is chosen. A wheel's motor has the inertia of the load that it moves, at least a P2DX's, gains of
-# a P2AT's (667 and 33 times the inertia), and torque for a friction coefficient of 1.
+# All below is chosen. A wheel's motor has the inertia of its load, at least a P2DX's, gains of a P2AT's (667
+# and 33 times the inertia), and torque for a friction coefficient of 1.
 MIN_ARMATURE = 0.03
 STIFFNESS, DAMPING = 667.0, 33.0
 WHEEL_SPEED = 6.2832  # rad/s: the wheel joint's default in the UDK version
@@ -264,7 +267,7 @@ WHEEL_SHARE, PART_MASS, HUB_SHARE = 0.07, 0.5, 0.3
 
 
 def build_parts(pairs: Sequence[JointPair], weight: float, robots: Registry[RobotSpec]) -> tuple[Part, ...]:
-    """Return the parts of a robot that weighs so much; every wheel has a motor."""
+    """Return the parts of a robot of that weight [kg]; every wheel has a motor."""
     wheels = sum(pair.joint == "wheel" for pair in pairs)
     parts: list[Part] = []
     for pair in pairs:
@@ -276,7 +279,7 @@ def build_parts(pairs: Sequence[JointPair], weight: float, robots: Registry[Robo
 
 
 def _wheel_parts(pair: JointPair, weight: float, wheels: int, robots: Registry[RobotSpec]) -> list[Part]:
-    """Return suspension, steering and wheel, as far as they are free."""
+    """Return suspension, steering and wheel, unless locked."""
     line, struct = pair.line, pair.struct
     check_own_axes(pair)
     model = _model_of(pair, robots)
@@ -317,7 +320,7 @@ def _wheel_parts(pair: JointPair, weight: float, wheels: int, robots: Registry[R
 
 
 def _steering_servo(weight: float, inertia: float) -> Motor:
-    """Return what turns a wheel of that inertia about its upright, as firm as those of our cars."""
+    """Return the steering servo of a wheel with that inertia, as stiff as our cars'."""
     return firm_motor(STEER_SPEED, STEER_TORQUE * weight, inertia, STEER_ARMATURE * weight)
 
 
@@ -327,7 +330,7 @@ def _moved(shapes: Sequence[Shape], by: Vec3) -> tuple[Shape, ...]:
 
 
 def _model_of(pair: JointPair, robots: Registry[RobotSpec]) -> Part | None:
-    """Return the wheel that a PartClass stands for, the first on its side: P2ATTire is a P2AT's."""
+    """Return the wheel of a PartClass, the first on its side: P2ATTire is a P2AT's."""
     written = pair.struct.get("PartClass")
     name = as_class(pair.line, written, "PartClass") if written is not None else ""
     owner = name.lower().removesuffix("tire")
@@ -352,7 +355,7 @@ def _wheel_motor(load: float, radius: float) -> Motor:
 
 
 def _servo(armature: float, speed: float, torque: float) -> Motor:
-    """Return a motor whose gains suit its inertia."""
+    """Return a motor with gains in proportion to its inertia."""
     return Motor(
         max_speed=speed,
         torque=torque,
@@ -371,7 +374,7 @@ def _hinge_part(pair: JointPair) -> Part:
     mass = number_of(line, struct, "Mass", PART_MASS, above=0.0)
     if min(x, y, z) == 0:
         fail(line, "Size has an edge of no length", "three lengths")
-    # The inertia of its box about its joint, as the gains are of a servo that moves nothing else.
+    # The inertia of its box about its joint: the gains are for a servo without further load.
     arm = float(np.linalg.norm(pair.middle)) + max(x, y, z)
     motor = _servo(max(0.1, mass * arm**2), HINGE_SPEED, HINGE_TORQUE)
     motor = replace(

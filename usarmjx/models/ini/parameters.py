@@ -1,4 +1,4 @@
-"""Figures of a robot's section of an ini file: single numbers, and how each changes the robot (14.4.2.3)."""
+"""Parameters of a robot's ini section: single numbers and their effects on the robot (manual 14.4.2.3)."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -25,28 +25,29 @@ from usarmjx.models.types.settings import field_name
 from usarmjx.models.types.shapes import Shape, Tyre
 
 STEREO_KEYS = ("isStereo", "stereoSpacing", "uuStereoSpacing")
+"""Keys of stereo vision."""
 
 
 def with_stereo(robot: RobotSpec, figures: Mapping[str, Line], units: Units, notes: WarningLog) -> RobotSpec:
-    """Return a robot whose first camera has the eyes that its section gives it.
+    """Return a robot whose first camera has its section's stereo settings.
 
-    As in the original, isStereo switches it on and the spacing is half the way between the eyes; of both
-    spacings the one in metres counts.
+    As in the original, isStereo switches it on and the spacing is half the distance of the eyes; the spacing
+    in metres has priority over that in Unreal units.
 
     Raises:
         SpecError: A value of the wrong kind, or a spacing of 0; names file and line.
     """
     switch, metres, unreal = (figures.get(key.lower()) for key in STEREO_KEYS)
-    told: dict[str, object] = {}
+    given: dict[str, object] = {}
     if switch is not None:
-        told["IsStereo"] = as_bool(switch, switch.value, "isStereo")
+        given["IsStereo"] = as_bool(switch, switch.value, "isStereo")
     if (line := metres or unreal) is not None:
         spacing = as_vector(line, line.value, line.key)
         if not any(spacing):
             fail(line, f"{line.key} is 0 along all axes", "half the distance of the eyes, as (Y=0.05)")
         if metres is None:
             spacing = replace(units, by_uu=True).position(spacing)
-        told["StereoSpacing"] = tuple(zip("XYZ", spacing, strict=True))
+        given["StereoSpacing"] = tuple(zip("XYZ", spacing, strict=True))
     first = next((line for line in (switch, metres, unreal) if line is not None), None)
     if first is None:
         return robot
@@ -55,19 +56,19 @@ def with_stereo(robot: RobotSpec, figures: Mapping[str, Line], units: Units, not
         return robot
     main, *others = robot.cameras
     kept: Options = tuple(
-        (key, value) for key, value in main.options if field_name(key) not in map(field_name, told)
+        (key, value) for key, value in main.options if field_name(key) not in map(field_name, given)
     )
-    return replace(robot, cameras=(replace(main, options=(*kept, *told.items())), *others))
+    return replace(robot, cameras=(replace(main, options=(*kept, *given.items())), *others))
 
 
 TRACKS = {"front": ("FRFlipper", "FLFlipper"), "rear": ("RRFlipper", "RLFlipper")}
-"""The flippers at each end of a robot."""
+"""Flippers at each end of a robot."""
 MAX_TIRES = 12
-"""Most tires of one flipper; more only cost time."""
+"""Largest number of tires of one flipper; more only cost time."""
 
 
 def read_tracks(robot: RobotSpec, lines: Mapping[str, Line]) -> RobotSpec:
-    """Return a robot with so many tires on the flippers of its ends.
+    """Return a robot with given numbers of tires on the flippers of its ends.
 
     Args:
         robot: A robot whose flippers carry wheels named `FRFlipperWheel1` and so on, driven as tracks.
@@ -95,9 +96,9 @@ def _belongs(part: Part, flipper: str) -> bool:
 
 
 def _retracked(robot: RobotSpec, flipper: str, wheels: list[Part], count: int) -> RobotSpec:
-    """Return a robot with the wheels of one flipper evenly spaced anew; their sizes shrink to the tip's.
+    """Return a robot with a new, evenly spaced row of wheels on one flipper, shrinking to the tip.
 
-    Together they weigh what they did.
+    Their total mass stays.
     """
     last = wheels[-1]
     tip, first = last.shapes[0].size[0], robot.wheel_radius
@@ -116,7 +117,7 @@ def _retracked(robot: RobotSpec, flipper: str, wheels: list[Part], count: int) -
 
 
 def _scaled(wheel: Part, name: str, share: float, size: float) -> Part:
-    """Return a wheel nearer to the hinge, `size` times as large: same belt speed, same pull."""
+    """Return a wheel nearer to the hinge, scaled by `size`: same belt speed, same pull."""
     tyre, motor = wheel.shapes[0], wheel.motor
     radius, width = tyre.size[0] * size, tyre.size[1]
     if motor is not None:
@@ -128,13 +129,13 @@ def _scaled(wheel: Part, name: str, share: float, size: float) -> Part:
             damping=motor.damping * size**2,
             armature=motor.armature * size**2,
         )
-    x, y, z = (share * place for place in wheel.at)
+    x, y, z = (share * coordinate for coordinate in wheel.at)
     tyre = replace(tyre, size=(radius, width), mass=tyre.mass * size**2)
     return replace(wheel, name=name, at=(x, y, z), motor=motor, shapes=(tyre,))
 
 
 def _redriven(robot: RobotSpec, gone: set[str], fresh: list[str]) -> Tracks:
-    """Return the drive with wheels replaced in their places."""
+    """Return the drive with wheels replaced on their side."""
     drive = robot.drive
     assert isinstance(drive, Tracks)
     radii = {part.name: part.shapes[0].size[0] for part in robot.wheels}
@@ -150,12 +151,12 @@ def _redriven(robot: RobotSpec, gone: set[str], fresh: list[str]) -> Tracks:
 
 
 MOTOR_TORQUE, STEER_TORQUE, SUSP_STIFFNESS, SUSP_DAMPING = 20.0, 1000.0, 150.0, 15.0
-"""The original's defaults (manual 14.4.2.3): what our robots' own figures stand for."""
+"""The original's defaults (manual 14.4.2.3), equivalent to our robots' own values."""
 KARMA_SCALE = 50.0
-"""Unreal units in one of Karma's (manual 14.4.2.3)."""
+"""Length of Karma's unit in Unreal units (manual 14.4.2.3)."""
 
 DEFAULT_SUSPENSION_TRAVEL = (-KARMA_SCALE / UU_PER_METRE, KARMA_SCALE / UU_PER_METRE)
-"""What the original lets a suspension move that says nothing of it [m]."""
+"""The original's default of a suspension's travel [m]."""
 
 TYRES = ("wheel", "track")
 """Surfaces of tyres."""
@@ -165,18 +166,18 @@ Figures = Mapping[str, Line]
 
 
 def set_weight(robot: RobotSpec, value: float) -> RobotSpec:
-    """Weight: what CONF reports; a description that moves nothing (manual 12.1.2)."""
+    """Set Weight: mass in CONF, without effect on motion (manual 12.1.2)."""
     return replace(robot, mass=value)
 
 
 def set_chassis_mass(robot: RobotSpec, value: float) -> RobotSpec:
-    """ChassisMass: Karma's unit has no kilograms; 1, its default, is the chassis as it is described."""
+    """Set ChassisMass: Karma's unit has no kilograms; its default 1 is the chassis as described."""
     solids = tuple(replace(shape, mass=shape.mass * value) for shape in robot.chassis)
     return replace(robot, chassis=solids)
 
 
 def set_max_torque(robot: RobotSpec, value: float) -> RobotSpec:
-    """MaxTorque: what CONF reports; wheels get stronger or weaker in proportion, MotorTorque is cut to it."""
+    """Set MaxTorque: torque in CONF; wheels scale in proportion, and it limits MotorTorque."""
     share = value / robot.max_torque
     cut = min(value, MOTOR_TORQUE) / min(robot.max_torque, MOTOR_TORQUE)
     robot = _motors(_motors(robot, _is_wheel, torque=share), _is_hinge, torque=cut)
@@ -184,7 +185,7 @@ def set_max_torque(robot: RobotSpec, value: float) -> RobotSpec:
 
 
 def set_spin_speed(robot: RobotSpec, value: float) -> RobotSpec:
-    """Carry out maxSpinSpeed (KRobot.uc): highest speed of the wheels [rad/s]."""
+    """Set maxSpinSpeed (KRobot.uc): highest speed of the wheels [rad/s]."""
     drive = robot.drive
     if "max_spin" not in {field.name for field in fields(drive)}:  # type: ignore[arg-type]
         return robot
@@ -193,13 +194,13 @@ def set_spin_speed(robot: RobotSpec, value: float) -> RobotSpec:
 
 
 def set_motor_torque(robot: RobotSpec, value: float) -> RobotSpec:
-    """MotorTorque: joints of the robot itself that are no wheels, in proportion; at most MaxTorque counts."""
+    """Set MotorTorque: scales the robot's own joints except wheels; MaxTorque limits it."""
     limit = robot.max_torque
     return _motors(robot, _is_hinge, torque=min(value, limit) / min(MOTOR_TORQUE, limit))
 
 
 def set_motor_speed(robot: RobotSpec, value: float) -> RobotSpec:
-    """MotorSpeed: highest speed of those joints [rad/s]."""
+    """Set MotorSpeed: highest speed of those joints [rad/s]."""
     return _each_part(
         robot,
         lambda part: _is_hinge(part) and part.joint == "hinge",
@@ -208,12 +209,12 @@ def set_motor_speed(robot: RobotSpec, value: float) -> RobotSpec:
 
 
 def set_steer_torque(robot: RobotSpec, value: float) -> RobotSpec:
-    """SteerTorque: joints that steer, in proportion."""
+    """Set SteerTorque: scales the steering joints."""
     return _motors(robot, _is_steering, torque=value / STEER_TORQUE)
 
 
 def set_steer_speed(robot: RobotSpec, value: float) -> RobotSpec:
-    """SteerSpeed: highest speed of those joints, in Unreal's angles a second."""
+    """Set SteerSpeed: highest speed of those joints, in Unreal's angles a second."""
     return _each_part(
         robot,
         _is_steering,
@@ -222,17 +223,17 @@ def set_steer_speed(robot: RobotSpec, value: float) -> RobotSpec:
 
 
 def set_stiffness(robot: RobotSpec, value: float) -> RobotSpec:
-    """SuspStiffness: springs of suspensions, in proportion; at rest they carry what they did."""
+    """Set SuspStiffness: scales the springs of suspensions; their load at rest stays."""
     return _springs(robot, stiffness=value / SUSP_STIFFNESS)
 
 
 def set_susp_damping(robot: RobotSpec, value: float) -> RobotSpec:
-    """SuspDamping: dampers of suspensions, in proportion."""
+    """Set SuspDamping: scales the dampers of suspensions."""
     return _springs(robot, damping=value / SUSP_DAMPING)
 
 
 def set_tyre(robot: RobotSpec, **figures: float) -> RobotSpec:
-    """Tire...: figures of the tyres of all wheels that touch the ground by them, tracks' wheels included."""
+    """Set Tire...: parameters of all tyres with ground contact, including tracks' wheels."""
 
     def changed(shape: Shape) -> Shape:
         if shape.surface not in TYRES:
@@ -249,17 +250,17 @@ def set_tyre(robot: RobotSpec, **figures: float) -> RobotSpec:
 
 
 def set_high(robot: RobotSpec, value: float, uu_per_metre: float) -> RobotSpec:
-    """SuspHighLimit: how far a suspension lets its wheel up."""
+    """Set SuspHighLimit: upward travel of a suspension."""
     return _travel(robot, value * KARMA_SCALE / uu_per_metre, upper=True)
 
 
 def set_low(robot: RobotSpec, value: float, uu_per_metre: float) -> RobotSpec:
-    """SuspLowLimit: how far it lets it down, negative."""
+    """Set SuspLowLimit: downward travel of a suspension, negative."""
     return _travel(robot, value * KARMA_SCALE / uu_per_metre, upper=False)
 
 
 def set_centre(robot: RobotSpec, at: Vec3) -> RobotSpec:
-    """CenterOfMass (ours): gathers the chassis' mass in a box of half the robot's size around that point."""
+    """Set CenterOfMass (ours): gather the chassis' mass in a box of half the robot's size around a point."""
     mass = sum(shape.mass for shape in robot.chassis)
     x, y, z = (edge / 4 for edge in robot.dimensions)
     ballast = Shape(kind="box", size=(x, y, z), at=at, mass=mass, surface="fixture", rgba=(0, 0, 0, 0))
@@ -290,25 +291,25 @@ SETTERS: dict[str, tuple[float, Callable[[RobotSpec, float], RobotSpec]]] = {
     "TireSoftness": (-1e-9, lambda robot, value: set_tyre(robot, softness=value)),
     "TireRestitution": (-1e-9, lambda robot, value: set_tyre(robot, restitution=value)),
 }
-"""Keys of one number: what it must be above, and what it does; in the order in which they are carried out."""
+"""Keys of one number: exclusive lower limit, and setter; in the order of application."""
 LENGTHS: dict[str, Callable[[RobotSpec, float, float], RobotSpec]] = {
     "SuspHighLimit": set_high,
     "SuspLowLimit": set_low,
 }
-"""Keys of one number in Karma's scale."""
+"""Keys of one number in Karma's scale, with their setters."""
 
 
 def apply_figures(
     robot: RobotSpec, figures: Figures, units: Units, notes: WarningLog, skip: set[str]
 ) -> RobotSpec:
-    """Return a robot with the figures of its section; one that changes nothing about it becomes a warning.
+    """Return a robot with the parameters of its section; one without effect becomes a warning.
 
     Args:
         robot: The robot.
         figures: Its section's keys.
-        units: What its positions are in.
-        notes: Takes the warnings.
-        skip: Keys, in lower case, that have been used otherwise.
+        units: Units of its positions.
+        notes: Log of warnings.
+        skip: Keys, in lower case, that have been used already.
 
     Raises:
         SpecError: A value that is no number, or too small; names file and line.
@@ -332,7 +333,7 @@ def apply_figures(
 
 
 def _is_set(robot: RobotSpec, key: str, value: float) -> bool:
-    """Return whether a key has its value already: a robot it changes has nothing for other values either."""
+    """Return whether a key has its value already, rather than no effect at any value."""
     if key in SETTERS:
         return SETTERS[key][1](robot, value * 1.5 + 0.1) != robot
     return LENGTHS[key](robot, value + 1.0, 1.0) != robot

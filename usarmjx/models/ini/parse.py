@@ -1,4 +1,4 @@
-"""Unreal's ini files, as USARSim is configured by: text in, frozen values out; no knowledge of robots.
+"""Syntax of Unreal's ini files, USARSim's configuration: text in, frozen values out; independent of robots.
 
 The files are USARBot.ini and USARMisPkg.ini (manual 10.x, 11.x, 12.1.2), BotAPI.ini (9.1) and Pyro's world
 files (13.2.1). A line is `[Section]`, `key=value`, a comment (`;` or `//` in front) or blank; `;` also starts
@@ -12,7 +12,7 @@ matched without case and keys may repeat, in order. A value is one of:
     `class'USARBot.SonarSensor'`    `Reference`
     `(X=1, Y=-2)`, `()`             `Struct`
     `((X=1), (X=2))`, `(1, 2)`      tuple
-    `"F 1"`, `'F 1'`                str without the quotes; a backslash is a character as any other
+    `"F 1"`, `'F 1'`                str without the quotes; a backslash is no escape
     anything else                   str without the spaces around it; "" if nothing is there
 
 Unreal's array prefixes act within one section of one file: `+key=` and `.key=` add as a bare `key=` does,
@@ -36,20 +36,20 @@ _KEY = re.compile(r"([+.!-]?)\s*([^\W\d][\w.]*)\s*(?:\(\s*([0-9]{1,9})\s*\)|\[\s
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _REMOVES = ("-", "!")
 UU_PER_METRE = 250.0
-"""Unreal units in a metre (manual 6.2). The excerpt of manual 12.1.2 has an older length, 52.5."""
+"""Unreal units per metre (manual 6.2). The excerpt of manual 12.1.2 has an older length, 52.5."""
 MOST_BYTES = 4_000_000
-"""Of an ini file."""
+"""Largest size of an ini file [bytes]."""
 MOST_LINES = 50_000
-"""Of one, blank ones and comments left out."""
+"""Largest number of lines, apart from blank ones and comments."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """One `key=value`, and where it stands.
+    """One `key=value`, and its position.
 
     Attributes:
         key: As written, without prefix and index.
-        value: What is behind the `=`.
+        value: The value after the `=`.
         file: The file, for messages.
         line: The line number in the file, from 1.
         index: 2 for `Wheels(2)=...` or `Wheels[2]=...`, None for `Wheels=...`.
@@ -70,22 +70,22 @@ class Section:
     lines: tuple[Line, ...]
 
     def get_all(self, key: str) -> tuple[Line, ...]:
-        """Return the lines with that key in order, whatever their index, case ignored."""
+        """Return the lines with that key in order, with any index, case ignored."""
         wanted = key.lower()
         return tuple(line for line in self.lines if line.key.lower() == wanted)
 
     def last(self, key: str) -> Line | None:
-        """Return the last line with that key, which is the one that counts, or None; case ignored."""
+        """Return the last line with that key, the effective one, or None; case ignored."""
         return next(reversed(self.get_all(key)), None)
 
 
 @dataclass(frozen=True)
 class IniFile:
-    """A file that was read whole.
+    """A complete file.
 
     Attributes:
-        path: Where it came from, for messages.
-        sections: In order, a repeated one as often as it stands there.
+        path: Its path, for messages.
+        sections: Sections in order, repetitions included.
         uu_per_metre: Length of a metre in its Unreal units.
     """
 
@@ -111,7 +111,7 @@ def read_ini(path: Path) -> IniFile:
     """Read a file in UTF-8, in UTF-16 with a byte order mark, as Unreal writes, or else in latin-1.
 
     Raises:
-        SpecError: The file cannot be read, is not what its byte order mark says, or see `parse_ini`.
+        SpecError: The file cannot be read, contradicts its byte order mark, or see `parse_ini`.
     """
     try:
         text = _decode(read_bounded(path, MOST_BYTES))
@@ -136,11 +136,11 @@ def parse_ini(text: str, path: str = "<text>") -> IniFile:
 
     Args:
         text: The whole file, with any line ends.
-        path: Where it came from, for messages and for `Line.file`.
+        path: Its path, for messages and for `Line.file`.
 
     Raises:
-        SpecError: A line has none of the module's forms; the message names the file, the line's number,
-            what was wrong and what was expected.
+        SpecError: A line has none of the module's forms; the message names the file, the line's number, the
+            error and the expected form.
     """
     blocks = _Blocks()
     count = 0
@@ -167,7 +167,7 @@ def parse_ini(text: str, path: str = "<text>") -> IniFile:
 
 
 def _header(cursor: LineParser) -> str:
-    """Take a whole `[Section]` line and return the name."""
+    """Read a whole `[Section]` line and return the name."""
     text = cursor.text.lstrip()
     found = _HEADER.match(text)
     if not found or not found.group(1).strip() or not found.group(1).strip().isprintable():
@@ -194,16 +194,16 @@ def _key(cursor: LineParser) -> tuple[str, str, int | None]:
 
 
 class _Blocks:
-    """The sections of a file so far; what is removed is found without looking at all lines."""
+    """The sections of a file so far, with an index of their lines, so that removal needs no search."""
 
     def __init__(self) -> None:
         self._blocks: list[tuple[str, list[Line | None]]] = []
-        # By section and key: by index: by how the value is written: where such lines stand.
-        self._places: dict[tuple[str, str], dict[int | None, dict[str, list[tuple[int, int]]]]] = {}
+        # By section and key, then by index, then by repr of the value: positions of such lines.
+        self._positions: dict[tuple[str, str], dict[int | None, dict[str, list[tuple[int, int]]]]] = {}
 
     @property
     def begun(self) -> bool:
-        """Whether there is a section."""
+        """Whether a section has begun."""
         return bool(self._blocks)
 
     def begin(self, name: str) -> None:
@@ -213,25 +213,25 @@ class _Blocks:
     def add(self, line: Line) -> None:
         """Add a line to the last section."""
         lines = self._blocks[-1][1]
-        by_index = self._places.setdefault(self._key(line), {})
-        # To Python True == 1 == 1.0; how the values are written tells them apart.
+        by_index = self._positions.setdefault(self._key(line), {})
+        # In Python True == 1 == 1.0; their reprs differ.
         by_value = by_index.setdefault(line.index, {})
         by_value.setdefault(repr(line.value), []).append((len(self._blocks) - 1, len(lines)))
         lines.append(line)
 
     def remove(self, order: Line, *, everything: bool) -> None:
-        """Take out what a `-` or a `!` line names, from every block of its section."""
-        by_index = self._places.get(self._key(order), {})
+        """Remove the lines that a `-` or a `!` line names, from every block of its section."""
+        by_index = self._positions.get(self._key(order), {})
         if everything:
             indices = list(by_index) if order.index is None else [order.index]
-            found = [places for index in indices for places in by_index.pop(index, {}).values()]
+            found = [rows for index in indices for rows in by_index.pop(index, {}).values()]
         else:
             found = [by_index.get(order.index, {}).pop(repr(order.value), [])]
-        for block, place in (one for places in found for one in places):
-            self._blocks[block][1][place] = None
+        for block, row in (one for rows in found for one in rows):
+            self._blocks[block][1][row] = None
 
     def sections(self) -> tuple[Section, ...]:
-        """Return what is left."""
+        """Return the sections with their remaining lines."""
         return tuple(Section(name, tuple(filter(None, lines))) for name, lines in self._blocks)
 
     def _key(self, line: Line) -> tuple[str, str]:

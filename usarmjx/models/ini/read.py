@@ -1,4 +1,4 @@
-"""Typed reading of what an ini file holds: numbers, vectors and names, with the place of every mistake."""
+"""Typed reading of values of an ini file: numbers, vectors and names, with the position of every error."""
 
 import math
 from collections.abc import Iterable
@@ -12,14 +12,14 @@ from usarmjx.models.ini.parse import UU_PER_METRE, IniValue, Line, Reference, St
 from usarmjx.models.ini.values import quote_short
 
 LARGEST = 1e12
-"""Of numbers, so that their cubes can be worked with."""
+"""Largest number, whose cube is still usable."""
 UU_PER_RADIAN = 32768 / math.pi
-"""Unreal's angles in a radian (manual 6.2)."""
+"""Unreal's angles per radian (manual 6.2)."""
 
 
 @dataclass(frozen=True)
 class Units:
-    """How a robot's section writes positions and angles.
+    """Units of positions and angles in a robot's section.
 
     Attributes:
         by_uu: bMountByUU: in Unreal units and Unreal's axes, z up; else in metres, radians and z down.
@@ -30,14 +30,14 @@ class Units:
     uu_per_metre: float = UU_PER_METRE
 
     def position(self, vector: Vec3) -> Vec3:
-        """Return a position in metres, z down."""
+        """Convert a position to metres, z down."""
         if not self.by_uu:
             return vector
         x, y, z = (value / self.uu_per_metre for value in vector)
         return (x, y, 0.0 - z)
 
     def angles(self, vector: Vec3) -> Vec3:
-        """Return rotations about x, y, z in radians: roll, pitch, yaw, whose signs are Unreal's too."""
+        """Convert rotations about x, y, z to radians: roll, pitch, yaw, whose signs are Unreal's too."""
         if not self.by_uu:
             return vector
         x, y, z = (value / UU_PER_RADIAN for value in vector)
@@ -45,12 +45,12 @@ class Units:
 
 
 def fail(line: Line, problem: str, expected: str) -> NoReturn:
-    """Raise SpecError that names file and line, what was wrong and what is allowed."""
+    """Raise SpecError with file and line, the error and the allowed values."""
     raise SpecError(f"{line.file}:{line.line}: {problem}; expected {expected}")
 
 
 def key_text(line: Line) -> str:
-    """Return how a key is written: `Wheels(2)`."""
+    """Return a key in the notation of the file: `Wheels(2)`."""
     return line.key if line.index is None else f"{line.key}({line.index})"
 
 
@@ -64,7 +64,7 @@ def as_number(line: Line, value: IniValue | None, name: str, *, above: float = -
 
 
 def as_whole(line: Line, least: int, most: int) -> int:
-    """Return the whole number that a line says, within limits."""
+    """Return the integer of a line, within limits."""
     value = as_number(line, line.value, line.key)
     if value != int(value) or not least <= value <= most:
         fail(line, f"{line.key} is {line.value}", f"a whole number from {least} to {most}")
@@ -72,7 +72,7 @@ def as_whole(line: Line, least: int, most: int) -> int:
 
 
 def as_bool(line: Line, value: IniValue | None, name: str) -> bool:
-    """Return a truth value; 1 and 0 will do."""
+    """Return a truth value; 1 and 0 are accepted."""
     if isinstance(value, bool) or (isinstance(value, int) and value in (0, 1)):
         return bool(value)
     return fail(line, f"{name} is {_say(value)}", "True or False")
@@ -96,14 +96,14 @@ def as_class(line: Line, value: IniValue | None, name: str) -> str:
 
 
 def as_struct(line: Line) -> Struct:
-    """Return the value of a line that lists something."""
+    """Return the value of a line that must be a struct."""
     if not isinstance(line.value, Struct) or not line.value.fields:
         fail(line, f"{key_text(line)} is {_say(line.value)}", "(Name=value,Name=value,...)")
     return line.value
 
 
 def as_vector(line: Line, value: IniValue | None, name: str) -> Vec3:
-    """Return (X, Y, Z); an axis that is left out is 0."""
+    """Return (X, Y, Z); a missing axis is 0."""
     if not isinstance(value, Struct):
         fail(line, f"{name} is {_say(value)}", "(X=number,Y=number,Z=number)")
     axes = {key.lower(): as_number(line, part, f"{key} of {name}") for key, part in value.fields}
@@ -113,7 +113,7 @@ def as_vector(line: Line, value: IniValue | None, name: str) -> Vec3:
 
 
 def vector_of(line: Line, struct: Struct, name: str, default: Vec3 = (0.0, 0.0, 0.0)) -> Vec3:
-    """Return a vector of a struct, or the default where the struct does not name it."""
+    """Return a vector of a struct, or the default if it is missing."""
     value = struct.get(name)
     return default if value is None else as_vector(line, value, name)
 
@@ -121,7 +121,7 @@ def vector_of(line: Line, struct: Struct, name: str, default: Vec3 = (0.0, 0.0, 
 def number_of(
     line: Line, struct: Struct, name: str, default: float | None = None, *, above: float = -math.inf
 ) -> float:
-    """Return a number of a struct, or the default as it is; without a default it must be there."""
+    """Return a number of a struct, or the default unchecked; without a default it is required."""
     value = struct.get(name)
     if value is None and default is not None:
         return default
@@ -131,7 +131,7 @@ def number_of(
 
 
 def reject_unknown(line: Line, struct: Struct, allowed: Iterable[str]) -> None:
-    """Raise SpecError for a name within brackets that means nothing."""
+    """Raise SpecError for an unknown name within brackets."""
     known = list(allowed)
     lowered = {name.lower() for name in known}
     unknown = [key for key, _ in struct.fields if key.lower() not in lowered]
@@ -140,5 +140,5 @@ def reject_unknown(line: Line, struct: Struct, allowed: Iterable[str]) -> None:
 
 
 def _say(value: IniValue | None) -> str:
-    """Return a value fit for a message."""
+    """Return a value for a message."""
     return "not given" if value is None else quote_short(str(value))

@@ -1,8 +1,8 @@
-"""Robots from USARBot.ini and USARMisPkg.ini (manual 12.1.2, 14.4.2): classes changed, and classes made anew.
+"""Robots from USARBot.ini and USARMisPkg.ini (manual 12.1.2, 14.4.2): changed and new classes.
 
-Files are read in order; of a key that stands several times the last counts. A list (Sensors, Effecters,
-Cameras, MisPkgs, JointParts, Wheels) of one file replaces what the class had or an earlier file gave it, as
-Unreal's arrays do; AddSensors, AddEffecters, AddCameras and AddMisPkgs (ours) add to it instead.
+Files are read in order; the last value of a key counts. A list (Sensors, Effecters, Cameras, MisPkgs,
+JointParts, Wheels) of one file replaces the class's own or an earlier file's, as Unreal's arrays do;
+AddSensors, AddEffecters, AddCameras and AddMisPkgs (ours) add to it instead.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -32,20 +32,25 @@ from usarmjx.models.ini.spec import BuildContext, RobotSection, build_robot
 from usarmjx.models.types.robot import Options, RobotSpec
 
 ROBOT_PREFIX = "usarbot."
+"""Prefix of sections of robots and items."""
 LISTS = (*ITEM_LISTS, "MisPkgs", "Wheels")
+"""Keys that replace a list."""
 ADDS = tuple(f"Add{name}" for name in (*ITEM_LISTS, "MisPkgs"))
+"""Keys that add to a list."""
 JOINT_KEYS = ("JointParts", "JointPart")
+"""Spellings of the key of part-joint pairs."""
 OTHER_KEYS = ("BaseClass", "Dimensions", "CenterOfMass", "bMountByUU", "bAbsoluteCamera")
+"""Further keys of one value."""
 
 
 @dataclass
 class SortedSections:
-    """The sections of all files, by what they are about.
+    """The sections of all files, by their subject.
 
     Attributes:
-        robots: What each robot class is told, by its name in lower case.
+        robots: Sections of each robot class, by its name in lower case.
         defaults: Options of each type of item.
-        lines: Where a default stands, by type and key.
+        lines: Line of each default, by type and key.
         tracks: Lines with the number of tires, by robot, then by end.
     """
 
@@ -62,7 +67,7 @@ def sort_sections(
     notes: WarningLog,
     classes: ItemClasses,
 ) -> SortedSections:
-    """Return what the files say, in order; sections and keys that mean nothing become warnings.
+    """Return the contents of the files, in order; unknown sections and keys become warnings.
 
     The sections of item classes of the files' own are left out.
 
@@ -113,7 +118,7 @@ def _take_track(tracks: dict[str, Line], end: str, section: Section, notes: Warn
 
 
 def _track_of(name: str, robots: Registry[RobotSpec]) -> tuple[str, str]:
-    """Return the robot and the end that `TarantulaFrontTrack` names; nothing if it names none."""
+    """Return the robot and the end of a name like `TarantulaFrontTrack`; empty if it is none."""
     for end in TRACKS:
         owner = name.lower().removesuffix(f"{end}track")
         if owner != name.lower() and owner in robots:
@@ -134,7 +139,7 @@ def _take_defaults(
 
 
 def _take_orders(found: SortedSections, name: str, section: Section, units: Units, notes: WarningLog) -> None:
-    """Take one file's lines about one robot class."""
+    """Add one file's lines about one robot class."""
     orders = found.robots.setdefault(
         name.lower(), RobotSection(name=name, first=section.lines[0], units=units)
     )
@@ -163,7 +168,7 @@ def _take_orders(found: SortedSections, name: str, section: Section, units: Unit
 
 
 def _numbered(lines: Sequence[Line], units: Units) -> dict[int, tuple[Line, Units]]:
-    """Return lines by their index; one without takes the next number."""
+    """Return lines by their index; a line without one takes the next number."""
     found: dict[int, tuple[Line, Units]] = {}
     for line in lines:
         number = line.index if line.index is not None else max(found, default=-1) + 1
@@ -172,18 +177,18 @@ def _numbered(lines: Sequence[Line], units: Units) -> dict[int, tuple[Line, Unit
 
 
 MOST_BASES = 32
-"""Classes of a file that are based on each other in a row."""
+"""Largest length of a chain of base classes."""
 
 
 @dataclass(frozen=True)
 class LoadedRobots:
-    """What ini files say, ready to be put in force.
+    """Contents of ini files, ready to be applied.
 
     Attributes:
-        robots: Robot classes that they change or define.
+        robots: Changed and new robot classes.
         defaults: Defaults of item classes: type and options.
-        warnings: Unknown keys, and known ones that change nothing and why, each with file and line.
-        source_lines: Where each robot class of a section is first told of: name, file and line.
+        warnings: Unknown keys, and known ones without effect and the reason, each with file and line.
+        source_lines: First line about each robot class: name, file and line.
     """
 
     robots: tuple[RobotSpec, ...] = ()
@@ -192,7 +197,7 @@ class LoadedRobots:
     source_lines: tuple[tuple[str, str], ...] = ()
 
     def apply(self, robots: Registry[RobotSpec]) -> None:
-        """Put the robot classes into a registry, in place of those of the same name."""
+        """Put the robot classes into a registry, replacing those of the same name."""
         for robot in self.robots:
             robots.replace(robot.name, robot)
 
@@ -203,14 +208,14 @@ def load_robots(
     uu_per_metre: float = UU_PER_METRE,
     settings: Settings | None = None,
 ) -> LoadedRobots:
-    """Read ini files; nothing is changed by that.
+    """Read ini files without applying them.
 
     Args:
         paths: USARBot.ini and USARMisPkg.ini files, in any order; a later one overrides.
-        robots: The robot classes there are, and whose wheels and packages new ones may use.
+        robots: Existing robot classes, whose wheels and packages new ones may use.
         uu_per_metre: Length of a metre in Unreal units; 52.5 reads the excerpt of manual 12.1.2.
-        settings: What each type of item can be set to, as `usarmjx.sim.configure.settings_by_kind` gives it;
-            None takes any key, which then fails where the robot's sensors are built.
+        settings: Settings of each type of item, from `usarmjx.sim.configure.settings_by_kind`; None accepts
+            any key, and building the robot's sensors then fails on unknown ones.
 
     Raises:
         SpecError: A file that does not read, a value that is wrong, or a robot that cannot be built; the
@@ -224,7 +229,7 @@ def read_files(paths: Iterable[str | Path], uu_per_metre: float = UU_PER_METRE) 
     """Read ini files whose Unreal units have that scale.
 
     Raises:
-        SpecError: A file that does not read; names file and line.
+        SpecError: An invalid file; names file and line.
         UsageError: A scale that is not above 0.
     """
     if not uu_per_metre > 0:
@@ -235,7 +240,7 @@ def read_files(paths: Iterable[str | Path], uu_per_metre: float = UU_PER_METRE) 
 def build_robots(
     files: Sequence[IniFile], robots: Registry[RobotSpec], settings: Settings | None = None
 ) -> LoadedRobots:
-    """Return what ini files say of the robot classes that there are; see `load_robots`."""
+    """Return the changed and new robot classes of ini files; see `load_robots`."""
     notes = WarningLog()
     definitions = read_packages(files, notes)
     classes = read_classes(files, robots.names(), settings, notes)
@@ -263,8 +268,8 @@ def build_robots(
             changed.append(robot)
     for (kind, key), items in kept.items():
         notes.add(found.lines[kind, key], f"{key} leaves alone what has its own: {examples(items)}")
-    places = tuple((built[key].name, orders.where) for key, orders in found.robots.items())
-    return LoadedRobots(tuple(changed), tuple(found.defaults.items()), tuple(notes.texts), places)
+    positions = tuple((built[key].name, orders.where) for key, orders in found.robots.items())
+    return LoadedRobots(tuple(changed), tuple(found.defaults.items()), tuple(notes.texts), positions)
 
 
 def _with_packages(robot: RobotSpec, sources: BuildContext) -> RobotSpec:
@@ -276,8 +281,8 @@ class _Builder:
     """Builds the classes that have a section, bases first, each once.
 
     Args:
-        orders: What each is told, by its name in lower case.
-        sources: What to build from.
+        orders: Section of each class, by its name in lower case.
+        sources: Context of the build.
     """
 
     def __init__(self, orders: Mapping[str, RobotSection], sources: BuildContext) -> None:
@@ -285,7 +290,7 @@ class _Builder:
         self.built: dict[str, RobotSpec] = {}
 
     def build(self, name: str, waiting: tuple[str, ...] = ()) -> RobotSpec:
-        """Return a class by its name in lower case; `waiting` are those that are based on it."""
+        """Return a class by its name in lower case; `waiting` are the classes based on it."""
         if name not in self.built:
             order = self.orders[name]
             base = self._base(order, (*waiting, name))
@@ -293,7 +298,7 @@ class _Builder:
         return self.built[name]
 
     def _base(self, order: RobotSection, waiting: tuple[str, ...]) -> RobotSpec | None:
-        """Return the class as it was, or the one a new class is based on; None for one made of parts."""
+        """Return the previous class, or the base of a new one; None for a robot made of parts."""
         robots, line = self.sources.robots, order.figures.get("baseclass")
         if order.name in robots and line is not None:
             fail(line, f"{order.name} exists already", "BaseClass in a new class' section only")

@@ -1,4 +1,4 @@
-"""One robot class as an ini section orders it."""
+"""Construction of one robot class from its ini section."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -21,20 +21,21 @@ from usarmjx.models.types.robot import CHASSIS, MissionPackage, Mount, RobotSpec
 from usarmjx.models.types.shapes import Shape
 
 LOCATED_MESSAGE = re.compile(r".+:\d+: ")
-"""How a message begins that names file and line."""
+"""Pattern of a message that begins with file and line."""
 PAINT = (0.2, 0.35, 0.6, 1.0)
+"""Colour of new chassis."""
 
 
 @dataclass
 class RobotSection:
-    """What the sections of all files say of one robot class.
+    """Contents of all files' sections of one robot class.
 
     Attributes:
         name: Its name.
         first: The first line about it, for messages.
-        units: What positions of the file that was read last are in.
+        units: Units of positions in the last file.
         figures: Keys of one value, by their names in lower case.
-        lists: Lines of the keys that list something, with their units.
+        lists: Lines of the keys of lists, with their units.
         joints: Part-joint pairs by number.
     """
 
@@ -53,14 +54,14 @@ class RobotSection:
 
 @dataclass(frozen=True)
 class BuildContext:
-    """What robots are built from, and where warnings go.
+    """Context of robots under construction.
 
     Attributes:
-        robots: The classes there are.
+        robots: Existing robot classes.
         definitions: Mission packages of the ini files.
         packages: All mission packages, with those definitions.
         settings: Settings of each type of item.
-        warnings: Takes the warnings.
+        warnings: Log of warnings.
         classes: Item classes of the ini files.
     """
 
@@ -73,12 +74,12 @@ class BuildContext:
 
 
 def build_robot(section: RobotSection, base: RobotSpec | None, sources: BuildContext) -> RobotSpec:
-    """Return the class that a section orders.
+    """Return the class of a section.
 
     Args:
         section: The section.
-        base: The class as it was, or the one that a new class is based on; None: there is none.
-        sources: What to build from.
+        base: The previous class, or the base of a new one; None: none.
+        sources: Context of the build.
 
     Raises:
         SpecError: A value that is wrong, or a robot that cannot be built; names file and line.
@@ -101,14 +102,14 @@ def build_robot(section: RobotSection, base: RobotSpec | None, sources: BuildCon
         if LOCATED_MESSAGE.match(str(error)):
             raise
         raise SpecError(f"{section.where}: {error}") from error
-    except ValueError as error:  # MuJoCo's, of masses and sizes that it cannot work with
+    except ValueError as error:  # MuJoCo's, for masses and sizes that it refuses
         raise SpecError(f"{section.where}: {robot.name} cannot be built: {quoted(error)}") from error
 
 
 def _changed_robot(
     orders: RobotSection, base: RobotSpec, pairs: Sequence[JointPair], sources: BuildContext
 ) -> RobotSpec:
-    """Return a class that exists with the parts, if any are given, on its own chassis."""
+    """Return an existing class with the given parts, if any, on its own chassis."""
     if (line := orders.figures.get("dimensions")) is not None:
         sources.warnings.add(
             line, "Dimensions are ignored: they are for a new class, whose chassis they are of"
@@ -124,7 +125,7 @@ def _changed_robot(
 
 
 def _new_robot(orders: RobotSection, pairs: Sequence[JointPair], sources: BuildContext) -> RobotSpec:
-    """Return a robot of parts on a box of the given Dimensions; the parts leave it the rest of Weight."""
+    """Return a robot of parts on a box of the given Dimensions; the chassis has the rest of Weight."""
     line, weight_line = _required(orders, "Dimensions"), _required(orders, "Weight")
     weight = as_number(weight_line, weight_line.value, "Weight", above=0.0)
     size = orders.units.position(as_vector(line, line.value, "Dimensions"))
@@ -175,7 +176,7 @@ def _with_packages(orders: RobotSection, robot: RobotSpec, sources: BuildContext
 
 
 def _mounts(orders: RobotSection, key: str, sources: BuildContext) -> list[tuple[Line, Mount]]:
-    """Return what a key lists, with the lines; without what is not built."""
+    """Return the items of a key, with their lines; without those that are not built."""
     read = [
         (line, read_mount(line, units, sources.settings, sources.warnings, sources.classes))
         for line, units in (*orders.lists.get(key, ()), *orders.lists.get(f"Add{key}", ()))
@@ -186,7 +187,7 @@ def _mounts(orders: RobotSection, key: str, sources: BuildContext) -> list[tuple
 def _with_items(
     orders: RobotSection, robot: RobotSpec, pairs: Mapping[str, JointPair], sources: BuildContext
 ) -> RobotSpec:
-    """Return a robot with its items: effecters first, for they bring parts that others sit on."""
+    """Return a robot with its items: effecters first, since others may be mounted on their parts."""
     read = {key: _mounts(orders, key, sources) for key in ITEM_LISTS}
     for key in ("Effecters", "Sensors", "Cameras"):
         items = () if key in orders.lists else getattr(robot, ITEM_LISTS[key])
@@ -211,9 +212,9 @@ def _with_items(
     return robot
 
 
-def _shifted(mount: Mount, places: Mapping[str, JointPair]) -> Mount:
-    """Return a mount relative to its part's joint, where the ini counts from the part's middle (14.4.2.5)."""
-    if mount.parent not in places:
+def _shifted(mount: Mount, pairs: Mapping[str, JointPair]) -> Mount:
+    """Return a mount relative to its part's joint; the ini's origin is the part's middle (14.4.2.5)."""
+    if mount.parent not in pairs:
         return mount
-    x, y, z = (a + b for a, b in zip(mount.at, places[mount.parent].middle, strict=True))
+    x, y, z = (a + b for a, b in zip(mount.at, pairs[mount.parent].middle, strict=True))
     return replace(mount, at=(x, y, z))

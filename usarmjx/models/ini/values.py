@@ -1,4 +1,4 @@
-"""The right-hand sides of an ini file: what is behind a `=`, and the cursor that reads one line."""
+"""Values of an ini file: the text after a `=`, and its recursive-descent parser."""
 
 import math
 import re
@@ -8,13 +8,14 @@ from typing import NoReturn, TypeAlias, Union
 from usarmjx.base.errors import SpecError
 
 MAX_DEPTH = 32
-"""Brackets within brackets that are accepted; the manual's deepest example has 3."""
+"""Largest depth of brackets; the manual's deepest example has 3."""
 
 # `Union`, so that `IniValue | None` can be evaluated: a quoted alias would be a plain str then.
 IniValue: TypeAlias = Union[str, int, float, bool, "Struct", "Reference", tuple["IniValue", ...]]
+"""Value of a key."""
 
 MOST_DIGITS = 400
-"""Characters of a whole number: more than the largest float has; Python reads at most 4300."""
+"""Largest length of an integer [characters]: more than the largest float has; Python reads at most 4300."""
 
 _NAME = re.compile(r"[^\W\d]\w*")
 _WORD = re.compile(r"[^,()\"'=]*")
@@ -30,7 +31,7 @@ class Reference:
     """A named Unreal object such as `class'USARBot.SonarSensor'`.
 
     Attributes:
-        kind: What it is ("class", "StaticMesh"), as written.
+        kind: Kind of the object ("class", "StaticMesh"), as written.
         name: Its name, package included.
     """
 
@@ -55,7 +56,7 @@ class Struct:
 
 
 class LineParser:
-    """A place in one line, and the rules of what may follow it (recursive descent).
+    """A recursive-descent parser with a position in one line.
 
     Args:
         text: The line.
@@ -68,17 +69,17 @@ class LineParser:
         self.pos = 0
 
     def fail(self, problem: str, expected: str) -> NoReturn:
-        """Raise SpecError that says where, what was wrong and what should have been there."""
+        """Raise SpecError with the position, the error and the expected form."""
         raise SpecError(f"{self.where}: {problem}; expected {expected}")
 
     def end(self, after: str, expected: str = "the end of the line or a ; comment") -> None:
-        """Require that nothing but a comment follows."""
+        """Require the end of the line, or a comment."""
         self._skip()
         if self._peek() not in ("", ";"):
             self.fail(f"{quote_short(self.text[self.pos :])} follows {after}", expected)
 
     def value(self) -> IniValue:
-        """Take the value of a line, to the line's end."""
+        """Read the value of a line, to the line's end."""
         self._skip()
         if self._peek() in ("(", *_QUOTES):
             value = self._item(depth=0)
@@ -100,7 +101,7 @@ class LineParser:
             self.pos += 1
 
     def _bare_text(self) -> str:
-        """Take text up to a comment, stepping over quotes and brackets, which must be closed."""
+        """Read text up to a comment, stepping over quotes and brackets, which must be closed."""
         start, opened = self.pos, list[int]()
         while (here := self._peek()) and (opened or here != ";"):
             if here in _QUOTES:
@@ -118,7 +119,7 @@ class LineParser:
         return self.text[start : self.pos].strip()
 
     def _item(self, depth: int) -> IniValue:
-        """Take one value within brackets, or one that starts with a bracket or a quote."""
+        """Read one value within brackets, or one that starts with a bracket or a quote."""
         if self._peek() == "(":
             return self._group(depth + 1)
         if self._peek() in _QUOTES:
@@ -133,7 +134,7 @@ class LineParser:
         return Reference(word, self._quoted())
 
     def _group(self, depth: int) -> IniValue:
-        """Take a pair of brackets and what is in it."""
+        """Read a pair of brackets with its content."""
         opening = self.pos
         if depth > MAX_DEPTH:
             self.fail(
@@ -161,7 +162,7 @@ class LineParser:
         return tuple(values) if values else Struct(tuple(fields))
 
     def _separator(self, opening: int) -> str:
-        """Take the comma or the closing bracket behind a value."""
+        """Read the comma or the closing bracket after a value."""
         self._skip()
         found = self._peek()
         if not found:
@@ -173,7 +174,7 @@ class LineParser:
         return found
 
     def _field_name(self) -> str | None:
-        """Take `name=`, if that is what comes next."""
+        """Read `name=`, if that is next."""
         start = self.pos
         name = self._word()
         if self._peek() != "=":
@@ -188,14 +189,14 @@ class LineParser:
         return name
 
     def _word(self) -> str:
-        """Take the text up to a character that has a meaning within brackets."""
+        """Read the text up to a character with a meaning within brackets."""
         found = _WORD.match(self.text, self.pos)
         word = found.group() if found else ""
         self.pos += len(word)
         return word.strip()
 
     def _quoted(self) -> str:
-        """Take a quoted text; there is no way to have its quote within it."""
+        """Read a quoted text, which cannot contain its quote."""
         quote, start = self._peek(), self.pos + 1
         stop = self.text.find(quote, start)
         if stop < 0:
@@ -205,7 +206,7 @@ class LineParser:
         return self.text[start:stop]
 
     def _scalar(self, text: str) -> str | int | float | bool:
-        """Return what unquoted text means."""
+        """Return the value of unquoted text."""
         if text.lower() in ("true", "false"):
             return text.lower() == "true"
         found = _NUMBER.fullmatch(text)
@@ -223,5 +224,5 @@ class LineParser:
 
 
 def quote_short(text: str, limit: int = 60) -> str:
-    """Return text of a file fit for a message: quoted and cut short."""
+    """Return text of a file for a message: quoted and cut short."""
     return repr(text if len(text) <= limit else text[:limit] + "...")

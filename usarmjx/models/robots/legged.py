@@ -138,7 +138,7 @@ SILVER_SHELL: Rgba = (0.7, 0.72, 0.75, 1.0)
 LIFT: Vec3 = (0.0, 1.0, 0.0)
 """Axes to the right and left: a limb swings forward about the first, backward about the second."""
 BEND: Vec3 = (0.0, -1.0, 0.0)
-"""Axes to the right and left: what hangs down swings forward about the first, backward about the second."""
+"""Axes to the right and left: a limb swings forward about the first, backward about the second."""
 POSES = tuple(sensor for sensor in POSE_SENSORS if sensor.kind != "Odometry")  # there are no wheels to count
 
 
