@@ -23,7 +23,7 @@ from usarmjx.models.compile.compose import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import START_ELEVATION, StartPose
 from usarmjx.server.gamebots.adapter import Client
-from usarmjx.server.protocol.session import SessionPhase
+from usarmjx.server.protocol.commands import SessionPhase
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 TABLE_2 = "{Location 4.5,1.9,1.8} {Rotation 0,0,0}"  # manual 5.3.6: the yellow arena
@@ -90,7 +90,7 @@ class House:
 
     @staticmethod
     def _init(client, init):
-        spec = client.class_of(init)
+        spec = client.robot_class(init)
         return spec is not None and client.spawn(init, spec)
 
     def run(self, steps=TICK):

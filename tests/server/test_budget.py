@@ -237,7 +237,7 @@ def test_every_command_is_paid_for(world, kind):
         peer.until(b"STA")
         first = world.time
         flood([peer], COSTLY[kind].encode(), lambda: world.time > first + 40 * PERIOD)
-        done, steps = server.tally.commands[kind], (world.time - first) / PERIOD
+        done, steps = server.counts.commands[kind], (world.time - first) / PERIOD
         pieces = len(COSTLY[kind]) // READ_SIZE  # each of which is a turn
         assert 1 <= done <= ((BURST + GROWTH * steps) / MS + 1) / (1 + pieces)
 
@@ -252,7 +252,7 @@ def test_inits_without_end_are_few_and_leave_one_line(world, caplog, asked):
             peer.reset()
         wait_until(lambda: not server.clients)
         steps = (world.time - first) / PERIOD
-        done = server.tally.commands[Init]
+        done = server.counts.commands[Init]
         assert 5 <= done <= 5 * ((BURST + GROWTH * steps) / INIT_COST + 1)
     told = [r.getMessage() for r in caplog.records if "INIT refused: unknown robot 'Nope'" in r.getMessage()]
     assert 5 <= len(told) <= 10 + (time.monotonic() - began) * 5 / INTERVAL
@@ -300,9 +300,9 @@ def test_who_left_while_others_join_keeps_no_connection():
     with serving(world, realtime_factor=PACE) as (port, server):
         server._joins.spend(1e6)
         first = Peer(port, init("First"))
-        wait_until(lambda: server.tally.commands[Init] == 1)
+        wait_until(lambda: server.counts.commands[Init] == 1)
         gone = [Peer(port, init(f"Gone{i}")) for i in range(10)]
-        wait_until(lambda: server.tally.commands[Init] == 11)
+        wait_until(lambda: server.counts.commands[Init] == 11)
         for peer in gone:
             peer.close()
         wait_until(lambda: len(server.clients) == 1)
@@ -337,7 +337,7 @@ def test_what_a_client_left_unread_is_not_carried_out(world, end):
     """A thousand turns would take a thousand control steps; ten it has saved up."""
     with ticking(world) as (port, server):
         for count, most in ((10, 10), (1000, BURST / MS + 30)):
-            before, peer = server.tally.commands[GetStartPoses], Peer(port)
+            before, peer = server.counts.commands[GetStartPoses], Peer(port)
             peer.line()
             wait_until(lambda: server.clients)
             peer.socket.sendall(b"GETSTARTPOSES\r\n" * count)
@@ -348,7 +348,7 @@ def test_what_a_client_left_unread_is_not_carried_out(world, end):
             left = world.time
             wait_until(lambda: not server.clients)
             assert world.time < left + 100 * PERIOD
-            done = server.tally.commands[GetStartPoses] - before
+            done = server.counts.commands[GetStartPoses] - before
             assert done <= most
             assert done == count or count > most or end == "reset"
             peer.close()

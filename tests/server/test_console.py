@@ -9,16 +9,8 @@ import pytest
 from tests.server.still_world import CLASS, StillWorld
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.gamebots.console import (
-    MAX_LINES,
-    MAX_LOG_LINE,
-    NOT_ALLOWED,
-    PACKAGE,
-    LogTail,
-    SpectatorConsole,
-    WatchingCamera,
-    keep_log,
-)
+from usarmjx.server.gamebots.console import NOT_ALLOWED, SpectatorCamera, SpectatorConsole
+from usarmjx.server.runtime.logs import MAX_KEPT_LINES, MAX_LOG_LINE, PACKAGE, LogTail, keep_log
 from usarmjx.view.controls import WorldStatus
 
 
@@ -66,7 +58,7 @@ def test_pause_lets_the_world_stand_still_and_go_on(world):
 
 def test_showdebug_has_the_camera_as_init_wants_it(world):
     """On the wire y is to the right and z down, and so are the angles."""
-    camera = WatchingCamera(np.array([1.0, 2.0, 3.0]), mat_from_angles(0.0, 0.25, 0.5), 12.34, "free view")
+    camera = SpectatorCamera(np.array([1.0, 2.0, 3.0]), mat_from_angles(0.0, 0.25, 0.5), 12.34, "free view")
     world.step()
     told = SpectatorConsole(world, Controls(), camera=lambda: camera).run("showdebug").splitlines()
     assert told == [
@@ -89,7 +81,7 @@ def test_showlog_shows_the_last_lines_of_the_log_even_of_what_the_error_stream_d
     console = SpectatorConsole(world, tail=tail)
     assert console.run("showlog") == "nothing has been logged yet"
     log = logging.getLogger("usarmjx.server.gamebots.server")
-    for number in range(MAX_LINES + 5):
+    for number in range(MAX_KEPT_LINES + 5):
         log.info("client %d: connected", number)
     log.error("two\nlines " + "x" * MAX_LOG_LINE)
     lines = console.run("showlog 3").splitlines()
@@ -101,7 +93,7 @@ def test_showlog_shows_the_last_lines_of_the_log_even_of_what_the_error_stream_d
     assert len(lines[2]) == MAX_LOG_LINE
     assert len(console.run("showlog 499").splitlines()) == 499
     assert len(console.run("showlog").splitlines()) == 20
-    assert len(tail.lines) == MAX_LINES
+    assert len(tail.lines) == MAX_KEPT_LINES
     shown.stream.close()
 
 

@@ -19,10 +19,10 @@ from usarmjx.base.errors import PeerError
 from usarmjx.server.pictures.spectator import MAX_BRACKETS, MAX_DIGITS, STEEPEST, Spectator, read_message
 from usarmjx.server.pictures.spectator_server import MAX_MESSAGE_SIZE
 from usarmjx.server.protocol.command_parsers import COMMANDS
-from usarmjx.server.protocol.commands import DRIVE_KEYS
+from usarmjx.server.protocol.commands import DRIVE_KEYS, LEGAL_COMMANDS, SessionPhase
 from usarmjx.server.protocol.grammar import HttpRequestError, Message, format_message, parse_message
 from usarmjx.server.protocol.images import ImageSession
-from usarmjx.server.protocol.session import LEGAL_COMMANDS, MAX_FAULTS, RobotSession, SessionPhase
+from usarmjx.server.protocol.session import MAX_FAULTS, RobotSession
 from usarmjx.server.wireless.comserver import ComServer
 from usarmjx.server.wireless.dialect_a import DataLinkParser, DialectASession
 from usarmjx.server.wireless.dialect_b import MAX_LINE_SIZE, DialectBSession

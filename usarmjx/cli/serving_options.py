@@ -294,9 +294,9 @@ class SpectatorOptions:
 
     def prepare(self, listen: "ListenOptions", ini: Sequence[Path]) -> ServiceMaker:
         """Return what makes the page of a world."""
-        from usarmjx.server.gamebots.console import keep_log
         from usarmjx.server.network.web_gate import check_names
         from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
+        from usarmjx.server.runtime.logs import keep_log
 
         del ini
         names = check_names(self.allow_host or ())

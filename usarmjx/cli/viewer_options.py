@@ -145,7 +145,7 @@ def add_viewer(
         radio: The radio's constants; None: there is none.
         layers: Layers that are on at first beside those that always are.
     """
-    from usarmjx.server.gamebots.console import keep_log
+    from usarmjx.server.runtime.logs import keep_log
     from usarmjx.server.viewing.controls import control_seat
     from usarmjx.server.viewing.viewer_service import ServedSource, ViewerService
 

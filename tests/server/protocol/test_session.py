@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from usarmjx.base.errors import PeerError
 from usarmjx.server.protocol.commands import (
+    LEGAL_COMMANDS,
     Command,
     DriveJoint,
     DriveRobot,
@@ -21,6 +22,7 @@ from usarmjx.server.protocol.commands import (
     MisPkg,
     MultiDrive,
     OwnCommand,
+    SessionPhase,
     Set,
     SetFov,
     SetJoint,
@@ -34,13 +36,11 @@ from usarmjx.server.protocol.descriptions import geo_nothing
 from usarmjx.server.protocol.grammar import Message
 from usarmjx.server.protocol.reports import nfo_greeting, nfo_start_poses, res
 from usarmjx.server.protocol.session import (
-    LEGAL_COMMANDS,
     MAX_FAULTS,
     MAX_WAITING,
     REFUSAL_FAULTS,
     SEND_LIMIT,
     RobotSession,
-    SessionPhase,
 )
 
 GREETING = nfo_greeting("DM-Test")

@@ -4,7 +4,7 @@ import pytest
 
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.suite import suite_of
-from usarmjx.server.gamebots.reporter import TEAM, first_report
+from usarmjx.server.gamebots.reporter import MAX_TEAM, first_report_time
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.control import idle_command
 
@@ -22,7 +22,7 @@ def joined(names):
         for other in robots[:-1]:
             while other.next_report <= now + 1e-6:
                 other.next_report += spec.msg_timer
-        robot.next_report = first_report(robot, robots, now, PERIOD)
+        robot.next_report = first_report_time(robot, robots, now, PERIOD)
         times.append((now, robot.next_report))
     return robots, times
 
@@ -43,10 +43,10 @@ def test_the_first_report_comes_within_the_timer_and_after_the_present_step():
 
 
 def test_robots_of_a_class_report_in_teams_and_the_teams_in_turn():
-    robots, _ = joined(["P2AT", "P2DX"] * (2 * TEAM))
+    robots, _ = joined(["P2AT", "P2DX"] * (2 * MAX_TEAM))
     found = dict(zip(robots, phases(robots), strict=True))
     teams = {(robot.spec.name, found[robot]) for robot in robots}
     assert len(teams) == 4
     assert len({phase for _, phase in teams}) == 4
     sizes = [sum((robot.spec.name, found[robot]) == team for robot in robots) for team in teams]
-    assert sizes == [TEAM] * 4
+    assert sizes == [MAX_TEAM] * 4

@@ -1,6 +1,7 @@
-"""Which message each sensor's reading becomes, and what GEO and CONF say of robots: tables, no state.
+"""The Gamebots server: clients' commands drive robots of a served world, and their reports go back.
 
-`sensors` has the manual's sensors, `victims` those that find victims and RFID tags, `generic` any other:
-its quantities (`Sensor.quantities`) say how to write them, so a sensor of your own needs nothing here.
-Readings come in our axes and leave in the wire's. Begin with `sensors.REPORTS`.
+`server` has the sockets of one world, `adapter` carries out the commands of a client, `reporter` and
+`sensors` make its reports: `sensors` has the manual's sensors, `victims` those that find victims and RFID
+tags. Any other sensor declares its quantities (`Sensor.quantities`) and needs nothing here. Readings come in
+our axes and leave in the wire's. Begin with `server.BotServer.tick`, then `adapter.Client`.
 """

@@ -1,4 +1,4 @@
-"""The bridge between a client's dialogue and a robot in a served world; knows no socket."""
+"""Bridge between a client's dialogue and a robot in a served world; knows no socket."""
 
 import logging
 import time
@@ -10,9 +10,9 @@ from usarmjx.models.compile.parts import part_name
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import STEER_SUFFIX, MissionPackage, RobotSpec
 from usarmjx.sensors.rfid import Rfid
-from usarmjx.server.gamebots.reporter import Reporter, battery_left, first_report
+from usarmjx.server.gamebots.reporter import Reporter, battery_left, first_report_time
 from usarmjx.server.gamebots.sensors import configuration, geometry, link_joint
-from usarmjx.server.gamebots.spawning import appear
+from usarmjx.server.gamebots.spawning import spawn_from_init
 from usarmjx.server.gamebots.victims import access_tag
 from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol import reports
@@ -33,14 +33,25 @@ from usarmjx.server.worlds.robot import Robot, RobotTrace
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.sim.control import FLIP_TIME, CommandUpdate, ControlMode
 
+log = logging.getLogger(__name__)
+
 PAN_LINK, TILT_LINK = 1, 2
-"""The links of a pan-tilt frame."""
+"""Link numbers of a pan-tilt frame."""
 RELATIVE_ANGLE = 10
-"""The order that adds to the present angle (KRobot.uc)."""
+"""Order that adds to the present angle (KRobot.uc)."""
+BRAKE = 3
+"""Order of the wire that holds a joint at its present position (KRobot.uc)."""
+RELATIVE_MODES = {10: ControlMode.POSITION, 11: ControlMode.VELOCITY, 12: ControlMode.TORQUE}
+"""Orders of the wire that add to the present position, or to the speed or torque in force (KRobot.uc)."""
+MOTION_COMMANDS = (
+    *(wire.DriveRobot, wire.DriveWheels, wire.DriveJoint, wire.MultiDrive),
+    *(wire.MisPkg, wire.Set, wire.SetJoint, wire.SetFov, wire.TurnCamera),
+)
+"""Commands that are ignored while somebody else drives the client's robot."""
 
 
 def pan_tilt_of(robot: RobotSpec) -> MissionPackage | None:
-    """Return the pan-tilt frame that carries a robot's first camera; None: it has none such."""
+    """Return the pan-tilt frame that carries a robot's first camera; None without one."""
     for package in robot.packages:
         parts = {part_name(package, link) for link in package.links}
         is_frame = {link.number for link in package.links} == {PAN_LINK, TILT_LINK}
@@ -50,9 +61,9 @@ def pan_tilt_of(robot: RobotSpec) -> MissionPackage | None:
 
 
 def package_command(robot: RobotSpec, command: TurnCamera) -> MisPkg | None:
-    """Return the MISPKG that turns a robot's first camera as a CAMERA says; None: nothing does.
+    """Return the MISPKG that turns a robot's first camera as a CAMERA asks; None without a frame.
 
-    Angles are relative unless bAbsoluteCamera is True; what shall not turn goes on as it does.
+    Angles are relative unless bAbsoluteCamera is True; a relative angle of 0 leaves its link's command alone.
     """
     frame = pan_tilt_of(robot)
     if frame is None or command.rotation is None:
@@ -60,25 +71,10 @@ def package_command(robot: RobotSpec, command: TurnCamera) -> MisPkg | None:
     _, tilt, pan = command.rotation
     is_relative = command.order == 0 and not robot.absolute_camera
     order = RELATIVE_ANGLE if is_relative else command.order
-    turns = (
-        (PAN_LINK, -pan),
-        (TILT_LINK, tilt),
-    )  # yaw is positive to the right on the wire, link 1 to the left
+    # Yaw is positive to the right on the wire, link 1 to the left.
+    turns = ((PAN_LINK, -pan), (TILT_LINK, tilt))
     links = tuple(LinkCommand(link, turn, order) for link, turn in turns if turn or not is_relative)
     return MisPkg(frame.name, links)
-
-
-log = logging.getLogger(__name__)
-
-BRAKE = 3
-"""The wire's order for holding a joint where it is (KRobot.uc)."""
-ORDERS = (
-    *(wire.DriveRobot, wire.DriveWheels, wire.DriveJoint, wire.MultiDrive),
-    *(wire.MisPkg, wire.Set, wire.SetJoint, wire.SetFov, wire.TurnCamera),
-)
-"""What a robot that somebody else drives meanwhile does not do for its client."""
-RELATIVE_MODES = {10: ControlMode.POSITION, 11: ControlMode.VELOCITY, 12: ControlMode.TORQUE}
-"""The wire's orders that add to the present position, or to the speed or torque in force (KRobot.uc)."""
 
 
 class Client:
@@ -87,8 +83,8 @@ class Client:
     Args:
         world: The served world.
         peer: The peer's address, for the log.
-        fault_log: Where its faults are logged; None: in a log of its own.
-        dialect: In which version's words it speaks.
+        fault_log: Log of its faults; None for one of its own.
+        dialect: Vocabulary of the client.
         time_limit: Minutes of simulated time after which the world ends; 0: never.
     """
 
@@ -129,13 +125,17 @@ class Client:
 
     def handle(self, command: wire.Command) -> None:
         """Carry out any command but INIT; nothing if the robot is lost: its slot may be another's."""
-        if self.robot is not None and self.robot.obeys not in (None, self) and isinstance(command, ORDERS):
+        if (
+            self.robot is not None
+            and self.robot.obeys not in (None, self)
+            and isinstance(command, MOTION_COMMANDS)
+        ):
             self.session.add_fault(f"{self.robot.name} is driven from the page: {type(command).__name__}")
         elif not self.lost:
             self._handlers[type(command)](command)
 
     def log_faults(self, *, is_last: bool = False) -> None:
-        """Log what was wrong with the client's lines, in a line at most once a second; the last at once."""
+        """Log the faults of the client's lines, at most one line a second; the last at once."""
         now = time.monotonic()
         count = self.session.fault_count - self._logged
         if count and (is_last or now >= self._next_log):
@@ -145,8 +145,8 @@ class Client:
 
     # INIT comes in two halves, so that the server can prepare the class in a thread.
 
-    def class_of(self, init: wire.Init) -> RobotSpec | None:
-        """Return the robot class that an INIT asks for; None when there is no such class."""
+    def robot_class(self, init: wire.Init) -> RobotSpec | None:
+        """Return the robot class of an INIT; None when there is no such class."""
         if init.class_name in ROBOTS:
             return ROBOTS.get(init.class_name)
         known = ", ".join(ROBOTS.names())
@@ -154,28 +154,28 @@ class Client:
         return None
 
     def spawn(self, init: wire.Init, spec: RobotSpec) -> bool:
-        """Put the robot into the world; return whether that worked (the client hears nothing, as ever)."""
+        """Spawn the robot of an INIT; return whether that worked. As in the original, nothing is answered."""
         try:
-            robot = appear(self._world, init, spec)
+            robot = spawn_from_init(self._world, init, spec)
         except UsageError as error:
             self.session.note_refusal(str(error))
             return False
-        self.adopt(robot, robot.spawn_time)
+        self.attach_robot(robot, robot.spawn_time)
         log.info("%s: spawned %s as %r", self._peer, spec.name, robot.name)
         return True
 
-    def adopt(self, robot: Robot, since: float) -> None:
-        """Have a robot that is in the world already, and report from a time on [s]."""
+    def attach_robot(self, robot: Robot, since: float) -> None:
+        """Attach a robot that is in the world already, and report from `since` [s] on."""
         self.robot = robot
-        robot.next_report = first_report(robot, self._world.robots.values(), since, self._world.period)
+        robot.next_report = first_report_time(robot, self._world.robots.values(), since, self._world.period)
 
     def record_lines(self, peer: str, data: bytes, *, sent: bool) -> None:
-        """Let what went to the client or came from it be recorded, if anything is."""
+        """Record bytes sent to the client or received from it, if the world is recorded."""
         if data and self._world.recorder is not None:
             self._world.recorder.lines(peer, self.robot.name if self.robot else "", data, sent=sent)
 
     def leave(self) -> None:
-        """Take the robot out of the world (the connection is gone)."""
+        """Remove the robot from the world after the end of the connection."""
         if self.robot is not None:
             self._world.remove(self.robot)
             self.robot = None
@@ -188,7 +188,7 @@ class Client:
 
     @property
     def battery_empty(self) -> bool:
-        """Whether the robot has used up its battery: then only STA goes on (KRobot.uc)."""
+        """Whether the battery is empty: then only STA goes on (KRobot.uc)."""
         return battery_left(self._world, self._present) <= 0
 
     @property
@@ -238,7 +238,7 @@ class Client:
         self._world.update_command(self._present, update)
 
     def _set_joint_mode(self, joint: int, order: int, value: float) -> bool:
-        """Give one joint an order as the wire numbers them; return whether there is such an order."""
+        """Apply an order of the wire to one joint; return whether there is such an order."""
         robot = self._present
         target, present = robot.command.target[joint], robot.command.mode[joint]
         goal: ArrayLike = value
@@ -273,7 +273,7 @@ class Client:
             self._drive_joint(command)
 
     def _drive_joints(self, command: wire.MultiDrive) -> None:
-        # All in one update: a gait sends a dozen joints in each control step, and a client's time is short.
+        # One update for all joints: a gait sends a dozen in each control step, and a client's time is short.
         plan, goals = self._present.plan, dict[str, ArrayLike]()
         for name, angle in command.joints:
             joint = plan.joint_index(name)
@@ -342,7 +342,7 @@ class Client:
         self.session.send(reports.res_camera(self._world.time, lines))
 
     def _turn_camera(self, command: wire.TurnCamera) -> None:
-        """Carry out a CAMERA; nobody is answered, as ever."""
+        """Carry out a CAMERA; the original sends no answer."""
         robot = self._present
         move = package_command(robot.spec, command)
         if move is not None:
@@ -363,7 +363,7 @@ class Client:
         self.session.send(reports.res_viewports(self._world.time, config, shown))
 
     def _set_view(self, command: wire.SetView) -> None:
-        """Bind an image client's view to a camera, or unbind it; nobody is answered, as ever."""
+        """Bind an image client's view to a camera, or unbind it; the original sends no answer."""
         if not command.robot:
             self._world.view_bindings.unbind(command.client)
             return
@@ -376,7 +376,7 @@ class Client:
         self._trace_state = RobotTrace(command, self._trace_state.last if self._trace_state else None)
 
     def add_trace_point(self) -> None:
-        """Add a point to the robot's trace if it is time to; to be called after every control step."""
+        """Add a point to the robot's trace if one is due; call it after every control step."""
         if (
             self._trace_state is not None
             and self._trace_state.due(self._world.time)
@@ -430,10 +430,10 @@ class Client:
     # Reports
 
     def due(self) -> bool:
-        """Whether the robot's message timer has run out."""
+        """Whether a report of the robot is due."""
         return self.robot is not None and self._world.time >= self.robot.next_report - 1e-6
 
     def report(self) -> None:
-        """Tell the client what its robot reports, and the log what could not be told."""
+        """Send the robot's reports, and log those that failed."""
         self._reporter.report(self._present)
         self.log_faults()

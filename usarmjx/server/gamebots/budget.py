@@ -1,4 +1,4 @@
-"""What clients may take of a server's time: whoever has spent its budget waits, and the world steps on.
+"""Budgets of clients' processing time: a client that has spent its budget waits, and the world steps on.
 
 Budgets are of processor time and grow with the world's time, a bit in each control step. So neither a machine
 that is busy with other things nor a world that falls behind lets clients take more of each step.
@@ -12,32 +12,32 @@ from types import TracebackType
 from usarmjx.base.errors import PeerError
 
 CLIENT_SHARE = 0.05
-"""A client's budget grows by so much of the time [s per simulated second]."""
+"""Growth of one client's budget [s per simulated second]."""
 TOTAL_SHARE = 0.25
-"""All clients of a world together get so much of the time of a control step [s per simulated second]."""
+"""Share of a control step for all clients of a world together [s per simulated second]."""
 JOIN_SHARE = 0.2
-"""To join the world and to leave it may take so much of the time, for all who do [s per simulated second]."""
+"""Share of a control step for joining and leaving, all clients together [s per simulated second]."""
 BURST = 0.05
-"""A client that was silent has saved up so much [s]."""
-MEMORY = 0.98
-"""So much of what a client has used still counts a control step later, where the next one is chosen."""
+"""Largest saved budget of a silent client [s]."""
+USE_DECAY = 0.98
+"""Decay per control step of the use that decides whose turn is next."""
 TURN_COST = 1e-5
-"""What a turn costs beside the work that is done in it: reading, and waking the client's task [s]."""
+"""Cost of a turn besides its work: reading, and waking the client's task [s]."""
 INIT_COST = 0.02
-"""What an INIT costs its sender at least, whether it is accepted or not [s]."""
+"""Smallest cost of an INIT to its sender, whether it is accepted or not [s]."""
 
 
 class BudgetPool:
-    """The time that all clients of a world have between two control steps, and whose turn it is.
+    """Time of all clients of a world between two control steps, and the order of their turns.
 
     Args:
         period: Simulated time of a control step [s].
-        share: How much of the time that is [s per simulated second].
-        clock: The processor time of this thread [s].
+        share: Share of the time [s per simulated second].
+        clock: Processor time of this thread [s].
 
     Attributes:
-        clock: The processor time of this thread [s].
-        growth: What each client's budget grows by in a control step [s].
+        clock: Processor time of this thread [s].
+        growth: Growth of each client's budget in a control step [s].
         steps: Control steps so far.
     """
 
@@ -50,44 +50,45 @@ class BudgetPool:
 
     @property
     def is_spent(self) -> bool:
-        """Whether there is nothing left for anybody in this control step."""
+        """Whether nothing is left for any client in this control step."""
         return self._left <= 0.0
 
     def refill(self) -> None:
-        """The world has made a control step. What was left of the last one is not saved up; a debt stays."""
+        """Begin a control step: an unspent rest of the last one is lost, a debt stays."""
         self.steps += 1
         self._left = self._share + min(0.0, self._left)
-        self._call_next()
+        self._wake_next()
 
     def spend(self, cost: float) -> None:
-        """Take what a turn has cost [s], and call the next client."""
+        """Subtract the cost of a turn [s], and wake the next client."""
         self._left -= cost
-        self._call_next()
+        self._wake_next()
 
     async def wait(self, budget: "ClientBudget") -> None:
         """Wait until a client may have its turn.
 
         Raises:
-            PeerError: It is told to wait no longer.
+            PeerError: Its wait is cancelled.
         """
         while self.is_spent or budget.balance <= 0.0:
             self._waiting[budget] = asyncio.get_running_loop().create_future()
             try:
                 await self._waiting[budget]
             except asyncio.CancelledError:
-                self._call_next()  # it may have been called already
+                # This waiter may hold the wake-up of this step: pass it on, or all sleep a step longer.
+                self._wake_next()
                 raise
             finally:
                 del self._waiting[budget]
 
     def dismiss(self, budget: "ClientBudget", reason: str) -> None:
-        """Let a client wait no longer, nor have its turn; nothing if it does not wait."""
+        """Cancel a client's wait and turn; nothing if it does not wait."""
         called = self._waiting.get(budget)
         if called is not None and not called.done():
             called.set_exception(PeerError(reason))
 
-    def _call_next(self) -> None:
-        """Call the client that has used least of late: who asks for little hardly waits."""
+    def _wake_next(self) -> None:
+        """Wake the client with the least recent use, so that a client with few requests hardly waits."""
         if self.is_spent:
             return
         able = [one for one, called in self._waiting.items() if not called.done() and one.balance > 0.0]
@@ -96,10 +97,10 @@ class BudgetPool:
 
 
 class ClientBudget:
-    """One client's budget. `async with budget:` around work without waiting is its turn, which it pays for.
+    """Budget of one client. `async with budget:` around work without waiting is its turn, which it pays for.
 
     Args:
-        pool: What it shares with the others.
+        pool: Time that it shares with the others.
     """
 
     def __init__(self, pool: BudgetPool) -> None:
@@ -108,21 +109,21 @@ class ClientBudget:
 
     @property
     def balance(self) -> float:
-        """What is left of it; below zero it waits [s]."""
+        """Rest of the budget; below zero the client waits [s]."""
         return min(BURST, self._balance + (self._pool.steps - self._step) * self._pool.growth)
 
     @property
     def used(self) -> float:
-        """What the client has used of late [s]."""
-        return self._used * MEMORY ** (self._pool.steps - self._step)
+        """Recent use of the client [s]."""
+        return self._used * USE_DECAY ** (self._pool.steps - self._step)
 
     def charge(self, cost: float) -> None:
-        """Take a price beside what the work has cost [s]."""
+        """Subtract a price besides the cost of the work."""
         self._balance, self._used = self.balance - cost, self.used + cost
         self._step = self._pool.steps
 
     def dismiss(self, reason: str) -> None:
-        """If the client waits, let it wait no longer: what it waits for raises PeerError."""
+        """Cancel the client's wait, if it waits: the awaited turn raises PeerError."""
         self._pool.dismiss(self, reason)
 
     async def __aenter__(self) -> None:

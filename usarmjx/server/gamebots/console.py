@@ -1,11 +1,9 @@
 """The spectator's console (manual 5.1): `showlog`, `showdebug`, `editactor` and `pause`, as lines of text.
 
-Pages that show a world offer it. A line is to be run by the thread that runs the world.
+Pages that show a world offer it. The thread that runs the world runs the lines, too.
 """
 
-import logging
 import shlex
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -16,75 +14,29 @@ from usarmjx.base.errors import UsageError, UsarmjxError
 from usarmjx.base.transforms import angles_from_mat
 from usarmjx.server.gamebots.edit_actor import USAGE, edit_actor
 from usarmjx.server.protocol.grammar import clip, flip_wire_angles, flip_wire_vector, two_decimals_list
+from usarmjx.server.runtime.logs import MAX_KEPT_LINES, LogTail
 from usarmjx.server.worlds.served_world import ServedWorld
 
 if TYPE_CHECKING:
     from usarmjx.view.controls import WorldControls
 
-
-PACKAGE = "usarmjx"
-"""Name of the logger above all of ours."""
-MAX_LINES = 500
-"""So many lines are kept."""
-MAX_LOG_LINE = 400
-"""Of a longer one the beginning is kept [characters]."""
-
-
-class LogTail(logging.Handler):
-    """Keeps the last lines of a log.
-
-    Attributes:
-        lines: The lines, the oldest first.
-    """
-
-    def __init__(self) -> None:
-        super().__init__(logging.INFO)
-        self.lines: deque[str] = deque(maxlen=MAX_LINES)
-        self._times = logging.Formatter(datefmt="%H:%M:%S")
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Keep a line: time of day, level and message."""
-        message = " ".join(record.getMessage().splitlines())
-        when = self._times.formatTime(record, self._times.datefmt)
-        self.lines.append(f"{when} {record.levelname} {message}"[:MAX_LOG_LINE])
-
-
-def keep_log() -> LogTail:
-    """Keep the log of this package from now on, also what the error stream is not to show.
-
-    Returns:
-        What keeps it; the same one whenever this is called again.
-    """
-    package = logging.getLogger(PACKAGE)
-    shown = package.getEffectiveLevel()
-    tail = next((handler for handler in package.handlers if isinstance(handler, LogTail)), None)
-    if tail is None:
-        tail = LogTail()
-        package.addHandler(tail)
-    if shown > tail.level:
-        for handler in logging.getLogger().handlers:
-            if type(handler) is logging.StreamHandler:
-                handler.setLevel(max(handler.level, shown))
-        package.setLevel(tail.level)
-    return tail
-
-
 MAX_LINE = 500
-"""A longer line is refused [characters]."""
+"""Longest line that is accepted [characters]."""
 SHOWN_LINES = 20
-"""So many lines of the log `showlog` shows if no number is said."""
+"""Lines of the log that `showlog` shows by default."""
 NOT_ALLOWED = "this is for those on the server's own machine, or who have said its token"
+"""Refusal of a command of a peer without permission."""
 
 
 @dataclass(frozen=True)
-class WatchingCamera:
-    """From where a spectator looks.
+class SpectatorCamera:
+    """Viewpoint of a spectator.
 
     Attributes:
         pos: Position [m] (3,).
         mat: Orientation (3, 3).
-        rate: Pictures per second, of late.
-        about: What it shows, in words.
+        rate: Recent frame rate [Hz].
+        about: Description of the view.
     """
 
     pos: np.ndarray
@@ -94,16 +46,16 @@ class WatchingCamera:
 
 
 class SpectatorConsole:
-    """A console.
+    """Console of one spectator.
 
     Args:
         world: The served world.
-        controls: What pauses it; None: nothing does.
-        number: The world's number among those that `controls` knows.
-        camera: Returns from where its spectator looks now; None: nobody looks.
-        tail: The log; None: it is not kept.
+        controls: Controls that pause it; None without any.
+        number: Number of the world among those of `controls`.
+        camera: Returns the spectator's present viewpoint; None without one.
+        tail: Last lines of the log; None when it is not kept.
         trusted: Whether more than looking is allowed.
-        refusal: What is said where it is not.
+        refusal: Answer to a command that is not allowed.
     """
 
     def __init__(
@@ -112,7 +64,7 @@ class SpectatorConsole:
         controls: "WorldControls | None" = None,
         *,
         number: int = 0,
-        camera: Callable[[], WatchingCamera | None] | None = None,
+        camera: Callable[[], SpectatorCamera | None] | None = None,
         tail: LogTail | None = None,
         trusted: bool = True,
         refusal: str = NOT_ALLOWED,
@@ -129,11 +81,11 @@ class SpectatorConsole:
 
     @property
     def commands(self) -> list[str]:
-        """The commands, for completion."""
+        """Names of the commands, for completion."""
         return list(self._commands)
 
     def run(self, line: str) -> str:
-        """Carry out a line; return what to show, which is the reason where it cannot be."""
+        """Carry out a line; return the text to show, which is the reason of a refusal."""
         try:
             return self._run(line)
         except UsarmjxError as error:
@@ -161,7 +113,9 @@ class SpectatorConsole:
 
     def _show_log(self, words: list[str]) -> str:
         count = words[0] if words else str(SHOWN_LINES)
-        if len(words) > 1 or not (count.isdecimal() and len(count) <= len(str(MAX_LINE)) and int(count)):
+        if len(words) > 1 or not (
+            count.isdecimal() and len(count) <= len(str(MAX_KEPT_LINES)) and int(count)
+        ):
             raise UsageError(f"showlog: {clip(' '.join(words))} is no number of lines")
         if self._tail is None:
             raise UsageError("showlog: this server does not keep its log")
@@ -173,10 +127,10 @@ class SpectatorConsole:
         camera = None if self._camera is None else self._camera()
         lines: list[str] = []
         if camera is not None:
-            place = two_decimals_list(flip_wire_vector(camera.pos.tolist()))
+            location = two_decimals_list(flip_wire_vector(camera.pos.tolist()))
             turn = two_decimals_list(flip_wire_angles(angles_from_mat(camera.mat).tolist()))
             shown = f"{camera.about}, " if camera.about else ""
-            lines = [f"camera: {{Location {place}}} {{Rotation {turn}}}"]
+            lines = [f"camera: {{Location {location}}} {{Rotation {turn}}}"]
             lines += [f"{shown}{camera.rate:.1f} pictures a second"]
         world = self._world
         robots = ", ".join(f"{robot.name} ({robot.spec.name})" for _, robot in sorted(world.robots.items()))

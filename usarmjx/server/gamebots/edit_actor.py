@@ -1,8 +1,9 @@
-"""`editactor` (manual 5.1): a robot's or a sensor's parameters change while it runs.
+"""`editactor` (manual 5.1): parameters of a robot or sensor change while it runs.
 
 `editactor name=R1 maxSpinSpeed=3`, `editactor class=Sonar MaxRange=2.5`, `editactor name=R1 sensor=Scanner1
-ScanInterval=0.1`; without a parameter it shows those that there are. It changes what is there now; who joins
-later is as its class says. All but `Battery` needs a world of engine `c`: elsewhere robots are compiled.
+ScanInterval=0.1`; without a parameter it lists the present ones. It changes the robots that are there now; a
+robot that joins later has its class's own. All but `Battery` need a world of engine `c`: other engines
+compile robots.
 """
 
 import dataclasses
@@ -20,9 +21,9 @@ from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 
 EVERY_ROBOT = "KRobot"
-"""The original's class of all robots."""
+"""Base class of all robots in the original."""
 BATTERY = "Battery"
-"""The parameter of a robot that is no figure of its class: for how long its battery lasts yet [s]."""
+"""Parameter that is no property of the class: remaining time of the battery [s]."""
 FIGURES: dict[str, tuple[float, float]] = {
     BATTERY: (0.0, 1e6),
     "batteryLife": (0.0, 1e6),
@@ -38,21 +39,21 @@ FIGURES: dict[str, tuple[float, float]] = {
     "SuspStiffness": (1.0, 1e4),
     "SuspDamping": (0.1, 1e3),
 }
-"""A robot's parameters, as in USARBot.ini, and the smallest and largest value that is taken (chosen)."""
+"""Parameters of a robot, as in USARBot.ini, with their smallest and largest value (chosen)."""
 FIXED = frozenset({"weight", "is_stereo", "omni"})
-"""Settings that nothing depends on while a robot runs, and what makes another camera of one."""
+"""Settings that have no effect while a robot runs, or that would make another camera of one."""
 FLAGS = {"true": True, "false": False}
 LARGEST = 1e6
-"""No setting is larger: what is measured by it can be told in single precision."""
+"""Largest magnitude of a setting: readings in its unit still fit single precision."""
 MAX_SHOWN = 30
-"""So much of a number that cannot be is repeated [characters]."""
+"""Longest part of a refused number that the answer repeats [characters]."""
 SELECTORS = ("class", "name", "sensor")
 USAGE = "editactor [class=CLASS] [name=ROBOT] [sensor=NAME] [PARAMETER=VALUE ...]"
 
 
 @dataclass(frozen=True)
 class Selection:
-    """What is to be edited.
+    """Objects to edit.
 
     Attributes:
         robots: The robots.
@@ -65,7 +66,7 @@ class Selection:
     item: str = ""
 
     def takes(self, mount: Mount) -> bool:
-        """Whether a sensor or camera is meant."""
+        """Whether a sensor or camera is selected."""
         if not (self.kind or self.item):
             return False
         kind, name = self.kind.lower(), self.item.lower()
@@ -73,15 +74,15 @@ class Selection:
 
 
 def edit_actor(world: ServedWorld, words: Sequence[str]) -> str:
-    """Carry out the words behind `editactor`; return what to show.
+    """Carry out the words after `editactor`; return the text to show.
 
     Args:
         world: The served world.
-        words: `key=value` each: class, name, sensor say what, all others are parameters.
+        words: `key=value` each: class, name and sensor select, all others are parameters.
 
     Raises:
-        UsageError: A word, parameter or value that cannot be, or nothing is meant; lists what can be.
-        SpecError: Values that do not go together. Nothing has changed after either.
+        UsageError: A word, parameter or value is not valid, or nothing is selected; lists the valid ones.
+        SpecError: Values that contradict each other. Nothing has changed after either.
     """
     wanted, parameters = _split(words)
     selection = _select(world, wanted)
@@ -91,7 +92,7 @@ def edit_actor(world: ServedWorld, words: Sequence[str]) -> str:
 
 
 def _split(words: Sequence[str]) -> tuple[dict[str, str], dict[str, str]]:
-    """Return what says whom, and the parameters."""
+    """Return the selectors and the parameters."""
     wanted: dict[str, str] = {}
     parameters: dict[str, str] = {}
     for word in words:
@@ -108,7 +109,7 @@ def _split(words: Sequence[str]) -> tuple[dict[str, str], dict[str, str]]:
 
 
 def _select(world: ServedWorld, wanted: Mapping[str, str]) -> Selection:
-    """Return what is meant: class is one of robots or a type of sensors, sensor also a camera's name."""
+    """Return the selection: class is one of robots or a type of sensors, sensor also a camera's name."""
     kind, name = wanted.get("class", ""), wanted.get("name", "").lower()
     present = [robot for _, robot in sorted(world.robots.items())]
     robots = [robot for robot in present if name in ("", robot.name.lower())]
@@ -118,10 +119,10 @@ def _select(world: ServedWorld, wanted: Mapping[str, str]) -> Selection:
     selection = Selection(tuple(robots), kind, wanted.get("sensor", ""))
     of_items = bool(selection.kind or selection.item)
     if not robots or (of_items and not any(map(selection.takes, _mounts(robots)))):
-        said = " ".join(f"{key}={value}" for key, value in wanted.items())
+        query = " ".join(f"{key}={value}" for key, value in wanted.items())
         here = ", ".join(f"{robot.name} ({robot.spec.name})" for robot in present) or "none"
         items = ", ".join(sorted({f"{mount.kind} {mount.name}" for mount in _mounts(robots or present)}))
-        raise UnknownNameError(f"nothing here is {said}; robots: {here}; on them: {items or 'nothing'}")
+        raise UnknownNameError(f"nothing here is {query}; robots: {here}; on them: {items or 'nothing'}")
     return selection
 
 
@@ -147,7 +148,7 @@ def _edit_robots(world: ServedWorld, robots: Sequence[Robot], parameters: Mappin
 
 
 def _figure(key: str) -> str:
-    """Return a parameter of robots in its own spelling."""
+    """Return a robot's parameter in its own spelling."""
     for known in FIGURES:
         if known.lower() == key.lower():
             return known
@@ -168,7 +169,7 @@ def _in_limits(key: str, text: str) -> float:
 
 
 def _with_figures(robot: Robot, numbers: Mapping[str, float]) -> RobotSpec:
-    """Return what a robot's description becomes: that of its class with all figures so far, and new ones."""
+    """Return a robot's new description: that of its class with all parameters so far, and new ones."""
     spec, figures = robot.described, robot.figures | dict(numbers)
     for key, (_, set_to) in SETTERS.items():
         if key not in figures:
@@ -186,7 +187,7 @@ def _has_effect(spec: RobotSpec, key: str) -> bool:
 
 
 def _charge(world: ServedWorld, robot: Robot, left: float) -> None:
-    """Let a robot's battery last so long yet [s]; one that water has killed is dry again."""
+    """Set the remaining time of a robot's battery [s]; a robot that water has stopped works again."""
     now = int(world.one_world()[0].step) * world.period
     world.edit(robot, battery_start=now + left - robot.spec.battery_life, drowned=False)
     robot.drowned = False
@@ -198,9 +199,9 @@ def _robot_line(world: ServedWorld, robot: Robot) -> str:
     known |= {"Weight": spec.mass, "MaxTorque": spec.max_torque} | robot.figures
     if spec.drive.max_speed and "maxSpinSpeed" not in known:
         known["maxSpinSpeed"] = spec.drive.max_speed
-    told = " ".join(f"{key}={known[key]:g}" for key in FIGURES if key in known)
+    shown = " ".join(f"{key}={known[key]:g}" for key in FIGURES if key in known)
     rest = ", ".join(key for key in FIGURES if key not in known and _has_effect(spec, key))
-    return f"{robot.name} ({spec.name}): {told}" + (f"; also: {rest}" if rest else "")
+    return f"{robot.name} ({spec.name}): {shown}" + (f"; also: {rest}" if rest else "")
 
 
 # Sensors and cameras
@@ -240,22 +241,22 @@ def _with_options(mount: Mount, parameters: Mapping[str, str]) -> Mount:
     kind = _settings_class(mount)
     names, can = field_names(kind), _editable(kind)
     spelt = {key.lower(): key for key in can.values()}
-    told: dict[str, object] = {}
+    changes: dict[str, object] = {}
     for key, text in parameters.items():
         if key.lower() not in spelt:
             raise UnknownNameError(
                 f"{mount.kind} {mount.name} has no parameter {key!r}; those that can be changed: "
                 f"{', '.join(can.values())}"
             )
-        told[spelt[key.lower()]] = _value(text)
-    checked(kind, tuple(told.items()), f"{mount.kind} {mount.name}")
+        changes[spelt[key.lower()]] = _value(text)
+    checked(kind, tuple(changes.items()), f"{mount.kind} {mount.name}")
 
     def field_of(key: str) -> str:
         return names.get(field_name(key), field_name(key))
 
-    fields = set(map(field_of, told))
+    fields = set(map(field_of, changes))
     kept = [(key, value) for key, value in mount.options if field_of(key) not in fields]
-    return replace(mount, options=(*kept, *told.items()))
+    return replace(mount, options=(*kept, *changes.items()))
 
 
 def _editable(kind: type[Any]) -> dict[str, str]:
@@ -269,7 +270,7 @@ def _editable(kind: type[Any]) -> dict[str, str]:
 
 
 def _value(text: str) -> object:
-    """Return what a text of the console means: true, false, a number or a word.
+    """Return the value of a text of the console: true, false, a number or a word.
 
     Raises:
         UsageError: A number beyond `LARGEST`.
@@ -298,7 +299,7 @@ def _settings_text(mount: Mount) -> str:
 
 
 def _redescribe(world: ServedWorld, specs: Mapping[Robot, RobotSpec]) -> None:
-    """Give robots other descriptions, or none of them if one cannot be."""
+    """Replace the descriptions of robots; all of them, or none if one is refused."""
     done: list[tuple[Robot, RobotSpec]] = []
     try:
         for robot, spec in specs.items():
@@ -306,7 +307,7 @@ def _redescribe(world: ServedWorld, specs: Mapping[Robot, RobotSpec]) -> None:
             if spec != before:
                 world.redescribe(robot, spec)
                 done.append((robot, before))
-    except Exception:
+    except Exception:  # an engine may refuse the third robot after two have changed: undo those
         for robot, before in done:
             world.redescribe(robot, before)
         raise
@@ -315,7 +316,7 @@ def _redescribe(world: ServedWorld, specs: Mapping[Robot, RobotSpec]) -> None:
 
 
 def _settle_cameras(world: ServedWorld, robot: Robot, before: RobotSpec) -> None:
-    """Bring fields of view within limits that have changed; a new default one is in force at once."""
+    """Apply changed limits to the fields of view; a new default is in force at once."""
     if robot.spec.cameras == before.cameras:
         return
     for index, camera in enumerate(robot.cameras):

@@ -1,4 +1,4 @@
-"""What a client is told each time its robot reports (KRobot.uc, timer)."""
+"""Reports of a client's robot, sent when its message timer runs out (KRobot.uc, timer)."""
 
 import math
 from collections.abc import Iterable
@@ -15,15 +15,15 @@ from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.sim.control import joint_efforts
 
-TEAM = 8
-"""So many robots of a class report together: more would make that control step a long one."""
+MAX_TEAM = 8
+"""Most robots of a class that report in one control step: more would make that step a long one."""
 
 
-def first_report(robot: Robot, others: Iterable[Robot], since: float, period: float) -> float:
-    """Return when a new robot reports first [s]: within its msgTimer, and no sooner than in the next step.
+def first_report_time(robot: Robot, others: Iterable[Robot], since: float, period: float) -> float:
+    """Return the time of a new robot's first report [s]: within its msgTimer, after the present step.
 
-    That is with most others of its class that have room in their team; if none have, when fewest others
-    report; when it does not matter, after its msgTimer.
+    It is the time at which most others of its class report, fewer than `MAX_TEAM` of them; if there is
+    none, the time with the fewest reports; if all are equal, the end of its msgTimer.
 
     Args:
         robot: The robot.
@@ -36,13 +36,13 @@ def first_report(robot: Robot, others: Iterable[Robot], since: float, period: fl
     def merit(time: float) -> tuple[int, int]:
         together = [other for other in there if abs(other.next_report - time) < period / 2]
         team = sum(other.spec is robot.spec for other in together)
-        return team if team < TEAM else 0, -len(together)
+        return team if team < MAX_TEAM else 0, -len(together)
 
     return max((since + timer - step * period for step in range(max(1, round(timer / period)))), key=merit)
 
 
 def battery_left(world: ServedWorld, robot: Robot) -> int:
-    """Return for how many seconds the battery lasts, as STA says it."""
+    """Return the remaining time of the battery [s], as in STA."""
     return max(0, math.ceil(world.battery(robot) - 1e-6))
 
 
@@ -56,7 +56,7 @@ class Reporter:
 
     def __init__(self, world: ServedWorld, session: RobotSession) -> None:
         self._world, self._session = world, session
-        self._untold: set[int] = set()
+        self._failed_sensors: set[int] = set()
 
     def report(self, robot: Robot) -> None:
         """Send STA, the sensors with fresh readings, and MISSTA, in the original's order."""
@@ -70,13 +70,13 @@ class Reporter:
             return
         for index in range(len(robot.suite.sensors)):
             if index in robot.pending:
-                self._tell(robot, index, robot.pending.pop(index))
+                self._send_reading(robot, index, robot.pending.pop(index))
         if robot.spec.packages:
             for message in package_report(robot.plan, joints, self._efforts(robot, state), time):
                 self._session.send(message)
 
-    def _tell(self, robot: Robot, index: int, reading: np.ndarray) -> None:
-        """Send a sensor's reading; one that makes no message is left out, and the log says so once."""
+    def _send_reading(self, robot: Robot, index: int, reading: np.ndarray) -> None:
+        """Send a sensor's reading; one that makes no message is left out, and the log reports that once."""
         sensor, world = robot.suite.sensors[index], self._world
         try:
             stamped = self._session.dialect.is_stamped
@@ -87,14 +87,14 @@ class Reporter:
                 self._session.send(message)
         except PeerError:
             raise
-        except Exception as error:  # sensors may be anybody's
-            if index not in self._untold:
-                self._untold.add(index)
+        except Exception as error:  # a sensor may be a user's own, with any error in `quantities`
+            if index not in self._failed_sensors:
+                self._failed_sensors.add(index)
                 name = sensor.mounts[0].name
                 self._session.add_fault(f"{robot.spec.name}'s {sensor.kind} {name} is not told: {error}")
 
     def _efforts(self, robot: Robot, state: RobotState) -> Array:
-        """Return what acts on each of the robot's joints [N m or N] (joints,)."""
+        """Return the torque or force on each of the robot's joints [N m or N] (joints,)."""
         scene, (world, physics) = self._world.scene, self._world.one_world()
         group, member = scene.group_of(robot.slot)
         act, hold = physics.act[scene.groups[group].actadr[member]], world.groups[group].hold[member]

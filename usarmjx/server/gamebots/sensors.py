@@ -1,4 +1,4 @@
-"""Which message each kind of sensor speaks, and what GEO and CONF say of it: tables, no state."""
+"""Messages of sensors and robots: SEN, STA and MISSTA of their state, GEO and CONF of their parts."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -50,8 +50,8 @@ from usarmjx.sim.control import RobotCommand
 T = TypeVar("T")
 
 _COMMON = frozenset(field.name for field in dataclasses.fields(NoisySensorSettings))
-
-_WORDS: dict[str, Callable[[Sequence[float]], str]] = {
+"""Settings of every sensor, which CONF leaves out."""
+_FORMATS: dict[str, Callable[[Sequence[float]], str]] = {
     "number": lambda numbers: four_decimals(numbers[0]),
     "count": lambda numbers: str(round(numbers[0])),
     "flag": lambda numbers: str(bool(numbers[0])),
@@ -59,13 +59,13 @@ _WORDS: dict[str, Callable[[Sequence[float]], str]] = {
     "vector": lambda numbers: four_decimals_list(flip_wire_vector(numbers)),
     "angles": lambda numbers: four_decimals_list(flip_wire_angles(numbers)),
 }
-"""How each of `sensors.quantities.FORMS` is written, in the wire's axes."""
+"""Text of each of `sensors.quantities.FORMS`, in the wire's axes."""
 
 
 def lookup_by_type(sensor: Sensor, table: Mapping[str, T]) -> T | None:
-    """Return what a table has of a sensor's type, or of the nearest type that it is derived from.
+    """Return the entry of a sensor's type, or of the nearest base class that has one.
 
-    None: there is nothing, or a type before says itself what its value is.
+    None: there is none, or a nearer class declares its own quantities.
     """
     for base in type(sensor).__mro__:
         own = vars(base)
@@ -77,14 +77,14 @@ def lookup_by_type(sensor: Sensor, table: Mapping[str, T]) -> T | None:
 
 
 def of_type(kind: str, message: Message) -> Message:
-    """Return a SEN as one of that type."""
+    """Return a SEN with another type."""
     if ("Type", kind) in message.segments:
         return message
     segments = tuple((key, kind if key == "Type" else text) for key, text in message.segments)
     return Message(message.kind, segments)
 
 
-def report(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+def generic_report(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     """Return the SEN of a reading: its quantities, as `Sensor.quantities` lists them, in that order.
 
     Without such a list all numbers are one `{Value ...}`. Sensors that report together have a segment each,
@@ -112,16 +112,17 @@ def _pairs(quantities: Sequence[Quantity], numbers: Sequence[float]) -> list[Seg
     """Return key and text of each quantity."""
     if not quantities:
         return [("Value", four_decimals_list(numbers))]
-    pairs, start = [], 0
+    pairs: list[Segment] = []
+    start = 0
     for quantity in quantities:
         end = start + quantity.size
-        pairs.append((quantity.key, _WORDS[quantity.form](numbers[start:end])))
+        pairs.append((quantity.key, _FORMATS[quantity.form](numbers[start:end])))
         start = end
     return pairs
 
 
-def fields(settings: object) -> list[ConfField]:
-    """Return what CONF says of a sensor: those of its settings that are its own, and one number or word."""
+def generic_fields(settings: object) -> list[ConfField]:
+    """Return the CONF of a sensor's own settings, those of one number or word."""
     names = field_names(type(settings)).items()
     pairs = [(camel_case(name), getattr(settings, field)) for name, field in names if field not in _COMMON]
     return [(key, value) for key, value in pairs if isinstance(value, bool | int | float | str)]
@@ -224,9 +225,8 @@ _SCANNER_3D_FIELDS = (
     ("MaxRange", "max_range"),
     ("MinRange", "min_range"),
     ("Resolution", "resolution"),
-    ("FOV", "fov"),  # so, unlike the others': Player's driver looks for it
+    ("FOV", "fov"),  # in capitals, unlike the others': Player's driver looks for this key
 )
-# CONF of sensors: wire key -> settings field, in the order of captured lines (Fov and Paning are spelled so).
 CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
     "Sonar": (("MaxRange", "max_range"), ("MinRange", "min_range"), ("BeamAngle", "beam_angle")),
     "IR": (("MaxRange", "max_range"), ("MinRange", "min_range")),
@@ -242,6 +242,10 @@ CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
     "Touch": (("Diameter", "diameter"),),
     **victims.CONFIGURATION,
 }
+"""CONF of sensors: wire key -> settings field, in the order of captured lines.
+
+Fov and Paning are spelled so in those lines.
+"""
 
 
 def sensor_report(
@@ -253,19 +257,19 @@ def sensor_report(
     *,
     stamped: bool = False,
 ) -> Message | None:
-    """Return the SEN message of a reading, with its time if the sensor is set so; None: nothing to say.
+    """Return the SEN message of a reading, with its time if the sensor is set so; None without a message.
 
-    A type that is not in `REPORTS` speaks as the one that it is derived from, or as `generic` has it.
+    A type that is not in `REPORTS` uses the function of its nearest base class, or `generic_report`.
 
     Args:
         sensor: The sensor.
         value: Its reading.
         time: Simulated time [s].
-        origin: Latitude and longitude of the arena's origin [degrees], if the arena says them.
-        texts: What is written on RFID tags.
-        stamped: Whether it has its time whatever the sensor is set to.
+        origin: Latitude and longitude of the arena's origin [degrees], if the arena has them.
+        texts: Memory of RFID tags.
+        stamped: Whether to add the time regardless of the sensor's setting.
     """
-    report = lookup_by_type(sensor, REPORTS) or report
+    report = lookup_by_type(sensor, REPORTS) or generic_report
     if report is _gps:
         report = partial(_gps, origin=origin)
     elif report is victims.tags:
@@ -275,7 +279,7 @@ def sensor_report(
 
 
 def _asked(kind: str, name: str, item_kind: str, item_name: str) -> bool:
-    """Whether a query means the item: types and names match without case, no name means all."""
+    """Whether a query selects the item: types and names match without case, no name means all."""
     return item_kind.lower() == kind.lower() and (not name or item_name.lower() == name.lower())
 
 
@@ -315,7 +319,7 @@ def geometry(plan: KinematicTree, kind: str, name: str) -> list[Message]:
                 )
             )
         ]
-    answers = []
+    answers: list[Message] = []
     effecters = [effecter.mount for effecter in _effecters(robot, kind, name)]
     for matching in (_mounts(robot.sensors, kind, name), effecters, _mounts(robot.cameras, kind, name)):
         if matching:
@@ -335,7 +339,7 @@ def _sensor_fields(sensor: Sensor, index: int) -> list[ConfField]:
     fields: list[ConfField] = [("Name", sensor.mounts[index].name)]
     known = lookup_by_type(sensor, CONFIGURATION)
     if known is None:
-        return [*fields, *fields(settings)]
+        return [*fields, *generic_fields(settings)]
     for key, field in known:
         value = getattr(settings, field)
         fields.append((key, four_decimals_list(value) if isinstance(value, tuple) else value))
@@ -378,7 +382,7 @@ def configuration(
                 )
             )
         ]
-    answers = []
+    answers: list[Message] = []
     fields = [
         _sensor_fields(sensor, index)
         for sensor in sensors
@@ -456,7 +460,7 @@ def package_report(plan: KinematicTree, joints: Array, efforts: Array, time: flo
     Args:
         plan: The robot's class.
         joints: Its joint positions [rad or m] (joints,).
-        efforts: What acts on its joints [N m or N] (joints,).
+        efforts: Torque or force on its joints [N m or N] (joints,).
         time: Simulated time [s].
     """
     states = dict(zip(plan.parts[1:], zip(joints.tolist(), efforts.tolist(), strict=True), strict=True))

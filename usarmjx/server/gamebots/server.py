@@ -1,4 +1,4 @@
-"""The Gamebots server of one world: sockets, and whose turn it is."""
+"""The Gamebots server of one world: sockets, and the order in which clients have their turns."""
 
 import asyncio
 import logging
@@ -27,25 +27,32 @@ from usarmjx.server.runtime.logs import FaultLog
 from usarmjx.server.wireless.sockets import has_hung_up, limit_receive_buffer, listen
 from usarmjx.server.worlds.served_world import ServedWorld
 
+log = logging.getLogger(__name__)
 SECTION = "BotAPI.BotServer"
 KEYS = {"listenport": ("port", 0, 65535), "maxconnections": ("max_connections", 1, 4096)}
-"""What each key sets of `BotServerSettings`, its least and its largest value; port 0 picks a free one."""
+"""Fields of `BotServerSettings` by key, with smallest and largest value; port 0 picks a free one."""
+READ_SIZE = 256
+"""Most bytes read at once from one client: between two pieces another client has its turn."""
+RECEIVE_BUFFER = 32 * 1024
+"""Receive buffer of the system; a client with more unread bytes waits [bytes]."""
+MAX_WRITE_BUFFER = 64 * 1024
+"""Fill level of a socket's buffer from which reports wait in the session, which has its own bound [bytes]."""
 
 
 @dataclass(frozen=True)
 class BotServerSettings:
-    """How to serve.
+    """Settings of a Gamebots server.
 
     Attributes:
         host: Address to bind; loopback by default.
         port: TCP port (BotAPI.ini: ListenPort); 0 picks a free one.
         max_connections: Most clients at once (BotAPI.ini: MaxConnections).
-        init_timeout: Who has no robot and asks for nothing for so long makes room, and who only asks
-            does when no seat is left; 0: nobody has to [s].
-        max_faults: A client is dropped after so many lines in a row that could not be used, of which a
-            refused INIT counts as `session.REFUSAL_FAULTS`; 0: never.
-        access: Who may connect.
-        dialect: In which version's words clients speak.
+        init_timeout: Time after which a silent client without a robot makes room, and one that only sends
+            commands when no connection is left; 0: never [s].
+        max_faults: Unusable lines in a row after which a client is dropped, of which a refused INIT counts as
+            `session.REFUSAL_FAULTS`; 0: never.
+        access: Peers that may connect.
+        dialect: Vocabulary of the clients.
         time_limit: Minutes of simulated time after which serving ends (manual 5.1: TimeLimit); 0: never.
     """
 
@@ -61,12 +68,12 @@ class BotServerSettings:
 
 @dataclass
 class ConnectionCounts:
-    """What a server has counted since it began.
+    """Counters of a server since its start.
 
     Attributes:
         connections: Clients that were accepted.
         commands: Legal commands by their types.
-        faults: What was wrong with the lines of clients that have left.
+        faults: Faults of clients that have left.
     """
 
     connections: int = 0
@@ -90,28 +97,18 @@ def read_bot_server(paths: Iterable[str | Path]) -> dict[str, int]:
     return fields
 
 
-log = logging.getLogger(__name__)
-
-READ_SIZE = 256
-"""Most bytes taken at once of what a client says: between two such pieces it is another one's turn."""
-RECEIVE_BUFFER = 32 * 1024
-"""The system keeps so much of what a client says beyond that, and then lets it wait [bytes]."""
-MAX_WRITE_BUFFER = 64 * 1024
-"""While this much waits in a socket's buffer, reports queue up in the session, which has its own bound."""
-
-
 @dataclass(eq=False)
 class RobotConnection:
     """A client's connection.
 
     Attributes:
         client: The client.
-        reader: What it says.
-        writer: What it is told.
-        peer: What the log calls it.
-        budget: What its lines may cost.
-        last_asked: When it gave a command that was legal last [s].
-        since: When it connected [s].
+        reader: Stream from the client.
+        writer: Stream to the client.
+        peer: Name of the client in the log.
+        budget: Processing time of its lines.
+        last_asked: Time of its last legal command [s].
+        since: Time at which it connected [s].
     """
 
     client: Client
@@ -119,7 +116,7 @@ class RobotConnection:
     writer: asyncio.StreamWriter
     peer: str
     budget: ClientBudget
-    last_asked: float = field(default_factory=time.monotonic)
+    last_command_time: float = field(default_factory=time.monotonic)
     since: float = field(default_factory=time.monotonic)
 
     @property
@@ -134,7 +131,7 @@ class RobotConnection:
         return self.writer.is_closing() or has_hung_up(self.writer.get_extra_info("socket"))
 
     def flush(self) -> None:
-        """Write what waits to be sent, if the socket can take it."""
+        """Write the bytes that wait, if the socket can take them."""
         if not self.writer.is_closing() and self._unread < MAX_WRITE_BUFFER:
             data = self.client.session.data_to_send()
             if data:
@@ -142,7 +139,7 @@ class RobotConnection:
                 self.client.record_lines(self.peer, data, sent=True)
 
     def hang_up(self) -> None:
-        """Close the connection; break it off if the client does not read: closing would wait for ever."""
+        """Close the connection; abort it if the client does not read: closing would wait for ever."""
         if self._unread:
             self.writer.transport.abort()
         else:
@@ -154,7 +151,7 @@ class RobotConnection:
 
 
 class Service(Protocol):
-    """Something else that is served in the same loop, as the radio is."""
+    """Another service of the same loop, such as the radio."""
 
     async def start(self) -> list[str]:
         """Listen; return lines for the user.
@@ -165,7 +162,7 @@ class Service(Protocol):
         ...
 
     def tick(self) -> None:
-        """The world has made a control step; must be quick."""
+        """Do the work of a control step that the world has made; must be quick."""
 
     def stop(self) -> None:
         """Close all connections."""
@@ -176,19 +173,19 @@ class BotServer:
 
     Args:
         world: The world.
-        settings: How to serve it.
-        services: What else to serve.
+        settings: Settings of the server.
+        services: Other services of the world.
         bound: A socket that is bound to the port already.
-        title: What the log calls the world; nothing if it is the only one.
+        title: Name of the world in the log; empty if it is the only one.
 
     Attributes:
         world: The world.
-        settings: How it is served.
-        services: What else is served.
-        title: What the log calls the world.
-        tally: What has been counted.
+        settings: Settings of the server.
+        services: Other services of the world.
+        title: Name of the world in the log.
+        tally: Counters of the server.
         port: The port in use, once started.
-        guests: Robots' dialogues that have no connection: what they report is thrown away.
+        guests: Dialogues of robots without a connection: their reports are thrown away.
     """
 
     def __init__(
@@ -200,7 +197,7 @@ class BotServer:
         title: str = "",
     ) -> None:
         self.world, self.settings, self.services, self.title = world, settings, list(services), title
-        self.port, self.tally = settings.port, ConnectionCounts()
+        self.port, self.counts = settings.port, ConnectionCounts()
         self.guests: list[Client] = []
         self._bound = bound
         self._gate = Gate(
@@ -214,18 +211,18 @@ class BotServer:
         self._joining = asyncio.Lock()
         self._leaving: deque[Client] = deque()
         self._stopped = False
-        # `ServedWorld.prepare` runs here: the loop steps on meanwhile.
+        # `ServedWorld.prepare` compiles for seconds: in this thread, so that the loop steps on meanwhile.
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="prepare")
 
     @property
     def clients(self) -> Collection[Client]:
-        """Who is connected."""
+        """Connected clients."""
         return self._connections.keys()
 
     @property
     def faults(self) -> int:
-        """How many lines of clients could not be used so far."""
-        return self.tally.faults + sum(client.session.fault_count for client in self._connections)
+        """Number of unusable lines of clients so far."""
+        return self.counts.faults + sum(client.session.fault_count for client in self._connections)
 
     async def start(self) -> list[str]:
         """Listen, and let the services listen; return lines for the user.
@@ -234,18 +231,18 @@ class BotServer:
             UsageError: A port is taken or the address is not ours.
         """
         host = self.settings.host
-        where = host, self.settings.port
-        self._listener, self.port = await listen(where, self._accept, self._gate, self._bound)
+        address = host, self.settings.port
+        self._listener, self.port = await listen(address, self._accept, self._gate, self._bound)
         more = [line for service in self.services for line in await service.start()]
         return [f"listening on {host}:{self.port}", *more]
 
     def tick(self, moves: bool = True) -> None:
-        """Make a control step, unless the world stands still; send what is due."""
+        """Make a control step, unless the world is paused; send the reports that are due."""
         if moves:
             self.world.step()
             for client in self._connections:
                 client.add_trace_point()
-        # Readings are taken after the step and just before the reports: what clients get is never a step old.
+        # Readings are taken after the step and just before the reports: a report is never a step old.
         due = [client for client in (*self._connections, *self.guests) if client.due() and not client.lost]
         if due:
             self.world.observe([client.robot for client in due if client.robot is not None])
@@ -255,13 +252,13 @@ class BotServer:
             guest.session.data_to_send()
         now = time.monotonic()
         for connection in list(self._connections.values()):
-            self._attend(connection, now)
+            self._serve_connection(connection, now)
         for service in self.services:
             service.tick()
         self._fault_log.flush()
         self._budgets.refill()
         self._joins.refill()
-        self._let_leave()
+        self._remove_next()
         self._stepped.set()
         self._stepped.clear()
 
@@ -278,13 +275,13 @@ class BotServer:
             self._leaving.popleft().leave()
         self._executor.shutdown(wait=False, cancel_futures=True)
 
-    def _attend(self, connection: RobotConnection, now: float) -> None:
-        """Send a client what waits for it, or hang up if it has no robot any more or asks for none."""
+    def _serve_connection(self, connection: RobotConnection, now: float) -> None:
+        """Send a client's waiting bytes, or hang up if its robot is lost or it is silent without one."""
         client, patience = connection.client, self.settings.init_timeout
         if client.lost:
             log.warning("a client's robot is gone: its connection is closed")
             connection.writer.close()
-        elif patience and now > connection.last_asked + patience and connection.is_idle:
+        elif patience and now > connection.last_command_time + patience and connection.is_idle:
             self._fault_log.warning(
                 "%s: no INIT for %g s: its connection is closed", connection.peer, patience
             )
@@ -293,8 +290,8 @@ class BotServer:
             connection.budget.dismiss("it has left, and the rest of what it had sent is dropped")
         connection.flush()
 
-    def _let_leave(self) -> None:
-        """Take the robot whose client went first out of the world, unless others have just left or joined."""
+    def _remove_next(self) -> None:
+        """Remove the robot of the first client that left, unless others have just left or joined."""
         if self._leaving and not self._joins.is_spent:
             began = self._joins.clock()
             self._leaving.popleft().leave()
@@ -303,7 +300,7 @@ class BotServer:
     def _guarded(self, client: Client, action: Callable[[], None]) -> None:
         try:
             action()
-        except Exception as error:  # whatever it is: the others' reports are to come
+        except Exception as error:  # any error: the reports of the other clients must go out
             connection = self._connections.get(client)
             self._fault_log.warning("%s: dropped: %s", connection.peer if connection else "guest", error)
             if not isinstance(error, PeerError):
@@ -324,7 +321,7 @@ class BotServer:
         client = Client(self.world, peer, self._fault_log, settings.dialect, settings.time_limit)
         budget = ClientBudget(self._budgets)
         connection = self._connections[client] = RobotConnection(client, reader, writer, peer, budget)
-        self.tally.connections += 1
+        self.counts.connections += 1
         log.info("%s: connected", peer)
         try:
             connection.flush()
@@ -332,21 +329,21 @@ class BotServer:
         except (ConnectionError, PeerError) as error:
             self._fault_log.warning("%s: %s", peer, error)
         except asyncio.CancelledError:
-            log.info("%s: the server stops", peer)  # the end of this task; nobody waits for its result
+            log.info("%s: the server stops", peer)  # the end of this task; nothing awaits its result
         finally:
             del self._connections[client]
-            self.tally.faults += client.session.fault_count
+            self.counts.faults += client.session.fault_count
             client.log_faults(is_last=True)
             if client.robot is None or self._stopped:
                 client.leave()
             else:
                 self._leaving.append(client)
-                self._let_leave()
+                self._remove_next()
             connection.hang_up()
             log.info("%s: disconnected", peer)
 
     def _make_room(self) -> bool:
-        """Return whether another client fits; if need be who has been here longest without a robot yields."""
+        """Return whether another client fits; if need be the longest connected one without a robot yields."""
         if len(self._connections) < self.settings.max_connections:
             return True
         latest = time.monotonic() - (self.settings.init_timeout or math.inf)
@@ -368,7 +365,7 @@ class BotServer:
             client.record_lines(connection.peer, data, sent=False)
             async with connection.budget:
                 commands = client.session.receive_data(data) if data else client.session.receive_eof()
-            await self._obey(connection, commands)
+            await self._execute(connection, commands)
             client.log_faults()
             connection.flush()
             if not data:
@@ -376,35 +373,35 @@ class BotServer:
             if 0 < self.settings.max_faults <= client.session.faults_in_a_row:
                 raise PeerError("dropped: too many faults in a row")
 
-    async def _obey(self, connection: RobotConnection, commands: list[Command]) -> None:
+    async def _execute(self, connection: RobotConnection, commands: list[Command]) -> None:
         client = connection.client
         while commands:
             for command in commands:
-                self.tally.commands[type(command)] += 1
+                self.counts.commands[type(command)] += 1
                 if not isinstance(command, Init):
                     async with connection.budget:
                         client.handle(command)
-            last, connection.last_asked = commands[-1], time.monotonic()
+            last, connection.last_command_time = commands[-1], time.monotonic()
             if not (client.session.awaits_answer and isinstance(last, Init)):
                 return
             accepted = await self._init(connection, last)
             async with connection.budget:
                 commands = client.session.answer_init(accepted)
-            connection.last_asked = time.monotonic()
+            connection.last_command_time = time.monotonic()
 
-    def _hand_over(self, client: Client, init: Init, spec: RobotSpec) -> bool:
-        """Give a client the guest's robot of that class and name, where it is; say whether there is one."""
+    def _take_over_guest(self, client: Client, init: Init, spec: RobotSpec) -> bool:
+        """Give a client the guest's robot of that class and name as it is; return whether there is one."""
         for guest in self.guests:
             robot = guest.robot
             if robot is None or guest.lost or (robot.name.lower(), robot.spec) != (init.name.lower(), spec):
                 continue
             guest.robot, robot.obeys = None, None
-            client.adopt(robot, self.world.time)
+            client.attach_robot(robot, self.world.time)
             return True
         return False
 
     async def prepare(self, spec: RobotSpec) -> None:
-        """Let a thread do what takes long before the first robot of a class can appear.
+        """Prepare the first robot of a class in a thread, which may take seconds.
 
         Raises:
             UsageError: No robot can be built of that class.
@@ -420,7 +417,7 @@ class BotServer:
         client = connection.client
         async with connection.budget:
             connection.budget.charge(INIT_COST)
-            spec = client.class_of(init)
+            spec = client.robot_class(init)
         if spec is None:
             return False
         try:
@@ -428,18 +425,19 @@ class BotServer:
         except UsageError as error:
             client.session.note_refusal(str(error))
             return False
-        # Not in the lock's own queue: who has left meanwhile would keep its connection there until its turn.
+        # A queued waiter of the lock would keep the connection of a client that left until its turn comes:
+        # therefore this polls once a step and checks.
         while self._joining.locked():
             await self._stepped.wait()
             self._check_is_here(connection)
-        async with self._joining:  # one robot in a control step, so that a crowd keeps nobody waiting
+        async with self._joining:  # one robot in a control step, so that a crowd delays nobody's reports
             self._check_is_here(connection)
             await self._stepped.wait()
             while self._leaving or self._joins.is_spent:
                 await self._stepped.wait()
             self._check_is_here(connection)
             began = self._joins.clock()
-            accepted = self._hand_over(client, init, spec) or client.spawn(init, spec)
+            accepted = self._take_over_guest(client, init, spec) or client.spawn(init, spec)
             cost = self._joins.clock() - began
             self._joins.spend(cost)
             if not accepted:

@@ -1,4 +1,4 @@
-"""Where and under what name the robot of an INIT appears (manual 9.4)."""
+"""Pose and name of the robot of an INIT (manual 9.4)."""
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Vec3
@@ -10,8 +10,8 @@ from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.sim.scene import start_height
 
 
-def appear(world: ServedWorld, init: Init, spec: RobotSpec) -> Robot:
-    """Put the robot of an INIT into a world.
+def spawn_from_init(world: ServedWorld, init: Init, spec: RobotSpec) -> Robot:
+    """Spawn the robot of an INIT in a world.
 
     Raises:
         UsageError: There is no room for it, or no such start pose.
@@ -31,7 +31,7 @@ def free_name(world: ServedWorld, spec: RobotSpec) -> str:
 
 
 def _poses(world: ServedWorld, init: Init, spec: RobotSpec) -> list[tuple[Vec3, Vec3]]:
-    """Return where an INIT lets the robot appear, the best first: where it says, or at any start pose."""
+    """Return the poses that an INIT allows, the best first: the given one, or all start poses."""
     arena = world.arena
     tags = {start.tag.lower(): start for start in arena.starts}
     if init.start and init.start.lower() not in tags:

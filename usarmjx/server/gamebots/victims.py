@@ -1,4 +1,4 @@
-"""What the server says of victims and RFID tags: SEN of the sensors that find them, RES of reading tags.
+"""Messages about victims and RFID tags: SEN of the sensors that find them, RES of reading tags.
 
 Lines are as captured (VictSensor, RFID, CO2Sensor) or as the manual's examples (HumanMotion, Sound; 9.3).
 """
@@ -24,13 +24,13 @@ from usarmjx.server.protocol.grammar import (
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 
 EMPTY_MEMORY = "0"
-"""What servers say is written on a tag without memory (manual 10.9.4); writing it erases the tag (10.9.7)."""
+"""Reported text of a tag without memory (manual 10.9.4); writing it erases the tag (10.9.7)."""
 MAX_TAG_TEXT = 256
-"""Most characters that a tag holds (chosen): sixteen tags and what they say fit into one line."""
+"""Longest text of a tag [characters] (chosen): sixteen tags with their texts fit into one line."""
 _PARAMS = re.compile(r"\s*(\d{1,9})\s*(.*)", re.DOTALL)
 
 TagTexts = Mapping[int, str]
-"""What is written on tags, by ID; the others are empty."""
+"""Memory of tags, by ID; tags that are absent are empty."""
 
 
 def _line(sensor: Sensor, time: float | None, *segments: Segment, named: bool = True) -> Message:
@@ -68,7 +68,7 @@ def tags(
         sensor: The sensor.
         value: Its reading; see `sensors.rfid.Rfid` (tags, 5).
         time: Simulated time [s]; None leaves it out.
-        texts: What is written on tags.
+        texts: Memory of tags.
     """
     items: list[Segment] = []
     for read, number, *pos in value.tolist():
@@ -118,7 +118,7 @@ CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
 
 
 def initial_tag_texts(arena: ArenaSpec) -> dict[int, str]:
-    """Return what is written on the tags of an arena, by ID."""
+    """Return the memory of an arena's tags, by ID."""
     return {number: tag.memory for number, tag in zip(tag_ids(arena.tags), arena.tags, strict=True)}
 
 
@@ -127,15 +127,15 @@ def access_tag(
 ) -> Message:
     """Read, write or erase the memory of an RFID tag (manual 10.9.5 to 10.9.7); return the RES.
 
-    It fails for tags out of range, IDs that are none, other opcodes, and texts that are too long or that
+    It fails for tags out of range, unknown IDs, other opcodes, and texts that are too long or that
     no line can carry.
 
     Args:
-        command: SET of an RFID sensor; its parameters are an ID and, of Write, a text. Clients that leave out
-            the space between the two are understood, unless the text starts with a digit.
+        command: SET of an RFID sensor; its parameters are an ID and, of Write, a text. A missing space
+            between the two is accepted, unless the text starts with a digit.
         time: Simulated time [s].
-        texts: What is written on tags; Write changes it.
-        reaches: Whether the sensor read a tag of that ID last time.
+        texts: Memory of tags; Write changes it.
+        reaches: Whether the last reading of the sensor has a tag of that ID.
     """
     echo = (("Time", two_decimals(time)), ("Type", command.type), ("Name", command.name))
     failed = Message("RES", (*echo, ("Status", STATUS_FAILED)))

@@ -1,8 +1,8 @@
-"""A client's messages -> commands (manual 9.4): one function for each head, and the table of them.
+"""Parsers of a client's messages (manual 9.4): one function per head, and their registry.
 
 `parse_command` has three outcomes: a command, `Ignored` with a reason for the log, or PeerError
 for a number that is not finite. The original answers neither of the last two and keeps the
-connection, so then nothing is sent and the robot goes on with the command that it has.
+connection, so then nothing is sent and the robot keeps its present command.
 """
 
 from collections.abc import Callable
@@ -60,7 +60,7 @@ COMMANDS = Registry[CommandParser]("command")
 
 
 def parse_command(message: Message) -> Command | Ignored:
-    """Return what the message asks for.
+    """Return the command of a message.
 
     Raises:
         PeerError: It holds a number that is not finite.
@@ -109,7 +109,7 @@ def _drive(message: Message) -> Command | Ignored:
 
 
 def _firsts(message: Message) -> dict[str, Segment]:
-    """Return the first segment of each key, by its lower case: the original found no other (GetArgVal)."""
+    """Return the first segment of each key, by its lower case: the original finds no other (GetArgVal)."""
     firsts: dict[str, Segment] = {}
     for key, value in message.segments:
         firsts.setdefault(key.lower(), (key, value))
@@ -149,7 +149,7 @@ def _multi_drive(message: Message) -> Command | Ignored:
 
 
 def _groups(message: Message, keys: tuple[str, ...]) -> list[dict[str, str]]:
-    # An item's segments come in any order, so a key that repeats is what starts the next item.
+    # The segments of one item come in any order, so only a repeated key marks the start of the next item.
     groups: list[dict[str, str]] = [{}]
     for key, value in message.segments:
         field = key.lower()
@@ -173,7 +173,7 @@ def _mis_pkg(message: Message) -> Command | Ignored:
 
 
 def _mis_pkg_rotation(message: Message, name: str) -> Command:
-    """Read the form of before links had numbers, `{Rotation 0,pan,tilt}`, that Player and SPQR still send.
+    """Read the form from before links had numbers, `{Rotation 0,pan,tilt}`, which Player and SPQR still send.
 
     Its pan is positive to the right, as yaw is on the wire; that of a camera's link 1 to the left.
     """
@@ -190,7 +190,7 @@ def _link(group: dict[str, str]) -> LinkCommand:
 def _set(message: Message) -> Command | Ignored:
     item_type = message.get("Type")
     keys = {key.lower() for key, _ in message.segments}
-    if not item_type and "typeviewports" in keys:  # so in an example of the manual
+    if not item_type and "typeviewports" in keys:  # a missing space in one of the manual's examples (9.4)
         item_type = "Viewports"
     if not item_type:
         return Ignored("SET without a Type")
@@ -211,6 +211,7 @@ def _params(message: Message) -> str:
     params = message.get("Params")
     if params or message.get("Opcode").lower() != "zoom":
         return params
+    # `{Opcode Zoom} {0.5}`: some clients send the number as a segment of its own, without the key Params.
     return next((key for key, value in message.segments if key[0] in "+-.0123456789" and not value), "")
 
 

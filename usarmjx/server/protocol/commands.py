@@ -1,15 +1,15 @@
-"""What a client can ask, as values; numbers stay in the wire's frame and units (manual 9.4).
+"""Commands of a client as values (manual 9.4), and the phases of a dialogue in which each is legal.
 
-`command_parsers` makes them of messages.
+Numbers stay in the wire's axes and units; `command_parsers` makes these values of messages.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from enum import Enum
+from typing import TypeAlias, get_args
 
 from usarmjx.server.protocol.grammar import Message, Vector
 
-# The keys of a `DriveRobot` in the spelling of manual 9.4 and, for Passarola, 12.21.3.
 DRIVE_KEYS = (
     *("Left", "Right"),  # skid-steered
     *("Speed", "FrontSteer", "RearSteer"),  # Ackermann-steered
@@ -17,6 +17,7 @@ DRIVE_KEYS = (
     *("AltitudeVelocity", "LinearVelocity", "LateralVelocity", "RotationalVelocity"),  # aerial
     *("XZAngle", "ThrustPropeller", "TailPropeller"),  # Passarola
 )
+"""Keys of a `DriveRobot` in the spelling of manual 9.4 and, for Passarola, 12.21.3."""
 TRACE_COLORS = ("Red", "Yellow", "Green", "Cyan", "White", "Blue", "Purple")
 """Colours of a trace in the order of their numbers (manual 9.4)."""
 
@@ -27,8 +28,8 @@ class Init:
 
     Attributes:
         class_name: Robot class without the `USARBot.` in front, as the client spelled it.
-        name: Robot name, "" when the simulator shall choose one.
-        location: Where to put it in the wire's frame [m], None when not given.
+        name: Robot name, "" for one that the simulator chooses.
+        location: Position in the wire's frame [m], None when not given.
         rotation: Roll, pitch, yaw in the wire's frame [rad], None when not given.
         start: Tag of a start pose, "" when not given; it overrides the location (an extension of
             newer servers that clients already send).
@@ -48,11 +49,11 @@ class GetStartPoses:
 
 @dataclass(frozen=True, slots=True)
 class DriveRobot:
-    """Drive a robot as a whole, switch its headlight, put it back on its wheels.
+    """Drive a robot as a whole, switch its headlight, turn it upright.
 
     Attributes:
-        values: Those of `DRIVE_KEYS` that the client sent, with their numbers, in its order; what
-            is not there keeps its value. Left, Right, Speed, Propeller, RotationalVelocity,
+        values: Those of `DRIVE_KEYS` that the client sent, with their numbers, in its order; a key
+            that is absent keeps its value. Left, Right, Speed, Propeller, RotationalVelocity,
             TailPropeller [rad/s]; FrontSteer, RearSteer, Rudder, SternPlane, XZAngle [rad]; the
             others [m/s]. Signs are the wire's own: FrontSteer and TailPropeller are positive to the
             left, Rudder to the right (manual 9.4, 12.21.3).
@@ -98,9 +99,9 @@ class DriveJoint:
 
     Attributes:
         name: Name of the joint, as the client spelled it.
-        order: 0 for an angle, 1 for a spin speed, 2 for a torque; servers also knew 3 (brake) and
+        order: 0 for an angle, 1 for a speed, 2 for a torque; servers also knew 3 (brake) and
             10 to 12 (the same as 0 to 2, relative).
-        value: Angle [rad], speed [rad/s] or torque; None keeps what the joint does and only steers
+        value: Angle [rad], speed [rad/s] or torque; None keeps the joint's command and only steers
             it, as in the manual's `{Name LeftFWheel} {Steer 1.57}`.
         steer: Steering angle of a wheel [rad], None keeps it.
     """
@@ -143,7 +144,7 @@ class MisPkg:
 
 @dataclass(frozen=True, slots=True)
 class Set:
-    """Give a sensor or an effecter an operation; `params` is as sent, "" when absent."""
+    """Operate a sensor or an effecter; `params` is as sent, "" when absent."""
 
     type: str
     name: str
@@ -191,7 +192,7 @@ class SetViewports:
 
 @dataclass(frozen=True, slots=True)
 class SetView:
-    """Bind what an image client sees to a camera, or unbind it.
+    """Bind the view of an image client to a camera, or unbind it.
 
     Attributes:
         client: The client's IP address as sent; with `:port` behind it, only its connection from there.
@@ -206,10 +207,10 @@ class SetView:
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """Leave coloured points behind, or stop.
+    """Start or stop a trace of coloured points behind the robot.
 
     Attributes:
-        on: Whether to.
+        on: Whether to leave points.
         interval: Time between two points [s].
         color: One of `TRACE_COLORS`.
     """
@@ -225,7 +226,7 @@ class TurnCamera:
 
     Attributes:
         rotation: Roll, tilt and pan in the wire's frame [rad], or their rates or torques; None keeps them.
-        order: What they are, as in MISPKG.
+        order: Quantity of `rotation`, as in MISPKG.
         fov: Field of view [rad], 0 for the default; None keeps it.
     """
 
@@ -252,11 +253,11 @@ class GetConf:
 
 @dataclass(frozen=True, slots=True)
 class OwnCommand:
-    """A command that the manual does not have (14.4.3); `own_commands` adds such.
+    """Command beyond the manual's (14.4.3), registered with `own_commands.add_command`.
 
     Attributes:
-        action: What it does: is called with the world, the robot and the message, and returns the answer.
-        message: What the client said.
+        action: Function of the world, the robot and the message; returns the answer.
+        message: The client's message.
     """
 
     action: Callable[..., Message | None]
@@ -289,3 +290,25 @@ Command: TypeAlias = (
     | GetConf
     | OwnCommand
 )
+
+
+class SessionPhase(Enum):
+    """Phase of a client's dialogue."""
+
+    GREETED = "greeted"
+    ACTIVE = "active"
+    CLOSED = "closed"
+
+
+# The original ignores an illegal command silently; here its reason goes to the log. A second INIT is illegal:
+# servers disagree (one adds a robot and forgets the first, another ignores the line), and one robot per
+# connection is the rule.
+LEGAL_COMMANDS: dict[SessionPhase, frozenset[type[Command]]] = {
+    SessionPhase.GREETED: frozenset({Init, GetStartPoses, SetView}),
+    SessionPhase.ACTIVE: frozenset(kind for kind in get_args(Command) if kind is not Init),
+    SessionPhase.CLOSED: frozenset(),
+}
+"""Commands that each phase accepts; a new one of `Command` is legal once the client has a robot.
+
+An accepted Init leads to ACTIVE, `RobotSession.close` to CLOSED; nothing else changes the phase.
+"""

@@ -1,6 +1,6 @@
-"""GEO and CONF: what the server says about robots and their parts when asked (manual 9.3).
+"""GEO and CONF: the answers about robots and their parts (manual 9.3).
 
-Inputs are plain numbers already in the wire's frame and units. As in `reports`, lines captured
+Inputs are plain numbers already in the wire's axes and units. As in `reports`, lines captured
 from UT2004 servers win over the manual where they differ: `Mount HARD`, 2 decimals for links.
 """
 
@@ -22,13 +22,13 @@ from usarmjx.server.protocol.reports import check_vehicle
 
 ConfField: TypeAlias = tuple[str, str | bool | int | float]
 
-# Configuration values that UT2004 servers print with 2 decimals, although others have 4.
 _TWO_DECIMAL_FIELDS = {("gps", "scaninterval"), ("ins", "scaninterval"), ("groundtruth", "scaninterval")}
+"""Configuration values that UT2004 servers print with 2 decimals, although others have 4."""
 
 
 @dataclass(frozen=True, slots=True)
 class RobotGeometry:
-    """What GEO says of a robot.
+    """Numbers of a robot's GEO.
 
     Attributes:
         kind: "GroundVehicle", "LeggedRobot", "NauticVehicle" or "AerialVehicle".
@@ -76,7 +76,7 @@ def geo_robot(geometry: RobotGeometry) -> Message:
 
 @dataclass(frozen=True, slots=True)
 class RobotConfiguration:
-    """What CONF says of a robot.
+    """Numbers of a robot's CONF.
 
     Attributes:
         kind: "GroundVehicle", "LeggedRobot", "NauticVehicle" or "AerialVehicle".
@@ -84,8 +84,7 @@ class RobotConfiguration:
         steering: "SkidSteered", "AckermanSteered" or "OmniDrive" on the ground; "TwoLegs" or
             "FourLegs"; "VariableDepth" (the manual's example has "Underwater"); "RotaryWing".
         mass: [kg].
-        max_speed: Largest wheel spin [rad/s]; this and the next three are said of ground vehicles
-            only.
+        max_speed: Largest wheel spin [rad/s]; this and the next three are of ground vehicles only.
         max_torque: Largest wheel torque, in the original's own units.
         max_front_steer: [rad], 0 for skid-steered robots.
         max_rear_steer: [rad], 0 for skid-steered robots.
@@ -124,7 +123,7 @@ def conf_robot(configuration: RobotConfiguration) -> Message:
 
 
 def geo_items(type_name: str, items: Iterable[tuple[str, Vector, Vector, str]]) -> Message:
-    """Return where the sensors or effecters of a type sit.
+    """Return the poses of the sensors or effecters of a type on the robot.
 
     Args:
         type_name: The type asked for.

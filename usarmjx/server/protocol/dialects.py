@@ -1,7 +1,7 @@
-"""In which version's words a server speaks: those of the manual, or those of the later versions on UDK.
+"""Vocabulary of a server: the manual's, or that of the later versions on UDK.
 
-A dialect stands between the lines and the commands. `understand` turns what a client says into the manual's
-messages, `translate` the manual's messages into what the client hears. What UDK's version calls otherwise:
+A dialect stands between lines and commands. `understand` converts a client's message to the manual's,
+`translate` a message of the manual to those that the client receives. The differences of UDK's version:
 
     ASTA {Time 62.01} {Name CameraPanTilt} {Link 1} {Value 0.2000}     MISSTA, without Torque
     ACT {Name CameraPanTilt} {Link 0} {Value 0.2}                      MISPKG; links count from 0 in it alone
@@ -18,25 +18,25 @@ from usarmjx.base.errors import UsageError
 from usarmjx.server.protocol.grammar import Message, Segment, to_int
 
 PACKAGE_TYPE, ACTUATOR_TYPE = "MisPkg", "Actuator"
-"""What mission packages are called by the manual and by UDK's version."""
+"""Type of mission packages in the manual and in UDK's version."""
 GROUPED_TYPES = ("Sonar", "IR", "Touch", "Encoder")
-"""Sensors of which the manual's version tells all in one line."""
+"""Sensor types that share one line in the manual's version."""
 LATER_CLASSES = {"usarbot.p3at": "USARBot.P2AT", "p3at": "P2AT"}
-"""Robots of the later versions, by what they are here."""
+"""Robot classes of the later versions, lower case, and their names here."""
 LINK_KEYS = {"ParentLink": "Parent", "MinRange": "MinValue", "MaxRange": "MaxValue"}
-"""Keys of GEO and CONF of packages, and what UDK's version calls them."""
+"""Keys of GEO and CONF of packages, and their names in UDK's version."""
 _ORIGIN = "0.0000,0.0000,0.0000"
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a server speaks.
+    """Vocabulary of a server.
 
     Attributes:
-        name: What it is called.
-        understand: Turns a client's message into the manual's.
-        translate: Turns a message of the manual into those that the client hears.
-        is_stamped: Whether every reading has its time, whatever the sensor is set to.
+        name: Its name.
+        understand: Converts a client's message to the manual's.
+        translate: Converts a message of the manual to those that the client receives.
+        is_stamped: Whether every reading has its time, regardless of the sensor's setting.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Dialect:
 
 def _understand_udk(message: Message) -> Message:
     if message.kind == "ACT":
-        return Message("MISPKG", tuple(_from_one(segment) for segment in message.segments))
+        return Message("MISPKG", tuple(_count_from_one(segment) for segment in message.segments))
     if message.kind in ("GETGEO", "GETCONF"):
         return _with_values(message, "type", {ACTUATOR_TYPE.lower(): PACKAGE_TYPE})
     if message.kind == "INIT":
@@ -55,14 +55,14 @@ def _understand_udk(message: Message) -> Message:
     return message
 
 
-def _from_one(segment: Segment) -> Segment:
+def _count_from_one(segment: Segment) -> Segment:
     key, value = segment
     return (key, str(to_int(value) + 1)) if key.lower() == "link" and value else segment
 
 
-def _with_values(message: Message, key: str, others: dict[str, str]) -> Message:
+def _with_values(message: Message, key: str, replacements: dict[str, str]) -> Message:
     segments = tuple(
-        (name, others.get(value.lower(), value) if name.lower() == key else value)
+        (name, replacements.get(value.lower(), value) if name.lower() == key else value)
         for name, value in message.segments
     )
     return replace(message, segments=segments)
@@ -93,16 +93,16 @@ def _split(segments: Iterable[Segment]) -> Iterator[Segment]:
 
 
 def _one_by_one(message: Message) -> Iterator[Message]:
-    """Return a message for each item of one that tells of several."""
+    """Return one message per item of a message about several."""
     segments = list(_split(message.segments))
-    names = [place for place, (key, _) in enumerate(segments) if key == "Name"]
+    names = [index for index, (key, _) in enumerate(segments) if key == "Name"]
     for start, end in pairwise([*names, len(segments)]):
         yield Message(message.kind, (*segments[: names[0]], *segments[start:end]))
 
 
 def _actuator(message: Message) -> Iterator[Segment]:
-    """Return what UDK's version says of packages: where each is, and its links from the base, link 0."""
-    is_placed = message.kind == "GEO" and bool(message.all("Link"))
+    """Return UDK's form of packages: the pose of each, and its links from the base, link 0."""
+    has_pose = message.kind == "GEO" and bool(message.all("Link"))
     for key, value in message.segments:
         if key == "Type":
             yield (key, ACTUATOR_TYPE)
@@ -110,14 +110,14 @@ def _actuator(message: Message) -> Iterator[Segment]:
             yield (LINK_KEYS[key], str(max(to_int(value), 0)))
         else:
             yield (LINK_KEYS.get(key, key), value)
-        if key == "Name" and is_placed:
+        if key == "Name" and has_pose:
             yield from (("Location", _ORIGIN), ("Orientation", _ORIGIN), ("Mount", "HARD"))
 
 
 MANUAL = Dialect("manual", lambda message: message, lambda message: (message,))
-"""Version 3.1.3, on Unreal Tournament 2004: what the manual says."""
+"""Version 3.1.3, on Unreal Tournament 2004: the manual's own."""
 UDK = Dialect("udk", _understand_udk, _translate_udk, is_stamped=True)
-"""The versions on the Unreal Development Kit, which most nodes for ROS were written for."""
+"""The versions on the Unreal Development Kit, which most ROS nodes support."""
 DIALECTS = {dialect.name: dialect for dialect in (MANUAL, UDK)}
 
 

@@ -1,7 +1,7 @@
-"""The Gamebots grammar: one line of text <-> one `Message`, and the numbers in it both ways.
+"""The Gamebots grammar: bytes to lines, one line <-> one `Message`, and the numbers in it both ways.
 
 A line is a head and segments in braces, `DRIVE {Left 1.0} {Right 1.0}` (manual 9.2). `format_message`
-writes exactly that form. `parse_message` also takes what real controllers send and the original servers
+writes exactly that form. `parse_message` also takes the lines of real controllers that the original servers
 took: any case, missing or extra spaces, and a last segment without its `}`.
 """
 
@@ -15,34 +15,45 @@ from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.base.registry import is_name
 from usarmjx.base.transforms import Vec3, flip_angles, flip_vector
 
-
-def flip_wire_vector(values: Sequence[float]) -> Vec3:
-    """Convert a vector (3,) between the wire's axes and ours; its own inverse [m]."""
-    x, y, z = values
-    return flip_vector((float(x), float(y), float(z)))
-
-
-def flip_wire_angles(values: Sequence[float]) -> Vec3:
-    """Convert roll, pitch, yaw between the wire's axes and ours; its own inverse [rad]."""
-    roll, pitch, yaw = values
-    return flip_angles((float(roll), float(pitch), float(yaw)))
-
-
-def wrap_angles(values: Sequence[float]) -> Vec3:
-    """Return angles in [0, 2 pi), as Unreal's rotators come out on the wire (manual 9.3, INS)."""
-    roll, pitch, yaw = values
-    return (float(roll) % math.tau, float(pitch) % math.tau, float(yaw) % math.tau)
-
+Vector: TypeAlias = tuple[float, float, float]
+Segment: TypeAlias = tuple[str, str]
 
 # The longest line that a known client can send is a few hundred bytes, and the largest line buffer
-# seen in one (Player's drivers) is 4096 bytes. Twice that leaves room and stays a small allocation.
 DEFAULT_LIMIT = 8192
+"""Longest line [bytes].
 
+The longest line of a known client is a few hundred bytes, and the largest line buffer seen in one (Player's
+drivers) is 4096 bytes. Twice that leaves room and stays a small allocation.
+"""
 # Controllers end lines with CR LF, LF CR, LF or CR. Any run of them is one end, which also drops
 # blank lines.
 _END = re.compile(rb"[\r\n]+")
-# The first line of any HTTP request, whatever its method, and what follows first in those of browsers.
+# The first line of any HTTP request, whatever its method, and the header that browsers send next.
 _HTTP = re.compile(r"[a-z-]+ +[^ {}]+ +HTTP/[0-9]|Host:", re.IGNORECASE)
+# Only these separate words. Python's own idea of white space would also split at the latin-1
+# characters 0x85 and 0xA0, so that a message read back could differ from the one written.
+_SPACE = " \t"
+_GAP = re.compile(r"[ \t]+")
+_HEAD = re.compile(r"[^ \t\r\n{}]*")
+_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_KEY = re.compile(r"[^ \t\r\n{}]+")
+_VALUE = re.compile(r"[^\r\n{}]*")
+# The form of every valid message, if no key has a space and there are as many braces as segments.
+_LINE = re.compile(
+    r"[A-Za-z][A-Za-z0-9_]*"
+    r"(?: \{[^ \t\r\n{}]+(?: [^ \t\r\n{}](?:[^\r\n{}]*[^ \t\r\n{}])?)?\})*"
+)
+# The longest prefix that C's atof reads. Hexadecimal numbers are left out: the C library of the
+# original's Windows servers did not know them either.
+_NUMBER = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)")
+_NOT_FINITE = re.compile(r"\s*[+-]?(?:nan|inf)", re.IGNORECASE)
+# The original's floats were of single precision, and so are the simulation's.
+_LARGEST = 3.4e38
+# A number less than a hundredth of the last place short of a printable one is taken as that one.
+# 0.29 * 10000 can be just under 2900, and a float32 0.13 from the simulation is 0.12999999523;
+# cut blindly they would read 0.2899 and 0.1299. The original computed in float32 throughout, where
+# the product itself rounds. The margin covers float32 up to 32 (scanners reach 20 m).
+_CUT_MARGIN = 0.01
 
 
 class HttpRequestError(PeerError):
@@ -53,7 +64,7 @@ def refuse_http(line: str) -> None:
     """Do nothing unless a line is of an HTTP request.
 
     Raises:
-        HttpRequestError: It is; hang up before anything that follows is carried out.
+        HttpRequestError: It is; hang up before any later line is carried out.
     """
     if _HTTP.match(line):
         raise HttpRequestError("it speaks HTTP, and this port is not for browsers")
@@ -63,7 +74,7 @@ class LineBuffer:
     """Collects bytes until a line is complete; holds at most `limit` of them.
 
     A line over the limit is counted and skipped up to its end instead of ending the connection:
-    the original servers ignore what they cannot use and stay connected, and a skipped line costs
+    the original servers ignore unusable lines and stay connected, and a skipped line costs
     no memory however long it is. Bytes are read as latin-1, in which every byte is a character.
 
     Args:
@@ -93,7 +104,7 @@ class LineBuffer:
         return lines
 
     def end(self) -> list[str]:
-        """End the line at hand, for a peer that sends no line end before it closes.
+        """End the present line, for a peer that sends no line end before it closes.
 
         Returns:
             The line, or nothing if it is blank or was skipped.
@@ -104,7 +115,7 @@ class LineBuffer:
         return [text] if text.strip() else []
 
     def take_too_long(self) -> int:
-        """Return how many over-long lines began to be skipped since the last call."""
+        """Return the number of over-long lines since the last call."""
         count, self._too_long = self._too_long, 0
         return count
 
@@ -117,35 +128,6 @@ class LineBuffer:
             self._too_long += 1
         else:
             self._pending += piece
-
-
-Vector: TypeAlias = tuple[float, float, float]
-Segment: TypeAlias = tuple[str, str]
-
-# Only these separate words. Python's own idea of white space would also split at the latin-1
-# characters 0x85 and 0xA0, so that a message read back could differ from the one written.
-_SPACE = " \t"
-_GAP = re.compile(r"[ \t]+")
-_HEAD = re.compile(r"[^ \t\r\n{}]*")
-_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_KEY = re.compile(r"[^ \t\r\n{}]+")
-_VALUE = re.compile(r"[^\r\n{}]*")
-# What a sound message is written as, if its keys have no spaces and there are as many braces as segments.
-_LINE = re.compile(
-    r"[A-Za-z][A-Za-z0-9_]*"
-    r"(?: \{[^ \t\r\n{}]+(?: [^ \t\r\n{}](?:[^\r\n{}]*[^ \t\r\n{}])?)?\})*"
-)
-# The longest prefix that C's atof reads. Hexadecimal numbers are left out: the C library of the
-# original's Windows servers did not know them either.
-_NUMBER = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)")
-_NOT_FINITE = re.compile(r"\s*[+-]?(?:nan|inf)", re.IGNORECASE)
-# The original's floats were of single precision, and so are the simulation's.
-_LARGEST = 3.4e38
-# A number less than a hundredth of the last place short of a printable one is taken as that one.
-# 0.29 * 10000 can be just under 2900, and a float32 0.13 from the simulation is 0.12999999523;
-# cut blindly they would read 0.2899 and 0.1299. The original computed in float32 throughout, where
-# the product itself rounds. The margin covers float32 up to 32 (scanners reach 20 m).
-_CUT_MARGIN = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +199,7 @@ def format_message(message: Message) -> str:
 
 
 def _check_message(message: Message) -> None:
-    """Find what of a message the grammar cannot carry; see `format_message`."""
+    """Raise the error of a message that the grammar cannot carry; see `format_message`."""
     if not _WORD.fullmatch(message.kind):
         raise UsageError(f"{message.kind!r} cannot be the head of a message")
     for key, value in message.segments:
@@ -233,12 +215,12 @@ def clip(text: str, limit: int = 60) -> str:
 
 
 def to_float(text: str) -> float:
-    """Return the number that the text starts with, as C's atof does; garbage is 0.
+    """Return the number at the start of a text, as C's atof does; garbage is 0.
 
     So "1,00", which clients with a decimal comma send, is 1.
 
     Raises:
-        PeerError: The text says NaN or infinity, or a number too large for a float.
+        PeerError: NaN, infinity, or a number too large for a float.
     """
     found = _NUMBER.match(text)
     value = float(found.group(1)) if found else 0.0
@@ -251,16 +233,16 @@ def to_int(text: str) -> int:
     """Return `to_float` cut toward zero; "0.5" is 0.
 
     Raises:
-        PeerError: The text says NaN, infinity or a number too large for a float.
+        PeerError: NaN, infinity, or a number too large for a float.
     """
     return int(to_float(text))
 
 
 def to_bool(text: str) -> bool:
-    """Return whether the text says true, in any case, or starts with a number other than 0.
+    """Return whether a text is true, in any case, or starts with a number other than 0.
 
     Raises:
-        PeerError: The text says NaN, infinity or a number too large for a float.
+        PeerError: NaN, infinity, or a number too large for a float.
     """
     return text.strip(_SPACE).lower() == "true" or to_float(text) != 0.0
 
@@ -293,7 +275,7 @@ def four_decimals(value: float) -> str:
 
 
 def two_decimals(value: float) -> str:
-    """Return 2 decimals rounded: how UnrealScript itself prints a float.
+    """Return 2 decimals, rounded, as UnrealScript prints a float.
 
     Captures have STA at 5609.45 beside a sensor at 5609.4467, so these are not cut.
 
@@ -335,3 +317,21 @@ def check_word(text: str) -> str:
 def _require_finite(value: float) -> None:
     if not math.isfinite(value):
         raise UsageError(f"{value} cannot be reported: mask it before it gets here")
+
+
+def flip_wire_vector(values: Sequence[float]) -> Vec3:
+    """Convert a vector (3,) between the wire's axes and ours; its own inverse [m]."""
+    x, y, z = values
+    return flip_vector((float(x), float(y), float(z)))
+
+
+def flip_wire_angles(values: Sequence[float]) -> Vec3:
+    """Convert roll, pitch, yaw between the wire's axes and ours; its own inverse [rad]."""
+    roll, pitch, yaw = values
+    return flip_angles((float(roll), float(pitch), float(yaw)))
+
+
+def wrap_angles(values: Sequence[float]) -> Vec3:
+    """Return angles in [0, 2 pi), as Unreal's rotators come out on the wire (manual 9.3, INS)."""
+    roll, pitch, yaw = values
+    return (float(roll) % math.tau, float(pitch) % math.tau, float(yaw) % math.tau)

@@ -1,6 +1,6 @@
 """The image server's protocol (manual 14.5.3): pictures out, acknowledgements in; it knows no socket.
 
-A frame is the type (1 byte), the length of the data (4 bytes) and the data. The manual says no byte order;
+A frame is the type (1 byte), the length of the data (4 bytes) and the data. The manual states no byte order;
 the length is big-endian as in the image server of later versions, and so are the width and height (2 bytes
 each) in front of a raw picture's rows.
 """
@@ -20,12 +20,16 @@ from usarmjx.server.protocol.grammar import LineBuffer
 FORMATS = ("raw", "super", "good", "normal", "average", "bad")
 """Names of the picture types, in the order of their numbers."""
 JPEG_QUALITY = (100, 75, 50, 25, 10)
-"""Of types 1 to 5: what these words mean in FreeImage, with which the original wrote its pictures."""
+"""JPEG quality of types 1 to 5: the meaning of their names in FreeImage, the original's library."""
 MAX_IMAGE_SIDE = 4096
-"""Most pixels along a side."""
+"""Largest side of a picture [pixels]."""
 FIRST_FRAME_DELAY = 0.1
-"""Some clients ask for the first picture, others wait for it: it is sent when asked, or after this [s]."""
+"""Delay of the first picture when no client request comes [s].
+
+Some clients ask for the first picture, others wait for it.
+"""
 RECTANGLE = struct.Struct(">4I")
+"""Wire form of a region: left, top, width, height."""
 
 Region: TypeAlias = tuple[int, int, int, int]
 
@@ -45,7 +49,7 @@ def format_number(text: str) -> int:
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Return width and height of `320x240`.
+    """Return width and height of a text such as `320x240`.
 
     Raises:
         UsageError: It is not of that form, or too large.
@@ -82,13 +86,13 @@ def jpeg(number: int, pixels: np.ndarray) -> bytes:
 
 @dataclass
 class ImageSession:
-    """One client's dialogue.
+    """Dialogue of one image client.
 
     Attributes:
-        size: Width and height of the pictures.
+        size: Width and height of the pictures [pixels].
         period: Time between two pictures [s].
-        began: When the client connected [s].
-        region: Part of the picture that it waits for: left, top, width, height; None when it waits for none.
+        began: Time at which the client connected [s].
+        region: Requested part of the picture: left, top, width, height; None without a request.
     """
 
     size: tuple[int, int]
@@ -96,7 +100,7 @@ class ImageSession:
     began: float
 
     def __post_init__(self) -> None:
-        """Begin."""
+        """Request the first picture."""
         self.region: Region | None = (0, 0, *self.size)
         self._asked = self._sent = False
         self._due = self.began + FIRST_FRAME_DELAY
@@ -106,13 +110,13 @@ class ImageSession:
     def receive_data(self, data: bytes) -> None:
         """Take bytes: `OK` asks for the next picture, `U` and four numbers of 4 bytes for a part of it.
 
-        Any other byte is skipped. Who asks again before the picture was sent gets one. A part is an extension
-        of the image server of later versions; one that does not overlap the picture is not answered.
+        Any other byte is skipped. A second request before the picture is sent counts as one. A part is an
+        extension of the image server of later versions; one outside the picture is not answered.
 
         Raises:
             HttpRequestError: The peer speaks HTTP; hang up.
         """
-        self._text.feed(data)  # acknowledgements have no lines, but HTTP has
+        self._text.feed(data)  # only for its refusal of HTTP: acknowledgements have no lines
         data = self._pending + data
         self._pending = b""
         at = 0
@@ -132,11 +136,11 @@ class ImageSession:
             at += length
 
     def wants(self, now: float) -> bool:
-        """Whether it is time to send a picture."""
+        """Whether a picture is due."""
         return self.region is not None and (now >= self._due or (self._asked and not self._sent))
 
     def sent(self, now: float) -> None:
-        """Say that the picture wanted at a time [s] is on its way; the next one's is whole periods later."""
+        """Record that the picture due at `now` [s] is on its way; the next is due whole periods later."""
         if self._sent:
             self._due += self.period * (1 + math.floor((now - self._due) / self.period))
         else:

@@ -1,6 +1,6 @@
-"""What the server says unasked, and its short answers: NFO, STA, MISSTA, SEN, RES (manual 9.3).
+"""Reports without a request, and short answers: NFO, STA, MISSTA, SEN, RES (manual 9.3).
 
-Inputs are plain numbers already in the wire's frame and units. Where lines captured from UT2004
+Inputs are plain numbers already in the wire's axes and units. Where lines captured from UT2004
 servers (in the comments of MOAST's USARSim client) differ from the manual, the captures win:
 `{View n}` in STA, the number of decimals. No locale is involved: numbers have a decimal point.
 """
@@ -20,20 +20,20 @@ from usarmjx.server.protocol.grammar import (
     two_decimals_list,
 )
 
-# The kinds of robot of manual 9.3 and the angles in the STA of each: wire key, `RobotStatus` field.
 VEHICLES: dict[str, tuple[tuple[str, str], ...]] = {
     "GroundVehicle": (("FrontSteer", "front_steer"), ("RearSteer", "rear_steer")),
     "LeggedRobot": (),
     "NauticVehicle": (("SternPlaneAngle", "stern_plane"), ("RudderAngle", "rudder")),
     "AerialVehicle": (),
 }
+"""Kinds of robot of manual 9.3 and the angles in the STA of each: wire key, `RobotStatus` field."""
 
 STATUS_OK, STATUS_FAILED = "OK", "Failed"
-"""How RES says whether a SET was carried out (manual 9.3)."""
+"""Status in RES of a SET that was carried out, and of one that was not (manual 9.3)."""
 
 
 def nfo_greeting(level: str, time_limit: int = 0) -> Message:
-    """Return the line that every connection starts with.
+    """Return the first line of every connection.
 
     Args:
         level: The arena's name.
@@ -77,7 +77,7 @@ def check_vehicle(kind: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class RobotStatus:
-    """What STA says of a robot.
+    """Numbers of a robot's STA.
 
     Attributes:
         time: Simulated time [s].
@@ -137,7 +137,7 @@ def missta(time: float, package: str, links: Iterable[tuple[int, float, float]])
     Args:
         time: Simulated time [s].
         package: Its name.
-        links: Number, angle [rad] or distance [m], and what acts on the joint [N m or N] of each, where
+        links: Number, angle [rad] or distance [m], and the joint's torque or force [N m or N] of each, where
             the original had minus the configured maximum (KRobot.uc, timer). Numbers below 1 are not
             reported, as there.
     """
@@ -229,7 +229,7 @@ def sen_scanner_3d(time: float | None, scan: RangeScan3D) -> Message:
 
 
 def sen_lidar(time: float | None, scan: RangeScan3D, intensities: Sequence[float]) -> Message:
-    """Return a sweep of a "Lidar": a 3D range scanner's line, and how strong the echoes are. Ours."""
+    """Return a sweep of a "Lidar": a 3D range scanner's line with echo intensities; our own addition."""
     (*head, (_, _), name, resolution, fov, ranges) = sen_scanner_3d(time, scan).segments
     echoes = ("Intensity", four_decimals_list(intensities))
     return Message("SEN", (*head, ("Type", "Lidar"), name, resolution, fov, ranges, echoes))
@@ -271,7 +271,7 @@ def sen_gps(time: float | None, name: str, position: tuple[float, float] | None,
         time: Simulated time [s].
         name: The sensor's name.
         position: Latitude and longitude [degrees], north and east positive.
-        satellites: How many are seen.
+        satellites: Number of satellites in sight.
     """
     coordinates: tuple[Segment, ...] = ()
     if position is not None:
@@ -322,7 +322,7 @@ def res_viewports(time: float, config: tuple[str, str], viewports: Iterable[tupl
     Args:
         time: Simulated time [s].
         config: "SingleView" or "QuadView", and its status.
-        viewports: What each of the four shows, and its status.
+        viewports: Camera of each of the four, and its status.
     """
     segments: list[Segment] = [("Time", two_decimals(time)), ("Type", "Viewports")]
     segments += [("Config", config[0]), ("Status", config[1])]

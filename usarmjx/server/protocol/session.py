@@ -1,6 +1,6 @@
-"""One client's dialogue: bytes in -> commands, messages -> bytes out; it knows no socket.
+"""Dialogue of one client: bytes in -> commands, messages -> bytes out; it knows no socket.
 
-A server feeds it so, where only the last command of a list can be an Init:
+A server feeds it as follows, where only the last command of a list can be an Init:
 
     commands = session.receive_data(data)
     while commands:
@@ -11,31 +11,10 @@ A server feeds it so, where only the last command of a list can be an Init:
 """
 
 from collections import deque
-from enum import Enum
 
 from usarmjx.base.errors import PeerError
 from usarmjx.server.protocol.command_parsers import parse_command
-from usarmjx.server.protocol.commands import (
-    Command,
-    DriveJoint,
-    DriveRobot,
-    DriveWheels,
-    GetConf,
-    GetGeo,
-    GetStartPoses,
-    Ignored,
-    Init,
-    MisPkg,
-    MultiDrive,
-    OwnCommand,
-    Set,
-    SetFov,
-    SetJoint,
-    SetView,
-    SetViewports,
-    Trace,
-    TurnCamera,
-)
+from usarmjx.server.protocol.commands import LEGAL_COMMANDS, Command, Ignored, Init, SessionPhase
 from usarmjx.server.protocol.dialects import MANUAL, Dialect
 from usarmjx.server.protocol.grammar import (
     DEFAULT_LIMIT,
@@ -46,38 +25,19 @@ from usarmjx.server.protocol.grammar import (
     parse_message,
 )
 
-# A robot sends a few kB of reports per second: a peer this far behind has not read for minutes.
 SEND_LIMIT = 1 << 20
-MAX_FAULTS = 32  # kept for the log between two `take_faults`; the rest is only counted
-MAX_FAULT_SIZE = 1000  # characters of a fault: room for the names of all robot classes
-REFUSAL_FAULTS = 50  # in a row, that a refused INIT counts as: who has left may have many more under way
-MAX_WAITING = 256  # lines kept while an INIT is not answered yet
+"""Most that may wait to be sent [bytes].
 
-
-class SessionPhase(Enum):
-    """Where a dialogue stands."""
-
-    GREETED = "greeted"
-    ACTIVE = "active"
-    CLOSED = "closed"
-
-
-# What is not legal is ignored with a reason for the log, as the original does silently. A second
-# INIT is among that: servers disagree (one adds a robot and forgets the first, another ignores it),
-# and one robot per connection is the rule.
-LEGAL_COMMANDS: dict[SessionPhase, frozenset[type[Command]]] = {
-    SessionPhase.GREETED: frozenset({Init, GetStartPoses, SetView}),
-    SessionPhase.ACTIVE: frozenset(
-        {
-            *(GetStartPoses, GetGeo, GetConf),
-            *(DriveRobot, DriveWheels, DriveJoint, MultiDrive, MisPkg, Set, SetJoint),
-            *(SetFov, SetViewports, SetView, Trace, TurnCamera, OwnCommand),
-        }
-    ),
-    SessionPhase.CLOSED: frozenset(),
-}
-"""The commands that count in each phase. An accepted Init leads to ACTIVE, `close` to CLOSED; nothing else
-changes the phase."""
+A robot sends a few kB of reports per second: a peer this far behind has not read for minutes.
+"""
+MAX_FAULTS = 32
+"""Faults kept for the log between two `take_faults`; the rest is only counted."""
+MAX_FAULT_SIZE = 1000
+"""Longest fault [characters]: room for the names of all robot classes."""
+REFUSAL_FAULTS = 50
+"""Faults in a row that a refused INIT counts as: a client that left may have many more under way."""
+MAX_WAITING = 256
+"""Lines kept while an INIT is not answered yet."""
 
 
 class RobotSession:
@@ -87,16 +47,16 @@ class RobotSession:
     it count, and the connection stays.
 
     Args:
-        greeting: The line that the server speaks first.
+        greeting: First line of the server.
         line_limit: Longest line accepted [bytes].
         send_limit: Most that may wait to be sent [bytes].
-        dialect: In which version's words both sides speak.
+        dialect: Vocabulary of both sides.
 
     Attributes:
-        phase: Where the dialogue stands.
-        dialect: In which version's words both sides speak.
-        fault_count: How many faults there were so far.
-        faults_in_a_row: How many lines could not be used since the last that could.
+        phase: Phase of the dialogue.
+        dialect: Vocabulary of both sides.
+        fault_count: Number of faults so far.
+        faults_in_a_row: Number of unusable lines since the last usable one.
     """
 
     def __init__(
@@ -144,7 +104,7 @@ class RobotSession:
         return [] if self.phase is SessionPhase.CLOSED else self._take(self._lines.end())
 
     def answer_init(self, accepted: bool) -> list[Command]:
-        """Say whether the robot of the last Init exists now.
+        """Record whether the robot of the last Init exists now.
 
         Nothing is sent in either case. After a refusal (an unknown class, no room left) the client
         may send another INIT.
@@ -164,11 +124,11 @@ class RobotSession:
         return self._take([])
 
     def note_refusal(self, reason: str) -> None:
-        """Say why the last Init is about to be refused, for the log."""
+        """Record the reason of the coming refusal of the last Init, for the log."""
         self._refusal = reason
 
     def add_fault(self, reason: str) -> None:
-        """Add what was wrong with a legal command, for the log."""
+        """Add a fault of a legal command, for the log."""
         self.fault_count += 1
         if len(self._faults) < MAX_FAULTS:
             self._faults.append(reason if len(reason) <= MAX_FAULT_SIZE else f"{reason[:MAX_FAULT_SIZE]}...")
@@ -176,21 +136,21 @@ class RobotSession:
             self._more_faults += 1
 
     def take_faults(self) -> list[str]:
-        """Return what was wrong with lines since the last call, for the log."""
+        """Return the faults since the last call, for the log."""
         faults, more = self._faults, self._more_faults
         self._faults, self._more_faults = [], 0
         return [*faults, f"{more} more faults"] if more else faults
 
     def send(self, message: Message) -> None:
-        r"""Add a message and its end "\r\n" to what waits to be sent; nothing if closed.
+        r"""Append a message and its end "\r\n" to the bytes that wait to be sent; nothing if closed.
 
         Raises:
             PeerError: The peer does not read, more than the limit would wait. Drop it.
         """
         if self.phase is SessionPhase.CLOSED:  # a tick cannot know that its reader has just left
             return
-        told = [format_message(one) for one in self.dialect.translate(message)]
-        line = "".join(f"{one}\r\n" for one in told).encode("latin-1", "replace")
+        translated = [format_message(one) for one in self.dialect.translate(message)]
+        line = "".join(f"{one}\r\n" for one in translated).encode("latin-1", "replace")
         if len(self._outgoing) + len(line) > self._send_limit:
             raise PeerError(f"the peer does not read: {len(self._outgoing)} bytes wait for it")
         self._outgoing += line
@@ -198,7 +158,7 @@ class RobotSession:
     def data_to_send(self) -> bytes:
         """Return the bytes that wait and forget them.
 
-        Call it when the socket can take them: what lies in the socket's own buffer is not counted.
+        Call it when the socket can take them: bytes in the socket's own buffer are not counted.
         """
         data = bytes(self._outgoing)
         self._outgoing.clear()
@@ -215,7 +175,7 @@ class RobotSession:
         self._waiting.extend(lines)
         commands: list[Command] = []
         while self._waiting and not self._awaits_answer:
-            command = self._understand(self._waiting.popleft())
+            command = self._parse(self._waiting.popleft())
             if command is not None:
                 commands.append(command)
                 self._awaits_answer = isinstance(command, Init)
@@ -223,7 +183,7 @@ class RobotSession:
             self._fault(f"too many lines before the INIT is answered: {clip(self._waiting.pop())}")
         return commands
 
-    def _understand(self, line: str) -> Command | None:
+    def _parse(self, line: str) -> Command | None:
         """Return the line's command if it is legal now; otherwise note the fault."""
         try:
             command = parse_command(self.dialect.understand(parse_message(line)))
@@ -236,7 +196,7 @@ class RobotSession:
         if type(command) not in LEGAL_COMMANDS[self.phase]:
             self._fault(f"{type(command).__name__} is ignored when {self.phase.value}")
             return None
-        if not isinstance(command, Init):  # whose answer tells whether it was of any use
+        if not isinstance(command, Init):  # the answer to an Init decides whether it was of any use
             self.faults_in_a_row = 0
         return command
 

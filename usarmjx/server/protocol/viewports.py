@@ -1,4 +1,4 @@
-"""What of a robot's cameras is shown, and whose view an image client has: what SET changes (manual 9.4)."""
+"""Settings of a robot's pictures that SET changes (manual 9.4): viewports, and views of image clients."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -11,19 +11,27 @@ from usarmjx.models.ini.read import as_bool, as_whole, fail
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 
 SECTION = "USARBot.MultiView"
+"""Section of the ini files (manual 3.2.6.3)."""
 KEYS = {
     "cameranum": "camera_num",
     "widemode": "wide_mode",
     "cameraxres": "camera_x_res",
     "camerayres": "camera_y_res",
 }
+"""Keys of the section, lower case, and the fields of `MultiView`."""
 LOCKED = "iscameralocked"
 """A key without a meaning here: it is for Unreal's zone optimisation (manual 3.2.6.3)."""
+SINGLE, QUAD = "SingleView", "QuadView"
+CONFIGS = {"0": SINGLE, "singleview": SINGLE, "1": QUAD, "quadview": QUAD}
+"""Layouts by their number or name in lower case."""
+DISABLE, DISABLED, UNKNOWN_CAMERA = "disable", "Disabled", "None"
+"""Request that switches a viewport off, its report, and the report of an unknown camera."""
+VIEWPORT_COUNT = 4
 
 
 @dataclass(frozen=True)
 class MultiView:
-    """How the picture is divided (manual 3.2.6.3).
+    """Division of the shared picture (manual 3.2.6.3).
 
     Attributes:
         camera_num: Most cameras at once.
@@ -39,27 +47,27 @@ class MultiView:
 
     @property
     def columns(self) -> int:
-        """How many pictures are side by side."""
+        """Number of pictures in a row."""
         return self.wide_mode or math.ceil(math.sqrt(self.camera_num))
 
     @property
     def rows(self) -> int:
-        """How many rows of them there are."""
+        """Number of rows."""
         return -(-self.camera_num // self.columns)
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the whole at full resolution."""
+        """Width and height of the whole at full resolution [pixels]."""
         return self.columns * self.camera_x_res, self.rows * self.camera_y_res
 
     def tile(self, number: int, size: tuple[int, int]) -> tuple[int, int, int, int]:
-        """Return left, top, width and height of a robot's picture.
+        """Return left, top, width and height of a robot's picture [pixels].
 
         Pictures go from left to right, then down, from the top left corner on. If not all fit, they shrink
         and keep their shape.
 
         Args:
-            number: Which one, from 0: the View of the robot's STA.
+            number: Index of the tile, from 0: the View of the robot's STA.
             size: Width and height of the whole.
         """
         shrink = min(1.0, size[0] / self.size[0], size[1] / self.size[1])
@@ -69,7 +77,7 @@ class MultiView:
 
 
 def read_multi_view(paths: Iterable[str | Path]) -> MultiView:
-    """Return what `[USARBot.MultiView]` of ini files says; a later file overrides.
+    """Read `[USARBot.MultiView]` of ini files; a later file overrides.
 
     Raises:
         SpecError: A file cannot be read, or the section has a wrong key or value; names file and line.
@@ -94,19 +102,12 @@ def read_multi_view(paths: Iterable[str | Path]) -> MultiView:
     return multi
 
 
-SINGLE, QUAD = "SingleView", "QuadView"
-CONFIGS = {"0": SINGLE, "singleview": SINGLE, "1": QUAD, "quadview": QUAD}
-DISABLE, DISABLED, UNKNOWN_CAMERA = "disable", "Disabled", "None"
-"""What switches a viewport off, how that is reported, and what one with an unknown camera reports."""
-VIEWPORT_COUNT = 4
-
-
 @dataclass
 class Viewports:
-    """A robot's viewports.
+    """Viewports of a robot.
 
     Attributes:
-        config: `SINGLE`, where the first fills the picture, or `QUAD`, where each has a quarter.
+        config: `SINGLE`: the first fills the picture, or `QUAD`: each has a quarter.
         shown: Name of the camera of each of the four, `DISABLED` or `UNKNOWN_CAMERA`.
     """
 
@@ -115,7 +116,7 @@ class Viewports:
 
     @classmethod
     def of(cls, cameras: Sequence[str]) -> "Viewports":
-        """Return those that a robot with these cameras starts with: four with more than one camera."""
+        """Return the initial viewports of a robot with these cameras: four with more than one camera."""
         return cls(
             QUAD if len(cameras) > 1 else SINGLE, [*cameras, *[DISABLED] * VIEWPORT_COUNT][:VIEWPORT_COUNT]
         )
@@ -123,11 +124,11 @@ class Viewports:
     def arrange(
         self, cameras: Sequence[str], config: str, changes: Sequence[tuple[int, str]]
     ) -> tuple[str, list[str]]:
-        """Change them.
+        """Change the layout and the cameras of viewports.
 
         Args:
             cameras: Names of the robot's cameras.
-            config: A key of `CONFIGS` in any case; "" keeps what there is.
+            config: A key of `CONFIGS` in any case; "" keeps the layout.
             changes: Number of a viewport, from 1, and the name of a camera or `DISABLE`, in any case.
 
         Returns:
@@ -141,7 +142,7 @@ class Viewports:
         return status, [STATUS_FAILED if shown == UNKNOWN_CAMERA else STATUS_OK for shown in self.shown]
 
     def tiles(self) -> tuple[tuple[str, int, int, int], ...]:
-        """Return which cameras show where: name, column, row, and how many columns and rows there are."""
+        """Return the visible tiles: camera, column, row, and the number of columns and rows."""
         if self.config == SINGLE:
             tiles = [(self.shown[0], 0, 0, 1)]
         else:
@@ -151,10 +152,10 @@ class Viewports:
 
 @dataclass
 class ViewBindings:
-    """Which image clients' views are bound to which robot's camera.
+    """Cameras that the views of image clients are bound to.
 
     Attributes:
-        limit: Most of them.
+        limit: Largest number of bindings.
     """
 
     limit: int = 256
@@ -175,5 +176,5 @@ class ViewBindings:
         self._bound.pop(client, None)
 
     def get(self, address: str, port: int) -> tuple[str, str] | None:
-        """Return robot and camera that a connection's view is bound to; one of its port counts first."""
+        """Return robot and camera of a connection's view; a binding of its port comes before its address."""
         return self._bound.get(f"{address}:{port}", self._bound.get(address))

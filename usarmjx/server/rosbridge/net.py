@@ -241,7 +241,7 @@ class RosbridgeServer:
         async for text in client.socket:
             request = client.session.receive(text)
             if isinstance(request, Published):
-                self._obey(client, request)
+                self._execute(client, request)
             elif isinstance(request, ServiceCall):
                 await self._serve(client, request)
             client.wake.set()
@@ -249,7 +249,7 @@ class RosbridgeServer:
             if count % MESSAGES_PER_STEP == 0:
                 await self._stepped.wait()
 
-    def _obey(self, client: RosClient, said: Published) -> None:
+    def _execute(self, client: RosClient, said: Published) -> None:
         topic = self._topics.all().get(said.topic)
         try:
             if topic is None or topic.robot is None or topic.camera >= 0:

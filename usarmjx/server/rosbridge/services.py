@@ -15,7 +15,7 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.gamebots.server import BotServer
-from usarmjx.server.gamebots.spawning import appear
+from usarmjx.server.gamebots.spawning import spawn_from_init
 from usarmjx.server.protocol.commands import Init
 from usarmjx.server.protocol.grammar import clip, flip_wire_angles, flip_wire_vector
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
@@ -55,9 +55,9 @@ class RosRobots:
         world = self._server.world
         if init.name.lower() in {robot.name.lower() for robot in world.robots.values()}:
             raise UsageError(f"there is a robot {init.name} already")
-        robot = appear(world, init, spec)
+        robot = spawn_from_init(world, init, spec)
         own = Client(world, self._peer)
-        own.adopt(robot, robot.spawn_time)
+        own.attach_robot(robot, robot.spawn_time)
         self._server.guests.append(own)
         self._own.append(own)
         log.info("%s: spawned %s as %r", self._peer, spec.name, robot.name)

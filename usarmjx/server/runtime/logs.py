@@ -1,14 +1,27 @@
-"""What clients do wrong, in the log: by rate and in sums, so that nobody fills a disk with lines."""
+"""Logging of a server: format, a tail for the console, and clients' faults at a bounded rate."""
 
 import json
 import logging
 import re
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 
 PEER = re.compile(r"(?:world (?P<world>\d+), )?(?P<peer>[\d.]+:\d+|[0-9a-f:]*:[0-9a-f:]*:\d+): ")
-"""How a line about a client begins: the world, if there are several, and the client's address."""
+"""Start of a line about a client: the world, if there are several, and the client's address."""
+PACKAGE = "usarmjx"
+"""Name of the package's logger, above those of its modules."""
+INTERVAL = 1.0
+"""Time for which a client's faults are collected before one line reports them [s]."""
+MAX_LINES = 20
+"""Most lines about all clients together in that time; the number of the others is logged after it."""
+MAX_SHOWN = 3
+"""Most different faults in one line."""
+MAX_KEPT_LINES = 500
+"""Lines that `LogTail` keeps."""
+MAX_LOG_LINE = 400
+"""Longest line that `LogTail` keeps whole [characters]."""
 
 
 class JsonFormatter(logging.Formatter):
@@ -19,7 +32,7 @@ class JsonFormatter(logging.Formatter):
     """
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the line; it has no line end inside, whatever the message holds."""
+        """Return the line; JSON escapes the line ends of the message."""
         message = record.getMessage()
         line: dict[str, object] = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
@@ -38,30 +51,62 @@ class JsonFormatter(logging.Formatter):
 
 
 def configure_log(*, verbose: bool = False, as_json: bool = False) -> None:
-    """Log to the standard error stream: warnings, and of this package what happens if it is to be verbose."""
+    """Log warnings to the standard error stream, and this package's information if verbose."""
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
-    logging.getLogger("usarmjx").setLevel(logging.INFO if verbose else logging.WARNING)
+    logging.getLogger(PACKAGE).setLevel(logging.INFO if verbose else logging.WARNING)
     if as_json:
         logging.captureWarnings(True)
         for handler in logging.getLogger().handlers:
             handler.setFormatter(JsonFormatter())
 
 
-INTERVAL = 1.0
-"""A client's faults are collected for so long, and then logged as one line [s]."""
-MAX_LINES = 20
-"""Most lines about all clients together in that time; how many more there were is logged then."""
-MAX_SHOWN = 3
-"""Most different faults that a line tells."""
+class LogTail(logging.Handler):
+    """Handler that keeps the last lines of a log.
+
+    Attributes:
+        lines: The lines, the oldest first.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(logging.INFO)
+        self.lines: deque[str] = deque(maxlen=MAX_KEPT_LINES)
+        self._times = logging.Formatter(datefmt="%H:%M:%S")
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a line: time of day, level and message."""
+        message = " ".join(record.getMessage().splitlines())
+        when = self._times.formatTime(record, self._times.datefmt)
+        self.lines.append(f"{when} {record.levelname} {message}"[:MAX_LOG_LINE])
+
+
+def keep_log() -> LogTail:
+    """Keep the log of this package from now on, including lines below the error stream's level.
+
+    Returns:
+        The handler that keeps it; every call returns the same one.
+    """
+    package = logging.getLogger(PACKAGE)
+    shown = package.getEffectiveLevel()
+    tail = next((handler for handler in package.handlers if isinstance(handler, LogTail)), None)
+    if tail is None:
+        tail = LogTail()
+        package.addHandler(tail)
+    if shown > tail.level:
+        # The logger must pass INFO to the tail: the error stream's handlers filter by the former level.
+        for handler in logging.getLogger().handlers:
+            if type(handler) is logging.StreamHandler:
+                handler.setLevel(max(handler.level, shown))
+        package.setLevel(tail.level)
+    return tail
 
 
 class LineLimit:
-    """Lets so many lines of a kind into the log in a time, and counts the others.
+    """Limits the rate of a kind of log lines, and counts the others.
 
     Args:
-        most: So many.
-        interval: In this time from the first of them [s].
-        clock: The time [s].
+        most: Most lines in an interval.
+        interval: Length of an interval, from its first line on [s].
+        clock: Returns the time [s].
     """
 
     def __init__(self, most: int, interval: float, clock: Callable[[], float] = time.monotonic) -> None:
@@ -78,7 +123,7 @@ class LineLimit:
         return self._lines <= self._most
 
     def take_left_out(self) -> int:
-        """Return how many lines were counted only, once their time is over, and forget them; 0 before."""
+        """Return the number of lines left out, once their interval is over, and forget it; 0 before."""
         if self._clock() < self._ends:
             return 0
         count, self._left_out = self._left_out, 0
@@ -86,11 +131,11 @@ class LineLimit:
 
 
 class FaultLog:
-    """Logs what clients do wrong, and only so many lines of it in a second.
+    """Logs clients' faults, at most `MAX_LINES` lines in `INTERVAL`.
 
     Args:
-        log: Where to.
-        clock: The time [s].
+        log: Logger of the lines.
+        clock: Returns the time [s].
     """
 
     def __init__(self, log: logging.Logger, clock: Callable[[], float] = time.monotonic) -> None:
@@ -103,7 +148,7 @@ class FaultLog:
             self._log.warning(text, *args)
 
     def flush(self) -> None:
-        """Say how many lines were left out, once the second is over; to be called now and then."""
+        """Log the number of lines left out, once the interval is over; call it now and then."""
         if left_out := self._limit.take_left_out():
             self._log.warning("%d more lines about clients' faults are left out", left_out)
 
@@ -113,7 +158,7 @@ def summary(faults: Sequence[str], count: int) -> str:
 
     Args:
         faults: The first of them, at least one.
-        count: How many there were in all.
+        count: Number of all of them.
     """
     distinct = list(dict.fromkeys(faults))
     shown = distinct[:MAX_SHOWN]

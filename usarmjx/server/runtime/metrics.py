@@ -40,7 +40,11 @@ GAUGES: tuple[tuple[str, str, Callable[[StepMeter], float]], ...] = (
 )
 COUNTERS: tuple[tuple[str, str, Callable[[StepMeter], float]], ...] = (
     ("simulated_seconds", "Simulated time.", lambda meter: meter.server.world.time),
-    ("connections", "Connections to the Gamebots port so far.", lambda meter: meter.server.tally.connections),
+    (
+        "connections",
+        "Connections to the Gamebots port so far.",
+        lambda meter: meter.server.counts.connections,
+    ),
     ("faults", "Lines that could not be used.", lambda meter: meter.server.faults),
     (
         "robots_put_back",
@@ -82,7 +86,7 @@ class WorldCollector(Collector):
         )
         bounds = [*map(str, GAP_BOUNDS), "+Inf"]
         for world, meter in self._meters.items():
-            for command, count in meter.server.tally.commands.items():
+            for command, count in meter.server.counts.commands.items():
                 commands.add_metric([world, command.__name__], count)
             gaps.add_metric([world], list(zip(bounds, accumulate(meter.gaps), strict=True)), meter.gap_sum)
         yield commands

@@ -18,7 +18,7 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.gamebots.server import BotServer
-from usarmjx.server.gamebots.spawning import appear
+from usarmjx.server.gamebots.spawning import spawn_from_init
 from usarmjx.server.network.access import AccessRules
 from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol.grammar import flip_wire_angles, flip_wire_vector
@@ -95,7 +95,7 @@ class PageRobots:
                 raise UsageError(f"there is no robot {slot} to take over")
             group, _ = self._world.scene.group_of(slot)
             spec = self._world.scene.groups[group].robot
-            client.adopt(self._world.spawn(spec, agents[slot], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 0.0)
+            client.attach_robot(self._world.spawn(spec, agents[slot], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 0.0)
             self._server.guests.append(client)
         else:
             client.robot, robot.obeys = robot, client
@@ -118,20 +118,20 @@ class PageRobots:
     def drive(self, slot: int, values: Mapping[str, float]) -> None:
         """Set keys of DRIVE; without another order in time all are 0 again."""
         hand = self._hand(slot)
-        self._tell(hand, wire.DriveRobot(tuple(values.items())))
+        self._send_reading(hand, wire.DriveRobot(tuple(values.items())))
         hand.stops_at = time.monotonic() + HOLD_TIME if any(values.values()) else math.inf
 
     def set_joint(self, slot: int, joint: str, position: float) -> None:
         """Let a joint go to a position [rad or m]."""
-        self._tell(self._hand(slot), wire.MultiDrive(((joint, position),)))
+        self._send_reading(self._hand(slot), wire.MultiDrive(((joint, position),)))
 
     def set_light(self, slot: int, on: bool) -> None:
         """Switch a headlight."""
-        self._tell(self._hand(slot), wire.DriveRobot((), light=on))
+        self._send_reading(self._hand(slot), wire.DriveRobot((), light=on))
 
     def zoom(self, slot: int, camera: str, fov: float) -> None:
         """Set a camera's field of view [rad]."""
-        self._tell(self._hand(slot), wire.SetFov(((camera, fov),)))
+        self._send_reading(self._hand(slot), wire.SetFov(((camera, fov),)))
 
     def operate(self, slot: int, effecter: str, opcode: str, value: float | None) -> None:
         """Let a robot operate an effecter, as SET does."""
@@ -141,7 +141,7 @@ class PageRobots:
         if not kinds:
             raise UsageError(f"{robot.name} has no effecter {effecter}")
         params = "" if value is None else f"{value:g}"
-        self._tell(hand, wire.Set(kinds[0], effecter, opcode, params))
+        self._send_reading(hand, wire.Set(kinds[0], effecter, opcode, params))
 
     def spawn(self, spec: RobotSpec, name: str, pos: Vec3, yaw: float) -> None:
         """Let a robot appear that has no client; see `WorldControls.spawn`."""
@@ -149,9 +149,9 @@ class PageRobots:
         self._check_name(name)
         origin = (*pos[:2], pos[2] + kinematic_tree_of(spec).clearance + START_GAP)
         init = wire.Init(spec.name, name, flip_wire_vector(origin), flip_wire_angles((0.0, 0.0, yaw)))
-        robot = appear(self._world, init, spec)
+        robot = spawn_from_init(self._world, init, spec)
         client = Client(self._world, "the page")
-        client.adopt(robot, robot.spawn_time)
+        client.attach_robot(robot, robot.spawn_time)
         self._server.guests.append(client)
         self._hands[robot.slot] = HeldRobot(client, own=True)
         log.info("the page: spawned %s as %r", spec.name, robot.name)
@@ -190,7 +190,7 @@ class PageRobots:
             raise UsageError("the robot has gone")
         return hand.client.robot
 
-    def _tell(self, hand: HeldRobot, command: wire.Command) -> None:
+    def _send_reading(self, hand: HeldRobot, command: wire.Command) -> None:
         """Carry out a command.
 
         Raises:
@@ -209,7 +209,7 @@ class PageRobots:
         hand.stops_at = math.inf
         robot = hand.client.robot
         if robot is not None and not hand.client.lost:
-            self._tell(hand, wire.DriveRobot(tuple((key, 0.0) for key in robot.spec.drive.keys)))
+            self._send_reading(hand, wire.DriveRobot(tuple((key, 0.0) for key in robot.spec.drive.keys)))
 
     def _forget(self, slot: int) -> None:
         client = self._hands.pop(slot).client

@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.sensors.cameras.mounts import cameras_of
 from usarmjx.sensors.cameras.picture import camera_viewpoint
-from usarmjx.server.gamebots.console import NOT_ALLOWED, LogTail, SpectatorConsole, WatchingCamera
+from usarmjx.server.gamebots.console import NOT_ALLOWED, SpectatorCamera, SpectatorConsole
 from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.views import CompositeView, all_robots_view, robot_view
+from usarmjx.server.runtime.logs import LogTail
 from usarmjx.server.worlds.served_world import ServedWorld, ViewpointRequest
 from usarmjx.view.controls import ControlLock
 from usarmjx.view.drawing import Drawing, Frame
@@ -91,7 +92,7 @@ class ConsolePanel:
             return NOT_ALLOWED
         return SOMEBODY_ELSE if self._seat.holder is not None else TAKE_THEM
 
-    def _camera(self, client: viser.ClientHandle) -> WatchingCamera | None:
+    def _camera(self, client: viser.ClientHandle) -> SpectatorCamera | None:
         """Return from where a person looks; None where worlds stand side by side."""
         if self._page.wall:
             return None
@@ -100,7 +101,7 @@ class ConsolePanel:
         w, x, y, z = client.camera.wxyz
         # A camera of viser's looks along its z axis, and its y axis points down.
         right, down, ahead = Rotation.from_quat([x, y, z, w]).as_matrix().T
-        return WatchingCamera(np.array(client.camera.position), np.stack([ahead, -right, -down], 1), rate)
+        return SpectatorCamera(np.array(client.camera.position), np.stack([ahead, -right, -down], 1), rate)
 
 
 class UserConsole:
