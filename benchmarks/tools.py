@@ -14,7 +14,7 @@ from typing import Any
 
 import jax
 
-from usarmjx.base.files import AppendedFile, write_beside
+from usarmjx.base.files import AppendedFile, atomic_write
 from usarmjx.base.process import cores
 
 FORM = 2
@@ -147,7 +147,7 @@ def rewrite_record(record: dict[str, Any], file: Path, before: bytes = b"") -> b
     record["hardware"]["load_average"]["end"] = load()
     line = json.dumps(record).encode() + b"\n"
     said = file.read_bytes() if file.exists() else b""
-    with write_beside(file) as fresh:
+    with atomic_write(file) as fresh:
         fresh.write_bytes(said.replace(before, line) if before and before in said else said + line)
     return line
 

@@ -13,7 +13,7 @@ import jax
 import pytest
 
 from tests.offline import cut_network
-from usarmjx.base.compilation import quick_flags
+from usarmjx.base.compilation import fast_compilation_flags
 
 MUCH = 2.5e9
 """A process of tests shall not hold much more memory than this [bytes]."""
@@ -22,7 +22,7 @@ ASKED = pytest.StashKey[Path]()
 """File of what was asked of other machines."""
 
 IN_ONE_PIECE = "--xla_cpu_parallel_codegen_split_count=1"
-"""So XLA compiles for a test, beside `quick_flags`: unoptimised, by its older emitters where it has them."""
+"""XLA flag of the tests, in addition to `fast_compilation_flags`."""
 
 # A run is the same on every machine; `dev.py fuzz` looks for what no run has met.
 # No deadlines: a loaded machine is no failure.
@@ -44,7 +44,7 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.setdefault("NPROC", "8")
     # Most of the time of the tests goes into compiling, which so takes less than half as long.
     if not config.getoption("optimised"):
-        os.environ.setdefault("XLA_FLAGS", " ".join([*quick_flags(), IN_ONE_PIECE]))
+        os.environ.setdefault("XLA_FLAGS", " ".join([*fast_compilation_flags(), IN_ONE_PIECE]))
     # What a test compiles that another one has compiled is read from a folder, which starts empty: a fifth of
     # the time of training's tests. Each process has its own, as jax does not write whole files at once.
     cache = tempfile.TemporaryDirectory(prefix="usarmjx-compiled-")

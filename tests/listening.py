@@ -6,7 +6,7 @@ from typing import Any
 
 import jax
 
-from usarmjx.base.compilation import COMPILATION
+from usarmjx.base.compilation import COMPILE_EVENT_PREFIX
 
 COMPILED = "backend_compile_duration"
 """How the names of events end that tell of a program which XLA has compiled."""
@@ -19,7 +19,7 @@ def compilations(ending: str = "") -> Iterator[list[str]]:
 
     def note(event: str, seconds: float, **more: Any) -> None:
         del seconds, more
-        if event.startswith(COMPILATION) and event.endswith(ending):
+        if event.startswith(COMPILE_EVENT_PREFIX) and event.endswith(ending):
             events.append(event)
 
     jax.monitoring.register_event_duration_secs_listener(note)

@@ -12,7 +12,7 @@ from benchmarks.peering.contest import OURS
 from benchmarks.report.laws import laws_of
 from benchmarks.report.records import BenchRecord
 from benchmarks.report.tables import of
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 
 DPI, PANEL = 100, (4.6, 3.6)
 """Width and height of a panel [inches]."""
@@ -25,7 +25,7 @@ COLOURS = colormaps["tab20"].colors  # pyright: ignore[reportAttributeAccessIssu
 
 def _save(figure: Figure, out: Path, digest: str) -> None:
     FigureCanvasAgg(figure)
-    with write_beside(out) as fresh:
+    with atomic_write(out) as fresh:
         figure.savefig(fresh, format="png", metadata={DIGEST: digest})
 
 

@@ -16,7 +16,7 @@ from benchmarks.report.laws import laws_table
 from benchmarks.report.records import BenchRecord, read_records
 from benchmarks.report.tables import NOTHING, MarkdownRow, number, of, table
 from usarmjx.base.errors import UsageError
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 
 
 def peers_text(records: Sequence[BenchRecord]) -> str:
@@ -210,7 +210,7 @@ def write_page(results: Path, page: Path) -> str:
         raise UsageError(f"{page}: no such page")
     before = page.read_text(encoding="utf-8")
     text = fill_page(before, records)
-    with write_beside(page) as fresh:
+    with atomic_write(page) as fresh:
         fresh.write_text(text, encoding="utf-8")
     drawn = [name for name in FIGURES if not is_drawn(page.parent / name, records)]
     for name in drawn:

@@ -7,24 +7,24 @@ from importlib import metadata
 import pytest
 
 from usarmjx.base.compilation import (
+    CACHE_VARIABLE,
     JAX_FOLDER,
     MIN_COMPILE_TIME,
-    OLDER_EMITTERS,
+    NO_FUSION_EMITTERS,
+    NO_OPTIMIZATION,
     PROGRAMS_FOLDER,
-    QUICKLY,
-    VARIABLE,
     WARP_FOLDER,
-    keep_compilations,
+    enable_compilation_cache,
+    fast_compilation_flags,
     processor,
-    prune,
-    quick_flags,
-    tell_once_of_broken_entries,
+    prune_cache,
+    warn_once_of_broken_entries,
 )
 
 
 def test_both_are_told_where_and_that_small_programs_count(tmp_path):
     said = {"XDG_CACHE_HOME": str(tmp_path)}
-    assert keep_compilations(said) is None
+    assert enable_compilation_cache(said) is None
     folder = tmp_path / "usarmjx"
     assert said[JAX_FOLDER] == str(folder / "jax" / processor())
     assert said[WARP_FOLDER] == str(folder / "warp")
@@ -35,13 +35,16 @@ def test_both_are_told_where_and_that_small_programs_count(tmp_path):
 def test_without_a_variable_it_is_the_usual_folder_of_caches(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     said = {}
-    keep_compilations(said)
+    enable_compilation_cache(said)
     assert said[WARP_FOLDER] == str(tmp_path / ".cache/usarmjx/warp")
 
 
 def test_it_can_be_moved_and_turned_off(tmp_path):
-    moved, off = {VARIABLE: str(tmp_path / "here")}, {VARIABLE: "Off", "XDG_CACHE_HOME": str(tmp_path)}
-    assert keep_compilations(moved) is keep_compilations(off) is None
+    moved, off = (
+        {CACHE_VARIABLE: str(tmp_path / "here")},
+        {CACHE_VARIABLE: "Off", "XDG_CACHE_HOME": str(tmp_path)},
+    )
+    assert enable_compilation_cache(moved) is enable_compilation_cache(off) is None
     assert moved[WARP_FOLDER] == str(tmp_path / "here/warp")
     assert JAX_FOLDER not in off
     assert [path.name for path in tmp_path.iterdir()] == ["here"]
@@ -50,14 +53,14 @@ def test_it_can_be_moved_and_turned_off(tmp_path):
 def test_what_users_tell_jax_and_warp_themselves_stays(tmp_path):
     own = {JAX_FOLDER: "/own/jax", WARP_FOLDER: "/own/warp", MIN_COMPILE_TIME[0]: "5"}
     said = {**own, "XDG_CACHE_HOME": str(tmp_path)}
-    keep_compilations(said)
+    enable_compilation_cache(said)
     assert {name: said[name] for name in own} == own
 
 
 def test_a_folder_that_cannot_be_written_is_a_line_and_no_failure(tmp_path):
     (tmp_path / "file").touch()
-    said = {VARIABLE: str(tmp_path / "file")}
-    complaint = keep_compilations(said)
+    said = {CACHE_VARIABLE: str(tmp_path / "file")}
+    complaint = enable_compilation_cache(said)
     assert complaint is not None
     assert "not kept" in complaint
     assert str(tmp_path / "file") in complaint
@@ -76,12 +79,12 @@ def test_what_was_not_used_for_longest_goes_first(tmp_path):
         path.write_bytes(bytes(100))
         os.utime(path, (1000.0 + place, 1000.0 + place))
     os.utime(files[2], (5000.0, 1.0))  # read lately, written long ago
-    prune(tmp_path, 400)
+    prune_cache(tmp_path, 400)
     assert all(path.exists() for path in files)
-    prune(tmp_path, 250)
+    prune_cache(tmp_path, 250)
     assert [path.exists() for path in files] == [False, False, True, True]
     assert not module.exists()
-    prune(tmp_path, 100)
+    prune_cache(tmp_path, 100)
     assert [path.exists() for path in files] == [False, False, True, False]
 
 
@@ -89,7 +92,7 @@ def test_what_was_not_used_for_longest_goes_first(tmp_path):
 def complaints(tmp_path, monkeypatch):
     monkeypatch.setattr(warnings, "showwarning", lambda *rest: said.append(str(rest[0])))
     said = []
-    tell_once_of_broken_entries(said.append, tmp_path)
+    warn_once_of_broken_entries(said.append, tmp_path)
     return said
 
 
@@ -118,6 +121,8 @@ def test_of_kept_programs_that_are_broken_one_line_is_said(complaints):
 
 def test_quick_compilation_asks_only_for_flags_that_jaxlib_knows():
     """XLA ends the process over another one: of 0.11.2 with the older emitters `play` did not start."""
-    assert quick_flags("0.10.2") == [QUICKLY, OLDER_EMITTERS]
-    assert [quick_flags(version) for version in ("0.11.0", "0.11.2", "0.12.0.1", "1.0")] == [[QUICKLY]] * 4
-    assert quick_flags() == quick_flags(metadata.version("jaxlib"))
+    assert fast_compilation_flags("0.10.2") == [NO_OPTIMIZATION, NO_FUSION_EMITTERS]
+    assert [fast_compilation_flags(version) for version in ("0.11.0", "0.11.2", "0.12.0.1", "1.0")] == [
+        [NO_OPTIMIZATION]
+    ] * 4
+    assert fast_compilation_flags() == fast_compilation_flags(metadata.version("jaxlib"))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from usarmjx.base.errors import UsageError, WriteError
-from usarmjx.base.files import AppendedFile, disk_fault, write_beside, writing
+from usarmjx.base.files import AppendedFile, atomic_write, disk_error, writing
 
 
 @contextmanager
@@ -24,7 +24,7 @@ def largest_file(size):
 
 
 def write(path, text):
-    with write_beside(path) as fresh:
+    with atomic_write(path) as fresh:
         fresh.write_text(text)
 
 
@@ -42,7 +42,7 @@ def test_what_was_there_stays_whole_when_the_rest_does_not_fit(tmp_path):
 
 def test_a_write_that_is_broken_off_leaves_nothing(tmp_path):
     def write_half():
-        with write_beside(tmp_path / "new.txt") as fresh:
+        with atomic_write(tmp_path / "new.txt") as fresh:
             fresh.write_text("half")
             raise KeyboardInterrupt
 
@@ -53,7 +53,7 @@ def test_a_write_that_is_broken_off_leaves_nothing(tmp_path):
 
 def test_the_new_file_has_its_ending_while_it_is_written(tmp_path):
     """By which some libraries choose its format; whoever looks for such files does not see it."""
-    with write_beside(tmp_path / "plan.png") as fresh:
+    with atomic_write(tmp_path / "plan.png") as fresh:
         assert (fresh.suffix, fresh.name[0], fresh.parent) == (".png", ".", tmp_path)
         fresh.touch()
 
@@ -85,13 +85,11 @@ def test_the_reason_is_in_the_systems_words(tmp_path, monkeypatch, number):
 
 
 def test_what_is_no_fault_of_the_disk_is_none(tmp_path):
-    assert disk_fault(ValueError("no")) is None
-    assert disk_fault(FileNotFoundError(errno.ENOENT, "gone")) is None
-    tensorstore = ValueError("Failed to write 9 bytes: No space left on device [os_error_code='28']")
-    assert disk_fault(tensorstore) == "No space left on device"
+    assert disk_error(ValueError("no")) is None
+    assert disk_error(FileNotFoundError(errno.ENOENT, "gone")) is None
     above = RuntimeError("saving failed")
     above.__cause__ = OSError(errno.EROFS, "whatever")
-    assert disk_fault(above) == "Read-only file system"
+    assert disk_error(above) == "Read-only file system"
     with pytest.raises(UsageError, match="no disk"), writing(tmp_path):
         raise UsageError("it was no disk")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from usarmjx.base.worker_processes import WorkerProcesses, spread, spread_over
+from usarmjx.base.worker_processes import WorkerProcesses, spread, use_workers
 
 BIG = 200_000
 """Bytes: more than a pipe holds."""
@@ -81,7 +81,7 @@ def test_without_any_all_is_done_here():
 
 
 def test_spread_uses_those_of_its_thread_for_as_long_as_it_is_told(workers):
-    with spread_over(workers):
+    with use_workers(workers):
         assert os.getpid() not in {pid for _, pid in spread(square, range(4))}
     assert {pid for _, pid in spread(square, range(4))} == {os.getpid()}
 

@@ -13,7 +13,7 @@ from benchmarks.report.records import BenchRecord
 from benchmarks.report.tables import sweep_table
 from tests.benchmarks.records import faults
 from tests.sweeps.conftest import write
-from usarmjx.base.compilation import COMPILATION
+from usarmjx.base.compilation import COMPILE_EVENT_PREFIX
 from usarmjx.cli.app import app
 from usarmjx.sweeps.play import CompileClock, compile_clock, covered
 from usarmjx.sweeps.store import read_sweep
@@ -31,8 +31,8 @@ def test_the_clock_hears_of_compilations_and_of_nothing_else(monkeypatch):
     now = [100.0]
     monkeypatch.setattr("usarmjx.sweeps.play.time.monotonic", lambda: now[0])
     clock = CompileClock()
-    clock.hear(f"{COMPILATION}jaxpr_trace_duration", 0.5)  # within the next
-    clock.hear(f"{COMPILATION}backend_compile_duration", 3.0)
+    clock.hear(f"{COMPILE_EVENT_PREFIX}jaxpr_trace_duration", 0.5)  # within the next
+    clock.hear(f"{COMPILE_EVENT_PREFIX}backend_compile_duration", 3.0)
     clock.hear("/jax/checkpoint/write", 50.0)
     assert clock.taken() == 3.0
     assert clock.taken() == 0.0, "each is told once"

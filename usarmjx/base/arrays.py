@@ -1,7 +1,7 @@
-"""Types of arrays, for annotations: `Float[Array, "worlds robots 3"]` is an array of floats of that shape.
+"""Array types for annotations: `Float[Array, "worlds robots 3"]` is a float array of that shape.
 
-The names in a shape are those of the docstrings: worlds, robots (of a group unless said otherwise), joints,
-beams, geoms. Nothing checks them while the program runs; `tests/test_shapes.py` compares the docstrings'
+The dimension names are those of the docstrings: worlds, robots (of a robot group unless stated otherwise),
+joints, beams, geoms. Shapes are not checked at run time; `tests/test_shapes.py` compares the docstrings'
 shapes with a built world.
 """
 
@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, PRNGKeyArray, UInt8
 
 Array: TypeAlias = jax.Array | np.ndarray
-"""An array of either library: functions that take it are given the array module where it matters."""
+"""NumPy or JAX array; a function that accepts both takes the array module as an argument where it matters."""
 ArrayLike: TypeAlias = Array | float
-"""An array, or one number for all."""
+"""Array, or one number for all elements."""
 Key: TypeAlias = PRNGKeyArray
-"""A key of JAX's random numbers."""
+"""JAX random key."""
 
 __all__ = ["Array", "ArrayLike", "Bool", "Float", "Int", "Key", "UInt8"]

@@ -1,9 +1,9 @@
-"""The array library that pure functions run on: JAX for batches, NumPy for single worlds.
+"""Array library of the pure functions: JAX for batches, NumPy for single worlds.
 
-A batch is traced and compiled: `xp` is `jax.numpy` then, as anywhere unless said otherwise. A world that
-clients share must never wait for a compiler: inside `with numpy_backend():` the same functions run on NumPy,
-at once, with the same random numbers. Both differ in the last bits of single precision only, as XLA fuses
-products and sums (`tests/base/test_backend.py`).
+A batch is traced and compiled: `xp` is `jax.numpy` by default. A world that clients share must never wait for
+a compiler: inside `with numpy_backend():` the same functions run on NumPy without compilation, with the same
+random numbers. The two differ only in the last bits of single precision, because XLA fuses products and sums
+(`tests/base/test_backend.py`).
 """
 
 from collections.abc import Callable, Generator
@@ -21,15 +21,14 @@ from usarmjx.base.arrays import Array
 
 T = TypeVar("T")
 Params = ParamSpec("Params")
-Params = ParamSpec("Params")
 _on_numpy: ContextVar[bool] = ContextVar("on_numpy", default=False)
 
 
 @contextmanager
 def numpy_backend() -> Generator[None]:
-    """Run pure functions on NumPy: nothing is traced or compiled inside. It holds for this thread alone.
+    """Run pure functions on NumPy in this thread: nothing inside is traced or compiled.
 
-    Numbers that are not finite are no cause for warnings, as in JAX.
+    As in JAX, non-finite numbers raise no warnings.
     """
     token = _on_numpy.set(True)
     try:
@@ -40,12 +39,12 @@ def numpy_backend() -> Generator[None]:
 
 
 def on_numpy() -> bool:
-    """Return whether pure functions run on NumPy now."""
+    """Return whether pure functions currently run on NumPy."""
     return _on_numpy.get()
 
 
 class _ArrayFunctions:
-    """The array functions of the library in force."""
+    """Array module that forwards every attribute to the active library."""
 
     def __getattribute__(self, name: str) -> Any:  # noqa: ANN401 - whatever the library has
         return getattr(numpy_arrays if _on_numpy.get() else jnp, name)
@@ -55,15 +54,16 @@ if TYPE_CHECKING:
     xp = jnp
 else:
     xp = _ArrayFunctions()
+"""Array functions of the active library: `jax.numpy`, or NumPy inside `numpy_backend()`."""
 
 
 def named_scope(name: str) -> "_NamedScope":
-    """Name a part of a tick in profiles of compiled code: a context, or a decorator. Nothing on NumPy."""
+    """Name a part of a tick in profiles of compiled code: context or decorator; no effect on NumPy."""
     return _NamedScope(name)
 
 
 class _NamedScope(AbstractContextManager[None]):
-    """What `named_scope` returns."""
+    """Result of `named_scope`."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -99,13 +99,13 @@ def set_at(values: Array, index: Any, new: Any) -> Any:  # noqa: ANN401 - what i
 
 
 Part: TypeAlias = tuple[np.ndarray, Any]
-"""Places of rows, and what is there: an array that broadcasts to their shape."""
+"""Row indices of any shape, and the new rows: an array that broadcasts to that shape."""
 
 
 def set_rows(values: Array, *parts: Part) -> Any:  # noqa: ANN401 - an array of the library in force
-    """Return a copy of an array (n, ...) with rows set, part by part.
+    """Return a copy of an array (n, ...) with rows replaced, part by part.
 
-    On JAX it is one gather: each write by itself would be a kernel on a GPU, and a loop on a CPU.
+    On JAX this is one gather: separate writes would each be a kernel on a GPU and a loop on a CPU.
     """
     if _on_numpy.get():
         copy = np.array(values)
@@ -113,6 +113,7 @@ def set_rows(values: Array, *parts: Part) -> Any:  # noqa: ANN401 - an array of 
             copy[places] = new
         return copy
     values = jnp.asarray(values)
+    # `source` maps each output row to a row of the old array followed by all new rows.
     rows, source = [values], np.arange(values.shape[0])
     for places, new in parts:
         source[places] = sum(row.shape[0] for row in rows) + np.arange(places.size).reshape(places.shape)
@@ -122,12 +123,12 @@ def set_rows(values: Array, *parts: Part) -> Any:  # noqa: ANN401 - an array of 
 
 
 def stop_gradient(values: T) -> T:
-    """Return arrays that count as constants where something is differentiated; on NumPy nothing is."""
+    """Return arrays that differentiation treats as constants; on NumPy, the arrays themselves."""
     return values if _on_numpy.get() else jax.lax.stop_gradient(values)
 
 
 def fori_loop(count: int, body: Callable[[Any, T], T], start: T) -> T:
-    """Return what becomes of a value by `body(i, value)` for i from 0 to count; on NumPy a loop."""
+    """Apply `body(i, value)` for i in [0, count) and return the last value; on NumPy a Python loop."""
     if not _on_numpy.get():
         return jax.lax.fori_loop(0, count, body, start)
     value = start
@@ -137,7 +138,7 @@ def fori_loop(count: int, body: Callable[[Any, T], T], start: T) -> T:
 
 
 def jit(function: Callable[Params, T], static_argnames: tuple[str, ...] = ()) -> Callable[Params, T]:
-    """Compile a function as `jax.jit` does; on NumPy it runs as it is."""
+    """Compile a function as `jax.jit` does; on NumPy, call it directly."""
     compiled = jax.jit(function, static_argnames=static_argnames)
 
     @wraps(function)
@@ -148,11 +149,11 @@ def jit(function: Callable[Params, T], static_argnames: tuple[str, ...] = ()) ->
 
 
 def vmap(function: Callable[..., T], in_axes: Any = 0) -> Callable[..., T]:  # noqa: ANN401 - as JAX has it
-    """Map over leading axes as `jax.vmap` does; on NumPy a loop.
+    """Map over leading axes as `jax.vmap` does; on NumPy, loop.
 
     Args:
-        function: Of one row; returns a PyTree.
-        in_axes: 0 for arguments that have the axis and None for those that are shared, or PyTree prefixes.
+        function: Function of one row; returns a PyTree.
+        in_axes: 0 for mapped arguments, None for shared ones, or PyTree prefixes of these.
     """
     if not _on_numpy.get():
         return jax.vmap(function, in_axes)
@@ -172,7 +173,7 @@ def vmap(function: Callable[..., T], in_axes: Any = 0) -> Callable[..., T]:  # n
 
 
 def _rows(arg: Any, axis: Any) -> tuple[int | None, Callable[[int], Any]]:  # noqa: ANN401 - PyTrees
-    """Return how many rows an argument has (None: it is shared), and a function that gives one."""
+    """Return the row count of an argument (None: shared) and a function that returns one row."""
     if axis is None:
         return None, lambda _: arg
     leaves, tree = jax.tree.flatten(arg)

@@ -1,7 +1,8 @@
-"""How programs are compiled, and where they are kept for the next start: in the user's cache folder.
+"""XLA compilation: flags, the on-disk cache of compiled programs, and fusion hints.
 
-All of it is said to JAX and Warp by their environment variables, before either is imported, and so holds for
-processes that this one starts, too. What the user has set himself stays.
+JAX and Warp read their cache folders from environment variables when they are imported, so these are set
+before; child processes inherit them. Variables that the user has set stay. The cache is in the user's cache
+folder.
 """
 
 import hashlib
@@ -18,87 +19,94 @@ from typing import TypeVar
 
 import jax
 
-from usarmjx.base.process import fits_cores
+from usarmjx.base.process import pool_fits_cores
 
 T = TypeVar("T")
+CACHE_VARIABLE = "USARMJX_CACHE"
+"""Environment variable with another cache folder, or one of `OFF_VALUES`."""
+OFF_VALUES = ("off", "no", "0")
+"""Values of `CACHE_VARIABLE` that disable the cache."""
+JAX_FOLDER, WARP_FOLDER = "JAX_COMPILATION_CACHE_DIR", "WARP_CACHE_PATH"
+"""Environment variables with the cache folders of JAX and of Warp."""
+PROGRAMS_FOLDER = "USARMJX_PROGRAMS"
+"""Environment variable with the folder of `program_cache`."""
+MIN_COMPILE_TIME = ("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+"""Environment variable with the shortest compilation that JAX caches [s]. Its default is 1 s, but a start has
+a hundred programs that take less."""
+MAX_CACHE_SIZE = 2_000_000_000
+"""Cache size above which a start removes the least recently used entries [bytes]. JAX can prune, too, but a
+process killed while it writes then leaves a cache that is never written again."""
+COMPILE_EVENT_PREFIX = "/jax/core/compile/"
+"""Prefix of the names of JAX's events that report durations of compilation stages."""
+NO_OPTIMIZATION, NO_FUSION_EMITTERS = (
+    "--xla_backend_optimization_level=0",
+    "--xla_cpu_use_fusion_emitters=false",
+)
+"""XLA flags that compile a task's observation function in a quarter of the time."""
+EMITTER_FLAG_REMOVED_IN = (0, 11)
+"""First jaxlib version without `NO_FUSION_EMITTERS`; XLA aborts the process on an unknown flag."""
+CACHE_WARNING = re.compile(r"persistent compilation cache entry for '([^']+)'|the kept program ()")
+"""Warnings of JAX and of `program_cache` about broken entries; the latter removes its own."""
 
 
-def kept_on_gpu(tree: T) -> T:
-    """Return arrays that a GPU works out once and keeps; on a CPU they are what they were.
+def materialize(tree: T) -> T:
+    """Return arrays that a GPU computes once and stores; on a CPU, return them unchanged.
 
-    What is made of many worlds' numbers and read in another order, or in sums beside, XLA works out again for
-    each of those: it puts all that leads there into the kernel that reads it.
+    XLA fuses a producer into every consumer that reads it in another order or in another reduction, and so
+    computes it again for each of them. The barrier stops that fusion.
 
     Args:
-        tree: A PyTree of arrays.
+        tree: PyTree of arrays.
     """
     if jax.default_backend() != "gpu":
         return tree
     return jax.lax.optimization_barrier(tree)  # pyright: ignore[reportUnknownMemberType] - JAX has no type
 
 
-def rounds_at_once(count: int) -> int:
-    """Return how many rounds of a small loop are to be one: on a GPU so many, elsewhere each is by itself.
+def unroll_on_gpu(count: int) -> int:
+    """Return the unroll factor of a small loop: `count` on a GPU, 1 elsewhere.
 
-    On a GPU a round costs launches of its own, more than what is in it.
+    On a GPU an iteration costs kernel launches of its own, more than its arithmetic.
 
     Args:
-        count: How many on a GPU.
+        count: Factor on a GPU.
     """
     return count if jax.default_backend() == "gpu" else 1
 
 
-VARIABLE = "USARMJX_CACHE"
-"""Environment variable with another folder, or one of `OFF`."""
-OFF = ("off", "no", "0")
-JAX_FOLDER, WARP_FOLDER = "JAX_COMPILATION_CACHE_DIR", "WARP_CACHE_PATH"
-PROGRAMS_FOLDER = "USARMJX_PROGRAMS"
-"""Environment variable with the folder of `kept_programs`."""
-MIN_COMPILE_TIME = ("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-"""JAX keeps what took so long, a second if nothing is said; a start has a hundred programs that take less."""
-MAX_SIZE = 2_000_000_000
-"""At a start what was not used for longest goes until the cache is no larger than this [bytes]. JAX can see
-to that, too; but then a process that is killed while it writes leaves a cache that is never written again."""
-COMPILATION = "/jax/core/compile/"
-"""What the names of JAX's events begin with that tell how long a part of a compilation took."""
-QUICKLY, OLDER_EMITTERS = "--xla_backend_optimization_level=0", "--xla_cpu_use_fusion_emitters=false"
-"""Flags with which XLA compiles what a task observes in a quarter of the time."""
-WITHOUT_OLDER_EMITTERS = (0, 11)
-"""From this version on jaxlib has no such flag, and XLA ends a process over a flag that it does not know."""
-JAX_COMPLAINT = re.compile(r"persistent compilation cache entry for '([^']+)'|the kept program ()")
-"""What JAX warns of, and `kept_programs`; the latter removes what is broken itself."""
-
-
 def cache_folder(environment: MutableMapping[str, str]) -> Path | None:
-    """Return the folder that environment variables ask for; None: nothing is to be kept."""
-    asked = environment.get(VARIABLE, "").strip()
-    if asked.lower() in OFF:
+    """Return the cache folder according to the environment; None: the cache is off."""
+    asked = environment.get(CACHE_VARIABLE, "").strip()
+    if asked.lower() in OFF_VALUES:
         return None
     if asked:
         return Path(asked).expanduser()
     return Path(environment.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "usarmjx"
 
 
-def keep_compilations(environment: MutableMapping[str, str] = os.environ, most: int = MAX_SIZE) -> str | None:
-    """Have JAX and Warp keep what they compile; call it before they are imported.
+def enable_compilation_cache(
+    environment: MutableMapping[str, str] = os.environ, max_bytes: int = MAX_CACHE_SIZE
+) -> str | None:
+    """Make JAX and Warp cache what they compile; call it before they are imported.
 
     Args:
-        environment: Where to say so.
-        most: Size that the cache is cut down to [bytes].
+        environment: Variables to set.
+        max_bytes: Size to which the cache is pruned [bytes].
 
     Returns:
-        Why nothing is kept, in a line; None where nothing is wrong.
+        One line with the reason why nothing is cached; None if there is no error.
     """
     try:
         folder = cache_folder(environment)
         if folder is None:
             return None
-        # Loops are divided by the pool's threads, which is not in what JAX finds a program by.
-        programs = folder / "jax" / (processor() + ("-cores" if fits_cores() else ""))
+        # XLA divides loops by the size of the thread pool, which is not part of JAX's cache key.
+        programs = folder / "jax" / (processor() + ("-cores" if pool_fits_cores() else ""))
         programs.mkdir(parents=True, exist_ok=True)
+        # Fails here, not at the first compilation, where the folder is read-only or the disk is full.
         with tempfile.TemporaryFile(dir=programs):
             pass
-        prune(folder, most)
+        prune_cache(folder, max_bytes)
     except (OSError, RuntimeError) as error:
         return f"compilations are not kept, the next start will take as long: {error}"
     environment.setdefault(JAX_FOLDER, str(programs))
@@ -108,20 +116,20 @@ def keep_compilations(environment: MutableMapping[str, str] = os.environ, most: 
     return None
 
 
-def quick_flags(version: str | None = None) -> list[str]:
-    """Return the flags of quick compilation that a version of jaxlib has; None: the one that is installed."""
+def fast_compilation_flags(version: str | None = None) -> list[str]:
+    """Return the flags of fast compilation for a jaxlib version; None: the installed one."""
     numbers = (version or metadata.version("jaxlib")).split(".")
-    older = (int(numbers[0]), int(numbers[1])) < WITHOUT_OLDER_EMITTERS
-    return [QUICKLY, OLDER_EMITTERS] if older else [QUICKLY]
+    older = (int(numbers[0]), int(numbers[1])) < EMITTER_FLAG_REMOVED_IN
+    return [NO_OPTIMIZATION, NO_FUSION_EMITTERS] if older else [NO_OPTIMIZATION]
 
 
-def compile_quickly(environment: MutableMapping[str, str] = os.environ) -> None:
-    """Have XLA compile without optimisation: for what runs once. Call it before JAX is imported."""
-    environment.setdefault("XLA_FLAGS", " ".join(quick_flags()))
+def disable_optimization(environment: MutableMapping[str, str] = os.environ) -> None:
+    """Make XLA compile without optimisation, for programs that run once; call it before JAX is imported."""
+    environment.setdefault("XLA_FLAGS", " ".join(fast_compilation_flags()))
 
 
 def processor() -> str:
-    """Return a name for what this machine's processor can do: programs for another one may not run here."""
+    """Return a name for this machine's instruction set: programs for another one may not run here."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
         able = next(line for line in lines if line.lower().startswith(("flags", "features")))
@@ -130,12 +138,12 @@ def processor() -> str:
     return f"{platform.machine()}-{hashlib.sha256(able.encode()).hexdigest()[:8]}"
 
 
-def prune(folder: Path, most: int) -> None:
-    """Remove what was not used for longest from a cache, until it is no larger than so many bytes."""
+def prune_cache(folder: Path, max_bytes: int) -> None:
+    """Remove the least recently used entries of a cache until its size is at most `max_bytes` [bytes]."""
     entries = [(*_use(path), path) for path in _entries(folder)]
     size = sum(one[1] for one in entries)
     for _, own, path in sorted(entries):
-        if size <= most:
+        if size <= max_bytes:
             return
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
@@ -145,14 +153,14 @@ def prune(folder: Path, most: int) -> None:
 
 
 def _entries(folder: Path) -> Iterator[Path]:
-    """Return what of a cache can go by itself: JAX's files and ours, and Warp's folders, one for a module."""
+    """Yield the entries that can be removed separately: single files, and Warp's module folders."""
     for kind in ("jax", "programs"):
         yield from (path for path in folder.glob(f"{kind}/**/*") if path.is_file())
     yield from (path for path in folder.glob("warp/*/*") if path.is_dir())
 
 
 def _use(path: Path) -> tuple[float, int]:
-    """Return when an entry was last used, and its size [bytes]; one that is gone by now has none."""
+    """Return an entry's last use [s since the epoch] and size [bytes]; (0, 0) if it no longer exists."""
     files = [one for one in path.rglob("*") if one.is_file()] if path.is_dir() else [path]
     try:
         found = [one.stat() for one in files]
@@ -161,21 +169,21 @@ def _use(path: Path) -> tuple[float, int]:
     return max((max(s.st_atime, s.st_mtime) for s in found), default=0.0), sum(s.st_size for s in found)
 
 
-def tell_once_of_broken_entries(say: Callable[[str], None], folder: Path) -> None:
-    """Say in one line, once, what JAX would warn of for each program; what it cannot read it compiles again.
+def warn_once_of_broken_entries(say: Callable[[str], None], folder: Path) -> None:
+    """Replace JAX's warnings about unreadable cache entries by one line, and remove those entries.
 
-    A file that is broken, as one is when its writer was killed, would stay so, as JAX writes none that is
-    there: it is removed.
+    JAX compiles such a program again but never overwrites an existing file, so a file left broken by a killed
+    writer would stay broken.
 
     Args:
         say: Takes a line.
-        folder: JAX's.
+        folder: JAX's cache folder.
     """
     usual, said = warnings.showwarning, False
 
     def show(message: Warning | str, *rest: object, **more: object) -> None:
         nonlocal said
-        found = JAX_COMPLAINT.search(str(message))
+        found = CACHE_WARNING.search(str(message))
         if found is None:
             usual(message, *rest, **more)  # type: ignore - as it was called
             return

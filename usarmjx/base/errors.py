@@ -15,83 +15,83 @@ UsarmjxError
 from importlib.util import find_spec
 from types import TracebackType
 
-LONGEST = 200
-"""So much of what others' exceptions say is quoted [characters]."""
+MAX_QUOTATION = 200
+"""Longest quotation of a foreign exception's message [characters]."""
 
 
 class UsarmjxError(Exception):
-    """Base of everything that usarmjx raises on purpose."""
+    """Base of all exceptions that usarmjx raises deliberately."""
 
 
-def one_line(error: Exception) -> str:
-    """Return what somebody else's exception says, as the end of a line of ours."""
-    return " ".join(str(error)[:LONGEST].split()) or type(error).__name__
+def quoted(error: Exception) -> str:
+    """Return a foreign exception's message as the end of one line."""
+    return " ".join(str(error)[:MAX_QUOTATION].split()) or type(error).__name__
 
 
 class UsageError(UsarmjxError):
-    """A call or a description was wrong; the message names what and what is allowed."""
+    """Wrong call or description; the message names the fault and the allowed values."""
 
 
 class UnknownNameError(UsageError, KeyError):
-    """A name that is not registered; the message lists the names that are."""
+    """Name that is not registered; the message lists the registered ones."""
 
     def __str__(self) -> str:
-        """Return the sentence itself (KeyError would show it quoted)."""
+        """Return the plain sentence (KeyError would quote it)."""
         return str(self.args[0]) if self.args else ""
 
 
 class SpecError(UsageError):
-    """A robot, arena or scene description that cannot be built."""
+    """Robot, arena or scene description that cannot be built."""
 
 
 class ArenaFileError(SpecError):
-    """A file of an arena that does not read; the message names file, line and what is allowed there."""
+    """Arena file that cannot be parsed; the message names file, line and allowed values."""
 
 
 class UnsupportedFeatureError(SpecError):
-    """A model feature that the chosen engine refuses or would silently ignore."""
+    """Model feature that the chosen engine refuses or would silently ignore."""
 
 
 class UnsupportedGeomError(SpecError):
-    """A geom type for which the raycaster has no kernel."""
+    """Geom type for which the ray caster has no kernel."""
 
 
 class EngineError(UsageError):
-    """An engine cannot run on this machine, one of its buffers overflowed, or its physics went bad."""
+    """Engine that cannot run on this machine, overflowed a buffer, or diverged."""
 
 
 class WriteError(UsageError):
-    """A file cannot be written: no room, or no right; the message names the path and the reason."""
+    """File that cannot be written: no space or no permission; the message names path and reason."""
 
 
 class PeerError(UsarmjxError):
-    """A network peer broke a rule of the protocol; only that peer is dropped."""
+    """Protocol violation of a network peer; only that peer is dropped."""
 
 
 class MissingExtraError(UsageError, ImportError):
-    """A library of an extra is not installed; the message names both."""
+    """Missing library of an extra; the message names both."""
 
 
 class extra:
-    """Around imports that only an extra of usarmjx brings, as `with extra("train"): import optax`.
+    """Context for imports that an extra of usarmjx installs: `with extra("train"): import optax`.
 
     Args:
-        name: Of the extra, as in pyproject.toml.
+        name: Name of the extra in pyproject.toml.
     """
 
     def __init__(self, name: str) -> None:
         self._name = name
 
     def __enter__(self) -> None:
-        """Begin."""
+        """Do nothing."""
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Say in one line what is missing.
+        """Turn a missing module into one line that names the extra.
 
         Raises:
-            MissingExtraError: A module was not found, and it is not one of ours.
+            MissingExtraError: A module was not found, and it is not part of usarmjx.
         """
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
         if missing and missing.partition(".")[0] != "usarmjx":
@@ -101,10 +101,10 @@ class extra:
 
 
 def need_module(name: str) -> None:
-    """Do nothing where a module could be imported, and do not import it: that may take seconds.
+    """Check that a module can be imported without importing it, which may take seconds.
 
     Raises:
-        ModuleNotFoundError: It is not installed, as an import would say.
+        ModuleNotFoundError: It is not installed; same message as an import.
     """
     if find_spec(name) is None:
         raise ModuleNotFoundError(f"No module named {name!r}", name=name)

@@ -1,8 +1,8 @@
-"""How sure results are: intervals, interquartile means, paired differences, profiles, fronts.
+"""Uncertainty of results: confidence intervals, interquartile means, performance profiles, Pareto fronts.
 
-In the manner of Agarwal and others, "Deep reinforcement learning at the edge of the statistical precipice"
-(NeurIPS 2021): runs are judged by the interquartile mean, by performance profiles, and with intervals of a
-stratified bootstrap, which draws episodes anew within each cell.
+After Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice" (NeurIPS 2021):
+runs are compared by the interquartile mean, by performance profiles, and with intervals of a stratified
+bootstrap, which resamples episodes within each cell.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,9 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 CONFIDENCE = 0.95
+"""Confidence level of all intervals."""
 RESAMPLES = 2000
+"""Bootstrap resamples."""
 TRIM = 0.25
-"""Share of the lowest and of the highest scores that the interquartile mean leaves out."""
+"""Fraction of the lowest and of the highest scores that the interquartile mean leaves out."""
 
 Strata = Sequence[np.ndarray]
 """Values (n,) of each cell."""
@@ -21,14 +23,14 @@ Strata = Sequence[np.ndarray]
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A number and where the true one lies with a probability of 95 %.
+    """Point estimate with its 95 % confidence interval.
 
     Attributes:
-        value: The number; not a number where there is nothing to take it of.
-        low: Lower end.
-        high: Upper end.
-        count: Values behind it.
-        method: How the interval was found: `bootstrap` or `Wilson`.
+        value: Estimate; NaN if there are no values.
+        low: Lower end of the interval.
+        high: Upper end of the interval.
+        count: Number of values.
+        method: Method of the interval: `bootstrap` or `Wilson`.
     """
 
     value: float
@@ -40,7 +42,7 @@ class Estimate:
 
 def interquartile_mean(values: np.ndarray) -> np.ndarray:
     """Return the mean of the middle half (...,) of values (..., n)."""
-    from scipy import stats  # a second to import, of which a training has no need
+    from scipy import stats  # the import takes a second, and training needs none of it
 
     return np.asarray(stats.trim_mean(values, TRIM, axis=-1))
 
@@ -57,13 +59,13 @@ def estimate(
     shares: bool = False,
     seed: int = 0,
 ) -> Estimate:
-    """Return a number of all values together, and its 95 % interval.
+    """Estimate a statistic of all values with its 95 % confidence interval.
 
     Args:
-        strata: The values of each cell.
-        of: What is taken of values (..., n), `mean` or `interquartile_mean`.
-        shares: Whether values that are all 0 or 1 are successes, whose share has Wilson's interval.
-        seed: Of what the bootstrap draws.
+        strata: Values of each cell.
+        of: Statistic of values (..., n): `mean` or `interquartile_mean`.
+        shares: Whether values that are all 0 or 1 are successes, whose proportion gets Wilson's interval.
+        seed: Seed of the bootstrap.
     """
     rows = [np.asarray(one, float) for one in strata if len(one)]
     if not rows:
@@ -90,7 +92,7 @@ def performance_profile(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarra
 
 
 def pareto_front(points: np.ndarray) -> np.ndarray:
-    """Return which points (n, numbers) no other beats: as good in all numbers, better in one (n,)."""
+    """Return which points (n, criteria) no other dominates: as good in all criteria, better in one (n,)."""
     points = np.asarray(points, float)
     at_least = (points[None] >= points[:, None]).all(-1)
     better = (points[None] > points[:, None]).any(-1)

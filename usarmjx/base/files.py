@@ -1,8 +1,10 @@
-"""Files are written beside their place and renamed: a full disk leaves the old one whole, and is one line."""
+"""Atomic file writes: a temporary file beside the target, then a rename.
+
+A full disk leaves the old file intact and becomes a one-line error.
+"""
 
 import errno
 import os
-import re
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from io import FileIO
@@ -10,9 +12,9 @@ from pathlib import Path
 
 from usarmjx.base.errors import SpecError, WriteError
 
-PARTIAL = ".partial"
-"""In the name of what is being written."""
-DISK_FAULTS = (
+PARTIAL_MARK = ".partial"
+"""Part of the name of an unfinished file."""
+DISK_ERRORS = (
     errno.ENOSPC,
     errno.EDQUOT,
     errno.EFBIG,
@@ -22,42 +24,37 @@ DISK_FAULTS = (
     errno.EPERM,
     errno.ESTALE,
 )
-"""What a disk refuses with: no room, files too large, no right to write, broken."""
-FOREIGN_FAULT = re.compile(r"os_error_code=.(\d+)")
-"""How TensorStore, which writes checkpoints, says what the system said."""
+"""Error numbers of a disk: no space, file too large, no permission, read-only, I/O error."""
 
 
-def disk_fault(error: BaseException | None) -> str | None:
-    """Return what a disk refused with, in the system's words; None where it was something else."""
+def disk_error(error: BaseException | None) -> str | None:
+    """Return the system's message for a disk error in a chain of exceptions; None: no disk error."""
     while error is not None:
-        number = error.errno if isinstance(error, OSError) else None
-        if number is None and (told := FOREIGN_FAULT.search(str(error))):
-            number = int(told[1])
-        if number in DISK_FAULTS:
-            return os.strerror(number)
+        if isinstance(error, OSError) and error.errno in DISK_ERRORS:
+            return os.strerror(error.errno)
         error = error.__cause__ or error.__context__
     return None
 
 
-def read_bounded(path: Path, most: int) -> bytes:
-    """Return what a file holds, which may be a pipe.
+def read_bounded(path: Path, max_bytes: int) -> bytes:
+    """Return the content of a file, which may be a pipe.
 
     Raises:
-        SpecError: It is not there, cannot be read, or has more than so many bytes.
+        SpecError: The file is missing, unreadable, or longer than `max_bytes` bytes.
     """
     try:
         with path.open("rb") as file:
-            data = file.read(most + 1)
+            data = file.read(max_bytes + 1)
     except OSError as error:
         raise SpecError(f"{path}: cannot be read: {error.strerror or error}") from error
-    if len(data) > most:
-        raise SpecError(f"{path}: has more than {most} bytes, which are too many")
+    if len(data) > max_bytes:
+        raise SpecError(f"{path}: has more than {max_bytes} bytes, which are too many")
     return data
 
 
 @contextmanager
 def writing(path: Path) -> Generator[None]:
-    """Turn what goes wrong while a path is written to into one line.
+    """Turn an error while writing to a path into a one-line `WriteError`.
 
     Raises:
         WriteError: Names the path and the reason.
@@ -65,42 +62,44 @@ def writing(path: Path) -> Generator[None]:
     try:
         yield
     except OSError as error:
-        reason = disk_fault(error) or error.strerror or error
+        reason = disk_error(error) or error.strerror or error
         raise WriteError(f"cannot write {path}: {reason}") from error
 
 
 @contextmanager
-def write_beside(path: Path) -> Generator[Path]:
-    """Give a path to write to, which takes the file's place if all goes well, and else is deleted.
+def atomic_write(path: Path) -> Generator[Path]:
+    """Yield a temporary path that replaces the file on success and is deleted on failure.
 
-    Folders are made. What is no file, such as a pipe or a terminal, is written to as it is.
+    Folders are created. A target that is not a regular file, such as a pipe or a terminal, is written
+    directly.
 
     Raises:
-        WriteError: Names the path and the reason; what was there before is untouched.
+        WriteError: Names the path and the reason; the old file is untouched.
     """
     path = Path(path)
     with writing(path):
         if path.exists() and not path.is_file():
             yield path
             return
-        place = Path(os.path.realpath(path))  # a link stays a link
-        place.parent.mkdir(parents=True, exist_ok=True)
-        fresh = place.with_name(f".{place.stem}{PARTIAL}-{os.getpid()}{place.suffix}")
+        target = Path(os.path.realpath(path))  # a link stays a link
+        target.parent.mkdir(parents=True, exist_ok=True)
+        # The process id keeps two writers apart; the suffix stays last for writers that look at it.
+        fresh = target.with_name(f".{target.stem}{PARTIAL_MARK}-{os.getpid()}{target.suffix}")
         try:
             yield fresh
             with fresh.open("rb+") as file:
                 os.fsync(file.fileno())
-            fresh.replace(place)
+            fresh.replace(target)
         finally:
             with suppress(OSError):
                 fresh.unlink(missing_ok=True)
 
 
 class AppendedFile:
-    """A file that always ends with a whole record; what could not be appended waits for the next one.
+    """File of whole records; a record that cannot be appended waits for the next attempt.
 
     Args:
-        path: The file, which may be there already; its folder is made.
+        path: File, which may exist; its folder is created.
     """
 
     def __init__(self, path: Path) -> None:
@@ -111,7 +110,7 @@ class AppendedFile:
 
     @property
     def waiting(self) -> int:
-        """How many records could not be appended yet."""
+        """Number of records not yet written."""
         return len(self._waiting)
 
     def append(self, record: bytes) -> None:
@@ -129,6 +128,7 @@ class AppendedFile:
                 while left:
                     left = left[file.write(left) :]
             except OSError:
+                # A partial record at the end would make the file unreadable.
                 file.truncate(self._size)
                 raise
         self._waiting, self._size = [], end

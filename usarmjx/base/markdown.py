@@ -1,14 +1,14 @@
-"""Tables as Markdown."""
+"""Markdown tables."""
 
 from collections.abc import Iterable, Iterator, Sequence
 
 
 def table_lines(head: Sequence[object], rows: Iterable[Sequence[object]]) -> Iterator[str]:
-    """Yield the lines of a Markdown table, each row as soon as it is known.
+    """Yield the lines of a Markdown table, each row as soon as it is available.
 
     Args:
-        head: What stands over the columns.
-        rows: The cells (rows, columns); a bar in one is shown as a slash.
+        head: Column titles.
+        rows: Cells (rows, columns); a vertical bar in a cell becomes a slash.
     """
     yield _line(head)
     yield "|" + "---|" * len(head)

@@ -1,12 +1,12 @@
-"""A guard against a deadlock of JAX's CPU backend on machines with few cores.
+"""The process: thread pool of JAX's CPU backend, freed memory and start time.
 
-jaxlib 0.10.2 factors batches of matrices in parallel on the thread pool that already runs it: with two
-cores two such operations wait for each other for ever (seen in 5 of 6 runs of MJX with several worlds).
-A pool of eight threads, which the environment variable NPROC sets when the backend starts, never hung.
-`usarmjx` raises NPROC when it is imported; this module also finds out when that came too late.
+jaxlib 0.10.2 factors batches of matrices in parallel on the thread pool that already runs it: with two cores
+two such operations can deadlock (seen in 5 of 6 runs of MJX with several worlds). A pool of eight threads,
+which the environment variable NPROC sets when the backend starts, never did. `usarmjx` raises NPROC when it
+is imported; this module also detects that JAX was already running.
 
-XLA divides each loop, however short, among as many tasks as the pool has threads, and eight of them on two
-cores wait for each other: who does not solve with engine `jax` is faster with a thread for each core.
+XLA divides each loop, however short, into one task per thread of the pool, and on two cores eight tasks wait
+for each other: without engine `jax` one thread per core is faster.
 """
 
 import ctypes
@@ -19,10 +19,20 @@ from typing import Any, cast
 
 from usarmjx.base.errors import EngineError
 
+PROCESS_START = time.time()
+"""Start of this process [s since the epoch]."""
+MIN_THREADS = 8
+"""Smallest thread pool that does not deadlock."""
+POOL, CORES = "USARMJX_POOL", "cores"
+"""Environment variable and its value for a pool of one thread per core."""
+_started_before_us = False
+_raised_from: tuple[str | None] | None = None
+"""Value of NPROC before it was raised, in a tuple; None: not raised."""
+
 
 @cache
 def _trim() -> Callable[[int], Any] | None:
-    """Return glibc's malloc_trim; None where the C library is another one."""
+    """Return glibc's malloc_trim; None with another C library."""
     try:
         return cast(Callable[[int], Any], ctypes.CDLL(None).malloc_trim)
     except (AttributeError, OSError, TypeError):
@@ -30,42 +40,30 @@ def _trim() -> Callable[[int], Any] | None:
 
 
 def return_freed_memory() -> None:
-    """Give the system back what was freed, where the C library can; takes a millisecond or two.
+    """Return freed memory to the system where the C library can; takes one or two milliseconds.
 
-    A model and its data are made anew whenever a robot joins or leaves. glibc keeps such large blocks for
-    later and puts small ones in between, so that a server grew by half a megabyte with each visit of a robot.
+    A model and its data are allocated anew whenever a robot joins or leaves. glibc keeps such large blocks
+    for reuse and puts small ones between them: a server grew by 0.5 MB with each visit of a robot.
     """
     trim = _trim()
     if trim is not None:
         trim(0)
 
 
-STARTED = time.time()
-"""[s since the epoch]"""
-
-
-MIN_THREADS = 8
-POOL, CORES = "USARMJX_POOL", "cores"
-"""Environment variable, and what it is where the pool is to have as many threads as there are cores."""
-_started_before_us = False
-_raised_from: tuple[str | None] | None = None
-"""What NPROC was before it was raised; None: it was not."""
-
-
 def ensure_pool_size() -> None:
-    """Make sure that JAX's CPU thread pool will be large enough, however few cores there are."""
+    """Raise NPROC so that JAX's CPU thread pool is large enough on any number of cores."""
     global _raised_from, _started_before_us
-    if _size_asked_for() >= MIN_THREADS or fits_cores():
+    if _requested_pool_size() >= MIN_THREADS or pool_fits_cores():
         return
     _started_before_us, _raised_from = _backend_runs(), (os.environ.get("NPROC"),)
     os.environ["NPROC"] = str(MIN_THREADS)
 
 
 def fit_pool_to_cores() -> None:
-    """Let the pool have a thread for each core, here and in processes that this one starts.
+    """Give the pool one thread per core, in this process and its children.
 
-    For who does not solve with engine `jax` on a CPU, which refuses to be built then. Nothing happens where
-    JAX runs already, or where NPROC has been set to as many threads as that engine needs.
+    For processes without engine `jax` on a CPU, which then refuses to be built. No effect if JAX already
+    runs, or if NPROC was already large enough for that engine.
     """
     if _backend_runs() or _raised_from is None:
         return
@@ -75,18 +73,18 @@ def fit_pool_to_cores() -> None:
         os.environ["NPROC"] = _raised_from[0]
 
 
-def fits_cores() -> bool:
-    """Return whether the pool is to have a thread for each core."""
+def pool_fits_cores() -> bool:
+    """Return whether the pool has one thread per core."""
     return os.environ.get(POOL, "").strip().lower() == CORES
 
 
-def _size_asked_for() -> int:
+def _requested_pool_size() -> int:
     asked = os.environ.get("NPROC", "")
     return (int(asked) if asked.isdecimal() else 0) if asked else cores()
 
 
 def cores() -> int:
-    """Return how many cores this process may use, which is what JAX's pool is sized by."""
+    """Return the number of cores that this process may use, JAX's default pool size."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -96,16 +94,17 @@ def _backend_runs() -> bool:
 
 
 def check_pool_size() -> None:
-    """Refuse to run where the deadlock could strike.
+    """Refuse to run if the deadlock is possible.
 
     Raises:
-        EngineError: JAX's CPU backend was already running, with a small pool, when usarmjx was imported; or
-            the pool is small because that was asked for.
+        EngineError: JAX's CPU backend was already running, with a small pool, when usarmjx was imported; or a
+            small pool was requested.
     """
-    if fits_cores() and _size_asked_for() < MIN_THREADS and _on_cpu():
+    if pool_fits_cores() and _requested_pool_size() < MIN_THREADS and _on_cpu():
         raise EngineError(
-            f"{POOL}={CORES} leaves JAX with {_size_asked_for()} threads, and engine jax needs {MIN_THREADS} "
-            f"to be safe from a deadlock of its CPU backend; unset {POOL}, or take another engine"
+            f"{POOL}={CORES} leaves JAX with {_requested_pool_size()} threads, and engine jax needs "
+            f"{MIN_THREADS} to be safe from a deadlock of its CPU backend; unset {POOL}, "
+            "or take another engine"
         )
     if _started_before_us:
         raise EngineError(

@@ -1,9 +1,9 @@
-"""Programs that are kept as they were traced and lowered, so that the next start need not.
+"""Cache of traced and lowered programs, so that the next start traces nothing.
 
-JAX keeps what XLA has compiled under a digest of the program, which it has to trace and lower to know. For
-what a task observes this takes longer than all the rest of a start. So what was lowered is kept, too, under a
-digest of all that it is made from: this package's sources, versions, settings, the processor, what it closes
-over, and the shapes of what it is given. What has no digest is not kept.
+JAX caches what XLA compiles under a digest of the lowered program, which requires tracing and lowering; for a
+task's observation function these take longer than the rest of a start. This cache stores lowered programs
+under a digest of their ingredients: this package's sources, versions, settings, the processor, the
+closed-over values, and the shapes of the arguments. A program whose ingredients have no digest is not cached.
 """
 
 import hashlib
@@ -34,30 +34,50 @@ from jax.core import Tracer
 from usarmjx.base import warp_functions
 from usarmjx.base.compilation import PROGRAMS_FOLDER, processor
 from usarmjx.base.errors import WriteError
-from usarmjx.base.files import write_beside
-from usarmjx.base.process import STARTED, cores
+from usarmjx.base.files import atomic_write
+from usarmjx.base.process import PROCESS_START, cores
 
-MUJOCO = cast("Any", mujoco)  # whose stubs lack what follows
-OURS = "usarmjx"
-KNOWN_PACKAGES = frozenset({OURS, "jax", "jaxlib", "mujoco", "numpy", "flax", *sys.stdlib_module_names})
-"""Whose classes and functions are as their name and the version say; ours, as the sources of the package."""
-PLAIN = (bool, int, float, complex, str, bytes, type(None), EllipsisType, np.dtype)
+MUJOCO = cast("Any", mujoco)
+"""The module untyped: its stubs lack `mj_sizeModel` and the saving of a model."""
+OWN_PACKAGE = "usarmjx"
+"""Name of this package."""
+KNOWN_PACKAGES = frozenset(
+    {OWN_PACKAGE, "jax", "jaxlib", "mujoco", "numpy", "flax", *sys.stdlib_module_names}
+)
+"""Packages whose classes and functions are identified by name and version; our own by the sources' digest."""
+PLAIN_TYPES = (bool, int, float, complex, str, bytes, type(None), EllipsisType, np.dtype)
+"""Types whose `repr` identifies a value."""
+T = TypeVar("T")
+CLOCK_ERROR = 1.0
+"""Tolerance of file times [s]."""
+PACKAGE = Path(__file__).parents[1]
+"""Folder of this package."""
+DISTRIBUTIONS = ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "flax", "scipy", "ml_dtypes", "warp-lang")
+"""Distributions whose versions can change a program."""
+VARIABLES = ("XLA_", "TF_", "NPROC")
+"""Prefixes of environment variables that can change a program; JAX's own are among its settings."""
+IGNORED_SETTINGS = ("jax_compilation_cache_dir",)
+"""JAX settings that cannot change a program."""
+LAUNCH_ID = re.compile(r"launch_id = (\d+)")
+"""Launch id in the text of a program with Warp kernels."""
+CHECKSUM_SIZE = 20
+"""Size of the digest at the start of a cache file [bytes]."""
 
 
 class FingerprintError(TypeError):
-    """A value holds something that has no digest: a function or class of someone else's, for instance."""
+    """Value that has no digest: a function or class of an unknown package, for instance."""
 
 
 def fingerprint(*values: object) -> str:
-    """Return a digest of values: of their types and of all that they hold, to the last bit.
+    """Return a digest of values: their types and their whole content, to the last bit.
 
     Args:
-        values: Numbers, texts, arrays, models of MuJoCo, functions and classes of `KNOWN_PACKAGES`, and
-            collections, dataclasses and other objects of these. Cached properties are left out, as what
-            they are made from is in it.
+        values: Numbers, texts, arrays, MuJoCo models, functions and classes of `KNOWN_PACKAGES`, and
+            collections, dataclasses and other objects of these. Cached properties are left out because they
+            follow from the rest.
 
     Raises:
-        FingerprintError: They hold something else.
+        FingerprintError: They contain something else.
     """
     return _Digests().of(values).hex()
 
@@ -66,7 +86,8 @@ def name_of(thing: object) -> str:
     """Return the full name of a class or function of `KNOWN_PACKAGES`.
 
     Raises:
-        FingerprintError: It is someone else's, or has no name by which it could be found.
+        FingerprintError: It is from another package, or cannot be found by a name (a lambda, a local
+            function).
     """
     module, name = str(getattr(thing, "__module__", "")), str(getattr(thing, "__qualname__", ""))
     if module.partition(".")[0] not in KNOWN_PACKAGES or not name or "<" in name:
@@ -75,10 +96,12 @@ def name_of(thing: object) -> str:
 
 
 class _Digests:
-    """Digests of objects, each worked out once."""
+    """Memoised digests of objects."""
 
     def __init__(self) -> None:
-        self._known: dict[int, tuple[bytes, object]] = {}  # the objects, too: else their numbers are reused
+        self._known: dict[
+            int, tuple[bytes, object]
+        ] = {}  # holds the objects, too: the id of a freed one is reused
 
     def of(self, value: object) -> bytes:
         """Return the digest of a value."""
@@ -97,7 +120,7 @@ class _Digests:
         return found.digest()
 
     def _inner_parts(self, value: Any) -> list[bytes]:  # noqa: ANN401 - anything
-        """Return the digests of what tells a value from others of its type."""
+        """Return the digests that distinguish a value from others of its type."""
         match value:
             case list() | tuple():
                 return self._all(cast("Iterable[object]", value))
@@ -124,9 +147,9 @@ class _Digests:
 
 
 def _attributes(value: object) -> dict[str, object]:
-    """Return the attributes of an object of ours, but for cached properties."""
-    # What is written in another language may hold more than it shows.
-    if type(value).__module__.partition(".")[0] != OURS:
+    """Return the attributes of an object of this package, without cached properties."""
+    # An object of an extension type may hold state that `vars` does not show.
+    if type(value).__module__.partition(".")[0] != OWN_PACKAGE:
         raise FingerprintError(f"nothing tells one {type(value).__name__} from another")
     return {
         name: inner
@@ -136,12 +159,12 @@ def _attributes(value: object) -> dict[str, object]:
 
 
 def _leaf_parts(value: object) -> list[bytes] | None:
-    """Return what tells a value from others of its type; None: it is made of other objects."""
+    """Return the bytes that distinguish a value from others of its type; None: it contains other objects."""
     if isinstance(value, Enum):
         return [value.name.encode()]
     if isinstance(value, np.ndarray | np.generic):
         return _array_parts(np.asarray(cast("Any", value)))
-    if isinstance(value, PLAIN):
+    if isinstance(value, PLAIN_TYPES):
         return [repr(cast("object", value)).encode()]
     if isinstance(value, jax.Array):
         is_key = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
@@ -162,31 +185,19 @@ def _array_parts(value: np.ndarray) -> list[bytes]:
     return [repr((value.dtype.descr, value.shape)).encode(), np.ascontiguousarray(value).tobytes()]
 
 
-T = TypeVar("T")
-CLOCK_ERROR = 1.0
-"""How far the times of files may be off [s]."""
-PACKAGE = Path(__file__).parents[1]
-DISTRIBUTIONS = ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "flax", "scipy", "ml_dtypes", "warp-lang")
-"""Whose versions can change a program."""
-VARIABLES = ("XLA_", "TF_", "NPROC")
-"""How environment variables begin that can change a program; JAX's own are among its settings."""
-NO_SETTINGS = ("jax_compilation_cache_dir",)
-"""Of JAX's settings those that say where things are kept."""
-
-
 class SourcesChangedError(Exception):
-    """Sources were changed after the process started: nobody knows which ones it has read."""
+    """Sources changed after the process started: it is unknown which version was imported."""
 
 
 def digest_of_sources(folder: Path, since: float) -> str:
-    """Return a digest of all files of a package but what Python compiles of them.
+    """Return a digest of all files of a package except byte code.
 
     Args:
-        folder: Of the package.
-        since: When this process read the first of them [s since the epoch].
+        folder: Folder of the package.
+        since: Time at which this process read the first file [s since the epoch].
 
     Raises:
-        SourcesChangedError: One was changed since.
+        SourcesChangedError: A file changed since.
     """
     found = hashlib.blake2b(digest_size=20)
     for path in sorted(_files(folder)):
@@ -206,19 +217,19 @@ def _files(folder: Path) -> Iterable[Path]:
 
 @cache
 def _sources() -> str:
-    return digest_of_sources(PACKAGE, STARTED - CLOCK_ERROR)
+    return digest_of_sources(PACKAGE, PROCESS_START - CLOCK_ERROR)
 
 
-def conditions() -> dict[str, object]:
-    """Return what beside sources and arguments can change a program, by name."""
+def build_conditions() -> dict[str, object]:
+    """Return what can change a program besides sources and arguments, by name."""
     known = cast("dict[str, object]", jax.config.values)  # pyright: ignore[reportUnknownMemberType]
     settings = {name: getattr(jax.config, name, value) for name, value in sorted(known.items())}
-    told = {name: text for name, text in sorted(os.environ.items()) if name.startswith(VARIABLES)}
+    environment = {name: text for name, text in sorted(os.environ.items()) if name.startswith(VARIABLES)}
     return {
         "versions": {"python": platform.python_version(), **{name: _version(name) for name in DISTRIBUTIONS}},
         "processor": (processor(), cores(), [(str(one), one.device_kind) for one in jax.devices()]),
-        "settings": {name: repr(value) for name, value in settings.items() if name not in NO_SETTINGS},
-        "environment": told,
+        "settings": {name: repr(value) for name, value in settings.items() if name not in IGNORED_SETTINGS},
+        "environment": environment,
     }
 
 
@@ -229,39 +240,39 @@ def _version(distribution: str) -> str:
         return "none"
 
 
-def find_keeper(*made_from: object) -> "ProgramCache | None":
-    """Return what keeps programs that close over some values; None: nothing is kept.
+def open_program_cache(*ingredients: object) -> "ProgramCache | None":
+    """Return the cache of programs that close over some values; None: nothing is cached.
 
-    That is so where `keep_compilations` has not been called, on several devices or on what is neither a CPU
-    nor a GPU, where sources were changed since the process started, and where a value has no `fingerprint`.
+    There is no cache before `enable_compilation_cache`, with several devices or one that is neither a CPU nor
+    a GPU, after a change of sources since the process started, and if a value has no `fingerprint`.
 
     Args:
-        made_from: All that is not an argument of the programs and not in this package's sources.
+        ingredients: All ingredients that are neither arguments of the programs nor sources of this package.
     """
     folder = os.environ.get(PROGRAMS_FOLDER)
     if not folder or jax.default_backend() not in ("cpu", "gpu") or jax.device_count() != 1:
         return None
     try:
-        return ProgramCache(Path(folder), fingerprint(_sources(), conditions(), made_from))
+        return ProgramCache(Path(folder), fingerprint(_sources(), build_conditions(), ingredients))
     except (FingerprintError, SourcesChangedError, RecursionError, OSError):
         return None
 
 
 def compile_program(
     function: Callable[..., Any],
-    keeper: "ProgramCache | None",
+    program_cache: "ProgramCache | None",
     owner: str,
     *,
     static: tuple[int, ...] = (),
     precise: bool = True,
 ) -> Callable[..., Any]:
-    """Return a function as `jax.jit` compiles it, kept if there is a keeper and no argument is static.
+    """Compile a function as `jax.jit` does, cached if there is a cache and no argument is static.
 
     Args:
-        function: Of arrays.
-        keeper: See `find_keeper`.
-        owner: Whose function it is.
-        static: Places of arguments that are no arrays.
+        function: Function of arrays.
+        program_cache: See `open_program_cache`.
+        owner: Prefix of the function's name in the cache.
+        static: Positions of the static arguments.
         precise: Whether matrix products are in full single precision: TensorFloat-32 would cost a millimetre
             at room scale.
     """
@@ -270,15 +281,19 @@ def compile_program(
         named = named.func
     exact = jax.default_matmul_precision("highest")(function) if precise else function
     compiled = jax.jit(exact, static_argnums=static)
-    return compiled if keeper is None or static else keeper.keep(f"{owner}.{named.__name__}", compiled)
+    return (
+        compiled
+        if program_cache is None or static
+        else program_cache.keep(f"{owner}.{named.__name__}", compiled)
+    )
 
 
 class ProgramCache:
-    """Keeps programs, and what is known of them, in a folder.
+    """Folder of programs, and of values computed for them.
 
     Args:
-        folder: Where.
-        digest: Of all that they are made from.
+        folder: The folder.
+        digest: Digest of all ingredients.
     """
 
     def __init__(self, folder: Path, digest: str) -> None:
@@ -286,11 +301,11 @@ class ProgramCache:
         self._names = set[str]()
 
     def keep(self, name: str, compiled: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function of arrays that is read from a file where it was traced at an earlier start.
+        """Return a function of arrays that is read from a file if an earlier process traced it.
 
         Args:
-            name: Of the function; the second of a name is not kept, as it may be another one.
-            compiled: The function, as `jax.jit` returns it.
+            name: Name of the function. A second function of that name is not cached: it may be another one.
+            compiled: Result of `jax.jit`.
         """
         if name in self._names:
             return compiled
@@ -298,66 +313,66 @@ class ProgramCache:
         return CachedProgram(self, name, compiled)
 
     def value(self, name: str, make: Callable[[], T]) -> T:
-        """Return a value as it is made, or as it was made at an earlier start.
+        """Return a value, computed now or read from an earlier process's file.
 
         Args:
-            name: Of the value, which none of the others with this digest has.
-            make: Makes it; it must be one that can be pickled.
+            name: Name of the value, unique within this cache.
+            make: Computes it; the value must support pickling.
         """
         path = self.path(name, "value")
-        found = read_kept(path, pickle.loads)
+        found = read_entry(path, pickle.loads)
         if found is None:
             found = make()
-            write_kept(path, pickle.dumps(found))
+            write_entry(path, pickle.dumps(found))
         return found
 
-    def of(self, *made_from: object) -> "ProgramCache | None":
-        """Return a keeper of programs that close over more values; None: one has no `fingerprint`.
+    def of(self, *ingredients: object) -> "ProgramCache | None":
+        """Return a cache of programs that close over more values; None: one has no `fingerprint`.
 
         Args:
-            made_from: As for `find_keeper`, without what this one's programs are made from.
+            ingredients: As for `open_program_cache`, in addition to the ingredients of this cache.
         """
         try:
-            return ProgramCache(self._folder, fingerprint(self._digest, made_from))
+            return ProgramCache(self._folder, fingerprint(self._digest, ingredients))
         except (FingerprintError, RecursionError):
             return None
 
     def path(self, name: str, signature: str) -> Path:
-        """Return the file of what is kept.
+        """Return the file of an entry.
 
         Args:
-            name: Of it.
-            signature: What it is given, as text.
+            name: Name of the entry.
+            signature: Text that identifies the arguments' shapes.
         """
         digest = hashlib.blake2b(f"{self._digest}\n{name}\n{signature}".encode(), digest_size=20)
         return self._folder / f"{name}-{digest.hexdigest()}"
 
 
 class PrecompiledProgram:
-    """A compiled function that can be compiled before there is anything to give it.
+    """Compiled function that can be compiled before its arguments exist.
 
     Args:
-        program: As `compile_program` returns it.
+        program: Result of `compile_program`.
     """
 
     def __init__(self, program: Any) -> None:  # noqa: ANN401 - JAX's own, or a `CachedProgram`
         self._program, self._ready = program, None
 
     def __call__(self, *args: Any) -> Any:  # noqa: ANN401 - PyTrees
-        """Return what the function returns."""
+        """Call the function."""
         if self._ready is not None:
             try:
                 return self._ready(*args)
-            except (TypeError, ValueError):  # of other shapes, or on another device, than was said
+            except (TypeError, ValueError):  # other shapes, or another device, than compiled for
                 self._ready = None
         return self._program(*args)
 
     def compile(self, *shapes: Any, tell: Callable[[Any], None] = lambda shapes: None) -> None:  # noqa: ANN401 - PyTrees
-        """Compile it for arguments of such shapes, on their devices.
+        """Compile for arguments of the given shapes, on their devices.
 
         Args:
-            shapes: Of its arguments.
-            tell: Is given the shapes of what it returns, as soon as they are known.
+            shapes: Shapes of the arguments.
+            tell: Takes the shapes of the results as soon as they are known.
         """
         lowered = self._program.lower(*shapes)
         tell(lowered.out_info)
@@ -365,31 +380,31 @@ class PrecompiledProgram:
 
 
 class CachedProgram:
-    """A compiled function of arrays, read from a file where it was traced before.
+    """Compiled function of arrays that is read from a file if it was traced before.
 
     Args:
-        keeper: Knows the file.
-        name: Of the function.
-        compiled: The function, as `jax.jit` returned it.
+        program_cache: The cache.
+        name: Name of the function.
+        compiled: Result of `jax.jit`.
     """
 
-    def __init__(self, keeper: ProgramCache, name: str, compiled: Any) -> None:  # noqa: ANN401 - JAX's own
-        self._keeper, self._name, self._compiled = keeper, name, compiled
+    def __init__(self, program_cache: ProgramCache, name: str, compiled: Any) -> None:  # noqa: ANN401 - JAX's own
+        self._program_cache, self._name, self._compiled = program_cache, name, compiled
         self._programs: dict[Any, Callable[..., Any]] = {}
 
     def __call__(self, *args: Any) -> Any:  # noqa: ANN401 - PyTrees
-        """Return what the function returns; within another one that is traced it is part of that."""
+        """Call the function; while another function is being traced, become part of that one."""
         leaves, tree = jax.tree.flatten(args)
         if any(isinstance(leaf, Tracer) for leaf in leaves):
             return self._compiled(*args)
         return self._program(args, leaves, tree)(*args)
 
     def lower(self, *args: Any) -> Any:  # noqa: ANN401 - PyTrees
-        """Return the program for arguments of such shapes as `jax.jit` lowers it, read if it was kept."""
+        """Return the lowered program for arguments of such shapes, read from a file if possible."""
         return self._program(args, *jax.tree.flatten(args)).lower(*args)
 
     def _program(self, args: tuple[Any, ...], leaves: list[Any], tree: Any) -> Any:  # noqa: ANN401 - as above
-        """Return what `jax.jit` has made of the program for such arguments."""
+        """Return the `jax.jit` program for such arguments."""
         known = tree, *[_shape_of(leaf) for leaf in leaves]
         program = self._programs.get(known)
         if program is None:
@@ -397,45 +412,41 @@ class CachedProgram:
         return program
 
     def _find(self, args: tuple[Any, ...], tree: Any, shapes: tuple[Any, ...]) -> Callable[..., Any]:  # noqa: ANN401
-        """Return the program for such arguments: read, or traced and written."""
+        """Return the program for such arguments: read from a file, or traced and written."""
         try:
             signature = f"{shapes} {hashlib.blake2b(pickle.dumps(tree)).hexdigest()}"
         except (pickle.PicklingError, TypeError, AttributeError):
-            return self._compiled  # of something that cannot be kept
-        path = self._keeper.path(self._name, signature)
-        exported = read_kept(path, _load)
+            return self._compiled  # an argument tree that cannot be pickled has no signature
+        path = self._program_cache.path(self._name, signature)
+        exported = read_entry(path, _load)
         if exported is None:
             data = _traced(self._compiled, args)
             if data is None:
                 return self._compiled
-            write_kept(path, data)
+            write_entry(path, data)
             exported = _load(data)
         program = cast("Callable[..., Any]", exported.call)  # pyright: ignore[reportUnknownMemberType]
         return jax.jit(program)
 
 
 def _traced(compiled: Any, args: tuple[Any, ...]) -> bytes | None:  # noqa: ANN401 - JAX's own
-    """Return a program as it is kept; None: it cannot be, as it calls functions of this process, for one."""
+    """Return the bytes of a traced program; None: it cannot be exported, for instance with host callbacks."""
     try:
-        compiled.trace(*args)  # after which all kernels of Warp in it are known
+        compiled.trace(*args)  # afterwards `warp_functions` knows all Warp kernels in it
         ours = [export.DisabledSafetyCheck.custom_call(target) for target in sorted(warp_functions.targets())]
         exported = export.export(compiled, disabled_checks=ours)(*args)
         text = str(exported.mlir_module()) if ours else ""
-        numbers = [int(number) for number in LAUNCH.findall(text)]
-        # JAX has a way to write it, which needs a package more and loses which types are weak.
+        numbers = [int(number) for number in LAUNCH_ID.findall(text)]
+        # `Exported.serialize` needs flatbuffers and loses weak types.
         return pickle.dumps((replace(exported, _get_vjp=None), warp_functions.launches(numbers)))
-    except Exception:  # whatever is wrong with the program itself is said when it is compiled
+    except Exception:  # an error of the program itself appears when it is compiled
         return None
 
 
 def _shape_of(leaf: Any) -> tuple[Any, ...]:  # noqa: ANN401 - an array or number
-    """Return all of an argument that a program depends on."""
+    """Return everything about an argument on which a program depends."""
     found = leaf if isinstance(leaf, jax.ShapeDtypeStruct) else jax.typeof(leaf)
     return found.shape, found.dtype, getattr(found, "weak_type", False)
-
-
-LAUNCH = re.compile(r"launch_id = (\d+)")
-"""What Warp writes into programs."""
 
 
 def _load(data: bytes) -> export.Exported:
@@ -444,35 +455,31 @@ def _load(data: bytes) -> export.Exported:
     return exported
 
 
-def read_kept(path: Path, load: Callable[[bytes], T]) -> T | None:
-    """Return what a file holds; None: it is not there, or broken: then that is warned of, and it goes."""
+def read_entry(path: Path, load: Callable[[bytes], T]) -> T | None:
+    """Return the content of an entry; None: missing, or broken, which warns and removes the file."""
     try:
         data = path.read_bytes()
     except OSError:
         return None
     try:
-        if _checksum(data[CHECKSUM:]) != data[:CHECKSUM]:
+        if _checksum(data[CHECKSUM_SIZE:]) != data[:CHECKSUM_SIZE]:
             raise ValueError("it is not whole")
-        return load(zlib.decompress(data[CHECKSUM:]))
+        return load(zlib.decompress(data[CHECKSUM_SIZE:]))
     except Exception as error:
         path.unlink(missing_ok=True)
         warnings.warn(f"Error reading the kept program {path.name}: {error}", stacklevel=2)
         return None
 
 
-CHECKSUM = 20
-"""Bytes of the digest that a file begins with."""
-
-
 def _checksum(data: bytes) -> bytes:
-    return hashlib.blake2b(data, digest_size=CHECKSUM).digest()
+    return hashlib.blake2b(data, digest_size=CHECKSUM_SIZE).digest()
 
 
-def write_kept(path: Path, data: bytes) -> None:
-    """Write what is to be kept; what cannot be written is warned of and no failure."""
+def write_entry(path: Path, data: bytes) -> None:
+    """Write an entry; a write error is only a warning."""
     data = zlib.compress(data, level=1)
     try:
-        with write_beside(path) as fresh:
+        with atomic_write(path) as fresh:
             fresh.write_bytes(_checksum(data) + data)
     except WriteError as error:
         warnings.warn(f"Error writing the kept program {path.name}: {error}", stacklevel=2)

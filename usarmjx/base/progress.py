@@ -1,4 +1,4 @@
-"""How far something is, in a line now and then: for files and pipes, where no bar can be shown."""
+"""Rate-limited progress lines for files and pipes, which show no progress bar."""
 
 import time
 from collections.abc import Callable
@@ -8,12 +8,12 @@ PERIOD = 30.0
 
 
 class RateLimitedLog:
-    """Passes on what it is told, once in a while; the first line only after a while, too.
+    """Callable that passes on at most one line per period, the first one after one period.
 
     Args:
         tell: Takes a line.
         period: Time between two lines [s].
-        clock: Tells the time [s].
+        clock: Returns the time [s].
     """
 
     def __init__(
@@ -26,7 +26,7 @@ class RateLimitedLog:
         self._next = clock() + period
 
     def __call__(self, text: str) -> None:
-        """Take a line, and tell it if it is time."""
+        """Pass on a line if one is due."""
         now = self._clock()
         if now >= self._next:
             self._next = now + self._period

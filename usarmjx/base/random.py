@@ -1,8 +1,8 @@
-"""Random numbers by key, the same on JAX and on NumPy (see `backend`).
+"""Random numbers by key, identical on JAX and on NumPy (see `backend`).
 
-On JAX they are `jax.random`'s: Threefry-2x32 with 20 rounds (Salmon and others, "Parallel random numbers: as
-easy as 1, 2, 3", SC 2011), in counter mode. On NumPy a key is its two words, and uniform numbers and keys are
-the same to the bit; normal numbers within a few units in the last place, as their logarithm is another.
+On JAX they are `jax.random`'s: Threefry-2x32 with 20 rounds (Salmon et al., "Parallel random numbers: as easy
+as 1, 2, 3", SC 2011) in counter mode. On NumPy a key is its two words; uniform numbers and keys agree to the
+bit, normal numbers within a few units in the last place because the logarithm differs.
 """
 
 import math
@@ -17,15 +17,18 @@ import numpy as np
 from usarmjx.base.arrays import Array, Key
 from usarmjx.base.backend import on_numpy
 
-PARITY = 0x1BD11BDA
+THREEFRY_PARITY = 0x1BD11BDA
+"""Key schedule constant of Threefry-2x32."""
 ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
+"""Rotation distances of Threefry-2x32, alternating by round group [bits]."""
 MASK = 0xFFFFFFFF
-LANE = 64
-"""Bits of a lane: numbers of 32 bits beside each other in one of Python's, with room for carries."""
+"""Mask of a 32-bit word."""
+LANE_BITS = 64
+"""Width of a lane [bits]: 32-bit numbers packed into one Python integer, with room for carries."""
 MAX_LANES = 256
-"""Up to so many blocks are faster as lanes than in NumPy's arrays."""
-# Giles, "Approximating the erfinv function" (GPU Computing Gems, 2011), single precision.
-NEAR = (
+"""Largest number of blocks for which packed lanes are faster than NumPy arrays."""
+# Coefficients of Giles, "Approximating the erfinv function" (GPU Computing Gems, 2011), single precision.
+ERFINV_CENTRAL = (
     2.81022636e-08,
     3.43273939e-07,
     -3.5233877e-06,
@@ -36,7 +39,7 @@ NEAR = (
     0.246640727,
     1.50140941,
 )
-FAR = (
+ERFINV_TAIL = (
     -0.000200214257,
     0.000100950558,
     0.00134934322,
@@ -59,7 +62,7 @@ def key(seed: int) -> Any:  # noqa: ANN401 - a key of the library in force
 
 
 def fold_in(of: Any, data: Any) -> Any:  # noqa: ANN401 - keys and whole numbers of the library in force
-    """Return a key made of a key and a whole number; of keys (...,) and numbers (n,), keys (..., n)."""
+    """Return a key made of a key and an integer; of keys (...,) and integers (n,), keys (..., n)."""
     many = np.ndim(data) > 0
     if not on_numpy():
         if of.ndim:
@@ -81,7 +84,7 @@ def split(of: Any, num: int = 2) -> Any:  # noqa: ANN401 - keys of the library i
 
 
 def axes(of: Any) -> int:  # noqa: ANN401 - keys of the library in force
-    """Return how many axes keys have; one key has none."""
+    """Return the number of axes of keys; a single key has none."""
     return of.ndim - 1 if on_numpy() else of.ndim
 
 
@@ -98,6 +101,8 @@ def uniform(of: Any, shape: Sequence[int] = (), minval: Any = 0.0, maxval: Any =
     if on_numpy():
         low, high = np.asarray(minval, np.float32), np.asarray(maxval, np.float32)
         bits = _random_bits(of, math.prod(shape[of.ndim - 1 :])).reshape(shape)
+        # 23 random mantissa bits with the exponent of [1, 2), minus 1: the construction of
+        # `jax.random.uniform`.
         share = ((bits >> np.uint32(9)) | np.uint32(0x3F800000)).view(np.float32) - np.float32(1)
         return np.maximum(low, share * (high - low) + low)
     if not of.ndim:
@@ -120,7 +125,7 @@ def normal(of: Any, shape: Sequence[int] = ()) -> Any:  # noqa: ANN401 - keys an
 
 
 def truncated_normal(of: Any, low: float, high: float, shape: Sequence[int] = ()) -> Any:  # noqa: ANN401
-    """Return numbers of a shape from the normal distribution, of those between two bounds; of one key."""
+    """Return samples of a shape from the normal distribution truncated to [low, high]; one key."""
     if not on_numpy():
         return jax.random.truncated_normal(of, low, high, tuple(shape))
     drawn = uniform(of, shape, math.erf(low / math.sqrt(2)), math.erf(high / math.sqrt(2)))
@@ -129,12 +134,12 @@ def truncated_normal(of: Any, low: float, high: float, shape: Sequence[int] = ()
 
 
 def randint(of: Any, low: int, high: int) -> Any:  # noqa: ANN401 - a key and a number of the library in force
-    """Return a whole number of those from `low` to before `high`; of one key."""
+    """Return an integer in [low, high); one key."""
     if not on_numpy():
         return jax.random.randint(of, (), low, high)
     first, second = (int(_random_bits(own, 1)[0]) for own in split(of))
     span = high - low
-    # The first word is the upper half of a number of 64 bits; as JAX has it, products are cut off at 32.
+    # The first word is the upper half of a 64-bit number; as in JAX, products are truncated to 32 bits.
     share = (((1 << 16) % span) ** 2 & MASK) % span
     return np.array(low + ((first % span * share + second % span) & MASK) % span, np.int32)
 
@@ -144,7 +149,7 @@ def permutation(of: Any, values: Array) -> Any:  # noqa: ANN401 - a key and an a
     if not on_numpy():
         return jax.random.permutation(of, values)
     mixed = np.asarray(values)
-    # JAX sorts by random words, again and again if two of so many might be the same.
+    # JAX sorts by random words, repeatedly if two of them might be equal.
     for _ in range(math.ceil(3 * math.log(max(1, len(mixed))) / math.log(MASK))):
         of, own = split(of)
         mixed = mixed[np.argsort(_random_bits(own, len(mixed)), stable=True)]
@@ -154,9 +159,9 @@ def permutation(of: Any, values: Array) -> Any:  # noqa: ANN401 - a key and an a
 def _erf_inv(x: np.ndarray) -> np.ndarray:
     """Return the inverse error function of numbers in (-1, 1), single precision."""
     w = -np.log1p(-x * x)
-    value = _polynomial(NEAR, w - np.float32(2.5))
+    value = _polynomial(ERFINV_CENTRAL, w - np.float32(2.5))
     if (w >= 5).any():
-        value = np.where(w < 5, value, _polynomial(FAR, np.sqrt(w) - np.float32(3)))
+        value = np.where(w < 5, value, _polynomial(ERFINV_TAIL, np.sqrt(w) - np.float32(3)))
     return value * x
 
 
@@ -169,7 +174,7 @@ def _polynomial(coefficients: Sequence[float], x: np.ndarray) -> np.ndarray:
 
 
 def _random_bits(of: np.ndarray, count: int) -> np.ndarray:
-    """Return so many words of a key's sequence, or of each one's of keys (n,), one after the other."""
+    """Return `count` words of a key's sequence, or of each of keys (n,), concatenated."""
     keys = of.reshape(-1, 2)
     if len(keys) * count > MAX_LANES:
         k0, k1 = np.repeat(keys, count, axis=0).T
@@ -178,17 +183,17 @@ def _random_bits(of: np.ndarray, count: int) -> np.ndarray:
         )
     _, numbers = _counting(count, len(keys))
     x0, x1 = _lanes(keys, numbers, count)
-    return np.frombuffer((x0 ^ x1).to_bytes(LANE // 8 * count * len(keys), "little"), "<u4")[::2]
+    return np.frombuffer((x0 ^ x1).to_bytes(LANE_BITS // 8 * count * len(keys), "little"), "<u4")[::2]
 
 
 def _new_keys(of: np.ndarray, numbers: int, count: int) -> np.ndarray:
-    """Return the keys (n * count, 2) that keys (n,) and so many numbers in lanes for each make."""
+    """Return the keys (n * count, 2) derived from keys (n,) and `count` packed integers for each."""
     keys = of.reshape(-1, 2)
     return _as_keys(_lanes(keys, numbers, count), len(keys) * count)
 
 
 def _lanes(keys: np.ndarray, numbers: int, count: int) -> tuple[int, int]:
-    """Return the blocks, in lanes, of so many numbers for each of some keys (n, 2), key by key."""
+    """Return the packed Threefry blocks of `count` integers for each of keys (n, 2), key by key."""
     ones, _ = _counting(count, len(keys))
     if len(keys) == 1:
         return _threefry(int(keys[0, 0]) * ones, int(keys[0, 1]) * ones, numbers, ones)
@@ -197,50 +202,50 @@ def _lanes(keys: np.ndarray, numbers: int, count: int) -> tuple[int, int]:
 
 
 def _packed(words: np.ndarray) -> int:
-    """Return numbers as lanes."""
+    """Return integers packed into lanes."""
     return int.from_bytes((words.astype("<u8") & np.uint64(MASK)).tobytes(), "little")
 
 
 @cache
 def _counting(count: int, times: int) -> tuple[int, int]:
-    """Return lanes of 1, and of 0 to `count` exclusive, so many times."""
+    """Return packed ones and packed 0 to `count` - 1, each repeated `times` times."""
     lanes = range(count * times)
-    return sum(1 << LANE * i for i in lanes), sum((i % count) << LANE * i for i in lanes)
+    return sum(1 << LANE_BITS * i for i in lanes), sum((i % count) << LANE_BITS * i for i in lanes)
 
 
 def _as_keys(words: tuple[int, int], count: int) -> np.ndarray:
-    """Return blocks in lanes as keys (count, 2)."""
+    """Return packed blocks as keys (count, 2)."""
     both = words[0] | words[1] << 32
-    return np.frombuffer(both.to_bytes(LANE // 8 * count, "little"), "<u4").reshape(count, 2)
+    return np.frombuffer(both.to_bytes(LANE_BITS // 8 * count, "little"), "<u4").reshape(count, 2)
 
 
 def _threefry(k0: int, k1: int, number: int, ones: int = 1) -> tuple[int, int]:
-    """Return the blocks of some numbers: all are lanes, as many as those of `ones`."""
+    """Return the Threefry blocks of packed integers; `ones` has a 1 in each lane used."""
     mask = ones * MASK
-    keys = (k0, k1, k0 ^ k1 ^ ones * PARITY)
+    keys = (k0, k1, k0 ^ k1 ^ ones * THREEFRY_PARITY)
     x0, x1 = k0, (number + k1) & mask
-    for turn in range(5):
-        for distance in ROTATIONS[turn % 2]:
+    for group in range(5):
+        for distance in ROTATIONS[group % 2]:
             x0 = (x0 + x1) & mask
-            # What is shifted out of a lane ends in the upper half of another, which the mask clears.
+            # Bits shifted out of a lane end in the upper half of its neighbour, which the mask clears.
             x1 = ((x1 << distance) | (x1 >> (32 - distance))) & mask ^ x0
-        x0 = (x0 + keys[(turn + 1) % 3]) & mask
-        x1 = (x1 + keys[(turn + 2) % 3] + ones * (turn + 1)) & mask
+        x0 = (x0 + keys[(group + 1) % 3]) & mask
+        x1 = (x1 + keys[(group + 2) % 3] + ones * (group + 1)) & mask
     return x0, x1
 
 
 def _threefry_of_arrays(k0: np.ndarray, k1: np.ndarray, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """As `_threefry`, of arrays (...)."""
-    keys = (k0, k1, k0 ^ k1 ^ np.uint32(PARITY))
+    keys = (k0, k1, k0 ^ k1 ^ np.uint32(THREEFRY_PARITY))
     x0, x1 = np.array(k0), number + k1
     high = np.empty_like(x1)
-    for turn in range(5):
-        for distance in ROTATIONS[turn % 2]:
+    for group in range(5):
+        for distance in ROTATIONS[group % 2]:
             x0 += x1
             np.left_shift(x1, np.uint32(distance), out=high)
             x1 >>= np.uint32(32 - distance)
             x1 |= high
             x1 ^= x0
-        x0 += keys[(turn + 1) % 3]
-        x1 += keys[(turn + 2) % 3] + np.uint32(turn + 1)
+        x0 += keys[(group + 1) % 3]
+        x1 += keys[(group + 2) % 3] + np.uint32(group + 1)
     return x0, x1

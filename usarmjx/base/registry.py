@@ -1,4 +1,4 @@
-"""The one registry mechanism: explicit `add`, names matched without case, as USARSim does."""
+"""Registry of named entries: explicit `add`, names matched without case as in USARSim."""
 
 import re
 from collections.abc import Iterator
@@ -7,21 +7,19 @@ from typing import Generic, TypeVar
 from usarmjx.base.errors import UnknownNameError, UsageError
 
 _NAME = re.compile(r"[!-z|~]+")
-
-
-def is_name(text: str) -> bool:
-    """Return whether a text is one word of the characters 33 to 126, braces apart: those end a segment."""
-    return _NAME.fullmatch(text) is not None
-
-
 T = TypeVar("T")
 
 
+def is_name(text: str) -> bool:
+    """Return whether a text is one word of ASCII 33 to 126 without braces, which end a message segment."""
+    return _NAME.fullmatch(text) is not None
+
+
 class Registry(Generic[T]):
-    """A table of named things that refuses duplicates and lists what it knows.
+    """Table of named entries that refuses duplicates and lists its names.
 
     Args:
-        kind: What the entries are, for error messages ("robot", "sensor").
+        kind: Noun for the entries in error messages ("robot", "sensor").
     """
 
     def __init__(self, kind: str) -> None:
@@ -44,17 +42,17 @@ class Registry(Generic[T]):
         return entry
 
     def replace(self, name: str, entry: T) -> T:
-        """Register `entry` in place of what has that name or alias, under its name, or anew."""
+        """Register `entry` under a name, replacing the entry of that name or alias if there is one."""
         key = self._aliases.get(name.lower(), name.lower())
         spelt = self._entries[key][0] if key in self._entries else name
         self._entries[key] = (spelt, entry)
         return entry
 
     def get(self, name: str) -> T:
-        """Return the entry of that name or alias, case ignored.
+        """Return the entry of a name or alias, case ignored.
 
         Raises:
-            UnknownNameError: No such name; the message lists the known ones.
+            UnknownNameError: No such name; the message lists the registered ones.
         """
         key = name.lower()
         key = self._aliases.get(key, key)
@@ -64,19 +62,19 @@ class Registry(Generic[T]):
         return self._entries[key][1]
 
     def find(self, name: str) -> T | None:
-        """Return the entry of that name or alias, case ignored, or None."""
+        """Return the entry of a name or alias, case ignored; None: no such name."""
         return self.get(name) if name in self else None
 
     def names(self) -> list[str]:
-        """Return the registered names, sorted without case, in the spelling they were added with."""
+        """Return the registered names in their original spelling, sorted without case."""
         return sorted((name for name, _ in self._entries.values()), key=str.lower)
 
     def discard(self, name: str) -> None:
-        """Take out the entry of that name, case ignored, if there is one."""
+        """Remove the entry of a name, case ignored, if there is one."""
         self._entries.pop(name.lower(), None)
 
     def copy(self) -> "Registry[T]":
-        """Return a table of the same entries and aliases."""
+        """Return a registry of the same entries and aliases."""
         other: Registry[T] = Registry(self.kind)
         other._entries, other._aliases = dict(self._entries), dict(self._aliases)
         return other

@@ -1,4 +1,9 @@
-"""Rotations: quaternions (w first), matrices and rotation vectors."""
+"""Rotations: quaternions (w first), matrices and rotation vectors.
+
+Two forms of the same operations: functions of arrays whose last axes are the components, and, below,
+functions of tuples of components. Tuples let XLA keep each component in a register: no array of vectors is
+stored between two operations.
+"""
 
 from collections.abc import Sequence
 from typing import TypeAlias
@@ -6,86 +11,12 @@ from typing import TypeAlias
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import on_numpy, xp
 
-Numbers: TypeAlias = tuple[Array, ...]
-"""Of a vector (3) or a quaternion, w first (4)."""
-Rows: TypeAlias = tuple[Numbers, ...]
-"""Of a matrix."""
-
-
-def parts(vectors: Array) -> Numbers:
-    """Return the numbers of vectors (..., n)."""
-    return tuple(vectors[..., i] for i in range(vectors.shape[-1]))
-
-
-def matrix_rows(mat: Array) -> Rows:
-    """Return the numbers of matrices (..., n, m), row by row."""
-    return tuple(tuple(mat[..., i, j] for j in range(mat.shape[-1])) for i in range(mat.shape[-2]))
-
-
-def plus(one: Sequence[Array], other: Sequence[Array]) -> Numbers:
-    """Return sums."""
-    return tuple(a + b for a, b in zip(one, other, strict=True))
-
-
-def minus(one: Sequence[Array], other: Sequence[Array]) -> Numbers:
-    """Return differences."""
-    return tuple(a - b for a, b in zip(one, other, strict=True))
-
-
-def times(one: Sequence[Array], factor: Array | float) -> Numbers:
-    """Return products with a number."""
-    return tuple(a * factor for a in one)
-
-
-def dot(one: Sequence[Array], other: Sequence[Array]) -> Array:
-    """Return products of vectors, summed."""
-    first, *more = (a * b for a, b in zip(one, other, strict=True))
-    for product in more:
-        first = first + product
-    return first
-
-
-def cross(one: Sequence[Array], other: Sequence[Array]) -> Numbers:
-    """Return products that are vectors at right angles to both."""
-    (a, b, c), (x, y, z) = one, other
-    return b * z - c * y, c * x - a * z, a * y - b * x
-
-
-def apply(mat: Rows, vector: Sequence[Array]) -> Numbers:
-    """Return a matrix times a vector."""
-    return tuple(dot(row, vector) for row in mat)
-
-
-def transposed(mat: Rows) -> Rows:
-    """Return rows and columns exchanged."""
-    return tuple(zip(*mat, strict=True))
-
-
-def rotation(quat: Sequence[Array]) -> Rows:
-    """Return the matrix of a quaternion, normalised first, as `rotations.mat_from_quat` does."""
-    size = xp.sqrt(dot(quat, quat))
-    w, x, y, z = (number / size for number in quat)
-    return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-
-
-def quat_times(one: Sequence[Array], other: Sequence[Array]) -> Numbers:
-    """Return the product of two quaternions."""
-    (w, *axis), (v, *along) = one, other
-    return w * v - dot(axis, along), *plus(plus(times(along, w), times(axis, v)), cross(axis, along))
-
-
-def rotated(quat: Sequence[Array], vector: Sequence[Array]) -> Numbers:
-    """Return a vector turned by a unit quaternion."""
-    w, *axis = quat
-    return plus(vector, times(cross(axis, plus(cross(axis, vector), times(vector, w))), 2))
-
-
+Components: TypeAlias = tuple[Array, ...]
+"""Components of a vector (3) or of a quaternion, w first (4)."""
+MatrixRows: TypeAlias = tuple[Components, ...]
+"""Rows of a matrix."""
 MIN_NORM = 1e-9
-"""Below this a rotation vector counts as zero [rad]; float32 cannot tell the difference."""
+"""Norm below which a rotation vector counts as zero [rad]; float32 cannot resolve it."""
 
 
 def mat_from_quat(quat: Array) -> Array:
@@ -103,7 +34,7 @@ def mat_from_quat(quat: Array) -> Array:
 def quat_from_mat(mat: Array) -> Array:
     """Return unit quaternions (..., 4), w first, of rotation matrices (..., 3, 3)."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = ([mat[..., i, j] for j in range(3)] for i in range(3))
-    # Four times the products of the components with each other: the row of the largest is the most exact.
+    # Four times the products of the quaternion's components: the row of the largest square is most accurate.
     products = (
         *(1 + xx + yy + zz, zy - yz, xz - zx, yx - xy),
         *(zy - yz, 1 + xx - yy - zz, xy + yx, xz + zx),
@@ -124,8 +55,8 @@ def wrap_angle(angle: Array) -> Array:
 def matvec(mat: Array, vector: Array) -> Array:
     """Return `mat @ vector`, (..., 3, 3) and (..., 3), as sums of products.
 
-    Unlike thousands of small matrix products, these melt into what is computed before and after them, and
-    keep all their bits on a GPU. On NumPy they are one call.
+    Unlike thousands of small matrix products, sums fuse with the operations around them and keep full
+    precision on a GPU (no TensorFloat-32). On NumPy this is one call.
     """
     if on_numpy():
         return (mat @ vector[..., None])[..., 0]
@@ -142,7 +73,7 @@ def matmul(mat: Array, other: Array) -> Array:
 def rotation_vector(mat: Array) -> Array:
     """Return the rotation vector (axis times angle) [rad] (..., 3) of a rotation matrix (..., 3, 3).
 
-    Exact for turns below half a turn; a simulation step turns by far less.
+    Exact for angles below pi; a simulation step rotates by far less.
     """
     pairs = ((2, 1), (0, 2), (1, 0))
     skew = xp.stack([mat[..., i, j] - mat[..., j, i] for i, j in pairs], -1) / 2
@@ -159,3 +90,75 @@ def mat_from_rotation_vector(vector: Array) -> Array:
     zero, angle = xp.zeros_like(x), angle[..., None]
     skew = xp.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*zero.shape, 3, 3)
     return xp.eye(3) + xp.sin(angle) * skew + (1 - xp.cos(angle)) * matmul(skew, skew)
+
+
+def parts(vectors: Array) -> Components:
+    """Return the components of vectors (..., n)."""
+    return tuple(vectors[..., i] for i in range(vectors.shape[-1]))
+
+
+def matrix_rows(mat: Array) -> MatrixRows:
+    """Return the components of matrices (..., n, m), row by row."""
+    return tuple(tuple(mat[..., i, j] for j in range(mat.shape[-1])) for i in range(mat.shape[-2]))
+
+
+def plus(one: Sequence[Array], other: Sequence[Array]) -> Components:
+    """Return the sum of two vectors."""
+    return tuple(a + b for a, b in zip(one, other, strict=True))
+
+
+def minus(one: Sequence[Array], other: Sequence[Array]) -> Components:
+    """Return the difference of two vectors."""
+    return tuple(a - b for a, b in zip(one, other, strict=True))
+
+
+def times(one: Sequence[Array], factor: Array | float) -> Components:
+    """Return a vector times a number."""
+    return tuple(a * factor for a in one)
+
+
+def dot(one: Sequence[Array], other: Sequence[Array]) -> Array:
+    """Return the scalar product of two vectors."""
+    first, *more = (a * b for a, b in zip(one, other, strict=True))
+    for product in more:
+        first = first + product
+    return first
+
+
+def cross(one: Sequence[Array], other: Sequence[Array]) -> Components:
+    """Return the cross product of two vectors."""
+    (a, b, c), (x, y, z) = one, other
+    return b * z - c * y, c * x - a * z, a * y - b * x
+
+
+def apply(mat: MatrixRows, vector: Sequence[Array]) -> Components:
+    """Return a matrix times a vector."""
+    return tuple(dot(row, vector) for row in mat)
+
+
+def transposed(mat: MatrixRows) -> MatrixRows:
+    """Return the transpose of a matrix."""
+    return tuple(zip(*mat, strict=True))
+
+
+def rotation(quat: Sequence[Array]) -> MatrixRows:
+    """Return the matrix of a quaternion, normalised first, as `mat_from_quat` does."""
+    size = xp.sqrt(dot(quat, quat))
+    w, x, y, z = (number / size for number in quat)
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+
+
+def quat_times(one: Sequence[Array], other: Sequence[Array]) -> Components:
+    """Return the product of two quaternions."""
+    (w, *axis), (v, *along) = one, other
+    return w * v - dot(axis, along), *plus(plus(times(along, w), times(axis, v)), cross(axis, along))
+
+
+def rotated(quat: Sequence[Array], vector: Sequence[Array]) -> Components:
+    """Return a vector rotated by a unit quaternion."""
+    w, *axis = quat
+    return plus(vector, times(cross(axis, plus(cross(axis, vector), times(vector, w))), 2))

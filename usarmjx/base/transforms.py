@@ -1,11 +1,11 @@
-"""Rotations and the one conversion between USARSim's axes and MuJoCo's.
+"""Conversion between USARSim's and MuJoCo's axes, and rotation matrices of angles.
 
-Inside usarmjx everything is MuJoCo's: x forward, y left, z up, right-handed, quaternions with w first.
-USARSim speaks SAE J670 (manual 6.1): x forward, y right, z down, yaw clockwise seen from above. The two
-differ by half a turn about x, so a vector changes the signs of y and z, and of the angles roll, pitch, yaw
-(applied as yaw, then pitch, then roll: ZYX, manual 9.3) pitch and yaw change sign.
+Inside usarmjx all axes are MuJoCo's: x forward, y left, z up, right-handed, quaternions with w first. USARSim
+uses SAE J670 (manual 6.1): x forward, y right, z down, yaw clockwise seen from above. The two differ by a
+rotation of pi about x: a vector changes the signs of y and z, and of the angles roll, pitch, yaw (applied as
+yaw, then pitch, then roll: ZYX, manual 9.3) pitch and yaw change sign.
 
-The functions take numpy or JAX arrays alike: `xp` is the array module.
+The functions accept NumPy and JAX arrays: `xp` is the array module.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 
 Vec3 = tuple[float, float, float]
 GRAVITY = 9.81
-"""MuJoCo's default [m/s2]."""
+"""Gravity, MuJoCo's default [m/s2]."""
 GIMBAL_LOCK_COS = 1e-5
-"""Cosine of the pitch below which roll and yaw cannot be told apart in single precision."""
+"""Cosine of the pitch below which single precision cannot separate roll from yaw."""
 
 
 def flip_vector(vector: Vec3) -> Vec3:
-    """Convert a vector between USARSim's and MuJoCo's axes; its own inverse [m]."""
+    """Convert a vector [m] between USARSim's and MuJoCo's axes, in either direction."""
     x, y, z = vector
     return (x, -y, -z)
 
 
 def flip_angles(angles: Vec3) -> Vec3:
-    """Convert (roll, pitch, yaw) between USARSim's and MuJoCo's axes; its own inverse [rad]."""
+    """Convert (roll, pitch, yaw) [rad] between USARSim's and MuJoCo's axes, in either direction."""
     roll, pitch, yaw = angles
     return (roll, -pitch, -yaw)
 
@@ -61,7 +61,7 @@ def angles_from_mat(mat: Array, xp: ModuleType) -> Array: ...
 def angles_from_mat(mat: Array, xp: ModuleType = np) -> Array:
     """Return ZYX angles (roll, pitch, yaw) [rad] (..., 3) of rotation matrices (..., 3, 3).
 
-    Of a body that points straight up or down, which has no roll and yaw of its own, all of the turn is yaw.
+    In gimbal lock (pitch of +-pi/2) roll is 0 and yaw is the whole rotation.
     """
     upright = xp.hypot(mat[..., 0, 0], mat[..., 1, 0]) < GIMBAL_LOCK_COS
     roll = xp.where(upright, 0.0, xp.arctan2(mat[..., 2, 1], mat[..., 2, 2]))

@@ -1,8 +1,8 @@
-"""Warp's kernels as functions of JAX arrays whose launches mean the same in every process.
+"""Warp kernels as functions of JAX arrays, with launch ids that are equal in all processes.
 
-Warp numbers the launches that are put into programs in the order in which they are traced, so that a program
-says nothing to another process. Here a launch's number is a digest of what it is: with a list of its launches
-a program that was kept can be used by a process that has traced nothing (`kept_programs`).
+Warp numbers the launches of a traced program in the order of tracing, so that a stored program is meaningless
+in another process. Here a launch's id is a digest of its content: with the list of its launches, a stored
+program runs in a process that has traced nothing (`program_cache`).
 """
 
 import hashlib
@@ -14,17 +14,18 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 _LOCK = Lock()
+"""Guards the launch table and Warp's own counter."""
 
 
 class Launch(NamedTuple):
-    """A launch of a kernel within programs.
+    """Launch of a kernel within a traced program.
 
     Attributes:
         maker: Module and name of the function that returns the `WarpFunction`.
-        given: What that is called with.
-        target: Name under which XLA knows the kernel.
-        static: The kernel's arguments that are no arrays, in their order.
-        dims: Threads.
+        given: Arguments of that function.
+        target: XLA's name of the kernel.
+        static: Non-array arguments of the kernel, in order.
+        dims: Number of threads.
     """
 
     maker: tuple[str, str]
@@ -35,37 +36,37 @@ class Launch(NamedTuple):
 
     @property
     def number(self) -> int:
-        """What stands for it in programs."""
+        """Launch id in compiled programs, 31 bits."""
         return int.from_bytes(hashlib.blake2b(repr(tuple(self)).encode(), digest_size=4).digest()) >> 1
 
 
 _LAUNCHES: dict[int, Launch] = {}
-"""All of this process, by their numbers."""
+"""All launches of this process, by id."""
 
 
 class WarpFunction:
-    """A kernel as a function of JAX arrays.
+    """Warp kernel as a function of JAX arrays.
 
     Args:
         maker: See `Launch`.
         given: See `Launch`.
-        kernel: As Warp's `jax_kernel` returns it.
+        kernel: Result of Warp's `jax_kernel`.
     """
 
     def __init__(self, maker: tuple[str, str], given: tuple[Any, ...], kernel: Any) -> None:  # noqa: ANN401 - Warp's own
         self._maker, self._given, self._kernel = maker, given, kernel
 
     def __call__(self, *args: Any, output_dims: int, launch_dims: int) -> Any:  # noqa: ANN401 - arrays and numbers
-        """Return the kernel's outputs, a tuple of arrays.
+        """Launch the kernel and return its outputs, a tuple of arrays.
 
         Args:
-            args: The kernel's, but for its outputs.
+            args: Inputs of the kernel.
             output_dims: Length of each output.
-            launch_dims: Threads.
+            launch_dims: Number of threads.
         """
         static = tuple(value for value, known in zip(args, self._inputs, strict=True) if not known.is_array)
         launch = Launch(self._maker, self._given, self._kernel.name, static, launch_dims)
-        with _LOCK:  # Warp counts on from there
+        with _LOCK:  # Warp increments launch_id after the call
             if _LAUNCHES.setdefault(launch.number, launch) != launch:
                 raise RuntimeError(f"{launch} and {_LAUNCHES[launch.number]} have the same number")
             self._kernel.launch_id = launch.number
@@ -77,14 +78,14 @@ class WarpFunction:
 
     @property
     def target(self) -> str:
-        """Name under which XLA knows the kernel."""
+        """XLA's name of the kernel."""
         return self._kernel.name
 
     def expect(self, launch: Launch) -> None:
-        """Be ready for a launch by a program that another process has traced.
+        """Register a launch of a program that another process has traced.
 
         Raises:
-            ValueError: XLA knows the kernel by another name here.
+            ValueError: XLA's name of the kernel differs in this process.
         """
         import warp as wp
 
@@ -102,9 +103,9 @@ class WarpFunction:
 
 
 def warp_function(make: Callable[..., Any]) -> Callable[..., WarpFunction]:
-    """Return a function that returns a kernel as JAX calls it as one that returns its `WarpFunction`.
+    """Turn a module-level function that returns a JAX kernel into one that returns its `WarpFunction`.
 
-    It must be one of a module. Both are made once for what it is called with: numbers and texts.
+    The result is cached by arguments, which are numbers and texts.
     """
 
     @cache
@@ -116,23 +117,23 @@ def warp_function(make: Callable[..., Any]) -> Callable[..., WarpFunction]:
 
 
 def targets() -> set[str]:
-    """Return by which names XLA knows the kernels that programs of this process launch."""
+    """Return XLA's names of the kernels that programs of this process launch."""
     with _LOCK:
         return {launch.target for launch in _LAUNCHES.values()}
 
 
 def launches(numbers: Iterable[int]) -> list[Launch]:
-    """Return the launches with some numbers; others are someone else's."""
+    """Return the launches with the given ids; unknown ids are skipped (launches of MuJoCo Warp, for one)."""
     with _LOCK:
         return [_LAUNCHES[number] for number in sorted(set(numbers)) if number in _LAUNCHES]
 
 
 def expect(known: Iterable[Launch]) -> None:
-    """Be ready for launches by programs that other processes have traced.
+    """Register the launches of programs that other processes have traced.
 
     Raises:
         ValueError: See `WarpFunction.expect`.
-        AttributeError: There is no such kernel any more.
+        AttributeError: The kernel no longer exists.
     """
     for launch in known:
         module, name = launch.maker

@@ -1,7 +1,7 @@
-"""Python processes beside this one, for work that would hold up its other threads.
+"""Python worker processes, for work that would block this process's other threads (the GIL).
 
-Python's own pools, which sweeps use from our own command, run the main program's file once more in each
-process; a script that trains need not stand that. These run nothing but this module.
+Python's own pools run the main program's file again in each process, which a user's training script need not
+support; these workers run only this module.
 """
 
 import os
@@ -17,8 +17,6 @@ from weakref import finalize
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 _of_thread = threading.local()
-# They need neither a GPU nor threads of their own. glibc gives arrays of 0.1 MB back to the system when they
-# are dropped, until it learns better: maps of an arena took twice as long.
 SETTINGS = {
     "JAX_PLATFORMS": "cpu",
     "CUDA_VISIBLE_DEVICES": "",
@@ -27,16 +25,18 @@ SETTINGS = {
     "MALLOC_MMAP_THRESHOLD_": str(2**28),
     "MALLOC_TRIM_THRESHOLD_": str(2**28),
 }
+"""Environment of a worker. It needs neither a GPU nor threads. glibc returns blocks of 0.1 MB to the system
+when they are freed, until its threshold adapts: arena maps took twice as long."""
 BROKEN = (OSError, EOFError, ValueError, pickle.PickleError, AttributeError, TypeError)
-"""What a pipe to a process that has ended, or what cannot be pickled, raises."""
+"""Exceptions of a pipe to an ended process, and of objects that cannot be pickled."""
 
 
 class WorkerProcesses:
-    """Some of them, which end with this object, or with this process.
+    """Pool of worker processes that end with this object or with this process.
 
     Args:
-        count: How many.
-        modules: What each of them imports at once, so that it waits for what is asked.
+        count: Number of workers.
+        modules: Modules that each worker imports at its start.
     """
 
     def __init__(self, count: int, modules: Sequence[str] = ()) -> None:
@@ -53,10 +53,10 @@ class WorkerProcesses:
         finalize(self, _end, self._processes)
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-        """Return what a function makes of each item, worked out by all processes at once.
+        """Return the function's result for each item, computed by all workers in parallel.
 
-        What one of them cannot do, as its function is not to be had there, or raises, is done here. Only one
-        thread at a time may call this.
+        Items of a worker that fails, or in which the function is unavailable, are computed in this process.
+        Only one thread at a time may call this.
         """
         parts = [[*items]]
         if self._processes:
@@ -73,8 +73,8 @@ class WorkerProcesses:
 
 
 @contextmanager
-def spread_over(workers: WorkerProcesses | None) -> Generator[None]:
-    """Let `spread` of this thread use some processes; None: none."""
+def use_workers(workers: WorkerProcesses | None) -> Generator[None]:
+    """Let `spread` use some workers in this thread; None: none."""
     _of_thread.workers = workers
     try:
         yield
@@ -83,15 +83,15 @@ def spread_over(workers: WorkerProcesses | None) -> Generator[None]:
 
 
 def spread(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Return what a function makes of each item, in the processes that `spread_over` has named, if any."""
+    """Return the function's result for each item, computed by this thread's workers if it has any."""
     workers: WorkerProcesses | None = getattr(_of_thread, "workers", None)
     return [function(item) for item in items] if workers is None else workers.map(function, items)
 
 
 def serve() -> None:
-    """Do what is asked for on the standard input until that ends; this is such a process."""
+    """Answer requests from the standard input until it ends; the main function of a worker."""
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what somebody prints is no answer
+    os.dup2(2, 1)  # prints of the function must not mix with answers
     while True:
         try:
             function, items = pickle.load(sys.stdin.buffer)
@@ -105,13 +105,15 @@ def serve() -> None:
             pickle.dump(found, answers, pickle.HIGHEST_PROTOCOL)
             answers.flush()
         except BrokenPipeError:
-            os._exit(0)  # whoever asked has ended; to close the pipe would fail again
+            os._exit(0)  # the parent has ended; closing the pipe would fail again
 
 
 def _ask(process: subprocess.Popen[bytes], part: list[Any], function: Callable[[Any], Any]) -> bool:
-    """Return whether a process could be asked."""
+    """Send a request to a worker; return whether that worked."""
     try:
-        asked = pickle.dumps((function, part), pickle.HIGHEST_PROTOCOL)  # first: half of one is none
+        asked = pickle.dumps(
+            (function, part), pickle.HIGHEST_PROTOCOL
+        )  # before any write: a partial request would desynchronise the pipe
         assert process.stdin is not None
         process.stdin.write(asked)
         process.stdin.flush()
@@ -121,7 +123,7 @@ def _ask(process: subprocess.Popen[bytes], part: list[Any], function: Callable[[
 
 
 def _answer(process: subprocess.Popen[bytes]) -> list[Any] | None:
-    """Return what a process has found; None: it has ended, or could not do it."""
+    """Return a worker's results; None: it has ended, or the function failed."""
     try:
         assert process.stdout is not None
         return pickle.load(process.stdout)

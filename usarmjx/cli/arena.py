@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 from usarmjx.base.markdown import markdown_table
 from usarmjx.cli.common import (
     ArenaArgument,
@@ -235,7 +235,8 @@ def generate(
     """Make an arena of the same kind, size, difficulty and seed, always the same; say what is in it."""
     with ErrorExit():
         announce(f"making a {kind} ...")
-        from usarmjx.models.compile.compose import Physics, new_spec
+        from usarmjx.models.compile.compose import new_spec
+        from usarmjx.models.compile.physics import Physics
         from usarmjx.models.files.load import save_arena
         from usarmjx.models.generate import Difficulty
         from usarmjx.models.generate import generate as make
@@ -257,7 +258,7 @@ def generate(
         if xml is not None:
             spec = new_spec(arena, Physics())
             spec.compile()
-            with write_beside(xml) as fresh:
+            with atomic_write(xml) as fresh:
                 fresh.write_text(spec.to_xml(), encoding="utf-8")
             typer.echo(f"wrote {xml}")
 

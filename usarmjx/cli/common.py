@@ -12,7 +12,7 @@ import typer
 from typer.models import OptionInfo
 
 from usarmjx.base.errors import UsageError, UsarmjxError
-from usarmjx.base.files import disk_fault
+from usarmjx.base.files import disk_error
 from usarmjx.cli.completion import complete_arenas, complete_engines, complete_robots
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -93,7 +93,7 @@ class ErrorExit:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> bool:
         """End the command if the error is one of ours, or a disk's."""
         text = str(error) if isinstance(error, UsarmjxError) else None
-        if isinstance(error, OSError) and (reason := disk_fault(error)):
+        if isinstance(error, OSError) and (reason := disk_error(error)):
             text = f"{error.filename or 'the output'}: {reason}"
         if text is None:
             return False

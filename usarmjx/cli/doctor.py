@@ -23,8 +23,8 @@ import typer
 
 import usarmjx
 from usarmjx.base import process
-from usarmjx.base.compilation import VARIABLE, cache_folder, keep_compilations
-from usarmjx.base.errors import UsarmjxError, one_line
+from usarmjx.base.compilation import CACHE_VARIABLE, cache_folder, enable_compilation_cache
+from usarmjx.base.errors import UsarmjxError, quoted
 from usarmjx.cli.common import ErrorExit
 from usarmjx.cli.listing import JsonFlag
 from usarmjx.cli.startup_messages import announce, say
@@ -142,7 +142,7 @@ def check_devices() -> Iterator[Finding]:
 
         devices = jax.devices()
     except (ImportError, RuntimeError) as error:
-        yield Finding("devices", "wrong", f"JAX does not start: {one_line(error)}", "install jax again")
+        yield Finding("devices", "wrong", f"JAX does not start: {quoted(error)}", "install jax again")
         return
     kinds = ", ".join(sorted({f"{one.platform} ({one.device_kind})" for one in devices}))
     yield Finding("devices", "ok", f"JAX computes on {len(devices)}: {kinds}; {process.cores()} cores")
@@ -175,12 +175,12 @@ def check_cache(environment: Mapping[str, str] = os.environ) -> Iterator[Finding
     """Look whether what is compiled is kept, where, and how large that is."""
     folder = cache_folder(dict(environment))
     if folder is None:
-        advice = f"unset {VARIABLE} so that the next start compiles nothing"
-        yield Finding("cache", "note", f"compilations are not kept: {VARIABLE} says so", advice)
+        advice = f"unset {CACHE_VARIABLE} so that the next start compiles nothing"
+        yield Finding("cache", "note", f"compilations are not kept: {CACHE_VARIABLE} says so", advice)
         return
-    complaint = keep_compilations(dict(environment))
+    complaint = enable_compilation_cache(dict(environment))
     if complaint:
-        yield Finding("cache", "wrong", complaint, f"free the disk or set {VARIABLE} to another folder")
+        yield Finding("cache", "wrong", complaint, f"free the disk or set {CACHE_VARIABLE} to another folder")
         return
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     yield Finding("cache", "ok", f"{folder}, {size / 1e6:.0f} MB of compiled programs")
@@ -229,7 +229,7 @@ def run_checks(checks: Sequence[Check]) -> list[Finding]:
             found += check()
         except Exception as error:  # whatever is broken, the others are still looked at
             about = check.__name__.removeprefix("check_").removeprefix("try_")
-            found.append(Finding(about, "wrong", f"{type(error).__name__}: {one_line(error)}"))
+            found.append(Finding(about, "wrong", f"{type(error).__name__}: {quoted(error)}"))
     return found
 
 
@@ -269,7 +269,7 @@ def try_jax() -> Iterator[Finding]:
 
 def _step(engine: str) -> Iterator[Finding]:
     """Let a ball fall on the floor of each world of a small batch."""
-    from usarmjx.models.compile.compose import Physics
+    from usarmjx.models.compile.physics import Physics
     from usarmjx.sim.batch import Batch
     from usarmjx.sim.scene import build_scene
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 from usarmjx.base.progress import RateLimitedLog
 from usarmjx.cli.common import ErrorExit, SeedOption, grouped
 from usarmjx.cli.completion import complete_policies, complete_tasks
@@ -78,7 +78,7 @@ def _tell(row: "TeamResult") -> None:
 def _keep(path: Path, setup: dict[str, Any], rows: "tuple[TeamResult, ...]") -> None:
     """Write the rows as JSON, below what they are of."""
     content = [{**vars(row), "reached": row.reached, "score": vars(row.score)} for row in rows]
-    with write_beside(path) as fresh:
+    with atomic_write(path) as fresh:
         fresh.write_text(json_format.dumps({**setup, "rows": content}, indent=1) + "\n", encoding="utf-8")
 
 
@@ -139,5 +139,5 @@ def evaluate_policy(
                 "split": split,
                 "settings": driver.set_by_hand,
             }
-            with write_beside(json) as fresh:
+            with atomic_write(json) as fresh:
                 fresh.write_text(json_format.dumps({**what, **setup, **as_record(result)}, indent=1) + "\n")

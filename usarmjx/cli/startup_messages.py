@@ -11,11 +11,11 @@ from pathlib import Path
 import typer
 
 from usarmjx.base.compilation import (
-    COMPILATION,
+    COMPILE_EVENT_PREFIX,
     JAX_FOLDER,
-    compile_quickly,
-    keep_compilations,
-    tell_once_of_broken_entries,
+    disable_optimization,
+    enable_compilation_cache,
+    warn_once_of_broken_entries,
 )
 from usarmjx.base.process import fit_pool_to_cores
 
@@ -57,7 +57,7 @@ class CompilationWatch:
             now: The time [s].
             thread: Where that was.
         """
-        if not event.startswith(COMPILATION):
+        if not event.startswith(COMPILE_EVENT_PREFIX):
             return
         with self._lock:
             if not self._busy() and now - duration - self._last > GAP:
@@ -119,12 +119,12 @@ def announce(
     if NEEDS_POOL.isdisjoint(name.strip().lower() for name in engines):
         fit_pool_to_cores()
     if quickly:
-        compile_quickly()
+        disable_optimization()
     if keep:
-        if complaint := keep_compilations():
+        if complaint := enable_compilation_cache():
             tell(f"note: {complaint}")
         if folder := os.environ.get(JAX_FOLDER):
-            tell_once_of_broken_entries(tell, Path(folder))
+            warn_once_of_broken_entries(tell, Path(folder))
     threading.Thread(target=_watch, args=(tell, interval), name="compilations", daemon=True).start()
 
 

@@ -1,20 +1,36 @@
-"""Physics behind one interface: `warp`, `jax` and `c` advance many copies of the same model.
+"""Physics behind one interface: `warp`, `jax`, `c` and `planar` advance many copies of one model.
 
-`base` has the interface and refuses what an engine would silently ignore; `c` is C MuJoCo and the oracle of
-the others, `mjx` both of MJX's; `varied` and `short_boxes` are what differs between worlds, `cylinder_box`
-the contacts that MJX-JAX lacks. Begin with `base.Engine`. Only `cylinder_box`, `mjx` and `warp_graphs` touch
-MJX's private names, for the one version that they check; whether two engines agree is
-`tests/engines/test_engines.py`'s to say.
+`ENGINES` lists them, `choose_engine` resolves `auto`, `make_engine` builds one; `usarmjx.Batch` does both.
+`c` is C MuJoCo and the oracle of the others. Private: `base` has the interface and refuses what an engine
+would ignore, `mjx` and `mjx_warp` touch MJX's private names for the one version that they check,
+`cylinder_box` adds contacts that MJX lacks, `planar` is an engine without a solver. A new engine subclasses
+`Engine`. Begin with `base.Engine`.
 """
 
-from usarmjx.engines.base import (
-    ENGINES,
-    Engine,
-    Inputs,
-    PhysicsState,
-    choose_engine,
-    engine_class,
-    make_engine,
-)
+from typing import TYPE_CHECKING
 
-__all__ = ["ENGINES", "Engine", "Inputs", "PhysicsState", "choose_engine", "engine_class", "make_engine"]
+from usarmjx.base.lazy import attach
+
+if TYPE_CHECKING:
+    from usarmjx.engines.base import ENGINES as ENGINES
+    from usarmjx.engines.base import Engine as Engine
+    from usarmjx.engines.base import Inputs as Inputs
+    from usarmjx.engines.base import PhysicsState as PhysicsState
+    from usarmjx.engines.base import choose_engine as choose_engine
+    from usarmjx.engines.base import engine_class as engine_class
+    from usarmjx.engines.base import make_engine as make_engine
+else:
+    __getattr__, __dir__, __all__ = attach(
+        __name__,
+        {
+            "usarmjx.engines.base": (
+                "ENGINES",
+                "Engine",
+                "Inputs",
+                "PhysicsState",
+                "choose_engine",
+                "engine_class",
+                "make_engine",
+            ),
+        },
+    )

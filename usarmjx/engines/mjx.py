@@ -16,8 +16,9 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.engines import cylinder_box
 from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState, SolvedStep
-from usarmjx.models.compile.compose import Physics, split_long_boxes
+from usarmjx.models.compile.compose import split_long_boxes
 from usarmjx.models.compile.geoms import MovedGeoms
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import RandomizedBodies
 
 

@@ -22,8 +22,9 @@ from usarmjx.base.registry import Registry
 from usarmjx.engines.base import Inputs, SolvedStep, StepArguments, StepOutcome
 from usarmjx.engines.cylinder_box import check_mjx_version
 from usarmjx.engines.mjx import MjxEngine, own_device
-from usarmjx.models.compile.compose import LOOSE_PREFIX, VICTIM_PREFIX, Physics
+from usarmjx.models.compile.compose import LOOSE_PREFIX, VICTIM_PREFIX
 from usarmjx.models.compile.geoms import MovedGeoms
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import RandomizedBodies
 
 NUM_KINDS = int(mujoco.mjtGeom.mjGEOM_MESH) + 1

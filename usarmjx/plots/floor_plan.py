@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Patch, Polygon, Rectangle
 
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 from usarmjx.base.transforms import angles_from_mat, mat_from_angles
 from usarmjx.models.compile.tags import tag_ids
 from usarmjx.models.compile.victims import segment_poses, victim_table
@@ -60,7 +60,7 @@ def floor_plan_picture(arena: ArenaSpec, path: Path) -> None:
     figure.suptitle("\n".join([title, *about]), x=0.01, ha="left", fontsize=10)
     keys = draw_plan(axes, arena)
     figure.legend(handles=keys, loc="outside lower center", ncols=7, frameon=False, fontsize=9)
-    with write_beside(path) as fresh:
+    with atomic_write(path) as fresh:
         figure.savefig(fresh, format="png")
 
 

@@ -15,11 +15,12 @@ from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
 from usarmjx.base.backend import numpy_backend
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 from usarmjx.engines.c.camera_rays import NOBODY, CCameraRays
-from usarmjx.models.compile.compose import Physics, new_spec
+from usarmjx.models.compile.compose import new_spec
 from usarmjx.models.compile.kinematic_tree import KinematicTree, kinematic_tree_of
 from usarmjx.models.compile.materials import materials_of
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.victims import victim_table
 from usarmjx.models.compile.visuals import reach_of
 from usarmjx.models.robots import ROBOTS
@@ -116,7 +117,7 @@ def portraits(names: Sequence[str], path: Path, columns: int = 4) -> None:
         length, width, height = robot.dimensions
         axes.set_title(f"{robot.name}  {length:.2f} x {width:.2f} x {height:.2f} m", y=-0.13, fontsize=9)
         axes.set_axis_off()
-    with write_beside(path) as fresh:
+    with atomic_write(path) as fresh:
         figure.savefig(fresh, format="png")
 
 
@@ -158,7 +159,7 @@ def perspective(
         render_picture(arena_render_geoms(shown), eye, target, 2 * width, 2 * height, setting)
     )
     if path is not None:
-        with write_beside(path) as fresh:
+        with atomic_write(path) as fresh:
             imsave(fresh, picture)
     return picture
 

@@ -19,7 +19,7 @@ from matplotlib.patches import Polygon
 from PIL import Image
 from scipy.spatial import ConvexHull
 
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import FENDER, GLASS, MIRROR, OPAQUE, SKY, Shape
@@ -107,7 +107,7 @@ def save_small(figure: Figure, path: Path, colours: int = COLOURS) -> None:
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
-    with write_beside(path) as fresh:
+    with atomic_write(path) as fresh:
         Image.fromarray(pixels).quantize(colours, dither=Image.Dither.NONE).save(fresh, "PNG", optimize=True)
 
 
@@ -205,7 +205,7 @@ def run_picture(arena: ArenaSpec, log: Mapping[str, Any], path: Path) -> None:
     _draw_run(axes, log)
     axes.spines[:].set_visible(False)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=6, frameon=False, fontsize=9)
-    with write_beside(path) as fresh:
+    with atomic_write(path) as fresh:
         figure.savefig(fresh, format="png")
 
 

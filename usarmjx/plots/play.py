@@ -15,7 +15,7 @@ from PIL import Image
 
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsageError
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.plots.floor_plan import draw_plan
@@ -225,7 +225,7 @@ def save_recording(shown: EpisodeRecording, path: Path) -> None:
         UsageError: Another ending.
     """
     check_suffix(path)
-    with write_beside(path) as fresh:
+    with atomic_write(path) as fresh:
         WRITERS[path.suffix.lower()](shown, fresh)
 
 

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 from usarmjx.comms.attenuation import RadioSettings, received_power
 from usarmjx.comms.walls import arena_solids, count_walls
 from usarmjx.models.types.arena import ArenaSpec
@@ -145,7 +145,7 @@ def radio_picture(
     draw_shapes(axes, arena)
     axes.plot(*source[:2], "*", color="white", mec="black", ms=16, zorder=6)
     axes.spines[:].set_visible(False)
-    with write_beside(path) as fresh:
+    with atomic_write(path) as fresh:
         figure.savefig(fresh, format="png")
     return drawn
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsageError
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.compile.victims import victim_table
@@ -192,7 +192,7 @@ def save_film(recording: Recording, path: Path, world: int = 0, speed: float = 2
     if write is None:
         raise UsageError(f"{path}: films end in {', '.join(FILMS)}")
     shown = _as_episode(read_mission(recording, world, (0.0, np.inf)), recording.path.stem)
-    with write_beside(path) as fresh:
+    with atomic_write(path) as fresh:
         write(shown, fresh, speed)
 
 
@@ -302,7 +302,7 @@ def plot_recording(
     """
     figure = mission_figure(read_mission(recording, world, span))
     for path in paths:
-        with write_beside(path) as fresh:
+        with atomic_write(path) as fresh:
             figure.savefig(fresh, format=path.suffix[1:].lower() or "png", dpi=DPI)
     return [*paths]
 

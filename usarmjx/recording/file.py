@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from mcap.writer import CompressionType, Writer
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.files import disk_fault, writing
+from usarmjx.base.files import disk_error, writing
 from usarmjx.recording.foxglove import SCHEMAS, schema_text
 from usarmjx.recording.values import pack
 
@@ -154,7 +154,7 @@ class RecordingFile:
             if not self.ended:
                 self._writer.finish()
         except Exception as error:  # whatever happens here, what is recorded goes on
-            reason = disk_fault(error) or (error.strerror if isinstance(error, OSError) else None)
+            reason = disk_error(error) or (error.strerror if isinstance(error, OSError) else None)
             self._end(str(reason or error))
         finally:
             self.ended = True

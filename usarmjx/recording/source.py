@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 from usarmjx.recording.reader import RecordedMessage, Recording
 from usarmjx.view.drawing import Drawing, Frame
 
@@ -255,5 +255,5 @@ def write_html(source: RecordingSource, path: Path, period: float = 0.1, world: 
         text = scene.as_html()
     finally:
         page.close()
-    with write_beside(path) as fresh:
+    with atomic_write(path) as fresh:
         fresh.write_text(text, encoding="utf-8")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 from usarmjx.recording.reader import RecordedMessage, Recording
 from usarmjx.view.drawing import Drawing, Frame
 
@@ -133,7 +133,7 @@ def export_tables(recording: Recording, path: Path, tables: Sequence[str] = ()) 
         if first is None and not tables:
             continue
         place = path.with_name(f"{path.stem}-{table}{path.suffix}")
-        with write_beside(place) as fresh:
+        with atomic_write(place) as fresh:
             write(fresh, COLUMNS[table], _with_first(first, rows))
         written.append(place)
     return written

@@ -347,6 +347,7 @@ class Sensor(ABC):
 
 
 SENSORS: Registry[type[Sensor]] = Registry("sensor")
+"""Sensor types by the name that INIT, ini files and `Mount.kind` give them."""
 
 
 OutputCurve = tuple[tuple[float, float], ...]

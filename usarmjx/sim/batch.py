@@ -113,7 +113,7 @@ class Batch:
         UnknownNameError: No such engine.
     """
 
-    _keeper: ProgramCache | None = None
+    _program_cache: ProgramCache | None = None
     """Of its programs; None: they are compiled at each start."""
 
     def __init__(
@@ -157,7 +157,7 @@ class Batch:
         return jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(self._numbers)
 
     def _compile(self, function: Callable[..., Any], static: tuple[int, ...] = ()) -> Callable[..., Any]:
-        return self.engine.waiting(compile_program(function, self._keeper, "Batch", static=static))
+        return self.engine.waiting(compile_program(function, self._program_cache, "Batch", static=static))
 
     def reset(self, seed: int | None = None, arenas: ArenaState | None = None) -> BatchState:
         """Return all worlds at the start of their first episode.

@@ -20,7 +20,7 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.compilation import cache_folder
 from usarmjx.base.errors import UsageError
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.engines.planar.drives import SideWheels, follow, wheels_of
 from usarmjx.engines.planar.responses import (
@@ -305,7 +305,7 @@ def ensure_calibrated(robots: Iterable[RobotSpec], folder: Path | None = None) -
         log.warning("engine planar: measuring how a %s answers its motors, on engine c ...", robot.name)
         entry = calibrate(robot)
         if file is not None:
-            with write_beside(file) as fresh:
+            with atomic_write(file) as fresh:
                 fresh.write_text(json.dumps(entry, indent=1), encoding="utf-8")
 
 
@@ -334,7 +334,7 @@ def measure_all(
             entry["errors"] = pose_errors(robot)
         known[robot.name] = entry
         if file is not None:
-            with write_beside(file) as fresh:
+            with atomic_write(file) as fresh:
                 fresh.write_text(json.dumps(dict(sorted(known.items())), indent=1) + "\n", encoding="utf-8")
         yield _told(robot.name, entry)
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from jax import monitoring
 
-from usarmjx.base.compilation import COMPILATION
-from usarmjx.base.errors import UsarmjxError, one_line
+from usarmjx.base.compilation import COMPILE_EVENT_PREFIX
+from usarmjx.base.errors import UsarmjxError, quoted
 from usarmjx.recording.inputs import versions
 from usarmjx.sweeps.batch import CellEpisodes, GroupRunner
 from usarmjx.sweeps.resolve import Resolved, resolve
@@ -37,7 +37,7 @@ class CompileClock:
 
     def hear(self, event: str, duration_secs: float, **_: object) -> None:
         """Take note of what has just ended and how long it took [s]; JAX calls it."""
-        if event.startswith(COMPILATION):
+        if event.startswith(COMPILE_EVENT_PREFIX):
             now = time.monotonic()
             self._spans.append((now - duration_secs, now))
 
@@ -101,7 +101,7 @@ def play_batch(work: BatchWork, watch: ShareWatch | None = None) -> list[CellRec
 
 
 def _reason(error: Exception) -> str:
-    return str(error) if isinstance(error, UsarmjxError) else f"{type(error).__name__}: {one_line(error)}"
+    return str(error) if isinstance(error, UsarmjxError) else f"{type(error).__name__}: {quoted(error)}"
 
 
 def failure(key: str, settings: CellSettings, reason: str) -> CellRecord:

@@ -11,7 +11,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from usarmjx.base.errors import UsageError, one_line
+from usarmjx.base.errors import UsageError, quoted
 from usarmjx.engines import choose_engine
 from usarmjx.sweeps.play import BatchWork, failure, play_batch, resolved
 from usarmjx.sweeps.resolve import key_of, signature_of
@@ -232,7 +232,7 @@ def wandb_sink(project: str, name: str) -> Sink:
             run.log(numbers_of(record))
             run.finish(exit_code=0 if record.failed is None else 1)
         except Exception as error:  # of a service elsewhere
-            raise UsageError(f"Weights & Biases: {one_line(error)}") from error
+            raise UsageError(f"Weights & Biases: {quoted(error)}") from error
 
     return show
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.files import write_beside, writing
+from usarmjx.base.files import atomic_write, writing
 
 FORMAT = 1
 SWEEP_FILE, CELLS = "sweep.json", "cells"
@@ -88,7 +88,7 @@ def write_sweep(folder: Path, name: str, about: str, axes: Sequence[str], keys: 
     """
     content = {"format": FORMAT, "name": name, "about": about, "axes": [*axes], "cells": [*keys]}
     content["begun"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-    with write_beside(folder / SWEEP_FILE) as fresh:
+    with atomic_write(folder / SWEEP_FILE) as fresh:
         fresh.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     with writing(folder / CELLS):
         (folder / CELLS).mkdir(exist_ok=True)
@@ -100,7 +100,7 @@ def write_cell(folder: Path, record: CellRecord) -> None:
     Raises:
         WriteError: It cannot be written.
     """
-    with write_beside(folder / CELLS / f"{record.key}.json") as fresh:
+    with atomic_write(folder / CELLS / f"{record.key}.json") as fresh:
         fresh.write_text(json.dumps(asdict(record), default=str) + "\n", encoding="utf-8")
 
 

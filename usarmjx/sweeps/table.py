@@ -9,7 +9,7 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import estimate, interquartile_mean
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 from usarmjx.sweeps.spec import as_text
 from usarmjx.sweeps.store import CellRecord, StoredSweep
 
@@ -87,7 +87,7 @@ def export_rows(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         raise UsageError(f"{path}: tables end in {', '.join(SUFFIXES)}")
     write = _write_csv if path.suffix.lower() == ".csv" else _parquet_writer()
     columns = list(dict.fromkeys(name for row in rows for name in row))
-    with write_beside(path) as fresh:
+    with atomic_write(path) as fresh:
         write(fresh, columns, rows)
 
 

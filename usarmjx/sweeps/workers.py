@@ -13,7 +13,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Any
 
-from usarmjx.base.errors import UsageError, one_line
+from usarmjx.base.errors import UsageError, quoted
 
 PLACES = ("here", "processes", "ray")
 TRIES = 3
@@ -114,7 +114,7 @@ def _in_processes(work: PieceWork, pieces: Sequence[Any], count: int) -> Iterato
                             continue
                         yield number, None, f"its worker was lost {TRIES} times"
                     except Exception as error:
-                        yield number, None, one_line(error)
+                        yield number, None, quoted(error)
                     del left[number]
 
 
@@ -145,7 +145,7 @@ def _on_ray(
             ray.init(address=address, **quiet)
         except Exception as error:
             raise UsageError(
-                f"Ray does not start{f' at {address}' if address else ''}: {one_line(error)}"
+                f"Ray does not start{f' at {address}' if address else ''}: {quoted(error)}"
             ) from error
     try:
         yield from _by_actors(ray, work, pieces, count)
@@ -185,7 +185,7 @@ def _by_actors(ray: Any, work: PieceWork, pieces: Sequence[Any], count: int | No
             continue
         except ray.exceptions.RayTaskError as error:
             idle.append(actor)
-            yield number, None, one_line(error.cause if hasattr(error, "cause") else error)
+            yield number, None, quoted(error.cause if hasattr(error, "cause") else error)
             continue
         idle.append(actor)
         yield number, found, None

@@ -11,8 +11,8 @@ from dataclasses import fields, replace
 from pathlib import Path
 from types import ModuleType
 
-from usarmjx.base.errors import UnknownNameError, UsageError, one_line
-from usarmjx.models.compile.compose import Physics
+from usarmjx.base.errors import UnknownNameError, UsageError, quoted
+from usarmjx.models.compile.physics import Physics
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy, Task
@@ -135,7 +135,7 @@ def _made(name: str, found: object) -> Task:
     try:
         return found()
     except TypeError as error:  # an abstract one, or one with fields that have no value
-        raise UsageError(f"task {name}: cannot be made without arguments: {one_line(error)}") from error
+        raise UsageError(f"task {name}: cannot be made without arguments: {quoted(error)}") from error
 
 
 def _module(name: str, place: str) -> ModuleType:
@@ -174,7 +174,7 @@ def _from_file(path: Path) -> ModuleType:
 
 def _fault(error: BaseException, place: str) -> str:
     """Return in a line where an import failed, and why."""
-    why = f"{type(error).__name__}: {one_line(error) if isinstance(error, Exception) else error}"
+    why = f"{type(error).__name__}: {quoted(error) if isinstance(error, Exception) else error}"
     if isinstance(error, SyntaxError) and error.lineno is not None:
         return f"{error.filename}, line {error.lineno}: {type(error).__name__}: {error.msg}"
     if not place.endswith(".py"):

@@ -12,8 +12,8 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.process import cores
 from usarmjx.engines.base import Engine, Inputs, PhysicsState, SolvedStep
 from usarmjx.engines.c.moved_geoms import MovedBody
-from usarmjx.models.compile.compose import Physics
 from usarmjx.models.compile.geoms import MovedGeoms
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import RandomizedBodies
 
 STATE = mujoco.mjtState

@@ -13,7 +13,7 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import set_rows
-from usarmjx.base.compilation import kept_on_gpu
+from usarmjx.base.compilation import materialize
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.base.rotations import mat_from_quat, matmul, parts
 from usarmjx.engines.planar.drives import RollingGroup, rolling_groups
@@ -264,7 +264,7 @@ class PlanarRobots:
 
     def written(self, state: Any, motion: Motion) -> Any:  # noqa: ANN401 - a state with qpos and qvel
         """Return the state of one world with its robots elsewhere."""
-        motion = kept_on_gpu(motion)
+        motion = materialize(motion)
         root = jnp.concatenate([motion.pos, motion.quat], -1)
         speed = jnp.concatenate([motion.linear, motion.angular], -1)
         return state.replace(

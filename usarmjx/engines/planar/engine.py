@@ -34,9 +34,9 @@ from usarmjx.engines.planar.proposed_motion import ProposedMotion
 from usarmjx.engines.planar.rolling import place_on_ground, reach_of, roll, rolled, stopped
 from usarmjx.engines.planar.separation import part_robots
 from usarmjx.engines.planar.solids import solid_geoms
-from usarmjx.models.compile.compose import Physics
 from usarmjx.models.compile.geoms import MovedGeoms
 from usarmjx.models.compile.layout import RobotIndex
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import RandomizedBodies
 from usarmjx.models.types.robot import RobotSpec
 

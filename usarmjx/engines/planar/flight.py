@@ -11,7 +11,7 @@ import mujoco
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.rotations import (
-    Numbers,
+    Components,
     Rows,
     apply,
     cross,
@@ -69,21 +69,21 @@ def fly(robots: PlanarRobots, motion: Motion, wrench: Array, model: mujoco.MjMod
 class _Moving(NamedTuple):
     """Where bodies are and how they move: as a `Motion`, each number an array of its own (robots,)."""
 
-    pos: Numbers
-    quat: Numbers
-    linear: Numbers
-    angular: Numbers
+    pos: Components
+    quat: Components
+    linear: Components
+    angular: Components
 
 
 class _Fixed(NamedTuple):
     """What of bodies does not change: their centres of mass, their inertia about these, and its inverse."""
 
-    centre: Numbers
+    centre: Components
     inertia: Rows
     inverse: Rows
 
 
-def _step(body: _Fixed, pull: Numbers, torque: Numbers, h: float, now: _Moving) -> _Moving:
+def _step(body: _Fixed, pull: Components, torque: Components, h: float, now: _Moving) -> _Moving:
     """Return where bodies are a physics step [s] later, pulled [m/s^2] and turned [N m] in world axes."""
     mat = rotation(now.quat)
     arm = apply(mat, body.centre)
@@ -150,7 +150,7 @@ def sine_over(angle: Array) -> Array:
     return jnp.where(small, 1.0 - angle * angle / 6, jnp.sin(safe) / safe)
 
 
-def turned(quat: Sequence[Array], angle: Sequence[Array]) -> Numbers:
+def turned(quat: Sequence[Array], angle: Sequence[Array]) -> Components:
     """Return orientations turned about axes of their own by rotation vectors."""
     half = times(angle, 0.5)
     square = dot(half, half)

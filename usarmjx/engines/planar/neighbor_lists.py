@@ -11,7 +11,7 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.compilation import rounds_at_once
+from usarmjx.base.compilation import unroll_on_gpu
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.movable import SolidPlacement
 from usarmjx.engines.planar.overlap import Outlines
@@ -274,7 +274,7 @@ def _nearest(solids: PlanSolids, rank: Array, most: int) -> tuple[PlanSolids, Ar
         last = jnp.min(jnp.where(key > last[:, None], key, 2**30), -1)
         return last, last
 
-    keys = jax.lax.scan(next_one, jnp.full(len(rank), -1), None, most, unroll=rounds_at_once(most))[1]
+    keys = jax.lax.scan(next_one, jnp.full(len(rank), -1), None, most, unroll=unroll_on_gpu(most))[1]
     chosen = keys[:most] % count
     # In their own order, so that it does not matter from where they were looked up.
     place = (chosen < chosen[:, None]).sum(1)

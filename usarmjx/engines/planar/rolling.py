@@ -8,7 +8,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import set_rows
-from usarmjx.base.compilation import kept_on_gpu
+from usarmjx.base.compilation import materialize
 from usarmjx.base.rotations import parts
 from usarmjx.engines.base import Inputs
 from usarmjx.engines.planar.bodies import Motion, PlanarRobots, on_plan
@@ -49,7 +49,7 @@ def roll(robots: PlanarRobots, before: Any, state: Any, inputs: Inputs, dt: floa
         grip, size = _variation(inputs, group.members)
         now = follow(answer, wheels.twist(joints, spin), wheels.twist(joints, ctrl[group.ctrl]), dt, grip)
         turned = wheels.spins(joints, now)
-        angle, turned = kept_on_gpu((before.qpos[places] + (spin + turned) * dt / 2, turned))
+        angle, turned = materialize((before.qpos[places] + (spin + turned) * dt / 2, turned))
         # What a servo aims at is where its wheel is: it does not wind up.
         act = set_rows(jnp.append(state.act, 0.0), (group.act, angle))[:-1]
         state = state.replace(

@@ -27,6 +27,26 @@ SKIN, SHIRT, TROUSERS = (0.85, 0.65, 0.55, 1.0), (0.75, 0.2, 0.2, 1.0), (0.2, 0.
 """Colours of bones."""
 SHOES = (0.15, 0.12, 0.1, 1.0)
 
+PART_NAMES = ("Head", "Arm", "Hand", "Chest", "Pelvis", "Leg", "Foot")
+"""Part names of victim sensors (manual 9.3); `VictimTable.part` indexes them."""
+
+QUARTER = math.pi / 2
+
+MAX_SEGMENTS = 8
+"""Largest number of segments with a motion of their own (manual 14.1.3)."""
+
+PARKED_COORDINATE = 1e6
+"""Coordinate along each axis of padding boxes, out of reach [m]."""
+
+PADDING_OWNER = -(1 << 20)
+"""Owner of a padding box."""
+
+SPEED_STEP = 0.01
+"""Half of the time over which a speed is measured [s]."""
+
+SWING_STEPS = 9
+"""Samples of a motion from which its largest displacement is found."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Bone:
@@ -121,8 +141,6 @@ BONES: dict[str, Bone] = {
 }
 """The bones, parents first; no bone has more than three above it."""
 
-PART_NAMES = ("Head", "Arm", "Hand", "Chest", "Pelvis", "Leg", "Foot")
-"""Part names of victim sensors (manual 9.3); `VictimTable.part` indexes them."""
 PART_OF_BONE: dict[str, str] = {name: bone.part for name, bone in BONES.items()}
 """Part name of each bone."""
 
@@ -133,7 +151,6 @@ def _both(part: str, angles: Vec3) -> dict[str, Vec3]:
     return {f"Left{part}": angles, f"Right{part}": (pitch, -yaw, -roll)}
 
 
-QUARTER = math.pi / 2
 POSTURES: dict[str, dict[str, Vec3]] = {
     "standing": {},
     # On its back, the head towards -x.
@@ -157,14 +174,6 @@ POSTURES: dict[str, dict[str, Vec3]] = {
     },
 }
 """Angles (pitch, yaw, roll) of the bones in each posture [rad]; bones that are not named are straight."""
-
-
-MAX_SEGMENTS = 8
-"""Largest number of segments with a motion of their own (manual 14.1.3)."""
-PARKED_COORDINATE = 1e6
-"""Coordinate along each axis of padding boxes, out of reach [m]."""
-PADDING_OWNER = -(1 << 20)
-"""Owner of a padding box."""
 
 
 class VictimTable(struct.PyTreeNode, kw_only=True):
@@ -410,34 +419,6 @@ def pad_table(table: VictimTable, boxes: int, victims: int) -> VictimTable:
         columns[name] = filled(value, rows, fill)
     columns["base"][table.num_boxes :, 0] = 1.0
     return VictimTable(**columns)
-
-
-__all__ = [
-    "BODY_HEIGHT",
-    "BONES",
-    "PADDING_OWNER",
-    "PARKED_COORDINATE",
-    "PART_NAMES",
-    "PART_OF_BONE",
-    "POSTURES",
-    "VictimTable",
-    "box_names",
-    "loudness",
-    "lowest",
-    "mouth_positions",
-    "orientations",
-    "pad_table",
-    "rest_height",
-    "segment_angles",
-    "segment_poses",
-    "segment_speeds",
-    "victim_table",
-]
-
-SPEED_STEP = 0.01
-"""Half of the time over which a speed is measured [s]."""
-SWING_STEPS = 9
-"""Samples of a motion from which its largest displacement is found."""
 
 
 def victim_table(victims: Sequence[Victim], false_alarms: Sequence[FalseAlarm] = ()) -> VictimTable:

@@ -19,7 +19,8 @@ from usarmjx.base.files import atomic_write
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.lanes import LANE_PREFIX, LANES
 from usarmjx.models.files.content import EMPTY, Content
-from usarmjx.models.files.maps import image_size, is_map, occupancy_grid_content, write_heights
+from usarmjx.models.files.images import image_size, write_heights
+from usarmjx.models.files.maps import is_map, occupancy_grid_content
 from usarmjx.models.files.mjcf import mjcf_content
 from usarmjx.models.files.sources import MeshFile, TerrainFile, mesh_content, terrain_content
 from usarmjx.models.files.urdf import urdf_content
@@ -28,10 +29,20 @@ from usarmjx.models.files.yaml_file import arena_of_yaml, complete_arena
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import HeightField, Mesh
 
+logger = logging.getLogger(__name__)
+
 HEADER = "# An arena of usarmjx. Lengths in metres, angles in radians; x forward, y left, z up.\n"
 """Comment at the top of saved files."""
 WIDTH = 110
 """Line length of saved files."""
+
+PIXEL = 0.1
+"""Spacing of the heights in a grey image that is loaded by itself [m]."""
+
+RISE = 1.0
+"""Height of white in it [m]."""
+
+YAML = (".yaml", ".yml")
 
 
 def save_arena(arena: ArenaSpec, path: str | Path) -> Path:
@@ -122,16 +133,6 @@ def _write_terrain(terrain: HeightField, path: Path, number: int) -> dict[str, o
     return {"file": name, "height": write_heights(path.parent / name, terrain.heights)}
 
 
-__all__ = ["SUFFIXES", "find_arena", "load_arena", "read_arena", "save_arena"]
-
-logger = logging.getLogger(__name__)
-
-PIXEL = 0.1
-"""Spacing of the heights in a grey image that is loaded by itself [m]."""
-RISE = 1.0
-"""Height of white in it [m]."""
-
-
 def load_arena(path: str | Path) -> ArenaSpec:
     """Return the arena in a file; content that is left out is logged as warnings.
 
@@ -215,6 +216,5 @@ READERS: dict[str, Callable[[Path], Content]] = {
     ".pgm": _picture,
 }
 """Reader of each suffix, apart from YAML."""
-YAML = (".yaml", ".yml")
 SUFFIXES = (*YAML, *READERS)
 """Suffixes of files with arenas."""

@@ -1,7 +1,7 @@
 """A served world whose robots a policy drives; clients take over some of them.
 
 All worlds of the batch do the policy's task. It reads sensors once for each action, as in training, and
-clients get the same readings, so nothing changes for the policy when somebody looks on.
+clients get the same readings, so clients change nothing for the policy.
 """
 
 import asyncio
@@ -26,7 +26,7 @@ from usarmjx.models.drives.base import RobotState
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.base import Reading
 from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch
-from usarmjx.server.worlds.recorded import keep_reading
+from usarmjx.server.worlds.recorded import store_reading
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.actions import apply_actions
 from usarmjx.sim.batch import select_worlds
@@ -38,18 +38,22 @@ from usarmjx.train.envs.task import Policy, TaskView, TeamMaps
 from usarmjx.train.learning.checkpoint import Checkpoints
 from usarmjx.train.policies.sources import PolicySource, find_source
 
+log = logging.getLogger(__name__)
+
+INTERVAL = 2.0
+"""Interval between two looks into a run's folder [s]."""
 Readings = tuple[tuple[Reading, ...], ...]
 
 
 class PolicyState(struct.PyTreeNode, kw_only=True):
-    """What drives the worlds.
+    """State of the task and its policy in all worlds.
 
     Attributes:
         task: The task's memory (worlds, ...).
         policy: The policy's memory (worlds, ...).
         length: Actions since the task began (worlds,).
         score: The task's score so far (worlds,).
-        episode: How often the task has begun (worlds,).
+        episode: Number of the task's episode (worlds,).
     """
 
     task: Any
@@ -63,18 +67,18 @@ class PolicyBatch(SharedBatch):
     """A task's batch with a policy in it, of which some worlds are served.
 
     All worlds of the batch do the policy's task; its actions leave out the robots that clients have. When the
-    task is over, by success or by time, it is reset with the robots where they are, so that no client loses
-    its robot; the arena stays.
+    task is over, by success or by time, it is reset with the robots at their present poses, so that no client
+    loses its robot; the arena stays.
 
     Args:
         env: The task.
         policy: The policy.
-        seed: Of the policy's random numbers and those of later episodes of the task.
+        seed: Seed of the policy's random numbers and those of later episodes of the task.
 
     Attributes:
         claimed: Which robots clients have (worlds, robots).
         measured: The control step after which sensors were last read.
-        readings: What they said, as NumPy arrays, by group and sensor (worlds, robots of the group).
+        readings: Their values, as NumPy arrays, by group and sensor (worlds, robots of the group).
     """
 
     def __init__(self, env: Env, policy: Policy, seed: int = 0) -> None:
@@ -82,7 +86,7 @@ class PolicyBatch(SharedBatch):
         self.env, self._policy = env, policy
         self.claimed = np.zeros((env.worlds, env.scene.num_robots), bool)
         self._key = jax.random.key(seed)
-        self._sense_all = compile_program(jax.vmap(self._sense), env.keeper, "PolicyBatch")
+        self._sense_all = compile_program(jax.vmap(self._sense), env.program_cache, "PolicyBatch")
         self._begin_all = self._of_views(self._begin, precise=False)
         self._evaluate_all = self._of_views(env.task.evaluate, precise=False)
         self._observe_all = self._of_views(env.task.observe, precise=False)
@@ -108,18 +112,18 @@ class PolicyBatch(SharedBatch):
             )
 
         of_parts.__name__ = function.__name__
-        program = compile_program(jax.vmap(of_parts), self.env.keeper, "PolicyBatch", precise=precise)
+        program = compile_program(jax.vmap(of_parts), self.env.program_cache, "PolicyBatch", precise=precise)
         return lambda views, *rest: program((views.world, views.physics, views.readings), *rest)
 
-    def drive_by(self, policy: Policy) -> None:
-        """Let another policy act from now on, compiled before it does; may be called in a thread.
+    def use_policy(self, policy: Policy) -> None:
+        """Replace the policy; it is compiled before its first action. May be called in a thread.
 
         Its memory must be of the same shapes as that of the one before, and goes on.
         """
         self._act = jax.jit(policy.act).lower(*self._act_example).compile()
         self._policy = policy
 
-    # What follows up to `_apply_actions` is traced, of one world.
+    # The functions up to `_apply_actions` are traced, for one world.
 
     def _sense(self, world: World, physics: PhysicsState) -> tuple[World, Readings]:
         world, readings = observe(self.env.scene, world, physics)
@@ -127,7 +131,7 @@ class PolicyBatch(SharedBatch):
             world = world.replace(links=update_links(self.env.scene, world, physics))
         return world, readings
 
-    def _begin(self, view: TaskView, key: jax.Array, episode: jax.Array) -> Any:  # noqa: ANN401 - the task's memory
+    def _begin(self, view: TaskView, key: jax.Array, episode: jax.Array) -> Any:  # noqa: ANN401 - task memory
         return self.env.task.start(view, jax.random.fold_in(key, episode))
 
     def _apply_actions(
@@ -137,13 +141,13 @@ class PolicyBatch(SharedBatch):
         actions: tuple[jax.Array, ...],
         claimed: Array,
     ) -> World:
-        """Carry out actions of the robots that nobody has claimed (robots,)."""
+        """Apply actions to the robots that no client has claimed (robots,)."""
         task, scene = self.env.task, self.env.scene
         bounded = tuple(jnp.clip(jnp.where(jnp.isfinite(a), a, 0.0), -1.0, 1.0) for a in actions)
         return apply_actions(scene, view.world, view.physics, task.act(view, memory, bounded), where=~claimed)
 
     def _step(self) -> None:
-        """Advance by one control step; after as many as an action lasts, the policy acts."""
+        """Advance by one control step; at the end of each action the policy acts."""
         super()._step()
         if self.steps % self.env.task.repeat == 0:
             views = self._views()
@@ -151,7 +155,7 @@ class PolicyBatch(SharedBatch):
             self._act_on(views, began)
 
     def _views(self) -> TaskView:
-        """Read the sensors of all worlds; return what the task sees of them."""
+        """Read the sensors of all worlds; return the task's views."""
         physics = self.batch.physics(self.state)
         worlds, readings = self._sense_all(self.state.worlds, physics)
         self.measured, self.readings = self.steps, jax.device_get(readings)
@@ -181,7 +185,7 @@ class PolicyBatch(SharedBatch):
         )
 
     def _next_policy_state(self, views: TaskView) -> tuple[PolicyState, jax.Array]:
-        """Evaluate the last actions; return the state after them, and where an episode begins (worlds,)."""
+        """Evaluate the last actions; return the next state, and which worlds begin an episode (worlds,)."""
         before, episodes = self._policy_state, np.asarray(self.state.worlds.episode)
         result = self._evaluate_all(views, before.task)
         over = result.terminated | (before.length + 1 >= self.env.episode_steps)
@@ -199,7 +203,7 @@ class PolicyBatch(SharedBatch):
         return after, began
 
     def maps(self, world: int) -> TeamMaps | None:
-        """Return the maps that the robots of a world are building, as they were after the last action."""
+        """Return the maps that the robots of a world are building, as of the last action."""
         before = self._maps.get(world)
         if before is None or before[0] != self.measured:
             maps = self._maps_of(self._policy_state.task, world)
@@ -217,13 +221,13 @@ class PolicyBatch(SharedBatch):
 class PolicyWorld(BatchWorld):
     """World `instance` of a task's batch, with a policy in it.
 
-    INIT with the name of one of the task's robots takes that robot over where it is. Any other name gets the
-    first robot of its class that nobody has taken, where INIT says. Until its client leaves, the policy's
-    actions leave that robot out; then it drives it again.
+    INIT with the name of one of the task's robots takes that robot over at its present pose. Any other name
+    gets the first unclaimed robot of its class, at the pose of the INIT. Until its client leaves, the
+    policy's actions leave that robot out; then the policy drives it again.
 
     Args:
         shared: The batch and its policy; several worlds of it may be served.
-        instance: Which world to serve.
+        instance: Number of the served world.
 
     Attributes:
         policy_batch: The batch and its policy.
@@ -243,21 +247,21 @@ class PolicyWorld(BatchWorld):
         return {**self._agents, **self.robots}
 
     def _robot(self, slot: int, name: str) -> Robot:
-        """Return one of the task's robots as somebody sees it who has not seen it before."""
+        """Return one of the task's robots without a command or readings."""
         number, _ = self.scene.group_of(slot)
         group = self.scene.groups[number]
         command = jax.tree.map(np.array, idle_command(group.robot))
         return Robot(slot=slot, name=name, suite=group.suite, command=command, spawn_time=self.time)
 
     def _store_readings(self) -> None:
-        """Keep what clients will want of what has just been measured, and what others see of their robots."""
+        """Store the last readings: for the reports of clients' robots, and as the latest of the others."""
         for slot, robot in self.present.items():
             group, member = self.scene.group_of(slot)
             for sensor, reading in enumerate(self.policy_batch.readings[group]):
                 if reading.fresh[self._instance, member]:
                     value = np.asarray(reading.value[self._instance, member])
                     if slot in self.robots:
-                        keep_reading(self, robot, sensor, value)
+                        store_reading(self, robot, sensor, value)
                     else:
                         robot.latest[sensor] = self.time, value
 
@@ -268,7 +272,7 @@ class PolicyWorld(BatchWorld):
 
     @property
     def maps(self) -> TeamMaps | None:
-        """The maps that the task's robots are building; None: they build none."""
+        """The maps that the task's robots are building; None without maps."""
         return self.policy_batch.maps(self._instance)
 
     def agents(self) -> dict[str, int]:
@@ -277,7 +281,7 @@ class PolicyWorld(BatchWorld):
         return {entry.name or f"{entry.spec.name}{slot}": slot for slot, entry in named}
 
     def spawn_at(self, robot: RobotSpec, name: str, poses: Sequence[tuple[Vec3, Vec3]]) -> Robot:
-        """Take over the robot of that name where it is, or put the first free one of its class there."""
+        """Take over the robot of that name as it stands, or activate the first free one of its class."""
         pos, angles = poses[0]
         self.check_position(pos)
         slots = {agent.lower(): slot for agent, slot in self.agents().items()}
@@ -286,7 +290,7 @@ class PolicyWorld(BatchWorld):
             self._put_first(robot, name, pos, angles) if slot is None else self._take_over(slot, robot, name)
         )
         self.policy_batch.claimed[self._instance, new.slot] = True
-        # Reports come when something has just been measured.
+        # Sensors are read once per action: the first report comes right after a reading, not before.
         new.spawn_time = self.policy_batch.measured * self.period
         return new
 
@@ -310,50 +314,44 @@ class PolicyWorld(BatchWorld):
     def _is_taken(self, instance: int, slot: int) -> bool:
         return bool(self.policy_batch.claimed[instance, slot])
 
-    def _enter(self, robot: Robot, state: RobotState) -> None:
-        """Take over the robot that has the same place in this world's team, where it is."""
+    def _join_world(self, robot: Robot, state: RobotState) -> None:
+        """Take over the robot with the same slot in this world, at its present pose."""
         robot.pending.clear()
         self.robots[robot.slot] = robot
         self.set_command(robot, jax.tree.map(np.array, idle_command(robot.spec)))
         self.policy_batch.claimed[self._instance, robot.slot] = True
 
-    def _begin_again(self, robot: Robot) -> None:
-        """Leave a client's robot where the new episode has it; the task begins with the next action."""
-        robot.begin_again(jax.tree.map(np.array, idle_command(robot.spec)))
+    def _restart_robot(self, robot: Robot) -> None:
+        """Leave a client's robot at the new episode's pose; the task begins with the next action."""
+        robot.restart(jax.tree.map(np.array, idle_command(robot.spec)))
         self.set_command(robot, robot.command)
 
     def remove(self, robot: Robot) -> None:
-        """Give the robot back to the policy; it stands still until the next action."""
+        """Return the robot to the policy; it stands still until the next action."""
         if self.robots.get(robot.slot) is robot:
             self.set_command(robot, jax.tree.map(np.array, idle_command(robot.spec)))
             del self.robots[robot.slot]
             self.policy_batch.claimed[self._instance, robot.slot] = False
 
-    def _lose(self, robot: Robot) -> None:
-        super()._lose(robot)
+    def _drop(self, robot: Robot) -> None:
+        super()._drop(robot)
         self.policy_batch.claimed[self._instance, robot.slot] = False
 
     def step(self) -> None:
-        """Advance all worlds by one control step; after as many as an action lasts, the policy acts."""
+        """Advance all worlds by one control step; at the end of each action the policy acts."""
         super().step()
         if self.policy_batch.measured == self._steps:
             self._store_readings()
 
     def observe(self, due: list[Robot]) -> None:
-        """See whose battery has drowned; what was measured is pending since the policy acted."""
+        """Update whose battery has drowned; the readings are pending since the policy's last action."""
         for robot in due:
             group, member = self.scene.group_of(robot.slot)
             robot.drowned = bool(self._state.worlds.groups[group].drowned[self._instance, member])
 
 
-log = logging.getLogger(__name__)
-
-INTERVAL = 2.0
-"""A run's folder is looked into so often [s]."""
-
-
 def newest(run: Path) -> str | None:
-    """Return the name of a run's newest checkpoint; None: there is none yet."""
+    """Return the name of a run's newest checkpoint; None without one."""
     try:
         return Checkpoints(run).find("last").name
     except UsageError:
@@ -364,7 +362,7 @@ def wait_for_run(run: Path, interval: float = INTERVAL) -> PolicySource:
     """Return the policy of a run's newest checkpoint, as soon as there is one.
 
     Raises:
-        UsageError: There is one that cannot be read, and stays.
+        UsageError: A checkpoint cannot be read, and remains the newest.
     """
     while True:
         found = newest(run)
@@ -372,20 +370,20 @@ def wait_for_run(run: Path, interval: float = INTERVAL) -> PolicySource:
             if found is not None:
                 return find_source(str(run), "last")
         except UsageError:
-            if newest(run) == found:  # else it was deleted for a newer one
+            if newest(run) == found:  # otherwise training has replaced it by a newer one meanwhile
                 raise
         time.sleep(interval)
 
 
 class PolicyFollower:
-    """Lets the newest checkpoint of a run drive a served batch; a `net.Service`.
+    """Drives a served batch by the newest checkpoint of a run; a `gamebots.server.Service`.
 
-    It is read and compiled in a thread; the world goes on meanwhile.
+    It reads and compiles the policy in a thread; the world goes on meanwhile.
 
     Args:
         shared: The batch.
         run: Folder of the run.
-        interval: Time between two looks [s].
+        interval: Interval between two looks into the folder [s].
     """
 
     def __init__(self, shared: PolicyBatch, run: Path, interval: float = INTERVAL) -> None:
@@ -394,7 +392,7 @@ class PolicyFollower:
         self._task: asyncio.Task[None] | None = None
 
     async def start(self) -> list[str]:
-        """Begin to look."""
+        """Begin to watch the folder."""
         self._task = asyncio.create_task(self._watch())
         return [f"the newest checkpoint of {self._run} drives"]
 
@@ -408,19 +406,19 @@ class PolicyFollower:
     async def _take(self, name: str | None) -> None:
         try:
             await asyncio.to_thread(self._load)
-        except (UsageError, OSError) as error:  # it may have been deleted for a newer one
+        except (UsageError, OSError) as error:  # training may have replaced it by a newer one
             log.warning("%s: %s", self._run, error)
             return
         self._driving = name
         log.info("checkpoint %s drives", name)
 
     def _load(self) -> None:
-        self._shared.drive_by(find_source(str(self._run), "last").policy(self._shared.env))
+        self._shared.use_policy(find_source(str(self._run), "last").policy(self._shared.env))
 
     def tick(self) -> None:
-        """Nothing to do."""
+        """Do nothing."""
 
     def stop(self) -> None:
-        """Look no more."""
+        """Stop watching."""
         if self._task is not None:
             self._task.cancel()

@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 from usarmjx.models.arenas.elements import CELL
 from usarmjx.models.arenas.lanes import MobilityLane, lane_of
 from usarmjx.models.compile.reachability import footprint_of
 from usarmjx.models.generate.draw import RandomStream
-from usarmjx.models.generate.kinds import CROSSINGS_FILE, SuccessCurve
-from usarmjx.models.generate.obstacles import OBSTACLES, obstacle_height
+from usarmjx.models.generate.obstacles import CROSSINGS_FILE, OBSTACLES, SuccessCurve, obstacle_height
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.trials.driver import Trial
 
@@ -125,7 +124,7 @@ def write_success(robot: RobotSpec, drives: int, path: Path) -> None:
     except (ValueError, KeyError, TypeError):
         raise UsageError(f"{path} holds no measured success; give a new file") from None
     kept[robot.name] = {kind: measure_success(robot, kind, drives) for kind in OBSTACLES.names()}
-    with write_beside(path) as fresh:
+    with atomic_write(path) as fresh:
         fresh.write_text(success_text(kept, drives), encoding="utf-8")
 
 

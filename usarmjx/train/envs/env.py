@@ -12,7 +12,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UnsupportedFeatureError, UsageError
-from usarmjx.base.program_cache import ProgramCache, compile_program, find_keeper
+from usarmjx.base.program_cache import ProgramCache, compile_program, open_program_cache
 from usarmjx.engines import PhysicsState, choose_engine, engine_class
 from usarmjx.models.compile.arena_set import ArenaState
 from usarmjx.sensors.base import Reading
@@ -166,24 +166,24 @@ def restart_batch_size(worlds: int, episode_steps: int) -> int:
     return min(worlds, math.ceil(ends + 3 * math.sqrt(ends)))
 
 
-def keeper_of(task: Task, scene: Scene, worlds: int, engine: str, first: int) -> ProgramCache | None:
-    """Return what keeps the programs of an environment, see `find_keeper`; arguments are those of `Env`."""
+def program_cache_of(task: Task, scene: Scene, worlds: int, engine: str, first: int) -> ProgramCache | None:
+    """Return an environment's program cache, see `open_program_cache`; arguments as for `Env`."""
     if choose_engine(engine, "batch") == "warp":
         return None  # MuJoCo Warp's launches mean nothing to another process
     # All of the scene but what its model was compiled from.
     within = {one.name: getattr(scene, one.name) for one in fields(scene) if one.name != "spec"}
-    return find_keeper(task, within, worlds, engine, first)
+    return open_program_cache(task, within, worlds, engine, first)
 
 
 class EnvBatch(Batch):
     """A batch whose programs are kept with those of its environment; arguments are those of `Batch`.
 
     Args:
-        keeper: Of programs; its digest covers all that the batch is made from.
+        program_cache: Of programs; its digest covers all that the batch is made from.
     """
 
-    def __init__(self, keeper: ProgramCache | None, *args: Any, **settings: Any) -> None:  # noqa: ANN401
-        self._keeper = keeper
+    def __init__(self, program_cache: ProgramCache | None, *args: Any, **settings: Any) -> None:  # noqa: ANN401
+        self._program_cache = program_cache
         super().__init__(*args, **settings)
 
 
@@ -204,7 +204,7 @@ class Env:
         episode_steps: Steps after which the time is up.
         period: Simulated time of a step [s].
         levels: Difficulties of its generated arenas, from easy to hard; empty: they are not generated.
-        keeper: Of its programs, where such are kept from one start to the next.
+        program_cache: Of its programs, where such are kept from one start to the next.
         renewable: Whether its arenas can be replaced by other generated ones, see `renewed_arenas`.
         traceable: Whether `step` may be traced (jit, scan); else it is called step by step, its inner
             parts compiled.
@@ -230,9 +230,9 @@ class Env:
                 "engines c, jax and warp can"
             )
         self.scene = task.scene()
-        self.keeper = keeper_of(task, self.scene, worlds, engine, first)
+        self.program_cache = program_cache_of(task, self.scene, worlds, engine, first)
         settings = {"engine": engine, "seed": seed, "first": first, "shuffle": task.shuffle}
-        self.batch = EnvBatch(self.keeper, self.scene, worlds, **settings)
+        self.batch = EnvBatch(self.program_cache, self.scene, worlds, **settings)
         self.worlds, self.traceable = worlds, self.batch.engine.traceable
         self.episode_steps, self.period = task.episode_steps, task.repeat * self.scene.physics.period
         self.seed = seed
@@ -256,12 +256,14 @@ class Env:
         if self.traceable:
             self.step, self._restart = self._compile(self._step), self._compile(self._restart_where)
         self._blanks, self._metrics = (
-            self._shapes() if self.keeper is None else self.keeper.value("Env._shapes", self._shapes)
+            self._shapes()
+            if self.program_cache is None
+            else self.program_cache.value("Env._shapes", self._shapes)
         )
         self.groups, self.privileged_size = self._agents(), self._blanks[1].privileged.shape[-1]
 
     def _compile(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        return compile_program(function, self.keeper, "Env")
+        return compile_program(function, self.program_cache, "Env")
 
     def _shapes(self) -> tuple[tuple[World, EpisodeStart], tuple[str, ...]]:
         """Return the shapes of a world and of what its episode begins with, and the metrics' names."""

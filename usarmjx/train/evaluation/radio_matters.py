@@ -19,7 +19,7 @@ from scipy import stats
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import CONFIDENCE
-from usarmjx.base.files import write_beside
+from usarmjx.base.files import atomic_write
 from usarmjx.base.markdown import markdown_table
 from usarmjx.engines import choose_engine
 from usarmjx.train.baselines import BASELINES
@@ -192,7 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print("\n".join(f"{what}: {'yes' if fits else 'no'}" for what, fits in holds.items()))
     if options.json:
         content = {"task": options.task, "rows": [vars(row) | {"score": vars(row.score)} for row in rows]}
-        with write_beside(options.json) as fresh:
+        with atomic_write(options.json) as fresh:
             fresh.write_text(json.dumps(content | {"holds": holds}, indent=1), encoding="utf-8")
     return 0 if all(holds.values()) else 1
 

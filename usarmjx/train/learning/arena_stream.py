@@ -8,7 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from weakref import finalize
 
 from usarmjx.base.process import cores
-from usarmjx.base.worker_processes import WorkerProcesses, spread_over
+from usarmjx.base.worker_processes import WorkerProcesses, use_workers
 from usarmjx.models.compile.arena_set import ArenaState
 from usarmjx.train.envs.env import Env
 from usarmjx.train.tasks.buildings import Buildings
@@ -63,7 +63,7 @@ class ArenaStream:
 
 
 def _generated(env: Env, generation: int, workers: WorkerProcesses | None) -> ArenaState:
-    with spread_over(workers):
+    with use_workers(workers):
         return env.renewed_arenas(generation)
 
 

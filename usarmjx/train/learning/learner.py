@@ -69,14 +69,16 @@ class Trainer:
         workers = workers_for(process_group.count)
         self.stream = ArenaStream(env, config.renew, self.iterations, workers)
         teacher = teacher_of(env) if config.imitate else None
-        known: ProgramCache | None = getattr(env, "keeper", None)
+        known: ProgramCache | None = getattr(env, "program_cache", None)
         # Of each seed they are the same.
         general = replace(config, seed=0, checkpoint_every=1, keep=1)
-        self._keeper = known and known.of(general, self.networks, process_group.index, process_group.count)
+        self._program_cache = known and known.of(
+            general, self.networks, process_group.index, process_group.count
+        )
         first = process_group.index * share
-        self.rollout = Rollout(env, self.networks, config, first, teacher, self._keeper)
+        self.rollout = Rollout(env, self.networks, config, first, teacher, self._program_cache)
         timed, once = PartitionSpec(None, PROCESS_AXIS), PartitionSpec(PROCESS_AXIS)
-        self._begin = train_state_maker(self.networks, config, self._keeper)
+        self._begin = train_state_maker(self.networks, config, self._program_cache)
         self._everywhere = jax.shard_map(
             partial(update, self.networks, config, process_group.count),
             mesh=process_group.mesh,
@@ -85,7 +87,7 @@ class Trainer:
             check_vma=False,
         )
         self._update = PrecompiledProgram(
-            compile_program(self._updated, self._keeper, "Trainer", precise=False)
+            compile_program(self._updated, self._program_cache, "Trainer", precise=False)
         )
         keys = [jax.random.fold_in(jax.random.key(config.seed), s) for s in (ROLLOUT_STREAM, UPDATE_STREAM)]
         self._key, updates = process_group.device_put((keys[0], jax.random.key_data(keys[1])))
@@ -105,9 +107,9 @@ class Trainer:
 
     def start_shapes(self) -> tuple[TrainState, RolloutState, jax.Array]:
         """Return the shapes of what `starts` returns."""
-        if self._keeper is None:
+        if self._program_cache is None:
             return jax.eval_shape(self.starts)
-        return self._keeper.value("Trainer.starts", partial(jax.eval_shape, self.starts))
+        return self._program_cache.value("Trainer.starts", partial(jax.eval_shape, self.starts))
 
     def compile_update(self, train_state: TrainState, collected: Any) -> None:  # noqa: ANN401 - shapes of `Collected`
         """Compile the update.

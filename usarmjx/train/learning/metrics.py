@@ -15,8 +15,8 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from usarmjx.base.errors import UsageError, WriteError, extra, one_line
-from usarmjx.base.files import AppendedFile, write_beside
+from usarmjx.base.errors import UsageError, WriteError, extra, quoted
+from usarmjx.base.files import AppendedFile, atomic_write
 from usarmjx.base.progress import RateLimitedLog
 
 with extra("train"):
@@ -99,7 +99,7 @@ def wandb_watch(
     try:
         run = module.init(project=project, id=name, name=name, config=dict(settings), resume="allow")
     except Exception as error:  # of a service elsewhere
-        raise UsageError(f"Weights & Biases: {one_line(error)}") from error
+        raise UsageError(f"Weights & Biases: {quoted(error)}") from error
     failed: list[str] = []
 
     def watch(line: dict[str, Any]) -> None:
@@ -108,8 +108,8 @@ def wandb_watch(
             run.log(numbers, step=line["agent_steps"])
         except Exception as error:  # the training is worth more than its curve
             if not failed:
-                say(f"note: Weights & Biases: {one_line(error)}; training goes on")
-            failed.append(one_line(error))
+                say(f"note: Weights & Biases: {quoted(error)}; training goes on")
+            failed.append(quoted(error))
 
     return watch
 
@@ -178,7 +178,7 @@ class MetricsLog:
 
         file = folder / "metrics.jsonl"
         kept = [record for record in read_lines(file) if record["iteration"] <= after]
-        with write_beside(file) as fresh:
+        with atomic_write(file) as fresh:
             fresh.write_text("".join(json.dumps(record) + "\n" for record in kept))
         behind = kept[-1]["agent_steps"] if kept else 0
         self._lines, self._board = AppendedFile(file), TensorBoardLog(folder / "tensorboard", behind)

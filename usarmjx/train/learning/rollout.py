@@ -63,7 +63,7 @@ class Rollout:
         config: Settings.
         first: Number of the first world.
         teacher: Whom to imitate for the first `config.imitate` agent steps.
-        keeper: Of its programs.
+        program_cache: Of its programs.
     """
 
     def __init__(
@@ -73,13 +73,13 @@ class Rollout:
         config: Config,
         first: int = 0,
         teacher: Policy | None = None,
-        keeper: ProgramCache | None = None,
+        program_cache: ProgramCache | None = None,
     ) -> None:
         self.env, self.networks, self.config, self.first = env, networks, config, first
         self.teacher = teacher
         self.look: Callable[[EnvState], None] = _look_away
         """Gets to see the worlds: after every action, or where a whole rollout is compiled, after that."""
-        kept = partial(compile_program, keeper=keeper, owner="Rollout", precise=False)
+        kept = partial(compile_program, program_cache=program_cache, owner="Rollout", precise=False)
         self._decide, self._account = kept(self._decided), kept(self._accounted)
         self._stack, self._bound = kept(_stacked), kept(self._bounded)
         self._begin = kept(self._initial)

@@ -153,16 +153,16 @@ def make_train_state(networks: Networks, config: Config) -> TrainState:
 
 
 def train_state_maker(
-    networks: Networks, config: Config, keeper: ProgramCache | None
+    networks: Networks, config: Config, program_cache: ProgramCache | None
 ) -> Callable[[jax.Array], TrainState]:
     """Return what makes the train state before the first update of a key, compiled in one.
 
     Args:
         networks: Shapes.
         config: Settings, whose seed does not matter.
-        keeper: Of programs for such networks and settings.
+        program_cache: Of programs for such networks and settings.
     """
-    return compile_program(partial(_initial, networks, config), keeper, "TrainState", precise=False)
+    return compile_program(partial(_initial, networks, config), program_cache, "TrainState", precise=False)
 
 
 def _initial(networks: Networks, config: Config, key: jax.Array) -> TrainState:

@@ -13,25 +13,23 @@ import jax
 from jax.sharding import SingleDeviceSharding
 
 from usarmjx.base.errors import UsageError, WriteError, extra, need_module
-from usarmjx.base.files import PARTIAL, writing
+from usarmjx.base.files import PARTIAL_MARK, writing
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState
-from usarmjx.train.learning.checkpoint import (
-    DEFAULT_ENV_ARGUMENTS,
-    FULL,
-    RECORD_FILE,
-    Checkpoints,
-    EnvArguments,
-    RunRecord,
-    load_record,
-    make_record,
-    read_part,
-)
+from usarmjx.train.learning.checkpoint import FULL, Checkpoints, read_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_begun
 from usarmjx.train.learning.learner import EnvFactory, Trainer
 from usarmjx.train.learning.metrics import MetricsLog, read_lines, summary
 from usarmjx.train.learning.processes import ProcessGroup, check_parent, run_lock
+from usarmjx.train.learning.run_record import (
+    DEFAULT_ENV_ARGUMENTS,
+    RECORD_FILE,
+    EnvArguments,
+    RunRecord,
+    load_record,
+    make_record,
+)
 from usarmjx.train.learning.train_state import TrainState
 from usarmjx.train.learning.trajectory import RolloutState
 
@@ -186,7 +184,7 @@ def _check_ahead(trainer: Trainer, checkpoints: Checkpoints) -> None:
 
 def _prepare(out: Path, record: RunRecord, process_group: ProcessGroup) -> None:
     if process_group.index == 0:
-        for left in out.glob(f".*{PARTIAL}-*"):  # by a trainer that was killed
+        for left in out.glob(f".*{PARTIAL_MARK}-*"):  # by a trainer that was killed
             left.unlink()
         record.save(out)
     process_group.barrier("prepared")

@@ -11,7 +11,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import set_rows
-from usarmjx.base.compilation import kept_on_gpu
+from usarmjx.base.compilation import materialize
 from usarmjx.train.mapping.belief import RECENT_AGE, STALE_AGE, Belief
 from usarmjx.train.mapping.maps import FREE, MapGrid
 from usarmjx.train.mapping.wavefront import (
@@ -98,7 +98,7 @@ def plan_paths(
     if not planners.size:
         return belief
     mine = _rows_of(planners)
-    known = kept_on_gpu(belief)  # else sums over these maps, for a score, become part of the planner's kernel
+    known = materialize(belief)  # else sums over these maps, for a score, become part of the planner's kernel
     flyers, visited = settings.flyers[mine, None, None], known.visited[mine]
     squares = jnp.where(flyers, FREE, known.squares[mine])
     unseen = flyers & (known.evidence[mine] == 0)

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.lib import format as npy
 
-from usarmjx.base.errors import UsageError, one_line
-from usarmjx.base.files import write_beside
+from usarmjx.base.errors import UsageError, quoted
+from usarmjx.base.files import atomic_write
 from usarmjx.train.policies import POLICIES
 
 if TYPE_CHECKING:
-    from usarmjx.train.learning.checkpoint import RunRecord
     from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
+    from usarmjx.train.learning.run_record import RunRecord
 
 
 FORMAT = 1
@@ -56,7 +56,7 @@ def read_arrays(file: Path) -> tuple[Any, dict[str, np.ndarray]]:
     except KeyError:
         raise UsageError(f"{file} is no policy of usarmjx: it has no `about`") from None
     except Exception as error:  # zipfile and NumPy raise whatever they run into
-        raise UsageError(f"{file} is no policy of usarmjx: {one_line(error)}") from error
+        raise UsageError(f"{file} is no policy of usarmjx: {quoted(error)}") from error
 
 
 def _check_sizes(file: Path, members: Sequence[zipfile.ZipInfo]) -> None:
@@ -346,7 +346,7 @@ def _write_arrays(file: str | Path, arrays: Mapping[str, Vector], half: bool) ->
         name: arrays[name].astype(np.float16) if half and name.startswith("weights/") else arrays[name]
         for name in sorted(arrays)
     }
-    with write_beside(Path(file)) as fresh, fresh.open("wb") as out:
+    with atomic_write(Path(file)) as fresh, fresh.open("wb") as out:
         np.savez_compressed(out, **cast(Any, kept))
 
 
