@@ -1,6 +1,7 @@
-"""What `import usarmjx` gives, and what it costs."""
+"""Public names: the faces of the packages, what imports cost, and what pages teach."""
 
 import ast
+import importlib
 import inspect
 import json
 import re
@@ -8,7 +9,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -16,7 +17,33 @@ import dev
 import usarmjx
 from usarmjx.client import UsarsimClient
 
-SOURCE = Path(usarmjx.__file__).read_text(encoding="utf-8")
+FACES = (
+    "usarmjx",
+    "usarmjx.cli",
+    "usarmjx.client",
+    "usarmjx.comms",
+    "usarmjx.engines",
+    "usarmjx.models",
+    "usarmjx.models.arenas",
+    "usarmjx.models.drives",
+    "usarmjx.models.effecters",
+    "usarmjx.models.generate",
+    "usarmjx.models.roads",
+    "usarmjx.models.robots",
+    "usarmjx.plots",
+    "usarmjx.recording",
+    "usarmjx.sensors",
+    "usarmjx.sensors.cameras",
+    "usarmjx.server",
+    "usarmjx.sim",
+    "usarmjx.sweeps",
+    "usarmjx.train",
+    "usarmjx.train.adapters",
+    "usarmjx.train.baselines",
+    "usarmjx.train.tasks",
+    "usarmjx.view",
+)
+"""The packages whose names are public."""
 HEAVY = ("jax", "jaxlib", "mujoco", "numpy", "flax", "rich", "typer", "matplotlib", "usarmjx.sim")
 
 
@@ -48,6 +75,7 @@ def test_the_client_library_uses_the_standard_library_alone():
         "usarmjx",
         "usarmjx.base",
         "usarmjx.base.errors",
+        "usarmjx.base.lazy",
         "usarmjx.base.process",
         *(f"usarmjx.client{end}" for end in ("", ".usarsim_client", ".usarsim_radio", ".wander")),
     }
@@ -88,19 +116,156 @@ def test_examples_run_in_a_clone_that_is_not_installed(name):
     assert help_of(dev.ROOT / "examples" / f"{name}.py").startswith(f"usage: {name}.py")
 
 
-def test_type_checkers_see_the_names_that_python_finds():
-    """The imports for type checkers and the table for Python agree, and each name is what it says."""
-    (block,) = [node for node in ast.parse(SOURCE).body if isinstance(node, ast.If)]
-    seen = {}
-    for node in block.body:
-        (alias,) = node.names
-        seen[alias.asname] = node.module, alias.name
-    assert sorted([*seen, "__version__"]) == sorted(usarmjx.__all__)
-    for name, (module, there) in seen.items():
-        assert getattr(usarmjx, name) is getattr(sys.modules[module], there), name
-    assert set(usarmjx.__all__) <= set(dir(usarmjx))
-    with pytest.raises(AttributeError, match="has no attribute 'Btach'"):
+def parsed(module):
+    """The syntax tree of a module of the package."""
+    path = dev.ROOT.joinpath(*module.split("."))
+    file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    return ast.parse(file.read_text(encoding="utf-8"))
+
+
+def statements(body, following=None):
+    """Statements of a module with those of its branches, each with the statement after it."""
+    for node, after in zip(body, [*body[1:], following], strict=False):
+        yield node, after
+        if isinstance(node, ast.If | ast.Try | ast.With | ast.For):
+            yield from statements(node.body, after)
+            yield from statements(getattr(node, "orelse", []), after)
+
+
+def imported(tree):
+    """Names that a module imports from the package, and from which module under which name."""
+    return {
+        alias.asname or alias.name: (node.module, alias.name)
+        for node, _ in statements(tree.body)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("usarmjx")
+        for alias in node.names
+    }
+
+
+def assigned(node):
+    """Names that a statement assigns."""
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+    return {part.id for target in targets for part in ast.walk(target) if isinstance(part, ast.Name)}
+
+
+def docstring_of(module, name):
+    """The docstring of a name, where it is defined; None: it has none.
+
+    Raises:
+        LookupError: The module does not define the name.
+    """
+    tree = parsed(module)
+    if name in imported(tree):
+        return docstring_of(*imported(tree)[name])
+    found = []
+    for node, after in statements(tree.body):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == name:
+            found.append(ast.get_docstring(node))  # an overload has none
+        if isinstance(node, ast.Assign | ast.AnnAssign) and name in assigned(node):
+            text = after.value if isinstance(after, ast.Expr) else None
+            found.append(text.value if isinstance(text, ast.Constant) else None)
+    if not found:
+        raise LookupError(f"{module} has no {name}")
+    return next(filter(None, found), None)
+
+
+def names_of(face):
+    """The public names of a package."""
+    return importlib.import_module(face).__all__
+
+
+def test_faces_are_the_packages_that_list_their_names():
+    files = (dev.ROOT / "usarmjx").rglob("__init__.py")
+    packages = {".".join(file.parent.relative_to(dev.ROOT).parts) for file in files}
+    assert {name for name in packages if hasattr(importlib.import_module(name), "__all__")} == set(FACES)
+
+
+@pytest.mark.parametrize("face", FACES)
+def test_public_names_are_what_type_checkers_see_and_have_docstrings(face):
+    module, seen = importlib.import_module(face), imported(parsed(face))
+    public = [name for name in module.__all__ if name != "__version__"]
+    assert sorted(set(module.__all__)) == sorted(module.__all__)
+    assert set(module.__all__) <= set(dir(module))
+    if "attach" in seen:
+        assert set(seen) - {"attach", "process"} == set(public)
+    assert [name for name in public if not docstring_of(face, name)] == []
+    for name in public:
+        try:
+            found = getattr(module, name)
+        except usarmjx.MissingExtraError:
+            continue
+        assert type(found) is not ModuleType, f"a submodule hides {face}.{name}"
+        if name in seen:
+            there, known_as = seen[name]
+            assert found is getattr(importlib.import_module(there), known_as), name
+
+
+def test_a_name_that_is_not_public_is_no_attribute():
+    with pytest.raises(AttributeError, match="'usarmjx' has no attribute 'Btach'"):
         _ = usarmjx.Btach
+    with pytest.raises(ImportError, match="select_worlds"):
+        exec("from usarmjx.sim import select_worlds", {})
+
+
+# What pages and examples teach.
+
+PAGES = [dev.ROOT / "README.md", *(dev.ROOT / "docs").glob("*.md"), *(dev.ROOT / "benchmarks").glob("*.md")]
+NOTEBOOKS = [*(dev.ROOT / "docs").glob("*.ipynb"), *(dev.ROOT / "examples").glob("*.ipynb")]
+EXAMPLES = [*(dev.ROOT / "examples").rglob("*.py")]
+FENCE = re.compile(r"^```\w*[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def programs(path):
+    """The programs of a page, notebook or example."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".py":
+        return [text]
+    if path.suffix == ".ipynb":
+        return ["".join(cell["source"]) for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
+    return [re.sub(r"^(>>>|\.\.\.) ?", "", body, flags=re.MULTILINE) for body in FENCE.findall(text)]
+
+
+def not_public(program):
+    """What a program takes of the package that is not public: imports, and attributes of `usarmjx`."""
+    try:
+        nodes = list(ast.walk(ast.parse(program)))
+    except SyntaxError:  # prompts with their output, or another language: its imports stand alone
+        lines = [line for line in program.splitlines() if re.match(r"(from|import) usarmjx\b", line)]
+        nodes = list(ast.walk(ast.parse("\n".join(lines))))
+    for node in nodes:
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "usarmjx":
+            for alias in node.names:
+                if node.module not in FACES or alias.name not in (*names_of(node.module), "*"):
+                    yield f"{node.module}.{alias.name}"
+        elif isinstance(node, ast.Import):
+            yield from (
+                alias.name
+                for alias in node.names
+                if alias.name.partition(".")[0] == "usarmjx" and alias.name not in FACES
+            )
+        elif (
+            isinstance(node, ast.Attribute)
+            and ast.unparse(node.value) == "usarmjx"
+            and not {node.attr, f"usarmjx.{node.attr}"} & {"__file__", *usarmjx.__all__, *FACES}
+        ):
+            yield f"usarmjx.{node.attr}"
+
+
+@pytest.mark.parametrize("path", [*PAGES, *NOTEBOOKS, *EXAMPLES], ids=lambda path: path.name)
+def test_what_is_taught_is_public(path):
+    assert [name for program in programs(path) for name in not_public(program)] == []
+
+
+def test_what_is_not_public_is_found():
+    assert [*not_public("from usarmjx.sim import Batch\nimport usarmjx.client, usarmjx\nusarmjx.Batch")] == []
+    for wrong, name in [
+        ("from usarmjx.sim.batch import Batch", "usarmjx.sim.batch.Batch"),
+        ("from usarmjx.sim import select_worlds", "usarmjx.sim.select_worlds"),
+        ("import usarmjx.sim.batch", "usarmjx.sim.batch"),
+        ("import usarmjx\nusarmjx.Btach", "usarmjx.Btach"),
+        ("from usarmjx.sim.batch import Batch\nwhat it prints", "usarmjx.sim.batch.Batch"),
+    ]:
+        assert [*not_public(wrong)] == [name]
 
 
 def test_what_there_is_is_listed_by_name_without_importing_anything_else():

@@ -1,32 +1,36 @@
 """usarmjx: USARSim rebuilt as a GPU-batched simulator of multi-robot swarms.
 
-`make` gives a task's environment, `Batch` steps the worlds of a scene that `build_scene` made, `serve` lets
+`make` builds the environment of a task, `build_scene` and `Batch` step worlds without a task, `serve` lets
 clients of the Gamebots protocol in, `load_policy` finds a trained policy, `sweep` plays many configurations.
-`TASKS`, `ROBOTS`, `ARENAS`, `SENSORS`, `POLICIES` and `ENGINES` have what there is by name:
-`usarmjx.TASKS.names()`. The other names here are types of their arguments and results. These names are
-public; `usarmjx.client`, which needs only the standard library, is too. docs/architecture.md says where the
-rest is, and follows a command, a range, an action and a radio link through it.
+`TASKS`, `ROBOTS`, `ARENAS`, `SENSORS`, `POLICIES` and `ENGINES` list what exists: `usarmjx.TASKS.names()`.
+Public are the names in `__all__` here and in the packages below (`usarmjx.models`, `.sensors`, `.train`, ...;
+docs/api.md lists them); all other modules may change. Begin with docs/start.md, then docs/architecture.md.
 
-All of it is imported on first use. Importing this raises JAX's pool of threads, see `base.threads`.
+Names load on first use. The import raises JAX's pool of threads, see `base.process`.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from usarmjx.base import process
+from usarmjx.base.lazy import attach
 
 if TYPE_CHECKING:
+    from usarmjx.base.errors import ArenaFileError as ArenaFileError
     from usarmjx.base.errors import EngineError as EngineError
+    from usarmjx.base.errors import MissingExtraError as MissingExtraError
+    from usarmjx.base.errors import PeerError as PeerError
     from usarmjx.base.errors import SpecError as SpecError
     from usarmjx.base.errors import UnknownNameError as UnknownNameError
+    from usarmjx.base.errors import UnsupportedFeatureError as UnsupportedFeatureError
     from usarmjx.base.errors import UsageError as UsageError
     from usarmjx.base.errors import UsarmjxError as UsarmjxError
+    from usarmjx.base.errors import WriteError as WriteError
     from usarmjx.base.registry import Registry as Registry
     from usarmjx.comms.attenuation import RadioSettings as RadioSettings
     from usarmjx.comms.mail import MessageSettings as MessageSettings
     from usarmjx.engines.base import ENGINES as ENGINES
     from usarmjx.models.arenas import ARENAS as ARENAS
-    from usarmjx.models.compile.compose import Physics as Physics
+    from usarmjx.models.compile.physics import Physics as Physics
     from usarmjx.models.compile.randomization import DomainRandomization as DomainRandomization
     from usarmjx.models.robots import ROBOTS as ROBOTS
     from usarmjx.models.types.arena import ArenaSpec as ArenaSpec
@@ -36,6 +40,7 @@ if TYPE_CHECKING:
     from usarmjx.server.runtime.background import serve as serve
     from usarmjx.sim.batch import Batch as Batch
     from usarmjx.sim.batch import BatchState as BatchState
+    from usarmjx.sim.configure import configure as configure
     from usarmjx.sim.scene import RosterEntry as RosterEntry
     from usarmjx.sim.scene import Scene as Scene
     from usarmjx.sim.scene import build_scene as build_scene
@@ -48,57 +53,49 @@ if TYPE_CHECKING:
     from usarmjx.train.policies.sources import PolicySource as PolicySource
     from usarmjx.train.policies.sources import find_source as load_policy  # noqa: F401
     from usarmjx.train.tasks import TASKS as TASKS
+else:
+    __getattr__, __dir__, __all__ = attach(
+        __name__,
+        {
+            "usarmjx.base.errors": (
+                "ArenaFileError",
+                "EngineError",
+                "MissingExtraError",
+                "PeerError",
+                "SpecError",
+                "UnknownNameError",
+                "UnsupportedFeatureError",
+                "UsageError",
+                "UsarmjxError",
+                "WriteError",
+            ),
+            "usarmjx.base.registry": ("Registry",),
+            "usarmjx.comms.attenuation": ("RadioSettings",),
+            "usarmjx.comms.mail": ("MessageSettings",),
+            "usarmjx.engines.base": ("ENGINES",),
+            "usarmjx.models.arenas": ("ARENAS",),
+            "usarmjx.models.compile.physics": ("Physics",),
+            "usarmjx.models.compile.randomization": ("DomainRandomization",),
+            "usarmjx.models.robots": ("ROBOTS",),
+            "usarmjx.models.types.arena": ("ArenaSpec",),
+            "usarmjx.models.types.robot": ("RobotSpec",),
+            "usarmjx.sensors.suite": ("SENSORS",),
+            "usarmjx.server.runtime.background": ("Serving", "serve"),
+            "usarmjx.sim.batch": ("Batch", "BatchState"),
+            "usarmjx.sim.configure": ("configure",),
+            "usarmjx.sim.scene": ("RosterEntry", "Scene", "build_scene"),
+            "usarmjx.sweeps.run": ("sweep",),
+            "usarmjx.sweeps.workers": ("Workers",),
+            "usarmjx.train.envs.env": ("Env",),
+            "usarmjx.train.envs.task": ("Policy",),
+            "usarmjx.train.make": ("make",),
+            "usarmjx.train.policies": ("POLICIES",),
+            "usarmjx.train.policies.sources": ("PolicySource", "find_source as load_policy"),
+            "usarmjx.train.tasks": ("TASKS",),
+        },
+        "__version__",
+    )
 
 __version__ = "0.1.0"
 
-_WHERE = {
-    "ARENAS": "usarmjx.models.arenas",
-    "ArenaSpec": "usarmjx.models.types.arena",
-    "Batch": "usarmjx.sim.batch",
-    "BatchState": "usarmjx.sim.batch",
-    "DomainRandomization": "usarmjx.models.compile.randomization",
-    "ENGINES": "usarmjx.engines.base",
-    "EngineError": "usarmjx.base.errors",
-    "Env": "usarmjx.train.envs.env",
-    "MessageSettings": "usarmjx.comms.mail",
-    "POLICIES": "usarmjx.train.policies",
-    "Physics": "usarmjx.models.compile.compose",
-    "Policy": "usarmjx.train.envs.task",
-    "PolicySource": "usarmjx.train.policies.sources",
-    "ROBOTS": "usarmjx.models.robots",
-    "RadioSettings": "usarmjx.comms.attenuation",
-    "Registry": "usarmjx.base.registry",
-    "RobotSpec": "usarmjx.models.types.robot",
-    "RosterEntry": "usarmjx.sim.scene",
-    "SENSORS": "usarmjx.sensors.suite",
-    "Scene": "usarmjx.sim.scene",
-    "Serving": "usarmjx.server.runtime.background",
-    "SpecError": "usarmjx.base.errors",
-    "TASKS": "usarmjx.train.tasks",
-    "UnknownNameError": "usarmjx.base.errors",
-    "UsageError": "usarmjx.base.errors",
-    "UsarmjxError": "usarmjx.base.errors",
-    "Workers": "usarmjx.sweeps.workers",
-    "build_scene": "usarmjx.sim.scene",
-    "load_policy": "usarmjx.train.policies.sources:find_source",
-    "make": "usarmjx.train.make",
-    "serve": "usarmjx.server.runtime.background",
-    "sweep": "usarmjx.sweeps.run",
-}
-"""The module of each public name, and what it is called there if otherwise."""
-
-__all__ = [*_WHERE, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
-
 process.ensure_pool_size()
-
-
-def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever has that name
-    # On demand: whoever imports a small part of usarmjx does not wait for all of it.
-    if name not in _WHERE:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, _, there = _WHERE[name].partition(":")
-    return getattr(import_module(module), there or name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *_WHERE})

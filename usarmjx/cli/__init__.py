@@ -1,10 +1,17 @@
 """The command line: `app` lists the commands, and each has a file of its name (`list` is in `listing`).
 
-A command's file holds its options and little else; heavy imports stand inside the functions, so that
-`--help` answers at once. Options that several commands have are fields of dataclasses, each of which
-`grouping` makes an option of its own: `hosting` and `service_options` for what serves, `policy_options` for
-what tries a policy; single ones are in `tools`, with `ErrorExit`, one line and an exit code for our
-own errors. What the commands print is in `catalogue`, `arena_tables` and `sensor_tables`, whose output is
-docs/all-robots.md and the like, too; `demo_live` is what `usarmjx demo` shows, `demo_run` what it measures.
-Old spellings of options are in `spelling`, names that shells complete in `completion`. Begin with `serve`.
+A command's file holds its options and little else; heavy imports stand inside the functions, so that `--help`
+answers at once. Options of several commands are fields of dataclasses in `serving_options`, `viewer_options`
+and `policy_options`, single ones are in `common`. `tables` prints docs/all-robots.md and the like,
+`completion` has the names that shells complete. A program that registers sensors or robots of its own runs
+the commands with them by `main`. Begin with `serve`.
 """
+
+from typing import TYPE_CHECKING
+
+from usarmjx.base.lazy import attach
+
+if TYPE_CHECKING:
+    from usarmjx.cli.app import main as main
+else:
+    __getattr__, __dir__, __all__ = attach(__name__, {"usarmjx.cli.app": ("main",)})

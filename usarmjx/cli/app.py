@@ -144,3 +144,12 @@ app.command()(recordings.replay)
 app.command()(demo.demo)
 app.command()(doctor.doctor)
 app.command("sensor-plots")(sensor_figures.sensor_plots)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line `usarmjx` in this program, with the names that it has registered, and exit.
+
+    Args:
+        arguments: Words after `usarmjx`; None: those of this program.
+    """
+    app(args=arguments, prog_name="usarmjx")

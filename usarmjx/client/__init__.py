@@ -5,14 +5,26 @@
 sonars. Nothing here imports the rest of usarmjx. Begin with `usarsim_client.UsarsimClient`.
 """
 
-from usarmjx.client.usarsim_client import CameraClient as CameraClient
-from usarmjx.client.usarsim_client import Image as Image
-from usarmjx.client.usarsim_client import ServerMessage as ServerMessage
-from usarmjx.client.usarsim_client import UsarsimClient as UsarsimClient
-from usarmjx.client.usarsim_client import format_line as format_line
-from usarmjx.client.usarsim_client import parse_line as parse_line
-from usarmjx.client.usarsim_radio import RadioDoor as RadioDoor
-from usarmjx.client.usarsim_radio import RadioError as RadioError
-from usarmjx.client.usarsim_radio import RadioLink as RadioLink
-from usarmjx.client.usarsim_radio import WirelessA as WirelessA
-from usarmjx.client.usarsim_radio import WirelessB as WirelessB
+from usarmjx.client.usarsim_client import (
+    CameraClient,
+    Image,
+    ServerMessage,
+    UsarsimClient,
+    format_line,
+    parse_line,
+)
+from usarmjx.client.usarsim_radio import RadioDoor, RadioError, RadioLink, WirelessA, WirelessB
+
+__all__ = [
+    "CameraClient",
+    "Image",
+    "RadioDoor",
+    "RadioError",
+    "RadioLink",
+    "ServerMessage",
+    "UsarsimClient",
+    "WirelessA",
+    "WirelessB",
+    "format_line",
+    "parse_line",
+]

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from usarmjx.base.backend import xp as xp
     from usarmjx.models.arenas import ARENAS as ARENAS
     from usarmjx.models.check.arena import check_arena as check_arena
-    from usarmjx.models.compile.compose import Physics as Physics
     from usarmjx.models.compile.kinematic_tree import KinematicTree as KinematicTree
     from usarmjx.models.compile.kinematic_tree import kinematic_tree_of as kinematic_tree_of
     from usarmjx.models.compile.measure import with_measurements as with_measurements
+    from usarmjx.models.compile.physics import Physics as Physics
     from usarmjx.models.compile.randomization import DomainRandomization as DomainRandomization
     from usarmjx.models.files.load import find_arena as find_arena
     from usarmjx.models.files.load import load_arena as load_arena
@@ -70,7 +70,7 @@ else:
             "usarmjx.base.backend": ("fori_loop", "set_at", "vmap", "xp"),
             "usarmjx.models.arenas": ("ARENAS",),
             "usarmjx.models.check.arena": ("check_arena",),
-            "usarmjx.models.compile.compose": ("Physics",),
+            "usarmjx.models.compile.physics": ("Physics",),
             "usarmjx.models.compile.kinematic_tree": ("KinematicTree", "kinematic_tree_of"),
             "usarmjx.models.compile.measure": ("with_measurements",),
             "usarmjx.models.compile.randomization": ("DomainRandomization",),

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from usarmjx.base.registry import Registry
 from usarmjx.train.baselines.climb import climb_policy
 from usarmjx.train.baselines.frontier import frontier_policy, relay_policy
-from usarmjx.train.baselines.goal import bug_policy
+from usarmjx.train.baselines.goal import BugCarry, bug_action, bug_policy, initial_bug_carry
 from usarmjx.train.baselines.hover import inspection_policy
 from usarmjx.train.baselines.pursuit import pursuit_policy
 from usarmjx.train.baselines.roam import roam_policy
@@ -18,7 +18,23 @@ from usarmjx.train.baselines.soccer import soccer_policy
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy
 
+__all__ = [
+    "BASELINES",
+    "BugCarry",
+    "bug_action",
+    "bug_policy",
+    "climb_policy",
+    "frontier_policy",
+    "initial_bug_carry",
+    "inspection_policy",
+    "pursuit_policy",
+    "relay_policy",
+    "roam_policy",
+    "soccer_policy",
+]
+
 BASELINES: Registry[Callable[[Env], Policy]] = Registry("baseline")
+"""Baseline policies by the name of their task: functions of its environment."""
 BASELINES.add("drive-to-goal", bug_policy)
 BASELINES.add("wander", roam_policy)
 for version in ("", "-v1", "-v2"):

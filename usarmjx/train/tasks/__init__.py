@@ -17,8 +17,25 @@ from usarmjx.train.tasks.hover_inspect import HoverInspect
 from usarmjx.train.tasks.relay_chain import RelayChain
 from usarmjx.train.tasks.soccer import Soccer
 from usarmjx.train.tasks.stairs import Stairs
+from usarmjx.train.tasks.team import TeamTask, range_lines
 from usarmjx.train.tasks.victim_search import VictimSearch
 from usarmjx.train.tasks.wander import Wander
+
+__all__ = [
+    "TASKS",
+    "Buildings",
+    "Convoy",
+    "DriveToGoal",
+    "Explore",
+    "HoverInspect",
+    "RelayChain",
+    "Soccer",
+    "Stairs",
+    "TeamTask",
+    "VictimSearch",
+    "Wander",
+    "range_lines",
+]
 
 BUILDINGS_V2 = Buildings(sizes=((16, 12), (20, 14), (24, 16)), together=True, renewable=True)
 SEARCHED_V2 = replace(BUILDINGS_V2, victims=6, reachable=1.0, near_victims=1)
