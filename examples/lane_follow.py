@@ -17,8 +17,7 @@ from pathlib import Path
 
 import usarmjx
 from usarmjx.client import ServerMessage, UsarsimClient
-from usarmjx.models.roads.network import FOOT, RouteNetwork, to_local_xy
-from usarmjx.models.roads.rndf import read_rndf
+from usarmjx.models.roads import FOOT, RouteNetwork, read_rndf, to_local_xy
 
 RNDF = Path(usarmjx.__file__).parent / "models" / "arenas" / "ARDA_RNDF.txt"
 ORIGIN = (34.587, -117.367)  # of DM-ARDA [degrees]

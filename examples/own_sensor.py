@@ -19,14 +19,10 @@ from typing import Annotated
 
 import numpy as np
 
-from usarmjx.base.backend import xp
-from usarmjx.cli.app import app
-from usarmjx.models.robots import ROBOTS
-from usarmjx.models.types.arena import ArenaSpec, StartPose
-from usarmjx.models.types.robot import Mount
-from usarmjx.models.types.settings import POSITIVE
-from usarmjx.models.types.shapes import GLASS, SKY, Shape
-from usarmjx.sensors.base import (
+from usarmjx import ROBOTS, Batch, build_scene
+from usarmjx.cli import main as run_command
+from usarmjx.models import GLASS, POSITIVE, SKY, ArenaSpec, Mount, Shape, StartPose
+from usarmjx.sensors import (
     SENSORS,
     NoisySensorSettings,
     OutputCurve,
@@ -34,9 +30,8 @@ from usarmjx.sensors.base import (
     Sensor,
     apply_output_curve,
     noisy,
+    xp,
 )
-from usarmjx.sim.batch import Batch
-from usarmjx.sim.scene import build_scene
 
 RAYS = 128
 
@@ -116,4 +111,4 @@ def main():
 
 
 if __name__ == "__main__":
-    app() if sys.argv[1:] else main()
+    run_command() if sys.argv[1:] else main()

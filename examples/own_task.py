@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 
-from usarmjx.train.envs.task import Policy, StepResult, Task
+from usarmjx.train import Policy, StepResult, Task
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from usarmjx.base.errors import UsageError
+from usarmjx import UsageError
 from usarmjx.client import ServerMessage, UsarsimClient
-from usarmjx.train.policies.policy_file import NumpyPolicy
+from usarmjx.train import NumpyPolicy
 
 FAR = 10.0  # m: a goal farther away is seen at this distance
 CLEAR = 5.0  # m: what is farther away than this looks alike
@@ -60,11 +60,9 @@ class Baseline:
     def __init__(self, robot: str, ranges: str):
         import jax
 
-        from usarmjx.models.compile.compose import Physics
-        from usarmjx.models.robots import ROBOTS
-        from usarmjx.train.baselines.goal import bug_action, initial_bug_carry
-        from usarmjx.train.tasks.drive_to_goal import DriveToGoal
-        from usarmjx.train.tasks.team import range_lines
+        from usarmjx import ROBOTS, Physics
+        from usarmjx.train.baselines import bug_action, initial_bug_carry
+        from usarmjx.train.tasks import DriveToGoal, range_lines
 
         spec = ROBOTS.get(robot)
         self.period = DriveToGoal.repeat * Physics().period
