@@ -16,9 +16,9 @@ from benchmarks.scenes import sizes
 from benchmarks.tools import append_record, record_header, spread_of
 from usarmjx.base.errors import UsageError, UsarmjxError
 from usarmjx.plots.training_plots import Curve, curve_of_run
-from usarmjx.train.learning.checkpoint import RunRecord, load_record
 from usarmjx.train.learning.config import differences, on_gpu, task_config
 from usarmjx.train.learning.metrics import read_lines
+from usarmjx.train.learning.run_record import RunRecord, load_record
 from usarmjx.train.make import make_task
 from usarmjx.train.policies.sources import task_settings
 

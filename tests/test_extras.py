@@ -26,7 +26,7 @@ class NotThere:
 sys.meta_path.insert(0, NotThere())
 """
 """A program's beginning, after which some libraries are not installed."""
-ALL = {"brax", "optax", "orbax", "tensorboardX", "gymnasium", "pettingzoo", "jaxmarl", "gymnax", "warp"}
+ALL = {"brax", "optax", "tensorboardX", "gymnasium", "pettingzoo", "jaxmarl", "gymnax", "warp"}
 """Modules that only extras bring."""
 USE = """
 import json, os
@@ -65,8 +65,8 @@ print(json.dumps(told))
 
 
 def test_training_names_the_extra_before_it_builds_anything():
-    """Of what it needs, optax and orbax are there all the same, as flax brings them."""
-    code = WITHOUT % (ALL - {"optax", "orbax"}) + "import usarmjx.train.learning.trainer"
+    """Of its needs, optax is there all the same, as flax brings it."""
+    code = WITHOUT % (ALL - {"optax"}) + "import usarmjx.train.learning.trainer"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stderr.endswith('this needs brax: pip install "usarmjx[train]"\n')
 

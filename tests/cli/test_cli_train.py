@@ -17,8 +17,8 @@ from usarmjx.cli.app import app
 from usarmjx.cli.common import ErrorExit
 from usarmjx.cli.startup_messages import say
 from usarmjx.cli.train import _served, recorded_engine
-from usarmjx.train.learning.checkpoint import EnvArguments, RunRecord
 from usarmjx.train.learning.config import Config, task_config, training_engine
+from usarmjx.train.learning.run_record import EnvArguments, RunRecord
 from usarmjx.train.learning.trainer import TrainResult
 from usarmjx.train.policies.policy_file import NumpyPolicy
 

@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import zipfile
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -77,11 +78,17 @@ def lines(folder):
 
 
 def checksums(folder, name="last"):
-    """What is in a checkpoint, by its checksums: train state and worlds of the first process."""
+    """Content of a checkpoint, by its checksums: train state and worlds of the first process."""
     from usarmjx.train.learning.checkpoint import Checkpoints
 
     path = Checkpoints(folder).find(name)
-    return path.name, [json.loads((path / f"{part}_0.json").read_text()) for part in ("learner", "worlds")]
+    return path.name, [array_checksums(path / f"{part}_0.npz") for part in ("learner", "worlds")]
+
+
+def array_checksums(file):
+    """Checksum of each array of an npz file, with its type and shape."""
+    with zipfile.ZipFile(file) as arrays:
+        return {one.filename: (one.CRC, one.file_size) for one in arrays.infolist()}
 
 
 def check_goes_on(env, config, whole, folder, left):

@@ -25,9 +25,9 @@ from usarmjx.server.runtime.signals import PARENT_PIPE
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env
     from usarmjx.train.envs.state import EnvState
-    from usarmjx.train.learning.checkpoint import EnvArguments
     from usarmjx.train.learning.config import Config
     from usarmjx.train.learning.fine_tuning import TrainedNetworks
+    from usarmjx.train.learning.run_record import EnvArguments
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +88,7 @@ def plan_run(task: str, options: TrainOptions) -> RunPlan:
         UnknownNameError: No such task, engine, setting or field; lists those there are.
         UsageError: A value that does not read, or no networks to begin with.
     """
-    from usarmjx.train.learning.checkpoint import EnvArguments
+    from usarmjx.train.learning.run_record import EnvArguments
 
     source, notice = None, ""
     if options.resume:
@@ -110,7 +110,7 @@ def plan_run(task: str, options: TrainOptions) -> RunPlan:
 
 def _as_before(options: TrainOptions) -> TrainOptions:
     """Return settings, fields and engine as the run was started, unless asked for otherwise."""
-    from usarmjx.train.learning.checkpoint import RECORD_FILE, load_record
+    from usarmjx.train.learning.run_record import RECORD_FILE, load_record
 
     if not (options.out / RECORD_FILE).exists():
         return options

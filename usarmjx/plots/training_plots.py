@@ -17,9 +17,9 @@ from usarmjx.plots.picture import save_small
 from usarmjx.plots.play import COLOURS, WORLD, positions_of
 from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.evaluation.yardsticks import QUARTERS, TeamResult
-from usarmjx.train.learning.checkpoint import load_record
 from usarmjx.train.learning.config import fields_by_hand
 from usarmjx.train.learning.metrics import read_lines
+from usarmjx.train.learning.run_record import load_record
 from usarmjx.train.policies import VERSIONS
 
 COLUMNS = 3

@@ -198,7 +198,7 @@ def tensorboard_sink(folder: Path) -> Sink:
         UsageError: tensorboardX is missing.
     """
     try:
-        from usarmjx.train.learning.metrics import TensorBoardLog
+        from usarmjx.train.learning.tensorboard import TensorBoardLog
     except ImportError as error:
         raise UsageError("TensorBoard needs tensorboardX: pip install usarmjx[train]") from error
     board, count = TensorBoardLog(Path(folder), 0), [0]

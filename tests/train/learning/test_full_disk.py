@@ -105,16 +105,14 @@ def test_what_fails_in_one_process_has_failed_in_all(tmp_path):
     assert not list((tmp_path / "checkpoints").iterdir())
 
 
-@pytest.mark.filterwarnings("ignore:Exception ignored")  # orbax's, of its event loop
-def test_a_disk_that_fills_up_while_a_checkpoint_is_written(tmp_path, monkeypatch, caplog):
-    """Somebody else took the room that there was: what TensorStore and orbax say becomes the same line."""
+def test_a_disk_that_fills_up_while_a_checkpoint_is_written(tmp_path, caplog):
+    """Somewhere in the middle of an array."""
     checkpoints = Checkpoints(tmp_path)
     tree = {"some": jax.numpy.arange(10_000.0)}
     checkpoints.save(1, tree, tree, {"score": None})
-    monkeypatch.setattr(os, "posix_fallocate", lambda *_: None)
     with (
         largest_file(1000),
-        pytest.raises(WriteError, match=r"^cannot write .*/00000002\S*: File too large$"),
+        pytest.raises(WriteError, match=r"^cannot write .*/00000002: File too large$"),
     ):
         checkpoints.save(2, tree, tree, {"score": None})
     assert [path.name for path in (tmp_path / "checkpoints").iterdir()] == ["00000001"]

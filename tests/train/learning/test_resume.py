@@ -5,6 +5,7 @@ import shutil
 import signal
 import sys
 import time
+import zipfile
 from dataclasses import replace
 
 import jax
@@ -15,7 +16,7 @@ from numpy.testing import assert_array_equal
 from tests.train.runs import CONFIG, PATIENCE, PROGRAM, checksums, lines, run, started
 from tests.train.toys import DriveToy
 from usarmjx.base.errors import UsageError
-from usarmjx.train.learning.checkpoint import Checkpoints, load_policy, read_part
+from usarmjx.train.learning.checkpoint import Checkpoints, load_policy, read_part, write_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.processes import ProcessGroup
@@ -101,19 +102,22 @@ def lose_meta(path):
     (path / "meta.json").unlink()
 
 
-def cut_list(path):
-    (path / "learner_0.json").write_text("[")
+def cut_file(path):
+    file = path / "learner_0.npz"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
 
 
-def lie_about_bits(path):
-    """As if a bit had fallen over that the format does not notice."""
-    file = path / "worlds_0.json"
-    content = json.loads(file.read_text())
-    content["checksums"][3] ^= 1
-    file.write_text(json.dumps(content))
+def turn_one_bit(path):
+    """The last bit of the first array's numbers."""
+    file = path / "worlds_0.npz"
+    with zipfile.ZipFile(file) as arrays:
+        second = arrays.infolist()[1].header_offset
+    data = bytearray(file.read_bytes())
+    data[second - 1] ^= 1
+    file.write_bytes(bytes(data))
 
 
-@pytest.mark.parametrize("damage", [spoil_data, lose_meta, cut_list, lie_about_bits])
+@pytest.mark.parametrize("damage", [spoil_data, lose_meta, cut_file, turn_one_bit])
 def test_a_broken_checkpoint_is_refused(copy, damage):
     damage(Checkpoints(copy).find("last"))
     with pytest.raises(UsageError, match="00000010 is broken"):
@@ -121,10 +125,10 @@ def test_a_broken_checkpoint_is_refused(copy, damage):
 
 
 def test_a_run_of_another_version_is_refused_in_one_line(copy):
-    """As those are whose leaves had other names."""
+    """As those of orbax are, and those whose leaves had other names."""
     for path in Checkpoints(copy).all():
         meta = json.loads((path / "meta.json").read_text())
-        (path / "meta.json").write_text(json.dumps({**meta, "format": 1}))
+        (path / "meta.json").write_text(json.dumps({**meta, "format": 2}))
     for use in (lambda: run(copy, resume=True), lambda: load_policy(copy), lambda: load_policy(copy, "last")):
         with pytest.raises(UsageError, match="another version of usarmjx") as error:
             use()
@@ -203,8 +207,6 @@ def test_a_robot_goes_on_where_it_was(engine, tmp_path):
 
 def test_numbers_of_64_bits_and_random_keys_come_back(tmp_path):
     """As C MuJoCo's states have them; JAX here has no such numbers."""
-    from usarmjx.train.learning.checkpoint import _write
-
     tree = {
         "double": np.array([[1 / 3, np.pi], [np.nan, np.inf]]),
         "scalar": np.float64(2 / 3) * np.ones(()),
@@ -212,9 +214,10 @@ def test_numbers_of_64_bits_and_random_keys_come_back(tmp_path):
         "key": jax.random.key(7),
         "flag": np.array([True, False]),
         "nothing": np.zeros((3, 0)),
+        "turned": np.arange(6.0).reshape(2, 3).T,
         "number": jax.numpy.float32(1 / 3),
     }
-    _write(tmp_path, "part", tree, ProcessGroup())
+    write_part(tmp_path, "part", tree)
     found = read_part(tmp_path, "part", tree)
     for name, value in tree.items():
         assert isinstance(found[name], jax.Array) == isinstance(value, jax.Array)

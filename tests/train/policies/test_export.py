@@ -10,8 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.train.toys import DriveToy
 from usarmjx.base.errors import UsageError
-from usarmjx.train.learning.checkpoint import EnvArguments, load_policy, make_record
+from usarmjx.train.learning.checkpoint import load_policy
 from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.run_record import EnvArguments, make_record
 from usarmjx.train.learning.train_state import make_networks, make_train_state, policy_params
 from usarmjx.train.policies.policy_file import NumpyPolicy, export_run, save_policy
 

@@ -1,0 +1,56 @@
+"""TensorBoard's event file, written without tensorboardX's thread."""
+
+import os
+import socket
+import struct
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from usarmjx.base.errors import extra
+from usarmjx.base.files import AppendedFile
+
+with extra("train"):
+    from tensorboardX.proto.event_pb2 import Event, SessionLog
+    from tensorboardX.proto.summary_pb2 import Summary
+    from tensorboardX.record_writer import masked_crc32c
+
+
+class TensorBoardLog(AppendedFile):
+    """Numbers for TensorBoard, over agent steps.
+
+    They are written at once: tensorboardX's own writer has a thread for that, which ends when the disk is
+    full, and then whoever hands it more waits for ever.
+
+    Args:
+        folder: For the file.
+        after: Agent steps that are behind already; TensorBoard forgets what it was shown of later ones.
+    """
+
+    def __init__(self, folder: Path, after: int) -> None:
+        now = f"{time.time():.0f}.{socket.gethostname()}.{os.getpid()}"
+        super().__init__(folder / f"events.out.tfevents.{now}")
+        start: Any = SessionLog(status=SessionLog.START)
+        first = Event(step=after + 1, file_version="brain.Event:2")
+        self._waiting = [_framed(first), _framed(Event(step=after + 1, session_log=start))]
+
+    def show(self, agent_steps: int, numbers: Mapping[str, float]) -> None:
+        """Write down the numbers of an iteration, after so many agent steps in all.
+
+        Raises:
+            WriteError: Nothing was written; they wait.
+        """
+        values = [Summary.Value(tag=name, simple_value=value) for name, value in numbers.items()]
+        self.append(_framed(Event(step=agent_steps, wall_time=time.time(), summary=Summary(value=values))))
+
+
+def _framed(event: Any) -> bytes:  # noqa: ANN401 - protobuf's
+    """Return an event as a TFRecord: length, checksum of that, event, checksum of that."""
+    data: bytes = event.SerializeToString()
+    size = struct.pack("<Q", len(data))
+    return b"".join((size, _checksum(size), data, _checksum(data)))
+
+
+def _checksum(data: bytes) -> bytes:
+    return struct.pack("<I", masked_crc32c(data))
