@@ -216,7 +216,7 @@ def bench_physics(
     with ErrorExit():
         announce("driving ...", keep=False)
         from benchmarks.fidelity.scorecard import write_scorecard
-        from usarmjx.models.compile.compose import PHYSICS
+        from usarmjx.models.compile.physics import PHYSICS
 
         typer.echo(write_scorecard(PHYSICS.get(physics), robot, jobs, json, note))
 

@@ -13,7 +13,7 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.engines import Inputs, PhysicsState, choose_engine
-from usarmjx.models.compile.compose import PHYSICS
+from usarmjx.models.compile.physics import PHYSICS
 from usarmjx.models.generate import generate_many
 from usarmjx.models.generate.kinds import USUAL_STARTS
 from usarmjx.models.types.arena import ArenaSpec

@@ -3,7 +3,8 @@
 import mujoco
 import numpy as np
 
-from usarmjx.models.compile.compose import Physics, new_spec
+from usarmjx.models.compile.compose import new_spec
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import HeightField, Mesh, Shape
 

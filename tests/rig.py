@@ -10,9 +10,9 @@ import numpy as np
 
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.transforms import quat_from_angles
-from usarmjx.models.compile.compose import Physics
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of, lowest_point, robot_state
 from usarmjx.models.compile.parts import joint_names
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.sim.control import ControlMode, DriveConditions, compute_actuation, idle_command, set_drive

@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 
 from tests.rig import PERIOD, Rig
-from usarmjx.models.compile.compose import Physics, new_spec
+from usarmjx.models.compile.compose import new_spec
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
 
 HIGH = 5.0

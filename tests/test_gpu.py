@@ -22,7 +22,7 @@ from usarmjx.engines.planar import engine as planar_engine
 from usarmjx.engines.planar.footprints import keep_apart
 from usarmjx.engines.planar.neighbor_search import around_by_jax, around_on_warp
 from usarmjx.engines.planar.separation import part_robots
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import RosterEntry, build_scene
 from usarmjx.train.make import make

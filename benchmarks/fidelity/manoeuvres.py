@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmarks.fidelity.track import MAX_SPEED, Order, Orders, Track, orders_of, touches_ground
 from usarmjx.base.errors import EngineError
-from usarmjx.models.compile.compose import Physics
 from usarmjx.models.compile.measure import extent
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.effecters import effecters_of
 from usarmjx.models.effecters.gripper import LEVER
 from usarmjx.models.types.arena import LooseObject

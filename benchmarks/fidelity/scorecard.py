@@ -10,7 +10,7 @@ from typing import Any
 
 from benchmarks.fidelity.manoeuvres import MANOEUVRES, drive_all
 from benchmarks.tools import append_record, record_header
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 
 TOLERATED = 0.1

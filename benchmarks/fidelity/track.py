@@ -10,8 +10,8 @@ import numpy as np
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import EngineError
 from usarmjx.base.transforms import quat_from_angles
-from usarmjx.models.compile.compose import Physics
 from usarmjx.models.compile.parts import joint_names
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.drives import Blimp, RotaryWing, Underwater
 from usarmjx.models.effecters import effecters_of
 from usarmjx.models.effecters.gripper import Gripper

@@ -11,7 +11,7 @@ from benchmarks.fidelity.scorecard import differences, write_scorecard
 from benchmarks.fidelity.track import Orders, Track, orders_of
 from tests.benchmarks.records import faults
 from usarmjx.base.errors import SpecError, UnknownNameError
-from usarmjx.models.compile.compose import PHYSICS, Physics
+from usarmjx.models.compile.physics import PHYSICS, Physics
 from usarmjx.models.effecters import gripper
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.shapes import SURFACES

@@ -12,7 +12,7 @@ from tests.arenas import COURSE, FLAT
 from usarmjx.base.errors import EngineError, UnknownNameError, UnsupportedFeatureError, UsageError
 from usarmjx.engines.base import check_features
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.generate import generate_many
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.shapes import HeightField, Mesh, Shape

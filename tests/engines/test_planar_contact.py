@@ -16,8 +16,8 @@ from usarmjx.engines.planar.footprints import TOLERANCE, Footprints, keep_apart
 from usarmjx.engines.planar.neighbor_lists import stopping
 from usarmjx.engines.planar.responses import use_response
 from usarmjx.engines.planar.solids import seen_from_above
-from usarmjx.models.compile.compose import Physics
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import StartPose
 from usarmjx.models.types.shapes import Shape

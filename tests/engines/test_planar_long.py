@@ -9,7 +9,7 @@ import pytest
 from usarmjx.engines.planar.bodies import footprint_of
 from usarmjx.engines.planar.footprints import TOLERANCE
 from usarmjx.engines.planar.responses import rolls
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.shapes import Shape

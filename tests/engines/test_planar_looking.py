@@ -30,7 +30,7 @@ from usarmjx.engines.planar.neighbor_search import (
 )
 from usarmjx.engines.planar.proposed_motion import ProposedMotion
 from usarmjx.engines.planar.solids import SolidGeoms, seen_from_above
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.batch import Batch

@@ -17,7 +17,7 @@ from usarmjx.engines.planar.neighbor_lists import stopping
 from usarmjx.engines.planar.responses import Response, measured
 from usarmjx.engines.planar.rolling import rolled
 from usarmjx.engines.planar.solids import seen_from_above
-from usarmjx.models.compile.compose import PHYSICS, Physics
+from usarmjx.models.compile.physics import PHYSICS, Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.calibration import DriveLog, fit_response, random_orders

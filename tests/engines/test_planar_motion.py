@@ -20,8 +20,8 @@ from usarmjx.engines.planar.drives import follow, wheels_of
 from usarmjx.engines.planar.footprints import TOLERANCE
 from usarmjx.engines.planar.responses import Response, check_robot, measured, use_response
 from usarmjx.engines.planar.solids import ground_under, seen_from_above
-from usarmjx.models.compile.compose import Physics
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import DomainRandomization
 from usarmjx.models.compile.reachability import STEP_SHARE
 from usarmjx.models.robots import ROBOTS

@@ -12,7 +12,7 @@ from usarmjx.engines.base import GeomPoses
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.movable import MovableSolids
 from usarmjx.engines.planar.neighbor_lists import NEAR
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.types.arena import ArenaSpec, SegmentMotion, StartPose, Victim
 from usarmjx.models.types.shapes import Shape
 from usarmjx.sim.batch import Batch

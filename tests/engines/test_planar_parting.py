@@ -13,7 +13,7 @@ from tests.engines.test_planar_contact import PEN
 from usarmjx.engines.planar import separation
 from usarmjx.engines.planar.footprints import TOLERANCE, keep_apart
 from usarmjx.engines.planar.separation import part_robots, parted_on_warp
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 

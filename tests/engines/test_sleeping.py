@@ -13,7 +13,7 @@ pytest.importorskip("warp", reason="needs warp-lang")
 
 from usarmjx.engines.base import Inputs
 from usarmjx.engines.mjx_warp import STILL_TIME, WarpEngine
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 
 SCENE = """
 <mujoco>

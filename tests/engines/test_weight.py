@@ -12,7 +12,7 @@ pytest.importorskip("warp", reason="needs warp-lang")
 
 from usarmjx.engines.base import Inputs
 from usarmjx.engines.mjx_warp import WarpEngine, finish_steps
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 
 ROBOT = """
 <mujoco>

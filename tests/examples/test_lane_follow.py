@@ -11,7 +11,7 @@ import pytest
 from tests.scripts import load
 from tests.server.peers import serving
 from usarmjx.models.arenas.arda import ARDA, NETWORK
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.roads.network import FOOT
 from usarmjx.models.robots.cars import SNOWSTORM
 from usarmjx.server.worlds.dynamic_world import DynamicWorld

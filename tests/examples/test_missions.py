@@ -10,7 +10,7 @@ import pytest
 from tests.arenas import FLAT
 from tests.scripts import EXAMPLES, load
 from tests.server.peers import serving
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 

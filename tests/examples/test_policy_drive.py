@@ -14,7 +14,7 @@ from tests.arenas import FLAT
 from tests.scripts import EXAMPLES, load
 from tests.server.peers import serving
 from tests.train.handmade import policy_file
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.gamebots.sensors import sensor_report
 from usarmjx.server.protocol import grammar

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from tests.train.handmade import policy_file
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.plots.play import GIF_SPEEDUP, _caption, record_episode, save_recording
 from usarmjx.server.pictures.spectator_server import SpectatorServer

@@ -12,7 +12,7 @@ from tests.recording.missions import HEIGHT, ROOM, SCOUT, mission_world
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
 from usarmjx.cli.recordings import recorded_episode
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.drives.ground import SkidSteer
 from usarmjx.models.robots import ROBOTS
 from usarmjx.recording.episodes import TrainingRecorder, episode_file

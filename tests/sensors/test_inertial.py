@@ -14,8 +14,9 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsarmjxError
 from usarmjx.base.transforms import flip_angles, flip_vector, quat_from_angles
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import forward_kinematics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.drives.base import RobotState
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT

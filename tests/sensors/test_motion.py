@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import flip_angles, flip_vector
-from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import add_robot, new_spec
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import Mount, options

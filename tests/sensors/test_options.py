@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import mat_from_angles
-from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
-from usarmjx.models.compile.visuals import HOUSING_SIZE
+from usarmjx.models.compile.parts import HOUSING_SIZE
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2AT
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import Mount, options

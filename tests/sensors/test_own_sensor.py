@@ -17,7 +17,7 @@ from tests.server.peers import Peer, serving
 from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
 from usarmjx.cli.listing import sensors_table
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.robot import Mount, options

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from usarmjx.engines import make_engine
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2DX
 from usarmjx.models.types.arena import ArenaSpec, FalseAlarm, SegmentMotion, StartPose, Tag, Victim
 from usarmjx.models.types.robot import Mount, options

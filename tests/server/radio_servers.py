@@ -9,7 +9,7 @@ import time
 from tests.scripts import load
 from tests.server.peers import PATIENCE, Peer, serving
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.wireless.net import WirelessSettings, make_wireless
 from usarmjx.server.worlds.dynamic_world import DynamicWorld

@@ -19,7 +19,7 @@ from tests.arenas import FLAT
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import START_ELEVATION, StartPose
 from usarmjx.server.gamebots.adapter import Client

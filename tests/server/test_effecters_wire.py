@@ -12,8 +12,8 @@ import pytest
 
 from tests.arenas import FLAT, RAMP
 from tests.handy import GRIPPER, TAGGER, known
-from usarmjx.models.compile.compose import Physics
 from usarmjx.models.compile.parts import joint_names
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.effecters import EFFECTERS, Effect, Effecter, Opcode
 from usarmjx.models.effecters.gripper import LEVER
 from usarmjx.models.types.robot import Mount, options
@@ -76,7 +76,7 @@ def say(client, line):
     """Let a client say a line; return the lines that it hears at once."""
     for command in client.session.receive_data(line.encode() + b"\r\n"):
         if isinstance(command, wire.Init):
-            spec = client.class_of(command)
+            spec = client.robot_class(command)
             client.session.answer_init(spec is not None and client.spawn(command, spec))
             client.session.data_to_send()
         else:

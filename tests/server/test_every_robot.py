@@ -13,7 +13,7 @@ import pytest
 
 from tests.server.peers import Peer, serving
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 

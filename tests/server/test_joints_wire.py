@@ -10,7 +10,7 @@ import pytest
 from tests.handy import known
 from tests.server.test_adapter import House, heard
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 

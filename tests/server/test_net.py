@@ -25,7 +25,7 @@ from tests.handy import known
 from tests.server.peers import PATIENCE, Peer, serving
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.robot import Mount, options

@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from tests.server.peers import PATIENCE, Peer, serving
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.robot import Mount, options

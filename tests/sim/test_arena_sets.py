@@ -13,7 +13,7 @@ from tests.lone import LoneWorld
 from usarmjx.base.errors import SpecError
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.compile.arena_set import arena_index_of, arena_set
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.types.arena import (
     ArenaSpec,
     Door,

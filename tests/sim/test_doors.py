@@ -10,8 +10,8 @@ import pytest
 
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.engines.base import check_features
-from usarmjx.models.compile.compose import Physics
 from usarmjx.models.compile.doors import door_boxes
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec, Door, StartPose
 from usarmjx.server.wireless.radio_channel import RadioChannel

@@ -12,8 +12,8 @@ import pytest
 from tests.arenas import FLAT
 from tests.scripts import load
 from tests.server.peers import PATIENCE, serving
-from usarmjx.models.compile.compose import Physics
 from usarmjx.models.compile.kinematic_tree import forward_kinematics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 

@@ -19,7 +19,8 @@ from usarmjx.comms.mail import MessageSettings, clear_inboxes
 from usarmjx.comms.walls import arena_solids, count_walls
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.compile.compose import Physics, new_spec
+from usarmjx.models.compile.compose import new_spec
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import DomainRandomization
 from usarmjx.models.effecters import EFFECTERS, effecters_of
 from usarmjx.models.types.robot import Mount

@@ -11,7 +11,7 @@ from tests.arenas import FLAT, STARTS
 from usarmjx.base.errors import SpecError
 from usarmjx.comms.attenuation import RadioSettings, received_power
 from usarmjx.engines.base import VariedModel
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import QUANTITY_RULES, DomainRandomization, RandomizedValues
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec

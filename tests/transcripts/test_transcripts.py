@@ -22,7 +22,7 @@ from tests.transcripts.readers import (
     simpleui_texts,
 )
 from tests.transcripts.transcript import HERE, read_transcript, shapes_of
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS

@@ -16,7 +16,7 @@ import numpy as np
 from usarmjx.base.transforms import Vec3
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import DomainRandomization
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import RobotSpec

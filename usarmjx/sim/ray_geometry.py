@@ -18,8 +18,8 @@ from usarmjx.engines.base import GeomPoses, PhysicsState
 from usarmjx.models.compile.arena_set import ArenaState, arena_index_of
 from usarmjx.models.compile.doors import door_boxes
 from usarmjx.models.compile.kinematic_tree import BodyPoses
+from usarmjx.models.compile.victim_visuals import SLOTS, drawn_bones, used_slots
 from usarmjx.models.compile.victims import VictimTable, segment_poses
-from usarmjx.models.compile.visuals import SLOTS, drawn_bones, used_slots
 from usarmjx.models.effecters import DroppedTags
 from usarmjx.models.types.shapes import GLASS, OPAQUE
 from usarmjx.models.types.textures import names_of

@@ -19,7 +19,6 @@ from usarmjx.models.compile.compose import (
     DOOR,
     LOOSE_PREFIX,
     VICTIM_PREFIX,
-    Physics,
     add_robot,
     cap_contacts,
     new_spec,
@@ -29,6 +28,7 @@ from usarmjx.models.compile.kinematic_tree import KinematicTree, kinematic_tree_
 from usarmjx.models.compile.layout import RobotIndex, index_robot
 from usarmjx.models.compile.materials import materials_of, textures_of
 from usarmjx.models.compile.parts import parts_of
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import (
     DomainRandomization,
     RandomizedBodies,

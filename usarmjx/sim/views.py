@@ -14,7 +14,7 @@ from usarmjx.engines.c.camera_rays import AttachedVisual, GeomColors
 from usarmjx.models.compile.compose import VICTIM_PREFIX
 from usarmjx.models.compile.kinematic_tree import BodyPoses, forward_kinematics
 from usarmjx.models.compile.materials import materials_of, textures_of
-from usarmjx.models.compile.visuals import victim_figure
+from usarmjx.models.compile.victim_visuals import victim_figure
 from usarmjx.models.types.textures import names_of
 from usarmjx.sensors.cameras.mounts import Camera, camera_index, cameras_of, headlight_of
 from usarmjx.sensors.cameras.paint import (

@@ -13,8 +13,8 @@ import numpy as np
 from usarmjx.base.errors import UsageError
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.compile.arena_set import arena_set
-from usarmjx.models.compile.compose import PHYSICS, Physics
 from usarmjx.models.compile.parts import parts_of as robot_parts
+from usarmjx.models.compile.physics import PHYSICS, Physics
 from usarmjx.models.compile.randomization import QUANTITY_RULES, DomainRandomization
 from usarmjx.models.generate import KINDS
 from usarmjx.models.robots import ROBOTS

@@ -14,7 +14,7 @@ from tests.scripts import load
 from tests.server.peers import Peer, serving
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.arda import ARDA, FILES, MISSIONS, NETWORK, ORIGIN, RADIUS, STARTS
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.roads.network import (
     FOOT,
     METRES_PER_LATITUDE_DEGREE,

@@ -22,7 +22,7 @@ from usarmjx.models.arenas.soccer import (
     SPOT,
     WIDTH,
 )
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.scene import build_scene

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from usarmjx.base.backend import numpy_backend
-from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import (
     forward_kinematics,
     geom_poses,
@@ -17,6 +17,7 @@ from usarmjx.models.compile.kinematic_tree import (
     robot_state,
 )
 from usarmjx.models.compile.layout import index_robot
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots.pioneer import P2AT, P2DX
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import Link, MissionPackage

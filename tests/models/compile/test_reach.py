@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from usarmjx.base.transforms import mat_from_angles, quat_from_angles
 from usarmjx.models.arenas.yellow import START_CELLS, YELLOW
-from usarmjx.models.compile.compose import Physics, new_spec
+from usarmjx.models.compile.compose import new_spec
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.raster import Grid, rasterize
 from usarmjx.models.compile.reachability import footprint_of, reach_map, shapes_in_arena, victims_reached
 from usarmjx.models.robots.pioneer import P2AT

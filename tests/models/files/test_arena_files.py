@@ -14,7 +14,8 @@ import dev
 from usarmjx.base.errors import ArenaFileError, UnknownNameError
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.check.arena import check_arena
-from usarmjx.models.compile.compose import Physics, new_spec
+from usarmjx.models.compile.compose import new_spec
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.victims import BONES, POSTURES
 from usarmjx.models.files.load import find_arena, load_arena, read_arena, save_arena
 from usarmjx.models.types.arena import (

@@ -10,8 +10,9 @@ from PIL import Image
 import dev
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.check.arena import check_arena
+from usarmjx.models.files.images import read_heights, write_heights
 from usarmjx.models.files.load import load_arena
-from usarmjx.models.files.maps import read_heights, rectangles, write_heights
+from usarmjx.models.files.maps import rectangles
 
 EXAMPLES = dev.ROOT / "examples" / "arenas"
 EXACT = 1e-9  # m

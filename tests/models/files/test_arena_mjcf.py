@@ -9,7 +9,8 @@ import trimesh
 
 import dev
 from usarmjx.base.errors import ArenaFileError
-from usarmjx.models.compile.compose import Physics, new_spec
+from usarmjx.models.compile.compose import new_spec
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.files.load import load_arena, read_arena
 
 EXAMPLES = dev.ROOT / "examples" / "arenas"

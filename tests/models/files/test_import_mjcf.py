@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import add_robot, new_spec
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.drives import NoDrive, SkidSteer
 from usarmjx.models.files.robot_mjcf import robot_from_mjcf
 from usarmjx.models.robots import ROBOTS

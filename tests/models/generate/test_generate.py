@@ -16,7 +16,8 @@ from tests.rig import Rig
 from usarmjx.base.errors import SpecError, UnknownNameError
 from usarmjx.comms.walls import arena_solids, count_walls
 from usarmjx.models.compile.arena_set import arena_set
-from usarmjx.models.compile.compose import ARENA, LOOSE_PREFIX, VICTIM_PREFIX, Physics, new_spec
+from usarmjx.models.compile.compose import ARENA, LOOSE_PREFIX, VICTIM_PREFIX, new_spec
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.reachability import footprint_of, reach_map, shapes_in_arena, victims_reached
 from usarmjx.models.generate import KINDS, Difficulty, budget, generate, generate_many
 from usarmjx.models.generate.contents import FORMS

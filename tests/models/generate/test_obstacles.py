@@ -11,8 +11,14 @@ from usarmjx.base.errors import SpecError
 from usarmjx.models.compile.reachability import DEFAULT_SLOPE, footprint_of, reach_map
 from usarmjx.models.generate import KINDS, Difficulty, generate
 from usarmjx.models.generate.draw import RandomStream
-from usarmjx.models.generate.kinds import highest_at, highest_obstacle, measured_crossings
-from usarmjx.models.generate.obstacles import HIGHEST, OBSTACLES, obstacle_height
+from usarmjx.models.generate.obstacles import (
+    HIGHEST,
+    OBSTACLES,
+    highest_at,
+    highest_obstacle,
+    measured_crossings,
+    obstacle_height,
+)
 from usarmjx.models.generate.plan import CELL
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sim.trials.obstacles import HOPELESS, LEVELS

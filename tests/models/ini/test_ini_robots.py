@@ -9,9 +9,10 @@ import pytest
 
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.registry import Registry
-from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.compile.parts import joint_names
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.flippers import TARANTULA

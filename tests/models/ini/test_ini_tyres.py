@@ -14,8 +14,9 @@ import pytest
 from tests.arenas import FLAT
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.registry import Registry
-from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.parts import joint_names
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec

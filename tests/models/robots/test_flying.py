@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from tests.rig import Rig
-from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import add_robot, new_spec
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.drives.fluid import AIR_DENSITY, added_mass, shape_factors
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec

@@ -11,9 +11,10 @@ import pytest
 
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import SpecError
-from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import forward_kinematics, kinematic_tree_of
 from usarmjx.models.compile.parts import parts_of
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.visuals import Solids, reach_of
 from usarmjx.models.drives.base import RobotState
 from usarmjx.models.robots import ROBOTS

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from tests.models.robots.test_manual_figures import FIGURES
-from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.measure import extent
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec
 

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from usarmjx.base.registry import Registry
-from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import add_robot, new_spec
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.arena import ArenaSpec

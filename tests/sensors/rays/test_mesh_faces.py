@@ -12,7 +12,8 @@ import trimesh
 from tests.lands import Land
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.comms.walls import arena_solids, count_walls
-from usarmjx.models.compile.compose import Physics, new_spec
+from usarmjx.models.compile.compose import new_spec
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.files import meshes
 from usarmjx.models.files.load import load_arena, save_arena
 from usarmjx.sensors.rays.raycast import nearest_hits

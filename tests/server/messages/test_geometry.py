@@ -4,8 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.server.gamebots.sensors import geometry

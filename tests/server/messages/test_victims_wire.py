@@ -9,7 +9,7 @@ import pytest
 
 from tests.arenas import FLAT
 from tests.handy import TAGGER, known
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.types.arena import HelpSound, SegmentMotion, Tag, Victim
 from usarmjx.models.types.robot import Mount, options
 from usarmjx.models.types.shapes import Shape
@@ -85,7 +85,7 @@ def say(client, line):
     """Let a client say a line; return the lines that it hears at once."""
     for command in client.session.receive_data(line.encode() + b"\r\n"):
         if isinstance(command, wire.Init):
-            spec = client.class_of(command)
+            spec = client.robot_class(command)
             client.session.answer_init(spec is not None and client.spawn(command, spec))
             client.session.data_to_send()
         else:

@@ -11,7 +11,7 @@ import pytest
 from tests.scripts import load
 from tests.server.peers import PATIENCE, serving
 from usarmjx.base.errors import UsageError
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.gamebots.server import BotServer, BotServerSettings
 from usarmjx.server.rosbridge.definitions import RosVersion
@@ -19,7 +19,7 @@ from usarmjx.server.rosbridge.services import RosRobots
 from usarmjx.server.rosbridge.topics import WorldTopics
 from usarmjx.server.runtime.instance_selector import InstanceSwitch
 from usarmjx.server.viewing.controls import PageRobots
-from usarmjx.server.viewing.viewer_service import ServedSource
+from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds import policy_world
 from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyFollower, PolicyWorld, newest, wait_for_run
 from usarmjx.sim.control import CommandUpdate
@@ -157,7 +157,7 @@ def test_a_reset_begins_the_task_anew_in_that_world_alone(world):
     way = went(world, 1.0)
     assert way[0, 1] < 0.01
     np.testing.assert_allclose(way[[0, 1], 0], SPEED, rtol=0.05)
-    assert world.mishaps.resets == 0
+    assert world.recovery_log.resets == 0
 
 
 def test_two_served_worlds_share_the_policy_and_a_claim_is_one_worlds(world):
@@ -253,10 +253,10 @@ def test_ros_sees_the_robots_that_the_policy_drives_and_does_not_drive_them(worl
     told = there["/P2AT1/odom"].make(RosVersion.ROS2)["pose"]["pose"]["position"]
     np.testing.assert_allclose([told["x"], told["y"]], places(world)[0, 1], atol=1e-6)
     (truth,) = [name for name in there if name.startswith("/P2AT1/GroundTruth")]
-    before = there[truth].news()
+    before = there[truth].revision()
     assert world.time - before < 4 * world.period + 1e-6  # it is of the last action
     run(world, 0.4)
-    assert there[truth].news() == pytest.approx(before + 0.4)
+    assert there[truth].revision() == pytest.approx(before + 0.4)
     frames = [one["child_frame_id"] for one in there["/tf"].make(RosVersion.ROS2)["transforms"]]
     assert {"P2AT0/base_link", "P2AT1/base_link"} <= set(frames)
     with pytest.raises(UsageError, match="a policy drives P2AT1: /simulator/spawn with that name takes it"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import usarmjx
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 
 LIMIT = 4
 """Steps of an episode."""

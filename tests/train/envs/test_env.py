@@ -12,7 +12,7 @@ from tests.listening import COMPILED, compilations
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings, OutgoingMessages
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import Mount
 from usarmjx.sim.actions import Actions, JointAction

@@ -3,7 +3,7 @@
 import pytest
 
 import usarmjx
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.train.evaluation.evaluate import evaluate_episodes
 from usarmjx.train.learning.checkpoint import load_policy
 from usarmjx.train.learning.config import task_config

@@ -25,6 +25,61 @@ PLYWOOD_THICKNESS = 0.10
 WOOD: Rgba = (0.7, 0.55, 0.35, 1.0)
 STONE: Rgba = (0.6, 0.6, 0.6, 1.0)
 
+UPHILL = {">": 0.0, "^": math.pi / 2, "<": math.pi, "v": -math.pi / 2}
+"""Directions of climb of the arrows in a plan of ramps [rad]."""
+
+POST = 0.10
+"""Width of a post [m]."""
+
+STEP_FIELDS = {
+    "flat": """
+211111112111
+121111111211
+112111111121
+111211111112
+111121111111
+111112111111
+111111211111
+111111121111
+211111112111
+121111111211
+112111111121
+111211111112
+""",
+    "hill": """
+112234432211
+112234432211
+122234432211
+112234442211
+112334432211
+112234432211
+112234432211
+112234433211
+112244432211
+112234432221
+112234432211
+112234432211
+""",
+    "diagonal": """
+443322110000
+443322110000
+334433221100
+334433221100
+223344332211
+223344332211
+112233443322
+112233443322
+001122334433
+001122334433
+000011223344
+000011223344
+""",
+}
+"""Heights of the posts in units, rows along y from the largest on; the hill's ridge lies along y."""
+
+PostHeights = list[list[int]]
+"""Heights of posts in units, rows along x, columns along y."""
+
 
 def cell_center(origin: Position2D, column: float, row: float) -> Position2D:
     """Return the centre of a cell of the grid that has its lower left corner at `origin` [m]."""
@@ -103,10 +158,6 @@ def ramp(
     return slope((x, y, 0.0), head, width, thickness=thickness)
 
 
-UPHILL = {">": 0.0, "^": math.pi / 2, "<": math.pi, "v": -math.pi / 2}
-"""Directions of climb of the arrows in a plan of ramps [rad]."""
-
-
 def ramps(
     plan: str, corner: tuple[float, float], *, side: float = CELL, angle: float = RAMP_ANGLE
 ) -> tuple[Shape, ...]:
@@ -165,59 +216,6 @@ def stairs(
         at = (head[0] - back * math.cos(uphill), head[1] - back * math.sin(uphill))
         steps.append(block(at, (going, width, i * rise), yaw=uphill, rgba=WOOD))
     return tuple(steps)
-
-
-POST = 0.10
-"""Width of a post [m]."""
-
-STEP_FIELDS = {
-    "flat": """
-211111112111
-121111111211
-112111111121
-111211111112
-111121111111
-111112111111
-111111211111
-111111121111
-211111112111
-121111111211
-112111111121
-111211111112
-""",
-    "hill": """
-112234432211
-112234432211
-122234432211
-112234442211
-112334432211
-112234432211
-112234432211
-112234433211
-112244432211
-112234432221
-112234432211
-112234432211
-""",
-    "diagonal": """
-443322110000
-443322110000
-334433221100
-334433221100
-223344332211
-223344332211
-112233443322
-112233443322
-001122334433
-001122334433
-000011223344
-000011223344
-""",
-}
-"""Heights of the posts in units, rows along y from the largest on; the hill's ridge lies along y."""
-
-PostHeights = list[list[int]]
-"""Heights of posts in units, rows along x, columns along y."""
 
 
 def heights(pattern: str) -> PostHeights:

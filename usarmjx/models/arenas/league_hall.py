@@ -32,6 +32,20 @@ SIGN = 0.3
 """Side of a sign [m]."""
 WHITE: Rgba = (0.95, 0.95, 0.95, 1.0)
 
+HALL_HEIGHT, PARAPET = 1.5, 0.5
+"""Height of the hall's walls, and of walls beside a lane above its highest ground (chosen) [m]."""
+
+SIGNS = ("chart", "hazmat", "tag", "qr")
+"""Kinds of signs, in turn."""
+
+SPARE = 0.15
+"""Additional width of the first lane, which is bare, for robots as large as a Talon [m]."""
+
+THICKNESS = 0.05
+
+OFF_THE_WALL = 0.08
+"""Distance of start poses from the middle of their cells [m]: the longest robots are as long as a cell."""
+
 
 def victim_box(at: Position2D, heading: float) -> tuple[Shape, ...]:
     """Return a box over a victim that sits at a point [m] and faces `heading` [rad]."""
@@ -71,18 +85,6 @@ def wall_sign(at: Position2D, heading: float, texture: str, *, z: float = 0.8) -
         rgba=WHITE,
         texture=texture,
     )
-
-
-HALL_HEIGHT, PARAPET = 1.5, 0.5
-"""Height of the hall's walls, and of walls beside a lane above its highest ground (chosen) [m]."""
-
-SIGNS = ("chart", "hazmat", "tag", "qr")
-"""Kinds of signs, in turn."""
-SPARE = 0.15
-"""Additional width of the first lane, which is bare, for robots as large as a Talon [m]."""
-THICKNESS = 0.05
-OFF_THE_WALL = 0.08
-"""Distance of start poses from the middle of their cells [m]: the longest robots are as long as a cell."""
 
 
 @dataclass(frozen=True)

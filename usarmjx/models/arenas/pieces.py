@@ -19,6 +19,47 @@ PANE: Rgba = (0.6, 0.8, 0.9, 0.35)
 SILVER: Rgba = (0.8, 0.85, 0.9, 1.0)
 MESHWORK: Rgba = (0.75, 0.75, 0.2, 0.6)
 
+CINDER: Vec3 = (0.39, 0.19, 0.19)
+"""Size of a cement block [m]: 16 x 8 x 8 inches less the mortar."""
+
+CINDER_MASS = 13.0
+"""Mass of a cement block [kg]."""
+
+PLYWOOD_DENSITY = 600.0
+"""Density of plywood [kg/m3]."""
+
+PAPER: Rgba = (0.92, 0.92, 0.88, 1.0)
+
+GOLDEN = math.pi * (3 - math.sqrt(5))
+"""Golden angle [rad], which spreads points evenly over a disc."""
+
+TexturesByColour = Mapping[Rgba, str]
+"""Names of textures (`types.textures`) by colour."""
+
+BARE: TexturesByColour = {WOOD: "wood", STONE: "concrete", CONCRETE: "concrete", BRICK: "brick"}
+"""Textures of plywood, stone, concrete and bricks."""
+
+PANELLED: TexturesByColour = {**BARE, WALL_RGBA: "wood"}
+"""Finish with walls of boards, as in test halls."""
+
+BRICKED: TexturesByColour = {**BARE, WALL_RGBA: "brick"}
+"""Finish with walls of bricks."""
+
+CAST: TexturesByColour = {**BARE, WALL_RGBA: "concrete"}
+"""Finish with walls of concrete."""
+
+PIPE = 0.06
+"""Outer diameter of a 2 inch pipe [m]."""
+
+PIPE_MASS = 5.4
+"""Mass of a 2 inch steel pipe per length [kg/m]."""
+
+EDGE = 0.11
+"""Outer diameter of a 4 inch pipe [m]."""
+
+FLAT = math.cos(math.pi / 8)
+"""Height of the axis of an octagonal pipe that lies on a side, over its radius."""
+
 
 def span(
     low: Vec3, high: Vec3, rgba: Rgba = CONCRETE, *, surface: str = "wall", material: str = OPAQUE
@@ -99,15 +140,6 @@ def drum(
     return LooseObject(name=name, at=(*at, height / 2), shapes=shapes)
 
 
-CINDER: Vec3 = (0.39, 0.19, 0.19)
-"""Size of a cement block [m]: 16 x 8 x 8 inches less the mortar."""
-CINDER_MASS = 13.0
-"""Mass of a cement block [kg]."""
-PLYWOOD_DENSITY = 600.0
-"""Density of plywood [kg/m3]."""
-PAPER: Rgba = (0.92, 0.92, 0.88, 1.0)
-
-
 def cinder_block(at: Position2D, *, z: float = 0.0, yaw: float = 0.0) -> Shape:
     """Return a fixed cement block."""
     return block(at, CINDER, z=z, yaw=yaw, rgba=STONE)
@@ -151,10 +183,6 @@ def slab(at: Vec3, size: Vec3, rotation: Vec3 = (0.0, 0.0, 0.0)) -> Shape:
     return Shape(kind="box", size=half, at=at, rotation=rotation, surface="ground", rgba=CONCRETE)
 
 
-GOLDEN = math.pi * (3 - math.sqrt(5))
-"""Golden angle [rad], which spreads points evenly over a disc."""
-
-
 def rubble(at: Position2D, radius: float, height: float, count: int, *, seed: int) -> tuple[Shape, ...]:
     """Return a pile of tilted chunks, cone-shaped and without voids; the same for the same seed.
 
@@ -189,34 +217,11 @@ def rubble(at: Position2D, radius: float, height: float, count: int, *, seed: in
     return tuple(chunks)
 
 
-TexturesByColour = Mapping[Rgba, str]
-"""Names of textures (`types.textures`) by colour."""
-
-BARE: TexturesByColour = {WOOD: "wood", STONE: "concrete", CONCRETE: "concrete", BRICK: "brick"}
-"""Textures of plywood, stone, concrete and bricks."""
-PANELLED: TexturesByColour = {**BARE, WALL_RGBA: "wood"}
-"""Finish with walls of boards, as in test halls."""
-BRICKED: TexturesByColour = {**BARE, WALL_RGBA: "brick"}
-"""Finish with walls of bricks."""
-CAST: TexturesByColour = {**BARE, WALL_RGBA: "concrete"}
-"""Finish with walls of concrete."""
-
-
 def finished(shapes: Iterable[Shape], finish: TexturesByColour) -> tuple[Shape, ...]:
     """Return solids with the textures of their colours."""
     return tuple(
         shape if shape.texture else replace(shape, texture=finish.get(shape.rgba, "")) for shape in shapes
     )
-
-
-PIPE = 0.06
-"""Outer diameter of a 2 inch pipe [m]."""
-PIPE_MASS = 5.4
-"""Mass of a 2 inch steel pipe per length [kg/m]."""
-EDGE = 0.11
-"""Outer diameter of a 4 inch pipe [m]."""
-FLAT = math.cos(math.pi / 8)
-"""Height of the axis of an octagonal pipe that lies on a side, over its radius."""
 
 
 def _bars(

@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 
 from usarmjx.models.check.probe import GroundFinder, solid_name
-from usarmjx.models.compile.compose import ARENA, DOOR, VICTIM_PREFIX, Physics, new_spec
+from usarmjx.models.compile.compose import ARENA, DOOR, VICTIM_PREFIX, new_spec
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.victims import box_names
 from usarmjx.models.types.arena import ArenaSpec, Door, StartPose, Victim
 from usarmjx.models.types.robot import RobotSpec

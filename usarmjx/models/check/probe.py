@@ -6,16 +6,9 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.transforms import quat_from_angles
-from usarmjx.models.compile.compose import (
-    ARENA,
-    DOOR,
-    LOOSE_PREFIX,
-    VICTIM_PREFIX,
-    Physics,
-    add_robot,
-    new_spec,
-)
+from usarmjx.models.compile.compose import ARENA, DOOR, LOOSE_PREFIX, VICTIM_PREFIX, add_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.victims import box_names
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.types.robot import RobotSpec

@@ -26,6 +26,18 @@ PARKED_SIZE = (1e-3, 1e-3, 1e-3)
 """Half lengths of unused boxes [m]."""
 Thing = TypeVar("Thing")
 
+PARKED_POS = (0.0, 0.0, -1000.0)
+"""Position of unused boxes, out of reach of everything [m]."""
+
+LOOSE_PARK, LOOSE_STEP = (-20.0, -20.0, 30.0), 2.0
+"""Corner of the grid in the air where unused loose objects are pinned, and its spacing [m]."""
+
+REMEMBERED = 64
+"""Number of generations of replaced arenas that `ArenaSet.arena_of` keeps."""
+
+STRIDE = 7919
+"""Step between the arenas of a world's successive episodes: a prime, so that it visits all of them."""
+
 
 @dataclass(frozen=True, eq=False)
 class ArenaSlots:
@@ -124,16 +136,6 @@ def fill_slots(
             )
         filled[slot] = one
     return filled
-
-
-PARKED_POS = (0.0, 0.0, -1000.0)
-"""Position of unused boxes, out of reach of everything [m]."""
-LOOSE_PARK, LOOSE_STEP = (-20.0, -20.0, 30.0), 2.0
-"""Corner of the grid in the air where unused loose objects are pinned, and its spacing [m]."""
-REMEMBERED = 64
-"""Number of generations of replaced arenas that `ArenaSet.arena_of` keeps."""
-STRIDE = 7919
-"""Step between the arenas of a world's successive episodes: a prime, so that it visits all of them."""
 
 
 class ArenaState(struct.PyTreeNode, kw_only=True):

@@ -17,9 +17,10 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.layout import RobotIndex, index_robot
 from usarmjx.models.compile.parts import chassis_looks, joint_names, parts_of
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.ray_geoms import ray_primitives_of
 from usarmjx.models.compile.visuals import Figure, Solids, build_figure, flipped
 from usarmjx.models.drives.base import RobotState

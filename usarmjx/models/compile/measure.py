@@ -5,8 +5,9 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from usarmjx.models.compile.compose import Physics, add_robot, new_spec
+from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import RobotSpec
 

@@ -1,4 +1,7 @@
-"""All parts of a robot in one list: its own, the links of its mission packages, and its effecters' parts."""
+"""All parts of a robot in one list: its own, the links of its mission packages, its effecters' parts.
+
+To the solids of each come those of mounted effecters, and the housings of shown sensors.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -7,13 +10,19 @@ import numpy as np
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import Vec3, mat_from_angles
-from usarmjx.models.compile.visuals import housings
 from usarmjx.models.effecters import effecters_of
-from usarmjx.models.types.robot import CHASSIS, Link, MissionPackage, Motor, Part, RobotSpec
+from usarmjx.models.types.robot import CHASSIS, Link, MissionPackage, Motor, Mount, Part, RobotSpec
+from usarmjx.models.types.settings import field_name
 from usarmjx.models.types.shapes import Shape
 
 LINK_STIFFNESS, LINK_DAMPING, LINK_ARMATURE = 40.0, 4.0, 0.02
 """Servo of a mission package joint [N m/rad], [N m s/rad], [kg m2]: stiff for parts of some 0.5 kg."""
+
+HOUSING_SIZE = (0.02, 0.012, 0.008)
+"""Half lengths of a housing, longest along the sensor's axis [m] (chosen)."""
+
+HOUSING_RGBA = (0.95, 0.75, 0.1, 1.0)
+"""Colour of a housing."""
 
 
 def part_name(package: MissionPackage, link: Link) -> str:
@@ -140,3 +149,28 @@ def chassis_looks(robot: RobotSpec) -> tuple[Shape, ...]:
 def joint_names(robot: RobotSpec) -> tuple[str, ...]:
     """Return the joint names of a robot class, in the order of `parts_of`."""
     return tuple(part.name for part in parts_of(robot))
+
+
+def is_shown(mount: Mount) -> bool:
+    """Return whether a mount's settings show it; by default sensors are hidden (manual 10)."""
+    values = [value for key, value in mount.all_options if field_name(key) == "hidden_sensor"]
+    return bool(values) and values[-1] is False
+
+
+def housings(robot: RobotSpec, parent: str) -> tuple[Shape, ...]:
+    """Return the housings of the sensors that are shown on a part; their front is at the mount."""
+    shown = [mount for mount in robot.sensors if mount.parent == parent and is_shown(mount)]
+    return tuple(_housing(mount) for mount in shown)
+
+
+def _housing(mount: Mount) -> Shape:
+    ahead = mat_from_angles(*mount.direction)[:, 0]
+    x, y, z = (float(a - HOUSING_SIZE[0] * way) for a, way in zip(mount.at, ahead, strict=True))
+    return Shape(
+        kind="box",
+        size=HOUSING_SIZE,
+        at=(x, y, z),
+        rotation=mount.direction,
+        surface="fixture",
+        rgba=HOUSING_RGBA,
+    )

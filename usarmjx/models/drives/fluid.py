@@ -23,6 +23,9 @@ NODES = 40
 """Gauss-Legendre nodes of Lamb's integrals, which reach an error of 1e-8 even for a rod 50 times as long as
 wide."""
 
+STALLED = 1.17
+"""Normal force coefficient of a square plate across the flow (Hoerner, Fluid-Dynamic Drag, 3-9)."""
+
 
 def shape_factors(radii: Vec3) -> np.ndarray:
     """Return Lamb's alpha, beta and gamma of an ellipsoid (3,); their sum is 2 (Hydrodynamics, 114).
@@ -178,10 +181,6 @@ class Hull:
         torque = torque - share * (about * xp.abs(angular) + calm) * angular
         gravity = np.array([0.0, 0.0, self.mass * GRAVITY, 0.0, 0.0, 0.0])
         return self.body_wrench(mat, force, torque, share) + gravity
-
-
-STALLED = 1.17
-"""Normal force coefficient of a square plate across the flow (Hoerner, Fluid-Dynamic Drag, 3-9)."""
 
 
 def plate_force(area: float, slope: float, speed: Array, across: Array) -> Array:

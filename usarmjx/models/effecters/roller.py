@@ -57,8 +57,8 @@ class RollerTable(Effecter):
         """Return the rollers."""
         motor = replace(MOTOR, max_speed=self.settings.max_speed)
         offsets = [(i - (ROLLERS - 1) / 2) * ROLLER_SPACING for i in range(ROLLERS)]
-        # MuJoCo makes one contact point between a cylinder and a box, on which a box would rock: with two halves
-        # it lies still.
+        # MuJoCo makes one contact point between a cylinder and a box, on which the box would rock: with two
+        # halves it lies still.
         half = Shape(
             kind="cylinder", size=(RADIUS, WIDTH / 4), rotation=AXLE_ROTATION, mass=0.15, surface="wheel"
         )

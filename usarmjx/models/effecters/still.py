@@ -6,6 +6,12 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
 
+TAGS_REMAINING = Opcode("TagsRemaining")
+
+RELEASE = Opcode("Release")
+
+ACTIVATE = Opcode("Activate", 1.0, 0.0, 1.0)
+
 
 @dataclass(frozen=True)
 class ReleaserSettings(EffecterSettings):
@@ -16,10 +22,6 @@ class ReleaserSettings(EffecterSettings):
     """
 
     num_tags: int = 10
-
-
-TAGS_REMAINING = Opcode("TagsRemaining")
-RELEASE = Opcode("Release")
 
 
 @dataclass(frozen=True)
@@ -47,9 +49,6 @@ class RfidReleaser(Effecter):
         if opcode == TAGS_REMAINING:
             return Effect(reply_number=stock)
         return Effect(stock=xp.full_like(stock, self.initial_stock) if opcode == RESET else None)
-
-
-ACTIVATE = Opcode("Activate", 1.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)

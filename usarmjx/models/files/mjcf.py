@@ -37,6 +37,23 @@ HINGE_OFFSET_TOLERANCE = 0.02
 FULL_TURN = (-math.pi, math.pi)
 """Limits of a hinge without limits [rad]."""
 
+GeomType, JointType = mujoco.mjtGeom, mujoco.mjtJoint
+
+FIXTURE = "fixture"
+"""Surface of solids that are visible, without contacts."""
+
+INERTIA_TOLERANCE = 1e-3
+"""Relative difference of inertias that is neglected."""
+
+FLOOR_TOLERANCE = 1e-6
+"""Largest distance of a floor from height zero [m], and of its normal from the vertical."""
+
+MOST_MOVING = 1000
+"""Largest number of loose objects and doors of a file."""
+
+LOOSE_SURFACE = "loose"
+"""Surface of loose objects."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hinge:
@@ -102,11 +119,6 @@ def door_of(
         friction=hinge.friction,
         rgba=(red, green, blue, alpha),
     )
-
-
-GeomType = mujoco.mjtGeom
-FIXTURE = "fixture"
-"""Surface of solids that are visible, without contacts."""
 
 
 class MeshPieces:
@@ -209,10 +221,6 @@ def _mesh(model: mujoco.MjModel, number: int) -> tuple[np.ndarray, np.ndarray]:
     return model.mesh_vert[first : first + count].astype(float), model.mesh_face[start : start + faces]
 
 
-INERTIA_TOLERANCE = 1e-3
-"""Relative difference of inertias that is neglected."""
-
-
 def with_masses(shapes: list[Shape], whole: Inertia) -> tuple[Shape, ...]:
     """Return solids with masses of the given inertia, if need be all on an added box without contacts."""
     spec = mujoco.MjSpec()
@@ -234,15 +242,6 @@ def with_masses(shapes: list[Shape], whole: Inertia) -> tuple[Shape, ...]:
     box = inertia_box(whole)
     box = replace(box, at=flip_vector(box.at), rotation=flip_angles(box.rotation))
     return (*(replace(shape, mass=0.0) for shape in shapes), box)
-
-
-GeomType, JointType = mujoco.mjtGeom, mujoco.mjtJoint
-FLOOR_TOLERANCE = 1e-6
-"""Largest distance of a floor from height zero [m], and of its normal from the vertical."""
-MOST_MOVING = 1000
-"""Largest number of loose objects and doors of a file."""
-LOOSE_SURFACE = "loose"
-"""Surface of loose objects."""
 
 
 def mjcf_content(path: Path, surface: str = "") -> Content:

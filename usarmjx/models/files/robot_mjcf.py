@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.compile.compose import Physics
 from usarmjx.models.compile.measure import with_measurements
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.drives import Drive
 from usarmjx.models.files.mjcf_solids import (
     Inertia,
@@ -39,6 +39,20 @@ MAX_STIFFNESS, MAX_DAMPING = 0.1, 0.5
 explicitly."""
 USUAL_TRAVEL = np.pi
 """Error at which a position servo without a force limit has its full torque [rad] (chosen)."""
+
+USUAL_SPEED = 6.2832
+"""Default of the highest speed of a joint [rad/s or m/s]: the wheel joint's in the UDK version."""
+
+NO_STIFFNESS = 1e-9
+"""Stiffness of a joint that has a damper alone: our springs need some [N m/rad]."""
+
+VELOCITY_MODE = 1
+"""Control mode of joints with a speed (`JointControl`)."""
+
+TAKEN = ("chassis", "root")
+"""Names in use in the composed model."""
+
+MESH, BOX = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_BOX
 
 
 def motors_of(model: mujoco.MjModel, given: Mapping[str, Motor], max_speed: float) -> dict[int, Motor]:
@@ -136,17 +150,6 @@ def _torque(model: mujoco.MjModel, actuator: int, joint: int, gear: float) -> fl
     if model.jnt_actfrclimited[joint]:
         limits.append(float(np.abs(model.jnt_actfrcrange[joint]).max()))
     return min(limits)
-
-
-USUAL_SPEED = 6.2832
-"""Default of the highest speed of a joint [rad/s or m/s]: the wheel joint's in the UDK version."""
-NO_STIFFNESS = 1e-9
-"""Stiffness of a joint that has a damper alone: our springs need some [N m/rad]."""
-VELOCITY_MODE = 1
-"""Control mode of joints with a speed (`JointControl`)."""
-TAKEN = ("chassis", "root")
-"""Names in use in the composed model."""
-MESH, BOX = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_BOX
 
 
 def robot_from_mjcf(

@@ -9,7 +9,8 @@ from typing import Any
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.files.content import Content, transform_content
-from usarmjx.models.files.maps import DEFAULT_WALL_HEIGHT, Unknown, occupancy_grid_content, read_heights
+from usarmjx.models.files.images import read_heights
+from usarmjx.models.files.maps import DEFAULT_WALL_HEIGHT, Unknown, occupancy_grid_content
 from usarmjx.models.files.meshes import NO_MESH, SeenBy, load_convex_pieces, shapes_of
 from usarmjx.models.files.mjcf import mjcf_content
 from usarmjx.models.files.urdf import urdf_content

@@ -6,13 +6,44 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from usarmjx.base.errors import ArenaFileError
-from usarmjx.models.files.maps import MOST_HEIGHTS
+from usarmjx.models.files.images import MOST_HEIGHTS
 from usarmjx.models.files.values import read_bytes
 
 MOST_ELEMENTS = 50_000
 """Largest number of elements in an XML file, and in a model including its repetitions and includes."""
 MOST_NESTED = 200
 """Largest depth of elements."""
+
+MOST_TEXELS = 64_000_000
+"""Largest number of pixels of a model's textures."""
+
+MOST_FILES = 100
+"""Largest number of files of a model, apart from meshes and pictures."""
+
+MOST_MEMORY = 1e9
+"""Largest memory of a model's simulation [bytes]."""
+
+SUFFIXES = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
+"""Suffixes of memory sizes."""
+
+BOUNDS: dict[tuple[str, str], float] = {
+    ("size", "memory"): MOST_MEMORY,
+    ("size", "nstack"): MOST_MEMORY / 8,
+    ("size", "njmax"): 1e6,
+    ("size", "nconmax"): 1e6,
+    ("size", "nuserdata"): 1e6,
+    ("size", "nkey"): 1e4,
+    ("numeric", "size"): 1e6,
+    ("mesh", "params"): 1e3,
+}
+"""Largest number in an attribute, by element and attribute."""
+
+BOUNDS_ANYWHERE = {"nsample": 1e4, **{f"nuser_{kind}": 1e3 for kind in (
+    "body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")}}  # fmt: skip
+"""Largest number in an attribute of any element."""
+
+CUBE_SIDES = {"cube": 6, "skybox": 6, "2d": 1}
+"""Number of faces of a texture type."""
 
 
 def read_xml(path: Path, text: str | None = None) -> ElementTree.Element:
@@ -60,32 +91,6 @@ class _BoundedTree(ElementTree.TreeBuilder):
         """End an element."""
         self._depth -= 1
         return super().end(tag)
-
-
-MOST_TEXELS = 64_000_000
-"""Largest number of pixels of a model's textures."""
-MOST_FILES = 100
-"""Largest number of files of a model, apart from meshes and pictures."""
-MOST_MEMORY = 1e9
-"""Largest memory of a model's simulation [bytes]."""
-SUFFIXES = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
-"""Suffixes of memory sizes."""
-BOUNDS: dict[tuple[str, str], float] = {
-    ("size", "memory"): MOST_MEMORY,
-    ("size", "nstack"): MOST_MEMORY / 8,
-    ("size", "njmax"): 1e6,
-    ("size", "nconmax"): 1e6,
-    ("size", "nuserdata"): 1e6,
-    ("size", "nkey"): 1e4,
-    ("numeric", "size"): 1e6,
-    ("mesh", "params"): 1e3,
-}
-"""Largest number in an attribute, by element and attribute."""
-BOUNDS_ANYWHERE = {"nsample": 1e4, **{f"nuser_{kind}": 1e3 for kind in (
-    "body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")}}  # fmt: skip
-"""Largest number in an attribute of any element."""
-CUBE_SIDES = {"cube": 6, "skybox": 6, "2d": 1}
-"""Number of faces of a texture type."""
 
 
 def check_model_size(path: Path) -> None:

@@ -12,7 +12,7 @@ from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.files.content import EMPTY, Content, extent_of, free_start_pose, merge_contents
 from usarmjx.models.files.fields import check_keys, hints_of, problem, read, read_record, required
-from usarmjx.models.files.maps import read_heights
+from usarmjx.models.files.images import read_heights
 from usarmjx.models.files.meshes import checked_corners, faces_of_file, vertices_of_file
 from usarmjx.models.files.sources import SOLID_SOURCES, Scale
 from usarmjx.models.files.values import YamlValue

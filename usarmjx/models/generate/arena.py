@@ -1,6 +1,5 @@
 """Generation of arenas on the NIST arenas' grid, reproducible from kind, size, difficulty and seed."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -14,91 +13,22 @@ from usarmjx.models.compile.reachability import (
     victims_reached,
 )
 from usarmjx.models.generate import contents
-from usarmjx.models.generate.contents import ArenaBuilder, add_victim
+from usarmjx.models.generate.contents import ArenaBuilder, add_victim, place_obstacles, ring_height
 from usarmjx.models.generate.difficulty import Difficulty
-from usarmjx.models.generate.kinds import KINDS, USUAL_STARTS, budget, highest_obstacle
-from usarmjx.models.generate.obstacles import OBSTACLES, SLOPE, STEEPEST, obstacle_height
+from usarmjx.models.generate.kinds import KINDS, USUAL_STARTS, budget
+from usarmjx.models.generate.obstacles import OBSTACLES, STEEPEST
 from usarmjx.models.generate.plan import (
     CELL,
-    DIRECTIONS,
-    START_CELL,
     THICKNESS,
     Cell,
     CellGrid,
     doubled,
     edge,
-    middle,
 )
 from usarmjx.models.generate.structures import FERRY, STOREY, STOREY_CELLS, second_floor
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import Shape
-
-STEEP = math.radians(25)
-"""Steepest ridge of arenas without risk [rad]: steeper ones are hard on slick ground."""
-
-
-def place_obstacles(builder: ArenaBuilder) -> None:
-    """Put obstacles into rings of cells; more obstacles keep those of fewer."""
-    share, obstacle = builder.difficulty.obstacles, builder.kind.obstacle
-    if not share:
-        return
-    draw, away = builder.random_stream("obstacles"), distances(builder.plan)
-    rings = draw.shuffled(_rings(builder, away))
-    left = min(builder.max_count("obstacles"), len(builder.plan.tree) // 2)
-    heights = {name: ring_height(builder, name) for name in OBSTACLES.names()}
-    for ring in rings[: math.ceil(share * len(rings))]:
-        if len(ring) > left:
-            continue
-        left -= len(ring)
-        for cell in ring:
-            ways = _ways(builder.plan, cell)
-            straight = len({way % 2 for way in ways}) == 1
-            name = obstacle if straight else "posts"
-            builder.shapes += OBSTACLES.get(name)(draw, middle(cell), heights[name], ways[0])
-        builder.obstructed.update(ring)
-
-
-def ring_height(builder: ArenaBuilder, kind: str) -> float:
-    """Return the height of obstacles of a kind [m]."""
-    highest = highest_obstacle(builder.robot, kind, builder.difficulty.risk)
-    height = obstacle_height(builder.footprint, builder.difficulty.roughness, highest)
-    return height if builder.difficulty.risk or kind != "ridge" else min(height, STEEP / SLOPE)
-
-
-def _rings(builder: ArenaBuilder, away: dict[Cell, int]) -> list[list[Cell]]:
-    """Return the rings of cells that can have obstacles, no two of them adjacent.
-
-    A ring is all cells of the tree at one distance from the base: the way outward crosses it.
-    """
-    farthest = max(away.values())
-    rings: list[list[Cell]] = []
-    for count in range(2, farthest, 2):
-        cells = [cell for cell, found in away.items() if found == count and cell in builder.plan.tree]
-        beyond = any(found > count for cell, found in away.items() if cell in builder.plan.tree)
-        if cells and beyond and not builder.clear & set(cells):
-            rings.append(cells)
-    return rings
-
-
-def distances(plan: CellGrid) -> dict[Cell, int]:
-    """Return the number of steps from the base to each cell, around walls."""
-    found: dict[Cell, int] = {START_CELL: 0}
-    front: list[Cell] = [START_CELL]
-    for cell in front:
-        for other in plan.around(cell):
-            if other not in found and edge(cell, other) not in plan.walls:
-                found[other] = found[cell] + 1
-                front.append(other)
-    return found
-
-
-def _ways(plan: CellGrid, cell: Cell) -> list[int]:
-    """Return the directions in which a cell is open, in quarter turns."""
-    ends = [(cell[0] + dx, cell[1] + dy) for dx, dy in DIRECTIONS]
-    beside = plan.around(cell)
-    return [i for i, end in enumerate(ends) if end in beside and edge(cell, end) not in plan.walls]
-
 
 SMALLEST, LARGEST = 3, 64
 """Smallest and largest number of cells along a side."""

@@ -18,7 +18,8 @@ from usarmjx.models.compile.victims import rest_height
 from usarmjx.models.generate.difficulty import Difficulty
 from usarmjx.models.generate.draw import RandomStream
 from usarmjx.models.generate.kinds import USUAL_STARTS, ArenaKind, counts
-from usarmjx.models.generate.plan import CELL, DIRECTIONS, START_CELL, THICKNESS, Cell, CellGrid, middle
+from usarmjx.models.generate.obstacles import OBSTACLES, SLOPE, highest_obstacle, obstacle_height
+from usarmjx.models.generate.plan import CELL, DIRECTIONS, START_CELL, THICKNESS, Cell, CellGrid, edge, middle
 from usarmjx.models.generate.structures import STONE, STRUCTURE_SIZE, WOOD, block, lerp, void
 from usarmjx.models.types.arena import (
     START_ELEVATION,
@@ -38,13 +39,16 @@ STRIP = 0.205
 ASIDE = 0.1
 """Distance of start poses from the middle of a cell, away from the strips [m]."""
 GAP = 0.005
-"""Gap between a wall and clutter beside it, and five times that below loose objects [m]."""
+"""Gap between a wall and clutter beside it [m]; loose objects start a fifth of it above the floor."""
 FEWEST = 4
 """Number of cells that always remain passable."""
 ENOUGH = 17
 """Number of cells without boards if there are as many, so that 16 robots can start."""
 ROOF, LOW_ROOF = 1.0, 0.5
 """Height of the slabs over sitting and over lying victims [m]."""
+
+STEEP = math.radians(25)
+"""Steepest ridge of arenas without risk [rad]: steeper ones are hard on slick ground."""
 
 
 def _loose_form(half: tuple[float, float, float], mass: float, rgba: Rgba) -> tuple[Shape, ...]:
@@ -284,3 +288,65 @@ def place_starts(builder: ArenaBuilder, free: list[Cell]) -> None:
         yaw = (DIRECTIONS.index((toward[0] - cell[0], toward[1] - cell[1])) + 1) % 4 - 1
         tag = f"Start{number}" if number else "PlayerStart"
         builder.starts.append(StartPose(tag=tag, at=(x, y, START_ELEVATION), yaw=yaw * math.pi / 2))
+
+
+def place_obstacles(builder: ArenaBuilder) -> None:
+    """Put obstacles into rings of cells; more obstacles keep those of fewer."""
+    share, obstacle = builder.difficulty.obstacles, builder.kind.obstacle
+    if not share:
+        return
+    draw, away = builder.random_stream("obstacles"), distances(builder.plan)
+    rings = draw.shuffled(_rings(builder, away))
+    left = min(builder.max_count("obstacles"), len(builder.plan.tree) // 2)
+    heights = {name: ring_height(builder, name) for name in OBSTACLES.names()}
+    for ring in rings[: math.ceil(share * len(rings))]:
+        if len(ring) > left:
+            continue
+        left -= len(ring)
+        for cell in ring:
+            ways = _ways(builder.plan, cell)
+            straight = len({way % 2 for way in ways}) == 1
+            name = obstacle if straight else "posts"
+            builder.shapes += OBSTACLES.get(name)(draw, middle(cell), heights[name], ways[0])
+        builder.obstructed.update(ring)
+
+
+def ring_height(builder: ArenaBuilder, kind: str) -> float:
+    """Return the height of obstacles of a kind [m]."""
+    highest = highest_obstacle(builder.robot, kind, builder.difficulty.risk)
+    height = obstacle_height(builder.footprint, builder.difficulty.roughness, highest)
+    return height if builder.difficulty.risk or kind != "ridge" else min(height, STEEP / SLOPE)
+
+
+def _rings(builder: ArenaBuilder, away: dict[Cell, int]) -> list[list[Cell]]:
+    """Return the rings of cells that can have obstacles, no two of them adjacent.
+
+    A ring is all cells of the tree at one distance from the base: the way outward crosses it.
+    """
+    farthest = max(away.values())
+    rings: list[list[Cell]] = []
+    for count in range(2, farthest, 2):
+        cells = [cell for cell, found in away.items() if found == count and cell in builder.plan.tree]
+        beyond = any(found > count for cell, found in away.items() if cell in builder.plan.tree)
+        if cells and beyond and not builder.clear & set(cells):
+            rings.append(cells)
+    return rings
+
+
+def distances(plan: CellGrid) -> dict[Cell, int]:
+    """Return the number of steps from the base to each cell, around walls."""
+    found: dict[Cell, int] = {START_CELL: 0}
+    front: list[Cell] = [START_CELL]
+    for cell in front:
+        for other in plan.around(cell):
+            if other not in found and edge(cell, other) not in plan.walls:
+                found[other] = found[cell] + 1
+                front.append(other)
+    return found
+
+
+def _ways(plan: CellGrid, cell: Cell) -> list[int]:
+    """Return the directions in which a cell is open, in quarter turns."""
+    ends = [(cell[0] + dx, cell[1] + dy) for dx, dy in DIRECTIONS]
+    beside = plan.around(cell)
+    return [i for i, end in enumerate(ends) if end in beside and edge(cell, end) not in plan.walls]

@@ -1,12 +1,16 @@
-"""Obstacles that robots have to cross: each covers a cell from wall to wall.
+"""Obstacles that robots have to cross, and their heights by measured success.
 
-Their height depends on the robot's step and the roughness; `usarmjx arena check --drive` proves them
-passable. `contents.place_obstacles` puts them where no way leads around.
+Each covers a cell from wall to wall. Their height depends on the robot's step and the roughness; `usarmjx
+arena check --drive` proves them passable. `contents.place_obstacles` puts them where no way leads around.
 """
 
+import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from importlib.resources import files
 
+from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import Registry
 from usarmjx.models.compile.reachability import RobotFootprint
 from usarmjx.models.generate.draw import RandomStream
@@ -27,6 +31,12 @@ MOST_SOLIDS = POSTS**2
 
 Obstacle = Callable[[RandomStream, Position2D, float, int], list[Shape]]
 """Maker of an obstacle from draws, cell's middle [m], height [m] and direction in quarter turns."""
+
+CROSSINGS_FILE = "crossings.json"
+"""Table of measured crossings, packaged beside this module."""
+
+SuccessCurve = Sequence[tuple[float, float]]
+"""Heights over the robot's step, ascending, with the share of drives that crossed such obstacles."""
 
 
 def bars(draw: RandomStream, at: Position2D, height: float, toward: int) -> list[Shape]:
@@ -107,3 +117,47 @@ OBSTACLES.add("bars", bars)
 OBSTACLES.add("slabs", slabs)
 OBSTACLES.add("posts", posts)
 OBSTACLES.add("ridge", ridge)
+
+
+@cache
+def measured_crossings() -> Mapping[str, Mapping[str, SuccessCurve]]:
+    """Return the measured success curves, by class and kind of obstacle."""
+    return json.loads(files("usarmjx.models.generate").joinpath(CROSSINGS_FILE).read_text(encoding="utf-8"))[
+        "classes"
+    ]
+
+
+def highest_at(curve: SuccessCurve, success: float) -> float:
+    """Return the largest height over the step at which at least that share of the drives succeeds.
+
+    The curve is made monotonic and interpolated linearly.
+    """
+    held, share = curve[0]
+    for height, found in curve[1:]:
+        found = min(found, share)
+        if found < success:
+            return held + (height - held) * (share - success) / (share - found) if share > success else held
+        held, share = height, found
+    return held
+
+
+def highest_obstacle(robot: str, kind: str, risk: float) -> float:
+    """Return the height of the highest obstacles for a class, over its step.
+
+    Args:
+        robot: The class; "" if only a footprint is known.
+        kind: A name of `obstacles.OBSTACLES`.
+        risk: Share of the drives that may fail. At 0, obstacles are no higher than the step, and than the
+            height that every drive crossed; unmeasured classes are assumed to climb their step.
+
+    Raises:
+        SpecError: A risk for a class that was not measured.
+    """
+    known = measured_crossings()
+    curve = known.get(robot, {}).get(kind)
+    if curve is None:
+        if risk:
+            there = ", ".join(known)
+            raise SpecError(f"a risk of {risk:g} for {robot or 'a footprint'}: measured are {there}")
+        return HIGHEST
+    return max(LOWEST, highest_at(curve, 1.0 - risk)) if risk else min(HIGHEST, highest_at(curve, 1.0))

@@ -115,6 +115,15 @@ SHOWN = 3
 Settings = Mapping[str, type]
 """Dataclass of the settings of each type of item, with fields named after ini keys."""
 
+PREFIX = "usarbot."
+"""Prefix of sections of robots and items."""
+
+BASE_KEY = "BaseClass"
+"""Key of the base class of a section."""
+
+MOST_ROUNDS = 32
+"""Largest length of a chain of base classes."""
+
 
 @dataclass
 class WarningLog:
@@ -306,14 +315,6 @@ def examples(names: Sequence[str]) -> str:
     """Return the first names of a list, and the number of the others."""
     more = len(names) - SHOWN
     return ", ".join(names[:SHOWN]) + (f" and {more} more" if more > 0 else "")
-
-
-PREFIX = "usarbot."
-"""Prefix of sections of robots and items."""
-BASE_KEY = "BaseClass"
-"""Key of the base class of a section."""
-MOST_ROUNDS = 32
-"""Largest length of a chain of base classes."""
 
 
 class ItemClass(NamedTuple):

@@ -54,6 +54,28 @@ MOST_PARTS = 500
 CHASSIS_NAMES = ("", "none", CHASSIS.lower())
 """Names of the chassis as a Parent."""
 
+MIN_ARMATURE = 0.03
+"""Smallest armature of a wheel's motor, else the inertia of its load [kg m2] (a P2DX's)."""
+
+STIFFNESS, DAMPING = 667.0, 33.0
+"""Gains of servos over their inertia [1/s2], [1/s] (a P2AT's)."""
+
+WHEEL_SPEED = 6.2832
+"""Default speed of wheels [rad/s]: the wheel joint's in the UDK version. Their torque is for a friction
+coefficient of 1."""
+
+HINGE_SPEED, HINGE_TORQUE = 0.1745, 20.0
+"""Default speed [rad/s] and torque [N m] of hinges: MotorSpeed, MotorTorque (manual 14.4.2.3)."""
+
+STEER_SPEED = 15000 * np.pi / 32768
+"""Default steering rate [rad/s]: SteerSpeed (manual 14.4.2.3)."""
+
+SUSPENSION_RATE, SUSPENSION_SHARE = 2 * np.pi * 2.0, 0.4
+"""Suspension (chosen): natural frequency [rad/s], and share of critical damping."""
+
+WHEEL_SHARE, PART_MASS, HUB_SHARE = 0.07, 0.5, 0.3
+"""Default masses (chosen): a wheel's share of the robot, a part [kg], a hub's share of its wheel."""
+
 
 @dataclass(frozen=True)
 class JointPair:
@@ -253,17 +275,6 @@ def _frame(pair: JointPair, first: np.ndarray, field: str) -> np.ndarray:
         fail(pair.line, f"{field} lies along the first axis", "one across it")
     second = second / np.linalg.norm(second)
     return np.stack([first, second, np.cross(first, second)], 1)
-
-
-# All below is chosen. A wheel's motor has the inertia of its load, at least a P2DX's, gains of a P2AT's (667
-# and 33 times the inertia), and torque for a friction coefficient of 1.
-MIN_ARMATURE = 0.03
-STIFFNESS, DAMPING = 667.0, 33.0
-WHEEL_SPEED = 6.2832  # rad/s: the wheel joint's default in the UDK version
-HINGE_SPEED, HINGE_TORQUE = 0.1745, 20.0  # MotorSpeed, MotorTorque (manual 14.4.2.3), taken as N m
-STEER_SPEED = 15000 * np.pi / 32768  # SteerSpeed (manual 14.4.2.3)
-SUSPENSION_RATE, SUSPENSION_SHARE = 2 * np.pi * 2.0, 0.4  # rad/s, of critical damping
-WHEEL_SHARE, PART_MASS, HUB_SHARE = 0.07, 0.5, 0.3
 
 
 def build_parts(pairs: Sequence[JointPair], weight: float, robots: Registry[RobotSpec]) -> tuple[Part, ...]:

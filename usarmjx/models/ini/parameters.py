@@ -27,6 +27,27 @@ from usarmjx.models.types.shapes import Shape, Tyre
 STEREO_KEYS = ("isStereo", "stereoSpacing", "uuStereoSpacing")
 """Keys of stereo vision."""
 
+TRACKS = {"front": ("FRFlipper", "FLFlipper"), "rear": ("RRFlipper", "RLFlipper")}
+"""Flippers at each end of a robot."""
+
+MAX_TIRES = 12
+"""Largest number of tires of one flipper; more only cost time."""
+
+MOTOR_TORQUE, STEER_TORQUE, SUSP_STIFFNESS, SUSP_DAMPING = 20.0, 1000.0, 150.0, 15.0
+"""The original's defaults (manual 14.4.2.3), equivalent to our robots' own values."""
+
+KARMA_SCALE = 50.0
+"""Length of Karma's unit in Unreal units (manual 14.4.2.3)."""
+
+DEFAULT_SUSPENSION_TRAVEL = (-KARMA_SCALE / UU_PER_METRE, KARMA_SCALE / UU_PER_METRE)
+"""The original's default of a suspension's travel [m]."""
+
+TYRES = ("wheel", "track")
+"""Surfaces of tyres."""
+
+Figures = Mapping[str, Line]
+"""Last line of each key, by the key in lower case."""
+
 
 def with_stereo(robot: RobotSpec, figures: Mapping[str, Line], units: Units, notes: WarningLog) -> RobotSpec:
     """Return a robot whose first camera has its section's stereo settings.
@@ -59,12 +80,6 @@ def with_stereo(robot: RobotSpec, figures: Mapping[str, Line], units: Units, not
         (key, value) for key, value in main.options if field_name(key) not in map(field_name, given)
     )
     return replace(robot, cameras=(replace(main, options=(*kept, *given.items())), *others))
-
-
-TRACKS = {"front": ("FRFlipper", "FLFlipper"), "rear": ("RRFlipper", "RLFlipper")}
-"""Flippers at each end of a robot."""
-MAX_TIRES = 12
-"""Largest number of tires of one flipper; more only cost time."""
 
 
 def read_tracks(robot: RobotSpec, lines: Mapping[str, Line]) -> RobotSpec:
@@ -148,21 +163,6 @@ def _redriven(robot: RobotSpec, gone: set[str], fresh: list[str]) -> Tracks:
     left, right = side(drive.left), side(drive.right)
     ratios = tuple(drive.radius / radii[name] for name in (*left, *right))
     return replace(drive, left=left, right=right, ratios=ratios)
-
-
-MOTOR_TORQUE, STEER_TORQUE, SUSP_STIFFNESS, SUSP_DAMPING = 20.0, 1000.0, 150.0, 15.0
-"""The original's defaults (manual 14.4.2.3), equivalent to our robots' own values."""
-KARMA_SCALE = 50.0
-"""Length of Karma's unit in Unreal units (manual 14.4.2.3)."""
-
-DEFAULT_SUSPENSION_TRAVEL = (-KARMA_SCALE / UU_PER_METRE, KARMA_SCALE / UU_PER_METRE)
-"""The original's default of a suspension's travel [m]."""
-
-TYRES = ("wheel", "track")
-"""Surfaces of tyres."""
-
-Figures = Mapping[str, Line]
-"""Last line of each key, by the key in lower case."""
 
 
 def set_weight(robot: RobotSpec, value: float) -> RobotSpec:

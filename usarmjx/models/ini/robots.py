@@ -42,6 +42,9 @@ JOINT_KEYS = ("JointParts", "JointPart")
 OTHER_KEYS = ("BaseClass", "Dimensions", "CenterOfMass", "bMountByUU", "bAbsoluteCamera")
 """Further keys of one value."""
 
+MOST_BASES = 32
+"""Largest length of a chain of base classes."""
+
 
 @dataclass
 class SortedSections:
@@ -174,10 +177,6 @@ def _numbered(lines: Sequence[Line], units: Units) -> dict[int, tuple[Line, Unit
         number = line.index if line.index is not None else max(found, default=-1) + 1
         found[number] = (line, units)
     return found
-
-
-MOST_BASES = 32
-"""Largest length of a chain of base classes."""
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,27 @@ LatLon = tuple[float, float]
 METRES_PER_DEGREE = (METRES_PER_LATITUDE_DEGREE, METRES_PER_LONGITUDE_DEGREE)
 """Metres per degree of latitude and of longitude."""
 
+FOOT = 0.3048
+"""Length of a foot [m]."""
+
+WIDEST = 1e3
+"""Largest width of a lane or spot that is accepted [feet]."""
+
+LISTED = 100
+"""Largest count of numbers in a message."""
+
+FASTEST = 1e3
+"""Largest speed that is accepted [miles per hour]."""
+
+BOUNDARIES = ("double_yellow", "solid_yellow", "solid_white", "broken_white")
+"""Kinds of lane boundaries."""
+
+PointId = tuple[int, int, int]
+"""M.N.P: segment, lane and waypoint; zone, 0 and perimeter point; zone, spot and waypoint."""
+
+Fault = tuple[tuple[object, ...], str]
+"""Key of a faulty item (as `exit`, from, to), and the fault in words."""
+
 
 def to_lat_lon(
     origin: LatLon, at: tuple[float, float], scales: tuple[float, float] = METRES_PER_DEGREE
@@ -37,23 +58,6 @@ def to_lat_lon(
 def to_local_xy(origin: LatLon, at: LatLon) -> tuple[float, float]:
     """Return x, y [m] of a latitude and longitude [degrees]; the inverse of `to_lat_lon`."""
     return (at[0] - origin[0]) * METRES_PER_LATITUDE_DEGREE, (origin[1] - at[1]) * METRES_PER_LONGITUDE_DEGREE
-
-
-FOOT = 0.3048
-"""Length of a foot [m]."""
-WIDEST = 1e3
-"""Largest width of a lane or spot that is accepted [feet]."""
-LISTED = 100
-"""Largest count of numbers in a message."""
-FASTEST = 1e3
-"""Largest speed that is accepted [miles per hour]."""
-BOUNDARIES = ("double_yellow", "solid_yellow", "solid_white", "broken_white")
-"""Kinds of lane boundaries."""
-
-PointId = tuple[int, int, int]
-"""M.N.P: segment, lane and waypoint; zone, 0 and perimeter point; zone, spot and waypoint."""
-Fault = tuple[tuple[object, ...], str]
-"""Key of a faulty item (as `exit`, from, to), and the fault in words."""
 
 
 @dataclass(frozen=True, kw_only=True)

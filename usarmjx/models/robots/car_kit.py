@@ -28,6 +28,34 @@ from usarmjx.models.robots.kit import (
 from usarmjx.models.types.robot import STEER_SUFFIX, MissionPackage, Mount, Part, RobotSpec, Spring, options
 from usarmjx.models.types.shapes import Rgba, Shape
 
+MAX_SPIN = 100.0
+"""Highest wheel speed [rad/s] (manual 12.5, 12.7, 12.8; chosen for the SnowStorm, whose section lacks it)."""
+
+MAX_STEER, LOCK = 0.56, 0.7
+"""Largest FrontSteer, and the limit of a wheel, whose inner one turns further [rad] (chosen: past the 30
+degrees of manual 9.4's example; turning circles come out near the data sheets' 10.7 m of the Mini, 10.9 m
+of the Cherokee)."""
+
+STEER_RATE = 1.438
+"""Steering rate [rad/s] (manual 14.4.2.3: SteerSpeed 15000, as a rotation in Unreal units)."""
+
+SUSPENSION_FREQUENCY, DAMPING, SUSPENSION_TRAVEL = 11.0, 0.5, 0.12
+"""Suspension (chosen): natural frequency [rad/s] and damping ratio of the car on it, and its travel [m]; the
+travel of manual 14.4.2.3, SuspHighLimit 1.0 or 0.2 m, would put low cars on their floor."""
+
+ARMATURE, STEER_ARMATURE = 0.05, 0.02
+"""Inertia of motors per mass and wheel radius squared, and per mass [m2] (chosen). With less of the first the
+solver's iterations do not always suffice to hold a car still; with less of the second the road turns the
+wheels."""
+
+STEER_TORQUE = 1.3
+"""Torque of steering per mass [N m/kg] (chosen: a few times the torque that turns a standing wheel)."""
+
+ODOMETRY = Mount(
+    kind="Odometry", name="Odometry", options=options(LeftTire="LeftRWheel", RightTire="RightRWheel")
+)
+"""Odometry by the rear wheels, which do not steer: the difference of their paths gives the heading."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CarLook:
@@ -177,25 +205,6 @@ def _spread(count: int, half: float) -> Sequence[float]:
     return [half * (2 * (k + 0.5) / count - 1) for k in range(count)]
 
 
-MAX_SPIN = 100.0
-"""Highest wheel speed [rad/s] (manual 12.5, 12.7, 12.8; chosen for the SnowStorm, whose section lacks it)."""
-MAX_STEER, LOCK = 0.56, 0.7
-"""Largest FrontSteer, and the limit of a wheel, whose inner one turns further [rad] (chosen: past the 30
-degrees of manual 9.4's example; turning circles come out near the data sheets' 10.7 m of the Mini, 10.9 m
-of the Cherokee)."""
-STEER_RATE = 1.438
-"""Steering rate [rad/s] (manual 14.4.2.3: SteerSpeed 15000, as a rotation in Unreal units)."""
-SUSPENSION_FREQUENCY, DAMPING, SUSPENSION_TRAVEL = 11.0, 0.5, 0.12
-"""Suspension (chosen): natural frequency [rad/s] and damping ratio of the car on it, and its travel [m]; the
-travel of manual 14.4.2.3, SuspHighLimit 1.0 or 0.2 m, would put low cars on their floor."""
-ARMATURE, STEER_ARMATURE = 0.05, 0.02
-"""Inertia of motors per mass and wheel radius squared, and per mass [m2] (chosen). With less of the first the
-solver's iterations do not always suffice to hold a car still; with less of the second the road turns the
-wheels."""
-STEER_TORQUE = 1.3
-"""Torque of steering per mass [N m/kg] (chosen: a few times the torque that turns a standing wheel)."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Car:
     """Measurements of a car; heights are above the ground.
@@ -319,12 +328,6 @@ def _frame(car: Car) -> CarFrame:
         origin=car.origin,
         rgba=car.rgba,
     )
-
-
-ODOMETRY = Mount(
-    kind="Odometry", name="Odometry", options=options(LeftTire="LeftRWheel", RightTire="RightRWheel")
-)
-"""Odometry by the rear wheels, which do not steer: the difference of their paths gives the heading."""
 
 
 def build_car(

@@ -43,6 +43,27 @@ LAMP: Rgba = (0.98, 0.97, 0.86, 1.0)
 AMBER: Rgba = (0.98, 0.6, 0.1, 1.0)
 TAIL_LAMP: Rgba = (0.8, 0.07, 0.07, 1.0)
 
+RUBBER: Rgba = (0.15, 0.15, 0.15, 1.0)
+
+BLACK: Rgba = (0.1, 0.1, 0.1, 1.0)
+
+ON_THE_FLOOR = options(MaxIncidence=1.309)
+"""Options of level sonars above the ground: the floor returns no echo, as in captured sessions of a P2AT,
+which read up to 5 m though their cones meet the floor at 1.5 m."""
+
+AXLE_ROTATION = (-math.pi / 2, 0.0, 0.0)
+"""Rotation of a cylinder's axis (z) to the side (y)."""
+
+POSE_SENSORS = (
+    Mount(kind="Odometry", name="Odometry"),
+    Mount(kind="INS", name="INS"),
+    Mount(kind="GroundTruth", name="GroundTruth"),
+)
+"""Pose sensors of most robots by the manual, and the GroundTruth of captured ones."""
+
+ENCODER_AXIS = (0.0, 0.0, math.pi / 2)
+"""Direction of an encoder along the axle to the right (captured for ECRight)."""
+
 
 def block(size: Vec3, at: Vec3 = ZERO, rgba: Rgba = DARK, rotation: Vec3 = ZERO) -> Shape:
     """Return a box of given half lengths."""
@@ -221,15 +242,6 @@ def lens(at: Vec3, radius: float, rgba: Rgba = LOOK_BLACK, depth: float = 0.012)
     )
 
 
-RUBBER: Rgba = (0.15, 0.15, 0.15, 1.0)
-BLACK: Rgba = (0.1, 0.1, 0.1, 1.0)
-ON_THE_FLOOR = options(MaxIncidence=1.309)
-"""Options of level sonars above the ground: the floor returns no echo, as in captured sessions of a P2AT,
-which read up to 5 m though their cones meet the floor at 1.5 m."""
-AXLE_ROTATION = (-math.pi / 2, 0.0, 0.0)
-"""Rotation of a cylinder's axis (z) to the side (y)."""
-
-
 def wheel(
     name: str,
     *,
@@ -399,14 +411,3 @@ def sick_housing(at: Vec3) -> Shape:
     """Return a box of the LMS200's size (data sheet: 155 x 156 x 210 mm; optics in its upper half)."""
     centre = (at[0], at[1], at[2] - 0.03)
     return Shape(kind="box", size=(0.0775, 0.078, 0.08), at=centre, rgba=(0.2, 0.3, 0.7, 1))
-
-
-POSE_SENSORS = (
-    Mount(kind="Odometry", name="Odometry"),
-    Mount(kind="INS", name="INS"),
-    Mount(kind="GroundTruth", name="GroundTruth"),
-)
-"""Pose sensors of most robots by the manual, and the GroundTruth of captured ones."""
-
-ENCODER_AXIS = (0.0, 0.0, math.pi / 2)
-"""Direction of an encoder along the axle to the right (captured for ECRight)."""

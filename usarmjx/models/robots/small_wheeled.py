@@ -1,23 +1,35 @@
 """Skid-steered robots on four wheels: StereoP2AT, ATRVJr and Zerg (manual 12.2, 12.4, 12.11)."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots.kit import (
+    ACROSS,
     BLACK,
+    DARK,
+    LOOK_BLACK,
     ON_THE_FLOOR,
     POSE_SENSORS,
+    STEEL,
+    block,
     camera,
+    drum,
     firm_motor,
+    mirrored,
     pan_tilt,
+    prism,
+    rod,
+    sick,
     sick_housing,
     sick_lms200,
+    sonar_discs,
     wheel,
 )
-from usarmjx.models.robots.pioneer import P2AT, P2AT_SCANNER, at_looks, atrv_looks, zerg_looks
+from usarmjx.models.robots.pioneer import P2AT, P2AT_SCANNER, at_looks
 from usarmjx.models.types.robot import Motor, Mount, Part, RobotSpec
-from usarmjx.models.types.shapes import Shape
+from usarmjx.models.types.shapes import Rgba, Shape
 
 WINE = (0.5, 0.08, 0.3, 1.0)
 GREEN = (0.2, 0.4, 0.25, 1.0)
@@ -35,6 +47,39 @@ STEREO_P2AT = replace(
     ),
     sources=(*P2AT.sources, ("stereo camera", "manual 3.2.6")),
 )
+
+
+def atrv_looks(
+    sonars: Sequence[Mount], scanner: tuple[float, float, float], top: float, rgba: Rgba
+) -> tuple[Shape, ...]:
+    """Return an ATRVJr without its wheels and its camera; `top` is z of its deck."""
+    lower = [(0.30, 0.27), (0.385, 0.17), (0.385, 0.0), (-0.385, 0.0), (-0.385, 0.17), (-0.30, 0.27)]
+    return (
+        prism(lower, 0.19, DARK),
+        prism([(0.385, 0.005), (0.30, top), (-0.30, top), (-0.385, 0.005)], 0.312, rgba, top=0.23),
+        block((0.27, 0.2, 0.004), (0.0, 0.0, top - 0.002), LOOK_BLACK),
+        *(block((0.012, 0.17, 0.03), (x, 0.0, 0.12), rgba) for x in (0.39, -0.39)),
+        *sonar_discs([((m.at[0], m.at[1], 0.06), m.direction[2]) for m in sonars], 0.042, 0.02),
+        drum(0.03, 0.19, (0.0, 0.0, 0.1978), STEEL, ACROSS),
+        block((0.06, 0.06, 0.006), (scanner[0], 0.0, top - 0.006), DARK),
+        *sick(scanner),
+        *(drum(0.012, 0.012, (-0.28, y, top - 0.015), (0.85, 0.1, 0.1, 1.0)) for y in (0.16, -0.16)),
+        rod((-0.26, 0.0, top), (-0.26, 0.0, top - 0.25), 0.006, LOOK_BLACK),
+    )
+
+
+def zerg_looks(length: float, rgba: Rgba) -> tuple[Shape, ...]:
+    """Return a Zerg without its wheels and its camera: a flat body with sloping ends and a roll bar."""
+    x = length / 2
+    profile = mirrored([(x - 0.03, 0.035), (x, 0.02), (x - 0.04, -0.032)])
+    return (
+        prism(profile, 0.15, rgba),
+        block((0.085, 0.11, 0.003), (0.0, 0.0, -0.034), LOOK_BLACK),
+        block((0.006, 0.1, 0.012), (x - 0.004, 0.0, 0.018), LOOK_BLACK),
+        rod((-0.06, -0.13, -0.03), (-0.06, -0.13, -0.055), 0.006, LOOK_BLACK),
+        rod((-0.06, 0.13, -0.03), (-0.06, 0.13, -0.055), 0.006, LOOK_BLACK),
+        rod((-0.06, -0.13, -0.055), (-0.06, 0.13, -0.055), 0.006, LOOK_BLACK),
+    )
 
 
 def _four_wheels(

@@ -22,6 +22,12 @@ of the limits), damped to 0.8 of critical."""
 CLEAT_PITCH = 5.5
 """Spacing of drawn cleats over their height."""
 
+FLIPPERS = ("FRFlipper", "FLFlipper", "RRFlipper", "RLFlipper")
+"""Names of the flippers' parts."""
+
+GRIPPER_FINGERS_MASS = 0.2
+"""Mass of the two fingers of a gripper [kg]: part of the robot's mass, but not of its own parts."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Belt:
@@ -215,12 +221,6 @@ class Flippers:
             surface="fixture",
             rgba=BLACK,
         )
-
-
-FLIPPERS = ("FRFlipper", "FLFlipper", "RRFlipper", "RLFlipper")
-"""Names of the flippers' parts."""
-GRIPPER_FINGERS_MASS = 0.2
-"""Mass of the two fingers of a gripper [kg]: part of the robot's mass, but not of its own parts."""
 
 
 def drive_tracks(parts: Sequence[Part], belt: Belt) -> Tracks:

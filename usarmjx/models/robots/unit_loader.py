@@ -5,10 +5,23 @@ chosen.
 """
 
 from usarmjx.models.drives import SkidSteer
-from usarmjx.models.robots.kit import POSE_SENSORS, sick_housing, sick_lms200, wheel
-from usarmjx.models.robots.pioneer import loader_looks
+from usarmjx.models.robots.kit import (
+    ALONG,
+    AMBER,
+    DARK,
+    LAMP,
+    LOOK_BLACK,
+    POSE_SENSORS,
+    block,
+    drum,
+    rod,
+    sick,
+    sick_housing,
+    sick_lms200,
+    wheel,
+)
 from usarmjx.models.types.robot import Motor, Mount, RobotSpec
-from usarmjx.models.types.shapes import Shape
+from usarmjx.models.types.shapes import Rgba, Shape
 
 RADIUS, TRACK, BASE = 0.12, 0.50, 0.34
 LENGTH, WIDTH, DECK = 0.60, 0.56, 0.34  # the deck's height, on which the rollers stand
@@ -16,6 +29,26 @@ ORIGIN = 0.20
 MOTOR = Motor(max_speed=6.0, torque=8.0, armature=0.3)
 SCANNER = (0.22, 0.0, 0.03)  # in a recess below the deck
 YELLOW = (0.9, 0.7, 0.1, 1.0)
+
+
+def loader_looks(
+    length: float, width: float, scanner: tuple[float, float, float], rgba: Rgba
+) -> tuple[Shape, ...]:
+    """Return a UnitLoader without wheels and rollers: a platform with warning stripes on its sides."""
+    stripes = tuple(
+        block((0.022, width / 2 + 0.002, 0.0199), (x, 0.0, -0.05), LOOK_BLACK)
+        for x in (-0.24, -0.12, 0.0, 0.12, 0.24)
+    )
+    return (
+        block((0.28, 0.2, 0.05), (0.0, 0.0, 0.075), DARK),
+        block((0.2, 0.16, 0.03), (-0.04, 0.0, 0.0), DARK),
+        block((length / 2, width / 2, 0.02), (0.0, 0.0, -0.05), rgba),
+        *stripes,
+        *sick(scanner),
+        *(drum(0.02, 0.01, (0.295, y, 0.0), LAMP, ALONG) for y in (0.14, -0.14)),
+        rod((-0.27, 0.2, -0.07), (-0.27, 0.2, -0.09), 0.025, AMBER),
+    )
+
 
 UNIT_LOADER = RobotSpec(
     name="UnitLoader",

@@ -12,7 +12,7 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.base.process import return_freed_memory
 from usarmjx.base.transforms import Vec3, quat_from_angles
 from usarmjx.engines import PhysicsState
-from usarmjx.models.compile.compose import Physics
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.effecters import Opcode
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import RobotSpec
@@ -20,7 +20,7 @@ from usarmjx.recording.inputs import WorldSetup
 from usarmjx.sensors.cameras.picture import Picture
 from usarmjx.sensors.cameras.programs import PicturePrograms
 from usarmjx.sensors.suite import suite_of
-from usarmjx.server.worlds.recorded import keep_reading, record_step, single_setup
+from usarmjx.server.worlds.recorded import record_step, single_setup, store_reading
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
 from usarmjx.sim.configure import redescribe
@@ -32,7 +32,7 @@ from usarmjx.sim.world import World
 log = logging.getLogger(__name__)
 
 MAX_NAMES = 5
-"""So many names of what was put back last are kept."""
+"""Number of kept names of the last recovered robots and objects."""
 
 
 class DynamicWorld(ServedWorld):
@@ -41,13 +41,13 @@ class DynamicWorld(ServedWorld):
     Args:
         arena: The arena.
         physics: Solver and time settings; None: the reference.
-        seed: Of all random numbers.
-        number: Which world of a batch of that seed it is.
+        seed: Seed of all random numbers.
+        number: Number of the corresponding world of a batch with that seed.
         max_robots: Most robots at once.
 
     Attributes:
-        programs: Compiled programs that render pictures; None without an accelerator: there they cost a
-            processor more than C MuJoCo's rays do, and tens of seconds before the first picture.
+        programs: Compiled programs that render pictures; None without an accelerator: there they take more
+            processor time than C MuJoCo's rays do, and tens of seconds before the first picture.
     """
 
     def __init__(
@@ -67,12 +67,12 @@ class DynamicWorld(ServedWorld):
         self.programs = None if jax.default_backend() == "cpu" else PicturePrograms()
 
     def setup(self) -> WorldSetup:
-        """Return what the world was made of."""
+        """Return the world's inputs at its beginning."""
         return single_setup(self, self._origin)
 
     @property
     def scene(self) -> Scene:
-        """The scene with the robots that are there now."""
+        """The scene with the present robots."""
         return self._single.scene
 
     @property
@@ -90,18 +90,18 @@ class DynamicWorld(ServedWorld):
 
     def set_command(self, robot: Robot, command: RobotCommand) -> None:
         """Replace the robot's command."""
-        # The world's own time begins at 0 again when it is reset, that of its clients goes on.
+        # The world's step counter begins at 0 again after a reset, while the clients' time goes on.
         robot.command = command
         self.edit(robot, command=command.replace(flip_until=command.flip_until - np.float32(self._began)))
 
     def reset(self) -> None:
-        """Put robots back to where they appeared and all else to where it began, with full batteries."""
+        """Return robots to their spawn poses and all else to its beginning, with full batteries."""
         if self.recorder is not None:
             self.recorder.reset()
         self._began = self.time
         self._single.reset()
         for slot, robot in self.robots.items():
-            robot.begin_again(self._single.state_of(slot).command)
+            robot.restart(self._single.state_of(slot).command)
         self.forget()
 
     def spawn_at(self, robot: RobotSpec, name: str, poses: Sequence[tuple[Vec3, Vec3]]) -> Robot:
@@ -119,13 +119,13 @@ class DynamicWorld(ServedWorld):
             command = idle_command(robot)
         new = Robot(slot=slot, name=name, suite=suite_of(robot), command=command, spawn_time=self.time)
         self.robots[slot] = new
-        place = self.state(new).pos
-        if not any(np.allclose(place, pos, atol=1e-3) for pos, _ in poses):
-            log.info("%s: no room at %s: it stands at %s", name, _text(poses[0][0]), _text(place))
+        pos = self.state(new).pos
+        if not any(np.allclose(pos, wanted, atol=1e-3) for wanted, _ in poses):
+            log.info("%s: no room at %s: it stands at %s", name, _text(poses[0][0]), _text(pos))
         return new
 
     def redescribe(self, robot: Robot, spec: RobotSpec) -> None:
-        """Give a robot another description while it runs; the states of all are kept."""
+        """Replace the description of a robot while it runs; the states of all are kept."""
         self.prepare(spec)
         redescribe(self._single, robot.slot, spec)
         if self.recorder is not None:
@@ -133,7 +133,7 @@ class DynamicWorld(ServedWorld):
         robot.suite = suite_of(spec)
 
     def remove(self, robot: Robot) -> None:
-        """Take a robot out of the running world."""
+        """Remove a robot from the running world."""
         if self.robots.get(robot.slot) is robot:
             del self.robots[robot.slot]
             if self.recorder is not None:
@@ -142,15 +142,15 @@ class DynamicWorld(ServedWorld):
             return_freed_memory()
 
     def step(self) -> None:
-        """Advance by one control step; robots whose physics goes bad are put back where they appeared."""
+        """Advance by one control step; robots that diverge return to their spawn poses."""
         if self.recorder is not None:
             self.recorder.told(self.scene, [{"command": one.command} for one in self._single.world.groups])
         put_back = self._single.step()
         record_step(self, self._single.engine.data)
         if put_back:
-            self.mishaps.put_back += len(put_back.robots) + len(put_back.others)
+            self.recovery_log.put_back += len(put_back.robots) + len(put_back.others)
             names = [self.robots[slot].name for slot in sorted(put_back.robots)]
-            self.mishaps.names = (*self.mishaps.names, *names, *put_back.others)[-MAX_NAMES:]
+            self.recovery_log.names = (*self.recovery_log.names, *names, *put_back.others)[-MAX_NAMES:]
             log.error("the physics of %s went bad: put back", ", ".join([*names, *put_back.others]))
             if self.recorder is not None:
                 self.recorder.event("put back", f"{', '.join([*names, *put_back.others])}: put back")
@@ -165,7 +165,7 @@ class DynamicWorld(ServedWorld):
             robot.drowned = bool(self._single.world.groups[group].drowned[member])
             for sensor, reading in enumerate(readings[robot.slot]):
                 if reading.fresh:
-                    keep_reading(self, robot, sensor, np.asarray(reading.value))
+                    store_reading(self, robot, sensor, np.asarray(reading.value))
 
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
         """Carry out a SET command on an effecter."""
@@ -175,9 +175,10 @@ class DynamicWorld(ServedWorld):
         return status_of(outcome)
 
     def snapshot(self, requests: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:
-        """Take a snapshot of what pictures show; return a function that renders them.
+        """Take a snapshot of the world for pictures; return a function that renders them.
 
-        On NumPy, with the rays of C MuJoCo, unless there is an accelerator, and a program for it by now.
+        It renders on NumPy, with the rays of C MuJoCo, unless there is an accelerator with a finished
+        program.
         """
         scene = self._single.render_scene()
         views = [(self.viewpoint(request), request.width, request.height) for request in requests]

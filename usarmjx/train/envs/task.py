@@ -20,7 +20,7 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import Inboxes, MessageSettings
 from usarmjx.engines import PhysicsState
-from usarmjx.models.compile.compose import PHYSICS, Physics
+from usarmjx.models.compile.physics import PHYSICS, Physics
 from usarmjx.models.compile.randomization import DomainRandomization
 from usarmjx.models.compile.victims import VictimTable
 from usarmjx.models.drives.base import RobotState
@@ -344,3 +344,4 @@ def drive_all(robot: RobotSpec, actions: jax.Array) -> dict[str, jax.Array]:
 
 
 TASKS: Registry[Task] = Registry("task")
+"""Tasks by name, each with its default settings."""

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
-from usarmjx.models.compile.visuals import HOUSING_RGBA, HOUSING_SIZE
+from usarmjx.models.compile.parts import HOUSING_RGBA, HOUSING_SIZE
 from usarmjx.sensors.base import SENSORS, Sensor
 from usarmjx.view.drawing import Drawing, DrawnMount, Frame
 from usarmjx.view.layers.base import robot_colors

@@ -1,0 +1,100 @@
+"""Solver and time settings of a scene, and the presets of the commands."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+
+from usarmjx.base.errors import SpecError
+from usarmjx.base.registry import Registry
+
+CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
+"""MuJoCo's friction cones by name."""
+
+
+SOLVERS = {"CG": mujoco.mjtSolver.mjSOL_CG, "Newton": mujoco.mjtSolver.mjSOL_NEWTON}
+"""MuJoCo's constraint solvers by name."""
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Solver and time settings of a scene.
+
+    The elliptic cone with friction impedance ratio 2 lets robots turn in place as rigid wheels do and
+    hold slopes; CG is as fast as Newton for few robots, far faster for many, and free of the batched
+    Cholesky factorisation. docs/design.md tables the measurements.
+
+    Attributes:
+        timestep: Physics step [s].
+        substeps: Physics steps per control step.
+        iterations: Cap on solver iterations.
+        ls_iterations: Cap on line-search iterations.
+        cone: Friction cone of the contacts.
+        solver: MuJoCo's solver of the constraints.
+        contacts_per_robot: Capacity of contact buffers per robot like the P2AT, on average over a world's
+            robots; other robots count in proportion to their touching geoms.
+        pairs_per_robot: Geom pairs of one kind that engine `jax` examines, likewise; the nearest by bounding
+            spheres.
+        sleep_tolerance: Speed below which a loose object sleeps on engine `warp` [m/s]: after half a second
+            it has no contacts until something comes near. 0: none sleeps, as on the other engines.
+    """
+
+    timestep: float = 0.005
+    substeps: int = 4
+    impratio: float = 2.0
+    iterations: int = 10
+    ls_iterations: int = 10
+    cone: Literal["elliptic", "pyramidal"] = "elliptic"
+    solver: Literal["CG", "Newton"] = "CG"
+    contacts_per_robot: int = 16
+    pairs_per_robot: int = 32
+    sleep_tolerance: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown cone or solver, and a negative speed.
+
+        Raises:
+            SpecError: Names the allowed values.
+        """
+        if not self.sleep_tolerance >= 0.0:
+            raise SpecError(f"sleep_tolerance {self.sleep_tolerance} is no speed from 0 on")
+        for what, name, known in (("cone", self.cone, CONES), ("solver", self.solver, SOLVERS)):
+            if name not in known:
+                raise SpecError(f"{what} {name!r} is not one of {', '.join(known)}")
+
+    @property
+    def period(self) -> float:
+        """Control step [s]."""
+        return self.timestep * self.substeps
+
+    @property
+    def rows_per_contact(self) -> int:
+        """Constraint rows of a contact with sliding friction."""
+        return 3 if self.cone == "elliptic" else 4
+
+    @classmethod
+    def fast(cls) -> "Physics":
+        """Return settings for training and sweeps: several times as fast, and less exact.
+
+        Found by a search over settings; docs/performance.md tables the behaviour of every robot class under
+        them, beside the reference settings, and their limits.
+        """
+        return cls(timestep=0.01, substeps=2, iterations=8, ls_iterations=5)
+
+    @classmethod
+    def coarse(cls) -> "Physics":
+        """Return settings for engine `planar` alone, which takes a control step of 50 ms in one step."""
+        return cls(timestep=0.05, substeps=1)
+
+    @classmethod
+    def sleeping(cls) -> "Physics":
+        """Return the reference settings, except that untouched loose objects sleep on `warp`."""
+        return cls(sleep_tolerance=0.005)
+
+
+PHYSICS: Registry[Physics] = Registry("physics")
+"""Physics settings by name."""
+PHYSICS.add("reference", Physics())
+PHYSICS.add("fast", Physics.fast())
+PHYSICS.add("coarse", Physics.coarse())
+PHYSICS.add("sleeping", Physics.sleeping())
