@@ -28,7 +28,7 @@ from benchmarks.tools import append_record, record_header, spread_of
 from usarmjx.base.errors import UsageError
 from usarmjx.models.files.load import save_arena
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.viewing.viewer_service import ServedSource
+from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.control import CommandUpdate
 from usarmjx.view.page import UPDATE_PERIOD, ViewerPage

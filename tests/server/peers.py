@@ -7,6 +7,7 @@ import socket
 import struct
 import threading
 
+from tests.server.lockstep import LOCKSTEP, lockstep
 from usarmjx.server.gamebots.server import BotServer, BotServerSettings
 from usarmjx.server.runtime.loop import ServerLoop
 
@@ -77,7 +78,7 @@ class Peer:
 
 
 @contextlib.contextmanager
-def serving(world, services=(), realtime_factor=1.0, **settings):
+def serving(world, services=(), realtime_factor=LOCKSTEP, **settings):
     """A running server's (port, BotServer)."""
     server = BotServer(world, BotServerSettings(port=0, **settings), services)
     with looping([server], realtime_factor):
@@ -85,24 +86,25 @@ def serving(world, services=(), realtime_factor=1.0, **settings):
 
 
 @contextlib.contextmanager
-def looping(servers, realtime_factor=1.0):
-    """Run servers in a thread."""
+def looping(servers, realtime_factor=LOCKSTEP):
+    """Run servers in a thread; they step while the test waits, or at a real-time factor."""
     started, box = threading.Event(), {}
 
-    async def main():
-        box["loop"], box["all"] = asyncio.get_running_loop(), ServerLoop(servers, realtime_factor)
+    async def main(clock):
+        box["loop"], box["all"] = asyncio.get_running_loop(), ServerLoop(servers, clock)
         task = asyncio.create_task(box["all"].run())
         while not box["all"].listening and not task.done():
             await asyncio.sleep(0.01)
         started.set()
         await task
 
-    thread = threading.Thread(target=lambda: asyncio.run(main()), daemon=True)
-    thread.start()
-    assert started.wait(PATIENCE)
-    try:
-        yield
-    finally:
-        box["loop"].call_soon_threadsafe(box["all"].stop)
-        thread.join(PATIENCE)
-        assert not thread.is_alive()
+    with lockstep() if realtime_factor == LOCKSTEP else contextlib.nullcontext(realtime_factor) as clock:
+        thread = threading.Thread(target=lambda: asyncio.run(main(clock)), daemon=True)
+        thread.start()
+        assert started.wait(PATIENCE)
+        try:
+            yield
+        finally:
+            box["loop"].call_soon_threadsafe(box["all"].stop)
+            thread.join(PATIENCE)
+            assert not thread.is_alive()

@@ -12,7 +12,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.settings import CameraSettings
 from usarmjx.server.gamebots.adapter import Client
-from usarmjx.server.gamebots.edit_actor import FIGURES, edit_actor
+from usarmjx.server.gamebots.edit_actor import PARAMETERS, edit_actor
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.control import CommandUpdate
 
@@ -166,18 +166,18 @@ def test_all_robots_change_or_none(world):
     assert "SteerTorque=500" in edit(world, "name=H SteerTorque=500")
 
 
-@pytest.mark.parametrize("key", list(FIGURES))
+@pytest.mark.parametrize("key", list(PARAMETERS))
 def test_every_figure_can_be_changed_and_the_world_stays_sound(world, key):
     """To the smallest and the largest value; a Hummer steers and has springs, a kenaf has flippers."""
     steered = world.spawn(HUMMER, "H", (-1.0, 4.0, 1.0), (0.0, 0.0, 0.0))
     armed = world.spawn(ROBOTS.get("kenaf"), "K", (-4.0, 4.0, 0.4), (0.0, 0.0, 0.0))
     one = armed if key.startswith("Motor") else steered
-    for value in FIGURES[key]:
+    for value in PARAMETERS[key]:
         assert f"{key}={value:g}" in edit(world, f"name={one.name} {key}={value}")
         world.update_command(one, CommandUpdate(drive={one.spec.drive.keys[0]: 1.0}))
         for _ in range(5):
             world.step()
-        assert world.mishaps.put_back == 0
+        assert world.recovery_log.put_back == 0
         assert np.isfinite(np.asarray(world.one_world()[1].qpos)).all()
 
 

@@ -98,7 +98,7 @@ def test_a_browser_is_hung_up_on_before_anything_is_done(doors, caplog, door, na
         peer.socket.settimeout(PATIENCE)
         assert peer.line() == b""
         assert door == "images" or peer._rest == b"", "nothing is answered; a picture comes unasked"
-    assert not server.tally.commands
+    assert not server.counts.commands
     assert not server.world.robots
     assert not radio._links._server._registrations
     assert not radio._proxies._board.has("Intruder")

@@ -76,8 +76,8 @@ def test_what_clients_did_is_counted_by_world(served):
 
 def test_physics_that_went_bad_is_counted(served):
     port, servers = served
-    servers[0].world.mishaps.put_back += 2
-    servers[1].world.mishaps.resets += 1
+    servers[0].world.recovery_log.put_back += 2
+    servers[1].world.recovery_log.resets += 1
     found = samples(port)
     assert [of_world(found, "robots_put_back_total", world) for world in (3, 5)] == [2, 0]
     assert [of_world(found, "world_resets_total", world) for world in (3, 5)] == [0, 1]

@@ -33,7 +33,7 @@ def test_a_command_of_ones_own_reaches_the_robot_and_is_answered(told):
         peer.say("wave {Hand Left}\r\nWave {Times 3} {Hand right one}")
         assert peer.until(b"WAVED").split(b"} ")[1] == b"{Times 3}"
         assert told == [("R1", (("Hand", "Left"),)), ("R1", (("Times", "3"), ("Hand", "right one")))]
-        assert server.tally.commands
+        assert server.counts.commands
         peer.close()
 
 

@@ -18,7 +18,7 @@ from PIL import Image
 from tests.view.browser import Browser, find_browser
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.viewing.viewer_service import ServedSource
+from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.control import CommandUpdate
 from usarmjx.view.page import ViewerPage

@@ -9,7 +9,7 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec, Light, StartPose, Tag
 from usarmjx.models.types.robot import Mount
 from usarmjx.models.types.shapes import Shape
-from usarmjx.server.viewing.viewer_service import ServedSource
+from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 WALLS = tuple(

@@ -13,7 +13,8 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.server.gamebots.server import BotServer, BotServerSettings
 from usarmjx.server.runtime.loop import StepClock
 from usarmjx.server.viewing.controls import ServedControls
-from usarmjx.server.viewing.viewer_service import ServedSource, ViewerService, ViewerSettings
+from usarmjx.server.viewing.served_source import ServedSource
+from usarmjx.server.viewing.viewer_service import ViewerService, ViewerSettings
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.view.controls import ControlLock
 
@@ -27,7 +28,7 @@ class Show:
 
     def __init__(self):
         self.worlds = [DynamicWorld(FLAT, max_robots=3, number=n) for n in range(2)]
-        self.clock, self.seat = StepClock(), ControlLock()
+        self.clock, self.lock = StepClock(), ControlLock()
         self.servers = [BotServer(world, BotServerSettings(port=0)) for world in self.worlds]
         self.controls = ServedControls(self.servers, self.clock)
         source = ServedSource(self.worlds)
@@ -36,7 +37,7 @@ class Show:
             from usarmjx.view.page import ViewerPage
             from usarmjx.view.user_panels import UserPanels
 
-            panels = [partial(UserPanels, seat=self.seat)]
+            panels = [partial(UserPanels, lock=self.lock)]
             return ViewerPage(source, server=server, controls=self.controls, panels=panels)
 
         self.service = ViewerService(source, ViewerSettings(), make_page=make_page)
@@ -179,7 +180,7 @@ def test_who_goes_stops_its_robots_and_frees_the_controls(show, me, other):
     me.press(forward)
     wait_until(lambda: show.setpoint("Mine").any())
     me.leave()
-    wait_until(lambda: show.seat.holder is None)
+    wait_until(lambda: show.lock.holder is None)
     wait_until(lambda: not show.setpoint("Mine").any())
     other.click("button", TAKE)
     other.wait_for_text("Pause")

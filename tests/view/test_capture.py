@@ -6,7 +6,7 @@ from usarmjx.models.files.load import find_arena
 from usarmjx.models.generate.arena import generate
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.cameras.paint import VICTIM_LABEL
-from usarmjx.server.viewing.viewer_service import ServedSource
+from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene

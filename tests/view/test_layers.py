@@ -9,7 +9,7 @@ import viser
 from tests.view.scenery import LIT_ROOM, ROOT, drawn, nodes, seers
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.sensors.sketch import OverlayLines
-from usarmjx.server.viewing.viewer_service import ServedSource
+from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.sim.control import CommandUpdate
 from usarmjx.view.layers import LAYERS
 from usarmjx.view.layers.base import ROBOT_COLORS, scale_colors

@@ -12,7 +12,7 @@ from viser import _messages
 from tests.arenas import FLAT
 from tests.view.visitor import PATIENCE, until, visiting
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.viewing.viewer_service import ServedSource
+from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.view import user_panels as people_module
 from usarmjx.view.controls import BY_CLIENT, BY_PAGE, ControlLock, StartPoseChoice, WorldStatus
@@ -62,14 +62,14 @@ def controls():
 
 
 @pytest.fixture
-def seat():
+def lock():
     return ControlLock()
 
 
 @pytest.fixture
-def page(world, controls, seat, monkeypatch):
+def page(world, controls, lock, monkeypatch):
     monkeypatch.setattr(people_module, "UPDATE_PERIOD", 0.0)
-    page = ViewerPage(ServedSource([world]), controls=controls, panels=[partial(UserPanels, seat=seat)])
+    page = ViewerPage(ServedSource([world]), controls=controls, panels=[partial(UserPanels, lock=lock)])
     yield page
     page.close()
 
@@ -120,7 +120,7 @@ def asked(page, controls, *expected):
 # Who may
 
 
-def test_only_who_has_the_controls_can_do_anything(page, controls, seat):
+def test_only_who_has_the_controls_can_do_anything(page, controls, lock):
     with visiting(port_of(page)) as one, visiting(port_of(page)) as other:
         take(page, one)
         until(page, lambda: TAKE in labels(other))
@@ -132,7 +132,7 @@ def test_only_who_has_the_controls_can_do_anything(page, controls, seat):
         assert controls.asked == [("pause", True)]
         before = uuid_of(one, "Single step")
         say(one, TAKE)  # the same button, which by now gives them back
-        until(page, lambda: seat.holder is None)
+        until(page, lambda: lock.holder is None)
         one.say(_messages.GuiUpdateMessage(uuid=before, updates={"value": True}))
         asked(page, controls, "let_go")
         take(page, other)
@@ -141,16 +141,16 @@ def test_only_who_has_the_controls_can_do_anything(page, controls, seat):
         assert controls.asked.count(("step",)) == 1, "who has given the controls back cannot step"
 
 
-def test_who_goes_gives_the_controls_back_and_lets_go(page, controls, seat):
+def test_who_goes_gives_the_controls_back_and_lets_go(page, controls, lock):
     with visiting(port_of(page)) as one:
         take(page, one)
-    until(page, lambda: seat.holder is None)
+    until(page, lambda: lock.holder is None)
     assert controls.asked == [("let_go",)]
 
 
 def test_where_nobody_may_there_is_no_button(world, controls):
-    seat = ControlLock(allowed=False)
-    page = ViewerPage(ServedSource([world]), controls=controls, panels=[partial(UserPanels, seat=seat)])
+    lock = ControlLock(allowed=False)
+    page = ViewerPage(ServedSource([world]), controls=controls, panels=[partial(UserPanels, lock=lock)])
     try:
         with visiting(port_of(page)) as one:
             until(page, lambda: TAKE in labels(one))
@@ -159,7 +159,7 @@ def test_where_nobody_may_there_is_no_button(world, controls):
             say(one, TAKE)
             time.sleep(0.1)
             until(page, lambda: True)
-            assert seat.holder is None
+            assert lock.holder is None
     finally:
         page.close()
 

@@ -104,7 +104,8 @@ def viewer_server(
     """
     from usarmjx.server.network.access import EVERYBODY
     from usarmjx.server.network.gate import Gate
-    from usarmjx.server.viewing.viewer_service import gated_viser, page_address
+    from usarmjx.server.viewing.viewer_service import page_address
+    from usarmjx.server.viewing.viser_gate import gated_viser
 
     settings = viewer_settings(host, rules or EVERYBODY, names)
     gate = Gate(settings.access, settings.max_connections, "viewers")
@@ -146,24 +147,26 @@ def add_viewer(
         layers: Layers that are on at first beside those that always are.
     """
     from usarmjx.server.runtime.logs import keep_log
-    from usarmjx.server.viewing.controls import control_seat
-    from usarmjx.server.viewing.viewer_service import ServedSource, ViewerService
+    from usarmjx.server.viewing.controls import control_lock
+    from usarmjx.server.viewing.served_source import ServedSource
+    from usarmjx.server.viewing.viewer_service import ViewerService
 
     worlds = [server.world for server in servers]
     source = ServedSource(worlds, radio)
-    seat = control_seat(bound.getsockname()[0], settings.access, settings.control)
+    lock = control_lock(bound.getsockname()[0], settings.access, settings.control)
     tail = keep_log()
 
     def make_page(server: "viser.ViserServer") -> "ViewerPage":
-        from usarmjx.server.viewing.inset import CameraInset, ConsolePanel
+        from usarmjx.server.viewing.console_panel import ConsolePanel
+        from usarmjx.server.viewing.inset import CameraInset
         from usarmjx.view.page import ViewerPage
         from usarmjx.view.user_panels import UserPanels
 
         title = worlds[0].arena.name
         panels = [
-            partial(UserPanels, seat=seat),
+            partial(UserPanels, lock=lock),
             partial(CameraInset, worlds=worlds),
-            partial(ConsolePanel, worlds=worlds, seat=seat, tail=tail),
+            partial(ConsolePanel, worlds=worlds, lock=lock, tail=tail),
         ]
         page = ViewerPage(source, title=title, controls=controls, panels=panels, server=server)
         page.show_layers(layers)

@@ -1,6 +1,6 @@
-"""Recordings of policies at work: an episode of `usarmjx play`, some worlds of a training."""
+"""Recordings of policies: an episode of `usarmjx play`, or some worlds of a training."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState
 
 MOST_WORLDS = 4
-"""Of a training so many worlds are recorded, the first ones."""
+"""Most recorded worlds of a training, the first ones."""
 MIDST = "training goes on from episode to episode, and the recording leaves out most of it"
 
 
@@ -34,8 +34,8 @@ class EpisodeRecorder:
     Args:
         env: The environment.
         file: The recording.
-        numbers: Which worlds.
-        seed: What the environment was reset with; None: with something else, and nothing can be repeated.
+        numbers: Numbers of the recorded worlds.
+        seed: Seed of the environment's reset; None: it was reset otherwise, and no replay is possible.
     """
 
     def __init__(self, env: Env, file: RecordingFile, numbers: range, seed: int | None) -> None:
@@ -43,7 +43,7 @@ class EpisodeRecorder:
         self._numbers, self._recorders, self._time = numbers, dict[int, WorldRecorder](), 0.0
 
     def _begin(self, state: EnvState) -> None:
-        """Say what the worlds were made of, as they are before their first action."""
+        """Record the worlds' inputs, as they are before their first action."""
         env = self._env
         for number in self._numbers:
             _, physics = _world_of(env, state, number)
@@ -58,7 +58,7 @@ class EpisodeRecorder:
             self._recorders[number] = WorldRecorder(self._file, setup, number)
 
     def _why_not(self) -> str:
-        """Return why the episode cannot be computed again, in words; empty: it can."""
+        """Return the reason why the episode cannot be replayed; empty if it can."""
         if self._seed is None:
             return MIDST
         if self._env.traceable:
@@ -66,7 +66,7 @@ class EpisodeRecorder:
         return "its arenas were generated" if self._env.levels else ""
 
     def watch(self, state: EnvState) -> None:
-        """Keep the worlds as they are: once before the first action, and after each."""
+        """Record the present state of the worlds: once before the first action, and after each."""
         env, is_first = self._env, not self._recorders
         if is_first:
             self._begin(state)
@@ -74,23 +74,25 @@ class EpisodeRecorder:
             world, physics = _world_of(env, state, number)
             if not is_first:
                 groups = state.batch.worlds.groups
-                recorder.told(env.scene, [orders_of(group, number) for group in groups])
+                recorder.record_orders(env.scene, [orders_of(group, number) for group in groups])
                 qpos, qvel, act = (np.asarray(one) for one in (physics.qpos, physics.qvel, physics.act))
                 recorder.stepped(self._time, qpos, qvel, act, steps=env.task.repeat)
             if recorder.frame_is_due:
                 score = float(np.asarray(state.score)[number])
-                recorder.look(WorldSnapshot(scene=env.scene, world=world, physics=physics, score=score))
+                recorder.record_frame(
+                    WorldSnapshot(scene=env.scene, world=world, physics=physics, score=score)
+                )
         self._time += env.period
 
 
 class TrainingRecorder:
-    """Records the first worlds of a training in every so many iterations.
+    """Records the first worlds of a training in one of every `every` iterations.
 
     Args:
         env: The training's worlds.
         file: The recording.
-        every: Of so many iterations one is recorded.
-        calls: How often `look` is called in an iteration; once more before the first one.
+        every: Number of iterations of which one is recorded.
+        calls: Number of calls of `look` in an iteration; there is one more before the first iteration.
     """
 
     def __init__(self, env: Env, file: RecordingFile, every: int, calls: int) -> None:
@@ -98,18 +100,18 @@ class TrainingRecorder:
         self._every, self._calls, self._count = every, calls, -1
 
     def look(self, state: EnvState) -> None:
-        """Keep the worlds as they are, if it is their turn."""
+        """Record the worlds, if this iteration is recorded."""
         if self._count < 0 or self._count // self._calls % self._every == 0:
             self._episodes.watch(state)
         self._count += 1
 
 
 @contextmanager
-def episode_file(env: Env, path: Path) -> Iterator[RecordingFile]:
-    """Give a recording of an environment's worlds, which is complete in the end.
+def episode_file(env: Env, path: Path) -> Generator[RecordingFile]:
+    """Open a recording of an environment's worlds, and complete it at the end of the context.
 
     Raises:
-        UsageError: The file is there already.
+        UsageError: The file exists already.
         WriteError: It cannot be written.
     """
     about = {**versions(), "task": env.name, "arenas": env.scene.arena.name}

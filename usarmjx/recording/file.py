@@ -1,4 +1,4 @@
-"""An MCAP file that a thread writes, so that who has something to keep does not wait for the disk."""
+"""An MCAP file that a thread writes, so that a recorded world does not wait for the disk."""
 
 import json
 import logging
@@ -19,11 +19,11 @@ from usarmjx.recording.values import pack
 log = logging.getLogger(__name__)
 
 WAKE, FLUSH = 0.1, 0.5
-"""The thread looks for something to write so often, and what it has written is safe after so long [s]."""
+"""Interval at which the thread looks for jobs, and interval between two flushes to the disk [s]."""
 MOST_WAITING = 50_000
-"""Jobs that may wait; who has more to keep waits too."""
+"""Most waiting jobs; with more, `put` blocks."""
 PATIENCE = 5.0
-"""If nothing of so many has been written in this time, the disk has gone [s]."""
+"""Time without progress after which the disk counts as gone [s]."""
 NANO = 10**9
 
 
@@ -31,9 +31,9 @@ class ChannelName(NamedTuple):
     """A channel of a file.
 
     Attributes:
-        world: Number of the world that it is about.
-        kind: What it has: a name of `CHANNELS`.
-        about: Of what in the world, as the name of a robot; empty: of all.
+        world: Number of its world.
+        kind: Kind of its messages: a key of `CHANNELS`.
+        about: Subject in the world, such as the name of a robot; empty: the whole world.
     """
 
     world: int
@@ -52,22 +52,22 @@ CHANNELS = {
     "trail": "foxglove.PosesInFrame",
     "log": "foxglove.Log",
 }
-"""Kinds of channels and their schemas; those without one hold what `values.pack` makes."""
+"""Kinds of channels and their schemas; those without one hold bytes of `values.pack`."""
 Job = Callable[["RecordingFile"], None]
-"""Writes something, in the file's thread."""
+"""A write operation, carried out in the file's thread."""
 
 
 class RecordingFile:
     """A recording being written.
 
     Args:
-        path: The file, which must not be there yet.
-        about: What the file says of itself, in words by name.
+        path: The file, which must not exist yet.
+        about: Metadata of the file, texts by name.
         several: Whether there are several worlds: then topics begin with a world's number.
 
     Raises:
         WriteError: It cannot be written.
-        UsageError: It is there already.
+        UsageError: It exists already.
     """
 
     def __init__(self, path: Path, about: dict[str, str] | None = None, *, several: bool = False) -> None:
@@ -84,7 +84,7 @@ class RecordingFile:
         self._jobs: deque[Job] = deque()
         self._stop, self._flushed, self._written = Event(), time.monotonic(), 0
         self.ended = False
-        """Whether nothing is written any more."""
+        """Whether writing has ended."""
         with writing(self.path):
             self._writer.start(library="usarmjx")
             self._writer.add_metadata("usarmjx", about or {})
@@ -93,7 +93,7 @@ class RecordingFile:
         self._thread.start()
 
     def put(self, job: Job) -> None:
-        """Have something written soon, after all that was put before."""
+        """Queue a write operation, after all that were queued before."""
         if self.ended:
             return
         self._jobs.append(job)
@@ -101,7 +101,7 @@ class RecordingFile:
             self._wait()
 
     def _wait(self) -> None:
-        """Wait for the thread, as long as it gets on."""
+        """Wait for the thread, as long as it makes progress."""
         before, since = self._written, time.monotonic()
         while len(self._jobs) > MOST_WAITING and not self.ended:
             time.sleep(WAKE)
@@ -111,19 +111,19 @@ class RecordingFile:
                 self._end("the disk does not answer")
 
     def close(self) -> None:
-        """Write what waits, and the index; then the file is complete."""
+        """Write waiting jobs and the index; then the file is complete."""
         self._stop.set()
         self._thread.join()
 
-    # What follows runs in the thread.
+    # The methods below run in the thread.
 
     def write(self, channel: ChannelName, at: float, value: Any) -> None:  # noqa: ANN401 - as the channel has
         """Add a message to a channel; for jobs only.
 
         Args:
-            channel: Where to.
+            channel: The channel.
             at: Simulated time [s].
-            value: What `pack` or JSON can say, as the channel's schema wants it.
+            value: The message: a value of `pack` or JSON, by the channel's schema.
         """
         number = self._channels.get(channel) or self._register(channel)
         data = json.dumps(value).encode() if CHANNELS[channel.kind] else pack(value)
@@ -153,7 +153,7 @@ class RecordingFile:
             self._drain()
             if not self.ended:
                 self._writer.finish()
-        except Exception as error:  # whatever happens here, what is recorded goes on
+        except Exception as error:  # a full or failed disk must not stop the world that is recorded
             reason = disk_error(error) or (error.strerror if isinstance(error, OSError) else None)
             self._end(str(reason or error))
         finally:

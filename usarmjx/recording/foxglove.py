@@ -1,4 +1,4 @@
-"""Drawings and frames as messages that Foxglove and its like show."""
+"""Drawings and frames as messages for Foxglove and similar viewers."""
 
 import json
 import math
@@ -105,48 +105,48 @@ SCHEMAS: dict[str, Schema] = {
     "usarmjx.Event": _object(kind=TEXT, robot=TEXT, slot=INTEGER, text=TEXT),
     "usarmjx.Score": _object(score=NUMBER),
 }
-"""The schemas by name."""
+"""JSON schemas by name."""
 
 
 def schema_text(name: str) -> bytes:
-    """Return a schema as JSON Schema; of what only we read, nothing."""
+    """Return a schema as JSON Schema; empty for channels that only usarmjx reads."""
     if name not in SCHEMAS:
         return b""
     return json.dumps({"title": name, **SCHEMAS[name]}).encode()
 
 
 WORLD = "world"
-"""The frame that all others are in."""
+"""Root frame."""
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 INFO = 2
-"""Foxglove's level of what is no fault."""
+"""Foxglove's log level for information."""
 DELETE_ALL = 1
-"""Foxglove's order to forget all that was drawn before."""
+"""Foxglove's deletion of all former entities."""
 NANO = 10**9
 DIGITS = 4
-"""Digits after the point: tenths of a millimetre."""
+"""Decimals of coordinates: tenths of a millimetre."""
 ALL_PERIOD = 5.0
-"""What stands still is told so often [s]."""
+"""Interval between two transforms of a body at rest [s]."""
 TRAIL_STEP = 0.2
 """Distance between two poses of a trail [m]."""
 TRAIL_PERIOD = 2.0
-"""A trail is told no more often than this [s]."""
+"""Least interval between two messages of a trail [s]."""
 MOST_POSES = 200
-"""In a trail; then every other one goes, and the step is twice as long."""
+"""Most poses of a trail; beyond that, every other one is dropped, and the step doubles."""
 SCANNERS = ("RangeScanner", "IRScanner")
 """Kinds of sensors whose readings are a plane scan, from right to left or from below."""
 UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Turns the plane of a scan upright."""
+"""Rotation of a scan's plane from horizontal to vertical."""
 
 
 def stamp(time: float) -> dict[str, int]:
-    """Return a time [s] as Foxglove has it."""
+    """Return a time [s] in Foxglove's form."""
     nano = round(time * NANO)
     return {"sec": nano // NANO, "nsec": nano % NANO}
 
 
 def frame_id(drawing: Drawing, body: int) -> str:
-    """Return the name of the frame of a body: of a robot's its name and the part's."""
+    """Return the name of a body's frame: for a robot, its name and the part's."""
     drawn = drawing.bodies[body]
     if drawn.slot == NOBODY:
         return drawn.name
@@ -154,7 +154,7 @@ def frame_id(drawing: Drawing, body: int) -> str:
 
 
 class Transforms:
-    """Where bodies are, as `foxglove.FrameTransforms`: those that have moved, and all from time to time."""
+    """Poses of bodies as `foxglove.FrameTransforms`: of those that have moved, and of all now and then."""
 
     def __init__(self) -> None:
         self._drawing: Drawing | None = None
@@ -163,16 +163,16 @@ class Transforms:
         self._all_due = 0.0
 
     def message(self, drawing: Drawing, frame: Frame) -> dict[str, Any]:
-        """Return where bodies are that are to be seen."""
+        """Return the transforms of visible bodies."""
         is_new = drawing is not self._drawing
         if is_new:
             self._drawing = drawing
             self._names = [frame_id(drawing, body) for body in range(len(drawing.bodies))]
-        told = frame.shown
+        sent = frame.shown
         if is_new or frame.time >= self._all_due:
             self._all_due = frame.time + ALL_PERIOD
         else:
-            told = told & ((frame.pos != self._pos).any(-1) | (frame.quat != self._quat).any(-1))
+            sent = sent & ((frame.pos != self._pos).any(-1) | (frame.quat != self._quat).any(-1))
         self._pos, self._quat, now = frame.pos, frame.quat, stamp(frame.time)
         pos, quat = frame.pos.astype(float).round(DIGITS), frame.quat.astype(float).round(DIGITS + 1)
         return {
@@ -184,13 +184,13 @@ class Transforms:
                     "translation": _xyz(pos[body].tolist()),
                     "rotation": _quaternion(quat[body].tolist()),
                 }
-                for body in np.flatnonzero(told).tolist()
+                for body in np.flatnonzero(sent).tolist()
             ]
         }
 
 
 def scene_update(drawing: Drawing, time: float) -> dict[str, Any]:
-    """Return what all bodies look like, each in its own frame, as `foxglove.SceneUpdate`."""
+    """Return the shapes of all bodies, each in its own frame, as `foxglove.SceneUpdate`."""
     now = stamp(time)
     solids = {key: _primitives(shape) for key, shape in drawing.shapes.items()}
     entities = [
@@ -211,7 +211,7 @@ def scene_update(drawing: Drawing, time: float) -> dict[str, Any]:
 
 
 def _labels(drawing: Drawing, body: int) -> list[dict[str, Any]]:
-    """Return the name of a robot over its chassis; nothing over other bodies."""
+    """Return a label with a robot's name over its chassis; none for other bodies."""
     for robot in drawing.robots.values():
         if robot.body == body:
             above = [0.0, 0.0, float(robot.dimensions[2]) + 0.3]
@@ -229,7 +229,7 @@ def _labels(drawing: Drawing, body: int) -> list[dict[str, Any]]:
 
 
 def _primitives(shape: DrawnShape) -> dict[str, list[dict[str, Any]]]:
-    """Return boxes as cubes, and all else as triangles."""
+    """Return boxes as cubes, and all other shapes as triangles."""
     boxes = np.flatnonzero(shape.kind == BOX)
     rest = np.flatnonzero(shape.kind != BOX)
     cubes = [
@@ -281,39 +281,39 @@ def laser_scan(
 
 
 def is_scanner(robot: DrawnRobot, sensor: int) -> bool:
-    """Return whether a robot's sensor measures along a plane fan."""
+    """Return whether a robot's sensor scans a plane fan."""
     return robot.sensors[sensor].kind in SCANNERS
 
 
 @dataclass
 class _Trail:
-    """A robot's way: where it was, and when it is told next [s]."""
+    """Path of a robot so far, and the time of its next message [s]."""
 
     poses: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     last: list[float] = field(default_factory=list[float])
     step: float = TRAIL_STEP
     due: float = 0.0
-    is_told: bool = False
+    is_sent: bool = False
 
 
 class Trails:
-    """The ways of robots, as `foxglove.PosesInFrame`."""
+    """Paths of robots, as `foxglove.PosesInFrame`."""
 
     def __init__(self) -> None:
         self._trails: dict[str, _Trail] = {}
 
     def add(self, name: str, robot: RobotFrame, time: float) -> dict[str, Any] | None:
-        """Return a robot's way so far, if it has gone on and was not told lately."""
+        """Return a robot's path so far, if it has changed and is due."""
         trail, here = self._trails.setdefault(name, _Trail()), robot.pos.tolist()
         if not trail.poses or math.dist(here, trail.last) >= trail.step:
-            trail.last, trail.is_told = here, False
+            trail.last, trail.is_sent = here, False
             trail.poses.append({"position": _xyz(here), "orientation": _quaternion(robot.quat.tolist())})
         if len(trail.poses) > MOST_POSES:
             del trail.poses[1::2]
             trail.step *= 2
-        if trail.is_told or time < trail.due:
+        if trail.is_sent or time < trail.due:
             return None
-        trail.is_told, trail.due = True, time + TRAIL_PERIOD
+        trail.is_sent, trail.due = True, time + TRAIL_PERIOD
         return {"timestamp": stamp(time), "frame_id": WORLD, "poses": trail.poses}
 
 
@@ -331,7 +331,7 @@ def _xyz(values: list[float]) -> dict[str, float]:
 
 
 def _quaternion(values: list[float]) -> dict[str, float]:
-    """Return a quaternion, w first, by its names."""
+    """Return a quaternion, w first, by component names."""
     return {"x": values[1], "y": values[2], "z": values[3], "w": values[0]}
 
 

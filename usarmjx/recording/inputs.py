@@ -1,6 +1,7 @@
-"""What a world was made of and what came into it from outside: enough to compute all again.
+"""Inputs of a recorded world: its initial setup and all later changes from outside, enough for a replay.
 
-Everything has the control steps that the world had made by then, since the recording of it can begin.
+Each input has the number of control steps that the world had made before it. Class and field names stand in
+recordings: do not rename them without an alias in `values`.
 """
 
 import platform
@@ -25,11 +26,16 @@ from usarmjx.sim.scene import RosterEntry
 from usarmjx.sim.world import GroupState
 
 PACKAGES = ("usarmjx", "mujoco", "mujoco-mjx", "numpy", "jax", "jaxlib")
+"""Packages whose versions a recording keeps: other versions may compute other bits."""
+SINGLE = "single"
+"""Kind of a `SingleWorld`; others have the name of a batch's engine."""
+ORDER_FIELDS = ("command", "active", "battery_start", "drowned")
+"""Fields of a `GroupState` that change a batch's worlds from outside."""
 
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions of what computes here, and the kind of machine, by name."""
+    """Return the versions of the packages here, and the kind of machine, by name."""
     found = {"machine": f"{platform.system()} {platform.machine()}", "python": platform.python_version()}
     for package in PACKAGES:
         try:
@@ -39,33 +45,29 @@ def versions() -> dict[str, str]:
     return found
 
 
-SINGLE = "single"
-"""Kind of a `SingleWorld`; others have the name of a batch's engine."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class WorldSetup:
-    """What a world was made of.
+    """Initial inputs of a world.
 
     Attributes:
-        kind: `SINGLE`, or the engine of the batch that it is one of.
+        kind: `SINGLE`, or the engine of its batch.
         arenas: Its arena, or those that its batch goes through.
         physics: Solver and time settings.
         roster: The robots of a batch, by slot.
-        radio: Constants of the radio; None: the scene has none.
-        mail: Sizes of messages; None: there are none.
-        vary: What differs between worlds of the batch; None: nothing.
+        radio: Constants of the radio; None without one.
+        mail: Sizes of messages; None without any.
+        vary: Randomization between worlds of the batch; None without any.
         shuffle: Whether robots start in a random order.
-        seed: Of all random numbers.
+        seed: Seed of all random numbers.
         first: Number of the batch's first world.
-        number: Which world of the batch it is, or of which it draws the random numbers.
+        number: Index of the world in the batch, or number of the world whose random numbers it draws.
         seats: Most robots of a `SINGLE` world.
         worlds: Worlds in the batch.
         steps_before: Control steps made before the recording began.
-        repeat: Control steps that are made in one go.
-        start: Positions that it starts from (nq,); None: those of a reset.
-        versions: Of what computed it, by name.
-        why_not: Why it cannot be computed again, in words; empty: it can.
+        repeat: Control steps per call.
+        start: Initial positions (nq,); None: those of a reset.
+        versions: Versions of the packages that computed it, by name.
+        why_not: Reason why it cannot be replayed; empty if it can.
     """
 
     kind: str
@@ -90,7 +92,7 @@ class WorldSetup:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotAdded:
-    """A robot was to join a `SINGLE` world; where there was no room, it did not.
+    """Attempt to add a robot to a `SINGLE` world; without room for it the attempt failed.
 
     Attributes:
         step: Control steps made by then.
@@ -107,7 +109,7 @@ class RobotAdded:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotRemoved:
-    """The robot of a slot was taken out of a `SINGLE` world."""
+    """Removal of the robot of a slot from a `SINGLE` world."""
 
     step: int
     slot: int
@@ -115,7 +117,7 @@ class RobotRemoved:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotRedescribed:
-    """The robot of a slot of a `SINGLE` world got another description."""
+    """Replacement of the description of a robot of a `SINGLE` world."""
 
     step: int
     slot: int
@@ -124,7 +126,7 @@ class RobotRedescribed:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotPlaced:
-    """The robot of a slot of a batch was put somewhere: position [m] (3,) and orientation (4,)."""
+    """Pose set for the robot of a slot of a batch: position [m] (3,) and orientation (4,)."""
 
     step: int
     slot: int
@@ -134,14 +136,14 @@ class RobotPlaced:
 
 @dataclass(frozen=True, kw_only=True)
 class WorldReset:
-    """The world began anew; the robots are where they appeared, or parked."""
+    """Restart of the world; the robots are at their spawn poses, or parked."""
 
     step: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class OrdersGiven:
-    """What robots were told between two control steps: fields of their `GroupState`, by slot."""
+    """Commands of robots between two control steps: fields of their `GroupState`, by slot."""
 
     step: int
     orders: Mapping[int, Mapping[str, Any]]
@@ -149,7 +151,7 @@ class OrdersGiven:
 
 @dataclass(frozen=True, kw_only=True)
 class Interrupted:
-    """From here on the world cannot be computed again, for a reason in words."""
+    """End of the part that can be replayed, with its reason."""
 
     step: int
     reason: str
@@ -175,15 +177,11 @@ class StepState:
 
 
 Input = RobotAdded | RobotRemoved | RobotRedescribed | RobotPlaced | WorldReset | OrdersGiven | Interrupted
-"""What comes into a world."""
-
-
-ORDER_FIELDS = ("command", "active", "battery_start", "drowned")
-"""Fields of a `GroupState` by which worlds of a batch are told what to do."""
+"""An input of a world."""
 
 
 def batch_setup(batch: Batch, number: int, steps_before: int) -> WorldSetup:
-    """Return what a batch was made of, of which one world is recorded.
+    """Return the initial inputs of a batch, of which one world is recorded.
 
     Args:
         batch: The batch.
@@ -211,7 +209,7 @@ def batch_setup(batch: Batch, number: int, steps_before: int) -> WorldSetup:
 
 
 def orders_of(state: GroupState, world: int) -> dict[str, Any]:
-    """Return what a group's robots of a world of a batch have been told; leading axis over robots.
+    """Return `ORDER_FIELDS` of a group's robots in a world of a batch; leading axis over robots.
 
     Args:
         state: The group in all worlds (worlds, robots, ...).

@@ -1,4 +1,4 @@
-"""Recordings, complete or broken off anywhere, as messages and as what the page shows."""
+"""Recordings, complete or truncated anywhere, as messages and as frames for the page."""
 
 import json
 from bisect import bisect_right
@@ -19,9 +19,9 @@ from usarmjx.recording.inputs import WorldSetup
 from usarmjx.recording.values import unpack
 
 MOST_BYTES = 1 << 28
-"""Of a part of a file; its writer makes parts of half a second."""
+"""Largest chunk that is read [bytes]; the writer makes chunks of half a second."""
 CACHED_CHUNKS = 16
-"""Parts of a file that are kept in memory."""
+"""Number of decoded chunks that are kept in memory."""
 
 
 class RecordedMessage(NamedTuple):
@@ -29,8 +29,8 @@ class RecordedMessage(NamedTuple):
 
     Attributes:
         time: Simulated time [s].
-        channel: Where it is from.
-        value: What it says.
+        channel: Its channel.
+        value: Its content.
     """
 
     time: float
@@ -40,7 +40,7 @@ class RecordedMessage(NamedTuple):
 
 @dataclass(frozen=True)
 class _Part:
-    """A chunk of a file: its times [ns], where it is, and the ids of its channels."""
+    """A chunk of a file: its times [ns], its offset [bytes], and the ids of its channels."""
 
     start: int
     end: int
@@ -56,10 +56,10 @@ class Recording:
 
     Attributes:
         path: The file.
-        is_complete: Whether it was closed; else its end is missing.
-        about: What the file says of itself, in words by name.
-        start: When it begins [s].
-        end: When it ends [s].
+        is_complete: Whether it was closed; otherwise its end is missing.
+        about: Metadata of the file, texts by name.
+        start: Time of its first chunk [s].
+        end: Time of its last chunk [s].
 
     Raises:
         UsageError: It cannot be read, or is no recording of ours.
@@ -89,7 +89,7 @@ class Recording:
         self._stream.close()
 
     def _read_summary(self) -> bool:
-        """Read what the end of a complete file says; return whether it is there."""
+        """Read the summary at the end of a complete file; return whether there is one."""
         try:
             reader = SeekingReader(self._stream, record_size_limit=MOST_BYTES)
             summary = reader.get_summary()
@@ -97,7 +97,7 @@ class Recording:
                 return False
             for metadata in reader.iter_metadata():
                 self._take_metadata(metadata)
-        except Exception:  # what a broken file makes of its last bytes is anything
+        except Exception:  # the MCAP library raises any error on the cut end of a file
             return False
         for channel in summary.channels.values():
             self._take_channel(channel)
@@ -113,12 +113,13 @@ class Recording:
         return True
 
     def _scan(self) -> None:
-        """Read a file from its beginning, as far as it is whole."""
+        """Read a file from its beginning, as far as it is intact."""
         self._stream.seek(0)
         self._parts, self._channels = [], {}
         records = StreamReader(self._stream, emit_chunks=True, record_size_limit=MOST_BYTES).records
         while True:
             try:
+                # The first record follows 8 magic bytes, which the reader consumes only with it.
                 offset = max(self._stream.tell(), 8)
                 record = next(records, None)
                 if record is None:
@@ -133,7 +134,7 @@ class Recording:
                     used = frozenset(one.channel_id for one in inside if isinstance(one, Message))
                     times = record.message_start_time, record.message_end_time
                     self._parts.append(_Part(*times, offset, used))
-            except Exception:  # the rest is missing, and its beginning may be anything
+            except Exception:  # a cut record: the rest of the file is missing
                 return
 
     def _take_metadata(self, metadata: Metadata) -> None:
@@ -141,13 +142,14 @@ class Recording:
             self.about |= metadata.metadata
 
     def _take_channel(self, channel: Channel) -> None:
-        said = channel.metadata
-        if said.get("kind") in CHANNELS and said.get("world", "").isdecimal():
-            self._channels[channel.id] = ChannelName(int(said["world"]), said["kind"], said.get("about", ""))
+        fields = channel.metadata
+        if fields.get("kind") in CHANNELS and fields.get("world", "").isdecimal():
+            name = ChannelName(int(fields["world"]), fields["kind"], fields.get("about", ""))
+            self._channels[channel.id] = name
 
     def _read_part(self, part: _Part) -> tuple[Message, ...]:
         try:
-            self._stream.seek(part.offset + 9)
+            self._stream.seek(part.offset + 9)  # behind the record's opcode (1 byte) and length (8 bytes)
             records = _records_of(Chunk.read(ReadDataStream(self._stream)))
         except Exception as error:
             raise UsageError(f"{self.path}: is broken at byte {part.offset}: {error}") from error
@@ -169,9 +171,9 @@ class Recording:
         """Yield messages in the order in which they were written.
 
         Args:
-            kinds: Of which kinds of channels.
-            world: Of which world; None: of all.
-            since: Leave out what is older [s].
+            kinds: Kinds of channels.
+            world: Number of the world; None for all.
+            since: Time before which messages are left out [s].
 
         Raises:
             UsageError: The file is broken.
@@ -185,10 +187,10 @@ class Recording:
                         yield self._decoded(message)
 
     def last(self, kind: str, world: int, time: float) -> RecordedMessage | None:
-        """Return the last message of a kind up to a time [s]; None: there is none yet."""
+        """Return the last message of a kind up to a time [s]; None without one."""
         wanted, latest = self._wanted([kind], world), round(time * NANO)
-        place = bisect_right(self._parts, latest, key=lambda part: part.start)
-        for part in reversed(self._parts[:place]):
+        end = bisect_right(self._parts, latest, key=lambda part: part.start)
+        for part in reversed(self._parts[:end]):
             if not wanted.isdisjoint(part.channels):
                 for message in reversed(self._records(part)):
                     if message.log_time <= latest and message.channel_id in wanted:
@@ -196,7 +198,7 @@ class Recording:
         return None
 
     def following(self, kind: str, world: int, time: float) -> RecordedMessage | None:
-        """Return the first message of a kind after a time [s]; None: there is none."""
+        """Return the first message of a kind after a time [s]; None without one."""
         wanted, first = self._wanted([kind], world), round(time * NANO)
         for part in self._parts:
             if part.end > first and not wanted.isdisjoint(part.channels):
@@ -206,10 +208,10 @@ class Recording:
         return None
 
     def setup(self, world: int) -> WorldSetup:
-        """Return what a world was made of.
+        """Return the initial inputs of a world.
 
         Raises:
-            UsageError: The file does not say.
+            UsageError: The file has none.
         """
         found = next(self.messages(["setup"], world), None)
         if found is None or not isinstance(found.value, WorldSetup):
@@ -233,10 +235,10 @@ class Recording:
 
 
 def _records_of(chunk: Chunk) -> list[Any]:
-    """Return what is in a chunk.
+    """Return the records of a chunk.
 
     Raises:
-        ValueError: It is larger than ours are.
+        ValueError: It is larger than the writer's chunks.
     """
     if chunk.uncompressed_size > MOST_BYTES:
         raise ValueError(f"a part of {chunk.uncompressed_size} bytes; at most {MOST_BYTES}")

@@ -1,4 +1,4 @@
-"""What happens in a world, as it is told by who runs it, into a recording."""
+"""Recorder of a world: its inputs, states, readings and events become messages of a file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -34,6 +34,11 @@ from usarmjx.sim.world import World
 from usarmjx.view.capture import Capture
 from usarmjx.view.drawing import Drawing, Frame
 
+FRAME_PERIOD = 0.2
+"""Interval between two recorded frames [s of the world's time]; physics is recorded in every step."""
+SensorValues = list[tuple[int, int, np.ndarray]]
+"""Slots, indices of sensors in the suite, and their values."""
+
 
 class WorldMessages:
     """Messages about one world.
@@ -54,14 +59,14 @@ class WorldMessages:
         return ChannelName(self._number, kind, about)
 
     def setup(self, setup: WorldSetup, at: float, file: RecordingFile) -> None:
-        """Write what the world was made of; without its arenas if these are not usarmjx's own values."""
+        """Write the world's initial inputs; without its arenas if these are not usarmjx's own values."""
         try:
             file.write(self._channel("setup"), at, setup)
         except UsageError as error:
             file.write(self._channel("setup"), at, replace(setup, arenas=(), roster=(), why_not=str(error)))
 
     def input(self, given: Input, at: float, file: RecordingFile) -> None:
-        """Write what came into the world."""
+        """Write an input of the world."""
         try:
             file.write(self._channel("inputs"), at, given)
         except UsageError as error:
@@ -71,10 +76,10 @@ class WorldMessages:
         """Write the physics after a control step."""
         file.write(self._channel("states"), state.time, state)
 
-    def event(self, said: Mapping[str, Any], at: float, file: RecordingFile) -> None:
-        """Write what happened, for us and for Foxglove."""
-        file.write(self._channel("events"), at, dict(said))
-        file.write(self._channel("log"), at, foxglove.log(said["text"], said["robot"] or "world", at))
+    def event(self, fields: Mapping[str, Any], at: float, file: RecordingFile) -> None:
+        """Write an event, for usarmjx and for Foxglove."""
+        file.write(self._channel("events"), at, dict(fields))
+        file.write(self._channel("log"), at, foxglove.log(fields["text"], fields["robot"] or "world", at))
 
     def lines(self, who: tuple[str, str, bool], data: bytes, at: float, file: RecordingFile) -> None:
         """Write lines of the protocol."""
@@ -83,10 +88,10 @@ class WorldMessages:
         file.write(self._channel("lines"), at, {"peer": peer, "robot": robot, "sent": sent, "text": text})
 
     def readings(self, measured: "SensorValues", at: float, file: RecordingFile) -> None:
-        """Write what sensors measured; plane scans for Foxglove too."""
+        """Write readings of sensors; plane scans for Foxglove, too."""
         slots, sensors, values = zip(*measured, strict=True)
-        said = {"slots": slots, "sensors": sensors, "values": values}
-        file.write(self._channel("readings"), at, said)
+        fields = {"slots": slots, "sensors": sensors, "values": values}
+        file.write(self._channel("readings"), at, fields)
         drawing = self._drawing
         for slot, sensor, value in measured:
             robot = None if drawing is None else drawing.robots.get(slot)
@@ -95,21 +100,21 @@ class WorldMessages:
                 scan = foxglove.laser_scan(drawing, robot, sensor, value, at)
                 file.write(self._channel("scan", about), at, scan)
 
-    def look(self, look: "WorldSnapshot", at: float, file: RecordingFile) -> None:
-        """Write what a world looks like, and its drawing where that is another one."""
-        world, scene = look.world, look.scene
+    def record_frame(self, snapshot: "WorldSnapshot", at: float, file: RecordingFile) -> None:
+        """Write the frame of a world, and its drawing where that has changed."""
+        world, scene = snapshot.world, snapshot.scene
         episode = 0 if world.arena_state is None else int(world.episode)
-        key = scene, tuple((look.names or {}).items()), int(world.number), episode
+        key = scene, tuple((snapshot.names or {}).items()), int(world.number), episode
         if self._capture is None or self._key is None or self._key[0] is not scene:
             self._capture = Capture(scene)
         if self._drawing is None or self._key != key:
             self._key = key
-            self._drawing = self._capture.drawing(world, look.physics, look.names)
+            self._drawing = self._capture.drawing(world, snapshot.physics, snapshot.names)
             file.write(self._channel("drawings"), at, self._drawing)
             file.write(self._channel("scene"), at, foxglove.scene_update(self._drawing, at))
-        seen = self._capture.frame(world, look.physics)
-        links = seen.links if look.links is None else look.links
-        frame = replace(seen, time=at, trace=look.trace, score=look.score, links=links)
+        seen = self._capture.frame(world, snapshot.physics)
+        links = seen.links if snapshot.links is None else snapshot.links
+        frame = replace(seen, time=at, trace=snapshot.trace, score=snapshot.score, links=links)
         self._write_frame(self._drawing, frame, file)
 
     def _write_frame(self, drawing: Drawing, frame: Frame, file: RecordingFile) -> None:
@@ -126,25 +131,19 @@ class WorldMessages:
             file.write(self._channel("score"), at, {"score": frame.score})
 
 
-FRAME_PERIOD = 0.2
-"""A world is looked at so often [s of its time]; its physics is kept after every control step."""
-SensorValues = list[tuple[int, int, np.ndarray]]
-"""Slots, indices of sensors in the suite, and what they measured."""
-
-
 @dataclass(frozen=True, eq=False)
 class WorldSnapshot:
     """A world at one moment, to be drawn by another thread: nothing in it changes any more.
 
     Attributes:
         scene: Its scene.
-        world: All but the physics; NumPy arrays.
+        world: Its state without the physics; NumPy arrays.
         physics: Its physics; NumPy arrays.
         names: The robots' names by slot; None: those of the roster.
-        trace: Points that robots left behind.
+        trace: Points of the robots' traces.
         score: A task's score so far.
         time: Simulated time, if it is not the world's own [s].
-        links: Its radio links; None: those that the world knows, if it has a radio of its own.
+        links: Its radio links; None: those of its state, if it has a radio of its own.
     """
 
     scene: Scene
@@ -163,10 +162,10 @@ class WorldRecorder:
 
     Args:
         file: The recording.
-        setup: What the world was made of.
+        setup: The world's initial inputs.
         number: Number of the world in the recording.
         since: Time at which the world begins in the recording [s].
-        radio: Constants of the radio that robots of the world have by a server; None: they have none.
+        radio: Constants of a server's radio that the world's robots use; None without one.
 
     Attributes:
         steps: Control steps made so far, since the recording began.
@@ -180,9 +179,9 @@ class WorldRecorder:
     steps: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
-        """Write what the world was made of."""
+        """Record the world's initial inputs."""
         self._messages = WorldMessages(self.number)
-        self._told: tuple[Any, ...] = ()
+        self._last: tuple[Any, ...] = ()
         self._known: dict[tuple[int, ...], list[np.ndarray]] = {}
         self._measured: SensorValues = []
         self._next_frame = self._time = 0.0
@@ -192,58 +191,58 @@ class WorldRecorder:
         self.file.put(partial(self._messages.input, given, self.since + self._time))
 
     def event(self, kind: str, text: str, robot: str = "", slot: int = -1) -> None:
-        """Keep that something happened, in words."""
+        """Record an event."""
         at = self.since + self._time
-        said = {"kind": kind, "robot": robot, "slot": slot, "text": text}
-        self.file.put(partial(self._messages.event, said, at))
+        fields = {"kind": kind, "robot": robot, "slot": slot, "text": text}
+        self.file.put(partial(self._messages.event, fields, at))
 
-    # What comes into the world
+    # Inputs of the world
 
     def adding(self, robot: RobotSpec, name: str, poses: Sequence[tuple[Vec3, np.ndarray]]) -> None:
-        """A robot is about to join, if there is room."""
+        """Record the attempt to add a robot."""
         self._put(RobotAdded(step=self.steps, robot=robot, name=name, poses=tuple(poses)))
 
     def joined(self, slot: int, name: str, robot: str) -> None:
-        """A robot is there."""
+        """Record that a robot has joined."""
         self._known.clear()
         self.event("join", f"{name}, a {robot}, joins", name, slot)
 
     def removed(self, slot: int, name: str) -> None:
-        """A robot has left."""
+        """Record that a robot has left."""
         self._put(RobotRemoved(step=self.steps, slot=slot))
         self._known.clear()
         self.event("leave", f"{name} leaves", name, slot)
 
     def redescribed(self, slot: int, robot: RobotSpec) -> None:
-        """A robot has got another description."""
+        """Record the new description of a robot."""
         self._put(RobotRedescribed(step=self.steps, slot=slot, robot=robot))
 
     def placed(self, slot: int, pos: np.ndarray, quat: np.ndarray) -> None:
-        """A batch's robot was put somewhere."""
+        """Record the pose set for a robot of a batch."""
         self._put(RobotPlaced(step=self.steps, slot=slot, pos=pos, quat=quat))
 
     def reset(self) -> None:
-        """The world begins anew."""
+        """Record the restart of the world."""
         self._put(WorldReset(step=self.steps))
         self._known.clear()
-        self._told = ()
+        self._last = ()
         self.event("reset", "the world begins anew")
 
     def interrupted(self, reason: str) -> None:
-        """What happened now cannot be repeated."""
+        """Record a change that no replay can repeat."""
         self._put(Interrupted(step=self.steps, reason=reason))
 
-    def told(self, scene: Scene, states: Sequence[Mapping[str, Any]]) -> None:
-        """A control step is about to be made: keep what the robots have been told since the last one.
+    def record_orders(self, scene: Scene, states: Sequence[Mapping[str, Any]]) -> None:
+        """Record commands that have changed since the last control step; call it before each step.
 
         Args:
             scene: The scene.
             states: Fields of the groups' `GroupState`s, by name; leading axis over robots.
         """
-        told = tuple(value for state in states for value in state.values())
-        if len(told) == len(self._told) and all(a is b for a, b in zip(told, self._told, strict=True)):
+        values = tuple(value for state in states for value in state.values())
+        if len(values) == len(self._last) and all(a is b for a, b in zip(values, self._last, strict=True)):
             return
-        self._told = told
+        self._last = values
         known, self._known = self._known, {}
         orders: dict[int, dict[str, Any]] = {}
         for group, state in zip(scene.groups, states, strict=True):
@@ -254,19 +253,19 @@ class WorldRecorder:
         if orders:
             self._put(OrdersGiven(step=self.steps, orders=orders))
 
-    # What becomes of it
+    # Results
 
     def stepped(
         self, time: float, qpos: np.ndarray, qvel: np.ndarray, act: np.ndarray, steps: int = 1
     ) -> None:
-        """Control steps were made; the arrays are copied.
+        """Record the physics after control steps; the arrays are copied.
 
         Args:
             time: Simulated time [s].
             qpos: Positions (nq,).
             qvel: Velocities (nv,).
             act: Activations (na,).
-            steps: How many.
+            steps: Number of steps.
         """
         self._flush_readings()
         self.steps, self._time = self.steps + steps, time
@@ -277,16 +276,16 @@ class WorldRecorder:
 
     @property
     def frame_is_due(self) -> bool:
-        """Whether it is time for another `look`."""
+        """Whether the next frame is due."""
         return self._time >= self._next_frame - 1e-6
 
-    def look(self, look: WorldSnapshot) -> None:
-        """Keep what the world looks like now."""
+    def record_frame(self, snapshot: WorldSnapshot) -> None:
+        """Record a frame of the world."""
         self._next_frame = self._time + FRAME_PERIOD
-        self.file.put(partial(self._messages.look, look, self.since + self._time))
+        self.file.put(partial(self._messages.record_frame, snapshot, self.since + self._time))
 
     def read(self, slot: int, sensor: int, value: np.ndarray) -> None:
-        """A robot's sensor has measured; the value must not change any more."""
+        """Record the reading of a sensor; the value must not change any more."""
         self._measured.append((slot, sensor, value))
 
     def _flush_readings(self) -> None:
@@ -295,12 +294,12 @@ class WorldRecorder:
             self._measured = []
 
     def lines(self, peer: str, robot: str, data: bytes, *, sent: bool) -> None:
-        """Lines went to or came from a client."""
+        """Record lines to or from a client."""
         self.file.put(partial(self._messages.lines, (peer, robot, sent), data, self.since + self._time))
 
 
 def _changed(leaves: list[np.ndarray], before: list[np.ndarray] | None, count: int) -> list[int]:
-    """Return of which robots any bit is another one; all, where nothing is known of before."""
+    """Return the robots of which any bit has changed; all, without former values."""
     if before is None:
         return [*range(count)]
     differs = np.zeros(count, bool)

@@ -1,4 +1,4 @@
-"""Recordings computed again: the same world, told the same at the same steps, must be the same to the bit."""
+"""Replay of recordings: the same inputs at the same steps must give the same world to the bit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,22 +25,25 @@ from usarmjx.recording.inputs import (
 )
 from usarmjx.recording.reader import Recording
 from usarmjx.sim.batch import Batch, put_robot
+from usarmjx.sim.calibration import build_calibrated
 from usarmjx.sim.configure import redescribe
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.single_world import SingleWorld
 
 PARTS = ("qpos", "qvel", "act")
+"""Compared arrays of the physics."""
 WORDS = {"qpos": "position", "qvel": "velocity", "act": "servo"}
+"""Names of the arrays in reports."""
 
 
 @dataclass(frozen=True)
 class ReplayResult:
-    """What computing a recording again has shown.
+    """Result of a replay.
 
     Attributes:
-        steps: Control steps that came out the same.
-        difference: The first difference, in words; empty: there is none.
-        note: What else there is to say, in words.
+        steps: Control steps that are the same.
+        difference: The first difference, in words; empty without one.
+        note: Further information, in words.
     """
 
     steps: int
@@ -49,7 +52,7 @@ class ReplayResult:
 
 
 class _Replayed(Protocol):
-    """A world that is computed again."""
+    """A world that is replayed."""
 
     @property
     def scene(self) -> Scene: ...
@@ -62,7 +65,7 @@ class _Replayed(Protocol):
 
 
 class _ReplayedSingle:
-    """A `SingleWorld` that is computed again."""
+    """A `SingleWorld` that is replayed."""
 
     def __init__(self, setup: WorldSetup) -> None:
         (arena,) = setup.arenas
@@ -80,7 +83,7 @@ class _ReplayedSingle:
                 try:
                     world.add(given.robot, given.name, given.poses)
                 except UsageError:
-                    return  # there was no room, nor was there when it was recorded
+                    return  # there was no room in the recorded world, either
             case RobotRemoved():
                 world.remove(given.slot)
             case RobotRedescribed():
@@ -90,6 +93,8 @@ class _ReplayedSingle:
             case OrdersGiven():
                 for slot, order in given.orders.items():
                     world.edit(slot, **order)
+            case _:
+                pass  # inputs of batches
 
     def step(self) -> None:
         self._world.step()
@@ -100,21 +105,15 @@ class _ReplayedSingle:
 
 
 class _ReplayedBatch:
-    """A world of a batch, computed again with all the others, which nobody tells anything."""
+    """A world of a batch, replayed with all the others, which have no inputs."""
 
     def __init__(self, setup: WorldSetup) -> None:
         arena = setup.arenas[0] if len(setup.arenas) == 1 else setup.arenas
         self.scene = build_scene(
             arena, setup.roster, setup.physics, radio=setup.radio, mail=setup.mail, vary=setup.vary
         )
-        self._batch = Batch(
-            self.scene,
-            setup.worlds,
-            engine=setup.kind,
-            seed=setup.seed,
-            first=setup.first,
-            shuffle=setup.shuffle,
-        )
+        settings = {"seed": setup.seed, "first": setup.first, "shuffle": setup.shuffle}
+        self._batch = build_calibrated(lambda: Batch(self.scene, setup.worlds, engine=setup.kind, **settings))
         self._number, self._repeat, self._state = setup.number, setup.repeat, self._batch.reset()
         if setup.start is not None:
             engine, everywhere = self._batch.engine, jnp.ones(setup.worlds, bool)
@@ -134,6 +133,8 @@ class _ReplayedBatch:
             case OrdersGiven():
                 for slot, order in given.orders.items():
                     self._order(slot, order)
+            case _:
+                pass  # inputs of worlds of engine c
 
     def _order(self, slot: int, order: Mapping[str, Any]) -> None:
         group, member = self.scene.group_of(slot)
@@ -154,14 +155,14 @@ class _ReplayedBatch:
 
 
 def check_recording(recording: Recording, number: int) -> ReplayResult:
-    """Compute a world of a recording again, and compare every control step.
+    """Replay a world of a recording, and compare every control step.
 
     Args:
         recording: The recording.
         number: Number of the world.
 
     Raises:
-        UsageError: The recording cannot be computed again; says why.
+        UsageError: The recording cannot be replayed; gives the reason.
     """
     setup = recording.setup(number)
     if setup.why_not:
@@ -186,7 +187,7 @@ def check_recording(recording: Recording, number: int) -> ReplayResult:
 
 
 def _other_versions(setup: WorldSetup) -> str:
-    """Return which versions were others when a world was recorded, in words."""
+    """Return the versions that differed when a world was recorded, in words."""
     here = versions()
     others = [
         f"{name} {version}, here {here.get(name)}"
@@ -197,39 +198,40 @@ def _other_versions(setup: WorldSetup) -> str:
 
 
 def first_difference(scene: Scene, recorded: StepState, computed: Mapping[str, np.ndarray]) -> str:
-    """Return the first number that is not the same to the bit, in words; empty: all are.
+    """Return the first number that is not the same to the bit, in words; empty if all are.
 
     Args:
-        scene: The scene that was computed.
-        recorded: What it should be.
-        computed: What it is: `PARTS` by name.
+        scene: The replayed scene.
+        recorded: The recorded state.
+        computed: The replayed state: `PARTS` by name.
     """
     when = f"at {recorded.time:.2f} s (step {recorded.step})"
     for part in PARTS:
         before, now = np.asarray(getattr(recorded, part)), computed[part]
         if before.shape != now.shape or before.dtype != now.dtype:
             return f"{when}: {before.shape[0]} numbers of {part} recorded, {now.shape[0]} computed"
+        # Bytes, not numbers: -0.0 equals 0.0, and a NaN does not equal itself.
         differs = np.frombuffer(before.tobytes(), np.uint8) != np.frombuffer(now.tobytes(), np.uint8)
         if differs.any():
-            place = int(np.argmax(differs)) // before.itemsize
-            who = _owner(scene, part, place)
-            values = f"{before[place]!r} recorded, {now[place]!r} computed".replace("np.float", "float")
-            return f"{when}: {who}, {WORDS[part]}: {values}"
+            index = int(np.argmax(differs)) // before.itemsize
+            owner = _owner(scene, part, index)
+            values = f"{before[index]!r} recorded, {now[index]!r} computed".replace("np.float", "float")
+            return f"{when}: {owner}, {WORDS[part]}: {values}"
     return ""
 
 
-def _owner(scene: Scene, part: str, place: int) -> str:
-    """Return whose number it is: robot and joint."""
+def _owner(scene: Scene, part: str, index: int) -> str:
+    """Return robot and joint of a number."""
     model = scene.model
     if part == "act":
-        name = model.actuator(int(np.argmax(model.actuator_actadr == place))).name
+        name = model.actuator(int(np.argmax(model.actuator_actadr == index))).name
     else:
         addresses = model.jnt_qposadr if part == "qpos" else model.jnt_dofadr
-        joint = int(np.searchsorted(addresses, place, side="right")) - 1
+        joint = int(np.searchsorted(addresses, index, side="right")) - 1
         name = model.joint(joint).name or model.body(int(model.jnt_bodyid[joint])).name
     owner, _, rest = name.partition("/")
     if owner[:1] == "r" and owner[1:].isdecimal():
         entry = scene.roster[int(owner[1:])]
-        joint_name = "its place" if rest == "root" else f"joint {rest}"
+        joint_name = "its pose" if rest == "root" else f"joint {rest}"
         return f"{entry.name or entry.spec.name + owner[1:]}, {joint_name}"
     return name

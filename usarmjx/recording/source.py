@@ -1,4 +1,4 @@
-"""A recording as a `view.drawing.FrameSource`: the page shows it as it shows worlds that run."""
+"""A recording as a `view.drawing.FrameSource`: the page shows it like running worlds."""
 
 import time
 from collections.abc import Callable
@@ -21,12 +21,20 @@ if TYPE_CHECKING:
 
 
 LONGEST_GAP = 1.0
-"""Between frames that are further apart nothing is filled in [s]."""
+"""Gap between two frames above which no motion is interpolated [s]."""
 KEPT_DRAWINGS = 64
+"""Number of decoded drawings that are kept."""
+SPEEDS = {"x 1/4": 0.25, "x 1": 1.0, "x 2": 2.0, "x 5": 5.0, "x 20": 20.0, "x 100": 100.0}
+"""Playing speeds of the panel, in seconds per second."""
+USUAL_SPEED = "x 1"
+STEP = 0.02
+"""Step of the time slider [s]: a control step of most worlds."""
+SLIDER_PERIOD = 0.2
+"""Interval between two updates of the slider [s]."""
 
 
 class RecordingSource:
-    """The worlds of a recording at a time that `seek` chooses.
+    """The worlds of a recording at a time that `seek` sets.
 
     Args:
         recording: The recording.
@@ -34,11 +42,11 @@ class RecordingSource:
     Attributes:
         recording: The recording.
         time: The present time [s].
-        start: When it begins [s].
-        end: When it ends [s].
+        start: Time of its first frame [s].
+        end: Time of its end [s].
 
     Raises:
-        UsageError: There is nothing to be seen in it.
+        UsageError: There are no frames in it.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -57,7 +65,7 @@ class RecordingSource:
 
     @property
     def num_worlds(self) -> int:
-        """How many worlds there are to choose from."""
+        """Number of worlds with frames."""
         return len(self._worlds)
 
     def seek(self, time: float) -> None:
@@ -65,7 +73,7 @@ class RecordingSource:
         self.time = min(max(time, self.start), self.end)
 
     def drawing(self, world: int) -> Drawing:
-        """Return what a world looks like at the present time; the same object as long as that is the same."""
+        """Return a world's drawing at the present time; the same object as long as it does not change."""
         return self._read(world, self._frame_message(world).time)[1]
 
     def _read_drawing(self, world: int, time: float) -> tuple[float, Drawing]:
@@ -87,27 +95,28 @@ class RecordingSource:
         number = self._worlds[world]
         before = self.recording.last("frames", number, self.time)
         before = before or self.recording.following("frames", number, -1.0)
-        assert before is not None  # or the world would not be among those to choose from
+        assert before is not None  # every world of `_worlds` has a frame
         self._around[world] = before, self.recording.following("frames", number, before.time)
         return self._around[world]
 
     def frame(self, world: int) -> Frame:
-        """Return a world at the present time; between two frames bodies move evenly."""
+        """Return a world at the present time; between two frames bodies move linearly."""
         message, later = self._frames_around(world)
         before: Frame = message.value
         if self.time <= message.time or later is None or later.time > message.time + LONGEST_GAP:
             return before
         after: Frame = later.value
         drawings = self._read(world, message.time)[1], self._read(world, later.time)[1]
+        # A robot has joined or left between the frames: their bodies have different indices.
         if drawings[0] is not drawings[1]:
             after = _in_order_of(drawings, before, after)
         return between(before, after, (self.time - message.time) / (later.time - message.time))
 
 
 def _in_order_of(drawings: tuple[Drawing, Drawing], before: Frame, after: Frame) -> Frame:
-    """Return a later frame with the bodies of an earlier one: those that are gone by then stay."""
-    places = {body.name: place for place, body in enumerate(drawings[1].bodies)}
-    there = np.array([places.get(body.name, -1) for body in drawings[0].bodies])
+    """Return a later frame with the bodies of an earlier one: bodies that are gone by then stay."""
+    indices = {body.name: index for index, body in enumerate(drawings[1].bodies)}
+    there = np.array([indices.get(body.name, -1) for body in drawings[0].bodies])
     gone = (there < 0)[:, None]
     return replace(
         after,
@@ -117,13 +126,14 @@ def _in_order_of(drawings: tuple[Drawing, Drawing], before: Frame, after: Frame)
 
 
 def between(before: Frame, after: Frame, share: float) -> Frame:
-    """Return a world between two frames with the same drawing.
+    """Interpolate between two frames with the same drawing.
 
     Args:
         before: The earlier one.
         after: The later one.
-        share: How much of the time between them has passed, from 0 to 1.
+        share: Elapsed share of the time between them, from 0 to 1.
     """
+    # A quaternion and its negative are the same rotation: blend along the shorter way.
     sign = np.where((before.quat * after.quat).sum(-1, keepdims=True) < 0.0, -1.0, 1.0)
     quat = before.quat + share * (sign * after.quat - before.quat)
     return replace(
@@ -134,25 +144,16 @@ def between(before: Frame, after: Frame, share: float) -> Frame:
     )
 
 
-SPEEDS = {"x 1/4": 0.25, "x 1": 1.0, "x 2": 2.0, "x 5": 5.0, "x 20": 20.0, "x 100": 100.0}
-"""How fast a recording may be played, as on the panel."""
-USUAL_SPEED = "x 1"
-STEP = 0.02
-"""A control step of most worlds: what one can scrub by [s]."""
-SLIDER_PERIOD = 0.2
-"""The slider follows so often [s]."""
-
-
 class Timeline:
-    """A `view.panel.Panel` that moves the page's recording.
+    """A `view.page.Panel` that moves through the page's recording.
 
     Args:
         page: The page, of a `RecordingSource`.
-        now: The clock [s].
+        now: Returns the time [s].
 
     Attributes:
         playing: Whether time passes.
-        speed: How many seconds of the recording pass in one.
+        speed: Seconds of the recording per second.
     """
 
     def __init__(self, page: "ViewerPage", now: Callable[[], float] = time.monotonic) -> None:
@@ -171,7 +172,7 @@ class Timeline:
         self._slider.on_update(lambda event: self._scrubbed(page) if event.client is not None else None)
 
     def _scrubbed(self, page: "ViewerPage") -> None:
-        """Somebody has moved the slider."""
+        """Go to the slider's time after a user has moved it."""
         page.post(lambda: self.go_to(float(self._slider.value)))
 
     def _change_speed(self) -> None:
@@ -189,7 +190,7 @@ class Timeline:
         self._source.seek(time)
 
     def tick(self) -> None:
-        """Let time pass."""
+        """Advance the recording by the elapsed time."""
         now = self._now()
         passed, self._before = now - self._before, now
         if self.playing:
@@ -198,7 +199,7 @@ class Timeline:
                 self.toggle()
 
     def begin(self, drawing: Drawing) -> None:
-        """Nothing of the panel depends on what is drawn."""
+        """Do nothing: the panel does not depend on the drawing."""
         del drawing
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
@@ -212,11 +213,11 @@ class Timeline:
 def recording_page(
     source: RecordingSource, server: "viser.ViserServer | None" = None
 ) -> "tuple[ViewerPage, Timeline]":
-    """Return a page that plays a recording and tells each robot's state and readings, and its timeline.
+    """Return a page that plays a recording and shows each robot's state and readings, and its timeline.
 
     Args:
         source: The recording.
-        server: Who serves the page; None: a server of its own.
+        server: Server of the page; None for one of its own.
     """
     from usarmjx.view.page import ViewerPage
     from usarmjx.view.user_panels import UserPanels
@@ -228,13 +229,13 @@ def recording_page(
 
 
 def write_html(source: RecordingSource, path: Path, period: float = 0.1, world: int = 0) -> None:
-    """Write a recording as one file that any browser plays, without a server or the web.
+    """Write a recording as one HTML file that any browser plays, without a server or the web.
 
     Args:
         source: The recording.
         path: The file.
         period: Time between two pictures [s].
-        world: Which world.
+        world: Index of the world.
 
     Raises:
         WriteError: It cannot be written.

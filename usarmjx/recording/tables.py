@@ -1,4 +1,4 @@
-"""Recordings as tables: CSV with what Python brings, Parquet with pyarrow where that is installed."""
+"""Recordings as tables: CSV by the standard library, Parquet where pyarrow is installed."""
 
 import csv
 import re
@@ -11,9 +11,10 @@ import numpy as np
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
 from usarmjx.recording.reader import RecordedMessage, Recording
-from usarmjx.view.drawing import Drawing, Frame
+from usarmjx.view.drawing import Drawing, DrawnMount, Frame
 
 SUFFIXES = (".csv", ".parquet")
+"""Suffixes of table files."""
 COLUMNS = {
     "poses": (
         *("time", "world", "robot", "x", "y", "z", "qw", "qx", "qy", "qz"),
@@ -56,31 +57,31 @@ def rows_of(recording: Recording, table: str) -> Iterator[TableRow]:
 
 
 def _rows(table: str, message: RecordedMessage, drawing: Drawing | None) -> Iterator[TableRow]:
-    time, world, said = round(message.time, 6), message.channel.world, message.value
+    time, world, content = round(message.time, 6), message.channel.world, message.value
     if table == "commands":
-        for slot, order in getattr(said, "orders", {}).items():
+        for slot, order in getattr(content, "orders", {}).items():
             command = order.get("command")
             for what in ("target", "mode", "setpoint") if command is not None else ():
                 for index, value in enumerate(np.asarray(getattr(command, what)).tolist()):
                     yield time, world, slot, what, index, value
     elif table == "events":
-        yield time, world, said["kind"], said["robot"], said["text"]
+        yield time, world, content["kind"], content["robot"], content["text"]
     elif table == "scores":
-        yield time, world, said["score"]
+        yield time, world, content["score"]
     elif drawing is not None and table == "readings":
-        yield from _reading_rows(time, world, said, drawing)
+        yield from _reading_rows(time, world, content, drawing)
     elif drawing is not None:
-        yield from _frame_rows(table, (time, world), said, drawing)
+        yield from _frame_rows(table, (time, world), content, drawing)
 
 
 def _line_rows(recording: Recording) -> Iterator[TableRow]:
-    """Yield a row for each line of the protocol: what comes at once may be many lines, or a part of one."""
+    """Yield a row for each line of the protocol: one message may have many lines, or a part of one."""
     begun: dict[TableRow, tuple[TableRow, str]] = {}
     for message in recording.messages({"lines"}):
-        said, world = message.value, message.channel.world
-        who = (world, said["peer"], said["sent"])
-        row = (round(message.time, 6), world, said["robot"], said["peer"], said["sent"])
-        *whole, rest = _LINE_END.split(begun.pop(who, (row, ""))[1] + said["text"])
+        content, world = message.value, message.channel.world
+        who = (world, content["peer"], content["sent"])
+        row = (round(message.time, 6), world, content["robot"], content["peer"], content["sent"])
+        *whole, rest = _LINE_END.split(begun.pop(who, (row, ""))[1] + content["text"])
         yield from ((*row, line) for line in whole if line)
         if rest:
             begun[who] = row, rest
@@ -98,11 +99,11 @@ def _frame_rows(table: str, when: tuple[float, int], frame: Frame, drawing: Draw
             yield *when, drawn.name, *numbers, robot.battery
 
 
-def _reading_rows(time: float, world: int, said: dict[str, Any], drawing: Drawing) -> Iterator[TableRow]:
-    for slot, sensor, value in zip(said["slots"], said["sensors"], said["values"], strict=True):
+def _reading_rows(time: float, world: int, content: dict[str, Any], drawing: Drawing) -> Iterator[TableRow]:
+    for slot, sensor, value in zip(content["slots"], content["sensors"], content["values"], strict=True):
         if slot in drawing.robots:
             robot = drawing.robots[slot]
-            mount = robot.sensors[sensor]
+            mount: DrawnMount = robot.sensors[sensor]
             for index, number in enumerate(np.asarray(value).reshape(-1).tolist()):
                 yield time, world, robot.name, mount.kind, mount.names[0], index, number
 
@@ -112,8 +113,8 @@ def export_tables(recording: Recording, path: Path, tables: Sequence[str] = ()) 
 
     Args:
         recording: The recording.
-        path: What the files are called; its suffix says as what they are written.
-        tables: Which tables; none: all that are not empty.
+        path: Name of the files; its suffix selects their format.
+        tables: Names of the tables; none: all that are not empty.
 
     Returns:
         The files.
@@ -132,10 +133,10 @@ def export_tables(recording: Recording, path: Path, tables: Sequence[str] = ()) 
         first = next(rows, None)
         if first is None and not tables:
             continue
-        place = path.with_name(f"{path.stem}-{table}{path.suffix}")
-        with atomic_write(place) as fresh:
+        file = path.with_name(f"{path.stem}-{table}{path.suffix}")
+        with atomic_write(file) as fresh:
             write(fresh, COLUMNS[table], _with_first(first, rows))
-        written.append(place)
+        written.append(file)
     return written
 
 
@@ -154,8 +155,8 @@ def _write_csv(path: Path, columns: Sequence[str], rows: Iterator[TableRow]) -> 
 
 def _parquet_writer() -> Any:  # noqa: ANN401 - a function like `_write_csv`
     try:
-        import pyarrow  # pyright: ignore[reportMissingImports]
-        import pyarrow.parquet  # pyright: ignore[reportMissingImports]
+        import pyarrow
+        import pyarrow.parquet
     except ImportError as error:
         raise UsageError("Parquet needs pyarrow: pip install pyarrow; or write .csv") from error
 

@@ -1,13 +1,13 @@
 """Values of the package as MessagePack, and back: arrays, and dataclasses of a known list.
 
-Whatever a file says, reading it makes nothing but these; no name of a module or function is looked up.
+Reading creates nothing but these, whatever the file contains: no name of a module or function is looked up.
 """
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib import import_module
-from typing import Any
+from typing import Any, cast
 
 import msgpack
 import numpy as np
@@ -21,18 +21,18 @@ MODULES = (
     *("models.drives.ground", "models.types.arena", "models.types.robot", "models.types.shapes"),
     *("recording.inputs", "sensors.sketch", "sim.control", "sim.scene", "view.drawing"),
 )
-"""Where the dataclasses are that files may hold."""
+"""Modules with the dataclasses that files may contain."""
 KIND, WORDS = "$kind", "$words"
-"""What marks dataclasses, and arrays of texts."""
+"""Keys that mark dataclasses, and arrays of texts."""
 ARRAY = 1
-"""MessagePack's number for an array: its shape, its dtype and its bytes."""
+"""MessagePack's extension code of an array: its shape, its dtype and its bytes."""
 NUMBERS = "biuf"
 """Kinds of dtypes of arrays."""
 
 
 @cache
 def _kinds() -> dict[str, type[Any]]:
-    """Return the dataclasses that files may hold, by name."""
+    """Return the dataclasses that files may contain, by name."""
     modules = [import_module(f"usarmjx.{name}") for name in MODULES]
     return {
         kind.__name__: kind
@@ -51,7 +51,7 @@ def pack(value: Any) -> bytes:  # noqa: ANN401 - any of the values
     """Return a value as bytes.
 
     Raises:
-        UsageError: Something in it cannot be kept; names its type.
+        UsageError: A part of it cannot be recorded; names its type.
     """
     packed = msgpack.packb(value, default=_plain, strict_types=True)
     assert packed is not None  # only a Packer that collects returns nothing
@@ -59,21 +59,22 @@ def pack(value: Any) -> bytes:  # noqa: ANN401 - any of the values
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401
-    """Return what MessagePack does not know as something that it knows."""
+    """Convert a value that MessagePack does not support to one that it supports."""
     if isinstance(value, tuple):
-        return list(value)
+        return [*cast(tuple[object, ...], value)]
     if isinstance(value, np.ndarray):
-        if value.dtype == object:
-            return {WORDS: [str(item) for item in value.tolist()]}
-        if value.dtype.kind in NUMBERS:
-            return msgpack.ExtType(ARRAY, msgpack.packb((value.shape, value.dtype.str, value.tobytes())))
+        array: np.ndarray = value
+        if array.dtype == object:
+            return {WORDS: [str(item) for item in array.tolist()]}
+        if array.dtype.kind in NUMBERS:
+            return msgpack.ExtType(ARRAY, pack((array.shape, array.dtype.str, array.tobytes())))
     if isinstance(value, np.generic):
-        return value.item()
+        return cast(np.generic[Any], value).item()
     if isinstance(value, str | int):  # a class of texts, an enumeration
         return str(value) if isinstance(value, str) else int(value)
     if isinstance(value, Mapping):
-        return dict(value)
-    kind = type(value)
+        return dict(cast(Mapping[str, object], value))
+    kind: type[Any] = type(value)
     if _kinds().get(kind.__name__) is not kind:
         raise UsageError(f"a {kind.__name__} cannot be recorded, as only usarmjx's own values can")
     return {KIND: kind.__name__, **{name: getattr(value, name) for name in _names(kind)}}
@@ -91,7 +92,7 @@ def unpack(data: bytes) -> Any:  # noqa: ANN401 - any of the values
         )
     except UsageError:
         raise
-    except Exception as error:  # MessagePack, NumPy and constructors raise what they like at what is broken
+    except Exception as error:  # MessagePack, NumPy and constructors raise any error on broken bytes
         raise UsageError(f"a message that does not read: {error}") from error
 
 

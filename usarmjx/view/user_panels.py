@@ -35,8 +35,8 @@ class UserPanels:
         seat: Who has the controls; None: nobody can.
     """
 
-    def __init__(self, page: "ViewerPage", seat: ControlLock | None = None) -> None:
-        self._page, self._seat = page, seat or ControlLock(allowed=False)
+    def __init__(self, page: "ViewerPage", lock: ControlLock | None = None) -> None:
+        self._page, self._lock = page, lock or ControlLock(allowed=False)
         self._banner_text = ""
         self._banner = page.server.gui.add_html("")
         self._people: dict[int, UserPanel] = {}
@@ -63,24 +63,24 @@ class UserPanels:
         for number, onlooker in list(onlookers.items()):
             if number not in self._people:
                 order = self._banner.order
-                self._people[number] = UserPanel(self._page, onlooker.client, self._seat, order)
+                self._people[number] = UserPanel(self._page, onlooker.client, self._lock, order)
                 self._people[number].begin(drawing, frame)
             self._people[number].update(frame, status, onlooker.robot)
 
     def _show_banner(self, status: WorldStatus) -> None:
-        text = banner_html(status, self._seat)
+        text = banner_html(status, self._lock)
         if text != self._banner_text:
             self._banner.content = self._banner_text = text
 
     def _leave(self, person: int) -> None:
-        if self._seat.leave(person) and self._page.controls is not None:
+        if self._lock.leave(person) and self._page.controls is not None:
             self._page.controls.let_go()
 
 
-def banner_html(status: WorldStatus, seat: ControlLock) -> str:
+def banner_html(status: WorldStatus, lock: ControlLock) -> str:
     """Return how a world goes, in a few lines."""
     goes = "paused" if status.paused else f"x {status.realtime_factor:.2f} real time"
-    held = "" if not seat.allowed else ", somebody has the controls" if seat.holder is not None else ""
+    held = "" if not lock.allowed else ", somebody has the controls" if lock.holder is not None else ""
     lines = [f"<b>{status.time:.1f} s</b>, {goes}, {status.connections} connected{held}"]
     if status.bad_worlds:
         lines.append(f"physics went bad: world reset {status.bad_worlds} times")
@@ -101,9 +101,9 @@ class UserPanel:
     """
 
     def __init__(
-        self, page: "ViewerPage", client: viser.ClientHandle, seat: ControlLock, order: float
+        self, page: "ViewerPage", client: viser.ClientHandle, lock: ControlLock, order: float
     ) -> None:
-        self._page, self._client, self._seat, self._order = page, client, seat, order
+        self._page, self._client, self._lock, self._order = page, client, lock, order
         self._slot: int | None = None
         self._followed: int | None = None
         self._held = False
@@ -115,7 +115,7 @@ class UserPanel:
         self._run: RunControls | None = None
         self._robot: tuple[object, RobotReadout, RobotControls | None] | None = None
         self._take = client.gui.add_button(TAKE, order=order + 0.1, visible=False)
-        self._take.on_click(lambda _: self._change_seat())
+        self._take.on_click(lambda _: self._toggle_control())
         nobody: tuple[str, ...] = (NO_ROBOT,)
         self._choice = client.gui.add_dropdown("Robot", nobody, order=order + 0.4)
         self._choice.on_update(lambda _: page.post(self._chosen))
@@ -126,7 +126,7 @@ class UserPanel:
 
     def may(self) -> bool:
         """Return whether this person has the controls."""
-        return self._seat.holder == self._client.client_id
+        return self._lock.holder == self._client.client_id
 
     def do(self, act: Callable[[], None]) -> None:
         """Do something, if this person may."""
@@ -166,7 +166,7 @@ class UserPanel:
             self._errors = 0 if status is None else status.errors
             self._show_run(drawing)
         self._show_robot(drawing, frame)
-        self._show_seat(status)
+        self._show_lock(status)
         if self._robot is not None:
             self._robot[1].update(frame, status)
         if status is not None and self._held:
@@ -180,15 +180,15 @@ class UserPanel:
         slots = {name: slot for slot, name in self._names.items()}
         self._slot = slots.get(self._choice.value)
 
-    def _change_seat(self) -> None:
+    def _toggle_control(self) -> None:
         person = self._client.client_id
         if not self.may():
-            self._seat.take(person)
-        elif self._seat.leave(person) and self._controls is not None:
+            self._lock.take(person)
+        elif self._lock.leave(person) and self._controls is not None:
             self._controls.let_go()
 
-    def _show_seat(self, status: WorldStatus | None) -> None:
-        visible = status is not None and self._seat.allowed and (self.may() or self._seat.holder is None)
+    def _show_lock(self, status: WorldStatus | None) -> None:
+        visible = status is not None and self._lock.allowed and (self.may() or self._lock.holder is None)
         if self._take.visible != visible:
             self._take.visible = visible
         label = LEAVE if self.may() else TAKE

@@ -115,10 +115,10 @@ def test_bytes_are_those_of_another_implementation(version):
 
 def test_cbor_has_numbers_in_a_row_as_bytes_with_a_tag():
     version = RosVersion.ROS2
-    told = {kind: one for kind, one in samples(version).items() if kind.startswith("sensor")}
+    received = {kind: one for kind, one in samples(version).items() if kind.startswith("sensor")}
     heard = {
         kind: loads(publication("/t", kind, one, version, Compression.CBOR, 0.0))["msg"]
-        for kind, one in told.items()
+        for kind, one in received.items()
     }
     joints, fix = heard["sensor_msgs/JointState"], heard["sensor_msgs/NavSatFix"]
     assert joints["name"] == ["a", "bcd"]
@@ -131,9 +131,9 @@ def test_cbor_has_numbers_in_a_row_as_bytes_with_a_tag():
 
 def test_cbor_raw_is_ros_bytes_and_the_time():
     version, kind = RosVersion.ROS2, "sensor_msgs/Image"
-    told = loads(publication("/t", kind, samples(version)[kind], version, Compression.CBOR_RAW, 2.25))
+    received = loads(publication("/t", kind, samples(version)[kind], version, Compression.CBOR_RAW, 2.25))
     raw = bytes.fromhex(HEADER[2] + REST[2, kind])
-    assert told == {
+    assert received == {
         "op": "publish",
         "topic": "/t",
         "msg": {"secs": 2, "nsecs": 250_000_000, "bytes": raw},

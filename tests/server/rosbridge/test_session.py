@@ -124,10 +124,10 @@ def test_the_shortest_throttle_of_a_topics_subscriptions_counts(session):
         say(session, op="subscribe", topic="/clock", id=name, throttle_rate=pause)
     one = session.subscriptions["/clock"]
     one.put("1", 1, 10.0)
-    assert [list(session.wanted(now)) != [] for now in (10.09, 10.1)] == [False, True]
+    assert [list(session.due_topics(now)) != [] for now in (10.09, 10.1)] == [False, True]
     say(session, op="unsubscribe", topic="/clock", id="b")
     one.put("2", 2, 10.1)
-    assert [list(session.wanted(now)) != [] for now in (10.5, 10.6)] == [False, True]
+    assert [list(session.due_topics(now)) != [] for now in (10.5, 10.6)] == [False, True]
     say(session, op="unsubscribe", topic="/clock")
     assert session.subscriptions == {}
 

@@ -6,8 +6,8 @@ from tests.server.watchers import CYCLOPS
 from tests.view.visitor import until, visiting
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.server.gamebots.console import NOT_ALLOWED
-from usarmjx.server.viewing.inset import SOMEBODY_ELSE, ConsolePanel
-from usarmjx.server.viewing.viewer_service import ServedSource
+from usarmjx.server.viewing.console_panel import SOMEBODY_ELSE, ConsolePanel
+from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.view.controls import ControlLock
 from usarmjx.view.page import ViewerPage
@@ -39,26 +39,26 @@ def shown(visitor):
 
 
 def test_who_has_the_controls_edits_robots_and_the_others_may_look(world):
-    seat = ControlLock()
-    page = ViewerPage(ServedSource([world]), panels=[lambda page: ConsolePanel(page, [world], seat)])
+    lock = ControlLock()
+    page = ViewerPage(ServedSource([world]), panels=[lambda page: ConsolePanel(page, [world], lock)])
     try:
         with visiting(page.server.get_port()) as visitor:
             until(page, lambda: page.onlookers and "Line" in labels(visitor))
             (client,) = page.onlookers
             line = "editactor name=one msgTimer=0.5"
             assert "editactor: take the controls first" in answer(page, visitor, line)
-            seat.take(client + 1)
+            lock.take(client + 1)
             assert f"editactor: {SOMEBODY_ELSE}" in answer(page, visitor, line)
-            seat.leave(client + 1)
-            seat.allowed = False
+            lock.leave(client + 1)
+            lock.allowed = False
             assert f"editactor: {NOT_ALLOWED}".replace("'", "&#x27;") in answer(page, visitor, line)
-            seat.allowed = True
+            lock.allowed = True
             told = answer(page, visitor, "showdebug")
             # It looks down from 5 m above the origin; on the wire z points down.
             assert "camera: {Location 0.00,0.00,-5.00}" in told.replace("-0.00", "0.00")
             assert "one (Cyclops)" in told
             assert world.robots[0].spec.msg_timer == 0.2
-            assert seat.take(client)
+            assert lock.take(client)
             assert "msgTimer=0.5" in answer(page, visitor, line)
             assert world.robots[0].spec.msg_timer == 0.5
             assert "&lt;" in answer(page, visitor, "<b>"), "what is typed is shown as text"

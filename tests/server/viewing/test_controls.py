@@ -14,7 +14,7 @@ from usarmjx.server.runtime.loop import IDLE_PERIOD, MAX_STEPS, StepClock
 from usarmjx.server.viewing import controls
 from usarmjx.server.viewing import controls as controls_module
 from usarmjx.server.viewing.controls import ServedControls
-from usarmjx.server.viewing.viewer_service import ServedSource
+from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds.batch_world import BatchWorld
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.batch import Batch

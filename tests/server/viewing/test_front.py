@@ -19,16 +19,9 @@ from usarmjx.server.network.access import AccessRules, parse_networks
 from usarmjx.server.network.gate import Gate
 from usarmjx.server.network.ports import bound_socket
 from usarmjx.server.network.web_gate import COOKIE
-from usarmjx.server.viewing import viewer_service
-from usarmjx.server.viewing.viewer_service import (
-    MAX_BURST,
-    MAX_MESSAGE_SIZE,
-    MAX_RATE,
-    MessageRate,
-    ViewerService,
-    ViewerSettings,
-    gated_viser,
-)
+from usarmjx.server.viewing import viser_gate
+from usarmjx.server.viewing.viewer_service import ViewerService, ViewerSettings
+from usarmjx.server.viewing.viser_gate import MAX_BURST, MAX_MESSAGE_SIZE, MAX_RATE, MessageRate, gated_viser
 
 HOST, TOKEN = "127.0.0.1", "T42"
 PROTOCOLS = [f"viser-v{viser.__version__}"]
@@ -142,14 +135,14 @@ def test_who_talks_too_much_is_heard_later():
 def test_if_viser_starts_otherwise_nothing_is_served(monkeypatch):
     stopped = []
     otherwise = SimpleNamespace(stop=lambda: stopped.append(True))
-    monkeypatch.setattr(viewer_service, "make_viser_server", lambda host, port: otherwise)
+    monkeypatch.setattr(viser_gate, "make_viser_server", lambda host, port: otherwise)
     with bound_socket(HOST, 0) as bound, pytest.raises(RuntimeError, match="cannot guard"):
         gated_viser(bound, HOST, Gate(AccessRules(), 4, "viewers"), ())
     assert stopped == [True]
 
 
 def test_a_visitor_who_comes_too_early_waits_until_viser_is_made(monkeypatch):
-    make, early = viewer_service.make_viser_server, []
+    make, early = viser_gate.make_viser_server, []
 
     def make_slowly(host, port):
         server = make(host, port)
@@ -158,7 +151,7 @@ def test_a_visitor_who_comes_too_early_waits_until_viser_is_made(monkeypatch):
             early[0].recv(timeout=0.5)
         return server
 
-    monkeypatch.setattr(viewer_service, "make_viser_server", make_slowly)
+    monkeypatch.setattr(viser_gate, "make_viser_server", make_slowly)
     server = gated_viser(bound_socket(HOST, 0), HOST, Gate(AccessRules(), 4, "viewers"), ())
     try:
         with early[0] as visitor:

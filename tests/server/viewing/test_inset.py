@@ -13,7 +13,7 @@ from usarmjx.models.types.shapes import Shape
 from usarmjx.server.pictures.views import robot_view, snapshot
 from usarmjx.server.viewing import inset as inset_module
 from usarmjx.server.viewing.inset import ALL_ROBOTS, ITS_VIEW, NOTHING, SIZE, CameraInset
-from usarmjx.server.viewing.viewer_service import ServedSource
+from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.view.page import ViewerPage
 

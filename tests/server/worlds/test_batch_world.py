@@ -10,7 +10,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.cameras.paint import ROBOT_LABEL
 from usarmjx.sensors.suite import suite_of
-from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch, one_of
+from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch, select_world
 from usarmjx.server.worlds.served_world import CameraRequest, ViewpointRequest
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.control import CommandUpdate
@@ -289,7 +289,7 @@ def test_a_world_that_is_picked_is_a_copy_of_its_own():
         np.arange(3),
         {"key": jnp.arange(12, dtype=jnp.uint32).reshape(3, 4)},
     )
-    found = one_of(1, tree)
+    found = select_world(1, tree)
     assert all(isinstance(leaf, np.ndarray | np.generic) for leaf in jax.tree.leaves(found))
     assert found[0].tolist() == [2.0, 3.0]
     assert found[1] == 1

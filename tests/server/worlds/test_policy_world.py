@@ -178,7 +178,7 @@ def test_two_served_worlds_share_the_policy_and_a_claim_is_one_worlds(world):
 def test_another_world_can_be_served_and_clients_take_over_the_same_robot_there(world, capsys):
     robot = world.spawn(P2AT, "P2AT1", (0.0, 0.0, 1.0), LEVEL)
     switch = InstanceSwitch(world, 2)
-    switch.obey("1")
+    switch.select("1")
     assert capsys.readouterr().out == "usarmjx: world 1 is served now\n"
     assert world.robots == {1: robot}
     run(world, 1.0)
@@ -186,14 +186,14 @@ def test_another_world_can_be_served_and_clients_take_over_the_same_robot_there(
     assert way[1, 1] < 0.01, "the client has it here"
     np.testing.assert_allclose(way[[0, 0, 1], [0, 1, 0]], SPEED, rtol=0.05)
     np.testing.assert_allclose(world.state(robot).pos[:2], places(world)[1, 1], atol=1e-6)
-    switch.obey("0")
+    switch.select("0")
     world.remove(robot)
 
 
 @pytest.mark.parametrize(("line", "why"), [("2", "worlds 0 to 1"), ("x", "'x' is not the number of a world")])
 def test_a_number_that_is_no_worlds_changes_nothing(world, caplog, line, why):
     robot = world.spawn(P2AT, "P2AT1", (0.0, 0.0, 1.0), LEVEL)
-    InstanceSwitch(world, 2).obey(line)
+    InstanceSwitch(world, 2).select(line)
     assert why in caplog.text
     assert world.robots == {1: robot}
     assert world._instance == 0

@@ -97,7 +97,7 @@ def test_who_appeared_where_another_had_been_stands_next_to_it(court):
     steps(world, 5)
     apart = np.linalg.norm(world.state(first).pos[:2] - world.state(second).pos[:2])
     assert P2DX.dimensions[1] * 0.9 < apart < 1.0
-    assert world.mishaps.put_back == 0
+    assert world.recovery_log.put_back == 0
 
 
 @pytest.fixture(scope="module")
@@ -124,4 +124,4 @@ def test_of_a_batch_only_that_world_begins_again(batch):
     assert not robot.command.light
     assert not np.allclose(world.one_world()[1].qpos[batch.scene.groups[0].root_qposadr[1]], other)
     steps(world, 2)
-    assert (world.mishaps.resets, world.time) == (0, pytest.approx(53 * world.period))
+    assert (world.recovery_log.resets, world.time) == (0, pytest.approx(53 * world.period))

@@ -127,7 +127,7 @@ class Client:
         """Carry out any command but INIT; nothing if the robot is lost: its slot may be another's."""
         if (
             self.robot is not None
-            and self.robot.obeys not in (None, self)
+            and self.robot.controller not in (None, self)
             and isinstance(command, MOTION_COMMANDS)
         ):
             self.session.add_fault(f"{self.robot.name} is driven from the page: {type(command).__name__}")

@@ -24,7 +24,7 @@ EVERY_ROBOT = "KRobot"
 """Base class of all robots in the original."""
 BATTERY = "Battery"
 """Parameter that is no property of the class: remaining time of the battery [s]."""
-FIGURES: dict[str, tuple[float, float]] = {
+PARAMETERS: dict[str, tuple[float, float]] = {
     BATTERY: (0.0, 1e6),
     "batteryLife": (0.0, 1e6),
     "msgTimer": (0.02, 60.0),
@@ -136,29 +136,29 @@ def _mounts(robots: Iterable[Robot]) -> list[Mount]:
 def _edit_robots(world: ServedWorld, robots: Sequence[Robot], parameters: Mapping[str, str]) -> str:
     if not parameters:
         return "\n".join(_robot_line(world, robot) for robot in robots)
-    values = {_figure(key): value for key, value in parameters.items()}
+    values = {_parameter(key): value for key, value in parameters.items()}
     numbers = {key: _in_limits(key, value) for key, value in values.items()}
-    specs = {robot: _with_figures(robot, numbers) for robot in robots}
+    specs = {robot: _with_parameters(robot, numbers) for robot in robots}
     _redescribe(world, specs)
     for robot in robots:
-        robot.figures |= {key: value for key, value in numbers.items() if key != BATTERY}
+        robot.parameters |= {key: value for key, value in numbers.items() if key != BATTERY}
         if BATTERY in numbers:
             _charge(world, robot, numbers[BATTERY])
     return "\n".join(_robot_line(world, robot) for robot in robots)
 
 
-def _figure(key: str) -> str:
+def _parameter(key: str) -> str:
     """Return a robot's parameter in its own spelling."""
-    for known in FIGURES:
+    for known in PARAMETERS:
         if known.lower() == key.lower():
             return known
     raise UnknownNameError(
-        f"a robot has no parameter {key!r}; those that can be changed: {', '.join(FIGURES)}"
+        f"a robot has no parameter {key!r}; those that can be changed: {', '.join(PARAMETERS)}"
     )
 
 
 def _in_limits(key: str, text: str) -> float:
-    low, high = FIGURES[key]
+    low, high = PARAMETERS[key]
     try:
         value = float(text)
     except ValueError:
@@ -168,21 +168,21 @@ def _in_limits(key: str, text: str) -> float:
     return value
 
 
-def _with_figures(robot: Robot, numbers: Mapping[str, float]) -> RobotSpec:
+def _with_parameters(robot: Robot, numbers: Mapping[str, float]) -> RobotSpec:
     """Return a robot's new description: that of its class with all parameters so far, and new ones."""
-    spec, figures = robot.described, robot.figures | dict(numbers)
+    spec, parameters = robot.class_spec, robot.parameters | dict(numbers)
     for key, (_, set_to) in SETTERS.items():
-        if key not in figures:
+        if key not in parameters:
             continue
         if not _has_effect(spec, key):
             raise UsageError(f"{key} changes nothing: {spec.name} has no joint that it is about")
-        spec = set_to(spec, figures[key])
+        spec = set_to(spec, parameters[key])
     return replace(spec, sensors=robot.spec.sensors, cameras=robot.spec.cameras)
 
 
 def _has_effect(spec: RobotSpec, key: str) -> bool:
     set_to = SETTERS[key][1]
-    low, high = FIGURES[key]
+    low, high = PARAMETERS[key]
     return set_to(spec, low or high) != set_to(spec, high / 2)
 
 
@@ -196,11 +196,11 @@ def _charge(world: ServedWorld, robot: Robot, left: float) -> None:
 def _robot_line(world: ServedWorld, robot: Robot) -> str:
     spec = robot.spec
     known = {BATTERY: world.battery(robot), "batteryLife": spec.battery_life, "msgTimer": spec.msg_timer}
-    known |= {"Weight": spec.mass, "MaxTorque": spec.max_torque} | robot.figures
+    known |= {"Weight": spec.mass, "MaxTorque": spec.max_torque} | robot.parameters
     if spec.drive.max_speed and "maxSpinSpeed" not in known:
         known["maxSpinSpeed"] = spec.drive.max_speed
-    shown = " ".join(f"{key}={known[key]:g}" for key in FIGURES if key in known)
-    rest = ", ".join(key for key in FIGURES if key not in known and _has_effect(spec, key))
+    shown = " ".join(f"{key}={known[key]:g}" for key in PARAMETERS if key in known)
+    rest = ", ".join(key for key in PARAMETERS if key not in known and _has_effect(spec, key))
     return f"{robot.name} ({spec.name}): {shown}" + (f"; also: {rest}" if rest else "")
 
 

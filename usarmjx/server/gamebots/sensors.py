@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -342,7 +342,8 @@ def _sensor_fields(sensor: Sensor, index: int) -> list[ConfField]:
         return [*fields, *generic_fields(settings)]
     for key, field in known:
         value = getattr(settings, field)
-        fields.append((key, four_decimals_list(value) if isinstance(value, tuple) else value))
+        pair = isinstance(value, tuple)  # vertical and horizontal
+        fields.append((key, four_decimals_list(cast(tuple[float, ...], value)) if pair else value))
     return fields
 
 

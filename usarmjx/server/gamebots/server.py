@@ -395,7 +395,7 @@ class BotServer:
             robot = guest.robot
             if robot is None or guest.lost or (robot.name.lower(), robot.spec) != (init.name.lower(), spec):
                 continue
-            guest.robot, robot.obeys = None, None
+            guest.robot, robot.controller = None, None
             client.attach_robot(robot, self.world.time)
             return True
         return False

@@ -1,1 +1,1 @@
-"""Ports and connections: who may connect, and on which ports the servers listen."""
+"""Ports and connections: ports of the servers, and access rules for the peers that connect."""

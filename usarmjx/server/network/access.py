@@ -1,4 +1,4 @@
-"""Who may connect: networks that are let in, a token, and how many connections an address may have."""
+"""Access rules: networks that may connect, a token, and connections per address."""
 
 import hashlib
 import hmac
@@ -17,7 +17,7 @@ IPAddress: TypeAlias = ipaddress.IPv4Address | ipaddress.IPv6Address
 IPNetwork: TypeAlias = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 AUTH = "AUTH"
-"""What the first line begins with where a token is asked for."""
+"""Head of the first line where a token is required."""
 MAX_TOKEN_SIZE = 128
 """Longest token [bytes]."""
 _TOKEN = re.compile(rf"[A-Za-z0-9._~+/=-]{{1,{MAX_TOKEN_SIZE}}}")
@@ -25,13 +25,13 @@ _TOKEN = re.compile(rf"[A-Za-z0-9._~+/=-]{{1,{MAX_TOKEN_SIZE}}}")
 
 @dataclass(frozen=True)
 class AccessRules:
-    """Who may connect to the ports of a server.
+    """Rules for connections to the ports of a server.
 
     Attributes:
         allow: Networks that connections are accepted from; none: from anywhere.
-        token: What clients have to say first; nothing: they need not.
+        token: Token that clients send first; empty: none is required.
         per_address: Most connections of one address to one kind of port, unless it is loopback; None: three
-            quarters of what such a port holds.
+            quarters of the port's capacity.
     """
 
     allow: tuple[IPNetwork, ...] = ()
@@ -39,16 +39,16 @@ class AccessRules:
     per_address: int | None = None
 
     def allows(self, address: IPAddress) -> bool:
-        """Return whether an address is let in."""
+        """Return whether an address may connect."""
         return not self.allow or any(address in network for network in self.allow)
 
     def knows(self, token: str) -> bool:
-        """Return whether a token is the right one; how long that takes does not tell how much of it is."""
+        """Return whether a token is the right one, in a time that does not depend on the match."""
         return bool(self.token) and hmac.compare_digest(token.encode("utf-8", "replace"), self.token.encode())
 
     @cached_property
     def cookie(self) -> str:
-        """What a browser is given for the token: not the token, as it goes to every port of that host."""
+        """Cookie for the token: a hash of it, as browsers send cookies to every port of a host."""
         return hmac.new(self.token.encode(), b"usarmjx page", hashlib.sha256).hexdigest()
 
     def knows_cookie(self, cookie: str) -> bool:
@@ -57,24 +57,24 @@ class AccessRules:
 
 
 EVERYBODY = AccessRules()
-"""The rules unless the operator says otherwise."""
+"""The default rules."""
 
 
 def parse_address(text: str) -> IPAddress:
-    """Return an IP address; an IPv4 one that is written as IPv6 is IPv4.
+    """Return an IP address; an IPv4 address that is mapped to IPv6 is IPv4.
 
     Raises:
-        ValueError: It is none.
+        ValueError: The text is no address.
     """
     address = ipaddress.ip_address(text.partition("%")[0])
     return getattr(address, "ipv4_mapped", None) or address
 
 
 def parse_networks(texts: Iterable[str]) -> tuple[IPNetwork, ...]:
-    """Return the networks of lists as `10.0.0.0/8,2001:db8::1`; a single address is a network of one.
+    """Return the networks of lists such as `10.0.0.0/8,2001:db8::1`; a single address is a network of one.
 
     Raises:
-        UsageError: One is none.
+        UsageError: A part is no network.
     """
     networks: list[IPNetwork] = []
     for part in (part.strip() for text in texts for part in text.split(",")):
@@ -92,10 +92,10 @@ def check_token(text: str, source: str) -> str:
 
     Args:
         text: The token.
-        source: Where it is from, for the message, which does not repeat it.
+        source: Origin of the token, for the message, which does not repeat the token.
 
     Raises:
-        UsageError: It has characters that cannot stand in a line or a cookie, or too many or none.
+        UsageError: It is empty, too long, or has characters that cannot stand in a line or a cookie.
     """
     if not _TOKEN.fullmatch(text):
         raise UsageError(f"{source}: a token has 1 to {MAX_TOKEN_SIZE} letters, digits and ._~+/=-")
@@ -103,10 +103,10 @@ def check_token(text: str, source: str) -> str:
 
 
 def read_token(path: Path) -> str:
-    """Return the token that a file holds, without white space around it.
+    """Return the token in a file, without white space around it.
 
     Raises:
-        UsageError: The file cannot be read or holds none.
+        UsageError: The file cannot be read or has no token.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -116,7 +116,7 @@ def read_token(path: Path) -> str:
 
 
 def token_of(line: str) -> str:
-    """Return the token of a line `AUTH {Token T}` or a message `AUTH T`; nothing if it is neither.
+    """Return the token of a line `AUTH {Token T}` or a message `AUTH T`; empty if it is neither.
 
     Raises:
         PeerError: It is no AUTH at all.
@@ -127,5 +127,5 @@ def token_of(line: str) -> str:
     words = line.split()
     try:
         return words[1] if len(words) == 2 and "{" not in line else parse_message(line).get("Token")
-    except PeerError:  # its text could have the token in it
+    except PeerError:  # not passed on: its text could contain the token, which must not get into a log
         return ""

@@ -1,4 +1,4 @@
-"""Where a connection comes in: refused, asked for the token, or let through to what serves the port."""
+"""Gate of a port: a connection is refused, asked for the token, or passed to the handler."""
 
 import asyncio
 import logging
@@ -17,27 +17,27 @@ log = logging.getLogger(__name__)
 Handler: TypeAlias = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 LINE_ENDS = b"\r\n"
-"""Either ends a line."""
+"""Bytes of which each ends a line."""
 AUTH_TIMEOUT = 10.0
-"""Who connects has so long to say the token [s]."""
+"""Time that a new connection has to send the token [s]."""
 MAX_AUTH_SIZE = 192
 """Longest line with a token [bytes]."""
 MAX_STRANGERS = 64
-"""So many connections to one kind of port may owe the token; for one more the oldest is closed."""
+"""Most connections to one kind of port without a token yet; for one more the oldest is closed."""
 LOG_INTERVAL = 10.0
-"""Refusals are logged so often at most, with the number of those in between [s]."""
+"""Interval between two log lines about refusals, each with the number of those in between [s]."""
 KEEPALIVE_IDLE, KEEPALIVE_INTERVAL, KEEPALIVE_COUNT = 60, 10, 6
-"""A peer that is silent for so long is probed [s], so often [s], and is gone after so many without answer."""
+"""Silence before a probe [s], interval of probes [s], and unanswered probes after which a peer is gone."""
 
 
 class Gate:
-    """Decides who comes to one kind of port, and counts them.
+    """Admits connections to one kind of port, and counts them.
 
     Args:
-        rules: Who may connect.
+        rules: Rules of access.
         room: Most connections there at once.
-        name: What the log calls the port.
-        now: The clock [s].
+        name: Name of the port in the log.
+        now: Returns the time [s].
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Gate:
         self._strangers: list[asyncio.WriteTransport] = []
 
     def enter(self, address: str) -> bool:
-        """Return whether a connection from an address is let in; tell `leave` when it has ended."""
+        """Return whether a connection from an address is admitted; call `leave` when it has ended."""
         try:
             found = parse_address(address)
         except ValueError:  # it has gone already
@@ -66,25 +66,25 @@ class Gate:
 
     @property
     def is_full(self) -> bool:
-        """Whether more are let in than there is room for; a service with places of its own need not ask."""
+        """Whether more are admitted than fit; a service with a limit of its own does not ask."""
         return self._counts.total() > self._room
 
     def leave(self, address: str) -> None:
-        """Note that a connection that was let in has ended."""
+        """Count out a connection that was admitted."""
         found = parse_address(address)
         self._counts[found] -= 1
         if not self._counts[found]:
             del self._counts[found]
 
     def refuse(self, peer: str, reason: str) -> None:
-        """Log that a peer is refused, unless another one was just before: then it is counted."""
+        """Log the refusal of a peer; count it only if another one was logged just before."""
         count = self._lines.take_left_out()
         if self._lines.admits():
             more = f" ({count} more since the last such line)" if count else ""
             log.warning("%s: %s is refused: %s%s", self._name, peer, reason, more)
 
     async def is_known(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, ends: bytes) -> bool:
-        """Return whether a peer says the token, if one is asked for; what follows its line stays unread."""
+        """Return whether a peer sends the token, if one is required; later bytes stay unread."""
         if not self.rules.token:
             return True
         if len(self._strangers) >= MAX_STRANGERS:
@@ -108,12 +108,12 @@ class Gate:
 
 
 def guarded(gate: Gate, handler: Handler, ends: bytes | None = LINE_ENDS) -> Handler:
-    """Return a handler of connections that leaves to another one only those that a gate lets in.
+    """Return a handler of connections that passes only admitted ones on.
 
     Args:
-        gate: Decides.
-        handler: Gets the others.
-        ends: Bytes that end the line with the token; None: it is not asked for here.
+        gate: Admits connections.
+        handler: Handles admitted connections.
+        ends: Bytes that end the line with the token; None: no token is required here.
     """
 
     async def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -128,7 +128,7 @@ def guarded(gate: Gate, handler: Handler, ends: bytes | None = LINE_ENDS) -> Han
             else:
                 writer.transport.abort()
         except asyncio.CancelledError:
-            writer.transport.abort()  # the server stops, and nobody waits for this task
+            writer.transport.abort()  # the server stops, and nothing awaits this task
         finally:
             gate.leave(address)
 
@@ -136,7 +136,7 @@ def guarded(gate: Gate, handler: Handler, ends: bytes | None = LINE_ENDS) -> Han
 
 
 def keep_alive(connection: socket.socket) -> None:
-    """Let the system find out when a peer has vanished without a word."""
+    """Enable TCP keepalive, so that the system notices a peer that vanished."""
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for name, value in (
         ("TCP_KEEPIDLE", KEEPALIVE_IDLE),
@@ -148,13 +148,13 @@ def keep_alive(connection: socket.socket) -> None:
 
 
 def peer_address(writer: asyncio.StreamWriter) -> tuple[str, int]:
-    """Return address and port of a peer; nothing and 0 if it is gone already."""
+    """Return address and port of a peer; "" and 0 if it is gone already."""
     peer = writer.get_extra_info("peername")
     return (peer[0], peer[1]) if peer else ("", 0)
 
 
 async def _read_line(reader: asyncio.StreamReader, ends: bytes) -> str:
-    r"""Return the first line that is not blank, up to its end or to where it is no AUTH any more.
+    r"""Return the first line that is not blank, up to its end or to the first byte that rules AUTH out.
 
     Of the end "\r\n" the second byte may stay unread.
 
@@ -163,6 +163,7 @@ async def _read_line(reader: asyncio.StreamReader, ends: bytes) -> str:
     """
     line = bytearray()
     for _ in range(MAX_AUTH_SIZE):
+        # Byte by byte: what follows the line belongs to the handler, and a StreamReader cannot take it back.
         byte = await reader.read(1)
         if not byte:
             raise PeerError("it has hung up")
@@ -171,7 +172,7 @@ async def _read_line(reader: asyncio.StreamReader, ends: bytes) -> str:
         elif line.strip():
             break
         if not AUTH.encode().startswith(line.lstrip()[: len(AUTH)].upper()):
-            break  # who waits for an answer to something else shall not wait
+            break  # another protocol's client may wait for an answer first: refuse it now, not at the timeout
     else:
         raise PeerError(f"its first line has more than {MAX_AUTH_SIZE} bytes")
     return line.decode("latin-1")

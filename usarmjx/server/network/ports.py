@@ -1,31 +1,31 @@
-"""TCP ports: which ones the servers of every world get, and how they are taken before anything is built."""
+"""TCP ports: those of the servers of every world, and their binding before anything is built."""
 
 import contextlib
 import errno
 import socket
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from weakref import WeakSet
 
 from usarmjx.base.errors import UsageError
 
 BOT_PORT = 3000
-"""Of the Gamebots server (BotAPI.ini: ListenPort; manual 9.1)."""
+"""Default port of the Gamebots server (BotAPI.ini: ListenPort; manual 9.1)."""
 WSS_PORT, WSS2_PORT, POSITION_PORT = 5874, 50000, 7435
-"""Of the wireless server (USARComServer.ini: ListenPort), the stand-alone one, and the position service."""
+"""Default ports of the wireless server (USARComServer.ini), the stand-alone one, and the position service."""
 IMAGE_PORT = 5003
-"""Of the image server (manual 3.2.5)."""
+"""Default port of the image server (manual 3.2.5)."""
 VIEWER_PORT = 8100
-"""Of the live page."""
+"""Default port of the live page."""
 LAST_PORT = 65535
 FIRST_DIALLED = 1024
-"""No port below is dialled for a client: those are the system's."""
+"""Lowest port that is dialled for a client: those below are the system's."""
 WRONG_PORT = (errno.EADDRINUSE, errno.EACCES)
-"""What says that another port may do where this one does not."""
+"""Errors after which another port may work."""
 _bound_sockets: WeakSet[socket.socket] = WeakSet()
 
 
 def count_up(first: Mapping[str, int], worlds: int, offset: int = 0) -> list[dict[str, int]]:
-    """Return the ports of every world that is served, by the options that set them.
+    """Return the ports of every served world, by the options that set them.
 
     The first world has those of the options, moved by the offset. Each further one has, of every kind, the
     next port after that of the world before it which no other server here has: with pictures from 5003 on
@@ -33,8 +33,8 @@ def count_up(first: Mapping[str, int], worlds: int, offset: int = 0) -> list[dic
 
     Args:
         first: The first world's ports by their options; 0, in all worlds, lets the system pick a free one.
-        worlds: How many worlds are served.
-        offset: What is added to all ports but 0.
+        worlds: Number of served worlds.
+        offset: Added to all ports but 0.
 
     Raises:
         UsageError: Two options name one port, or there is no such port.
@@ -55,7 +55,7 @@ def count_up(first: Mapping[str, int], worlds: int, offset: int = 0) -> list[dic
 
 
 def _claim(owners: dict[int, str], option: str, port: int) -> None:
-    """Note which option a port belongs to.
+    """Record the option that a port belongs to.
 
     Raises:
         UsageError: It belongs to another one, or there is no such port.
@@ -69,8 +69,8 @@ def _claim(owners: dict[int, str], option: str, port: int) -> None:
 
 
 @contextlib.contextmanager
-def bound_ports(host: str, ports: Sequence[Mapping[str, int]]) -> Iterator[list[dict[str, socket.socket]]]:
-    """Take ports; within the context connections are refused until somebody listens.
+def bound_ports(host: str, ports: Sequence[Mapping[str, int]]) -> Generator[list[dict[str, socket.socket]]]:
+    """Bind ports; within the context connections are refused until a server listens.
 
     Args:
         host: Address to listen on.
@@ -83,7 +83,7 @@ def bound_ports(host: str, ports: Sequence[Mapping[str, int]]) -> Iterator[list[
         UsageError: A port is taken or the address is not ours; names the option.
     """
     bound: list[dict[str, socket.socket]] = [{} for _ in ports]
-    # Those that have a number come first, else one of them might be picked as a free one.
+    # Ports with a number come first: one of them might otherwise be picked as a free one.
     wanted = sorted(
         ((world, option, port) for world, own in enumerate(ports) for option, port in own.items()),
         key=lambda item: item[2] == 0,
@@ -97,13 +97,13 @@ def bound_ports(host: str, ports: Sequence[Mapping[str, int]]) -> Iterator[list[
 def bound_socket(host: str, port: int, option: str = "") -> socket.socket:
     """Return a socket bound to an address, not listening yet; port 0 picks a free one.
 
-    While it only is bound, connections are refused. A host with addresses of both kinds, as localhost,
+    While it only is bound, connections are refused. A host with addresses of both kinds, such as localhost,
     means the IPv4 one: USARSim's clients know no other.
 
     Args:
         host: Address or name.
         port: Its port.
-        option: What sets the port, for the message.
+        option: Option that sets the port, for the message.
 
     Raises:
         UsageError: The port is taken or the address is not ours.
@@ -125,10 +125,10 @@ def bound_socket(host: str, port: int, option: str = "") -> socket.socket:
 
 
 def may_dial(address: str, port: int) -> bool:
-    """Return whether a client may make us connect to a port: not to the system's, nor to one of our own.
+    """Return whether the server may connect to a port for a client: not to the system's, nor to its own.
 
     Args:
-        address: IP address, of a client or of one who may be dialled for it.
+        address: IP address of the peer to dial.
         port: Its port.
     """
     own = {bound.getsockname()[1] for bound in _bound_sockets if bound.fileno() >= 0}
@@ -136,7 +136,7 @@ def may_dial(address: str, port: int) -> bool:
 
 
 def _is_ours(address: str) -> bool:
-    """Return whether an IP address is one of this machine's: then it can be bound."""
+    """Return whether an IP address is one of this machine's: only those can be bound."""
     with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind((address, 0))
@@ -146,7 +146,7 @@ def _is_ours(address: str) -> bool:
 
 
 def _refusal(host: str, port: int, option: str, error: OSError) -> UsageError:
-    """Return what to tell the user, with the option that would help."""
+    """Return the error for the user, with the option that would help."""
     if not option:
         hint = ""
     elif error.errno in WRONG_PORT:

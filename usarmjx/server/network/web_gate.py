@@ -1,4 +1,4 @@
-"""The gate of a port for browsers: they say the token in an address once, and by a cookie from then on."""
+"""Gate of a port for browsers: host names, and the token, once in the address and then by a cookie."""
 
 import asyncio
 import re
@@ -23,13 +23,17 @@ RequestAnswer: TypeAlias = Callable[[ServerConnection, Request], Response | None
 COOKIE = "usarmjx"
 """Name of the cookie."""
 TOKEN_QUERY = "token="
-"""What comes before the token in an address."""
+"""Text before the token in an address."""
 NO_TOKEN = "this server asks for its token: open /?token=...\n"
 FROM_ELSEWHERE = "this page is from elsewhere\n"
+LOCALHOST = re.compile(r"(?:.+\.)?localhost")
+"""Names that always mean the browser's own machine, never a site."""
+_HOST = re.compile(r"(?:\[([0-9a-f:.]+)\]|([a-z0-9._-]+))(?::[0-9]+)?", re.IGNORECASE)
+_NAME = re.compile(r"[a-z0-9._-]+|[0-9a-f:.]+", re.IGNORECASE)
 
 
 def gated_connection(gate: Gate) -> type[ServerConnection]:
-    """Return the class of connections that a gate lets in: others are closed before anything is read."""
+    """Return the class of connections that a gate admits: others are closed before anything is read."""
 
     class GatedConnection(ServerConnection):
         _entered = ""
@@ -53,23 +57,24 @@ def gated_connection(gate: Gate) -> type[ServerConnection]:
 
 
 def asking_token(gate: Gate, answer: RequestAnswer) -> RequestAnswer:
-    """Return what refuses requests without the token or its cookie, and leaves the others to another one.
+    """Return a handler that refuses requests without the token or its cookie, and passes the others on.
 
     Args:
-        gate: Knows the token; if none is asked for, nobody is refused.
-        answer: Answers the others; it does not get to see the token.
+        gate: Has the token; if none is required, no request is refused.
+        answer: Answers the others; it does not see the token.
     """
 
     def answer_known(connection: ServerConnection, request: Request) -> Response | None:
         path, _, query = request.path.partition("?")
         given = next((part for part in query.split("&") if part.startswith(TOKEN_QUERY)), "")
-        said = gate.rules.knows(unquote(given.removeprefix(TOKEN_QUERY)))
-        if gate.rules.token and not said and not any(map(gate.rules.knows_cookie, _cookies(request))):
+        has_token = gate.rules.knows(unquote(given.removeprefix(TOKEN_QUERY)))
+        if gate.rules.token and not has_token and not any(map(gate.rules.knows_cookie, _cookies(request))):
             peer = connection.remote_address
             gate.refuse(str(peer[0]) if peer else "", "a wrong token" if given else "no token")
             return connection.respond(HTTPStatus.FORBIDDEN, NO_TOKEN)
         response = answer(connection, replace(request, path=path))
-        if said and response is not None:
+        if has_token and response is not None:
+            # The address with the token must not stay in a cache, nor travel on as a referrer.
             cookie = f"{COOKIE}={gate.rules.cookie}; Path=/; HttpOnly; SameSite=Strict"
             response.headers["Set-Cookie"] = cookie
             response.headers["Referrer-Policy"] = "no-referrer"
@@ -80,9 +85,9 @@ def asking_token(gate: Gate, answer: RequestAnswer) -> RequestAnswer:
 
 
 def is_own_page(request: Request) -> bool:
-    """Return whether a request is no page's from elsewhere: browsers say where a page is that asks.
+    """Return whether a request comes from a page of this server, or from no page (no Origin header).
 
-    There is one Host header: `host_names.for_own_names` has seen to that.
+    Browsers add the Origin of the page; `for_own_names` has checked that there is one Host header.
     """
     host = request.headers.get_all("Host")
     return all([origin.partition("://")[2]] == host for origin in request.headers.get_all("Origin"))
@@ -95,14 +100,8 @@ def _cookies(request: Request) -> list[str]:
     return [value for name, _, value in pairs if name == COOKIE]
 
 
-_HOST = re.compile(r"(?:\[([0-9a-f:.]+)\]|([a-z0-9._-]+))(?::[0-9]+)?", re.IGNORECASE)
-_NAME = re.compile(r"[a-z0-9._-]+|[0-9a-f:.]+", re.IGNORECASE)
-LOCALHOST = re.compile(r"(?:.+\.)?localhost")
-"""These names are no site's: they always mean the browser's own machine."""
-
-
 def check_names(names: Collection[str], option: str = "--allow-host") -> tuple[str, ...]:
-    """Return the names of an option as they are compared.
+    """Return the names of an option in their compared form.
 
     Raises:
         UsageError: One is no host name and no IP address.
@@ -119,7 +118,7 @@ def is_own_name(host: str, names: Collection[str]) -> bool:
 
     Args:
         host: The header, with or without a port.
-        names: What it is called beside `LOCALHOST`: names and IP addresses, as from `check_names`.
+        names: Its names beside `LOCALHOST`: names and IP addresses, as from `check_names`.
     """
     found = _HOST.fullmatch(host)
     name = _plain(found[1] or found[2]) if found else ""
@@ -127,10 +126,13 @@ def is_own_name(host: str, names: Collection[str]) -> bool:
 
 
 def for_own_names(names: Collection[str], answer: RequestAnswer) -> RequestAnswer:
-    """Return what refuses requests under names that are not ours, and leaves the others to another one.
+    """Return a handler that refuses requests under foreign names, and passes the others on.
+
+    It protects against DNS rebinding: a site may point its own name at this machine, and its page then counts
+    as ours for the browser.
 
     Args:
-        names: What the server is called beside `LOCALHOST` and the IP address that a connection came to.
+        names: Names of the server beside `LOCALHOST` and the IP address of the connection's own end.
         answer: Answers the others.
     """
     names = {_plain(name) for name in names}
@@ -140,14 +142,14 @@ def for_own_names(names: Collection[str], answer: RequestAnswer) -> RequestAnswe
         own = {*names, _plain(str(here[0]))} if here else set(names)
         if len(hosts) == 1 and is_own_name(hosts[0], own):
             return answer(connection, request)
-        told = f"not served under the name {clip(', '.join(hosts))}; --allow-host NAME allows one\n"
-        return connection.respond(HTTPStatus.FORBIDDEN, told)
+        reason = f"not served under the name {clip(', '.join(hosts))}; --allow-host NAME allows one\n"
+        return connection.respond(HTTPStatus.FORBIDDEN, reason)
 
     return answer_own
 
 
 def _plain(name: str) -> str:
-    """Return a name or IP address in the one way in which it is compared."""
+    """Return a name or IP address in its compared form."""
     try:
         return str(parse_address(name))
     except ValueError:
@@ -166,15 +168,15 @@ async def listen_for_websockets(
     answer: RequestAnswer,
     max_size: int,
 ) -> Server:
-    """Listen on a bound socket for browsers and programs that ask for us by name and say the token.
+    """Listen on a bound socket for browsers and programs that use one of our names and send the token.
 
     Args:
         accept: Serves a websocket.
         bound: The socket; closed if this fails.
         names: The names that are ours.
-        gate: Of the port.
+        gate: Gate of the port.
         answer: Answers requests over HTTP; None lets a websocket begin.
-        max_size: Of a message [bytes].
+        max_size: Longest message [bytes].
 
     Raises:
         UsageError: The port is taken or the address is not ours.

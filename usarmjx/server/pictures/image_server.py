@@ -1,7 +1,7 @@
 """The image server on a real socket, in the loop of the Gamebots server (manual 3.2.5, 14.5.3).
 
-Pictures are rendered only for clients that wait for one, and that and their encoding happen in a thread. Who
-has waited for too long gets the last one once more, or a black one.
+Pictures are rendered only for clients that wait for one, and rendering and encoding happen in a thread. A
+client that has waited for too long gets the last picture again, or a black one.
 """
 
 import asyncio
@@ -28,7 +28,7 @@ from usarmjx.server.worlds.served_world import ServedWorld
 log = logging.getLogger(__name__)
 
 SIZE = (320, 240)
-"""Width and height of pictures if nobody says otherwise."""
+"""Default width and height of pictures [pixels]."""
 
 
 PartView = tuple[CompositeView, Region]
@@ -37,7 +37,7 @@ PartView = tuple[CompositeView, Region]
 
 @dataclass(frozen=True)
 class ImageSettings:
-    """How to serve pictures.
+    """Settings of the image server.
 
     Attributes:
         host: Address to bind; loopback by default.
@@ -46,11 +46,11 @@ class ImageSettings:
         fps: Most pictures per second of real time for each client.
         format: Picture type, 0 (raw) to 5; see `images.FORMATS`.
         max_connections: Most clients at once.
-        patience: Who has waited so long for a picture that is not ready gets the last one of the same view
-            once more, or a black one [s].
-        multi_view: How all robots' cameras share the picture of those whose view is bound to no camera;
-            None: they see one robot.
-        access: Who may connect.
+        patience: Wait for a picture after which the client gets the last one of the same view again, or a
+            black one [s].
+        multi_view: Division of the picture among all robots' cameras, for clients whose view is bound to no
+            camera; None: they see one robot.
+        access: Rules of access.
     """
 
     host: str = "127.0.0.1"
@@ -66,16 +66,16 @@ class ImageSettings:
 
 @dataclass(eq=False)
 class ImageClient:
-    """A client.
+    """A client of the image server.
 
     Attributes:
         writer: Its writer.
         session: Its dialogue.
-        last_received: When it said something last [s].
-        unsent: How many bytes waited for it to read them when that changed last.
-        since: When that was [s].
-        waits_since: Since when it waits for a picture [s]; None: it does not.
-        last: What was rendered for it last, and the frame of that; None: nothing yet.
+        last_received: Time of its last bytes [s].
+        unsent: Bytes in its write buffer at the last change.
+        since: Time of that change [s].
+        waits_since: Time since which it waits for a picture [s]; None: it does not wait.
+        last: View and frame of its last picture; None without one.
     """
 
     writer: asyncio.StreamWriter
@@ -87,31 +87,31 @@ class ImageClient:
     last: tuple[PartView, bytes] | None = None
 
     def update_unsent(self, now: float) -> int:
-        """Return how many bytes wait for the client to read them, and note when that changed."""
+        """Return the number of unsent bytes, and record the time of a change."""
         unsent = self.writer.transport.get_write_buffer_size()
         if unsent != self.unsent:
             self.unsent, self.since = unsent, now
         return unsent
 
     def is_waiting(self, now: float) -> bool:
-        """Return whether it waits for a picture, and note since when."""
+        """Return whether it waits for a picture, and record since when."""
         waits = self.session.wants(now)
         self.waits_since = (self.waits_since or now) if waits else None
         return waits
 
     def send(self, frame: bytes, now: float) -> None:
-        """Send the picture that it has waited for at a time [s]."""
+        """Send the awaited picture at a time [s]."""
         self.session.sent(now)
         self.waits_since = None
         self.writer.write(frame)
 
 
 class ImageServer:
-    """A `net.Service`.
+    """The image server; a `gamebots.server.Service`.
 
     Args:
         world: The served world.
-        settings: How to serve.
+        settings: Settings of the server.
         bound: A socket that is bound to the port already.
 
     Attributes:
@@ -141,13 +141,13 @@ class ImageServer:
         return [f"pictures on {host}:{self.port}"]
 
     def tick(self) -> None:
-        """The world has made a control step."""
+        """Drop clients that do not read, and start or repeat the pictures that are due."""
         self._stepped.set()
         self._stepped.clear()
         if not self._clients:
             return
         now = time.monotonic()
-        waiting = []
+        waiting: list[ImageClient] = []
         for client in self._clients:
             if not client.update_unsent(now):
                 waiting += [client] * client.is_waiting(now)
@@ -169,7 +169,7 @@ class ImageServer:
         self._render_thread.close()
 
     async def _send(self, clients: Sequence[ImageClient], now: float) -> None:
-        """Send the pictures that clients wait for, each once however many wait for the same."""
+        """Send clients their pictures, rendering each view once."""
         wanted = {client: part for client in clients if (part := self._part_of(client)) is not None}
         parts = set(wanted.values())
         try:
@@ -182,20 +182,20 @@ class ImageServer:
         ended = time.monotonic()
         for client, part in wanted.items():
             client.last = part, frames[part]
-            # Who was sent another one meanwhile may wait for this part again, or another one, or nothing.
+            # The client may have received `_send_last` meanwhile, and now wait for another part or nothing.
             waits = client.session.wants(ended) and client.session.region == part[1]
             if waits and not client.writer.is_closing():
                 client.send(frames[part], now if (client.waits_since or ended) <= now else ended)
 
     def _part_of(self, client: ImageClient) -> PartView | None:
-        """Return what a client waits for; None: nothing."""
+        """Return the view and part that a client waits for; None without a request."""
         if client.session.region is None:
             return None
         view = client_view(self._world, *peer_address(client.writer), self._settings.size)
         return view, client.session.region
 
     def _send_last(self, client: ImageClient, now: float) -> None:
-        """Send the last picture of what a client waits for once more; a black one if there is none."""
+        """Send the last picture of the awaited view again; a black one if there is none."""
         part = self._part_of(client)
         if part is None or client.writer.is_closing():
             return
@@ -220,7 +220,7 @@ class ImageServer:
             while data := await reader.read(READ_SIZE):
                 client.last_received = time.monotonic()
                 client.session.receive_data(data)
-                await self._stepped.wait()  # so much per control step: no one may keep the world from it
+                await self._stepped.wait()  # one read per control step: no client may delay the world
         except HttpRequestError as error:
             self._gate.refuse(f"{address}:{port}", str(error))
         except OSError as error:
@@ -249,7 +249,7 @@ def _black_frame(number: int, width: int, height: int) -> bytes:
 
 def _frames(wanted: Collection[PartView], number: int, wholes: ViewImages) -> dict[PartView, bytes]:
     """Return the frames of parts of views."""
-    frames = {}
+    frames: dict[PartView, bytes] = {}
     for view, (left, top, width, height) in wanted:
         part = wholes[view][top : top + height, left : left + width]
         frames[view, (left, top, width, height)] = encode_frame(number, part)

@@ -1,6 +1,6 @@
 """Pictures of a served world, rendered in a thread.
 
-The thread may be busy for a part of the time only: the robots' reports come first.
+The thread works for a part of the time only: the robots' reports have precedence.
 """
 
 import asyncio
@@ -18,13 +18,13 @@ from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, Viewp
 log = logging.getLogger(__name__)
 
 MAX_TIME_SHARE = 0.6
-"""The thread works for no more than this part of the time."""
+"""Largest share of the time in which the thread works."""
 MAX_PAUSE = 0.2
-"""It rests no longer than this after a picture, which may take seconds to compile or to render [s]."""
+"""Longest pause after a picture, which may take seconds to compile or to render [s]."""
 
 Made = TypeVar("Made")
 ViewImages = Mapping[CompositeView, np.ndarray]
-"""Pictures (height, width, 3) by what they are of."""
+"""Pictures (height, width, 3) by their views."""
 
 
 class RenderThread:
@@ -41,16 +41,16 @@ class RenderThread:
         self._rested = 0.0
 
     def is_ready(self, now: float) -> bool:
-        """Return whether it has done its last job and rested after it, at a time [s]."""
+        """Return whether the last job and the pause after it are over at a time [s]."""
         return now >= self._rested and (self._job is None or self._job.done())
 
     def begin(self, job: Coroutine[None, None, None]) -> None:
-        """Do a job, which is to call `render`; what goes wrong in it is logged."""
+        """Start a job, which calls `render`; its errors are logged."""
         self._job = asyncio.create_task(job)
         self._job.add_done_callback(_report)
 
     async def render(self, views: Collection[CompositeView], make: Callable[[ViewImages], Made]) -> Made:
-        """Return what is made in the thread of the pictures of some views, as they are now."""
+        """Render views as they are now and return the result of `make`, both computed in the thread."""
         requests = list(dict.fromkeys(request for view in views for request, _, _ in view.tiles))
         job = _make, snapshot(self._world, requests), requests, set(views), make
         began = time.monotonic()
@@ -77,6 +77,6 @@ def _make(
 
 
 def _report(task: asyncio.Task[None]) -> None:
-    """Log what went wrong in a task that nobody waits for."""
+    """Log the error of a task whose result nothing awaits."""
     if not task.cancelled() and (error := task.exception()):
         log.error("no picture could be rendered", exc_info=error)

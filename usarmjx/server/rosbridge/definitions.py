@@ -1,19 +1,27 @@
-"""The messages that are sent, as data: their fields and types in ROS 1 and ROS 2, times and headers."""
+"""ROS messages as data: their fields and types in ROS 1 and ROS 2, times and headers."""
 
 import math
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 MessageFields: TypeAlias = Mapping[str, str]
-"""Types of a message's fields by their names, in the order of their definition; `[]` behind a type is a list,
-`[9]` one of that length."""
+"""Types of a message's fields by their names, in the order of their definition.
+
+`[]` after a type is a list, `[9]` one of that length.
+"""
 RosMessage: TypeAlias = dict[str, Any]
 """A message: its fields by names; bytes where the type is uint8[], None for a number that is not known."""
+TIME = "builtin_interfaces/Time"
+
+
+def json_object(value: object) -> RosMessage | None:
+    """Return a value of JSON if it is an object, else None."""
+    return cast(RosMessage, value) if isinstance(value, dict) else None
 
 
 class RosVersion(IntEnum):
-    """Whose names of types and of times are spoken."""
+    """ROS version, which decides the names of types and the form of times."""
 
     ROS1 = 1
     ROS2 = 2
@@ -23,7 +31,7 @@ class RosVersion(IntEnum):
         return name.replace("/", "/msg/") if self == RosVersion.ROS2 else name
 
     def stamp(self, time: float) -> RosMessage:
-        """Return a time [s] as messages have it."""
+        """Return a time [s] in the form of messages."""
         seconds = math.floor(time)
         rest = round((time - seconds) * 1e9)
         if rest >= 1_000_000_000:
@@ -32,7 +40,7 @@ class RosVersion(IntEnum):
         return dict(zip(names, (seconds, rest), strict=True))
 
     def header(self, time: float, frame: str) -> RosMessage:
-        """Return the header of what holds at a time [s] in a frame."""
+        """Return the header of data of a time [s] in a frame."""
         header: RosMessage = {"stamp": self.stamp(time), "frame_id": frame}
         return {"seq": 0, **header} if self == RosVersion.ROS1 else header
 
@@ -41,8 +49,8 @@ class RosVersion(IntEnum):
         return _ONLY[self].get(name) or SHARED[name]
 
     def text(self, name: str) -> str:
-        """Return the definition of a type and of all that it is made of, as bags have them."""
-        told, waiting, parts = [name], [name], list[str]()
+        """Return the definition of a type with all types that it contains, in the form of bags."""
+        listed, waiting, parts = [name], [name], list[str]()
         while waiting:
             one = waiting.pop(0)
             fields = self.fields(one)
@@ -51,8 +59,8 @@ class RosVersion(IntEnum):
             parts.append(head + body)
             for kind in fields.values():
                 base = kind.partition("[")[0]
-                if "/" in base and base not in told and base != "builtin_interfaces/Time":
-                    told.append(base)
+                if "/" in base and base not in listed and base != "builtin_interfaces/Time":
+                    listed.append(base)
                     waiting.append(base)
         return "\n".join(parts) + "\n"
 
@@ -60,7 +68,6 @@ class RosVersion(IntEnum):
         return "time" if kind == TIME and self == RosVersion.ROS1 else kind
 
 
-TIME = "builtin_interfaces/Time"
 SHARED: dict[str, MessageFields] = {
     "geometry_msgs/Point": {"x": "float64", "y": "float64", "z": "float64"},
     "geometry_msgs/Vector3": {"x": "float64", "y": "float64", "z": "float64"},
@@ -169,7 +176,7 @@ _LENS = {"d": "float64[]", "k": "float64[9]", "r": "float64[9]", "p": "float64[1
 
 
 def _camera_info(lens: MessageFields) -> MessageFields:
-    """Return the fields of a CameraInfo, of which the lens's have other names in each version."""
+    """Return the fields of a CameraInfo, with the version's own names of the lens's fields."""
     return {
         "header": "std_msgs/Header",
         "height": "uint32",

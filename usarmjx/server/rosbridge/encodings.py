@@ -1,4 +1,4 @@
-"""How messages travel: JSON, JSON as a picture, CBOR, CBOR around ROS's own bytes; whole or in fragments."""
+"""Encodings of messages: JSON, JSON as a picture, CBOR, CBOR around ROS bytes; whole or in fragments."""
 
 import base64
 import io
@@ -23,22 +23,24 @@ FORMATS = {
     "float32": "f",
     "float64": "d",
 }
-"""What `struct` calls numbers, and NumPy too."""
+"""Format characters of numbers for `struct` and NumPy."""
 CDR_HEADER = b"\x00\x01\x00\x00"
-"""Says: plain CDR, little end first."""
+"""CDR encapsulation: plain CDR, little-endian."""
 TYPED_ARRAYS = {"int8": 72, "uint16": 69, "int32": 78, "uint32": 70, "float32": 85, "float64": 86}
-"""Tags that CBOR has for arrays of numbers, little end first (RFC 8746)."""
+"""CBOR tags of little-endian arrays of numbers (RFC 8746)."""
+BridgeFrame: TypeAlias = str | bytes
+"""One frame of the websocket: text or bytes."""
 
 
 def number_array(base: str, values: Any) -> bytes:  # noqa: ANN401 - a list of numbers, or bytes
-    """Return numbers of a type one after the other, little end first."""
+    """Return numbers of a type one after the other, little-endian."""
     if isinstance(values, bytes):
         return values
     return np.asarray(values, np.dtype(FORMATS[base]).newbyteorder("<")).tobytes()
 
 
 class MessageBytes:
-    """Bytes of one message.
+    """Serialized bytes of one message.
 
     Args:
         version: ROS 1's form, or CDR, in which a number begins at a multiple of its size.
@@ -88,7 +90,7 @@ class MessageBytes:
 
 
 def cbor_values(version: RosVersion, kind: str, value: Any) -> Any:  # noqa: ANN401 - as `fields` say
-    """Return a value of a type as CBOR has it: numbers in a row as bytes with a tag, uint8[] as bytes."""
+    """Return a value of a type for CBOR: arrays of numbers as tagged bytes, uint8[] as bytes."""
     from cbor2 import CBORTag
 
     base, _, length = kind.partition("[")
@@ -102,12 +104,8 @@ def cbor_values(version: RosVersion, kind: str, value: Any) -> Any:  # noqa: ANN
     return {name: cbor_values(version, its, value[name]) for name, its in version.fields(base).items()}
 
 
-BridgeFrame: TypeAlias = str | bytes
-"""What goes over a websocket at once: a text, or bytes."""
-
-
 class Compression(StrEnum):
-    """What a subscription may ask for."""
+    """Compression of a subscription."""
 
     NONE = "none"
     PNG = "png"
@@ -133,33 +131,33 @@ def _text_of_bytes(data: object) -> str:
 def publication(
     topic: str, kind: str, message: RosMessage, version: RosVersion, compression: Compression, now: float
 ) -> BridgeFrame:
-    """Return what tells a subscriber of a message.
+    """Return the frame that publishes a message to a subscriber.
 
     Args:
         topic: Its topic.
-        kind: Its type, in short.
+        kind: Its short type.
         message: The message.
-        version: In whose names it is.
-        compression: How it travels.
-        now: The simulated time [s], which `cbor-raw` tells beside the bytes.
+        version: Version of its field names.
+        compression: Its encoding.
+        now: The simulated time [s], which `cbor-raw` sends beside the bytes.
 
     Raises:
-        ValueError: It is to be JSON, and a number is not finite.
+        ValueError: JSON is requested, and a number is not finite.
     """
-    told: RosMessage = {"op": "publish", "topic": topic}
+    head: RosMessage = {"op": "publish", "topic": topic}
     if compression in (Compression.NONE, Compression.PNG):
-        text = as_json({**told, "msg": message})
+        text = as_json({**head, "msg": message})
         return text if compression == Compression.NONE else as_json(png_of_text(text))
     from cbor2 import dumps
 
     if compression == Compression.CBOR:
-        return dumps({**told, "msg": cbor_values(version, kind, message)})
+        return dumps({**head, "msg": cbor_values(version, kind, message)})
     whole = MessageBytes(version).whole(kind, message)
-    return dumps({**told, "msg": {**RosVersion.ROS1.stamp(now), "bytes": whole}})
+    return dumps({**head, "msg": {**RosVersion.ROS1.stamp(now), "bytes": whole}})
 
 
 def png_of_text(text: str) -> RosMessage:
-    """Return a text as pixels of a picture, three bytes each, filled up with line feeds."""
+    """Return a text as a PNG of three bytes per pixel, padded with line feeds."""
     from PIL import Image
 
     data = text.encode()
@@ -171,7 +169,7 @@ def png_of_text(text: str) -> RosMessage:
 
 
 def fragments(text: str, size: int, name: str) -> Iterator[str]:
-    """Yield a text in parts of so many characters; as it is if it is no longer."""
+    """Yield a text in fragments of `size` characters; unchanged if it is no longer."""
     count = -(-len(text) // size)
     if count <= 1:
         yield text

@@ -1,4 +1,4 @@
-"""What robots' cameras see: Image and CompressedImage."""
+"""Pictures of robots' cameras: Image and CompressedImage."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -18,12 +18,12 @@ FORMAT = format_number("good")
 
 
 class PictureRequest(NamedTuple):
-    """A picture that is to be told.
+    """A requested picture message.
 
     Attributes:
-        topic: Of its camera, and whether it is compressed.
-        version: Whose names are spoken.
-        compression: How the message travels.
+        topic: Topic of its camera, compressed or raw.
+        version: Version of its field names.
+        compression: Its encoding.
     """
 
     topic: RosTopic
@@ -32,7 +32,7 @@ class PictureRequest(NamedTuple):
 
 
 def image_view(topic: RosTopic, size: tuple[int, int]) -> CompositeView:
-    """Return what the camera of a topic sees, of that width and height."""
+    """Return the view of a topic's camera, of that width and height."""
     if topic.robot is None:
         raise UsageError(f"{topic.name} shows no camera")
     return robot_view(topic.robot, topic.robot.cameras[topic.camera].mount.name, size)
@@ -44,12 +44,12 @@ def picture_messages(
     time: float,
     pictures: ViewImages,
 ) -> list[BridgeFrame]:
-    """Return what is told of topics with pictures; may run in another thread.
+    """Return the messages of topics with pictures; may run in another thread.
 
     Args:
-        asked: What is wanted.
-        views: What each topic shows.
-        time: When that was [s].
+        asked: The requests.
+        views: View of each topic.
+        time: Simulated time of the views [s].
         pictures: The pictures.
     """
     made: dict[PictureRequest, BridgeFrame] = {}

@@ -1,4 +1,4 @@
-"""Of what a camera's pixels are pictures: CameraInfo."""
+"""Calibration of a camera: CameraInfo."""
 
 import math
 
@@ -8,7 +8,7 @@ from usarmjx.server.rosbridge.motion import frame_name, optical_name
 
 
 def has_info(camera: Camera) -> bool:
-    """Return whether CameraInfo can say what a camera's picture is: it has one eye, and no mirror."""
+    """Return whether CameraInfo can describe a camera: one with one eye, and no mirror."""
     return camera.lens == "pinhole" and len(camera.eye_offsets) == 1
 
 
@@ -18,7 +18,7 @@ def camera_info(
     """Return the CameraInfo of a camera.
 
     Args:
-        version: Whose names are spoken.
+        version: Version of its field names.
         time: Simulated time [s].
         robot: Its robot's name, in frames.
         camera: The camera.
@@ -27,7 +27,8 @@ def camera_info(
     """
     width, height = size
     focal = width / 2 / math.tan(fov / 2)
-    # The middle of the first pixel is 0, so that of the picture half a pixel less than half its side.
+    # ROS counts pixels by their centres: the first is 0, so the picture's centre is half a pixel short of
+    # half its side.
     across, down = (width - 1) / 2, (height - 1) / 2
     bent = camera.imaging.distortion
     k1, k2 = (0.0, 0.0) if bent is None else (float(one) for one in bent)

@@ -1,4 +1,7 @@
-"""Where robots are and how they move, as ROS messages; its axes are ours: x forward, y left, z up."""
+"""Motion of robots as ROS messages: poses, frames and velocities out, Twist in.
+
+Its axes are ours: x forward, y left, z up.
+"""
 
 import math
 import re
@@ -18,15 +21,24 @@ from usarmjx.models.drives.flying import Blimp, RotaryWing
 from usarmjx.models.drives.ground import OmniDrive, SkidSteer
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.ranging import ScannerSettings
-from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
+from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion, json_object
 from usarmjx.server.worlds.robot import Robot
 
 STANDS = 1e-6
-"""Slower than this is standing [m/s]."""
+"""Speed below which a robot counts as standing [m/s]."""
+
+MAP = "map"
+"""The world's frame."""
+UPRIGHT = mat_from_angles(np.pi / 2, 0.0, 0.0)
+"""From the frame of a scan in the x-z plane to that of its mount: ROS scans about z."""
+AHEAD_IS_Z = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""From the frame of a picture to that of its camera: ROS has x to the right, y down and z ahead there."""
+UNKNOWN = -1.0
+"""First number of the covariance of an unmeasured quantity."""
 
 
 class Velocity(NamedTuple):
-    """How a robot shall move.
+    """Commanded velocity of a robot.
 
     Attributes:
         ahead: [m/s]
@@ -42,7 +54,7 @@ class Velocity(NamedTuple):
 
 
 def read_twist(message: object) -> Velocity:
-    """Return what a Twist says; what it leaves out is 0. Roll and pitch rates are not looked at.
+    """Return the velocity of a Twist; missing numbers are 0. Roll and pitch rates are ignored.
 
     Raises:
         UsageError: It is no Twist, or a number is not finite.
@@ -53,8 +65,9 @@ def read_twist(message: object) -> Velocity:
 
 
 def _part(message: object, name: str) -> Mapping[str, Any]:
-    part = message.get(name, {}) if isinstance(message, dict) else None
-    if not isinstance(part, dict):
+    whole = json_object(message)
+    part = None if whole is None else json_object(whole.get(name, {}))
+    if part is None:
         raise UsageError("a geometry_msgs/Twist has linear and angular, of x, y and z each")
     return part
 
@@ -67,12 +80,12 @@ def _number(part: Mapping[str, Any], axis: str) -> float:
 
 
 def can_follow(drive: Drive) -> bool:
-    """Return whether a drive knows what to do with a Twist."""
+    """Return whether a drive can follow a Twist."""
     return isinstance(drive, SkidSteer | Ackermann | OmniDrive | RotaryWing | Blimp)
 
 
 def drive_keys(robot: RobotSpec, velocity: Velocity) -> dict[str, float]:
-    """Return the keys of DRIVE that make a robot move so, as far as its drive can; more is cut off later.
+    """Return the keys of DRIVE for a velocity, as far as the drive can follow; limits apply later.
 
     Raises:
         UsageError: Its drive cannot follow a Twist.
@@ -97,7 +110,7 @@ def drive_keys(robot: RobotSpec, velocity: Velocity) -> dict[str, float]:
 
 
 def _car_keys(drive: Ackermann, velocity: Velocity) -> dict[str, float]:
-    """Return speed and angle of the bicycle that turns alike; a car that stands cannot turn."""
+    """Return speed and angle of the bicycle model of the car; a standing car cannot turn."""
     moves = abs(velocity.ahead) > STANDS
     angle = math.atan(velocity.turn / velocity.ahead * drive.wheel_base) if moves else 0.0
     front = max(-drive.max_front_steer, min(drive.max_front_steer, angle))
@@ -105,7 +118,7 @@ def _car_keys(drive: Ackermann, velocity: Velocity) -> dict[str, float]:
 
 
 def _wheel_keys(drive: OmniDrive, velocity: Velocity) -> dict[str, float]:
-    """Return speed and angle of every wheel, along the way that the floor under it is to pass."""
+    """Return speed and angle of every wheel, along the velocity of its contact with the floor."""
     keys: dict[str, float] = {}
     for number, wheel in enumerate(drive.wheels):
         ahead = velocity.ahead + velocity.turn * wheel.y  # y is to the right
@@ -121,22 +134,12 @@ def _wheel_keys(drive: OmniDrive, velocity: Velocity) -> dict[str, float]:
     return keys
 
 
-MAP = "map"
-"""The world's frame."""
-UPRIGHT = mat_from_angles(np.pi / 2, 0.0, 0.0)
-"""From the frame of a scan in the x-z plane to that of its mount: ROS scans about z."""
-AHEAD_IS_Z = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""From the frame of a picture to that of its camera: ROS has x to the right, y down and z ahead there."""
-UNKNOWN = -1.0
-"""First number of the covariance of what is not measured."""
-
-
 class SensorFrame(NamedTuple):
-    """Where a sensor or a camera sits.
+    """Pose of a sensor or a camera on its robot.
 
     Attributes:
-        name: Of its mount.
-        body: The body it sits on; 0 is the chassis.
+        name: Name of its mount.
+        body: Index of its body; 0 is the chassis.
         pos: Position on it [m] (3,).
         mat: Orientation on it (3, 3).
     """
@@ -148,13 +151,13 @@ class SensorFrame(NamedTuple):
 
 
 def frame_name(text: str) -> str:
-    """Return a name as ROS allows it in topics and frames."""
+    """Return a name in ROS's character set for topics and frames."""
     plain = re.sub(r"[^A-Za-z0-9_]", "_", text)
     return plain if plain[:1].isalpha() else f"r{plain}"
 
 
 def optical_name(camera: str) -> str:
-    """Return what the frame of a camera's pictures is called, by that of the camera."""
+    """Return the name of the frame of a camera's pictures."""
     return f"{camera}_optical"
 
 
@@ -200,7 +203,7 @@ def pose_of_angles(values: Sequence[float]) -> RosMessage:
 
 
 def odometry(version: RosVersion, time: float, name: str, state: RobotState) -> RosMessage:
-    """Return the true pose in the map, and the velocities in the robot's own axes, as Odometry has them."""
+    """Return an Odometry: the true pose in the map, and the velocities in the robot's own axes."""
     with numpy_backend():
         mat = np.asarray(mat_from_quat(np.asarray(state.quat)))
     twist = {"linear": vector(mat.T @ np.asarray(state.linear)), "angular": vector(state.angular)}
@@ -224,26 +227,26 @@ def joint_states(version: RosVersion, time: float, robot: Robot, state: RobotSta
 
 
 def base_transform(version: RosVersion, time: float, name: str, state: RobotState) -> RosMessage:
-    """Return where a robot is in its odom frame, which is that of the map."""
+    """Return the transform of a robot from its odom frame, which is the map's."""
     return _stamped(version, time, f"{name}/odom", f"{name}/base_link", (state.pos, state.quat))
 
 
 def odom_transform(version: RosVersion, time: float, name: str) -> RosMessage:
-    """Return where a robot's odom frame is: at the map's origin, as its odometry is the truth."""
+    """Return the transform of a robot's odom frame from the map: identity, as its odometry is the truth."""
     return _stamped(version, time, MAP, f"{name}/odom", (np.zeros(3), np.eye(4)[0]))
 
 
 def sensor_transforms(
     version: RosVersion, time: float, name: str, frames: Sequence[SensorFrame], bodies: tuple[Array, Array]
 ) -> Iterator[RosMessage]:
-    """Yield where sensors are on their robot.
+    """Yield the transforms of sensors from their robot.
 
     Args:
-        version: Whose names are spoken.
+        version: Version of its field names.
         time: Simulated time [s].
         name: The robot's, in frames.
-        frames: Of its sensors.
-        bodies: Where its bodies are: positions [m] (bodies, 3), orientations (bodies, 3, 3).
+        frames: Frames of its sensors.
+        bodies: Poses of its bodies: positions [m] (bodies, 3), orientations (bodies, 3, 3).
     """
     positions, mats = (np.asarray(one) for one in bodies)
     for frame in frames:

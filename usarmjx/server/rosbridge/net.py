@@ -1,4 +1,4 @@
-"""The rosbridge port of a served world: websockets, and whose turn it is."""
+"""The rosbridge port of a served world: websockets, and the publication of its topics."""
 
 import asyncio
 import logging
@@ -36,27 +36,27 @@ log = logging.getLogger(__name__)
 MAX_MESSAGE_SIZE = 256 * 1024
 """Longest message of a client [bytes]."""
 MESSAGES_PER_STEP = 32
-"""A client that has said so much waits for the next control step: nobody may keep the world from it."""
+"""Messages of a client after which it waits for the next control step: no client may delay the world."""
 IMAGE_PERIOD = 0.1
-"""Pictures are told no more often than this [s]."""
+"""Least interval between two pictures of a topic [s]."""
 
 PublicationKey: TypeAlias = tuple[str, RosVersion, Compression]
-"""Of what is told only once: topic, whose names, and how it travels."""
+"""Key of a publication that several clients share: topic, version and encoding."""
 
 
 @dataclass(frozen=True)
 class RosSettings:
-    """How to serve.
+    """Settings of the rosbridge server.
 
     Attributes:
         host: Address to bind.
         port: TCP port; 0 picks a free one.
-        version: Whose names clients hear that do not say.
-        size: Width and height of pictures.
+        version: Version for clients that name none.
+        size: Width and height of pictures [pixels].
         max_connections: Most clients at once.
-        access: Who may connect.
-        names: What browsers may call this server, and where pages that may connect come from, beside
-            localhost and its IP addresses.
+        access: Rules of access.
+        names: Names of this server for browsers, and origins of pages that may connect, beside localhost and
+            its IP addresses.
     """
 
     host: str = "127.0.0.1"
@@ -73,19 +73,19 @@ class RosClient:
     """A client's connection.
 
     Attributes:
-        socket: Where it is.
+        socket: Its websocket.
         session: Its dialogue.
-        crew: The robots that it has.
-        wake: Is set when there may be something to send.
+        robots: Its robots.
+        wake: Set when there may be something to send.
     """
 
     socket: ServerConnection
     session: BridgeSession
-    crew: RosRobots
+    robots: RosRobots
     wake: asyncio.Event = field(default_factory=asyncio.Event)
 
     async def send(self) -> None:
-        """Send what waits, for ever; who reads slowly loses older messages and holds up nobody."""
+        """Send waiting frames, for ever; a slow reader loses older messages and delays no other client."""
         while True:
             frame = self.session.take()
             if frame is None:
@@ -101,20 +101,20 @@ class PictureSubscription(NamedTuple):
     client: RosClient
     subscription: TopicSubscription
     topic: RosTopic
-    news: Hashable
+    revision: Hashable
 
 
 class RosbridgeServer:
-    """A `net.Service`.
+    """The rosbridge server of one world; a `gamebots.server.Service`.
 
     Args:
         world: The served world.
-        settings: How to serve it.
+        settings: Settings of the server.
         bound: A socket that is bound to the port already.
 
     Attributes:
         port: The port in use, once started.
-        server: The world's server, which robots that appear here report to; to be set before it starts.
+        server: The world's server, which spawned robots report to; set it before the start.
     """
 
     def __init__(self, world: ServedWorld, settings: RosSettings, bound: socket.socket | None = None) -> None:
@@ -147,27 +147,27 @@ class RosbridgeServer:
         return [f"rosbridge at ws://{host}:{self.port}/{'?token=...' if self._settings.access.token else ''}"]
 
     def tick(self) -> None:
-        """The world has made a control step: tell what is new."""
+        """Publish new messages to subscribers, and remove robots of departed clients."""
         self._stepped.set()
         self._stepped.clear()
         while self._left and self._left[0].is_empty:
             self._left.popleft()
         if self._left:
-            self._left[0].let_one_go()
+            self._left[0].remove_one()
         made: dict[PublicationKey, BridgeFrame] = {}
         pictures: list[PictureSubscription] = []
         topics = self._topics.all() if self._clients else {}
         for client in self._clients:
-            client.crew.forget_lost()
-            for name, wanted in client.session.wanted(self._world.time):
+            client.robots.forget_lost()
+            for name, subscription in client.session.due_topics(self._world.time):
                 topic = topics.get(name)
-                news = topic.news() if topic and wanted.type in ("", topic.type) else None
-                if topic is None or news is None or news == wanted.told:
+                revision = topic.revision() if topic and subscription.type in ("", topic.type) else None
+                if topic is None or revision is None or revision == subscription.last_revision:
                     continue
                 if topic.make is None:
-                    pictures.append(PictureSubscription(client, wanted, topic, news))
-                elif frame := self._told(topic, wanted, made):
-                    wanted.put(frame, news, self._world.time)
+                    pictures.append(PictureSubscription(client, subscription, topic, revision))
+                elif frame := self._publication(topic, subscription, made):
+                    subscription.put(frame, revision, self._world.time)
                     client.wake.set()
         if pictures and self._render_thread.is_ready(time.monotonic()):
             self._render_thread.begin(self._show(pictures))
@@ -179,35 +179,35 @@ class RosbridgeServer:
             self._listener.close()
         self._render_thread.close()
 
-    def _told(
-        self, topic: RosTopic, wanted: TopicSubscription, made: dict[PublicationKey, BridgeFrame]
+    def _publication(
+        self, topic: RosTopic, subscription: TopicSubscription, made: dict[PublicationKey, BridgeFrame]
     ) -> BridgeFrame:
-        """Return what is told of a topic, made once for all clients; nothing if it cannot be told."""
-        version, how = wanted.version, wanted.compression
+        """Return a topic's frame, made once for all clients; empty if the message cannot be made."""
+        version, how = subscription.version, subscription.compression
         key = topic.name, version, how
         if key not in made and topic.make is not None:
             made[key] = ""
             try:
                 message = topic.make(version)
                 made[key] = publication(topic.name, topic.type, message, version, how, self._world.time)
-            except Exception as error:  # sensors may be anybody's
+            except Exception as error:  # a sensor may be a user's own, with any error in its reading
                 self._fault_log.warning("%s is not told: %s", topic.name, error)
         return made[key]
 
-    async def _show(self, wanted: Sequence[PictureSubscription]) -> None:
+    async def _show(self, subscriptions: Sequence[PictureSubscription]) -> None:
         now, size = self._world.time, self._settings.size
-        views = {one.topic: image_view(one.topic, size) for one in wanted}
+        views = {one.topic: image_view(one.topic, size) for one in subscriptions}
         asked = [
             PictureRequest(one.topic, one.subscription.version, one.subscription.compression)
-            for one in wanted
+            for one in subscriptions
         ]
         make = partial(picture_messages, asked, views, now)
-        for one in wanted:
-            one.subscription.told, one.subscription.due = one.news, now + IMAGE_PERIOD
+        for one in subscriptions:
+            one.subscription.last_revision, one.subscription.due = one.revision, now + IMAGE_PERIOD
         frames = await self._render_thread.render(views.values(), make)
-        for one, frame in zip(wanted, frames, strict=True):
-            if one.subscription.wishes:
-                one.subscription.put(frame, one.news, now)
+        for one, frame in zip(subscriptions, frames, strict=True):
+            if one.subscription.requests:
+                one.subscription.put(frame, one.revision, now)
                 one.subscription.due = max(one.subscription.due, now + IMAGE_PERIOD)
                 one.client.wake.set()
 
@@ -232,8 +232,8 @@ class RosbridgeServer:
         finally:
             sender.cancel()
             self._clients.remove(client)
-            client.crew.stop_driven()
-            self._left.append(client.crew)
+            client.robots.stop_driven()
+            self._left.append(client.robots)
             log.info("%s: disconnected", peer)
 
     async def _listen(self, client: RosClient) -> None:
@@ -254,7 +254,7 @@ class RosbridgeServer:
         try:
             if topic is None or topic.robot is None or topic.camera >= 0:
                 raise UsageError(f"nobody here listens to {said.topic[:80]}")
-            client.crew.drive(topic.robot, said.message)
+            client.robots.drive(topic.robot, said.message)
         except UsageError as error:
             client.session.status("error", str(error))
 
@@ -263,7 +263,7 @@ class RosbridgeServer:
             if call.service == SPAWN:
                 call.answer({"name": await self._spawn(client, call)})
             elif call.service == REMOVE:
-                client.crew.remove(str(call.args.get("name", "")))
+                client.robots.remove(str(call.args.get("name", "")))
                 call.answer({})
             else:
                 call.answer(self._services.call(call.service, call.args))
@@ -271,17 +271,17 @@ class RosbridgeServer:
             call.answer(str(error))
 
     async def _spawn(self, client: RosClient, call: ServiceCall) -> str:
-        """Let a robot appear, one in a control step; return what it is called in topics and frames."""
+        """Spawn a robot, one in a control step; return its name in topics and frames."""
         init, spec = read_spawn(call.args)
         if self.server is None:
             raise UsageError("the server has not begun")
         await self.server.prepare(spec)
         async with self._joining:
             await self._stepped.wait()
-            return self._topics.name_of(client.crew.spawn(init, spec))
+            return self._topics.name_of(client.robots.spawn(init, spec))
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Return None where a connection begins, which only pages from known names get, or no pages."""
+        """Return None to begin a websocket: for pages from known names, and for clients that are no page."""
         names = {self._settings.host, *self._settings.names}
         origins = [origin.partition("://")[2] for origin in request.headers.get_all("Origin")]
         if not all(is_own_name(origin, names) for origin in origins):

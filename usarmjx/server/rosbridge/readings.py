@@ -1,6 +1,7 @@
-"""What sensors have measured, as ROS messages, each in the frame of its mount."""
+"""Readings of sensors as ROS messages, each in the frame of its mount."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -15,7 +16,7 @@ from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
 from usarmjx.server.rosbridge.motion import MAP, UNKNOWN, frame_name, pose_of_angles, quaternion, vector
 
 ULTRASOUND, INFRARED = 0, 1
-"""Range's radiation_type."""
+"""Values of Range's radiation_type."""
 NO_FIX, FIX, SERVICE_GPS, APPROXIMATED = -1, 0, 1, 1
 """NavSatStatus's status and service, and NavSatFix's position_covariance_type."""
 
@@ -27,9 +28,9 @@ class SensorTopic(NamedTuple):
     """A topic of a sensor.
 
     Attributes:
-        name: What it is called below its robot.
-        type: Of its messages, in short.
-        make: Makes one.
+        name: Its name below its robot.
+        type: Short type of its messages.
+        make: Makes a message.
     """
 
     name: str
@@ -42,24 +43,24 @@ def sensor_topics(sensor: Sensor, origin: LatLon | None) -> Iterator[SensorTopic
 
     Args:
         sensor: The sensor.
-        origin: Latitude and longitude of the arena's origin [degrees], if the arena says them.
+        origin: Latitude and longitude of the arena's origin [degrees], if the arena has them.
     """
     name = sensor.mounts[0].name
     if isinstance(sensor, RangeScanner) and isinstance(sensor.settings[0], ScannerSettings):
-        yield SensorTopic(name, "sensor_msgs/LaserScan", lambda *told: _scan(sensor, *told))
+        yield SensorTopic(name, "sensor_msgs/LaserScan", partial(_scan, sensor))
     elif isinstance(sensor, Sonar | Ir):
         for index, mount in enumerate(sensor.mounts):
             yield SensorTopic(mount.name, "sensor_msgs/Range", _ranger(sensor, index))
     elif isinstance(sensor, Imu):
-        yield SensorTopic(name, "sensor_msgs/Imu", lambda *told: _imu(sensor, *told))
+        yield SensorTopic(name, "sensor_msgs/Imu", partial(_imu, sensor))
     elif isinstance(sensor, Gps):
-        yield SensorTopic(name, "sensor_msgs/NavSatFix", lambda *told: _fix(sensor, origin, *told))
+        yield SensorTopic(name, "sensor_msgs/NavSatFix", partial(_fix, sensor, origin))
     elif isinstance(sensor, Odometry | Ins | GroundTruth):
-        yield SensorTopic(name, "geometry_msgs/PoseStamped", lambda *told: _estimate(sensor, *told))
+        yield SensorTopic(name, "geometry_msgs/PoseStamped", partial(_estimate, sensor))
 
 
 def _scan(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np.ndarray) -> RosMessage:
-    """Return a LaserScan: ours go from right to left, as ROS's do."""
+    """Return a LaserScan; our beams go from right to left, as ROS's do."""
     settings, ranges = sensor.settings[0], value.reshape(-1)
     first = -settings.scan_fov / 2
     return {
@@ -108,16 +109,16 @@ def _imu(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np
 def _fix(
     sensor: Sensor, origin: LatLon | None, version: RosVersion, time: float, robot: str, value: np.ndarray
 ) -> RosMessage:
-    """Return a NavSatFix; there is no altitude, which JSON has as null."""
+    """Return a NavSatFix; the sensor has no altitude, which becomes null in JSON."""
     *position, satellites = map(float, value)
     settings, fixed = sensor.settings[0], satellites >= MIN_FIX_SATELLITES
-    place = geographic_coordinates(settings, position, origin) if fixed else (0.0, 0.0)
+    coordinates = geographic_coordinates(settings, position, origin) if fixed else (0.0, 0.0)
     variance = (settings.max_noise / 3) ** 2 if fixed else 0.0
     return {
         "header": version.header(time, f"{robot}/{frame_name(sensor.mounts[0].name)}"),
         "status": {"status": FIX if fixed else NO_FIX, "service": SERVICE_GPS},
-        "latitude": place[0],
-        "longitude": place[1],
+        "latitude": coordinates[0],
+        "longitude": coordinates[1],
         "altitude": None,
         "position_covariance": [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, 0.0],
         "position_covariance_type": APPROXIMATED if fixed else 0,
@@ -125,7 +126,7 @@ def _fix(
 
 
 def _estimate(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np.ndarray) -> RosMessage:
-    """Return where a sensor believes its robot, or its mount, to be."""
+    """Return a sensor's estimate of its robot's pose, or of its mount's."""
     numbers = [float(one) for one in value]
     if isinstance(sensor, Odometry):
         x, y, heading = numbers

@@ -1,4 +1,4 @@
-"""Services of a served world: what topics there are, and robots that come and go."""
+"""Services of a served world: lists of topics, and robots that come and go."""
 
 import logging
 import re
@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from usarmjx.base.arrays import ArrayLike
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat
@@ -18,21 +19,24 @@ from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.gamebots.spawning import spawn_from_init
 from usarmjx.server.protocol.commands import Init
 from usarmjx.server.protocol.grammar import clip, flip_wire_angles, flip_wire_vector
-from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
+from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion, json_object
 from usarmjx.server.rosbridge.motion import drive_keys, read_twist
 from usarmjx.server.rosbridge.topics import WorldTopics
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.control import CommandUpdate
 
 log = logging.getLogger(__name__)
+SPAWN, REMOVE = "/simulator/spawn", "/simulator/remove"
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
+"""Allowed names of spawned robots: they also name topics and frames."""
 
 
 class RosRobots:
-    """What a client has; the robots that it let appear go when it goes.
+    """Robots of a client; those that it spawned are removed when it leaves.
 
     Args:
         server: The world's server.
-        peer: What the log calls the client.
+        peer: Name of the client in the log.
     """
 
     def __init__(self, server: BotServer, peer: str) -> None:
@@ -42,12 +46,12 @@ class RosRobots:
 
     @property
     def is_empty(self) -> bool:
-        """Whether it has let no robot appear that is still there."""
+        """Whether no robot that it spawned is left."""
         self.forget_lost()
         return not self._own
 
     def spawn(self, init: Init, spec: RobotSpec) -> Robot:
-        """Let a robot appear, and report without a connection.
+        """Spawn a robot, which reports without a connection.
 
         Raises:
             UsageError: There is no room for it, or its name is taken.
@@ -64,7 +68,7 @@ class RosRobots:
         return robot
 
     def remove(self, name: str) -> None:
-        """Take a robot out of the world that this client let appear.
+        """Remove a robot that this client spawned.
 
         Raises:
             UsageError: It has none of that name.
@@ -72,26 +76,26 @@ class RosRobots:
         own = next((one for one in self._own if one.robot and one.robot.name.lower() == name.lower()), None)
         if own is None:
             raise UsageError(f"you have let no robot {clip(name)} appear")
-        self._let_go(own)
+        self._remove(own)
 
-    def let_one_go(self) -> None:
-        """Take one of its robots out of the world: all at once would hold up the others."""
+    def remove_one(self) -> None:
+        """Remove one of its robots: all at once would delay the others' reports."""
         if self._own:
-            self._let_go(self._own[0])
+            self._remove(self._own[0])
 
     def forget_lost(self) -> None:
-        """Forget robots that are gone, or that somebody else has been given."""
+        """Forget robots that are gone, or that another client has taken over."""
         for own in [one for one in self._own if one.robot is None or one.lost]:
             self._own.remove(own)
-            self._dismiss(own)
+            self._detach(own)
 
     def drive(self, robot: Robot, twist: object) -> None:
-        """Let a robot move as a Twist says, until it is told otherwise.
+        """Set a robot's velocity to a Twist, until the next one.
 
         Raises:
             UsageError: It is no Twist, or somebody else drives the robot.
         """
-        if robot.obeys is not None:
+        if robot.controller is not None:
             raise UsageError(f"{robot.name} is driven from the page")
         if self._server.world.robots.get(robot.slot) is not robot:
             raise UsageError(f"a policy drives {robot.name}: /simulator/spawn with that name takes it over")
@@ -104,33 +108,28 @@ class RosRobots:
         """Stop the robots that it has driven."""
         world = self._server.world
         for robot in self._driven:
-            if world.robots.get(robot.slot) is robot and robot.obeys is None:
-                still = dict.fromkeys(robot.spec.drive.keys, 0.0)
+            if world.robots.get(robot.slot) is robot and robot.controller is None:
+                still: dict[str, ArrayLike] = dict.fromkeys(robot.spec.drive.keys, 0.0)
                 world.update_command(robot, CommandUpdate(drive=still))
         self._driven.clear()
 
-    def _let_go(self, own: Client) -> None:
+    def _remove(self, own: Client) -> None:
         self._own.remove(own)
-        self._dismiss(own)
+        self._detach(own)
         if own.robot is not None and not own.lost:
             own.leave()
 
-    def _dismiss(self, own: Client) -> None:
+    def _detach(self, own: Client) -> None:
         if own in self._server.guests:
             self._server.guests.remove(own)
 
 
-SPAWN, REMOVE = "/simulator/spawn", "/simulator/remove"
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
-"""What a robot may be called that appears by a service: so its topics and frames are called, too."""
-
-
 class TopicServices:
-    """The services that tell of topics, as rosapi has them.
+    """The services about topics, as rosapi has them.
 
     Args:
         topics: The topics.
-        version: Whose names types have.
+        version: Version of the types' names.
         now: Returns the simulated time [s].
     """
 
@@ -150,7 +149,7 @@ class TopicServices:
         return [*self._services, SPAWN, REMOVE]
 
     def call(self, service: str, args: Mapping[str, Any]) -> RosMessage:
-        """Return the values that a service answers.
+        """Return the values of a service's answer.
 
         Raises:
             UsageError: There is no such service.
@@ -182,14 +181,14 @@ class TopicServices:
 
 
 def read_spawn(args: Mapping[str, Any]) -> tuple[Init, RobotSpec]:
-    """Return the INIT and the class of a robot that is to appear.
+    """Return INIT and class for a request to spawn a robot.
 
     Args:
-        args: `class`; and, if wanted, `name`, and `pose`, a geometry_msgs/Pose, or `start`, the tag of a
+        args: `class`; optionally `name`, and `pose`, a geometry_msgs/Pose, or `start`, the tag of a
             start pose.
 
     Raises:
-        UsageError: Something is wrong with them.
+        UsageError: An argument is not valid.
     """
     kind, name = str(args.get("class", "")), args.get("name") or ""
     if kind not in ROBOTS:
@@ -202,21 +201,22 @@ def read_spawn(args: Mapping[str, Any]) -> tuple[Init, RobotSpec]:
         return Init(spec.name, name, None, None, start), spec
     if start:
         raise UsageError("give either pose or start")
-    place = _numbers(pose, "position", "xyz")
+    location = _numbers(pose, "position", "xyz")
     x, y, z, w = _numbers(pose, "orientation", "xyzw")
     length = float(np.linalg.norm((w, x, y, z)))
     if length < 1e-6:
         raise UsageError("an orientation of length 0 is none")
     with numpy_backend():
         angles = angles_from_mat(np.asarray(mat_from_quat(np.array((w, x, y, z)) / length)))
-    return Init(spec.name, name, flip_wire_vector(place), flip_wire_angles(angles.tolist())), spec
+    return Init(spec.name, name, flip_wire_vector(location), flip_wire_angles(angles.tolist())), spec
 
 
-def _numbers(pose: Any, part: str, axes: str) -> list[float]:  # noqa: ANN401 - JSON
-    values = pose.get(part) if isinstance(pose, dict) else None
-    if not isinstance(values, dict):
+def _numbers(pose: object, part: str, axes: str) -> list[float]:
+    whole = json_object(pose)
+    values = None if whole is None else json_object(whole.get(part))
+    if values is None:
         raise UsageError(f"a pose has {part} with {', '.join(axes)}")
-    numbers = [values.get(axis, 0.0) for axis in axes]
+    numbers: list[Any] = [values.get(axis, 0.0) for axis in axes]
     if not all(type(one) in (int, float) and abs(one) < 1e6 for one in numbers):
         raise UsageError(f"{part} of a pose has numbers {', '.join(axes)}")
     return [float(one) for one in numbers]

@@ -8,25 +8,35 @@ from typing import Any, NamedTuple, TypeAlias
 
 from usarmjx.base.errors import UsageError
 from usarmjx.server.protocol.grammar import clip
-from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
+from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion, json_object
 from usarmjx.server.rosbridge.encodings import BridgeFrame, Compression, fragments
 
 MAX_UNFINISHED = 16
-"""Most messages of one client of which fragments are missing; the oldest goes for a new one."""
+"""Most incomplete messages of one client; the oldest is dropped for a new one."""
 MAX_LENGTH = 256 * 1024
-"""Longest message that is put together [characters]."""
+"""Longest message of fragments [characters]."""
 MAX_FRAGMENTS = 4096
-"""Most fragments that a message may have."""
+"""Most fragments of a message."""
+MAX_SUBSCRIPTIONS = 512
+"""Most topics of one client, and most subscriptions to one topic."""
+MAX_QUEUE = 64
+"""Most messages of one topic that wait for a client; the oldest is dropped for a new one."""
+MAX_REPLIES = 256
+"""Most answers and status messages that wait for a client; the oldest is dropped for a new one."""
+SHORTEST_FRAGMENT = 100
+"""Smallest fragment size that a client may ask for [characters]."""
+LEVELS = ("error", "warning", "info", "none")
+"""Levels of status messages, the most severe first; "none" disables them."""
 
 
 @dataclass
 class UnfinishedMessage:
-    """A message of which fragments are missing.
+    """A message with missing fragments.
 
     Attributes:
-        total: How many fragments it has.
-        parts: Those that have come, by number.
-        length: Of all of them [characters].
+        total: Number of its fragments.
+        parts: Received fragments, by number.
+        length: Length of all received fragments [characters].
     """
 
     total: int
@@ -35,18 +45,18 @@ class UnfinishedMessage:
 
 
 class Defragmenter:
-    """Puts the messages of one client together."""
+    """Reassembles the messages of one client from fragments."""
 
     def __init__(self) -> None:
         self._unfinished: dict[str, UnfinishedMessage] = {}
 
-    def add(self, said: RosMessage) -> str | None:
-        """Take a fragment; return the whole message if it was the last one that was missing.
+    def add(self, message: RosMessage) -> str | None:
+        """Take a fragment; return the whole message if it was the last missing one.
 
         Raises:
-            UsageError: It is none, or the message becomes too long; its other fragments are forgotten.
+            UsageError: It is none, or the message becomes too long; its other fragments are dropped.
         """
-        name, data, number, total = _checked(said)
+        name, data, number, total = _checked(message)
         one = self._of(name, total)
         one.length += len(data) - len(one.parts.get(number, ""))
         one.parts[number] = data
@@ -68,28 +78,18 @@ class Defragmenter:
         return one
 
 
-def _checked(said: RosMessage) -> tuple[str, str, int, int]:
+def _checked(message: RosMessage) -> tuple[str, str, int, int]:
     """Return id, data, number and count of a fragment.
 
     Raises:
-        UsageError: They are not what they should be.
+        UsageError: A field is missing or not valid.
     """
-    name, data, number, total = (said.get(key) for key in ("id", "data", "num", "total"))
+    name, data, number, total = (message.get(key) for key in ("id", "data", "num", "total"))
     if not (isinstance(name, str) and isinstance(data, str)):
         raise UsageError("a fragment has id and data, texts")
     if type(number) is not int or type(total) is not int or not 0 <= number < total <= MAX_FRAGMENTS:
         raise UsageError(f"a fragment has total, from 1 to {MAX_FRAGMENTS}, and num, from 0 to total - 1")
     return name, data, number, total
-
-
-MAX_SUBSCRIPTIONS = 512
-MAX_QUEUE = 64
-"""Most messages of one topic that wait for a client; the oldest goes for a new one."""
-MAX_REPLIES = 256
-"""Most answers and status messages that wait for a client; the oldest goes for a new one."""
-SHORTEST_FRAGMENT = 100
-"""Nobody may have messages cut into smaller pieces [characters]."""
-LEVELS = ("error", "warning", "info", "none")
 
 
 class Published(NamedTuple):
@@ -100,7 +100,7 @@ class Published(NamedTuple):
 
 
 class ServiceCall(NamedTuple):
-    """A service that a client calls; `answer` is told the values, or what was wrong."""
+    """A call of a service; `answer` takes the values, or the reason of a failure."""
 
     service: str
     args: Mapping[str, Any]
@@ -111,13 +111,13 @@ BridgeRequest: TypeAlias = Published | ServiceCall
 
 
 class SubscriptionRequest(NamedTuple):
-    """What one of a client's subscriptions to a topic asks for.
+    """Options of one of a client's subscriptions to a topic.
 
     Attributes:
         pause: Least time between two messages [s].
-        length: Of the queue.
-        fragment_size: Longest piece of a text [characters]; 0: whole messages.
-        compression: How messages travel.
+        length: Length of the queue.
+        fragment_size: Longest fragment of a text [characters]; 0: whole messages.
+        compression: Encoding of messages.
     """
 
     pause: float = 0.0
@@ -128,44 +128,45 @@ class SubscriptionRequest(NamedTuple):
 
 @dataclass
 class TopicSubscription:
-    """What a client wants of a topic.
+    """A client's subscriptions to one topic, and its waiting messages.
 
     Attributes:
-        type: Its type as short as possible; empty: whatever it is.
-        version: Whose names it is told in.
-        wishes: What is asked for, by the client's ids; the latest says how messages travel.
-        told: What `RosTopic.news` was when it was told last; None: never.
-        due: When it may be told next [s].
+        type: Its short type; empty: any.
+        version: Version of its field names.
+        requests: Options, by the client's ids; the latest decides the encoding.
+        last_revision: `RosTopic.revision` of the last message; None without one.
+        due: Earliest time of the next message [s].
         waiting: Messages that have not been sent yet.
-        sent: How many have been cut into fragments.
+        sent: Number of messages that were cut into fragments.
     """
 
     type: str
     version: RosVersion
-    wishes: dict[str, SubscriptionRequest] = field(default_factory=dict[str, SubscriptionRequest])
-    told: Hashable = None
+    requests: dict[str, SubscriptionRequest] = field(default_factory=dict[str, SubscriptionRequest])
+    last_revision: Hashable = None
     due: float = 0.0
     waiting: deque[BridgeFrame] = field(default_factory=deque[BridgeFrame])
     sent: int = 0
 
     @property
     def compression(self) -> Compression:
-        """How its messages travel."""
-        return list(self.wishes.values())[-1].compression if self.wishes else Compression.NONE
+        """Encoding of its messages."""
+        return list(self.requests.values())[-1].compression if self.requests else Compression.NONE
 
-    def put(self, text: BridgeFrame, news: Hashable, now: float) -> None:
-        """Let a message wait for being sent, in the place of the oldest if there are too many."""
-        self.told = news
-        self.due = now + min(wish.pause for wish in self.wishes.values())
-        room = max(1, max(wish.length for wish in self.wishes.values()))
+    def put(self, text: BridgeFrame, revision: Hashable, now: float) -> None:
+        """Queue a message, and drop the oldest ones beyond the queue's length."""
+        self.last_revision = revision
+        self.due = now + min(request.pause for request in self.requests.values())
+        room = max(1, max(request.length for request in self.requests.values()))
         while len(self.waiting) >= min(room, MAX_QUEUE):
             self.waiting.popleft()
         self.waiting.append(text)
 
     def next_frames(self, topic: str) -> Iterator[BridgeFrame]:
-        """Return what goes over the websocket for the message that has waited longest."""
+        """Return the frames of the message that has waited longest."""
         whole = self.waiting.popleft()
-        size = min((wish.fragment_size for wish in self.wishes.values() if wish.fragment_size), default=0)
+        sizes = [request.fragment_size for request in self.requests.values() if request.fragment_size]
+        size = min(sizes, default=0)
         if isinstance(whole, bytes) or not size:
             return iter((whole,))
         self.sent += 1
@@ -176,11 +177,11 @@ class BridgeSession:
     """One client's dialogue.
 
     Args:
-        version: Whose names it speaks, unless it names a type as the other does.
-        type_of: Returns the type of a topic in short; None: there is no such topic.
+        version: Version of its names, unless it names a type in the other's form.
+        type_of: Returns the short type of a topic; None: there is no such topic.
 
     Attributes:
-        subscriptions: What it wants, by topics.
+        subscriptions: Its subscriptions, by topics.
     """
 
     def __init__(self, version: RosVersion, type_of: Callable[[str], str | None]) -> None:
@@ -203,37 +204,37 @@ class BridgeSession:
         self._fragments = Defragmenter()
 
     def receive(self, text: str | bytes) -> BridgeRequest | None:
-        """Take a message; return what the world is to do about it, if anything."""
-        said: RosMessage = {}
+        """Take a message; return the request to the world, if any."""
+        message: RosMessage = {}
         try:
-            said = _read(text)
-            handler = self._handlers.get(str(said.get("op")))
+            message = _read(text)
+            handler = self._handlers.get(str(message.get("op")))
             if handler is None:
                 known = ", ".join(self._handlers)
-                raise UsageError(f"no such op as {clip(str(said.get('op')))}; known: {known}")
-            return handler(said)
+                raise UsageError(f"no such op as {clip(str(message.get('op')))}; known: {known}")
+            return handler(message)
         except UsageError as error:
-            self.status("error", str(error), said.get("id"))
+            self.status("error", str(error), message.get("id"))
             return None
 
     def status(self, level: str, text: str, about: object = None) -> None:
-        """Tell the client what was wrong, or how it goes, unless it wants no such messages."""
+        """Queue a status message for the client, unless its level excludes it."""
         if LEVELS.index(level) <= self._level and self._level < LEVELS.index("none"):
             self._reply({"op": "status", "level": level, "msg": text}, about)
 
-    def wanted(self, now: float) -> Iterator[tuple[str, TopicSubscription]]:
-        """Yield topics that may be told at a time [s]."""
+    def due_topics(self, now: float) -> Iterator[tuple[str, TopicSubscription]]:
+        """Yield the topics whose next message may be sent at a time [s]."""
         return ((name, one) for name, one in self.subscriptions.items() if now >= one.due - 1e-6)
 
     def take(self) -> BridgeFrame | None:
-        """Return what is to be sent next: answers first, then topics in turn; None: nothing is."""
+        """Return the next frame to send: answers first, then topics in turn; None without one."""
         if (frame := next(self._frames, None)) is not None:
             return frame
         if self._replies:
             return self._replies.popleft()
         for name, one in self.subscriptions.items():
             if one.waiting:
-                # To the end of the line: every topic has its turn.
+                # Reinsertion moves the topic to the end of the dict: every topic has its turn.
                 self.subscriptions[name] = self.subscriptions.pop(name)
                 self._frames = one.next_frames(name)
                 return next(self._frames)
@@ -244,7 +245,7 @@ class BridgeSession:
         self._replies.append(json.dumps({**message, **named}))
 
     def _check_type(self, topic: str, asked: str) -> str:
-        """Return a type in short.
+        """Return a short type.
 
         Raises:
             UsageError: The topic has another one.
@@ -254,25 +255,25 @@ class BridgeSession:
             raise UsageError(f"{topic} is of type {there}, not {clip(asked)}")
         return short
 
-    def _advertise(self, said: RosMessage) -> None:
-        topic = _text(said, "topic")
+    def _advertise(self, message: RosMessage) -> None:
+        topic = _text(message, "topic")
         if self._type_of(topic) is None:
             raise UsageError(f"nobody here listens to {clip(topic)}")
-        self._check_type(topic, _text(said, "type"))
+        self._check_type(topic, _text(message, "type"))
         self._advertised.add(topic)
 
-    def _unadvertise(self, said: RosMessage) -> None:
-        topic = _text(said, "topic")
+    def _unadvertise(self, message: RosMessage) -> None:
+        topic = _text(message, "topic")
         if topic not in self._advertised:
-            self.status("warning", f"{clip(topic)} was not advertised", said.get("id"))
+            self.status("warning", f"{clip(topic)} was not advertised", message.get("id"))
         self._advertised.discard(topic)
 
-    def _publish(self, said: RosMessage) -> Published:
-        return Published(_text(said, "topic"), said.get("msg", {}))
+    def _publish(self, message: RosMessage) -> Published:
+        return Published(_text(message, "topic"), message.get("msg", {}))
 
-    def _subscribe(self, said: RosMessage) -> None:
-        topic, asked = _text(said, "topic"), _text(said, "type", "")
-        wish = _wish(said)
+    def _subscribe(self, message: RosMessage) -> None:
+        topic, asked = _text(message, "topic"), _text(message, "type", "")
+        request = _request(message)
         short = self._check_type(topic, asked)
         if not short and self._type_of(topic) is None:
             raise UsageError(f"there is no topic {clip(topic)} yet: name its type to wait for it")
@@ -282,25 +283,25 @@ class BridgeSession:
                 raise UsageError(f"more than {MAX_SUBSCRIPTIONS} topics are too many for one client")
             version = RosVersion.ROS2 if "/msg/" in asked else self._version
             one = self.subscriptions[topic] = TopicSubscription(short, version)
-        name = str(said.get("id", ""))
-        one.wishes.pop(name, None)
-        one.wishes[name] = wish
-        if len(one.wishes) > MAX_SUBSCRIPTIONS:
-            one.wishes.pop(next(iter(one.wishes)))
+        name = str(message.get("id", ""))
+        one.requests.pop(name, None)
+        one.requests[name] = request
+        if len(one.requests) > MAX_SUBSCRIPTIONS:
+            one.requests.pop(next(iter(one.requests)))
 
-    def _unsubscribe(self, said: RosMessage) -> None:
-        topic = _text(said, "topic")
+    def _unsubscribe(self, message: RosMessage) -> None:
+        topic = _text(message, "topic")
         one = self.subscriptions.get(topic)
         if one is None:
-            self.status("warning", f"{clip(topic)} was not subscribed", said.get("id"))
+            self.status("warning", f"{clip(topic)} was not subscribed", message.get("id"))
             return
-        one.wishes.pop(str(said.get("id", "")), None)
-        if "id" not in said or not one.wishes:
+        one.requests.pop(str(message.get("id", "")), None)
+        if "id" not in message or not one.requests:
             del self.subscriptions[topic]
 
-    def _call(self, said: RosMessage) -> ServiceCall:
-        service, args = _text(said, "service"), said.get("args", {})
-        about = said.get("id")
+    def _call(self, message: RosMessage) -> ServiceCall:
+        service, args = _text(message, "service"), message.get("args", {})
+        about = message.get("id")
 
         def answer(values: RosMessage | str) -> None:
             done = not isinstance(values, str)
@@ -309,16 +310,16 @@ class BridgeSession:
 
         return ServiceCall(service, args if isinstance(args, dict) else {}, answer)
 
-    def _put_together(self, said: RosMessage) -> BridgeRequest | None:
-        whole = self._fragments.add(said)
+    def _put_together(self, message: RosMessage) -> BridgeRequest | None:
+        whole = self._fragments.add(message)
         if whole is None:
             return None
         if _read(whole).get("op") == "fragment":
             raise UsageError("fragments of fragments are too much")
         return self.receive(whole)
 
-    def _set_level(self, said: RosMessage) -> None:
-        level = _text(said, "level")
+    def _set_level(self, message: RosMessage) -> None:
+        level = _text(message, "level")
         if level not in LEVELS:
             raise UsageError(f"no level {clip(level)}; there is: {', '.join(LEVELS)}")
         self._level = LEVELS.index(level)
@@ -326,39 +327,39 @@ class BridgeSession:
 
 def _read(text: str | bytes) -> RosMessage:
     try:
-        said = json.loads(text)
+        message = json_object(json.loads(text))
     except (ValueError, RecursionError) as error:
         raise UsageError(f"that is no JSON: {error}") from error
-    if not isinstance(said, dict):
+    if message is None:
         raise UsageError("a message is a JSON object with op")
-    return said
+    return message
 
 
-def _wish(said: RosMessage) -> SubscriptionRequest:
-    """Return what a subscription asks for.
+def _request(message: RosMessage) -> SubscriptionRequest:
+    """Return the options of a subscription.
 
     Raises:
-        UsageError: It asks for something that there is not.
+        UsageError: An option is not valid.
     """
-    compression = _text(said, "compression", "none")
+    compression = _text(message, "compression", "none")
     if compression not in set(Compression):
         raise UsageError(f"no compression {clip(compression)}; there is: {', '.join(Compression)}")
-    size = 0 if said.get("fragment_size") is None else int(_number(said, "fragment_size"))
+    size = 0 if message.get("fragment_size") is None else int(_number(message, "fragment_size"))
     if 0 < size < SHORTEST_FRAGMENT:
         raise UsageError(f"fragment_size is {size}, expected 0 or at least {SHORTEST_FRAGMENT}")
-    pause, length = _number(said, "throttle_rate") / 1000, int(_number(said, "queue_length"))
+    pause, length = _number(message, "throttle_rate") / 1000, int(_number(message, "queue_length"))
     return SubscriptionRequest(pause, length, size, Compression(compression))
 
 
-def _text(said: RosMessage, key: str, default: str | None = None) -> str:
-    value = said.get(key, default)
+def _text(message: RosMessage, key: str, default: str | None = None) -> str:
+    value = message.get(key, default)
     if not isinstance(value, str):
-        raise UsageError(f"{said['op']} needs {key}, a text")
+        raise UsageError(f"{message['op']} needs {key}, a text")
     return value
 
 
-def _number(said: RosMessage, key: str) -> float:
-    value = said.get(key, 0)
+def _number(message: RosMessage, key: str) -> float:
+    value = message.get(key, 0)
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < 1e9:
         raise UsageError(f"{key} is {clip(str(value))}, expected a number from 0 on")
     return float(value)

@@ -1,4 +1,4 @@
-"""The topics of a served world: what each has to tell, and since when that has been new."""
+"""The topics of a served world: their messages, and the revision of the data in each."""
 
 import math
 from collections.abc import Callable, Hashable, Iterable, Iterator
@@ -17,19 +17,23 @@ from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 
 CELL = 0.05
-"""Side of a square [m]; doubled until there are no more than `MOST_SQUARES`."""
+"""Side of a map's square [m]; doubled until there are no more than `MOST_SQUARES`."""
 MOST_SQUARES = 1_000_000
 LOWEST, HIGHEST = 0.1, 0.6
-"""What fills a part of this above the floor is in the way [m]."""
+"""Heights above the floor between which a solid is an obstacle [m]."""
 MARGIN = 0.5
-"""Around the arena's extent [m]."""
+"""Margin of the map around the arena's extent [m]."""
 OCCUPIED = 100
+"""Value of an occupied square in an OccupancyGrid [percent]."""
+STATE_PERIOD = 0.04
+"""Interval between two messages about poses and joints [s]."""
+TWIST, RAW_IMAGE, IMAGE = "geometry_msgs/Twist", "sensor_msgs/Image", "sensor_msgs/CompressedImage"
 
 
 def floor_map(arena: ArenaSpec) -> tuple[Grid, np.ndarray]:
     """Return the squares of an arena's map, and which of them a fixed solid fills (i, j).
 
-    Solids are half a square wider than they are on each side. Loose objects and doors are left out.
+    Solids are widened by half a square on each side. Loose objects and doors are left out.
     """
     cell, spans = CELL, [(low - MARGIN, high + MARGIN) for low, high in arena.extent]
     while math.prod((high - low) / cell for low, high in spans) > MOST_SQUARES:
@@ -59,27 +63,22 @@ def occupancy_grid(version: RosVersion, floor: float, grid: Grid, filled: np.nda
     }
 
 
-STATE_PERIOD = 0.04
-"""Poses and joints are told so often [s]."""
-TWIST, RAW_IMAGE, IMAGE = "geometry_msgs/Twist", "sensor_msgs/Image", "sensor_msgs/CompressedImage"
-
-
 @dataclass(frozen=True, eq=False)
 class RosTopic:
     """A topic.
 
     Attributes:
         name: Its full name.
-        type: Of its messages, in short.
-        news: Returns what changes whenever there is something new; None: there is nothing to tell yet.
-        make: Makes a message; None: pictures are made elsewhere, and nobody makes what robots are told.
+        type: Short type of its messages.
+        revision: Returns a value that changes with the data; None: there is no data yet.
+        make: Makes a message; None for pictures, which `images` makes, and for topics that robots listen to.
         robot: The robot that it drives or shows.
-        camera: Which of its cameras it shows.
+        camera: Index of the camera that it shows.
     """
 
     name: str
     type: str
-    news: Callable[[], Hashable] = lambda: None
+    revision: Callable[[], Hashable] = lambda: None
     make: Callable[[RosVersion], RosMessage] | None = None
     robot: Robot | None = None
     camera: int = -1
@@ -104,7 +103,7 @@ class WorldTopics:
         self._mounted: dict[int, list[motion.SensorFrame]] = {}
 
     def all(self) -> dict[str, RosTopic]:
-        """Return all topics there are now."""
+        """Return all present topics."""
         known = [(robot, id(robot.suite)) for robot in self._world.present.values()]
         if not self._by_name or known != self._known:
             self._known, self._changes = known, self._changes + 1
@@ -114,7 +113,7 @@ class WorldTopics:
         return self._by_name
 
     def name_of(self, robot: Robot) -> str:
-        """Return what a robot is called in topics and frames."""
+        """Return the name of a robot in topics and frames."""
         self.all()
         return self._names[robot.slot]
 
@@ -127,7 +126,7 @@ class WorldTopics:
         return names
 
     def _map_news(self) -> int:
-        """Return how many maps there have been: worlds of a batch get other arenas at resets."""
+        """Return the number of the map: worlds of a batch get other arenas at resets."""
         arena = self._world.arena
         if self._drawn is None or self._drawn[0] is not arena:
             self._drawn, self._maps = (arena, *floor_map(arena)), self._maps + 1
@@ -192,34 +191,34 @@ class WorldTopics:
     def _of_sensor(self, robot: Robot, index: int, where: str, kind: str, make: ReadingMaker) -> RosTopic:
         name = self._names[robot.slot]
 
-        def news() -> Hashable:
+        def revision() -> Hashable:
             return robot.latest[index][0] if index in robot.latest else None
 
         def message(version: RosVersion) -> RosMessage:
             time, value = robot.latest[index]
             return make(version, time, name, value)
 
-        return RosTopic(where, kind, news, message)
+        return RosTopic(where, kind, revision, message)
 
     def _tick(self) -> int:
         return int(self._world.time / STATE_PERIOD + 1e-6)
 
     def _moving_frames(self, version: RosVersion) -> RosMessage:
-        """Return where all robots are, and their sensors on parts that move."""
-        world, told = self._world, list[RosMessage]()
+        """Return the transforms of all robots, and of their sensors on moving parts."""
+        world, transforms = self._world, list[RosMessage]()
         for robot in world.present.values():
             name = self._names[robot.slot]
-            told.append(motion.base_transform(version, world.time, name, world.state(robot)))
-            told += self._frames(version, robot, moving=True)
-        return {"transforms": told}
+            transforms.append(motion.base_transform(version, world.time, name, world.state(robot)))
+            transforms += self._frames(version, robot, moving=True)
+        return {"transforms": transforms}
 
     def _fixed_frames(self, version: RosVersion) -> RosMessage:
-        """Return where the robots' odom frames are, and their sensors on the chassis."""
-        world, told = self._world, list[RosMessage]()
+        """Return the transforms of the robots' odom frames, and of their sensors on the chassis."""
+        world, transforms = self._world, list[RosMessage]()
         for robot in world.present.values():
-            told.append(motion.odom_transform(version, world.time, self._names[robot.slot]))
-            told += self._frames(version, robot, moving=False)
-        return {"transforms": told}
+            transforms.append(motion.odom_transform(version, world.time, self._names[robot.slot]))
+            transforms += self._frames(version, robot, moving=False)
+        return {"transforms": transforms}
 
     def _frames(self, version: RosVersion, robot: Robot, *, moving: bool) -> Iterator[RosMessage]:
         frames = [frame for frame in self._mounted[robot.slot] if bool(frame.body) == moving]

@@ -1,4 +1,4 @@
-"""Worlds served from a Python program, in a thread of their own: what `usarmjx serve` does for a shell."""
+"""Worlds served from a Python program, in a thread: the counterpart of `usarmjx serve`."""
 
 import asyncio
 import contextlib
@@ -20,16 +20,16 @@ from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.sim.batch import Batch
 
 START_LIMIT = 60.0
-"""So long the sockets may take to listen [s]."""
+"""Longest time until the sockets listen [s]."""
 
 
 class Serving(contextlib.AbstractContextManager["Serving"]):
-    """Worlds that clients are let into until `stop`, or until the end of `with`.
+    """Worlds that serve clients until `stop`, or until the end of `with`.
 
     Args:
-        servers: One for each world.
-        realtime_factor: Simulated seconds per second; 0: as fast as it can.
-        held: What is closed when all is over, such as bound ports.
+        servers: Server of each world.
+        realtime_factor: Simulated seconds per second; 0: as fast as possible.
+        held: Resources to close at the end, such as bound ports.
 
     Attributes:
         ports: The TCP port of each world.
@@ -57,17 +57,17 @@ class Serving(contextlib.AbstractContextManager["Serving"]):
 
     @property
     def running(self) -> bool:
-        """Whether clients are still let in."""
+        """Whether clients are still served."""
         return self._thread.is_alive()
 
     def wait(self, timeout: float | None = None) -> None:
-        """Wait until something stops it, as Ctrl+C does.
+        """Wait for the end of serving, such as Ctrl+C.
 
         Args:
-            timeout: So long at most [s]; None: for ever.
+            timeout: Longest wait [s]; None: no limit.
 
         Raises:
-            Exception: What ended it, if that was an error.
+            Exception: The error that ended serving, if there was one.
         """
         try:
             self._thread.join(timeout)
@@ -77,7 +77,7 @@ class Serving(contextlib.AbstractContextManager["Serving"]):
             raise self._fault[0]
 
     def stop(self) -> None:
-        """Let all clients go; does nothing the second time."""
+        """Stop serving; a second call does nothing."""
         if self._loop is not None and self._all is not None:
             with contextlib.suppress(RuntimeError):  # it has ended meanwhile
                 self._loop.call_soon_threadsafe(self._all.stop)
@@ -120,22 +120,22 @@ def serve(
     realtime_factor: float = 1.0,
     seed: int = 0,
 ) -> Serving:
-    """Let clients of the Gamebots protocol into worlds, from a thread, while the program goes on.
+    """Serve worlds to clients of the Gamebots protocol, from a thread, while the program goes on.
 
-    Radio, pictures and pages are served by `usarmjx serve`.
+    `usarmjx serve` has radio, pictures and pages, too.
 
     Args:
-        what: An arena by name, file or description: a world on engine `c`, where any robot may come. Or a
-            batch, which begins anew: clients take over the robots of its scene that are parked.
-        instances: Which worlds of the batch; of an arena, which of the worlds that follow from the seed.
+        what: An arena by name, file or description: a world on engine `c`, which any robot may join. Or a
+            batch, which begins anew: clients take over the parked robots of its scene.
+        instances: Numbers of the worlds of the batch; of an arena, of the worlds that follow from the seed.
         host: Address to listen on.
         port: TCP port of the first of them, others count up; 0: free ones.
         max_connections: Most clients of one world.
-        realtime_factor: Simulated seconds per second; 0: as fast as it can.
-        seed: Of all random numbers of an arena's worlds; a batch has its own.
+        realtime_factor: Simulated seconds per second; 0: as fast as possible.
+        seed: Seed of all random numbers of an arena's worlds; a batch has its own.
 
     Returns:
-        What is being served, a context manager; see `Serving`.
+        The running server, a context manager; see `Serving`.
 
     Raises:
         UsageError: No such world, or a port that is taken.

@@ -1,4 +1,4 @@
-"""The choice of another world of the batch while it is served: a line with its number on standard input."""
+"""Selection of the served world of a batch: a line with its number on standard input."""
 
 import asyncio
 import logging
@@ -12,11 +12,11 @@ log = logging.getLogger(__name__)
 
 
 class InstanceSwitch:
-    """Reads numbers of worlds from a terminal; a `net.Service`.
+    """Reads numbers of worlds from a terminal; a `gamebots.server.Service`.
 
     Args:
         world: The served world.
-        worlds: How many there are in its batch.
+        worlds: Number of worlds in its batch.
         stream: The terminal.
     """
 
@@ -25,7 +25,7 @@ class InstanceSwitch:
         self._listening = False
 
     async def start(self) -> list[str]:
-        """Listen, if it is a terminal."""
+        """Listen, if the stream is a terminal."""
         self._listening = self._stream.isatty()
         if not self._listening:
             return []
@@ -37,10 +37,10 @@ class InstanceSwitch:
         if not line:  # the terminal has gone
             self.stop()
         elif line.strip():
-            self.obey(line.strip())
+            self.select(line.strip())
 
-    def obey(self, line: str) -> None:
-        """Serve the world of that number; say why not, if it cannot be."""
+    def select(self, line: str) -> None:
+        """Serve the world of that number; log the reason if it cannot be served."""
         try:
             if not line.isdecimal():
                 raise UsageError(f"{line!r} is not the number of a world")
@@ -51,10 +51,10 @@ class InstanceSwitch:
             print(f"usarmjx: world {line} is served now", flush=True)
 
     def tick(self) -> None:
-        """Nothing to do."""
+        """Do nothing."""
 
     def stop(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         if self._listening:
             self._listening = False
             asyncio.get_running_loop().remove_reader(self._stream)

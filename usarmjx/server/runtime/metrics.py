@@ -1,6 +1,6 @@
-"""What a running server tells Prometheus, and a health line: over HTTP, in the loop that all is served in.
+"""Metrics of a running server for Prometheus, and a health line, over HTTP in the server's own loop.
 
-What is counted is counted where it happens, by an addition; all else is looked up when somebody asks.
+Counters are incremented where the events happen; gauges are looked up at each request.
 """
 
 import json
@@ -24,11 +24,11 @@ from usarmjx.server.network.web_gate import asking_token, gated_connection
 from usarmjx.server.runtime.loop import GAP_BOUNDS, StepMeter
 
 REQUEST_LIMIT = 5.0
-"""Who connects has so long to ask [s]."""
+"""Time that a connection has for its request [s]."""
 MAX_CONNECTIONS = 16
-"""An address may have three quarters of so many, unless the operator says otherwise."""
+"""Capacity of the port; an address may have three quarters of it by default."""
 IN_TIME = 0.9
-"""A world that makes less than this share of the time that it should is behind."""
+"""Share of the wanted simulated time below which a world counts as behind."""
 GAUGES: tuple[tuple[str, str, Callable[[StepMeter], float]], ...] = (
     (
         "realtime_factor",
@@ -38,6 +38,7 @@ GAUGES: tuple[tuple[str, str, Callable[[StepMeter], float]], ...] = (
     ("clients", "Connections to the Gamebots port.", lambda meter: len(meter.server.clients)),
     ("robots", "Robots that clients have.", lambda meter: len(meter.server.world.robots)),
 )
+"""Name, meaning and value of a world's gauges; all names begin with usarmjx_."""
 COUNTERS: tuple[tuple[str, str, Callable[[StepMeter], float]], ...] = (
     ("simulated_seconds", "Simulated time.", lambda meter: meter.server.world.time),
     (
@@ -49,22 +50,22 @@ COUNTERS: tuple[tuple[str, str, Callable[[StepMeter], float]], ...] = (
     (
         "robots_put_back",
         "Robots whose physics went bad and that were put back.",
-        lambda meter: meter.server.world.mishaps.put_back,
+        lambda meter: meter.server.world.recovery_log.put_back,
     ),
     (
         "world_resets",
         "Resets of the whole world because its physics went bad.",
-        lambda meter: meter.server.world.mishaps.resets,
+        lambda meter: meter.server.world.recovery_log.resets,
     ),
 )
-"""Name, meaning and value of what a world has; all begin with usarmjx_."""
+"""Name, meaning and value of a world's counters; all names begin with usarmjx_."""
 
 
 class WorldCollector(Collector):
-    """Looks up the metrics of the worlds that are served.
+    """Collects the metrics of the served worlds at each request.
 
     Args:
-        meters: One for each, by its number.
+        meters: Meter of each world, by its number.
     """
 
     def __init__(self, meters: Mapping[int, StepMeter]) -> None:
@@ -94,13 +95,13 @@ class WorldCollector(Collector):
 
 
 class MetricsServer:
-    """A `net.Service` that answers `/metrics` and `/healthz` for all worlds.
+    """A `gamebots.server.Service` that answers `/metrics` and `/healthz` for all worlds.
 
     Args:
-        servers: Those of the worlds; each gets a `StepMeter`.
-        factor: Simulated seconds per second that are wanted; 0: as many as there can be.
+        servers: Servers of the worlds; each gets a `StepMeter`.
+        factor: Wanted simulated seconds per second; 0: as many as possible.
         bound: A socket that is bound to the port.
-        numbers: Which worlds of the batch they are; None: the first ones.
+        numbers: Numbers of the worlds in the batch; None: the first ones.
     """
 
     def __init__(
@@ -141,7 +142,7 @@ class MetricsServer:
         return [f"metrics at http://{host}:{port}/metrics"]
 
     def tick(self) -> None:
-        """Nothing to do: the meters count."""
+        """Do nothing: the meters count."""
 
     def stop(self) -> None:
         """Close all connections."""
@@ -149,7 +150,7 @@ class MetricsServer:
             self._server.close()
 
     def health(self) -> dict[str, object]:
-        """Return how it goes: `status` is ok, or behind if a world makes too little simulated time."""
+        """Return the server's state: `status` is ok, or behind if a world makes too little simulated time."""
         now = time.perf_counter()
         factors = [meter.realtime_factor(now) for meter in self._meters]
         behind = min(factors) < IN_TIME * self._factor

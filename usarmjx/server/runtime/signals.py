@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM end the process within a second, whatever it is doing."""
+"""SIGINT and SIGTERM end the process within a second, even while it compiles."""
 
 import contextlib
 import logging
@@ -13,20 +13,20 @@ from types import FrameType
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 END_TIME = 1.0
-"""So long after a signal the process ends without having finished [s]."""
+"""Time from a signal to the forced end of the process [s]."""
 FILES_TIME = 10.0
-"""Files that are to be complete may take so much longer [s]: a disk may be slow, or a machine busy."""
+"""Additional time for completing files [s]: a disk may be slow, or a machine busy."""
 FLUSH_TIME = 0.2
-"""What is buffered may take so long to be written then [s]: perhaps nobody reads it."""
-
-
+"""Time for writing buffered output at the end [s]: its reader may be gone."""
 PARENT_PIPE = "USARMJX_PARENT_PIPE"
-"""Environment variable with the end of a pipe, of which the process that started this one has the other: this
-one ends as by SIGTERM when nobody holds that any more."""
+"""Environment variable with the file descriptor of a pipe to the parent process.
+
+The process ends as by SIGTERM when no process holds the other end any more.
+"""
 
 
 class StopSignals:
-    """Ends the process on a signal: politely, if that is done within `END_TIME`, or else all the same.
+    """Ends the process on a signal: in order, if that takes at most `END_TIME`, else at once.
 
     A thread in which JAX compiles a picture cannot be stopped, and Python would wait for it for minutes; nor
     does a signal's handler run while the main thread compiles. So a thread of its own watches for signals.
@@ -45,13 +45,13 @@ class StopSignals:
         self._undo = contextlib.ExitStack()
 
     def on_stop(self, stop: Callable[[], None]) -> None:
-        """Name what a signal shall call from now on, in a thread; the exit code is 0 then."""
+        """Set the function that a signal calls from now on, in a thread; the exit code is 0 then."""
         self._stop = stop
         if self.number:
             stop()
 
     def finish_files(self, finish: Callable[[], None]) -> None:
-        """Name what makes files complete: the process does not end before, for `FILES_TIME` at most."""
+        """Set the function that completes files: the process waits for it, for `FILES_TIME` at most."""
         self._finish = finish
 
     def __enter__(self) -> "StopSignals":
@@ -71,7 +71,7 @@ class StopSignals:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Leave signals to what handled them before; but a process that was told to end will end."""
+        """Restore the former handlers; a process that has received a signal ends all the same."""
         self._undo.close()
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
@@ -80,14 +80,14 @@ class StopSignals:
             raise SystemExit(128 + number)
 
     def _watch(self, heard: socket.socket) -> None:
-        """Wait for a signal, whose number Python writes into the socket; then see to it that all ends."""
+        """Wait for a signal, whose number Python writes into the socket; then end the process."""
         with heard:
             while self.number not in STOP_SIGNALS:
                 data = heard.recv(1)
                 if not data:
                     return
                 self.number = data[0]
-            # The socket stays open: signals that come while all ends are written there too.
+            # The socket stays open: Python writes later signals there, too.
             stop = self._stop
             if stop is not None:
                 stop()
@@ -107,7 +107,7 @@ def _outlive_nobody(pipe: int) -> None:
 
 
 def exit_now(code: int) -> None:
-    """End the process without waiting for its threads; what is buffered is written if it can be."""
+    """End the process without waiting for its threads; buffered output is written if possible."""
     flush = threading.Thread(target=_flush, daemon=True)
     with contextlib.suppress(RuntimeError):  # the interpreter is at its end, and starts no more threads
         flush.start()

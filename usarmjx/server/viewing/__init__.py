@@ -1,6 +1,6 @@
-"""Served worlds on the live page, which itself is `view`'s.
+"""Served worlds on the live page, which itself is in `view`.
 
-`viewer_service` begins it when a browser first asks, `front` lets in only who may look.
-`served_source` says what there is to see of the worlds, `controls` what may be done to them.
-`inset` shows pictures of robots' cameras.
+`viewer_service` starts the page when a browser first asks for it, `viser_gate` admits browsers.
+`served_source` draws the worlds, `controls` carries out requests of users, `inset` shows pictures of robots'
+cameras, and `console_panel` has the console.
 """

@@ -1,4 +1,4 @@
-"""What people at the page may do to served worlds: requests of any thread, carried out between two steps."""
+"""Controls of served worlds for users of the page: requests of any thread, carried out between two steps."""
 
 import asyncio
 import ipaddress
@@ -30,19 +30,25 @@ from usarmjx.view.controls import BY_CLIENT, BY_PAGE, BY_POLICY, ControlLock, St
 log = logging.getLogger(__name__)
 
 HOLD_TIME = 0.5
-"""A robot that is not told again so long after it was told to drive stops [s]."""
+"""Time after the last DRIVE of the page at which a robot stops [s]."""
 MAX_NAME = 40
-"""Longest name that a robot may get at the page."""
+"""Longest name of a robot that the page spawns [characters]."""
+MAX_WAITING = 64
+"""Most waiting requests; a request that sets the same thing again replaces the one before."""
+MAX_AT_ONCE = 4
+"""Most requests that are carried out after one control step; none follows a slow one."""
+MAX_ERROR = 300
+"""Longest reason of a failure that is shown [characters]."""
 
 
 @dataclass(eq=False)
 class HeldRobot:
-    """A robot that the page has.
+    """A robot that the page drives.
 
     Attributes:
-        client: Carries out its commands.
-        own: Whether it appeared by the page, and not by a client.
-        stops_at: When it stops unless told again [s]; infinite while it stands.
+        client: Dialogue that carries out its commands.
+        own: Whether the page spawned it, rather than a client.
+        stops_at: Time at which it stops unless driven again [s]; infinite while it stands.
     """
 
     client: Client
@@ -51,7 +57,7 @@ class HeldRobot:
 
 
 class PageRobots:
-    """The robots of a world that the page has; all is for the thread that runs the world.
+    """Robots of a world that the page drives; only for the thread that runs the world.
 
     Args:
         server: The world's server.
@@ -59,38 +65,38 @@ class PageRobots:
 
     def __init__(self, server: BotServer) -> None:
         self._server, self._world = server, server.world
-        self._hands: dict[int, HeldRobot] = {}
+        self._held: dict[int, HeldRobot] = {}
 
     def tick(self, now: float) -> None:
-        """Stop robots that have not been told again in time; forget those that are gone."""
-        for slot, hand in list(self._hands.items()):
-            if hand.client.robot is None or hand.client.lost:
+        """Stop robots that were not driven again in time; forget those that are gone."""
+        for slot, held in list(self._held.items()):
+            if held.client.robot is None or held.client.lost:
                 self._forget(slot)
-            elif now >= hand.stops_at:
-                self._stop(hand)
+            elif now >= held.stops_at:
+                self._stop(held)
 
     def drivers(self) -> dict[int, str]:
-        """Return who drives each robot, by slot."""
+        """Return the driver of each robot, by slot."""
         found = dict.fromkeys(self._world.agents().values(), BY_POLICY)
         found |= dict.fromkeys(list(self._world.robots), BY_CLIENT)
-        return found | dict.fromkeys(list(self._hands), BY_PAGE)
+        return found | dict.fromkeys(list(self._held), BY_PAGE)
 
     def taken_over(self) -> frozenset[int]:
-        """Return the slots of the robots that did not appear by the page."""
-        return frozenset(slot for slot, hand in list(self._hands.items()) if not hand.own)
+        """Return the slots of the robots that the page drives and did not spawn."""
+        return frozenset(slot for slot, held in list(self._held.items()) if not held.own)
 
     def take_over(self, slot: int) -> None:
-        """Have a robot that a client or a policy drives.
+        """Take over a robot that a client or a policy drives.
 
         Raises:
             UsageError: There is none.
         """
-        if slot in self._hands:
+        if slot in self._held:
             return
         robot = self._world.robots.get(slot)
         client = Client(self._world, "the page")
         if robot is None:
-            agents = {place: name for name, place in self._world.agents().items()}
+            agents = {agent: name for name, agent in self._world.agents().items()}
             if slot not in agents:
                 raise UsageError(f"there is no robot {slot} to take over")
             group, _ = self._world.scene.group_of(slot)
@@ -98,53 +104,53 @@ class PageRobots:
             client.attach_robot(self._world.spawn(spec, agents[slot], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 0.0)
             self._server.guests.append(client)
         else:
-            client.robot, robot.obeys = robot, client
-        self._hands[slot] = HeldRobot(client, own=False)
+            client.robot, robot.controller = robot, client
+        self._held[slot] = HeldRobot(client, own=False)
         log.info("the page has taken over %s", self._name(slot))
 
     def give_back(self, slot: int) -> None:
-        """Let a robot that was taken over obey its client or policy again."""
-        hand = self._hands.get(slot)
-        if hand is not None and not hand.own:
-            self._stop(hand)
+        """Return a robot that was taken over to its client or policy."""
+        held = self._held.get(slot)
+        if held is not None and not held.own:
+            self._stop(held)
             self._forget(slot)
 
     def let_go(self) -> None:
         """Stop all robots, and give back those that were taken over."""
-        for slot, hand in list(self._hands.items()):
-            self._stop(hand)
+        for slot, held in list(self._held.items()):
+            self._stop(held)
             self.give_back(slot)
 
     def drive(self, slot: int, values: Mapping[str, float]) -> None:
-        """Set keys of DRIVE; without another order in time all are 0 again."""
-        hand = self._hand(slot)
-        self._send_reading(hand, wire.DriveRobot(tuple(values.items())))
-        hand.stops_at = time.monotonic() + HOLD_TIME if any(values.values()) else math.inf
+        """Set keys of DRIVE; without another call in time all are 0 again."""
+        held = self._held_robot(slot)
+        self._execute(held, wire.DriveRobot(tuple(values.items())))
+        held.stops_at = time.monotonic() + HOLD_TIME if any(values.values()) else math.inf
 
     def set_joint(self, slot: int, joint: str, position: float) -> None:
-        """Let a joint go to a position [rad or m]."""
-        self._send_reading(self._hand(slot), wire.MultiDrive(((joint, position),)))
+        """Move a joint to a position [rad or m]."""
+        self._execute(self._held_robot(slot), wire.MultiDrive(((joint, position),)))
 
     def set_light(self, slot: int, on: bool) -> None:
         """Switch a headlight."""
-        self._send_reading(self._hand(slot), wire.DriveRobot((), light=on))
+        self._execute(self._held_robot(slot), wire.DriveRobot((), light=on))
 
     def zoom(self, slot: int, camera: str, fov: float) -> None:
         """Set a camera's field of view [rad]."""
-        self._send_reading(self._hand(slot), wire.SetFov(((camera, fov),)))
+        self._execute(self._held_robot(slot), wire.SetFov(((camera, fov),)))
 
     def operate(self, slot: int, effecter: str, opcode: str, value: float | None) -> None:
-        """Let a robot operate an effecter, as SET does."""
-        hand = self._hand(slot)
-        robot = self._robot(hand)
+        """Operate an effecter of a robot, as SET does."""
+        held = self._held_robot(slot)
+        robot = self._robot(held)
         kinds = [one.mount.kind for one in robot.effecters if one.mount.name == effecter]
         if not kinds:
             raise UsageError(f"{robot.name} has no effecter {effecter}")
         params = "" if value is None else f"{value:g}"
-        self._send_reading(hand, wire.Set(kinds[0], effecter, opcode, params))
+        self._execute(held, wire.Set(kinds[0], effecter, opcode, params))
 
     def spawn(self, spec: RobotSpec, name: str, pos: Vec3, yaw: float) -> None:
-        """Let a robot appear that has no client; see `WorldControls.spawn`."""
+        """Spawn a robot that has no client; see `WorldControls.spawn`."""
         name = name.strip()
         self._check_name(name)
         origin = (*pos[:2], pos[2] + kinematic_tree_of(spec).clearance + START_GAP)
@@ -153,21 +159,21 @@ class PageRobots:
         client = Client(self._world, "the page")
         client.attach_robot(robot, robot.spawn_time)
         self._server.guests.append(client)
-        self._hands[robot.slot] = HeldRobot(client, own=True)
+        self._held[robot.slot] = HeldRobot(client, own=True)
         log.info("the page: spawned %s as %r", spec.name, robot.name)
 
     def remove(self, slot: int, anyones: bool) -> None:
-        """Take a robot out of the world: one that appeared by `spawn`, or anyone's.
+        """Remove a robot from the world: one that the page spawned, or anyone's.
 
         Raises:
             UsageError: There is none, or it is a client's.
         """
-        robot, hand = self._world.robots.get(slot), self._hands.get(slot)
+        robot, held = self._world.robots.get(slot), self._held.get(slot)
         if robot is None:
             raise UsageError(f"there is no robot {slot} that could leave")
-        if not (anyones or (hand and hand.own)):
+        if not (anyones or (held and held.own)):
             raise UsageError(f"{robot.name} is a client's: it leaves only if that is confirmed")
-        if hand is not None:
+        if held is not None:
             self._forget(slot)
         self._world.remove(robot)
 
@@ -178,84 +184,76 @@ class PageRobots:
         if name.lower() in {robot.name.lower() for robot in self._world.robots.values()}:
             raise UsageError(f"there is a robot {name} already")
 
-    def _hand(self, slot: int) -> HeldRobot:
-        hand = self._hands.get(slot)
-        if hand is not None and hand.client.robot is not None and not hand.client.lost:
-            return hand
+    def _held_robot(self, slot: int) -> HeldRobot:
+        held = self._held.get(slot)
+        if held is not None and held.client.robot is not None and not held.client.lost:
+            return held
         raise UsageError(f"{self._name(slot)} has a driver: take it over first")
 
     @staticmethod
-    def _robot(hand: HeldRobot) -> Robot:
-        if hand.client.robot is None:
+    def _robot(held: HeldRobot) -> Robot:
+        if held.client.robot is None:
             raise UsageError("the robot has gone")
-        return hand.client.robot
+        return held.client.robot
 
-    def _send_reading(self, hand: HeldRobot, command: wire.Command) -> None:
+    def _execute(self, held: HeldRobot, command: wire.Command) -> None:
         """Carry out a command.
 
         Raises:
-            UsageError: What was wrong with it.
+            UsageError: The command failed, for the reasons of its log.
         """
-        session = hand.client.session
-        hand.client.handle(command)
+        session = held.client.session
+        held.client.handle(command)
         answer = session.data_to_send().decode("latin-1")
         faults = session.take_faults()
         if faults:
             raise UsageError("; ".join(faults))
         if isinstance(command, wire.Set) and "{Status Failed}" in answer:
-            raise UsageError(f"{self._robot(hand).name} cannot do {command.opcode} of {command.name} now")
+            raise UsageError(f"{self._robot(held).name} cannot do {command.opcode} of {command.name} now")
 
-    def _stop(self, hand: HeldRobot) -> None:
-        hand.stops_at = math.inf
-        robot = hand.client.robot
-        if robot is not None and not hand.client.lost:
-            self._send_reading(hand, wire.DriveRobot(tuple((key, 0.0) for key in robot.spec.drive.keys)))
+    def _stop(self, held: HeldRobot) -> None:
+        held.stops_at = math.inf
+        robot = held.client.robot
+        if robot is not None and not held.client.lost:
+            self._execute(held, wire.DriveRobot(tuple((key, 0.0) for key in robot.spec.drive.keys)))
 
     def _forget(self, slot: int) -> None:
-        client = self._hands.pop(slot).client
+        client = self._held.pop(slot).client
         robot, client.robot = client.robot, None
         if client in self._server.guests:
             self._server.guests.remove(client)
             if robot is not None and self._world.agents() and self._world.robots.get(slot) is robot:
                 self._world.remove(robot)  # its policy has it again
-        if robot is not None and robot.obeys is client:
-            robot.obeys = None
+        if robot is not None and robot.controller is client:
+            robot.controller = None
 
     def _name(self, slot: int) -> str:
         robot = self._world.robots.get(slot)
         return f"robot {slot}" if robot is None else robot.name
 
 
-def control_seat(address: str, rules: AccessRules, wanted: bool = False) -> ControlLock:
-    """Return the seat of a page's controls.
+def control_lock(address: str, rules: AccessRules, wanted: bool = False) -> ControlLock:
+    """Return the lock of a page's controls.
 
-    People can take it where only this machine can open the page, or only who knows the token; elsewhere only
+    Users can take it where only this machine can open the page, or only peers with the token; elsewhere only
     if the operator wants that.
 
     Args:
         address: IP address that the page is listened on.
-        rules: Who may connect.
-        wanted: Whether everybody who can open the page may have its controls.
+        rules: Rules of access.
+        wanted: Whether every user of the page may have its controls.
     """
     is_loopback = ipaddress.ip_address(address.partition("%")[0]).is_loopback
     return ControlLock(allowed=wanted or is_loopback or bool(rules.token))
 
 
-MAX_WAITING = 64
-"""So many requests wait at most; one that sets the same thing again takes the place of the one before."""
-MAX_AT_ONCE = 4
-"""Most requests that are carried out after one control step; after one that takes long no other."""
-MAX_ERROR = 300
-"""Longest reason that is told [characters]."""
-
-
 @dataclass(frozen=True)
 class _Request:
-    """What somebody asked for.
+    """Request of a user.
 
     Attributes:
-        world: In which world.
-        act: Does it.
+        world: Number of its world.
+        act: Carries it out.
         takes_long: Whether it takes as long as a control step or longer.
     """
 
@@ -265,7 +263,7 @@ class _Request:
 
 
 class ServedControls:
-    """The `view.controls.WorldControls` of served worlds; a `net.Service` of the first one.
+    """The `view.controls.WorldControls` of served worlds; a `gamebots.server.Service` of the first one.
 
     Args:
         servers: The worlds' servers, in the order of their numbers.
@@ -289,17 +287,17 @@ class ServedControls:
 
     @property
     def classes(self) -> Sequence[str]:
-        """Robot classes that can appear; in a batch only those of its roster have room."""
+        """Robot classes that can be spawned; in a batch only those of its roster have room."""
         return sorted(ROBOTS.names(), key=str.lower)
 
     # A service
 
     async def start(self) -> list[str]:
-        """Begin; there is nothing to say."""
+        """Do nothing: there is no port to open."""
         return []
 
     def tick(self) -> None:
-        """Carry out what was asked for."""
+        """Carry out waiting requests."""
         now = time.perf_counter()
         for meter in self._meters:
             meter.count(now)
@@ -315,25 +313,25 @@ class ServedControls:
                 return
 
     def stop(self) -> None:
-        """Forget what waits."""
+        """Cancel unfinished requests."""
         for task in self._tasks:
             task.cancel()
 
-    # Told by anybody
+    # For any thread
 
     def status(self, world: int) -> WorldStatus:
-        """Return how a world goes."""
+        """Return the status of a world."""
         server, (errors, last) = self._servers[world], self._errors.get(world, (0, ""))
-        mishaps, robots = server.world.mishaps, self._robots[world]
+        recovery_log, robots = server.world.recovery_log, self._robots[world]
         return WorldStatus(
             time=server.world.time,
             realtime_factor=self._meters[world].realtime_factor(time.perf_counter()),
             paused=self._clock.paused,
             speed=self._clock.factor,
             connections=len(server.clients),
-            bad_worlds=mishaps.resets,
-            put_back=mishaps.put_back,
-            put_back_names=mishaps.names,
+            bad_worlds=recovery_log.resets,
+            put_back=recovery_log.put_back,
+            put_back_names=recovery_log.names,
             errors=errors,
             last_error=last,
             drivers=robots.drivers(),
@@ -351,66 +349,66 @@ class ServedControls:
         ]
 
     def pause(self, on: bool) -> None:
-        """Let all worlds stand still, or go on."""
+        """Pause all worlds, or let them go on."""
         self._clock.pause(on)
 
     def step(self, steps: int = 1) -> None:
-        """Let all worlds make so many control steps, and stand still then."""
+        """Let all worlds make some control steps, and pause them."""
         self._guarded(0, partial(self._clock.step, steps))
 
     def set_speed(self, factor: float) -> None:
-        """Set how many simulated seconds a second shall have; 0: as many as there can be."""
+        """Set the simulated seconds per second; 0: as many as possible."""
         self._guarded(0, partial(self._clock.set_factor, factor))
 
     def reset(self, world: int) -> None:
-        """Put a world back to its start."""
-        self._ask(world, "reset", partial(self._begin, world, partial(self._reset, world)))
+        """Restart a world."""
+        self._enqueue(world, "reset", partial(self._begin, world, partial(self._reset, world)))
 
     def take_over(self, world: int, slot: int, on: bool = True) -> None:
-        """Drive a robot that a client or a policy has, or give it back."""
+        """Take over a robot that a client or a policy drives, or give it back."""
         robots = self._robots[world]
         act = partial(robots.take_over if on else robots.give_back, slot)
-        self._ask(world, ("take over", slot), act, takes_long=True)
+        self._enqueue(world, ("take over", slot), act, takes_long=True)
 
     def drive(self, world: int, slot: int, values: Mapping[str, float]) -> None:
         """Set keys of a robot's DRIVE for half a second."""
-        self._ask(world, ("drive", slot), partial(self._robots[world].drive, slot, dict(values)))
+        self._enqueue(world, ("drive", slot), partial(self._robots[world].drive, slot, dict(values)))
 
     def set_joint(self, world: int, slot: int, joint: str, position: float) -> None:
-        """Let a joint go to a position [rad or m]."""
-        self._ask(world, (slot, joint), partial(self._robots[world].set_joint, slot, joint, position))
+        """Move a joint to a position [rad or m]."""
+        self._enqueue(world, (slot, joint), partial(self._robots[world].set_joint, slot, joint, position))
 
     def set_light(self, world: int, slot: int, on: bool) -> None:
         """Switch a robot's headlight."""
-        self._ask(world, ("light", slot), partial(self._robots[world].set_light, slot, on))
+        self._enqueue(world, ("light", slot), partial(self._robots[world].set_light, slot, on))
 
     def zoom(self, world: int, slot: int, camera: str, fov: float) -> None:
         """Set the field of view of a robot's camera [rad]."""
-        self._ask(world, ("zoom", slot, camera), partial(self._robots[world].zoom, slot, camera, fov))
+        self._enqueue(world, ("zoom", slot, camera), partial(self._robots[world].zoom, slot, camera, fov))
 
     def operate(self, world: int, slot: int, effecter: str, opcode: str, value: float | None = None) -> None:
-        """Let a robot operate an effecter, as SET does."""
+        """Operate an effecter of a robot, as SET does."""
         act = partial(self._robots[world].operate, slot, effecter, opcode, value)
-        self._ask(world, ("operate", slot, effecter), act)
+        self._enqueue(world, ("operate", slot, effecter), act)
 
     def spawn(self, world: int, robot: str, name: str, pos: Vec3, yaw: float) -> None:
-        """Let a robot of a class appear with no client."""
+        """Spawn a robot of a class with no client."""
         appearing = partial(self._spawn, world, robot, name, pos, yaw)
-        self._ask(world, object(), partial(self._begin, world, appearing))
+        self._enqueue(world, object(), partial(self._begin, world, appearing))
 
     def remove(self, world: int, slot: int, anyones: bool = False) -> None:
-        """Take a robot out of the world: one that appeared by `spawn`, or anyone's."""
+        """Remove a robot from the world: one that the page spawned, or anyone's."""
         act = partial(self._robots[world].remove, slot, anyones)
-        self._ask(world, ("remove", slot), act, takes_long=True)
+        self._enqueue(world, ("remove", slot), act, takes_long=True)
 
     def let_go(self) -> None:
         """Stop all robots that the page drives, and give back what it took over."""
         for world, robots in enumerate(self._robots):
-            self._ask(world, "let go", robots.let_go, always=True)
+            self._enqueue(world, "let go", robots.let_go, always=True)
 
-    # In the thread that runs the worlds
+    # Helpers, of which the requests' own code runs in the thread of the worlds
 
-    def _ask(
+    def _enqueue(
         self,
         world: int,
         what: object,
@@ -438,7 +436,7 @@ class ServedControls:
             self._fail(world, str(error))
 
     def _begin(self, world: int, work: Callable[[], Coroutine[None, None, None]]) -> None:
-        """Begin what waits for another thread."""
+        """Start a request whose first part runs in another thread."""
 
         async def run() -> None:
             try:
@@ -458,10 +456,10 @@ class ServedControls:
             robots.let_go()
             served.reset()
 
-        self._ask(world, "reset now", act, takes_long=True)
+        self._enqueue(world, "reset now", act, takes_long=True)
 
     async def _spawn(self, world: int, robot: str, name: str, pos: Vec3, yaw: float) -> None:
         robots = self._robots[world]
         spec = ROBOTS.get(robot)
         await self._servers[world].prepare(spec)
-        self._ask(world, object(), partial(robots.spawn, spec, name, pos, yaw), takes_long=True)
+        self._enqueue(world, object(), partial(robots.spawn, spec, name, pos, yaw), takes_long=True)

@@ -1,4 +1,4 @@
-"""What the wireless protocols ask of the world: who is in it, and how strongly two hear each other."""
+"""The wireless protocols' view of the world: its robots, and the power received between two of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

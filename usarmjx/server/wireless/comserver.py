@@ -1,9 +1,9 @@
-"""Dialect A of the wireless server: who is registered, who listens where, and who may be linked.
+"""Dialect A of the wireless server: tables of registrations, listening ports and links.
 
 Its messages and replies are in `dialect_a`. Names are matched exactly here, as in the in-engine server;
 robots in the world are found by name in any case. Our own rules beyond that server's: it connects to no
-address but the registering peer's own, unless the operator has allowed it; nobody makes it connect to a port
-of someone else who has not asked for that with LISTEN; and a name whose robot has left the world may be
+address but the registering peer's own, unless the operator has allowed it; no client makes it connect to a
+port of another peer that has not asked for that with LISTEN; and a name whose robot has left the world may be
 registered from another address.
 """
 
@@ -17,6 +17,7 @@ from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.server.wireless.channel import RadioAccess, reaches
 
 MAX_REGISTRATIONS = 256
+"""Registered robots at a time."""
 MAX_LISTEN_PORTS = 64
 """Ports that one robot may be listening on at a time."""
 MAX_LINKS_PER_ROBOT = 32
@@ -26,7 +27,7 @@ MAX_LINKS = 128
 
 
 class Refusal(PeerError):
-    """A message that cannot be carried out; its text is what follows `Fail: `."""
+    """Refusal of a message; its text follows `Fail: `."""
 
 
 INCORRECT = "Incorrect Message"
@@ -36,7 +37,7 @@ THIRD_PARTY = "Server does not accept third party requests"
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """REGISTER RobotName IPAddress: where a robot's controller runs."""
+    """REGISTER RobotName IPAddress: address of a robot's controller."""
 
     name: str
     address: str
@@ -52,10 +53,10 @@ class Listen:
 
 @dataclass(frozen=True, slots=True)
 class Open:
-    """OPEN RobotName Port HostRobot HostPort: link two robots, of which one must have been in a LISTEN.
+    """OPEN RobotName Port HostRobot HostPort: link two robots, one of which must have sent a LISTEN.
 
-    The in-engine server and its tools looked for the last two in the table, the manual (3.2.4.3) says that
-    the first two listen: either will do.
+    The in-engine server and its tools looked for the last two in the table; by the manual (3.2.4.3)
+    the first two listen: either is accepted.
     """
 
     name: str
@@ -77,7 +78,7 @@ Request: TypeAlias = Register | Listen | Open | GetSS
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """Where to connect one end of a link."""
+    """Address of one end of a link."""
 
     name: str
     address: str
@@ -86,19 +87,19 @@ class Endpoint:
 
 @dataclass(frozen=True, slots=True)
 class EndpointPair:
-    """A link to make: the server has to connect to both ends."""
+    """Link to make: the server connects to both ends."""
 
     first: Endpoint
     second: Endpoint
 
     @property
     def names(self) -> tuple[str, str]:
-        """The robots at its two ends."""
+        """Names of the robots at the two ends."""
         return self.first.name, self.second.name
 
 
 def normalize_address(text: str) -> str:
-    """Return an IP address in its usual form, so that two ways to write one compare equal.
+    """Return an IP address in its usual form, so that two spellings of one compare equal.
 
     Raises:
         Refusal: It is no IP address; "localhost" is taken as 127.0.0.1.
@@ -115,7 +116,7 @@ def check_addresses(addresses: Collection[str]) -> tuple[str, ...]:
     """Return IP addresses in their usual form.
 
     Raises:
-        UsageError: One is none.
+        UsageError: One is no address.
     """
     try:
         return tuple(normalize_address(address) for address in addresses)
@@ -128,8 +129,9 @@ class Registration:
     """A registered robot.
 
     Attributes:
-        address: Where its controller takes links.
-        owner: Who registered it; differs from the address only when the operator allows that.
+        address: Address at which its controller takes links.
+        owner: Address of the peer that registered it; differs from `address` only where the operator allows
+            that.
     """
 
     address: str
@@ -137,7 +139,7 @@ class Registration:
 
 
 class ComServer:
-    """What all control connections share: who is registered, who listens where. Names are matched exactly.
+    """State shared by all control connections: registrations, and listening ports. Names are matched exactly.
 
     Args:
         radio: The radio.
@@ -171,7 +173,7 @@ class ComServer:
             self._registrations[ask.name] = Registration(address, caller)
 
     def listen(self, caller: str, ask: Listen) -> None:
-        """Note that a robot's controller takes a link on a port; one OPEN uses it up.
+        """Record that a robot's controller takes a link on a port; one OPEN uses it up.
 
         Raises:
             Refusal: The robot is not registered, not the caller's, or listens there already.
@@ -188,7 +190,7 @@ class ComServer:
         ports.append(ask.port)
 
     def open(self, caller: str, ask: Open) -> EndpointPair:
-        """Return where to connect; tell `opened` how it went.
+        """Return the ends to connect to; report the result with `opened`.
 
         Raises:
             Refusal: Neither robot listens there, they do not reach each other, or one is unknown.
@@ -211,7 +213,7 @@ class ComServer:
         return endpoints
 
     def opened(self, endpoints: EndpointPair, done: bool) -> None:
-        """Note whether both ends answered; if not, the host goes on listening."""
+        """Record whether both ends answered; if not, the host goes on listening."""
         if not done:
             self.closed(endpoints)
             ports = self._listening.get(endpoints.second.name)
@@ -219,7 +221,7 @@ class ComServer:
                 ports.append(endpoints.second.port)
 
     def closed(self, endpoints: EndpointPair) -> None:
-        """Note that a link is gone."""
+        """Record the end of a link."""
         self._links.subtract(endpoints.names)
         self._links += Counter()  # forgets names at zero
 
@@ -241,7 +243,7 @@ class ComServer:
         return name in self._registrations and self._radio.has_robot(name)
 
     def poll_presence(self) -> None:
-        """Note which robots are in the world, so that it shows when they have left."""
+        """Record the robots in the world, so that `_has_left` can tell departed robots from expected ones."""
         self._seen |= {name for name in self._registrations if self._radio.has_robot(name)}
 
     def _owns(self, caller: str, name: str) -> bool:
@@ -252,7 +254,7 @@ class ComServer:
         return port in self._listening.get(name, ())
 
     def _listener_last(self, ask: Open) -> Open:
-        """Return an OPEN with the robot that listens behind the other.
+        """Return an OPEN with the listening robot in second position.
 
         Raises:
             Refusal: Neither listens.

@@ -1,18 +1,20 @@
-"""Dialect A of the wireless server, its control connection: the manual's messages (manual 3.2.4.3).
+"""Dialect A of the wireless server on the wire (manual 3.2.4.3): its control connection and its data links.
 
-Bytes in, replies and links to open out; no socket. A message is words and a `;`:
+Bytes in, replies and links to open out; no socket. A control message is words and a `;`:
 
     REGISTER R1 127.0.0.1;    OK;
     LISTEN R1 4001;           OK;
     OPEN R2 4002 R1 4001;     OK;               and the server connects to R2's port 4002 and R1's 4001
     GETSS R1 R2;              OK:-51.43;
 
-What cannot be done is answered `Fail: ...;`, in the words of the in-engine server. A session is fed so:
+A refusal is answered `Fail: ...;`, in the words of the in-engine server. A session is fed as follows:
 
     endpoints = session.receive_data(data)
     while endpoints:
         endpoints = session.answer_open(connect_both(endpoints))
     transport.write(session.data_to_send())
+
+On a data link a robot sends `SEND 5 hello;` and `CLOSE;`, and the other one receives `hello`.
 """
 
 from collections import deque
@@ -35,14 +37,23 @@ from usarmjx.server.wireless.comserver import (
     normalize_address,
 )
 
+MESSAGE_END = b";"
+"""End of a message."""
+MAX_MESSAGE_SIZE = 1024
+"""Longest message accepted, its `;` not counted [bytes]: names and numbers need a few dozen."""
+MAX_NAMES = 16
+"""Registered robots per connection whose presence in the world keeps the connection alive."""
+UNKNOWN = "Unknown Message"
 MAX_PAYLOAD = 1 << 20
 """Longest payload accepted [bytes]: a camera picture has a tenth of that."""
 MAX_LENGTH_DIGITS = 16
+"""Most digits of a payload's length, leading zeros included."""
 WORD_SIZE = 5
+"""Length of the words of a data link, `SEND ` and `CLOSE` [bytes]."""
 
 
 class DataLinkPhase(Enum):
-    """What the next byte is."""
+    """Kind of the next byte of a data link."""
 
     WORD = "word"
     LENGTH = "length"
@@ -54,7 +65,7 @@ class DataLinkPhase(Enum):
 
 
 WORDS = {b"SEND ": DataLinkPhase.LENGTH, b"CLOSE": DataLinkPhase.CLOSING}
-"""What follows a word; SKIPPING follows any other."""
+"""Phase after each word; SKIPPING follows any other."""
 DATA_LINK_TRANSITIONS: dict[DataLinkPhase, frozenset[DataLinkPhase]] = {
     DataLinkPhase.WORD: frozenset({*WORDS.values(), DataLinkPhase.SKIPPING}),
     DataLinkPhase.LENGTH: frozenset({DataLinkPhase.PAYLOAD, DataLinkPhase.TRAILER, DataLinkPhase.SKIPPING}),
@@ -73,7 +84,7 @@ class DataLinkParser:
         most: Longest payload accepted [bytes].
 
     Attributes:
-        phase: What the next byte is; CLOSED after a CLOSE.
+        phase: Kind of the next byte; CLOSED after a CLOSE.
     """
 
     def __init__(self, most: int = MAX_PAYLOAD) -> None:
@@ -92,7 +103,7 @@ class DataLinkParser:
         }
 
     def receive_data(self, data: bytes) -> list[bytes]:
-        """Return the messages that `data` completes, in order; nothing behind a CLOSE.
+        """Return the messages that `data` completes, in order; none after a CLOSE.
 
         Raises:
             PeerError: A message is announced that is longer than allowed.
@@ -103,7 +114,7 @@ class DataLinkParser:
         messages, self._messages = self._messages, []
         return messages
 
-    # Each of these takes bytes from `at` on and returns where it stopped.
+    # Each of these consumes bytes from `at` on and returns the next position.
 
     def _go(self, phase: DataLinkPhase) -> None:
         assert phase in DATA_LINK_TRANSITIONS[self.phase]
@@ -129,7 +140,7 @@ class DataLinkParser:
             self._left = int(self._kept)
             self._kept.clear()
             self._go(DataLinkPhase.PAYLOAD if self._left else DataLinkPhase.TRAILER)
-        else:  # no number: not worth guessing where its payload would end
+        else:  # no number: the end of its payload is unknown, so skip to the next `;`
             self._kept.clear()
             self._go(DataLinkPhase.SKIPPING)
             return at
@@ -158,15 +169,6 @@ class DataLinkParser:
         return end + 1
 
 
-MESSAGE_END = b";"
-"""Ends a message."""
-MAX_MESSAGE_SIZE = 1024
-"""Longest message accepted, its `;` not counted [bytes]: names and numbers need a few dozen."""
-MAX_NAMES = 16
-"""Of so many robots that a connection has registered it is asked whether they are in the world."""
-UNKNOWN = "Unknown Message"
-
-
 def _port(word: str) -> int:
     if not (word.isascii() and word.isdecimal() and len(word) <= 5 and 0 < int(word) < 65536):
         raise Refusal(INCORRECT)
@@ -179,14 +181,14 @@ VERBS: dict[str, tuple[int, Callable[[list[str]], Request]]] = {
     "OPEN": (4, lambda words: Open(words[0], _port(words[1]), words[2], _port(words[3]))),
     "GETSS": (2, lambda words: GetSS(words[0], words[1])),
 }
-"""How many words follow each verb, and what they mean."""
+"""Number of words after each verb, and their parser."""
 
 
 def parse_request(text: str) -> Request:
-    """Return what a message, without its `;`, asks for; the verb in any case.
+    """Return the request of a message without its `;`; the verb in any case.
 
     Raises:
-        Refusal: No such verb, the wrong number of words, or a port that is none.
+        Refusal: No such verb, the wrong number of words, or no valid port.
     """
     verb, *words = text.split() or [""]
     if verb.upper() not in VERBS:
@@ -198,7 +200,7 @@ def parse_request(text: str) -> Request:
 
 
 class DialectAPhase(Enum):
-    """Where a control connection stands."""
+    """Phase of a control connection."""
 
     READY = "ready"
     OPENING = "opening"
@@ -220,7 +222,7 @@ class DialectASession:
         caller: The peer's address.
 
     Attributes:
-        phase: Where it stands.
+        phase: Phase of the connection.
     """
 
     def __init__(self, server: ComServer, caller: str) -> None:
@@ -247,7 +249,7 @@ class DialectASession:
         Raises:
             HttpRequestError: The peer speaks HTTP; hang up.
         """
-        self._text.feed(data)  # messages have no lines, but HTTP has
+        self._text.feed(data)  # only for its refusal of HTTP: these messages have no lines
         *complete, rest = data.split(MESSAGE_END)
         for piece in complete:
             self._append(piece)
@@ -258,7 +260,7 @@ class DialectASession:
         return self._answer_all()
 
     def answer_open(self, done: bool) -> EndpointPair | None:
-        """Say whether both ends of the last link answered; return the next link, or None."""
+        """Record whether both ends of the last link answered; return the next link, or None."""
         if self._pending_link is None:
             return None
         self._server.opened(self._pending_link, done)

@@ -7,10 +7,10 @@ A line, ended by "\r\n", and its answer:
     DNS {Robot R2} {Port 3333}           DNSREPLY {Robot R2} {Port 43847}
     REVERSEDNS {Port 51234}              REVERSEDNSREPLY {Port 51234} {Robot R1}
 
-INIT comes first and once. A robot that connects to the port that DNS names is connected to the other robot's
-port; that one asks REVERSEDNS who is calling. Errors are answered in the stand-alone server's words, its
-misspelling included. Its parser is strict: verbs and keys with case, one space behind the verb and between
-segments, one word as a value.
+INIT comes first and once. A robot that connects to the port of a DNSREPLY is connected to the other robot's
+port; that one asks REVERSEDNS for the name of its caller. Errors are answered in the stand-alone server's
+words, its misspelling included. Its parser is strict: verbs and keys with case, one space after the verb and
+between segments, one word as a value.
 """
 
 import re
@@ -42,7 +42,7 @@ def parse_strict(line: str) -> tuple[str, dict[str, str]]:
 
 
 class DialectBPhase(Enum):
-    """Where a control connection stands."""
+    """Phase of a control connection."""
 
     NEW = "new"
     JOINED = "joined"
@@ -60,24 +60,24 @@ WRONG_PHASE_REASONS = {
     DialectBPhase.NEW: "Must.Use.INIT.Method.First",
     DialectBPhase.JOINED: "Method.Unknown.Or.Can.INIT.only.once",
 }
-"""The reason of the error that any other verb is answered with."""
+"""Reason of the error for any other verb."""
 NO_NAME, NO_PORT = "Robot.Name.Must.Not.Be.Empty", "Port.Must.Be.Integer"
 
 
 class _Error(Exception):
-    """What is answered `ERROR {Reason ...}`."""
+    """Error that is answered `ERROR {Reason ...}`."""
 
 
 class DialectBSession:
     """One control connection: lines in any chunking, answered in order.
 
     Args:
-        board: Who has joined.
-        address: The peer's address: where its robot listens.
+        board: The participants.
+        address: The peer's address, at which its robot listens.
 
     Attributes:
-        phase: Where it stands.
-        name: The robot that it has joined as, "" before.
+        phase: Phase of the connection.
+        name: Name of the robot that it has joined as, "" before.
     """
 
     def __init__(self, board: Switchboard, address: str) -> None:
@@ -94,7 +94,7 @@ class DialectBSession:
 
     @property
     def alive(self) -> bool:
-        """Whether the peer has joined: then it may be silent, as it goes when its robot goes."""
+        """Whether the peer has joined: then it may be silent, as it ends with its robot."""
         return bool(self.name)
 
     def receive_data(self, data: bytes) -> bytes:
@@ -118,8 +118,8 @@ class DialectBSession:
 
     def _init(self, values: dict[str, str]) -> Message:
         listed, reason = values.get("Port", ""), "Ports.List.Must.Be.Integer"
-        told = [_port(text, reason, least=0) for text in listed.split(",") if listed]
-        ports = tuple(port for port in told if port)  # who says 0 only calls others
+        listed_ports = [_port(text, reason, least=0) for text in listed.split(",") if listed]
+        ports = tuple(port for port in listed_ports if port)  # 0: a robot that only calls others
         name = _name(values)
         if self._board.has(name):
             raise _Error("Robot.Alread.Exists")

@@ -1,8 +1,8 @@
 """The wireless servers of a served world on real sockets, in the loop of the Gamebots server.
 
-`WirelessService` listens for dialect A, dialect B and the position service. `net.BotServer` starts it, calls
-`tick` after every control step, and stops it. Every second of simulated time it polls the world: that is when
-robots that have left lose their links, and when dialect B breaks and restores its own.
+`WirelessService` listens for dialect A, dialect B and the position service. `gamebots.server.BotServer`
+starts it, calls `tick` after every control step, and stops it. Every second of simulated time it polls the
+world: then robots that have left lose their links, and dialect B breaks and restores its own.
 """
 
 import asyncio
@@ -37,22 +37,22 @@ from usarmjx.server.wireless.switchboard import MAX_CONNECTIONS
 from usarmjx.server.worlds.served_world import ServedWorld
 
 POLL_PERIOD = 1.0
-"""Between two polls of the world [s of simulated time]: the pace of the stand-alone server's poll."""
+"""Interval between two polls of the world [s of simulated time]: that of the stand-alone server."""
 
 
 @dataclass(frozen=True)
 class WirelessSettings:
-    """How to serve the radio.
+    """Settings of the wireless servers.
 
     Attributes:
         host: Address to bind; loopback by default.
         wss_port: Port of dialect A (USARComServer.ini: ListenPort); this and the others: 0 picks a free one.
         wss2_port: Port of dialect B.
         position_port: Port of the position service.
-        allow: Addresses that may be connected to beside that of the peer who asks for it.
+        allow: Addresses that may be connected to beside that of the requesting peer.
         max_connections: Most control and position connections at once.
-        idle_timeout: Who has no robot in the world and says nothing for so long is dropped [s].
-        access: Who may connect.
+        idle_timeout: Silence after which a peer without a robot in the world is dropped [s].
+        access: Rules of access.
     """
 
     host: str = "127.0.0.1"
@@ -66,7 +66,7 @@ class WirelessSettings:
 
 
 class ConnectionHandler(Protocol):
-    """What answers one control or position connection."""
+    """Handler of one control or position connection."""
 
     async def handle(self, data: bytes) -> bytes:
         """Take bytes and return the answer."""
@@ -74,16 +74,16 @@ class ConnectionHandler(Protocol):
 
     @property
     def alive(self) -> bool:
-        """Whether it belongs to a robot in the world, which makes it welcome to be silent."""
+        """Whether it belongs to a robot in the world, and may therefore be silent."""
         ...
 
     @property
     def closing(self) -> bool:
-        """Whether the connection has to end."""
+        """Whether the connection must end."""
         ...
 
     def connection_lost(self) -> None:
-        """Clear up: the connection is gone."""
+        """Release the connection's state: it is gone."""
 
 
 @dataclass(eq=False)
@@ -92,8 +92,8 @@ class ClientConnection:
 
     Attributes:
         writer: Its writer.
-        handler: What answers it.
-        last_received: When it said something last [s].
+        handler: Its handler.
+        last_received: Time of its last bytes [s].
     """
 
     writer: asyncio.StreamWriter
@@ -102,7 +102,7 @@ class ClientConnection:
 
 
 class PositionHandler:
-    """Answers one connection to the position service."""
+    """Handler of one connection to the position service."""
 
     alive = closing = False
 
@@ -115,16 +115,16 @@ class PositionHandler:
             return self._session.receive_data(data)
 
     def connection_lost(self) -> None:
-        """Nothing to clear up."""
+        """Do nothing: there is no state to release."""
 
 
 class WirelessService:
-    """The three servers; a `net.Service`.
+    """The three servers; a `gamebots.server.Service`.
 
     Args:
         radio: The radio of the served world.
-        clock: The world's time [s].
-        settings: How to serve.
+        clock: Returns the world's time [s].
+        settings: Settings of the servers.
         bound: Sockets that are bound to the ports already, by "wss", "wss2" and "position".
 
     Attributes:
@@ -161,7 +161,7 @@ class WirelessService:
             ("wss2", "second wireless server", self._settings.wss2_port, self._proxies.make_handler),
             ("position", "positions", self._settings.position_port, self._positions),
         )
-        lines = []
+        lines: list[str] = []
         for name, title, port, make_handler in servers:
             server, self.ports[name] = await listen(
                 (self._settings.host, port),
@@ -176,7 +176,7 @@ class WirelessService:
         return lines
 
     def tick(self) -> None:
-        """The world has made a control step."""
+        """Refill the time share, and poll the world when a poll is due."""
         self._throttle.refill()
         if self._clock() >= self._next_poll and (self._poll_task is None or self._poll_task.done()):
             self._next_poll = self._clock() + POLL_PERIOD
@@ -257,7 +257,7 @@ async def _converse(connection: ClientConnection, reader: asyncio.StreamReader) 
 
 
 def _report(task: asyncio.Task[None]) -> None:
-    """Log what went wrong in a task that nobody waits for."""
+    """Log the error of a task whose result nothing awaits."""
     if not task.cancelled() and (error := task.exception()):
         log.error("the wireless server could not look at the world", exc_info=error)
 
@@ -268,12 +268,12 @@ def make_wireless(
     settings: WirelessSettings,
     bound: Mapping[str, socket.socket] | None = None,
 ) -> WirelessService:
-    """Return the wireless servers of a world; `radio.debug` makes them log what they do.
+    """Return the wireless servers of a world; `radio.debug` enables their log.
 
     Args:
         world: The world.
         radio: The radio's constants.
-        settings: How to serve.
+        settings: Settings of the servers.
         bound: As of `WirelessService`.
 
     Raises:

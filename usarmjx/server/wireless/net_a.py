@@ -1,4 +1,4 @@
-"""Dialect A of the wireless server on real sockets: it connects both ends of a link and carries SENDs."""
+"""Dialect A of the wireless server on real sockets: links between two robots' ports, and their SENDs."""
 
 import asyncio
 from collections.abc import Collection
@@ -36,12 +36,12 @@ class DataLink:
 
 
 class DataLinkServer:
-    """Makes and keeps the links of dialect A.
+    """Opens and serves the links of dialect A.
 
     Args:
         radio: The radio.
-        allow: Addresses that may be connected to beside that of the peer who asks for it.
-        throttle: Where work queues.
+        allow: Addresses that may be connected to beside that of the requesting peer.
+        throttle: Queue of all work.
     """
 
     def __init__(self, radio: RadioChannel, allow: Collection[str], throttle: Throttle) -> None:
@@ -50,7 +50,7 @@ class DataLinkServer:
         self._links: dict[DataLink, asyncio.Task[None]] = {}
 
     def make_handler(self, address: str) -> "DialectAHandler":
-        """Return what answers a new control connection."""
+        """Return the handler of a new control connection."""
         return DialectAHandler(self, DialectASession(self._server, address), self._throttle)
 
     def pairs(self) -> list[tuple[str, str]]:
@@ -72,7 +72,7 @@ class DataLinkServer:
             task.cancel()
 
     async def make(self, wanted: EndpointPair) -> bool:
-        """Connect to both ends of a link and carry between them; return whether both answered."""
+        """Connect to both ends of a link and forward between them; return whether both answered."""
         ends = (wanted.first, wanted.second)
         streams = await asyncio.gather(
             *(connect(end.address, end.port) for end in ends), return_exceptions=True
@@ -103,7 +103,7 @@ class DataLinkServer:
             log.info("no more link between %s and %s", *link.endpoints.names)
 
     async def _pump(self, link: DataLink, here: LinkEnd, there: LinkEnd) -> None:
-        """Carry what is sent here over to the other side until either closes or the signal is lost."""
+        """Forward messages from one side to the other until either closes or the signal is lost."""
         parser = DataLinkParser()
         try:
             while parser.phase is not DataLinkPhase.CLOSED and (
@@ -125,12 +125,12 @@ class DataLinkServer:
 
 
 class DialectAHandler:
-    """Answers one control connection of dialect A.
+    """Handler of one control connection of dialect A.
 
     Args:
-        links: Makes the links.
+        links: Opens the links.
         session: The dialogue.
-        throttle: Where work queues.
+        throttle: Queue of all work.
     """
 
     closing = False
@@ -156,4 +156,4 @@ class DialectAHandler:
         return self._session.data_to_send()
 
     def connection_lost(self) -> None:
-        """Nothing to clear up: robots stay registered when their control connection ends."""
+        """Do nothing: robots stay registered when their control connection ends."""

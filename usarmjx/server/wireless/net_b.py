@@ -34,7 +34,7 @@ class ProxyConnection:
 
     @property
     def ends(self) -> list[asyncio.StreamWriter]:
-        """What there is of its two ends."""
+        """The present ends of the connection, one or two."""
         return [writer for writer in (self.near, self.far) if writer is not None]
 
     def cut(self) -> None:
@@ -50,8 +50,8 @@ class ProxyServer:
     Args:
         radio: The radio.
         host: Address to listen on.
-        throttle: Where work queues.
-        gate: Lets in who calls the forwarded ports.
+        throttle: Queue of all work.
+        gate: Admits calls to the forwarded ports.
     """
 
     def __init__(self, radio: RadioChannel, host: str, throttle: Throttle, gate: Gate) -> None:
@@ -63,7 +63,7 @@ class ProxyServer:
         self._handlers: set[DialectBHandler] = set()
 
     def make_handler(self, address: str) -> "DialectBHandler":
-        """Return what answers a new control connection."""
+        """Return the handler of a new control connection."""
         handler = DialectBHandler(self, DialectBSession(self._board, normalize_address(address)))
         self._handlers.add(handler)
         return handler
@@ -79,15 +79,15 @@ class ProxyServer:
                 return b""
             answers = session.receive_data(data)
             opened = self._board.take_opened()
-        await self._open(opened)  # before anybody is told the port
+        await self._open(opened)  # before the answer: the client dials the port at once
         return answers
 
     def poll(self) -> Changes:
-        """See what has changed in the world."""
+        """Return the changes of the world since the last poll."""
         return self._board.poll()
 
     async def apply_changes(self, changes: Changes) -> None:
-        """Let the ports and connections follow what has changed."""
+        """Open and close ports and connections after changes of the world."""
         for handler in [handler for handler in self._handlers if handler.name in changes.gone]:
             log.info("%s is not in the world, or has no battery: it no longer takes part", handler.name)
             handler.closing = True
@@ -97,7 +97,7 @@ class ProxyServer:
         await self._open(changes.opened)
 
     def leave(self, handler: "DialectBHandler") -> None:
-        """Forget a control connection and what its robot holds."""
+        """Forget a control connection with its robot's ports and connections."""
         if handler not in self._handlers:
             return
         self._handlers.remove(handler)
@@ -133,7 +133,7 @@ class ProxyServer:
             except UsageError as error:
                 self._fault_log.warning("%s", error)
                 self._board.failed(route)
-            # Meanwhile its caller may have left, or the signal.
+            # During the wait the caller may have left, or the signal be lost.
             if self._ports.get(route) is not port:
                 port.release()
             elif not self._board.is_open(route):
@@ -150,7 +150,7 @@ class ProxyServer:
         if not address or not self._board.may_call(route, normalize_address(address)):
             writer.close()
             return
-        connection, ports = ProxyConnection(writer), []
+        connection, ports = ProxyConnection(writer), list[int]()
         self._connections.setdefault(route, set()).add(connection)
 
         def note(port: int) -> None:
@@ -160,7 +160,7 @@ class ProxyServer:
         try:
             there, far = await connect(self._board.address_of(route.callee), route.port, note)
             connection.far = far
-            if not writer.is_closing():  # cut while the far end took its time
+            if not writer.is_closing():  # it may have been cut while the far end was connecting
                 log.info("%s calls %s", route.caller, route.callee)
                 pumps = self._pump(reader, connection, far), self._pump(there, connection, writer)
                 await asyncio.gather(*pumps)
@@ -192,7 +192,7 @@ class ProxyServer:
 
 
 class DialectBHandler:
-    """Answers one control connection of dialect B.
+    """Handler of one control connection of dialect B.
 
     Args:
         server: The ports and connections.
@@ -208,12 +208,12 @@ class DialectBHandler:
 
     @property
     def name(self) -> str:
-        """The robot that it has joined as, "" before."""
+        """Name of the robot that it has joined as, "" before."""
         return self._session.name
 
     @property
     def alive(self) -> bool:
-        """Whether it has joined: then it may be silent, as it goes when its robot goes."""
+        """Whether it has joined: then it may be silent, as it ends with its robot."""
         return bool(self.name) and not self.closing
 
     async def handle(self, data: bytes) -> bytes:
@@ -221,5 +221,5 @@ class DialectBHandler:
         return await self._server.handle(self, self._session, data)
 
     def connection_lost(self) -> None:
-        """The connection is gone, and with it what its robot holds."""
+        """Release the ports and connections of its robot."""
         self._server.leave(self)

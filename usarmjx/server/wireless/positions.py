@@ -33,7 +33,7 @@ def positions(radio: RadioAccess) -> Message:
     segments = [("Robots", str(len(robots)))]
     for robot in robots:
         location = four_decimals_list(flip_wire_vector(robot.position))
-        name = "_".join(robot.name.split()) or "_"  # it has to be one word in its segment
+        name = "_".join(robot.name.split()) or "_"  # a space would shift the pairs of its segment
         segments.append(("Name", f"{name} Location {location} BatteryEmpty {robot.battery_empty}"))
     return Message("POSITIONS", tuple(segments))
 
@@ -56,7 +56,7 @@ def obstacles(radio: RadioAccess, message: Message) -> Message:
         keys = points
     else:
         raise PeerError("GETOBS needs From and To, or Start and End")
-    # The wireless server at the other end compares with "-1" as a text.
+    # The wireless server at the other end compares with the text "-1", so no decimals here.
     number = "-1" if count is None else two_decimals(count)
     return Message("NUMOBS", (*((key, message.get(key)) for key in keys), ("ObstCount", number)))
 

@@ -1,6 +1,6 @@
-"""The radio of a served world: who is where in it, and how strongly they hear each other now.
+"""The radio of a served world: positions of its robots, and the power received between them now.
 
-The links are those of the world's own radio, looked at once per control step and only when somebody asks.
+The links are those of the world's own radio, computed once per control step and only on request.
 """
 
 from collections.abc import Iterator
@@ -21,14 +21,14 @@ from usarmjx.server.worlds.served_world import ServedWorld
 class RadioChannel:
     """The radio of one served world; a `channel.RadioAccess`.
 
-    Doors count where they stand, robots and loose objects weaken no link.
+    Doors block in their present angle, robots and loose objects weaken no link.
 
     Args:
         world: The world.
         settings: The constants, in a world that has no radio of its own.
 
     Attributes:
-        cutoff: Below this power there is no link [dBm].
+        cutoff: Power below which there is no link [dBm].
 
     Raises:
         UnsupportedGeomError: The arena has a solid of a type that cannot be counted.
@@ -41,7 +41,7 @@ class RadioChannel:
         self._moment: tuple[float, tuple[Robot, ...]] | None = None
         self._states: dict[Robot, RobotState] = {}
         self._links: Links | None = None
-        world.solids_between((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))  # finds solids that cannot be counted
+        world.solids_between((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))  # raises at once if solids cannot be counted
 
     def present(self) -> list[RadioRobot]:
         """Return all robots in the world, in the order of their slots."""
@@ -57,7 +57,7 @@ class RadioChannel:
     def signal_strength(self, one: str, other: str) -> float | None:
         """Return the power received between two robots [dBm]; None if either is not in the world.
 
-        A robot hears itself as from the least distance that the formula knows.
+        A robot receives itself as from the formula's least distance.
         """
         pair = self._find(one), self._find(other)
         if pair[0] is None or pair[1] is None:
@@ -68,14 +68,14 @@ class RadioChannel:
         return float(self._now().power[pair[0].slot, pair[1].slot])
 
     def obstacles(self, one: str, other: str) -> int | None:
-        """Return how many solids lie between two robots; None if either is not in the world."""
+        """Return the number of solids between two robots; None if either is not in the world."""
         pair = self._find(one), self._find(other)
         if pair[0] is None or pair[1] is None:
             return None
         return int(self._now().walls[pair[0].slot, pair[1].slot])
 
     def obstacles_between(self, start: Vec3, end: Vec3) -> int:
-        """Return how many solids lie between two positions, in our axes [m]."""
+        """Return the number of solids between two positions, in our axes [m]."""
         return self._world.solids_between(start, end)
 
     def _robots(self) -> Iterator[Robot]:
@@ -86,7 +86,7 @@ class RadioChannel:
         return next((robot for robot in self._robots() if robot.name.lower() == wanted), None)
 
     def _refresh(self) -> None:
-        """Forget what was looked up in an earlier control step."""
+        """Drop the values of an earlier control step."""
         moment = self._world.time, tuple(self._world.robots.values())
         if self._moment != moment:
             self._moment = moment
@@ -101,7 +101,7 @@ class RadioChannel:
         return self._links
 
     def _state(self, robot: Robot) -> RobotState:
-        """Return where a robot is, fetched once per control step."""
+        """Return the state of a robot, fetched once per control step."""
         self._refresh()
         if robot not in self._states:
             self._states[robot] = self._world.state(robot)

@@ -1,4 +1,4 @@
-"""What the wireless servers share on sockets: a throttle, connecting, bounded waits, reserved ports."""
+"""Sockets of the wireless servers: a throttle, connecting, bounded waits, reserved ports."""
 
 import asyncio
 import errno
@@ -15,35 +15,35 @@ from usarmjx.server.network.gate import LINE_ENDS, Gate, Handler, guarded, keep_
 from usarmjx.server.network.ports import FIRST_DIALLED, bound_socket, may_dial
 
 log = logging.getLogger("usarmjx.server.wireless")
-"""One logger for all of it: USARComServer.ini's bDebug turns it on."""
+"""Logger of all wireless modules: USARComServer.ini's bDebug enables it."""
 
 READ_SIZE = 256
-"""Most bytes taken at once from a control connection, whose every message costs some work."""
+"""Most bytes read at once from a control connection, whose every message costs some work."""
 DATA_READ_SIZE = 16 * 1024
-"""Likewise from a data connection, where a byte costs little."""
+"""Most bytes read at once from a data connection, where a byte costs little."""
 MAX_TIME_SHARE = 0.25
-"""All wireless connections together may use so much of the time; the rest is the world's."""
+"""Share of the time of all wireless connections together; the rest is the world's."""
 BURST = 5e-3
-"""They may be so far ahead of their share [s]."""
+"""Largest lead of the connections over their share [s]."""
 MAX_WRITE_BUFFER = 256 * 1024
-"""While this much waits for a peer to read it, nothing more is read for it [bytes]."""
+"""Unread bytes of a peer from which no more is read for it [bytes]."""
 STALL = 30.0
-"""A peer that reads nothing for so long although something waits for it is dropped [s]."""
+"""Time after which a peer that does not read is dropped [s]."""
 CONNECT_TIMEOUT = 5.0
-"""How long a peer may take to accept a connection [s]."""
+"""Time that a peer has to accept a connection [s]."""
 CONNECT_PENDING = (errno.EINPROGRESS, errno.EWOULDBLOCK)
-"""What a connect that does not wait returns."""
+"""Results of a non-blocking connect that is under way."""
 HUNG_UP: int = getattr(select, "POLLRDHUP", 0)
-"""What `poll` reports of a peer that has hung up; 0 where systems cannot tell."""
+"""Event of `poll` for a peer that has hung up; 0 on systems without one."""
 LINGER = 5.0
-"""How long what was written before a connection ends may take to leave [s]."""
+"""Time that written bytes have to leave before a connection ends [s]."""
 
 
 class Throttle:
-    """Lets connections do their work one at a time, in the order of their coming, within their share.
+    """Lets connections work one at a time, in the order of arrival, within their share.
 
-    `async with throttle:` around work without waiting. Nobody can keep the world from stepping, and nobody
-    comes twice before another has come once.
+    Use `async with throttle:` around work without waiting. No peer can keep the world from stepping, and no
+    peer has two turns before a waiting one has its first.
     """
 
     def __init__(self) -> None:
@@ -53,7 +53,7 @@ class Throttle:
         self._began = self._last = time.perf_counter()
 
     def refill(self) -> None:
-        """Count the time that has passed: the world has made a control step."""
+        """Credit the time since the last call; call it after a control step."""
         now = time.perf_counter()
         self._owed = max(0.0, self._owed - MAX_TIME_SHARE * (now - self._last))
         self._last = now
@@ -77,7 +77,7 @@ class Throttle:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Count what it took."""
+        """Charge the time of the turn."""
         self._owed += time.perf_counter() - self._began
         self._lock.release()
 
@@ -93,10 +93,10 @@ async def listen(
 
     Args:
         where: Address and port to listen on; 0 picks a free one.
-        handler: Is called with every connection that is let in.
-        gate: Lets them in.
+        handler: Handles every connection that is admitted.
+        gate: Admits connections.
         bound: A socket that is bound to them already.
-        ends: What ends the line with the token: any of these bytes.
+        ends: Bytes of which each ends the line with the token.
 
     Raises:
         UsageError: The port is taken or the address is not ours.
@@ -113,12 +113,12 @@ async def listen(
 
 
 class ReservedPort:
-    """A port that stays ours; connections are accepted only while it is open.
+    """A port that stays reserved; connections are accepted only while it is open.
 
     Args:
         host: Address to listen on.
-        handler: Is called with every connection that is let in.
-        gate: Lets them in; it asks for no token here.
+        handler: Handles every connection that is admitted.
+        gate: Admits connections; it requires no token here.
 
     Raises:
         UsageError: There is no port left.
@@ -134,7 +134,7 @@ class ReservedPort:
         """Accept connections.
 
         Raises:
-            UsageError: Somebody else got hold of the port.
+            UsageError: Another process has the port.
         """
         if self._server is None:
             bound, self._bound = self._bound or bound_socket(self._host, self.port), None
@@ -155,7 +155,7 @@ class ReservedPort:
                 log.warning("%s", error)
 
     def release(self) -> None:
-        """Give the port back."""
+        """Release the port."""
         if self._server is not None:
             self._server.close()
         if self._bound is not None:
@@ -190,6 +190,8 @@ async def connect(
         if state:
             async with asyncio.timeout(CONNECT_TIMEOUT):
                 await asyncio.get_running_loop().sock_connect(client, (address, port))
+        # On one machine TCP may connect a port to itself (simultaneous open) when the client's port happens
+        # to be the one dialled.
         if client.getsockname() == client.getpeername():
             raise ConnectionRefusedError("nobody listens there: the call was answered by itself")
         return await asyncio.open_connection(sock=client)
@@ -199,10 +201,10 @@ async def connect(
 
 
 async def drain(writer: asyncio.StreamWriter) -> None:
-    """Wait until a peer has read most of what waits for it.
+    """Wait until a peer has read most of its waiting bytes.
 
     Raises:
-        PeerError: It reads nothing for too long; the connection is broken off.
+        PeerError: It reads nothing for too long; the connection is aborted.
         OSError: It is gone.
     """
     while (waiting := writer.transport.get_write_buffer_size()) > MAX_WRITE_BUFFER:
@@ -216,19 +218,19 @@ async def drain(writer: asyncio.StreamWriter) -> None:
 
 
 def close_gracefully(writer: asyncio.StreamWriter) -> None:
-    """Close a connection once what was written has left, or soon in any case."""
+    """Close a connection once its written bytes have left, or soon in any case."""
     writer.close()
     if writer.transport.get_write_buffer_size():
         asyncio.get_running_loop().call_later(LINGER, writer.transport.abort)
 
 
 def limit_kernel_buffer(writer: asyncio.StreamWriter) -> None:
-    """Keep the system from holding megabytes of answers for a peer that does not read them."""
+    """Limit the system's send buffer: it would hold megabytes of answers for a peer that does not read."""
     writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, MAX_WRITE_BUFFER // 4)
 
 
 def limit_receive_buffer(writer: asyncio.StreamWriter, size: int) -> None:
-    """Keep the system from taking more than so many bytes of a peer that nobody has read yet."""
+    """Limit the bytes that the system receives ahead of reading."""
     writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size)
 
 

@@ -1,4 +1,4 @@
-"""Dialect B of the wireless server: who has joined, and which forwarded ports lead to whom.
+"""Dialect B of the wireless server: participants, and the routes of forwarded ports.
 
 Its messages are in `dialect_b`. A port of the server is forwarded per caller, robot called and port, and
 stays the same for as long as the caller is a participant. It is open only while the radio carries the pair,
@@ -21,12 +21,12 @@ MAX_CONNECTIONS_PER_ROBOT = 32
 MAX_CONNECTIONS = 128
 """Proxied connections of all robots, two sockets each."""
 JOIN_TIMEOUT = 30.0
-"""Who has joined and is not in the world yet has so long to appear [s of real time]."""
+"""Time that a participant has to enter the world after joining [s of real time]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """A way from one robot to a port of another."""
+    """Route from one robot to a port of another."""
 
     caller: str
     callee: str
@@ -51,9 +51,9 @@ class Participant:
     """A robot that has joined.
 
     Attributes:
-        address: Where its controller is.
-        ports: Where that listens; the first is meant when none is named.
-        since: When it joined [s of real time].
+        address: Address of its controller.
+        ports: Listening ports of its controller; the first is meant when none is named.
+        since: Time at which it joined [s of real time].
         seen: Whether the robot has been in the world since, or was then.
     """
 
@@ -65,7 +65,7 @@ class Participant:
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """What has changed since the last poll of the world.
+    """Changes since the last poll of the world.
 
     Attributes:
         gone: Participants that have to leave: not in the world, or without battery.
@@ -84,8 +84,8 @@ class Switchboard:
     Args:
         radio: The radio.
         allocate: Reserves a port for a route; None when there is none left.
-        now: The time that passes for a client [s].
-        may_dial: Whether an address may be dialled at a port; a robot does not listen where it may not.
+        now: Returns the real time [s].
+        may_dial: Whether an address may be dialled at a port; other ports of a robot are ignored.
     """
 
     def __init__(
@@ -107,12 +107,12 @@ class Switchboard:
         return name in self._participants
 
     def join(self, name: str, address: str, ports: tuple[int, ...]) -> None:
-        """Note that a robot has joined."""
+        """Add a participant."""
         ports = tuple(port for port in ports if self._may_dial(address, port))
         self._participants[name] = Participant(address, ports, self._now(), seen=self.radio.has_robot(name))
 
     def leave(self, name: str) -> tuple[list[Route], list[Route]]:
-        """Forget a robot; return the routes from it, which are gone, and those to it, which are closed."""
+        """Remove a participant; return the routes from it, now gone, and those to it, now closed."""
         self._participants.pop(name, None)
         gone = [route for route in self._forwarded_ports if route.caller == name]
         for route in gone:
@@ -127,17 +127,17 @@ class Switchboard:
         return gone, closed
 
     def ports_of(self, name: str) -> tuple[int, ...]:
-        """Return where a robot listens; nothing if it has not joined."""
+        """Return the listening ports of a robot; none if it has not joined."""
         participant = self._participants.get(name)
         return participant.ports if participant else ()
 
     def address_of(self, name: str) -> str:
-        """Return where a robot's controller is, "" if it has not joined."""
+        """Return the address of a robot's controller, "" if it has not joined."""
         participant = self._participants.get(name)
         return participant.address if participant else ""
 
     def forwarded_port(self, route: Route) -> int | None:
-        """Return the port that is forwarded along a route, a new one if need be; None if none can be had."""
+        """Return the forwarded port of a route, a new one if need be; None if there is none left."""
         if route not in self._forwarded_ports:
             held = sum(other.caller == route.caller for other in self._forwarded_ports)
             room = held < MAX_PORTS_PER_ROBOT and len(self._forwarded_ports) < MAX_PORTS
@@ -152,12 +152,12 @@ class Switchboard:
         return forwarded.port
 
     def take_opened(self) -> list[Route]:
-        """Return the routes that are open since somebody asked for their ports, and forget them."""
+        """Return the routes that opened on request since the last call."""
         opened, self._opened = self._opened, []
         return opened
 
     def failed(self, route: Route) -> None:
-        """Note that a route's port could not be opened: the next poll tries again."""
+        """Record that a route's port could not be opened: the next poll tries again."""
         if route in self._forwarded_ports:
             self._forwarded_ports[route].is_open = False
 
@@ -166,7 +166,7 @@ class Switchboard:
         return route in self._forwarded_ports and self._forwarded_ports[route].is_open
 
     def poll(self) -> Changes:
-        """See who is in the world and which routes the radio carries."""
+        """Return the changes of participants in the world and of routes that the radio carries."""
         present = {robot.name.lower(): robot for robot in reversed(self.radio.present())}
         gone = tuple(name for name in self._participants if self._is_gone(name, present.get(name.lower())))
         opened: list[Route] = []
@@ -179,7 +179,7 @@ class Switchboard:
         return Changes(gone, tuple(opened), tuple(closed))
 
     def may_call(self, route: Route, address: str) -> bool:
-        """Return whether a connection from an address to a route's port is let through now."""
+        """Return whether a connection from an address to a route's port is accepted now."""
         count = Counter(name for other in self._connections.values() for name in (other.caller, other.callee))
         return (
             self.is_open(route)
@@ -190,16 +190,16 @@ class Switchboard:
         )
 
     def add_connection(self, route: Route, port: int) -> None:
-        """Note a proxied connection by the port that we connected to its far end from."""
+        """Add a proxied connection, by our local port at its far end."""
         self._connections[port] = route
 
     def remove_connections(self, *ports: int) -> None:
-        """Note that the proxied connections from these ports are gone."""
+        """Remove the proxied connections of these local ports."""
         for port in ports:
             self._connections.pop(port, None)
 
     def caller_at(self, name: str, port: int) -> str:
-        """Return who is connected to a robot through one of our ports, "" if nobody is."""
+        """Return the robot that is connected to another through a local port, "" if there is none."""
         route = self._connections.get(port)
         return route.caller if route and route.callee == name else ""
 

@@ -1,7 +1,7 @@
 """A served world that is one of a running batch: clients claim parked robots of the roster.
 
-The batch's shape is fixed, so INIT can only activate a parked robot of the asked class; disconnecting parks
-it again. All worlds of the batch run on; only the served one listens to clients.
+The batch's shape is fixed, so INIT can only activate a parked robot of the requested class; disconnecting
+parks it again. All worlds of the batch run on; only the served one has clients.
 """
 
 import logging
@@ -26,18 +26,23 @@ from usarmjx.models.types.robot import RobotSpec
 from usarmjx.recording.inputs import WorldSetup, batch_setup, orders_of
 from usarmjx.sensors.cameras.picture import Picture
 from usarmjx.sensors.suite import suite_of
-from usarmjx.server.worlds.recorded import keep_reading, record_step
+from usarmjx.server.worlds.recorded import record_step, store_reading
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
 from usarmjx.sim.batch import Batch, BatchState, Readings, put_robot
 from usarmjx.sim.control import RobotCommand, idle_command
 from usarmjx.sim.reset import new_group_state, started
-from usarmjx.sim.scene import PARKING_HEIGHT
+from usarmjx.sim.scene import PARKING_HEIGHT, Scene
 from usarmjx.sim.world import GroupState, World, time_of
+
+log = logging.getLogger(__name__)
+
+INITIAL_FIELDS = ("active", "battery_start", "drowned", "command", "releases", "fov", "memory")
+"""Fields of a robot's state that activation sets to their initial values."""
 
 
 def parse_instances(text: str, worlds: int) -> tuple[int, ...]:
-    """Return the numbers of the worlds that a text names, ascending.
+    """Return the numbers of the worlds in a text, ascending.
 
     Args:
         text: `all`, or numbers and ranges, as `0,2-5`.
@@ -63,7 +68,7 @@ def check_instances(instances: Sequence[int], worlds: int) -> None:
     """Refuse numbers of worlds that a batch does not have.
 
     Raises:
-        UsageError: One is none of its worlds, or there is none.
+        UsageError: A number is out of range, or there is none.
     """
     if not instances:
         raise UsageError("no instance is to be served")
@@ -72,14 +77,8 @@ def check_instances(instances: Sequence[int], worlds: int) -> None:
             raise UsageError(f"instance {instance} is not among worlds 0 to {worlds - 1}")
 
 
-log = logging.getLogger(__name__)
-
-STARTED_FIELDS = ("active", "battery_start", "drowned", "command", "releases", "fov", "memory")
-"""What is as new of a robot that was parked and is in use now."""
-
-
 class SharedBatch:
-    """A batch that several served worlds are part of: whoever asks for the next step first makes it.
+    """A batch that several served worlds are part of: the first one that needs the next step makes it.
 
     Args:
         batch: The batch.
@@ -98,7 +97,7 @@ class SharedBatch:
         self.served: list[BatchWorld] = []
 
     def advance(self, steps: int) -> None:
-        """Have made so many steps since the beginning."""
+        """Advance to a number of control steps since the beginning."""
         while self.steps < steps:
             for world in self.served:
                 world.record_orders()
@@ -111,16 +110,16 @@ class SharedBatch:
         self.steps += 1
 
     def observe(self) -> None:
-        """Read the sensors that are due, of all worlds: a reading is as new as it is for one time only."""
+        """Read the sensors that are due, for all served worlds: a reading is fresh in one call only."""
         self.state, readings = self.batch.observe(self.state)
         for world in self.served:
             world.keep(readings)
 
 
-def one_of(instance: int, tree: Any) -> Any:  # noqa: ANN401 - a PyTree
-    """Return a world of a PyTree (worlds, ...) as NumPy arrays of their own.
+def select_world(instance: int, tree: Any) -> Any:  # noqa: ANN401 - a PyTree
+    """Return one world of a PyTree (worlds, ...) as NumPy arrays of their own.
 
-    On the host all worlds are looked at where they are: to pick one by JAX takes ten times as long.
+    On the host all worlds are viewed without a copy first: selecting one in JAX takes ten times as long.
     """
     first = next((leaf for leaf in jax.tree.leaves(tree) if isinstance(leaf, jax.Array)), None)
     if first is None or {device.platform for device in first.devices()} == {"cpu"}:
@@ -133,7 +132,7 @@ class BatchWorld(ServedWorld):
 
     Args:
         batch: The batch; its roster's parked robots can be claimed. Worlds of one batch share it.
-        instance: Which world to serve.
+        instance: Number of the served world.
 
     Raises:
         UsageError: The batch has no such world.
@@ -143,7 +142,7 @@ class BatchWorld(ServedWorld):
         self._shared = batch if isinstance(batch, SharedBatch) else SharedBatch(batch)
         self._batch, self._instance = self._shared.batch, instance
         check_instances([instance], self._batch.worlds)
-        self.scene, self.robots = self._batch.scene, {}
+        self.robots = {}
         self.period = self.scene.physics.period
         self.arena = self._batch.arena_of(self._state, instance)
         self._fetched: tuple[BatchState, tuple[World, PhysicsState]] | None = None
@@ -153,19 +152,24 @@ class BatchWorld(ServedWorld):
         if not self._steps:
             self._advance()
 
+    @property
+    def scene(self) -> Scene:
+        """The scene of the batch."""
+        return self._batch.scene
+
     def setup(self) -> WorldSetup:
-        """Return what the world was made of."""
+        """Return the world's inputs at its beginning."""
         taken = "robots were in use before the recording began" if self.robots else ""
         return replace(batch_setup(self._batch, self._instance, self._shared.steps), why_not=taken)
 
     def record_orders(self) -> None:
-        """Tell the recorder, if there is one, what robots have been told by now."""
+        """Record the robots' commands in force, if the world is recorded."""
         if self.recorder is not None:
             groups = self._state.worlds.groups
-            self.recorder.told(self.scene, [orders_of(state, self._instance) for state in groups])
+            self.recorder.record_orders(self.scene, [orders_of(state, self._instance) for state in groups])
 
     def record_physics(self) -> None:
-        """Tell the recorder, if there is one, where all is after a control step."""
+        """Record the physics after a control step, if the world is recorded."""
         if self.recorder is not None:
             physics = self._batch.physics(self._state)
             mine = jax.tree.map(lambda x: np.asarray(x)[self._instance], physics)
@@ -180,7 +184,7 @@ class BatchWorld(ServedWorld):
         self._shared.state = state
 
     def warm_up(self) -> None:
-        """Let one robot of each class come, be read and take a command, and forget it all."""
+        """Compile all programs: activate, read and command a robot of each class, then restore the state."""
         before = self._state
         for group in self.scene.groups:
             pos = (0.0, 0.0, self.arena.floor + group.plan.clearance + PARKING_HEIGHT)
@@ -196,7 +200,7 @@ class BatchWorld(ServedWorld):
 
     @property
     def time(self) -> float:
-        """Simulated time since the world began [s]; it goes on when a world that went bad is reset."""
+        """Simulated time since the world began [s]; it goes on when a world that diverged is reset."""
         return self._steps * self.period
 
     def one_world(self) -> tuple[World, PhysicsState]:
@@ -204,7 +208,7 @@ class BatchWorld(ServedWorld):
         if self._fetched is None or self._fetched[0] is not self._state:
             worlds, physics = self._state.worlds, self._batch.physics(self._state)
             keyed = worlds.replace(key=jax.random.key_data(worlds.key))
-            mine = one_of(self._instance, (keyed, physics))
+            mine = select_world(self._instance, (keyed, physics))
             self._fetched = self._state, mine
         return self._fetched[1]
 
@@ -220,7 +224,7 @@ class BatchWorld(ServedWorld):
         self._state = self._batch.with_group(self._state, group, state.replace(**new))
 
     def spawn_at(self, robot: RobotSpec, name: str, poses: Sequence[tuple[Vec3, Vec3]]) -> Robot:
-        """Activate a parked robot of that class and put it at the first pose."""
+        """Activate a parked robot of that class at the first pose."""
         pos, angles = poses[0]
         self.check_position(pos)
         for group, state in zip(self.scene.groups, self._state.worlds.groups, strict=True):
@@ -240,7 +244,7 @@ class BatchWorld(ServedWorld):
         return new
 
     def _start(self, robot: Robot, pos: np.ndarray, quat: np.ndarray) -> None:
-        """Put a robot there whose slot is free, as new."""
+        """Activate the robot of a free slot at a pose, in its initial state."""
         self._set_pose(robot.slot, pos, quat)
         self._homes[robot.slot] = pos, quat
         number, member = self.scene.group_of(robot.slot)
@@ -252,7 +256,7 @@ class BatchWorld(ServedWorld):
                 self.scene, world, physics, group, new_group_state(self.scene, group, True, since)
             )
         robot.command = jax.tree.map(lambda x: x[0], state.command)
-        fields = {name: getattr(state, name) for name in STARTED_FIELDS}
+        fields = {name: getattr(state, name) for name in INITIAL_FIELDS}
         self.edit(robot, **jax.tree.map(lambda x: x[0], fields))
         self.robots[robot.slot] = robot
 
@@ -270,7 +274,7 @@ class BatchWorld(ServedWorld):
             self.edit(robot, active=False, command=jax.tree.map(np.array, idle_command(robot.spec)))
 
     def switch(self, instance: int) -> None:
-        """Serve another world of the batch; the clients keep their robots, which come along as new.
+        """Serve another world of the batch; the clients' robots come along in their initial state.
 
         Raises:
             UsageError: There is no such world, another server serves it, or a robot of it that a client would
@@ -291,21 +295,21 @@ class BatchWorld(ServedWorld):
         self._instance, self._episode = instance, int(self._state.worlds.episode[instance])
         self.arena = self._batch.arena_of(self._state, instance)
         for robot, state in zip(robots, states, strict=True):
-            self._enter(robot, state)
+            self._join_world(robot, state)
 
     def _is_taken(self, instance: int, slot: int) -> bool:
         """Return whether the robot of a slot of a world is in use."""
         group, member = self.scene.group_of(slot)
         return bool(self._state.worlds.groups[group].active[instance, member])
 
-    def _enter(self, robot: Robot, state: RobotState) -> None:
-        """Bring a client's robot into this world, from where it stood in another."""
+    def _join_world(self, robot: Robot, state: RobotState) -> None:
+        """Move a client's robot into this world, with its pose of another."""
         robot.pending.clear()
         self._start(robot, np.asarray(state.pos), np.asarray(state.quat))
 
     def set_command(self, robot: Robot, command: RobotCommand) -> None:
         """Replace the robot's command."""
-        # The world's own time begins at 0 again when it is reset, that of its clients goes on.
+        # The world's step counter begins at 0 again after a reset, while the clients' time goes on.
         shift = jnp.asarray(self._world_time() - self.time)
         robot.command = command
         self.edit(robot, command=command.replace(flip_until=command.flip_until + shift))
@@ -323,13 +327,13 @@ class BatchWorld(ServedWorld):
         episode = int(self._state.worlds.episode[self._instance])
         before, self._episode = self._episode, episode
         if episode != before:
-            self.mishaps.resets += 1
+            self.recovery_log.resets += 1
             log.error("the physics of world %d was not finite: it is reset, robots parked", self._instance)
             for robot in list(self.robots.values()):
-                self._lose(robot)
+                self._drop(robot)
 
-    def _lose(self, robot: Robot) -> None:
-        """Forget a robot that has gone without its client."""
+    def _drop(self, robot: Robot) -> None:
+        """Forget a robot that was lost without its client's doing."""
         del self.robots[robot.slot]
 
     def prepare_reset(self) -> None:
@@ -338,7 +342,7 @@ class BatchWorld(ServedWorld):
         jax.block_until_ready(self._batch.reset_where(self._state, nowhere).worlds)
 
     def reset(self) -> None:
-        """Begin this world's next episode; clients' robots go back to where they appeared."""
+        """Begin this world's next episode; clients' robots return to their spawn poses."""
         here = np.arange(self._batch.worlds) == self._instance
         if self.recorder is not None:
             self.recorder.reset()
@@ -346,21 +350,21 @@ class BatchWorld(ServedWorld):
         self._episode = int(self._state.worlds.episode[self._instance])
         self.arena = self._batch.arena_of(self._state, self._instance)
         for robot in self.robots.values():
-            self._begin_again(robot)
+            self._restart_robot(robot)
         self.forget()
 
-    def _begin_again(self, robot: Robot) -> None:
-        """Bring a client's robot into a world that has just been reset."""
-        robot.begin_again(robot.command)
+    def _restart_robot(self, robot: Robot) -> None:
+        """Restart a client's robot in a world that has just been reset."""
+        robot.restart(robot.command)
         self._start(robot, *self._homes[robot.slot])
 
     def observe(self, due: list[Robot]) -> None:
-        """Read all sensors of the batch that are due; keep what the clients of its worlds will want."""
-        del due  # one compiled function reads everybody
+        """Read all sensors of the batch that are due; store those of the robots that clients have."""
+        del due  # one compiled function reads all robots
         self._shared.observe()
 
     def keep(self, readings: Readings) -> None:
-        """Keep what clients will want of what has just been read in the batch."""
+        """Store the readings of the robots that clients have."""
         for robot in self.robots.values():
             group, member = self.scene.group_of(robot.slot)
             at = (self._instance, member)
@@ -368,7 +372,7 @@ class BatchWorld(ServedWorld):
             mine = jax.device_get(jax.tree.map(lambda x, at=at: x[at], readings[group]))
             for sensor, reading in enumerate(mine):
                 if reading.fresh:
-                    keep_reading(self, robot, sensor, reading.value)
+                    store_reading(self, robot, sensor, reading.value)
 
     def links(self, radio: RadioSettings) -> Links:
         """Return the radio links as they are now, by slot; those of the batch, if it has a radio."""
@@ -378,7 +382,7 @@ class BatchWorld(ServedWorld):
         return jax.tree.map(lambda x: np.asarray(x[self._instance]), links)
 
     def snapshot(self, requests: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:
-        """Take a snapshot of what pictures show; return a function that renders them."""
+        """Take a snapshot of the world for pictures; return a function that renders them."""
         state, instance = self._state, self._instance
 
         def render(asked: CameraRequest | ViewpointRequest) -> Picture:
@@ -391,7 +395,7 @@ class BatchWorld(ServedWorld):
         return lambda: [render(asked) for asked in requests]
 
     def operate(self, robot: Robot, effecter: int, opcode: Opcode, value: float) -> str:
-        """Carry out a SET command on an effecter, as the batch does it."""
+        """Carry out a SET command on an effecter, by the batch's own program."""
         group, member = self.scene.group_of(robot.slot)
         at = (self._instance, member)
         where = np.zeros(self._state.worlds.groups[group].active.shape, bool)
@@ -405,7 +409,7 @@ class BatchWorld(ServedWorld):
 
 
 def floor_correction(name: str, low: float, floor: float) -> float:
-    """Return by how much to raise a robot whose lowest point is at `low` [m], and log it."""
+    """Return the lift of a robot with its lowest point at `low` [m] to the floor [m], and log it."""
     raised = max(0.0, floor - low)
     if raised > 0:
         log.info("%s would start %.3f m inside the floor: raised", name, raised)

@@ -144,7 +144,9 @@ class DynamicWorld(ServedWorld):
     def step(self) -> None:
         """Advance by one control step; robots that diverge return to their spawn poses."""
         if self.recorder is not None:
-            self.recorder.told(self.scene, [{"command": one.command} for one in self._single.world.groups])
+            self.recorder.record_orders(
+                self.scene, [{"command": one.command} for one in self._single.world.groups]
+            )
         put_back = self._single.step()
         record_step(self, self._single.engine.data)
         if put_back:

@@ -1,4 +1,4 @@
-"""The worlds that `usarmjx serve` serves, by engine."""
+"""Construction of the worlds of `usarmjx serve`, by engine."""
 
 from collections.abc import Sequence
 
@@ -10,6 +10,7 @@ from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch, check_ins
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.sim.batch import Batch
+from usarmjx.sim.calibration import build_calibrated
 from usarmjx.sim.scene import RosterEntry, build_scene
 
 
@@ -49,10 +50,10 @@ def make_worlds(
         roster: Robots that wait for clients, as P2AT:4,P2DX:2; on engine `c`, where any class can come at any
             time, those that are prepared before the first client.
         max_robots: Most robots of one world.
-        seed: Of all random numbers; each world has its own.
+        seed: Seed of all random numbers; each world has its own.
 
     Raises:
-        UsageError: No such instance, or a roster that does not read.
+        UsageError: No such instance, or a roster that does not parse.
         UnknownNameError: Unknown arena, engine or robot class.
         EngineError: The engine cannot run here.
     """
@@ -67,5 +68,6 @@ def make_worlds(
     if not entries:
         raise UsageError("a batch needs a roster of robots for clients to claim, as --roster P2AT:4")
     scene = build_scene(arena, entries)
-    shared = SharedBatch(Batch(scene, worlds, engine=choose_engine(engine, "serve"), seed=seed))
+    chosen = choose_engine(engine, "serve")
+    shared = SharedBatch(build_calibrated(lambda: Batch(scene, worlds, engine=chosen, seed=seed)))
     return [BatchWorld(shared, instance) for instance in instances]

@@ -92,9 +92,7 @@ class PolicyBatch(SharedBatch):
         self._observe_all = self._of_views(env.task.observe, precise=False)
         self._apply_actions_all = self._of_views(self._apply_actions, precise=True)
         self._act = jax.jit(policy.act)
-        self._maps_of = jax.jit(
-            lambda memory, world: env.task.maps(env.scene, jax.tree.map(lambda x: x[world], memory))
-        )
+        self._maps_of: Callable[..., Any] = jax.jit(self._map_world)
         self._maps: dict[int, tuple[int, TeamMaps | None]] = {}
         self._episodes = np.asarray(self.state.worlds.episode)
         super()._step()  # a client that comes at once finds a world that has begun
@@ -113,7 +111,11 @@ class PolicyBatch(SharedBatch):
 
         of_parts.__name__ = function.__name__
         program = compile_program(jax.vmap(of_parts), self.env.program_cache, "PolicyBatch", precise=precise)
-        return lambda views, *rest: program((views.world, views.physics, views.readings), *rest)
+
+        def of_views(views: TaskView, *rest: Any) -> Any:  # noqa: ANN401
+            return program((views.world, views.physics, views.readings), *rest)
+
+        return of_views
 
     def use_policy(self, policy: Policy) -> None:
         """Replace the policy; it is compiled before its first action. May be called in a thread.
@@ -130,6 +132,9 @@ class PolicyBatch(SharedBatch):
         if self.env.scene.radio is not None:
             world = world.replace(links=update_links(self.env.scene, world, physics))
         return world, readings
+
+    def _map_world(self, memory: Any, world: int) -> Any:  # noqa: ANN401
+        return self.env.task.maps(self.env.scene, jax.tree.map(lambda x: x[world], memory))
 
     def _begin(self, view: TaskView, key: jax.Array, episode: jax.Array) -> Any:  # noqa: ANN401 - task memory
         return self.env.task.start(view, jax.random.fold_in(key, episode))

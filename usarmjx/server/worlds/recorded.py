@@ -1,4 +1,4 @@
-"""What served worlds tell their recorders, and what they were made of."""
+"""Recording of served worlds: their initial inputs, steps and readings."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 def record_worlds(
     worlds: "Sequence[ServedWorld]", path: Path, radio: RadioSettings | None = None
 ) -> RecordingFile:
-    """Record served worlds, from now on, in a file that is to be closed at the end.
+    """Record served worlds, from now on, in a file that the caller closes at the end.
 
     Args:
         worlds: The worlds.
         path: The file.
-        radio: Constants of the radio that their server has; None: links are kept of worlds with a radio of
-            their own only.
+        radio: Constants of the server's radio; None: links are recorded only of worlds with a radio of
+            their own.
 
     Raises:
-        UsageError: The file is there already.
+        UsageError: The file exists already.
         WriteError: It cannot be written.
     """
     about = {**versions(), "arenas": ", ".join(dict.fromkeys(world.arena.name for world in worlds))}
@@ -43,7 +43,7 @@ def record_worlds(
 
 
 def single_setup(world: "ServedWorld", origin: tuple[int, int, int]) -> WorldSetup:
-    """Return what a world of engine `c` was made of, by its seed, its number and its seats."""
+    """Return the inputs of a world of engine `c`: seed, number and capacity."""
     seed, number, seats = origin
     return WorldSetup(
         kind=SINGLE,
@@ -60,12 +60,12 @@ def single_setup(world: "ServedWorld", origin: tuple[int, int, int]) -> WorldSet
 def record_step(
     world: "ServedWorld", physics: "PhysicsState | mujoco.MjData", time: float | None = None
 ) -> None:
-    """Tell a world's recorder that a control step was made.
+    """Record a control step, if the world is recorded.
 
     Args:
         world: The world.
         physics: Its physics, with all digits.
-        time: Simulated time, where the world does not know yet [s].
+        time: Simulated time [s]; None: the world's own, which a batch updates only later.
     """
     recorder = world.recorder
     if recorder is None:
@@ -74,7 +74,7 @@ def record_step(
     recorder.stepped(world.time if time is None else time, qpos, qvel, act)
     if recorder.frame_is_due:
         state, seen = world.one_world()
-        recorder.look(
+        recorder.record_frame(
             WorldSnapshot(
                 scene=world.scene,
                 world=state,
@@ -88,14 +88,14 @@ def record_step(
 
 
 def _links(world: "ServedWorld", radio: RadioSettings | None) -> Links | None:
-    """Return the links of robots that have their radio by the server."""
+    """Return the links of robots whose radio is the server's."""
     if radio is None or world.scene.radio is not None or len(world.robots) < 2:
         return None
     return world.links(radio)
 
 
-def keep_reading(world: "ServedWorld", robot: "Robot", sensor: int, value: np.ndarray) -> None:
-    """Keep what a sensor, by index in the suite, has measured until it is reported."""
+def store_reading(world: "ServedWorld", robot: "Robot", sensor: int, value: np.ndarray) -> None:
+    """Store the reading of a sensor, by index in the suite, for the next report."""
     robot.pending[sensor] = value
     robot.latest[sensor] = world.time, value
     if world.recorder is not None:

@@ -27,23 +27,25 @@ COLORS: dict[str, Vec3] = {
 }
 """Red, green and blue, 0 to 1, of `commands.TRACE_COLORS`."""
 MIN_DISTANCE = 7 / 250
-"""A robot has to move further than this between two points [m]: 7 Unreal units (KRobot.uc)."""
+"""Least distance between two points of a trace [m]: 7 Unreal units (KRobot.uc)."""
 MIN_INTERVAL = 0.1
-"""A robot's position is looked up no more often than this [s]."""
+"""Least interval between two reads of a robot's position [s]."""
 MAX_POINTS = 512
-"""Most points of a world. When there would be more, every other one goes, and from then on every other one is
-not left at all: the whole way can still be seen."""
+"""Most points of a world's traces.
+
+Beyond that, every other point is dropped, and from then on every other new one: the whole path stays visible.
+"""
 
 
 @dataclass
 class RobotTrace:
-    """One robot's trace.
+    """State of one robot's trace.
 
     Attributes:
         command: The last Trace command.
-        last: Where its last point is [m], None before the first.
+        last: Position of its last point [m], None before the first.
         next: Time from which the next point may come [s].
-        count: How many there would be of it.
+        count: Number of its points, dropped ones included.
     """
 
     command: Trace
@@ -52,7 +54,7 @@ class RobotTrace:
     count: int = 0
 
     def due(self, time: float) -> bool:
-        """Whether it is time to look where the robot is."""
+        """Whether a point is due."""
         return self.command.on and time >= self.next - 1e-6
 
 
@@ -62,14 +64,14 @@ class Traces:
 
     Attributes:
         points: Position [m] and colour of each.
-        stride: Of so many points one is kept.
+        stride: Of this many points one is kept.
     """
 
     points: list[tuple[Vec3, str]] = field(default_factory=list[tuple[Vec3, str]])
     stride: int = 1
 
     def add_point(self, trace: RobotTrace, position: Vec3, time: float) -> None:
-        """Leave a point where a robot is now, if it is far enough from its last one."""
+        """Add a point at a robot's position, if it is far enough from its last one."""
         trace.next = time + MIN_INTERVAL
         if trace.last is not None and np.linalg.norm(np.subtract(position, trace.last)) <= MIN_DISTANCE:
             return
@@ -87,7 +89,7 @@ class Traces:
         self.stride = 1
 
     def sketch(self) -> OverlayLines:
-        """Return all points, to be drawn; numpy arrays."""
+        """Return all points as overlay; NumPy arrays."""
         positions = np.array([position for position, _ in self.points], np.float32).reshape(-1, 3)
         colors = np.array([COLORS[color] for _, color in self.points], np.float32).reshape(-1, 3)
         return OverlayLines(start=positions, end=positions, rgb=colors, shown=np.ones(len(positions), bool))
@@ -101,14 +103,14 @@ class Robot:
         slot: Its index in the world, which it keeps.
         name: Its name on the wire.
         suite: Its class's sensors.
-        command: Its command; numpy arrays.
-        spawn_time: World time at which it appeared [s].
-        drowned: Whether water has killed its battery.
+        command: Its command; NumPy arrays.
+        spawn_time: World time at which it was spawned [s].
+        drowned: Whether water has shorted its battery.
         pending: Readings that have not been reported yet, by index in the suite.
-        latest: The last readings, by index in the suite, and when they were taken [s].
+        latest: The last readings, by index in the suite, with their times [s].
         tile: Its tile of the MultiView, -1 without one.
-        obeys: Whose commands it takes meanwhile in place of its client's.
-        next_report: When it reports next [s]; never without a client.
+        controller: Dialogue that drives it in place of its client; None: its client does.
+        next_report: Time of its next report [s]; infinite without a client.
     """
 
     slot: int
@@ -117,23 +119,23 @@ class Robot:
     command: RobotCommand
     spawn_time: float
     drowned: bool = False
-    pending: dict[int, np.ndarray] = field(default_factory=dict)
-    latest: dict[int, tuple[float, np.ndarray]] = field(default_factory=dict)
+    pending: dict[int, np.ndarray] = field(default_factory=dict[int, np.ndarray])
+    latest: dict[int, tuple[float, np.ndarray]] = field(default_factory=dict[int, tuple[float, np.ndarray]])
     tile: int = -1
-    obeys: object = None
+    controller: object = None
     next_report: float = math.inf
 
     def __post_init__(self) -> None:
-        """Give it what its cameras start with."""
-        self.described = self.spec
-        """Its class, whatever has been edited since; `figures` are those that have been, by their keys."""
-        self.figures: dict[str, float] = {}
+        """Set its cameras to their defaults."""
+        self.class_spec = self.spec
+        """Description of its class without edits; `parameters` has the edited parameters, by their keys."""
+        self.parameters: dict[str, float] = {}
         self.fovs = [camera.default_fov for camera in self.cameras]
         """Field of view in force of each camera [rad]."""
         self.viewports = Viewports.of([camera.mount.name for camera in self.cameras])
 
-    def begin_again(self, command: RobotCommand) -> None:
-        """Forget what it was told and what it has read."""
+    def restart(self, command: RobotCommand) -> None:
+        """Forget commands and readings."""
         self.command, self.drowned = command, False
         self.pending.clear()
         self.latest.clear()
@@ -141,7 +143,7 @@ class Robot:
 
     @property
     def plan(self) -> KinematicTree:
-        """Its body plan."""
+        """Its kinematic tree."""
         return self.suite.plan
 
     @property

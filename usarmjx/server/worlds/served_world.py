@@ -2,8 +2,8 @@
 
 Three worlds implement it: `dynamic_world.DynamicWorld` (a `sim.single_world.SingleWorld`: any class at any
 time), `batch_world.BatchWorld` (one world of a running `sim.batch.Batch`, where robots wait parked) and
-`policy_world.PolicyWorld` (the same with a policy driving the robots that nobody has claimed). What is here
-calls the simulator's pure functions on NumPy, of whichever world.
+`policy_world.PolicyWorld` (the same with a policy driving the robots that no client has claimed). The shared
+methods call the simulator's pure functions on NumPy.
 """
 
 import math
@@ -45,15 +45,20 @@ from usarmjx.sim.radio import radio_obstacles, update_links
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.world import World, sense_self
 
+ROBOT_FIELDS = ("state", "bodies", "hits")
+"""Fields of a group's `SensorInput` with a leading axis over robots."""
+MAX_COORDINATE = 1000.0
+"""Largest coordinate of a spawn pose [m]: single precision gets coarse beyond it."""
+
 
 @dataclass
 class RecoveryLog:
-    """What has happened to a world's physics so far.
+    """Recoveries of a world's physics so far.
 
     Attributes:
-        put_back: Robots and objects that went bad and were put back.
-        resets: How often the whole world was reset for that.
-        names: What was put back last.
+        put_back: Robots and objects that diverged and were returned to their initial poses.
+        resets: Number of resets of the whole world for that reason.
+        names: Names of the last recovered robots and objects.
     """
 
     put_back: int = 0
@@ -61,18 +66,12 @@ class RecoveryLog:
     names: tuple[str, ...] = ()
 
 
-ROBOT_FIELDS = ("state", "bodies", "hits")
-"""What of a group's `SensorInput` has a leading axis over robots."""
-MAX_COORDINATE = 1000.0
-"""Nobody spawns further from the origin than this [m]: single precision gets coarse there."""
-
-
 @dataclass(frozen=True)
 class CameraRequest:
-    """A picture to render.
+    """Picture of a robot's camera to render.
 
     Attributes:
-        robot: Whose camera.
+        robot: Robot with the camera.
         camera: Index of the camera among `robot.cameras`.
         width: [pixels]
         height: [pixels]
@@ -86,10 +85,10 @@ class CameraRequest:
 
 @dataclass(frozen=True, eq=False)
 class ViewpointRequest:
-    """A picture to render from where no robot's camera need be.
+    """Picture of a free viewpoint to render.
 
     Attributes:
-        viewpoint: From where; numpy arrays.
+        viewpoint: The viewpoint; NumPy arrays.
         width: [pixels]
         height: [pixels]
     """
@@ -109,46 +108,49 @@ def status_of(outcome: OperationResult) -> str:
 class ServedWorld(ABC):
     """A world that clients share. Positions and angles are in our axes.
 
-    A subclass sets the attributes in its constructor and implements what is abstract here: robots that come
+    A subclass sets the attributes in its constructor and implements the abstract methods: robots that come
     and go (`spawn`, `remove`: both keep `robots`), the step, sensors that are read into `Robot.pending`, the
-    present state, changes of a robot's state, operations, and pictures. What takes long before it can be done
-    the first time goes into `warm_up`, if it needs no robot class, and into `prepare`.
-    All is called by one thread, the server's loop, except `prepare` and what `snapshot` returns.
+    present state, changes of a robot's state, operations, and pictures. Compilation before the first use
+    goes into `warm_up`, if it needs no robot class, and into `prepare`.
+    One thread calls all methods, the server's loop, except `prepare` and the result of `snapshot`.
 
     Attributes:
-        scene: The scene; one of C MuJoCo is another whenever a robot joins or leaves.
-        arena: Where it is.
+        arena: The arena.
         period: Length of a control step [s].
         robots: The clients' robots, by slot.
-        multi_view: How all robots' cameras share a picture, if they do.
-        recorder: What keeps all that happens; None: nothing does.
+        multi_view: Division of a picture among all robots' cameras, if they share one.
+        recorder: Recorder of the world; None: it is not recorded.
     """
 
-    scene: Scene
     arena: ArenaSpec
     period: float
     robots: dict[int, Robot]
     multi_view: MultiView | None = None
     recorder: WorldRecorder | None = None
 
+    @property
+    @abstractmethod
+    def scene(self) -> Scene:
+        """The scene; on C MuJoCo it is replaced whenever a robot joins or leaves."""
+
     @cached_property
     def view_bindings(self) -> ViewBindings:
-        """Whose view is bound to which camera."""
+        """Cameras that the views of image clients are bound to."""
         return ViewBindings()
 
     @cached_property
     def traces(self) -> Traces:
-        """The points that robots have left behind."""
+        """Points of the robots' traces."""
         return Traces()
 
     @cached_property
     def tag_texts(self) -> dict[int, str]:
-        """What is written on RFID tags, by ID; the others are empty."""
+        """Memory of RFID tags, by ID; tags that are absent are empty."""
         return initial_tag_texts(self.arena)
 
     @cached_property
-    def mishaps(self) -> RecoveryLog:
-        """How often its physics went bad."""
+    def recovery_log(self) -> RecoveryLog:
+        """Recoveries of its physics."""
         return RecoveryLog()
 
     @property
@@ -157,10 +159,10 @@ class ServedWorld(ABC):
         """Simulated time since the world began [s]."""
 
     def warm_up(self) -> None:  # noqa: B027 - nothing to compile is fine
-        """Compile what the first client would else wait for, before any comes; the world stays as it is."""
+        """Compile all programs that need no client, before the first one comes; the world stays as it is."""
 
     def prepare(self, robot: RobotSpec) -> None:
-        """Do what takes long before the first robot of a class can appear; may run in a thread.
+        """Do slow work before the first robot of a class can be spawned; may run in a thread.
 
         Raises:
             UsageError: No robot can be built of that class.
@@ -169,18 +171,18 @@ class ServedWorld(ABC):
             resolve(robot)
 
     def spawn(self, robot: RobotSpec, name: str, pos: Vec3, angles: Vec3) -> Robot:
-        """Put a robot of that class there; see `spawn_at`."""
+        """Spawn a robot of that class at one pose; see `spawn_at`."""
         return self.spawn_at(robot, name, [(pos, angles)])
 
     @abstractmethod
     def spawn_at(self, robot: RobotSpec, name: str, poses: Sequence[tuple[Vec3, Vec3]]) -> Robot:
-        """Put a robot of that class where there is room for it.
+        """Spawn a robot of that class at the first pose with room for it.
 
         Args:
             robot: Its class.
             name: Its name.
-            poses: Positions [m] and angles (roll, pitch, yaw) [rad] to choose from, the best first; where
-                robots are only put where they are told to be, the first is taken.
+            poses: Positions [m] and angles (roll, pitch, yaw) [rad] to choose from, the best first; worlds
+                that do not search for room take the first.
 
         Raises:
             UsageError: There is no room for it, or the position is out of reach.
@@ -192,13 +194,13 @@ class ServedWorld(ABC):
         Near is half of both robots' lengths or widths, whichever are longer.
         """
         own = max(robot.dimensions[:2])
-        places = [
+        occupied = [
             (self.state(other).pos[:2].tolist(), (max(other.spec.dimensions[:2]) + own) / 2)
             for other in self.robots.values()
         ]
 
         def is_taken(start: StartPose) -> bool:
-            return any(math.dist(start.at[:2], place) <= apart for place, apart in places)
+            return any(math.dist(start.at[:2], pos) <= apart for pos, apart in occupied)
 
         return sorted(self.arena.starts, key=is_taken)
 
@@ -208,15 +210,15 @@ class ServedWorld(ABC):
         return self.robots
 
     def agents(self) -> dict[str, int]:
-        """Return the names and slots of the robots that a policy drives unless somebody takes them over."""
+        """Return the names and slots of the robots that a policy drives unless a client takes them over."""
         return {}
 
     @abstractmethod
     def remove(self, robot: Robot) -> None:
-        """Take the robot out of the world."""
+        """Remove the robot from the world."""
 
     def battery(self, robot: Robot) -> float:
-        """Return for how long the robot's battery lasts yet [s]; 0 when water has killed it."""
+        """Return the remaining time of the robot's battery [s]; 0 when water has shorted it."""
         if robot.drowned:
             return 0.0
         group, member = self.scene.group_of(robot.slot)
@@ -225,13 +227,13 @@ class ServedWorld(ABC):
         return max(0.0, robot.spec.battery_life - age)
 
     def forget(self) -> None:
-        """Forget what robots have left behind: traces, and texts on tags."""
+        """Remove the robots' marks: traces, and texts on tags."""
         self.traces.clear()
         self.tag_texts.clear()
         self.tag_texts.update(initial_tag_texts(self.arena))
 
     def free_tile(self, robot: RobotSpec) -> int:
-        """Return the tile of the MultiView that a new robot of a class gets; -1 when there is none."""
+        """Return the tile of the MultiView for a new robot of a class; -1 when there is none."""
         if self.multi_view is None or not robot.cameras:
             return -1
         taken = {other.tile for other in self.robots.values()}
@@ -246,14 +248,15 @@ class ServedWorld(ABC):
             fov: [rad]
 
         Returns:
-            Whether it has become what was asked for; 0 and what is beyond the limits is not (KRobot.uc).
+            Whether the field of view is the requested one; not so for 0 and values beyond the limits
+            (KRobot.uc).
         """
         robot.fovs[camera] = float(robot.cameras[camera].clamp(np.array(fov)))
         self.edit(robot, fov=np.array(robot.fovs, np.float32))
         return abs(robot.fovs[camera] - fov) < 1e-6
 
     def viewpoint(self, request: CameraRequest | ViewpointRequest) -> Viewpoint:
-        """Return from where a picture would be rendered now; numpy arrays."""
+        """Return the present viewpoint of a picture; NumPy arrays."""
         if isinstance(request, ViewpointRequest):
             return request.viewpoint
         robot, camera = request.robot, request.robot.cameras[request.camera]
@@ -263,7 +266,7 @@ class ServedWorld(ABC):
 
     @abstractmethod
     def snapshot(self, requests: Sequence[CameraRequest | ViewpointRequest]) -> Callable[[], list[Picture]]:
-        """Take a snapshot of what pictures show; return a function that renders them.
+        """Take a snapshot of the world for pictures; return a function that renders them.
 
         The first half is quick. The function may run in another thread, while the world goes on.
         """
@@ -274,7 +277,7 @@ class ServedWorld(ABC):
         self.edit(robot, command=command)
 
     def update_command(self, robot: Robot, update: CommandUpdate) -> None:
-        """Tell the robot something new.
+        """Change a part of the robot's command.
 
         Raises:
             UnknownNameError: A key of DRIVE or a joint that it does not have; lists those it has.
@@ -283,7 +286,7 @@ class ServedWorld(ABC):
             self.set_command(robot, update_command(robot.plan, robot.command, update))
 
     def setup(self) -> WorldSetup:
-        """Return what the world was made of, for who computes it again."""
+        """Return the world's inputs at its beginning, for a replay."""
         raise NotImplementedError
 
     @abstractmethod
@@ -295,11 +298,11 @@ class ServedWorld(ABC):
 
     @abstractmethod
     def reset(self) -> None:
-        """Put the world back to its start; clients keep their robots, and their time goes on."""
+        """Restart the world; clients keep their robots, and their time goes on."""
 
     @abstractmethod
     def observe(self, due: list[Robot]) -> None:
-        """Read the sensors of the robots that are about to report; put fresh readings into `pending`."""
+        """Read the sensors of the robots that are about to report; add fresh readings to `pending`."""
 
     @abstractmethod
     def one_world(self) -> tuple[World, PhysicsState]:
@@ -310,32 +313,32 @@ class ServedWorld(ABC):
         """Replace fields of the robot's part of its `GroupState`."""
 
     def redescribe(self, robot: Robot, spec: RobotSpec) -> None:
-        """Give a robot another description while it runs; see `sim.redescribe`.
+        """Replace the description of a robot while it runs; see `sim.configure.redescribe`.
 
         Raises:
-            UsageError: The world cannot, or not so.
+            UsageError: The world cannot do that, or not with this description.
         """
         del spec
         raise UsageError(f"{robot.name} is compiled: only in a world of engine c do descriptions change")
 
     def state(self, robot: Robot) -> RobotState:
-        """Return where the robot is and how it moves; numpy arrays."""
+        """Return pose and motion of the robot; NumPy arrays."""
         group, member = self.scene.group_of(robot.slot)
         _, physics = self.one_world()
         return robot_state(self.scene.groups[group].indices[member], physics.qpos, physics.qvel)
 
     def bodies(self, robot: Robot) -> BodyPoses:
-        """Return where the robot's bodies are; numpy arrays."""
+        """Return the poses of the robot's bodies; NumPy arrays."""
         with numpy_backend():
             return forward_kinematics(robot.plan, self.state(robot))
 
     def memory(self, robot: Robot) -> SensorMemory:
-        """Return what the robot's sensors remember; numpy arrays."""
+        """Return the memory of the robot's sensors; NumPy arrays."""
         group, member = self.scene.group_of(robot.slot)
         return jax.tree.map(lambda x: x[member], self.one_world()[0].groups[group].memory)
 
     def sensor_input(self, robot: Robot) -> SensorInput:
-        """Return what the robot senses of itself, no rays cast; numpy arrays."""
+        """Return the robot's sensor input without rays; NumPy arrays."""
         group, member = self.scene.group_of(robot.slot)
         world, physics = self.one_world()
         with numpy_backend():
@@ -354,7 +357,7 @@ class ServedWorld(ABC):
         return after is not None
 
     def door_angles(self) -> np.ndarray:
-        """Return how far the arena's doors are open now [rad] (doors,)."""
+        """Return the angles of the arena's doors [rad] (doors,)."""
         return np.asarray(self.one_world()[1].qpos[self.scene.door_qpos])
 
     def links(self, radio: RadioSettings) -> Links:
@@ -370,7 +373,7 @@ class ServedWorld(ABC):
             return update_links(scene, world.replace(links=before), physics)
 
     def solids_between(self, start: Vec3, end: Vec3) -> int:
-        """Return how many solids that weaken radio are between two positions [m]."""
+        """Return the number of solids that weaken radio between two positions [m]."""
         world, physics = self.one_world()
         with numpy_backend():
             solids = radio_obstacles(self.scene, world, physics)
@@ -378,8 +381,8 @@ class ServedWorld(ABC):
             return int(count_walls(solids, *ends)[0])
 
     def sketches(self) -> list[OverlayLines]:
-        """Return what the robots' sensors draw into pictures; numpy arrays."""
-        overlays = []
+        """Return the overlays of the robots' sensors; NumPy arrays."""
+        overlays: list[OverlayLines] = []
         for robot in self.robots.values():
             drawn = [index for index, sensor in enumerate(robot.suite.sensors) if sensor.has_overlay]
             own = self.memory(robot).own if drawn else ()
