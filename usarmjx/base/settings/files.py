@@ -1,0 +1,139 @@
+"""YAML, JSON and TOML files as values that know where they stand, so that a refusal names file and line."""
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from usarmjx.base.errors import SpecError, UsageError
+
+MOST_BYTES = 16_000_000
+"""Of a file."""
+MOST_SHOWN = 100
+"""Characters of a value that refusals quote, and of the names that lead to it."""
+Plain = dict[str, "FileValue"] | list["FileValue"] | str | int | float | bool | None
+
+
+@dataclass(frozen=True, eq=False)
+class FileValue:
+    """A value of a file.
+
+    Attributes:
+        data: The value; the items of a list or a mapping are values in turn.
+        path: The file.
+        line: Its first line, from 1; 0: unknown.
+        name: Names that lead to it, as shapes[3].size; empty: the whole file.
+        refusal: Class of the errors at this place.
+    """
+
+    data: Plain
+    path: Path
+    line: int
+    name: str = ""
+    refusal: type[UsageError] = SpecError
+
+    @property
+    def place(self) -> str:
+        """File and line."""
+        return f"{self.path}:{self.line}" if self.line else str(self.path)
+
+    def error(self, text: str) -> UsageError:
+        """Return an error at this place."""
+        name = f"{self.name}: " if self.name else ""
+        return self.refusal(f"{self.place}: {name}{text}")
+
+    def mapping(self) -> dict[str, "FileValue"]:
+        """Return the keys and their values.
+
+        Raises:
+            UsageError: It is something else.
+        """
+        if isinstance(self.data, dict):
+            return self.data
+        raise self.error(f"{self.shown} is not a mapping of keys to values")
+
+    def items(self) -> list["FileValue"]:
+        """Return the items of a list.
+
+        Raises:
+            UsageError: It is something else.
+        """
+        if isinstance(self.data, list):
+            return self.data
+        raise self.error(f"{self.shown} is not a list")
+
+    @property
+    def shown(self) -> str:
+        """The value as refusals quote it."""
+        return shown(self.data)
+
+
+def shown(data: object) -> str:
+    """Return a value as refusals quote it: on one line, and not all of a long one."""
+    if isinstance(data, dict):
+        return "a mapping"
+    if isinstance(data, list) and any(isinstance(item, FileValue) for item in data):  # type: ignore - of any type
+        return f"a list of {len(data)}"  # type: ignore - of any type
+    if isinstance(data, str):
+        return repr(str(data)) if len(data) <= MOST_SHOWN else repr(f"{data[:MOST_SHOWN]}...")
+    text = "nothing" if data is None else " ".join(repr(cast(object, data)).split())
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
+
+
+def read_bytes(path: Path, most: int = MOST_BYTES, refusal: type[UsageError] = SpecError) -> bytes:
+    """Return the content of a file.
+
+    Raises:
+        UsageError: It is not there, cannot be read, or has more bytes than `most`.
+    """
+    try:
+        size = path.stat().st_size
+        if size > most:
+            raise refusal(f"{path}: {size} bytes are too many; at most {most}")
+        if not path.is_file():
+            raise refusal(f"{path}: cannot be read: it is no plain file")
+        with path.open("rb") as file:
+            return file.read(most)
+    except OSError as error:
+        raise refusal(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def read_file(path: Path, refusal: type[UsageError] = SpecError) -> FileValue:
+    """Return the content of a YAML, JSON or TOML file, by the end of its name; values of TOML know no line.
+
+    Raises:
+        UsageError: A file that does not read, or says a key twice; names the line.
+    """
+    if path.suffix.lower() != ".toml":
+        from usarmjx.base.settings.yaml_file import read_yaml
+
+        return read_yaml(path, refusal)
+    try:
+        found = tomllib.loads(read_bytes(path, refusal=refusal).decode("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise refusal(f"{path}: is no TOML: {first_line(error)}") from error
+    return _of_toml(found, FileValue(None, path, 0, "", refusal))
+
+
+def _of_toml(data: Any, place: FileValue) -> FileValue:  # noqa: ANN401 - as tomllib gives it
+    def inner(name: str, item: object) -> FileValue:
+        return _of_toml(item, FileValue(None, place.path, 0, joined(place.name, name), place.refusal))
+
+    if isinstance(data, dict):
+        held: Plain = {str(key): inner(f".{key}", item) for key, item in data.items()}  # type: ignore - any
+    elif isinstance(data, list):
+        held = [inner(f"[{i}]", item) for i, item in enumerate(data)]  # type: ignore - of any type
+    else:
+        held = data if isinstance(data, str | int | float) else str(data)  # dates
+    return FileValue(held, place.path, 0, place.name, place.refusal)
+
+
+def first_line(error: Exception) -> str:
+    """Return the first line of somebody else's error."""
+    return str(error).splitlines()[0]
+
+
+def joined(name: str, more: str) -> str:
+    """Return the names that lead to a value, cut short: each value keeps its own."""
+    whole = (name + more).lstrip(".")
+    return whole if len(whole) <= MOST_SHOWN else "..." + whole[3 - MOST_SHOWN :]

@@ -1,0 +1,225 @@
+"""Command-line options from the declarations of settings: typed once, shown, read and completed alike."""
+
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from copy import copy
+from dataclasses import MISSING, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, cast, get_args, get_type_hints
+
+import typer
+from typer.models import ParameterInfo
+
+from usarmjx.base.errors import UsageError
+from usarmjx.base.settings import (
+    SettingField,
+    Text,
+    default_reader,
+    describe,
+    members_of,
+    nested_texts,
+    parse_assignments,
+    read_file,
+    settings_table,
+    summary,
+    to_text,
+    to_yaml,
+)
+from usarmjx.cli.tools import ErrorExit
+
+METAVARS: dict[Any, str] = {int: "N", float: "NUMBER", Path: "PATH"}
+MOST_LISTED = 4
+"""Words that an option's help lists in place of a value."""
+
+F = TypeVar("F", bound=Callable[..., Any])
+T = TypeVar("T")
+
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", "-c", metavar="NAME=VALUE", help="A setting, as listed below; may be repeated."),
+]
+ConfigOption = Annotated[
+    Path | None, typer.Option("--config", metavar="FILE", help="Settings from a YAML, JSON or TOML file.")
+]
+PrintConfigOption = Annotated[
+    bool, typer.Option("--print-config", help="Write the settings as a file for --config, and end.")
+]
+
+
+def with_settings(command: F) -> F:
+    """Return a command for typer with an option for each setting of the dataclasses that the given one takes.
+
+    A field annotated as an option of typer's stays that; any other becomes one by its declaration, under the
+    dataclass' `panel` in the help. Nested settings have no options of their own; `--set` reaches them.
+
+    Args:
+        command: A function. A parameter whose type is a dataclass is made from the options; its default, if
+            there is one, has the settings that hold where an option is not given.
+    """
+    kinds = get_type_hints(command, include_extras=True)
+    parameters: list[inspect.Parameter] = []
+    groups: dict[str, tuple[type, object]] = {}
+    for name, parameter in inspect.signature(command).parameters.items():
+        kind = kinds[name]
+        if is_dataclass(kind) and isinstance(kind, type):
+            base = None if parameter.default is inspect.Parameter.empty else parameter.default
+            groups[name] = (kind, base)
+            parameters += _options_of(kind, base)
+        else:
+            parameters.append(parameter.replace(annotation=kind, kind=inspect.Parameter.KEYWORD_ONLY))
+
+    def run(**values: Any) -> Any:  # noqa: ANN401 - what the command returns
+        with ErrorExit():
+            for name, (kind, base) in groups.items():
+                own = {one.name: values.pop(one.name) for one in _shown(kind)}
+                values[name] = _built(kind, own, base)
+        return command(**values)
+
+    run.__name__, run.__doc__, run.__module__ = command.__name__, command.__doc__, command.__module__
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore - as inspect looks for it
+    run.__annotations__ = {one.name: one.annotation for one in parameters}
+    return cast(F, run)  # called by typer only, with options
+
+
+def option_name(field: str) -> str:
+    """Return the option of a field: `num_worlds` -> `--num-worlds`."""
+    return f"--{field.replace('_', '-')}"
+
+
+def resolve_settings_of(
+    kind: type[T],
+    *,
+    base: T | None = None,
+    config: Path | None = None,
+    pairs: Iterable[str] = (),
+    given: Mapping[str, str] | None = None,
+) -> T:
+    """Return settings by their sources; later ones count: base, file, `--set`, options of their own.
+
+    Args:
+        kind: The dataclass.
+        base: Settings that hold where no source has any; None: the defaults.
+        config: Value of `--config`.
+        pairs: Values of `--set`.
+        given: Values of options, by field.
+
+    Raises:
+        UsageError: A setting that there is not, or a value that it may not have; names source and limits.
+    """
+    reader = default_reader()
+    if config is not None:
+        base = reader.from_data(kind, read_file(config), base=base)
+    texts = parse_assignments(pairs, "--set")
+    own = {name: Text(text, option_name(name)) for name, text in (given or {}).items()}
+    if twice := sorted(own.keys() & texts.keys()):
+        raise UsageError(f"{twice[0]} is given twice, by {option_name(twice[0])} and by --set")
+    return reader.from_data(kind, nested_texts({**texts, **own}), where="--set", base=base)
+
+
+def print_config(instance: object) -> None:
+    """Write settings as YAML to the standard output, each with its help, for `--print-config`."""
+    typer.echo(to_yaml(instance), nl=False)
+
+
+def help_table(title: str, kind: type, base: object = None) -> str:
+    """Return the settings of a dataclass as a part of a command's help: name, default, limits, meaning."""
+    lines = settings_table(kind, base).splitlines()
+    return "\n".join([f"{title}:", *(f"  {line}" for line in lines)])
+
+
+def _shown(kind: type) -> list[SettingField]:
+    """Return the fields that become options: all but those that are settings of their own only."""
+    typed = _typer_notes(kind)
+    return [one for one in describe(kind) if one.name in typed or not is_dataclass(one.hint)]
+
+
+def _typer_notes(kind: type) -> dict[str, ParameterInfo]:
+    hints = get_type_hints(kind, include_extras=True)
+    notes = {
+        name: [one for one in get_args(hint)[1:] if isinstance(one, ParameterInfo)]
+        for name, hint in hints.items()
+    }
+    return {name: found[0] for name, found in notes.items() if found}
+
+
+def _options_of(kind: type, base: object) -> list[inspect.Parameter]:
+    hints, typed = get_type_hints(kind, include_extras=True), _typer_notes(kind)
+    panel = getattr(kind, "panel", None)
+    parameters: list[inspect.Parameter] = []
+    for one in _shown(kind):
+        value = one.default if base is None else getattr(base, one.name)
+        if one.name in typed:
+            annotation = _in_panel(hints[one.name], typed[one.name], panel)
+            default = inspect.Parameter.empty if value is MISSING else value
+        else:
+            annotation, default = _annotation(one, value, panel), None
+        parameters.append(
+            inspect.Parameter(
+                one.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
+            )
+        )
+    return parameters
+
+
+def _in_panel(hint: Any, note: ParameterInfo, panel: str | None) -> Any:  # noqa: ANN401 - annotations
+    if panel is None or note.rich_help_panel is not None:
+        return hint
+    moved = copy(note)
+    moved.rich_help_panel = panel
+    return Annotated[get_args(hint)[0], moved]
+
+
+def _annotation(one: SettingField, value: object, panel: str | None) -> Any:  # noqa: ANN401 - an annotation
+    """Return the annotation of a generated option: a text, which the reader of settings reads; or a flag.
+
+    None stands for an option that is not given, so that files and `--set` count where it is not.
+    """
+    flag = one.hint is bool
+    name = option_name(one.name)
+    words = one.choices
+
+    def complete(incomplete: str) -> list[str]:
+        return [word for word in words if word.lower().startswith(incomplete.lower())]
+
+    option = typer.Option(
+        f"{name}/--no-{name[2:]}" if flag else name,
+        metavar=None if flag else _metavar(one),
+        help=_help(one, value),
+        show_default=False,  # typer would put brackets around it
+        rich_help_panel=panel,
+        autocompletion=complete if words and not flag else None,
+    )
+    return Annotated[(bool if flag else str) | None, option]
+
+
+def _metavar(one: SettingField) -> str:
+    words = [word for word in one.choices if word != "none"]
+    if 2 <= len(words) <= MOST_LISTED:
+        return "|".join(words)
+    kinds = [kind for kind in (one.hint, *members_of(one.hint)) if kind in METAVARS]
+    return METAVARS[kinds[0]] if kinds else "TEXT"
+
+
+def _help(one: SettingField, value: object) -> str:
+    """Return meaning, limits and default; in round brackets, as typer takes square ones for markup."""
+    text = (one.note.help if one.hint is bool else summary(one)).rstrip(". ")
+    parts = [text[:1].upper() + text[1:], "" if value is MISSING else f"Default: {to_text(value)}"]
+    return " ".join(f"{part}." for part in parts if part).replace("[", "(").replace("]", ")")
+
+
+def _built(kind: type, values: Mapping[str, Any], base: object) -> object:
+    """Return the dataclass of options: those of typer's own are values, the others texts."""
+    typed = _typer_notes(kind)
+    data: dict[str, Any] = {}
+    for name, value in values.items():
+        if name in typed or isinstance(value, bool):
+            data[name] = value
+        elif value is not None:
+            data[name] = Text(value, option_name(name))
+    reader = default_reader()
+    if not typed:
+        return reader.from_data(kind, data, base=base)
+    # Values of typer's own options were checked by typer, and may be of types that settings do not have.
+    checked = reader.values(kind, {name: value for name, value in data.items() if name not in typed})
+    kept = {} if base is None else {one.name: getattr(base, one.name) for one in describe(kind)}
+    return kind(**{**kept, **{name: value for name, value in data.items() if name in typed}, **checked})
