@@ -28,7 +28,7 @@ from benchmarks.baselines import (
 )
 from benchmarks.radio import ARENA_SIDE, random_walls
 from benchmarks.tools import append_record, rate_of, record_header, time_repeats
-from usarmjx.base.accelerator import caster_in_use
+from usarmjx.base.accelerator import warp_in_use
 from usarmjx.base.errors import UsageError
 from usarmjx.base.process import cores
 from usarmjx.models.compile.kinematic_tree import (
@@ -265,7 +265,7 @@ def measure_rays(case: RayCase, file: Path | None = None, note: str = "", baseli
         "brute_force_rays_per_s": rays * case.steps / statistics.median(slow),
         "times_s": times,
         "brute_force_times_s": slow,
-        "caster": caster_in_use(),
+        "caster": "warp" if warp_in_use() else "jax",
         "compile_s": {"rays": first - times[0], "brute_force": slow_first - slow[0]},
         "hits": float(np.isfinite(ours).mean()),
         "different": float(

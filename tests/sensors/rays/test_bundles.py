@@ -18,7 +18,6 @@ from usarmjx.sensors.rays.raycast import (
     brute_force_hits,
     cast_rays,
     culled_hits,
-    gpu_hits,
     indexed_blocks,
     nearest_hits,
     warp_hits,
@@ -44,16 +43,12 @@ def rays():
 ORIGIN, DIRECTION = rays()
 
 
-def on_a_gpu(seen, origin, direction, query=DEFAULT_QUERY):
-    return gpu_hits(seen, (origin, direction), query, interpret=True)
-
-
 def on_warp(seen, origin, direction, query=DEFAULT_QUERY):
     pytest.importorskip("warp", reason="needs warp-lang")
     return warp_hits(seen, (origin, direction), query)
 
 
-HOW = {"culled": culled_hits, "gpu": on_a_gpu, "warp": on_warp}
+HOW = {"culled": culled_hits, "warp": on_warp}
 WAYS = {"brute force": brute_force_hits, **HOW}
 
 
@@ -79,10 +74,8 @@ def test_what_is_left_out_is_not_met(how, exclude_owner, compact):
 
 
 @pytest.mark.parametrize("count", [1, 4])
-@pytest.mark.parametrize("cast", [partial(gpu_hits, interpret=True), warp_hits], ids=["pallas", "warp"])
-def test_fans_that_a_gpu_turns_itself_meet_what_their_rays_meet(cast, count):
-    if cast is warp_hits:
-        pytest.importorskip("warp", reason="needs warp-lang")
+def test_fans_that_a_gpu_turns_itself_meet_what_their_rays_meet(count):
+    pytest.importorskip("warp", reason="needs warp-lang")
     rng = np.random.default_rng(7)
     mat = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0].astype(np.float32)
     lines = rng.normal(size=(count, 45, 3)).astype(np.float32)
@@ -92,7 +85,7 @@ def test_fans_that_a_gpu_turns_itself_meet_what_their_rays_meet(cast, count):
     np.testing.assert_allclose(direction[-1], mat[-1] @ lines[-1, -1], atol=1e-6)
     seen = indexed_blocks(ROOM.geoms)
     plain = brute_force_hits(seen, origin, direction)
-    found = jax.jit(lambda pos, mat: cast(seen, Fans(pos, mat, lines)))(fans.pos, fans.mat)
+    found = jax.jit(lambda pos, mat: warp_hits(seen, Fans(pos, mat, lines)))(fans.pos, fans.mat)
     assert np.isfinite(np.asarray(plain.distance)).mean() > 0.5
     np.testing.assert_array_equal(found.geom_index, plain.geom_index)
     np.testing.assert_allclose(found.distance, plain.distance, atol=ATOL)
@@ -208,15 +201,14 @@ def test_a_cpu_goes_over_the_robots_of_all_worlds_that_want_it_in_one_loop():
     assert [e.primitive.name for e in loops] == ["while"]
 
 
-@pytest.mark.parametrize("how", ["cpu", "pallas", "warp"])
+@pytest.mark.parametrize("how", ["cpu", "warp"])
 def test_fans_have_slopes_on_all_roads(how, monkeypatch):
     """Lines of fans are known while compiling, also within what is differentiated."""
     if how == "warp":
         pytest.importorskip("warp", reason="needs warp-lang")
     monkeypatch.setattr(raycast, "CULLING_THRESHOLD", 0)
     monkeypatch.setattr(raycast, "CULLING_GEOMS", 0)
-    monkeypatch.setattr(raycast, "caster_in_use", lambda: how)
-    monkeypatch.setitem(raycast.GPU_CASTERS, "pallas", partial(gpu_hits, interpret=True))
+    monkeypatch.setattr(raycast, "warp_in_use", lambda: how == "warp")
     lines = np.stack([np.cos(FAN[::8]), np.sin(FAN[::8]), 0 * FAN[::8]], -1)[None].astype(np.float32)
 
     geoms = make_room(3, ("box",), each=12).geoms

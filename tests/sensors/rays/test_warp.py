@@ -1,7 +1,5 @@
 """Rays on Warp, whose kernels run here on its CPU device: kind by kind, under maps, and who uses them."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -123,24 +121,18 @@ def test_where_there_is_nothing_nothing_is_met():
     assert (np.asarray(found.geom_index) == -1).all()
 
 
-def test_a_gpu_takes_what_is_there(monkeypatch):
+def test_a_gpu_takes_warp_and_says_where_it_is_missing(monkeypatch, caplog):
     def used(backend, installed):
+        caplog.clear()
         monkeypatch.setattr(jax, "default_backend", lambda: backend)
-        roads = {accelerator.ROADS[name] for name in installed}
-        monkeypatch.setattr(accelerator, "find_spec", lambda module: object() if module in roads else None)
-        return accelerator.caster_in_use.__wrapped__(), accelerator.warp_in_use.__wrapped__()
+        monkeypatch.setattr(accelerator, "find_spec", lambda module: object() if installed else None)
+        return accelerator.warp_in_use.__wrapped__(), caplog.messages
 
-    assert used("cpu", {"warp", "pallas"}) == ("jax", False)
-    assert used("gpu", {"warp", "pallas"}) == (accelerator.PREFERRED[0], True)
-    assert used("gpu", {"warp"}) == ("warp", True)
-    assert used("gpu", {"pallas"}) == ("pallas", False)
-    assert used("gpu", set()) == ("jax", False)
-
-
-def test_jax_without_any_pallas_is_no_error(monkeypatch):
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setitem(accelerator.ROADS, "pallas", "jax.no_such_package.triton")
-    assert accelerator.caster_in_use.__wrapped__() == "warp"
+    assert used("cpu", True) == used("cpu", False) == (False, [])
+    assert used("gpu", True) == (True, [])
+    in_use, (line,) = used("gpu", False)
+    assert not in_use
+    assert 'plain JAX casts rays on this GPU, which is slow; pip install "usarmjx[cuda]"' in line
 
 
 def test_rays_are_cast_by_what_is_in_use(monkeypatch):
@@ -149,12 +141,12 @@ def test_rays_are_cast_by_what_is_in_use(monkeypatch):
     rng = np.random.default_rng(2)
     geoms, rays = geoms_of(6, rng, 5), tuple(rays_at(rng))
     asked = []
-    for name in ("warp", "pallas"):
-        cast = partial(asked.append, name)
-        monkeypatch.setitem(raycast.GPU_CASTERS, name, lambda *_, cast=cast: cast())
-        monkeypatch.setattr(raycast, "caster_in_use", lambda name=name: name)
+    monkeypatch.setattr(raycast, "warp_hits", lambda *_: asked.append("warp"))
+    monkeypatch.setattr(raycast, "_hits_on_a_cpu", lambda *_: asked.append("jax"))
+    for there in (True, False):
+        monkeypatch.setattr(raycast, "warp_in_use", lambda there=there: there)
         raycast.nearest_hits(geoms, *rays)
-    assert asked == ["warp", "pallas"]
+    assert asked == ["warp", "jax"]
 
 
 def same_angles(geoms, rays, lines=None):

@@ -2,7 +2,7 @@
 
 Each kernel takes a ray in the geom's frame, origin and direction as three arrays (...), and the geom's
 size numbers as three, and returns the distance to its surface (...), infinite for a miss. Arrays (3, ...)
-will do too; programs for GPUs (`raycast_gpu`) know no axes of length 3.
+will do too.
 """
 
 import math

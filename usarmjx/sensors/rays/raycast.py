@@ -18,7 +18,7 @@ import numpy as np
 from flax import struct
 from jax.custom_batching import custom_vmap
 
-from usarmjx.base.accelerator import caster_in_use
+from usarmjx.base.accelerator import warp_in_use
 from usarmjx.base.arrays import Array, Bool, Float, Int
 from usarmjx.base.backend import xp
 from usarmjx.models.compile.ray_geoms import TRIANGLE_KIND
@@ -177,9 +177,8 @@ def nearest_hits(
         fans: The same rays as fans, if they are such: a GPU turns them where it needs them.
     """
     seen = indexed_blocks(geoms, query.transparent)
-    on_gpu = GPU_CASTERS.get(caster_in_use())
-    if on_gpu is not None:
-        return on_gpu(seen, (origin, direction) if fans is None else fans, query)
+    if warp_in_use():
+        return warp_hits(seen, (origin, direction) if fans is None else fans, query)
     return _hits_on_a_cpu(seen, origin, direction, query, fans, CULLING_THRESHOLD, CULLING_GEOMS)
 
 
@@ -224,28 +223,6 @@ def _hits_on_a_cpu(
     )
 
 
-def gpu_hits(
-    seen: Sequence[IndexedBlock],
-    rays: tuple[Array, Array] | Fans,
-    query: RayQuery = DEFAULT_QUERY,
-    interpret: bool = False,
-) -> GeomHits:
-    """As `nearest_hits`: see `raycast_gpu`."""
-    from usarmjx.sensors.rays.raycast_gpu import nearest_of_bundles, pack
-
-    packed = [(part.info, pack(part.info.kind, part.block)) for part in seen]
-    wanted = jnp.ones((), bool) if query.wanted is None else query.wanted
-    found = nearest_of_bundles(
-        packed,
-        rays,
-        (query.exclude_owner, wanted),
-        bundle_size=query.bundle_size,
-        max_distance=query.max_distance,
-        interpret=interpret,
-    )
-    return GeomHits(*found)
-
-
 def warp_hits(
     seen: Sequence[IndexedBlock],
     rays: tuple[Array, Array] | Fans,
@@ -263,10 +240,6 @@ def warp_hits(
         max_distance=query.max_distance,
     )
     return GeomHits(*found)
-
-
-GPU_CASTERS: dict[str, Callable[..., GeomHits]] = {"warp": warp_hits, "pallas": gpu_hits}
-"""Casters by the name that `caster_in_use` gives; without one, a CPU's."""
 
 
 def cast_rays(
@@ -303,7 +276,7 @@ def _incidence(
     *frames: Array,
 ) -> Array:
     """Return the cosine between each ray and the surface that it meets (rays,); frames as below."""
-    if caster_in_use() == "warp":
+    if warp_in_use():
         from usarmjx.sensors.rays.incidence_warp import cosines_of_hits
 
         rays = (origin, direction) if lines is None else Fans(frames[0], frames[1], lines)

@@ -449,7 +449,14 @@ def nearest_of_bundles(
     bundle_size: int,
     max_distance: float,
 ) -> tuple[jax.Array, jax.Array]:
-    """As `raycast_gpu.nearest_of_bundles`, on Warp; the geoms are given as they are.
+    """Return distance (inf for a miss) and geom index (-1 for a miss) of each first hit, both (rays,).
+
+    Args:
+        work: The geoms, those that are compact last.
+        rays: Origins [m] and unit vectors (rays, 3); or fans, whose rays are never written down.
+        exclude_and_wanted: Owner whose geoms are left out (), and whether to cast the rays at all ().
+        bundle_size: See `raycast.RayQuery`.
+        max_distance: See `raycast.RayQuery` [m].
 
     Raises:
         UsageError: Mapped over so many worlds and robots, more than `MOST_THREADS` were needed at once.
