@@ -15,10 +15,11 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.engines import Inputs, PhysicsState, choose_engine
 from usarmjx.models.compile.physics import PHYSICS
 from usarmjx.models.generate import generate_many
-from usarmjx.models.generate.kinds import USUAL_STARTS
+from usarmjx.models.generate.kinds import DEFAULT_STARTS
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.server.worlds.make import parse_roster
 from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.calibration import build_calibrated
 from usarmjx.sim.control import ControlMode, idle_command, set_drive
 from usarmjx.sim.ray_geometry import moved_geom_poses
 from usarmjx.sim.scene import RobotGroup, Scene, build_scene, start_height
@@ -255,7 +256,8 @@ class SceneCase:
 
     def batch(self, scene: Scene) -> Batch:
         """Build the batch of a scene; resets draw start poses."""
-        return Batch(scene, self.worlds, engine=self.resolved()["engine"], seed=self.seed, shuffle=True)
+        settings: dict[str, Any] = {"engine": self.resolved()["engine"], "seed": self.seed, "shuffle": True}
+        return build_calibrated(lambda: Batch(scene, self.worlds, **settings))
 
     def _arena(self) -> str | ArenaSpec | list[ArenaSpec]:
         """Return the arena, or all arenas; a single generated one is shared by all worlds."""
@@ -269,7 +271,7 @@ class SceneCase:
     def _generate(self, count: int) -> list[ArenaSpec]:
         robots = len(parse_roster(self.roster))
         size = cells_for(robots) if self.size is None else self.size
-        starts = max(USUAL_STARTS, robots)
+        starts = max(DEFAULT_STARTS, robots)
         return generate_many(self.arena, count, seed=self.seed, size=(size[0], size[1]), starts=starts)
 
 

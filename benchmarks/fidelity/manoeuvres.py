@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.fidelity.track import MAX_SPEED, Order, Orders, Track, orders_of, touches_ground
 from usarmjx.base.errors import EngineError
-from usarmjx.models.compile.measure import extent
+from usarmjx.models.compile.measure import bounding_box
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.effecters import effecters_of
 from usarmjx.models.effecters.gripper import LEVER
@@ -114,7 +114,7 @@ BLOCK_MASS = 2.0
 
 def _ahead(robot: RobotSpec) -> float:
     """Return how far ahead of its middle a robot meets with something [m]."""
-    return GAP + float(extent(robot)[1][0])
+    return GAP + float(bounding_box(robot)[1][0])
 
 
 def _slowly(orders: Orders) -> Order:

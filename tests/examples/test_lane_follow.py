@@ -12,12 +12,14 @@ from tests.scripts import load
 from tests.server.peers import serving
 from usarmjx.models.arenas.arda import ARDA, NETWORK
 from usarmjx.models.compile.physics import Physics
-from usarmjx.models.roads.network import FOOT
+from usarmjx.models.roads.network import METRES_PER_FOOT
 from usarmjx.models.robots.cars import SNOWSTORM
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 PACE = 2.0  # simulated seconds per second: brief, and slow enough for commands to get through
-SPARE = (12 * FOOT - SNOWSTORM.dimensions[1]) / 2  # m on both sides of a car in the middle of its lane
+SPARE = (
+    12 * METRES_PER_FOOT - SNOWSTORM.dimensions[1]
+) / 2  # m on both sides of a car in the middle of its lane
 
 
 client = load("usarsim_client")
@@ -48,7 +50,7 @@ def test_lanes_of_the_loop_are_closed_and_streets_are_not():
     for lane, side in ((1, -1), (2, 1)):
         way = lane_follow.lane_path(NETWORK, 1, lane)
         assert way.closed
-        radius = 15 + side * 6 * FOOT
+        radius = 15 + side * 6 * METRES_PER_FOOT
         chords = 16 * 2 * radius * math.sin(math.pi / 16)
         assert way.length == pytest.approx(2 * 90 + 2 * 60 + chords, abs=0.02)  # 56 points, 1 mm each
     assert not lane_follow.lane_path(NETWORK, 2, 1).closed
@@ -106,7 +108,7 @@ def test_a_car_follows_its_lane_round_a_corner(port, tmp_path, monkeypatch, caps
     monkeypatch.setattr(sys, "argv", told)
     assert lane_follow.main() == 0
     log = json.loads(file.read_text(encoding="utf-8"))
-    assert log["lane"] == pytest.approx([382.2, 12 * FOOT], abs=0.1)
+    assert log["lane"] == pytest.approx([382.2, 12 * METRES_PER_FOOT], abs=0.1)
     truth = np.array([pose for _, pose, _ in log["track"]])
     assert truth[-1, 2] - truth[0, 2] == pytest.approx(math.pi / 2, abs=0.15), "east, then south"
     assert np.linalg.norm(np.diff(truth[:, :2], axis=0), axis=1).sum() > 40.0

@@ -11,7 +11,7 @@ from tests.lone import LoneWorld
 from tests.models.robots.test_looks import naked
 from usarmjx.base.backend import numpy_backend
 from usarmjx.models.compile.kinematic_tree import forward_kinematics
-from usarmjx.models.compile.victim_visuals import SLOTS, TRAITS, drawn_bones, used_slots
+from usarmjx.models.compile.victim_visuals import BONE_VISUALS, VISUAL_SLOTS, drawn_bones, used_slots
 from usarmjx.models.compile.victims import BONES, POSTURES, rest_height, victim_table
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec, FalseAlarm, SegmentMotion, StartPose, Victim
@@ -95,7 +95,7 @@ def test_rows_tell_what_is_drawn_from_what_sensors_meet():
         met, drawn = (visible_robots(scene, bodies, active, drawn=which) for which in (False, True))
     for group, one, other in zip(scene.groups, met, drawn, strict=True):
         assert len(one.kind) == len(group.plan.geom_type) * len(group.slots)
-        assert len(other.kind) == len(group.plan.figure.solids.kind) * len(group.slots)
+        assert len(other.kind) == len(group.plan.visuals.solids.kind) * len(group.slots)
 
 
 def rows_of(scene, state, time):
@@ -106,11 +106,11 @@ def rows_of(scene, state, time):
 def test_victims_are_drawn_with_all_they_have_and_move_as_their_bones_do():
     scene = build_scene(HOUSE, ["P2AT"])
     before, after = rows_of(scene, None, 0.0), rows_of(scene, None, 0.5)
-    each = sum(len(TRAITS[bone.part]) for bone in BONES.values())
+    each = sum(len(BONE_VISUALS[bone.part]) for bone in BONES.values())
     assert (np.asarray(before.label) == VICTIM_LABEL).sum() == 2 * each
-    assert (np.asarray(before.label) == FALSE_ALARM_LABEL).sum() == len(TRAITS["Hand"])
+    assert (np.asarray(before.label) == FALSE_ALARM_LABEL).sum() == len(BONE_VISUALS["Hand"])
     moved = np.linalg.norm(np.asarray(after.pos - before.pos), axis=-1) > 1e-6
-    assert 0 < moved.sum() <= len(TRAITS["Arm"]) + len(TRAITS["Hand"]), "one arm waves"
+    assert 0 < moved.sum() <= len(BONE_VISUALS["Arm"]) + len(BONE_VISUALS["Hand"]), "one arm waves"
     with numpy_backend():
         met = visible_arena(scene, None, np.float32(0.0))
     boxes = sum(np.isin(row.label, (VICTIM_LABEL, FALSE_ALARM_LABEL)).sum() for row in met)
@@ -126,7 +126,7 @@ def test_what_is_drawn_of_a_bone_is_about_as_large_as_its_box(posture):
     assert (drawn.size[used] > 0).all()
     assert ((drawn.rgb >= 0) & (drawn.rgb <= 1)).all()
     faces = drawn.rgb[np.flatnonzero(table.part == 0)[0]]
-    assert len(np.unique(faces[: len(TRAITS["Head"])], axis=0)) >= 4, "skin, hair, eyes, lips"
+    assert len(np.unique(faces[: len(BONE_VISUALS["Head"])], axis=0)) >= 4, "skin, hair, eyes, lips"
 
 
 def test_victims_that_are_data_are_drawn_as_those_of_the_arena_alone():
@@ -136,7 +136,7 @@ def test_victims_that_are_data_are_drawn_as_those_of_the_arena_alone():
         alone = rows_of(build_scene(arena, ["P2AT"]), None, 0.4)
         state = jax.tree.map(lambda x, world=world: x[world], scene.arenas.states)
         rows = rows_of(scene, state, 0.4)
-        assert rows.kind.tolist() == list(SLOTS) * (len(rows.kind) // len(SLOTS))
+        assert rows.kind.tolist() == list(VISUAL_SLOTS) * (len(rows.kind) // len(VISUAL_SLOTS))
         there = np.flatnonzero(np.abs(np.asarray(rows.pos)).max(-1) < 1e3)
         assert rows.kind[there].tolist() == alone.kind.tolist()
         for name in ("pos", "size", "rgb", "label"):

@@ -22,7 +22,7 @@ from usarmjx.models.compile.kinematic_tree import KinematicTree, kinematic_tree_
 from usarmjx.models.compile.materials import materials_of
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.victims import victim_table
-from usarmjx.models.compile.visuals import reach_of
+from usarmjx.models.compile.visuals import solid_extents
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.robot import RobotSpec
@@ -92,9 +92,9 @@ def portrait(robot: RobotSpec, width: int = 480, height: int = 360) -> np.ndarra
 
 def _corners(plan: KinematicTree) -> np.ndarray:
     """Return the corners of the boxes about all that is drawn of a robot, with room around them (n, 3)."""
-    solids, corner = plan.figure.solids, np.array(list(product((-1.0, 1.0), repeat=3)))
+    solids, corner = plan.visuals.solids, np.array(list(product((-1.0, 1.0), repeat=3)))
     places, turns = solids.poses(plan.rest_pos + np.array([0.0, 0.0, plan.clearance]), plan.rest_frames)
-    low, high = reach_of(solids, np.asarray(turns))
+    low, high = solid_extents(solids, np.asarray(turns))
     boxes = np.asarray(places)[:, None] + np.where(corner > 0, high[:, None], low[:, None])
     corners = boxes.reshape(-1, 3)
     middle = (corners.min(0) + corners.max(0)) / 2

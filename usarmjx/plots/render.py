@@ -15,7 +15,7 @@ import numpy as np
 from usarmjx.base.errors import UnsupportedGeomError
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.compile.ray_geoms import ray_primitives_of
-from usarmjx.models.compile.victim_visuals import SLOTS, drawn_bones, used_slots
+from usarmjx.models.compile.victim_visuals import VISUAL_SLOTS, drawn_bones, used_slots
 from usarmjx.models.compile.victims import VictimTable, orientations, segment_poses
 from usarmjx.models.types.shapes import GLASS, MIRROR, OPAQUE, SKY
 from usarmjx.sensors.cameras.lenses import TILE, tiled, untiled
@@ -137,7 +137,7 @@ def victim_geoms(table: VictimTable, floor: float) -> RenderGeoms:
     )
     count = int(used.sum())
     return RenderGeoms(
-        kind=np.tile(SLOTS, (table.num_boxes, 1))[used],
+        kind=np.tile(VISUAL_SLOTS, (table.num_boxes, 1))[used],
         pos=pos[used].astype(np.float32),
         mat=np.broadcast_to(turn, (*used.shape, 3, 3))[used].astype(np.float32),
         size=np.asarray(drawn.size, np.float32)[used],

@@ -6,19 +6,17 @@ which the twists that `planar` makes of the same commands come nearest, by least
 
 import json
 import logging
-import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.compilation import cache_folder
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
 from usarmjx.base.rotations import mat_from_quat
@@ -26,17 +24,19 @@ from usarmjx.engines.planar.drives import SideWheels, follow, wheels_of
 from usarmjx.engines.planar.responses import (
     NAMES,
     Response,
+    UncalibratedRobotError,
     as_entry,
     description_key,
-    known_response,
+    response_file,
     rolls,
+    uncalibrated,
     use_response,
 )
 from usarmjx.models.drives.ground import OmniDrive, SkidSteer
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.scene import build_scene
+from usarmjx.sim.scene import Scene, build_scene
 
 log = logging.getLogger(__name__)
 
@@ -107,7 +107,7 @@ def _turns_at_most(robot: RobotSpec) -> float:
 
 def _random_order(drive: Any, limits: np.ndarray, rng: np.random.Generator) -> np.ndarray:  # noqa: ANN401
     kind, values = rng.random(), rng.uniform(-1.0, 1.0, len(limits)) * limits
-    if drive.pushes:  # what flies or dives: anything
+    if drive.applies_wrench:  # what flies or dives: anything
         return values.astype(np.float32)
     if isinstance(drive, OmniDrive):
         # Wheels that agree: all at one speed and one angle, or those ahead turned the other way.
@@ -287,26 +287,39 @@ def pose_errors(robot: RobotSpec, robots: int = 16, seed: int = 1) -> dict[str, 
     return errors
 
 
-def ensure_calibrated(robots: Iterable[RobotSpec], folder: Path | None = None) -> None:
-    """Measure the classes of which it is not known how they answer, and keep it in a folder for other runs.
+def ensure_calibrated(robots: Scene | Iterable[RobotSpec], folder: Path | None = None) -> None:
+    """Measure the robots that engine `planar` has no figures of, and keep the figures for other runs.
+
+    A robot takes about ten seconds. `make` and the commands call it; a `Batch` refuses such robots.
 
     Args:
-        robots: The classes.
-        folder: Where; None: the cache of this user, if there is one.
+        robots: The robots, or a scene with them.
+        folder: Folder of the figures; None: the cache of this user, if it is on.
     """
-    cache = cache_folder(os.environ) if folder is None else folder
-    for robot in dict.fromkeys(robots):
-        if not rolls(robot.drive) or known_response(robot) is not None:
-            continue
-        file = None if cache is None else cache / "planar" / f"{robot.name}-{description_key(robot)}.json"
-        if file is not None and file.exists():
-            use_response(robot, Response(**json.loads(file.read_text(encoding="utf-8"))["response"]))
-            continue
+    given = (robot for robot, _ in robots.robots) if isinstance(robots, Scene) else robots
+    for robot in uncalibrated(given, folder):
         log.warning("engine planar: measuring how a %s answers its motors, on engine c ...", robot.name)
-        entry = calibrate(robot)
+        entry, file = calibrate(robot), response_file(robot, folder)
         if file is not None:
             with atomic_write(file) as fresh:
                 fresh.write_text(json.dumps(entry, indent=1), encoding="utf-8")
+
+
+Built = TypeVar("Built")
+
+
+def build_calibrated(build: Callable[[], Built]) -> Built:
+    """Return what a function builds, after measuring robots that engine `planar` refuses for want of figures.
+
+    Args:
+        build: Builds a batch or an environment; called again after measuring.
+    """
+    try:
+        return build()
+    except UncalibratedRobotError as error:
+        missing = error.robots
+    ensure_calibrated(missing)
+    return build()
 
 
 def measure_all(

@@ -219,7 +219,7 @@ def set_drive(robot: RobotSpec, command: RobotCommand, values: Mapping[str, Arra
         UnknownNameError: A key that this drive does not have; lists those it has.
     """
     drive, setpoint = robot.drive, command.setpoint
-    values = drive.in_own_keys(values, setpoint)
+    values = drive.to_own_keys(values, setpoint)
     check_drive_keys(robot, values)
     for key, value in values.items():
         place = drive.keys.index(key)
@@ -376,7 +376,7 @@ def _wrench(
     """Return force and torque on the chassis, by the drive and by what rights a robot (..., 6)."""
     drive, powered = plan.robot.drive, conditions.powered
     wrench = xp.zeros((*powered.shape, 6))
-    if drive.pushes:
+    if drive.applies_wrench:
         if conditions.speed is not None:
             setpoint = setpoint * conditions.speed[..., None]
         own = drive.wrench(setpoint, state, conditions.depth)

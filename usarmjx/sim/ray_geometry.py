@@ -18,11 +18,11 @@ from usarmjx.engines.base import GeomPoses, PhysicsState
 from usarmjx.models.compile.arena_set import ArenaState, arena_index_of
 from usarmjx.models.compile.doors import door_boxes
 from usarmjx.models.compile.kinematic_tree import BodyPoses
-from usarmjx.models.compile.victim_visuals import SLOTS, drawn_bones, used_slots
+from usarmjx.models.compile.victim_visuals import VISUAL_SLOTS, drawn_bones, used_slots
 from usarmjx.models.compile.victims import VictimTable, segment_poses
 from usarmjx.models.effecters import DroppedTags
 from usarmjx.models.types.shapes import GLASS, OPAQUE
-from usarmjx.models.types.textures import names_of
+from usarmjx.models.types.textures import texture_names
 from usarmjx.sensors.cameras.paint import (
     DOOR_LABEL,
     FALSE_ALARM_LABEL,
@@ -169,7 +169,7 @@ def _texture(rows: Sequence[VisibleGeoms], order: np.ndarray) -> dict[str, Any]:
     """Return what is on geoms, as fields of `GeomAppearance`; nothing where nothing is on any."""
     codes = [np.zeros(len(row.kind), np.int32) if row.texture is None else row.texture for row in rows]
     code = np.concatenate(codes)
-    return {"texture": code[order], "textures": names_of(code)} if code.any() else {}
+    return {"texture": code[order], "textures": texture_names(code)} if code.any() else {}
 
 
 def _one_of_each(row: VisibleGeoms) -> VisibleGeoms:
@@ -234,14 +234,14 @@ def _some(rows: VisibleGeoms, which: np.ndarray) -> VisibleGeoms:
 def _drawn_victims(scene: Scene, arena_state: ArenaState | None, time: Array) -> VisibleGeoms:
     """Return what is drawn of victims and false alarms."""
     table = victims_of(scene, arena_state)
-    drawn, boxes, slots = drawn_bones(table, xp), table.num_boxes, len(SLOTS)
+    drawn, boxes, slots = drawn_bones(table, xp), table.num_boxes, len(VISUAL_SLOTS)
     place, quat = segment_poses(table, time, xp)
     turn = mat_from_quat(quat)
     pos = place[:, None] + matvec(turn[:, None], drawn.offset) + xp.array([0.0, 0.0, scene.arena.floor])
     seen = np.ones((boxes, slots), bool) if arena_state is not None else used_slots(scene.victims.part)
     which = np.flatnonzero(seen)  # of worlds that differ, all
     return VisibleGeoms(
-        kind=np.tile(SLOTS, boxes)[which],
+        kind=np.tile(VISUAL_SLOTS, boxes)[which],
         pos=pos.reshape(-1, 3)[which],
         mat=xp.repeat(turn, slots, 0)[which],
         size=drawn.size.reshape(-1, 3)[which],
@@ -272,7 +272,7 @@ def drawn_limbs(table: VictimTable, boxes: np.ndarray) -> list[VisibleGeoms]:
         n = len(slots)
         rows.append(
             VisibleGeoms(
-                kind=np.array(SLOTS)[slots],
+                kind=np.array(VISUAL_SLOTS)[slots],
                 pos=drawn.offset[box, slots],
                 mat=np.tile(np.eye(3, dtype=np.float32), (n, 1, 1)),
                 size=drawn.size[box, slots],
@@ -336,7 +336,7 @@ def visible_robots(
     """
     rows: list[VisibleGeoms] = []
     for group, body, used in zip(scene.groups, bodies, active, strict=True):
-        own = group.plan.figure.solids if drawn else group.plan.solids
+        own = group.plan.visuals.solids if drawn else group.plan.solids
         n, g = len(group.slots), len(own.kind)
         pos, mat = own.poses(body.pos, body.mat)
         slot = np.repeat(group.slots, g)

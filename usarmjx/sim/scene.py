@@ -15,8 +15,8 @@ from usarmjx.comms.mail import MessageSettings
 from usarmjx.comms.walls import arena_solids
 from usarmjx.models.compile.arena_set import ArenaSet, ArenaState, arena_set
 from usarmjx.models.compile.compose import (
-    ARENA,
-    DOOR,
+    ARENA_PREFIX,
+    DOOR_PREFIX,
     LOOSE_PREFIX,
     VICTIM_PREFIX,
     add_robot,
@@ -224,7 +224,7 @@ def loose_geoms(model: mujoco.MjModel, arena: ArenaSpec) -> LooseGeoms:
 
 def door_qpos(model: mujoco.MjModel, arena: ArenaSpec) -> np.ndarray:
     """Return the qpos addresses of the doors' hinges (doors,)."""
-    return np.array([model.joint(f"{DOOR}{door.name}").qposadr[0] for door in arena.doors], int)
+    return np.array([model.joint(f"{DOOR_PREFIX}{door.name}").qposadr[0] for door in arena.doors], int)
 
 
 def _matrices(quats: np.ndarray) -> np.ndarray:
@@ -354,7 +354,7 @@ class Scene:
     def moved_geoms(self) -> MovedGeoms | None:
         """The arena's geoms that are data; None: there are none."""
         if self.arenas is not None:
-            names = tuple(f"{ARENA}{i}" for i in range(len(self.arena.shapes)))
+            names = tuple(f"{ARENA_PREFIX}{i}" for i in range(len(self.arena.shapes)))
             return MovedGeoms(names=names, max_half_length=self.arenas.max_half_length, resized=True)
         if not len(self.moving_victim_boxes):
             return None

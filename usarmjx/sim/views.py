@@ -14,8 +14,8 @@ from usarmjx.engines.c.camera_rays import AttachedVisual, GeomColors
 from usarmjx.models.compile.compose import VICTIM_PREFIX
 from usarmjx.models.compile.kinematic_tree import BodyPoses, forward_kinematics
 from usarmjx.models.compile.materials import materials_of, textures_of
-from usarmjx.models.compile.victim_visuals import victim_figure
-from usarmjx.models.types.textures import names_of
+from usarmjx.models.compile.victim_visuals import victim_visual_model
+from usarmjx.models.types.textures import texture_names
 from usarmjx.sensors.cameras.mounts import Camera, camera_index, cameras_of, headlight_of
 from usarmjx.sensors.cameras.paint import (
     ROBOT_LABEL,
@@ -66,12 +66,12 @@ def looks_of(scene: Scene) -> GeomColors:
 def _textures(scene: Scene, others: int) -> dict[str, Any]:
     """Return what is on the model's geoms, and nothing on so many others, as fields of `GeomAppearance`."""
     code = np.concatenate([textures_of(scene.model, scene.arena), np.zeros(others, np.int32)])
-    return {"texture": code, "textures": names_of(code)} if code.any() else {}
+    return {"texture": code, "textures": texture_names(code)} if code.any() else {}
 
 
 def _robots(scene: Scene) -> list[AttachedVisual]:
     return [
-        AttachedVisual(group.plan.figure, np.array(index.body_ids), False, ROBOT_LABEL + int(slot), int(slot))
+        AttachedVisual(group.plan.visuals, np.array(index.body_ids), False, ROBOT_LABEL + int(slot), int(slot))
         for group in scene.groups
         for slot, index in zip(group.slots, group.indices, strict=True)
     ]
@@ -84,7 +84,7 @@ def _victims(scene: Scene) -> list[AttachedVisual]:
         boxes = np.flatnonzero(table.owner == owner)
         geoms = np.array([scene.model.geom(f"{VICTIM_PREFIX}{box}").id for box in boxes])
         label = int(bone_labels(np.array(owner)))
-        found.append(AttachedVisual(victim_figure(table, owner), geoms, True, label))
+        found.append(AttachedVisual(victim_visual_model(table, owner), geoms, True, label))
     return found
 
 

@@ -1,4 +1,4 @@
-"""What there is to see of a world as it is: drawings and frames of a scene's worlds, on NumPy."""
+"""Capture of a world on any engine as a drawing and frames, on NumPy."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
@@ -50,17 +50,19 @@ from usarmjx.view.drawing import (
 )
 
 FIXED_BODIES = {ARENA_LABEL: "arena", VICTIM_LABEL: "victims", FALSE_ALARM_LABEL: "false alarms"}
-"""Names of the bodies that all fixed things are, by their labels."""
+"""Names of the bodies that hold all fixed solids, by their labels."""
 BONES = (VICTIM_LABEL, FALSE_ALARM_LABEL)
-"""Labels of what is drawn of victims, not as the boxes that sensors meet."""
+"""Labels of victims' solids: their limbs are drawn instead of the boxes that sensors hit."""
 ROW_FIELDS = ("kind", "pos", "mat", "size", "owner", "material", "rgb", "label", "geom_index", "transparency")
-FARTHEST = 1e5
-"""What is further away has been put out of the way [m]."""
+"""Fields of `VisibleGeoms` with one row per geom."""
 SHAPE_FIELDS = ("kind", "pos", "mat", "size", "rgb", "transparency", "material")
+"""Fields of `DrawnShape`, which are fields of `VisibleGeoms`, too."""
+FARTHEST = 1e5
+"""Coordinate from which a geom counts as removed: absent solids are moved out of the arena [m]."""
 
 
 class Capture:
-    """Draws the worlds of a scene; what it returns shares no memory with them.
+    """Captures the worlds of a scene; its results share no memory with them.
 
     Args:
         scene: Their scene.
@@ -71,7 +73,7 @@ class Capture:
         self._num_fixed: dict[tuple[int, int], int] = {}
 
     def drawing(self, world: World, physics: PhysicsState, names: Mapping[int, str] | None = None) -> Drawing:
-        """Return what stays of a world's looks.
+        """Return the constant part of a world's looks.
 
         Args:
             world: The world, without an axis over worlds; NumPy arrays.
@@ -92,7 +94,8 @@ class Capture:
             for group in scene.groups:
                 shapes |= _robot_shapes(group)
                 for slot in group.slots.tolist():
-                    name = (names or {}).get(slot) or scene.roster[slot].name or f"{group.robot.name}{slot}"
+                    given = None if names is None else names.get(slot)
+                    name = given or scene.roster[slot].name or f"{group.robot.name}{slot}"
                     robots[slot] = _drawn_robot(group, slot, name, len(bodies))
                     bodies += [
                         DrawnBody(
@@ -118,7 +121,7 @@ class Capture:
         )
 
     def frame(self, world: World, physics: PhysicsState) -> Frame:
-        """Return a world as it is; overlays, readings and links are those that it remembers.
+        """Return the present frame of a world, with the last overlays, readings and links of its state.
 
         Args:
             world: The world, without an axis over worlds; NumPy arrays.
@@ -151,7 +154,7 @@ class Capture:
         )
 
     def _arena_bodies(self, world: World, physics: PhysicsState) -> Iterator[tuple[str, VisibleGeoms]]:
-        """Yield what is no robot's, in the order of `_arena_poses`, in the axes of each body."""
+        """Yield the bodies that belong to no robot, in the order of `_arena_poses`, in each body's axes."""
         scene, fixed = self._scene, self._fixed(world)
         for label, name in FIXED_BODIES.items():
             if (np.asarray(fixed.label) == label).any():
@@ -167,14 +170,14 @@ class Capture:
         loose = scene.loose_geoms
         row = visible_loose(scene, physics)
         row = row._replace(pos=loose.local.pos, mat=loose.local.mat)
-        for place, thing in enumerate(scene.arena.loose):
-            yield f"loose/{thing.name}", _picked(row, np.asarray(loose.owner == place))
+        for index, thing in enumerate(scene.arena.loose):
+            yield f"loose/{thing.name}", _picked(row, np.asarray(loose.owner == index))
         row = _in_own_axes(visible_doors(scene, physics))
-        for place, door in enumerate(scene.arena.doors):
-            yield f"door/{door.name}", _picked(row, np.array([place]))
+        for index, door in enumerate(scene.arena.doors):
+            yield f"door/{door.name}", _picked(row, np.array([index]))
 
     def _fixed(self, world: World) -> VisibleGeoms:
-        """Return all geoms that never move, of this world's arena, where they are."""
+        """Return all geoms of this world's arena that never move, at their poses."""
         time = time_of(self._scene, world)
         fixed, *data = visible_arena(self._scene, world.arena_state, time)
         rows = [_picked(fixed, ~np.isin(fixed.label, BONES))]
@@ -190,7 +193,7 @@ class Capture:
         )
 
     def _num_fixed_bodies(self, world: World) -> int:
-        """Return how many bodies are made of what never moves; looked up once in an episode."""
+        """Return the number of bodies that never move; computed once in an episode."""
         which = int(world.number), int(world.episode)
         if which not in self._num_fixed:
             labels = {*np.asarray(self._fixed(world).label).tolist()}
@@ -198,7 +201,7 @@ class Capture:
         return self._num_fixed[which]
 
     def _moving(self, world: World) -> np.ndarray:
-        """Return which of the arena's geoms that are data move: limbs of victims (geoms,)."""
+        """Return which of the arena's data geoms move: limbs of victims (geoms,)."""
         scene, state = self._scene, world.arena_state
         if scene.moved_geoms is None:
             return np.zeros(0, bool)
@@ -207,7 +210,7 @@ class Capture:
         return np.concatenate([np.zeros(len(state.pos), bool), np.asarray(state.victims.swing) > 0])
 
     def _arena_poses(self, world: World, physics: PhysicsState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return where the bodies are that are no robot's, and which of them are there."""
+        """Return the poses of the bodies that belong to no robot, and which of them are present."""
         scene, state = self._scene, world.arena_state
         still = self._num_fixed_bodies(world)
         pos, mat = [np.zeros((still, 3))], [np.tile(np.eye(3), (still, 1, 1))]
@@ -233,12 +236,12 @@ def _victims(scene: Scene, world: World) -> VictimTable:
 
 
 def _still_limbs(table: VictimTable, time: Array, floor: float) -> list[VisibleGeoms]:
-    """Return what is drawn of victims' limbs that never move, where they are."""
+    """Return the drawn limbs of victims that never move, at their poses."""
     boxes = np.flatnonzero((table.swing == 0) & (table.owner != PADDING_OWNER))
-    places, turns = (np.asarray(x)[boxes] for x in segment_poses(table, time))
+    positions, turns = (np.asarray(x)[boxes] for x in segment_poses(table, time))
     found: list[VisibleGeoms] = []
-    for limb, place, turn in zip(drawn_limbs(table, boxes), places, orientations(turns), strict=True):
-        pos = place + (0.0, 0.0, floor) + np.asarray(limb.pos) @ np.asarray(turn).T
+    for limb, at, turn in zip(drawn_limbs(table, boxes), positions, orientations(turns), strict=True):
+        pos = at + (0.0, 0.0, floor) + np.asarray(limb.pos) @ np.asarray(turn).T
         found.append(limb._replace(pos=pos, mat=np.tile(turn, (len(limb.kind), 1, 1))))
     return found
 
@@ -249,7 +252,7 @@ def _picked(row: VisibleGeoms, which: np.ndarray) -> VisibleGeoms:
 
 
 def _in_own_axes(row: VisibleGeoms) -> VisibleGeoms:
-    """Return geoms each of which is a body, in the axes of that."""
+    """Return geoms that are one body each, in their body's axes."""
     n = len(row.kind)
     return row._replace(pos=np.zeros((n, 3), np.float32), mat=np.tile(np.eye(3, dtype=np.float32), (n, 1, 1)))
 
@@ -267,10 +270,10 @@ def _key(group: RobotGroup, part: str) -> str:
 
 
 def _robot_shapes(group: RobotGroup) -> dict[str, DrawnShape]:
-    """Return what the bodies of a class look like, by its name and theirs."""
-    drawn, shapes = group.plan.figure.solids, dict[str, DrawnShape]()
-    for place, part in enumerate(group.plan.parts):
-        own = drawn.frame == place
+    """Return the shapes of a class's bodies, by its name and theirs."""
+    drawn, shapes = group.plan.visuals.solids, dict[str, DrawnShape]()
+    for index, part in enumerate(group.plan.parts):
+        own = drawn.frame == index
         n = int(own.sum())
         shapes[_key(group, part)] = DrawnShape(
             kind=drawn.kind[own],

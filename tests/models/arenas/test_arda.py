@@ -16,7 +16,7 @@ from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.arda import ARDA, FILES, MISSIONS, NETWORK, ORIGIN, RADIUS, STARTS
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.roads.network import (
-    FOOT,
+    METRES_PER_FOOT,
     METRES_PER_LATITUDE_DEGREE,
     METRES_PER_LONGITUDE_DEGREE,
     Lane,
@@ -27,8 +27,8 @@ from usarmjx.models.roads.network import (
 from usarmjx.models.roads.rndf import read_mdf, read_rndf, write_mdf, write_rndf
 from usarmjx.models.roads.shapes import (
     KERB_WIDTH,
-    LINE,
-    STOP_LINE,
+    LINE_WIDTH,
+    STOP_LINE_WIDTH,
     WHITE,
     YELLOW,
     lane_path,
@@ -156,13 +156,15 @@ def test_lines_and_kerbs_lie_beside_the_files_waypoints(owner):
     assert half == pytest.approx(6 * 0.3048)
     yellow = [s for s in ARDA.shapes if s.rgba == YELLOW]
     right = [
-        s for s in ARDA.shapes if s.size[1] == (LINE if lane.right else KERB_WIDTH) / 2 and s.rgba != YELLOW
+        s
+        for s in ARDA.shapes
+        if s.size[1] == (LINE_WIDTH if lane.right else KERB_WIDTH) / 2 and s.rgba != YELLOW
     ]
-    expected = -half + LINE / 2 if lane.right else -half - KERB_WIDTH / 2
+    expected = -half + LINE_WIDTH / 2 if lane.right else -half - KERB_WIDTH / 2
     pieces = 0
     for run in lane_runs(network, owner, ARDA.gps):
         for piece in itertools.pairwise(run):
-            for lines, at in ((yellow, half - LINE), (right, expected)):
+            for lines, at in ((yellow, half - LINE_WIDTH), (right, expected)):
                 middle = np.mean(piece, axis=0)
                 offs = [sideways(piece, ends(line)) for line in lines]
                 beside = [
@@ -176,7 +178,7 @@ def test_lines_and_kerbs_lie_beside_the_files_waypoints(owner):
 
 
 def test_stop_signs_have_lines():
-    lines = [s for s in ARDA.shapes if s.size[1] == STOP_LINE / 2]
+    lines = [s for s in ARDA.shapes if s.size[1] == STOP_LINE_WIDTH / 2]
     stops = [
         np.array(to_local_xy(ORIGIN, NETWORK.lane(*owner).waypoints[i - 1]))
         for owner in LANES
@@ -190,7 +192,9 @@ def test_stop_signs_have_lines():
 def test_curves_have_their_radius():
     path = lane_path(NETWORK.lane(1, 1), ORIGIN)[1:6]
     centre = (60.0 - RADIUS, -(45.0 - RADIUS))
-    np.testing.assert_allclose(np.linalg.norm(path - centre, axis=1), RADIUS - 6 * FOOT, atol=FILE_ATOL)
+    np.testing.assert_allclose(
+        np.linalg.norm(path - centre, axis=1), RADIUS - 6 * METRES_PER_FOOT, atol=FILE_ATOL
+    )
 
 
 @pytest.fixture(scope="module")
@@ -224,7 +228,7 @@ def test_nothing_stands_on_the_lanes(scene):
 def test_the_check_above_can_fail(scene):
     data = mujoco.MjData(scene.model)
     hummer = ROBOTS.get(WIDEST)
-    on_kerb = 12 * FOOT + KERB_WIDTH / 2 - hummer.wheel_separation / 2
+    on_kerb = 12 * METRES_PER_FOOT + KERB_WIDTH / 2 - hummer.wheel_separation / 2
     assert touching(scene, data, 35.0, -on_kerb, 0.0) > 0, "its right wheels in the kerb of Main Street"
     assert touching(scene, data, 20.0, 20.0, 0.0) > 0, "in a house"
 
@@ -256,12 +260,12 @@ def test_spots_hold_a_car_between_their_lines():
     assert isinstance(zone, Zone)
     path = np.array([[to_local_xy(ORIGIN, at) for at in spot.waypoints] for spot in zone.spots])
     gaps = np.diff(path[:, 1, 0])
-    np.testing.assert_allclose(gaps, 9 * FOOT, atol=FILE_ATOL)
-    assert max(ROBOTS.get(car).dimensions[1] for car in CARS) < 9 * FOOT - LINE
+    np.testing.assert_allclose(gaps, 9 * METRES_PER_FOOT, atol=FILE_ATOL)
+    assert max(ROBOTS.get(car).dimensions[1] for car in CARS) < 9 * METRES_PER_FOOT - LINE_WIDTH
     lines = [
         s
         for s in ARDA.shapes
-        if s.rgba == WHITE and s.size == pytest.approx((2.75, LINE / 2, 0.002), abs=1e-3)
+        if s.rgba == WHITE and s.size == pytest.approx((2.75, LINE_WIDTH / 2, 0.002), abs=1e-3)
     ]
     assert len(lines) == len(zone.spots) + 1
 

@@ -29,9 +29,9 @@ from usarmjx.models.arenas.elements import (
 )
 from usarmjx.models.arenas.elements import heights as posts_of
 from usarmjx.models.arenas.pieces import (
-    CINDER,
-    EDGE,
-    PIPE,
+    CINDER_SIZE,
+    PIPE_DIAMETER,
+    STEP_PIPE_DIAMETER,
     brick,
     cinder_block,
     loose_board,
@@ -227,9 +227,11 @@ def test_pipe_steps_are_level_with_their_pipes():
     points = [(0.3, 0.5), (0.9, -0.5), (0.0, 0.0), (0.6, 0.0)]
     # Over its axis a pipe of eight edges is highest by its upper side.
     np.testing.assert_allclose(heights(arena, points), [0.2, 0.4, 0.2, 0.4], atol=ATOL)
-    reach = EDGE / 2 * math.cos(math.pi / 8)  # to its sides, as to its top
+    reach = STEP_PIPE_DIAMETER / 2 * math.cos(math.pi / 8)  # to its sides, as to its top
     nose = heights(arena, [(INSET - reach, 0.0), (-INSET - reach, 0.0)])
-    np.testing.assert_allclose(nose, [0.2 - reach + EDGE / 2 * math.sin(math.pi / 8), 0.0], atol=2 * INSET)
+    np.testing.assert_allclose(
+        nose, [0.2 - reach + STEP_PIPE_DIAMETER / 2 * math.sin(math.pi / 8), 0.0], atol=2 * INSET
+    )
 
 
 # Debris
@@ -274,7 +276,7 @@ def test_a_rubble_pile_is_the_same_for_the_same_seed_and_reaches_the_ground():
 def test_loose_debris_lies_where_it_is_put_and_stays():
     loose = (
         loose_cinder_block("block", (1.0, 0.0), yaw=0.3),
-        brick("brick", (1.0, 0.0), z=CINDER[2], yaw=1.0),  # on the block
+        brick("brick", (1.0, 0.0), z=CINDER_SIZE[2], yaw=1.0),  # on the block
         loose_pipe("pipe", (2.0, 0.0), 0.8, yaw=0.7),
         loose_board("board", (3.0, 0.0), (0.6, 0.4, 0.012), yaw=2.0),
     )
@@ -288,5 +290,5 @@ def test_loose_debris_lies_where_it_is_put_and_stays():
         rig.step()
         fastest = max(fastest, loose_speeds(rig).max())
     assert fastest < 1e-3
-    half = PIPE / 2 * math.cos(math.pi / 8)
+    half = PIPE_DIAMETER / 2 * math.cos(math.pi / 8)
     assert rig.data.body("loose/pipe").xpos[2] == pytest.approx(half, abs=SINK)

@@ -14,12 +14,12 @@ from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.soccer import (
     BALL_MASS,
     BALL_RADIUS,
+    BALL_START,
     CARPET,
     GOAL_DEPTH,
     GOAL_WIDTH,
     LENGTH,
     SOCCER,
-    SPOT,
     WIDTH,
 )
 from usarmjx.models.compile.physics import Physics
@@ -138,7 +138,7 @@ def test_the_ball_stays_on_the_field(field):
 
 def test_a_robot_dribbles_the_ball_over_the_goal_line():
     """The whole of the ball, within the goal; it comes back off the board, as nothing else stops it."""
-    rig = Rig("P2AT", arena=SOCCER, places=((SPOT[0] - 0.6, 0.0, 0.0),))
+    rig = Rig("P2AT", arena=SOCCER, places=((BALL_START[0] - 0.6, 0.0, 0.0),))
     assert ArenaRoute(rig).to([(2.2, 0.0)], speed=0.5)
     rig.tell(Left=0.0, Right=0.0)
     places = []

@@ -86,7 +86,7 @@ def test_straight_gaps_are_as_the_docstring_says(radius, cell, shift):
 def test_places_all_at_once_are_those_one_by_one():
     there = reach(*gap(0.4, 0.3), radius=0.25)
     places = np.random.default_rng(0).uniform(-6.0, 6.0, (40, 25, 2))
-    found = there.reachable_places(places)
+    found = there.reachable_points(places)
     assert found.tolist() == [[there.reachable(*place) for place in row] for row in places.tolist()]
     assert found.any()
     assert not found.all()

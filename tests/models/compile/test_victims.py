@@ -21,7 +21,7 @@ from usarmjx.models.compile.victims import (
     POSTURES,
     box_names,
     loudness,
-    lowest,
+    lowest_points,
     mouth_positions,
     pad_table,
     rest_height,
@@ -212,7 +212,7 @@ def test_an_adult_stands_1_75_m_tall_on_the_ground():
     table = victim_table([victim])
     pos, _ = segment_poses(table, 0.0)
     at = dict(zip(rows(victim), zip(pos, table.size, strict=True), strict=True))
-    assert lowest(table, 0.0).min() == pytest.approx(0.0, abs=1e-6)
+    assert lowest_points(table, 0.0).min() == pytest.approx(0.0, abs=1e-6)
     centre, half = at["Head"]
     assert centre[2] + half[2] == pytest.approx(1.75, abs=1e-6)
     for bone, top in {"LeftLeg": 0.530, "LeftFoot": 0.039, "LeftArm": 0.818, "Chest": 0.818}.items():
@@ -225,7 +225,7 @@ def test_an_adult_stands_1_75_m_tall_on_the_ground():
 @pytest.mark.parametrize("posture", ["lying", "sitting", "crouched"])
 def test_whoever_does_not_stand_rests_with_the_pelvis_on_the_ground(posture):
     victim = Victim(name="v", at=(0.0, 0.0, rest_height(posture)), posture=posture)
-    low = lowest(victim_table([victim]), 0.0)
+    low = lowest_points(victim_table([victim]), 0.0)
     assert low.min() == pytest.approx(0.0, abs=1e-6)
     assert low[rows(victim).index("Pelvis")] < 0.02
     pos, _ = segment_poses(victim_table([victim]), 0.0)

@@ -7,7 +7,7 @@ import trimesh
 import dev
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.files.load import load_arena
-from usarmjx.models.files.meshes import MOST_VERTICES, load_convex_pieces
+from usarmjx.models.files.meshes import MAX_VERTICES, load_convex_pieces
 
 EXAMPLES = dev.ROOT / "examples" / "arenas"
 
@@ -84,5 +84,5 @@ def test_a_broken_mesh_is_one_line(text, says, tmp_path):
 
 def test_solids_with_many_corners_are_refused(tmp_path):
     ball = trimesh.creation.icosphere(subdivisions=3)
-    with pytest.raises(ArenaFileError, match=f"hull with 642 vertices, at most {MOST_VERTICES} are allowed"):
+    with pytest.raises(ArenaFileError, match=f"hull with 642 vertices, at most {MAX_VERTICES} are allowed"):
         load_arena(export(tmp_path / "ball.obj", ball))

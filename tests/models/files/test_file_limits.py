@@ -291,7 +291,7 @@ def test_merges_and_values_and_keys_are_counted_while_they_are_read(tmp_path, mo
     )
     refused(write(tmp_path / "c.yaml", "floor: " + "x" * 9000), r"floor: 'x+\.\.\.' is not a number")
     refused(write(tmp_path / "d.yaml", "&a <<: *a"), "is no YAML|contains itself|empty")
-    monkeypatch.setattr(values, "MOST_VALUES", 1000)
+    monkeypatch.setattr(values, "MAX_VALUES", 1000)
     refused(write(tmp_path / "e.yaml", "floor: [" + "0, " * 5000 + "0]"), "more than 1000 values in one file")
 
 

@@ -16,7 +16,7 @@ from tests.rig import Rig
 from usarmjx.base.errors import SpecError, UnknownNameError
 from usarmjx.comms.walls import arena_solids, count_walls
 from usarmjx.models.compile.arena_set import arena_set
-from usarmjx.models.compile.compose import ARENA, LOOSE_PREFIX, VICTIM_PREFIX, new_spec
+from usarmjx.models.compile.compose import ARENA_PREFIX, LOOSE_PREFIX, VICTIM_PREFIX, new_spec
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.reachability import footprint_of, reach_map, shapes_in_arena, victims_reached
 from usarmjx.models.generate import KINDS, Difficulty, budget, generate, generate_many
@@ -159,7 +159,7 @@ def solids(arena):
 def overlaps(arena):
     """Pairs of things that reach into each other by more than rounding, by C MuJoCo."""
     model, data = solids(arena)
-    groups = {ARENA: [], VICTIM_PREFIX: [], LOOSE_PREFIX: [], "start": [], "tag": []}
+    groups = {ARENA_PREFIX: [], VICTIM_PREFIX: [], LOOSE_PREFIX: [], "start": [], "tag": []}
     for geom in range(model.ngeom):
         name = model.geom(geom).name
         for group, members in groups.items():
@@ -175,7 +175,7 @@ def overlaps(arena):
     found = []
     for one, two in itertools.combinations_with_replacement(groups, 2):
         for a, b in itertools.product(groups[one], groups[two]):
-            if one == two and (a >= b or one in (ARENA, VICTIM_PREFIX)):
+            if one == two and (a >= b or one in (ARENA_PREFIX, VICTIM_PREFIX)):
                 continue
             reach = model.geom_rbound[a] + model.geom_rbound[b]
             if np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) > reach:

@@ -12,7 +12,7 @@ from usarmjx.models.compile.reachability import DEFAULT_SLOPE, footprint_of, rea
 from usarmjx.models.generate import KINDS, Difficulty, generate
 from usarmjx.models.generate.draw import RandomStream
 from usarmjx.models.generate.obstacles import (
-    HIGHEST,
+    MAX_HEIGHT_RATIO,
     OBSTACLES,
     highest_at,
     highest_obstacle,
@@ -75,12 +75,14 @@ def test_no_obstacle_on_a_route_is_higher_than_what_every_drive_got_over():
     for robot, kinds in measured_crossings().items():
         for kind, curve in kinds.items():
             allowed = highest_obstacle(robot, kind, 0.0)
-            assert allowed <= HIGHEST
+            assert allowed <= MAX_HEIGHT_RATIO
             assert all(share == 1.0 for height, share in curve if height <= allowed)
-    assert highest_obstacle("P2DX", "bars", 0.0) < HIGHEST, "a P2DX does not get over the highest bars"
-    assert highest_obstacle("Zerg", "bars", 0.0) == HIGHEST
+    assert highest_obstacle("P2DX", "bars", 0.0) < MAX_HEIGHT_RATIO, (
+        "a P2DX does not get over the highest bars"
+    )
+    assert highest_obstacle("Zerg", "bars", 0.0) == MAX_HEIGHT_RATIO
     for robot, kind in (("Lisa", "slabs"), ("Rugbot", "bars"), ("ATRVJr", "bars"), ("UnitLoader", "bars")):
-        assert highest_obstacle(robot, kind, 0.0) < HIGHEST, "nor do these"
+        assert highest_obstacle(robot, kind, 0.0) < MAX_HEIGHT_RATIO, "nor do these"
 
 
 USUAL = (

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.ini.parse import MOST_BYTES, MOST_LINES, parse_ini, read_ini
-from usarmjx.models.ini.robots import MOST_BASES, load_robots
+from usarmjx.models.ini.parse import MAX_INI_BYTES, MAX_LINES, parse_ini, read_ini
+from usarmjx.models.ini.robots import MAX_BASE_CLASSES, load_robots
 from usarmjx.models.robots import ROBOTS
 
 BRIEFLY = 10.0
@@ -15,7 +15,7 @@ BRIEFLY = 10.0
 
 
 def test_many_lines_are_removed_one_by_one():
-    count = MOST_LINES // 2 - 10
+    count = MAX_LINES // 2 - 10
     lines = [f"Key={i}" for i in range(count)] + [f"-Key={i + 2}" for i in range(count)]
     start = time.process_time()
     left = parse_ini("\n".join(["[A]", *lines])).section("a").lines
@@ -24,7 +24,7 @@ def test_many_lines_are_removed_one_by_one():
 
 
 def test_many_sections_are_looked_up_by_name():
-    count = MOST_LINES // 2 - 10
+    count = MAX_LINES // 2 - 10
     file = parse_ini("\n".join(f"[S{i % (count // 2)}]\nkey={i}" for i in range(count)))
     start = time.process_time()
     found = [file.section(f"s{i}").lines[-1].value for i in range(count // 2)]
@@ -33,11 +33,11 @@ def test_many_sections_are_looked_up_by_name():
 
 
 def test_a_file_has_so_many_lines_and_bytes(tmp_path):
-    with pytest.raises(SpecError, match=rf"<text>:{MOST_LINES + 1}: this is line .* at most {MOST_LINES}"):
-        parse_ini("[A]\n" + "a=1\n" * MOST_LINES)
+    with pytest.raises(SpecError, match=rf"<text>:{MAX_LINES + 1}: this is line .* at most {MAX_LINES}"):
+        parse_ini("[A]\n" + "a=1\n" * MAX_LINES)
     path = tmp_path / "a.ini"
-    path.write_bytes(b"\n" * (MOST_BYTES + 1))
-    with pytest.raises(SpecError, match=rf"a\.ini: has more than {MOST_BYTES} bytes, which are too many"):
+    path.write_bytes(b"\n" * (MAX_INI_BYTES + 1))
+    with pytest.raises(SpecError, match=rf"a\.ini: has more than {MAX_INI_BYTES} bytes, which are too many"):
         read_ini(path)
     with pytest.raises(SpecError, match="has more than"):
         read_ini(Path("/dev/zero"))
@@ -58,7 +58,7 @@ def test_classes_that_are_based_on_each_other_without_end_are_refused(own, tmp_p
     )
     path = tmp_path / "a.ini"
     path.write_text(text)
-    with pytest.raises(SpecError, match=rf"a\.ini:\d+: .* in a row; expected at most {MOST_BASES}"):
+    with pytest.raises(SpecError, match=rf"a\.ini:\d+: .* in a row; expected at most {MAX_BASE_CLASSES}"):
         load_robots([path], ROBOTS)
 
 

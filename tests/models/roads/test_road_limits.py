@@ -5,7 +5,7 @@ import time
 import pytest
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.roads.lines import MOST_BYTES
+from usarmjx.models.roads.lines import MAX_ROAD_FILE_BYTES
 from usarmjx.models.roads.network import Lane, RoadSegment, RouteNetwork, mission_faults, network_faults
 from usarmjx.models.roads.rndf import read_mdf, read_rndf
 from usarmjx.models.roads.shapes import road_shapes
@@ -74,8 +74,8 @@ def test_numbers_and_files_have_an_end(tmp_path):
     with pytest.raises(SpecError, match=r"text:2: .*expected 1 whole numbers"):
         read_rndf("RNDF_name n\nnum_segments " + "9" * 5000 + "\n")
     path = tmp_path / "a.txt"
-    path.write_bytes(b" " * (MOST_BYTES + 1))
-    with pytest.raises(SpecError, match=f"has more than {MOST_BYTES} bytes, which are too many"):
+    path.write_bytes(b" " * (MAX_ROAD_FILE_BYTES + 1))
+    with pytest.raises(SpecError, match=f"has more than {MAX_ROAD_FILE_BYTES} bytes, which are too many"):
         read_rndf(path)
 
 

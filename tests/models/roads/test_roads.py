@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from usarmjx.models.roads.network import FOOT, Lane, RoadSegment, RouteNetwork, to_lat_lon
+from usarmjx.models.roads.network import METRES_PER_FOOT, Lane, RoadSegment, RouteNetwork, to_lat_lon
 from usarmjx.models.roads.shapes import (
-    DASH,
-    GAP,
-    LINE,
-    PAINT,
+    DASH_GAP,
+    DASH_LENGTH,
+    LINE_WIDTH,
+    PAINT_THICKNESS,
     WHITE,
     YELLOW,
     lane_runs,
@@ -17,7 +17,7 @@ from usarmjx.models.roads.shapes import (
 )
 
 ORIGIN = (40.0, 10.0)
-HALF = 6 * FOOT
+HALF = 6 * METRES_PER_FOOT
 LENGTH = 100.0
 ATOL = 1e-4  # m: degrees to metres and back
 
@@ -44,23 +44,27 @@ def test_a_solid_line_lies_inside_the_lanes_edge(kind, rgba, inwards):
     """A lane without a width is 12 feet wide; a double line is one line of either lane and a gap."""
     (line,) = of(painted(lane(kind, "broken_white")), rgba) if rgba == YELLOW else of(painted(lane("", kind)))
     side = 1 if rgba == YELLOW else -1
-    assert line.at == pytest.approx((LENGTH / 2, side * (HALF - inwards * LINE), PAINT / 2), abs=ATOL)
-    assert line.size == pytest.approx((LENGTH / 2, LINE / 2, PAINT / 2), abs=ATOL)
+    assert line.at == pytest.approx(
+        (LENGTH / 2, side * (HALF - inwards * LINE_WIDTH), PAINT_THICKNESS / 2), abs=ATOL
+    )
+    assert line.size == pytest.approx((LENGTH / 2, LINE_WIDTH / 2, PAINT_THICKNESS / 2), abs=ATOL)
     if kind == "double_yellow":
-        assert 2 * (HALF - abs(line.at[1])) - LINE == pytest.approx(LINE), "the gap is as wide as a line"
+        assert 2 * (HALF - abs(line.at[1])) - LINE_WIDTH == pytest.approx(LINE_WIDTH), (
+            "the gap is as wide as a line"
+        )
 
 
 def test_broken_lines_are_dashes_of_ten_feet_and_gaps_of_thirty():
     """Of two lanes side by side each paints half of its width; the last dash ends with the lane."""
     right, left = lane("broken_white", "solid_white"), lane("solid_yellow", "broken_white", y=2 * HALF)
-    dashes = [s for s in of(painted(right, left)) if s.size[1] == LINE / 4]
-    assert len(dashes) == 2 * int(np.ceil(LENGTH / (DASH + GAP)))
+    dashes = [s for s in of(painted(right, left)) if s.size[1] == LINE_WIDTH / 4]
+    assert len(dashes) == 2 * int(np.ceil(LENGTH / (DASH_LENGTH + DASH_GAP)))
     assert sorted({round(s.at[1] - HALF, 6) for s in dashes}) == pytest.approx(
-        [-LINE / 4, LINE / 4], abs=ATOL
+        [-LINE_WIDTH / 4, LINE_WIDTH / 4], abs=ATOL
     )
     starts = sorted(s.at[0] - s.size[0] for s in dashes if s.at[1] < HALF)
-    assert np.diff(starts) == pytest.approx(DASH + GAP, abs=ATOL)
-    assert [s.size[0] for s in dashes[:-1] if s.at[0] < 95] == pytest.approx([DASH / 2] * 16, abs=ATOL)
+    assert np.diff(starts) == pytest.approx(DASH_LENGTH + DASH_GAP, abs=ATOL)
+    assert [s.size[0] for s in dashes[:-1] if s.at[0] < 95] == pytest.approx([DASH_LENGTH / 2] * 16, abs=ATOL)
 
 
 def test_lines_end_where_a_lane_crosses_another_road():
@@ -75,7 +79,7 @@ def test_lines_end_where_a_lane_crosses_another_road():
     stop = of(shapes)[-1]
     assert stop.at[:2] == pytest.approx((40.0, 0.0), abs=ATOL)
     assert abs(stop.rotation[2]) == pytest.approx(np.pi / 2), "it lies across the lane"
-    assert stop.size[0] == pytest.approx(HALF - LINE)
+    assert stop.size[0] == pytest.approx(HALF - LINE_WIDTH)
 
 
 def test_a_straight_lane_of_many_waypoints_has_one_line_and_kerb():

@@ -15,7 +15,7 @@ from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import forward_kinematics, kinematic_tree_of
 from usarmjx.models.compile.parts import parts_of
 from usarmjx.models.compile.physics import Physics
-from usarmjx.models.compile.visuals import Solids, reach_of
+from usarmjx.models.compile.visuals import Solids, solid_extents
 from usarmjx.models.drives.base import RobotState
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.kit import block, hull
@@ -67,7 +67,7 @@ def test_physics_is_the_same_to_the_bit_without_looks(robot):
 def test_every_class_has_looks_of_its_own_in_valid_colours(robot):
     assert robot.looks, "the chassis is drawn"
     plan = kinematic_tree_of(robot)
-    drawn = plan.figure.solids
+    drawn = plan.visuals.solids
     assert len(drawn.kind) > len(plan.geom_type)
     assert set(drawn.frame) <= set(range(len(plan.parts)))
     assert np.isfinite(drawn.pos).all()
@@ -81,14 +81,14 @@ def extent(robot: RobotSpec, solids: Solids) -> tuple[np.ndarray, np.ndarray]:
     """The lowest and the highest corner of the box about solids of a robot with its joints at zero."""
     plan = kinematic_tree_of(robot)
     pos, mat = solids.poses(plan.rest_pos, plan.rest_frames)
-    low, high = reach_of(solids, np.asarray(mat))
+    low, high = solid_extents(solids, np.asarray(mat))
     return (pos + low).min(0), (pos + high).max(0)
 
 
 @pytest.mark.parametrize("robot", ALL)
 def test_a_robot_is_drawn_where_sensors_meet_it_and_about_as_large(robot):
     plan = kinematic_tree_of(robot)
-    (low, high), (met_low, met_high) = (extent(robot, one) for one in (plan.figure.solids, plan.solids))
+    (low, high), (met_low, met_high) = (extent(robot, one) for one in (plan.visuals.solids, plan.solids))
     room = 0.12 * max(robot.dimensions)
     assert (low[:2] > met_low[:2] - room).all(), "but for masts and antennas, which stand above it"
     assert (high[:2] < met_high[:2] + room).all()
@@ -110,7 +110,7 @@ def poses_at(robot: RobotSpec, angle: float, moved: Callable[[Part], bool]):
             joint_vel=np.zeros(len(turned)),
         )
         bodies = forward_kinematics(plan, state)
-        return plan, *plan.figure.solids.poses(bodies.pos, bodies.mat)
+        return plan, *plan.visuals.solids.poses(bodies.pos, bodies.mat)
 
 
 @pytest.mark.parametrize("name", [name for name in ROBOTS.names() if ROBOTS.get(name).wheels])
@@ -120,7 +120,7 @@ def test_the_turning_of_wheels_shows(name):
     plan, _, before = poses_at(robot, 0.0, lambda part: part.is_wheel)
     _, _, after = poses_at(robot, 0.35, lambda part: part.is_wheel)
     wheels = {part.name for part in robot.wheels}
-    solids, box = plan.figure.solids, int(mujoco.mjtGeom.mjGEOM_BOX)
+    solids, box = plan.visuals.solids, int(mujoco.mjtGeom.mjGEOM_BOX)
     bars = np.array([plan.parts[frame] in wheels for frame in solids.frame]) & (solids.kind == box)
     shown = {plan.parts[frame] for frame in solids.frame[bars]}
     assert len(shown) >= len(wheels) / 2, "of tracks, at least every other wheel"
@@ -142,7 +142,7 @@ def test_kurt3ds_scanner_is_drawn_on_the_part_that_tilts_it():
     plan, before, _ = poses_at(ROBOTS.get("Kurt3D"), 0.0, lambda part: part.name == "ScannerSides")
     _, after, _ = poses_at(ROBOTS.get("Kurt3D"), 0.3, lambda part: part.name == "ScannerSides")
     sides = plan.parts.index("ScannerSides")
-    own = plan.figure.solids.frame == sides
+    own = plan.visuals.solids.frame == sides
     assert own.sum() >= 6
     assert np.linalg.norm(np.asarray(after - before), axis=-1)[own].max() > 0.01
     assert not np.asarray(after - before)[~own].any()
@@ -151,7 +151,7 @@ def test_kurt3ds_scanner_is_drawn_on_the_part_that_tilts_it():
 def test_a_mesh_of_a_look_lies_where_its_corners_say_in_the_axes_of_the_description():
     corners = [(0.1, 0.2, 0.3), (0.3, 0.2, 0.3), (0.1, 0.4, 0.3), (0.1, 0.2, 0.7)]
     robot = replace(ROBOTS.get("ComStation"), name="Meshed", looks=(hull(corners),))
-    solids = kinematic_tree_of(robot).figure.solids
+    solids = kinematic_tree_of(robot).visuals.solids
     first = solids.pos[solids.frame == 0]  # corners of triangles; y and z are ours
     want = {(x, -y, -z) for x, y, z in corners}
     assert {tuple(np.round(row.astype(float), 5)) for row in first} <= want
@@ -161,7 +161,7 @@ def test_looks_that_light_would_pass_are_refused():
     pane = replace(block((0.1, 0.1, 0.1)), material=GLASS)
     robot = replace(ROBOTS.get("ComStation"), name="Pane", looks=(pane,))
     with pytest.raises(SpecError, match="opaque, not 'glass'"):
-        _ = kinematic_tree_of(robot).figure
+        _ = kinematic_tree_of(robot).visuals
 
 
 def test_classes_of_a_kind_differ_in_colour():

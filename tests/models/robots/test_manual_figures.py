@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
-from usarmjx.models.compile.measure import extent
+from usarmjx.models.compile.measure import bounding_box
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.suite import suite_of
@@ -65,14 +65,14 @@ def test_figures_are_the_manuals(name):
 )
 def test_built_robots_fill_the_manuals_box(name):
     """Of the other classes some sensor or camera stands above it, or a wheel or arm reaches beyond."""
-    low, high = extent(ROBOTS.get(name))
+    low, high = bounding_box(ROBOTS.get(name))
     np.testing.assert_allclose(high - low, FIGURES[name][0], atol=BUILT)
 
 
 @pytest.mark.parametrize("name", ["ATRVJr", "Hummer", "SnowStorm", "Zerg", "Rugbot", "Kenaf"])
 def test_built_robots_are_as_long_and_wide_as_the_manual_says(name):
     """Their scanners and cameras stand above the listed height."""
-    low, high = extent(ROBOTS.get(name))
+    low, high = bounding_box(ROBOTS.get(name))
     length, width, height = FIGURES[name][0]
     np.testing.assert_allclose((high - low)[:2], (length, width), atol=BUILT)
     assert (high - low)[2] > height + BUILT

@@ -6,7 +6,7 @@ import pytest
 
 from tests.models.robots.test_manual_figures import FIGURES
 from usarmjx.models.compile.compose import add_robot, new_spec
-from usarmjx.models.compile.measure import extent
+from usarmjx.models.compile.measure import bounding_box
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec
@@ -57,7 +57,7 @@ def test_the_deck_or_roof_is_as_high_as_the_manual_says(name):
 
 def test_a_sedan_fills_the_manuals_box():
     """Whatever makes its weight is inside: rays of others hear of it where the body is."""
-    low, high = extent(ROBOTS.get("Sedan"))
+    low, high = bounding_box(ROBOTS.get("Sedan"))
     np.testing.assert_allclose(high - low, FIGURES["Sedan"][0], atol=BUILT)
 
 

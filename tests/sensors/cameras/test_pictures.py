@@ -12,7 +12,7 @@ import pytest
 from tests.dressed import dressed
 from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
-from usarmjx.models.compile.victim_visuals import SLOTS, drawn_bones, used_slots
+from usarmjx.models.compile.victim_visuals import VISUAL_SLOTS, drawn_bones, used_slots
 from usarmjx.models.compile.victims import orientations, segment_poses, victim_table
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.kit import camera
@@ -119,7 +119,7 @@ def drawn_model() -> mujoco.MjModel:
         offset, turn = bones.offset[box, slot], orientations(quat[box])
         spec.worldbody.add_geom(
             name=f"victim/{box}/{slot}",
-            type=SLOTS[slot],
+            type=VISUAL_SLOTS[slot],
             size=bones.size[box, slot],
             pos=pos[box] + turn @ offset + (0.0, 0.0, ARENA_SPEC.floor),
             quat=quat[box],
@@ -423,7 +423,7 @@ def test_pictures_of_impossible_sizes_are_refused(batch):
 def test_no_camera_looks_into_its_own_robot(name):
     """Straight ahead there is nothing of the robot within 4 cm of the lens; mirrors are on their packages."""
     robot: RobotSpec = ROBOTS.get(name)
-    drawn = kinematic_tree_of(robot).figure.solids
+    drawn = kinematic_tree_of(robot).visuals.solids
     for one in cameras_of(robot):
         assert one.hidden_geoms.shape == drawn.kind.shape
         assert one.hidden_geoms[drawn.frame == one.body].all()

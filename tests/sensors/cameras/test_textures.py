@@ -14,7 +14,14 @@ from usarmjx.base.errors import UsarmjxError
 from usarmjx.models.files.load import load_arena
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.shapes import Shape
-from usarmjx.models.types.textures import KINDS, SIGNS, TEXTURES, code_of, names_of, texture_problem
+from usarmjx.models.types.textures import (
+    CODE_STRIDE,
+    SIGNS,
+    TEXTURES,
+    texture_code,
+    texture_names,
+    texture_problem,
+)
 from usarmjx.sensors.cameras.paint import ARENA_LABEL
 from usarmjx.sensors.cameras.shading import BRICK_CONTRAST, shade
 from usarmjx.sensors.cameras.textures import BRICK, LANDOLT_RINGS, MORTAR_SHADE, TILE, noise, textured
@@ -31,7 +38,7 @@ def pattern(name, across, up):
     """The factor on a grey surface's colour at places [m] (n,)."""
     across, up = np.broadcast_arrays(np.float32(across), np.float32(up))
     shape, across, up = across.shape, across.ravel(), up.ravel()
-    code, rgb = np.full(len(across), code_of(name)), np.full((3, len(across)), GREY, np.float32)
+    code, rgb = np.full(len(across), texture_code(name)), np.full((3, len(across)), GREY, np.float32)
     away = np.broadcast_to(NOWHERE, across.shape)
     with numpy_backend():
         seen = textured({name}, code, rgb, (across, up), (away, away))
@@ -41,9 +48,9 @@ def pattern(name, across, up):
 def sign(texture, u, v):
     """The colours of a sign at places from -1 to 1, to the right and up (n,): (n, 3)."""
     u, v = (np.float32(np.atleast_1d(x)) for x in (u, v))
-    code, rgb = np.full(len(u), code_of(texture)), np.full((3, len(u)), GREY, np.float32)
+    code, rgb = np.full(len(u), texture_code(texture)), np.full((3, len(u)), GREY, np.float32)
     with numpy_backend():
-        return textured(names_of(code), code, rgb, (u, v), (u, v)).T
+        return textured(texture_names(code), code, rgb, (u, v), (u, v)).T
 
 
 def grid(step=0.01):
@@ -179,8 +186,8 @@ def test_compiled_pictures_show_the_same_and_what_has_no_texture_has_its_bricks(
         wall((2.1, 0.0, 1.0), (0.1, 1.0, 0.6), (GREY,) * 3),
         wall((2.1, 3.0, 1.0), (0.1, 1.0, 0.6), (GREY,) * 3),
     )
-    codes = np.array([code_of("tag:0"), 0], np.int32)
-    look = stage.appearance.replace(texture=codes, textures=names_of(codes))
+    codes = np.array([texture_code("tag:0"), 0], np.int32)
+    look = stage.appearance.replace(texture=codes, textures=texture_names(codes))
     places = np.array([[2.0, 0.6 * -u, 1.0 + 0.6 * v] for v in (0.375, -0.375) for u in (-0.375, 0.125)])
     places = np.concatenate([places, [[2.0, 3.3, 1.1], [2.0, 3.3, 1.3]]])
     along = places - [0.0, 0.0, 1.0]
@@ -210,4 +217,4 @@ def test_a_file_names_textures_and_wrong_ones_are_refused_with_what_there_is(tmp
     with pytest.raises(UsarmjxError, match=r"no texture 'marble'; there is"):
         build_scene(crate, [])
     assert [texture_problem(name) for name in ("", *TEXTURES)] == [""] * (1 + len(TEXTURES))
-    assert code_of("tag:7") == TEXTURES.index("tag") + 1 + 7 * KINDS
+    assert texture_code("tag:7") == TEXTURES.index("tag") + 1 + 7 * CODE_STRIDE

@@ -129,7 +129,7 @@ def test_a_saved_arena_has_the_faces(tmp_path):
 
 
 def test_too_many_faces_are_refused_with_what_helps(tmp_path, monkeypatch):
-    monkeypatch.setattr(meshes, "MOST_FACES", 20)
+    monkeypatch.setattr(meshes, "MAX_FACES", 20)
     with pytest.raises(ArenaFileError, match=r"not convex and has 224 faces, at most 20 .*`rays: hull`"):
         loaded(tmp_path, torus())
     assert loaded(tmp_path, torus(), ", rays: hull").shapes[0].mesh.faces is None

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.lands import Land, hills, land, rays_at, stones
-from usarmjx.models.compile.ray_geoms import TRIANGLE_KIND, fitted, ray_primitives_of
+from usarmjx.models.compile.ray_geoms import TRIANGLE_KIND, ray_primitives_of, triangle_frames
 from usarmjx.models.types.shapes import HeightField, Mesh, Shape
 from usarmjx.sensors.rays.kernels import RAY_KERNELS
 from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
@@ -114,7 +114,7 @@ def test_no_ray_slips_through_where_triangles_meet():
 )
 def test_one_triangle(start, way, distance):
     """Corners (0, 0), (1, 0) and (0, 0.5) in the plane z = 0."""
-    pos, mat, size = fitted(np.array([[[0, 0, 0], [1, 0, 0], [0, 0.5, 0]]], float))
+    pos, mat, size = triangle_frames(np.array([[[0, 0, 0], [1, 0, 0], [0, 0.5, 0]]], float))
     np.testing.assert_allclose(mat[0], np.eye(3), atol=1e-12)
     np.testing.assert_allclose((pos[0], size[0]), [(0, 0, 0), (1, 0, 0.5)], atol=1e-12)
     kernel = RAY_KERNELS[TRIANGLE_KIND]
@@ -125,7 +125,7 @@ def test_one_triangle(start, way, distance):
 
 def test_triangles_without_an_area_are_left_out():
     line = np.array([[[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 0, 0], [1, 0, 0], [0, 1, 0]]], float)
-    pos, _, _ = fitted(line)
+    pos, _, _ = triangle_frames(line)
     assert len(pos) == 1
 
 

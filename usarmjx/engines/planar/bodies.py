@@ -319,7 +319,7 @@ def robots_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
         root_qpos=np.array([index.root_qposadr + np.arange(7) for _, index in robots], int).reshape(-1, 7),
         root_dof=np.array([index.root_dofadr + np.arange(6) for _, index in robots], int).reshape(-1, 6),
         chassis=chassis,
-        flies=np.array([robot.drive.pushes for robot, _ in robots], bool),
+        flies=np.array([robot.drive.applies_wrench for robot, _ in robots], bool),
         rolling=rolling_groups(model, list(robots)),
         half=(boxes[:, 1] - boxes[:, 0])[:, :2] / 2,
         offset=(boxes[:, 1] + boxes[:, 0])[:, :2] / 2,

@@ -3,13 +3,17 @@
 import hashlib
 import json
 import math
+import os
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
 from functools import cache
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import mujoco
 
+from usarmjx.base.compilation import cache_folder
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.base.markdown import markdown_table
 from usarmjx.models.compile.compose import add_robot
@@ -76,27 +80,70 @@ def rolls(drive: Drive) -> bool:
     return isinstance(drive, SkidSteer | Ackermann | OmniDrive)
 
 
-def known_response(robot: RobotSpec) -> Response | None:
-    """Return how a class that rolls answers, if that was measured of the description that it has now."""
+class UncalibratedRobotError(UnsupportedFeatureError):
+    """A scene for engine `planar` with robots of which no response was measured.
+
+    Args:
+        robots: The robots.
+    """
+
+    def __init__(self, robots: Iterable[RobotSpec]) -> None:
+        self.robots = tuple(robots)
+        names = ", ".join(robot.name for robot in self.robots)
+        super().__init__(
+            f"engine 'planar' cannot run this scene: no motor response of {names} was measured; "
+            "usarmjx.sim.ensure_calibrated(scene) measures it"
+        )
+
+
+def response_file(robot: RobotSpec, folder: Path | None = None) -> Path | None:
+    """Return the file with the measured response of a robot that is not packaged; None: the cache is off.
+
+    Args:
+        robot: The robot.
+        folder: Cache folder; None: this user's.
+    """
+    cache = cache_folder(os.environ) if folder is None else folder
+    return None if cache is None else cache / "planar" / f"{robot.name}-{description_key(robot)}.json"
+
+
+def known_response(robot: RobotSpec, folder: Path | None = None) -> Response | None:
+    """Return the response of a class that rolls, if it was measured with the present description.
+
+    Args:
+        robot: The robot.
+        folder: Cache folder with responses of earlier runs; None: this user's.
+    """
     if robot in _own:
         return _own[robot]
     entry = measured().get(robot.name)
-    if entry is None or entry["key"] != description_key(robot):
+    if entry is not None and entry["key"] == description_key(robot):
+        return Response(**entry["response"])
+    file = response_file(robot, folder)
+    if file is None or not file.is_file():
         return None
-    return Response(**entry["response"])
+    use_response(robot, Response(**json.loads(file.read_text(encoding="utf-8"))["response"]))
+    return _own[robot]
+
+
+def uncalibrated(robots: Iterable[RobotSpec], folder: Path | None = None) -> tuple[RobotSpec, ...]:
+    """Return the robots that roll and whose response was not measured, each once; see `known_response`."""
+    return tuple(
+        robot
+        for robot in dict.fromkeys(robots)
+        if rolls(robot.drive) and known_response(robot, folder) is None
+    )
 
 
 def response_of(robot: RobotSpec) -> Response:
-    """Return how a class that rolls answers.
+    """Return the response of a class that rolls.
 
     Raises:
-        UnsupportedFeatureError: It was not measured.
+        UncalibratedRobotError: It was not measured.
     """
     response = known_response(robot)
     if response is None:
-        raise UnsupportedFeatureError(
-            f"engine 'planar' cannot run this scene: how a {robot.name} answers its motors was not measured"
-        )
+        raise UncalibratedRobotError([robot])
     return response
 
 
@@ -119,7 +166,7 @@ def check_robot(robot: RobotSpec) -> None:
         raise UnsupportedFeatureError(
             f"engine 'planar' cannot run this scene: {robot.name} walks on legs; engines c, jax and warp can"
         )
-    if not (rolls(drive) or drive.pushes or isinstance(drive, NoDrive)):
+    if not (rolls(drive) or drive.applies_wrench or isinstance(drive, NoDrive)):
         raise UnsupportedFeatureError(
             f"engine 'planar' cannot run this scene: {robot.name} is driven by {type(drive).__name__}, known "
             "are skid steering, tracks, Ackermann and omnidirectional wheels, and what flies or dives"

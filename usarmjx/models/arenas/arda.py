@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from usarmjx.models.roads.network import (
-    FOOT,
+    METRES_PER_FOOT,
     Lane,
     LatLon,
     Mission,
@@ -21,7 +21,7 @@ from usarmjx.models.roads.network import (
     Zone,
     to_lat_lon,
 )
-from usarmjx.models.roads.shapes import CONCRETE, PAINT, WHITE, road_shapes
+from usarmjx.models.roads.shapes import CONCRETE, PAINT_THICKNESS, WHITE, road_shapes
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, LooseObject, StartPose
 from usarmjx.models.types.shapes import Rgba, Shape
 
@@ -35,7 +35,7 @@ DECIMALS = 8
 
 WIDTH = 12.0
 """Width of lanes [feet]."""
-LANE_OFFSET = WIDTH * FOOT / 2
+LANE_OFFSET = WIDTH * METRES_PER_FOOT / 2
 """Distance from the middle of a road to the middle of a lane [m]."""
 NORTH, EAST, RADIUS = 60.0, 45.0, 15.0
 """Half lengths of the loop, and the radius of its curves, all of the middle of the road [m]."""
@@ -168,7 +168,7 @@ def _lane(owner: tuple[int, int]) -> Lane:
 
 
 def _spot(number: int) -> Spot:
-    north = FIRST_SPOT + (number - 1) * SPOT_WIDTH * FOOT
+    north = FIRST_SPOT + (number - 1) * SPOT_WIDTH * METRES_PER_FOOT
     return Spot(
         waypoints=(_degrees((north, SPOT_MOUTH)), _degrees((north, SPOT_MIDDLE))),
         width=SPOT_WIDTH,
@@ -228,8 +228,8 @@ def _box(at: Point, size: tuple[float, float, float], surface: str, rgba: Rgba, 
 
 # Asphalt lies lower than paint, grass on it: all of them are visible, without contacts.
 GROUND_SHAPES = (
-    _box((0.0, 0.0), (2 * NORTH + 12, 2 * EAST + 12, PAINT / 2), "fixture", ASPHALT),
-    *(_box((north, east), (45.0, 30.0, PAINT), "fixture", GRASS)
+    _box((0.0, 0.0), (2 * NORTH + 12, 2 * EAST + 12, PAINT_THICKNESS / 2), "fixture", ASPHALT),
+    *(_box((north, east), (45.0, 30.0, PAINT_THICKNESS), "fixture", GRASS)
       for north, east in ((30.5, -23.0), (-30.5, -23.0), (-30.5, 23.0))),
 )  # fmt: skip
 HOUSES = (
@@ -243,7 +243,7 @@ HOUSES = (
 # Wheel stops at the ends of the spots, and barriers of the New Jersey kind's size to drive around.
 OBSTACLES = (
     *(
-        _box((FIRST_SPOT + i * SPOT_WIDTH * FOOT, 35.0), (1.8, 0.15, 0.10), "ground", CONCRETE)
+        _box((FIRST_SPOT + i * SPOT_WIDTH * METRES_PER_FOOT, 35.0), (1.8, 0.15, 0.10), "ground", CONCRETE)
         for i in range(SPOTS)
     ),
     _box((30.0, 16.0), (0.6, 3.05, 0.81), "wall", CONCRETE),
@@ -308,7 +308,10 @@ STARTS: tuple[tuple[str, Point, float], ...] = (
     ("Main2", (-35.0, LANE_OFFSET), 0.0),
     ("Cross1", (-LANE_OFFSET, -25.0), 90.0),
     ("Cross2", (LANE_OFFSET, -25.0), _WEST),
-    *((f"Spot{i + 1}", (FIRST_SPOT + i * SPOT_WIDTH * FOOT, SPOT_MIDDLE), 90.0) for i in range(SPOTS)),
+    *(
+        (f"Spot{i + 1}", (FIRST_SPOT + i * SPOT_WIDTH * METRES_PER_FOOT, SPOT_MIDDLE), 90.0)
+        for i in range(SPOTS)
+    ),
 )
 
 ARDA = ArenaSpec(

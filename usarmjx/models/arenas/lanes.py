@@ -24,15 +24,23 @@ from usarmjx.models.arenas.elements import (
     stairs,
     step_field,
 )
-from usarmjx.models.arenas.pieces import BARE, EDGE, FLAT, finished, pipe, pipe_steps, span
+from usarmjx.models.arenas.pieces import (
+    BARE,
+    OCTAGON_APOTHEM,
+    STEP_PIPE_DIAMETER,
+    finished,
+    pipe,
+    pipe_steps,
+    span,
+)
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.types.shapes import Position2D, Shape
 
 LANE_PREFIX = "lane_"
 """Prefix of the names of lanes among those of arenas."""
-END = 2 * CELL
+END_LENGTH = 2 * CELL
 """Length and width of the areas at both ends [m]."""
-MOUTH = 0.5
+MOUTH_DISTANCE = 0.5
 """Distance before a lane at which a robot is aligned with it [m]."""
 HEIGHT = 1.2
 """Height of walls above the highest ground of a lane [m]."""
@@ -57,7 +65,11 @@ class MobilityLane:
 
     def way(self, back: bool) -> tuple[Position2D, ...]:
         """Return points from one end to the other [m]: both mouths of the lane, and the middle of the end."""
-        out = ((-MOUTH, 0.0), (self.length + MOUTH, 0.0), (self.length + END / 2, 0.0))
+        out = (
+            (-MOUTH_DISTANCE, 0.0),
+            (self.length + MOUTH_DISTANCE, 0.0),
+            (self.length + END_LENGTH / 2, 0.0),
+        )
         return tuple((self.length - x, y) for x, y in out) if back else out
 
 
@@ -66,14 +78,16 @@ def hurdle(at: Position2D, height: float, *, yaw: float = 0.0, width: float = CE
 
     Its pipe does not turn, unlike that of ASTM E2802.
     """
-    beam = height - EDGE * FLAT
-    top = pipe(at, width, diameter=EDGE, z=beam, yaw=yaw + math.pi / 2)
-    return (block(at, (EDGE * FLAT, width, beam), yaw=yaw), *top) if beam > 0 else top
+    beam = height - STEP_PIPE_DIAMETER * OCTAGON_APOTHEM
+    top = pipe(at, width, diameter=STEP_PIPE_DIAMETER, z=beam, yaw=yaw + math.pi / 2)
+    return (
+        (block(at, (STEP_PIPE_DIAMETER * OCTAGON_APOTHEM, width, beam), yaw=yaw), *top) if beam > 0 else top
+    )
 
 
 def _walls(length: float, top: float) -> Iterable[Shape]:
     """Yield walls around a lane and its ends, a wall's height above the ground at each end."""
-    low, high, half, side = -END, length + END, CELL / 2, END / 2
+    low, high, half, side = -END_LENGTH, length + END_LENGTH, CELL / 2, END_LENGTH / 2
     for x0, x1, y, z in ((0.0, length, half, top), (low, 0.0, side, 0.0), (length, high, side, top)):
         yield span((x0, y, 0.0), (x1, y + THICKNESS, z + HEIGHT))
         yield span((x0, -y - THICKNESS, 0.0), (x1, -y, z + HEIGHT))
@@ -98,17 +112,21 @@ def lane_of(
         top: Height of its far end [m].
         twice: Whether there and back is one repetition.
     """
-    end = (deck((length, -END / 2), (length + END, END / 2), top, thickness=top),) if top else ()
+    end = (
+        (deck((length, -END_LENGTH / 2), (length + END_LENGTH, END_LENGTH / 2), top, thickness=top),)
+        if top
+        else ()
+    )
     starts = (
-        StartPose(tag="PlayerStart", at=(-END / 2, 0.0, START_ELEVATION)),
-        StartPose(tag="FarEnd", at=(length + END / 2, 0.0, top + START_ELEVATION), yaw=math.pi),
+        StartPose(tag="PlayerStart", at=(-END_LENGTH / 2, 0.0, START_ELEVATION)),
+        StartPose(tag="FarEnd", at=(length + END_LENGTH / 2, 0.0, top + START_ELEVATION), yaw=math.pi),
     )
     arena = ArenaSpec(
         name=f"{LANE_PREFIX}{name}",
         about=f"{about} ({method}).",
         shapes=finished((*shapes, *end, *_walls(length, top)), BARE),
         starts=starts,
-        extent=((-END, length + END), (-END / 2, END / 2)),
+        extent=((-END_LENGTH, length + END_LENGTH), (-END_LENGTH / 2, END_LENGTH / 2)),
     )
     return MobilityLane(method=method, arena=arena, length=length, round_trip=twice)
 

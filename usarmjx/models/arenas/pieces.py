@@ -19,7 +19,7 @@ PANE: Rgba = (0.6, 0.8, 0.9, 0.35)
 SILVER: Rgba = (0.8, 0.85, 0.9, 1.0)
 MESHWORK: Rgba = (0.75, 0.75, 0.2, 0.6)
 
-CINDER: Vec3 = (0.39, 0.19, 0.19)
+CINDER_SIZE: Vec3 = (0.39, 0.19, 0.19)
 """Size of a cement block [m]: 16 x 8 x 8 inches less the mortar."""
 
 CINDER_MASS = 13.0
@@ -30,7 +30,7 @@ PLYWOOD_DENSITY = 600.0
 
 PAPER: Rgba = (0.92, 0.92, 0.88, 1.0)
 
-GOLDEN = math.pi * (3 - math.sqrt(5))
+GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 """Golden angle [rad], which spreads points evenly over a disc."""
 
 TexturesByColour = Mapping[Rgba, str]
@@ -48,16 +48,16 @@ BRICKED: TexturesByColour = {**BARE, WALL_RGBA: "brick"}
 CAST: TexturesByColour = {**BARE, WALL_RGBA: "concrete"}
 """Finish with walls of concrete."""
 
-PIPE = 0.06
+PIPE_DIAMETER = 0.06
 """Outer diameter of a 2 inch pipe [m]."""
 
 PIPE_MASS = 5.4
 """Mass of a 2 inch steel pipe per length [kg/m]."""
 
-EDGE = 0.11
+STEP_PIPE_DIAMETER = 0.11
 """Outer diameter of a 4 inch pipe [m]."""
 
-FLAT = math.cos(math.pi / 8)
+OCTAGON_APOTHEM = math.cos(math.pi / 8)
 """Height of the axis of an octagonal pipe that lies on a side, over its radius."""
 
 
@@ -142,12 +142,12 @@ def drum(
 
 def cinder_block(at: Position2D, *, z: float = 0.0, yaw: float = 0.0) -> Shape:
     """Return a fixed cement block."""
-    return block(at, CINDER, z=z, yaw=yaw, rgba=STONE)
+    return block(at, CINDER_SIZE, z=z, yaw=yaw, rgba=STONE)
 
 
 def loose_cinder_block(name: str, at: Position2D, *, z: float = 0.0, yaw: float = 0.0) -> LooseObject:
     """Return a loose cement block."""
-    return loose_box(name, at, CINDER, CINDER_MASS, z=z, yaw=yaw, rgba=STONE)
+    return loose_box(name, at, CINDER_SIZE, CINDER_MASS, z=z, yaw=yaw, rgba=STONE)
 
 
 def loose_board(name: str, at: Position2D, size: Vec3, *, z: float = 0.0, yaw: float = 0.0) -> LooseObject:
@@ -197,7 +197,7 @@ def rubble(at: Position2D, radius: float, height: float, count: int, *, seed: in
     chunks: list[Shape] = []
     for i in range(count):
         out = math.sqrt(i / count)
-        x, y = (radius * out * turn(i * GOLDEN) for turn in (math.cos, math.sin))
+        x, y = (radius * out * turn(i * GOLDEN_ANGLE) for turn in (math.cos, math.sin))
         top, below = height * (1 - 0.85 * out), 0.15
         half = (draw.uniform(0.15, 0.3), draw.uniform(0.1, 0.2), (top + below) / 2)
         tilt = (draw.uniform(-0.3, 0.3), draw.uniform(-0.3, 0.3), draw.uniform(-math.pi, math.pi))
@@ -247,18 +247,25 @@ def _bars(
 
 
 def pipe(
-    at: tuple[float, float], length: float, *, diameter: float = PIPE, z: float = 0.0, yaw: float = 0.0
+    at: tuple[float, float],
+    length: float,
+    *,
+    diameter: float = PIPE_DIAMETER,
+    z: float = 0.0,
+    yaw: float = 0.0,
 ) -> tuple[Shape, ...]:
     """Return a fixed pipe along `yaw` whose underside is at height `z` [m]; `at` is its middle."""
-    return _bars((*at, z + diameter / 2 * FLAT), length, diameter, yaw)
+    return _bars((*at, z + diameter / 2 * OCTAGON_APOTHEM), length, diameter, yaw)
 
 
 def loose_pipe(
     name: str, at: tuple[float, float], length: float, *, z: float = 0.0, yaw: float = 0.0
 ) -> LooseObject:
     """Return a loose pipe of steel along `yaw` whose underside is at height `z` [m]."""
-    shapes = _bars(ZERO, length, PIPE, mass=PIPE_MASS * length, surface="loose")
-    return LooseObject(name=name, at=(*at, z + PIPE / 2 * FLAT), rotation=(0.0, 0.0, yaw), shapes=shapes)
+    shapes = _bars(ZERO, length, PIPE_DIAMETER, mass=PIPE_MASS * length, surface="loose")
+    return LooseObject(
+        name=name, at=(*at, z + PIPE_DIAMETER / 2 * OCTAGON_APOTHEM), rotation=(0.0, 0.0, yaw), shapes=shapes
+    )
 
 
 def pipe_steps(
@@ -282,7 +289,7 @@ def pipe_steps(
         middle = (near + far) / 2
         at = (foot[0] + middle * along[0], foot[1] + middle * along[1])
         edge = (foot[0] + near * along[0], foot[1] + near * along[1])
-        low = top - EDGE * FLAT
+        low = top - STEP_PIPE_DIAMETER * OCTAGON_APOTHEM
         shapes.append(block(at, (far - near, width, top), yaw=uphill, rgba=WOOD))
-        shapes.extend(pipe(edge, width, diameter=EDGE, z=low, yaw=uphill + math.pi / 2))
+        shapes.extend(pipe(edge, width, diameter=STEP_PIPE_DIAMETER, z=low, yaw=uphill + math.pi / 2))
     return tuple(shapes)

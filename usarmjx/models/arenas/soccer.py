@@ -23,14 +23,14 @@ GOAL_WIDTH, GOAL_DEPTH, GOAL_HEIGHT, POST = 0.8, 0.3, 0.5, 0.05
 """Size of the goals; the height and the thickness of their sides are chosen [m]."""
 BOARD = (0.05, 0.3)
 """Thickness and height of the boards around the carpet (chosen) [m]."""
-LINE, PAINT = 0.05, 0.002
+LINE_WIDTH, PAINT_THICKNESS = 0.05, 0.002
 """Width and thickness of the lines [m]."""
-BOX = (0.6, 2.0)
+PENALTY_AREA = (0.6, 2.0)
 """Depth and width of the penalty areas (chosen) [m]."""
-CIRCLE, SIDES = 0.5, 12
+CIRCLE_RADIUS, CIRCLE_SIDES = 0.5, 12
 """Radius of the centre circle (chosen) [m] and the number of its lines."""
 BALL_RADIUS, BALL_MASS = 0.11, 0.43  # FIFA's size 5: circumference 68 to 70 cm, 410 to 450 g
-SPOT = (1.2, 0.0)
+BALL_START = (1.2, 0.0)
 """Position of the ball: the centre spot is the start pose MiddleField."""
 
 WHITE: Rgba = (0.95, 0.95, 0.95, 1.0)
@@ -42,7 +42,7 @@ ORANGE: Rgba = (0.95, 0.45, 0.1, 1.0)
 
 
 def _line(at: tuple[float, float], length: float, yaw: float = 0.0) -> Shape:
-    return block(at, (length, LINE, PAINT), yaw=yaw, surface="fixture", rgba=WHITE)
+    return block(at, (length, LINE_WIDTH, PAINT_THICKNESS), yaw=yaw, surface="fixture", rgba=WHITE)
 
 
 def _goal(side: int, rgba: Rgba) -> tuple[Shape, ...]:
@@ -86,23 +86,25 @@ def _beacons() -> tuple[Shape, ...]:
 
 def _markings() -> tuple[Shape, ...]:
     """Return carpet and lines, without contacts."""
-    depth, width = BOX
-    lines = [block((0.0, 0.0), (*CARPET, PAINT / 2), surface="fixture", rgba=GREEN)]
-    lines += [_line((0.0, far * WIDTH / 2), LENGTH + LINE) for far in (-1, 1)]
+    depth, width = PENALTY_AREA
+    lines = [block((0.0, 0.0), (*CARPET, PAINT_THICKNESS / 2), surface="fixture", rgba=GREEN)]
+    lines += [_line((0.0, far * WIDTH / 2), LENGTH + LINE_WIDTH) for far in (-1, 1)]
     lines += [_line((x, 0.0), WIDTH, math.pi / 2) for x in (-LENGTH / 2, 0.0, LENGTH / 2)]
     for side in (-1, 1):
         lines.append(_line((side * (LENGTH / 2 - depth), 0.0), width, math.pi / 2))
         lines += [_line((side * (LENGTH - depth) / 2, far * width / 2), depth) for far in (-1, 1)]
-    chord = 2 * CIRCLE * math.tan(math.pi / SIDES)
-    for i in range(SIDES):
-        turn = 2 * math.pi * i / SIDES
-        lines.append(_line((CIRCLE * math.cos(turn), CIRCLE * math.sin(turn)), chord, turn + math.pi / 2))
+    chord = 2 * CIRCLE_RADIUS * math.tan(math.pi / CIRCLE_SIDES)
+    for i in range(CIRCLE_SIDES):
+        turn = 2 * math.pi * i / CIRCLE_SIDES
+        lines.append(
+            _line((CIRCLE_RADIUS * math.cos(turn), CIRCLE_RADIUS * math.sin(turn)), chord, turn + math.pi / 2)
+        )
     return tuple(lines)
 
 
 BALL = LooseObject(
     name="Ball",
-    at=(*SPOT, BALL_RADIUS),
+    at=(*BALL_START, BALL_RADIUS),
     shapes=(Shape(kind="sphere", size=(BALL_RADIUS,), mass=BALL_MASS, surface="wheel", rgba=ORANGE),),
 )
 

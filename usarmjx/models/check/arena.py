@@ -7,7 +7,7 @@ from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import is_name
 from usarmjx.models.check.bodies import BodyProbe, check_close_starts
 from usarmjx.models.check.probe import ArenaProbe, format_position, in_water, solid_name
-from usarmjx.models.compile.compose import ARENA
+from usarmjx.models.compile.compose import ARENA_PREFIX
 from usarmjx.models.compile.reachability import footprint_of, reach_map, victims_reached
 from usarmjx.models.compile.tags import MAX_RELEASED_ID
 from usarmjx.models.files.content import corners_of
@@ -15,11 +15,11 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import AUTOMATIC_TAG_ID, ArenaSpec, StartPose
 from usarmjx.models.types.robot import RobotSpec
 
-STICKS_OUT = 0.5
+MAX_OVERHANG = 0.5
 """Largest overhang of a solid over the extent, as of an outer wall [m]."""
-ARM = 1.0
+VICTIM_REACH = 1.0
 """Distance at which a victim counts as reached [m]."""
-BESIDE = 0.3
+START_REACH = 0.3
 """Distance at which another start pose counts as reached [m]."""
 
 
@@ -55,8 +55,8 @@ def _plan(arena: ArenaSpec) -> Iterator[str]:
     for i, shape in enumerate(arena.shapes):
         low, high = corners_of(shape)
         over = max(x0 - low[0], high[0] - x1, y0 - low[1], high[1] - y1)
-        if over > STICKS_OUT:
-            yield f"{solid_name(arena, f'{ARENA}{i}')} reaches {over:.2f} m over the extent; widen it"
+        if over > MAX_OVERHANG:
+            yield f"{solid_name(arena, f'{ARENA_PREFIX}{i}')} reaches {over:.2f} m over the extent; widen it"
     items = [(f"start {s.tag!r}", s.at) for s in arena.starts]
     items += [(f"victim {v.name!r}", v.at) for v in arena.victims]
     items += [(f"false alarm {i} ({a.part})", a.at) for i, a in enumerate(arena.false_alarms)]
@@ -97,12 +97,18 @@ def _reach(arena: ArenaSpec, robot: RobotSpec, dry: list[StartPose]) -> Iterator
     if found.start_area < 0:
         yield f"start {dry[0].tag!r}: a {robot.name} has no room to turn there"
         return
-    near = [found.reaches_within(*start.at, distance=BESIDE) for start in dry[1:]]
+    near = [found.reaches_within(*start.at, distance=START_REACH) for start in dry[1:]]
     far = [
-        (f"start {s.tag!r}", s.at, BESIDE) for s, reached in zip(dry[1:], near, strict=True) if not reached
+        (f"start {s.tag!r}", s.at, START_REACH)
+        for s, reached in zip(dry[1:], near, strict=True)
+        if not reached
     ]
-    touched = victims_reached(arena, found, ARM)
-    far += [(f"victim {v.name!r}", v.at, ARM) for v, ok in zip(arena.victims, touched, strict=True) if not ok]
+    touched = victims_reached(arena, found, VICTIM_REACH)
+    far += [
+        (f"victim {v.name!r}", v.at, VICTIM_REACH)
+        for v, ok in zip(arena.victims, touched, strict=True)
+        if not ok
+    ]
     for name, (x, y, _), least in far:
         where = f"{name} at {format_position(x, y)}"
         yield f"{where}: a {robot.name} from {dry[0].tag!r} gets no nearer than {least} m"

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.models.check.probe import GroundFinder, solid_name
-from usarmjx.models.compile.compose import ARENA, DOOR, VICTIM_PREFIX, new_spec
+from usarmjx.models.compile.compose import ARENA_PREFIX, DOOR_PREFIX, VICTIM_PREFIX, new_spec
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.victims import box_names
 from usarmjx.models.types.arena import ArenaSpec, Door, StartPose, Victim
@@ -22,11 +22,11 @@ MAX_FALL = 0.1
 """Largest height of the lowest part of a victim above the ground [m]."""
 MAX_DOOR_PENETRATION = 0.02
 """Largest depth of a closed door in its frame [m]."""
-LEAST_OPENING = math.radians(30)
+MIN_DOOR_OPENING = math.radians(30)
 """Angle by which a door must turn to one side [rad]."""
 DOOR_STEP = math.radians(3)
 """Angle between two tests of a turning door [rad]."""
-MOST_NAMED = 3
+MAX_LISTED_PAIRS = 3
 """Number of pairs of starts that are listed."""
 SOLID_KINDS = (
     mujoco.mjtGeom.mjGEOM_BOX,
@@ -48,14 +48,14 @@ def check_close_starts(arena: ArenaSpec, robot: RobotSpec) -> Iterator[str]:
         for one, other in pairs
         if abs(one.at[2] - other.at[2]) < height and _overlap(one, other, length / 2, width / 2)
     ]
-    for one, other in found[:MOST_NAMED]:
+    for one, other in found[:MAX_LISTED_PAIRS]:
         apart = math.dist(one.at[:2], other.at[:2])
         yield (
             f"starts {one.tag!r} and {other.tag!r} are {apart:.2f} m apart, too near for two robots: "
             f"a {robot.name} is {length:.2f} m long and {width:.2f} m wide"
         )
-    if len(found) > MOST_NAMED:
-        yield f"{len(found) - MOST_NAMED} more pairs of starts are too near for two {robot.name}s"
+    if len(found) > MAX_LISTED_PAIRS:
+        yield f"{len(found) - MAX_LISTED_PAIRS} more pairs of starts are too near for two {robot.name}s"
 
 
 def _overlap(one: StartPose, other: StartPose, length: float, width: float) -> bool:
@@ -87,7 +87,9 @@ class BodyProbe:
         mujoco.mj_forward(self._model, self._data)
         self._names = [self._model.geom(i).name for i in range(self._model.ngeom)]
         touched = (self._model.geom_contype != 0) & np.isin(self._model.geom_type, SOLID_KINDS)
-        self._solids = [i for i, name in enumerate(self._names) if touched[i] and name.startswith(ARENA)]
+        self._solids = [
+            i for i, name in enumerate(self._names) if touched[i] and name.startswith(ARENA_PREFIX)
+        ]
 
     def check_victims(self) -> Iterator[str]:
         """Yield victims that are in solids, in the air or below the ground."""
@@ -136,22 +138,22 @@ class BodyProbe:
     def check_doors(self) -> Iterator[str]:
         """Yield doors that are hung in solids or cannot turn."""
         for door in self._arena.doors:
-            geom = self._names.index(f"{DOOR}{door.name}")
+            geom = self._names.index(f"{DOOR_PREFIX}{door.name}")
             depth, solid = self._deepest(geom)
             if depth > MAX_DOOR_PENETRATION:
                 where = solid_name(self._arena, self._names[solid])
                 yield f"door {door.name!r} hangs {depth:.2f} m deep in {where}: it cannot turn"
                 continue
             low, high = (self._opening(door, geom, limit) for limit in door.limits)
-            if max(low, high) < min(LEAST_OPENING, max(map(abs, door.limits))):
+            if max(low, high) < min(MIN_DOOR_OPENING, max(map(abs, door.limits))):
                 widest = math.degrees(max(low, high))
                 yield f"door {door.name!r} opens by {widest:.0f} degrees only: solids are in its way"
 
     def _opening(self, door: Door, geom: int, limit: float) -> float:
         """Return the angle that a door turns from closed towards a limit before a solid stops it [rad]."""
-        address = int(self._model.joint(f"{DOOR}{door.name}").qposadr[0])
+        address = int(self._model.joint(f"{DOOR_PREFIX}{door.name}").qposadr[0])
         angle, way = 0.0, math.copysign(1.0, limit)
-        while angle < min(abs(limit), LEAST_OPENING):
+        while angle < min(abs(limit), MIN_DOOR_OPENING):
             self._data.qpos[address] = way * min(angle + DOOR_STEP, abs(limit))
             mujoco.mj_kinematics(self._model, self._data)
             if self._deepest(geom)[0] > MAX_DOOR_PENETRATION:

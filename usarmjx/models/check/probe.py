@@ -6,7 +6,14 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.transforms import quat_from_angles
-from usarmjx.models.compile.compose import ARENA, DOOR, LOOSE_PREFIX, VICTIM_PREFIX, add_robot, new_spec
+from usarmjx.models.compile.compose import (
+    ARENA_PREFIX,
+    DOOR_PREFIX,
+    LOOSE_PREFIX,
+    VICTIM_PREFIX,
+    add_robot,
+    new_spec,
+)
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.victims import box_names
@@ -23,7 +30,7 @@ MAX_WATER_GAP = 0.1
 """Largest height of the lower end of a volume of water above the ground [m]."""
 WALL_TOP = 0.8
 """Height from which on a wall is not meant to be stood on [m]."""
-AWAY_HEIGHT = 1000.0
+PARKED_HEIGHT = 1000.0
 """Height at which the robot is parked while it must not be in the way [m]."""
 RAY_STEP = 1e-4
 """Distance by which a ray goes on below a solid that is visible but not touchable [m]."""
@@ -36,14 +43,14 @@ def format_position(*at: float) -> str:
 
 def solid_name(arena: ArenaSpec, geom: str) -> str:
     """Return a geom's solid in words: its index in the arena, or its name."""
-    if geom.startswith(ARENA):
-        number = geom.removeprefix(ARENA).split("/")[0]
+    if geom.startswith(ARENA_PREFIX):
+        number = geom.removeprefix(ARENA_PREFIX).split("/")[0]
         shape = arena.shapes[int(number)]
         return f"shapes[{number}] ({shape.kind} at {format_position(*shape.at)})"
     if geom.startswith(LOOSE_PREFIX):
         return f"loose object {geom.removeprefix(LOOSE_PREFIX).rpartition('/')[0]!r}"
-    if geom.startswith(DOOR):
-        return f"door {geom.removeprefix(DOOR)!r}"
+    if geom.startswith(DOOR_PREFIX):
+        return f"door {geom.removeprefix(DOOR_PREFIX)!r}"
     if geom.startswith(VICTIM_PREFIX):
         names = box_names(arena.victims, arena.false_alarms)
         return f"victim {names[int(geom.removeprefix(VICTIM_PREFIX))].rpartition('/')[0]!r}"
@@ -104,7 +111,7 @@ class ArenaProbe:
     def __init__(self, arena: ArenaSpec, robot: RobotSpec) -> None:
         self._arena, self._robot = arena, robot
         spec = new_spec(arena, Physics())
-        add_robot(spec, robot, "robot/", (0.0, 0.0, AWAY_HEIGHT))
+        add_robot(spec, robot, "robot/", (0.0, 0.0, PARKED_HEIGHT))
         self._model = spec.compile()
         self._root = int(self._model.joint("robot/root").qposadr[0])
         self._names = [self._model.geom(i).name for i in range(self._model.ngeom)]
@@ -133,7 +140,7 @@ class ArenaProbe:
 
     def check_loose(self) -> Iterator[str]:
         """Yield overlaps of loose objects."""
-        self._set_robot_pose((0.0, 0.0, AWAY_HEIGHT), 0.0)
+        self._set_robot_pose((0.0, 0.0, PARKED_HEIGHT), 0.0)
         for (one, other), depth in self._contacts().items():
             if depth > MAX_LOOSE_PENETRATION and LOOSE_PREFIX in (
                 one[: len(LOOSE_PREFIX)],
@@ -164,7 +171,7 @@ class ArenaProbe:
 
     def _find_ground(self, at: tuple[float, float, float]) -> tuple[float, str] | None:
         """Return height, in the arena's axes, and geom of the first touchable solid below a point."""
-        self._set_robot_pose((0.0, 0.0, AWAY_HEIGHT), 0.0)
+        self._set_robot_pose((0.0, 0.0, PARKED_HEIGHT), 0.0)
         found = GroundFinder(self._model, self._data).find((at[0], at[1], at[2] + self._arena.floor))
         return None if found is None else (found[0] - self._arena.floor, found[1])
 
@@ -183,9 +190,9 @@ class ArenaProbe:
 
     def _surface(self, geom: str) -> str:
         """Return the surface of a fixed solid; "" of anything else."""
-        if not geom.startswith(ARENA):
+        if not geom.startswith(ARENA_PREFIX):
             return ""
-        return self._arena.shapes[int(geom.removeprefix(ARENA).split("/")[0])].surface
+        return self._arena.shapes[int(geom.removeprefix(ARENA_PREFIX).split("/")[0])].surface
 
     def _bearable(self, geom: str) -> float:
         """Return the largest depth in a solid at which a robot may start."""

@@ -29,13 +29,13 @@ Thing = TypeVar("Thing")
 PARKED_POS = (0.0, 0.0, -1000.0)
 """Position of unused boxes, out of reach of everything [m]."""
 
-LOOSE_PARK, LOOSE_STEP = (-20.0, -20.0, 30.0), 2.0
+LOOSE_PARKING_POS, LOOSE_PARKING_STEP = (-20.0, -20.0, 30.0), 2.0
 """Corner of the grid in the air where unused loose objects are pinned, and its spacing [m]."""
 
-REMEMBERED = 64
+KEPT_GENERATIONS = 64
 """Number of generations of replaced arenas that `ArenaSet.arena_of` keeps."""
 
-STRIDE = 7919
+ARENA_STRIDE = 7919
 """Step between the arenas of a world's successive episodes: a prime, so that it visits all of them."""
 
 
@@ -69,7 +69,7 @@ def slots_for(arenas: Sequence[ArenaSpec], spare: float) -> ArenaSlots:
         return math.ceil(count * (1.0 + spare))
 
     boxes, lengths = list[Shape](), list[float]()
-    for own in _by_form([sorted_boxes(arena) for arena in arenas], form_of):
+    for own in _by_form([sorted_boxes(arena) for arena in arenas], box_form):
         most = max(own, key=len)
         longest = [max(max(row[k].size) for row in own if k < len(row)) for k in range(len(most))]
         more = room(len(most)) - len(most)
@@ -85,7 +85,9 @@ def slots_for(arenas: Sequence[ArenaSpec], spare: float) -> ArenaSlots:
         boxes=tuple(boxes),
         half_lengths=np.maximum(np.array([*lengths, *limbs], np.float32), np.float32(max(PARKED_SIZE))),
         objects=tuple(
-            one for own in _by_form([arena.loose for arena in arenas], pieces_of) for one in max(own, key=len)
+            one
+            for own in _by_form([arena.loose for arena in arenas], loose_form)
+            for one in max(own, key=len)
         ),
         victims=(len(limbs), room(max(table.num_victims for table in tables))),
         tags=room(max(len(arena.tags) for arena in arenas)),
@@ -94,7 +96,7 @@ def slots_for(arenas: Sequence[ArenaSpec], spare: float) -> ArenaSlots:
     )
 
 
-def form_of(shape: Shape) -> Hashable:
+def box_form(shape: Shape) -> Hashable:
     """Return the properties of a box that cannot differ between the boxes of one slot."""
     return shape.surface, shape.material
 
@@ -104,7 +106,7 @@ def sorted_boxes(arena: ArenaSpec) -> list[Shape]:
     return sorted(arena.shapes, key=lambda shape: -max(shape.size))
 
 
-def pieces_of(loose: LooseObject) -> Hashable:
+def loose_form(loose: LooseObject) -> Hashable:
     """Return the properties of a loose object that cannot differ between those of one slot."""
     return loose.shapes
 
@@ -216,10 +218,10 @@ class ArenaSet:
 
         Args:
             arenas: As many as the first ones; each fits, see `check_fits`.
-            generation: Number of replacements so far; `arena_of` keeps the last `REMEMBERED`.
+            generation: Number of replacements so far; `arena_of` keeps the last `KEPT_GENERATIONS`.
         """
         serials = np.arange(len(arenas)) + generation * len(arenas)
-        for serial in [one for one in self._later if one < serials[0] - REMEMBERED * len(arenas)]:
+        for serial in [one for one in self._later if one < serials[0] - KEPT_GENERATIONS * len(arenas)]:
             del self._later[serial]
         self._later.update(zip(serials.tolist(), arenas, strict=True))
         return _states(arenas, self.slots, serials)
@@ -264,8 +266,8 @@ def _states(
     Raises:
         SpecError: One that does not fit.
     """
-    boxed = [fill_slots(slots.boxes, sorted_boxes(arena), form_of, arena.name) for arena in arenas]
-    lying = [fill_slots(slots.objects, arena.loose, pieces_of, arena.name) for arena in arenas]
+    boxed = [fill_slots(slots.boxes, sorted_boxes(arena), box_form, arena.name) for arena in arenas]
+    lying = [fill_slots(slots.objects, arena.loose, loose_form, arena.name) for arena in arenas]
     tables = [victim_table(arena.victims, arena.false_alarms) for arena in arenas]
     for arena, table in zip(arenas, tables, strict=True):
         wanted = table.num_boxes, table.num_victims, len(arena.tags), len(arena.lights)
@@ -301,7 +303,7 @@ def _states(
 
 def arena_index_of(number: Array, episode: Array, arenas: int) -> Array:
     """Return the arena of a world in an episode: worlds go through the arenas in turn (...,)."""
-    return (number + STRIDE * episode) % arenas
+    return (number + ARENA_STRIDE * episode) % arenas
 
 
 def _check(arena: ArenaSpec, first: ArenaSpec) -> None:
@@ -331,9 +333,9 @@ def _lie(floor: float, index: int, loose: LooseObject | None) -> np.ndarray:
 
 
 def _park(index: int) -> tuple[float, float, float]:
-    x, y, z = LOOSE_PARK
+    x, y, z = LOOSE_PARKING_POS
     row, column = divmod(index, 16)
-    return (x - LOOSE_STEP * column, y - LOOSE_STEP * row, z)
+    return (x - LOOSE_PARKING_STEP * column, y - LOOSE_PARKING_STEP * row, z)
 
 
 def _template(

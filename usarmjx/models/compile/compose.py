@@ -25,13 +25,13 @@ FLOOR_SIZE = (0.0, 0.0, 1.0)
 """Size of an unbounded plane in MuJoCo: zero half sizes."""
 FLOOR_RGBA = (0.87, 0.88, 0.88, 1.0)
 """Light grey, the colour of the floor beyond its checkers in pictures."""
-ARENA, LOOSE_PREFIX, DOOR, VICTIM_PREFIX = "arena/", "loose/", "door/", "victim/"
+ARENA_PREFIX, LOOSE_PREFIX, DOOR_PREFIX, VICTIM_PREFIX = "arena/", "loose/", "door/", "victim/"
 """Prefixes of the names of geoms: of fixed solids, loose objects, doors and victims' bones."""
 MAX_BOX_PIECES = 512
 """Largest number of pieces of an arena's boxes, for engines that need short boxes."""
 
 
-USUAL_GEOMS = 7
+REFERENCE_GEOMS = 7
 """Touching geoms of a P2AT, the reference of contacts_per_robot and pairs_per_robot."""
 
 LOOSE_CONTACTS = 5
@@ -50,7 +50,7 @@ def add_arena(spec: mujoco.MjSpec, arena: ArenaSpec) -> None:
         add_geom(spec, spec.worldbody, "floor", floor, kind=mujoco.mjtGeom.mjGEOM_PLANE)
     body = spec.worldbody.add_body(name="arena", pos=[0.0, 0.0, arena.floor], mocap=True)
     for i, shape in enumerate(arena.shapes):
-        add_geom(spec, body, f"{ARENA}{i}", shape)
+        add_geom(spec, body, f"{ARENA_PREFIX}{i}", shape)
     _add_victims(spec, body, arena)
     for loose in arena.loose:
         _add_loose(spec, loose, arena.floor)
@@ -80,17 +80,17 @@ def _add_loose(spec: mujoco.MjSpec, loose: LooseObject, floor: float) -> None:
 def _add_door(spec: mujoco.MjSpec, door: Door, floor: float) -> None:
     x, y, z = door.at
     body = spec.worldbody.add_body(
-        name=f"{DOOR}{door.name}", pos=(x, y, z + floor), quat=quat_from_angles(0.0, 0.0, door.yaw)
+        name=f"{DOOR_PREFIX}{door.name}", pos=(x, y, z + floor), quat=quat_from_angles(0.0, 0.0, door.yaw)
     )
     body.add_joint(
-        name=f"{DOOR}{door.name}",
+        name=f"{DOOR_PREFIX}{door.name}",
         type=mujoco.mjtJoint.mjJNT_HINGE,
         axis=(0.0, 0.0, 1.0),
         limited=True,
         range=door.limits,
         damping=[door.friction, 0.0, 0.0],
     )
-    add_geom(spec, body, f"{DOOR}{door.name}", door_panel(door))
+    add_geom(spec, body, f"{DOOR_PREFIX}{door.name}", door_panel(door))
 
 
 def split_long_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
@@ -109,7 +109,7 @@ def split_long_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
         longest *= 1.25
     for geom in list(arena.geoms):
         parts = [max(1, int(np.ceil(2 * half / longest - 1e-6))) for half in geom.size]
-        fixed = geom.name.startswith(ARENA) and geom.contype
+        fixed = geom.name.startswith(ARENA_PREFIX) and geom.contype
         if geom.type != mujoco.mjtGeom.mjGEOM_BOX or max(parts) == 1 or not fixed:
             continue
         mat = np.zeros(9)
@@ -152,8 +152,8 @@ def cap_contacts(
     """Set the capacity of the batch engines' contact buffers, in custom numbers that only MJX reads."""
     geoms = sum(_touching(shapes) for robot in robots for shapes in _solids(robot))
     loose = sum(_touching(thing.shapes) for thing in arena.loose)
-    contacts = max(1.0, geoms / USUAL_GEOMS) * physics.contacts_per_robot + loose * LOOSE_CONTACTS
-    pairs = max(1.0, (geoms + loose) / USUAL_GEOMS) * physics.pairs_per_robot
+    contacts = max(1.0, geoms / REFERENCE_GEOMS) * physics.contacts_per_robot + loose * LOOSE_CONTACTS
+    pairs = max(1.0, (geoms + loose) / REFERENCE_GEOMS) * physics.pairs_per_robot
     for name, room in (("max_contact_points", contacts), ("max_geom_pairs", pairs)):
         spec.add_numeric(name=name, size=1, data=[int(np.ceil(room))])
 

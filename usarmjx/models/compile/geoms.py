@@ -38,7 +38,7 @@ GEOM_TYPES = {
 """MuJoCo's geom types by kind of shape."""
 
 
-FLAT = 1e-3
+MIN_TERRAIN_RISE = 1e-3
 """Smallest rise of a terrain that MuJoCo accepts [m]."""
 
 
@@ -120,8 +120,8 @@ def _add_terrain(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, shape: Shape) -> Non
         name=name,
         nrow=heights.shape[0],
         ncol=heights.shape[1],
-        size=[half_x, half_y, max(rise, FLAT), base + low],
-        userdata=((heights - low) / max(rise, FLAT)).ravel(),
+        size=[half_x, half_y, max(rise, MIN_TERRAIN_RISE), base + low],
+        userdata=((heights - low) / max(rise, MIN_TERRAIN_RISE)).ravel(),
     )
     geom.hfieldname = name
     geom.pos = np.array(shape.at) + mat_from_angles(*shape.rotation) @ (0.0, 0.0, low)

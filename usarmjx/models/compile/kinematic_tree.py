@@ -19,10 +19,10 @@ from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.layout import RobotIndex, index_robot
-from usarmjx.models.compile.parts import chassis_looks, joint_names, parts_of
+from usarmjx.models.compile.parts import chassis_visuals, joint_names, parts_of
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.ray_geoms import ray_primitives_of
-from usarmjx.models.compile.visuals import Figure, Solids, build_figure, flipped
+from usarmjx.models.compile.visuals import Solids, VisualModel, build_visual_model, flipped
 from usarmjx.models.drives.base import RobotState
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import CHASSIS, RobotSpec
@@ -130,14 +130,14 @@ class KinematicTree:
         )
 
     @cached_property
-    def figure(self) -> Figure:
+    def visuals(self) -> VisualModel:
         """Its visuals, for pictures only: their frames are the bodies.
 
         Raises:
             SpecError: A visual is not opaque.
         """
-        looks = [chassis_looks(self.robot), *(part.looks for part in parts_of(self.robot))]
-        return build_figure([[flipped(shape) for shape in some] for some in looks])
+        looks = [chassis_visuals(self.robot), *(part.looks for part in parts_of(self.robot))]
+        return build_visual_model([[flipped(shape) for shape in some] for some in looks])
 
     @cached_property
     def rest_frames(self) -> np.ndarray:
@@ -175,7 +175,7 @@ class KinematicTree:
         return tuple(levels)
 
     @cached_property
-    def places(self) -> np.ndarray:
+    def body_order(self) -> np.ndarray:
         """Index of each body in the concatenation of the chassis and the levels (bodies,)."""
         return np.argsort(np.concatenate([[-1], *(level.joints for level in self.levels)]))
 
@@ -294,8 +294,8 @@ def forward_kinematics(tree: KinematicTree, state: RobotState) -> BodyPoses:
         pos.append(below + matvec(frame, away[..., joints, :]))
         mat.append(matmul(frame, turned[..., joints, :, :]))
     return BodyPoses(
-        pos=xp.concatenate(pos, -2)[..., tree.places, :],
-        mat=xp.concatenate(mat, -3)[..., tree.places, :, :],
+        pos=xp.concatenate(pos, -2)[..., tree.body_order, :],
+        mat=xp.concatenate(mat, -3)[..., tree.body_order, :, :],
     )
 
 

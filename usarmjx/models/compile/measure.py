@@ -11,7 +11,7 @@ from usarmjx.models.compile.physics import Physics
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import RobotSpec
 
-DIGITS = 6
+MEASUREMENT_DECIMALS = 6
 """Decimals of the measurements, micrometres and milligrams: kinematic trees are in single precision."""
 
 
@@ -25,23 +25,23 @@ def with_measurements(robot: RobotSpec) -> RobotSpec:
         SpecError: It cannot be built.
     """
     tree = kinematic_tree_of(robot)
-    low, high = extent(robot)
+    low, high = bounding_box(robot)
     wheels = [i for i, part in enumerate(tree.parts) if part in {wheel.name for wheel in robot.wheels}]
     spread = np.ptp(tree.rest_pos[wheels], axis=0) if wheels else np.zeros(3)
     radii = [shape.size[0] for part in robot.wheels for shape in part.shapes if shape.kind != "box"]
-    length, width, height = (high - low).round(DIGITS).tolist()
+    length, width, height = (high - low).round(MEASUREMENT_DECIMALS).tolist()
     return replace(
         robot,
         dimensions=(length, width, height),
-        mass=round(tree.mass, DIGITS),
-        origin_height=round(tree.clearance, DIGITS),
+        mass=round(tree.mass, MEASUREMENT_DECIMALS),
+        origin_height=round(tree.clearance, MEASUREMENT_DECIMALS),
         wheel_radius=radii[0] if radii else 0.0,
-        wheel_separation=round(float(spread[1]), DIGITS),
-        wheel_base=round(float(spread[0]), DIGITS),
+        wheel_separation=round(float(spread[1]), MEASUREMENT_DECIMALS),
+        wheel_base=round(float(spread[0]), MEASUREMENT_DECIMALS),
     )
 
 
-def extent(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
+def bounding_box(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower and upper corner of the box around a robot at rest [m] (3,), MuJoCo's axes."""
     spec = new_spec(ArenaSpec(name="nowhere", starts=(), extent=((0, 0), (0, 0))), Physics())
     add_robot(spec, robot, "", (0.0, 0.0, 0.0))

@@ -141,7 +141,7 @@ def chassis_shapes(robot: RobotSpec) -> tuple[Shape, ...]:
     return (*robot.chassis, *_item_shapes(robot, CHASSIS))
 
 
-def chassis_looks(robot: RobotSpec) -> tuple[Shape, ...]:
+def chassis_visuals(robot: RobotSpec) -> tuple[Shape, ...]:
     """Return the visuals of the chassis, including those of effecters and shown sensors."""
     return (*(robot.looks or robot.chassis), *_item_shapes(robot, CHASSIS))
 

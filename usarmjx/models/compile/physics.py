@@ -1,12 +1,12 @@
 """Solver and time settings of a scene, and the presets of the commands."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import mujoco
 
-from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import Registry
+from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE, validate
 
 CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
 """MuJoCo's friction cones by name."""
@@ -27,10 +27,10 @@ class Physics:
     Attributes:
         timestep: Physics step [s].
         substeps: Physics steps per control step.
-        iterations: Cap on solver iterations.
-        ls_iterations: Cap on line-search iterations.
+        iterations: Most iterations of the solver.
+        ls_iterations: Most iterations of the line search.
         cone: Friction cone of the contacts.
-        solver: MuJoCo's solver of the constraints.
+        solver: MuJoCo's constraint solver.
         contacts_per_robot: Capacity of contact buffers per robot like the P2AT, on average over a world's
             robots; other robots count in proportion to their touching geoms.
         pairs_per_robot: Geom pairs of one kind that engine `jax` examines, likewise; the nearest by bounding
@@ -39,28 +39,24 @@ class Physics:
             it has no contacts until something comes near. 0: none sleeps, as on the other engines.
     """
 
-    timestep: float = 0.005
-    substeps: int = 4
-    impratio: float = 2.0
-    iterations: int = 10
-    ls_iterations: int = 10
+    timestep: Annotated[float, POSITIVE] = 0.005
+    substeps: Annotated[int, AT_LEAST_ONE] = 4
+    impratio: Annotated[float, POSITIVE] = 2.0
+    iterations: Annotated[int, AT_LEAST_ONE] = 10
+    ls_iterations: Annotated[int, AT_LEAST_ONE] = 10
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
     solver: Literal["CG", "Newton"] = "CG"
-    contacts_per_robot: int = 16
-    pairs_per_robot: int = 32
-    sleep_tolerance: float = 0.0
+    contacts_per_robot: Annotated[int, AT_LEAST_ONE] = 16
+    pairs_per_robot: Annotated[int, AT_LEAST_ONE] = 32
+    sleep_tolerance: Annotated[float, NOT_NEGATIVE] = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse an unknown cone or solver, and a negative speed.
+        """Check the settings.
 
         Raises:
-            SpecError: Names the allowed values.
+            SpecError: A value that is not allowed; names the allowed ones.
         """
-        if not self.sleep_tolerance >= 0.0:
-            raise SpecError(f"sleep_tolerance {self.sleep_tolerance} is no speed from 0 on")
-        for what, name, known in (("cone", self.cone, CONES), ("solver", self.solver, SOLVERS)):
-            if name not in known:
-                raise SpecError(f"{what} {name!r} is not one of {', '.join(known)}")
+        validate(self)
 
     @property
     def period(self) -> float:

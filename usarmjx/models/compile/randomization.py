@@ -4,11 +4,10 @@
 as fields of its model that differ between worlds (`engines.varied`).
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from flax import struct
@@ -17,13 +16,14 @@ from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import vmap, xp
 from usarmjx.base.errors import SpecError
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting, validate
 from usarmjx.models.compile.parts import parts_of
 from usarmjx.models.types.robot import RobotSpec
 
 Range = tuple[float, float]
 """Lowest and highest value of a uniform distribution."""
 
-LONGEST_LATENCY = 100
+MAX_LATENCY = 100
 """Largest latency that is accepted [control steps]; more is taken for a mistake."""
 
 
@@ -33,33 +33,27 @@ class QuantityRule(NamedTuple):
     Attributes:
         robots: Whether each robot has its own value; else the world has one.
         neutral: Value of a robot that does not vary.
-        positive: Whether it must be above 0.
-        least: Lowest value, unless it must be positive.
-        most: Highest value.
         whole: Whether it is an integer.
     """
 
     robots: bool = False
     neutral: float = 1.0
-    positive: bool = False
-    least: float = -math.inf
-    most: float = math.inf
     whole: bool = False
 
 
-_FACTOR = QuantityRule(robots=True, positive=True)
+_ROBOT_FACTOR = QuantityRule(robots=True)
 QUANTITY_RULES = {
-    "friction": QuantityRule(positive=True),
-    "mass": _FACTOR,
-    "wheel": _FACTOR,
-    "torque": _FACTOR,
-    "speed": _FACTOR,
-    "noise": QuantityRule(robots=True, least=0.0),
-    "latency": QuantityRule(robots=True, neutral=0.0, least=0.0, most=LONGEST_LATENCY, whole=True),
+    "friction": QuantityRule(),
+    "mass": _ROBOT_FACTOR,
+    "wheel": _ROBOT_FACTOR,
+    "torque": _ROBOT_FACTOR,
+    "speed": _ROBOT_FACTOR,
+    "noise": _ROBOT_FACTOR,
+    "latency": QuantityRule(robots=True, neutral=0.0, whole=True),
     "radio_pdo": QuantityRule(),
-    "radio_n": QuantityRule(least=0.0),
+    "radio_n": QuantityRule(),
     "radio_cutoff": QuantityRule(),
-    "radio_atten_fac": QuantityRule(least=0.0),
+    "radio_atten_fac": QuantityRule(),
 }
 """Rules of the quantities.
 
@@ -91,42 +85,32 @@ class DomainRandomization:
         SpecError: A range that is not allowed; says what is.
     """
 
-    friction: Range | None = None
-    mass: Range | None = None
-    wheel: Range | None = None
-    torque: Range | None = None
-    speed: Range | None = None
-    noise: Range | None = None
-    latency: tuple[int, int] | None = None
+    friction: Annotated[Range | None, POSITIVE] = None
+    mass: Annotated[Range | None, POSITIVE] = None
+    wheel: Annotated[Range | None, POSITIVE] = None
+    torque: Annotated[Range | None, POSITIVE] = None
+    speed: Annotated[Range | None, POSITIVE] = None
+    noise: Annotated[Range | None, NOT_NEGATIVE] = None
+    latency: Annotated[tuple[int, int] | None, Setting(ge=0, le=MAX_LATENCY)] = None
     radio_pdo: Range | None = None
-    radio_n: Range | None = None
+    radio_n: Annotated[Range | None, NOT_NEGATIVE] = None
     radio_cutoff: Range | None = None
-    radio_atten_fac: Range | None = None
+    radio_atten_fac: Annotated[Range | None, NOT_NEGATIVE] = None
     classes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse invalid ranges."""
-        for name, rule in QUANTITY_RULES.items():
-            span = getattr(self, name)
-            if span is not None:
-                _check_range(name, span, rule)
+        """Check the ranges."""
+        validate(self)
+
+    def problem(self) -> str:
+        """Return the range that ends below its start, in words; empty: there is none."""
+        spans = [(name, self.range_of(name)) for name in QUANTITY_RULES]
+        wrong = [f"{name} is {span}" for name, span in spans if span is not None and span[0] > span[1]]
+        return f"{wrong[0]}, expected (lowest, highest)" if wrong else ""
 
     def range_of(self, name: str) -> Range | None:
         """Return the range of a quantity of `QUANTITY_RULES`."""
         return getattr(self, name)
-
-
-def _check_range(name: str, span: object, rule: QuantityRule) -> None:
-    kind = int if rule.whole else (int, float)
-    pair = isinstance(span, Sequence) and len(span) == 2 and all(isinstance(x, kind) for x in span)
-    if not pair or not all(map(math.isfinite, span)) or span[0] > span[1]:  # type: ignore - two numbers then
-        what = "whole numbers" if rule.whole else "numbers"
-        raise SpecError(f"vary: {name} is {span!r}, expected two {what} (lowest, highest)")
-    low, high = span  # type: ignore - two numbers
-    if (rule.positive and low <= 0) or low < rule.least or high > rule.most:
-        least = "above 0" if rule.positive else f"from {rule.least:g}"
-        most = "" if rule.most == math.inf else f" to {rule.most:g}"
-        raise SpecError(f"vary: {name} is {span}, allowed is {least}{most}")
 
 
 class RandomizedValues(struct.PyTreeNode, kw_only=True):
@@ -230,7 +214,7 @@ def check_randomization(vary: DomainRandomization, robots: Sequence[RobotSpec], 
         raise SpecError(f"vary: no robots of class {', '.join(lost)} here; there are {', '.join(there)}")
     if not radio and any(vary.range_of(name) for name in QUANTITY_RULES if name.startswith("radio")):
         raise SpecError("vary: this scene has no radio: give build_scene a radio=RadioSettings(...)")
-    for name, (why, lacks) in _LACKS.items():
+    for name, (why, lacks) in _INAPPLICABLE.items():
         if vary.range_of(name) is None:
             continue
         bad = sorted({robot.name for robot in robots if is_randomized(vary, robot) and lacks(robot)})
@@ -247,14 +231,14 @@ def is_randomized(vary: DomainRandomization, robot: RobotSpec) -> bool:
 
 
 def _pushed(robot: RobotSpec) -> bool:
-    return robot.drive.pushes
+    return robot.drive.applies_wrench
 
 
 def _motors(robot: RobotSpec) -> bool:
     return any(part.motor is not None for part in parts_of(robot))
 
 
-_LACKS = {
+_INAPPLICABLE = {
     "mass": ("is trimmed to its weight", _pushed),
     "wheel": ("has no wheels", lambda robot: max_wheel_radius(robot) == 0.0),
     "torque": ("has no motors at its joints to move by", lambda robot: _pushed(robot) or not _motors(robot)),

@@ -14,11 +14,11 @@ from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.types.shapes import SKY, SURFACES, Shape
 
-MOST_ROWS = 10_000_000
+MAX_SPAN_ROWS = 10_000_000
 """Largest number of rows of a table: pairs of a solid and a cell."""
-FLAT = 1e-9
+VERTICAL_NORMAL_Z = 1e-9
 """Bound on the z component of the normal of a vertical face."""
-UPWARD = 0.5
+UPWARD_NORMAL_Z = 0.5
 """Bound on the z component of a normal above which a face is not moved when solids are widened: the move
 would raise slopes."""
 
@@ -84,7 +84,7 @@ def rasterize(shapes: Sequence[Shape], grid: Grid) -> SpanTable:
     """Return the vertical extents over a grid's cells of the solids that robots can touch.
 
     Raises:
-        SpecError: The table would have more than `MOST_ROWS` rows.
+        SpecError: The table would have more than `MAX_SPAN_ROWS` rows.
     """
     solid = [shape for shape in shapes if touchable(shape)]
     parts: list[SpanRows] = []
@@ -106,8 +106,8 @@ def _parts(solid: Sequence[Shape], grid: Grid) -> Iterator[SpanRows]:
 
 
 def _check_total(squares: int) -> None:
-    if squares > MOST_ROWS:
-        raise SpecError(f"its solids stand over {squares} squares of its plan; at most {MOST_ROWS}")
+    if squares > MAX_SPAN_ROWS:
+        raise SpecError(f"its solids stand over {squares} squares of its plan; at most {MAX_SPAN_ROWS}")
 
 
 def _boxes(shapes: Sequence[Shape], grid: Grid) -> SpanRows:
@@ -146,7 +146,7 @@ def _rows(
     """
     owner, i, j = _windows(low, high, grid)
     across = np.hypot(normals[..., 0], normals[..., 1])
-    offsets = offsets + np.where(normals[..., 2] > UPWARD, 0.0, across * grid.cell / 2)
+    offsets = offsets + np.where(normals[..., 2] > UPWARD_NORMAL_Z, 0.0, across * grid.cell / 2)
     x = grid.low[0] + (i + 0.5) * grid.cell
     y = grid.low[1] + (j + 0.5) * grid.cell
     ends_low, ends_high = np.full(len(owner), -np.inf), np.full(len(owner), np.inf)
@@ -155,13 +155,13 @@ def _rows(
         normal = normals[:, face]
         left = offsets[owner, face] - normal[owner, 0] * x - normal[owner, 1] * y
         up = normal[owner, 2]
-        upright = np.abs(up) < FLAT
+        upright = np.abs(up) < VERTICAL_NORMAL_Z
         inside &= ~upright | (left >= 0.0)
         cut = left / np.where(upright, 1.0, up)
-        lower = (up >= FLAT) & (cut < ends_high)
+        lower = (up >= VERTICAL_NORMAL_Z) & (cut < ends_high)
         ends_high = np.where(lower, cut, ends_high)
         steep = np.where(lower, across[owner, face] / np.where(upright, 1.0, up), steep)
-        ends_low = np.where((up <= -FLAT) & (cut > ends_low), cut, ends_low)
+        ends_low = np.where((up <= -VERTICAL_NORMAL_Z) & (cut > ends_low), cut, ends_low)
     inside &= ends_high > ends_low
     square = i * grid.shape[1] + j
     return square[inside], ends_low[inside], ends_high[inside], steep[inside]

@@ -22,7 +22,7 @@ piece of terrain for the radio, see `terrain_columns`.
 """
 GeomType = mujoco.mjtGeom
 MESH, HFIELD = int(GeomType.mjGEOM_MESH), int(GeomType.mjGEOM_HFIELD)
-SMALLEST = 1e-12
+MIN_DOUBLE_AREA = 1e-12
 """Bound on twice the area of a triangle, below which it is dropped [m2]."""
 FLATNESS = 1e-5
 """Height above a face within which a corner is in its plane, relative to the mesh's size."""
@@ -114,12 +114,12 @@ def triangles_of(model: mujoco.MjModel, geom: int, *, hull: bool = False) -> Fra
     """
     data = int(model.geom_dataid[geom])
     if int(model.geom_type[geom]) == HFIELD:
-        return fitted(_terrain_faces(*heights_of(model, data), model.hfield_size[data]))
+        return triangle_frames(_terrain_faces(*terrain_grid(model, data), model.hfield_size[data]))
     first, count = model.mesh_vertadr[data], model.mesh_vertnum[data]
     faces = model.mesh_face[model.mesh_faceadr[data] :][: model.mesh_facenum[data]]
     corners = model.mesh_vert[first : first + count].astype(float)
-    found = fitted(corners[faces])
-    return found if not hull or _convex(found, corners) else fitted(_hull_faces(corners))
+    found = triangle_frames(corners[faces])
+    return found if not hull or _convex(found, corners) else triangle_frames(_hull_faces(corners))
 
 
 def _convex(triangles: Frames, corners: np.ndarray) -> bool:
@@ -141,7 +141,7 @@ def _hull_faces(corners: np.ndarray) -> np.ndarray:
     return triangles
 
 
-def fitted(corners: np.ndarray) -> Frames:
+def triangle_frames(corners: np.ndarray) -> Frames:
     """Return the frames of triangles (n, 3, 3), corners counter-clockwise seen from outside.
 
     Triangles without an area are left out.
@@ -149,7 +149,7 @@ def fitted(corners: np.ndarray) -> Frames:
     corners = np.asarray(corners, float)
     first, second, third = corners[:, 0], corners[:, 1], corners[:, 2]
     normal = np.cross(second - first, third - first)
-    solid = np.linalg.norm(normal, axis=-1) > SMALLEST
+    solid = np.linalg.norm(normal, axis=-1) > MIN_DOUBLE_AREA
     first, edge, other, normal = (x[solid] for x in (first, second - first, third - first, normal))
     length = np.linalg.norm(edge, axis=-1)
     z = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -159,7 +159,7 @@ def fitted(corners: np.ndarray) -> Frames:
     return first, np.stack([x, y, z], -1), size
 
 
-def heights_of(model: mujoco.MjModel, data: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def terrain_grid(model: mujoco.MjModel, data: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return x (columns,), y (rows,) and z (rows, columns) of a terrain's corners in its geom's frame [m]."""
     rows, columns = int(model.hfield_nrow[data]), int(model.hfield_ncol[data])
     half_x, half_y, top, _ = model.hfield_size[data]
@@ -189,7 +189,7 @@ def terrain_columns(model: mujoco.MjModel, geom: int) -> Frames:
     corners above the first, and the depth of the bottom below it [m].
     """
     data = int(model.geom_dataid[geom])
-    x, y, z = heights_of(model, data)
+    x, y, z = terrain_grid(model, data)
     grid = np.stack([*np.meshgrid(x, y), z], -1)
     a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
     first = np.concatenate([b.reshape(-1, 3), d.reshape(-1, 3)])

@@ -46,7 +46,7 @@ STEP_SHARE = 0.5
 """Highest step relative to a wheel's radius: on `c` a P2AT climbs boards of 6 cm."""
 SURFACE_TOLERANCE = 0.1
 """Difference of heights up to which they belong to one surface [m]."""
-TINY = 1e-6
+CELL_TOLERANCE = 1e-6
 """Tolerance of rounding to whole cells."""
 
 
@@ -95,9 +95,9 @@ class ReachMap:
         """Return whether the robot's middle can get there, on the surface at height `z` or on any."""
         return self.start_area >= 0 and bool((self.areas(x, y, z) == self.start_area).any())
 
-    def reachable_places(self, places: np.ndarray) -> np.ndarray:
+    def reachable_points(self, points: np.ndarray) -> np.ndarray:
         """Return `reachable` of points x, y [m], on any surface: (..., 2) to (...)."""
-        i, j = np.moveaxis((np.asarray(places, float) - self.grid.low) // self.grid.cell, -1, 0).astype(int)
+        i, j = np.moveaxis((np.asarray(points, float) - self.grid.low) // self.grid.cell, -1, 0).astype(int)
         rows, columns = self.grid.shape
         held = (i >= 0) & (i < rows) & (j >= 0) & (j < columns)
         there = (np.isfinite(self.ground) & (self.area == self.start_area)).any(0) & (self.start_area >= 0)
@@ -176,7 +176,7 @@ def reach_map(
     )
     free = np.isfinite(ground) & ~blocked(things, ground, step=step, height=height)
     # Solids are half a cell too wide already.
-    steps = max(0, math.ceil(radius / grid.cell - 0.5 - TINY))
+    steps = max(0, math.ceil(radius / grid.cell - 0.5 - CELL_TOLERANCE))
     area = label_areas(erode(free, links, steps), links)
     x, y, z = (start or arena.starts[0]).at
     i, j = grid.index(x, y)
@@ -231,5 +231,5 @@ def _grid(arena: ArenaSpec, cell: float) -> Grid:
     xs, ys = [start.at[0] for start in arena.starts], [start.at[1] for start in arena.starts]
     x0, x1, y0, y1 = min(x0, *xs), max(x1, *xs), min(y0, *ys), max(y1, *ys)
     cell = max(cell, math.sqrt((x1 - x0) * (y1 - y0) / MAX_CELLS))
-    counts = (math.ceil((x1 - x0) / cell - TINY), math.ceil((y1 - y0) / cell - TINY))
+    counts = (math.ceil((x1 - x0) / cell - CELL_TOLERANCE), math.ceil((y1 - y0) / cell - CELL_TOLERANCE))
     return Grid(low=(x0, y0), cell=cell, shape=(max(1, counts[0]), max(1, counts[1])))

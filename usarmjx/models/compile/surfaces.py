@@ -10,9 +10,9 @@ import numpy as np
 from usarmjx.base.errors import SpecError
 from usarmjx.models.compile.raster import Grid, SpanTable
 
-TINY = 1e-6
+RISE_TOLERANCE = 1e-6
 """Tolerance of a rise [m]."""
-MOST_PAIRS = 5e8
+MAX_SURFACE_PAIRS = 5e8
 """Largest product of the number of cells and the squared number of layers, which bounds the work."""
 SIDES = ((1, 0), (0, 1))
 """Offsets of half of the neighbours that share a side; the other half follows by symmetry."""
@@ -50,7 +50,7 @@ def walkable_surfaces(
     robot's height form one block. Steep faces are no surface, unless they rise by no more than a step.
 
     Raises:
-        SpecError: There are too many surfaces one above the other (`MOST_PAIRS`).
+        SpecError: There are too many surfaces one above the other (`MAX_SURFACE_PAIRS`).
     """
     squares = grid.shape[0] * grid.shape[1]
     top, steep, count = np.full(squares, floor), np.zeros(squares), np.zeros(squares, int)
@@ -61,7 +61,7 @@ def walkable_surfaces(
         which = which[np.isfinite(firm[which]) & (top[which] <= firm[which] + step)]
         for layer in range(int(count[which].max(initial=-1)) + 1):
             if layer == len(grounds):
-                if squares * (layer + 1) ** 2 > MOST_PAIRS:
+                if squares * (layer + 1) ** 2 > MAX_SURFACE_PAIRS:
                     raise SpecError(f"more than {layer} surfaces one above the other on {squares} squares")
                 grounds.append(np.full(squares, np.nan))
                 steeps.append(np.zeros(squares))
@@ -115,7 +115,7 @@ def surface_adjacencies(
         length = math.hypot(di, dj) * cell
         joined = {}
         for a, b in product(range(len(ground)), repeat=2):
-            rise = step + TINY + length * np.maximum(steep[a][here], steep[b][there])
+            rise = step + RISE_TOLERANCE + length * np.maximum(steep[a][here], steep[b][there])
             joined[a, b] = np.abs(ground[a][here] - ground[b][there]) <= rise  # False beside NaN
         some = {pair: which for pair, which in joined.items() if pair == (0, 0) or which.any()}
         yield SurfaceAdjacency(corner=bool(di and dj), here=here, there=there, joined=some)

@@ -14,17 +14,17 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.compile.victims import PARKED_COORDINATE, PART_NAMES, VictimTable
-from usarmjx.models.compile.visuals import Figure, build_figure
+from usarmjx.models.compile.visuals import VisualModel, build_visual_model
 from usarmjx.models.types.shapes import Shape
 
 ELLIPSOID, CAPSULE = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID), int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 
 
-SLOTS = (ELLIPSOID,) * 6 + (CAPSULE,) * 2
+VISUAL_SLOTS = (ELLIPSOID,) * 6 + (CAPSULE,) * 2
 """Kinds of the solids that a victim's box can have."""
 
 
-MEASURE = {ELLIPSOID: (0, 1, 2), CAPSULE: (0, 2, 2)}
+SIZE_AXES = {ELLIPSOID: (0, 1, 2), CAPSULE: (0, 2, 2)}
 """Half length of the box that each size number scales: a capsule stands along z."""
 
 
@@ -55,7 +55,7 @@ def _limb(z: float, radius: float, half: float, rgb: Vec3 | None = None) -> Bone
     return BonePart((0.0, 0.0, z), (radius, half, half), rgb, CAPSULE)
 
 
-TRAITS: dict[str, tuple[BonePart, ...]] = {
+BONE_VISUALS: dict[str, tuple[BonePart, ...]] = {
     "Head": (
         BonePart((0.0, 0.0, 0.2), (0.93, 0.95, 0.8)),
         BonePart((-0.2, 0.0, 0.48), (0.95, 1.06, 0.62), HAIR),
@@ -108,7 +108,7 @@ class DrawnBones(NamedTuple):
 
 
 class _Columns(NamedTuple):
-    """`TRAITS` as arrays over parts and slots; `bare` marks slots in the colour of their bone."""
+    """`BONE_VISUALS` as arrays over parts and slots; `bare` marks slots in the colour of their bone."""
 
     size: np.ndarray
     at: np.ndarray
@@ -119,13 +119,13 @@ class _Columns(NamedTuple):
 
 @cache
 def _columns() -> _Columns:
-    """Return `TRAITS` as arrays."""
-    parts, slots = len(PART_NAMES), len(SLOTS)
+    """Return `BONE_VISUALS` as arrays."""
+    parts, slots = len(PART_NAMES), len(VISUAL_SLOTS)
     size, at, rgb = (np.zeros((parts, slots, 3), np.float32) for _ in range(3))
     bare, used = np.zeros((parts, slots), bool), np.zeros((parts, slots), bool)
     for row, part in enumerate(PART_NAMES):
-        for trait in TRAITS[part]:
-            slot = next(i for i, kind in enumerate(SLOTS) if kind == trait.kind and not used[row, i])
+        for trait in BONE_VISUALS[part]:
+            slot = next(i for i, kind in enumerate(VISUAL_SLOTS) if kind == trait.kind and not used[row, i])
             used[row, slot], bare[row, slot] = True, trait.rgb is None
             size[row, slot], at[row, slot], rgb[row, slot] = trait.size, trait.at, trait.rgb or (0, 0, 0)
     return _Columns(size, at, rgb, bare, used)
@@ -140,7 +140,7 @@ def drawn_bones(table: VictimTable, xp: ModuleType = np) -> DrawnBones:
     """Return the visuals of a table's boxes; numpy or JAX arrays, of one world."""
     size, at, rgb, bare, used = (xp.asarray(column)[table.part] for column in _columns())
     half, rgba = xp.asarray(table.size), xp.asarray(table.rgba)
-    of_slot = half[:, np.array([MEASURE[kind] for kind in SLOTS])]
+    of_slot = half[:, np.array([SIZE_AXES[kind] for kind in VISUAL_SLOTS])]
     return DrawnBones(
         size=xp.where(used[..., None], size * of_slot, 1e-3),
         offset=xp.where(used[..., None], at * half[:, None], PARKED_COORDINATE),
@@ -151,24 +151,24 @@ def drawn_bones(table: VictimTable, xp: ModuleType = np) -> DrawnBones:
 _KINDS = {ELLIPSOID: "ellipsoid", CAPSULE: "capsule"}
 
 
-def victim_figure(table: VictimTable, owner: int) -> Figure:
+def victim_visual_model(table: VictimTable, owner: int) -> VisualModel:
     """Return the visuals of an owner's boxes, a victim's or a false alarm's: these are its frames."""
     mine = np.flatnonzero(table.owner == owner)
     drawn, used = drawn_bones(table), used_slots(table.part)
     rows = (
         tuple(
-            (_KINDS[SLOTS[slot]], *(tuple(column[box, slot].tolist()) for column in drawn))
+            (_KINDS[VISUAL_SLOTS[slot]], *(tuple(column[box, slot].tolist()) for column in drawn))
             for slot in np.flatnonzero(used[box])
         )
         for box in mine
     )
-    return _figure(tuple(rows))
+    return _visual_model(tuple(rows))
 
 
 @cache
-def _figure(rows: tuple[tuple[tuple, ...], ...]) -> Figure:  # type: ignore[type-arg] - kind, size, at, rgb
+def _visual_model(rows: tuple[tuple[tuple, ...], ...]) -> VisualModel:  # type: ignore[type-arg] - kind, size, at, rgb
     """Return the visuals of solids by box; victims of one size share them."""
-    return build_figure(
+    return build_visual_model(
         [
             [Shape(kind=kind, size=size, at=at, rgba=(*rgb, 1.0)) for kind, size, at, rgb in solids]
             for solids in rows

@@ -251,7 +251,7 @@ class _Box:
     offset: tuple[float, ...] | np.ndarray = ZERO
 
 
-def build_table(victims: Sequence[Victim], false_alarms: Sequence[FalseAlarm] = ()) -> VictimTable:
+def build_victim_table(victims: Sequence[Victim], false_alarms: Sequence[FalseAlarm] = ()) -> VictimTable:
     """Return the table of victims and false alarms with zero swings; see `victim_table`.
 
     Raises:
@@ -264,7 +264,7 @@ def build_table(victims: Sequence[Victim], false_alarms: Sequence[FalseAlarm] = 
     boxes: list[_Box] = []
     mouths: list[int] = []
     for owner, victim in enumerate(victims):
-        check(victim)
+        check_victim(victim)
         rows = _body(victim, owner, len(boxes))
         bones = [row.name for row in rows]
         mouth = next((bones.index(name) for name in ("Head", "Pelvis") if name in bones), None)
@@ -276,14 +276,14 @@ def build_table(victims: Sequence[Victim], false_alarms: Sequence[FalseAlarm] = 
 
 
 def box_names(victims: Sequence[Victim], false_alarms: Sequence[FalseAlarm] = ()) -> tuple[str, ...]:
-    """Return a unique name of every box of `build_table`: `<victim>/<bone>` or `alarm<k>/<bone>`."""
+    """Return a unique name of every box of `build_victim_table`: `<victim>/<bone>` or `alarm<k>/<bone>`."""
     names = [f"{victim.name}/{row.name}" for victim in victims for row in _body(victim, 0, 0)]
     names += [f"alarm{k}/{row.name}" for k, alarm in enumerate(false_alarms) for row in _alarm(alarm, 0)]
     return tuple(names)
 
 
-def check(victim: Victim) -> None:
-    """Refuse an invalid victim; see `build_table`."""
+def check_victim(victim: Victim) -> None:
+    """Refuse an invalid victim; see `build_victim_table`."""
     where = f"victim {victim.name!r}"
     if victim.posture not in POSTURES:
         raise SpecError(f"{where}: unknown posture {victim.posture!r}; known: {', '.join(POSTURES)}")
@@ -428,7 +428,7 @@ def victim_table(victims: Sequence[Victim], false_alarms: Sequence[FalseAlarm] =
         SpecError: Two victims of one name; an unknown posture or bone; more than `MAX_SEGMENTS` segments or
             two of one name; a negative rate, scale, speed, loudness or time.
     """
-    table = build_table(victims, false_alarms)
+    table = build_victim_table(victims, false_alarms)
     share = np.linspace(0.0, 1.0, SWING_STEPS)[:, None, None]
     moving = np.where(table.rate > 0, table.final - table.initial, 0.0)
     corners = _corners(table, table.initial + share * moving, np)
@@ -511,10 +511,10 @@ def rest_height(posture: str) -> float:
         SpecError: No such posture.
     """
     table = victim_table([Victim(name="one", at=ZERO, posture=posture)])
-    return -float(lowest(table, 0.0).min())
+    return -float(lowest_points(table, 0.0).min())
 
 
-def lowest(table: VictimTable, time: ArrayLike) -> np.ndarray:
+def lowest_points(table: VictimTable, time: ArrayLike) -> np.ndarray:
     """Return the height of every box's lowest point at a time (...,) [m] (..., boxes)."""
     pos, quat = segment_poses(table, time)
     return pos[..., 2] - (np.abs(orientations(quat)[..., 2, :]) * table.size).sum(-1)

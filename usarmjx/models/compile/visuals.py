@@ -15,7 +15,7 @@ from usarmjx.models.compile.ray_geoms import TRIANGLE_KIND, ray_primitives_of
 from usarmjx.models.types.shapes import OPAQUE, Shape
 
 GeomType = mujoco.mjtGeom
-FIGURE_MEMORY = 1 << 16
+VISUAL_MODEL_MEMORY = 1 << 16
 """Arena of a visual model's MjData, which is never stepped [bytes]."""
 
 
@@ -45,7 +45,7 @@ class Solids:
         return pos[..., self.frame, :] + matvec(turn, self.pos), matmul(turn, self.mat)
 
 
-def reach_of(solids: Solids, mat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def solid_extents(solids: Solids, mat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the extent of solids from their positions along the axes: lowest and highest [m] (n, 3) twice.
 
     Args:
@@ -73,7 +73,7 @@ def reach_of(solids: Solids, mat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @dataclass(frozen=True, eq=False)
-class Figure:
+class VisualModel:
     """Visuals as a MuJoCo model.
 
     Attributes:
@@ -92,7 +92,7 @@ def flipped(shape: Shape) -> Shape:
     return Shape(**{**vars(shape), "at": flip_vector(shape.at), "rotation": flip_angles(shape.rotation)})
 
 
-def build_figure(shapes: Sequence[Sequence[Shape]]) -> Figure:
+def build_visual_model(shapes: Sequence[Sequence[Shape]]) -> VisualModel:
     """Return the visuals of the shapes that follow each frame, in MuJoCo's axes.
 
     Raises:
@@ -100,7 +100,7 @@ def build_figure(shapes: Sequence[Sequence[Shape]]) -> Figure:
     """
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
-    spec.memory = FIGURE_MEMORY
+    spec.memory = VISUAL_MODEL_MEMORY
     frame = np.repeat(np.arange(len(shapes)), [len(some) for some in shapes]).astype(int)
     for number, some in enumerate(shapes):  # a mocap body is a frame that is set, not simulated
         body = spec.worldbody.add_body(name=str(number), mocap=True)
@@ -122,4 +122,4 @@ def build_figure(shapes: Sequence[Sequence[Shape]]) -> Figure:
         mat=np.asarray(mat, np.float32),
         rgb=model.geom_rgba[pieces.geom, :3].astype(np.float32),
     )
-    return Figure(model=model, solids=solids, geom_of=pieces.geom)
+    return VisualModel(model=model, solids=solids, geom_of=pieces.geom)

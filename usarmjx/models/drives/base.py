@@ -78,10 +78,10 @@ class Drive(ABC):
 
     @property
     def other_keys(self) -> dict[str, float]:
-        """Further keys of DRIVE with their full scale, which `in_own_keys` converts to the drive's own."""
+        """Further keys of DRIVE with their full scale, which `to_own_keys` converts to the drive's own."""
         return {}
 
-    def in_own_keys(self, values: Mapping[str, ArrayLike], setpoint: Array) -> Mapping[str, ArrayLike]:
+    def to_own_keys(self, values: Mapping[str, ArrayLike], setpoint: Array) -> Mapping[str, ArrayLike]:
         """Return values (...,) by the drive's own keys, after conversion of `other_keys`.
 
         Args:
@@ -107,7 +107,7 @@ class Drive(ABC):
         return np.array([control.mode for control in self.joint_controls], np.int32)
 
     @property
-    def pushes(self) -> bool:
+    def applies_wrench(self) -> bool:
         """Whether it moves robots by a force on the chassis, as drives that fly or dive."""
         return type(self).wrench is not Drive.wrench
 

@@ -19,11 +19,11 @@ from usarmjx.models.drives.base import Drive, RobotState, VehicleType
 
 AIR_DENSITY, WATER_DENSITY = 1.225, 1000.0
 """Densities of air at sea level (ISA) and of fresh water [kg/m3]."""
-NODES = 40
+QUADRATURE_NODES = 40
 """Gauss-Legendre nodes of Lamb's integrals, which reach an error of 1e-8 even for a rod 50 times as long as
 wide."""
 
-STALLED = 1.17
+MAX_NORMAL_FORCE_COEF = 1.17
 """Normal force coefficient of a square plate across the flow (Hoerner, Fluid-Dynamic Drag, 3-9)."""
 
 
@@ -33,7 +33,7 @@ def shape_factors(radii: Vec3) -> np.ndarray:
     alpha = a b c times the integral over s from 0 to infinity of 1 / ((a^2 + s) sqrt((a^2 + s) (b^2 + s)
     (c^2 + s))). With s = (1 / t^2 - 1) r^2, r being the mean radius, the integrand is smooth on [0, 1].
     """
-    points, weights = np.polynomial.legendre.leggauss(NODES)
+    points, weights = np.polynomial.legendre.leggauss(QUADRATURE_NODES)
     t, weights = (points + 1) / 2, weights / 2
     scale = math.prod(radii) ** (2 / 3)
     grown = scale + (np.square(radii)[:, None] - scale) * t**2  # t^2 (a^2 + s)
@@ -196,7 +196,13 @@ def plate_force(area: float, slope: float, speed: Array, across: Array) -> Array
         across: Its component along the plate's normal [m/s] (...,).
     """
     sine = across / xp.maximum(speed, 1e-6)
-    return -WATER_DENSITY / 2 * area * speed**2 * xp.clip(slope * sine, -STALLED, STALLED)
+    return (
+        -WATER_DENSITY
+        / 2
+        * area
+        * speed**2
+        * xp.clip(slope * sine, -MAX_NORMAL_FORCE_COEF, MAX_NORMAL_FORCE_COEF)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -261,7 +267,7 @@ class Underwater(Drive):
         return {"rudder": float(setpoint[1]), "stern_plane": float(setpoint[2])}
 
     @cached_property
-    def _grip(self) -> float:
+    def _thrust_coefficient(self) -> float:
         """Thrust over squared speed of the wash [N s2/m2].
 
         At the steady speed (1 - slip) w thrust equals drag, which gives this ratio.
@@ -280,7 +286,7 @@ class Underwater(Drive):
         linear = xp.moveaxis(matvec(mat.mT, state.linear), -1, 0)
         turn = xp.moveaxis(state.angular, -1, 0)
         wash = spin * self.propeller_pitch / (2 * math.pi)
-        thrust = self._grip * (wash * xp.abs(wash) - linear[0] * xp.abs(linear[0]))
+        thrust = self._thrust_coefficient * (wash * xp.abs(wash) - linear[0] * xp.abs(linear[0]))
         # Flow at the plates: ahead as in the propeller's disc, to the left and up as the stern moves.
         ahead = (linear[0] + wash) / 2
         left = linear[1] - self.stern_arm * turn[2]

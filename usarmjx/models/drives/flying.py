@@ -15,7 +15,7 @@ from usarmjx.models.drives.fluid import AIR_DENSITY, Hull
 
 MAX_TILT = math.radians(65)
 """Largest tilt, whatever the command [rad]."""
-LOWEST_LIFT = 0.3
+MIN_LIFT_SHARE = 0.3
 """Smallest lift of the rotors, as a share of the weight."""
 
 
@@ -114,7 +114,7 @@ class RotaryWing(Drive):
         level_push = push[..., :2] * share + turn * _left_of(level)
         force = self.mass * xp.concatenate([level_push, push[..., 2:]], -1) - self._drag(mat, linear)
         weight = self.mass * GRAVITY
-        rise = xp.clip(force[..., 2:] + weight, LOWEST_LIFT * weight, self.max_thrust)
+        rise = xp.clip(force[..., 2:] + weight, MIN_LIFT_SHARE * weight, self.max_thrust)
         most = rise * math.tan(MAX_TILT)
         sideways = force[..., :2] * (most / xp.maximum(_length(force[..., :2]), most))
         return xp.concatenate([sideways, rise], -1)
@@ -220,7 +220,7 @@ class Blimp(Drive):
         names = ("AltitudeVelocity", "LinearVelocity", "LateralVelocity", "RotationalVelocity")
         return dict(zip(names, (speed, speed, 0.0, self.max_turn), strict=True))
 
-    def in_own_keys(self, values: Mapping[str, ArrayLike], setpoint: Array) -> Mapping[str, ArrayLike]:
+    def to_own_keys(self, values: Mapping[str, ArrayLike], setpoint: Array) -> Mapping[str, ArrayLike]:
         """Return speeds up and ahead as the bar's angle and the speed along it, and turns with its sign."""
         given = {key: xp.asarray(value, xp.float32) for key, value in values.items()}
         own: dict[str, ArrayLike] = {key: value for key, value in given.items() if key not in self.other_keys}

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
-from usarmjx.models.robots.kit import AXLE_ROTATION
+from usarmjx.models.robots.kit import ACROSS
 from usarmjx.models.types.robot import Motor, Part
 from usarmjx.models.types.shapes import Shape
 
@@ -59,9 +59,7 @@ class RollerTable(Effecter):
         offsets = [(i - (ROLLERS - 1) / 2) * ROLLER_SPACING for i in range(ROLLERS)]
         # MuJoCo makes one contact point between a cylinder and a box, on which the box would rock: with two
         # halves it lies still.
-        half = Shape(
-            kind="cylinder", size=(RADIUS, WIDTH / 4), rotation=AXLE_ROTATION, mass=0.15, surface="wheel"
-        )
+        half = Shape(kind="cylinder", size=(RADIUS, WIDTH / 4), rotation=ACROSS, mass=0.15, surface="wheel")
         halves = tuple(replace(half, at=(0.0, side * WIDTH / 4, 0.0)) for side in (-1.0, 1.0))
         return tuple(
             self.part_in_parent(

@@ -18,15 +18,15 @@ MIN_WALL_HEIGHT = 0.3
 """Height from which a solid that is thinner than high is a wall by default [m]."""
 UPRIGHT_TOLERANCE = 1e-3
 """Lean of the z axis up to which a solid is upright [rad]."""
-MARGIN = 1.0
+EXTENT_MARGIN = 1.0
 """Margin of an extent around the solids [m]."""
-EMPTY: Rectangle = ((-5.0, 5.0), (-5.0, 5.0))
+EMPTY_EXTENT: Rectangle = ((-5.0, 5.0), (-5.0, 5.0))
 """Extent of an arena without solids."""
 START_CLEARANCE = (0.45, 0.05)
 """Radius of the free circle that a start pose needs, and the highest step in it [m]."""
 PREFERRED_START_SLOPE, MAX_START_SLOPE = math.radians(2), math.radians(20)
 """Largest slope of a start pose, first choice and fallback [rad]."""
-TAG = "PlayerStart"
+DEFAULT_START_TAG = "PlayerStart"
 """Tag of an automatic start pose, the Unreal editor's (manual 5.3.2)."""
 
 
@@ -118,9 +118,9 @@ def extent_of(shapes: Sequence[Shape], loose: Sequence[LooseObject] = ()) -> Rec
     """Return x and y limits of solids with a margin around them."""
     solids = [*shapes, *(shape for one in loose for shape in shapes_in_arena(one))]
     if not solids:
-        return EMPTY
+        return EMPTY_EXTENT
     points = np.concatenate([corners_of(shape) for shape in solids])[:, :2]
-    return _around(np.concatenate([points - MARGIN, points + MARGIN]))
+    return _around(np.concatenate([points - EXTENT_MARGIN, points + EXTENT_MARGIN]))
 
 
 def _around(points: np.ndarray) -> Rectangle:
@@ -135,7 +135,7 @@ def free_start_pose(arena: ArenaSpec, wish: tuple[float, float] | None = None) -
         arena: The arena; it needs no start poses yet.
         wish: Preferred x and y; used if there is room.
     """
-    nowhere = StartPose(tag=TAG, at=(*np.mean(arena.extent, axis=1).tolist(), START_ELEVATION))
+    nowhere = StartPose(tag=DEFAULT_START_TAG, at=(*np.mean(arena.extent, axis=1).tolist(), START_ELEVATION))
     found = reach_map(replace(arena, starts=(nowhere,)), *START_CLEARANCE, slope=PREFERRED_START_SLOPE)
     if found.area.max() < 0:
         found = reach_map(replace(arena, starts=(nowhere,)), *START_CLEARANCE, slope=MAX_START_SLOPE)
@@ -153,4 +153,4 @@ def free_start_pose(arena: ArenaSpec, wish: tuple[float, float] | None = None) -
         away = np.where(largest, away, np.inf)
     best = int(np.lexsort((ground, away))[0])
     at = (round(float(x[best]), 3), round(float(y[best]), 3), round(float(ground[best]) + START_ELEVATION, 6))
-    return StartPose(tag=TAG, at=at)
+    return StartPose(tag=DEFAULT_START_TAG, at=at)

@@ -11,8 +11,8 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import is_name
-from usarmjx.models.compile.victims import build_table, check
-from usarmjx.models.files.values import FARTHEST, YamlValue
+from usarmjx.models.compile.victims import build_victim_table, check_victim
+from usarmjx.models.files.values import MAX_COORDINATE, YamlValue
 from usarmjx.models.types.arena import ArenaSpec, Door, FalseAlarm, Light, LooseObject, Victim, Water
 from usarmjx.models.types.shapes import FENDER, MATERIALS, SURFACES, Shape
 from usarmjx.models.types.textures import texture_problem
@@ -84,11 +84,11 @@ def _water(water: Water) -> str:
 
 
 def _victim(victim: Victim) -> str:
-    return _refusal(lambda: check(victim))
+    return _refusal(lambda: check_victim(victim))
 
 
 def _alarm(alarm: FalseAlarm) -> str:
-    return _refusal(lambda: build_table((), (alarm,)))
+    return _refusal(lambda: build_victim_table((), (alarm,)))
 
 
 def _refusal(action: Callable[[], object]) -> str:
@@ -108,8 +108,8 @@ def _arena(arena: ArenaSpec) -> str:
     places = [one.at for one in (*solids, *arena.starts, *arena.loose, *arena.doors, *arena.victims)]
     lengths = [*places, *(shape.size for shape in solids), *arena.extent]
     farthest = max((abs(number) for numbers in lengths for number in numbers), default=0.0)
-    if not farthest <= FARTHEST:
-        return f"something lies or reaches {farthest:g} m from the origin; at most {FARTHEST:g}"
+    if not farthest <= MAX_COORDINATE:
+        return f"something lies or reaches {farthest:g} m from the origin; at most {MAX_COORDINATE:g}"
     for start in arena.starts:
         if not is_name(start.tag):
             return f"start {start.tag!r}: a tag is one word of ASCII without braces"

@@ -12,15 +12,15 @@ FORMATS = ("PNG", "PPM", "BMP", "JPEG", "GIF")
 """Image formats by Pillow's names (PPM: also PGM and PBM); decoders of others run external programs."""
 
 
-MOST_PIXELS = 16_000_000
+MAX_PIXELS = 16_000_000
 """Largest number of pixels of a map."""
 
 
-MOST_HEIGHTS = 1_000_000
+MAX_HEIGHTS = 1_000_000
 """Largest number of heights of a terrain."""
 
 
-LOSSY = ("JPEG",)
+LOSSY_FORMATS = ("JPEG",)
 """Formats with lossy compression."""
 
 
@@ -37,8 +37,8 @@ def read_heights(path: Path, height: float) -> np.ndarray:
         ArenaFileError: A file that is unreadable, has colours, or is too small or too large, or is a JPEG,
             whatever its suffix: lossy compression changes the heights.
     """
-    mode, pixels, form = _read_image(path, MOST_HEIGHTS)
-    if form in LOSSY:
+    mode, pixels, form = _read_image(path, MAX_HEIGHTS)
+    if form in LOSSY_FORMATS:
         raise ArenaFileError(
             f"{path}: is a {form} image, which is lossy: a floor drawn flat comes out bumpy; "
             "give heights as PNG, made from the original"
@@ -74,7 +74,7 @@ def read_grey(path: Path) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         ArenaFileError: A file that is unreadable or too large.
     """
-    mode, pixels = _pixels(path, MOST_PIXELS)
+    mode, pixels = _pixels(path, MAX_PIXELS)
     pixels = pixels[::-1].astype(float) * (255 / WHITE_BY_MODE.get(mode, 255))
     if pixels.ndim == 2:
         return pixels, np.ones(pixels.shape, bool)
@@ -85,7 +85,7 @@ def read_grey(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def image_size(path: Path) -> tuple[int, int]:
     """Return an image's width and height in pixels."""
-    _, pixels = _pixels(path, MOST_HEIGHTS)
+    _, pixels = _pixels(path, MAX_HEIGHTS)
     return pixels.shape[1], pixels.shape[0]
 
 

@@ -18,7 +18,7 @@ from usarmjx.base.errors import ArenaFileError, UnknownNameError
 from usarmjx.base.files import atomic_write
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.lanes import LANE_PREFIX, LANES
-from usarmjx.models.files.content import EMPTY, Content
+from usarmjx.models.files.content import EMPTY_EXTENT, Content
 from usarmjx.models.files.images import image_size, write_heights
 from usarmjx.models.files.maps import is_map, occupancy_grid_content
 from usarmjx.models.files.mjcf import mjcf_content
@@ -36,10 +36,10 @@ HEADER = "# An arena of usarmjx. Lengths in metres, angles in radians; x forward
 WIDTH = 110
 """Line length of saved files."""
 
-PIXEL = 0.1
+PIXEL_SIZE = 0.1
 """Spacing of the heights in a grey image that is loaded by itself [m]."""
 
-RISE = 1.0
+WHITE_HEIGHT = 1.0
 """Height of white in it [m]."""
 
 YAML = (".yaml", ".yml")
@@ -164,7 +164,7 @@ def read_arena(path: str | Path) -> tuple[ArenaSpec, tuple[str, ...]]:
         content = occupancy_grid_content(value)
     else:
         content = READERS[path.suffix.lower()](path)
-    arena = ArenaSpec(name=path.stem, starts=(), extent=EMPTY)
+    arena = ArenaSpec(name=path.stem, starts=(), extent=EMPTY_EXTENT)
     return complete_arena(arena, content, YamlValue(None, path, 1), set()), content.warnings
 
 
@@ -198,8 +198,8 @@ def _mesh(path: Path) -> Content:
 
 def _terrain(path: Path) -> Content:
     width, height = image_size(path)
-    size = (PIXEL * max(width - 1, 1), PIXEL * max(height - 1, 1))
-    return terrain_content(TerrainFile(file=path, size=size, height=RISE))
+    size = (PIXEL_SIZE * max(width - 1, 1), PIXEL_SIZE * max(height - 1, 1))
+    return terrain_content(TerrainFile(file=path, size=size, height=WHITE_HEIGHT))
 
 
 def _picture(path: Path) -> Content:

@@ -16,7 +16,7 @@ KEYS = ["image", "resolution", "origin", "negate", "occupied_thresh", "free_thre
 """Keys of a map's YAML file."""
 DEFAULT_WALL_HEIGHT = 1.2
 """Default height of walls [m]: the NIST arenas'."""
-MOST_BOXES = 2000
+MAX_MAP_BOXES = 2000
 """Largest number of boxes of a map."""
 WALL_RGBA = (0.85, 0.8, 0.6, 1.0)
 GRADED_WALL_VALUE = 50
@@ -116,10 +116,12 @@ def occupancy_grid_content(
         ArenaFileError: See `read_occupancy_grid`; or the map has too many walls.
     """
     plan = read_occupancy_grid(value, unknown)
-    boxes = min(rectangles(plan.wall, MOST_BOXES), _turned(rectangles(plan.wall.T, MOST_BOXES)), key=len)
-    if len(boxes) > MOST_BOXES:
+    boxes = min(
+        rectangles(plan.wall, MAX_MAP_BOXES), _turned(rectangles(plan.wall.T, MAX_MAP_BOXES)), key=len
+    )
+    if len(boxes) > MAX_MAP_BOXES:
         raise value.error(
-            f"the map makes more than the {MOST_BOXES} boxes that are allowed: clear it of specks, or "
+            f"the map makes more than the {MAX_MAP_BOXES} boxes that are allowed: clear it of specks, or "
             "halve its size and double its resolution"
         )
     return Content(

@@ -11,23 +11,23 @@ import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
 
-HEADER, FACET = 84, 50
+STL_HEADER_BYTES, STL_FACET_BYTES = 84, 50
 """Size of the header of a binary STL file, and of a facet [bytes]."""
 
 
-FACETS = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
+STL_FACET_DTYPE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
 """Layout of a facet of a binary STL file."""
 
 
-FAR_OUT = 1e6
+MAX_OUTLIER_RATIO = 1e6
 """Distance of a corner over the median of a file, beyond which it is corrupt."""
 
 
-ALIKE = 0.9
+MIN_NORMAL_COSINE = 0.9
 """Smallest cosine between a facet's normal in a file and that of its corners."""
 
 
-CLIPPED = 40
+MAX_QUOTED = 40
 """Largest length of a quoted word in messages [characters]."""
 
 
@@ -42,11 +42,11 @@ def check_mesh(path: Path, data: bytes) -> None:
         ArenaFileError: Names the error, and its line or facet.
     """
     if not data.strip():
-        raise broken(path, "it is empty, it has no faces")
+        raise mesh_error(path, "it is empty, it has no faces")
     MESH_CHECKS[path.suffix.lower()](path, data)
 
 
-def broken(path: Path, text: str, line: int | None = None) -> ArenaFileError:
+def mesh_error(path: Path, text: str, line: int | None = None) -> ArenaFileError:
     """Return the error of an unreadable mesh file."""
     return ArenaFileError(f"{path}{'' if line is None else f':{line}'}: does not read as a mesh: {text}")
 
@@ -60,12 +60,12 @@ def _check_obj(path: Path, data: bytes) -> None:
         elif words[0] == b"f":
             faces += 1
             if len(words) < 4:
-                raise broken(path, f"a face with {len(words) - 1} corners; a face has at least 3", number)
+                raise mesh_error(path, f"a face with {len(words) - 1} corners; a face has at least 3", number)
             highest = max(highest, (max(_index(path, word, number) for word in words[1:]), -number))
     if not faces:
-        raise broken(path, "it has no faces")
+        raise mesh_error(path, "it has no faces")
     if highest[0] > vertices:
-        raise broken(path, f"face index {highest[0]}, but the file has {vertices} vertices", -highest[1])
+        raise mesh_error(path, f"face index {highest[0]}, but the file has {vertices} vertices", -highest[1])
 
 
 def _logical_lines(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
@@ -87,7 +87,7 @@ def _index(path: Path, word: bytes, line: int) -> int:
     except ValueError:
         index = 0
     if index == 0:
-        raise broken(path, f"{_shown(word)} is no vertex's number", line)
+        raise mesh_error(path, f"{_shown(word)} is no vertex's number", line)
     return index
 
 
@@ -98,40 +98,44 @@ def _check_numbers(path: Path, words: list[bytes], line: int) -> None:
         except ValueError:
             fine = False
         if not fine:
-            raise broken(path, f"{_shown(word)} is not a number", line)
+            raise mesh_error(path, f"{_shown(word)} is not a number", line)
     if len(words) < 3:
-        raise broken(path, f"a vertex with {len(words)} numbers; vertices have three", line)
+        raise mesh_error(path, f"a vertex with {len(words)} numbers; vertices have three", line)
 
 
 def _shown(word: bytes) -> str:
     text = word.decode("utf-8", "replace")
-    return repr(text if len(text) <= CLIPPED else text[:CLIPPED] + "...")
+    return repr(text if len(text) <= MAX_QUOTED else text[:MAX_QUOTED] + "...")
 
 
 def _check_stl(path: Path, data: bytes) -> None:
-    announced = int.from_bytes(data[HEADER - 4 : HEADER], "little")
-    if len(data) >= HEADER and len(data) == HEADER + FACET * announced:
-        _check_facets(path, np.frombuffer(data, FACETS, announced, HEADER))
+    announced = int.from_bytes(data[STL_HEADER_BYTES - 4 : STL_HEADER_BYTES], "little")
+    if len(data) >= STL_HEADER_BYTES and len(data) == STL_HEADER_BYTES + STL_FACET_BYTES * announced:
+        _check_facets(path, np.frombuffer(data, STL_FACET_DTYPE, announced, STL_HEADER_BYTES))
         return
     if b"\0" not in data and b"solid" in data[:1000].lower():
         _check_text(path, data)
         return
-    if len(data) < HEADER:
-        raise broken(path, f"it is neither text nor as long as the header of a binary file, {HEADER} bytes")
-    whole = (len(data) - HEADER) // FACET
+    if len(data) < STL_HEADER_BYTES:
+        raise mesh_error(
+            path, f"it is neither text nor as long as the header of a binary file, {STL_HEADER_BYTES} bytes"
+        )
+    whole = (len(data) - STL_HEADER_BYTES) // STL_FACET_BYTES
     said = f"it announces {announced} facets"
     if whole < announced:
-        raise broken(path, f"{said} and is cut off in facet {whole + 1}")
-    raise broken(path, f"{said}, and {len(data) - HEADER - FACET * announced} bytes follow them")
+        raise mesh_error(path, f"{said} and is cut off in facet {whole + 1}")
+    raise mesh_error(
+        path, f"{said}, and {len(data) - STL_HEADER_BYTES - STL_FACET_BYTES * announced} bytes follow them"
+    )
 
 
 def _check_facets(path: Path, facets: np.ndarray) -> None:
     """Check the facets of a binary file."""
     if not len(facets):
-        raise broken(path, "it has no faces")
+        raise mesh_error(path, "it has no faces")
     wrong = np.flatnonzero(~np.isfinite(facets["corners"]).all(axis=(1, 2)))
     if len(wrong):
-        raise broken(path, f"facet {wrong[0] + 1} has a corner that is not finite")
+        raise mesh_error(path, f"facet {wrong[0] + 1} has a corner that is not finite")
 
 
 def find_corrupt_facet(path: Path, data: bytes) -> str:
@@ -140,14 +144,14 @@ def find_corrupt_facet(path: Path, data: bytes) -> str:
     For files that are readable but make no solid: a facet is suspect that has no area, one corner far from
     all others, or a normal unlike that of its corners in a file whose other normals agree.
     """
-    announced = int.from_bytes(data[HEADER - 4 : HEADER], "little")
-    if path.suffix.lower() != ".stl" or len(data) != HEADER + FACET * announced:
+    announced = int.from_bytes(data[STL_HEADER_BYTES - 4 : STL_HEADER_BYTES], "little")
+    if path.suffix.lower() != ".stl" or len(data) != STL_HEADER_BYTES + STL_FACET_BYTES * announced:
         return ""
-    facets = np.frombuffer(data, FACETS, announced, HEADER)
+    facets = np.frombuffer(data, STL_FACET_DTYPE, announced, STL_HEADER_BYTES)
     corners, said = facets["corners"].astype(float), facets["normal"].astype(float)
     reach = np.abs(corners).max(axis=(1, 2))
     usual = float(np.median(reach))
-    if reach.max() > FAR_OUT * max(usual, 1e-9):
+    if reach.max() > MAX_OUTLIER_RATIO * max(usual, 1e-9):
         return (
             f"facet {reach.argmax() + 1} has a corner {reach.max():.3g} m away, most are within {usual:.3g}"
         )
@@ -155,7 +159,7 @@ def find_corrupt_facet(path: Path, data: bytes) -> str:
     area, length = np.linalg.norm(normal, axis=1), np.linalg.norm(said, axis=1)
     if not area.all():
         return f"facet {area.argmin() + 1} has no area"
-    unlike = (length > 0) & ((normal * said).sum(1) < ALIKE * area * length)
+    unlike = (length > 0) & ((normal * said).sum(1) < MIN_NORMAL_COSINE * area * length)
     if 0 < unlike.sum() < announced / 2:
         return f"facet {unlike.argmax() + 1} has another normal than its corners"
     return ""
@@ -168,22 +172,22 @@ def _check_text(path: Path, data: bytes) -> None:
     for line, word in words:
         if word == b"facet":
             if open_facet:
-                raise broken(path, f"facet {facet} does not end before the next one", line)
+                raise mesh_error(path, f"facet {facet} does not end before the next one", line)
             facet, corners, open_facet = facet + 1, 0, True
         elif word == b"vertex":
             corners += 1
             _check_numbers(path, [next(words, (line, b""))[1] for _ in range(3)], line)
         elif word == b"endfacet":
             if corners != 3:
-                raise broken(path, f"facet {facet} has {corners} corners; facets have 3", line)
+                raise mesh_error(path, f"facet {facet} has {corners} corners; facets have 3", line)
             open_facet = False
         elif word == b"endsolid":
             ended = True
     if open_facet or not ended:
         where = f"in facet {facet}" if open_facet else f"after facet {facet}: it has no endsolid"
-        raise broken(path, f"it is cut off {where}", line)
+        raise mesh_error(path, f"it is cut off {where}", line)
     if not facet:
-        raise broken(path, "it has no faces")
+        raise mesh_error(path, "it has no faces")
 
 
 def _words(data: bytes) -> Iterator[tuple[int, bytes]]:

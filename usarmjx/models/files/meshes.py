@@ -16,24 +16,24 @@ import numpy as np
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.files.content import surface_of
-from usarmjx.models.files.mesh_check import MESH_CHECKS, broken, check_mesh, find_corrupt_facet
+from usarmjx.models.files.mesh_check import MESH_CHECKS, check_mesh, find_corrupt_facet, mesh_error
 from usarmjx.models.files.reader_process import MeshArrays, read_mesh_objects
-from usarmjx.models.files.values import FARTHEST, read_bytes
+from usarmjx.models.files.values import MAX_COORDINATE, read_bytes
 from usarmjx.models.types.shapes import Mesh, Shape
 
-MOST_MESH_BYTES = 64_000_000
+MAX_MESH_BYTES = 64_000_000
 """Largest size of a mesh file [bytes]."""
 
 
-MOST_VERTICES = 200
+MAX_VERTICES = 200
 """Largest number of vertices of one solid's hull: MJX tests all of them in every contact."""
 MAX_MESH_PIECES = 500
 """Largest number of pieces of one file."""
-CONVEX = 1.01
+MAX_CONVEX_RATIO = 1.01
 """Ratio of the hull's volume to the piece's up to which a piece is convex."""
-THINNEST = 1e-12
+MIN_VOLUME = 1e-12
 """Smallest volume of a solid [m3]."""
-MOST_FACES = 20_000
+MAX_FACES = 20_000
 """Largest number of faces of a piece that is not convex: rays test all of them."""
 SeenBy = Literal["faces", "hull"]
 """Geometry of a piece that is not convex for rays and pictures."""
@@ -89,7 +89,7 @@ def load_convex_pieces(
     try:
         return [*_pieces_of(path, digest, (x, y, z), hull, rays)]
     except ArenaFileError as error:
-        if suspect := find_corrupt_facet(path, read_bytes(path, MOST_MESH_BYTES)):
+        if suspect := find_corrupt_facet(path, read_bytes(path, MAX_MESH_BYTES)):
             raise ArenaFileError(f"{path} is corrupt: {suspect}") from error
         raise
 
@@ -142,8 +142,8 @@ def checked_corners(vertices: np.ndarray, name: str) -> np.ndarray:
     Raises:
         ArenaFileError: They lie in a plane or too far away, or are too many.
     """
-    if len(vertices) > MOST_VERTICES:
-        raise ArenaFileError(f"{name}: {len(vertices)} vertices; a solid has at most {MOST_VERTICES}")
+    if len(vertices) > MAX_VERTICES:
+        raise ArenaFileError(f"{name}: {len(vertices)} vertices; a solid has at most {MAX_VERTICES}")
     _check_reach(vertices, name)
     _hull(vertices, name)
     return vertices
@@ -151,9 +151,9 @@ def checked_corners(vertices: np.ndarray, name: str) -> np.ndarray:
 
 def _check_reach(vertices: np.ndarray, name: str) -> None:
     farthest = float(np.abs(vertices).max(initial=0.0))
-    if not farthest <= FARTHEST:
+    if not farthest <= MAX_COORDINATE:
         raise ArenaFileError(
-            f"{name} reaches {farthest:g} m from its origin, at most {FARTHEST:g}; mind `scale`"
+            f"{name} reaches {farthest:g} m from its origin, at most {MAX_COORDINATE:g}; mind `scale`"
         )
 
 
@@ -188,12 +188,12 @@ def _piece(part: Any, name: str, hull: bool, rays: SeenBy) -> ConvexPiece:  # no
         if not part.is_winding_consistent:
             raise ArenaFileError(f"{name} has faces that turn either way round: recalculate its normals")
         own = abs(float(part.volume))
-        if volume > CONVEX * own:
+        if volume > MAX_CONVEX_RATIO * own:
             filled = f"its hull has {volume:.4g} m3, itself {own:.4g}"
             raise ArenaFileError(f"{name} is not convex ({filled}): {ADVICE}")
-    if len(corners) > MOST_VERTICES:
+    if len(corners) > MAX_VERTICES:
         raise ArenaFileError(
-            f"{name} has a hull with {len(corners)} vertices, at most {MOST_VERTICES} are allowed: "
+            f"{name} has a hull with {len(corners)} vertices, at most {MAX_VERTICES} are allowed: "
             "simplify it (Blender's Decimate, MeshLab's quadric edge collapse)"
         )
     return ConvexPiece(name, corners, volume, _faces_of(part, name, volume) if seen else None)
@@ -201,16 +201,20 @@ def _piece(part: Any, name: str, hull: bool, rays: SeenBy) -> ConvexPiece:  # no
 
 def _faces_of(part: Any, name: str, volume: float) -> Mesh | None:  # noqa: ANN401 - trimesh.Trimesh
     """Return a piece with its faces; None if it is convex."""
-    if part.is_watertight and part.is_winding_consistent and volume <= CONVEX * abs(float(part.volume)):
+    if (
+        part.is_watertight
+        and part.is_winding_consistent
+        and volume <= MAX_CONVEX_RATIO * abs(float(part.volume))
+    ):
         return None
     _check_faces(len(part.faces), name)
     return Mesh(np.asarray(part.vertices, float), np.asarray(part.faces, np.int32))
 
 
 def _check_faces(count: int, name: str) -> None:
-    if count > MOST_FACES:
+    if count > MAX_FACES:
         raise ArenaFileError(
-            f"{name} is not convex and has {count} faces, at most {MOST_FACES} are allowed: "
+            f"{name} is not convex and has {count} faces, at most {MAX_FACES} are allowed: "
             "simplify it, or let rays meet its hull too (`rays: hull`)"
         )
 
@@ -223,7 +227,7 @@ def _hull(vertices: np.ndarray, name: str) -> tuple[np.ndarray, float]:
         hull = ConvexHull(vertices)
     except (QhullError, ValueError):
         raise ArenaFileError(f"{name} is flat or has fewer than four corners: it is no solid") from None
-    if hull.volume < THINNEST:
+    if hull.volume < MIN_VOLUME:
         raise ArenaFileError(f"{name} has a volume of {hull.volume:.2g} m3: it is no solid; mind `scale`")
     return vertices[np.sort(hull.vertices)], float(hull.volume)
 
@@ -234,7 +238,7 @@ def _checked(path: Path) -> bytes:
         raise ArenaFileError(f"{path}: meshes are {' or '.join(MESH_CHECKS)} files")
     if not path.is_file():
         raise ArenaFileError(f"{path}: there is no such mesh file")
-    data = read_bytes(path, MOST_MESH_BYTES)
+    data = read_bytes(path, MAX_MESH_BYTES)
     check_mesh(path, data)
     return hashlib.blake2b(data).digest()
 
@@ -243,13 +247,13 @@ def _objects(path: Path) -> Iterator[MeshArrays]:
     """Yield name, vertices and faces of a file's objects."""
     found = [one for one in read_mesh_objects(path) if len(one[2])]
     if not found:
-        raise broken(path, "it has no faces")
+        raise mesh_error(path, "it has no faces")
     if any(vertices.shape[1:] != (3,) or not np.isfinite(vertices).all() for _, vertices, _ in found):
-        raise broken(path, "vertices are three finite numbers each")
+        raise mesh_error(path, "vertices are three finite numbers each")
     for name, vertices, faces in found:
         used, indices = np.unique(faces, return_inverse=True)
         if used[0] < -len(vertices) or used[-1] >= len(vertices):
-            raise broken(path, f"faces have vertices {used[0]} to {used[-1]} of {len(vertices)}")
+            raise mesh_error(path, f"faces have vertices {used[0]} to {used[-1]} of {len(vertices)}")
         yield (name if len(found) > 1 else ""), vertices[used], indices.reshape(faces.shape)
 
 

@@ -48,7 +48,7 @@ INERTIA_TOLERANCE = 1e-3
 FLOOR_TOLERANCE = 1e-6
 """Largest distance of a floor from height zero [m], and of its normal from the vertical."""
 
-MOST_MOVING = 1000
+MAX_MOVING_BODIES = 1000
 """Largest number of loose objects and doors of a file."""
 
 LOOSE_SURFACE = "loose"
@@ -306,8 +306,8 @@ class _MjcfReader:
         """Return the file's content."""
         model, loose, doors = self._model, [], []
         moving = sum(owner == body for body, owner in enumerate(self._owner)) - 1
-        if moving > MOST_MOVING:
-            raise self._error(f"has {moving} bodies that move; at most {MOST_MOVING}")
+        if moving > MAX_MOVING_BODIES:
+            raise self._error(f"has {moving} bodies that move; at most {MAX_MOVING_BODIES}")
         for body in range(1, model.nbody):
             if self._owner[body] != body:
                 continue

@@ -21,7 +21,7 @@ KINDS = {
 """Kinds of shapes by MuJoCo's geom types."""
 SIZES = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
 """Number of size numbers of each kind."""
-THIN = 1e-5
+MIN_HALF_EDGE = 1e-5
 """Smallest half edge of a box with a given inertia [m]: MuJoCo refuses 0."""
 INERTIA_TOLERANCE = 1e-6
 """Relative difference of masses and inertias that is neglected."""
@@ -90,7 +90,7 @@ def inertia_box(inertia: Inertia) -> Shape:
     moments, axes = np.linalg.eigh(inertia.tensor)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     squares = 6 * (moments.sum() - 2 * moments) / inertia.mass
-    x, y, z = np.maximum(np.sqrt(np.maximum(squares, 0.0)) / 2, THIN).tolist()
+    x, y, z = np.maximum(np.sqrt(np.maximum(squares, 0.0)) / 2, MIN_HALF_EDGE).tolist()
     return Shape(
         kind="box",
         size=(x, y, z),

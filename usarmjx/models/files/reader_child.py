@@ -13,9 +13,9 @@ import time
 from collections.abc import Callable
 from typing import Any, BinaryIO
 
-UNKNOWN = "Caught an unknown exception"
+ALLOCATION_ERROR = "Caught an unknown exception"
 """MuJoCo's message when an allocation fails."""
-MOST_MADE = {
+MAX_MODEL_SIZES = {
     **dict.fromkeys(("ngeom", "nbody", "nsite", "njnt"), 50_000),
     "nhfielddata": 1_000_000,
     "nmeshvert": 3_000_000,
@@ -23,7 +23,7 @@ MOST_MADE = {
     "nuserdata": 1_000_000,
 }
 """Largest sizes of a model: those of `xml_size`, for files whose XML is readable only by MuJoCo."""
-LARGEST = {
+MAX_MODEL_VALUES = {
     **dict.fromkeys(
         ("body_pos", "body_ipos", "geom_pos", "geom_size", "jnt_pos", "mesh_vert", "hfield_size"), 1e7
     ),
@@ -75,10 +75,10 @@ def try_model(path: str) -> tuple[dict[str, object], list[Any]]:
     model = mujoco.MjSpec.from_file(path).compile()
     if wrong := [text for text in warned if "NaN" in text]:
         raise ValueError(wrong[0])
-    for name, most in MOST_MADE.items():
+    for name, most in MAX_MODEL_SIZES.items():
         if getattr(model, name) > most:
             raise ValueError(f"it makes {getattr(model, name)} of {name}; at most {most}")
-    for name, most in LARGEST.items():
+    for name, most in MAX_MODEL_VALUES.items():
         array = getattr(model, name)
         if array.size and not abs(array).max() <= most:
             raise ValueError(f"it has {name} up to {abs(array).max():g}; at most {most:g}")
@@ -131,7 +131,7 @@ def answer(line: bytes) -> tuple[dict[str, object], list[Any]]:
         return {"error": f"reading it takes more than {MEMORY // 1_000_000} MB of memory"}, []
     except Exception as error:  # readers raise whatever they run into
         reason = " ".join(str(error).split())[:500] or type(error).__name__
-        if UNKNOWN in reason:
+        if ALLOCATION_ERROR in reason:
             reason = f"MuJoCo gives no reason, as where {MEMORY // 1_000_000} MB of memory do not suffice"
         return {"error": reason}, []
 

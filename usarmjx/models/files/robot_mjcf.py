@@ -37,10 +37,10 @@ STIFFNESS, DAMPING = 667.0, 33.0
 MAX_STIFFNESS, MAX_DAMPING = 0.1, 0.5
 """Bounds of kp dt2 / I and kv dt / I, the change of a joint's error in a step: servos are integrated
 explicitly."""
-USUAL_TRAVEL = np.pi
+DEFAULT_TRAVEL = np.pi
 """Error at which a position servo without a force limit has its full torque [rad] (chosen)."""
 
-USUAL_SPEED = 6.2832
+DEFAULT_SPEED = 6.2832
 """Default of the highest speed of a joint [rad/s or m/s]: the wheel joint's in the UDK version."""
 
 NO_STIFFNESS = 1e-9
@@ -49,7 +49,7 @@ NO_STIFFNESS = 1e-9
 VELOCITY_MODE = 1
 """Control mode of joints with a speed (`JointControl`)."""
 
-TAKEN = ("chassis", "root")
+RESERVED_NAMES = ("chassis", "root")
 """Names in use in the composed model."""
 
 MESH, BOX = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_BOX
@@ -106,7 +106,7 @@ def _motor(model: mujoco.MjModel, actuator: int, joint: int, max_speed: float) -
     if not np.isfinite(torque):
         pull = float(model.actuator_gainprm[actuator, 0]) * gear * most
         usual = {"velocity": float(bias[1]) * min(speed, max_speed), "motor": pull}
-        torque = usual.get(kind, stiffness * USUAL_TRAVEL)
+        torque = usual.get(kind, stiffness * DEFAULT_TRAVEL)
     if not np.isfinite(torque):
         raise SpecError(f"{_name(model, actuator)} has no limit; give it a ctrlrange or a forcerange")
     step = Physics().timestep
@@ -158,7 +158,7 @@ def robot_from_mjcf(
     name: str,
     drive: Drive,
     motors: Mapping[str, Motor] | None = None,
-    max_speed: float = USUAL_SPEED,
+    max_speed: float = DEFAULT_SPEED,
     **fields: Any,  # noqa: ANN401 - those of RobotSpec
 ) -> RobotSpec:
     """Return a robot class from an MJCF or URDF file, whose x axis points to the head and z up.
@@ -195,7 +195,7 @@ def robot_from_mjcf(
     parts = tuple(
         tree.part(owner, servos.get(int(model.body_jntadr[owner])), rolling) for owner in tree.owners[1:]
     )
-    taken = [part.name for part in parts if part.name in (*TAKEN, CHASSIS)]
+    taken = [part.name for part in parts if part.name in (*RESERVED_NAMES, CHASSIS)]
     if taken:
         raise SpecError(f"{path}: a joint is called {', '.join(taken)}: rename it, that name is taken")
     robot = with_measurements(

@@ -19,7 +19,7 @@ from usarmjx.models.types.shapes import Rgba, Shape
 GREY = (0.7, 0.7, 0.7, 1.0)
 PACKAGE = "package://"
 """Prefix of files in ROS packages."""
-MOST_MESH_FILES = 1000
+MAX_MESH_FILES = 1000
 """Largest number of meshes in a file, repetitions included."""
 GEOMETRY_KINDS = ("box", "sphere", "cylinder", "mesh")
 """Supported geometry elements."""
@@ -41,8 +41,8 @@ def urdf_content(path: Path, surface: str = "") -> Content:
     """
     root = _parse(path)
     meshes = sum(1 for _ in root.iter("mesh"))
-    if meshes > MOST_MESH_FILES:
-        raise ArenaFileError(f"{path}: names {meshes} meshes; at most {MOST_MESH_FILES}")
+    if meshes > MAX_MESH_FILES:
+        raise ArenaFileError(f"{path}: names {meshes} meshes; at most {MAX_MESH_FILES}")
     frames = _frames(path, root)
     colours = _colours(path, root)
     shapes: list[Shape] = []

@@ -8,19 +8,19 @@ import yaml
 
 from usarmjx.base.errors import ArenaFileError
 
-MOST_BYTES = 16_000_000
+MAX_YAML_BYTES = 16_000_000
 """Largest size of a YAML file [bytes]."""
-MOST_VALUES = 500_000
+MAX_VALUES = 500_000
 """Largest number of values in a YAML file, repetitions by aliases included."""
-MOST_DIGITS = 100
+MAX_DIGITS = 100
 """Largest length of a number [characters]; YAML's base 60 takes quadratic time."""
-MOST_KEY = 100
+MAX_KEY_LENGTH = 100
 """Largest length of a key [characters]."""
 MERGE = "tag:yaml.org,2002:merge"
 """YAML's tag of a merge key (<<)."""
-FARTHEST = 1e7
+MAX_COORDINATE = 1e7
 """Largest distance from an arena's origin, and largest length [m]."""
-SHOWN = 100
+MAX_QUOTED = 100
 """Largest length of a quoted value, and of its name, in errors [characters]."""
 
 Plain = dict[str, "YamlValue"] | list["YamlValue"] | str | int | float | bool | None
@@ -75,12 +75,12 @@ class YamlValue:
             return "a mapping"
         if isinstance(self.data, list):
             return f"a list of {len(self.data)}"
-        if isinstance(self.data, str) and len(self.data) > SHOWN:
-            return repr(self.data[:SHOWN] + "...")
+        if isinstance(self.data, str) and len(self.data) > MAX_QUOTED:
+            return repr(self.data[:MAX_QUOTED] + "...")
         return repr(self.data) if self.data is not None else "nothing"
 
 
-def read_bytes(path: Path, most: int = MOST_BYTES) -> bytes:
+def read_bytes(path: Path, most: int = MAX_YAML_BYTES) -> bytes:
     """Return the content of a file.
 
     Raises:
@@ -140,8 +140,8 @@ class _BoundedLoader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:  # noqa: ANN401 - PyYAML's
         """Return the next value; called for each."""
         self._count += 1
-        if self._count > 2 * MOST_VALUES:  # keys are among them
-            raise ArenaFileError(f"{self._path}: more than {MOST_VALUES} values in one file")
+        if self._count > 2 * MAX_VALUES:  # keys are among them
+            raise ArenaFileError(f"{self._path}: more than {MAX_VALUES} values in one file")
         return super().compose_node(parent, index)
 
 
@@ -166,8 +166,8 @@ class _YamlReader:
         """Count one value or more; return its line."""
         self._count += more
         line = node.start_mark.line + 1
-        if self._count > MOST_VALUES:
-            raise ArenaFileError(f"{self._path}:{line}: more than {MOST_VALUES} values in one file")
+        if self._count > MAX_VALUES:
+            raise ArenaFileError(f"{self._path}:{line}: more than {MAX_VALUES} values in one file")
         return line
 
     def _data(self, node: yaml.Node, name: str) -> Plain:
@@ -177,15 +177,15 @@ class _YamlReader:
         if isinstance(node, yaml.SequenceNode):
             return [self.value(child, _joined(name, f"[{i}]")) for i, child in enumerate(node.value)]
         where = f"{self._path}:{node.start_mark.line + 1}: {name}"
-        if len(node.value) > MOST_DIGITS and node.tag.endswith((":int", ":float")):
-            raise ArenaFileError(f"{where}: a number of {len(node.value)} characters; at most {MOST_DIGITS}")
+        if len(node.value) > MAX_DIGITS and node.tag.endswith((":int", ":float")):
+            raise ArenaFileError(f"{where}: a number of {len(node.value)} characters; at most {MAX_DIGITS}")
         try:
             data = self._loader.construct_object(node)
         except yaml.YAMLError:
             raise
         except Exception as error:  # PyYAML raises whatever a wrong date, number or tag makes it run into
             raise ArenaFileError(
-                f"{where}: {node.value[:SHOWN]!r} is no {node.tag[-SHOWN:]}: {error}"
+                f"{where}: {node.value[:MAX_QUOTED]!r} is no {node.tag[-MAX_QUOTED:]}: {error}"
             ) from error
         return data if isinstance(data, (str, int, float)) or data is None else str(node.value)
 
@@ -220,8 +220,10 @@ class _YamlReader:
             line = f"{self._path}:{key.start_mark.line + 1}"
             if not isinstance(key, yaml.ScalarNode):
                 raise ArenaFileError(f"{line}: a key is a word, not a list or mapping")
-            if len(key.value) > MOST_KEY:
-                raise ArenaFileError(f"{line}: a key of {len(key.value)} characters; at most {MOST_KEY}")
+            if len(key.value) > MAX_KEY_LENGTH:
+                raise ArenaFileError(
+                    f"{line}: a key of {len(key.value)} characters; at most {MAX_KEY_LENGTH}"
+                )
             if key.value in seen:
                 raise ArenaFileError(f"{line}: key {key.value!r} is there twice")
             seen.add(key.value)
@@ -230,4 +232,4 @@ class _YamlReader:
 def _joined(name: str, more: str) -> str:
     """Return the path of a value, cut short: every value keeps its own."""
     whole = name + more
-    return whole if len(whole) <= SHOWN else "..." + whole[3 - SHOWN :]
+    return whole if len(whole) <= MAX_QUOTED else "..." + whole[3 - MAX_QUOTED :]

@@ -6,29 +6,29 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from usarmjx.base.errors import ArenaFileError
-from usarmjx.models.files.images import MOST_HEIGHTS
+from usarmjx.models.files.images import MAX_HEIGHTS
 from usarmjx.models.files.values import read_bytes
 
-MOST_ELEMENTS = 50_000
+MAX_ELEMENTS = 50_000
 """Largest number of elements in an XML file, and in a model including its repetitions and includes."""
-MOST_NESTED = 200
+MAX_DEPTH = 200
 """Largest depth of elements."""
 
-MOST_TEXELS = 64_000_000
+MAX_TEXELS = 64_000_000
 """Largest number of pixels of a model's textures."""
 
-MOST_FILES = 100
+MAX_FILES = 100
 """Largest number of files of a model, apart from meshes and pictures."""
 
-MOST_MEMORY = 1e9
+MAX_MEMORY = 1e9
 """Largest memory of a model's simulation [bytes]."""
 
 SUFFIXES = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
 """Suffixes of memory sizes."""
 
 BOUNDS: dict[tuple[str, str], float] = {
-    ("size", "memory"): MOST_MEMORY,
-    ("size", "nstack"): MOST_MEMORY / 8,
+    ("size", "memory"): MAX_MEMORY,
+    ("size", "nstack"): MAX_MEMORY / 8,
     ("size", "njmax"): 1e6,
     ("size", "nconmax"): 1e6,
     ("size", "nuserdata"): 1e6,
@@ -81,10 +81,10 @@ class _BoundedTree(ElementTree.TreeBuilder):
     def start(self, tag: str, attrs: dict[str, str], /) -> ElementTree.Element:
         """Begin an element."""
         self._depth, self._count = self._depth + 1, self._count + 1
-        if self._depth > MOST_NESTED:
-            raise ArenaFileError(f"{self._path}: <{tag}> is nested {self._depth} deep; at most {MOST_NESTED}")
-        if self._count > MOST_ELEMENTS:
-            raise ArenaFileError(f"{self._path}: more than {MOST_ELEMENTS} elements, <{tag}> is the next one")
+        if self._depth > MAX_DEPTH:
+            raise ArenaFileError(f"{self._path}: <{tag}> is nested {self._depth} deep; at most {MAX_DEPTH}")
+        if self._count > MAX_ELEMENTS:
+            raise ArenaFileError(f"{self._path}: more than {MAX_ELEMENTS} elements, <{tag}> is the next one")
         return super().start(tag, attrs)
 
     def end(self, tag: str, /) -> ElementTree.Element:
@@ -135,8 +135,8 @@ class _Tally:
 
     def _root(self, path: Path) -> ElementTree.Element | None:
         if path not in self._known:
-            if len(self._known) == MOST_FILES:
-                raise self._error(f"is made of more than {MOST_FILES} files")
+            if len(self._known) == MAX_FILES:
+                raise self._error(f"is made of more than {MAX_FILES} files")
             try:
                 text = _without_comments(read_bytes(path).decode("utf-8", "replace"))
                 self._known[path] = read_xml(path, text)
@@ -153,8 +153,8 @@ class _Tally:
         models: dict[str | None, str],
     ) -> None:
         """Add an element and its content."""
-        if depth > MOST_NESTED:
-            raise self._error(f"<{element.tag}> is nested {depth} deep; at most {MOST_NESTED}")
+        if depth > MAX_DEPTH:
+            raise self._error(f"<{element.tag}> is nested {depth} deep; at most {MAX_DEPTH}")
         self._check_bounds(element)
         self._add_amounts(element, times)
         if element.tag == "include":
@@ -173,14 +173,14 @@ class _Tally:
             if element.tag in ("composite", "flexcomp")
             else 1.0
         )
-        self._elements = self._within(self._elements + made, MOST_ELEMENTS, element, "elements")
+        self._elements = self._within(self._elements + made, MAX_ELEMENTS, element, "elements")
         if element.tag == "hfield":
             made = _product(element, "nrow") * _product(element, "ncol")
-            self._heights = self._within(self._heights + made, MOST_HEIGHTS, element, "heights")
+            self._heights = self._within(self._heights + made, MAX_HEIGHTS, element, "heights")
         if element.tag == "texture" and "builtin" in element.attrib:
             made = _product(element, "width") * _product(element, "height")
             made *= CUBE_SIDES.get(element.get("type", "cube"), 1)
-            self._texels = self._within(self._texels + made, MOST_TEXELS, element, "pixels")
+            self._texels = self._within(self._texels + made, MAX_TEXELS, element, "pixels")
 
     def _add_other(self, name: str, times: float, within: tuple[Path, ...]) -> None:
         """Add another file; names are relative to the model's folder, or to that of the including file."""

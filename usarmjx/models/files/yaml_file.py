@@ -10,7 +10,7 @@ import numpy as np
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.files.content import EMPTY, Content, extent_of, free_start_pose, merge_contents
+from usarmjx.models.files.content import EMPTY_EXTENT, Content, extent_of, free_start_pose, merge_contents
 from usarmjx.models.files.fields import check_keys, hints_of, problem, read, read_record, required
 from usarmjx.models.files.images import read_heights
 from usarmjx.models.files.meshes import checked_corners, faces_of_file, vertices_of_file
@@ -19,9 +19,9 @@ from usarmjx.models.files.values import YamlValue
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import HeightField, Mesh
 
-MOST_SOLIDS = 50_000
+MAX_SOLIDS = 50_000
 """Largest number of solids and victims of an arena."""
-MOST_OTHER_FILES = {
+MAX_OTHER_FILES = {
     **dict.fromkeys(("heights", "heightfield", "map"), 32),
     **dict.fromkeys(("mjcf", "urdf"), 100),
     **dict.fromkeys(("mesh", "meshes", "decomposition"), 1000),
@@ -42,7 +42,7 @@ def arena_of_yaml(value: YamlValue) -> tuple[ArenaSpec, tuple[str, ...]]:
         [part for key in SOLID_SOURCES if key in given for part in _contents(key, given[key])]
     )
     own = replace(value, data={key: item for key, item in given.items() if key not in SOLID_SOURCES})
-    usual = {"name": value.path.stem, "starts": (), "extent": EMPTY}
+    usual = {"name": value.path.stem, "starts": (), "extent": EMPTY_EXTENT}
     arena = read_record(ArenaSpec, own, SPECIAL, **usual)
     return complete_arena(arena, content, value, set(given)), content.warnings
 
@@ -56,11 +56,11 @@ def _check_number_of_files(value: YamlValue) -> None:
         pairs = one.data.items() if isinstance(one.data, dict) else ()
         waiting += one.data if isinstance(one.data, list) else [item for _, item in pairs]
         for key, item in pairs:
-            if key in MOST_OTHER_FILES:
+            if key in MAX_OTHER_FILES:
                 named = item.data if isinstance(item.data, list) else [item]
                 found[key] += sum(isinstance(name.data, str | dict) for name in named)
-                if found[key] > MOST_OTHER_FILES[key]:
-                    raise item.error(f"more than {MOST_OTHER_FILES[key]} files under {key!r} in one arena")
+                if found[key] > MAX_OTHER_FILES[key]:
+                    raise item.error(f"more than {MAX_OTHER_FILES[key]} files under {key!r} in one arena")
 
 
 def complete_arena(arena: ArenaSpec, content: Content, value: YamlValue, given: set[str]) -> ArenaSpec:
@@ -74,9 +74,9 @@ def complete_arena(arena: ArenaSpec, content: Content, value: YamlValue, given: 
     """
     shapes, loose = (*arena.shapes, *content.shapes), (*arena.loose, *content.loose)
     solids = [*shapes, *(shape for one in loose for shape in one.shapes)]
-    if len(solids) + len(arena.victims) > MOST_SOLIDS:
+    if len(solids) + len(arena.victims) > MAX_SOLIDS:
         raise value.error(
-            f"{len(solids)} solids and {len(arena.victims)} victims; at most {MOST_SOLIDS} in all"
+            f"{len(solids)} solids and {len(arena.victims)} victims; at most {MAX_SOLIDS} in all"
         )
     arena = replace(arena, shapes=shapes, loose=loose, doors=(*arena.doors, *content.doors))
     if "has_floor" not in given and content.floor is not None:

@@ -15,8 +15,8 @@ from usarmjx.models.compile.reachability import (
 from usarmjx.models.generate import contents
 from usarmjx.models.generate.contents import ArenaBuilder, add_victim, place_obstacles, ring_height
 from usarmjx.models.generate.difficulty import Difficulty
-from usarmjx.models.generate.kinds import KINDS, USUAL_STARTS, budget
-from usarmjx.models.generate.obstacles import OBSTACLES, STEEPEST
+from usarmjx.models.generate.kinds import DEFAULT_STARTS, KINDS, budget
+from usarmjx.models.generate.obstacles import MAX_RIDGE_SLOPE, OBSTACLES
 from usarmjx.models.generate.plan import (
     CELL,
     THICKNESS,
@@ -25,20 +25,20 @@ from usarmjx.models.generate.plan import (
     doubled,
     edge,
 )
-from usarmjx.models.generate.structures import FERRY, STOREY, STOREY_CELLS, second_floor
+from usarmjx.models.generate.structures import MIN_TWO_RAMP_COLUMNS, STOREY, STOREY_CELLS, second_floor
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import Shape
 
-SMALLEST, LARGEST = 3, 64
+MIN_SIDE_CELLS, MAX_SIDE_CELLS = 3, 64
 """Smallest and largest number of cells along a side."""
-DIGITS = 6
+DECIMALS = 6
 """Decimals of all numbers of an arena; further ones differ between machines."""
-SQUARES = (CELL / 18, 0.02)
+REACH_CELL_SIZES = (CELL / 18, 0.02)
 """Side of the squares of the reachability check [m]: the first, or for wide robots the second."""
-ABOVE = 1.01
+STEP_MARGIN = 1.01
 """Step of a robot that climbs all obstacles, over the highest obstacle."""
-TRIES = 8
+MAX_ATTEMPTS = 8
 """Largest number of arenas that are made until the reachable victims are as stated."""
 
 
@@ -50,7 +50,7 @@ def generate(  # noqa: PLR0913 - all but the kind may be left out
     robot: str | RobotFootprint = "P2AT",
     reachable: float = 1.0,
     victims: int | None = None,
-    starts: int = USUAL_STARTS,
+    starts: int = DEFAULT_STARTS,
 ) -> ArenaSpec:
     """Return an arena, as DM-maze-8x6-0.
 
@@ -81,7 +81,7 @@ def generate(  # noqa: PLR0913 - all but the kind may be left out
     count = min(most, max(1, size[0] * size[1] // 12)) if victims is None else victims
     if not 0 <= count <= most:
         raise SpecError(f"{count} victims, expected 0 to {most} in {size[0]}x{size[1]} cells")
-    for attempt in range(TRIES):
+    for attempt in range(MAX_ATTEMPTS):
         # One stream of draws per attempt: the shift by 2**64 keeps the seeds of attempts apart.
         builder = ArenaBuilder(
             plan=CellGrid(size),
@@ -94,10 +94,12 @@ def generate(  # noqa: PLR0913 - all but the kind may be left out
         )
         _fill(builder, count, reachable)
         arena = _arena(builder, f"DM-{_spelt(kind)}-{size[0]}x{size[1]}-{seed}", name)
-        slope = 1.01 * STEEPEST if difficulty.risk else DEFAULT_SLOPE
+        slope = 1.01 * MAX_RIDGE_SLOPE if difficulty.risk else DEFAULT_SLOPE
         if _as_stated(arena, _climbing(builder), slope):
             return arena
-    raise SpecError(f"no {kind} of {size[0]}x{size[1]} cells in {TRIES} tries that a robot of {needs} passes")
+    raise SpecError(
+        f"no {kind} of {size[0]}x{size[1]} cells in {MAX_ATTEMPTS} tries that a robot of {needs} passes"
+    )
 
 
 def generate_many(  # noqa: PLR0913 - as above
@@ -109,7 +111,7 @@ def generate_many(  # noqa: PLR0913 - as above
     difficulty: Difficulty | None = None,
     robot: str | RobotFootprint = "P2AT",
     reachable: float = 1.0,
-    starts: int = USUAL_STARTS,
+    starts: int = DEFAULT_STARTS,
 ) -> list[ArenaSpec]:
     """Return arenas of seeds derived from one; see `generate`."""
     seeds = np.random.SeedSequence(seed).generate_state(count, np.uint32).tolist()
@@ -117,14 +119,16 @@ def generate_many(  # noqa: PLR0913 - as above
 
 
 def _check(size: tuple[int, int], seed: int, needs: RobotFootprint, reachable: float) -> None:
-    if not all(SMALLEST <= n <= LARGEST for n in size):
-        raise SpecError(f"size {size[0]}x{size[1]}, expected {SMALLEST} to {LARGEST} cells along each side")
+    if not all(MIN_SIDE_CELLS <= n <= MAX_SIDE_CELLS for n in size):
+        raise SpecError(
+            f"size {size[0]}x{size[1]}, expected {MIN_SIDE_CELLS} to {MAX_SIDE_CELLS} cells along each side"
+        )
     if seed < 0:
         raise SpecError(f"seed {seed}, expected 0 or more")
     if not 0.0 <= reachable <= 1.0:
         raise SpecError(f"reachable {reachable}, expected from 0 to 1")
-    if not _passes(needs, SQUARES[-1]):
-        widest = (CELL - THICKNESS - 3 * SQUARES[-1]) / 2
+    if not _passes(needs, REACH_CELL_SIZES[-1]):
+        widest = (CELL - THICKNESS - 3 * REACH_CELL_SIZES[-1]) / 2
         raise SpecError(
             f"the robot turns in a circle of radius {needs.radius:.2f} m; the arenas' corridors take "
             f"{widest:.2f} m (give robot=Size(...) for one that need not turn)"
@@ -152,7 +156,7 @@ def _fill(builder: ArenaBuilder, count: int, reachable: float) -> None:
     place_obstacles(builder)
     boards = contents.place_boards(builder)
     free = [cell for cell in plan.tree if cell not in boards and cell not in builder.obstructed]
-    if _passes(builder.footprint, SQUARES[0], contents.STRIP):
+    if _passes(builder.footprint, REACH_CELL_SIZES[0], contents.STRIP):
         draw = builder.random_stream("corner")
         builder.corner = (draw.choice((-1, 1)), draw.choice((-1, 1)))
         contents.place_clutter(builder, free)
@@ -166,7 +170,7 @@ def _upstairs(builder: ArenaBuilder, victim: bool) -> None:
     step = builder.random_stream("floor").choice((-1, 1))
     landing = (0 if step > 0 else columns - 1, rows - 1)
     landings = [landing]
-    if columns >= FERRY:
+    if columns >= MIN_TWO_RAMP_COLUMNS:
         landings.append((columns - 1 - landing[0], rows - 1))
     barred = tuple((column, rows - 1) for column in range(columns) if (column, rows - 1) not in landings)
     builder.kind.layout(builder.plan, builder.random_stream("plan"), builder.difficulty, barred=barred)
@@ -195,8 +199,8 @@ def _arena(builder: ArenaBuilder, name: str, robot: str) -> ArenaSpec:
         name=name,
         about=builder.kind.about,
         shapes=_rounded([*outer, *sheets, *inner[twice:], *builder.shapes]),
-        starts=tuple(replace(s, at=_round(s.at), yaw=round(s.yaw, DIGITS)) for s in builder.starts),
-        extent=((0.0, round(columns * CELL, DIGITS)), (0.0, round(rows * CELL, DIGITS))),
+        starts=tuple(replace(s, at=_round(s.at), yaw=round(s.yaw, DECIMALS)) for s in builder.starts),
+        extent=((0.0, round(columns * CELL, DECIMALS)), (0.0, round(rows * CELL, DECIMALS))),
         loose=tuple(replace(o, at=_round(o.at), rotation=_round(o.rotation)) for o in builder.loose),
         victims=tuple(replace(v, at=_round(v.at), rotation=_round(v.rotation)) for v in builder.victims),
         tags=tuple(replace(t, at=_round(t.at)) for t in builder.tags),
@@ -205,12 +209,12 @@ def _arena(builder: ArenaBuilder, name: str, robot: str) -> ArenaSpec:
 
 
 def _round(values: tuple[float, ...]) -> tuple:
-    return tuple(round(float(value), DIGITS) + 0.0 for value in values)  # no -0.0
+    return tuple(round(float(value), DECIMALS) + 0.0 for value in values)  # no -0.0
 
 
 def _rounded(shapes: list[Shape]) -> tuple[Shape, ...]:
     numbers = np.array([(*shape.at, *shape.size, *shape.rotation) for shape in shapes])
-    rows = (np.round(numbers, DIGITS) + 0.0).tolist()
+    rows = (np.round(numbers, DECIMALS) + 0.0).tolist()
     return tuple(
         Shape(
             kind="box",
@@ -229,12 +233,12 @@ def _climbing(builder: ArenaBuilder) -> RobotFootprint:
     if not builder.difficulty.risk:
         return builder.footprint
     highest = max(ring_height(builder, kind) for kind in OBSTACLES.names())
-    return replace(builder.footprint, step=max(builder.footprint.step, ABOVE * highest))
+    return replace(builder.footprint, step=max(builder.footprint.step, STEP_MARGIN * highest))
 
 
 def _as_stated(arena: ArenaSpec, needs: RobotFootprint, slope: float) -> bool:
     """Return whether the robot reaches all starts and exactly the stated victims."""
-    square = SQUARES[0] if _passes(needs, SQUARES[0]) else SQUARES[1]
+    square = REACH_CELL_SIZES[0] if _passes(needs, REACH_CELL_SIZES[0]) else REACH_CELL_SIZES[1]
     there = reach_map(arena, needs.radius, needs.step, height=needs.height, slope=slope, cell=square)
     meant = ["walled in" not in victim.state for victim in arena.victims]
     if victims_reached(arena, there) != meant:

@@ -17,8 +17,8 @@ from usarmjx.models.compile.reachability import RobotFootprint, shapes_in_arena
 from usarmjx.models.compile.victims import rest_height
 from usarmjx.models.generate.difficulty import Difficulty
 from usarmjx.models.generate.draw import RandomStream
-from usarmjx.models.generate.kinds import USUAL_STARTS, ArenaKind, counts
-from usarmjx.models.generate.obstacles import OBSTACLES, SLOPE, highest_obstacle, obstacle_height
+from usarmjx.models.generate.kinds import DEFAULT_STARTS, ArenaKind, counts
+from usarmjx.models.generate.obstacles import OBSTACLES, RIDGE_SLOPE_RATE, highest_obstacle, obstacle_height
 from usarmjx.models.generate.plan import CELL, DIRECTIONS, START_CELL, THICKNESS, Cell, CellGrid, edge, middle
 from usarmjx.models.generate.structures import STONE, STRUCTURE_SIZE, WOOD, block, lerp, void
 from usarmjx.models.types.arena import (
@@ -32,22 +32,22 @@ from usarmjx.models.types.arena import (
 )
 from usarmjx.models.types.shapes import Position2D, Rgba, Shape
 
-INNER = (CELL - THICKNESS) / 2
+HALF_CORRIDOR = (CELL - THICKNESS) / 2
 """Distance from the middle of a cell to its walls [m]."""
 STRIP = 0.205
 """Width of the strip of clutter [m]."""
-ASIDE = 0.1
+START_OFFSET = 0.1
 """Distance of start poses from the middle of a cell, away from the strips [m]."""
 GAP = 0.005
 """Gap between a wall and clutter beside it [m]; loose objects start a fifth of it above the floor."""
-FEWEST = 4
+MIN_TREE_CELLS = 4
 """Number of cells that always remain passable."""
-ENOUGH = 17
+MIN_CELLS_WITHOUT_BOARDS = 17
 """Number of cells without boards if there are as many, so that 16 robots can start."""
 ROOF, LOW_ROOF = 1.0, 0.5
 """Height of the slabs over sitting and over lying victims [m]."""
 
-STEEP = math.radians(25)
+MAX_SAFE_RIDGE = math.radians(25)
 """Steepest ridge of arenas without risk [rad]: steeper ones are hard on slick ground."""
 
 
@@ -87,7 +87,7 @@ class ArenaBuilder:
     footprint: RobotFootprint
     seed: int
     robot: str = ""
-    most_starts: int = USUAL_STARTS
+    most_starts: int = DEFAULT_STARTS
     shapes: list[Shape] = field(default_factory=list)
     corner: Cell = (0, 0)
     clear: set[Cell] = field(default_factory=set)
@@ -146,7 +146,7 @@ def add_victim(
 def place_victims(builder: ArenaBuilder, count: int, reachable: float) -> None:
     """Put victims into leaves of the tree, which they block; unreachable ones into cells of four walls."""
     plan, draw, walled_in = builder.plan, builder.random_stream("victims"), 0
-    while len(builder.victims) < count and len(plan.tree) > FEWEST:
+    while len(builder.victims) < count and len(plan.tree) > MIN_TREE_CELLS:
         tips = plan.leaves()
         if not tips:
             break
@@ -160,7 +160,7 @@ def place_victims(builder: ArenaBuilder, count: int, reachable: float) -> None:
             continue
         toward = DIRECTIONS.index((before[0] - cell[0], before[1] - cell[1]))
         highest = builder.footprint.height + builder.footprint.step if builder.kind.voids else math.inf
-        if lies and before in plan.leaves() and len(plan.tree) > FEWEST:
+        if lies and before in plan.leaves() and len(plan.tree) > MIN_TREE_CELLS:
             last = plan.remove_leaf(before)
             (x0, y0), (x1, y1) = middle(cell), middle(before)
             at, posture, length, roof = (
@@ -187,7 +187,7 @@ def place_structures(builder: ArenaBuilder, count: int) -> None:
     maker, draw = builder.kind.structure, builder.random_stream("structures")
     for _ in range(count if maker else 0):
         tips = builder.plan.leaves()
-        if not tips or len(builder.plan.tree) <= FEWEST:
+        if not tips or len(builder.plan.tree) <= MIN_TREE_CELLS:
             return
         cell = draw.choice(tips)
         builder.plan.remove_leaf(cell)
@@ -199,7 +199,7 @@ def place_boards(builder: ArenaBuilder) -> set[Cell]:
     draw = builder.random_stream("boards")
     barred = {START_CELL, *builder.clear, *builder.obstructed}
     cells = [cell for cell in builder.plan.tree if cell not in barred]
-    spare = len(builder.plan.tree) - len(builder.obstructed) - ENOUGH
+    spare = len(builder.plan.tree) - len(builder.obstructed) - MIN_CELLS_WITHOUT_BOARDS
     count = max(0, min(builder.max_count("boards"), spare))
     height = lerp(0.25, 0.95, builder.difficulty.roughness) * builder.footprint.step
     taken = draw.shuffled(cells)[:count]
@@ -260,10 +260,10 @@ def _closed(plan: CellGrid, cell: Cell, side: Cell) -> bool:
 def _beside(cell: Cell, corner: Cell, half: tuple[float, ...], turned: int, along: float) -> Position2D:
     """Return a position in a strip: `along` is 1 in the corner, 0 at the other end."""
     x, y = middle(cell)
-    far = INNER - GAP - half[0]
-    offset = (corner[0] * (2 * along - 1) * far, corner[1] * (INNER - GAP - half[1]))
+    far = HALF_CORRIDOR - GAP - half[0]
+    offset = (corner[0] * (2 * along - 1) * far, corner[1] * (HALF_CORRIDOR - GAP - half[1]))
     if turned:
-        offset = (corner[0] * (INNER - GAP - half[1]), corner[1] * (2 * along - 1) * far)
+        offset = (corner[0] * (HALF_CORRIDOR - GAP - half[1]), corner[1] * (2 * along - 1) * far)
     site_x, site_y = offset
     return x + site_x, y + site_y
 
@@ -283,7 +283,7 @@ def place_starts(builder: ArenaBuilder, free: list[Cell]) -> None:
     others = builder.random_stream("starts").shuffled([cell for cell in free if cell != START_CELL])
     for number, cell in enumerate([START_CELL, *others][: builder.most_starts]):
         x, y = middle(cell)
-        x, y = x - ASIDE * builder.corner[0], y - ASIDE * builder.corner[1]
+        x, y = x - START_OFFSET * builder.corner[0], y - START_OFFSET * builder.corner[1]
         toward = builder.plan.tree[cell][0] if builder.plan.tree[cell] else (cell[0] + 1, cell[1])
         yaw = (DIRECTIONS.index((toward[0] - cell[0], toward[1] - cell[1])) + 1) % 4 - 1
         tag = f"Start{number}" if number else "PlayerStart"
@@ -315,7 +315,11 @@ def ring_height(builder: ArenaBuilder, kind: str) -> float:
     """Return the height of obstacles of a kind [m]."""
     highest = highest_obstacle(builder.robot, kind, builder.difficulty.risk)
     height = obstacle_height(builder.footprint, builder.difficulty.roughness, highest)
-    return height if builder.difficulty.risk or kind != "ridge" else min(height, STEEP / SLOPE)
+    return (
+        height
+        if builder.difficulty.risk or kind != "ridge"
+        else min(height, MAX_SAFE_RIDGE / RIDGE_SLOPE_RATE)
+    )
 
 
 def _rings(builder: ArenaBuilder, away: dict[Cell, int]) -> list[list[Cell]]:

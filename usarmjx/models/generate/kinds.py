@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from usarmjx.base.registry import Registry
 from usarmjx.models.generate import structures
 from usarmjx.models.generate.layouts import building, maze, open_field
-from usarmjx.models.generate.obstacles import MOST_SOLIDS
-from usarmjx.models.generate.plan import LONGEST
+from usarmjx.models.generate.obstacles import MAX_OBSTACLE_SOLIDS
+from usarmjx.models.generate.plan import MAX_WALL_CELLS
 from usarmjx.models.generate.structures import Maker
 
-MOST_LOOSE, MOST_VICTIMS, USUAL_STARTS, MOST_TAGS = 12, 16, 24, 16
+MAX_LOOSE, MAX_VICTIMS, DEFAULT_STARTS, MAX_TAGS = 12, 16, 24, 16
 """Limits of contents in arenas of any size."""
 
 
@@ -110,12 +110,12 @@ def counts(size: tuple[int, int]) -> dict[str, int]:
     """Return the limits of loose objects, fixed blocks, boards, obstacles, victims and tags for a size."""
     cells = size[0] * size[1]
     return {
-        "loose": min(MOST_LOOSE, cells // 4),
+        "loose": min(MAX_LOOSE, cells // 4),
         "blocks": cells // 8,
         "boards": cells // 10,
         "obstacles": cells // 5,
-        "victims": min(MOST_VICTIMS, max(1, cells // 8)),
-        "tags": min(MOST_TAGS, cells // 8),
+        "victims": min(MAX_VICTIMS, max(1, cells // 8)),
+        "tags": min(MAX_TAGS, cells // 8),
     }
 
 
@@ -126,15 +126,15 @@ def budget(kind: str, size: tuple[int, int]) -> Budget:
         UnknownNameError: No such kind.
     """
     made, most, (columns, rows) = KINDS.get(kind), counts(size), size
-    outer = 2 * (-(-columns // LONGEST) - (-rows // LONGEST))
+    outer = 2 * (-(-columns // MAX_WALL_CELLS) - (-rows // MAX_WALL_CELLS))
     inner = 2 * ((columns - 1) * -(-rows // 2) + (rows - 1) * -(-columns // 2))  # every wall of two sheets
     shapes = outer + inner + most["blocks"] + most["boards"] + made.structures(size) * made.max_solids
-    shapes += most["obstacles"] * MOST_SOLIDS
+    shapes += most["obstacles"] * MAX_OBSTACLE_SOLIDS
     shapes += 3 * most["victims"] * made.voids + 3 * made.second_floor
     return Budget(
         shapes=shapes,
         loose=most["loose"],
         victims=most["victims"],
-        starts=min(USUAL_STARTS, columns * rows),
+        starts=min(DEFAULT_STARTS, columns * rows),
         tags=most["tags"],
     )

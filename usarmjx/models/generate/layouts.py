@@ -4,15 +4,15 @@ from usarmjx.models.generate.difficulty import Difficulty
 from usarmjx.models.generate.draw import RandomStream
 from usarmjx.models.generate.plan import Cell, CellGrid, Edge, edge
 
-SPARSEST = {"maze": 40, "field": 10}
+MIN_WALL_PERCENT = {"maze": 40, "field": 10}
 """Share of a perfect maze's walls at wall density 0 [%]."""
 
 
-DENSEST = {"maze": 100, "field": 45}
+MAX_WALL_PERCENT = {"maze": 100, "field": 45}
 """Share of a perfect maze's walls at wall density 1 [%]."""
 
 
-CORRIDOR_WIDTH = 5
+MIN_CORRIDOR_CELLS = 5
 """Number of cells across from which on buildings have a corridor."""
 
 
@@ -56,7 +56,7 @@ def _thin(
             side = draw.choice(sides)
             if rank >= round(difficulty.dead_ends * len(ends)):
                 opened.add(edge(cell, side))
-    keep = wall_count(SPARSEST[kind], DENSEST[kind], difficulty.wall_density, len(closed))
+    keep = wall_count(MIN_WALL_PERCENT[kind], MAX_WALL_PERCENT[kind], difficulty.wall_density, len(closed))
     plan.walls = {*fixed, *draw.shuffled(closed)[:keep]} - opened
 
 
@@ -85,7 +85,7 @@ def _partitions(plan: CellGrid, draw: RandomStream) -> list[list[Edge]]:
     columns, rows = plan.size
     rooms: list[Room] = [(0, columns, 0, rows)]
     walls: list[list[Edge]] = []
-    if min(columns, rows) >= CORRIDOR_WIDTH:
+    if min(columns, rows) >= MIN_CORRIDOR_CELLS:
         tall = rows > columns
         length = columns if tall else rows
         at = draw.randint_between(2, length - 3)

@@ -18,15 +18,15 @@ from usarmjx.models.generate.plan import CELL, DIRECTIONS
 from usarmjx.models.generate.structures import CONCRETE, WOOD, block, lerp, slope
 from usarmjx.models.types.shapes import Position2D, Shape
 
-LOWEST, HIGHEST = 0.3, 0.95
+MIN_HEIGHT_RATIO, MAX_HEIGHT_RATIO = 0.3, 0.95
 """Heights of steps at roughness 0 and 1, over the robot's step."""
-SLOPE, STEEPEST = math.radians(350), math.radians(40)
+RIDGE_SLOPE_RATE, MAX_RIDGE_SLOPE = math.radians(350), math.radians(40)
 """Slope of a ridge over the height of a step [rad/m], and the steepest [rad]."""
 POSTS = 3
 """Number of posts along each side of a step field."""
 BARS = 3
 """Number of bars across a way."""
-MOST_SOLIDS = POSTS**2
+MAX_OBSTACLE_SOLIDS = POSTS**2
 """Largest number of solids of one obstacle."""
 
 Obstacle = Callable[[RandomStream, Position2D, float, int], list[Shape]]
@@ -94,7 +94,7 @@ def posts(draw: RandomStream, at: Position2D, height: float, toward: int) -> lis
 
 def ridge(draw: RandomStream, at: Position2D, height: float, toward: int) -> list[Shape]:
     """Return a hill from wall to wall: a ramp up, a level top and a ramp down, steeper with the height."""
-    angle, run = min(STEEPEST, SLOPE * height), CELL / 3
+    angle, run = min(MAX_RIDGE_SLOPE, RIDGE_SLOPE_RATE * height), CELL / 3
     top = block(at, (run, CELL, run * math.tan(angle)), yaw=toward * math.pi / 2, rgba=WOOD)
     return [
         top,
@@ -106,9 +106,9 @@ def ridge(draw: RandomStream, at: Position2D, height: float, toward: int) -> lis
     ]
 
 
-def obstacle_height(robot: RobotFootprint, roughness: float, highest: float = HIGHEST) -> float:
+def obstacle_height(robot: RobotFootprint, roughness: float, highest: float = MAX_HEIGHT_RATIO) -> float:
     """Return the height of obstacles for a robot [m]; `highest` at roughness 1, over its step."""
-    return lerp(min(LOWEST, highest), highest, roughness) * robot.step
+    return lerp(min(MIN_HEIGHT_RATIO, highest), highest, roughness) * robot.step
 
 
 OBSTACLES: Registry[Obstacle] = Registry("kind of obstacle")
@@ -159,5 +159,9 @@ def highest_obstacle(robot: str, kind: str, risk: float) -> float:
         if risk:
             there = ", ".join(known)
             raise SpecError(f"a risk of {risk:g} for {robot or 'a footprint'}: measured are {there}")
-        return HIGHEST
-    return max(LOWEST, highest_at(curve, 1.0 - risk)) if risk else min(HIGHEST, highest_at(curve, 1.0))
+        return MAX_HEIGHT_RATIO
+    return (
+        max(MIN_HEIGHT_RATIO, highest_at(curve, 1.0 - risk))
+        if risk
+        else min(MAX_HEIGHT_RATIO, highest_at(curve, 1.0))
+    )

@@ -13,7 +13,7 @@ CELL = 1.2
 """Side of a cell of the NIST arenas' grid [m]."""
 WALL_HEIGHT, THICKNESS = 1.2, 0.05
 """Height and thickness of walls [m]."""
-LONGEST = 4
+MAX_WALL_CELLS = 4
 """Largest length of a piece of wall [cells]."""
 START_CELL = (0, 0)
 """Cell of the first start pose."""
@@ -131,10 +131,10 @@ class CellGrid:
 
 
 def _runs(filled: list[bool]) -> Iterator[tuple[int, int]]:
-    """Yield (start, stop) of runs of true cells, none longer than `LONGEST`."""
+    """Yield (start, stop) of runs of true cells, none longer than `MAX_WALL_CELLS`."""
     start = None
     for i, wall in enumerate([*filled, False]):
-        if start is not None and (not wall or i - start == LONGEST):
+        if start is not None and (not wall or i - start == MAX_WALL_CELLS):
             yield start, i
             start = None
         if start is None and wall:

@@ -166,7 +166,7 @@ def second_floor(landing: Cell, step: int, columns: int) -> list[Shape]:
     edge = middle(landing)[0] + step * CELL / 2
     end = CELL * (columns if step > 0 else 0) - step * THICKNESS / 2
     shapes = [slope((edge + step * run / 2, y), run, width, RAMP, uphill)]
-    if columns >= FERRY:
+    if columns >= MIN_TWO_RAMP_COLUMNS:
         end -= step * (run + CELL - THICKNESS / 2)
         shapes.append(slope((end + step * run / 2, y), run, width, RAMP, (uphill + 2) % 4))
     start = edge + step * run
@@ -175,5 +175,5 @@ def second_floor(landing: Cell, step: int, columns: int) -> list[Shape]:
     return shapes
 
 
-FERRY = 2 * (STOREY_CELLS + 1) + 1
+MIN_TWO_RAMP_COLUMNS = 2 * (STOREY_CELLS + 1) + 1
 """Columns of the smallest arena whose second floor has a ramp at both ends."""

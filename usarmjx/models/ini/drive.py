@@ -18,7 +18,7 @@ STEER_TYPES = ("Holo_Steered", "Front_Steered", "Rear_Steered", "Not_Steered")
 """Values of SteerType. The manual has the Holo types and Not_Powered (12.18.2); the others are ours."""
 MAX_STEER = 0.6
 """Default of MaxSteerAngle [rad] (chosen)."""
-MIDDLE = 1e-3
+MIDDLE_TOLERANCE = 1e-3
 """Distance from the middle line within which a wheel is on neither side [m]."""
 
 
@@ -174,7 +174,7 @@ def _is_driven(pair: JointPair, roles: Mapping[int, WheelRole], notes: WarningLo
         return role.power != "Not_Powered"
     if _is_holonomic(roles):
         return False
-    aside = abs(pair.chassis_position[1]) > MIDDLE
+    aside = abs(pair.chassis_position[1]) > MIDDLE_TOLERANCE
     if not aside:
         notes.add(pair.line, f"wheel {pair.name} is in the middle and has no PowerType: it rolls freely")
     return aside

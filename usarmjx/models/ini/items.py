@@ -54,14 +54,14 @@ UU_ANGLES = ("Resolution", "ScanFov")
 OLD_PARTS = {"cameratilt": "CameraPanTilt_Link2", "camerapan": "CameraPanTilt_Link1"}
 """Captured part names of names before V3.0, which the excerpt of manual 12.1.2 still has."""
 
-_LOOKS = "robots look as their solids do: there are no Unreal meshes and textures"
+_NO_MESHES = "robots look as their solids do: there are no Unreal meshes and textures"
 _SERVO = "servos go to their target at full speed and hold it as a spring does: no gap within which they slow"
 
 KNOWN_IGNORED = {
-    "StaticMesh": _LOOKS,
-    "DrawScale": _LOOKS,
-    "DrawScale3D": _LOOKS,
-    "RobotSkins": _LOOKS,
+    "StaticMesh": _NO_MESHES,
+    "DrawScale": _NO_MESHES,
+    "DrawScale3D": _NO_MESHES,
+    "RobotSkins": _NO_MESHES,
     "KParams": "it names a Karma object inside an Unreal package; CenterOfMass (ours) moves the mass",
     "ConverterClass": "units and axes of the wire are fixed: metres, radians, z down",
     "HingePropGap": _SERVO,
@@ -82,7 +82,7 @@ KNOWN_IGNORED = {
 """Keys of a robot's section (manual 12.1.2, 14.4.2.3, KRobot.uc) without effect, with the reason."""
 
 JOINT_IGNORED = {
-    "DrawScale3D": _LOOKS,
+    "DrawScale3D": _NO_MESHES,
 }
 """The same for a part-joint pair (14.4.2.4)."""
 
@@ -109,7 +109,7 @@ ITEM_LISTS = {"Sensors": "sensors", "Effecters": "effecters", "Cameras": "camera
 """Keys that list items, and their fields of RobotSpec."""
 ITEM_FIELDS = ("ItemClass", "ItemName", "Parent", "Position", "Direction", *ITEM_IGNORED)
 """Fields of an item's line that are no settings."""
-SHOWN = 3
+MAX_EXAMPLES = 3
 """Number of examples in a warning."""
 
 Settings = Mapping[str, type]
@@ -121,7 +121,7 @@ PREFIX = "usarbot."
 BASE_KEY = "BaseClass"
 """Key of the base class of a section."""
 
-MOST_ROUNDS = 32
+MAX_BASE_CLASSES = 32
 """Largest length of a chain of base classes."""
 
 
@@ -313,8 +313,8 @@ def with_defaults(
 
 def examples(names: Sequence[str]) -> str:
     """Return the first names of a list, and the number of the others."""
-    more = len(names) - SHOWN
-    return ", ".join(names[:SHOWN]) + (f" and {more} more" if more > 0 else "")
+    more = len(names) - MAX_EXAMPLES
+    return ", ".join(names[:MAX_EXAMPLES]) + (f" and {more} more" if more > 0 else "")
 
 
 class ItemClass(NamedTuple):
@@ -354,10 +354,12 @@ def read_classes(
     rounds = 0
     while ready := {name: base for name in waiting if (base := _base(waiting[name], found, settings))}:
         rounds += 1
-        if rounds > MOST_ROUNDS:
+        if rounds > MAX_BASE_CLASSES:
             line = _base_line(waiting[next(iter(ready))])
             assert line is not None
-            fail(line, f"item classes are based on each other {rounds} in a row", f"at most {MOST_ROUNDS}")
+            fail(
+                line, f"item classes are based on each other {rounds} in a row", f"at most {MAX_BASE_CLASSES}"
+            )
         for name, base in ready.items():
             own = _options(base.kind, waiting.pop(name), settings, notes)
             found[name] = ItemClass(base.kind, merged(base.options, own))

@@ -36,7 +36,7 @@ LINK_FIELDS = (
 """Fields of a `Links` line."""
 SYNONYMS = {"linknumber": "Number", "parentlinknumber": "Parent"}
 """The original's names of two fields (KRobot.uc)."""
-MOST_LINKS = 200
+MAX_LINKS = 200
 """Largest number of links of a package."""
 JOINT_TYPES = ("Revolute", "Prismatic")
 # Defaults of a link: captured values of CameraPanTilt; size and mass chosen.
@@ -104,8 +104,8 @@ def _check_tree(links: Sequence[LinkLine]) -> None:
     """Refuse a link with a repeated number, or with a parent that is not defined before it."""
     known = {-1}
     for link in links:
-        if len(known) > MOST_LINKS:
-            fail(link.line, f"this is link {len(known)} of a package", f"at most {MOST_LINKS}")
+        if len(known) > MAX_LINKS:
+            fail(link.line, f"this is link {len(known)} of a package", f"at most {MAX_LINKS}")
         if link.number in known:
             fail(link.line, f"link {link.number} is there twice", "one line for each link")
         parent = link.fields.get("Parent")

@@ -38,7 +38,7 @@ FIELDS = (
     "ParentAxis", "ParentAxis2", "SelfPos", "SelfAxis", "SelfAxis2", "BrakeTorque", *JOINT_IGNORED,
 )  # fmt: skip
 """Fields of a pair in the original."""
-OURS = ("Radius", "Width", "Size", "Mass", "MaxSpeed", "Torque", "MinRange", "MaxRange")
+OWN_FIELDS = ("Radius", "Width", "Size", "Mass", "MaxSpeed", "Torque", "MinRange", "MaxRange")
 """Additional fields: the original has them in the classes of wheels and parts."""
 JOINT_CLASSES = {
     "kcarwheeljoint": "wheel",
@@ -49,7 +49,7 @@ JOINT_CLASSES = {
 """Kind of joint of each JointClass."""
 AXES_TOLERANCE = 0.5
 """Largest difference between the angles of a wheel's own axes and its parent's [degrees]."""
-MOST_PARTS = 500
+MAX_PARTS = 500
 """Largest number of parts of a robot."""
 CHASSIS_NAMES = ("", "none", CHASSIS.lower())
 """Names of the chassis as a Parent."""
@@ -135,10 +135,10 @@ def read_pairs(lines: Mapping[int, tuple[Line, Units]], notes: WarningLog) -> li
     """
     pairs: dict[str, JointPair] = {}
     for number, (line, units) in sorted(lines.items()):
-        if len(pairs) == MOST_PARTS:
-            fail(line, f"this is part {len(pairs) + 1}", f"a robot of at most {MOST_PARTS}")
+        if len(pairs) == MAX_PARTS:
+            fail(line, f"this is part {len(pairs) + 1}", f"a robot of at most {MAX_PARTS}")
         struct = as_struct(line)
-        reject_unknown(line, struct, (*FIELDS, *OURS))
+        reject_unknown(line, struct, (*FIELDS, *OWN_FIELDS))
         for key, _ in struct.fields:
             if reason := {name.lower(): text for name, text in JOINT_IGNORED.items()}.get(key.lower()):
                 notes.add(line, f"{key} is ignored: {reason}")

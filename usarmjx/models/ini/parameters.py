@@ -45,7 +45,7 @@ DEFAULT_SUSPENSION_TRAVEL = (-KARMA_SCALE / UU_PER_METRE, KARMA_SCALE / UU_PER_M
 TYRES = ("wheel", "track")
 """Surfaces of tyres."""
 
-Figures = Mapping[str, Line]
+ParameterLines = Mapping[str, Line]
 """Last line of each key, by the key in lower case."""
 
 
@@ -299,8 +299,8 @@ LENGTHS: dict[str, Callable[[RobotSpec, float, float], RobotSpec]] = {
 """Keys of one number in Karma's scale, with their setters."""
 
 
-def apply_figures(
-    robot: RobotSpec, figures: Figures, units: Units, notes: WarningLog, skip: set[str]
+def apply_parameters(
+    robot: RobotSpec, figures: ParameterLines, units: Units, notes: WarningLog, skip: set[str]
 ) -> RobotSpec:
     """Return a robot with the parameters of its section; one without effect becomes a warning.
 

@@ -37,9 +37,9 @@ _LINE_END = re.compile(r"\r\n|\r|\n")
 _REMOVES = ("-", "!")
 UU_PER_METRE = 250.0
 """Unreal units per metre (manual 6.2). The excerpt of manual 12.1.2 has an older length, 52.5."""
-MOST_BYTES = 4_000_000
+MAX_INI_BYTES = 4_000_000
 """Largest size of an ini file [bytes]."""
-MOST_LINES = 50_000
+MAX_LINES = 50_000
 """Largest number of lines, apart from blank ones and comments."""
 
 
@@ -114,7 +114,7 @@ def read_ini(path: Path) -> IniFile:
         SpecError: The file cannot be read, contradicts its byte order mark, or see `parse_ini`.
     """
     try:
-        text = _decode(read_bounded(path, MOST_BYTES))
+        text = _decode(read_bounded(path, MAX_INI_BYTES))
     except UnicodeDecodeError as error:
         raise SpecError(f"{path}: is marked as {error.encoding} but is not: {error.reason}") from error
     return parse_ini(text, str(path))
@@ -150,8 +150,8 @@ def parse_ini(text: str, path: str = "<text>") -> IniFile:
             continue
         cursor = LineParser(text_line, f"{path}:{number}")
         count += 1
-        if count > MOST_LINES:
-            cursor.fail(f"this is line {count} with something in it", f"at most {MOST_LINES}")
+        if count > MAX_LINES:
+            cursor.fail(f"this is line {count} with something in it", f"at most {MAX_LINES}")
         if bare.startswith("["):
             blocks.begin(_header(cursor))
             continue

@@ -11,7 +11,7 @@ from usarmjx.base.transforms import Vec3
 from usarmjx.models.ini.parse import UU_PER_METRE, IniValue, Line, Reference, Struct
 from usarmjx.models.ini.values import quote_short
 
-LARGEST = 1e12
+MAX_NUMBER = 1e12
 """Largest number, whose cube is still usable."""
 UU_PER_RADIAN = 32768 / math.pi
 """Unreal's angles per radian (manual 6.2)."""
@@ -57,9 +57,13 @@ def key_text(line: Line) -> str:
 def as_number(line: Line, value: IniValue | None, name: str, *, above: float = -math.inf) -> float:
     """Return a finite number, which must be greater than `above`."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        fail(line, f"{name} is {_say(value)}", "a number")
-    if not (abs(value) <= LARGEST and value > above):
-        fail(line, f"{name} is {value:g}", f"a number above {max(above, -LARGEST):g}, at most {LARGEST:g}")
+        fail(line, f"{name} is {_quoted(value)}", "a number")
+    if not (abs(value) <= MAX_NUMBER and value > above):
+        fail(
+            line,
+            f"{name} is {value:g}",
+            f"a number above {max(above, -MAX_NUMBER):g}, at most {MAX_NUMBER:g}",
+        )
     return float(value)
 
 
@@ -75,7 +79,7 @@ def as_bool(line: Line, value: IniValue | None, name: str) -> bool:
     """Return a truth value; 1 and 0 are accepted."""
     if isinstance(value, bool) or (isinstance(value, int) and value in (0, 1)):
         return bool(value)
-    return fail(line, f"{name} is {_say(value)}", "True or False")
+    return fail(line, f"{name} is {_quoted(value)}", "True or False")
 
 
 def as_name(line: Line, value: IniValue | None, name: str) -> str:
@@ -83,7 +87,7 @@ def as_name(line: Line, value: IniValue | None, name: str) -> str:
     if isinstance(value, int) and not isinstance(value, bool):
         return str(value)
     if not isinstance(value, str) or not is_name(value.strip()):
-        fail(line, f"{name} is {_say(value)}", "a name: one word of printable ASCII without braces")
+        fail(line, f"{name} is {_quoted(value)}", "a name: one word of printable ASCII without braces")
     return value.strip()
 
 
@@ -91,21 +95,21 @@ def as_class(line: Line, value: IniValue | None, name: str) -> str:
     """Return the name of a class without its package: SonarSensor of class'USARBot.SonarSensor'."""
     text = value.name if isinstance(value, Reference) else value
     if not isinstance(text, str) or not text.strip() or not text.strip().isprintable():
-        fail(line, f"{name} is {_say(value)}", "a class, as in class'USARBot.SonarSensor'")
+        fail(line, f"{name} is {_quoted(value)}", "a class, as in class'USARBot.SonarSensor'")
     return text.strip().rpartition(".")[2]
 
 
 def as_struct(line: Line) -> Struct:
     """Return the value of a line that must be a struct."""
     if not isinstance(line.value, Struct) or not line.value.fields:
-        fail(line, f"{key_text(line)} is {_say(line.value)}", "(Name=value,Name=value,...)")
+        fail(line, f"{key_text(line)} is {_quoted(line.value)}", "(Name=value,Name=value,...)")
     return line.value
 
 
 def as_vector(line: Line, value: IniValue | None, name: str) -> Vec3:
     """Return (X, Y, Z); a missing axis is 0."""
     if not isinstance(value, Struct):
-        fail(line, f"{name} is {_say(value)}", "(X=number,Y=number,Z=number)")
+        fail(line, f"{name} is {_quoted(value)}", "(X=number,Y=number,Z=number)")
     axes = {key.lower(): as_number(line, part, f"{key} of {name}") for key, part in value.fields}
     if not axes.keys() <= {"x", "y", "z"}:
         fail(line, f"{name} has {', '.join(key for key, _ in value.fields)}", "X, Y and Z")
@@ -139,6 +143,6 @@ def reject_unknown(line: Line, struct: Struct, allowed: Iterable[str]) -> None:
         fail(line, f"{key_text(line)} has no {', '.join(unknown)}", f"some of {', '.join(known)}")
 
 
-def _say(value: IniValue | None) -> str:
+def _quoted(value: IniValue | None) -> str:
     """Return a value for a message."""
     return "not given" if value is None else quote_short(str(value))

@@ -42,7 +42,7 @@ JOINT_KEYS = ("JointParts", "JointPart")
 OTHER_KEYS = ("BaseClass", "Dimensions", "CenterOfMass", "bMountByUU", "bAbsoluteCamera")
 """Further keys of one value."""
 
-MOST_BASES = 32
+MAX_BASE_CLASSES = 32
 """Largest length of a chain of base classes."""
 
 
@@ -308,8 +308,12 @@ class _Builder:
             name = as_class(line, line.value, "BaseClass")
             if name.lower() in waiting:
                 fail(line, f"{name} is based on itself", "another class")
-            if len(waiting) > MOST_BASES:
-                fail(line, f"{name} is the base of {len(waiting)} classes in a row", f"at most {MOST_BASES}")
+            if len(waiting) > MAX_BASE_CLASSES:
+                fail(
+                    line,
+                    f"{name} is the base of {len(waiting)} classes in a row",
+                    f"at most {MAX_BASE_CLASSES}",
+                )
             if name.lower() in self.orders:
                 return self.build(name.lower(), waiting)
             if name not in robots:

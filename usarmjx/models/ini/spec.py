@@ -13,7 +13,7 @@ from usarmjx.models.ini.drive import change_wheels, drive_of, read_roles
 from usarmjx.models.ini.items import ITEM_LISTS, ItemClasses, Settings, WarningLog, read_mount, resolve_parent
 from usarmjx.models.ini.packages import Definitions, read_package, templates
 from usarmjx.models.ini.pairs import JointPair, build_parts, read_pairs
-from usarmjx.models.ini.parameters import apply_figures, with_stereo
+from usarmjx.models.ini.parameters import apply_parameters, with_stereo
 from usarmjx.models.ini.parse import Line
 from usarmjx.models.ini.read import Units, as_number, as_vector, fail
 from usarmjx.models.robots.track_kit import mass_of
@@ -91,7 +91,7 @@ def build_robot(section: RobotSection, base: RobotSpec | None, sources: BuildCon
         name = base.name if section.name in sources.robots else section.name
         robot = _changed_robot(section, replace(base, name=name), pairs, sources)
     used = {"weight"} if base is None else set[str]()
-    robot = apply_figures(robot, section.figures, section.units, sources.warnings, used)
+    robot = apply_parameters(robot, section.figures, section.units, sources.warnings, used)
     robot = _with_packages(section, robot, sources)
     try:
         robot = _with_items(section, robot, {pair.name: pair for pair in pairs}, sources)

@@ -14,7 +14,7 @@ MAX_DEPTH = 32
 IniValue: TypeAlias = Union[str, int, float, bool, "Struct", "Reference", tuple["IniValue", ...]]
 """Value of a key."""
 
-MOST_DIGITS = 400
+MAX_DIGITS = 400
 """Largest length of an integer [characters]: more than the largest float has; Python reads at most 4300."""
 
 _NAME = re.compile(r"[^\W\d]\w*")
@@ -215,8 +215,8 @@ class LineParser:
         number = float(found.group(1))
         if not math.isfinite(number):
             self.fail(f"{quote_short(text)} is too large for a number", "at most 1.8e308")
-        if _INTEGER.fullmatch(text) and len(text) > MOST_DIGITS:
-            self.fail(f"a whole number of {len(text)} characters", f"at most {MOST_DIGITS}")
+        if _INTEGER.fullmatch(text) and len(text) > MAX_DIGITS:
+            self.fail(f"a whole number of {len(text)} characters", f"at most {MAX_DIGITS}")
         return int(text) if _INTEGER.fullmatch(text) else number
 
     def _unclosed(self, opening: int) -> NoReturn:

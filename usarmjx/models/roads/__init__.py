@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from usarmjx.base.lazy import attach
 
 if TYPE_CHECKING:
-    from usarmjx.models.roads.network import FOOT as FOOT
+    from usarmjx.models.roads.network import METRES_PER_FOOT as METRES_PER_FOOT
     from usarmjx.models.roads.network import Lane as Lane
     from usarmjx.models.roads.network import Mission as Mission
     from usarmjx.models.roads.network import PointId as PointId

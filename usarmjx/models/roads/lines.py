@@ -11,9 +11,9 @@ from usarmjx.models.roads.network import Fault, LatLon, point_name
 
 NUMBERED = re.compile(r"[0-9]{1,18}(\.[0-9]{1,18})*")
 """Pattern of the first word of a line without a keyword: 1.2.3, or a plain number."""
-MOST_BYTES = 16_000_000
+MAX_ROAD_FILE_BYTES = 16_000_000
 """Largest size of a file [bytes]."""
-MOST_SAID, MOST_QUOTED = 1000, 100
+MAX_MESSAGE_LENGTH, MAX_QUOTE_LENGTH = 1000, 100
 """Largest lengths of an error and of a quotation in it [characters]."""
 
 
@@ -34,7 +34,7 @@ class RoadLines:
         self.file, text = "text", str(source)
         if isinstance(source, Path) or "\n" not in source:
             self.file = text
-            data = read_bounded(Path(source), MOST_BYTES)
+            data = read_bounded(Path(source), MAX_ROAD_FILE_BYTES)
             text = data.decode("utf-8-sig", "replace").replace("\r\n", "\n").replace("\r", "\n")
         self.fault_lines: dict[tuple[object, ...], int] = {}
         text = _without_comments(text)
@@ -63,7 +63,7 @@ class RoadLines:
 
     def fault(self, text: str, line: int | None = None) -> SpecError:
         """Return an error at a line, by default the next one; quotations are made printable and cut short."""
-        short = text if len(text) <= MOST_SAID else f"{text[:MOST_SAID]}..."
+        short = text if len(text) <= MAX_MESSAGE_LENGTH else f"{text[:MAX_MESSAGE_LENGTH]}..."
         shown = "".join(letter if letter.isprintable() else "?" for letter in short)
         return SpecError(f"{self.file}:{self.line if line is None else line}: {shown}")
 
@@ -185,14 +185,14 @@ def _without_comments(text: str) -> str:
 
 
 def _short(text: str) -> str:
-    return text if len(text) <= MOST_QUOTED else f"{text[:MOST_QUOTED]}..."
+    return text if len(text) <= MAX_QUOTE_LENGTH else f"{text[:MAX_QUOTE_LENGTH]}..."
 
 
 Row = tuple[str | int | float | tuple[int, ...] | None, ...]
 """Values of a line to write; a line with None or an empty text is left out."""
 
 
-def written(rows: list[Row]) -> str:
+def format_lines(rows: list[Row]) -> str:
     """Return the text of lines, with tabs between words.
 
     Raises:

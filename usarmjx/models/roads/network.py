@@ -20,16 +20,16 @@ LatLon = tuple[float, float]
 METRES_PER_DEGREE = (METRES_PER_LATITUDE_DEGREE, METRES_PER_LONGITUDE_DEGREE)
 """Metres per degree of latitude and of longitude."""
 
-FOOT = 0.3048
+METRES_PER_FOOT = 0.3048
 """Length of a foot [m]."""
 
-WIDEST = 1e3
+MAX_WIDTH_FEET = 1e3
 """Largest width of a lane or spot that is accepted [feet]."""
 
-LISTED = 100
+MAX_LISTED_NUMBERS = 100
 """Largest count of numbers in a message."""
 
-FASTEST = 1e3
+MAX_SPEED_MPH = 1e3
 """Largest speed that is accepted [miles per hour]."""
 
 BOUNDARIES = ("double_yellow", "solid_yellow", "solid_white", "broken_white")
@@ -243,8 +243,11 @@ def _wrong_figures(owner: tuple[int, int], part: Lane | Zone | Spot) -> Iterator
                 f"{point_name((*owner, i))} lies at {latitude}, {longitude}; expected -90 to 90, -180 to 180"
             )
             yield ("points", owner), text
-    if not isinstance(part, Zone) and part.width is not None and not 0 <= part.width <= WIDEST:
-        yield ("width", owner), f"{point_name(owner)} is {part.width:g} feet wide; expected 0 to {WIDEST:g}"
+    if not isinstance(part, Zone) and part.width is not None and not 0 <= part.width <= MAX_WIDTH_FEET:
+        yield (
+            ("width", owner),
+            f"{point_name(owner)} is {part.width:g} feet wide; expected 0 to {MAX_WIDTH_FEET:g}",
+        )
     if isinstance(part, Lane):
         for side, boundary in (("left", part.left), ("right", part.right)):
             if boundary not in ("", *BOUNDARIES):
@@ -277,8 +280,9 @@ def mission_faults(mission: Mission, network: RouteNetwork | None = None) -> lis
     if not (mission.name and mission.rndf):
         faults.append((("name",), "a mission needs a name and the name of its route network"))
     for limit in mission.speed_limits:
-        if not 0 <= limit.low <= limit.high <= FASTEST:
-            text = f"speeds {limit.low:g} and {limit.high:g}: expected 0 <= lowest <= highest <= {FASTEST:g}"
+        if not 0 <= limit.low <= limit.high <= MAX_SPEED_MPH:
+            expected = f"0 <= lowest <= highest <= {MAX_SPEED_MPH:g}"
+            text = f"speeds {limit.low:g} and {limit.high:g}: expected {expected}"
             faults.append((("speed_limit", limit.id), text))
     for number, times in Counter(limit.id for limit in mission.speed_limits).items():
         if times > 1:
@@ -302,4 +306,7 @@ def _strangers(mission: Mission, network: RouteNetwork | None) -> Iterator[Fault
 
 def _listed(numbers: Iterable[int]) -> str:
     found = sorted(numbers)
-    return ", ".join(map(str, found[:LISTED])) + (", ..." if len(found) > LISTED else "") or "none"
+    return (
+        ", ".join(map(str, found[:MAX_LISTED_NUMBERS])) + (", ..." if len(found) > MAX_LISTED_NUMBERS else "")
+        or "none"
+    )

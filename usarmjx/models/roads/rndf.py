@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.roads.lines import RoadLines, Row, written
+from usarmjx.models.roads.lines import RoadLines, Row, format_lines
 from usarmjx.models.roads.network import (
-    FASTEST,
-    WIDEST,
+    MAX_SPEED_MPH,
+    MAX_WIDTH_FEET,
     Lane,
     LatLon,
     Mission,
@@ -82,7 +82,9 @@ def _speed_limits(lines: RoadLines) -> tuple[SpeedLimit, ...]:
         line = lines.line
         (number,) = lines.parsed(lines.word, 1, line)
         lines.fault_lines["speed_limit", number] = line
-        low, high = (lines.real(w, "speed", 0.0, FASTEST, line) for w in lines.words(2, "lowest highest"))
+        low, high = (
+            lines.real(w, "speed", 0.0, MAX_SPEED_MPH, line) for w in lines.words(2, "lowest highest")
+        )
         found.append(SpeedLimit(id=number, low=low, high=high))
     lines.count(len(found), announced, "speed limits")
     lines.take("end_speed_limits")
@@ -112,7 +114,7 @@ def write_mdf(mission: Mission) -> str:
         ("end_speed_limits",),
         ("end_file",),
     ]
-    return written(rows)
+    return format_lines(rows)
 
 
 def read_rndf(source: str | Path) -> RouteNetwork:
@@ -219,7 +221,7 @@ class _Head:
 
     def _width(self, keyword: str) -> None:
         line, (word,) = self.lines.line, self.lines.words(1, "feet")
-        self.width = self.lines.real(word, keyword, 0.0, WIDEST, line)
+        self.width = self.lines.real(word, keyword, 0.0, MAX_WIDTH_FEET, line)
 
     def _boundary(self, keyword: str) -> None:
         self.lines.fault_lines[keyword, self.owner] = self.lines.line
@@ -334,7 +336,7 @@ def write_rndf(network: RouteNetwork) -> str:
             rows += [("checkpoint", (m, n, point), number) for point, number in spot.checkpoints]
             rows += [*_point_rows((m, n), spot.waypoints), ("end_spot",)]
         rows.append(("end_zone",))
-    return written([*rows, ("end_file",)])
+    return format_lines([*rows, ("end_file",)])
 
 
 def _lane_rows(owner: tuple[int, int], lane: Lane) -> list[Row]:

@@ -12,22 +12,22 @@ from itertools import islice, pairwise
 import numpy as np
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.roads.network import FOOT, Lane, LatLon, RouteNetwork, Spot, to_local_xy
+from usarmjx.models.roads.network import METRES_PER_FOOT, Lane, LatLon, RouteNetwork, Spot, to_local_xy
 from usarmjx.models.types.shapes import Rgba, Shape
 
-MOST_MARKINGS = 50_000
+MAX_MARKINGS = 50_000
 """Largest number of markings of a network: the limit of an arena's solids."""
 LANE_WIDTH = 12.0
 """Width of lanes without a given width [feet] (chosen: that of highways)."""
-LINE, STOP_LINE = 0.10, 0.45
+LINE_WIDTH, STOP_LINE_WIDTH = 0.10, 0.45
 """Widths of lines and of stop lines [m] (MUTCD 3A.06: 4 to 6 inches; 3B.16: 12 to 24 inches)."""
-DASH, GAP = 10 * FOOT, 30 * FOOT
+DASH_LENGTH, DASH_GAP = 10 * METRES_PER_FOOT, 30 * METRES_PER_FOOT
 """Lengths of the dashes of a broken line and of the gaps between them [m] (MUTCD 3A.06)."""
-PAINT = 0.004
+PAINT_THICKNESS = 0.004
 """Thickness of paint [m], twice that of the asphalt below it."""
 KERB_WIDTH, KERB_HEIGHT = 0.15, 0.15
 """Width and height of a kerb [m]: six inches (chosen: the usual barrier kerb)."""
-STRAIGHT = 2e-3
+MAX_STRAIGHT_BEND = 2e-3
 """Bend below which a path counts as straight [rad]."""
 
 WHITE, YELLOW = (0.95, 0.95, 0.95, 1.0), (0.95, 0.75, 0.1, 1.0)
@@ -45,13 +45,13 @@ def road_shapes(network: RouteNetwork, origin: LatLon) -> tuple[Shape, ...]:
         origin: Latitude and longitude of the arena's origin [degrees].
 
     Raises:
-        SpecError: There are more than `MOST_MARKINGS` of them.
+        SpecError: There are more than `MAX_MARKINGS` of them.
     """
     # A stop line at a waypoint that repeats the one before has no length.
     seen = (shape for shape in _markings(network, origin) if min(shape.size) > 0)
-    shapes = tuple(islice(seen, MOST_MARKINGS + 1))
-    if len(shapes) > MOST_MARKINGS:
-        raise SpecError(f"roads {network.name!r} have more than {MOST_MARKINGS} markings")
+    shapes = tuple(islice(seen, MAX_MARKINGS + 1))
+    if len(shapes) > MAX_MARKINGS:
+        raise SpecError(f"roads {network.name!r} have more than {MAX_MARKINGS} markings")
     return shapes
 
 
@@ -69,7 +69,7 @@ def _markings(network: RouteNetwork, origin: LatLon) -> Iterator[Shape]:
 
 def lane_width(lane: Lane) -> float:
     """Return a lane's width [m]."""
-    return (LANE_WIDTH if lane.width is None else lane.width) * FOOT
+    return (LANE_WIDTH if lane.width is None else lane.width) * METRES_PER_FOOT
 
 
 def lane_path(lane: Lane, origin: LatLon) -> np.ndarray:
@@ -106,7 +106,7 @@ def offset_path(path: np.ndarray, left: float) -> np.ndarray:
 
 def stripe(a: np.ndarray, b: np.ndarray, width: float, rgba: Rgba) -> Shape:
     """Return a line of paint from one point to another [m]."""
-    return _bar(a, b, width, PAINT, "fixture", rgba)
+    return _bar(a, b, width, PAINT_THICKNESS, "fixture", rgba)
 
 
 def _bar(a: np.ndarray, b: np.ndarray, width: float, height: float, surface: str, rgba: Rgba) -> Shape:
@@ -124,7 +124,7 @@ def _bar(a: np.ndarray, b: np.ndarray, width: float, height: float, surface: str
 def _pieces(path: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Iterate over the straight pieces of a path: two ends [m] (2,) each."""
     heading = np.unwrap(np.arctan2(*np.diff(path, axis=0).T[::-1]))
-    bends = [0, *(1 + np.flatnonzero(np.abs(np.diff(heading)) > STRAIGHT)), len(path) - 1]
+    bends = [0, *(1 + np.flatnonzero(np.abs(np.diff(heading)) > MAX_STRAIGHT_BEND)), len(path) - 1]
     for start, end in pairwise(bends):
         yield path[start], path[end]
 
@@ -133,20 +133,20 @@ def _boundary(run: np.ndarray, edge: float, kind: str) -> Iterator[Shape]:
     """Iterate over the lines of a lane's boundary, which lies `edge` [m] to the left of its path."""
     inwards, rgba = -math.copysign(1.0, edge), YELLOW if "yellow" in kind else WHITE
     if kind == "broken_white":
-        path = offset_path(run, edge + inwards * LINE / 4)
-        yield from (stripe(a, b, LINE / 2, rgba) for a, b in _dashes(path))
+        path = offset_path(run, edge + inwards * LINE_WIDTH / 4)
+        yield from (stripe(a, b, LINE_WIDTH / 2, rgba) for a, b in _dashes(path))
     elif kind:
-        path = offset_path(run, edge + inwards * LINE * (1.0 if kind.startswith("double") else 0.5))
-        yield from (stripe(a, b, LINE, rgba) for a, b in _pieces(path))
+        path = offset_path(run, edge + inwards * LINE_WIDTH * (1.0 if kind.startswith("double") else 0.5))
+        yield from (stripe(a, b, LINE_WIDTH, rgba) for a, b in _pieces(path))
 
 
 def _dashes(path: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     done = 0.0
     for a, b in _pieces(path):
         length = float(np.linalg.norm(b - a))
-        first = math.floor(done / (DASH + GAP)) * (DASH + GAP) - done
-        for start in np.arange(first, length, DASH + GAP):
-            low, high = max(0.0, start), min(length, start + DASH)
+        first = math.floor(done / (DASH_LENGTH + DASH_GAP)) * (DASH_LENGTH + DASH_GAP) - done
+        for start in np.arange(first, length, DASH_LENGTH + DASH_GAP):
+            low, high = max(0.0, start), min(length, start + DASH_LENGTH)
             if high > low:
                 yield a + (b - a) * low / length, a + (b - a) * high / length
         done += length
@@ -158,11 +158,11 @@ def _kerb(run: np.ndarray, edge: float) -> Iterator[Shape]:
 
 
 def _stop_lines(lane: Lane, origin: LatLon) -> Iterator[Shape]:
-    path, half = lane_path(lane, origin), lane_width(lane) / 2 - LINE
+    path, half = lane_path(lane, origin), lane_width(lane) / 2 - LINE_WIDTH
     if len(path) > 1:
         across = offset_path(path, half) - path
         yield from (
-            stripe(path[i - 1] - across[i - 1], path[i - 1] + across[i - 1], STOP_LINE, WHITE)
+            stripe(path[i - 1] - across[i - 1], path[i - 1] + across[i - 1], STOP_LINE_WIDTH, WHITE)
             for i in lane.stops
         )
 
@@ -176,8 +176,8 @@ def _spot_lines(spots: tuple[Spot, ...], origin: LatLon) -> Iterator[Shape]:
     for spot in spots:
         mouth, middle = np.array([to_local_xy(origin, at) for at in spot.waypoints])
         path = np.array([mouth, 2 * middle - mouth])
-        half = (LANE_WIDTH if spot.width is None else spot.width) * FOOT / 2
+        half = (LANE_WIDTH if spot.width is None else spot.width) * METRES_PER_FOOT / 2
         for a, b in (offset_path(path, half), offset_path(path, -half)):
-            if not any(np.linalg.norm((a + b) / 2 - other) < LINE for other in drawn):
+            if not any(np.linalg.norm((a + b) / 2 - other) < LINE_WIDTH for other in drawn):
                 drawn.append((a + b) / 2)
-                yield stripe(a, b, LINE, WHITE)
+                yield stripe(a, b, LINE_WIDTH, WHITE)

@@ -83,7 +83,7 @@ def _bar(x: int, y: int) -> Shape:
     return Shape(kind="box", size=size, at=(x * reach, y * reach, FRAME - 0.097), rgba=WHITE)
 
 
-def _airrobot_looks() -> tuple[Shape, ...]:
+def _airrobot_visuals() -> tuple[Shape, ...]:
     """Return a hoop of carbon about four rotors on crossed arms, a rounded body below, and its legs."""
     reach, edges = AIRROBOT_SPAN / 2 - FRAME, 20
     hoop = [
@@ -145,7 +145,7 @@ AIRROBOT = RobotSpec(
         ),
         *(_rotor(x, y) for x, y in AIRROBOT_ROTORS),
     ),
-    looks=_airrobot_looks(),
+    looks=_airrobot_visuals(),
     drive=RotaryWing(
         max_speeds=(5.0, 5.0, 5.0),
         max_turn=1.5708,
@@ -187,7 +187,7 @@ def _thruster(y: float) -> Shape:
     )
 
 
-def _passarola_looks() -> tuple[Shape, ...]:
+def _passarola_visuals() -> tuple[Shape, ...]:
     """Return an envelope with bands and fins, and below it a gondola with thrusters in rings."""
     top, red = PASSAROLA_TOP, (0.75, 0.15, 0.1, 1.0)
     fin = ((-1.35, 0.45), (-1.8, 0.9), (-1.98, 0.9), (-1.95, 0.1))
@@ -211,12 +211,12 @@ def _passarola_looks() -> tuple[Shape, ...]:
         *(rod((x, y, 0.94), (x, y, 0.98), 0.012, BLACK) for x in (-0.25, 0.25) for y in (-0.18, 0.18)),
         *(rod((x, 0.0, 0.8), (x, 0.0, 0.7), 0.03, BLACK) for x in (-0.25, 0.25)),
         rod((0.0, -0.85, 0.8), (0.0, 0.85, 0.8), 0.018, STEEL, blunt=True),
-        *(solid for y in (-0.85, 0.85) for solid in _thruster_looks((0.0, y, 0.8))),
-        *_thruster_looks((-2.0, 0.0, top)),
+        *(solid for y in (-0.85, 0.85) for solid in _thruster_visuals((0.0, y, 0.8))),
+        *_thruster_visuals((-2.0, 0.0, top)),
     )
 
 
-def _thruster_looks(at: Vec3) -> tuple[Shape, ...]:
+def _thruster_visuals(at: Vec3) -> tuple[Shape, ...]:
     """Return a ring with a propeller that pushes ahead."""
     x, y, z = at
     ring = [(0.15 * math.cos(k * math.pi / 6), 0.15 * math.sin(k * math.pi / 6)) for k in range(13)]
@@ -261,7 +261,7 @@ PASSAROLA = RobotSpec(
         Shape(kind="box", size=(0.2, 0.01, 0.8), at=(-1.75, 0.0, PASSAROLA_TOP), surface="fixture"),
         Shape(kind="box", size=(0.2, 0.8, 0.01), at=(-1.75, 0.0, PASSAROLA_TOP), surface="fixture"),
     ),
-    looks=_passarola_looks(),
+    looks=_passarola_visuals(),
     drive=Blimp(
         hull=Hull(
             radii=PASSAROLA_RADII,

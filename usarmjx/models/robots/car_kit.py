@@ -11,8 +11,8 @@ from usarmjx.models.robots.kit import (
     BLACK,
     DARK,
     GLASS_BLACK,
+    JET_BLACK,
     LAMP,
-    LOOK_BLACK,
     POSE_SENSORS,
     SILVER,
     TAIL_LAMP,
@@ -58,7 +58,7 @@ ODOMETRY = Mount(
 
 
 @dataclass(frozen=True, kw_only=True)
-class CarLook:
+class CarStyle:
     """Style of a car; x as shares of half the length, from its middle, forward.
 
     Attributes:
@@ -98,12 +98,12 @@ class CarFrame:
     rgba: Rgba
 
 
-def car_looks(car: CarFrame, look: CarLook) -> tuple[Shape, ...]:
+def car_visuals(car: CarFrame, look: CarStyle) -> tuple[Shape, ...]:
     """Return the body of a car without its wheels."""
     return (*_lower_body(car, look), *_cabin(car, look), *_ends(car, look))
 
 
-def _lower_body(car: CarFrame, look: CarLook) -> tuple[Shape, ...]:
+def _lower_body(car: CarFrame, look: CarStyle) -> tuple[Shape, ...]:
     """Return a tub between the wheels, sills between the arches, and the body above the arches."""
     (length, width, _), (radius, tyre) = car.size, car.tyre
     half, up = length / 2, car.origin
@@ -127,7 +127,7 @@ def _lower_body(car: CarFrame, look: CarLook) -> tuple[Shape, ...]:
 
     return (
         prism(upper, width / 2, car.rgba),
-        across(half - 0.05, -half + 0.05, car.floor, inner, LOOK_BLACK),
+        across(half - 0.05, -half + 0.05, car.floor, inner, JET_BLACK),
         across(front - room, rear + room, car.floor + 0.02, width / 2 - 0.01, car.rgba),
         across(half - 0.02, front + room, car.floor + 0.05, width / 2 - 0.01, car.rgba),
         across(rear - room, -half + 0.02, car.floor + 0.05, width / 2 - 0.01, car.rgba),
@@ -142,7 +142,7 @@ def _lower_body(car: CarFrame, look: CarLook) -> tuple[Shape, ...]:
     )
 
 
-def _cabin(car: CarFrame, look: CarLook) -> tuple[Shape, ...]:
+def _cabin(car: CarFrame, look: CarStyle) -> tuple[Shape, ...]:
     """Return the windows, and above them the roof on its pillars."""
     (length, width, height), up = car.size, car.origin
     half, foot, top = length / 2, width / 2 - 0.04, width / 2 - 0.04 - look.tuck
@@ -172,7 +172,7 @@ def _cabin(car: CarFrame, look: CarLook) -> tuple[Shape, ...]:
     return (hull(glass, GLASS_BLACK), hull(lid, car.rgba), *pillars, *mirrors)
 
 
-def _ends(car: CarFrame, look: CarLook) -> tuple[Shape, ...]:
+def _ends(car: CarFrame, look: CarStyle) -> tuple[Shape, ...]:
     """Return bumpers, lamps, grille and number plates."""
     (length, width, _), up = car.size, car.origin
     half, side = length / 2, width / 2
@@ -183,7 +183,7 @@ def _ends(car: CarFrame, look: CarLook) -> tuple[Shape, ...]:
     return (
         *(block((0.05, side - 0.03, 0.08), (x, 0.0, bumper), look.trim) for x in (half - 0.04, -half + 0.04)),
         *_lamps(look, half, side, lamp),
-        *(block((0.02, slot, tall), (half - 0.015, y, lamp), LOOK_BLACK) for y in slots),
+        *(block((0.02, slot, tall), (half - 0.015, y, lamp), JET_BLACK) for y in slots),
         *(
             block((0.02, 0.09, 0.06), (-half + 0.015, y, lamp), TAIL_LAMP)
             for y in (-side + 0.14, side - 0.14)
@@ -192,7 +192,7 @@ def _ends(car: CarFrame, look: CarLook) -> tuple[Shape, ...]:
     )
 
 
-def _lamps(look: CarLook, front: float, side: float, z: float) -> tuple[Shape, ...]:
+def _lamps(look: CarStyle, front: float, side: float, z: float) -> tuple[Shape, ...]:
     sides = (-side + 0.2, side - 0.2)
     blinkers = (block((0.02, 0.04, 0.04), (front - 0.015, y * (side - 0.07), z), AMBER) for y in (-1.0, 1.0))
     if look.lamps:
@@ -241,7 +241,7 @@ class Car:
     all_wheel: bool
     max_acceleration: float
     rgba: Rgba
-    look: CarLook
+    look: CarStyle
 
     @property
     def origin(self) -> float:
@@ -359,7 +359,7 @@ def build_car(
         mass=car.mass,
         origin_height=car.origin,
         chassis=(*_body(car, head), *solids),
-        looks=(*car_looks(_frame(car), car.look), *looks),
+        looks=(*car_visuals(_frame(car), car.look), *looks),
         parts=(*front, *rear),
         drive=Ackermann(
             wheels=(*steered, *straight), max_spin=MAX_SPIN, radius=car.tyre[0], max_front_steer=MAX_STEER

@@ -4,13 +4,13 @@ The manual gives sizes and speeds of most; data sheets of the real cars, and cho
 Cooper have the manual's 100 rad/s; its 134 km/h for them are those of the Hummer's bigger wheels.
 """
 
-from usarmjx.models.robots.car_kit import Car, CarLook, build_car
+from usarmjx.models.robots.car_kit import Car, CarStyle, build_car
 from usarmjx.models.robots.kit import (
     ALONG,
-    LOOK_BLACK,
-    LOOK_RUBBER,
+    JET_BLACK,
     SICK_YELLOW,
     SILVER,
+    TYRE_BLACK,
     block,
     camera,
     drum,
@@ -39,7 +39,7 @@ _HUMMER = Car(
     all_wheel=True,  # manual 12.5.1
     max_acceleration=5.0,
     rgba=(0.45, 0.45, 0.3, 1.0),
-    look=CarLook(
+    look=CarStyle(
         cowl=0.4,
         roof=(0.3, -0.55),
         deck=-0.95,
@@ -58,16 +58,16 @@ HUMMER = build_car(
     looks=(
         *sick(HUMMER_SCANNER),
         *(
-            block((0.3, 0.04, 0.02), (1.1, y, _HUMMER.origin - _HUMMER.beltline), LOOK_BLACK)
+            block((0.3, 0.04, 0.02), (1.1, y, _HUMMER.origin - _HUMMER.beltline), JET_BLACK)
             for y in (-0.5, 0.5)
         ),
-        rod((0.75, 0.92, -0.2), (0.75, 0.92, -1.2), 0.05, LOOK_BLACK),  # the snorkel
+        rod((0.75, 0.92, -0.2), (0.75, 0.92, -1.2), 0.05, JET_BLACK),  # the snorkel
         rod((0.75, 0.0, -0.07), (0.58, 0.0, -0.98), 0.03, _HUMMER.rgba),  # two windscreens
-        *(rod((1.86, y, 0.35), (1.86, y, -0.1), 0.03, LOOK_BLACK) for y in (-0.35, 0.35)),
-        rod((1.86, -0.6, -0.1), (1.86, 0.6, -0.1), 0.03, LOOK_BLACK),
-        drum(0.36, 0.12, (-1.9, 0.35, 0.1), LOOK_RUBBER, ALONG),  # the spare wheel
+        *(rod((1.86, y, 0.35), (1.86, y, -0.1), 0.03, JET_BLACK) for y in (-0.35, 0.35)),
+        rod((1.86, -0.6, -0.1), (1.86, 0.6, -0.1), 0.03, JET_BLACK),
+        drum(0.36, 0.12, (-1.9, 0.35, 0.1), TYRE_BLACK, ALONG),  # the spare wheel
         drum(0.2, 0.13, (-1.9, 0.35, 0.1), _HUMMER.rgba, ALONG),
-        rod((-1.6, -0.8, -0.2), (-1.65, -0.8, -1.4), 0.012, LOOK_BLACK),
+        rod((-1.6, -0.8, -0.2), (-1.65, -0.8, -1.4), 0.012, JET_BLACK),
     ),
     packages=(pan_tilt((0.0, 0.0, -_HUMMER.origin)),),  # chosen: on the roof; pans all around
     sensors=(sick_lms200(HUMMER_SCANNER),),
@@ -95,7 +95,7 @@ _SNOWSTORM = Car(
     all_wheel=True,  # chosen; manual 12.6.1: two or four wheel drive
     max_acceleration=5.0,
     rgba=(0.85, 0.85, 0.9, 1.0),
-    look=CarLook(
+    look=CarStyle(
         cowl=0.38,
         roof=(0.2, -0.88),
         deck=-0.97,
@@ -114,8 +114,8 @@ SNOWSTORM = build_car(
     solids=(sick_housing(SNOWSTORM_SCANNER),),
     looks=(
         *sick(SNOWSTORM_SCANNER),
-        *(rod((0.3, y, SNOWSTORM_ROOF), (-1.7, y, SNOWSTORM_ROOF), 0.03, LOOK_BLACK) for y in (-0.55, 0.55)),
-        rod((0.8, -0.62, SNOWSTORM_ROOF), (0.8, 0.62, SNOWSTORM_ROOF), 0.025, LOOK_BLACK),
+        *(rod((0.3, y, SNOWSTORM_ROOF), (-1.7, y, SNOWSTORM_ROOF), 0.03, JET_BLACK) for y in (-0.55, 0.55)),
+        rod((0.8, -0.62, SNOWSTORM_ROOF), (0.8, 0.62, SNOWSTORM_ROOF), 0.025, JET_BLACK),
         *lens((0.9, -HALF_STEREO_BASELINE, SNOWSTORM_ROOF + 0.1), 0.02),
         *lens((0.9, HALF_STEREO_BASELINE, SNOWSTORM_ROOF + 0.1), 0.02),
         drum(0.08, 0.03, (-0.8, 0.0, SNOWSTORM_ROOF - 0.02), SICK_YELLOW),  # the GPS
@@ -154,7 +154,7 @@ SEDAN = build_car(
         all_wheel=False,  # manual 12.7.1
         max_acceleration=3.5,
         rgba=(0.3, 0.4, 0.6, 1.0),
-        look=CarLook(cowl=0.45, roof=(0.12, -0.4), deck=-0.68, nose=0.16, tuck=0.14, pillars=(-0.12,)),
+        look=CarStyle(cowl=0.45, roof=(0.12, -0.4), deck=-0.68, nose=0.16, tuck=0.14, pillars=(-0.12,)),
     ),
     sources=(
         ("dimensions, wheel radius, top speed, wheels", "manual 12.7"),
@@ -179,7 +179,7 @@ COOPER = build_car(
         all_wheel=False,  # manual 12.8.1
         max_acceleration=3.5,
         rgba=(0.7, 0.15, 0.15, 1.0),
-        look=CarLook(
+        look=CarStyle(
             cowl=0.42,
             roof=(0.2, -0.78),
             deck=-0.96,

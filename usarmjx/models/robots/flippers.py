@@ -13,8 +13,8 @@ from usarmjx.models.robots.kit import (
     BLACK,
     DARK,
     ENCODER_AXIS,
+    JET_BLACK,
     LAMP,
-    LOOK_BLACK,
     POSE_SENSORS,
     STEEL,
     block,
@@ -31,8 +31,8 @@ from usarmjx.models.robots.track_kit import (
     Flippers,
     drive_tracks,
     mass_of,
-    pair_looks,
     track_pair,
+    track_pair_visuals,
 )
 from usarmjx.models.types.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec, options
 from usarmjx.models.types.shapes import Shape
@@ -75,10 +75,10 @@ _TARANTULA_BODY = (
         0.15,
         ORANGE,
     ),
-    block((0.09, 0.1, 0.004), (-0.01, 0.0, -0.067), LOOK_BLACK),
+    block((0.09, 0.1, 0.004), (-0.01, 0.0, -0.067), JET_BLACK),
     block((0.02, 0.12, 0.012), (0.155, 0.0, -0.03), DARK),
     *(drum(0.015, 0.006, (0.176, y, -0.03), LAMP, ALONG) for y in (-0.08, 0.08)),
-    rod((-0.12, 0.1, -0.06), (-0.15, 0.1, -0.2), 0.003, LOOK_BLACK),
+    rod((-0.12, 0.1, -0.06), (-0.15, 0.1, -0.2), 0.003, JET_BLACK),
 )
 
 
@@ -106,7 +106,7 @@ def tarantula(wheels: int = 4) -> RobotSpec:
                 rgba=ORANGE,
             ),
         ),
-        looks=(*pair_looks(TARANTULA_BELT, **row), *_TARANTULA_BODY),
+        looks=(*track_pair_visuals(TARANTULA_BELT, **row), *_TARANTULA_BODY),
         parts=parts,
         drive=drive_tracks(parts, TARANTULA_BELT),
         sensors=POSE_SENSORS,
@@ -223,10 +223,10 @@ _KENAF_BODY = (
         top=0.135,
     ),
     block((0.2, 0.13, 0.05), (0.0, 0.0, -0.02), DARK),
-    block((0.13, 0.1, 0.003), (-0.04, 0.0, KENAF_DECK - 0.002), LOOK_BLACK),
+    block((0.13, 0.1, 0.003), (-0.04, 0.0, KENAF_DECK - 0.002), JET_BLACK),
     block((0.01, 0.1, 0.012), (0.244, 0.0, -0.085), STEEL),
     # A Hokuyo: a square foot, a drum with a window, an orange cap.
-    block((0.025, 0.025, 0.015), (KENAF_SCANNER[0], 0.0, KENAF_DECK - 0.015), LOOK_BLACK),
+    block((0.025, 0.025, 0.015), (KENAF_SCANNER[0], 0.0, KENAF_DECK - 0.015), JET_BLACK),
     drum(0.022, 0.012, (KENAF_SCANNER[0], 0.0, KENAF_SCANNER[2]), DARK),
     drum(0.02, 0.01, (KENAF_SCANNER[0], 0.0, KENAF_SCANNER[2] - 0.02), ORANGE),
     drum(0.035, 0.012, (KENAF_HEAD[0], 0.0, KENAF_DECK - 0.01), STEEL),
@@ -236,10 +236,10 @@ _KENAF_BODY = (
         0.012,
         0.008,
         (KENAF_MAST[0] + 0.018, 0.0, KENAF_MAST[2] + 0.022),
-        LOOK_BLACK,
+        JET_BLACK,
         (0.0, math.pi / 2 - 0.9, 0.0),
     ),
-    rod((-0.2, 0.1, KENAF_DECK), (-0.2, 0.1, KENAF_DECK - 0.25), 0.004, LOOK_BLACK),
+    rod((-0.2, 0.1, KENAF_DECK), (-0.2, 0.1, KENAF_DECK - 0.25), 0.004, JET_BLACK),
 )
 
 
@@ -274,7 +274,7 @@ def kenaf(wheels: int = 8) -> RobotSpec:
                 rgba=BLACK,
             ),
         ),
-        looks=(*pair_looks(KENAF_BELT, **row), *_KENAF_BODY),
+        looks=(*track_pair_visuals(KENAF_BELT, **row), *_KENAF_BODY),
         parts=parts,
         drive=drive_tracks(parts, KENAF_BELT),
         packages=(KENAF_CAMERA,),

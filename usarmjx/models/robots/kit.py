@@ -24,13 +24,13 @@ from usarmjx.models.types.robot import (
 from usarmjx.models.types.shapes import ZERO, Mesh, Rgba, Shape
 
 ACROSS: Vec3 = (-math.pi / 2, 0.0, 0.0)
-"""Rotations of a cylinder's axis (z) to the side (y), and ahead (x)."""
+"""Rotation of a cylinder's axis (z) to the side (y)."""
 ALONG: Vec3 = (0.0, math.pi / 2, 0.0)
-"""Turn a cylinder's axis (z) to the side (y), and ahead (x)."""
+"""Rotation of a cylinder's axis (z) ahead (x)."""
 
-LOOK_RUBBER: Rgba = (0.13, 0.13, 0.14, 1.0)
+TYRE_BLACK: Rgba = (0.13, 0.13, 0.14, 1.0)
 TREAD: Rgba = (0.2, 0.2, 0.21, 1.0)
-LOOK_BLACK: Rgba = (0.08, 0.08, 0.09, 1.0)
+JET_BLACK: Rgba = (0.08, 0.08, 0.09, 1.0)
 DARK: Rgba = (0.22, 0.23, 0.25, 1.0)
 STEEL: Rgba = (0.62, 0.64, 0.67, 1.0)
 SILVER: Rgba = (0.8, 0.81, 0.83, 1.0)
@@ -47,12 +47,9 @@ RUBBER: Rgba = (0.15, 0.15, 0.15, 1.0)
 
 BLACK: Rgba = (0.1, 0.1, 0.1, 1.0)
 
-ON_THE_FLOOR = options(MaxIncidence=1.309)
+LEVEL_SONAR = options(MaxIncidence=1.309)
 """Options of level sonars above the ground: the floor returns no echo, as in captured sessions of a P2AT,
 which read up to 5 m though their cones meet the floor at 1.5 m."""
-
-AXLE_ROTATION = (-math.pi / 2, 0.0, 0.0)
-"""Rotation of a cylinder's axis (z) to the side (y)."""
 
 POSE_SENSORS = (
     Mount(kind="Odometry", name="Odometry"),
@@ -127,7 +124,7 @@ def prism(profile: Sequence[tuple[float, float]], half: float, rgba: Rgba, top: 
     )
 
 
-def wheel_looks(
+def wheel_visuals(
     radius: float,
     width: float,
     *,
@@ -149,7 +146,7 @@ def wheel_looks(
     inner, half, at = rim * radius, width / 2, (0.0, shift, 0.0)
     spoke = (0.96 * inner, half + 0.03 * radius, 0.09 * radius)
     return (
-        drum(radius, half, at, LOOK_RUBBER, ACROSS),
+        drum(radius, half, at, TYRE_BLACK, ACROSS),
         drum(inner, half + 0.015 * radius, at, DARK, ACROSS),
         *(block(spoke, at, rgba, (0.0, k * math.pi / bars, 0.0)) for k in range(bars)),
         drum(0.2 * radius, half + 0.05 * radius, at, rgba, ACROSS),
@@ -192,9 +189,9 @@ def belt(front: Vec3, rear: Vec3, radii: tuple[float, float], width: float) -> t
         width: Width of the belt [m].
     """
     (x0, y, z0), (x1, _, z1), half = front, rear, width / 2
-    ends = (drum(radii[0], half, front, LOOK_RUBBER, ACROSS), drum(radii[1], half, rear, LOOK_RUBBER, ACROSS))
+    ends = (drum(radii[0], half, front, TYRE_BLACK, ACROSS), drum(radii[1], half, rear, TYRE_BLACK, ACROSS))
     if radii[0] == radii[1] and z0 == z1:
-        return (*ends, block(((x0 - x1) / 2, half, radii[0]), ((x0 + x1) / 2, y, z0), LOOK_RUBBER))
+        return (*ends, block(((x0 - x1) / 2, half, radii[0]), ((x0 + x1) / 2, y, z0), TYRE_BLACK))
     lean = (radii[1] - radii[0]) / math.hypot(x0 - x1, z0 - z1)  # sine of the common tangents' slope
     ahead, rise, corners = math.copysign(1.0, x0 - x1), math.sqrt(1 - lean * lean), list[Vec3]()
     for (x, z), radius in zip(((x0, z0), (x1, z1)), radii, strict=True):
@@ -202,7 +199,7 @@ def belt(front: Vec3, rear: Vec3, radii: tuple[float, float], width: float) -> t
             corners += [
                 (x + ahead * lean * radius, y + across, z + side * rise * radius) for across in (-half, half)
             ]
-    return (*ends, hull(corners, LOOK_RUBBER))
+    return (*ends, hull(corners, TYRE_BLACK))
 
 
 def sick(at: Vec3) -> tuple[Shape, ...]:
@@ -211,7 +208,7 @@ def sick(at: Vec3) -> tuple[Shape, ...]:
     return (
         block((0.0775, 0.078, 0.03), (x, y, z + 0.02), SICK_BLUE),
         block((0.04, 0.078, 0.025), (x - 0.0375, y, z - 0.035), SICK_BLUE),
-        drum(0.068, 0.03, (x, y, z - 0.035), LOOK_BLACK),
+        drum(0.068, 0.03, (x, y, z - 0.035), JET_BLACK),
         block((0.0775, 0.078, 0.025), (x, y, z - 0.085), SICK_BLUE),
         block((0.002, 0.04, 0.009), (x + 0.0775, y, z - 0.085), SICK_YELLOW),
     )
@@ -233,7 +230,7 @@ def sonar_discs(
     )
 
 
-def lens(at: Vec3, radius: float, rgba: Rgba = LOOK_BLACK, depth: float = 0.012) -> tuple[Shape, ...]:
+def lens(at: Vec3, radius: float, rgba: Rgba = JET_BLACK, depth: float = 0.012) -> tuple[Shape, ...]:
     """Return a camera's lens that points ahead: a barrel and its glass."""
     x, y, z = at
     return (
@@ -257,12 +254,12 @@ def wheel(
     tyre = Shape(
         kind="cylinder",
         size=(radius, width / 2),
-        rotation=AXLE_ROTATION,
+        rotation=ACROSS,
         mass=mass,
         surface=surface,
         rgba=RUBBER,
     )
-    looks = wheel_looks(radius, width)
+    looks = wheel_visuals(radius, width)
     return Part(name=name, parent=parent, at=at, motor=motor, shapes=(tyre,), looks=looks, is_wheel=True)
 
 

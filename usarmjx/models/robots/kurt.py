@@ -10,8 +10,8 @@ from usarmjx.models.robots.kit import (
     DARK,
     ENCODER_AXIS,
     GOLD,
-    LOOK_BLACK,
-    ON_THE_FLOOR,
+    JET_BLACK,
+    LEVEL_SONAR,
     POSE_SENSORS,
     SICK_YELLOW,
     STEEL,
@@ -56,9 +56,9 @@ ORANGE = (0.85, 0.45, 0.1, 1.0)
 SCANNER = (0.10, 0.0, ORIGIN - DECK - 0.06)  # chosen: on the deck
 SCANNER_MASS = 4.5  # data sheet of the LMS200
 
-SENSES = (
+SENSORS = (
     # Directions of the manual's sonar and seven IR sensors are chosen: ahead, and a fan over the front half.
-    Mount(kind="Sonar", name="F1", at=(LENGTH / 2, 0.0, 0.04), defaults=ON_THE_FLOOR),
+    Mount(kind="Sonar", name="F1", at=(LENGTH / 2, 0.0, 0.04), defaults=LEVEL_SONAR),
     *(
         Mount(
             kind="IR",
@@ -76,7 +76,7 @@ SENSES = (
 
 _BODY = (
     prism(mirrored([(0.17, ORIGIN - 0.05), (0.225, ORIGIN - 0.09), (0.225, ORIGIN - 0.155)]), 0.1, ORANGE),
-    block((LENGTH / 2, WIDTH / 2, 0.008), (0.0, 0.0, ORIGIN - DECK + 0.008), LOOK_BLACK),
+    block((LENGTH / 2, WIDTH / 2, 0.008), (0.0, 0.0, ORIGIN - DECK + 0.008), JET_BLACK),
     block((0.2, WIDTH / 2 + 0.001, 0.004), (0.0, 0.0, ORIGIN - DECK + 0.016), ORANGE),
     drum(0.016, 0.005, (0.226, 0.0, 0.04), GOLD, ALONG),
     *(
@@ -88,7 +88,7 @@ _BODY = (
         for yaw in (-0.5, 0.0, 0.5)
     ),
     block((0.05, 0.07, 0.02), (-0.15, 0.0, ORIGIN - DECK - 0.02), DARK),
-    rod((-0.2, 0.1, ORIGIN - DECK), (-0.2, 0.1, ORIGIN - DECK - 0.16), 0.004, LOOK_BLACK),
+    rod((-0.2, 0.1, ORIGIN - DECK), (-0.2, 0.1, ORIGIN - DECK - 0.16), 0.004, JET_BLACK),
 )
 
 
@@ -127,7 +127,7 @@ def _kurt(
         looks=(*_BODY, *looks),
         parts=(*WHEELS, *head),
         drive=SkidSteer(left=LEFT_WHEELS, right=RIGHT_WHEELS, max_spin=MOTOR.max_speed, radius=RADIUS),
-        sensors=(scanner, *SENSES),
+        sensors=(scanner, *SENSORS),
         cameras=cameras,
         wheel_radius=RADIUS,
         wheel_separation=TRACK,
@@ -154,7 +154,7 @@ KURT2D = _kurt(
 
 # The scanner between two cheeks that turn it up and down about its middle; positive looks up, as the pitch of
 # what it carries. Range and speed are chosen: the real one's scans take some seconds for 120 degrees.
-SIDES = Part(
+SCANNER_SIDES = Part(
     name="ScannerSides",
     at=(SCANNER[0], 0.0, ORIGIN - HEIGHT + 0.08),
     axis=(0.0, 1.0, 0.0),
@@ -172,13 +172,15 @@ KURT3D = _kurt(
     "Kurt3D",
     looks=(
         *(block((0.03, 0.006, 0.06), (SCANNER[0], y, ORIGIN - DECK - 0.05), STEEL) for y in (-0.098, 0.098)),
-        *(drum(0.03, 0.008, (SCANNER[0], y, SIDES.at[2]), LOOK_BLACK, ACROSS) for y in (-0.1, 0.1)),
+        *(drum(0.03, 0.008, (SCANNER[0], y, SCANNER_SIDES.at[2]), JET_BLACK, ACROSS) for y in (-0.1, 0.1)),
         block((0.03, 0.02, 0.03), (SCANNER[0] - 0.02, 0.12, ORIGIN - DECK - 0.03), DARK),  # its servo
     ),
-    head=(SIDES,),
-    scanner=sick_lms200((0.0, 0.0, 0.0), parent=SIDES.name),
+    head=(SCANNER_SIDES,),
+    scanner=sick_lms200((0.0, 0.0, 0.0), parent=SCANNER_SIDES.name),
     cameras=tuple(
-        camera(name, at=(0.05, y, -0.05), parent=SIDES.name)  # chosen: beside the scanner, and turned with it
+        camera(
+            name, at=(0.05, y, -0.05), parent=SCANNER_SIDES.name
+        )  # chosen: beside the scanner, and turned with it
         for name, y in (("Camera", -0.09), ("Camera2", 0.09))
     ),
 )

@@ -17,7 +17,7 @@ from usarmjx.models.robots.kit import (
     BLACK,
     DARK,
     GLASS_BLACK,
-    LOOK_BLACK,
+    JET_BLACK,
     POSE_SENSORS,
     RUBBER,
     SILVER,
@@ -36,14 +36,14 @@ BLUE: Rgba = (0.25, 0.5, 0.95, 1.0)
 PINK: Rgba = (0.85, 0.35, 0.5, 1.0)
 NAVY: Rgba = (0.16, 0.22, 0.42, 1.0)
 
-ERS_BODY_LOOK = (
+ERS_BODY_VISUALS = (
     ball((0.115, 0.052, 0.045), (-0.005, 0.0, -0.008), PEARL),
     ball((0.05, 0.055, 0.05), (0.06, 0.0, -0.012), PEARL),  # its chest
     ball((0.045, 0.052, 0.042), (-0.075, 0.0, -0.006), PEARL),
     block((0.05, 0.018, 0.004), (-0.005, 0.0, -0.052), BLUE),  # the switches on its back
     ball((0.03, 0.04, 0.025), (0.085, 0.0, 0.008), DARK),
     rod((-0.105, 0.0, -0.03), (-0.165, 0.0, -0.085), 0.006, PEARL),
-    ball((0.009, 0.009, 0.009), (-0.167, 0.0, -0.087), LOOK_BLACK),
+    ball((0.009, 0.009, 0.009), (-0.167, 0.0, -0.087), JET_BLACK),
 )
 ERS_NECK = (rod((0.0, 0.0, -0.01), (0.0, 0.0, -0.07), 0.017, DARK),)
 ERS_COLLAR = (drum(0.024, 0.008, (0.0, 0.0, 0.012), DARK), ball((0.02, 0.02, 0.02), rgba=STEEL))
@@ -52,8 +52,8 @@ ERS_HEAD = (
     ball((0.042, 0.036, 0.026), (0.045, 0.0, 0.004), PEARL),  # muzzle
     ball((0.03, 0.041, 0.018), (0.036, 0.0, -0.022), GLASS_BLACK),  # the visor of its face
     *(ball((0.004, 0.006, 0.006), (0.064, y, -0.022), BLUE) for y in (-0.016, 0.016)),
-    ball((0.008, 0.012, 0.007), (0.085, 0.0, -0.006), LOOK_BLACK),  # nose
-    drum(0.007, 0.003, (0.083, 0.0, 0.0146), LOOK_BLACK, ALONG),  # and camera
+    ball((0.008, 0.012, 0.007), (0.085, 0.0, -0.006), JET_BLACK),  # nose
+    drum(0.007, 0.003, (0.083, 0.0, 0.0146), JET_BLACK, ALONG),  # and camera
     ball((0.02, 0.022, 0.005), (0.05, 0.0, 0.026), PINK),
     *(
         ball((0.02, 0.009, 0.038), (-0.012, y, 0.006), DARK, (0.25 * y / 0.05, 0.15, 0.0))
@@ -87,7 +87,7 @@ QRIO_PELVIS = (
     block((0.046, 0.05, 0.01), (0.0, 0.0, -0.03), DARK),
 )
 QRIO_WAIST = (drum(0.034, 0.02, rgba=DARK),)
-QRIO_TORSO_LOOK = (
+QRIO_TORSO_VISUALS = (
     ball((0.075, 0.082, 0.085), (-0.018, 0.0, -0.075), SILVER),
     block((0.02, 0.045, 0.035), (0.035, 0.0, -0.085), NAVY),
     drum(0.012, 0.004, (0.057, 0.0, -0.085), BLUE, ALONG),
@@ -95,7 +95,7 @@ QRIO_TORSO_LOOK = (
     drum(0.024, 0.1, (0.0, 0.0, -0.12), DARK, ACROSS),  # shoulders
 )
 QRIO_NECK = (drum(0.02, 0.016, rgba=DARK),)
-QRIO_HEAD_LOOK = (
+QRIO_HEAD_VISUALS = (
     ball((0.062, 0.07, 0.058), (0.0, 0.0, -0.06), SILVER),
     ball((0.03, 0.055, 0.032), (0.038, 0.0, -0.06), GLASS_BLACK),
     *(ball((0.006, 0.012, 0.012), (0.064, y, -0.064), BLUE) for y in (-0.024, 0.024)),
@@ -136,9 +136,9 @@ def qrio_foot(sole: float) -> tuple[Shape, ...]:
 
 SILVER_SHELL: Rgba = (0.7, 0.72, 0.75, 1.0)
 LIFT: Vec3 = (0.0, 1.0, 0.0)
-"""Axes to the right and left: a limb swings forward about the first, backward about the second."""
+"""Axis to the right, about which a limb swings forward."""
 BEND: Vec3 = (0.0, -1.0, 0.0)
-"""Axes to the right and left: a limb swings forward about the first, backward about the second."""
+"""Axis to the left, about which a limb swings backward."""
 POSES = tuple(sensor for sensor in POSE_SENSORS if sensor.kind != "Odometry")  # there are no wheels to count
 
 
@@ -265,7 +265,7 @@ ERS = RobotSpec(
         _box((0.21, 0.10, 0.085), ERS_BODY, (-0.005, 0.0, -0.005)),
         _box((0.054, 0.012, 0.012), 0.0, (-0.137, 0.0, -0.035), "fixture"),  # tail
     ),
-    looks=ERS_BODY_LOOK,
+    looks=ERS_BODY_VISUALS,
     parts=(
         *(part for side, end in ERS_LEGS for part in _ers_leg(side, end)),
         Part(
@@ -372,22 +372,22 @@ def _qrio_arm(side: str, y: float) -> tuple[Part, ...]:
     )
 
 
-QRIO_LOOKS = {
+QRIO_VISUALS = {
     "HipPitch": qrio_limb(QRIO_THIGH, 0.034),
     "Knee": qrio_limb(QRIO_SHIN, 0.03, NAVY),
     "AnkleRoll": qrio_foot(QRIO_ANKLE),
     "BodyPan": QRIO_WAIST,
-    "BodyTilt": QRIO_TORSO_LOOK,
+    "BodyTilt": QRIO_TORSO_VISUALS,
     "ShoulderRoll": qrio_limb(0.09, 0.025),
     "Elbow": qrio_forearm(0.12),
     "HeadPan": QRIO_NECK,
-    "HeadTilt": QRIO_HEAD_LOOK,
+    "HeadTilt": QRIO_HEAD_VISUALS,
 }
 """Visuals by the name of the joint, without its side."""
 
 
-def _qrio_looks(name: str) -> tuple[Shape, ...]:
-    return QRIO_LOOKS.get(name.removeprefix("Left").removeprefix("Right"), ())
+def _qrio_visuals(name: str) -> tuple[Shape, ...]:
+    return QRIO_VISUALS.get(name.removeprefix("Left").removeprefix("Right"), ())
 
 
 QRIO_TORSO = _box((0.14, 0.15, 0.14), 1.95, (-0.02, 0.0, -0.07))
@@ -401,7 +401,7 @@ QRIO = RobotSpec(
     chassis=(_box((0.09, 0.13, 0.07), 0.60, (0.0, 0.0, -0.005)),),
     looks=QRIO_PELVIS,
     parts=tuple(
-        replace(part, looks=_qrio_looks(part.name))
+        replace(part, looks=_qrio_visuals(part.name))
         for part in (
             *_qrio_leg("Left", -QRIO_HIP),
             *_qrio_leg("Right", QRIO_HIP),

@@ -12,7 +12,7 @@ from usarmjx.models.robots.kit import (
     BLACK,
     DARK,
     ENCODER_AXIS,
-    LOOK_BLACK,
+    JET_BLACK,
     POSE_SENSORS,
     STEEL,
     ball,
@@ -79,7 +79,7 @@ LISA = RobotSpec(
             for x, y in CORNERS
             for solid in (
                 drum(0.05, 0.05, (x, -y, ORIGIN - 0.2), STEEL),
-                ball((BALL, BALL, BALL), (x, -y, ORIGIN - BALL), LOOK_BLACK),
+                ball((BALL, BALL, BALL), (x, -y, ORIGIN - BALL), JET_BLACK),
             )
         ),
         # The cabinet: doors with handles, a bar to push it by, a display that leans back.
@@ -87,7 +87,7 @@ LISA = RobotSpec(
         *(block((0.002, 0.115, 0.12), (0.25, y, -0.03), BLUE) for y in (-0.12, 0.12)),
         *(block((0.006, 0.008, 0.03), (0.254, y, -0.03), STEEL) for y in (-0.02, 0.02)),
         block((0.26, 0.26, 0.01), (0.0, 0.0, -0.378), DARK),
-        block((0.008, 0.1, 0.06), (0.2, 0.0, -0.26), LOOK_BLACK, (0.0, 0.0, 0.0)),
+        block((0.008, 0.1, 0.06), (0.2, 0.0, -0.26), JET_BLACK, (0.0, 0.0, 0.0)),
         block((0.002, 0.09, 0.05), (0.2518, 0.0, -0.25), (0.35, 0.65, 0.85, 1.0)),
         rod((-0.3, -0.2, -0.32), (-0.3, 0.2, -0.32), 0.014, STEEL),
         *(rod((-0.25, y, -0.32), (-0.3, y, -0.32), 0.01, STEEL) for y in (-0.18, 0.18)),

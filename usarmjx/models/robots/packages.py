@@ -29,7 +29,7 @@ def _fixed(number: int, parent: int, location: Vec3, *shapes: Shape, looks: tupl
     )
 
 
-def _omni_looks() -> tuple[Shape, ...]:
+def _omni_visuals() -> tuple[Shape, ...]:
     """Return the camera on its base, and above it the mirror, rounded below, on the staves of its tube."""
     corners = [(0.042 * x, 0.042 * y) for x, y in ((1, 0), (-0.5, 0.866), (-0.5, -0.866))]
     return (
@@ -67,7 +67,7 @@ def omni_pillar(centre_links: int = 2) -> MissionPackage:
     step = (0.0, 0.0, -PILLAR_STEP)
     links = [_fixed(1, -1, ZERO, rod)]
     links += [_fixed(2 + i, 1 + i, step, rod) for i in range(centre_links)]
-    links.append(_fixed(2 + centre_links, 1 + centre_links, step, *_omni_head(), looks=_omni_looks()))
+    links.append(_fixed(2 + centre_links, 1 + centre_links, step, *_omni_head(), looks=_omni_visuals()))
     return MissionPackage(name="OmniCamPillar", links=tuple(links))
 
 
@@ -86,7 +86,7 @@ PACKAGES: Registry[MissionPackage] = Registry("mission package")
 """Mission packages by name."""
 for _package in (
     pan_tilt(ZERO),
-    MissionPackage(name="OmniCamera", links=(_fixed(1, -1, ZERO, *_omni_head(), looks=_omni_looks()),)),
+    MissionPackage(name="OmniCamera", links=(_fixed(1, -1, ZERO, *_omni_head(), looks=_omni_visuals()),)),
     omni_pillar(),
 ):
     PACKAGES.add(_package.name, _package)

@@ -14,8 +14,8 @@ from usarmjx.models.robots.kit import (
     BLACK,
     DARK,
     ENCODER_AXIS,
-    LOOK_BLACK,
-    ON_THE_FLOOR,
+    JET_BLACK,
+    LEVEL_SONAR,
     POSE_SENSORS,
     STEEL,
     ball,
@@ -29,7 +29,7 @@ from usarmjx.models.robots.kit import (
     sick_lms200,
     sonar_discs,
     wheel,
-    wheel_looks,
+    wheel_visuals,
 )
 from usarmjx.models.robots.packages import PACKAGES, mount_package
 from usarmjx.models.types.robot import MissionPackage, Motor, Mount, RobotSpec
@@ -42,42 +42,46 @@ def _discs(sonars: Sequence[Mount], push: float) -> tuple[Shape, ...]:
     return sonar_discs([(mount.at, mount.direction[2]) for mount in sonars], push)
 
 
-def at_looks(sonars: Sequence[Mount], scanner: tuple[float, float, float], rgba: Rgba) -> tuple[Shape, ...]:
+def p2at_visuals(
+    sonars: Sequence[Mount], scanner: tuple[float, float, float], rgba: Rgba
+) -> tuple[Shape, ...]:
     """Return a P2AT without its wheels and its camera."""
-    rings = (drum(0.148, 0.021, (x, 0.0, 0.0), LOOK_BLACK) for x in (0.10, -0.10))
+    rings = (drum(0.148, 0.021, (x, 0.0, 0.0), JET_BLACK) for x in (0.10, -0.10))
     return (
         block((0.262, 0.18, 0.04), (0.0, 0.0, 0.07), rgba),
         block((0.23, 0.165, 0.03), (0.0, 0.0, 0.125), rgba),
-        block((0.275, 0.15, 0.02), (0.0, 0.0, 0.095), LOOK_BLACK),  # bumpers
+        block((0.275, 0.15, 0.02), (0.0, 0.0, 0.095), JET_BLACK),  # bumpers
         *rings,
         *_discs(sonars, 0.012),
         block((0.258, 0.2, 0.003), (0.0, 0.0, -0.0223), rgba),
-        block((0.245, 0.187, 0.003), (0.0, 0.0, -0.0283), LOOK_BLACK),
+        block((0.245, 0.187, 0.003), (0.0, 0.0, -0.0283), JET_BLACK),
         block((0.06, 0.06, 0.006), (scanner[0], 0.0, -0.0365), DARK),
         *sick(scanner),
         block((0.05, 0.07, 0.012), (-0.12, 0.0, -0.043), DARK),  # its radio, and the antenna
-        rod((-0.16, 0.05, -0.04), (-0.16, 0.05, -0.24), 0.004, LOOK_BLACK),
+        rod((-0.16, 0.05, -0.04), (-0.16, 0.05, -0.24), 0.004, JET_BLACK),
     )
 
 
-def at_wheel(y: float, radius: float, width: float) -> tuple[Shape, ...]:
+def p2at_wheel_visuals(y: float, radius: float, width: float) -> tuple[Shape, ...]:
     """Return a tyre as wide inward as the real one, on the side of `y`."""
     wide = 0.055
-    return wheel_looks(radius, wide, rim=0.5, shift=-math.copysign((wide - width) / 2, y), bars=2)
+    return wheel_visuals(radius, wide, rim=0.5, shift=-math.copysign((wide - width) / 2, y), bars=2)
 
 
-def dx_looks(sonars: Sequence[Mount], scanner: tuple[float, float, float], rgba: Rgba) -> tuple[Shape, ...]:
+def p2dx_visuals(
+    sonars: Sequence[Mount], scanner: tuple[float, float, float], rgba: Rgba
+) -> tuple[Shape, ...]:
     """Return a P2DX without its wheels and its camera."""
     return (
         block((0.06, 0.145, 0.06), (-0.02, 0.0, 0.08), rgba),
         drum(0.145, 0.06, (0.045, 0.0, 0.08), rgba),
         drum(0.145, 0.06, (-0.075, 0.0, 0.08), rgba),
-        drum(0.15, 0.02, (0.066, 0.0, 0.0), LOOK_BLACK),
+        drum(0.15, 0.02, (0.066, 0.0, 0.0), JET_BLACK),
         *_discs(sonars, 0.012),
         *(drum(0.165, 0.005, (x, 0.0, -0.015), rgba) for x in (0.055, -0.055)),
         block((0.055, 0.165, 0.005), (0.0, 0.0, -0.015), rgba),
-        block((0.1, 0.12, 0.003), (-0.03, 0.0, -0.021), LOOK_BLACK),
-        ball((0.0375, 0.0375, 0.0375), (-0.16, 0.0, 0.1625), LOOK_BLACK),
+        block((0.1, 0.12, 0.003), (-0.03, 0.0, -0.021), JET_BLACK),
+        ball((0.0375, 0.0375, 0.0375), (-0.16, 0.0, 0.1625), JET_BLACK),
         drum(0.02, 0.03, (-0.16, 0.0, 0.135), STEEL),
         block((0.06, 0.06, 0.018), (scanner[0], 0.0, scanner[2] + 0.068), DARK),
         *sick(scanner),
@@ -94,7 +98,7 @@ P2DX_RING_X = (0.115, 0.155, 0.19, 0.21, 0.21, 0.19, 0.155, 0.115)
 
 def _front_ring(xs: tuple[float, ...]) -> tuple[Mount, ...]:
     return tuple(
-        Mount(kind="Sonar", name=f"F{i}", at=(x, y, 0.0), direction=(0.0, 0.0, yaw), defaults=ON_THE_FLOOR)
+        Mount(kind="Sonar", name=f"F{i}", at=(x, y, 0.0), direction=(0.0, 0.0, yaw), defaults=LEVEL_SONAR)
         for i, (x, y, yaw) in enumerate(zip(xs, RING_Y, RING_YAW, strict=True), start=1)
     )
 
@@ -107,7 +111,7 @@ def _rear_ring(xs: tuple[float, ...]) -> tuple[Mount, ...]:
             name=f"R{i}",
             at=(-x, -y, 0.0),
             direction=(0.0, 0.0, yaw + math.pi if yaw <= 0 else yaw - math.pi),
-            defaults=ON_THE_FLOOR,
+            defaults=LEVEL_SONAR,
         )
         for i, (x, y, yaw) in enumerate(zip(xs, RING_Y, RING_YAW, strict=True), start=1)
     )
@@ -138,7 +142,7 @@ P2AT = RobotSpec(
         Shape(kind="box", size=(0.2619, P2AT_WIDTH / 2, 0.0207), at=(0.0, 0.0, -0.0106), rgba=BLACK),
         sick_housing(P2AT_SCANNER),
     ),
-    looks=at_looks((*_front_ring(P2AT_RING_X), *_rear_ring(P2AT_RING_X)), P2AT_SCANNER, RED),
+    looks=p2at_visuals((*_front_ring(P2AT_RING_X), *_rear_ring(P2AT_RING_X)), P2AT_SCANNER, RED),
     parts=tuple(
         replace(
             wheel(
@@ -148,7 +152,7 @@ P2AT = RobotSpec(
                 mass=1.0,  # chosen
                 motor=P2AT_MOTOR,
             ),
-            looks=at_wheel(y, P2AT_WHEEL, P2AT_WIDTH - P2AT_TRACK),
+            looks=p2at_wheel_visuals(y, P2AT_WHEEL, P2AT_WIDTH - P2AT_TRACK),
         )
         for name, x, y in (
             ("LeftFWheel", P2AT_BASE / 2, -P2AT_TRACK / 2),
@@ -226,7 +230,7 @@ P2DX = RobotSpec(
             rgba=RED,
         ),
     ),
-    looks=dx_looks(_front_ring(P2DX_RING_X), P2DX_SCANNER, RED),
+    looks=p2dx_visuals(_front_ring(P2DX_RING_X), P2DX_SCANNER, RED),
     parts=tuple(
         wheel(name, at=(0.0, y, 0.20 - P2DX_WHEEL), size=(P2DX_WHEEL, 0.037), mass=0.75, motor=P2DX_MOTOR)
         for name, y in (("LeftFWheel", -P2DX_TRACK / 2), ("RightFWheel", P2DX_TRACK / 2))
@@ -262,18 +266,18 @@ P2DX = RobotSpec(
 )
 
 
-LOOKS_UP: Vec3 = (-3.1415927, 1.5707964, 0.0)
+MIRROR_DIRECTION: Vec3 = (-3.1415927, 1.5707964, 0.0)
 """Direction of a camera towards the mirror above it (manual 10.15.2: Y=1.5707964, Z=-3.1415927)."""
 ORANGE: Rgba = (0.88, 0.36, 0.08, 1.0)
-ON_SCANNER = -0.11
+OMNI_BASE_Z = -0.11
 """Height of the base on the scanner's housing [m] (chosen)."""
 
 
 def _omni(
     base: RobotSpec, package: MissionPackage, link: int, at: Vec3, looks: tuple[Shape, ...]
 ) -> RobotSpec:
-    pillar = mount_package(package, (at[0], at[1], at[2] + ON_SCANNER))
-    eye = camera(at=(0.0, 0.0, -0.09), parent=f"{package.name}_Link{link}", direction=LOOKS_UP)
+    pillar = mount_package(package, (at[0], at[1], at[2] + OMNI_BASE_Z))
+    eye = camera(at=(0.0, 0.0, -0.09), parent=f"{package.name}_Link{link}", direction=MIRROR_DIRECTION)
     return replace(
         base,
         name=f"Omni{base.name}",
@@ -289,8 +293,8 @@ def _sonars(robot: RobotSpec) -> list[Mount]:
 
 
 OMNI_P2AT = _omni(
-    P2AT, PACKAGES.get("OmniCamPillar"), 4, P2AT_SCANNER, at_looks(_sonars(P2AT), P2AT_SCANNER, ORANGE)
+    P2AT, PACKAGES.get("OmniCamPillar"), 4, P2AT_SCANNER, p2at_visuals(_sonars(P2AT), P2AT_SCANNER, ORANGE)
 )
 OMNI_P2DX = _omni(
-    P2DX, PACKAGES.get("OmniCamera"), 1, P2DX_SCANNER, dx_looks(_sonars(P2DX), P2DX_SCANNER, ORANGE)
+    P2DX, PACKAGES.get("OmniCamera"), 1, P2DX_SCANNER, p2dx_visuals(_sonars(P2DX), P2DX_SCANNER, ORANGE)
 )

@@ -9,8 +9,8 @@ from usarmjx.models.robots.kit import (
     ACROSS,
     BLACK,
     DARK,
-    LOOK_BLACK,
-    ON_THE_FLOOR,
+    JET_BLACK,
+    LEVEL_SONAR,
     POSE_SENSORS,
     STEEL,
     block,
@@ -27,7 +27,7 @@ from usarmjx.models.robots.kit import (
     sonar_discs,
     wheel,
 )
-from usarmjx.models.robots.pioneer import P2AT, P2AT_SCANNER, at_looks
+from usarmjx.models.robots.pioneer import P2AT, P2AT_SCANNER, p2at_visuals
 from usarmjx.models.types.robot import Motor, Mount, Part, RobotSpec
 from usarmjx.models.types.shapes import Rgba, Shape
 
@@ -40,7 +40,7 @@ HALF_STEREO_BASELINE = 0.05  # half the distance of the eyes: manual 3.2.6.2's e
 STEREO_P2AT = replace(
     P2AT,
     name="StereoP2AT",
-    looks=at_looks([mount for mount in P2AT.sensors if mount.kind == "Sonar"], P2AT_SCANNER, WINE),
+    looks=p2at_visuals([mount for mount in P2AT.sensors if mount.kind == "Sonar"], P2AT_SCANNER, WINE),
     cameras=tuple(
         camera(name, at=(0.0820, 0.0002 + y, 0.0613))  # the P2AT's camera between them
         for name, y in (("Camera", -HALF_STEREO_BASELINE), ("Camera2", HALF_STEREO_BASELINE))
@@ -49,7 +49,7 @@ STEREO_P2AT = replace(
 )
 
 
-def atrv_looks(
+def atrv_visuals(
     sonars: Sequence[Mount], scanner: tuple[float, float, float], top: float, rgba: Rgba
 ) -> tuple[Shape, ...]:
     """Return an ATRVJr without its wheels and its camera; `top` is z of its deck."""
@@ -57,28 +57,28 @@ def atrv_looks(
     return (
         prism(lower, 0.19, DARK),
         prism([(0.385, 0.005), (0.30, top), (-0.30, top), (-0.385, 0.005)], 0.312, rgba, top=0.23),
-        block((0.27, 0.2, 0.004), (0.0, 0.0, top - 0.002), LOOK_BLACK),
+        block((0.27, 0.2, 0.004), (0.0, 0.0, top - 0.002), JET_BLACK),
         *(block((0.012, 0.17, 0.03), (x, 0.0, 0.12), rgba) for x in (0.39, -0.39)),
         *sonar_discs([((m.at[0], m.at[1], 0.06), m.direction[2]) for m in sonars], 0.042, 0.02),
         drum(0.03, 0.19, (0.0, 0.0, 0.1978), STEEL, ACROSS),
         block((0.06, 0.06, 0.006), (scanner[0], 0.0, top - 0.006), DARK),
         *sick(scanner),
         *(drum(0.012, 0.012, (-0.28, y, top - 0.015), (0.85, 0.1, 0.1, 1.0)) for y in (0.16, -0.16)),
-        rod((-0.26, 0.0, top), (-0.26, 0.0, top - 0.25), 0.006, LOOK_BLACK),
+        rod((-0.26, 0.0, top), (-0.26, 0.0, top - 0.25), 0.006, JET_BLACK),
     )
 
 
-def zerg_looks(length: float, rgba: Rgba) -> tuple[Shape, ...]:
+def zerg_visuals(length: float, rgba: Rgba) -> tuple[Shape, ...]:
     """Return a Zerg without its wheels and its camera: a flat body with sloping ends and a roll bar."""
     x = length / 2
     profile = mirrored([(x - 0.03, 0.035), (x, 0.02), (x - 0.04, -0.032)])
     return (
         prism(profile, 0.15, rgba),
-        block((0.085, 0.11, 0.003), (0.0, 0.0, -0.034), LOOK_BLACK),
-        block((0.006, 0.1, 0.012), (x - 0.004, 0.0, 0.018), LOOK_BLACK),
-        rod((-0.06, -0.13, -0.03), (-0.06, -0.13, -0.055), 0.006, LOOK_BLACK),
-        rod((-0.06, 0.13, -0.03), (-0.06, 0.13, -0.055), 0.006, LOOK_BLACK),
-        rod((-0.06, -0.13, -0.055), (-0.06, 0.13, -0.055), 0.006, LOOK_BLACK),
+        block((0.085, 0.11, 0.003), (0.0, 0.0, -0.034), JET_BLACK),
+        block((0.006, 0.1, 0.012), (x - 0.004, 0.0, 0.018), JET_BLACK),
+        rod((-0.06, -0.13, -0.03), (-0.06, -0.13, -0.055), 0.006, JET_BLACK),
+        rod((-0.06, 0.13, -0.03), (-0.06, 0.13, -0.055), 0.006, JET_BLACK),
+        rod((-0.06, -0.13, -0.055), (-0.06, 0.13, -0.055), 0.006, JET_BLACK),
     )
 
 
@@ -135,7 +135,7 @@ ATRV_RING = tuple(
         name=f"S{i}",
         at=(x / 1000, y / 1000, 0.0),
         direction=(0.0, 0.0, math.radians(yaw)),
-        defaults=ON_THE_FLOOR,
+        defaults=LEVEL_SONAR,
     )
     for i, (x, y, yaw) in enumerate(ATRV_SONARS, start=1)
 )
@@ -165,7 +165,7 @@ ATRVJR = RobotSpec(
         ),
         sick_housing(ATRV_SCANNER),
     ),
-    looks=atrv_looks(ATRV_RING, ATRV_SCANNER, ATRV_TOP, GREEN),
+    looks=atrv_visuals(ATRV_RING, ATRV_SCANNER, ATRV_TOP, GREEN),
     parts=_four_wheels(
         base=ATRV_BASE,
         track=ATRV_TRACK,
@@ -232,7 +232,7 @@ ZERG = RobotSpec(
             kind="box", size=(0.02, 0.15, 0.03), at=(-0.05, 0.0, ZERG_ORIGIN - ZERG_HEIGHT + 0.03), rgba=BLACK
         ),
     ),
-    looks=zerg_looks(ZERG_LENGTH, YELLOW),
+    looks=zerg_visuals(ZERG_LENGTH, YELLOW),
     parts=_four_wheels(
         base=ZERG_BASE,
         track=ZERG_TRACK,

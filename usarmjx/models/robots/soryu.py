@@ -30,9 +30,9 @@ END_BELT = replace(
     BELT, radius=BELT.radius - CROWN, max_spin=BELT.max_spin * BELT.radius / (BELT.radius - CROWN)
 )
 SEPARATION = WIDTH - BELT.width
-CAR = 0.38  # length of a car
-PITCH = (LENGTH - CAR) / 2  # from car to car
-AXLE = CAR / 2 - BELT.radius  # x of a car's first axle from its middle
+CAR_LENGTH = 0.38  # length of a car
+CAR_SPACING = (LENGTH - CAR_LENGTH) / 2  # from car to car
+AXLE = CAR_LENGTH / 2 - BELT.radius  # x of a car's first axle from its middle
 CAR_MASS = 2.6
 JOINT_MASS = 0.2
 TILT_MOTOR = Motor(max_speed=1.0, torque=50.0, stiffness=1000.0, damping=35.0, armature=0.5)
@@ -41,24 +41,24 @@ PAN_MOTOR = Motor(max_speed=1.0, torque=30.0, stiffness=600.0, damping=21.0, arm
 
 def _body(mass: float, at: Vec3 = (0.0, 0.0, 0.0)) -> tuple[Shape, ...]:
     """Return a car's hull between and inside its tracks; the wheels' rims stand out of it on all sides."""
-    half = (CAR / 2 - 0.04, WIDTH / 2 - 0.003, 0.02)
+    half = (CAR_LENGTH / 2 - 0.04, WIDTH / 2 - 0.003, 0.02)
     return (Shape(kind="box", size=half, at=at, mass=mass, rgba=YELLOW),)
 
 
-def _car_looks(x: float, belt: Belt = END_BELT) -> tuple[Shape, ...]:
+def _car_visuals(x: float, belt: Belt = END_BELT) -> tuple[Shape, ...]:
     """Return a car with its middle at x: two belts and a hull between, with a lid above and below."""
     belts = (belt.looks((x + AXLE, y, 0.0), (x - AXLE, y, 0.0)) for y in (-SEPARATION / 2, SEPARATION / 2))
     return (
         *(solid for track_looks in belts for solid in track_looks),
-        block((CAR / 2 - 0.015, 0.0115, 0.05), (x, 0.0, 0.0), YELLOW),
-        block((CAR / 2 - 0.05, WIDTH / 2 - 0.002, 0.012), (x, 0.0, 0.0), YELLOW),
+        block((CAR_LENGTH / 2 - 0.015, 0.0115, 0.05), (x, 0.0, 0.0), YELLOW),
+        block((CAR_LENGTH / 2 - 0.05, WIDTH / 2 - 0.002, 0.012), (x, 0.0, 0.0), YELLOW),
         *(block((0.05, 0.0118, 0.003), (x, 0.0, z), BLACK) for z in (-0.05, 0.05)),
     )
 
 
 def _face(x: float) -> tuple[Shape, ...]:
     """Return the two cameras and the lamps at the front of the first car."""
-    front = x + CAR / 2
+    front = x + CAR_LENGTH / 2
     return (
         *lens((front - 0.012, 0.0, -0.03), 0.01),
         *lens((front - 0.012, 0.0, 0.0), 0.01),
@@ -71,10 +71,10 @@ def _joint_pair(end: str, sign: int) -> tuple[Part, Part]:
 
     Positive pans the end to the left and tilts it up, in front as behind.
     """
-    x = sign * PITCH / 2
+    x = sign * CAR_SPACING / 2
     pan = Part(
         name=f"{end}Pan",
-        at=(sign * PITCH / 2, 0.0, 0.0),
+        at=(sign * CAR_SPACING / 2, 0.0, 0.0),
         axis=UP if sign > 0 else DOWN,
         motor=PAN_MOTOR,
         limits=(-0.8, 0.8),
@@ -92,7 +92,7 @@ def _joint_pair(end: str, sign: int) -> tuple[Part, Part]:
         motor=TILT_MOTOR,
         limits=(-1.5, 1.5),
         shapes=_body(CAR_MASS, (x, 0.0, 0.0)),
-        looks=(*_car_looks(x), *(_face(x) if sign > 0 else ())),
+        looks=(*_car_visuals(x), *(_face(x) if sign > 0 else ())),
     )
     return pan, tilt
 
@@ -100,13 +100,13 @@ def _joint_pair(end: str, sign: int) -> tuple[Part, Part]:
 def soryu(wheels: int = 4) -> RobotSpec:
     """Return the Soryu with a number of wheels in each of its six tracks (manual 12.10.2)."""
     joints = (*_joint_pair("Front", 1), *_joint_pair("Rear", -1))
-    cars = (("FrontTilt", PITCH / 2), (CHASSIS, 0.0), ("RearTilt", -PITCH / 2))
+    cars = (("FrontTilt", CAR_SPACING / 2), (CHASSIS, 0.0), ("RearTilt", -CAR_SPACING / 2))
     tracks: list[Part] = []
     for side, y in (("Left", -SEPARATION / 2), ("Right", SEPARATION / 2)):
         names = track_names(side, wheels * len(cars))
         for (parent, x), some in zip(cars, zip(*[iter(names)] * wheels, strict=True), strict=True):
             belt = BELT if parent == CHASSIS else END_BELT
-            out = CAR / 2 - belt.radius
+            out = CAR_LENGTH / 2 - belt.radius
             tracks += track(belt, some, (x + out, y, 0.0), (x - out, y, 0.0), parent)
     parts = (*joints, *tracks)
     return RobotSpec(
@@ -115,17 +115,17 @@ def soryu(wheels: int = 4) -> RobotSpec:
         mass=MASS,
         origin_height=BELT.radius,
         chassis=_body(MASS - mass_of(parts)),
-        looks=_car_looks(0.0, BELT),
+        looks=_car_visuals(0.0, BELT),
         parts=parts,
         drive=drive_tracks(parts, BELT),
         sensors=POSE_SENSORS,
         cameras=(
-            camera(at=(PITCH / 2 + CAR / 2, 0.0, -0.03), parent="FrontTilt"),
-            camera("Camera2", at=(PITCH / 2 + CAR / 2, 0.0, 0.0), parent="FrontTilt"),
+            camera(at=(CAR_SPACING / 2 + CAR_LENGTH / 2, 0.0, -0.03), parent="FrontTilt"),
+            camera("Camera2", at=(CAR_SPACING / 2 + CAR_LENGTH / 2, 0.0, 0.0), parent="FrontTilt"),
         ),
         wheel_radius=BELT.radius,
         wheel_separation=SEPARATION,
-        wheel_base=2 * (PITCH + AXLE),
+        wheel_base=2 * (CAR_SPACING + AXLE),
         reported_joints=tuple(joint.name for joint in joints),
         sources=(
             ("dimensions", "manual 12.15"),

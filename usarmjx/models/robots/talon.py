@@ -8,8 +8,8 @@ from usarmjx.models.robots.kit import (
     ALONG,
     BLACK,
     DARK,
+    JET_BLACK,
     LAMP,
-    LOOK_BLACK,
     POSE_SENSORS,
     STEEL,
     block,
@@ -29,8 +29,8 @@ from usarmjx.models.robots.track_kit import (
     Belt,
     drive_tracks,
     mass_of,
-    pair_looks,
     track_pair,
+    track_pair_visuals,
 )
 from usarmjx.models.types.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec
 from usarmjx.models.types.shapes import Shape
@@ -66,12 +66,12 @@ def _arm_motor(torque: float, armature: float) -> Motor:
     )
 
 
-def _arm_looks(length: float) -> tuple[Shape, ...]:
+def _arm_visuals(length: float) -> tuple[Shape, ...]:
     """Return a link of the arm: a joint, a tube, and the collar at its end."""
     return (
         drum(0.036, 0.04, rgba=DARK, rotation=ACROSS),
         rod((0.0, 0.0, 0.0), (length, 0.0, 0.0), 0.021, OLIVE, blunt=True),
-        drum(0.028, 0.015, (0.8 * length, 0.0, 0.0), LOOK_BLACK, ALONG),
+        drum(0.028, 0.015, (0.8 * length, 0.0, 0.0), JET_BLACK, ALONG),
     )
 
 
@@ -91,7 +91,7 @@ def _arm_link(
         min_range=limits[0],
         max_range=limits[1],
         shapes=(bar,),
-        looks=_arm_looks(length),
+        looks=_arm_visuals(length),
         motor=motor,
     )
 
@@ -118,14 +118,14 @@ def _talon_body(top: float) -> tuple[Shape, ...]:
             OLIVE,
         ),
         *(block((0.33, 0.07, 0.006), (0.0, y, top - 0.004), OLIVE) for y in (-0.2, 0.2)),  # fenders
-        block((0.12, 0.1, 0.03), (0.08, 0.0, top - 0.02), LOOK_BLACK),
+        block((0.12, 0.1, 0.03), (0.08, 0.0, top - 0.02), JET_BLACK),
         block((0.1, 0.05, 0.03), (-0.2, 0.2, top - 0.035), OLIVE),
         block((0.1, 0.05, 0.03), (-0.2, -0.2, top - 0.035), OLIVE),
         block((0.05, 0.06, 0.03), (-0.33, 0.0, top - 0.02), DARK),
         *(drum(0.022, 0.012, (0.385, y, -0.06), LAMP, ALONG) for y in (-0.08, 0.08)),
         *lens((0.372, 0.0, top - 0.002), 0.018),
-        rod((-0.3, 0.12, top), (-0.3, 0.12, top - 0.3), 0.006, LOOK_BLACK),
-        rod((-0.3, -0.12, top), (-0.3, -0.12, top - 0.3), 0.006, LOOK_BLACK),
+        rod((-0.3, 0.12, top), (-0.3, 0.12, top - 0.3), 0.006, JET_BLACK),
+        rod((-0.3, -0.12, top), (-0.3, -0.12, top - 0.3), 0.006, JET_BLACK),
     )
 
 
@@ -162,7 +162,7 @@ def talon(wheels: int = 10) -> RobotSpec:
                 rgba=OLIVE,
             ),
         ),
-        looks=(*pair_looks(TALON_BELT, **row), *_talon_body(top)),
+        looks=(*track_pair_visuals(TALON_BELT, **row), *_talon_body(top)),
         parts=parts,
         drive=drive_tracks(parts, TALON_BELT),
         packages=packages,
@@ -241,11 +241,11 @@ def rugbot(wheels: int = 3) -> RobotSpec:
             sick_housing(RUGBOT_SCANNER),
         ),
         looks=(
-            *pair_looks(RUGBOT_BELT, **row),
+            *track_pair_visuals(RUGBOT_BELT, **row),
             block((0.15, 0.062, 0.09), (0.0, 0.0, 0.0), DARK),
             block((0.13, RUGBOT_WIDTH / 2, 0.012), (0.0, 0.0, RUGBOT_DECK + 0.012), RED),
             prism([(0.12, -0.09), (0.1, RUGBOT_DECK), (-0.14, RUGBOT_DECK), (-0.16, -0.09)], 0.1, RED),
-            block((0.025, 0.05, 0.03), (-0.14, 0.0, RUGBOT_DECK - 0.03), LOOK_BLACK),
+            block((0.025, 0.05, 0.03), (-0.14, 0.0, RUGBOT_DECK - 0.03), JET_BLACK),
             *(drum(0.015, 0.006, (0.15, y, 0.03), LAMP, ALONG) for y in (-0.035, 0.035)),
             block((0.06, 0.06, 0.008), (RUGBOT_SCANNER[0], 0.0, RUGBOT_DECK), DARK),
             rod((-0.05, 0.0, RUGBOT_DECK), (-0.05, 0.0, RUGBOT_DECK - 0.04), 0.02, STEEL, blunt=True),

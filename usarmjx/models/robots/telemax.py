@@ -6,9 +6,10 @@ from typing import Literal
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.robots.kit import (
     ACROSS,
+    ALONG,
     BLACK,
+    JET_BLACK,
     LAMP,
-    LOOK_BLACK,
     POSE_SENSORS,
     block,
     camera,
@@ -18,7 +19,6 @@ from usarmjx.models.robots.kit import (
     prism,
     rod,
 )
-from usarmjx.models.robots.kit import ALONG as ALONG_TUBE
 from usarmjx.models.robots.track_kit import (
     FLIPPERS,
     GRIPPER_FINGERS_MASS,
@@ -26,8 +26,8 @@ from usarmjx.models.robots.track_kit import (
     Flippers,
     drive_tracks,
     mass_of,
-    pair_looks,
     track_pair,
+    track_pair_visuals,
 )
 from usarmjx.models.types.robot import CHASSIS, Link, MissionPackage, Motor, Mount, RobotSpec
 from usarmjx.models.types.shapes import Shape
@@ -65,11 +65,11 @@ TELEMAX_FLIPPERS = Flippers(
 # are the captured mounts of links 1 and 2 here; L3 and L4 are the upper arm up to and beyond the telescope's
 # joint, L5 is the lower arm, L6 and L7 the wrist.
 L3, L4, L5, L6, L7 = 0.4436, 0.18996, 0.3999, 0.125, 0.125
-TURN = 0.10  # chosen: from elbow to the joint that turns the lower arm
+FOREARM_OFFSET = 0.10  # chosen: from elbow to the joint that turns the lower arm
 RAISED: Vec3 = (math.pi, 0.0, 0.0)  # captured: z of the turret's frame points up
 TILT: Vec3 = (math.pi / 2, 0.0, 0.0)  # captured: z of the shoulder's to the right, so that positive lifts
-ALONG: Vec3 = (0.0, math.pi / 2, 0.0)  # from a tilting joint's frame to one with z ahead along the arm
-BACK: Vec3 = (0.0, -math.pi / 2, 0.0)  # and back
+TO_ROLL_AXIS: Vec3 = (0.0, math.pi / 2, 0.0)  # from a tilting joint's frame to one with z ahead along the arm
+TO_TILT_AXIS: Vec3 = (0.0, -math.pi / 2, 0.0)  # and back
 
 
 def _motor(torque: float, armature: float) -> Motor:
@@ -120,12 +120,12 @@ def _tube(bar: Shape) -> tuple[Shape, ...]:
     start, end = bar.at[0] - half, bar.at[0] + half
     return (
         rod((start, 0.0, 0.0), (end, 0.0, 0.0), 0.8 * thick, SILVER, blunt=True),
-        drum(1.15 * thick, 1.3 * thick, (max(start, 0.0), 0.0, 0.0), LOOK_BLACK, ACROSS),
-        drum(0.95 * thick, 0.012, (end - 0.012, 0.0, 0.0), BLUE, ALONG_TUBE),
+        drum(1.15 * thick, 1.3 * thick, (max(start, 0.0), 0.0, 0.0), JET_BLACK, ACROSS),
+        drum(0.95 * thick, 0.012, (end - 0.012, 0.0, 0.0), BLUE, ALONG),
     )
 
 
-ANY = (1.0, 0.0)  # captured for link 1: unlimited
+UNLIMITED = (1.0, 0.0)  # captured for link 1: unlimited
 SHOULDER, ELBOW, WRIST = _motor(300.0, 12.0), _motor(120.0, 4.0), _motor(40.0, 1.0)
 TELESCOPE = _motor(600.0, 20.0)
 
@@ -135,13 +135,23 @@ TELEMAX_ARM = MissionPackage(
     # others are chosen.
     name="TeleMaxArm",
     links=(
-        _link(1, ((0.1789, -0.0014, -0.0905), RAISED), ANY, SHOULDER, _bar(-0.05, 0.05, 0.1, 2.0)),
+        _link(1, ((0.1789, -0.0014, -0.0905), RAISED), UNLIMITED, SHOULDER, _bar(-0.05, 0.05, 0.1, 2.0)),
         _link(2, ((0.0258, -0.0720, 0.1566), TILT), (-0.5, 2.6), SHOULDER, _bar(0.0, L3, 0.06, 2.5)),
-        _link(3, ((L3, 0.0, 0.0), ALONG), (0.0, 0.3), TELESCOPE, _bar(-0.2, L4, 0.05, 1.2), "Prismatic"),
-        _link(4, ((0.0, 0.0, L4), BACK), (-2.6, 2.6), ELBOW, _bar(0.0, TURN, 0.05, 0.6)),
-        _link(5, ((TURN, 0.0, 0.0), ALONG), (-3.14, 3.14), WRIST, _bar(0.0, L5 - TURN, 0.05, 0.8)),
-        _link(6, ((0.0, 0.0, L5 - TURN), BACK), (-2.0, 2.0), WRIST, _bar(0.0, L6, 0.04, 0.4)),
-        _link(7, ((L6, 0.0, 0.0), ALONG), ANY, WRIST, _bar(-0.02, 0.005, 0.05, 0.2)),
+        _link(
+            3, ((L3, 0.0, 0.0), TO_ROLL_AXIS), (0.0, 0.3), TELESCOPE, _bar(-0.2, L4, 0.05, 1.2), "Prismatic"
+        ),
+        _link(4, ((0.0, 0.0, L4), TO_TILT_AXIS), (-2.6, 2.6), ELBOW, _bar(0.0, FOREARM_OFFSET, 0.05, 0.6)),
+        _link(
+            5,
+            ((FOREARM_OFFSET, 0.0, 0.0), TO_ROLL_AXIS),
+            (-3.14, 3.14),
+            WRIST,
+            _bar(0.0, L5 - FOREARM_OFFSET, 0.05, 0.8),
+        ),
+        _link(
+            6, ((0.0, 0.0, L5 - FOREARM_OFFSET), TO_TILT_AXIS), (-2.0, 2.0), WRIST, _bar(0.0, L6, 0.04, 0.4)
+        ),
+        _link(7, ((L6, 0.0, 0.0), TO_ROLL_AXIS), UNLIMITED, WRIST, _bar(-0.02, 0.005, 0.05, 0.2)),
     ),
 )
 
@@ -155,10 +165,10 @@ _TELEMAX_BODY = (
     block((0.24, 0.15, 0.012), (0.0, 0.0, -0.185), SILVER),
     block((0.16, 0.08, 0.02), (-0.1, 0.0, -0.165), BLUE),
     block((0.004, 0.07, 0.03), (0.341, 0.0, -0.05), BLUE),
-    *(drum(0.018, 0.01, (0.342, y, -0.09), LAMP, ALONG_TUBE) for y in (-0.07, 0.07)),
+    *(drum(0.018, 0.01, (0.342, y, -0.09), LAMP, ALONG) for y in (-0.07, 0.07)),
     *lens((0.342, 0.0, -0.1), 0.018),
-    drum(0.07, 0.05, (0.1789, -0.0014, -0.14), LOOK_BLACK),
-    rod((-0.22, 0.1, -0.19), (-0.22, 0.1, -0.45), 0.006, LOOK_BLACK),
+    drum(0.07, 0.05, (0.1789, -0.0014, -0.14), JET_BLACK),
+    rod((-0.22, 0.1, -0.19), (-0.22, 0.1, -0.45), 0.006, JET_BLACK),
 )
 
 
@@ -185,7 +195,7 @@ def telemax(wheels: int = 4) -> RobotSpec:
                 rgba=SILVER,
             ),
         ),
-        looks=(*pair_looks(TELEMAX_BELT, **row), *_TELEMAX_BODY),
+        looks=(*track_pair_visuals(TELEMAX_BELT, **row), *_TELEMAX_BODY),
         parts=parts,
         drive=drive_tracks(parts, TELEMAX_BELT),
         packages=packages,

@@ -128,7 +128,7 @@ def track(
     return _with_cleats(belt, row)
 
 
-def pair_looks(
+def track_pair_visuals(
     belt: Belt, *, separation: float, front: float, rear: float, height: float
 ) -> tuple[Shape, ...]:
     """Return the belts of a `track_pair` with the same arguments, visuals of the chassis."""

@@ -53,7 +53,7 @@ def _plate(size: Vec3) -> Shape:
     return Shape(kind="box", size=size, at=(-STERN, 0.0, 0.0), surface="fixture", rgba=GREY)
 
 
-def _looks() -> tuple[Shape, ...]:
+def _visuals() -> tuple[Shape, ...]:
     """Return a boat with a rounded bow, a tail cone, sail, rudders and planes, propeller and keel."""
     top, half = -HEIGHT / 2, RUDDER_AREA / CHORD / 2
     return (
@@ -117,7 +117,7 @@ SUBMARINE = RobotSpec(
         _plate((CHORD / 2, 0.02, RUDDER_AREA / CHORD / 2)),
         _plate((CHORD / 2, PLANE_AREA / CHORD / 2, 0.02)),
     ),
-    looks=_looks(),
+    looks=_visuals(),
     drive=Underwater(
         hull=Hull(
             radii=RADII,

@@ -9,8 +9,8 @@ from usarmjx.models.robots.kit import (
     ALONG,
     AMBER,
     DARK,
+    JET_BLACK,
     LAMP,
-    LOOK_BLACK,
     POSE_SENSORS,
     block,
     drum,
@@ -31,12 +31,12 @@ SCANNER = (0.22, 0.0, 0.03)  # in a recess below the deck
 YELLOW = (0.9, 0.7, 0.1, 1.0)
 
 
-def loader_looks(
+def loader_visuals(
     length: float, width: float, scanner: tuple[float, float, float], rgba: Rgba
 ) -> tuple[Shape, ...]:
     """Return a UnitLoader without wheels and rollers: a platform with warning stripes on its sides."""
     stripes = tuple(
-        block((0.022, width / 2 + 0.002, 0.0199), (x, 0.0, -0.05), LOOK_BLACK)
+        block((0.022, width / 2 + 0.002, 0.0199), (x, 0.0, -0.05), JET_BLACK)
         for x in (-0.24, -0.12, 0.0, 0.12, 0.24)
     )
     return (
@@ -61,7 +61,7 @@ UNIT_LOADER = RobotSpec(
         Shape(kind="box", size=(LENGTH / 2, WIDTH / 2, 0.02), at=(0.0, 0.0, -0.05), rgba=YELLOW),
         sick_housing(SCANNER),
     ),
-    looks=loader_looks(LENGTH, WIDTH, SCANNER, YELLOW),
+    looks=loader_visuals(LENGTH, WIDTH, SCANNER, YELLOW),
     parts=tuple(
         wheel(name, at=(x, y, ORIGIN - RADIUS), size=(RADIUS, WIDTH - TRACK), mass=1.0, motor=MOTOR)
         for name, x, y in (

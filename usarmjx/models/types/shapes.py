@@ -73,7 +73,7 @@ SURFACES = {
 """Contact parameters by the names that `Shape.surface` takes."""
 
 
-MOST_SLIP, MOST_SOFTNESS, NO_BOUNCE, MOST_BOUNCE = 10.0, 9.0, 1e-3, 0.95
+MAX_SLIP_FACTOR, MAX_SOFTNESS, MIN_RESTITUTION, MAX_RESTITUTION = 10.0, 9.0, 1e-3, 0.95
 """Limits of a tyre's contact: factor on or divisor of the slip, softness (settling time times one more than
 that), and the smallest and largest restitution. The solver is stable within them."""
 
@@ -118,17 +118,17 @@ class Tyre:
         """Return a stock tyre's surface changed by these parameters; it takes priority over the ground."""
         stock = Tyre(speed=self.speed)
         grip = math.sqrt(self.roll_friction * self.lateral_friction) / stock.roll_friction
-        slip = min(max(self.slip / stock.slip, 1 / MOST_SLIP), MOST_SLIP)
+        slip = min(max(self.slip / stock.slip, 1 / MAX_SLIP_FACTOR), MAX_SLIP_FACTOR)
         begins, deep, depth = surface.solimp
         # Damping ratio of a mass on a spring with that coefficient of restitution, at an unchanged frequency:
         # e = exp(-pi z / sqrt(1 - z^2)), solved for z.
-        loss = math.log(min(max(self.restitution, NO_BOUNCE), MOST_BOUNCE))
-        ratio = 1.0 if self.restitution <= NO_BOUNCE else -loss / math.hypot(math.pi, loss)
+        loss = math.log(min(max(self.restitution, MIN_RESTITUTION), MAX_RESTITUTION))
+        ratio = 1.0 if self.restitution <= MIN_RESTITUTION else -loss / math.hypot(math.pi, loss)
         return replace(
             surface,
             friction=surface.friction * grip,
             priority=max(surface.priority, 1),
-            solref=(surface.solref[0] * (1 + min(self.softness, MOST_SOFTNESS)) / ratio, ratio),
+            solref=(surface.solref[0] * (1 + min(self.softness, MAX_SOFTNESS)) / ratio, ratio),
             # MuJoCo's contact creeps in proportion to (1 - d) / d for impedance d: scaling that ratio scales
             # the slip.
             solimp=(*(1 / (1 + (1 / share - 1) * slip) for share in (begins, deep)), depth),

@@ -6,7 +6,7 @@ TEXTURES = ("brick", "tiles", "wood", "concrete", "chart", "hazmat", "tag", "qr"
 """All textures: patterns of walls and floors, and signs."""
 SIGNS = {"chart": 999, "hazmat": 5, "tag": 9, "qr": 9}
 """Textures that are signs in the middle of each face of a box, with their largest numbers (`tag:7`)."""
-KINDS = 16
+CODE_STRIDE = 16
 """Number of texture codes per sign number: a code is one plus the index of the texture, plus this times its
 number."""
 
@@ -23,17 +23,17 @@ def texture_problem(texture: str) -> str:
     return f"no texture {texture!r}; there is: {plain}, {signs}"
 
 
-def code_of(texture: str) -> int:
+def texture_code(texture: str) -> int:
     """Return the code of a texture; 0 is no texture."""
     name, _, number = texture.partition(":")
-    return TEXTURES.index(name) + 1 + KINDS * int(number or 0) if name else 0
+    return TEXTURES.index(name) + 1 + CODE_STRIDE * int(number or 0) if name else 0
 
 
-def numbers_of(code: Any) -> tuple[Any, Any]:  # noqa: ANN401 - a whole number, or an array of them
+def decode_texture(code: Any) -> tuple[Any, Any]:  # noqa: ANN401 - a whole number, or an array of them
     """Return the texture, counted from 1, and the sign number of codes."""
-    return code % KINDS, code // KINDS
+    return code % CODE_STRIDE, code // CODE_STRIDE
 
 
-def names_of(codes: Any) -> frozenset[str]:  # noqa: ANN401 - whole numbers
+def texture_names(codes: Any) -> frozenset[str]:  # noqa: ANN401 - whole numbers
     """Return the names of the textures of some codes."""
-    return frozenset(TEXTURES[int(code) % KINDS - 1] for code in codes if code)
+    return frozenset(TEXTURES[int(code) % CODE_STRIDE - 1] for code in codes if code)

@@ -34,7 +34,7 @@ def covering_geoms(plan: KinematicTree, body: int, at: np.ndarray) -> np.ndarray
     Those of the body itself, those nearer than `COVER_DISTANCE` with all joints at 0, and those that are
     drawn in the place of a solid so near, as the pieces of a housing are.
     """
-    drawn, solids = plan.figure.solids, plan.solids
+    drawn, solids = plan.visuals.solids, plan.solids
     (middles, drawn_mat), (pos, mat) = _rest_poses(plan, drawn), _rest_poses(plan, solids)
     lens = (plan.rest_pos[body] + plan.rest_frames[body] @ at)[None]
 

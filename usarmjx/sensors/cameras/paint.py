@@ -8,8 +8,8 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
-from usarmjx.models.compile.compose import ARENA as ARENA_NAMES
-from usarmjx.models.compile.compose import DOOR, LOOSE_PREFIX, VICTIM_PREFIX
+from usarmjx.models.compile.compose import ARENA_PREFIX as ARENA_NAMES
+from usarmjx.models.compile.compose import DOOR_PREFIX, LOOSE_PREFIX, VICTIM_PREFIX
 from usarmjx.models.compile.victims import victim_table
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import GLASS, MIRROR
@@ -111,7 +111,7 @@ def labels_of(model: mujoco.MjModel, arena: ArenaSpec) -> np.ndarray:
     starts = {
         ARENA_NAMES: ARENA_LABEL,
         LOOSE_PREFIX: LOOSE_LABEL,
-        DOOR: DOOR_LABEL,
+        DOOR_PREFIX: DOOR_LABEL,
         VICTIM_PREFIX: VICTIM_LABEL,
     }
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import on_numpy, xp
-from usarmjx.models.types.textures import SIGNS, TEXTURES, numbers_of
+from usarmjx.models.types.textures import SIGNS, TEXTURES, decode_texture
 
 QR_SIDE = 21
 """Cells along a side."""
@@ -214,7 +214,7 @@ def textured(
         place: Where along and up them [m], both (rays,).
         sign: Where on the largest square in the middle of their face, from -1 to 1, both (rays,).
     """
-    kind, number = numbers_of(code)
+    kind, number = decode_texture(code)
     for index, name in enumerate(TEXTURES, start=1):
         if name not in names:
             continue

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usarmjx.models.check.arena import ARM
+from usarmjx.models.check.arena import VICTIM_REACH
 from usarmjx.models.check.probe import in_water
 from usarmjx.models.compile.reachability import (
     DEFAULT_CELL_SIZE,
@@ -176,7 +176,7 @@ class _WayFinder:
 
     def beside(self, victim: Victim) -> int:
         """Return the square nearest to a victim that the robot may stand on; -1: none is near."""
-        found = [self._near(*part.at, ARM) for part in shapes_in_arena(victim)]
+        found = [self._near(*part.at, VICTIM_REACH) for part in shapes_in_arena(victim)]
         found = [node for node in found if node >= 0]
         if not found:
             return -1
@@ -187,7 +187,7 @@ class _WayFinder:
         if not len(self._points):
             return -1
         ground = self.map.ground[self._free]
-        away = np.hypot(*(self._points - (x, y)).T) + np.where(np.abs(ground - z) < ARM, 0.0, 10.0 * ARM)
+        away = np.hypot(*(self._points - (x, y)).T) + np.where(np.abs(ground - z) < VICTIM_REACH, 0.0, 10.0 * VICTIM_REACH)
         best = int(away.argmin())
         return best if away[best] <= most else -1
 

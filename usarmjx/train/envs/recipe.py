@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -10,10 +11,11 @@ import numpy as np
 
 from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
 from usarmjx.base.registry import Registry
+from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, SHARE, Setting, validate
 from usarmjx.base.worker_processes import spread
 from usarmjx.models.compile.reachability import RobotFootprint
 from usarmjx.models.generate import KINDS, Difficulty, generate
-from usarmjx.models.generate.kinds import USUAL_STARTS
+from usarmjx.models.generate.kinds import DEFAULT_STARTS
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.types.robot import Mount, RobotSpec
@@ -58,6 +60,7 @@ class Split:
 
 
 SPLITS: Registry[Split] = Registry("split")
+"""Splits of generated arenas by name; policies train on `train` alone."""
 SPLITS.add("train", Split(start=0, end=2**32))
 SPLITS.add("validation", Split(start=HELD_OUT_START, end=TEST_START, arenas=100))
 SPLITS.add("test", Split(start=TEST_START, end=HELD_OUT_END, arenas=200))
@@ -96,39 +99,40 @@ class GeneratedArenas:
     """A library of generated arenas, from easy to hard; every world gets another one at each reset.
 
     Attributes:
-        kind: A name of `models.generate.KINDS`.
+        kind: Kind of the arenas, a name of `models.generate.KINDS`.
         count: Arenas of each level.
-        levels: Difficulties from easy to hard, each from 0 to 1 (`Difficulty.of`).
+        levels: Difficulties from easy to hard (`Difficulty.of`).
         size: Columns and rows of cells of 1.2 m.
-        seed: Of the library; another seed gives arenas that were not trained on.
-        robot: The robot that passes: a class, or what it needs.
-        reachable: Share of the victims that it reaches.
-        victims: How many in each arena; None: one for 12 cells.
+        seed: Seed of the library; another seed gives arenas that were not trained on.
+        robot: Robot that passes: a class, or its footprint.
+        reachable: Share of the victims that the robot reaches.
+        victims: Victims in each arena; None: one for 12 cells.
         starts: Start poses of each, if it has as many free cells; a task asks for as many as it has robots.
-        split: What they are for, a name of `SPLITS`; only those of `train` may be trained on.
-        renewable: Whether a training goes on to other arenas, see `Config.renew`: there are more of them
-            than anybody can train on, and the model has `SPARE_ROOM` for what they have more of.
+        split: Use of the arenas, a name of `SPLITS`; only those of `train` may be trained on.
+        renewable: Let a training go on to other arenas, see `Config.arena_refresh_interval`: there are more
+            of them than anybody can train on, and the model has `SPARE_ROOM` for what they have more of.
     """
 
     kind: str = "maze"
-    count: int = 16
-    levels: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.0)
-    size: tuple[int, int] = (5, 4)
-    seed: int = 0
+    count: Annotated[int, AT_LEAST_ONE] = 16
+    levels: Annotated[tuple[float, ...], Setting(ge=0, le=1, min_length=1)] = (0.0, 0.25, 0.5, 0.75, 1.0)
+    size: Annotated[tuple[int, int], AT_LEAST_ONE] = (5, 4)
+    seed: Annotated[int, NOT_NEGATIVE] = 0
     robot: str | RobotFootprint = "P2AT"
-    reachable: float = 1.0
-    victims: int | None = None
-    starts: int = USUAL_STARTS
+    reachable: Annotated[float, SHARE] = 1.0
+    victims: Annotated[int | None, NOT_NEGATIVE] = None
+    starts: Annotated[int, AT_LEAST_ONE] = DEFAULT_STARTS
     split: str = "train"
     renewable: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what makes no library."""
-        if self.count < 1 or not self.levels or list(self.levels) != sorted(self.levels):
-            raise UsageError(
-                f"{self.count} arenas of levels {self.levels}: expected at least one of each level, and "
-                "levels that rise"
-            )
+        """Check the settings."""
+        validate(self)
+
+    def problem(self) -> str:
+        """Return the fault of levels that do not rise, in words; empty: there is none."""
+        rising = list(self.levels) == sorted(self.levels)
+        return "" if rising else f"levels are {self.levels}, expected numbers that rise"
 
     def of_split(self, split: str) -> "GeneratedArenas":
         """Return the same arenas of a split, as many of each level as that one is tried on."""

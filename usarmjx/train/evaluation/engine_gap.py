@@ -17,7 +17,7 @@ from usarmjx.models.generate import generate
 from usarmjx.models.types.arena import ArenaSpec, Water
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.batch import Batch, BatchState
-from usarmjx.sim.calibration import HORIZONS, random_orders
+from usarmjx.sim.calibration import HORIZONS, build_calibrated, random_orders
 from usarmjx.sim.scene import build_scene
 from usarmjx.train.envs.recipe import open_floor
 from usarmjx.train.envs.task import TaskView
@@ -177,7 +177,7 @@ def places_for(robot: RobotSpec) -> tuple[str, ...]:
     """Return the places that a class is compared in; none if neither it rolls nor flies nor dives."""
     if rolls(robot.drive):
         return "floor", "maze"
-    if not robot.drive.pushes:
+    if not robot.drive.applies_wrench:
         return ()
     return ("water",) if robot.drive.vehicle == "NauticVehicle" else ("air",)
 
@@ -206,7 +206,7 @@ def drive_around(robot: RobotSpec, arena: ArenaSpec, engine: str, orders: np.nda
     ranging = first_kind(robot, RANGE_KINDS)
     kept = tuple(one for one in robot.sensors if one.kind in (ranging, "Odometry"))
     scene = build_scene(arena, [replace(robot, sensors=kept, cameras=(), battery_life=1e6)])
-    batch = Batch(scene, worlds=orders.shape[1], engine=engine, shuffle=True)
+    batch = build_calibrated(lambda: Batch(scene, worlds=orders.shape[1], engine=engine, shuffle=True))
     kinds = [sensor.kind for sensor in scene.groups[0].suite.sensors]
     meets = jax.jit(jax.vmap(partial(_touches, scene)))
     state, looks = batch.reset(), list[tuple[np.ndarray, ...]]()
@@ -267,7 +267,7 @@ def drive_gap(
     arena = place_of(place, robot)
     orders = random_orders(robot, robots, round(HORIZONS[-1] / 0.02) + 1, seed)
     real, other = (drive_around(robot, arena, engine, orders) for engine in engines)
-    apart = real.distance(other, in_space=robot.drive.pushes)
+    apart = real.distance(other, in_space=robot.drive.applies_wrench)
     looks = [min(round(horizon / real.period), len(apart) - 1) for horizon in HORIZONS]
     cells = [f"{np.median(apart[look]):.2f} m" for look in looks]
     cells.append(" / ".join(_ranges_apart(real, other, look) for look in looks))

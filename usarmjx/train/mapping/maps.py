@@ -95,7 +95,7 @@ def grid_of(arenas: tuple[ArenaSpec, ...], cell: float = 0.3) -> MapGrid:
 def reachable_squares(arena: ArenaSpec, grid: MapGrid, size: RobotFootprint) -> np.ndarray:
     """Return in which squares' middles a robot's middle can be, from the first start pose (i, j)."""
     there = reach_map(arena, size.radius, size.step, height=size.height, cell=grid.cell / 6)
-    return there.reachable_places(grid.centres)
+    return there.reachable_points(grid.centres)
 
 
 def classify_scan(
