@@ -24,6 +24,7 @@ from usarmjx.engines import choose_engine
 from usarmjx.engines.c.batch import CEngine
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sim.batch import Batch
+from usarmjx.sim.calibration import build_calibrated
 from usarmjx.sim.ray_geometry import moved_geom_poses
 from usarmjx.sim.scene import Scene, build_scene
 
@@ -157,7 +158,7 @@ def mjx_rate(scene: Scene, worlds: int, steps: int, repeats: int) -> dict[str, A
         UsarmjxError: MJX cannot run the scene.
     """
     engine = choose_engine("auto", "batch")
-    batch = Batch(scene, worlds, engine=engine, shuffle=True)
+    batch = build_calibrated(lambda: Batch(scene, worlds, engine=engine, shuffle=True))
     state = batch.reset()
     body, given = bare_step(batch, jax.random.key(1), state)
     loop = repeat_loop(batch, body, steps, given)

@@ -28,6 +28,7 @@ from usarmjx.sensors.cameras.mounts import Camera, camera_index, cameras_of
 from usarmjx.sensors.cameras.picture import check_size
 from usarmjx.sensors.cameras.shading import daylight
 from usarmjx.sim.batch import Batch, BatchState
+from usarmjx.sim.calibration import build_calibrated
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.views import build_render_scene, map_pictures, render_group
 from usarmjx.sim.world import World
@@ -230,7 +231,7 @@ def measure_camera(case: CameraCase, file: Path | None = None, note: str = "", b
     if case.peer and find_spec("warp") is None:
         raise UsageError("MuJoCo Warp's renderer needs warp-lang: pip install usarmjx[cuda]")
     scene = build_scene(case.arena, [case.robot] * case.robots)
-    batch = Batch(scene, case.worlds, engine=case.engine, seed=case.seed)
+    batch = build_calibrated(lambda: Batch(scene, case.worlds, engine=case.engine, seed=case.seed))
     state = batch.reset()
     first, times, _ = time_repeats(_loop(case, batch, state), jnp.zeros(()), case.repeats)
     work = case.worlds * case.robots * case.steps

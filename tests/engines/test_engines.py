@@ -216,7 +216,7 @@ def test_commands_that_are_not_finite_reach_nobody(jax_batch):
 
 def test_one_compilation_serves_all_steps(jax_batch, driven):
     del driven
-    assert jax_batch.step._cache_size() == 1
+    assert jax_batch._step_program._cache_size() == 1
 
 
 def test_jax_tells_what_its_solver_met(jax_batch, driven):

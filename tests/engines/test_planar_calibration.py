@@ -9,12 +9,15 @@ import pytest
 from typer.testing import CliRunner
 
 import dev
-from tests.engines.eager import BLIND, EAGER
+import usarmjx
+from tests.engines.eager import AT_ONCE, BLIND, EAGER
 from usarmjx.cli.app import app
 from usarmjx.engines.planar import responses
-from usarmjx.engines.planar.responses import description_key, measured, rolls
+from usarmjx.engines.planar.responses import as_entry, description_key, measured, rolls, use_response
 from usarmjx.models.robots import ROBOTS
+from usarmjx.server import make_worlds
 from usarmjx.sim.calibration import calibrate, drive_log, ensure_calibrated, random_orders
+from usarmjx.train import open_floor
 
 GEOM = mujoco.mjtGeom
 
@@ -71,6 +74,54 @@ def test_a_robot_of_one_s_own_is_measured_once_and_kept(tmp_path, monkeypatch, c
     assert made == ["Own"]
     assert responses._own.pop(own) == response
     assert 0.5 < response.gain < 1.5
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """A robot of which nothing was measured; measuring it takes no time."""
+
+    def quick(robot):
+        use_response(robot, AT_ONCE)
+        return as_entry(robot, AT_ONCE)
+
+    robot = replace(ROBOTS.get("P2AT"), name="Mine", mass=31.0)
+    monkeypatch.setenv("USARMJX_CACHE", str(tmp_path))
+    monkeypatch.setattr("usarmjx.sim.calibration.calibrate", quick)
+    yield robot
+    responses._own.pop(robot, None)
+
+
+def test_a_batch_refuses_a_robot_that_was_not_measured_at_once(own, tmp_path, caplog):
+    scene = usarmjx.build_scene(open_floor(), [own, "P2AT"])
+    with pytest.raises(usarmjx.UnsupportedFeatureError) as refused:
+        usarmjx.Batch(scene, engine="planar")
+    assert "no motor response of Mine was measured" in str(refused.value)
+    assert "usarmjx.sim.ensure_calibrated(scene)" in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert not caplog.text
+    assert not [*tmp_path.iterdir()]
+    usarmjx.sim.ensure_calibrated(scene)
+    assert usarmjx.Batch(scene, engine="planar").engine
+    responses._own.pop(own)  # as in another process, which finds the file
+    assert usarmjx.Batch(scene, engine="planar").engine
+
+
+def test_make_measures_a_robot_before_it_builds(own, caplog):
+    env = usarmjx.make("drive-to-goal", engine="planar", robot=own, arena="floor")
+    assert env.scene.robots[0][0].name == "Mine"
+    assert "measuring how a Mine answers its motors" in caplog.text
+
+
+def test_serving_measures_a_robot_before_it_builds(own, monkeypatch, caplog):
+    monkeypatch.setattr(ROBOTS, "_entries", dict(ROBOTS._entries))
+    ROBOTS.add(own.name, own)
+    monkeypatch.setattr("usarmjx.server.worlds.make.SharedBatch", lambda batch: batch)  # as it compiles
+    monkeypatch.setattr("usarmjx.server.worlds.make.BatchWorld", lambda batch, number: batch)
+    (batch,) = make_worlds(
+        arena="yellow", engine="planar", worlds=1, instances=[0], roster="Mine:1", max_robots=1, seed=0
+    )
+    assert batch.scene.robots[0][0] == own
+    assert "measuring how a Mine answers its motors" in caplog.text
 
 
 def test_the_page_has_the_table_of_what_ships():

@@ -176,10 +176,10 @@ def test_no_recompilation_when_arenas_change():
     """Of a robot that compiles in half the time of one on wheels."""
     batch = Batch(build_scene(ARENAS, ["ComStation"]), 2, engine="jax")
     state = batch.step(batch.reset())
-    before = batch.step._cache_size()
+    before = batch._step_program._cache_size()
     for _ in range(3):
         state = batch.step(batch.reset_where(state, jnp.ones(2, bool)))
-    assert batch.step._cache_size() == before
+    assert batch._step_program._cache_size() == before
 
 
 DOOR = Door(name="d", at=(1, 1, 0))

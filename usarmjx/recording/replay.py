@@ -112,8 +112,10 @@ class _ReplayedBatch:
         self.scene = build_scene(
             arena, setup.roster, setup.physics, radio=setup.radio, mail=setup.mail, vary=setup.vary
         )
-        settings = {"seed": setup.seed, "first": setup.first, "shuffle": setup.shuffle}
-        self._batch = build_calibrated(lambda: Batch(self.scene, setup.worlds, engine=setup.kind, **settings))
+        scene, seed, first, shuffle = self.scene, setup.seed, setup.first, setup.shuffle
+        self._batch = build_calibrated(
+            lambda: Batch(scene, setup.worlds, engine=setup.kind, seed=seed, first=first, shuffle=shuffle)
+        )
         self._number, self._repeat, self._state = setup.number, setup.repeat, self._batch.reset()
         if setup.start is not None:
             engine, everywhere = self._batch.engine, jnp.ones(setup.worlds, bool)

@@ -79,14 +79,11 @@ def engine_of(scene: Scene, name: str, worlds: int) -> Engine[Any]:
     Raises:
         UnknownNameError: No such engine.
         UnsupportedFeatureError: The scene has a feature that the engine would ignore, or too long steps.
+        UncalibratedRobotError: Engine `planar` has no figures of a robot.
         EngineError: The engine cannot run here.
     """
     kind = choose_engine(name, "batch")
-    if kind == "planar":
-        from usarmjx.sim.calibration import ensure_calibrated
-
-        ensure_calibrated(robot for robot, _ in scene.robots)
-    elif scene.physics.timestep > LONGEST_SOLVED_STEP:
+    if kind != "planar" and scene.physics.timestep > LONGEST_SOLVED_STEP:
         raise UnsupportedFeatureError(
             f"engine {kind!r} cannot run this scene: physics steps of {scene.physics.timestep:g} s are for "
             f"engine planar, others take up to {LONGEST_SOLVED_STEP:g} s"
@@ -109,6 +106,8 @@ class Batch:
     Raises:
         UsageError: No worlds asked for.
         UnsupportedFeatureError: The scene has a feature that the engine would ignore.
+        UncalibratedRobotError: Engine `planar` has no figures of a robot, which
+            `usarmjx.sim.ensure_calibrated` measures.
         EngineError: The engine cannot run here.
         UnknownNameError: No such engine.
     """
@@ -146,18 +145,16 @@ class Batch:
         self._render_scene = self._compile(partial(render_scene_of_world, scene))
         self._links = self._compile(partial(update_links_of_worlds, scene))
         self._send = self._compile(jax.vmap(partial(send, scene)))
-        self.step: Callable[[BatchState], BatchState] = self._step
-        """Advance every world by one control step under the commands in force."""
-        self.reset_where: Callable[[BatchState, jax.Array], BatchState] = self._reset_where
-        """Start the next episode in the masked worlds (worlds,); the others keep every bit."""
+        self._step_program, self._reset_program = self._step, self._reset_where
         if self.engine.traceable:
-            self.step, self.reset_where = self._compile(self._step), self._compile(self._reset_where)
+            self._step_program = self._compile(self._step)
+            self._reset_program = self._compile(self._reset_where)
 
     def _keys_of(self, seed: int) -> jax.Array:
         return jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(self._numbers)
 
     def _compile(self, function: Callable[..., Any], static: tuple[int, ...] = ()) -> Callable[..., Any]:
-        return self.engine.waiting(compile_program(function, self._program_cache, "Batch", static=static))
+        return self.engine.blocking(compile_program(function, self._program_cache, "Batch", static=static))
 
     def reset(self, seed: int | None = None, arenas: ArenaState | None = None) -> BatchState:
         """Return all worlds at the start of their first episode.
@@ -173,6 +170,19 @@ class Batch:
         everywhere = jnp.ones(self.worlds, bool)
         physics = self.engine.reset(self.engine.start(), everywhere, qpos)
         return BatchState(physics=physics, worlds=worlds, arenas=arenas)
+
+    def step(self, state: BatchState) -> BatchState:
+        """Advance every world by one control step under the commands in force."""
+        return self._step_program(state)
+
+    def reset_where(self, state: BatchState, mask: jax.Array) -> BatchState:
+        """Start the next episode in some worlds; the others keep every bit.
+
+        Args:
+            state: The batch.
+            mask: Which worlds (worlds,).
+        """
+        return self._reset_program(state, mask)
 
     def _reset_worlds_where(
         self, worlds: World, arenas: ArenaState | None, mask: jax.Array
@@ -210,6 +220,8 @@ class Batch:
     def run(self, state: BatchState, steps: int, *, reset_bad: bool = True) -> BatchState:
         """Advance every world by some control steps, as `step` does, in fewer calls.
 
+        A subclass's own `step` is used, but not with `reset_bad=False`.
+
         Args:
             state: The batch.
             steps: How many.
@@ -218,7 +230,11 @@ class Batch:
         """
         if self.engine.traceable:
             step = self.step if reset_bad else partial(self._step, reset_bad=False)
-            return self.engine.waiting(jax.lax.fori_loop)(0, steps, lambda _, s: step(s), state)
+            return self.engine.blocking(jax.lax.fori_loop)(0, steps, lambda _, s: step(s), state)
+        if reset_bad and type(self).step is not Batch.step:
+            for _ in range(steps):
+                state = self.step(state)
+            return state
         if steps < 1:
             return state
         physics, now = state.physics, self.physics(state)

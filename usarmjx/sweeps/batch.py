@@ -19,9 +19,9 @@ from usarmjx.models.compile.arena_set import ArenaState
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.sim.batch import select_worlds
 from usarmjx.sweeps.resolve import Resolved
-from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState
 from usarmjx.train.envs.task import Policy
+from usarmjx.train.make import build_env
 
 Tick = Callable[[float], None]
 """Is told what share of a batch is done."""
@@ -68,7 +68,9 @@ class GroupRunner:
         self._places: dict[ArenaSpec, int] = {spec: place for place, spec in enumerate(library)}
         task = cells[0].task
         task = replace(task, arena=tuple(library)) if library else task
-        self.env = Env(task, size * self._episodes, name=cells[0].settings["task"], engine=engine, seed=seed)
+        self.env = build_env(
+            task, size * self._episodes, name=cells[0].settings["task"], engine=engine, seed=seed
+        )
         self._step = jax.jit(self._act)
 
     def run(self, chosen: Sequence[int], tick: Tick | None = None) -> list[CellEpisodes]:

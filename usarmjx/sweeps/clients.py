@@ -30,6 +30,7 @@ from usarmjx.sweeps.drivers import CellDriver
 from usarmjx.sweeps.resolve import Resolved
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy, TaskView
+from usarmjx.train.make import build_env
 
 HOST = "127.0.0.1"
 PATIENCE = 60.0
@@ -96,7 +97,7 @@ def play_client(cell: Resolved, driver: CellDriver, engine: str) -> CellEpisodes
     """
     begun, seed = time.perf_counter(), int(cell.settings["seed"])
     task = cell.task if cell.arenas is None else replace(cell.task, arena=cell.arenas)
-    env = Env(task, cell.episodes, name=cell.settings["task"], engine=engine, seed=seed)
+    env = build_env(task, cell.episodes, name=cell.settings["task"], engine=engine, seed=seed)
     shared = _Served(env, seed)
     worlds = [PolicyWorld(shared, number) for number in range(cell.episodes)]
     with bound_ports(HOST, count_up({"--port": 0}, cell.episodes)) as bound:

@@ -13,6 +13,7 @@ from types import ModuleType
 
 from usarmjx.base.errors import UnknownNameError, UsageError, quoted
 from usarmjx.models.compile.physics import Physics
+from usarmjx.sim.calibration import build_calibrated
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy, Task
@@ -219,6 +220,19 @@ def _steps_per_action(name: str, task: Task, physics: Physics) -> int:
     return steps
 
 
+def build_env(
+    task: Task, worlds: int, *, name: str, engine: str = "auto", seed: int = 0, first: int = 0
+) -> Env:
+    """Return the environment of a task, after measuring robots of which engine `planar` has no figures.
+
+    The arguments are those of `Env`.
+
+    Raises:
+        UsageError: A scene that cannot be built, or not run on this engine.
+    """
+    return build_calibrated(lambda: Env(task, worlds, name=name, engine=engine, seed=seed, first=first))
+
+
 def make(
     name: str,
     worlds: int = 1,
@@ -241,6 +255,5 @@ def make(
         UnknownNameError: No such task, or a field that it does not have; lists those there are.
         UsageError: A scene that cannot be built, or not run on this engine.
     """
-    return Env(
-        make_task(name, **overrides), worlds, name=full_name(name), engine=engine, seed=seed, first=first
-    )
+    task = make_task(name, **overrides)
+    return build_env(task, worlds, name=full_name(name), engine=engine, seed=seed, first=first)

@@ -8,7 +8,13 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
-from usarmjx.engines.planar.responses import Response, response_of, rolls
+from usarmjx.engines.planar.responses import (
+    Response,
+    UncalibratedRobotError,
+    response_of,
+    rolls,
+    uncalibrated,
+)
 from usarmjx.models.compile.kinematic_tree import KinematicTree, kinematic_tree_of
 from usarmjx.models.compile.layout import RobotIndex
 from usarmjx.models.drives.ackermann import Ackermann, Wheel
@@ -180,12 +186,14 @@ def rolling_groups(
     """Return the robots that roll, by class.
 
     Raises:
-        UnsupportedFeatureError: It is not known how a class answers its motors.
+        UncalibratedRobotError: The motor response of a class was not measured.
     """
     classes: dict[RobotSpec, list[int]] = {}
     for number, (robot, _) in enumerate(robots):
         if rolls(robot.drive):
             classes.setdefault(robot, []).append(number)
+    if missing := uncalibrated(classes):
+        raise UncalibratedRobotError(missing)
     return tuple(_group(model, robot, members, robots) for robot, members in classes.items())
 
 

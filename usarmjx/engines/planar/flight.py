@@ -12,7 +12,7 @@ import mujoco
 from usarmjx.base.arrays import Array
 from usarmjx.base.rotations import (
     Components,
-    Rows,
+    MatrixRows,
     apply,
     cross,
     dot,
@@ -79,8 +79,8 @@ class _Fixed(NamedTuple):
     """What of bodies does not change: their centres of mass, their inertia about these, and its inverse."""
 
     centre: Components
-    inertia: Rows
-    inverse: Rows
+    inertia: MatrixRows
+    inverse: MatrixRows
 
 
 def _step(body: _Fixed, pull: Components, torque: Components, h: float, now: _Moving) -> _Moving:

@@ -247,14 +247,10 @@ class Env:
         together = restart_batch_size(worlds, task.episode_steps)
         self._restart_some = self._compile(partial(restart_some, self.scene, task, together))
         self._library = self._compile(self._library_at)
-        self._restart: Callable[[EnvState, Array], EnvState] = self._restart_where
-        self.step: Callable[[EnvState, tuple[Array, ...]], EnvState] = self._step
-        """Advance every world by one action, per group (worlds, robots, action_size).
-
-        Numbers beyond +-1 count as +-1, those that are not numbers as 0.
-        """
+        self._step_program, self._restart = self._step, self._restart_where
         if self.traceable:
-            self.step, self._restart = self._compile(self._step), self._compile(self._restart_where)
+            self._step_program = self._compile(self._step)
+            self._restart = self._compile(self._restart_where)
         self._blanks, self._metrics = (
             self._shapes()
             if self.program_cache is None
@@ -433,6 +429,19 @@ class Env:
         if self._generated is None:
             return state.replace(level=level)
         return state.replace(batch=state.batch.replace(arenas=self._arenas(level, library)), level=level)
+
+    def step(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
+        """Advance every world by one action.
+
+        Args:
+            state: The environment's state.
+            actions: Actions per group (worlds, robots, action_size) from -1 to 1; larger ones are clipped,
+                and one that is no number counts as 0.
+
+        Raises:
+            UsageError: Actions of another shape.
+        """
+        return self._step_program(state, actions)
 
     def _step(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
         self._check(actions)

@@ -26,7 +26,7 @@ from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.task import TASKS
-from usarmjx.train.make import make_task
+from usarmjx.train.make import build_env, make_task
 from usarmjx.train.tasks.team import PERFECT_RADIO, TeamTask
 
 GAIN, UNLINKED = 0.1, 0.2
@@ -135,7 +135,7 @@ def measure(
     if not isinstance(team, TeamTask):
         raise UsageError(f"{name} is no task for a team: its robots have no radio")
     for variant, task in variants(few_arenas(team, worlds)).items():
-        env = Env(task, worlds, name=name, engine=engine)
+        env = build_env(task, worlds, name=name, engine=engine)
         runs = [run_variant(env, name, seed) for seed in seeds]
         means = [float(scores.mean()) for scores, _ in runs]
         ends = {key: float(np.mean([m[key].mean() for _, m in runs])) for key in runs[0][1]}

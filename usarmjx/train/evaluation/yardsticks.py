@@ -27,7 +27,7 @@ from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.evaluation.radio_matters import few_arenas
-from usarmjx.train.make import make_task
+from usarmjx.train.make import build_env, make_task
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.sources import PolicySource, arenas_of, find_source, task_settings
 from usarmjx.train.tasks.team import PERFECT_RADIO, TeamTask
@@ -302,7 +302,7 @@ def measure_teams(  # noqa: PLR0913 - all but the first may be left out
     for team, (change, driver) in {team: find_team(team) for team in teams}.items():
         own = task if team not in TEAMS and "advice" in overrides else change(task)
         if own not in envs:
-            envs[own] = Env(own, worlds, name=name, engine=engine)
+            envs[own] = build_env(own, worlds, name=name, engine=engine)
         rows.append(play_team(envs[own], own, driver(envs[own]), team, seed, watch))
         tell(rows[-1])
     return tuple(rows)
