@@ -226,7 +226,7 @@ def _step(world: DynamicWorld) -> None:
 
 def _wait_until_looked_at(page: ViewerPage, limit: float) -> None:
     end = time.monotonic() + limit
-    while not page.onlookers:
+    while not page.viewers:
         if time.monotonic() > end:
             raise UsageError(f"no browser came to the page within {limit:g} s")
         page.update()

@@ -89,13 +89,13 @@ class Studio:
         self._window.patience = SLOW
         metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
         self._window.call("Emulation.setDeviceMetricsOverride", **metrics)
-        self._window.wait(lambda: self.page.refresh() or self.page.onlookers)
+        self._window.wait(lambda: self.page.refresh() or self.page.viewers)
         self.draw(DRAWN)
 
     @property
-    def onlooker(self):
+    def viewer(self):
         """Who looks."""
-        return next(iter(self.page.onlookers.values()))
+        return next(iter(self.page.viewers.values()))
 
     def draw(self, seconds):
         """Let the browser draw for so long at least, and so often: what appears does so bit by bit."""
@@ -154,8 +154,8 @@ def film(browser, file):
     try:
         for number in range(FILM_SECONDS * FILM_RATE):
             if number == FILM_SECONDS * FILM_RATE // 2:
-                studio.onlooker.attach(0)
-                studio.onlooker.toggle()
+                studio.viewer.attach(0)
+                studio.viewer.toggle()
             advance([world], 1 / FILM_RATE)
             frames.append(studio.look())
             print(number, end=" ", flush=True)

@@ -112,9 +112,9 @@ def test_readings_that_met_nothing_go_along(seer):
     held = ReadingPoses(sensors_of(drawing, RangeScanner)[:1])
     far = (np.full_like(frame.robots[0].readings[0], 3.0), *frame.robots[0].readings[1:])
     frame = replace(frame, robots={0: replace(frame.robots[0], readings=far)})
-    assert held.look(frame) == [0]
+    assert held.update(frame) == [0]
     start = held.pos.copy()
-    assert held.look(replace(frame, pos=frame.pos + np.float32(1.0))) == [0]
+    assert held.update(replace(frame, pos=frame.pos + np.float32(1.0))) == [0]
     assert np.allclose(held.pos - start, 1.0, atol=1e-5)
 
 

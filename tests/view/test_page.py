@@ -31,8 +31,8 @@ def port_of(page):
 
 
 def camera_of(page):
-    (onlooker,) = page.onlookers.values()
-    return onlooker.client.camera
+    (viewer,) = page.viewers.values()
+    return viewer.client.camera
 
 
 def test_nothing_is_looked_at_before_somebody_comes_nor_more_often_than_twenty_times_a_second(
@@ -47,7 +47,7 @@ def test_nothing_is_looked_at_before_somebody_comes_nor_more_often_than_twenty_t
     assert source.asked == before
     monkeypatch.undo()
     with visiting(port_of(page)):
-        until(page, lambda: page.onlookers)
+        until(page, lambda: page.viewers)
         before = source.asked[0]
         monkeypatch.setattr(page_module.time, "monotonic", lambda: now[0])
         now[0] += 1e6
@@ -88,9 +88,9 @@ def test_a_phone_looks_from_further_away(page):
         def distance():
             return np.linalg.norm(visitor.of("SetCameraPositionMessage")[-1]["position"])
 
-        until(page, lambda: page.onlookers and distance() > 1.3 * wide)
+        until(page, lambda: page.viewers and distance() > 1.3 * wide)
     with visiting(port_of(page), aspect=1.7) as visitor:
-        until(page, lambda: page.onlookers and visitor.of("ReplayDoneMessage"))
+        until(page, lambda: page.viewers and visitor.of("ReplayDoneMessage"))
         assert all(
             np.linalg.norm(message["position"]) == pytest.approx(wide)
             for message in visitor.of("SetCameraPositionMessage")
@@ -99,39 +99,39 @@ def test_a_phone_looks_from_further_away(page):
 
 def test_several_people_look_from_where_each_wants_to(page):
     with visiting(port_of(page)) as one, visiting(port_of(page)) as other:
-        until(page, lambda: len(page.onlookers) == 2)
+        until(page, lambda: len(page.viewers) == 2)
         until(page, lambda: one.of("RegisterCommandMessage"))
         one.press(NEXT)
-        one_robot = lambda: sorted(str(o.robot) for o in page.onlookers.values())  # noqa: E731
+        one_robot = lambda: sorted(str(o.robot) for o in page.viewers.values())  # noqa: E731
         until(page, lambda: one_robot() == ["0", "None"])
         other.click((1.0, 0.0, 5.0), (0.0, 0.0, -1.0))
         until(page, lambda: one_robot() == ["0", "1"])
         assert page.robot == 1
-    until(page, lambda: not page.onlookers)
+    until(page, lambda: not page.viewers)
 
 
 def test_clicks_and_keys_do_what_they_did_in_the_viewing_client(page, source):
     with visiting(port_of(page)) as visitor:
-        until(page, lambda: page.onlookers and visitor.of("RegisterCommandMessage"))
-        (onlooker,) = page.onlookers.values()
+        until(page, lambda: page.viewers and visitor.of("RegisterCommandMessage"))
+        (viewer,) = page.viewers.values()
         nowhere = (0.0, 50.0, 5.0), (0.0, 0.0, -1.0)
         for expected in (0, 1, 0):  # a click beside all robots: the next one
             visitor.click(*nowhere)
-            until(page, lambda expected=expected: onlooker.robot == expected)
+            until(page, lambda expected=expected: viewer.robot == expected)
         assert camera_of(page).position == pytest.approx(np.add(CAMERA_AT, (0.0, 0.0, 0.2)))
         visitor.press(TOGGLE)
         until(page, lambda: camera_of(page).position[2] > 0.7)
         visitor.click(*nowhere, modifier="shift")
-        until(page, lambda: onlooker.robot is None)
+        until(page, lambda: viewer.robot is None)
         visitor.press(NEXT)
-        until(page, lambda: onlooker.robot == 0)
+        until(page, lambda: viewer.robot == 0)
         visitor.press(FREE)
-        until(page, lambda: onlooker.robot is None)
+        until(page, lambda: viewer.robot is None)
 
 
 def test_another_world_or_all_side_by_side(page, source):
     with visiting(port_of(page)) as visitor:
-        until(page, lambda: page.onlookers and visitor.of("GuiDropdownMessage"))
+        until(page, lambda: page.viewers and visitor.of("GuiDropdownMessage"))
         visitor.set("World", "world 1")
         until(page, lambda: page.world == 1)
         assert page.drawing is source.drawings[1]
@@ -151,12 +151,12 @@ def test_another_world_or_all_side_by_side(page, source):
 
 def test_robots_that_come_are_seen_and_views_of_those_that_went_are_free(page, source):
     with visiting(port_of(page)) as visitor:
-        until(page, lambda: page.onlookers and visitor.of("RegisterCommandMessage"))
-        (onlooker,) = page.onlookers.values()
+        until(page, lambda: page.viewers and visitor.of("RegisterCommandMessage"))
+        (viewer,) = page.viewers.values()
         visitor.click((1.0, 0.0, 5.0), (0.0, 0.0, -1.0))
-        until(page, lambda: onlooker.robot == 1)
+        until(page, lambda: viewer.robot == 1)
         source.change(0, drawing_of(robots=1))
-        until(page, lambda: onlooker.robot is None)
+        until(page, lambda: viewer.robot is None)
         assert page.drawing is source.drawings[0]
         source.change(0, drawing_of(robots=4))
         until(page, lambda: len(page.drawing.robots) == 4)
@@ -165,7 +165,7 @@ def test_robots_that_come_are_seen_and_views_of_those_that_went_are_free(page, s
 def test_switches_show_and_hide_layers(page):
     name = next(name for name, layer in LAYERS if layer.shown_at_first)
     with visiting(port_of(page)) as visitor:
-        until(page, lambda: page.onlookers and visitor.of("GuiCheckboxMessage"))
+        until(page, lambda: page.viewers and visitor.of("GuiCheckboxMessage"))
         labels = {message["props"]["label"] for message in visitor.of("GuiCheckboxMessage")}
         assert labels == {name for name, _ in LAYERS}
         layer = page.layers[name]
@@ -183,7 +183,7 @@ def test_what_fails_in_a_part_of_the_page_is_logged_and_stops_nobody(page, sourc
     layer = page._switches.on[0]
     monkeypatch.setattr(layer, "update", fail)
     with visiting(port_of(page)) as visitor, caplog.at_level(logging.ERROR):
-        until(page, lambda: page.onlookers)
+        until(page, lambda: page.viewers)
         drawing = source.drawings[0]
         source.frames[0] = replace(source.frames[0], pos=source.frames[0].pos + np.float32(0.5))
         until(page, lambda: "a layer's bug" in caplog.text)

@@ -18,7 +18,7 @@ from usarmjx.view import user_panels as people_module
 from usarmjx.view.controls import BY_CLIENT, BY_PAGE, ControlLock, StartPoseChoice, WorldStatus
 from usarmjx.view.drawing import RobotFrame
 from usarmjx.view.page import ViewerPage
-from usarmjx.view.robot_controls import DIRECTIONS, FORGET, DrivePad, pad_html
+from usarmjx.view.robot_controls import DIRECTIONS, HOLD_TIMEOUT, DrivePad, pad_html
 from usarmjx.view.robot_panel import MAX_POINTS, WINDOW, SensorPlot, state_html
 from usarmjx.view.user_panels import TAKE, UserPanels, banner_html
 
@@ -134,7 +134,7 @@ def test_only_who_has_the_controls_can_do_anything(page, controls, lock):
         say(one, TAKE)  # the same button, which by now gives them back
         until(page, lambda: lock.holder is None)
         one.say(_messages.GuiUpdateMessage(uuid=before, updates={"value": True}))
-        asked(page, controls, "let_go")
+        asked(page, controls, "release_all")
         take(page, other)
         say(other, "Single step")
         asked(page, controls, "step")
@@ -145,7 +145,7 @@ def test_who_goes_gives_the_controls_back_and_lets_go(page, controls, lock):
     with visiting(port_of(page)) as one:
         take(page, one)
     until(page, lambda: lock.holder is None)
-    assert controls.asked == [("let_go",)]
+    assert controls.asked == [("release_all",)]
 
 
 def test_where_nobody_may_there_is_no_button(world, controls):
@@ -374,9 +374,9 @@ def test_directions_add_up_and_are_forgotten_when_nothing_is_heard():
     pad.hold("up", 0.1)
     assert pad.told[-1] == (1.0, 1.0, 1.0)
     pad.release("up", 0.2)
-    pad.hold("right", 0.1 + FORGET)
+    pad.hold("right", 0.1 + HOLD_TIMEOUT)
     assert pad.told[-1] == (0.0, -1.0, 0.0)
-    pad.release("right", 0.2 + FORGET)
+    pad.release("right", 0.2 + HOLD_TIMEOUT)
     assert pad.told[-1] == (0.0, 0.0, 0.0)
     count = len(pad.told)
     pad.release("right", 1.0)

@@ -7,7 +7,7 @@ import pytest
 import viser
 
 from tests.view.simple_worlds import drawing_of, frame_of
-from usarmjx.view.stage import Stage, StagedWorld, in_rows
+from usarmjx.view.stage import Stage, StagedWorld, grid_offsets
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def batches(scene):
 
 def staged(scene, *drawings):
     stage = Stage(scene)
-    stage.begin([StagedWorld(*pair) for pair in zip(drawings, in_rows(drawings), strict=True)])
+    stage.begin([StagedWorld(*pair) for pair in zip(drawings, grid_offsets(drawings), strict=True)])
     stage.update([frame_of(drawing) for drawing in drawings])
     return stage
 
@@ -87,7 +87,7 @@ def test_robots_that_are_not_there_are_not_drawn(scene):
 
 def test_sixteen_worlds_stand_four_by_four_and_none_in_another(scene):
     drawings = [drawing_of(robots=1, floor=float(n % 2)) for n in range(16)]
-    offsets = in_rows(drawings)
+    offsets = grid_offsets(drawings)
     middles = np.array([drawing.extent.mean(1) for drawing in drawings]) + np.array(offsets)[:, :2]
     assert len(np.unique(middles[:, 0].round(6))) == len(np.unique(middles[:, 1].round(6))) == 4
     apart = np.abs(middles[:, None] - middles[None])

@@ -14,14 +14,14 @@ from usarmjx.sensors.cameras.mounts import cameras_of
 from usarmjx.sensors.cameras.picture import camera_viewpoint
 from usarmjx.view.viewpoint import (
     FOV,
-    USED,
+    FILL_SHARE,
     Viewer,
     ViewMode,
     Walls,
     bounds_of,
     camera_pose,
     chase_pose,
-    framed,
+    fit_box,
     robot_on_ray,
 )
 
@@ -30,7 +30,7 @@ LOW, HIGH = np.array([-10.0, -6.0, 0.0]), np.array([10.0, 6.0, 1.5])
 
 @pytest.mark.parametrize("aspect", [0.5, 1.0, 1.6, 2.4])
 def test_a_box_fills_the_picture_and_all_of_it_is_seen(aspect):
-    pose = framed(LOW, HIGH, aspect)
+    pose = fit_box(LOW, HIGH, aspect)
     ahead = (pose.look_at - pose.pos) / np.linalg.norm(pose.look_at - pose.pos)
     right = np.cross(ahead, pose.up) / np.linalg.norm(np.cross(ahead, pose.up))
     corners = np.array(np.meshgrid(*zip(LOW, HIGH, strict=True))).reshape(3, -1).T - pose.pos
@@ -39,7 +39,7 @@ def test_a_box_fills_the_picture_and_all_of_it_is_seen(aspect):
     aside = corners @ right / (corners @ ahead) / half / aspect
     assert (corners @ ahead > 0).all()
     fullest = max(np.abs(up).max(), np.abs(aside).max())
-    assert USED - 0.08 <= fullest <= 1.0
+    assert FILL_SHARE - 0.08 <= fullest <= 1.0
 
 
 def test_what_stands_in_a_world_is_in_its_bounds():
@@ -84,24 +84,24 @@ def test_over_a_robot_one_looks_from_where_no_wall_hides_it():
     frame = frame_of(drawing)
     robot, walls = drawing.robots[0], Walls(drawing)
     client = SimpleNamespace(atomic=contextlib.nullcontext, camera=SimpleNamespace(fov=FOV))
-    onlooker = Viewer(client, robot=0, mode=ViewMode.OVER)
+    viewer = Viewer(client, robot=0, mode=ViewMode.OVER)
     turn = {"away from the wall": (0.7071, 0, 0, 0.7071), "along it": (1.0, 0, 0, 0)}
     frame.pos[1:4] = (-2.0, 0.4, 0.2)  # the wall is along the x axis, 2 m high, in reach of the view
     heights = {}
     for name, quat in turn.items():
         frame.quat[1:4] = quat
-        onlooker.attach(0)
-        onlooker.update(drawing, frame, np.zeros(3))
+        viewer.attach(0)
+        viewer.update(drawing, frame, np.zeros(3))
         heights[name] = client.camera.position[2]
-        assert not walls.hide(frame.pos[1] + [0, 0, 0.1], client.camera.position[None])[0]
+        assert not walls.occluded(frame.pos[1] + [0, 0, 0.1], client.camera.position[None])[0]
     assert heights["along it"] == pytest.approx(chase_pose(robot, frame).pos[2])
     assert heights["away from the wall"] > heights["along it"] + 0.5
-    assert walls.hide(frame.pos[1] + [0, 0, 0.1], np.array([[-2.0, -1.0, 0.5]]))[0]
+    assert walls.occluded(frame.pos[1] + [0, 0, 0.1], np.array([[-2.0, -1.0, 0.5]]))[0]
     frame.quat[1:4] = turn["away from the wall"]
-    onlooker.update(drawing, frame, np.zeros(3))
+    viewer.update(drawing, frame, np.zeros(3))
     assert client.camera.position[2] < heights["away from the wall"], "not at one leap"
     for _ in range(20):
-        onlooker.update(drawing, frame, np.zeros(3))
+        viewer.update(drawing, frame, np.zeros(3))
     assert client.camera.position[2] == pytest.approx(heights["away from the wall"])
 
 
@@ -141,28 +141,28 @@ class Client:
 
 def test_robots_follow_one_another_and_c_goes_from_the_camera_over_it():
     drawing = drawing_of(robots=3)
-    frame, onlooker = frame_of(drawing), Viewer(Client())
+    frame, viewer = frame_of(drawing), Viewer(Client())
     seen = []
     for _ in range(4):
-        onlooker.attach_next(drawing, frame)
-        seen.append(onlooker.robot)
+        viewer.attach_next(drawing, frame)
+        seen.append(viewer.robot)
     assert seen == [0, 1, 2, 0]
-    assert onlooker.mode is ViewMode.CAMERA
-    onlooker.update(drawing, frame, np.array([100.0, 0.0, 0.0]))
-    assert onlooker.client.camera.position == pytest.approx(np.add(CAMERA_AT, (100.0, 0.0, 0.2)))
-    assert onlooker.client.camera.fov == 1.0
-    onlooker.toggle()
-    onlooker.update(drawing, frame, np.zeros(3))
-    assert onlooker.client.camera.position == pytest.approx(chase_pose(drawing.robots[0], frame).pos)
-    assert onlooker.client.camera.fov == FOV
-    onlooker.attach_next(drawing, frame, step=-1)
-    assert (onlooker.robot, onlooker.mode) == (2, ViewMode.OVER)
-    onlooker.free()
-    assert (onlooker.robot, onlooker.mode) == (None, ViewMode.FREE)
+    assert viewer.mode is ViewMode.CAMERA
+    viewer.update(drawing, frame, np.array([100.0, 0.0, 0.0]))
+    assert viewer.client.camera.position == pytest.approx(np.add(CAMERA_AT, (100.0, 0.0, 0.2)))
+    assert viewer.client.camera.fov == 1.0
+    viewer.toggle()
+    viewer.update(drawing, frame, np.zeros(3))
+    assert viewer.client.camera.position == pytest.approx(chase_pose(drawing.robots[0], frame).pos)
+    assert viewer.client.camera.fov == FOV
+    viewer.attach_next(drawing, frame, step=-1)
+    assert (viewer.robot, viewer.mode) == (2, ViewMode.OVER)
+    viewer.free()
+    assert (viewer.robot, viewer.mode) == (None, ViewMode.FREE)
 
 
 def test_who_is_with_a_robot_that_leaves_looks_freely():
-    onlooker = Viewer(Client())
-    onlooker.attach(1)
-    onlooker.update(drawing_of(robots=1), frame_of(drawing_of(robots=1)), np.zeros(3))
-    assert onlooker.robot is None
+    viewer = Viewer(Client())
+    viewer.attach(1)
+    viewer.update(drawing_of(robots=1), frame_of(drawing_of(robots=1)), np.zeros(3))
+    assert viewer.robot is None

@@ -18,13 +18,13 @@ import socket
 import struct
 import time
 from collections import deque
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from types import TracebackType
+    from typing import Self
 
 SEGMENT = re.compile(r"\{([^{}]*)\}")
 AUTH = "AUTH {Token %s}\r\n"
@@ -74,10 +74,14 @@ class ServerMessage:
         return pose[0], pose[1], pose[2]
 
 
-class ClientSocket(AbstractContextManager):
-    """What all clients are: a socket that is closed by `close`, or at the end of `with`."""
+class ClientSocket:
+    """A socket that is closed by `close`, or at the end of `with`: the base of all clients."""
 
     _socket: socket.socket
+
+    def __enter__(self) -> Self:
+        """Return the client."""
+        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -91,7 +95,7 @@ class ClientSocket(AbstractContextManager):
 
 
 def connect(host: str, port: int, timeout: float, token: str | None, auth: str = AUTH) -> socket.socket:
-    """Return a connection; a server that asks for its token hangs up on anything else before."""
+    """Return a connection; a server that requires its token hangs up on anything else before it."""
     connection = socket.create_connection((host, port), timeout)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     token = os.environ.get("USARMJX_TOKEN", "") if token is None else token
@@ -116,7 +120,7 @@ def format_line(kind: str, segments: dict[str, object]) -> str:
 
     def text(value: object) -> str:
         if isinstance(value, (tuple, list)):
-            return ",".join(text(part) for part in value)
+            return ",".join(text(part) for part in cast("Sequence[object]", value))
         return f"{value:.4f}" if isinstance(value, float) else str(value)
 
     return " ".join([kind, *(f"{{{key} {text(value)}}}" for key, value in segments.items())])
@@ -126,10 +130,10 @@ class UsarsimClient(ClientSocket):
     """One connection, which is one robot: it leaves the world when the connection closes.
 
     Args:
-        host: Where the server runs.
+        host: Address of the server.
         port: Its Gamebots port.
-        timeout: How long to wait for a connection or an answer [s of real time]; then TimeoutError.
-        token: The server's token, if it asks for one; None: that of the variable USARMJX_TOKEN, if it is set.
+        timeout: Longest wait for a connection or an answer [s of real time]; then TimeoutError.
+        token: The server's token, if it requires one; None: that of the variable USARMJX_TOKEN, if it is set.
 
     Attributes:
         greeting: The server's first line; its "Level" is the arena.
@@ -178,12 +182,12 @@ class UsarsimClient(ClientSocket):
         self._socket.sendall((format_line(kind, segments) + "\r\n").encode("latin-1"))
 
     def start_poses(self) -> list[tuple[str, tuple[float, ...], tuple[float, ...]]]:
-        """Return tag, location and rotation of the arena's start places."""
+        """Return tag, location and rotation of the arena's start poses."""
         self.send("GETSTARTPOSES")
         answer = self._wait_for("NFO", "start poses")
         words = " ".join(f"{key} {value}" for key, value in answer.segments[1:]).split()
-        places, turns = ([_numbers(word) for word in words[i::3]] for i in (1, 2))
-        return list(zip(words[::3], places, turns))  # noqa: B905
+        locations, rotations = ([_numbers(word) for word in words[i::3]] for i in (1, 2))
+        return list(zip(words[::3], locations, rotations))  # noqa: B905
 
     def init(
         self,
@@ -195,13 +199,13 @@ class UsarsimClient(ClientSocket):
         """Spawn the robot and return its first status.
 
         Args:
-            class_name: What it is, such as USARBot.P2AT.
-            name: What it shall be called.
-            location: Where, x y z [m] in the server's axes.
+            class_name: Its class, such as USARBot.P2AT.
+            name: Its name.
+            location: Position, x y z [m] in the server's axes.
             rotation: Roll, pitch and yaw [rad] in the server's axes.
 
         Raises:
-            TimeoutError: It does not report: servers say nothing about a class they do not know.
+            TimeoutError: It does not report: servers answer nothing to a class they do not know.
         """
         self.send("INIT", ClassName=class_name, Name=name, Location=location, Rotation=rotation)
         status = self._wait_for("STA", f"a report of the new {class_name}")
@@ -213,12 +217,12 @@ class UsarsimClient(ClientSocket):
         self.send("DRIVE", Left=left, Right=right, **({"Normalized": True} if normalized else {}))
 
     def view(self, client: str, robot: str = "", camera: str = "") -> None:
-        """Show a robot's camera to an image client, by its address or `CameraClient.name`; none lets go."""
+        """Show a robot's camera to an image client (address or `CameraClient.name`); no robot unbinds it."""
         named = {"Robot": robot, "Name": camera, "Client": client}
         self.send("SET", Type="Camera", **{key: value for key, value in named.items() if value})
 
     def zoom(self, camera: str, fov: float) -> float:
-        """Set a camera's field of view [rad], 0 for its default, and return what it has become."""
+        """Set a camera's field of view [rad], 0 for its default, and return the new one."""
         self.send("SET", Type="Camera", Name=camera, FOV=fov)
         answer = self._wait_for("RES", "an answer to SET")
         fovs = dict(zip(answer.values("Name"), answer.values("FOV")))  # noqa: B905
@@ -229,7 +233,7 @@ class UsarsimClient(ClientSocket):
         self.send("MULTIDRIVE", **joints)
 
     def geo(self, type_name: str, name: str = "") -> ServerMessage:
-        """Return where sensors are mounted, or the size of the robot (type Robot)."""
+        """Return the mounts of sensors, or the size of the robot (type Robot)."""
         return self._ask("GETGEO", type_name, name)
 
     def conf(self, type_name: str, name: str = "") -> ServerMessage:
@@ -240,7 +244,7 @@ class UsarsimClient(ClientSocket):
         """Send an order to a sensor or effecter; return its RES, None for types without one."""
         last = {"Params": params} if params != "" else {}
         self.send("SET", Type=type_name, Name=name, Opcode=opcode, **last)
-        # A server moves joints without a RES.
+        # A server moves joints without a RES: waiting for one would time out.
         return None if type_name.lower() == "joint" else self._wait_for("RES", f"a RES to {opcode}")
 
     def _ask(self, kind: str, type_name: str, name: str) -> ServerMessage:
@@ -248,7 +252,7 @@ class UsarsimClient(ClientSocket):
         return self._wait_for(kind[3:], f"{kind} {type_name}")
 
     def _wait_for(self, kind: str, what: str) -> ServerMessage:
-        """Return the next message of a kind; what arrives before it is handed out later."""
+        """Return the next message of a kind; messages before it are handed out later."""
         passed: list[ServerMessage] = []
         deadline = time.monotonic() + self.timeout
         try:
@@ -283,7 +287,7 @@ class CameraClient(ClientSocket):
             image = camera.picture()
             pathlib.Path("picture.jpg").write_bytes(image.jpeg)
 
-    Which camera it is of is set by `view` of the robot's client.
+    `view` of the robot's client selects the camera.
     """
 
     def __init__(
@@ -294,7 +298,7 @@ class CameraClient(ClientSocket):
         self._first = True
 
     def picture(self) -> Image:
-        """Return the next picture; the first one that a camera takes may need some seconds."""
+        """Return the next picture; the first one of a camera may take some seconds."""
         if not self._first:
             self._socket.sendall(b"OK")
         self._first = False

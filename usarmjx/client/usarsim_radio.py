@@ -1,7 +1,7 @@
 """The radio (manual 3.2.4), by the standard library and the file `usarsim_client.py` beside this one.
 
-A robot's messages to other robots go through the wireless server, which lets through what a radio would. It
-has two dialects; in both, a robot waits at a door for others to call.
+A robot's messages to other robots go through the wireless server, which passes only those that a radio would
+carry. It has two dialects; in both, a robot waits at a listening port, its door, for others to call.
 """
 
 from __future__ import annotations  # for older Pythons than usarmjx needs
@@ -23,7 +23,7 @@ except ImportError:  # without usarmjx: copies of both files lie in one folder
 
 
 class RadioError(ConnectionError):
-    """The wireless server cannot do what was asked; the text is its reason."""
+    """A request failed at the wireless server; the text is its reason."""
 
 
 class RadioLink(ClientSocket):
@@ -31,7 +31,7 @@ class RadioLink(ClientSocket):
 
     Args:
         connection: The socket.
-        framed: Whether what is sent has to be wrapped into SEND (dialect A); what comes is bare anyway.
+        framed: Whether sent bytes are wrapped into SEND (dialect A); received ones are bare in both dialects.
     """
 
     def __init__(self, connection: socket.socket, framed: bool) -> None:
@@ -39,11 +39,11 @@ class RadioLink(ClientSocket):
         self._socket, self._framed = connection, framed
 
     def send(self, data: bytes) -> None:
-        """Send bytes. They are lost without a word when there is no signal; then the link closes."""
+        """Send bytes. Without a signal they are lost silently; then the link closes."""
         self._socket.sendall(b"SEND %d %b;" % (len(data), data) if self._framed else data)
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return what has come, b"" if the link is closed, or None if nothing comes in time [s]."""
+        """Return the received bytes, b"" if the link is closed, or None if nothing comes in time [s]."""
         if not select.select([self._socket], [], [], timeout)[0]:
             return None
         try:
@@ -52,7 +52,7 @@ class RadioLink(ClientSocket):
             return b""
 
     def peer_port(self) -> int:
-        """Return the wireless server's port of this link, which dialect B tells callers by."""
+        """Return the wireless server's port of this link, by which dialect B identifies callers."""
         return self._socket.getpeername()[1]
 
 
@@ -72,7 +72,7 @@ class RadioDoor(ClientSocket):
 
 
 class _Control(ClientSocket):
-    """A control connection: questions, and answers that end in `end`; `auth` says the token."""
+    """A control connection: requests, and answers that end in `end`; `auth` is the line with the token."""
 
     end, auth = b"", AUTH
 
@@ -83,7 +83,7 @@ class _Control(ClientSocket):
         self._bytes = b""
 
     def ask(self, text: str) -> str:
-        """Send a question and return the answer, both without their ends."""
+        """Send a request and return the answer, both without their ends."""
         self._socket.sendall(text.encode("latin-1") + self.end)
         while self.end not in self._bytes:
             data = self._socket.recv(4096)
@@ -103,7 +103,7 @@ class WirelessA(_Control):
             link = door.accept(10.0)            link.send(b"hello")
             link.receive(10.0)
 
-    Every method raises RadioError when the server says no, without a signal for instance.
+    Every method raises RadioError when the server refuses, without a signal for instance.
     """
 
     end, auth = b";", "AUTH %s;"
@@ -114,14 +114,14 @@ class WirelessA(_Control):
         super().__init__(host, port, timeout, token)
 
     def order(self, text: str) -> str:
-        """Send a message; return what follows the OK."""
+        """Send a message; return the text after the OK."""
         answer = self.ask(text)
         if not answer.startswith("OK"):
             raise RadioError(answer.removeprefix("Fail: "))
         return answer[2:].lstrip(":")
 
     def register(self, robot: str) -> None:
-        """Say that the controller of a robot is here."""
+        """Register the controller of a robot at this machine's address."""
         self.order(f"REGISTER {robot} {self.address}")
 
     def listen(self, robot: str, port: int = 0) -> RadioDoor:
@@ -131,11 +131,11 @@ class WirelessA(_Control):
         return door
 
     def listen_again(self, robot: str, door: RadioDoor) -> None:
-        """Let another link come to a door: the last one has used up its LISTEN."""
+        """Accept another link at a door: the last one has used up its LISTEN."""
         self.order(f"LISTEN {robot} {door.port}")
 
     def connect(self, robot: str, other: str, port: int) -> RadioLink:
-        """RadioLink a robot to another one that listens on a port."""
+        """Link a robot to another one that listens on a port."""
         with RadioDoor(True, host=self.address) as door:
             self.order(f"OPEN {robot} {door.port} {other} {port}")
             return door.accept(self.timeout)
@@ -153,7 +153,7 @@ class WirelessB(_Control):
             radio.caller(link)  # R2            link.send(b"hello")
 
     Attributes:
-        door: Where others call.
+        door: Listening port that others call.
     """
 
     end = b"\r\n"
@@ -189,7 +189,7 @@ class WirelessB(_Control):
         return RadioLink(socket.create_connection((self.host, number), self.timeout), False)
 
     def caller(self, link: RadioLink) -> str:
-        """Return which robot has made a link that came to the door."""
+        """Return the robot that made a link at the door."""
         return self.order("REVERSEDNS", Port=link.peer_port()).value("Robot")
 
     def strength(self, other: str) -> float:
@@ -197,6 +197,6 @@ class WirelessB(_Control):
         return float(self.order("GETSS", Robot=other).value("Strength"))
 
     def close(self) -> None:
-        """Leave the wireless server: nobody can call any more."""
+        """Leave the wireless server: no robot can call any more."""
         super().close()
         self.door.close()

@@ -3,9 +3,8 @@
     python -m usarmjx serve --arena yellow &
     python -m usarmjx.client.wander --port 3000 --seconds 20 --json log.json
 
-Everything here works through `usarsim_client.py`, as any controller does, and needs only that file. Times
-are the server's, so that it does the same at any speed of the simulation. Axes are the server's too: x
-forward, y right, yaw clockwise.
+The program uses only `usarsim_client.py`, as any controller does. Times are the server's, so that it does the
+same at any speed of the simulation. Axes are the server's too: x forward, y right, yaw clockwise.
 """
 
 import argparse
@@ -16,13 +15,14 @@ import time
 from collections import deque
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 try:
     from usarmjx.client.usarsim_client import ServerMessage, UsarsimClient
 except ImportError:  # without usarmjx: a copy of its usarsim_client.py lies beside this file
     from usarsim_client import ServerMessage, UsarsimClient
 
-START = (4.5, 1.9, 1.8)  # the manual's place for DM-USAR_yellow (Table 2)
+START = (4.5, 1.9, 1.8)  # the manual's start position for DM-USAR_yellow (Table 2)
 
 # The P2AT (its GETGEO and GETCONF say the same).
 WHEEL_RADIUS = 0.13  # m
@@ -42,22 +42,24 @@ STEER = 0.8  # m/s between the wheels per metre of that
 FAR = 9.0  # m: nothing there
 NEAR, REMEMBER = 1.0, 8.0  # m and s: which echoes are remembered, and how long
 
-Point = tuple[float, float]  # on the robot [m]
-Place = tuple[float, float, float]  # x [m], y [m], yaw [rad] of a sonar on the robot
+Point = tuple[float, float]
+"""Point in the robot's axes [m]."""
+Pose2D = tuple[float, float, float]
+"""x [m], y [m] and yaw [rad], of a sonar on the robot or of the robot."""
 
 
-def mounts(geo: ServerMessage) -> dict[str, Place]:
-    """Return where each sonar of a GEO message is."""
-    places = {}
+def mounts(geo: ServerMessage) -> dict[str, Pose2D]:
+    """Return the pose of each sonar in a GEO message."""
+    found: dict[str, Pose2D] = {}
     for name, item in geo.items().items():
         x, y, _ = (float(n) for n in item["Location"].split(","))
-        places[name] = (x, y, float(item["Orientation"].split(",")[2]))
-    return places
+        found[name] = (x, y, float(item["Orientation"].split(",")[2]))
+    return found
 
 
-def echoes(ranges: dict[str, float], sonars: dict[str, Place]) -> list[Point]:
-    """Return the points that the sonars' axes hit, on the robot [m]."""
-    points = []
+def echoes(ranges: dict[str, float], sonars: dict[str, Pose2D]) -> list[Point]:
+    """Return the points that the sonars' axes hit, in the robot's axes [m]."""
+    points: list[Point] = []
     for name, distance in ranges.items():
         x, y, yaw = sonars[name]
         points.append((x + distance * math.cos(yaw), y + distance * math.sin(yaw)))
@@ -65,22 +67,22 @@ def echoes(ranges: dict[str, float], sonars: dict[str, Place]) -> list[Point]:
 
 
 def clearance(points: list[Point]) -> float:
-    """Return the distance from the hull to the nearest echo [m], as far as the sonars can tell."""
+    """Return the distance from the hull to the nearest echo [m]."""
     gaps = [(max(abs(x) - HALF_LENGTH, 0.0), max(abs(y) - HALF_WIDTH, 0.0)) for x, y in points]
     return min(math.hypot(*gap) for gap in gaps)
 
 
 class Memory:
-    """Near echoes of the last seconds, where odometry says they are.
+    """Near echoes of the last seconds, at their positions by the estimated pose.
 
-    A sonar no longer hears a low block once it is close; what was heard on the way there must do.
+    A sonar loses a low block once it is close; the echoes on the way there replace it.
     """
 
     def __init__(self) -> None:
-        self.points: deque = deque()  # (time, x, y) in the frame of the odometry
+        self.points: deque[tuple[float, float, float]] = deque()  # (time, x, y) in the frame of the pose
 
-    def add(self, now: float, pose: Place, points: list[Point]) -> None:
-        """Remember those of the points on the robot that lie near and in front; forget old ones."""
+    def add(self, now: float, pose: Pose2D, points: list[Point]) -> None:
+        """Remember the points that are near and in front; forget old ones."""
         x, y, yaw = pose
         cos, sin = math.cos(yaw), math.sin(yaw)
         for px, py in points:
@@ -89,8 +91,8 @@ class Memory:
         while self.points and self.points[0][0] < now - REMEMBER:
             self.points.popleft()
 
-    def around(self, pose: Place) -> list[Point]:
-        """Return the remembered points on the robot at its present pose."""
+    def around(self, pose: Pose2D) -> list[Point]:
+        """Return the remembered points in the robot's axes at its present pose."""
         x, y, yaw = pose
         cos, sin = math.cos(yaw), math.sin(yaw)
         offsets = [(px - x, py - y) for _, px, py in self.points]
@@ -98,12 +100,12 @@ class Memory:
 
 
 def steer(points: list[Point], remembered: list[Point], turning: int = 0) -> tuple[float, float, int]:
-    """Decide how to drive from the points that the sonars have hit.
+    """Decide on wheel speeds from the points that the sonars have hit.
 
     Args:
-        points: x and y of each on the robot [m].
-        remembered: Likewise, of what they have hit before.
-        turning: What the last decision returned: -1 turning left in place, 1 right, 0 driving.
+        points: Echoes in the robot's axes [m].
+        remembered: Earlier echoes in the robot's axes [m].
+        turning: Result of the last decision: -1 turning left in place, 1 right, 0 driving.
 
     Returns:
         Left and right wheel speed [rad/s], and whether it turns in place now.
@@ -123,7 +125,7 @@ def steer(points: list[Point], remembered: list[Point], turning: int = 0) -> tup
 
 
 def room_ahead(points: list[Point], margin: float) -> float:
-    """Return how far the robot can drive straight on with a margin on both sides [m]."""
+    """Return the free distance straight ahead with a margin on both sides [m]."""
     lane = HALF_WIDTH + margin
     return min([x for x, y in points if abs(y) < lane and x > 0], default=FAR) - HALF_LENGTH
 
@@ -142,24 +144,24 @@ def freer_side(points: list[Point]) -> int:
 
 @dataclass
 class WanderLog:
-    """What happened, in the server's axes and units.
+    """Log of a run, in the server's axes and units.
 
     Attributes:
         track: Per report time [s], truth, odometry and INS as (x [m], y [m], yaw [rad]).
-        scan: Ranges [m] of the last laser scan, its fov [rad], where the scanner is on the robot,
+        scan: Ranges [m] of the last laser scan, its fov [rad], the scanner's pose on the robot,
             and the robot's true pose then (None when the run ended before it came).
         min_clearance: Least distance from hull to echo [m].
-        messages: How many of each kind came.
+        messages: Number of messages of each kind.
     """
 
-    track: list = field(default_factory=list)
-    scan: dict = field(default_factory=dict)
+    track: list[list[Any]] = field(default_factory=list[list[Any]])
+    scan: dict[str, Any] = field(default_factory=dict[str, Any])
     min_clearance: float = math.inf
-    messages: dict = field(default_factory=dict)
+    messages: dict[str, int] = field(default_factory=dict[str, int])
 
 
 class Wanderer:
-    """Takes in messages and drives.
+    """Processes messages and drives.
 
     Args:
         robot: The connection; its robot exists.
@@ -170,7 +172,7 @@ class Wanderer:
         self.log = WanderLog()
         self.memory = Memory()
         self.turning = 0
-        self.poses: dict[str, Place] = {}  # the latest of each pose sensor, by its type
+        self.poses: dict[str, Pose2D] = {}  # the latest of each pose sensor, by its type
         self.sonars = mounts(robot.geo("Sonar"))
         self.scanner = mounts(robot.geo("RangeScanner"))
         self.began = self.now = -1.0
@@ -180,7 +182,7 @@ class Wanderer:
         shown = 0
         ranges: dict[str, float] = {}
         while self.began < 0 or self.now - self.began < seconds:
-            # Decide on the newest data: take all that has come, and wait only when nothing has.
+            # Decide on the newest data: process all received messages, and wait only without any.
             message = self.robot.receive(0.0 if ranges else self.robot.timeout)
             if message is not None:
                 ranges = self.take(message) or ranges
@@ -196,7 +198,7 @@ class Wanderer:
         return self.log
 
     def take(self, message: ServerMessage) -> dict[str, float]:
-        """Note what a message says; return the ranges of a sonar message."""
+        """Record a message; return the ranges of a sonar message."""
         kind = message.value("Type") if message.kind == "SEN" else message.kind
         self.log.messages[kind] = self.log.messages.get(kind, 0) + 1
         self.now = message.time() or self.now
@@ -210,7 +212,7 @@ class Wanderer:
         if kind == "GroundTruth" and len(self.poses) == 3:
             poses = (self.poses[name] for name in ("GroundTruth", "Odometry", "INS"))
             self.log.track.append([self.now, *poses])
-            # It ends a report, so a scan before it is of the same moment.
+            # Ground truth ends a report, so a scan before it is of the same moment.
             if self.log.scan and not self.log.scan["pose"]:
                 self.log.scan["pose"] = self.poses["GroundTruth"]
         return message.ranges() if kind == "Sonar" else {}
@@ -220,7 +222,7 @@ class Wanderer:
         points = echoes(ranges, self.sonars)
         self.log.min_clearance = min(self.log.min_clearance, clearance(points))
         pose = self.poses.get("INS")
-        # Not the odometry: skid steering makes it believe that the robot turns more than it does.
+        # INS, not odometry: with skid steering odometry estimates larger turns than the true ones.
         remembered = self.memory.around(pose) if pose else []
         left, right, self.turning = steer(points, remembered, self.turning)
         self.robot.drive(left, right)
@@ -228,7 +230,7 @@ class Wanderer:
             self.memory.add(self.now, pose, points)
 
     def account(self) -> str:
-        """Return one line for the terminal."""
+        """Return the present state as one line for the terminal."""
         x, y, _ = self.poses.get("INS", (math.nan,) * 3)
         doing = {-1: "turning left", 0: "driving", 1: "turning right"}[self.turning]
         return f"INS {x:6.2f} {y:6.2f}  clear by {self.log.min_clearance:.2f} m  {doing}"

@@ -4,14 +4,14 @@ import csv
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
 from usarmjx.recording.reader import RecordedMessage, Recording
-from usarmjx.view.drawing import Drawing, DrawnMount, Frame
+from usarmjx.view.drawing import Drawing, Frame
 
 SUFFIXES = (".csv", ".parquet")
 """Suffixes of table files."""
@@ -100,10 +100,11 @@ def _frame_rows(table: str, when: tuple[float, int], frame: Frame, drawing: Draw
 
 
 def _reading_rows(time: float, world: int, content: dict[str, Any], drawing: Drawing) -> Iterator[TableRow]:
-    for slot, sensor, value in zip(content["slots"], content["sensors"], content["values"], strict=True):
+    slots, sensors = cast(tuple[int, ...], content["slots"]), cast(tuple[int, ...], content["sensors"])
+    for slot, sensor, value in zip(slots, sensors, content["values"], strict=True):
         if slot in drawing.robots:
             robot = drawing.robots[slot]
-            mount: DrawnMount = robot.sensors[sensor]
+            mount = robot.sensors[sensor]
             for index, number in enumerate(np.asarray(value).reshape(-1).tolist()):
                 yield time, world, robot.name, mount.kind, mount.names[0], index, number
 

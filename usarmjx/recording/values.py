@@ -63,7 +63,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401
     if isinstance(value, tuple):
         return [*cast(tuple[object, ...], value)]
     if isinstance(value, np.ndarray):
-        array: np.ndarray = value
+        array = cast(np.ndarray[Any, Any], value)
         if array.dtype == object:
             return {WORDS: [str(item) for item in array.tolist()]}
         if array.dtype.kind in NUMBERS:
@@ -74,7 +74,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401
         return str(value) if isinstance(value, str) else int(value)
     if isinstance(value, Mapping):
         return dict(cast(Mapping[str, object], value))
-    kind: type[Any] = type(value)
+    kind: type[object] = type(cast(object, value))
     if _kinds().get(kind.__name__) is not kind:
         raise UsageError(f"a {kind.__name__} cannot be recorded, as only usarmjx's own values can")
     return {KIND: kind.__name__, **{name: getattr(value, name) for name in _names(kind)}}

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -93,7 +93,7 @@ class Capture:
                 bodies.append(DrawnBody(name=name, shape=key, slot=NOBODY, label=label))
             for group in scene.groups:
                 shapes |= _robot_shapes(group)
-                for slot in group.slots.tolist():
+                for slot in cast(list[int], group.slots.tolist()):
                     given = None if names is None else names.get(slot)
                     name = given or scene.roster[slot].name or f"{group.robot.name}{slot}"
                     robots[slot] = _drawn_robot(group, slot, name, len(bodies))

@@ -1,7 +1,7 @@
-"""What may be done to worlds from the page, whoever runs them; and the seat of the one who may.
+"""Controls of worlds on the page, whichever program runs them, and the lock of the one user who holds them.
 
 All methods of `WorldControls` return at once and may be called from any thread: they leave a request, which
-is carried out between two control steps. What could not be done stands in `WorldStatus.last_error`.
+is carried out between two control steps. The reason of a failure stands in `WorldStatus.last_error`.
 """
 
 import threading
@@ -12,7 +12,7 @@ from typing import Protocol
 from usarmjx.base.transforms import Vec3
 
 BY_PAGE, BY_CLIENT, BY_POLICY = "page", "client", "policy"
-"""Who drives a robot: somebody at the page, a client over TCP, or a policy."""
+"""Drivers of a robot: a user of the page, a client over TCP, or a policy."""
 
 
 @dataclass(frozen=True)
@@ -26,20 +26,20 @@ class StartPoseChoice:
 
 @dataclass(frozen=True)
 class WorldStatus:
-    """How a world goes.
+    """Status of a world.
 
     Attributes:
         time: Simulated time since the world began [s].
-        realtime_factor: Simulated seconds per second, of late.
-        paused: Whether it stands still.
-        speed: Simulated seconds per second that are wanted; 0: as many as there can be.
-        connections: How many clients are connected.
-        bad_worlds: How often a whole world was reset as its physics had gone bad.
-        put_back: How many robots and objects were put back as their physics had gone bad.
+        realtime_factor: Recent simulated seconds per second.
+        paused: Whether it is paused.
+        speed: Wanted simulated seconds per second; 0: as many as possible.
+        connections: Number of connected clients.
+        bad_worlds: Number of resets of the whole world after its physics diverged.
+        put_back: Number of robots and objects that were returned to their initial poses for that reason.
         put_back_names: The last of them.
-        errors: How many requests could not be carried out so far.
-        last_error: Why the last of them could not.
-        drivers: Who drives each robot, by slot.
+        errors: Number of failed requests so far.
+        last_error: Reason of the last failure.
+        drivers: Driver of each robot, by slot.
         taken_over: Slots of clients' robots that the page drives meanwhile.
     """
 
@@ -58,21 +58,21 @@ class WorldStatus:
 
 
 class WorldControls(Protocol):
-    """What may be done to worlds that run together, which are numbered as the page's source numbers them.
+    """Controls of worlds that run together; their numbers are those of the page's source.
 
     Attributes:
-        reset_about: What a reset does to a world, in a line.
+        reset_about: Description of a reset, in one line.
     """
 
     reset_about: str
 
     @property
     def classes(self) -> Sequence[str]:
-        """Robot classes that can appear."""
+        """Robot classes that can be spawned."""
         ...
 
     def status(self, world: int) -> WorldStatus:
-        """Return how a world goes."""
+        """Return the status of a world."""
         ...
 
     def starts(self, world: int) -> Sequence[StartPoseChoice]:
@@ -80,23 +80,23 @@ class WorldControls(Protocol):
         ...
 
     def pause(self, on: bool) -> None:
-        """Let all worlds stand still, or go on."""
+        """Pause all worlds, or let them go on."""
         ...
 
     def step(self, steps: int = 1) -> None:
-        """Let worlds that stand still make so many control steps."""
+        """Let paused worlds make some control steps."""
         ...
 
     def set_speed(self, factor: float) -> None:
-        """Set how many simulated seconds a second shall have; 0: as many as there can be."""
+        """Set the simulated seconds per second; 0: as many as possible."""
         ...
 
     def reset(self, world: int) -> None:
-        """Put a world back to its start; the others keep every bit."""
+        """Restart a world; the others keep every bit."""
         ...
 
     def take_over(self, world: int, slot: int, on: bool = True) -> None:
-        """Drive a robot that a client or a policy has, or give it back; meanwhile it obeys the page only."""
+        """Take over a robot from its client or policy, or give it back; meanwhile only the page drives it."""
         ...
 
     def drive(self, world: int, slot: int, values: Mapping[str, float]) -> None:
@@ -104,7 +104,7 @@ class WorldControls(Protocol):
         ...
 
     def set_joint(self, world: int, slot: int, joint: str, position: float) -> None:
-        """Let a joint go to a position [rad or m]."""
+        """Move a joint to a position [rad or m]."""
         ...
 
     def set_light(self, world: int, slot: int, on: bool) -> None:
@@ -116,35 +116,35 @@ class WorldControls(Protocol):
         ...
 
     def operate(self, world: int, slot: int, effecter: str, opcode: str, value: float | None = None) -> None:
-        """Let a robot operate an effecter, as SET does."""
+        """Operate an effecter of a robot, as SET does."""
         ...
 
     def spawn(self, world: int, robot: str, name: str, pos: Vec3, yaw: float) -> None:
-        """Let a robot of a class appear with no client.
+        """Spawn a robot of a class with no client.
 
         Args:
-            world: In which world.
+            world: Number of the world.
             robot: Its class.
-            name: Its name; empty: one is found.
-            pos: The ground where it shall stand [m] (3,).
-            yaw: The direction in which it shall look [rad].
+            name: Its name; empty for one that the simulator chooses.
+            pos: Point of the ground below it [m] (3,).
+            yaw: Its heading [rad].
         """
         ...
 
-    def remove(self, world: int, slot: int, anyones: bool = False) -> None:
-        """Take a robot out of the world: one that appeared by `spawn`, or anyone's."""
+    def remove(self, world: int, slot: int, any_owner: bool = False) -> None:
+        """Remove a robot from the world: one that `spawn` added, or anyone's."""
         ...
 
-    def let_go(self) -> None:
+    def release_all(self) -> None:
         """Stop all robots that the page drives, and give back what it took over."""
         ...
 
 
 class ControlLock:
-    """Which of the people at a page has its controls: the first who asks, until given back.
+    """Lock of a page's controls: the first user who asks holds them until they are given back.
 
     Args:
-        allowed: Whether anybody may have them.
+        allowed: Whether any user may hold them.
     """
 
     def __init__(self, allowed: bool = True) -> None:
@@ -154,18 +154,18 @@ class ControlLock:
 
     @property
     def holder(self) -> int | None:
-        """Who has them; None: nobody."""
+        """Client number of the user with the controls; None without one."""
         return self._holder
 
     def take(self, viewer: int) -> bool:
-        """Give the controls to a viewer, if nobody has them; return whether it has them."""
+        """Give the controls to a user, if no other has them; return whether the user has them."""
         with self._lock:
             if self.allowed and self._holder is None:
                 self._holder = viewer
             return self._holder == viewer
 
     def leave(self, viewer: int) -> bool:
-        """Take the controls from a viewer; return whether it had them."""
+        """Release the controls of a user; return whether the user had them."""
         with self._lock:
             had = self._holder == viewer
             if had:

@@ -1,4 +1,4 @@
-"""Drawn shapes as triangles: what MuJoCo's solids and the raycaster's pieces look like in a browser."""
+"""Drawn shapes as triangle meshes for a browser: MuJoCo's solids and the raycaster's own geoms."""
 
 import json
 from collections.abc import Callable
@@ -15,19 +15,19 @@ from usarmjx.view.drawing import DrawnShape
 
 MAGIC, VERSION, JSON_CHUNK, BINARY_CHUNK = b"glTF", 2, b"JSON", b"BIN\0"
 FLOAT, UNSIGNED = 5126, 5125
-"""glTF's numbers of component types."""
+"""glTF codes of component types."""
 ARRAYS, ELEMENTS = 34962, 34963
-"""glTF's numbers of what a buffer is for."""
+"""glTF codes of buffer targets."""
 
 
 class Finish(NamedTuple):
-    """How a surface takes light.
+    """Surface properties.
 
     Attributes:
-        opacity: 1 where nothing behind it is seen.
-        metallic: glTF's: 1 for metal, 0 else.
-        roughness: glTF's: 0 for a mirror.
-        two_sided: Whether its back is seen too.
+        opacity: 1 for an opaque surface.
+        metallic: Of glTF: 1 for metal, else 0.
+        roughness: Of glTF: 0 for a mirror.
+        two_sided: Whether its back is visible, too.
     """
 
     opacity: float = 1.0
@@ -42,8 +42,8 @@ class TriangleMesh(NamedTuple):
     Attributes:
         vertices: Corners [m] (v, 3).
         normals: Outward at each corner (v, 3).
-        rgb: Colour at each corner, as on a screen, in [0, 1] (v, 3).
-        faces: The corners of each triangle, seen counter-clockwise (f, 3).
+        rgb: sRGB colour at each corner, in [0, 1] (v, 3).
+        faces: The corners of each triangle, counter-clockwise in view (f, 3).
     """
 
     vertices: np.ndarray
@@ -73,12 +73,12 @@ def glb_of(mesh: TriangleMesh, finish: Finish) -> bytes:
     ]
     accessors = [
         {
-            "bufferView": place,
+            "bufferView": index,
             "componentType": UNSIGNED if block.ndim == 1 else FLOAT,
             "count": len(block),
             "type": "SCALAR" if block.ndim == 1 else "VEC3",
         }
-        for place, block in enumerate(blocks)
+        for index, block in enumerate(blocks)
     ]
     accessors[0] |= {"min": vertices.min(0).tolist(), "max": vertices.max(0).tolist()}
     primitive = {
@@ -101,7 +101,7 @@ def glb_of(mesh: TriangleMesh, finish: Finish) -> bytes:
 
 
 def linear_rgb(rgb: np.ndarray) -> np.ndarray:
-    """Return colours as shares of light (..., 3) for colours as on a screen (sRGB's transfer function)."""
+    """Return linear colours (..., 3) of sRGB colours."""
     return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
 
@@ -139,20 +139,20 @@ PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX = (
     )
 )
 AROUND = 24
-"""Corners of what is round."""
+"""Number of corners of a circle."""
 STACKS = 12
 """Rings of a sphere, an even number: a capsule's is cut in its middle."""
 TINY_RADIUS = 1e-9
-"""A ring of no more than this is a point [m]."""
+"""Radius up to which a ring is a point [m]."""
 MIRROR_FINISH = Finish(metallic=1.0, roughness=0.05)
 _Solid = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Corners (v, 3), normals (v, 3) and faces (f, 3) of a solid."""
 
 
 def meshes_of(shape: DrawnShape) -> dict[Finish, TriangleMesh]:
-    """Return what a shape looks like, one mesh for each finish that it has.
+    """Return the meshes of a shape, one for each finish that it has.
 
-    Planes without bounds are left out: how far they reach is for who draws the floor.
+    Planes without bounds are left out: `stage` draws the floor.
 
     Args:
         shape: Solids that move together.
@@ -182,7 +182,7 @@ def join(meshes: list[TriangleMesh]) -> TriangleMesh:
 
 
 def rectangle(low: np.ndarray, high: np.ndarray, height: float, rgb: np.ndarray) -> TriangleMesh:
-    """Return a level rectangle that is seen from above.
+    """Return a level rectangle that is visible from above.
 
     Args:
         low: Least x and y [m] (2,).
@@ -198,7 +198,7 @@ def rectangle(low: np.ndarray, high: np.ndarray, height: float, rgb: np.ndarray)
 
 
 def _by_finish(shape: DrawnShape, rows: np.ndarray) -> dict[Finish, np.ndarray]:
-    """Return some solids by how their surface takes light."""
+    """Return rows of solids by their finish."""
     found: dict[Finish, list[int]] = {}
     for row in rows.tolist():
         found.setdefault(_finish(str(shape.material[row]), float(shape.transparency[row])), []).append(row)
@@ -214,7 +214,7 @@ def _finish(material: str, transparency: float) -> Finish:
 
 
 def _triangles(shape: DrawnShape, rows: np.ndarray) -> TriangleMesh:
-    """Return triangles as `models.build.pieces` tells them."""
+    """Return triangles in the form of `models.compile.ray_geoms` as a mesh."""
     pos, mat, size = shape.pos[rows], shape.mat[rows], shape.size[rows]
     corners = np.zeros((len(rows), 3, 3))
     corners[:, 1, 0] = size[:, 0]
@@ -260,8 +260,8 @@ def _unit_box() -> _Solid:
 
 
 def _fender(size: np.ndarray) -> _Solid:
-    """Return the bars of a grid fender on the faces of its box, as `sensors.rays.kernels` lays them."""
-    quads = []
+    """Return the bars of a grid fender on the faces of its box, in the pattern of `sensors.rays.kernels`."""
+    quads: list[tuple[np.ndarray, np.ndarray]] = []
     for axis in range(3):
         across = size[[(axis + 1) % 3, (axis + 2) % 3]]
         if (across < GRID_PITCH / 2).any():
@@ -277,7 +277,7 @@ def _fender(size: np.ndarray) -> _Solid:
 
 
 def _bars(half: float) -> list[tuple[float, float]]:
-    """Return where bars begin and end along a side of half that length [m]."""
+    """Return the limits of the bars along a side of half that length [m]."""
     last = int((half + BAR_WIDTH / 2) / GRID_PITCH)
     edges = [(k * GRID_PITCH - BAR_WIDTH / 2, k * GRID_PITCH + BAR_WIDTH / 2) for k in range(-last, last + 1)]
     return [(max(low, -half), min(high, half)) for low, high in edges]
@@ -346,8 +346,8 @@ def _turned(radius: np.ndarray, height: np.ndarray, normal: np.ndarray) -> _Soli
     """Return a surface of revolution about z.
 
     Args:
-        radius: Of each ring, from top to bottom [m] (rings,).
-        height: Of each ring [m] (rings,).
+        radius: Radius of each ring, from top to bottom [m] (rings,).
+        height: Height of each ring [m] (rings,).
         normal: Outward and upward part of each ring's normal (rings, 2).
     """
     turn = np.linspace(0.0, 2 * np.pi, AROUND, endpoint=False)
@@ -355,9 +355,9 @@ def _turned(radius: np.ndarray, height: np.ndarray, normal: np.ndarray) -> _Soli
     up = np.array([0.0, 0.0, 1.0])
     vertices = radius[:, None, None] * around + height[:, None, None] * up
     normals = normal[:, :1, None] * around + normal[:, 1:, None] * up
-    ring, place = np.meshgrid(np.arange(len(radius) - 1), np.arange(AROUND), indexing="ij")
-    here, after = ring * AROUND + place, ring * AROUND + (place + 1) % AROUND
-    # Two rings at one place are a sharp edge if their normals differ: then there is no side between them.
+    ring, corner = np.meshgrid(np.arange(len(radius) - 1), np.arange(AROUND), indexing="ij")
+    here, after = ring * AROUND + corner, ring * AROUND + (corner + 1) % AROUND
+    # Two coincident rings with different normals are a sharp edge: there is no side between them.
     side = (np.diff(radius) != 0.0) | (np.diff(height) != 0.0) | (np.diff(normal, axis=0) == 0.0).all(1)
     lower, upper = side & (radius[1:] > TINY_RADIUS), side & (radius[:-1] > TINY_RADIUS)
     faces = [
@@ -377,4 +377,4 @@ SOLIDS: dict[int, Callable[[np.ndarray], _Solid]] = {
     BOX: _box,
     FENDER_KIND: _fender,
 }
-"""What each kind of geom is made of, from its size numbers."""
+"""Mesh of each kind of geom, from its size numbers."""

@@ -15,14 +15,14 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.view.drawing import Drawing, Frame, FrameSource
 from usarmjx.view.layers import LAYERS
 from usarmjx.view.layers.base import Layer
-from usarmjx.view.stage import Stage, StagedWorld, in_rows
+from usarmjx.view.stage import Stage, StagedWorld, grid_offsets
 from usarmjx.view.viewpoint import (
     FOV,
     CameraPose,
     Viewer,
     ViewMode,
     bounds_of,
-    framed,
+    fit_box,
     move_camera,
     robot_on_ray,
 )
@@ -31,14 +31,28 @@ if TYPE_CHECKING:
     from usarmjx.view.controls import WorldControls
 
 
+log = logging.getLogger(__name__)
+
 SIDE_BY_SIDE = "side by side"
 NEXT, TOGGLE, FREE = "Next robot", "Over / camera", "Free"
 ACTIONS: dict[str, Literal["N", "C", "F"]] = {NEXT: "N", TOGGLE: "C", FREE: "F"}
-"""What can be done with a view, and the keys that do it."""
+"""Actions of a view, and their keys."""
+UPDATE_PERIOD = 1 / 20
+"""Least interval between two updates of the page [s]."""
+MAX_SIDE_BY_SIDE = 16
+"""Most worlds side by side."""
+WORLDS_AT_ONCE = 4
+"""Worlds side by side that one update refreshes, in turn, beside the chosen one."""
+NEAREST, NEAR_LIMITS = 1e-3, (0.02, 0.2)
+"""Near plane as a share of the first view's distance, and its least and largest value [m]."""
+OVER_PATH = "/over"
+"""Root node of the layers, which moves to the chosen world."""
+_start_lock = threading.Lock()
+"""Viser's start sets a global console quiet: two starts at once would disturb each other."""
 
 
 class WorldChoice:
-    """Which world is shown; nothing where there is but one."""
+    """Dropdown of the shown world; absent for a single world."""
 
     def __init__(self, page: "ViewerPage") -> None:
         self._page = page
@@ -61,7 +75,7 @@ class WorldChoice:
 
 
 class LayerSwitches:
-    """A switch for each layer.
+    """Checkbox of each layer.
 
     Attributes:
         on: The layers that are on.
@@ -83,11 +97,11 @@ class LayerSwitches:
                 self._boxes[layer.name] = box
 
     def turn_on(self, name: str) -> None:
-        """Switch a layer on as by its box."""
+        """Check a layer's box."""
         self._boxes[name].value = True
 
     def switch(self, layer: Layer, on: bool) -> None:
-        """Switch a layer on or off."""
+        """Show or hide a layer."""
         others = [other for other in self.on if other is not layer]
         self.on = [*others, layer] if on else others
         layer.show(on)
@@ -96,7 +110,7 @@ class LayerSwitches:
 
 
 class ViewButtons:
-    """Buttons and keys with which people attach their view to robots; each has a line that says to which."""
+    """Buttons and keys that attach a user's view to robots, and a caption of the present view."""
 
     def __init__(self, page: "ViewerPage") -> None:
         self._page = page
@@ -113,42 +127,42 @@ class ViewButtons:
             command.on_trigger(lambda event, name=name: self._do(name, event.client_id))
 
     def update(self) -> None:
-        """Tell everybody what they look at."""
-        for number, onlooker in self._page.onlookers.items():
-            text = self._caption(onlooker)
+        """Update each user's caption."""
+        for number, viewer in self._page.viewers.items():
+            text = self._caption(viewer)
             known = self._captions.get(number)
             if known is None:
                 with self._folder:
-                    self._captions[number] = text, onlooker.client.gui.add_markdown(text)
+                    self._captions[number] = text, viewer.client.gui.add_markdown(text)
             elif known[0] != text:
                 known[1].content = text
                 self._captions[number] = text, known[1]
-        for number in self._captions.keys() - self._page.onlookers.keys():
+        for number in self._captions.keys() - self._page.viewers.keys():
             del self._captions[number]
 
     def _do(self, name: str, client: int | None) -> None:
         page = self._page
 
         def act() -> None:
-            onlooker = None if client is None else page.onlookers.get(client)
-            if onlooker is None:
+            viewer = None if client is None else page.viewers.get(client)
+            if viewer is None:
                 return
             if name == NEXT:
-                onlooker.attach_next(page.drawing, page.frame)
-                page.robot = onlooker.robot
+                viewer.attach_next(page.drawing, page.frame)
+                page.robot = viewer.robot
             elif name == FREE:
-                onlooker.free()
+                viewer.free()
             else:
-                onlooker.toggle()
+                viewer.toggle()
 
         page.post(act)
 
-    def _caption(self, onlooker: Viewer) -> str:
-        robot = self._page.drawing.robots.get(-1 if onlooker.robot is None else onlooker.robot)
+    def _caption(self, viewer: Viewer) -> str:
+        robot = self._page.drawing.robots.get(-1 if viewer.robot is None else viewer.robot)
         if robot is None:
             return "You look **freely**: drag to turn, scroll to come closer."
-        over = onlooker.mode is ViewMode.OVER or not robot.cameras
-        where = "over it" if over else f"through {robot.cameras[onlooker.camera].names[0]}"
+        over = viewer.mode is ViewMode.OVER or not robot.cameras
+        where = "over it" if over else f"through {robot.cameras[viewer.camera].names[0]}"
         return f"You are with **{robot.name}** ({robot.robot}), {where}."
 
 
@@ -156,81 +170,66 @@ class Panel(Protocol):
     """Part of the page's sidebar."""
 
     def begin(self, drawing: Drawing) -> None:
-        """Start with a new drawing: another world, or the robots in it are others."""
+        """Start with a new drawing: another world, or other robots."""
         ...
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
-        """Show the world as it is now."""
+        """Show the present frame of the world."""
         ...
 
 
-_start_lock = threading.Lock()
-
-
 class LocalViserServer(viser.ViserServer):
-    """A server that hands its page to nobody else: viser would send it through a public server on request."""
+    """A server that does not share its page: viser would send it through a public server on request."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
-        """Do nothing, whoever asks."""
+        """Do nothing."""
         del verbose
         return None
 
 
 def make_viser_server(host: str, port: int) -> viser.ViserServer:
-    """Return a server that listens.
+    """Return a listening server.
 
     Args:
         host: Address to listen on.
         port: Port to listen on; 0: a free one.
     """
     with _start_lock:
-        rich.get_console().quiet = True  # viser tells the terminal where it listens, in a frame
+        rich.get_console().quiet = True  # viser prints its address to the terminal, in a frame
         return LocalViserServer(host, port, verbose=False)
 
 
-log = logging.getLogger(__name__)
-
-UPDATE_PERIOD = 1 / 20
-"""The page is brought up to date so often at most [s]."""
-MAX_WALL = 16
-"""So many worlds stand side by side at most."""
-WORLDS_AT_ONCE = 4
-"""Of worlds side by side so many are looked at in an update, in turn, beside the one that is chosen."""
-NEAREST, NEAR_LIMITS = 1e-3, (0.02, 0.2)
-"""What is nearer than this share of the first view's distance is not drawn; least and most of that [m]."""
-OVER_PATH = "/over"
-"""What the layers draw is below this node, which stands where the chosen world does."""
 PanelMaker: TypeAlias = Callable[["ViewerPage"], Panel]
-"""Makes a panel of a page."""
+"""Makes a panel for a page."""
 
 
 class ViewerPage:
-    """A page that shows worlds as they are; several people may look at it at once.
+    """A page that shows worlds; several users may watch it at once.
 
-    Which world it shows and what is switched on is the same for all; each has a viewpoint of their own.
-    All methods but the constructor are for the thread that runs the worlds. What people do at the page comes
-    in threads of viser's and waits in `post` for the next update.
+    The shown world and the layers are the same for all; each user has a viewpoint of their own.
+    All methods but the constructor are for the thread that runs the worlds. Users' actions come
+    in threads of viser's and wait in `post` for the next update.
 
     Args:
-        source: Where drawings and frames come from.
+        source: Source of drawings and frames.
         host: Address to listen on.
         port: Port to listen on; 0: a free one.
-        title: What stands over the page.
-        controls: What may be done to the worlds; None: they are only shown.
-        panels: What stands beside the picture.
-        server: Who serves it; None: a server of its own.
+        title: Title of the page.
+        controls: Controls of the worlds; None: they are only shown.
+        panels: Makers of the sidebar's panels.
+        server: Server of the page; None for one of its own.
 
     Attributes:
         server: Viser's server.
-        source: Where drawings and frames come from.
-        controls: What may be done to the worlds.
-        world: The world that is looked at.
-        wall: Whether others stand beside it.
+        source: Source of drawings and frames.
+        controls: Controls of the worlds.
+        world: Number of the chosen world.
+        wall: Whether others are shown beside it.
         drawing: Its drawing.
         frame: Its last frame.
-        robot: Slot of the robot that was chosen last, by whom ever.
-        onlookers: Who is there, by viser's numbers of clients.
-        layers: What is drawn over the world, by name.
+        robot: Slot of the robot that any user chose last.
+        onlookers: Users of the page, by viser's client numbers.
+        layers: Layers over the world, by name.
     """
 
     def __init__(
@@ -247,7 +246,7 @@ class ViewerPage:
         self.server = server or make_viser_server(host, port)
         self.source, self.controls, self.world, self.wall = source, controls, 0, False
         self.robot: int | None = None
-        self.onlookers: dict[int, Viewer] = {}
+        self.viewers: dict[int, Viewer] = {}
         self.layers: dict[str, Layer] = {name: make() for name, make in LAYERS}
         self._posted: deque[Callable[[], None]] = deque()
         self._next_update, self._turn = 0.0, 0
@@ -264,13 +263,13 @@ class ViewerPage:
         self._switches = LayerSwitches(self)
         with numpy_backend():
             self._begin(self._drawings())
-        self.server.on_client_connect(self._greet)
-        self.server.on_client_disconnect(self._part)
-        self.server.scene.on_click()(self._clicked)
-        self.server.scene.on_click(modifier="shift")(self._freed)
+        self.server.on_client_connect(self._on_connect)
+        self.server.on_client_disconnect(self._on_disconnect)
+        self.server.scene.on_click()(self._on_click)
+        self.server.scene.on_click(modifier="shift")(self._on_shift_click)
 
     def update(self) -> None:
-        """Show the worlds as they are; does nothing sooner than `UPDATE_PERIOD` after the last time."""
+        """Show the present frames, at most once in `UPDATE_PERIOD`."""
         now = time.monotonic()
         if now < self._next_update:
             return
@@ -280,11 +279,11 @@ class ViewerPage:
 
     @property
     def is_watched(self) -> bool:
-        """Whether somebody looks, or has just come or gone."""
+        """Whether a user watches, or has just come or gone."""
         return bool(self._posted or self.server.get_clients())
 
     def refresh(self) -> None:
-        """Show the worlds as they are, at once."""
+        """Show the present frames at once."""
         with numpy_backend(), self.server.atomic():
             while self._posted:
                 self._guarded(self._posted.popleft())
@@ -299,43 +298,41 @@ class ViewerPage:
             for panel in self.panels:
                 self._guarded(lambda panel=panel: panel.update(self.drawing, self.frame))
         self._buttons.update()
-        for onlooker in list(self.onlookers.values()):
-            self._guarded(
-                lambda onlooker=onlooker: onlooker.update(self.drawing, self.frame, self._cell.offset)
-            )
+        for viewer in list(self.viewers.values()):
+            self._guarded(lambda viewer=viewer: viewer.update(self.drawing, self.frame, self._cell.offset))
 
     def close(self) -> None:
-        """Hang up on everybody and free the port; panels that have something to close do so."""
+        """Disconnect all users and free the port; panels with a `close` are closed, too."""
         for panel in self.panels:
             getattr(panel, "close", lambda: None)()
         self.server.stop()
 
     def post(self, action: Callable[[], None]) -> None:
-        """Let something be done at the next update; for all threads."""
+        """Queue an action for the next update; for all threads."""
         self._posted.append(action)
 
     def choose_world(self, world: int, wall: bool = False) -> None:
-        """Look at another world, or at several side by side of which it is the chosen one."""
+        """Show another world, or several side by side of which it is the chosen one."""
         self.world, self.wall = world, wall
         self._begin(self._drawings())
         pose = self.first_pose()
-        for onlooker in list(self.onlookers.values()):
-            onlooker.free()
-            move_camera(onlooker.client, self._pose_for(onlooker.client, pose))
+        for viewer in list(self.viewers.values()):
+            viewer.free()
+            move_camera(viewer.client, self._pose_for(viewer.client, pose))
 
     def choose_robot(self, client: int, robot: int | None) -> None:
-        """Let somebody look at a robot, or at none."""
-        onlooker = self.onlookers.get(client)
-        if onlooker is None:
+        """Attach a user's view to a robot, or free it."""
+        viewer = self.viewers.get(client)
+        if viewer is None:
             return
         if robot is None:
-            onlooker.free()
+            viewer.free()
         else:
-            onlooker.attach(robot)
+            viewer.attach(robot)
             self.robot = robot
 
     def show_layers(self, names: Sequence[str]) -> None:
-        """Switch layers on, for all.
+        """Show layers, for all users.
 
         Raises:
             UnknownNameError: There is none of that name; lists those there are.
@@ -344,22 +341,22 @@ class ViewerPage:
             self._switches.turn_on(LAYERS.get(name).name)
 
     def first_pose(self, aspect: float = 1.6) -> CameraPose:
-        """Return from where all that is shown fills a picture of some aspect."""
+        """Return the pose from which all shown worlds fill a picture of some aspect."""
         bounds = [np.array(bounds_of(cell.drawing)) + cell.offset for cell in self._stage.cells]
         low, high = np.min(bounds, axis=0)[0], np.max(bounds, axis=0)[1]
-        return framed(low, high, aspect)
+        return fit_box(low, high, aspect)
 
     @property
     def _cell(self) -> StagedWorld:
-        """Where the chosen world stands."""
+        """Stage cell of the chosen world."""
         return self._stage.cells[self._numbers().index(self.world)]
 
     def _numbers(self) -> list[int]:
-        """Return which worlds stand on the stage."""
+        """Return the numbers of the worlds on the stage."""
         if not self.wall:
             return [self.world]
-        first = self.world // MAX_WALL * MAX_WALL
-        return list(range(first, min(first + MAX_WALL, self.source.num_worlds)))
+        first = self.world // MAX_SIDE_BY_SIDE * MAX_SIDE_BY_SIDE
+        return list(range(first, min(first + MAX_SIDE_BY_SIDE, self.source.num_worlds)))
 
     def _drawings(self) -> list[Drawing]:
         return [self.source.drawing(number) for number in self._numbers()]
@@ -367,7 +364,7 @@ class ViewerPage:
     def _begin(self, drawings: Sequence[Drawing]) -> None:
         """Show other drawings."""
         numbers = self._numbers()
-        offsets = in_rows(drawings) if self.wall else [np.zeros(3)]
+        offsets = grid_offsets(drawings) if self.wall else [np.zeros(3)]
         self._stage.begin([StagedWorld(*pair) for pair in zip(drawings, offsets, strict=True)])
         self._frames = [self.source.frame(number) for number in numbers]
         self.drawing, self.frame = self._cell.drawing, self._frames[numbers.index(self.world)]
@@ -382,11 +379,11 @@ class ViewerPage:
             self._guarded(lambda panel=panel: panel.begin(self.drawing))
         camera, pose = self.server.initial_camera, self.first_pose()
         camera.position, camera.look_at, camera.fov = pose.pos, pose.look_at, FOV
-        # The further away the nearest is that is drawn, the better far things are told apart.
+        # A distant near plane gives the depth buffer more resolution: far surfaces flicker otherwise.
         camera.near = float(np.clip(np.linalg.norm(pose.pos - pose.look_at) * NEAREST, *NEAR_LIMITS))
 
     def _take_frames(self) -> None:
-        """Look at the chosen world, and at some of those beside it."""
+        """Fetch the frame of the chosen world, and of some beside it."""
         numbers = self._numbers()
         chosen = numbers.index(self.world)
         others = [n for n in range(len(numbers)) if n != chosen]
@@ -399,42 +396,42 @@ class ViewerPage:
         self.frame = self._frames[chosen]
 
     def _guarded(self, action: Callable[[], None]) -> None:
-        """Do something that must not stop the world if it fails."""
+        """Run an action whose failure must not stop the world."""
         try:
             action()
         except Exception:
             log.exception("a part of the page could not be brought up to date")
 
-    def _greet(self, client: viser.ClientHandle) -> None:
+    def _on_connect(self, client: viser.ClientHandle) -> None:
         def join() -> None:
-            self.onlookers[client.client_id] = Viewer(client)
+            self.viewers[client.client_id] = Viewer(client)
             if client.camera.aspect < 1.0:  # a phone
                 move_camera(client, self._pose_for(client, self.first_pose()))
 
         self.post(join)
 
-    def _part(self, client: viser.ClientHandle) -> None:
-        self.post(lambda: self.onlookers.pop(client.client_id, None) and None)
+    def _on_disconnect(self, client: viser.ClientHandle) -> None:
+        self.post(lambda: self.viewers.pop(client.client_id, None) and None)
 
     def _pose_for(self, client: viser.ClientHandle, pose: CameraPose) -> CameraPose:
         return pose if client.camera.aspect > 1.6 else self.first_pose(client.camera.aspect)
 
-    def _clicked(self, event: viser.SceneClickEvent) -> None:
+    def _on_click(self, event: viser.SceneClickEvent) -> None:
         """Attach the view to the robot under the pointer, or to the next one."""
 
         def attach() -> None:
-            onlooker = self.onlookers.get(event.client_id)
-            if onlooker is None:
+            viewer = self.viewers.get(event.client_id)
+            if viewer is None:
                 return
             start = np.array(event.ray_origin) - self._cell.offset
             robot = robot_on_ray(self.drawing, self.frame, start, np.array(event.ray_direction))
             if robot is None:
-                onlooker.attach_next(self.drawing, self.frame)
+                viewer.attach_next(self.drawing, self.frame)
             else:
-                onlooker.attach(robot)
-            self.robot = onlooker.robot
+                viewer.attach(robot)
+            self.robot = viewer.robot
 
         self.post(attach)
 
-    def _freed(self, event: viser.SceneClickEvent) -> None:
+    def _on_shift_click(self, event: viser.SceneClickEvent) -> None:
         self.post(lambda: self.choose_robot(event.client_id, None))

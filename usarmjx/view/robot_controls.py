@@ -1,4 +1,4 @@
-"""What the person with the controls has for one robot: a pad, sliders, switches, and who drives it."""
+"""Controls of one robot for the user with the page's controls: a pad, sliders, switches, and taking over."""
 
 import html
 import math
@@ -18,9 +18,9 @@ from usarmjx.view.controls import BY_PAGE, StartPoseChoice, WorldControls, World
 from usarmjx.view.drawing import Drawing, DrawnRobot, Frame
 
 HOLD_RATE = 10.0
-"""So often the page tells that a button is held down [Hz]."""
-FORGET = 0.35
-"""A direction of which nothing is heard for so long is held no more [s]."""
+"""Rate of the page's messages while a button is held down [Hz]."""
+HOLD_TIMEOUT = 0.35
+"""Time without a message after which a direction counts as released [s]."""
 DIRECTIONS: dict[str, tuple[str, tuple[str, ...], str]] = {
     "ahead": ("\u25b2", ("ArrowUp", "KeyW"), "1 / 2"),
     "left": ("\u25c0", ("ArrowLeft", "KeyA"), "2 / 1"),
@@ -29,20 +29,31 @@ DIRECTIONS: dict[str, tuple[str, tuple[str, ...], str]] = {
     "up": ("\u21e7", ("KeyR",), "1 / 4"),
     "down": ("\u21e9", ("KeyF",), "2 / 4"),
 }
-"""Sign, keys and place in the grid of each direction."""
+"""Sign, keys and grid area of each direction."""
 CLIMBING = ("up", "down")
 POINTER = 4242
-"""Number of the pointer that holds the buttons down: no real one's."""
+"""Number of the synthetic pointer that holds the buttons down; no real pointer has it."""
+SPEEDS: dict[str, float] = {
+    **{f"x {factor:g}": factor for factor in (0.1, 0.25, 0.5, 1.0, 2.0, 5.0)},
+    "as fast as it can": 0.0,
+}
+"""Choices of speed, in simulated seconds per second; 0: as many as possible."""
+ELSEWHERE = "at x, y"
+"""Choice of a pose that is no start pose."""
+FIRST_CLASS = "P2AT"
+"""Robot class that the form begins with."""
+HIDDEN_OPCODES = ("nop",)
+"""Operations of effecters that have no button."""
 
 
 class DrivePad:
-    """The pad of one person; elements go where the present container of its GUI is.
+    """Direction pad of one user; its elements go into the present container of the GUI.
 
     Args:
-        gui: That person's GUI.
-        steer: Is told how far ahead, to the left and up to go [-1, 1] again and again while anything is held,
-            and 0, 0, 0 once nothing is; called in viser's thread.
-        climbs: Whether there is an up and a down.
+        gui: The user's GUI.
+        steer: Function of ahead, left and up [-1, 1], called again and again while any direction is held,
+            and with 0, 0, 0 after the last release; in viser's thread.
+        climbs: Whether there are buttons for up and down.
     """
 
     def __init__(
@@ -54,11 +65,11 @@ class DrivePad:
         buttons = {name: gui.add_button(f"drive {name}") for name in names}
         for name, button in buttons.items():
             self._listen(name, button)
-        # Viser's buttons have no other name in the page.
-        gui.add_html(pad_html({name: button._impl.uuid for name, button in buttons.items()}))
+        # The pad's own buttons press viser's hidden ones, which have no other name in the page than this id.
+        gui.add_html(pad_html({name: _uuid(button) for name, button in buttons.items()}))
 
     def _listen(self, name: str, button: viser.GuiButtonHandle) -> None:
-        # Asynchronous ones are called in order.
+        # Viser runs coroutines in order; plain callbacks go to a thread pool, where a release may overtake.
         async def hold(event: object) -> None:
             del event
             self.hold(name, time.monotonic())
@@ -67,21 +78,21 @@ class DrivePad:
             del event
             self.release(name, time.monotonic())
 
-        button.on_hold(hold, callback_hz=HOLD_RATE)
+        button.on_hold(hold, callback_hz=HOLD_RATE)  # pyright: ignore[reportUnknownMemberType]
         button.on_click(release)
 
     def hold(self, name: str, now: float) -> None:
-        """A direction is held down at a time [s]."""
+        """Record that a direction is held down at a time [s]."""
         self._held[name] = now
-        self._tell(now)
+        self._send(now)
 
     def release(self, name: str, now: float) -> None:
-        """A direction is no longer held."""
+        """Record that a direction is released."""
         if self._held.pop(name, None) is not None:
-            self._tell(now)
+            self._send(now)
 
-    def _tell(self, now: float) -> None:
-        self._held = {name: since for name, since in self._held.items() if now - since < FORGET}
+    def _send(self, now: float) -> None:
+        self._held = {name: since for name, since in self._held.items() if now - since < HOLD_TIMEOUT}
         held = self._held.keys()
         self._steer(
             float(("ahead" in held) - ("back" in held)),
@@ -90,11 +101,15 @@ class DrivePad:
         )
 
 
+def _uuid(button: viser.GuiButtonHandle) -> str:
+    return str(button._impl.uuid)  # pyright: ignore[reportPrivateUsage, reportUnknownMemberType]
+
+
 def pad_html(buttons: Mapping[str, str]) -> str:
-    """Return the pad.
+    """Return the HTML of the pad.
 
     Args:
-        buttons: The ids of viser's buttons in the page, by direction.
+        buttons: Ids of viser's buttons in the page, by direction.
     """
     keys = {code: buttons[name] for name in buttons for code in DIRECTIONS[name][1]}
     hide = ",".join(f'div:has(> [id="{button}"])' for button in buttons.values())
@@ -121,7 +136,7 @@ def pad_html(buttons: Mapping[str, str]) -> str:
 
 
 def _arrow(buttons: Mapping[str, str], name: str) -> str:
-    sign, _, place = DIRECTIONS[name]
+    sign, _, area = DIRECTIONS[name]
     button = repr(buttons[name])
     press = (
         "event.preventDefault();this.parentNode.focus();this.setPointerCapture(event.pointerId);"
@@ -129,7 +144,7 @@ def _arrow(buttons: Mapping[str, str], name: str) -> str:
     )
     release = _quoted(_release(button))
     return (
-        f'<button tabindex="-1" aria-label="{name}" style="grid-area:{place}" '
+        f'<button tabindex="-1" aria-label="{name}" style="grid-area:{area}" '
         f'onpointerdown="{_quoted(press)}" onpointerup="{release}" onpointercancel="{release}" '
         f'oncontextmenu="event.preventDefault()">{sign}</button>'
     )
@@ -141,7 +156,7 @@ def _press(button: str) -> str:
 
 
 def _release(button: str) -> str:
-    """Return the script that lets a button go: the click says so to the server."""
+    """Return the script that releases a button: its click reaches the server."""
     return (
         f"{{const b=document.getElementById({button});"
         f"if(b){{b.dispatchEvent({_pointer('pointerup')});b.click();}}}}"
@@ -164,22 +179,14 @@ def _quoted(script: str) -> str:
     return html.escape(script, quote=True)
 
 
-SPEEDS: dict[str, float] = {
-    **{f"x {factor:g}": factor for factor in (0.1, 0.25, 0.5, 1.0, 2.0, 5.0)},
-    "as fast as it can": 0.0,
-}
-ELSEWHERE = "at x, y"
-FIRST_CLASS = "P2AT"
-
-
 class RunControls:
-    """Pause, single step, speed and reset; they go where the present container of the GUI is.
+    """Pause, single step, speed and reset; they go into the present container of the GUI.
 
     Args:
-        client: Whose page.
+        client: Client of the user.
         world: The number of the world.
-        controls: What may be done to it.
-        do: Does something if that person may.
+        controls: Controls of the worlds.
+        do: Runs an action if the user has the controls.
     """
 
     def __init__(
@@ -200,7 +207,7 @@ class RunControls:
         gui.add_button("Reset", hint=controls.reset_about).on_click(lambda _: do(self._ask_reset))
 
     def update(self, status: WorldStatus) -> None:
-        """Show whether the world stands still."""
+        """Show whether the world is paused."""
         if status.paused != self._paused:
             self._paused = status.paused
             self._pause.label = "Go on" if status.paused else "Pause"
@@ -225,14 +232,14 @@ class RunControls:
 
 
 class SpawnForm:
-    """A form for a new robot: its class, its name, and where; it goes where the present container is.
+    """Form for a new robot: class, name and pose; it goes into the present container of the GUI.
 
     Args:
-        gui: Whose page.
+        gui: GUI of the user.
         world: The number of the world.
-        drawing: What it looks like.
-        controls: What may be done to it.
-        do: Does something if that person may.
+        drawing: Its drawing.
+        controls: Controls of the worlds.
+        do: Runs an action if the user has the controls.
     """
 
     def __init__(
@@ -250,8 +257,8 @@ class SpawnForm:
             "Class", classes, initial_value=FIRST_CLASS if FIRST_CLASS in classes else classes[0]
         )
         self._name = gui.add_text("Name", "", hint="Empty: one is found")
-        places = (*(start.tag for start in self._starts), ELSEWHERE)
-        self._place = gui.add_dropdown("Place", places, initial_value=places[0])
+        tags = (*(start.tag for start in self._starts), ELSEWHERE)
+        self._place = gui.add_dropdown("Place", tags, initial_value=tags[0])
         middle = drawing.extent.mean(axis=1)
         self._xy = gui.add_vector2("x, y [m]", (float(middle[0]), float(middle[1])), step=0.1)
         self._height = gui.add_number(
@@ -276,20 +283,16 @@ class SpawnForm:
         self._controls.spawn(self._world, self._class.value, self._name.value, pos, yaw)
 
 
-IDLE_ORDERS = ("nop",)
-"""Operations of effecters that have no button."""
-
-
 class RobotControls:
-    """Controls of a robot; they go where the present container of the GUI is.
+    """Controls of a robot; they go into the present container of the GUI.
 
     Args:
-        client: Whose page.
+        client: Client of the user.
         robot: The robot.
-        frame: The world now.
-        world: Its number.
-        controls: What may be done to it.
-        may: Whether that person has the controls still; asked at every event.
+        frame: Present frame of the world.
+        world: The number of the world.
+        controls: Controls of the worlds.
+        may: Whether the user still has the controls; called at every event.
     """
 
     def __init__(
@@ -316,7 +319,7 @@ class RobotControls:
         gui.add_button("Remove", color="red").on_click(lambda _: self._do(self._remove))
 
     def update(self, status: WorldStatus) -> None:
-        """Show who drives the robot now."""
+        """Show the present driver of the robot."""
         slot = self._robot.slot
         known = status.drivers.get(slot), slot in status.taken_over
         if known == self._known:
@@ -327,7 +330,7 @@ class RobotControls:
         self._take.visible = taken or driver != BY_PAGE
 
     def _do(self, act: Callable[[], None]) -> None:
-        """Do something, if that person may."""
+        """Run an action, if the user has the controls."""
         if self._may():
             act()
 
@@ -336,7 +339,7 @@ class RobotControls:
         self._controls.take_over(self._world, self._robot.slot, on=not taken)
 
     def _remove(self) -> None:
-        """Take the robot out of the world; ask first, if it is a client's."""
+        """Remove the robot from the world; ask first, if it is a client's."""
         remove = partial(self._controls.remove, self._world, self._robot.slot)
         if self._known == (BY_PAGE, False):
             remove()
@@ -350,7 +353,7 @@ class RobotControls:
         def done(_: object, confirmed: bool) -> None:
             modal.close()
             if confirmed:
-                self._do(partial(remove, anyones=True))
+                self._do(partial(remove, any_owner=True))
 
         confirm.on_click(partial(done, confirmed=True))
         cancel.on_click(partial(done, confirmed=False))
@@ -390,7 +393,7 @@ class RobotControls:
             slider.on_update(zoom)
 
     def _add_joints(self, gui: viser.GuiApi, spec: RobotSpec, frame: Frame) -> None:
-        """Add a slider for each joint that DRIVE and effecters leave alone, by mission packages."""
+        """Add a slider for each joint that neither DRIVE nor effecters move, by mission packages."""
         others = {control.joint for control in spec.drive.joint_controls}
         others |= {joint for effecter in effecters_of(spec) for joint in effecter.joints}
         free = {
@@ -431,7 +434,7 @@ class RobotControls:
         for effecter in effecters_of(spec):
             with gui.add_folder(f"{effecter.kind} {effecter.mount.name}"):
                 for opcode in effecter.opcodes:
-                    if opcode.name.lower() in IDLE_ORDERS:
+                    if opcode.name.lower() in HIDDEN_OPCODES:
                         continue
                     value = None
                     if opcode.takes_value:
@@ -457,5 +460,5 @@ class RobotControls:
 
 
 def _within(low: float, high: float, value: float, digits: int) -> float:
-    """Return a value as a slider of those limits can show it."""
+    """Return a value within a slider's limits, rounded to its digits."""
     return max(low, min(high, round(value, digits)))

@@ -1,4 +1,4 @@
-"""What a person sees of one robot beside the picture: state, battery, live plots."""
+"""State of one robot beside the picture: pose, battery, live plots."""
 
 import html
 import math
@@ -14,25 +14,30 @@ from usarmjx.view.controls import BY_CLIENT, BY_PAGE, BY_POLICY, WorldStatus
 from usarmjx.view.drawing import DrawnRobot, Frame, RobotFrame
 
 MAX_LINES = 6
-"""A reading of no more numbers is plotted over time, one line each; a longer one over its numbers."""
+"""Longest reading that is plotted over time, a line per number; a longer one is plotted over its indices."""
 MAX_POINTS = 240
-"""So many points a plot has at most."""
+"""Most points of a plot."""
 MAX_PLOTS = 10
-"""So many sensors of a robot have plots."""
+"""Most sensors of a robot with plots."""
 WINDOW = 20.0
-"""Plots over time show so much of it [s]."""
+"""Time span of plots over time [s]."""
 HEIGHT = 110
-"""Of a plot [pixels]."""
+"""Height of a plot [pixels]."""
 LINE_RGB = ("#4a90e2", "#e2574a", "#3cab5a", "#c58b1b", "#8d5fd3", "#5d7d8c")
+DRIVEN_BY = {BY_PAGE: "from this page", BY_CLIENT: "by its client", BY_POLICY: "by a policy"}
+MAX_JOINTS = 12
+"""Most joints in the table of the state."""
+LOW_BATTERY = 0.2
+"""Share of the battery up to which its bar is red."""
 
 
 class SensorPlot:
-    """What one sensor measures: over time, or where it measures much at once, over its numbers.
+    """Plot of one sensor: over time, or for a long reading over its indices.
 
     Args:
-        gui: Whose page.
-        title: What stands over it.
-        size: How many numbers a reading has.
+        gui: GUI of the user.
+        title: Title of the plot.
+        size: Length of a reading.
     """
 
     def __init__(self, gui: viser.GuiApi, title: str, size: int) -> None:
@@ -58,7 +63,7 @@ class SensorPlot:
             return
         if self._past and time < self._past[-1][0]:
             self._past.clear()
-        elif self._past and time == self._past[-1][0]:  # it stands still
+        elif self._past and time == self._past[-1][0]:  # the world is paused
             self._past.pop()
         self._past.append(np.array([time, *values]))
         while time - self._past[0][0] > WINDOW:
@@ -72,12 +77,12 @@ def _line(number: int) -> dict[str, object]:
 
 
 class RobotPlots:
-    """Plots of a robot's sensors; they go where the present container of the GUI is.
+    """Plots of a robot's sensors; they go into the present container of the GUI.
 
     Args:
-        gui: Whose page.
+        gui: GUI of the user.
         robot: The robot.
-        frame: What is known of it now.
+        frame: Its present frame.
     """
 
     def __init__(self, gui: viser.GuiApi, robot: DrawnRobot, frame: RobotFrame) -> None:
@@ -89,25 +94,19 @@ class RobotPlots:
                 self._plots[index] = SensorPlot(gui, title, size)
 
     def update(self, time: float, frame: RobotFrame) -> None:
-        """Show what the robot has measured at a simulated time [s]."""
+        """Show the robot's readings at a simulated time [s]."""
         for index, plot in self._plots.items():
             if index < len(frame.readings):
                 plot.update(time, np.asarray(frame.readings[index]))
 
 
-DRIVEN_BY = {BY_PAGE: "from this page", BY_CLIENT: "by its client", BY_POLICY: "by a policy"}
-MAX_JOINTS = 12
-"""Positions of so many joints are told."""
-LOW_BATTERY = 0.2
-
-
 class RobotReadout:
-    """State and sensors of a robot; they go where the present container of the GUI is.
+    """State and sensors of a robot; they go into the present container of the GUI.
 
     Args:
-        gui: Whose page.
+        gui: GUI of the user.
         robot: The robot.
-        frame: The world now.
+        frame: Present frame of the world.
     """
 
     def __init__(self, gui: viser.GuiApi, robot: DrawnRobot, frame: Frame) -> None:
@@ -118,7 +117,7 @@ class RobotReadout:
             self._plots = RobotPlots(gui, robot, frame.robots[robot.slot])
 
     def update(self, frame: Frame, status: WorldStatus | None) -> None:
-        """Show the robot as it is now."""
+        """Show the present state of the robot."""
         now = frame.robots.get(self._robot.slot)
         if now is None:
             return
@@ -135,7 +134,7 @@ def state_html(robot: DrawnRobot, frame: RobotFrame, driver: str | None = None) 
     Args:
         robot: The robot.
         frame: The robot now.
-        driver: Who drives it; None: nobody knows.
+        driver: Its driver; None: unknown.
     """
     yaw, pitch, roll = Rotation.from_quat(frame.quat, scalar_first=True).as_euler("ZYX", degrees=True)
     x, y, z = frame.pos

@@ -1,4 +1,4 @@
-"""Worlds in a scene of viser: all bodies that look the same are one batch, and only what moved is sent."""
+"""Worlds in a scene of viser: equal bodies are one batch, and only moved ones are sent."""
 
 import hashlib
 from collections.abc import Sequence
@@ -11,11 +11,11 @@ from usarmjx.view.drawing import Drawing, DrawnShape, Frame
 from usarmjx.view.mesh import PLANE, Finish, glb_of, meshes_of, rectangle
 
 STILL_TOLERANCE = 1e-5
-"""What moved by less, and turned by less, stays where it is drawn [m]."""
+"""Movement [m] and change of a quaternion below which a body is not sent again."""
 FLOOR_DROP = 3e-4
-"""The floor is drawn lower by this share of the arena's diagonal: what lies on it is seen from afar."""
+"""Drop of the drawn floor, as a share of the arena's diagonal: objects on it stay visible from afar."""
 GROUND_MARGIN = 2.0
-"""So far beyond the arena its floor is drawn [m]."""
+"""Margin of the drawn floor around the arena [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +24,7 @@ class StagedWorld:
 
     Attributes:
         drawing: Its drawing.
-        offset: How far it is moved aside [m] (3,).
+        offset: Its displacement [m] (3,).
     """
 
     drawing: Drawing
@@ -32,12 +32,12 @@ class StagedWorld:
 
 
 class BodyBatch:
-    """Bodies that look the same, one instance each.
+    """Bodies of one shape, one instance each.
 
     Args:
-        scene: Where to draw.
+        scene: Scene of viser.
         path: Its node in the scene.
-        shape: What they look like.
+        shape: Their shape.
     """
 
     def __init__(self, scene: viser.SceneApi, path: str, shape: DrawnShape) -> None:
@@ -48,16 +48,16 @@ class BodyBatch:
         self._pos, self._quat = np.zeros((0, 3), np.float32), np.zeros((0, 4), np.float32)
 
     def begin(self, rows: np.ndarray) -> None:
-        """Stand for other bodies: rows of the arrays that `update` gets (instances,)."""
+        """Set the bodies: rows of the arrays of `update` (instances,)."""
         self._rows = rows
 
     def update(self, pos: np.ndarray, quat: np.ndarray, shown: np.ndarray) -> None:
-        """Show its bodies where they are.
+        """Show its bodies at their present poses.
 
         Args:
-            pos: Where all bodies are [m] (bodies, 3).
-            quat: How they are turned (bodies, 4).
-            shown: Which of them are to be seen (bodies,).
+            pos: Positions of all bodies [m] (bodies, 3).
+            quat: Their orientations (bodies, 4).
+            shown: Which of them are visible (bodies,).
         """
         rows = self._rows[shown[self._rows]]
         pos, quat = pos[rows], quat[rows]
@@ -75,7 +75,7 @@ class BodyBatch:
                 handle.visible = self._visible
 
     def end(self) -> None:
-        """Take the bodies off the stage."""
+        """Remove the bodies from the stage."""
         for handle in self._handles:
             handle.remove()
         self._handles = []
@@ -97,8 +97,8 @@ class Stage:
     """Draws worlds side by side.
 
     Args:
-        scene: Where to draw.
-        root: Path in the scene below which all nodes are.
+        scene: Scene of viser.
+        root: Root path of all nodes.
     """
 
     def __init__(self, scene: viser.SceneApi, root: str = "/bodies") -> None:
@@ -110,10 +110,10 @@ class Stage:
         self.cells: tuple[StagedWorld, ...] = ()
 
     def begin(self, cells: Sequence[StagedWorld]) -> None:
-        """Show other drawings; what looks as before is not sent again.
+        """Show other drawings; unchanged shapes are not sent again.
 
         Args:
-            cells: What to draw, and where.
+            cells: Worlds with their offsets.
         """
         self.cells = tuple(cells)
         rows: dict[str, list[int]] = {}
@@ -121,11 +121,11 @@ class Stage:
         first = 0
         for cell in cells:
             drawing = cell.drawing
-            for place, body in enumerate(drawing.bodies):
+            for index, body in enumerate(drawing.bodies):
                 shape = drawing.shapes[body.shape]
                 key = self._key(shape)
                 shapes[key] = shape
-                rows.setdefault(key, []).append(first + place)
+                rows.setdefault(key, []).append(first + index)
             first += len(drawing.bodies)
         for key in self._batches.keys() - rows.keys():
             self._batches.pop(key).end()
@@ -135,10 +135,10 @@ class Stage:
             self._batches[key].begin(np.array(own))
         used = {id(shape) for shape in shapes.values()}
         self._keys = {shape: key for shape, key in self._keys.items() if id(shape) in used}
-        self._lay_floors()
+        self._draw_floors()
 
     def update(self, frames: Sequence[Frame]) -> None:
-        """Show the worlds as they are.
+        """Show the present frames.
 
         Args:
             frames: One for each cell.
@@ -158,15 +158,15 @@ class Stage:
         self._batches, self._floors = {}, {}
 
     def _key(self, shape: DrawnShape) -> str:
-        """Return a name that all shapes have which look the same."""
+        """Return the common name of all equal shapes."""
         if shape not in self._keys:
             fields = [np.ascontiguousarray(value, np.float32).tobytes() for value in _numbers(shape)]
             data = b"".join([*fields, "\n".join(map(str, shape.material)).encode()])
             self._keys[shape] = hashlib.blake2b(data, digest_size=8).hexdigest()
         return self._keys[shape]
 
-    def _lay_floors(self) -> None:
-        """Draw the floors that have no bounds as far as there is something to see, and a little further."""
+    def _draw_floors(self) -> None:
+        """Draw unbounded floors below all that is visible, with a margin."""
         wanted: dict[str, tuple[StagedWorld, np.ndarray]] = {}
         for number, cell in enumerate(self.cells):
             rgb = floor_rgb(cell.drawing)
@@ -185,7 +185,7 @@ class Stage:
 
 
 def floor_rgb(drawing: Drawing) -> np.ndarray | None:
-    """Return the colour of a drawing's floor without bounds (3,); None if it has none."""
+    """Return the colour of a drawing's unbounded floor (3,); None without one."""
     for shape in drawing.shapes.values():
         is_floor = (shape.kind == PLANE) & ~(shape.size[:, :2] > 0.0).all(1)
         if is_floor.any():
@@ -194,18 +194,18 @@ def floor_rgb(drawing: Drawing) -> np.ndarray | None:
 
 
 def send_arrays(handle: viser.BatchedGlbHandle, **arrays: np.ndarray) -> None:
-    """Give a handle arrays of single precision that nobody changes afterwards.
+    """Set arrays of single precision of a handle; they must not be changed afterwards.
 
-    As an assignment does, which looks at what type each property has anew every time and compares and copies
-    what is known to be another one: that is most of the cost of moving a batch.
+    It equals an assignment, which checks each property's type again every time and compares and copies the
+    arrays: that is most of the cost of moving a batch.
     """
     for name, array in arrays.items():
-        setattr(handle._impl.props, name, array)
-        handle._queue_update(name, array)
+        setattr(handle._impl.props, name, array)  # pyright: ignore[reportPrivateUsage]
+        handle._queue_update(name, array)  # pyright: ignore[reportPrivateUsage]
 
 
-def in_rows(drawings: Sequence[Drawing]) -> list[np.ndarray]:
-    """Return how far to move worlds aside so that they stand in rows, the first in the middle of its cell.
+def grid_offsets(drawings: Sequence[Drawing]) -> list[np.ndarray]:
+    """Return offsets that put worlds in rows, the first in the middle of its cell.
 
     Args:
         drawings: The worlds.

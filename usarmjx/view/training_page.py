@@ -1,4 +1,4 @@
-"""The live page of worlds in which robots learn; it takes next to nothing of the training's time."""
+"""The live page of a training's worlds, which takes a small share of the training's time."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -13,16 +13,19 @@ from usarmjx.sim.batch import Batch, BatchState
 from usarmjx.sim.world import World
 from usarmjx.view.capture import Capture
 from usarmjx.view.drawing import Drawing, Frame
-from usarmjx.view.page import MAX_WALL, ViewerPage
+from usarmjx.view.page import MAX_SIDE_BY_SIDE, ViewerPage
+
+TIME_SHARE = 0.01
+"""Largest share of the training's time that the page takes, except for users' requests."""
 
 
 class BatchSource:
-    """A `FrameSource` of a batch, whose state `show` tells it.
+    """A `FrameSource` of a batch, whose state `show` sets.
 
     Args:
         batch: The batch.
         state: Its state.
-        worlds: Numbers of the worlds that can be looked at.
+        worlds: Numbers of the worlds to choose from.
     """
 
     def __init__(self, batch: Batch, state: BatchState, worlds: Sequence[int]) -> None:
@@ -35,15 +38,15 @@ class BatchSource:
 
     @property
     def num_worlds(self) -> int:
-        """How many worlds can be looked at."""
+        """Number of worlds to choose from."""
         return len(self._worlds)
 
     def show(self, state: BatchState) -> None:
-        """Take the batch as it is now; nothing is fetched from its device before somebody looks."""
+        """Set the state of the batch; it is fetched from its device only for a watched page."""
         self._state, self._fetched = state, None
 
     def drawing(self, world: int) -> Drawing:
-        """Return a world's drawing: another one when an episode brings another arena."""
+        """Return a world's drawing: a new one when an episode brings another arena."""
         state, physics = self._one(world)
         episode = 0 if state.arena_state is None else int(state.episode)
         known = self._drawings.get(world)
@@ -52,14 +55,14 @@ class BatchSource:
         return known[1]
 
     def frame(self, world: int) -> Frame:
-        """Return a world as the batch was when it was last shown."""
+        """Return a world's frame of the last shown state."""
         return self._capture.frame(*self._one(world))
 
     def _one(self, world: int) -> tuple[World, PhysicsState]:
         if self._fetched is None:
             worlds, physics = self._state.worlds, self._batch.physics(self._state)
             keyed = worlds.replace(key=jax.random.key_data(worlds.key))
-            # All worlds at once: a transfer costs more than what is in it.
+            # All worlds in one transfer: its fixed cost is larger than that of the data.
             self._fetched = jax.device_get(self._pick((keyed, physics), self._worlds))
         assert self._fetched is not None
         return jax.tree.map(lambda x: x[world], self._fetched)
@@ -69,17 +72,13 @@ def _picked(tree: tuple[World, PhysicsState], worlds: Array) -> tuple[World, Phy
     return jax.tree.map(lambda x: x[worlds], tree)
 
 
-TIME_SHARE = 0.01
-"""The page takes no more than this share of the training's time, except for what somebody asks of it."""
-
-
 class TrainingPage:
     """Shows some worlds of a training.
 
     Args:
         batch: The training's worlds.
-        make_page: Makes the page of what there is to see.
-        now: The clock [s].
+        make_page: Makes the page of a source.
+        now: Returns the time [s].
     """
 
     def __init__(
@@ -94,13 +93,13 @@ class TrainingPage:
         self._due = 0.0
 
     def show(self, state: BatchState) -> None:
-        """Show the worlds as they are, if somebody looks and the page has not had its share of time."""
+        """Show the worlds, if a user watches and the page has not used its share of time."""
         if self._page is not None and (self._now() < self._due or not self._page.is_watched):
             return
-        jax.block_until_ready(state.worlds.step)  # what the device still computes is not the page's time
+        jax.block_until_ready(state.worlds.step)  # time of the device's pending work is not the page's
         began = self._now()
         if self._source is None or self._page is None:
-            self._source = BatchSource(self._batch, state, range(min(self._batch.worlds, MAX_WALL)))
+            self._source = BatchSource(self._batch, state, range(min(self._batch.worlds, MAX_SIDE_BY_SIDE)))
             self._page = self._make_page(self._source)
         self._source.show(state)
         self._page.refresh()
@@ -108,6 +107,6 @@ class TrainingPage:
         self._due = ended + (ended - began) * (1.0 - TIME_SHARE) / TIME_SHARE
 
     def close(self) -> None:
-        """Hang up on everybody."""
+        """Disconnect all users."""
         if self._page is not None:
             self._page.close()

@@ -1,4 +1,4 @@
-"""The people at the page: who has the controls, and what each sees beside the picture."""
+"""Panels of the page's users: the controls, their lock, and the chosen robot's state."""
 
 import html
 import time
@@ -17,22 +17,24 @@ if TYPE_CHECKING:
     from usarmjx.view.page import ViewerPage
 
 UPDATE_PERIOD = 0.25
-"""Figures and plots are brought up to date so often [s]."""
+"""Interval between two updates of numbers and plots [s]."""
 TOAST_PERIOD = 2.0
-"""What could not be done is told so often at most [s]."""
+"""Least interval between two notifications of failures [s]."""
 DROP_DELAY = 10.0
-"""What goes is only hidden for so long [s]: the page may still have to be told of its last figures, and
-complains if it is not there any more."""
+"""Time for which a removed folder is only hidden [s].
+
+The page may still receive its last values, and reports an error for elements that are gone.
+"""
 NO_ROBOT: str = "none"
 TAKE, LEAVE = "Take the controls", "Give the controls back"
 
 
 class UserPanels:
-    """A `panel.Panel`: a banner for all, and for each person what that person may see and do.
+    """A `page.Panel`: a banner for all, and a panel for each user.
 
     Args:
         page: The page.
-        seat: Who has the controls; None: nobody can.
+        lock: Lock of the controls; None: no user can have them.
     """
 
     def __init__(self, page: "ViewerPage", lock: ControlLock | None = None) -> None:
@@ -49,23 +51,23 @@ class UserPanels:
             person.begin(drawing, self._page.frame)
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
-        """Show the world as it is now."""
+        """Show the present frame of the world."""
         now = time.monotonic()
         if now < self._next_update:
             return
         self._next_update = now + UPDATE_PERIOD
-        controls, onlookers = self._page.controls, self._page.onlookers
+        controls, viewers = self._page.controls, self._page.viewers
         status = None if controls is None else controls.status(self._page.world)
         if status is not None:
             self._show_banner(status)
-        for number in self._people.keys() - onlookers.keys():
+        for number in self._people.keys() - viewers.keys():
             del self._people[number]
-        for number, onlooker in list(onlookers.items()):
+        for number, viewer in list(viewers.items()):
             if number not in self._people:
                 order = self._banner.order
-                self._people[number] = UserPanel(self._page, onlooker.client, self._lock, order)
+                self._people[number] = UserPanel(self._page, viewer.client, self._lock, order)
                 self._people[number].begin(drawing, frame)
-            self._people[number].update(frame, status, onlooker.robot)
+            self._people[number].update(frame, status, viewer.robot)
 
     def _show_banner(self, status: WorldStatus) -> None:
         text = banner_html(status, self._lock)
@@ -74,11 +76,11 @@ class UserPanels:
 
     def _leave(self, person: int) -> None:
         if self._lock.leave(person) and self._page.controls is not None:
-            self._page.controls.let_go()
+            self._page.controls.release_all()
 
 
 def banner_html(status: WorldStatus, lock: ControlLock) -> str:
-    """Return how a world goes, in a few lines."""
+    """Return the status of a world, in a few lines."""
     goes = "paused" if status.paused else f"x {status.realtime_factor:.2f} real time"
     held = "" if not lock.allowed else ", somebody has the controls" if lock.holder is not None else ""
     lines = [f"<b>{status.time:.1f} s</b>, {goes}, {status.connections} connected{held}"]
@@ -91,13 +93,13 @@ def banner_html(status: WorldStatus, lock: ControlLock) -> str:
 
 
 class UserPanel:
-    """What one person sees beside the picture.
+    """Panel of one user.
 
     Args:
         page: The page.
-        client: The person.
-        seat: Who has the controls.
-        order: What is above it has a smaller number.
+        client: The user.
+        lock: Lock of the controls.
+        order: Sort key of its first element.
     """
 
     def __init__(
@@ -125,11 +127,11 @@ class UserPanel:
         return self._page.controls
 
     def may(self) -> bool:
-        """Return whether this person has the controls."""
+        """Return whether this user has the controls."""
         return self._lock.holder == self._client.client_id
 
     def do(self, act: Callable[[], None]) -> None:
-        """Do something, if this person may."""
+        """Run an action, if this user has the controls."""
         if self.may():
             act()
 
@@ -147,12 +149,12 @@ class UserPanel:
         self._show_robot(drawing, frame)
 
     def update(self, frame: Frame, status: WorldStatus | None, followed: int | None) -> None:
-        """Show the world as it is now.
+        """Show the present frame of the world.
 
         Args:
-            frame: The world.
-            status: How it goes; None: it is only shown.
-            followed: Slot of the robot that this person looks from; None: from none.
+            frame: The frame.
+            status: Status of the world; None: it is only shown.
+            followed: Slot of the robot that this user's view is attached to; None: none.
         """
         drawing = self._page.drawing
         self._clear_away()
@@ -185,7 +187,7 @@ class UserPanel:
         if not self.may():
             self._lock.take(person)
         elif self._lock.leave(person) and self._controls is not None:
-            self._controls.let_go()
+            self._controls.release_all()
 
     def _show_lock(self, status: WorldStatus | None) -> None:
         visible = status is not None and self._lock.allowed and (self.may() or self._lock.holder is None)
@@ -195,10 +197,10 @@ class UserPanel:
         if self._take.label != label:
             self._take.label = label
 
-    def _folder(self, title: str, place: float, expanded: bool = True) -> viser.GuiFolderHandle:
-        """Return a new folder in place of the one of that title."""
+    def _folder(self, title: str, offset: float, expanded: bool = True) -> viser.GuiFolderHandle:
+        """Return a new folder that replaces the one of that title."""
         self._drop(title)
-        order = self._order + place
+        order = self._order + offset
         self._folders[title] = self._client.gui.add_folder(title, order=order, expand_by_default=expanded)
         return self._folders[title]
 
@@ -209,13 +211,13 @@ class UserPanel:
             self._dropped.append((time.monotonic() + DROP_DELAY, folder))
 
     def _clear_away(self) -> None:
-        """Remove folders that have been out of sight for long enough."""
+        """Remove folders that have been hidden for long enough."""
         now = time.monotonic()
         while self._dropped and now >= self._dropped[0][0]:
             self._dropped.popleft()[1].remove()
 
     def _show_run(self, drawing: Drawing) -> None:
-        """Show what this person may do to the world."""
+        """Show the user's controls of the world."""
         controls, world = self._controls, self._page.world
         self._run, self._shown_world = None, (world, drawing.arena)
         if not self._held or controls is None:
@@ -247,7 +249,7 @@ class UserPanel:
         self._robot = key, state, commands
 
     def _toast(self, status: WorldStatus) -> None:
-        """Tell what could not be done."""
+        """Notify the user of a failed request."""
         now = time.monotonic()
         if status.errors > self._errors and now >= self._toast_due:
             self._errors, self._toast_due = status.errors, now + TOAST_PERIOD
@@ -255,7 +257,7 @@ class UserPanel:
 
 
 def _names(drawing: Drawing) -> dict[int, str]:
-    """Return what robots are called in a list, by slot: where two have one name, with their slots."""
+    """Return the robots' names for a list, by slot: equal names get their slots."""
     names = [robot.name for robot in drawing.robots.values()]
     return {
         slot: robot.name if names.count(robot.name) == 1 else f"{robot.name} ({slot})"

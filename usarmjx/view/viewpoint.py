@@ -1,4 +1,4 @@
-"""From where each person at the page looks: freely, over a robot, or through its camera (manual 5.1)."""
+"""Viewpoint of each user of the page: free, over a robot, or through its camera (manual 5.1)."""
 
 import math
 from dataclasses import dataclass, field
@@ -12,19 +12,31 @@ from usarmjx.view.drawing import NOBODY, Drawing, DrawnRobot, Frame
 from usarmjx.view.mesh import BOX
 
 AZIMUTH, ELEVATION = math.radians(-115.0), math.radians(50.0)
-"""From where one looks at first: seen from the middle, in which direction of the compass and how high."""
+"""Direction of the first viewpoint from the world's middle: azimuth and elevation [rad]."""
 FOV = math.radians(50.0)
-"""How much the picture shows from top to bottom at first [rad]."""
-USED = 0.94
-"""The world fills so much of the picture's width or height, whichever is full first."""
-LOWEST = 1.0
-"""A world is at least so high [m]."""
+"""Vertical field of view of the first viewpoint [rad]."""
+FILL_SHARE = 0.94
+"""Share of the picture's width or height that the world fills, whichever is full first."""
+MIN_HEIGHT = 1.0
+"""Least height of a world for the first viewpoint [m]."""
 UP = np.array([0.0, 0.0, 1.0])
+OCCLUDER_TRANSPARENCY = 0.5
+"""Transparency from which a solid does not hide a robot."""
+CHASE_BEHIND, CHASE_ABOVE = (0.6, 2.0), (0.4, 1.2)
+"""Distance of the view behind and above a robot: [m], and lengths of the robot (chosen)."""
+MAX_ELEVATION, ELEVATIONS = math.radians(85.0), 6
+"""Steepest elevation where walls hide a robot [rad], and number of tried ones."""
+MAX_RISE, MAX_SINK = 0.15, 0.02
+"""Largest change of the elevation in an update, up and down [rad]: quickly out of a wall, and slowly back."""
+LOOK_AHEAD = 1.0
+"""Distance of the pivot in front of a robot's camera, about which the mouse turns the picture [m]."""
+PICK_MARGIN = 0.15
+"""Distance beside a robot up to which a click selects it [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPose:
-    """Where a camera is and what it looks at [m], both (3,), and which way is up on its picture (3,)."""
+    """Position and target of a camera [m], both (3,), and the upward direction of its picture (3,)."""
 
     pos: np.ndarray
     look_at: np.ndarray
@@ -32,9 +44,9 @@ class CameraPose:
 
 
 def bounds_of(drawing: Drawing) -> tuple[np.ndarray, np.ndarray]:
-    """Return least and largest x, y and z of what a drawing has to show [m], both (3,)."""
+    """Return least and largest x, y and z of a drawing's visible bodies [m], both (3,)."""
     low, high = drawing.extent.T
-    tops = [drawing.floor + LOWEST]
+    tops = [drawing.floor + MIN_HEIGHT]
     for shape in (drawing.shapes[body.shape] for body in drawing.bodies if body.slot == NOBODY):
         boxes = shape.kind == BOX
         upward = (np.abs(shape.mat[boxes, 2]) * shape.size[boxes]).sum(1)
@@ -42,8 +54,8 @@ def bounds_of(drawing: Drawing) -> tuple[np.ndarray, np.ndarray]:
     return np.array([*low, drawing.floor]), np.array([*high, max(tops)])
 
 
-def framed(low: np.ndarray, high: np.ndarray, aspect: float = 1.6) -> CameraPose:
-    """Return from where a box fills the picture.
+def fit_box(low: np.ndarray, high: np.ndarray, aspect: float = 1.6) -> CameraPose:
+    """Return the pose from which a box fills the picture.
 
     Args:
         low: Its least x, y and z [m] (3,).
@@ -61,10 +73,10 @@ def framed(low: np.ndarray, high: np.ndarray, aspect: float = 1.6) -> CameraPose
     right = np.cross(ahead, UP)
     right /= np.linalg.norm(right)
     above = np.cross(right, ahead)
-    half_height = math.tan(FOV / 2) * USED
+    half_height = math.tan(FOV / 2) * FILL_SHARE
     target = (low + high) / 2
     distance = 1.0
-    # What is near looks larger than what is far: the target moves until both sides have the same margin.
+    # Perspective enlarges the near side: the target moves until both sides have the same margin.
     for _ in range(4):
         around = corners - target
         depth, aside, up = around @ ahead, around @ right, around @ above
@@ -80,12 +92,8 @@ def framed(low: np.ndarray, high: np.ndarray, aspect: float = 1.6) -> CameraPose
     return CameraPose(target - distance * ahead, target, UP)
 
 
-SEEN_THROUGH = 0.5
-"""Of what lets more light through one sees enough."""
-
-
 class Walls:
-    """The solid boxes of a drawing that stay where they are.
+    """The opaque boxes of a drawing that do not move.
 
     Args:
         drawing: The drawing.
@@ -94,18 +102,18 @@ class Walls:
     def __init__(self, drawing: Drawing) -> None:
         still = [body.shape for body in drawing.bodies if body.slot == NOBODY and body.name == "arena"]
         shapes = [drawing.shapes[name] for name in still]
-        kept = [(shape.kind == BOX) & (shape.transparency < SEEN_THROUGH) for shape in shapes]
+        kept = [(shape.kind == BOX) & (shape.transparency < OCCLUDER_TRANSPARENCY) for shape in shapes]
         pairs = [*zip(shapes, kept, strict=True)]
         self._pos = np.concatenate([np.zeros((0, 3)), *(shape.pos[one] for shape, one in pairs)])
         self._mat = np.concatenate([np.zeros((0, 3, 3)), *(shape.mat[one] for shape, one in pairs)])
         self._size = np.concatenate([np.zeros((0, 3)), *(shape.size[one] for shape, one in pairs)])
 
-    def hide(self, start: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """Return which places cannot be seen from another (places,).
+    def occluded(self, start: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """Return which points are hidden from a viewpoint (points,).
 
         Args:
-            start: From where [m] (3,).
-            ends: The places [m] (places, 3).
+            start: The viewpoint [m] (3,).
+            ends: The points [m] (points, 3).
         """
         if not len(self._pos):
             return np.zeros(len(ends), bool)
@@ -117,20 +125,8 @@ class Walls:
         return ((enters <= leaves) & (enters < 1.0) & (leaves > 0.0)).any(-1)
 
 
-CHASE_BEHIND, CHASE_ABOVE = (0.6, 2.0), (0.4, 1.2)
-"""Over a robot one is so far behind and above it: [m], and lengths of the robot (chosen)."""
-STEEPEST, ANGLES = math.radians(85.0), 6
-"""Where walls hide a robot, one looks down more steeply: at most so, in so many steps."""
-RISE, SINK = 0.15, 0.02
-"""The view becomes so much steeper and flatter in an update [rad]: quickly out of a wall, and slowly back."""
-LOOK_AHEAD = 1.0
-"""Through a camera one looks at what is so far ahead [m]: about that point the mouse turns the picture."""
-PICK_MARGIN = 0.15
-"""A click so far beside a robot still means it [m]."""
-
-
 class ViewMode(Enum):
-    """How a view follows a robot; the value is what the page calls it."""
+    """Kind of attachment of a view; the value is its name on the page."""
 
     FREE = "Free"
     OVER = "Over it"
@@ -139,13 +135,13 @@ class ViewMode(Enum):
 
 @dataclass
 class Viewer:
-    """Somebody at the page.
+    """A user of the page.
 
     Attributes:
-        client: Who.
+        client: Client of viser.
         robot: Slot of the robot that the view is attached to; None: it is free.
-        mode: How it follows the robot.
-        camera: Which of the robot's cameras it looks through.
+        mode: Kind of attachment.
+        camera: Index of the robot's camera that it looks through.
     """
 
     client: viser.ClientHandle
@@ -157,7 +153,7 @@ class Viewer:
     _walls: tuple[Drawing, Walls] | None = field(default=None, repr=False)
 
     def attach(self, robot: int | None) -> None:
-        """Follow a robot; as before, or at first by its camera as the viewing client did."""
+        """Attach to a robot in the present mode, or at first to its camera, as the viewing client did."""
         self.robot, self.camera, self._last_pose, self._elevation = robot, 0, None, None
         if robot is None:
             self.mode = ViewMode.FREE
@@ -165,7 +161,7 @@ class Viewer:
             self.mode = ViewMode.CAMERA
 
     def attach_next(self, drawing: Drawing, frame: Frame, step: int = 1) -> None:
-        """Follow the next robot, or the one before; after the last comes the first."""
+        """Attach to the next robot, or to the previous one; the first follows the last."""
         slots = sorted(drawing.robots.keys() & frame.robots.keys())
         if not slots:
             self.attach(None)
@@ -175,7 +171,7 @@ class Viewer:
             self.attach(slots[0 if step > 0 else -1])
 
     def toggle(self) -> None:
-        """Change between a robot's camera and the view over it."""
+        """Switch between a robot's camera and the view over it."""
         if self.robot is not None:
             self.mode = ViewMode.OVER if self.mode is ViewMode.CAMERA else ViewMode.CAMERA
             self._last_pose = self._elevation = None
@@ -184,9 +180,9 @@ class Viewer:
         """Move the view with the robot.
 
         Args:
-            drawing: The world that it is in.
-            frame: Where all is.
-            offset: How far that world is moved aside [m] (3,).
+            drawing: Drawing of its world.
+            frame: Present frame of the world.
+            offset: Displacement of the world on the stage [m] (3,).
         """
         if self.robot is None:
             return
@@ -204,18 +200,18 @@ class Viewer:
             self._set_fov(FOV)
 
     def free(self) -> None:
-        """Let go of the robot, and look on from where one is."""
+        """Detach from the robot, and keep the viewpoint."""
         self.attach(None)
         self._set_fov(FOV)
 
     def _rise(self, drawing: Drawing, robot: DrawnRobot, frame: Frame) -> float:
-        """Return how steeply to look over a robot now [rad]: so that no wall hides it, and without leaps."""
+        """Return the elevation of the view over a robot [rad]: no wall hides it, and it changes gradually."""
         if self._walls is None or self._walls[0] is not drawing:
             self._walls = drawing, Walls(drawing)
         wanted = clear_elevation(self._walls[1], robot, frame)
         if self._elevation is None:
             self._elevation = wanted
-        self._elevation += float(np.clip(wanted - self._elevation, -SINK, RISE))
+        self._elevation += float(np.clip(wanted - self._elevation, -MAX_SINK, MAX_RISE))
         return self._elevation
 
     def _move(self, pose: CameraPose, offset: np.ndarray) -> None:
@@ -235,7 +231,7 @@ class Viewer:
 
 
 def move_camera(client: viser.ClientHandle, pose: CameraPose) -> None:
-    """Let somebody look from elsewhere, at once."""
+    """Move a user's camera, in one message."""
     with client.atomic():
         client.camera.up_direction = pose.up
         client.camera.position = pose.pos
@@ -243,7 +239,7 @@ def move_camera(client: viser.ClientHandle, pose: CameraPose) -> None:
 
 
 def camera_pose(robot: DrawnRobot, frame: Frame, camera: int) -> CameraPose:
-    """Return from where a robot's camera looks now."""
+    """Return the present pose of a robot's camera."""
     mount = robot.cameras[camera]
     body = int(mount.body[0])
     turn = _turn(frame, body)
@@ -252,12 +248,12 @@ def camera_pose(robot: DrawnRobot, frame: Frame, camera: int) -> CameraPose:
 
 
 def chase_pose(robot: DrawnRobot, frame: Frame, elevation: float | None = None) -> CameraPose:
-    """Return from where one looks over a robot: from behind and above, whichever way it leans.
+    """Return the pose of the view over a robot: behind and above it, however it leans.
 
     Args:
         robot: The robot.
-        frame: Where it is.
-        elevation: How steeply one looks down on it [rad]; None: as over open ground.
+        frame: Present frame of the world.
+        elevation: Elevation of the view [rad]; None: that over open ground.
     """
     pos, ahead = frame.pos[robot.body], _ahead(robot, frame)
     distance, angle = _chase(robot)
@@ -267,39 +263,39 @@ def chase_pose(robot: DrawnRobot, frame: Frame, elevation: float | None = None) 
 
 
 def clear_elevation(walls: Walls, robot: DrawnRobot, frame: Frame) -> float:
-    """Return how steeply to look over a robot so that no wall hides it, or as usual [rad]."""
+    """Return the elevation over a robot from which no wall hides it, or the usual one [rad]."""
     pos, ahead = frame.pos[robot.body], _ahead(robot, frame)
     distance, usual = _chase(robot)
-    angles = np.linspace(usual, STEEPEST, ANGLES)[:, None]
-    places = pos + distance * (np.sin(angles) * UP - np.cos(angles) * ahead)
-    hidden = walls.hide(pos + 0.5 * float(robot.dimensions[2]) * UP, places)
+    angles = np.linspace(usual, MAX_ELEVATION, ELEVATIONS)[:, None]
+    eyes = pos + distance * (np.sin(angles) * UP - np.cos(angles) * ahead)
+    hidden = walls.occluded(pos + 0.5 * float(robot.dimensions[2]) * UP, eyes)
     return float(angles[int(np.argmin(hidden)), 0])
 
 
 def _ahead(robot: DrawnRobot, frame: Frame) -> np.ndarray:
-    """Return where a robot's front is, level and of unit length (3,)."""
+    """Return the level unit vector of a robot's heading (3,)."""
     ahead = _turn(frame, robot.body)[:, 0] * [1.0, 1.0, 0.0]
     norm = float(np.linalg.norm(ahead))
     return ahead / norm if norm > 1e-3 else np.array([1.0, 0.0, 0.0])
 
 
 def _chase(robot: DrawnRobot) -> tuple[float, float]:
-    """Return from how far [m] and how steeply [rad] one looks over a robot on open ground."""
+    """Return distance [m] and elevation [rad] of the view over a robot on open ground."""
     length = float(robot.dimensions[0])
     behind, above = (fixed + share * length for fixed, share in (CHASE_BEHIND, CHASE_ABOVE))
     return math.hypot(behind, above), math.atan2(above, behind)
 
 
 def robot_on_ray(drawing: Drawing, frame: Frame, start: np.ndarray, ray: np.ndarray) -> int | None:
-    """Return the slot of the nearest robot that a ray meets; None if it meets none.
+    """Return the slot of the nearest robot that a ray hits; None without one.
 
     Args:
         drawing: The robots' sizes.
-        frame: Where they are.
-        start: Where the ray begins [m] (3,).
-        ray: Where it goes; of unit length (3,).
+        frame: Their poses.
+        start: Start of the ray [m] (3,).
+        ray: Its unit direction (3,).
     """
-    met: list[tuple[float, int]] = []
+    hits: list[tuple[float, int]] = []
     for slot, robot in drawing.robots.items():
         if slot not in frame.robots:
             continue
@@ -308,12 +304,12 @@ def robot_on_ray(drawing: Drawing, frame: Frame, start: np.ndarray, ray: np.ndar
         middle = frame.pos[robot.body] + turn[:, 2] * robot.dimensions[2] / 4
         distance = _box_distance((start - middle) @ turn, ray @ turn, half)
         if distance is not None:
-            met.append((distance, slot))
-    return min(met)[1] if met else None
+            hits.append((distance, slot))
+    return min(hits)[1] if hits else None
 
 
 def _box_distance(start: np.ndarray, ray: np.ndarray, half: np.ndarray) -> float | None:
-    """Return how far along a ray a box about the origin begins [m]; None if the ray misses it."""
+    """Return the distance along a ray to a box about the origin [m]; None if the ray misses it."""
     ray = np.where(np.abs(ray) < 1e-9, 1e-9, ray)
     sides = np.sort([(-half - start) / ray, (half - start) / ray], axis=0)
     enters, leaves = sides[0].max(), sides[1].min()

@@ -43,8 +43,8 @@ def test_who_has_the_controls_edits_robots_and_the_others_may_look(world):
     page = ViewerPage(ServedSource([world]), panels=[lambda page: ConsolePanel(page, [world], lock)])
     try:
         with visiting(page.server.get_port()) as visitor:
-            until(page, lambda: page.onlookers and "Line" in labels(visitor))
-            (client,) = page.onlookers
+            until(page, lambda: page.viewers and "Line" in labels(visitor))
+            (client,) = page.viewers
             line = "editactor name=one msgTimer=0.5"
             assert "editactor: take the controls first" in answer(page, visitor, line)
             lock.take(client + 1)

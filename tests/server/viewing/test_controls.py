@@ -201,7 +201,7 @@ def test_who_lets_go_stops_all(served):
     served.controls.drive(0, slot, AHEAD)
     served.steps(5)
     assert np.asarray(served.world.robots[slot].command.setpoint).any()
-    served.controls.let_go()
+    served.controls.release_all()
     served.steps(1)
     assert not np.asarray(served.world.robots[slot].command.setpoint).any()
     assert served.status.drivers == {slot: "page"}, "it is still the page's"
@@ -273,7 +273,7 @@ def test_a_client_robot_leaves_only_if_that_is_confirmed(served):
         wait_until(lambda: served.status.errors)
         assert "leaves only if that is confirmed" in served.status.last_error
         assert served.names() == ["C1"]
-        served.controls.remove(0, slot, anyones=True)
+        served.controls.remove(0, slot, any_owner=True)
         while peer.line():
             pass
         assert served.names() == []

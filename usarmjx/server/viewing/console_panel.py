@@ -58,13 +58,13 @@ class ConsolePanel:
     def update(self, drawing: Drawing, frame: Frame) -> None:
         """Give new users a console."""
         self._updates.append(time.monotonic())
-        onlookers = self._page.onlookers
-        for number in self._people.keys() - onlookers.keys():
+        viewers = self._page.viewers
+        for number in self._people.keys() - viewers.keys():
             del self._people[number]
-        for number, onlooker in onlookers.items():
+        for number, viewer in viewers.items():
             if number not in self._people:
                 self._people[number] = UserConsole(
-                    onlooker.client, partial(self.run, onlooker.client), self._page
+                    viewer.client, partial(self.run, viewer.client), self._page
                 )
 
     def run(self, client: viser.ClientHandle, line: str) -> str:

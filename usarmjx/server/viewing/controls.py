@@ -115,7 +115,7 @@ class PageRobots:
             self._stop(held)
             self._forget(slot)
 
-    def let_go(self) -> None:
+    def release_all(self) -> None:
         """Stop all robots, and give back those that were taken over."""
         for slot, held in list(self._held.items()):
             self._stop(held)
@@ -162,7 +162,7 @@ class PageRobots:
         self._held[robot.slot] = HeldRobot(client, own=True)
         log.info("the page: spawned %s as %r", spec.name, robot.name)
 
-    def remove(self, slot: int, anyones: bool) -> None:
+    def remove(self, slot: int, any_owner: bool) -> None:
         """Remove a robot from the world: one that the page spawned, or anyone's.
 
         Raises:
@@ -171,7 +171,7 @@ class PageRobots:
         robot, held = self._world.robots.get(slot), self._held.get(slot)
         if robot is None:
             raise UsageError(f"there is no robot {slot} that could leave")
-        if not (anyones or (held and held.own)):
+        if not (any_owner or (held and held.own)):
             raise UsageError(f"{robot.name} is a client's: it leaves only if that is confirmed")
         if held is not None:
             self._forget(slot)
@@ -396,15 +396,15 @@ class ServedControls:
         appearing = partial(self._spawn, world, robot, name, pos, yaw)
         self._enqueue(world, object(), partial(self._begin, world, appearing))
 
-    def remove(self, world: int, slot: int, anyones: bool = False) -> None:
+    def remove(self, world: int, slot: int, any_owner: bool = False) -> None:
         """Remove a robot from the world: one that the page spawned, or anyone's."""
-        act = partial(self._robots[world].remove, slot, anyones)
+        act = partial(self._robots[world].remove, slot, any_owner)
         self._enqueue(world, ("remove", slot), act, takes_long=True)
 
-    def let_go(self) -> None:
+    def release_all(self) -> None:
         """Stop all robots that the page drives, and give back what it took over."""
         for world, robots in enumerate(self._robots):
-            self._enqueue(world, "let go", robots.let_go, always=True)
+            self._enqueue(world, "let go", robots.release_all, always=True)
 
     # Helpers, of which the requests' own code runs in the thread of the worlds
 
@@ -453,7 +453,7 @@ class ServedControls:
         await asyncio.get_running_loop().run_in_executor(None, served.prepare_reset)
 
         def act() -> None:
-            robots.let_go()
+            robots.release_all()
             served.reset()
 
         self._enqueue(world, "reset now", act, takes_long=True)

@@ -1,7 +1,7 @@
-"""The layers of the page, by name: what can be switched on and off over a world.
+"""Layers of the page, by name: overlays of a world that can be shown and hidden.
 
-A layer gets a drawing and then one frame after the other; `base` says how. What they draw with is in `nodes`,
-where sensors are in `mounts`. To add one, write a `NodeLayer` and list it here.
+A layer gets a drawing and then one frame after the other; `base` has the interface. Their nodes of viser are
+in `nodes`, poses of sensors in `bodies`. To add one, write a `NodeLayer` and list it here.
 """
 
 from usarmjx.base.registry import Registry

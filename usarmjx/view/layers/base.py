@@ -1,4 +1,4 @@
-"""What can be switched on and off in the page: a class for each kind of thing that is drawn over a world."""
+"""Interface of layers: a class for each kind of overlay of a world."""
 
 from abc import ABC, abstractmethod
 from typing import ClassVar
@@ -29,10 +29,13 @@ ROBOT_COLORS = np.array(
     ],
     np.uint8,
 )
-"""Red, green and blue of robots by slot; from then on they come again. They were searched for, so that any
-two are far apart for people with normal, protanopic, deuteranopic and tritanopic sight."""
+"""Red, green and blue of robots by slot, repeated after the last.
+
+They were searched for, so that any two are far apart for people with normal, protanopic, deuteranopic and
+tritanopic sight.
+"""
 SCALE = np.array([(213, 94, 0), (240, 228, 66), (0, 158, 115)], float)
-"""From bad over fair to good, which the colour-blind can tell apart too (Okabe and Ito's colours)."""
+"""From bad over fair to good, distinct for the colour-blind, too (Okabe and Ito's colours)."""
 
 
 def robot_colors(slots: np.ndarray) -> np.ndarray:
@@ -42,19 +45,19 @@ def robot_colors(slots: np.ndarray) -> np.ndarray:
 
 def scale_colors(share: np.ndarray) -> np.ndarray:
     """Return colours of shares from 0, bad, to 1, good (...,), 0 to 255 (..., 3)."""
-    places = np.linspace(0.0, 1.0, len(SCALE))
-    columns = [np.interp(share, places, SCALE[:, channel]) for channel in range(3)]
+    stops = np.linspace(0.0, 1.0, len(SCALE))
+    columns = [np.interp(share, stops, SCALE[:, channel]) for channel in range(3)]
     return np.stack(columns, -1).astype(np.uint8)
 
 
 class Layer(ABC):
-    """Something drawn over a world that people may switch off.
+    """An overlay of a world that users may hide.
 
     Attributes:
-        name: What its switch is called.
-        about: One line on what it shows.
+        name: Name of its switch.
+        about: Description in one line.
         shown_at_first: Whether it is on when the page opens.
-        alone: Whether no other world is shown beside the one that it is drawn over.
+        alone: Whether no other world is shown beside its own.
     """
 
     name: ClassVar[str]
@@ -64,17 +67,17 @@ class Layer(ABC):
 
     @abstractmethod
     def begin(self, scene: viser.SceneApi, drawing: Drawing, prefix: str) -> None:
-        """Start with a new drawing: another world, or the robots in it are others.
+        """Start with a new drawing: another world, or other robots.
 
         Args:
-            scene: Where to draw.
-            drawing: What stays of the world's looks.
-            prefix: Path in the scene below which the layer's nodes go; moves with the world.
+            scene: Scene of viser.
+            drawing: Drawing of the world.
+            prefix: Root path of the layer's nodes; it moves with the world.
         """
 
     @abstractmethod
     def update(self, drawing: Drawing, frame: Frame) -> None:
-        """Show the world as it is now; called only while the layer is on."""
+        """Show the present frame of the world; called only while the layer is on."""
 
     @abstractmethod
     def show(self, on: bool) -> None:

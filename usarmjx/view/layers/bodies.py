@@ -1,4 +1,4 @@
-"""Where sensors sit and what cameras see of."""
+"""Sensors and cameras of robots: their poses, housings and fields of view."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -16,6 +16,11 @@ from usarmjx.view.drawing import Drawing, DrawnMount, Frame
 from usarmjx.view.layers.base import robot_colors
 from usarmjx.view.layers.nodes import InstanceNode, LineNode, NodeLayer
 
+VIEW_LENGTH = 0.5
+"""Distance of a camera's drawn picture frame [m]."""
+ASPECT = 3 / 4
+"""Height of pictures, as a share of their width."""
+
 
 @dataclass(frozen=True, eq=False)
 class DrawnSensor:
@@ -23,8 +28,8 @@ class DrawnSensor:
 
     Attributes:
         slot: Slot of the robot.
-        index: Place of its reading among the robot's.
-        mount: Where it sits.
+        index: Index of its reading among the robot's.
+        mount: Its mounts.
         settings: Settings of each mount, of the sensor's class.
     """
 
@@ -34,33 +39,33 @@ class DrawnSensor:
     settings: tuple[Any, ...]
 
     def reading(self, frame: Frame) -> np.ndarray | None:
-        """Return what it said last; None: its robot is not there."""
+        """Return its last reading; None while its robot is absent."""
         robot = frame.robots.get(self.slot)
         return None if robot is None else np.asarray(robot.readings[self.index])
 
 
 def mount_poses(frame: Frame, mount: DrawnMount) -> tuple[np.ndarray, np.ndarray]:
-    """Return where mounts are in the world [m] (mounts, 3), and how they are turned (mounts, 3, 3)."""
+    """Return the positions of mounts in the world [m] (mounts, 3), and their orientations (mounts, 3, 3)."""
     with numpy_backend():
         mat = np.asarray(mat_from_quat(frame.quat[mount.body]))
         return np.asarray(frame.pos[mount.body] + matvec(mat, mount.pos)), np.asarray(matmul(mat, mount.mat))
 
 
 def quat_product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return orientations that are `second` within `first`, w first, (n, 4) each."""
+    """Return the products of quaternions, w first, (n, 4) each: `second` within `first`."""
     w, x, y, z = first.T
     rows = np.array([(w, -x, -y, -z), (x, w, -z, y), (y, z, w, -x), (z, -y, x, w)])
     return np.einsum("ijn,nj->ni", rows, second)
 
 
 def quats_of(mats: np.ndarray) -> np.ndarray:
-    """Return orientations (n, 3, 3), of which there may be none, as quaternions, w first (n, 4)."""
+    """Return orientations (n, 3, 3), possibly none, as quaternions, w first (n, 4)."""
     whole = np.concatenate([np.eye(3)[None], mats])
     return Rotation.from_matrix(whole).as_quat(scalar_first=True)[1:]
 
 
 def sensors_of(drawing: Drawing, family: type[Sensor]) -> list[DrawnSensor]:
-    """Return the sensors of all robots that are of a class or of those made from it."""
+    """Return the sensors of all robots that are of a class or of one derived from it."""
     found: list[DrawnSensor] = []
     for slot, robot in drawing.robots.items():
         for index, mount in enumerate(robot.sensors):
@@ -71,29 +76,29 @@ def sensors_of(drawing: Drawing, family: type[Sensor]) -> list[DrawnSensor]:
 
 
 def settings_of(kind: type[Sensor], mount: DrawnMount) -> tuple[Any, ...]:
-    """Return the settings of each mount as the sensor knows them, without those that are no plain values."""
+    """Return the settings of each mount as the sensor's own, without those that are no plain values."""
     known = {field.name for field in fields(kind.settings_class)}
     return tuple(
-        kind.settings_class(**{name: value for name, value in told.items() if name in known})
-        for told in mount.settings
+        kind.settings_class(**{name: value for name, value in settings.items() if name in known})
+        for settings in mount.settings
     )
 
 
 class ReadingPoses:
-    """Where the mounts of range sensors were when they took their readings.
+    """Poses of the mounts of range sensors at the time of their readings.
 
-    Else a scan would go along with a robot that drives on. A reading is taken to be new when it differs from
-    the one before; one that met nothing is the same everywhere, and goes along.
+    Otherwise a scan would move with a robot that drives on. A reading counts as new when it differs from
+    the one before; a reading without echoes is always the same, and moves with its robot.
 
     Args:
         sensors: The sensors.
 
     Attributes:
         sensors: The sensors.
-        readings: What each took, flat; empty while its robot is not there.
-        rows: Which of the arrays below are the mounts of each.
-        pos: Where mounts were [m] (mounts, 3).
-        quat: How they were turned, w first (mounts, 4).
+        readings: Reading of each, flat; empty while its robot is absent.
+        rows: Rows of each one's mounts in the arrays below.
+        pos: Positions of mounts [m] (mounts, 3).
+        quat: Their orientations, w first (mounts, 4).
         mat: The same as matrices (mounts, 3, 3).
     """
 
@@ -111,8 +116,8 @@ class ReadingPoses:
         self._turn = quats_of(self._local)
         self._max_range = [min(one.max_range for one in sensor.settings) for sensor in sensors]
 
-    def look(self, frame: Frame) -> list[int]:
-        """Take what is new; return which sensors have something new."""
+    def update(self, frame: Frame) -> list[int]:
+        """Take new readings; return the sensors that have one."""
         new: list[int] = []
         for number, sensor in enumerate(self.sensors):
             robot, before = frame.robots.get(sensor.slot), self.readings[number]
@@ -122,7 +127,7 @@ class ReadingPoses:
                     new.append(number)
                 continue
             reading = np.asarray(robot.readings[sensor.index]).reshape(-1)
-            if not np.array_equal(reading, before) or self._met_nothing(number, reading):
+            if not np.array_equal(reading, before) or self._is_empty(number, reading):
                 self.readings[number] = reading
                 new.append(number)
         if new:
@@ -137,14 +142,8 @@ class ReadingPoses:
                 self.pos[rows], self.quat[rows], self.mat[rows] = pos[rows], turned[rows], mat[rows]
         return new
 
-    def _met_nothing(self, number: int, reading: np.ndarray) -> bool:
+    def _is_empty(self, number: int, reading: np.ndarray) -> bool:
         return bool(((reading <= 0) | (reading >= self._max_range[number])).all())
-
-
-VIEW_LENGTH = 0.5
-"""How far ahead of a camera the frame of its picture is drawn [m]."""
-ASPECT = 3 / 4
-"""Height of pictures, as a share of their width."""
 
 
 def box() -> tuple[np.ndarray, np.ndarray]:
@@ -162,8 +161,8 @@ class SensorBodyLayer(NodeLayer):
     shown_at_first = False
 
     def draw(self, drawing: Drawing) -> None:
-        """Gather the sensors of all robots; with HiddenSensor=false they are part of their robots."""
-        slot, body, pos, mat = [], [], [], []
+        """Collect the sensors of all robots; those with HiddenSensor=false are drawn with their robots."""
+        slot, body, pos, mat = list[int](), list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
         for robot in drawing.robots.values():
             for mount in robot.sensors:
                 hidden = [bool(settings.get("hidden_sensor", True)) for settings in mount.settings]
@@ -181,7 +180,7 @@ class SensorBodyLayer(NodeLayer):
         self._rgb = (255 * np.array(HOUSING_RGBA[:3])).astype(np.uint8)
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
-        """Move them along with what they sit on."""
+        """Move the boxes with their bodies."""
         del drawing
         there = np.isin(self._slot, list(frame.robots))
         body, count = self._body[there], int(there.sum())
@@ -193,7 +192,7 @@ class SensorBodyLayer(NodeLayer):
 
 
 def view_lines(fov: np.ndarray) -> np.ndarray:
-    """Return the edges of what cameras see, in their axes [m] (cameras, 8, 2, 3).
+    """Return the edges of cameras' fields of view, in their axes [m] (cameras, 8, 2, 3).
 
     Args:
         fov: Horizontal fields of view [rad] (cameras,).
@@ -213,18 +212,18 @@ def view_lines(fov: np.ndarray) -> np.ndarray:
 
 
 class CameraLayer(NodeLayer):
-    """What cameras see of: the edges of their pictures."""
+    """Edges of cameras' fields of view."""
 
     name = "Camera views"
     about = "where cameras sit and look: the edges of their pictures"
     shown_at_first = False
 
     def draw(self, drawing: Drawing) -> None:
-        """Look which cameras there are; mirrors look all around and have no edges."""
+        """Collect the cameras; mirrors look all around and have no edges."""
         self._cameras: list[tuple[int, int, DrawnMount]] = [
-            (slot, place, mount)
+            (slot, index, mount)
             for slot, robot in drawing.robots.items()
-            for place, mount in enumerate(robot.cameras)
+            for index, mount in enumerate(robot.cameras)
             if mount.settings[0].get("lens", "pinhole") == "pinhole"
         ]
         self._lines = LineNode(self.scene, f"{self.root}/lines", width=1.5)
@@ -233,7 +232,7 @@ class CameraLayer(NodeLayer):
         """Follow pan, tilt and zoom."""
         del drawing
         there = [one for one in self._cameras if one[0] in frame.robots]
-        fov = np.array([frame.robots[slot].fovs[place] for slot, place, _ in there], float)
+        fov = np.array([frame.robots[slot].fovs[index] for slot, index, _ in there], float)
         body = np.array([mount.body[0] for _, _, mount in there], int)
         local = np.array([mount.mat[0] for _, _, mount in there]).reshape(-1, 3, 3)
         at = np.array([mount.pos[0] for _, _, mount in there]).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""What sonars hear and infrared sensors see: cones and lines as long as what they told."""
+"""Last readings of range sensors: laser fans, sonar cones and infrared lines."""
 
 import math
 
@@ -21,10 +21,15 @@ from usarmjx.view.layers.bodies import DrawnSensor, ReadingPoses, sensors_of
 from usarmjx.view.layers.nodes import InstanceNode, LineNode, MeshNode, NodeLayer, PointNode
 
 LONGEST_BEAM = 8.0
-"""Beams that meet nothing are drawn no longer than this [m]; scanners see up to a kilometre far."""
+"""Longest drawn beam without an echo [m]; scanners reach up to a kilometre."""
 FAN_OPACITY = 0.16
 POINT_SIZE = 0.03
-"""Radius of the points where beams end [m]."""
+"""Radius of the points at the beams' ends [m]."""
+CONE_OPACITY = 0.22
+CONE_SIDES, CAP_RINGS = 16, 3
+IR_RGB = np.array((230, 0, 180), np.uint8)
+IR_POINT_SIZE = 0.03
+"""Radius of the points at the ends of infrared lines [m]."""
 
 
 def beam_directions_of(sensor: DrawnSensor) -> np.ndarray:
@@ -42,9 +47,9 @@ def fan_faces(beams: int) -> np.ndarray:
 
 
 class LaserLayer(NodeLayer):
-    """Fans of RangeScanner and IRScanner, and where beams end, also those of RangeScanner3D.
+    """Fans of RangeScanner and IRScanner, and the beams' ends, also those of RangeScanner3D.
 
-    Each scanner has nodes of its own: scans come one after the other, and only what is new is sent.
+    Each scanner has nodes of its own: scans come one after the other, and only new ones are sent.
     """
 
     name = "Laser fans"
@@ -52,7 +57,7 @@ class LaserLayer(NodeLayer):
     shown_at_first = True
 
     def draw(self, drawing: Drawing) -> None:
-        """Look which scanners there are."""
+        """Collect the scanners."""
         self._held = ReadingPoses(sensors_of(drawing, RangeScanner))
         self._scans = [
             _Scan(self.scene, f"{self.root}/{number}", sensor)
@@ -60,20 +65,20 @@ class LaserLayer(NodeLayer):
         ]
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
-        """Show each scan where it was taken."""
+        """Show each scan at the pose of its scanner then."""
         del drawing
         held = self._held
-        for number in held.look(frame):
+        for number in held.update(frame):
             rows = held.rows[number]
             self._scans[number].show(held.pos[rows], held.mat[rows.start], held.readings[number])
 
 
 class _Scan:
-    """One scanner's scan.
+    """Scan of one scanner.
 
     Args:
-        scene: Where to draw.
-        path: Of its nodes.
+        scene: Scene of viser.
+        path: Path of its nodes.
         sensor: The scanner.
     """
 
@@ -83,12 +88,12 @@ class _Scan:
         self._rgb = np.array(robot_colors(np.array(sensor.slot)))
         self._points = PointNode(scene, f"{path}/points", POINT_SIZE)
         self._fan: MeshNode | None = None
-        if not isinstance(settings, Scanner3DSettings):  # whose beams fill a room
+        if not isinstance(settings, Scanner3DSettings):  # the fan of a 3D scanner would fill the room
             self._fan = MeshNode(scene, f"{path}/fan", tuple(self._rgb.tolist()), FAN_OPACITY)
         self._faces = fan_faces(len(self._directions)).astype(np.uint32)
 
     def show(self, start: np.ndarray, mat: np.ndarray, ranges: np.ndarray) -> None:
-        """Show where beams ended: from `start` [m] (1, 3), turned (3, 3), with ranges [m]: all or none."""
+        """Show the beams' ends: from `start` [m] (1, 3), turned (3, 3), with ranges [m]: all or none."""
         if not len(ranges):
             self._points.set(start[:0], self._rgb)
             if self._fan is not None:
@@ -102,17 +107,11 @@ class _Scan:
             self._fan.set(np.concatenate([start, ends]), self._faces)
 
 
-CONE_OPACITY = 0.22
-CONE_SIDES, CAP_RINGS = 16, 3
-IR_RGB = np.array((230, 0, 180), np.uint8)
-IR_POINT_SIZE = 0.03
-"""Radius of the points where infrared lines end [m]."""
-
-
 def sound_cone(angle: float) -> tuple[np.ndarray, np.ndarray]:
     """Return corners (corners, 3) and triangles (triangles, 3) of a cone about the x axis.
 
-    Its tip is corner 0, and all other corners are 1 away from it, on rings around the axis, as sound is.
+    Its tip is corner 0; all other corners are at distance 1 from it, on rings around the axis, like a wave
+    front.
 
     Args:
         angle: Full angle of the cone [rad].
@@ -145,7 +144,7 @@ class SonarLayer(NodeLayer):
     shown_at_first = False
 
     def draw(self, drawing: Drawing) -> None:
-        """Look which sonars there are; those with the same angle are instances of one cone."""
+        """Collect the sonars; those with the same angle are instances of one cone."""
         self._held = ReadingPoses(sensors_of(drawing, Sonar))
         angles = np.array([one.beam_angle for sensor in self._held.sensors for one in sensor.settings])
         self._cones = [
@@ -158,9 +157,9 @@ class SonarLayer(NodeLayer):
         self._rgb = robot_colors(_slots(self._held))
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
-        """Show each cone where its range was taken."""
+        """Show each cone at the pose of its sonar then."""
         del drawing
-        if not self._held.look(frame):
+        if not self._held.update(frame):
             return
         ranges = _ranges(self._held)
         for same, node in self._cones:
@@ -176,7 +175,7 @@ class InfraredLayer(NodeLayer):
     shown_at_first = False
 
     def draw(self, drawing: Drawing) -> None:
-        """Look which sensors there are."""
+        """Collect the sensors."""
         self._held = ReadingPoses(sensors_of(drawing, Ir))
         settings = [one for sensor in self._held.sensors for one in sensor.settings]
         self._max_range = np.array([one.max_range for one in settings], np.float32)
@@ -184,9 +183,9 @@ class InfraredLayer(NodeLayer):
         self._points = PointNode(self.scene, f"{self.root}/points", IR_POINT_SIZE)
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
-        """Show each line where its range was taken."""
+        """Show each line at the pose of its sensor then."""
         del drawing
-        if not self._held.look(frame):
+        if not self._held.update(frame):
             return
         ranges = _ranges(self._held)
         with numpy_backend():
@@ -198,12 +197,12 @@ class InfraredLayer(NodeLayer):
 
 
 def _slots(held: ReadingPoses) -> np.ndarray:
-    """Return whose each mount is (mounts,)."""
+    """Return the slot of each mount's robot (mounts,)."""
     return np.array([sensor.slot for sensor in held.sensors for _ in sensor.settings], int)
 
 
 def _ranges(held: ReadingPoses) -> np.ndarray:
-    """Return what each mount told [m], 0 where its robot is not there (mounts,)."""
+    """Return each mount's range [m], 0 while its robot is absent (mounts,)."""
     ranges = np.zeros(len(held.pos), np.float32)
     for rows, reading in zip(held.rows, held.readings, strict=True):
         if len(reading):

@@ -1,4 +1,4 @@
-"""What lights a world: sun and sky, lamps, and the robots' headlights."""
+"""Light of a world: sun and sky, lamps, and the robots' headlights."""
 
 import math
 
@@ -18,28 +18,29 @@ from usarmjx.view.layers.nodes import LineNode, NodeLayer, PointNode
 WHITE_CANDELA = math.pi
 """Intensity of a point light in three.js that makes a white wall a metre away white."""
 SUN_RGB, SUN_INTENSITY, INDOOR_SUN_INTENSITY = (255, 236, 206), 2.6, 1.3
-"""Indoors there are no roofs to be seen, and the sun is there for the sake of shadows."""
+"""Colour of the sun, and its intensity outdoors and indoors: rooms have no roofs, and shadows need a sun."""
 WIDEST_SPOT, SPOT_HEIGHT, SPOT_MARGIN = 16.0, 4.0, 4.0
-"""The sun is a spotlight over arenas of up to this radius [m], so many radii away, and lights so much more
-than them [m]."""
+"""Sun as a spotlight: largest radius of the arena [m], distance in radii, and margin around the arena [m]."""
 SKY_RGB, GROUND_RGB, SKY_INTENSITY, INDOOR_SKY_INTENSITY = (226, 236, 255), (168, 146, 120), 0.9, 0.5
 ZENITH, HORIZON, HAZE = (126, 168, 214), (226, 230, 228), (214, 204, 188)
-"""Colours of what is behind the world: high up, halfway, and below."""
+"""Colours of the background: at the top, halfway, and below."""
 MOST_LAMPS, MOST_HEADLIGHTS, MOST_SHADOWS = 8, 8, 2
-"""So many lamps and headlights light the page, and so many headlights throw shadows: each costs browsers time
-for all that they draw."""
+"""Most lamps and headlights that light the page, and most headlights with shadows.
+
+Each takes time in the browser for every drawn surface.
+"""
 HEADLIGHT_REACH = 15.0
-"""Headlights shine no farther [m]."""
+"""Range of headlights [m]."""
 BULB_RADIUS, BULB_RGB = 0.08, (255, 246, 214)
 BEAM_LENGTH = 2.5
-"""Of the lines that show where a headlight shines [m]."""
+"""Length of the lines along a headlight's cone [m]."""
 BEAM_RGB = (255, 226, 120)
 
 
 class SkyLayer(NodeLayer):
-    """The sun with its shadows, light from the sky, and what is behind the world.
+    """The sun with its shadows, light from the sky, and the background.
 
-    An arena with lamps gets less of it, where no other world stands beside it.
+    An arena with lamps gets less of it, where no other world is shown beside it.
     """
 
     name = "Light"
@@ -51,7 +52,7 @@ class SkyLayer(NodeLayer):
         self._key: tuple[object, ...] = ()
 
     def begin(self, scene: viser.SceneApi, drawing: Drawing, prefix: str) -> None:
-        """Start with a new drawing; when only robots have come or gone the light stays."""
+        """Start with a new drawing; if only robots have joined or left, the light stays."""
         lamps = np.asarray(drawing.lamp_rgb).tobytes()
         key = id(scene), prefix, np.asarray(drawing.extent).tobytes(), drawing.floor, lamps, self.alone
         if self._top is None or key != self._key:
@@ -68,17 +69,17 @@ class SkyLayer(NodeLayer):
             self._shine()
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
-        """It stays as it is."""
+        """Do nothing: the light is constant."""
         del drawing, frame
 
     def show(self, on: bool) -> None:
-        """Light the world so, or evenly."""
+        """Switch between this light and viser's even default."""
         if self._top is not None and on != self._on:
             (self._shine if on else self._dim)()
         super().show(on)
 
     def end(self) -> None:
-        """Light the world evenly."""
+        """Restore viser's even light."""
         if self._top is not None and self._on:
             self._dim()
         super().end()
@@ -97,10 +98,10 @@ class SkyLayer(NodeLayer):
         self._add_sun(INDOOR_SUN_INTENSITY if indoors else SUN_INTENSITY)
 
     def _add_sun(self, intensity: float) -> None:
-        """Add the sun; over a small arena that stands alone it is a spotlight.
+        """Add the sun; over a small arena without neighbours it is a spotlight.
 
-        The browser draws shadows of sunlight near the eye only, and of a spotlight everywhere, but those are
-        coarse if it is far away.
+        The browser draws shadows of directional light near the camera only, and of a spotlight everywhere,
+        but those are coarse if it is far away.
         """
         name, way = f"{self.root}/sun", np.array(SUN_DIRECTION) / np.linalg.norm(SUN_DIRECTION)
         if self._radius > WIDEST_SPOT or not self.alone:
@@ -130,11 +131,11 @@ class SkyLayer(NodeLayer):
 
 
 def backdrop(zenith: tuple[int, ...], horizon: tuple[int, ...], haze: tuple[int, ...]) -> np.ndarray:
-    """Return a picture that goes from one colour at the top over a second to a third (height, 8, 3)."""
+    """Return a picture that blends from one colour at the top over a second to a third (height, 8, 3)."""
     height = 256
     down = np.linspace(0.0, 1.0, height)
-    places = (0.0, 0.55, 1.0)
-    rgb = [np.interp(down, places, channel) for channel in zip(zenith, horizon, haze, strict=True)]
+    stops = (0.0, 0.55, 1.0)
+    rgb = [np.interp(down, stops, channel) for channel in zip(zenith, horizon, haze, strict=True)]
     return np.repeat(np.stack(rgb, -1)[:, None], 8, 1).round().astype(np.uint8)
 
 
@@ -146,26 +147,26 @@ class LampLayer(NodeLayer):
     shown_at_first = True
 
     def draw(self, drawing: Drawing) -> None:
-        """Draw bulbs, and let the brightest shine."""
+        """Draw bulbs, and lights of the brightest."""
         rgb = np.asarray(drawing.lamp_rgb, float).reshape(-1, 3)
         pos = np.asarray(drawing.lamps, float).reshape(-1, 3)
         there = (rgb > 0).any(-1)
         rgb, pos = rgb[there], pos[there]
         PointNode(self.scene, f"{self.root}/bulbs", BULB_RADIUS).set(pos, np.tile(BULB_RGB, (len(pos), 1)))
         brightness = rgb.max(-1)
-        if not self.alone:  # those of the worlds beside it do not shine either
+        if not self.alone:  # the neighbours' lamps would be dark: then none shines
             return
-        for place in np.argsort(-brightness, kind="stable")[:MOST_LAMPS].tolist():
-            red, green, blue = (255 * rgb[place] / brightness[place]).astype(int).tolist()
+        for lamp in np.argsort(-brightness, kind="stable")[:MOST_LAMPS].tolist():
+            red, green, blue = (255 * rgb[lamp] / brightness[lamp]).astype(int).tolist()
             self.scene.add_light_point(
-                f"{self.root}/lamp{place}",
+                f"{self.root}/lamp{lamp}",
                 color=(red, green, blue),
-                intensity=WHITE_CANDELA * float(brightness[place]),
-                position=tuple(pos[place].tolist()),
+                intensity=WHITE_CANDELA * float(brightness[lamp]),
+                position=tuple(pos[lamp].tolist()),
             )
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
-        """They stay as they are."""
+        """Do nothing: lamps are constant."""
         del drawing, frame
 
 
@@ -177,13 +178,13 @@ class HeadlightLayer(NodeLayer):
     shown_at_first = True
 
     def draw(self, drawing: Drawing) -> None:
-        """Get ready for those that go on."""
+        """Prepare the nodes."""
         del drawing
         self._spots: list[viser.SpotLightHandle] = []
         self._beams = LineNode(self.scene, f"{self.root}/beams", width=1.5)
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
-        """Let those shine that are on."""
+        """Show the lights of the headlights that are on."""
         mounts = [
             light
             for slot, robot in frame.robots.items()
@@ -194,24 +195,24 @@ class HeadlightLayer(NodeLayer):
             np.concatenate([np.zeros((0, 2, 3)), *(_edges(pos[0], mat[0]) for pos, mat in poses)]),
             np.array(BEAM_RGB),
         )
-        for place, (pos, mat) in enumerate(poses[:MOST_HEADLIGHTS]):
-            if place == len(self._spots):
-                self._spots.append(self._spot(place))
-            self._spots[place].position = pos[0]
+        for number, (pos, mat) in enumerate(poses[:MOST_HEADLIGHTS]):
+            if number == len(self._spots):
+                self._spots.append(self._spot(number))
+            self._spots[number].position = pos[0]
             x, y, z = mat[0, :, 0].tolist()
-            self._spots[place].direction = (x, y, z)
-        for place, spot in enumerate(self._spots):
-            spot.visible = place < len(poses)
+            self._spots[number].direction = (x, y, z)
+        for number, spot in enumerate(self._spots):
+            spot.visible = number < len(poses)
 
-    def _spot(self, place: int) -> viser.SpotLightHandle:
+    def _spot(self, number: int) -> viser.SpotLightHandle:
         return self.scene.add_light_spot(
-            f"{self.root}/spot{place}",
+            f"{self.root}/spot{number}",
             color=(255, 244, 214),
             intensity=WHITE_CANDELA * HEADLIGHT_BRIGHTNESS * 2,
             angle=SPOT_OUTER_ANGLE,
             penumbra=1 - SPOT_INNER_ANGLE / SPOT_OUTER_ANGLE,
             distance=HEADLIGHT_REACH,
-            cast_shadow=place < MOST_SHADOWS,
+            cast_shadow=number < MOST_SHADOWS,
         )
 
 

@@ -1,4 +1,4 @@
-"""Maps that robots are building: those of a task, else one drawn of all scans."""
+"""Maps of robots: a task's own, or one that the page builds of all scans."""
 
 import math
 
@@ -12,36 +12,36 @@ from usarmjx.view.layers.echoes import beam_directions_of
 from usarmjx.view.layers.nodes import NodeLayer
 
 UNKNOWN, FREE, WALL, MARK = 0, 1, 2, 3
-"""As in `train.mapping.maps`."""
+"""States of a square, as in `train.mapping.maps`."""
 MAP_RGBA = np.array([(0, 0, 0, 0), (70, 150, 255, 90), (20, 40, 110, 235), (230, 0, 120, 255)], np.uint8)
-"""Colours of what is unknown, free, a wall and a mark."""
+"""Colours of the states."""
 RANKS = np.array([0, 2, 1, 3])
-"""What one robot has seen to be free goes before what another took for a wall: that may have been a robot."""
+"""Precedence of the states between robots: free beats wall, which may have been another robot."""
 SCAN_CELL, SCAN_REACH = 0.15, 8.0
-"""Side of the squares of a map of scans, and how far from a scanner they are looked at [m]."""
+"""Side of a scan map's squares, and largest distance from the scanner that counts [m]."""
 MOST_EVIDENCE = 8
-"""So often is a square seen as free, or as a wall, until further scans count no more."""
+"""Largest evidence for free or wall in a square, in scans; further scans do not count."""
 MOST_SQUARES = 600
-"""A map of scans has no more squares along a side: larger ones are coarser."""
+"""Most squares along a side of a scan map: larger maps are coarser."""
 MAP_HEIGHT = 0.03
-"""Maps lie so far above the floor [m]."""
+"""Height of maps above the floor [m]."""
 ENLARGED = 4
-"""So many pixels along a side has a square, so that browsers do not blur it away."""
+"""Pixels along a square's side, so that browsers do not blur it."""
 PICTURE_PERIOD = 0.4
-"""A changed map is sent no more often than this [s of the world's time]."""
+"""Least interval between two sent pictures of a map [s of the world's time]."""
 SCANS_AT_ONCE = 1
-"""So many scans are looked at in one update; the others wait for the next, 50 ms later."""
+"""Scans that one update adds; the others wait for the next, 50 ms later."""
 MOST_BEAMS = 181
-"""Of a scan with more beams than this some are not followed along their way, only to their ends."""
+"""Most beams of a scan whose path counts; of more, only some do. All ends count."""
 LEVEL = 0.35
-"""A scan counts as level while its plane's normal leans by less than this [rad]."""
+"""Lean of a scan plane's normal below which the scan counts as level [rad]."""
 
 
 class ScanMap:
-    """A map of all scans: every scan that ends in a square, or passes it, counts.
+    """Map of all scans: every scan that ends in a square, or passes it, counts.
 
     Args:
-        low: Least x and y that it covers [m] (2,).
+        low: Least x and y of the map [m] (2,).
         high: Largest x and y [m] (2,).
 
     Attributes:
@@ -57,12 +57,12 @@ class ScanMap:
         self.evidence: np.ndarray = np.zeros(np.ceil((high - low) / self.cell).astype(int) + 1, np.int8)
 
     def add(self, start: np.ndarray, ends: np.ndarray, hit: np.ndarray) -> None:
-        """Look at a scan.
+        """Add a scan.
 
         Args:
-            start: Where the scanner was [m] (2,).
-            ends: Where its beams ended [m] (beams, 2).
-            hit: Which of them met something (beams,).
+            start: Position of the scanner [m] (2,).
+            ends: Ends of its beams [m] (beams, 2).
+            hit: Which of them are echoes (beams,).
         """
         every = -(-len(ends) // MOST_BEAMS)
         along = (ends - start)[::every]
@@ -78,11 +78,11 @@ class ScanMap:
 
     @property
     def squares(self) -> np.ndarray:
-        """What squares are taken to be (i, j)."""
+        """State of each square (i, j)."""
         return np.where(self.evidence > 0, WALL, np.where(self.evidence < 0, FREE, UNKNOWN))
 
     def _mask(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return which squares points lie in (i, j); those beyond it fall into a frame that is cut off."""
+        """Return the squares with points in them (i, j); those outside fall into a cut-off border."""
         rows, columns = self.evidence.shape[0], self.evidence.shape[1]
         i = np.clip((x - self.low[0]) / self.cell + 1.5, 0.5, rows + 1.5).astype(np.int32)
         j = np.clip((y - self.low[1]) / self.cell + 1.5, 0.5, columns + 1.5).astype(np.int32)
@@ -92,7 +92,7 @@ class ScanMap:
 
 
 class MapLayer(NodeLayer):
-    """The map of a team: a task's maps of its robots, one over the other, else that of all scans."""
+    """The map of a team: a task's maps of its robots, merged, or that of all scans."""
 
     name = "Map"
     about = "the map being built: blue free, dark a wall, red what was looked for"
@@ -116,22 +116,23 @@ class MapLayer(NodeLayer):
         self._due = -math.inf
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
-        """Look at new scans, and show the map if it has changed."""
+        """Add new scans, and show the map if it has changed."""
         maps = [np.asarray(value) for name, value in frame.extra.items() if name.startswith(MAP_PREFIX)]
         if maps:
             x, y, cell = np.asarray(frame.extra[MAP_GRID], float).tolist()
             squares, low = merged(maps), np.array([x, y])
         else:
-            self._look(frame)
-            low, cell = self._scans.low, self._scans.cell
+            self._add_scans(frame)
+            squares, low, cell = None, self._scans.low, self._scans.cell
         if frame.time < self._due <= frame.time + 2 * PICTURE_PERIOD:
             return
         self._due = frame.time + PICTURE_PERIOD
-        self._picture(squares if maps else self._scans.squares, low, cell, drawing.floor + MAP_HEIGHT)
+        squares = self._scans.squares if squares is None else squares
+        self._picture(squares, low, cell, drawing.floor + MAP_HEIGHT)
 
-    def _look(self, frame: Frame) -> None:
-        """Look at some of the scans that are new, at those that have waited longest."""
-        self._waiting |= dict.fromkeys(self._held.look(frame))
+    def _add_scans(self, frame: Frame) -> None:
+        """Add some of the new scans, those that have waited longest."""
+        self._waiting |= dict.fromkeys(self._held.update(frame))
         for number in list(self._waiting)[:SCANS_AT_ONCE]:
             del self._waiting[number]
             rows, reading = self._held.rows[number], self._held.readings[number]
@@ -165,6 +166,6 @@ class MapLayer(NodeLayer):
 
 
 def merged(maps: list[np.ndarray]) -> np.ndarray:
-    """Return several robots' maps (i, j) of the same squares as one."""
+    """Return the merged map (i, j) of several robots' maps of the same squares."""
     ranks = np.max(RANKS[np.stack(maps)], 0)
     return np.argsort(RANKS)[ranks]

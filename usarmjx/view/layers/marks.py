@@ -1,4 +1,4 @@
-"""Who is who: names over robots and rings in their colours."""
+"""Marks: grid, tags, names and rings of robots, traces and hits."""
 
 import math
 from collections.abc import Sequence
@@ -14,17 +14,27 @@ from usarmjx.view.layers.nodes import UPRIGHT, InstanceNode, LineNode, NodeLayer
 CELL = 1.2
 """Side of a cell of the grid: the side of an element that USARSim's arenas are built of [m]."""
 CELLS_OF_SECTION = 5
-"""So many cells a line is stronger."""
+"""Cells between two stronger lines."""
 WIDE = 60.0
-"""In arenas of more than this along a side only the stronger lines are drawn [m]: the others would melt into
-one grey."""
+"""Side of an arena from which only the stronger lines are drawn [m]: the others would merge into grey."""
 LIFT, LIFT_SHARE = 0.008, 4e-4
-"""What lies on the floor is drawn so far above it [m], in large arenas by a share of their size: else both
-would flicker through each other."""
+"""Height of the grid above the floor [m], in large arenas a share of their size: less would flicker."""
 TAG_RADIUS, TAG_HEIGHT, TAG_SIDES = 0.09, 0.02, 20
 TAG_RGB, DROPPED_RGB = (255, 196, 0), (255, 110, 0)
 TAG_TEXT_HEIGHT = 0.22
-"""Of the numbers over tags [m]."""
+"""Height of the numbers over tags [m]."""
+HIT_SIZE, TRAIL_SIZE = 0.02, 0.035
+"""Radii of the points of victim sensors and of trails [m]."""
+NO_SKETCHES = np.zeros((0, 2, 3)), np.zeros((0, 3), np.uint8), np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+NAME_GAP = 0.15
+"""Height of names above robots [m]."""
+NAME_TOLERANCE = 0.01
+"""Movement below which a name is not sent again: each is a message of its own [m]."""
+RING_GAP, RING_SHARE = 0.08, 1.2
+"""Radius of a ring: a share of the robot's half size, and a gap [m]."""
+RING_WIDTH, RING_HEIGHT = 0.14, 0.05
+"""Width and height of a ring of radius 1."""
+RING_SIDES = 40
 
 
 class GridLayer(NodeLayer):
@@ -35,7 +45,7 @@ class GridLayer(NodeLayer):
     shown_at_first = True
 
     def draw(self, drawing: Drawing) -> None:
-        """Lay it below all that is worth seeing, its lines where the arena's elements meet."""
+        """Draw it below the whole arena, with its lines at the joints of the arena's elements."""
         low, high = np.asarray(drawing.extent, float).T
         cell = CELL if (high - low).max() <= WIDE else CELL * CELLS_OF_SECTION
         cells = np.ceil((high - low) / cell - 1e-6) + 2
@@ -59,12 +69,12 @@ class GridLayer(NodeLayer):
         )
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
-        """It stays as it is."""
+        """Do nothing: the grid is constant."""
         del drawing, frame
 
 
 def disc() -> tuple[np.ndarray, np.ndarray]:
-    """Return corners (corners, 3) and triangles (triangles, 3) of a flat disc that stands on z = 0."""
+    """Return corners (corners, 3) and triangles (triangles, 3) of a flat disc on z = 0."""
     around = 2 * math.pi * np.arange(TAG_SIDES) / TAG_SIDES
     circle = TAG_RADIUS * np.stack([np.cos(around), np.sin(around)], -1)
     top = np.column_stack([circle, np.full(TAG_SIDES, TAG_HEIGHT)])
@@ -89,9 +99,9 @@ class TagLayer(NodeLayer):
 
     def draw(self, drawing: Drawing) -> None:
         """Draw the arena's tags."""
-        for place, tag in enumerate(drawing.tags):
+        for number, tag in enumerate(drawing.tags):
             self.scene.add_label(
-                f"{self.root}/number{place}",
+                f"{self.root}/number{number}",
                 str(tag.number),
                 position=tuple(np.add(tag.pos, (0.0, 0.0, TAG_TEXT_HEIGHT))),
                 anchor="bottom-center",
@@ -104,7 +114,7 @@ class TagLayer(NodeLayer):
         self._fixed = np.array([tag.pos for tag in drawing.tags], np.float32).reshape(-1, 3)
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
-        """Show what was dropped too."""
+        """Show dropped tags, too."""
         del drawing
         dropped = np.asarray(frame.dropped_tags, np.float32).reshape(-1, 3)
         if self._dropped is not None and np.array_equal(dropped, self._dropped):
@@ -115,18 +125,11 @@ class TagLayer(NodeLayer):
         self._discs.set(pos, np.tile(UPRIGHT, (len(pos), 1)), np.ones(len(pos)), rgb)
 
 
-HIT_SIZE, TRAIL_SIZE = 0.02, 0.035
-"""Radii of the points of victim sensors and of trails [m]."""
-
-
-NO_SKETCHES = np.zeros((0, 2, 3)), np.zeros((0, 3), np.uint8), np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
-
-
 def split_sketches(sketches: Sequence[OverlayLines]) -> tuple[np.ndarray, ...]:
-    """Return lines and points of sketches.
+    """Return lines and points of overlays.
 
     Returns:
-        Where lines start and end [m] (lines, 2, 3), their colours, 0 to 255 (lines, 3), points [m]
+        Starts and ends of lines [m] (lines, 2, 3), their colours, 0 to 255 (lines, 3), points [m]
         (points, 3), and their colours (points, 3).
     """
     if not sketches:
@@ -155,7 +158,7 @@ class RfidLayer(NodeLayer):
     shown_at_first = True
 
     def draw(self, drawing: Drawing) -> None:
-        """Nothing stays."""
+        """Prepare the lines."""
         del drawing
         self._lines = LineNode(self.scene, f"{self.root}/lines", width=3.0)
 
@@ -174,7 +177,7 @@ class VictimHitLayer(NodeLayer):
     shown_at_first = True
 
     def draw(self, drawing: Drawing) -> None:
-        """Nothing stays."""
+        """Prepare the points."""
         del drawing
         self._points = PointNode(self.scene, f"{self.root}/points", HIT_SIZE)
 
@@ -186,14 +189,14 @@ class VictimHitLayer(NodeLayer):
 
 
 class TrailLayer(NodeLayer):
-    """The points that the Trace command lets robots leave behind."""
+    """Points of the robots' traces (Trace command)."""
 
     name = "Trails"
     about = "the points that robots leave behind since Trace was sent, in its colour"
     shown_at_first = True
 
     def draw(self, drawing: Drawing) -> None:
-        """Nothing stays."""
+        """Prepare the points."""
         del drawing
         self._points = PointNode(self.scene, f"{self.root}/points", TRAIL_SIZE)
 
@@ -202,17 +205,6 @@ class TrailLayer(NodeLayer):
         del drawing
         _, _, points, rgb = split_sketches(() if frame.trace is None else (frame.trace,))
         self._points.set(points, rgb)
-
-
-NAME_GAP = 0.15
-"""Names stand so far above robots [m]."""
-NAME_TOLERANCE = 0.01
-"""A name that would move by less stays: each is a message of its own, and nobody sees it [m]."""
-RING_GAP, RING_SHARE = 0.08, 1.2
-"""Rings are so much wider than robots: a share of them, and something on top [m]."""
-RING_WIDTH, RING_HEIGHT = 0.14, 0.05
-"""Of a ring of radius 1."""
-RING_SIDES = 40
 
 
 def heading_ring() -> tuple[np.ndarray, np.ndarray]:
@@ -249,10 +241,10 @@ class NameLayer(NodeLayer):
     shown_at_first = True
 
     def draw(self, drawing: Drawing) -> None:
-        """Write the names; they are hidden until their robots are there."""
+        """Add the labels, hidden until their robots are present."""
         self._labels: dict[int, viser.LabelHandle] = {}
         self._above: dict[int, np.ndarray] = {}
-        """Where names of robots that are there stand."""
+        """Positions of the labels of present robots."""
         for slot, robot in drawing.robots.items():
             self._labels[slot] = self.scene.add_label(
                 f"{self.root}/{slot}",
@@ -263,7 +255,7 @@ class NameLayer(NodeLayer):
             )
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
-        """Move each to its robot."""
+        """Move each label to its robot."""
         for slot, label in self._labels.items():
             robot, before = frame.robots.get(slot), self._above.get(slot)
             if (robot is None) != (before is None):
@@ -277,19 +269,19 @@ class NameLayer(NodeLayer):
 
 
 class RingLayer(NodeLayer):
-    """Rings around robots in their colours, which tell them apart from above, and where they are heading."""
+    """Rings around robots in their colours, which identify them from above, and point along their heading."""
 
     name = "Rings"
     about = "a ring around each robot in its own colour, with a tip where its front is"
     shown_at_first = True
 
     def draw(self, drawing: Drawing) -> None:
-        """Get the ring ready."""
+        """Prepare the ring."""
         del drawing
         self._rings = InstanceNode(self.scene, f"{self.root}/rings", heading_ring())
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
-        """Move each to its robot."""
+        """Move each ring to its robot."""
         slots = np.array(sorted(frame.robots), int)
         robots = [frame.robots[slot] for slot in slots.tolist()]
         size = np.array([drawing.robots[slot].dimensions for slot in slots.tolist()]).reshape(-1, 3)

@@ -1,7 +1,7 @@
-"""What layers draw with: nodes of viser that hold many things at once and are brought up to date by arrays.
+"""Nodes of viser for layers, each with many instances, updated by arrays.
 
-A node is made when there is first something to show, and hidden while there is nothing: viser sends what has
-changed only, and knows no empty arrays.
+A node is created at the first instance, and hidden while there is none: viser sends only changed
+properties, and supports no empty arrays.
 """
 
 from typing import ClassVar
@@ -13,14 +13,15 @@ from usarmjx.view.drawing import Drawing
 from usarmjx.view.layers.base import Layer
 
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
+"""The quaternion of no rotation, w first."""
 
 
 class NodeLayer(Layer):
     """A layer whose nodes all hang below one.
 
     Attributes:
-        scene: Where it draws.
-        root: Path of the node that all others are below.
+        scene: Scene of viser.
+        root: Path of its root node.
     """
 
     name: ClassVar[str]
@@ -39,7 +40,7 @@ class NodeLayer(Layer):
         self.draw(drawing)
 
     def draw(self, drawing: Drawing) -> None:
-        """Draw what stays, and get ready for what does not; a layer with nothing of either does nothing."""
+        """Draw the constant part, and prepare the variable one; by default nothing."""
         del drawing
 
     def show(self, on: bool) -> None:
@@ -59,9 +60,9 @@ class LineNode:
     """Straight lines.
 
     Args:
-        scene: Where to draw.
+        scene: Scene of viser.
         name: Path of the node.
-        width: Of the lines on the screen [pixels].
+        width: Width of the lines on the screen [pixels].
     """
 
     def __init__(self, scene: viser.SceneApi, name: str, width: float = 2.0) -> None:
@@ -72,7 +73,7 @@ class LineNode:
         """Show lines.
 
         Args:
-            ends: Where they start and end [m] (lines, 2, 3).
+            ends: Starts and ends [m] (lines, 2, 3).
             rgb: Their colours, 0 to 255 (lines, 3), or one for all (3,).
         """
         ends = np.asarray(ends, np.float32)
@@ -94,7 +95,7 @@ class PointNode:
     """Points.
 
     Args:
-        scene: Where to draw.
+        scene: Scene of viser.
         name: Path of the node.
         size: Radius of a point [m].
     """
@@ -108,9 +109,9 @@ class PointNode:
         """Show points.
 
         Args:
-            points: Where they are [m] (points, 3).
-            rgb: Their colours, 0 to 255 (points, 3), or one for all (3,). The same array as before is taken
-                to be unchanged.
+            points: Positions [m] (points, 3).
+            rgb: Their colours, 0 to 255 (points, 3), or one for all (3,). The same array as before counts as
+                unchanged.
         """
         points, colors = np.asarray(points, np.float32), np.asarray(rgb, np.uint8)
         if self._handle is None and len(points):
@@ -134,13 +135,13 @@ class PointNode:
 
 
 class MeshNode:
-    """Triangles of one colour that let some of what is behind them through.
+    """Transparent triangles of one colour.
 
     Args:
-        scene: Where to draw.
+        scene: Scene of viser.
         name: Path of the node.
         rgb: Their colour, 0 to 255.
-        opacity: How little of what is behind is seen, in [0, 1].
+        opacity: In [0, 1].
     """
 
     def __init__(self, scene: viser.SceneApi, name: str, rgb: tuple[int, int, int], opacity: float) -> None:
@@ -153,7 +154,7 @@ class MeshNode:
 
         Args:
             corners: Their corners [m] (corners, 3).
-            faces: Which corners make up each (faces, 3). The same array as before is taken to be unchanged.
+            faces: Corners of each (faces, 3). The same array as before counts as unchanged.
         """
         corners, faces = np.asarray(corners, np.float32), np.asarray(faces, np.uint32)
         if self._handle is None and len(faces):
@@ -181,12 +182,11 @@ class InstanceNode:
     """Many bodies of one shape.
 
     Args:
-        scene: Where to draw.
+        scene: Scene of viser.
         name: Path of the node.
-        corners: The shape's corners (corners, 3).
-        faces: Which of them make up its triangles (faces, 3).
-        opacity: How little of what is behind is seen, in [0, 1].
-        cast_shadow: Whether they throw shadows.
+        shape: Corners (corners, 3) and triangles (faces, 3) of the shape.
+        opacity: In [0, 1].
+        cast_shadow: Whether they cast shadows.
     """
 
     def __init__(
@@ -207,9 +207,9 @@ class InstanceNode:
         """Show bodies.
 
         Args:
-            pos: Where they are [m] (bodies, 3).
-            quat: How they are turned, w first (bodies, 4).
-            scale: How many times as large as the shape they are (bodies,) or, by axis, (bodies, 3).
+            pos: Positions [m] (bodies, 3).
+            quat: Orientations, w first (bodies, 4).
+            scale: Scale of each (bodies,) or, by axis, (bodies, 3).
             rgb: Their colours, 0 to 255 (bodies, 3).
         """
         pos, quat, scale = (np.asarray(value, np.float32) for value in (pos, quat, scale))
@@ -238,7 +238,7 @@ class InstanceNode:
 
 
 def turned_about_z(yaw: np.ndarray) -> np.ndarray:
-    """Return orientations, w first, of what is turned to the left by angles [rad] (n,), (n, 4)."""
+    """Return quaternions, w first (n, 4), of rotations about z by angles [rad] (n,)."""
     half = np.asarray(yaw) / 2
     zero = np.zeros_like(half)
     return np.stack([np.cos(half), zero, zero, np.sin(half)], -1)

@@ -1,4 +1,4 @@
-"""Radio links: who hears whom, how well, and through how many walls."""
+"""Radio links: pairs of robots, their received power, and the walls between them."""
 
 import numpy as np
 import viser
@@ -11,22 +11,23 @@ from usarmjx.view.layers.base import scale_colors
 from usarmjx.view.layers.nodes import LineNode, NodeLayer
 
 GAP_SHARE, GAP_SPACING = 0.025, 0.05
-"""How long the gap is that stands for a wall, and from the middle of one to the next: shares of the link."""
+"""Length of the gap for a wall, and distance of two gaps' middles, as shares of the link."""
 MOST_GAPS = 8
+"""Most drawn gaps of a link."""
 MOST_LABELS = 15
-"""With more links than this none has a text: they would hide each other and the world."""
+"""Most links with texts: more would hide each other and the world."""
 LEAST_SPAN = 10.0
-"""The scale of colours spans at least so much power [dB]."""
+"""Least span of the colour scale [dB]."""
 
 
 def dashes(walls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the parts of links that are drawn: as many gaps as there are walls, in the middle.
+    """Return the drawn parts of links: with a gap for each wall, in the middle.
 
     Args:
-        walls: How many walls each link goes through (links,).
+        walls: Number of walls on each link (links,).
 
     Returns:
-        Which link each part is of (parts,), and where it starts and ends, as shares of it (parts, 2).
+        Link of each part (parts,), and its start and end, as shares of the link (parts, 2).
     """
     gaps = np.minimum(walls, MOST_GAPS)
     link = np.repeat(np.arange(len(gaps)), gaps + 1)
@@ -39,7 +40,7 @@ def dashes(walls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class RadioLayer(NodeLayer):
-    """Lines between robots that hear each other."""
+    """Lines between robots in radio range."""
 
     name = "Radio links"
     about = (
@@ -48,13 +49,13 @@ class RadioLayer(NodeLayer):
     shown_at_first = False
 
     def draw(self, drawing: Drawing) -> None:
-        """Nothing stays."""
+        """Prepare the nodes."""
         del drawing
         self._lines = LineNode(self.scene, f"{self.root}/lines", width=3.0)
         self._labels: list[viser.LabelHandle] = []
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
-        """Show the links as they were at their last evaluation."""
+        """Show the links of their last evaluation."""
         links = frame.links
         slots = np.array(sorted(frame.robots), int)
         if links is None or len(slots) < 2:
@@ -79,7 +80,7 @@ class RadioLayer(NodeLayer):
         self._write(texts, (start + end) / 2)
 
     def _antennas(self, drawing: Drawing, frame: Frame, slots: np.ndarray) -> np.ndarray:
-        """Return where the robots' antennas are [m] (robots, 3): on top of them, where most have theirs."""
+        """Return the positions of the robots' antennas [m] (robots, 3): on top of them, as usual."""
         robots = [frame.robots[slot] for slot in slots.tolist()]
         top = np.array([drawing.robots[slot].dimensions[2] / 2 for slot in slots.tolist()])
         with numpy_backend():
@@ -87,18 +88,18 @@ class RadioLayer(NodeLayer):
         pos = np.array([robot.pos for robot in robots]) + top[:, None] * up
         return np.maximum(pos, (-np.inf, -np.inf, drawing.floor + MIN_ANTENNA_HEIGHT))
 
-    def _write(self, texts: list[str], places: np.ndarray) -> None:
-        """Show texts at places [m] (texts, 3)."""
+    def _write(self, texts: list[str], positions: np.ndarray) -> None:
+        """Show texts at positions [m] (texts, 3)."""
         while len(self._labels) < len(texts):
             name = f"{self.root}/text{len(self._labels)}"
             self._labels.append(self.scene.add_label(name, "", anchor="center-center", font_screen_scale=0.7))
         for number, label in enumerate(self._labels):
             label.visible = number < len(texts)
             if number < len(texts):
-                label.text, label.position = texts[number], places[number]
+                label.text, label.position = texts[number], positions[number]
 
 
 def _text(power: float, walls: int) -> str:
-    """Return what stands beside a link."""
+    """Return the text of a link."""
     behind = "" if not walls else f", {walls} wall{'s' * (walls > 1)}"
     return f"{power:.0f} dBm{behind}"
