@@ -195,7 +195,7 @@ def measure_step(case: StepCase, file: Path | None = None, note: str = "", basel
     scene = case.scene()
     batch = case.batch(scene)
     if case.graph != USUAL_GRAPH:
-        batch.engine.use_graphs(case.graph)
+        batch.engine.select_graphs(case.graph)
     rates, state, seen, kernels = _rates(case, batch)
     bare, whole, blind = (rates[name] for name in ("bare", "whole", "blind"))
     rays = sum(len(group.slots) * sum(group.suite.ray_counts) for group in scene.groups)

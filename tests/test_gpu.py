@@ -17,7 +17,7 @@ from tests.train.envs.test_steady import goal_env, live_bytes, used_after
 from tests.train.mapping.mazes import mazes
 from usarmjx.base.accelerator import warp_in_use
 from usarmjx.engines import choose_engine
-from usarmjx.engines.mjx_warp import GRAPHS
+from usarmjx.engines.mjx_warp import GRAPH_MODES
 from usarmjx.engines.planar import engine as planar_engine
 from usarmjx.engines.planar.footprints import keep_apart
 from usarmjx.engines.planar.neighbor_search import around_by_jax, around_on_warp
@@ -58,14 +58,14 @@ def test_warp_on_the_gpu_drives_as_c_mujoco_does():
     np.testing.assert_allclose(poses["warp"], np.broadcast_to(poses["c"], poses["warp"].shape), atol=PARITY)
 
 
-@pytest.mark.parametrize("graph", GRAPHS.names())
+@pytest.mark.parametrize("graph", GRAPH_MODES.names())
 def test_every_kind_of_graph_computes_what_the_usual_one_does(graph):
     """For 0.4 s through contacts with the floor; sums are atomic, so not to the last bit."""
     scene = build_scene(COURSE, ["P2AT", "P2AT"])
     found = []
     for name in ("step", graph):
         batch = Batch(scene, 16, engine="warp", seed=3)
-        batch.engine.use_graphs(name)
+        batch.engine.select_graphs(name)
         begun = batch.drive(batch.reset(), 0, {"Left": 4.0, "Right": 3.0})
         state = jax.jit(lambda state, batch=batch: batch.run(state, 20))(begun)
         batch.check_overflow(state)

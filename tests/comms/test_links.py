@@ -14,13 +14,13 @@ from tests.comms.test_attenuation import DBM_ATOL, manual_power
 from usarmjx.comms.attenuation import RadioSettings, link_range
 from usarmjx.comms.links import (
     delivery_probability,
+    drop_old_events,
     evaluate_links,
     is_due,
     no_links,
     pair_powers,
-    pairs_of,
+    pair_slots,
     shadowing,
-    without_old_events,
 )
 
 KEY = jax.random.key(5)
@@ -130,8 +130,8 @@ def test_events_are_changes_since_the_last_evaluation():
 def test_a_table_that_is_looked_at_again_keeps_its_events_for_its_own_step():
     links = links_of([(0, 0, 1), (1, 0, 1)], before=no_links(2).replace(evaluated=jnp.bool_(True)), step=7)
     assert links.came_up[0, 1]
-    assert without_old_events(links, jnp.int32(7)).came_up[0, 1]
-    later = without_old_events(links, jnp.int32(8))
+    assert drop_old_events(links, jnp.int32(7)).came_up[0, 1]
+    later = drop_old_events(links, jnp.int32(8))
     assert not later.came_up.any()
     np.testing.assert_array_equal(later.power, links.power)
 
@@ -153,7 +153,7 @@ def test_shadowing_is_normal_in_decibels_and_the_pairs_own():
     few, more = (
         {
             (int(i), int(j)): float(x)
-            for i, j, x in zip(*pairs_of(n), shadowing(constants, KEY, n), strict=True)
+            for i, j, x in zip(*pair_slots(n), shadowing(constants, KEY, n), strict=True)
         }
         for n in (5, 9)
     )
@@ -169,7 +169,7 @@ def test_shadowing_is_kept_for_an_episode_and_shifts_the_power():
     )
     np.testing.assert_array_equal(one.power, again.power)
     np.testing.assert_array_equal(one.power, one.power.T)
-    pairs = pairs_of(6)
+    pairs = pair_slots(6)
     shift = np.asarray(one.power - plain.power)[pairs]
     np.testing.assert_allclose(shift, shadowing(RadioSettings(shadowing=4.0), KEY, 6), atol=DBM_ATOL)
     assert np.abs(np.asarray(one.power - other.power)[pairs]).min() > 0

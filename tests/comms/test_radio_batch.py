@@ -13,7 +13,7 @@ from tests.handy import known
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.comms.attenuation import RadioSettings, link_range
-from usarmjx.comms.links import MIN_ANTENNA_HEIGHT, antenna_of, antenna_positions, reachable
+from usarmjx.comms.links import MIN_ANTENNA_HEIGHT, antenna_offset, antenna_positions, reachable
 from usarmjx.comms.mail import MessageSettings
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
@@ -257,9 +257,9 @@ def test_antennas_are_where_the_poses_put_them(batch):
 
 def test_antennas_are_above_the_robot_or_where_the_class_has_them():
     p2at, station = ROBOTS.get("P2AT"), ROBOTS.get("ComStation")
-    assert antenna_of(p2at) == (0.0, 0.0, -p2at.dimensions[2] / 2)
+    assert antenna_offset(p2at) == (0.0, 0.0, -p2at.dimensions[2] / 2)
     # On top of the mast: 1.6 m above the ground, the origin being at 0.8 m.
-    assert station.origin_height - antenna_of(station)[2] == pytest.approx(1.6)
+    assert station.origin_height - antenna_offset(station)[2] == pytest.approx(1.6)
     moved = replace(p2at, antenna=(0.1, 0.2, -0.3))  # forward, right, up
     quats = jnp.array([quat_from_angles(*angles) for angles in ((0, 0, 0), (0, 0, np.pi / 2), (np.pi, 0, 0))])
     places = antenna_positions(moved, jnp.array([[1.0, 2.0, 0.2]] * 3), quats, 0.0)

@@ -147,10 +147,10 @@ def test_rays_meet_what_the_raycaster_of_batches_says(worlds, arena, name):
     bad = differ(ours, theirs)
     assert bad.mean() <= EDGES
     np.testing.assert_allclose(ours.cosine[~bad], theirs.cosine[~bad], atol=COSINE)
-    met = np.isfinite(ours.distance)
-    assert met.mean() > 0.3
-    assert ours.distance[met].max() <= query.max_distance
-    assert (ours.cosine[met] > 0).mean() > 0.99 if query.incidence else not ours.cosine.any()
+    hits = np.isfinite(ours.distance)
+    assert hits.mean() > 0.3
+    assert ours.distance[hits].max() <= query.max_distance
+    assert (ours.cosine[hits] > 0).mean() > 0.99 if query.incidence else not ours.cosine.any()
 
 
 def test_each_part_of_a_query_matters_here(worlds):

@@ -9,11 +9,11 @@ import pytest
 pytest.importorskip("warp", reason="needs warp-lang")
 
 from usarmjx.engines.mjx_warp import (
-    LEAST_SHARE,
-    NEAR_BOXES,
+    MIN_CONVEX_FRACTION,
+    NEAR_BOX_GAP,
     WarpEngine,
+    convex_contact_budget,
     convex_kinds,
-    convex_room,
     world_boxes,
 )
 from usarmjx.sim.scene import build_scene
@@ -25,7 +25,7 @@ FLOOR = {"plane": "type='plane' size='9 9 1'", "box": "type='box' size='9 9 .1' 
 def standing(floor, number, apart=1.0):
     """Boxes in a row on a floor, a little above it, and all pairs of geoms."""
     bodies = "".join(
-        f"<body pos='{apart * i} 0 {0.1 + NEAR_BOXES / 2}'><freejoint/>"
+        f"<body pos='{apart * i} 0 {0.1 + NEAR_BOX_GAP / 2}'><freejoint/>"
         "<geom type='box' size='.1 .1 .1'/></body>"
         for i in range(number)
     )
@@ -44,10 +44,10 @@ def test_boxes_are_convex_pairs_and_planes_are_not():
 
 
 def test_there_is_room_for_twice_what_is_near():
-    assert convex_room(*standing("plane", 8), contacts=40) == LEAST_SHARE * 40
-    assert convex_room(*standing("box", 8), contacts=40) == 2 * 8
-    assert convex_room(*standing("box", 8), contacts=12) == 12  # never more than contacts
-    assert convex_room(*standing("plane", 8, apart=0.2), contacts=40) == 2 * 7  # side by side
+    assert convex_contact_budget(*standing("plane", 8), contacts=40) == MIN_CONVEX_FRACTION * 40
+    assert convex_contact_budget(*standing("box", 8), contacts=40) == 2 * 8
+    assert convex_contact_budget(*standing("box", 8), contacts=12) == 12  # never more than contacts
+    assert convex_contact_budget(*standing("plane", 8, apart=0.2), contacts=40) == 2 * 7  # side by side
 
 
 def test_turned_geoms_have_boxes_about_all_of_them():
@@ -55,7 +55,9 @@ def test_turned_geoms_have_boxes_about_all_of_them():
         "<mujoco><worldbody><geom type='box' size='1 .1 .1' pos='0 0 2' euler='0 0 90'/></worldbody></mujoco>"
     )
     low, high = world_boxes(model)
-    np.testing.assert_allclose(high - low, [[0.2 + NEAR_BOXES, 2 + NEAR_BOXES, 0.2 + NEAR_BOXES]], atol=1e-6)
+    np.testing.assert_allclose(
+        high - low, [[0.2 + NEAR_BOX_GAP, 2 + NEAR_BOX_GAP, 0.2 + NEAR_BOX_GAP]], atol=1e-6
+    )
     np.testing.assert_allclose((high + low) / 2, [[0, 0, 2]], atol=1e-6)
 
 

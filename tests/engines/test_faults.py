@@ -9,7 +9,7 @@ import pytest
 
 from tests.arenas import COURSE, FLAT
 from tests.crowd import UPRIGHT, Crowd
-from usarmjx.engines.c.faults import REACHES, RecoveryResult, bad_robots, step_and_recover
+from usarmjx.engines.c.faults import SEARCH_RADII, RecoveryResult, faulty_robots, step_and_recover
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.types.arena import LooseObject
 from usarmjx.models.types.shapes import Shape
@@ -43,7 +43,7 @@ class Course:
         for robot, pos in poses.items():
             self.crowd.put(robot, pos)
         self.homes = {robot: np.array([*pos, *UPRIGHT]) for robot, pos in poses.items()}
-        self.put_back = []
+        self.reset_trees = []
 
     def tell(self):
         for robot, index in self.indices.items():
@@ -54,7 +54,7 @@ class Course:
     def step(self):
         world = self.model, self.data, SUBSTEPS
         found = step_and_recover(*world, self.indices, self.limits, self.homes, self.crowd.floor)
-        self.put_back.append(found)
+        self.reset_trees.append(found)
         return found
 
     def run(self, spoil=None, steps=STEPS):
@@ -126,7 +126,7 @@ def test_without_a_fault_it_is_mujocos_step():
         plain.tell()
         mujoco.mj_step(plain.model, plain.data, nstep=SUBSTEPS)
         np.testing.assert_array_equal(row, [plain.crowd.qpos(robot) for robot in plain.indices])
-    assert not any(course.put_back)
+    assert not any(course.reset_trees)
     assert np.abs(moved[-1, 0] - moved[0, 0]).max() > 0.3, "they do drive"
 
 
@@ -134,19 +134,19 @@ def test_without_a_fault_it_is_mujocos_step():
 def test_who_goes_bad_is_found(fault):
     course = Course()
     course.tell()
-    assert bad_robots(course.data, course.indices, course.limits) == frozenset()
+    assert faulty_robots(course.data, course.indices, course.limits) == frozenset()
     fault(course, 1)
-    assert bad_robots(course.data, course.indices, course.limits) == {1}
+    assert faulty_robots(course.data, course.indices, course.limits) == {1}
     fault(course, 2)
-    assert bad_robots(course.data, course.indices, course.limits) == {1, 2}
+    assert faulty_robots(course.data, course.indices, course.limits) == {1, 2}
 
 
 def test_each_robot_has_its_own_limit():
     course = Course()
     course.data.qvel[[index.root_dofadr for index in course.indices.values()]] = 7.0
     limits = {0: 6.9, 1: 7.0, 2: 7.1}
-    assert bad_robots(course.data, course.indices, limits) == {0}
-    assert bad_robots(course.data, {}, {}) == frozenset()
+    assert faulty_robots(course.data, course.indices, limits) == {0}
+    assert faulty_robots(course.data, {}, {}) == frozenset()
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -155,8 +155,8 @@ def test_a_robot_goes_bad_and_no_other_notices(undisturbed, fault, flags):
     """The robot stands at its home in the undisturbed world too."""
     course = Course(flags=flags)
     moved, told = course.run(fault), undisturbed[flags]
-    assert [step for step, found in enumerate(course.put_back) if found] == [BEGIN]
-    assert course.put_back[BEGIN] == RecoveryResult(robots=frozenset({2}))
+    assert [step for step, found in enumerate(course.reset_trees) if found] == [BEGIN]
+    assert course.reset_trees[BEGIN] == RecoveryResult(robots=frozenset({2}))
     np.testing.assert_array_equal(moved[: BEGIN + 1, :2], told[: BEGIN + 1, :2])
     if flags:
         np.testing.assert_array_equal(moved[:, :2], told[:, :2])
@@ -190,8 +190,8 @@ def test_who_touches_a_bad_robot_is_put_back_with_it_and_nobody_else(undisturbed
         fault(course, 2)
 
     moved = course.run(collide)
-    assert course.put_back[BEGIN] == RecoveryResult(robots=frozenset({1, 2}))
-    assert sum(map(bool, course.put_back)) == 1
+    assert course.reset_trees[BEGIN] == RecoveryResult(robots=frozenset({1, 2}))
+    assert sum(map(bool, course.reset_trees)) == 1
     np.testing.assert_array_equal(moved[:, 0], undisturbed[Disable.mjDSBL_WARMSTART][:, 0])
     np.testing.assert_allclose(moved[BEGIN, 1:, :3], [course.homes[k][:3] for k in (1, 2)], atol=SETTLED)
 
@@ -211,9 +211,9 @@ def test_who_goes_bad_within_the_step_is_put_back_before_it_hits_others(undistur
     plain.tell()
     push(plain)
     mujoco.mj_step(plain.model, plain.data, nstep=SUBSTEPS)
-    assert 1 in bad_robots(plain.data, plain.indices, plain.limits), "it is hit, were nothing done"
+    assert 1 in faulty_robots(plain.data, plain.indices, plain.limits), "it is hit, were nothing done"
     moved = course.run(push)
-    assert course.put_back[BEGIN] == RecoveryResult(robots=frozenset({2}))
+    assert course.reset_trees[BEGIN] == RecoveryResult(robots=frozenset({2}))
     np.testing.assert_array_equal(moved[:, :2], undisturbed[Disable.mjDSBL_WARMSTART][:, :2])
 
 
@@ -226,7 +226,7 @@ def test_a_loose_object_that_goes_bad_lies_where_the_model_has_it():
         course.data.joint("loose/brick").qvel[1] = np.nan
 
     moved = course.run(spoil)
-    assert course.put_back[BEGIN] == RecoveryResult(others=("loose/brick",))
+    assert course.reset_trees[BEGIN] == RecoveryResult(others=("loose/brick",))
     np.testing.assert_array_equal(moved, undisturbed)
     sunk = 1e-3  # into the floor [m]; less
     np.testing.assert_allclose(joint.qpos, (*BRICK.at, *UPRIGHT), atol=sunk)
@@ -244,7 +244,7 @@ def test_with_a_loose_object_the_robot_on_it_is_put_back():
         course.data.joint("loose/brick").qvel[1] = np.nan
 
     moved = course.run(spoil)
-    assert course.put_back[BEGIN] == RecoveryResult(robots=frozenset({2}), others=("loose/brick",))
+    assert course.reset_trees[BEGIN] == RecoveryResult(robots=frozenset({2}), others=("loose/brick",))
     np.testing.assert_array_equal(moved[:, :2], undisturbed[:, :2])
 
 
@@ -257,7 +257,7 @@ def test_who_finds_its_home_taken_is_put_beside():
     nan_velocity(course, 2)
     assert course.step() == RecoveryResult(robots=frozenset({2}))
     away = np.linalg.norm(course.crowd.qpos(2)[:2] - course.homes[2][:2])
-    assert 0.2 < away <= REACHES[0]
+    assert 0.2 < away <= SEARCH_RADII[0]
     assert course.touching() == set()
 
 
@@ -270,7 +270,7 @@ def test_all_at_once_with_one_home_are_put_apart():
     assert course.step().robots == {0, 1, 2}
     assert course.touching() == set()
     course.run()
-    assert not any(course.put_back[1:])
+    assert not any(course.reset_trees[1:])
 
 
 def test_who_is_bad_at_home_too_does_not_stop_the_world():

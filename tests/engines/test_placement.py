@@ -11,7 +11,7 @@ from tests.arenas import FLAT
 from tests.crowd import Crowd
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.engines.c.batch import INTEGRATION_STATE
-from usarmjx.engines.c.placement import HALVINGS, MAX_DEPTH, RAISE, REACH, RINGS
+from usarmjx.engines.c.placement import HALVINGS, MAX_PENETRATION, RAISE_STEP, SEARCH_RADIUS, SEARCH_RINGS
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import Door, LooseObject
@@ -21,8 +21,8 @@ from usarmjx.sim.scene import START_GAP, start_height
 SETTLED = 0.03
 """How far a robot moves in the second after it was put somewhere [m]: it falls by the gap at most, sinks into
 its springs, and rocks."""
-SPACING = REACH / RINGS
-LOWERED = RAISE / 2**HALVINGS
+SPACING = SEARCH_RADIUS / SEARCH_RINGS
+LOWERED = RAISE_STEP / 2**HALVINGS
 """How exactly a raise is found [m]."""
 
 
@@ -69,7 +69,7 @@ def test_the_second_of_two_at_one_pose_stands_beside_and_not_on_top(name, above)
     crowd.run(0.5)
     asked, first = crowd.on_floor(1, above=above), crowd.qpos(0)
     pos, quat = crowd.ask(1, asked)
-    assert 0 < np.linalg.norm(pos - asked) <= REACH
+    assert 0 < np.linalg.norm(pos - asked) <= SEARCH_RADIUS
     assert pos[2] == asked[2]
     crowd.put(1, pos, quat)
     assert crowd.depth(1) == 0.0
@@ -91,7 +91,7 @@ def test_many_at_one_pose_stand_side_by_side_until_there_is_no_room():
         assert crowd.depth(robot) == 0.0
         poses.append(found[0])
     # A P2DX is 0.4 m wide: of a disc of that radius at most this many fit with their centres within reach.
-    assert 6 <= len(poses) <= (REACH + 0.2) ** 2 / 0.2**2
+    assert 6 <= len(poses) <= (SEARCH_RADIUS + 0.2) ** 2 / 0.2**2
     again = Crowd(ARENAS.get("field"), *["P2DX"] * 24)
     for robot, pos in enumerate(poses):
         found = again.ask(robot, again.on_floor(robot))
@@ -157,7 +157,7 @@ def test_onto_a_platform_a_robot_is_raised_and_no_further(high):
     pos, _ = crowd.ask(0, asked)
     raised = pos - asked
     np.testing.assert_array_equal(raised[:2], 0.0)
-    least = high - START_GAP - MAX_DEPTH
+    least = high - START_GAP - MAX_PENETRATION
     assert least <= raised[2] <= least + LOWERED + 1e-9
 
 
@@ -189,7 +189,7 @@ def test_the_nearest_free_pose_is_taken():
     asked = crowd.on_floor(0, 0.06 - front)
     moved = crowd.ask(0, asked)[0] - asked
     assert math.isclose(np.linalg.norm(moved), SPACING)
-    assert moved[0] <= -0.06 + MAX_DEPTH
+    assert moved[0] <= -0.06 + MAX_PENETRATION
 
 
 def test_whoever_would_touch_is_in_the_way_whichever_of_the_two_says_so():
@@ -242,7 +242,7 @@ def test_free_is_what_mujoco_says(arena):
         own = np.isin(crowd.model.geom_bodyid, crowd.indices[0].body_ids)
         moving = ((crowd.model.body_treeid[crowd.model.geom_bodyid] >= 0) & ~own)[contact.geom].any(-1)
         mine = own[contact.geom].any(-1)
-        blocked = (mine & (-contact.dist > np.where(moving, 0.0, MAX_DEPTH))).any()
+        blocked = (mine & (-contact.dist > np.where(moving, 0.0, MAX_PENETRATION))).any()
         assert (found is None) == blocked
         seen.add(bool(blocked))
     assert seen == {True, False}

@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("warp", reason="needs warp-lang")
 
 from usarmjx.engines.base import Inputs
-from usarmjx.engines.mjx_warp import STILL_TIME, WarpEngine
+from usarmjx.engines.mjx_warp import SLEEP_DELAY, WarpEngine
 from usarmjx.models.compile.physics import Physics
 
 SCENE = """
@@ -48,7 +48,7 @@ and slip [m]. C MuJoCo has it further by some centimetres, with either."""
 @cache
 def engine_of_two_worlds(physics):
     engine = WarpEngine(mujoco.MjSpec.from_string(SCENE), physics, 2)
-    return engine, engine.waiting(jax.jit(engine.advance))
+    return engine, engine.blocking(jax.jit(engine.advance))
 
 
 class Worlds:
@@ -117,7 +117,7 @@ def test_what_lies_still_has_no_contacts_and_stays_to_the_bit(rested):
 
 def test_what_falls_is_awake_and_lands_first():
     worlds = Worlds()
-    worlds.run(round(STILL_TIME / PHYSICS.period))
+    worlds.run(round(SLEEP_DELAY / PHYSICS.period))
     assert not worlds.asleep().any()
     lands = worlds.run(8)  # what is near is known after a step, and they settle by 0.1 mm
     assert worlds.asleep()[0].tolist() == [True, True, True, False, False]

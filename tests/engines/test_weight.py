@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("warp", reason="needs warp-lang")
 
 from usarmjx.engines.base import Inputs
-from usarmjx.engines.mjx_warp import WarpEngine, finish_steps
+from usarmjx.engines.mjx_warp import WarpEngine, block_until_finished
 from usarmjx.models.compile.physics import Physics
 
 ROBOT = """
@@ -71,9 +71,9 @@ def test_on_a_cpu_a_program_s_end_waits_for_the_step_under_way(monkeypatch):
     hooks = []
     monkeypatch.setattr(atexit, "register", hooks.append)
     engine_of()
-    assert hooks == [finish_steps] * (jax.default_backend() == "cpu")
+    assert hooks == [block_until_finished] * (jax.default_backend() == "cpu")
     under_way = jax.jit(lambda x: jax.lax.fori_loop(0, 200, lambda _, y: jnp.sin(y @ x), x))(jnp.eye(400))
-    finish_steps()
+    block_until_finished()
     assert under_way.is_ready()
 
 
@@ -81,6 +81,6 @@ def test_on_a_cpu_a_program_s_end_waits_for_the_step_under_way(monkeypatch):
 def test_on_a_cpu_a_step_whose_outcome_is_dropped_is_over_when_it_returns():
     """At a program's end nobody could wait for it: what is dropped is not among JAX's live arrays."""
     long = jax.jit(lambda x: jax.lax.fori_loop(0, 200, lambda _, y: jnp.sin(y @ x), x))
-    outcome = engine_of().waiting(long)(jnp.eye(400))
+    outcome = engine_of().blocking(long)(jnp.eye(400))
     assert outcome.is_ready()
-    assert jax.jit(engine_of().waiting(jnp.sin))(0.0) == 0.0  # traced, there is nothing to wait for
+    assert jax.jit(engine_of().blocking(jnp.sin))(0.0) == 0.0  # traced, there is nothing to wait for

@@ -10,7 +10,7 @@ from tests.arenas import FLAT
 from tests.handy import GRABBER, LIFT, TAGGER
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import SpecError, UsageError
-from usarmjx.engines.c.placement import REACH
+from usarmjx.engines.c.placement import SEARCH_RADIUS
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.compile import compose
 from usarmjx.models.effecters import effecters_of
@@ -198,7 +198,7 @@ def test_a_robot_stands_at_the_first_free_pose_else_near_the_first():
     poses = [(tuple(place), UPRIGHT), ((0.0, 2.0, 0.3), UPRIGHT)]
     assert own(world, world.add(P2DX, "B", poses))[0]["qpos"][:3].tolist() == [0.0, 2.0, 0.3]
     third = own(world, world.add(P2DX, "C", poses))[0]["qpos"][:3]
-    assert 0.1 < np.linalg.norm(third - place) <= REACH
+    assert 0.1 < np.linalg.norm(third - place) <= SEARCH_RADIUS
 
 
 # What fails

@@ -32,6 +32,7 @@ RENAMED: Mapping[str, Mapping[str, str]] = {
     "serve": {"--viewer": "--view", "--no-viewer": "--no-view"},
     "radio-map": {"--ini": "--radio-ini"},
     "chaos": {"--page-port": "--spectator-port"},
+    "train": {"--worlds": "--num-worlds", "--steps": "--total-steps"},
 }
 """By commands: old options and what they are called now."""
 COUNTED: Mapping[str, tuple[str, str]] = {

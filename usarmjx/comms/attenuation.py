@@ -1,110 +1,29 @@
-"""How strongly one radio hears another: the manual's Wall Attenuation Factor model (manual 3.2.4).
+"""Received radio power: the Wall Attenuation Factor model (manual 3.2.4), and its settings.
 
     P(d) [dBm] = P(d0) - 10 n log10(d / d0) - min(nW, C) WAF
 
-with d the distance between the antennas and nW the number of solids between them (`comms.walls`).
-The constants come from USARComServer.ini (manual 3.2.4.2), whose sections and keys are read here.
+d is the distance between the antennas and nW the number of solids between them (`comms.walls`). The constants
+come from USARComServer.ini (manual 3.2.4.2), whose sections and keys are read here.
 """
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
+from usarmjx.base.settings import NOT_NEGATIVE, Setting, validate
 from usarmjx.models.ini.parse import IniFile, Line, read_ini
 from usarmjx.models.ini.read import as_bool, as_number, fail
 
 MIN_ANTENNA_DISTANCE = 1e-3
-"""Antennas that are closer than this are taken to be this far apart [m]: the formula has no end at 0."""
+"""Lower bound of the distance between two antennas [m]: the formula diverges at 0."""
 MAX_PORT = 65535
-
-
-@dataclass(frozen=True)
-class RadioSettings:
-    """Constants of the radio; the first eight are USARComServer.ini's (manual 3.2.4, 3.2.4.2).
-
-    The defaults are the manual's, measured at International University Bremen; the manual names no
-    port, 5874 is that of the later servers' ini. What follows `debug` is ours, and off by default.
-
-    Attributes:
-        listen_port: ListenPort: TCP port of the wireless server; 0 picks a free one.
-        pdo: ePdo: power received at the distance `do` [dBm].
-        do: eDo: the reference distance [m].
-        n: eN: the log factor, how fast power falls with distance.
-        cutoff: eCutoff: a link holds from this power on [dBm].
-        max_obs: eMaxObs: no more than this many solids weaken a link (C in the formula).
-        atten_fac: eAttenFac: what each of them takes (WAF in the formula) [dB].
-        debug: bDebug: whether the wireless server logs what it does.
-        period: Time between two evaluations of the links in a batch; 0: every control step [s].
-        shadowing: Standard deviation of log-normal shadowing, drawn per pair and episode [dB].
-        loss_band: Over so much power above the cutoff messages get lost, all of them at the cutoff and
-            none at its upper end, in proportion between [dB].
-
-    Raises:
-        SpecError: A value that is not allowed; says what is.
-    """
-
-    listen_port: int = 5874
-    pdo: float = -49.67
-    do: float = 2.0
-    n: float = 1.09
-    cutoff: float = -93.0
-    max_obs: int = 5
-    atten_fac: float = 6.625
-    debug: bool = False
-    period: float = 0.0
-    shadowing: float = 0.0
-    loss_band: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
-        for name in ("pdo", "do", "n", "cutoff", "atten_fac", "period", "shadowing", "loss_band"):
-            _check(self, name, math.isfinite(getattr(self, name)), "a finite number")
-        whole = all(isinstance(getattr(self, name), int) for name in ("listen_port", "max_obs"))
-        _check(self, "listen_port", whole and 0 <= self.listen_port <= MAX_PORT, f"0 to {MAX_PORT}")
-        _check(self, "max_obs", whole and self.max_obs >= 0, "a whole number from 0")
-        _check(self, "do", self.do > 0, "a distance above 0")
-        for name in ("n", "atten_fac", "period", "shadowing", "loss_band"):
-            _check(self, name, getattr(self, name) >= 0, "a number from 0")
-
-
-class WorldRadioSettings(struct.PyTreeNode, kw_only=True):
-    """Constants of one world's radios where they differ between worlds: see `RadioSettings`.
-
-    Attributes:
-        pdo: Power received at the reference distance [dBm] ().
-        do: Reference distance [m].
-        n: How fast power falls with distance ().
-        cutoff: A link holds from this power on [dBm] ().
-        max_obs: So many solids count.
-        atten_fac: What each solid takes [dB] ().
-        shadowing: As in `RadioSettings`.
-        loss_band: As in `RadioSettings`.
-    """
-
-    pdo: Array
-    do: float = struct.field(pytree_node=False)
-    n: Array
-    cutoff: Array
-    max_obs: int = struct.field(pytree_node=False)
-    atten_fac: Array
-    shadowing: float = struct.field(pytree_node=False)
-    loss_band: float = struct.field(pytree_node=False)
-
-
-AnyRadioSettings = RadioSettings | WorldRadioSettings
-"""What the functions of links take."""
-
-
-def _check(settings: RadioSettings, name: str, fits: bool, allowed: str) -> None:
-    if not fits:
-        raise SpecError(f"radio: {name} is {getattr(settings, name)}, allowed is {allowed}")
-
-
+"""Highest TCP port."""
 COM_SERVER, COM_CONNECTION, COM_LINK = (
     f"USARBotAPI.{part}" for part in ("ComServer", "ComConnection", "ComLink")
 )
@@ -121,20 +40,90 @@ INI_KEYS = {
     },
     COM_LINK: {"bDebug": "debug"},
 }
-"""Sections and keys of USARComServer.ini and the settings they stand for (manual 3.2.4.2)."""
+"""Sections and keys of USARComServer.ini, and their fields (manual 3.2.4.2)."""
+
+
+@dataclass(frozen=True)
+class RadioSettings:
+    """Radio constants; the first eight are USARComServer.ini's (manual 3.2.4, 3.2.4.2).
+
+    The defaults are the manual's, measured at International University Bremen; the manual names no port, and
+    5874 is that of the later servers' ini. The fields after `debug` are extensions, off by default.
+
+    Attributes:
+        listen_port: TCP port of the wireless server; 0 picks a free one.
+        pdo: Power received at the distance `do` [dBm].
+        do: Reference distance [m].
+        n: Path loss exponent (log factor): how fast power falls with distance.
+        cutoff: Power from which on a link holds [dBm].
+        max_obs: Most solids that weaken a link (C in the formula).
+        atten_fac: Loss through each solid (WAF in the formula) [dB].
+        debug: Let the wireless server log its work.
+        period: Time between two evaluations of the links in a batch; 0: every control step [s].
+        shadowing: Standard deviation of log-normal shadowing, drawn per pair and episode [dB].
+        loss_band: Power above the cutoff within which messages get lost: all of them at the cutoff, none at
+            the band's upper end, in proportion between [dB].
+
+    Raises:
+        SpecError: A value is not allowed; names the allowed ones.
+    """
+
+    listen_port: Annotated[int, Setting(ge=0, le=MAX_PORT, manual_key="ListenPort")] = 5874
+    pdo: Annotated[float, Setting(manual_key="ePdo")] = -49.67
+    do: Annotated[float, Setting(gt=0, manual_key="eDo")] = 2.0
+    n: Annotated[float, Setting(ge=0, manual_key="eN")] = 1.09
+    cutoff: Annotated[float, Setting(manual_key="eCutoff")] = -93.0
+    max_obs: Annotated[int, Setting(ge=0, manual_key="eMaxObs")] = 5
+    atten_fac: Annotated[float, Setting(ge=0, manual_key="eAttenFac")] = 6.625
+    debug: Annotated[bool, Setting(manual_key="bDebug")] = False
+    period: Annotated[float, NOT_NEGATIVE] = 0.0
+    shadowing: Annotated[float, NOT_NEGATIVE] = 0.0
+    loss_band: Annotated[float, NOT_NEGATIVE] = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        validate(self)
+
+
+class WorldRadioSettings(struct.PyTreeNode, kw_only=True):
+    """Radio constants that differ between worlds; see `RadioSettings`.
+
+    Attributes:
+        pdo: Power received at the reference distance [dBm] ().
+        do: Reference distance [m].
+        n: Path loss exponent ().
+        cutoff: Lowest power at which a link holds [dBm] ().
+        max_obs: Largest number of solids that count.
+        atten_fac: Attenuation of each solid [dB] ().
+        shadowing: As in `RadioSettings`.
+        loss_band: As in `RadioSettings`.
+    """
+
+    pdo: Array
+    do: float = struct.field(pytree_node=False)
+    n: Array
+    cutoff: Array
+    max_obs: int = struct.field(pytree_node=False)
+    atten_fac: Array
+    shadowing: float = struct.field(pytree_node=False)
+    loss_band: float = struct.field(pytree_node=False)
+
+
+AnyRadioSettings = RadioSettings | WorldRadioSettings
+"""Settings that the link functions accept."""
 
 
 def radio_settings(source: Path | IniFile) -> RadioSettings:
-    """Read USARComServer.ini; what it does not say keeps its default, other sections are not looked at.
+    """Read USARComServer.ini; missing keys keep their defaults, other sections are ignored.
 
     `debug` is on if any of the three sections has bDebug=True.
 
     Args:
-        source: The file, or what was read of it.
+        source: The file, or its parsed content.
 
     Raises:
-        SpecError: The file cannot be read, a section has a key that it does not know, or a value is not
-            allowed; names file, line and what is allowed.
+        SpecError: The file cannot be read, a section has an unknown key, or a value is not allowed; names
+            file, line and allowed values.
     """
     file = source if isinstance(source, IniFile) else read_ini(source)
     values: dict[str, float | bool] = {}
@@ -163,16 +152,16 @@ def _read(line: Line, field: str, debug: object) -> float | bool:
 
 
 def received_power(settings: AnyRadioSettings, distance: Array, walls: Array) -> Array:
-    """Return the power that arrives [dBm], by the formula of manual 3.2.4.
+    """Return the received power [dBm] by the formula of manual 3.2.4.
 
-    Below the reference distance the same formula goes on, so that power rises above `pdo`; under 1 mm it
-    rises no more (`MIN_ANTENNA_DISTANCE`), so that two antennas in one place hear each other with a finite
-    power. Differentiable in the distance, with slope 0 under 1 mm.
+    Below the reference distance the same formula applies, so that power rises above `pdo`; below 1 mm it is
+    constant (`MIN_ANTENNA_DISTANCE`), so that coincident antennas receive a finite power. Differentiable in
+    the distance, with slope 0 below 1 mm.
 
     Args:
         settings: The constants.
-        distance: Between the antennas [m] (...).
-        walls: How many solids lie between them (...).
+        distance: Distance between the antennas [m] (...).
+        walls: Number of solids between them (...).
     """
     apart = xp.maximum(xp.asarray(distance, xp.float32), MIN_ANTENNA_DISTANCE)
     fading = 10.0 * settings.n * xp.log10(apart / settings.do)
@@ -180,7 +169,7 @@ def received_power(settings: AnyRadioSettings, distance: Array, walls: Array) ->
 
 
 def link_range(settings: RadioSettings, walls: int) -> float:
-    """Return the distance up to which a link behind that many solids holds [m]; infinite if n is 0."""
+    """Return the largest distance at which a link behind `walls` solids holds [m]; infinite if n is 0."""
     margin = settings.pdo - min(walls, settings.max_obs) * settings.atten_fac - settings.cutoff
     if settings.n == 0:
         return math.inf if margin >= 0 else 0.0

@@ -1,8 +1,8 @@
-"""Walls that come in pieces, meshes and terrain: which part of a segment lies inside of them.
+"""Segment clipping at solids that consist of pieces: convex meshes and terrain.
 
-Segments are seen by their middle and half vector, as in `walls`: the place at share t, from -1 to 1, is
-middle + t half. Parts are given as the first and the last share, and are empty if these are not in order.
-A convex mesh is what lies behind all its triangles; a terrain is all of its columns.
+As in `walls`, a segment is its midpoint and half vector: the point at parameter t in [-1, 1] is middle + t
+half. An interval is its first and last parameter, and empty if the first exceeds the last. A convex mesh is
+the intersection of the half spaces behind its triangles; a terrain is the union of its columns.
 """
 
 from functools import reduce
@@ -18,19 +18,20 @@ from usarmjx.models.compile.ray_geoms import COLUMN_KIND, TRIANGLE_KIND
 from usarmjx.sensors.rays.targets import GeomBlock
 
 XYZ = tuple[Array, Array, Array]
-"""Components x, y, z; apart, so that no array of segments times geoms is stored."""
+"""Components x, y, z as separate arrays, so that no array of segments times geoms is stored."""
 SegmentInterval = tuple[Array, Array]
+"""First and last parameter of a part of a segment."""
 
 PIECE_KINDS = (TRIANGLE_KIND, COLUMN_KIND)
-"""Kinds of pieces that solids come in."""
+"""Kinds of pieces."""
 PIECES_PER_PASS = 16
-"""Pieces that one pass over all segments looks at."""
+"""Pieces per pass over all segments."""
 SIDE_MARGIN = 1e-5
-"""By this share of its width a column reaches over its sides: no segment slips through where two meet."""
+"""Relative widening of a column's sides, so that no segment passes between two columns."""
 
 
 def positive_interval(start: Array, slope: Array) -> SegmentInterval:
-    """Return the part of a segment where `start + t slope` is positive."""
+    """Return the interval of a segment on which `start + t slope` is positive."""
     t = -start / xp.where(slope == 0, 1.0, slope)
     outside = (slope == 0) & (start <= 0)
     low = xp.where(outside, 1.0, xp.where(slope > 0, xp.maximum(t, -1.0), -1.0))
@@ -39,17 +40,17 @@ def positive_interval(start: Array, slope: Array) -> SegmentInterval:
 
 
 def intersection(one: SegmentInterval, other: SegmentInterval) -> SegmentInterval:
-    """Return what is in two parts."""
+    """Return the intersection of two intervals."""
     return xp.maximum(one[0], other[0]), xp.minimum(one[1], other[1])
 
 
 def behind_face(middle: XYZ, half: XYZ) -> SegmentInterval:
-    """Return the part of a segment below z = 0: of a convex solid one of whose faces is a triangle."""
+    """Return the interval of a segment below z = 0: behind a face of a convex solid, in the face's frame."""
     return positive_interval(-middle[2], -half[2])
 
 
 def crosses_column(middle: XYZ, half: XYZ, size: XYZ) -> Array:
-    """Whether a segment meets the inside of a column of terrain; see `pieces.terrain_columns`."""
+    """Return whether a segment crosses the interior of a terrain column; see `ray_geoms.terrain_columns`."""
     (x, y, z), (dx, dy, dz) = middle, half
     above_bottom = positive_interval(
         z + size[0] * x + size[1] * y + size[2], dz + size[0] * dx + size[1] * dy
@@ -63,11 +64,11 @@ def crosses_column(middle: XYZ, half: XYZ, size: XYZ) -> Array:
     return low < high
 
 
-def padded_to_chunks(block: GeomBlock) -> GeomBlock:
-    """Return pieces of solids, those of each followed by copies of its last one up to whole chunks.
+def pad_to_chunks(block: GeomBlock) -> GeomBlock:
+    """Pad the pieces of each solid to whole chunks with copies of its last piece.
 
     Args:
-        block: Pieces; those of one solid follow one another and have the same owner. Numpy arrays.
+        block: Pieces; those of one solid are adjacent and have the same owner. NumPy arrays.
     """
     owner = np.asarray(block.owner)
     ends = np.append(np.flatnonzero(np.diff(owner)) + 1, len(owner))
@@ -82,14 +83,14 @@ def components(vectors: Array) -> XYZ:
 
 
 def local_segments(block: GeomBlock, middle: XYZ, half: XYZ) -> tuple[XYZ, XYZ]:
-    """Return segments in the frames of geoms: middles and half vectors [m] (geoms, segments) each.
+    """Return segments in the frames of geoms: midpoints and half vectors [m] (geoms, segments) each.
 
     Args:
         block: The geoms.
-        middle: Middles of the segments [m] (segments,) each.
-        half: Half vectors from there to their ends [m] (segments,) each.
+        middle: Midpoints of the segments [m] (segments,) each.
+        half: Half vectors of the segments [m] (segments,) each.
     """
-    # Sums of products, not matrix products: they fuse, and keep all their bits on a GPU.
+    # Sums of products instead of matrix products: they fuse, and avoid TensorFloat-32 on a GPU.
     offset = [part - pos for part, pos in zip(middle, components(block.pos), strict=True)]
     mat = block.mat[..., None]
     local = tuple(sum(mat[:, j, i] * offset[j] for j in range(3)) for i in range(3))
@@ -98,19 +99,19 @@ def local_segments(block: GeomBlock, middle: XYZ, half: XYZ) -> tuple[XYZ, XYZ]:
 
 
 def count_in_pieces(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array:
-    """Return how many solids of one kind each segment crosses (segments,).
+    """Return the number of solids of one kind that each segment crosses (segments,).
 
     Args:
         kind: One of `PIECE_KINDS`.
-        block: Pieces as `padded_to_chunks` returns them.
-        middle: Middles of the segments [m] (segments,) each.
-        half: Half vectors from there to their ends [m] (segments,) each.
+        block: Pieces from `pad_to_chunks`.
+        middle: Midpoints of the segments [m] (segments,) each.
+        half: Half vectors of the segments [m] (segments,) each.
     """
     return (_count_at_once if on_numpy() else _count_in_passes)(kind, block, middle, half)
 
 
 def _count_at_once(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array:
-    """Return what `_count_in_passes` does, all pieces of a solid at once: in few calls, for NumPy."""
+    """As `_count_in_passes`, all pieces of a solid at once: few calls, for NumPy."""
     owner, count = np.asarray(block.owner), np.zeros(half[0].shape, np.int32)
     bounds = [0, *(np.flatnonzero(np.diff(owner)) + 1), len(owner)]
     for first, last in pairwise(bounds):
@@ -125,7 +126,7 @@ def _count_at_once(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array
 
 
 def _crosses_columns(local: XYZ, along: XYZ, size: Array) -> np.ndarray:
-    """Return which segments meet the inside of any column (segments,); few columns are near a segment."""
+    """Return which segments cross any column (segments,); only columns near a segment are tested."""
     (x, y, _), (dx, dy, _) = local, along
     reach = (x + np.abs(dx) > -SIDE_MARGIN) & (y + np.abs(dy) > -SIDE_MARGIN)
     column, segment = np.nonzero(reach & (x + y - np.abs(dx + dy) < 1 + SIDE_MARGIN))
@@ -137,8 +138,9 @@ def _crosses_columns(local: XYZ, along: XYZ, size: Array) -> np.ndarray:
 
 
 def _count_in_passes(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array:
-    """Return how many solids each segment crosses, a few pieces at a time, on JAX."""
+    """Return the number of solids that each segment crosses, a few pieces per pass, on JAX."""
     rows: GeomBlock = jax.tree.map(lambda x: jnp.asarray(x).reshape(-1, PIECES_PER_PASS, *x.shape[1:]), block)
+    # A solid spans several chunks: its interval or flag is carried along, and counted at its last chunk.
     last = jnp.append(rows.owner[1:, 0] != rows.owner[:-1, 0], True)
     mesh = kind == TRIANGLE_KIND
     fresh = (-jnp.ones_like(half[0]), jnp.ones_like(half[0])) if mesh else (jnp.zeros(half[0].shape, bool),)

@@ -1,4 +1,4 @@
-"""Who hears whom in one world: a table of all pairs, symmetric, and what changed since the last one."""
+"""Radio links of one world: a symmetric table of all pairs, its changes, and multi-hop reachability."""
 
 import math
 from functools import partial
@@ -17,20 +17,22 @@ from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.rays.targets import Geoms
 
 MIN_ANTENNA_HEIGHT = 0.01
-"""No antenna is lower than this above the arena's floor: a robot on its back would have it below [m]."""
+"""Lowest height of an antenna above the arena's floor [m]; an overturned robot's would be below it."""
+MIN_SQUARED_DISTANCE = 1e-12
+"""Lower bound of squared distances, for a differentiable square root at coincident antennas [m2]."""
 
 
-def antenna_of(robot: RobotSpec) -> Vec3:
-    """Return where a class has its antenna, in USARSim's axes on the chassis [m].
+def antenna_offset(robot: RobotSpec) -> Vec3:
+    """Return a class's antenna position on the chassis, in USARSim's axes [m].
 
-    Without a place of its own it is half the robot's height above the chassis origin; a ComStation's is
-    so on top of its mast.
+    The default is half the robot's height above the chassis origin; for a ComStation that is the top of its
+    mast.
     """
     return (0.0, 0.0, -robot.dimensions[2] / 2) if robot.antenna is None else robot.antenna
 
 
 def antenna_positions(robot: RobotSpec, pos: Array, quat: Array, floor: float) -> Array:
-    """Return where the antennas of robots of one class are in the world [m] (..., 3).
+    """Return the world positions of the antennas of robots of one class [m] (..., 3).
 
     Args:
         robot: The class.
@@ -38,20 +40,20 @@ def antenna_positions(robot: RobotSpec, pos: Array, quat: Array, floor: float) -
         quat: Orientations, w first (..., 4).
         floor: Height of the arena's floor [m].
     """
-    mat, (x, y, z) = mat_from_quat(quat), flip_vector(antenna_of(robot))
+    mat, (x, y, z) = mat_from_quat(quat), flip_vector(antenna_offset(robot))
     position = pos + mat[..., 0] * x + mat[..., 1] * y + mat[..., 2] * z
     lowest = np.array([-np.inf, -np.inf, floor + MIN_ANTENNA_HEIGHT], np.float32)
     return xp.maximum(position, lowest)
 
 
 def _squarings(robots: int) -> int:
-    """How often a table of paths is joined with itself until it has the longest, of robots - 1 hops."""
+    """Return how often a path table is multiplied by itself until it covers paths of robots - 1 hops."""
     return math.ceil(math.log2(robots - 1)) if robots > 2 else 0
 
 
 @jit
 def transitive_closure(linked: Array) -> Array:
-    """Return who reaches whom over any number of hops, everyone itself too (..., robots, robots)."""
+    """Return which robots reach which over any number of hops, itself included (..., robots, robots)."""
     robots = linked.shape[-1]
     paths: Array = linked | np.eye(robots, dtype=bool)
     for _ in range(_squarings(robots)):
@@ -61,7 +63,7 @@ def transitive_closure(linked: Array) -> Array:
 
 @jit
 def hops(linked: Array, base: Array | int) -> Array:
-    """Return over how many links each robot reaches the base; as many as there are robots: it does not.
+    """Return the number of links from each robot to the base; the number of robots if it is unreachable.
 
     Args:
         linked: Which links hold (..., robots, robots).
@@ -83,12 +85,12 @@ def hops(linked: Array, base: Array | int) -> Array:
 
 @partial(jit, static_argnames=("max_hops",))
 def reachable(linked: Array, base: Array | int, max_hops: int | None = None) -> Array:
-    """Return who reaches the base station, itself included (..., robots).
+    """Return which robots reach the base station, itself included (..., robots).
 
     Args:
         linked: Which links hold (..., robots, robots).
         base: Slot of the base station ().
-        max_hops: Over so many hops at most; None: over any number.
+        max_hops: Largest number of hops; None: unlimited.
     """
     if max_hops is None:
         return xp.take(transitive_closure(linked), base, -2)
@@ -97,7 +99,7 @@ def reachable(linked: Array, base: Array | int, max_hops: int | None = None) -> 
 
 @jit
 def connected_components(linked: Array) -> Array:
-    """Return a number for each robot, the same for all that reach each other: the lowest slot among them.
+    """Return a component label for each robot: the lowest slot that it reaches.
 
     Args:
         linked: Which links hold (..., robots, robots).
@@ -110,16 +112,16 @@ def connected_components(linked: Array) -> Array:
 
 @jit
 def bottleneck(power: Array) -> Array:
-    """Return the power of the weakest link on the best way between each two robots [dBm].
+    """Return the power of the weakest link on the best route between each two robots [dBm].
 
-    The best way is the one whose weakest link is strongest, whether it holds or not; so two robots reach
-    each other exactly if this is not below the cutoff.
+    The best route is the one whose weakest link is strongest, whether it holds or not; two robots reach each
+    other exactly if this power is not below the cutoff.
 
     Args:
         power: Power received (..., robots, robots), symmetric; -inf without a pair.
 
     Returns:
-        (..., robots, robots), symmetric; inf from a robot to itself, -inf where no way leads.
+        (..., robots, robots), symmetric; inf from a robot to itself, -inf without a route.
     """
     robots = power.shape[-1]
     best = xp.where(np.eye(robots, dtype=bool), xp.inf, power)
@@ -128,24 +130,19 @@ def bottleneck(power: Array) -> Array:
     return best
 
 
-MIN_SQUARED_DISTANCE = 1e-12
-"""Keeps the square root of a distance differentiable where two antennas are in one place [m2]."""
-
-
 class Links(struct.PyTreeNode, kw_only=True):
     """The radio links of one world; rows and columns are roster slots, and every table is symmetric.
 
     Attributes:
         power: Power received; -inf where there is no pair [dBm] (robots, robots).
         walls: Solids between the antennas; 0 where there is no pair (robots, robots).
-        paired: Whether both robots are in use, and two: nobody has a link to itself (robots, robots).
-        in_range: Whether the link holds: the power is not below the cutoff (robots, robots).
-        delivery_probability: Probability that a message over it arrives; 0 if there is no link
-            (robots, robots).
-        went_down: Whether the link held at the last evaluation and does not now (robots, robots).
-        came_up: Whether it holds now and did not then (robots, robots).
-        evaluated: Whether this episode has been looked at; if not, there are no links yet ().
-        step: Control step of the episode in which this was evaluated ().
+        paired: Whether both robots are in use; false on the diagonal (robots, robots).
+        in_range: Whether the link holds: power at or above the cutoff (robots, robots).
+        delivery_probability: Probability that a message arrives; 0 without a link (robots, robots).
+        went_down: Whether the link held at the last evaluation and no longer does (robots, robots).
+        came_up: Whether the link holds and did not at the last evaluation (robots, robots).
+        evaluated: Whether links were evaluated in this episode; if not, there are none yet ().
+        step: Control step of the evaluation, in the episode ().
     """
 
     power: Array
@@ -160,7 +157,7 @@ class Links(struct.PyTreeNode, kw_only=True):
 
 
 def no_links(robots: int) -> Links:
-    """Return the table of an episode that has not been looked at yet."""
+    """Return the table of an episode before its first evaluation."""
     never = xp.zeros((robots, robots), bool)
     return Links(
         power=xp.full((robots, robots), -xp.inf, xp.float32),
@@ -175,15 +172,15 @@ def no_links(robots: int) -> Links:
     )
 
 
-def pairs_of(robots: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the slots of all unordered pairs: the lower ones and the higher ones (pairs,)."""
+def pair_slots(robots: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the slots of all unordered pairs: lower and higher slots (pairs,)."""
     return np.triu_indices(robots, 1)
 
 
 def _square(values: Array, robots: int, diagonal: float) -> Array:
     """Return values of pairs (pairs,) as a symmetric table (robots, robots)."""
-    # Gathered, not scattered: every entry of the table picks its pair.
-    low, high = pairs_of(robots)
+    # A gather instead of a scatter: every entry of the table picks its pair.
+    low, high = pair_slots(robots)
     index = np.zeros((robots, robots), int)
     index[low, high] = index[high, low] = np.arange(len(low))
     if not len(low):
@@ -192,12 +189,11 @@ def _square(values: Array, robots: int, diagonal: float) -> Array:
 
 
 def shadowing(settings: AnyRadioSettings, key: Array, robots: int) -> Array:
-    """Return by how much surroundings strengthen or weaken each pair's link [dB] (pairs,).
+    """Return the log-normal shadowing of each pair's link [dB] (pairs,): normal in decibels.
 
-    Log-normal: normal in decibels. A pair keeps its number as long as the key is the same, whoever else
-    is there.
+    A pair's value depends only on the key and its two slots, not on which other robots exist.
     """
-    low, high = pairs_of(robots)
+    low, high = pair_slots(robots)
     if settings.shadowing == 0 or not len(low):
         return xp.zeros(len(low))
     keys = vmap(random.fold_in)(random.fold_in(key, np.arange(robots))[low], high)
@@ -205,7 +201,7 @@ def shadowing(settings: AnyRadioSettings, key: Array, robots: int) -> Array:
 
 
 def delivery_probability(settings: AnyRadioSettings, power: Array) -> Array:
-    """Return the probability that a message gets through at a power [dBm] (...)."""
+    """Return the probability of delivery at a received power [dBm] (...)."""
     margin = power - settings.cutoff
     if settings.loss_band == 0:
         return (margin >= 0).astype(xp.float32)
@@ -218,17 +214,17 @@ def pair_powers(
     antennas: Float[Array, "robots 3"],
     shadow: Float[Array, " pairs"] | float = 0.0,
 ) -> tuple[Float[Array, " pairs"], Int[Array, " pairs"]]:
-    """Return the power received between all unordered pairs [dBm] and the solids between them (pairs,).
+    """Return the received power of all unordered pairs [dBm] and the solids between them (pairs,).
 
-    Differentiable in the antennas' places; walls count as if they stayed as they are.
+    Differentiable in the antennas' positions, with constant wall counts.
 
     Args:
         settings: The constants.
         geoms: The arena's solids.
-        antennas: Where the antennas are [m] (robots, 3).
-        shadow: What shadowing adds [dB] (pairs,).
+        antennas: Antenna positions [m] (robots, 3).
+        shadow: Shadowing to add [dB] (pairs,).
     """
-    low, high = pairs_of(len(antennas))
+    low, high = pair_slots(len(antennas))
     start, end = antennas[low], antennas[high]
     way = end - start
     distance = xp.sqrt(xp.maximum((way * way).sum(-1), MIN_SQUARED_DISTANCE))
@@ -244,16 +240,16 @@ def evaluate_links(
     key: Array,
     step: Int[Array, ""],
 ) -> Links:
-    """Return the links as they are now.
+    """Evaluate the links.
 
     Args:
         settings: The constants.
-        geoms: The arena's solids: neither robots nor loose objects, which do not weaken a link.
-        robots: Where their antennas are [m] (robots, 3), and which of them are in use; the others have no
-            links (robots,).
-        before: The last table; the first one of an episode has no events.
-        key: The episode's, for shadowing.
-        step: The present control step ().
+        geoms: The arena's solids. Robots and loose objects do not attenuate.
+        robots: Antenna positions [m] (robots, 3), and which robots are in use; the others have no links
+            (robots,).
+        before: Previous table; the first one of an episode has no events.
+        key: The episode's key, for shadowing.
+        step: Current control step ().
     """
     antennas, in_use = robots
     count = len(antennas)
@@ -275,11 +271,11 @@ def evaluate_links(
 
 
 def is_due(links: Links, step: Array, every: int) -> Array:
-    """Return whether it is time to evaluate again: so many control steps have passed, or none was yet ()."""
+    """Return whether the next evaluation is due: `every` control steps have passed, or there was none ()."""
     return ~links.evaluated | (step >= links.step + every)
 
 
-def without_old_events(links: Links, step: Array) -> Links:
-    """Return the last table for another look at it: its events stay events of their own control step."""
+def drop_old_events(links: Links, step: Array) -> Links:
+    """Return the last table without events of earlier control steps, for a later read of it."""
     same = links.step == step
     return links.replace(went_down=links.went_down & same, came_up=links.came_up & same)

@@ -1,10 +1,11 @@
-"""Messages between the robots of a world, for policies and tasks: fixed-size boxes, pure functions.
+"""Messages between the robots of a world, for policies and tasks: fixed-size inboxes, pure functions.
 
-A message is a vector of numbers and stands for so many bytes. `deliver` hands messages over at once, over
-links that hold; what does not arrive is counted, by sender and by cause.
+A message is a vector of numbers with a declared size in bytes. `deliver` delivers at once over links that
+hold; undelivered messages are counted by sender and cause.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from flax import struct
@@ -12,46 +13,43 @@ from flax import struct
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import set_at, xp
-from usarmjx.base.errors import SpecError
+from usarmjx.base.settings import AT_LEAST_ONE, validate
 from usarmjx.comms.links import Links
 
 BYTES_PER_NUMBER = 4
-"""What a message stands for if nothing else is said: numbers in single precision."""
+"""Default size of a number of a message: single precision [bytes]."""
 
 
 @dataclass(frozen=True)
 class MessageSettings:
-    """Sizes of the mail of a scene.
+    """Sizes of a scene's messages and inboxes.
 
     Attributes:
         numbers: Numbers in a message.
-        capacity: Messages that a robot's box holds until it is emptied.
+        capacity: Messages that a robot's inbox holds until it is emptied.
         bytes_per_step: Bytes that a robot may send in a control step, each receiver counted [bytes].
 
     Raises:
-        SpecError: A size below 1.
+        SpecError: A size is below 1.
     """
 
-    numbers: int = 8
-    capacity: int = 8
-    bytes_per_step: int = 1500
+    numbers: Annotated[int, AT_LEAST_ONE] = 8
+    capacity: Annotated[int, AT_LEAST_ONE] = 8
+    bytes_per_step: Annotated[int, AT_LEAST_ONE] = 1500
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
-        for name in ("numbers", "capacity", "bytes_per_step"):
-            value = getattr(self, name)
-            if not isinstance(value, int) or value < 1:
-                raise SpecError(f"mail: {name} is {value}, allowed is a whole number from 1")
+        """Check the sizes."""
+        validate(self)
 
 
 class DropCounts(struct.PyTreeNode, kw_only=True):
-    """Messages that did not arrive since the episode began, by sender; a message to three counts thrice.
+    """Undelivered messages since the episode began, by sender; a message to three receivers counts thrice.
 
     Attributes:
-        over_budget: The sender had no bytes left in the control step (robots,).
-        no_link: There was no link that holds (robots,).
-        lost: Lost near the cutoff (robots,).
-        inbox_full: The receiver's box was full (robots,).
+        over_budget: The sender's bytes of the control step were spent (robots,).
+        no_link: No link holds (robots,).
+        lost: Lost at random near the cutoff (robots,).
+        inbox_full: The receiver's inbox was full (robots,).
     """
 
     over_budget: Array
@@ -61,18 +59,18 @@ class DropCounts(struct.PyTreeNode, kw_only=True):
 
 
 class Inboxes(struct.PyTreeNode, kw_only=True):
-    """The boxes of one world's robots; what lies behind the first `count` places means nothing.
+    """Inboxes of one world's robots; entries beyond the first `count` are undefined.
 
     Attributes:
-        count: Messages in the box (robots,).
-        sender: Slots of their senders, in the order of arrival (robots, capacity).
-        time: When they were sent [s] (robots, capacity).
-        size_bytes: What they stand for [bytes] (robots, capacity).
-        payload: What they say (robots, capacity, numbers).
-        spent: Sent in the control step `step` [bytes] (robots,).
-        step: Control step of the last sending ().
-        sent: Messages sent since the episode began, arrived or not (robots,).
-        dropped: Those of them that did not arrive.
+        count: Messages in the inbox (robots,).
+        sender: Senders' slots, in the order of arrival (robots, capacity).
+        time: Times of sending [s] (robots, capacity).
+        size_bytes: Declared sizes [bytes] (robots, capacity).
+        payload: Contents (robots, capacity, numbers).
+        spent: Bytes sent in the control step `step` [bytes] (robots,).
+        step: Control step of the last delivery ().
+        sent: Messages sent since the episode began, delivered or not (robots,).
+        dropped: Undelivered ones among them.
     """
 
     count: Array
@@ -87,17 +85,17 @@ class Inboxes(struct.PyTreeNode, kw_only=True):
 
     @property
     def valid(self) -> Array:
-        """Which places hold a message (robots, capacity)."""
+        """Mask of entries that hold a message (robots, capacity)."""
         return xp.arange(self.sender.shape[-1]) < self.count[..., None]
 
 
 class OutgoingMessages(struct.PyTreeNode, kw_only=True):
-    """What the robots of one world want to say: each one message, to any number of the others.
+    """Messages of the robots of one world: one each, to any number of receivers.
 
     Attributes:
         receivers: Receivers, row sender, column receiver (robots, robots).
-        payload: The messages (robots, numbers).
-        size_bytes: What each stands for; not below 0 [bytes] (robots,).
+        payload: Contents (robots, numbers).
+        size_bytes: Declared sizes, not below 0 [bytes] (robots,).
     """
 
     receivers: Array
@@ -106,7 +104,7 @@ class OutgoingMessages(struct.PyTreeNode, kw_only=True):
 
 
 def empty_inboxes(settings: MessageSettings, robots: int) -> Inboxes:
-    """Return empty boxes."""
+    """Return empty inboxes."""
     box, none = (robots, settings.capacity), xp.zeros(robots, xp.int32)
     return Inboxes(
         count=none,
@@ -122,7 +120,7 @@ def empty_inboxes(settings: MessageSettings, robots: int) -> Inboxes:
 
 
 def _through(links: Links, key: Array) -> Array:
-    """Return over which links a message gets through this time (robots, robots)."""
+    """Draw over which links a message gets through (robots, robots)."""
     return random.uniform(key, links.delivery_probability.shape) < links.delivery_probability
 
 
@@ -134,37 +132,36 @@ def deliver(
     moment: tuple[Array, Array],
     key: Array,
 ) -> Inboxes:
-    """Return the boxes after everyone's message went to its receivers.
+    """Return the inboxes after the delivery of all messages.
 
-    A sender's bytes are spent in the order of the receivers' slots, and on messages that do not arrive
-    too: it cannot know. A box takes what arrives in the order of the senders' slots. Messages to oneself
-    find no link.
+    A sender's bytes are spent in the order of the receivers' slots, also on messages that do not arrive: a
+    sender cannot know. Inboxes fill in the order of the senders' slots. A message to oneself has no link.
 
     Args:
         settings: Sizes.
-        inboxes: The boxes.
-        messages: What is said to whom.
-        links: The links that there are.
+        inboxes: Inboxes before.
+        messages: The messages.
+        links: Current links.
         moment: Control step and simulated time [s] (), ().
-        key: For losses near the cutoff; new for every delivery.
+        key: Key of random losses near the cutoff; a new one for every delivery.
     """
     step, time = moment
     to, capacity = messages.receivers, settings.capacity
     spent = xp.where(inboxes.step == step, inboxes.spent, 0)
     length = xp.maximum(messages.size_bytes, 0).astype(xp.int32)
-    # Counted in messages, not in bytes, whose sum over many receivers could overflow.
+    # Counted in messages: a sum of bytes over many receivers could overflow int32.
     left = xp.maximum(settings.bytes_per_step - spent, 0)
     affordable = xp.where(length > 0, left // xp.maximum(length, 1), to.shape[-1])
     paid = to & (xp.cumsum(to, -1) <= affordable[:, None])
     linked = paid & links.in_range
     arrived = linked & _through(links, key)
 
-    index = inboxes.count[None, :] + xp.cumsum(arrived, 0) - 1  # in the receiver's box
+    index = inboxes.count[None, :] + xp.cumsum(arrived, 0) - 1  # in the receiver's inbox
     fits = arrived & (index < capacity)
-    # Which sender's message goes where: all other tables are looked up by it.
+    # One scatter of the senders' slots; all other fields are gathered by it.
     robots = len(to)
     sender, receiver = np.indices((robots, robots), np.int32)
-    # What does not fit goes to a place behind the box.
+    # A message that does not fit is written to an extra column, which is cut off.
     where = (receiver, xp.where(fits, index, capacity))
     new_sender = set_at(xp.full((robots, capacity + 1), -1), where, sender)[:, :capacity]
     fresh, source = new_sender >= 0, xp.maximum(new_sender, 0)
@@ -192,5 +189,5 @@ def deliver(
 
 
 def clear_inboxes(inboxes: Inboxes, mask: Array | bool = True) -> Inboxes:
-    """Return the boxes with those of the masked robots (robots,) emptied: they have read their mail."""
+    """Return the inboxes with those of the masked robots (robots,) emptied."""
     return inboxes.replace(count=xp.where(mask, 0, inboxes.count))

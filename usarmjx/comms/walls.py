@@ -1,19 +1,18 @@
-"""How many solids lie between two antennas.
+"""Number of solids between two antennas.
 
-A solid counts once, however thin, and however close to the next one, when the open segment between the
-antennas passes through its inside. So a segment that starts or ends inside a solid, or lies within it
-whole, counts it; one that runs along a face or an edge, or only touches a corner, does not; one whose ends
-are the same point counts the solids which that point is inside of. A plane counts when the two ends lie on
-opposite sides of it (neither on it), and the segment meets it within its half sizes. A terrain counts once,
-when the segment passes below its surface. Glass, mirrors and grid fenders count as other solids do, the sky
-does not.
+A solid counts once, however thin and however close to the next one, if the open segment between the antennas
+passes through its interior. A segment that starts, ends or lies inside a solid therefore counts it; one that
+runs along a face or an edge, or only touches a corner, does not; a segment of zero length counts the solids
+that contain its point. A plane counts if the two ends lie strictly on opposite sides and the segment meets it
+within its half sizes. A terrain counts once, if the segment passes below its surface. Glass, mirrors and grid
+fenders count like other solids, the sky does not.
 
-The in-engine server marched along the segment and looked again 0.2 m behind each surface it met, so that a
-stack of thin walls counted as one there. Here it counts in full.
+USARSim's server (in the game engine) marched along the segment and searched again 0.2 m behind each surface,
+so that a stack of thin walls counted as one there. Here each of them counts.
 
-Kernels see a segment by its middle and the half vector from there to its end, in the geom's frame, so that
-exchanging the two ends changes no bit of the answer. They take no square roots, and divide only for round
-shapes, meshes and terrain. A mesh is what lies behind the faces of all its triangles, a terrain its columns.
+Kernels take a segment as its midpoint and half vector in the geom's frame, so that exchanging the two ends
+changes no bit of the result. They take no square roots and divide only for round shapes, meshes and terrain.
+A mesh is the intersection of the half spaces behind its triangles, a terrain the union of its columns.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,7 +34,7 @@ from usarmjx.comms.clipping import (
     components,
     count_in_pieces,
     local_segments,
-    padded_to_chunks,
+    pad_to_chunks,
 )
 from usarmjx.models.compile.compose import new_spec
 from usarmjx.models.compile.materials import materials_of
@@ -46,13 +45,17 @@ from usarmjx.models.types.shapes import OPAQUE, SKY
 from usarmjx.sensors.rays.targets import GeomBlock, Geoms, make_geoms
 
 TINY = 1e-12
-"""Stands in for zero where it divides."""
+"""Lower bound of divisors."""
 
 GeomType = mujoco.mjtGeom
+SOLIDS_PER_PASS = 16
+"""Solids per pass over all segments: each solid is read once for all segments of a world, in few passes."""
+PADDING_DISTANCE = 1e6
+"""Coordinate of the solids that pad the last chunk [m]."""
 
 
 def crosses_plane(middle: XYZ, half: XYZ, size: XYZ) -> Array:
-    """Whether a segment goes through a plane with normal z; sizes 0 mean unbounded."""
+    """Return whether a segment crosses a plane with normal z; half sizes of 0 are unbounded."""
     crossed = xp.abs(middle[2]) < xp.abs(half[2])
     t = -middle[2] / xp.where(half[2] == 0, 1.0, half[2])
     for axis in (0, 1):
@@ -61,10 +64,10 @@ def crosses_plane(middle: XYZ, half: XYZ, size: XYZ) -> Array:
 
 
 def crosses_box(middle: XYZ, half: XYZ, size: XYZ) -> Array:
-    """Whether a segment meets the inside of a box with half lengths `size`: no axis separates them.
+    """Return whether a segment crosses the interior of a box with half lengths `size`: separating axes.
 
-    The axes are the box's own and their cross products with the segment (a box swept along a segment has
-    no other faces); one whose product vanishes, as the segment is parallel to it, separates nothing.
+    The axes are the box's own and their cross products with the segment (a box swept along a segment has no
+    other faces); a vanishing cross product, for a segment parallel to the axis, separates nothing.
     """
     crossed = xp.abs(middle[0]) < size[0] + xp.abs(half[0])
     for axis in (1, 2):
@@ -78,7 +81,7 @@ def crosses_box(middle: XYZ, half: XYZ, size: XYZ) -> Array:
 
 
 def _nearest_squared(middle: XYZ, half: XYZ, axes: int) -> Array:
-    """Squared distance of a segment from the origin, or, over two axes, from the z axis."""
+    """Return the squared distance of a segment from the origin, or, over two axes, from the z axis."""
     m, h = middle[:axes], half[:axes]
     along = sum(a * b for a, b in zip(m, h, strict=True))
     t = xp.clip(-along / xp.maximum(sum(b * b for b in h), TINY), -1.0, 1.0)
@@ -86,21 +89,21 @@ def _nearest_squared(middle: XYZ, half: XYZ, axes: int) -> Array:
 
 
 def crosses_sphere(middle: XYZ, half: XYZ, size: XYZ) -> Array:
-    """Whether a segment meets the inside of a sphere of radius `size[0]`."""
+    """Return whether a segment crosses the interior of a sphere of radius `size[0]`."""
     return _nearest_squared(middle, half, 3) < size[0] ** 2
 
 
 def crosses_ellipsoid(middle: XYZ, half: XYZ, size: XYZ) -> Array:
-    """Whether a segment meets the inside of an ellipsoid with radii `size`: a unit sphere, stretched."""
+    """Return whether a segment crosses the interior of an ellipsoid with radii `size`, a scaled sphere."""
     scale = [1.0 / s for s in size]
     stretched = [tuple(a * s for a, s in zip(v, scale, strict=True)) for v in (middle, half)]
     return _nearest_squared(*stretched, 3) < 1.0  # type: ignore - three components each
 
 
 def crosses_cylinder(middle: XYZ, half: XYZ, size: XYZ) -> Array:
-    """Whether a segment meets the inside of a cylinder about z with radius `size[0]`, half length `size[1]`.
+    """Return whether a segment crosses a cylinder about z with radius `size[0]` and half length `size[1]`.
 
-    Of the part between the planes of the caps, the place nearest to the axis decides.
+    The segment is clipped at the planes of the caps; its point nearest to the axis decides.
     """
     (mx, my, mz), (hx, hy, hz) = middle, half
     slope = xp.where(xp.abs(hz) < TINY, TINY, hz)
@@ -112,7 +115,7 @@ def crosses_cylinder(middle: XYZ, half: XYZ, size: XYZ) -> Array:
 
 
 def crosses_capsule(middle: XYZ, half: XYZ, size: XYZ) -> Array:
-    """Whether a segment meets the inside of a capsule about z: its tube or one of its two balls."""
+    """Return whether a segment crosses the interior of a capsule about z: a cylinder and two balls."""
     crossed = crosses_cylinder(middle, half, size)
     for end in (-size[1], size[1]):
         crossed = crossed | crosses_sphere((middle[0], middle[1], middle[2] - end), half, size)
@@ -127,8 +130,9 @@ CROSSING_KERNELS: dict[int, Callable[[XYZ, XYZ, XYZ], Array]] = {
     int(GeomType.mjGEOM_CYLINDER): crosses_cylinder,
     int(GeomType.mjGEOM_ELLIPSOID): crosses_ellipsoid,
 }
-COUNTED = (*CROSSING_KERNELS, MESH, HFIELD)
-"""Types of geoms that can be counted, as they are or in pieces."""
+"""Crossing test of each geom type."""
+COUNTABLE_TYPES = (*CROSSING_KERNELS, MESH, HFIELD)
+"""Geom types that can be counted, directly or in pieces."""
 
 
 def check_wall_types(geom_types: Sequence[int]) -> None:
@@ -137,20 +141,20 @@ def check_wall_types(geom_types: Sequence[int]) -> None:
     Raises:
         UnsupportedGeomError: Names the types, and those that can be counted.
     """
-    bad = sorted({GeomType(int(t)).name for t in geom_types if int(t) not in COUNTED})
+    bad = sorted({GeomType(int(t)).name for t in geom_types if int(t) not in COUNTABLE_TYPES})
     if bad:
-        known = ", ".join(GeomType(t).name for t in COUNTED)
+        known = ", ".join(GeomType(t).name for t in COUNTABLE_TYPES)
         raise UnsupportedGeomError(f"the radio cannot count walls of type {', '.join(bad)}; it can: {known}")
 
 
 @cache
 def arena_solids(arena: ArenaSpec) -> Geoms:
-    """Return what weakens radio links in an arena: its floor and its fixed solids, not what lies loose.
+    """Return the solids that attenuate radio links in an arena: floor and fixed solids, no loose objects.
 
-    Meshes and terrain come in pieces, in the form that `clipping.count_in_pieces` takes.
+    Meshes and terrain are in pieces, in the form of `clipping.count_in_pieces`.
 
     Raises:
-        UnsupportedGeomError: A solid that cannot be counted.
+        UnsupportedGeomError: A solid cannot be counted.
     """
     fixed = replace(arena, loose=(), doors=(), victims=(), false_alarms=())
     model = new_spec(fixed, Physics()).compile()
@@ -160,11 +164,11 @@ def arena_solids(arena: ArenaSpec) -> Geoms:
     walls = np.flatnonzero(np.array(materials_of(model, arena), object) != SKY)
     pieces = ray_primitives_of(model, walls, columns=True)
     pos, mat = pieces.world_poses(data.geom_xpos[walls], data.geom_xmat[walls].reshape(-1, 3, 3))
-    # Numpy throughout: jax arrays made while tracing could not be kept.
+    # NumPy only: the result is cached, and JAX arrays made during a trace would leak tracers.
     placed = pos.astype(np.float32), mat.astype(np.float32)
     geoms = make_geoms(pieces.kind, *placed, pieces.size, pieces.geom)
     blocks = [
-        padded_to_chunks(block) if kind in PIECE_KINDS else block
+        pad_to_chunks(block) if kind in PIECE_KINDS else block
         for kind, block in zip(geoms.kinds, geoms.blocks, strict=True)
     ]
     return geoms.replace(blocks=tuple(blocks))
@@ -172,14 +176,14 @@ def arena_solids(arena: ArenaSpec) -> Geoms:
 
 @cache
 def bare_floor(arena: ArenaSpec) -> ArenaSpec:
-    """Return the arena without anything on its floor."""
+    """Return the arena with nothing but its floor."""
     return ArenaSpec(
         name=arena.name, floor=arena.floor, has_floor=arena.has_floor, starts=(), extent=arena.extent
     )
 
 
-def with_boxes(solids: Geoms, pos: Array, mat: Array, size: Array) -> Geoms:
-    """Return solids and boxes: centres [m] (n, 3), orientations (n, 3, 3), half lengths [m] (n, 3)."""
+def add_boxes(solids: Geoms, pos: Array, mat: Array, size: Array) -> Geoms:
+    """Add boxes to solids: centres [m] (n, 3), orientations (n, 3, 3), half lengths [m] (n, 3)."""
     if not len(size):
         return solids
     block = GeomBlock(pos=pos, mat=mat, size=size, owner=np.full(len(size), -1))
@@ -191,15 +195,8 @@ def with_boxes(solids: Geoms, pos: Array, mat: Array, size: Array) -> Geoms:
     )
 
 
-SOLIDS_PER_PASS = 16
-"""Solids that one pass over all segments looks at: their numbers are read once for all segments of a world,
-and the passes are few."""
-PADDING_DISTANCE = 1e6
-"""Where the solids are that fill the last chunk [m]."""
-
-
 def _columns(block: GeomBlock) -> tuple[XYZ, tuple[XYZ, XYZ, XYZ], XYZ]:
-    """Return position, orientation and size by components (geoms,), filled up to whole chunks."""
+    """Return position, orientation and size by components (geoms,), padded to whole chunks."""
     fill = -len(block.owner) % SOLIDS_PER_PASS
     pos = jnp.pad(block.pos, ((0, fill), (0, 0)), constant_values=PADDING_DISTANCE)  # pyright: ignore[reportUnknownMemberType] - jnp.pad is half typed
     size = jnp.pad(block.size, ((0, fill), (0, 0)), constant_values=1.0)  # pyright: ignore[reportUnknownMemberType] - jnp.pad is half typed
@@ -214,14 +211,14 @@ def _entry(values: jax.Array, index: Array) -> jax.Array:
 
 
 def _count_in_passes(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array:
-    """Return how many solids of one type each segment crosses (segments,), a few solids at a time, on JAX."""
+    """Return the number of solids of one type that each segment crosses (segments,), in chunks, on JAX."""
     columns = _columns(block)
 
     def chunk(c: Array, count: Array) -> Array:
         for k in range(SOLIDS_PER_PASS):
             here = c * SOLIDS_PER_PASS + k
             pos, mat, size = jax.tree.map(partial(_entry, index=here), columns)
-            # Sums of products, not matrix products: they fuse, and keep all their bits on a GPU.
+            # Sums of products instead of matrix products: they fuse, and avoid TensorFloat-32 on a GPU.
             offset = [middle[j] - pos[j] for j in range(3)]
             local = tuple(sum(mat[j][i] * offset[j] for j in range(3)) for i in range(3))
             along = tuple(sum(mat[j][i] * half[j] for j in range(3)) for i in range(3))
@@ -233,13 +230,13 @@ def _count_in_passes(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Arr
 
 
 def _count_at_once(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array:
-    """Return what `_count_in_passes` does, all solids at once: in few calls, for NumPy."""
+    """As `_count_in_passes`, all solids at once: few calls, for NumPy."""
     crossed = CROSSING_KERNELS[kind](*local_segments(block, middle, half), components(block.size))
     return crossed.sum(0, dtype=np.int32)
 
 
 def _count(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array:
-    """Return how many solids of one type each segment crosses (segments,)."""
+    """Return the number of solids of one type that each segment crosses (segments,)."""
     if kind in PIECE_KINDS:
         return count_in_pieces(kind, block, middle, half)
     return (_count_at_once if on_numpy() else _count_in_passes)(kind, block, middle, half)
@@ -247,13 +244,13 @@ def _count(kind: int, block: GeomBlock, middle: XYZ, half: XYZ) -> Array:
 
 @jit
 def count_walls(geoms: Geoms, start: Array, end: Array) -> Array:
-    """Return how many solids lie on the way of each segment, as the module says (segments,) int32.
+    """Return the number of solids that each segment crosses, as the module defines it (segments,) int32.
 
     Args:
-        geoms: The solids as `arena_solids` gives them: what belongs to the arena, no robots and no loose
-            objects; owners matter only to pieces.
-        start: Where the segments start [m] (segments, 3).
-        end: Where they end [m] (segments, 3).
+        geoms: Solids from `arena_solids`: those of the arena, without robots and loose objects; owners matter
+            only to pieces.
+        start: Start points [m] (segments, 3).
+        end: End points [m] (segments, 3).
     """
     if not on_numpy() and warp_in_use() and geoms.blocks and start.size:
         from usarmjx.comms.warp_walls import count_on_warp
@@ -263,7 +260,7 @@ def count_walls(geoms: Geoms, start: Array, end: Array) -> Array:
 
 
 def count_on_jax(geoms: Geoms, start: Array, end: Array) -> Array:
-    """As `count_walls`, on NumPy too."""
+    """As `count_walls`, on JAX or NumPy."""
     middle: XYZ = tuple(xp.moveaxis((start + end) / 2, -1, 0))
     half: XYZ = tuple(xp.moveaxis((end - start) / 2, -1, 0))
     counts = [_count(kind, b, middle, half) for kind, b in zip(geoms.kinds, geoms.blocks, strict=True)]

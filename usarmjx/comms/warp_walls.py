@@ -1,7 +1,7 @@
-"""As `walls` and `clipping` count, on Warp: a thread for each segment goes over the solids of its world.
+"""Wall counting on Warp: one thread per segment loops over the solids of its world.
 
-What each function means is said there; the arithmetic is the same, so that exchanging a segment's ends
-changes no bit of the answer.
+The functions mirror those of `walls` and `clipping` with the same arithmetic, so that exchanging a segment's
+ends changes no bit of the result.
 """
 
 from functools import partial
@@ -36,7 +36,7 @@ def _crosses_plane(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
 
 @wp.func
 def _separates(mj: float, mk: float, hj: float, hk: float, sj: float, sk: float) -> bool:
-    """Whether the cross product of an axis of a box and a segment keeps them apart."""
+    """Whether the cross product of a box axis and the segment separates them."""
     room = sj * wp.abs(hk) + sk * wp.abs(hj)
     return wp.abs(mj * hk - mk * hj) >= room and room != 0.0
 
@@ -81,7 +81,7 @@ def _crosses_capsule(m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
 
 @wp.func
 def _crosses(kind: int, m: wp.vec3, h: wp.vec3, s: wp.vec3) -> bool:
-    """Whether a segment meets the inside of a solid that is one geom."""
+    """Whether a segment crosses the interior of a solid of one geom."""
     crossed = wp.bool(False)
     if kind == BOX:
         crossed = _crosses_box(m, h, s)
@@ -134,7 +134,7 @@ def count_crossings(
 ) -> None:
     """Count the solids that each segment crosses.
 
-    Pieces of a solid follow one another; its last one is where the next geom has another owner or kind.
+    Pieces of a solid are adjacent; its last piece is followed by another owner or kind.
     """
     t = thread_index(wp.tid())
     first = world[t // segments] * ((count + 31) >> 5) * GROUP_SIZE
@@ -155,7 +155,7 @@ def count_crossings(
         m = local(r0, r1, r2, middle - wp.vec3(pos[0], pos[1], pos[2]))
         h = local(r0, r1, r2, half)
         kind = int(r1[3])
-        if kind >= TRIANGLE:  # or a column
+        if kind >= TRIANGLE:  # pieces: triangles and columns
             if kind == TRIANGLE:
                 inside = _intersection(inside, _positive_interval(-m[2], -h[2]))
             else:

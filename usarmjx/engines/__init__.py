@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from usarmjx.engines.base import choose_engine as choose_engine
     from usarmjx.engines.base import engine_class as engine_class
     from usarmjx.engines.base import make_engine as make_engine
+    from usarmjx.engines.planar.responses import UncalibratedRobotError as UncalibratedRobotError
 else:
     __getattr__, __dir__, __all__ = attach(
         __name__,
@@ -32,5 +33,6 @@ else:
                 "engine_class",
                 "make_engine",
             ),
+            "usarmjx.engines.planar.responses": ("UncalibratedRobotError",),
         },
     )

@@ -1,4 +1,4 @@
-"""The interface that all engines have, and the check that a model means the same to all of them."""
+"""Engine interface, check of unsupported model features, per-world model fields and engine registry."""
 
 import copy
 import importlib.util
@@ -22,23 +22,54 @@ from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import RandomizedBodies, RandomizedValues
 from usarmjx.models.types.robot import RobotSpec
 
-KNOTS = 9
-"""Masses for which MuJoCo works out the numbers that follow from them; between two they are interpolated."""
+MASS_KNOTS = 9
+"""Mass factors at which MuJoCo computes the derived constants; they are interpolated between."""
 BODY_FIELDS = ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0")
+"""Model fields per body that depend on the mass."""
 DOF_FIELDS = ("dof_invweight0", "dof_M0")
+"""Model fields per degree of freedom that depend on the mass."""
 CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
+GeomType = mujoco.mjtGeom
+EngineState = TypeVar("EngineState")
+"""State of one engine: a PyTree of its own with a leading axis over the worlds."""
+StepArguments = ParamSpec("StepArguments")
+StepOutcome = TypeVar("StepOutcome")
+# Features that MJX-JAX or MJX-Warp accept silently and compute wrongly (found by comparing each feature
+# with C MuJoCo, versions 3.17.0): attribute, neutral value, engines that ignore it.
+IGNORED_FEATURES = (
+    ("actuator_damping", 0.0, ("jax",)),
+    ("actuator_armature", 0.0, ("jax", "warp")),
+    ("dof_dampingpoly", 0.0, ("jax",)),
+    ("tendon_armature", 0.0, ("jax",)),
+    ("geom_adhesion", 0.0, ("jax",)),
+    ("geom_surfacevel", 0.0, ("jax",)),
+    ("geom_fluid", 0.0, ("jax",)),
+    ("actuator_delay", 0.0, ("jax",)),
+)
+ROUND_TYPES = (int(GeomType.mjGEOM_CYLINDER), int(GeomType.mjGEOM_ELLIPSOID))
+UNRELIABLE_WITH_ROUND = (int(GeomType.mjGEOM_SPHERE), int(GeomType.mjGEOM_CAPSULE), *ROUND_TYPES)
+"""Geom types whose contact with a round geom MJX-JAX solves by a few steps of gradient descent; drop tests
+ended 0.3 to 0.7 m off."""
+REFUSED_WITH_ROUND = (int(GeomType.mjGEOM_MESH), int(GeomType.mjGEOM_HFIELD))
+"""Geom types for which MJX-JAX has no contact with a round geom, such as a wheel."""
+ENGINES: Registry[tuple[str, str]] = Registry("engine")
+"""Module and class of each engine."""
+ENGINES.add("c", ("usarmjx.engines.c.batch", "CEngine"))
+ENGINES.add("jax", ("usarmjx.engines.mjx", "JaxEngine"))
+ENGINES.add("planar", ("usarmjx.engines.planar.engine", "PlanarEngine"))
+ENGINES.add("warp", ("usarmjx.engines.mjx_warp", "WarpEngine"))
 
 
 class VariedModel:
-    """What a model's fields are in each world.
+    """Model fields that differ between worlds (domain randomization).
 
     Args:
-        model: The engine's model: its bodies and joints are in the order of the scene's, its geoms may not.
-        bodies: The robots that vary.
-        with_dof_m0: Whether to give `dof_M0` too, which only C MuJoCo reads.
+        model: The engine's model. Its bodies and joints are in the scene's order, its geoms need not be.
+        bodies: The randomized robots.
+        with_dof_m0: Whether to include `dof_M0`, which only C MuJoCo reads.
 
     Raises:
-        UnsupportedFeatureError: Wheels whose radius shall vary and that are no cylinders.
+        UnsupportedFeatureError: A wheel of randomized radius is not a cylinder.
     """
 
     def __init__(self, model: mujoco.MjModel, bodies: RandomizedBodies, with_dof_m0: bool = False) -> None:
@@ -54,13 +85,13 @@ class VariedModel:
                 raise UnsupportedFeatureError(f"vary: wheel needs cylinders, not {', '.join(odd)}")
         if vary.mass is not None:
             self._span = vary.mass
-            tables = [self._derived(factor) for factor in np.linspace(*vary.mass, KNOTS)]
+            tables = [self._derived(factor) for factor in np.linspace(*vary.mass, MASS_KNOTS)]
             self._tables = {name: np.stack([t[name] for t in tables]) for name in self._mass_names}
         joints = model.jnt_bodyid
         self._joint_owner = np.where(model.jnt_actfrclimited != 0, bodies.owner[joints], -1)
 
     def _derived(self, factor: float) -> dict[str, np.ndarray]:
-        """Return what MuJoCo makes of all chassis with that many times their mass."""
+        """Return MuJoCo's derived constants for chassis of `factor` times their mass."""
         model, own = copy.copy(self._model), self._bodies.chassis[self._bodies.varies]
         model.body_mass[own] *= factor
         model.body_inertia[own] *= factor
@@ -68,13 +99,13 @@ class VariedModel:
         return {name: getattr(model, name).astype(np.float32) for name in self._mass_names}
 
     def fields(
-        self, told: RandomizedValues, here: dict[str, jax.Array] | None = None
+        self, varied: RandomizedValues, here: dict[str, jax.Array] | None = None
     ) -> dict[str, jax.Array]:
         """Return the fields that differ between worlds (worlds, ...).
 
         Args:
-            told: The worlds' numbers.
-            here: Fields that differ already.
+            varied: Randomized values of the worlds.
+            here: Fields that differ for another reason.
         """
         fields = dict(here or {})
 
@@ -84,22 +115,22 @@ class VariedModel:
             shape = (worlds, *value.shape)
             return fields[name].reshape(shape) if name in fields else jnp.broadcast_to(value, shape)
 
-        if told.friction is not None:
-            worlds = told.friction.shape[0]
+        if varied.friction is not None:
+            worlds = varied.friction.shape[0]
             fields["geom_friction"] = (
-                base("geom_friction", worlds).at[..., 0].multiply(told.friction[:, None])
+                base("geom_friction", worlds).at[..., 0].multiply(varied.friction[:, None])
             )
-        if told.torque is not None:
-            factor = _of(told.torque, self._joint_owner)[..., None]
+        if varied.torque is not None:
+            factor = _of(varied.torque, self._joint_owner)[..., None]
             fields["jnt_actfrcrange"] = base("jnt_actfrcrange", len(factor)) * factor
-        if told.wheel is not None:
-            fields |= self._resized(told.wheel, base)
-        if told.mass is not None:
-            fields |= self._loaded(told.mass)
+        if varied.wheel is not None:
+            fields |= self._resized(varied.wheel, base)
+        if varied.mass is not None:
+            fields |= self._loaded(varied.mass)
         return fields
 
     def _resized(self, wheel: Array, base: Callable[[str, int], jax.Array]) -> dict[str, jax.Array]:
-        """Return the sizes of geoms with wheels of other radii."""
+        """Return the geom sizes for wheels of other radii."""
         ids, factor = self._wheels, _of(wheel, self._wheel_owner)
         size = base("geom_size", len(factor)).at[:, ids, 0].multiply(factor)
         box = base("geom_aabb", len(factor)).at[:, ids, 3:5].multiply(factor[..., None])
@@ -107,15 +138,15 @@ class VariedModel:
         return {"geom_size": size, "geom_aabb": box, "geom_rbound": rbound}
 
     def _loaded(self, mass: Array) -> dict[str, jax.Array]:
-        """Return masses, and what follows from them, by interpolation between the tables' knots."""
+        """Return masses and derived constants, interpolated between the tables' knots."""
         low, high = self._span
-        step = max((high - low) / (KNOTS - 1), 1e-9)
+        step = max((high - low) / (MASS_KNOTS - 1), 1e-9)
         dof_owner = self._bodies.owner[self._model.dof_bodyid]
         fields: dict[str, jax.Array] = {}
         for name, table in self._tables.items():
             owner = self._bodies.owner if name in BODY_FIELDS else dof_owner
             place = (_of(mass, owner, low) - low) / step
-            below = jnp.clip(jnp.floor(place), 0, KNOTS - 2).astype(jnp.int32)
+            below = jnp.clip(jnp.floor(place), 0, MASS_KNOTS - 2).astype(jnp.int32)
             share = (place - below).reshape(*place.shape, *[1] * (table.ndim - 2))
             column = np.arange(len(owner))
             known = jnp.asarray(table)
@@ -127,20 +158,13 @@ class VariedModel:
 
 
 def _of(values: Array, owner: np.ndarray, other: float = 1.0) -> jax.Array:
-    """Return each owner's value (worlds, n) out of those by slot (worlds, robots); `other` for none's."""
+    """Return the owners' values (worlds, n), given values by slot (worlds, robots); `other` if no owner."""
     values = jnp.asarray(values)
     return jnp.where(owner >= 0, values[:, np.maximum(owner, 0)], other)
 
 
-GeomType = mujoco.mjtGeom
-EngineState = TypeVar("EngineState")
-"""All that one engine needs to go on: a PyTree of its own, with a leading axis over the worlds."""
-StepArguments = ParamSpec("StepArguments")
-StepOutcome = TypeVar("StepOutcome")
-
-
 class PhysicsState(struct.PyTreeNode, kw_only=True):
-    """What everything above the engine sees of it, in MuJoCo's layout.
+    """Engine state as seen by the layers above, in MuJoCo's layout.
 
     Attributes:
         qpos: Positions (worlds, nq).
@@ -154,7 +178,7 @@ class PhysicsState(struct.PyTreeNode, kw_only=True):
 
 
 class GeomPoses(struct.PyTreeNode, kw_only=True):
-    """Where the arena's geoms are that are data, in the axes of the body `arena`.
+    """Poses of the arena geoms that are inputs (data), in the frame of the body `arena`.
 
     Attributes:
         pos: Centres [m] (worlds, geoms, 3).
@@ -168,17 +192,17 @@ class GeomPoses(struct.PyTreeNode, kw_only=True):
 
 
 class Inputs(struct.PyTreeNode, kw_only=True):
-    """What the engine is told for one control step.
+    """Engine inputs of one control step.
 
     Attributes:
         ctrl: Actuator inputs (worlds, nu).
-        act: Actuator activations to start from (worlds, na).
+        act: Initial actuator activations (worlds, na).
         xfrc_applied: Force [N] and torque [N m] on each body, world axes (worlds, nbody, 6).
         pinned: Which coordinates are held: qpos is set and their velocities are zero (worlds, nq).
         pinned_dof: The same for the velocities (worlds, nv).
         qpos: Positions of the pinned coordinates; the others are ignored (worlds, nq).
-        geom_poses: Where the arena's geoms are that are data; None: there are none.
-        varied: Numbers that differ between worlds, which lead their axes; None: there are none.
+        geom_poses: Poses of the arena geoms that are inputs; None: no such geoms.
+        varied: Randomized values of the worlds; None: no randomization.
     """
 
     ctrl: Array
@@ -192,12 +216,12 @@ class Inputs(struct.PyTreeNode, kw_only=True):
 
 
 class SolvedStep(NamedTuple):
-    """What the solver of each world met in the last physics step, for benchmarks.
+    """Solver statistics of each world's last physics step, for benchmarks.
 
     Attributes:
-        contacts: Contacts in force (worlds,).
-        constraint_rows: Rows of constraints in force (worlds,).
-        solver_iterations: How often the solver improved its solution (worlds,); None: not told.
+        contacts: Active contacts (worlds,).
+        constraint_rows: Active constraint rows (worlds,).
+        solver_iterations: Solver iterations (worlds,); None: unknown.
     """
 
     contacts: Array
@@ -206,14 +230,14 @@ class SolvedStep(NamedTuple):
 
 
 class Engine(ABC, Generic[EngineState]):
-    """Advances many copies of one model. All arrays have a leading axis over the worlds.
+    """Physics of many copies of one model. All arrays have a leading axis over the worlds.
 
     Args:
-        spec: The description of the model; its bodies, joints and actuators keep their order.
+        spec: Description of the model; its bodies, joints and actuators keep their order.
         physics: Solver and time settings.
         worlds: Number of copies.
-        moved_geoms: Geoms of the arena that are data: every `Inputs` tells their poses. None: there are none.
-        varied_bodies: Robots that vary between worlds: every `Inputs` tells how. None: there are none.
+        moved_geoms: Arena geoms whose poses are part of every `Inputs`. None: no such geoms.
+        varied_bodies: Robots whose randomized values are part of every `Inputs`. None: no randomization.
 
     Raises:
         UnsupportedFeatureError: The model has a feature that this engine would ignore or refuse.
@@ -222,11 +246,11 @@ class Engine(ABC, Generic[EngineState]):
 
     name: ClassVar[str]
     traceable: ClassVar[bool]
-    """Whether `advance`, `reset` and `state` can be traced by JAX and so live inside one jitted step."""
+    """Whether JAX can trace `advance`, `reset` and `state`, so that they can be part of a jitted step."""
     needs_robots: ClassVar[bool] = False
-    """Whether it is told which robots are in the model, by slot."""
+    """Whether the constructor takes the model's robots, by slot."""
     has_solver: ClassVar[bool] = True
-    """Whether it solves for contact forces, so that robots push things and climb."""
+    """Whether contact forces are solved for, so that robots push objects and climb."""
 
     def __init__(
         self,
@@ -245,21 +269,21 @@ class Engine(ABC, Generic[EngineState]):
             None if varied_bodies is None else VariedModel(self.model, varied_bodies, self.name == "c")
         )
         check_features(self.model, self.name)
-        # A geom that lies in its body's frame would be taken for one that always does.
+        # MuJoCo skips the pose of a geom whose frame equals its body's at compile time; these geoms move.
         names = () if self.moved_geoms is None else self.moved_geoms.names
         self.moved_ids = [self.model.geom(name).id for name in names]
         self.model.geom_sameframe[self.moved_ids] = 0
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
-        """Return the model as this engine wants it."""
+        """Compile the model in this engine's form."""
         return spec.compile()
 
     @abstractmethod
     def start(self) -> EngineState:
         """Return the engine's state with every world at the model's reference configuration."""
 
-    def waiting(self, step: Callable[StepArguments, StepOutcome]) -> Callable[StepArguments, StepOutcome]:
-        """Return a function that steps as the given one does, and waits for the outcome if it must."""
+    def blocking(self, step: Callable[StepArguments, StepOutcome]) -> Callable[StepArguments, StepOutcome]:
+        """Return a step function that blocks until the result is ready, for engines that need it."""
         return step
 
     @abstractmethod
@@ -274,63 +298,43 @@ class Engine(ABC, Generic[EngineState]):
     def set_qpos(
         self, engine_state: EngineState, pinned: Array, pinned_dof: Array, qpos: Array
     ) -> EngineState:
-        """Return the state with some coordinates put elsewhere, at rest; masks and qpos as in `Inputs`."""
+        """Return the state with the pinned coordinates at qpos, at rest; masks and qpos as in `Inputs`."""
 
     @abstractmethod
     def state(self, engine_state: EngineState) -> PhysicsState:
-        """Return what others may see of the state."""
+        """Return positions, velocities and activations."""
 
     @abstractmethod
     def overflow(self, engine_state: EngineState, inputs: Inputs) -> jax.Array:
-        """Return how much each world's last step lost to full contact buffers (worlds,); 0 is none.
+        """Return the number of contacts that each world's last step lost to full buffers (worlds,); 0: none.
 
         Args:
-            engine_state: The state after the step.
-            inputs: What the engine was told for it.
+            engine_state: State after the step.
+            inputs: Inputs of the step.
         """
 
-    def use_graphs(self, name: str) -> None:
-        """Launch other CUDA graphs than usual, to compare them; call it before the first step.
+    def select_graphs(self, name: str) -> None:
+        """Select another CUDA graph mode, for benchmarks; call it before the first step.
 
         Args:
-            name: Which, of those that `usarmjx bench step --graph` takes.
+            name: A mode of `usarmjx bench step --graph`.
 
         Raises:
-            UnknownNameError: No such graphs.
-            UnsupportedFeatureError: The engine launches none.
+            UnknownNameError: No such mode.
+            UnsupportedFeatureError: The engine launches no graphs.
         """
         raise UnsupportedFeatureError(f"engine {self.name!r} launches no CUDA graphs ({name!r}); warp does")
 
     def solved(self, engine_state: EngineState) -> SolvedStep | None:
-        """Return what the solver met in the last physics step; None: the engine has no solver."""
+        """Return the solver statistics of the last physics step; None: the engine has no solver."""
         del engine_state
 
 
-# What MJX-JAX and MJX-Warp accept without a word and then compute something else (found by comparing
-# each feature with C MuJoCo, versions 3.17.0): attribute, what it must be, which engines ignore it.
-IGNORED_FEATURES = (
-    ("actuator_damping", 0.0, ("jax",)),
-    ("actuator_armature", 0.0, ("jax", "warp")),
-    ("dof_dampingpoly", 0.0, ("jax",)),
-    ("tendon_armature", 0.0, ("jax",)),
-    ("geom_adhesion", 0.0, ("jax",)),
-    ("geom_surfacevel", 0.0, ("jax",)),
-    ("geom_fluid", 0.0, ("jax",)),
-    ("actuator_delay", 0.0, ("jax",)),
-)
-ROUND_TYPES = (int(GeomType.mjGEOM_CYLINDER), int(GeomType.mjGEOM_ELLIPSOID))
-UNRELIABLE_WITH_ROUND = (int(GeomType.mjGEOM_SPHERE), int(GeomType.mjGEOM_CAPSULE), *ROUND_TYPES)
-"""A round geom against one of these is a pair that MJX-JAX solves by a few steps of gradient descent; drops
-came out 0.3 to 0.7 m wrong."""
-REFUSED_WITH_ROUND = (int(GeomType.mjGEOM_MESH), int(GeomType.mjGEOM_HFIELD))
-"""MJX-JAX has no contact of a round geom, such as a wheel, with these."""
-
-
 def check_features(model: mujoco.MjModel, engine: str) -> None:
-    """Refuse what the engine would silently ignore.
+    """Refuse features that the engine would silently ignore.
 
     Raises:
-        UnsupportedFeatureError: Names the features and where they are used.
+        UnsupportedFeatureError: Names the features and the geoms or joints that use them.
     """
     faults = [
         f"{name} (ignored)"
@@ -353,7 +357,7 @@ def check_features(model: mujoco.MjModel, engine: str) -> None:
 
 
 def _pairs(model: mujoco.MjModel, others: tuple[int, ...]) -> list[tuple[int, int]]:
-    """Return which round geoms may touch geoms of some types."""
+    """Return pairs of round geoms and geoms of some types that can collide."""
     collides = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
     round_geoms = [g for g in collides if model.geom_type[g] in ROUND_TYPES]
     pairs: list[tuple[int, int]] = []
@@ -368,21 +372,13 @@ def _pairs(model: mujoco.MjModel, others: tuple[int, ...]) -> list[tuple[int, in
     return pairs
 
 
-ENGINES: Registry[tuple[str, str]] = Registry("engine")
-"""Module and class of each engine."""
-ENGINES.add("c", ("usarmjx.engines.c.batch", "CEngine"))
-ENGINES.add("jax", ("usarmjx.engines.mjx", "JaxEngine"))
-ENGINES.add("planar", ("usarmjx.engines.planar.engine", "PlanarEngine"))
-ENGINES.add("warp", ("usarmjx.engines.mjx_warp", "WarpEngine"))
-
-
 def choose_engine(name: str, purpose: Literal["serve", "train", "batch"]) -> str:
-    """Resolve `auto`: warp on an NVIDIA GPU; else c to serve one world, jax for a batch that is compiled.
+    """Resolve `auto`: warp on an NVIDIA GPU; otherwise c for one served world, jax for a compiled batch.
 
-    What trains or tries policies takes c on a CPU, and jax on what is neither.
+    Training and evaluation take c on a CPU, and jax on other devices.
 
     Raises:
-        UnknownNameError: No such engine; lists those there are.
+        UnknownNameError: No such engine; lists the known ones.
     """
     if name.lower() != "auto":
         ENGINES.get(name)

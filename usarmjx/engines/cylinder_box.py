@@ -1,13 +1,13 @@
 """Contacts between a cylinder and a box for MJX-JAX, which has no function for that pair.
 
-The normal is the direction of least penetration, found by a separating-axis test. For two convex
-bodies that direction is a normal of a smooth patch of their Minkowski difference, of which a
-cylinder and a box have five kinds: box face, flat disc, side of the cylinder against a box corner
-(radial), side against a box edge (cross product), rim against a box edge (one angle, searched).
-The contacts then come from clipping the two touching features against each other.
+The normal is the direction of least penetration, found by a separating-axis test. For two convex bodies that
+direction is a normal of a smooth patch of their Minkowski difference, of which a cylinder and a box have five
+kinds: box face, flat disc, side of the cylinder against a box corner (radial), side against a box edge (cross
+product), rim against a box edge (one angle, searched). The contacts are found by clipping the two touching
+features against each other.
 
-Everything is computed in the frame of the box with sums of products: a matrix product may run in
-TensorFloat-32 on recent GPUs, whose 10-bit fraction is worth a millimetre at room scale.
+All computations are in the frame of the box, as sums of products: a matrix product may run in TensorFloat-32
+on recent GPUs, whose 10-bit fraction is worth a millimetre at room scale.
 """
 
 from importlib import import_module, metadata
@@ -35,7 +35,7 @@ Contacts = tuple[jax.Array, jax.Array, jax.Array]
 
 
 class GeomInfo(Protocol):
-    """What MJX hands to a collision function for one geom (its GeomInfo).
+    """Geom argument of an MJX collision function (MJX's own GeomInfo).
 
     Attributes:
         pos: Centre [m] (3,).
@@ -49,7 +49,7 @@ class GeomInfo(Protocol):
 
 
 class _Pair(NamedTuple):
-    """A cylinder seen from a box.
+    """Cylinder in the frame of a box.
 
     Attributes:
         center: Its centre [m] (3,).
@@ -89,7 +89,7 @@ def _separation(pair: _Pair, n: jax.Array) -> jax.Array:
 
 
 def _rim_normals(pair: _Pair) -> jax.Array:
-    """Best direction at right angles to each box axis (3, 3), by a search that zooms in."""
+    """Best direction perpendicular to each box axis (3, 3), by a search with shrinking intervals."""
     u = jnp.roll(jnp.eye(3), 1, axis=1)[:, None]
     v = jnp.roll(jnp.eye(3), 2, axis=1)[:, None]
 
@@ -215,7 +215,7 @@ def _on_face(pair: _Pair, n: jax.Array, gap: jax.Array) -> tuple[jax.Array, jax.
 
 
 def _depth(pair: _Pair, points: jax.Array, n: jax.Array) -> jax.Array:
-    """How far each point (..., 3) inside the cylinder is from leaving it along -n [m] (...,)."""
+    """Distance of each point (..., 3) inside the cylinder to its surface along -n [m] (...,)."""
     offset = points - pair.center
     z, dz = _dot(offset, pair.axis), -_dot(n, pair.axis)
     rho, drho = offset - z[..., None] * pair.axis, -n - dz * pair.axis
@@ -333,7 +333,7 @@ def cylinder_box(cylinder: GeomInfo, box: GeomInfo) -> Contacts:
 
 
 def check_mjx_version() -> str:
-    """Return the version of mujoco-mjx, the one whose private names are used here.
+    """Return the version of mujoco-mjx, whose private names are used here.
 
     Raises:
         EngineError: It is missing, or another one.
@@ -348,10 +348,10 @@ def check_mjx_version() -> str:
 
 
 def register_collision() -> None:
-    """Teach MJX-JAX the pair cylinder against box; call it before `mjx.put_model`.
+    """Register the pair cylinder-box in MJX-JAX; call it before `mjx.put_model`.
 
-    MJX has no public way to add a collision function, so this writes into its private table, and
-    only in the one version in which that was checked. Calling it again changes nothing.
+    MJX has no public way to add a collision function, so this writes into its private table, and only in the
+    one version in which that was checked. Calling it again changes nothing.
 
     Raises:
         EngineError: mujoco-mjx is missing, of another version, or lacks the private names.

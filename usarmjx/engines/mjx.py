@@ -1,4 +1,4 @@
-"""MJX: what its two engines share, and the one on JAX's own kernels (`jax`)."""
+"""MJX: the part that its two engines share, and the engine on JAX's own kernels (`jax`)."""
 
 import sys
 from collections.abc import Callable
@@ -21,9 +21,17 @@ from usarmjx.models.compile.geoms import MovedGeoms
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import RandomizedBodies
 
+MAX_MASS_RATIO, MASS_RATIO_ITERATIONS = 4.0, 30
+"""Largest ratio of the masses of free bodies for the default solver iterations, and the iterations above it.
+MJX-JAX solves all contacts of a world as one problem, which heavy bodies dominate: with 10 iterations a
+block of 0.3 kg crept at 3 mm/s and shot out of a gripper, and a P2AT beside a car drifted 2 cm in a
+second. Engines `c` and `warp` are not affected."""
+MAX_BOX_LENGTH = 1.2
+"""Longest piece of a wall on `jax` [m]: a cell of the arenas' grid."""
+
 
 class ShortBoxes:
-    """Each box as a fixed number of pieces along its longest axis, which may be another in each world.
+    """Boxes as a fixed number of pieces along their longest axis, which may differ between worlds.
 
     Args:
         moved_geoms: The boxes.
@@ -52,7 +60,7 @@ class ShortBoxes:
         return list(zip(self._owner.tolist(), self._piece_index.tolist(), strict=True))
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
-        """Return the model with the pieces in place of the boxes."""
+        """Compile the model with the pieces in place of the boxes."""
         spec = spec.copy()
         arena = spec.body("arena")
         assert arena is not None
@@ -82,22 +90,16 @@ class ShortBoxes:
         return GeomPoses(pos=pos, quat=quat, size=jnp.where(along, size / count, size))
 
 
-MAX_MASS_RATIO, MASS_RATIO_ITERATIONS = 4.0, 30
-"""Least solver iterations of `jax` where free bodies' masses differ by more than this factor. It solves all
-contacts of a world as one problem, in which the heavy ones count most: with 10 iterations a block of 0.3 kg
-crept at 3 mm/s and shot out of a gripper, and a P2AT beside a car went 2 cm astray in a second. Not so on `c`
-and `warp`."""
-MAX_BOX_LENGTH = 1.2
-"""Longest piece of a wall on `jax` [m]: a cell of the arenas' grid."""
+def local_device() -> jax.Device | None:
+    """Return this process's device in a multi-process run; None: a single process.
 
-
-def own_device() -> jax.Device | None:
-    """Return the device of this process, of several; MJX would take that of the first. None: there is one."""
+    By default MJX takes the first process's device.
+    """
     return jax.local_devices()[0] if jax.process_count() > 1 else None
 
 
 class MjxEngine(Engine[mjx.Data]):
-    """What both have in common: one mapped step over all worlds."""
+    """Common part of the MJX engines: one vectorised step of all worlds."""
 
     traceable = True
     impl: ClassVar[str]
@@ -114,13 +116,13 @@ class MjxEngine(Engine[mjx.Data]):
         self.mx = self._put_model(self.model)
 
     def _put_model(self, model: mujoco.MjModel) -> mjx.Model:
-        return mjx.put_model(model, impl=self.impl, device=own_device())
+        return mjx.put_model(model, impl=self.impl, device=local_device())
 
     def _make_data(self) -> mjx.Data:
-        return mjx.make_data(self.model, impl=self.impl, device=own_device())
+        return mjx.make_data(self.model, impl=self.impl, device=local_device())
 
     def start(self) -> mjx.Data:
-        """Return every world at the model's reference configuration."""
+        """Return every world in the model's reference configuration."""
 
         def make_data(_: jax.Array) -> mjx.Data:
             return self._make_data()
@@ -131,18 +133,18 @@ class MjxEngine(Engine[mjx.Data]):
         """Step every world by one control step."""
         data = self.set_qpos(engine_state, inputs.pinned, inputs.pinned_dof, inputs.qpos)
         data = data.replace(ctrl=inputs.ctrl, act=inputs.act, xfrc_applied=inputs.xfrc_applied)
-        fields = self._fields(inputs) | self._fields_of_state(data)
+        fields = self._fields(inputs) | self._state_fields(data)
         if not fields:
             model, axes = self.mx, None
         else:
             model = self.mx.tree_replace(fields)
             axes = jax.tree.map(lambda _: None, self.mx).tree_replace(dict.fromkeys(fields, 0))
-        step, calls = self._step_of_calls()
+        step, calls = self._step_and_count()
         worlds_step = jax.vmap(step, in_axes=(axes, 0))
         return jax.lax.fori_loop(0, calls, lambda _, d: worlds_step(model, d), data)
 
-    def _step_of_calls(self) -> tuple[Callable[[mjx.Model, mjx.Data], mjx.Data], int]:
-        """Return what steps a world, and how often it is called in a control step."""
+    def _step_and_count(self) -> tuple[Callable[[mjx.Model, mjx.Data], mjx.Data], int]:
+        """Return the step function of a world, and the number of its calls per control step."""
         return mjx.step, self.physics.substeps
 
     def _fields(self, inputs: Inputs) -> dict[str, jax.Array]:
@@ -155,13 +157,13 @@ class MjxEngine(Engine[mjx.Data]):
         shapes = {name: (self.worlds, *getattr(self.mx, name).shape) for name in fields}
         return {name: value.reshape(shapes[name]) for name, value in fields.items()}
 
-    def _fields_of_state(self, engine_state: mjx.Data) -> dict[str, jax.Array]:
-        """Return the model's fields that follow from where worlds are (worlds, ...)."""
+    def _state_fields(self, engine_state: mjx.Data) -> dict[str, jax.Array]:
+        """Return model fields that depend on the worlds' state (worlds, ...)."""
         del engine_state
         return {}
 
     def _moved_fields(self, poses: GeomPoses) -> dict[str, jax.Array]:
-        """Return the fields of geoms that are data (worlds, ngeom, ...)."""
+        """Return the fields of geoms that are inputs (worlds, ngeom, ...)."""
         ids = np.array(self.moved_ids)
 
         def everywhere(value: jax.Array, here: Array) -> jax.Array:
@@ -180,15 +182,16 @@ class MjxEngine(Engine[mjx.Data]):
         return fields
 
     def set_qpos(self, engine_state: mjx.Data, pinned: Array, pinned_dof: Array, qpos: Array) -> mjx.Data:
-        """Put the pinned coordinates at qpos, at rest."""
+        """Set the pinned coordinates to qpos, at rest."""
         return engine_state.replace(
             qpos=jnp.where(pinned, qpos, engine_state.qpos),
             qvel=jnp.where(pinned_dof, 0.0, engine_state.qvel),
+            # The warm start belongs to the old position: kept, it would kick the body.
             qacc_warmstart=jnp.where(pinned_dof, 0.0, engine_state.qacc_warmstart),
         )
 
     def reset(self, engine_state: mjx.Data, mask: Array, qpos: Array) -> mjx.Data:
-        """Put the masked worlds at rest at qpos; the others keep every bit."""
+        """Reset the masked worlds to qpos, at rest; the others keep every bit."""
 
         def clear(value: jax.Array) -> jax.Array:
             return jnp.where(mask.reshape(-1, *[1] * (value.ndim - 1)), 0.0, value)
@@ -209,11 +212,11 @@ class MjxEngine(Engine[mjx.Data]):
 
 
 class JaxEngine(MjxEngine):
-    """Any XLA device; bit-exact for the same versions, device and batch.
+    """MJX on any XLA device; bit-exact for the same versions, device and batch.
 
-    It looks closely at the geom pairs whose bounding spheres come nearest, up to a cap, and keeps the
-    deepest contacts, up to a cap. `overflow` counts what either may have dropped: pairs with overlapping
-    spheres beyond the first cap, and all contacts in force when they reach the second.
+    Only the geom pairs with the nearest bounding spheres are tested, up to a cap, and only the deepest
+    contacts are kept, up to a cap. `overflow` counts possible losses: pairs with overlapping spheres beyond
+    the first cap, and all active contacts if they reach the second.
     """
 
     name = "jax"
@@ -231,8 +234,8 @@ class JaxEngine(MjxEngine):
         process.check_pool_size()
         cylinder_box.register_collision()
         super().__init__(spec, physics, worlds, moved_geoms, varied_bodies)
-        # How MJX pairs geoms and where it stops is not public; `register_collision`, above, refuses every
-        # version of it but the one in which these two functions were read.
+        # MJX's pairing of geoms and its caps are private; `register_collision`, above, refuses every
+        # version of MJX but the one in which these two functions were read.
         cap = collision_driver._numeric(  # pyright: ignore[reportPrivateUsage] - see above
             self.model, "max_geom_pairs"
         )  # -1 when there is none
@@ -246,7 +249,7 @@ class JaxEngine(MjxEngine):
         ]
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
-        """Return the model with long walls in pieces, which bounding spheres tell apart."""
+        """Compile the model with long walls in pieces, which bounding spheres can separate."""
         if self.moved_geoms is not None and self.moved_geoms.resized:
             self._short = ShortBoxes(self.moved_geoms, MAX_BOX_LENGTH)
             self.moved_geoms = self._short.moved_geoms
@@ -266,7 +269,7 @@ class JaxEngine(MjxEngine):
         return super()._moved_fields(poses if self._short is None else self._short.split_poses(poses))
 
     def overflow(self, engine_state: mjx.Data, inputs: Inputs) -> jax.Array:
-        """Return pairs and contacts that may have been dropped (worlds,)."""
+        """Return the number of pairs and contacts that may have been dropped (worlds,)."""
         contact = engine_state._impl.contact
         in_force = (contact.dist < contact.includemargin).sum(-1)
         lost = jnp.where(in_force >= contact.dist.shape[-1], in_force, 0)
@@ -279,7 +282,7 @@ class JaxEngine(MjxEngine):
         return lost.astype(jnp.int32)
 
     def solved(self, engine_state: mjx.Data) -> SolvedStep:
-        """Return contacts and rows in force; MJX keeps no count of the iterations."""
+        """Return active contacts and rows; MJX does not record the iterations."""
         impl = engine_state._impl
         in_force = (impl.contact.dist < impl.contact.includemargin).sum(-1)
         return SolvedStep(in_force, (impl.efc_J != 0.0).any(-1).sum(-1), None)

@@ -1,4 +1,4 @@
-"""MJX on NVIDIA Warp's kernels (`warp`): GPUs, and slowly CPUs."""
+"""MJX on NVIDIA Warp's kernels (engine `warp`): contact budget, sleeping loose objects and CUDA graphs."""
 
 import atexit
 import copy
@@ -21,26 +21,39 @@ from usarmjx.base.errors import EngineError
 from usarmjx.base.registry import Registry
 from usarmjx.engines.base import Inputs, SolvedStep, StepArguments, StepOutcome
 from usarmjx.engines.cylinder_box import check_mjx_version
-from usarmjx.engines.mjx import MjxEngine, own_device
+from usarmjx.engines.mjx import MjxEngine, local_device
 from usarmjx.models.compile.compose import LOOSE_PREFIX, VICTIM_PREFIX
 from usarmjx.models.compile.geoms import MovedGeoms
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import RandomizedBodies
 
 NUM_KINDS = int(mujoco.mjtGeom.mjGEOM_MESH) + 1
-"""Kinds of geoms that touch."""
-NEAR_BOXES = 0.05
-"""Geoms whose boxes are this close count as near [m]."""
-AT_ONCE = 2
-"""Room for so many times the pairs that are near each other at the start."""
-LEAST_SHARE = 0.25
-"""Room for at least that share of all contacts. A P2AT has room for 16 contacts and, driving at random in
-`yellow`, `orange` and `red`, 0.4 such pairs on average and 1.2 at most."""
+"""Number of geom types that collide."""
+NEAR_BOX_GAP = 0.05
+"""Gap up to which two bounding boxes count as near [m]."""
+CONVEX_PAIR_FACTOR = 2
+"""Safety factor on the number of convex pairs that are near each other at the start."""
+MIN_CONVEX_FRACTION = 0.25
+"""Lower bound of the convex contact budget, as a fraction of all contacts. A P2AT has a budget of 16 contacts
+and, driving at random in `yellow`, `orange` and `red`, 0.4 convex pairs on average and 1.2 at most."""
+SLEEP_DELAY = 0.5
+"""Time at rest after which an object sleeps [s]: longer than at the top of a throw."""
+WAKE_DISTANCE = 0.1
+"""Distance between bounding spheres at which an approaching body wakes an object [m]."""
+WAKE_LOOKAHEAD = 2.0
+"""Look-ahead of the wake distance [control steps]."""
+LIMB_SPEED = 1.0
+"""Assumed speed of doors and of victims' limbs [m/s]."""
+NO_CONTACT_MARGIN = -1e3
+"""Margin of the geoms of sleeping objects, which disables their contacts [m]."""
+# Bits of MJX-Warp's overflow word (mujoco_warp OverflowType) for a solver that used all of its iterations,
+# which the capped CG solver does on nearly every step.
+ITERATION_BITS = 512 | 1024
 
 
 def convex_kinds() -> np.ndarray:
-    """Return which pairs of kinds are looked at in that way, the lower one first (kinds, kinds)."""
-    # Not public; the version of MJX is pinned.
+    """Return which pairs of geom types use the convex collider, the lower type first (kinds, kinds)."""
+    # Private name; the version of MJX is pinned.
     table = import_module("mujoco.mjx.third_party.mujoco_warp._src.collision_driver").MJ_COLLISION_TABLE
     convex = np.zeros((NUM_KINDS, NUM_KINDS), bool)
     for kinds, how in table.items():
@@ -50,22 +63,22 @@ def convex_kinds() -> np.ndarray:
 
 
 def world_boxes(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners of the boxes about all geoms at the start, along the world's axes [m] (geoms, 3)."""
+    """Return the world-aligned bounding boxes of all geoms at the start: two corners [m] (geoms, 3) each."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mat = data.geom_xmat.reshape(-1, 3, 3)
     middle = data.geom_xpos + (mat @ model.geom_aabb[:, :3, None])[..., 0]
-    half = (np.abs(mat) @ model.geom_aabb[:, 3:, None])[..., 0] + NEAR_BOXES / 2
+    half = (np.abs(mat) @ model.geom_aabb[:, 3:, None])[..., 0] + NEAR_BOX_GAP / 2
     return middle - half, middle + half
 
 
-def convex_room(model: mujoco.MjModel, pairs: np.ndarray, contacts: int) -> int:
-    """Return for how many convex pairs of one world there should be room.
+def convex_contact_budget(model: mujoco.MjModel, pairs: np.ndarray, contacts: int) -> int:
+    """Return the budget of convex pairs of one world.
 
     Args:
-        model: The model; its robots stand at their starts.
-        pairs: Geoms that may touch (pairs, 2).
-        contacts: For how many contacts of a world there is room.
+        model: The model, with its robots at their starts.
+        pairs: Geom pairs that may collide (pairs, 2).
+        contacts: Contact budget of a world.
     """
     kinds = np.sort(model.geom_type[pairs], axis=1)
     pairs, kinds = (rows[convex_kinds()[kinds[:, 0], kinds[:, 1]]] for rows in (pairs, kinds))
@@ -73,32 +86,20 @@ def convex_room(model: mujoco.MjModel, pairs: np.ndarray, contacts: int) -> int:
     one, other = pairs.T
     near = ((low[one] <= high[other]) & (low[other] <= high[one])).all(1)
     _, counts = np.unique(kinds[near], axis=0, return_counts=True)
-    most = AT_ONCE * int(counts.max(initial=0))
-    return int(np.clip(most, np.ceil(LEAST_SHARE * contacts), contacts))
+    most = CONVEX_PAIR_FACTOR * int(counts.max(initial=0))
+    return int(np.clip(most, np.ceil(MIN_CONVEX_FRACTION * contacts), contacts))
 
 
-STILL_TIME = 0.5
-"""An object falls asleep when it has been still for so long [s]: longer than at the top of a throw."""
-WAKE_DISTANCE = 0.1
-"""What comes nearer than that wakes it, from one bounding sphere to the other [m] ..."""
-STEPS_AHEAD = 2.0
-"""... and what will be as near after so many control steps."""
-LIMB_SPEED = 1.0
-"""At which limbs of victims and doors are taken to move [m/s]."""
-NO_CONTACT = -1e3
-"""Margin of the geoms of what sleeps [m]."""
+class SleepState:
+    """Sleep state of the loose objects.
 
-
-class LooseSleep:
-    """Which loose objects sleep.
-
-    How long each has been still is in MuJoCo's data for users (worlds, objects) [control steps]: `make_room`
-    asks for that before the model is compiled.
+    The time that each object has been still is in MuJoCo's user data (worlds, objects) [control steps];
+    `reserve_sleep_data` reserves it before the model is compiled.
 
     Args:
         model: The engine's model.
-        tolerance: An object that moves slower is still [m/s]; turning counts by the speed of what is farthest
-            from its middle.
+        tolerance: Speed below which an object is still [m/s]; rotation counts by the speed of the point
+            farthest from the centre.
         period: The control step [s].
     """
 
@@ -115,67 +116,67 @@ class LooseSleep:
         limbs = [model.geom(g).name.startswith(VICTIM_PREFIX) for g in range(model.ngeom)]
         moves = (model.body_weldid[body] != 0) & ~np.isin(body, self.bodies)
         self._movers = np.flatnonzero(touching & (moves | limbs))
-        # The free joint of the robot that a geom is of; those of limbs and doors have none.
+        # Free joint of the robot that a geom belongs to; limbs and doors have none.
         roots = model.body_jntadr[model.body_rootid[body[self._movers]]]
         free = (roots >= 0) & (model.jnt_type[roots] == mujoco.mjtJoint.mjJNT_FREE)
         self._mover_dof = np.where(free, model.jnt_dofadr[roots], -1)
         radius = model.geom_rbound.astype(np.float32)
         self._reach = radius[self.geoms][:, None] + radius[self._movers] + np.float32(WAKE_DISTANCE)
         self._between = radius[self.geoms][:, None] + radius[self.geoms] + np.float32(WAKE_DISTANCE)
-        # Of each object, for how fast its turning is.
+        # Radius of each object, which converts rotation to speed.
         self._radius = np.zeros(len(self.bodies), np.float32)
         np.maximum.at(self._radius, self._owner, radius[self.geoms])
 
-    def still_steps(self, data: mjx.Data, force: Array) -> jax.Array:
-        """Return for how long each object has been still, this control step included (worlds, objects).
+    def steps_at_rest(self, data: mjx.Data, force: Array) -> jax.Array:
+        """Return how long each object has been still, this control step included (worlds, objects).
 
         Args:
-            data: The engine's state, of all worlds.
-            force: Forces and torques from outside on each body (worlds, nbody, 6).
+            data: Engine state of all worlds.
+            force: Applied forces and torques on each body (worlds, nbody, 6).
         """
         qvel, xpos = data.qvel, data.geom_xpos
         own = qvel[:, self.dofadr]
         speed = jnp.linalg.norm(own[..., :3], axis=-1)
         speed += self._radius * jnp.linalg.norm(own[..., 3:], axis=-1)
-        moving = ~(speed < self._tolerance)  # what is not finite moves
+        moving = ~(speed < self._tolerance)  # negated so that NaN counts as moving
         moving |= (jnp.asarray(force)[:, self.bodies] != 0.0).any(-1)
-        near = (self._apart(xpos, self._movers) < self._reach + self._ahead(qvel)[:, None]).any(-1)
-        beside = (self._apart(xpos, self.geoms) < self._between) & moving[:, None, self._owner]
-        disturbed = moving | self._any(near | beside.any(-1))
+        near = (self._distances(xpos, self._movers) < self._reach + self._look_ahead(qvel)[:, None]).any(-1)
+        beside = (self._distances(xpos, self.geoms) < self._between) & moving[:, None, self._owner]
+        disturbed = moving | self._any_geom(near | beside.any(-1))
         return jnp.where(disturbed, 0.0, data.userdata + 1.0)
 
-    def asleep(self, still_steps: jax.Array) -> jax.Array:
+    def asleep(self, steps_at_rest: jax.Array) -> jax.Array:
         """Return which objects sleep (worlds, objects)."""
-        return still_steps * self._period > STILL_TIME
+        return steps_at_rest * self._period > SLEEP_DELAY
 
     def margin(self, margin: jax.Array, asleep: jax.Array) -> jax.Array:
         """Return the margins of all geoms (worlds, ngeom) [m], given those of the model (ngeom,)."""
         everywhere = jnp.broadcast_to(margin.reshape(-1), (len(asleep), margin.size))
-        mine = jnp.where(asleep[:, self._owner], NO_CONTACT, everywhere[:, self.geoms])
+        mine = jnp.where(asleep[:, self._owner], NO_CONTACT_MARGIN, everywhere[:, self.geoms])
         return everywhere.at[:, self.geoms].set(mine)
 
     def moved(self, pinned: Array, qpos: Array, before: Array) -> jax.Array:
-        """Return which objects are put elsewhere (worlds, objects); masks and qpos as in `Inputs`."""
+        """Return which objects are teleported (worlds, objects); masks and qpos as in `Inputs`."""
         return (jnp.asarray(pinned) & (qpos != before))[:, self.qposadr].any(-1)
 
-    def _ahead(self, qvel: jax.Array) -> jax.Array:
-        """Return how far the geoms of robots, limbs and doors may get soon [m] (worlds, movers)."""
+    def _look_ahead(self, qvel: jax.Array) -> jax.Array:
+        """Return how far robots, limbs and doors may move during the look-ahead [m] (worlds, movers)."""
         rows = np.maximum(self._mover_dof, 0)[:, None] + np.arange(3)
         speed = jnp.linalg.norm(qvel[:, rows], axis=-1)
-        return STEPS_AHEAD * self._period * jnp.where(self._mover_dof >= 0, speed, LIMB_SPEED)
+        return WAKE_LOOKAHEAD * self._period * jnp.where(self._mover_dof >= 0, speed, LIMB_SPEED)
 
-    def _apart(self, xpos: jax.Array, others: np.ndarray) -> jax.Array:
+    def _distances(self, xpos: jax.Array, others: np.ndarray) -> jax.Array:
         """Return the distances between the objects' geoms and others (worlds, geoms, others) [m]."""
         return jnp.linalg.norm(xpos[:, self.geoms, None] - xpos[:, None, others], axis=-1)
 
-    def _any(self, of_geoms: jax.Array) -> jax.Array:
-        """Return of which objects any geom is so (worlds, objects)."""
+    def _any_geom(self, of_geoms: jax.Array) -> jax.Array:
+        """Reduce a mask of geoms to a mask of their objects (worlds, objects)."""
         mine = jnp.asarray(self._owner == np.arange(len(self.bodies))[:, None])  # (objects, geoms)
         return (of_geoms[:, None] & mine).any(-1)
 
 
-def make_room(spec: mujoco.MjSpec) -> None:
-    """Ask for data for users, a number for each loose object of a description."""
+def reserve_sleep_data(spec: mujoco.MjSpec) -> None:
+    """Reserve user data for each loose object of a description."""
     spec.nuserdata = sum(body.name.startswith(LOOSE_PREFIX) for body in spec.bodies)
 
 
@@ -184,28 +185,29 @@ def _is_loose(model: mujoco.MjModel, body: int) -> bool:
 
 
 @dataclass(frozen=True)
-class CapturedGraphs:
-    """Which graphs are captured.
+class GraphMode:
+    """Mode of CUDA graph capture.
 
     Attributes:
-        mode: Name of one of Warp's JaxCallableGraphMode. WARP captures a graph for each set of arrays that
-            XLA hands over, WARP_STAGED one for all of them, which copies in and out, WARP_STAGED_EX copies
-            before and after it. A CPU has no graphs.
-        control_step: Whether a graph is of all physics steps of a control step.
+        mode: Name of one of Warp's JaxCallableGraphMode. WARP captures a graph for each set of array
+            addresses that XLA passes, WARP_STAGED one for all of them, which copies in and out,
+            WARP_STAGED_EX copies before and after it. A CPU has no graphs.
+        control_step: Whether a graph contains all physics steps of a control step.
     """
 
     mode: str = "WARP"
     control_step: bool = False
 
 
-GRAPHS: Registry[CapturedGraphs] = Registry("kind of CUDA graphs")
+GRAPH_MODES: Registry[GraphMode] = Registry("kind of CUDA graphs")
+"""Graph modes by name, as in `usarmjx bench step --graph`."""
 for _mode, _suffix in (("WARP", ""), ("WARP_STAGED", "-staged"), ("WARP_STAGED_EX", "-staged-ex")):
-    GRAPHS.add(f"step{_suffix}", CapturedGraphs(_mode))
-    GRAPHS.add(f"control{_suffix}", CapturedGraphs(_mode, control_step=True))
+    GRAPH_MODES.add(f"step{_suffix}", GraphMode(_mode))
+    GRAPH_MODES.add(f"control{_suffix}", GraphMode(_mode, control_step=True))
 
 
 def _with_globals(function: Callable[..., None], **changed: object) -> Callable[..., Any]:
-    """Return a copy of a function that sees other things under some names of its module."""
+    """Return a copy of a function in which some globals of its module are replaced."""
     seen = {**function.__globals__, **changed}
     copied = FunctionType(function.__code__, seen, function.__name__)
     copied.__annotations__, copied.__module__ = function.__annotations__, function.__module__
@@ -213,8 +215,8 @@ def _with_globals(function: Callable[..., None], **changed: object) -> Callable[
 
 
 @cache
-def step_several(count: int) -> Callable[[Any, Any], Any]:
-    """Return `mjx.step` for MuJoCo Warp with so many physics steps in one call; map it over the worlds.
+def multi_step(count: int) -> Callable[[Any, Any], Any]:
+    """Return `mjx.step` for MuJoCo Warp with `count` physics steps in one call, to be vmapped over worlds.
 
     Raises:
         EngineError: mujoco-mjx is of another version than the one whose private names these are.
@@ -239,30 +241,25 @@ def step_several(count: int) -> Callable[[Any, Any], Any]:
     return step
 
 
-# MJX-Warp's overflow word (mujoco_warp OverflowType) without the bits that only say that the solver used
-# all of its iterations, which the capped CG solver does on nearly every step.
-ITERATION_BITS = 512 | 1024
+def block_until_finished() -> None:
+    """Block until all computations have finished.
 
-
-def finish_steps() -> None:
-    """Wait for what is being computed.
-
-    On a CPU, MuJoCo Warp's kernels are started by Python: a step still under way when the interpreter ends
-    would wait for it for ever, and the end for the step.
+    On a CPU, MuJoCo Warp's kernels are launched by Python: a step still running when the interpreter ends
+    would wait for the interpreter for ever, and the interpreter for the step.
     """
     jax.block_until_ready(jax.live_arrays())
 
 
 class WarpEngine(MjxEngine):
-    """NVIDIA GPUs; runs on a CPU too, slowly. Not bit-exact: its sums are atomic.
+    """MJX on MuJoCo Warp: NVIDIA GPUs, and slowly CPUs. Not bit-exact: its sums are atomic.
 
-    All worlds share one contact buffer, so one that overflows can take contacts from another.
+    All worlds share one contact buffer, so an overflow can drop contacts of other worlds.
     """
 
     name = "warp"
     impl = "warp"
-    _graphs = CapturedGraphs()
-    _sleep: LooseSleep | None = None
+    _graphs = GraphMode()
+    _sleep: SleepState | None = None
 
     def __init__(
         self,
@@ -280,56 +277,57 @@ class WarpEngine(MjxEngine):
             ) from missing
         super().__init__(spec, physics, worlds, moved_geoms, varied_bodies)
         if jax.default_backend() == "cpu":
-            atexit.register(finish_steps)
+            atexit.register(block_until_finished)
         masses = jnp.asarray(self.model.body_mass, jnp.float32)
-        self._masses = masses if self._weight_is_applied(self.model) else None
-        if self.model.nuserdata and self._masses is not None:  # MuJoCo's own gravity cannot be taken off one
-            self._sleep = LooseSleep(self.model, physics.sleep_tolerance, physics.period)
+        self._masses = masses if self._applies_weight(self.model) else None
+        # MuJoCo's own gravity cannot be switched off for single bodies: sleep needs applied weight.
+        if self.model.nuserdata and self._masses is not None:
+            self._sleep = SleepState(self.model, physics.sleep_tolerance, physics.period)
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
-        """Return the model, with room for how long loose objects have been still if they may sleep."""
+        """Compile the model, with user data for the sleep state if loose objects may sleep."""
         if self.physics.sleep_tolerance:
-            make_room(spec)
+            reserve_sleep_data(spec)
         return super().compile(spec)
 
     @staticmethod
-    def _weight_is_applied(model: mujoco.MjModel) -> bool:
-        """Whether weight is an applied force like others instead of MuJoCo's own gravity.
+    def _applies_weight(model: mujoco.MjModel) -> bool:
+        """Whether weight is an applied force instead of MuJoCo's own gravity.
 
-        MuJoCo Warp looks for gravity compensation of all bodies and degrees of freedom wherever there is
-        gravity: 5 % of a step of 4096 x 16, though no body asks for it. What sleeps must be free of force.
+        With gravity on, MuJoCo Warp evaluates gravity compensation of all bodies and degrees of freedom, 5 %
+        of a step of 4096 x 16, though no body asks for it. Sleeping objects must be free of force.
         """
         sleeps = model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP
         return not model.body_gravcomp.any() and not sleeps
 
     def _put_model(self, model: mujoco.MjModel) -> mjx.Model:
-        if self._weight_is_applied(model):
+        if self._applies_weight(model):
             model = copy.copy(model)
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY
-        # Its kernels print a line per world and step when the solver uses all its iterations; that alone
-        # costs half the speed. Overflow is counted below instead.
+        # Its kernels print a line per world and step when the solver uses all its iterations, which
+        # halves the speed. `overflow` reports it instead.
         return super()._put_model(model).tree_replace({"opt._impl.warn_overflow": 0})
 
     def _make_data(self) -> mjx.Data:
         contacts = int(self.model.numeric("max_contact_points").data[0])
-        # Rows are counted per world, contacts over all worlds: a world has room for three times the average.
+        # The row budget is per world, the contact budget over all worlds: rows allow three times the average.
         pairs = self.mx._impl.nxn_geom_pair_filtered
         return mjx.make_data(
             self.model,
             impl=self.impl,
-            device=own_device(),
+            device=local_device(),
             naconmax=self.worlds * contacts,
-            naccdmax=self.worlds * convex_room(self.model, pairs, contacts),
+            naccdmax=self.worlds * convex_contact_budget(self.model, pairs, contacts),
             njmax=3 * self.physics.rows_per_contact * contacts,
         )
 
     def advance(self, engine_state: mjx.Data, inputs: Inputs) -> mjx.Data:
-        """Step every world by one control step, which begins with no overflow: Warp only ever sets bits."""
+        """Step every world by one control step, from cleared overflow bits: Warp only ever sets them."""
         clear = jnp.zeros_like(engine_state._impl.overflow)
         engine_state = engine_state.tree_replace({"_impl.overflow": clear})
         awake: jax.Array | None = None
         if self._sleep is not None:
-            still = self._sleep.still_steps(engine_state, inputs.xfrc_applied)
+            still = self._sleep.steps_at_rest(engine_state, inputs.xfrc_applied)
             engine_state, awake = engine_state.replace(userdata=still), ~self._sleep.asleep(still)
             held = jnp.asarray(inputs.pinned_dof).at[:, self._sleep.dofadr].max(~awake[..., None])
             inputs = inputs.replace(pinned_dof=held)
@@ -342,8 +340,8 @@ class WarpEngine(MjxEngine):
             inputs = inputs.replace(xfrc_applied=jnp.asarray(inputs.xfrc_applied).at[..., :3].add(weight))
         return super().advance(engine_state, inputs)
 
-    def _fields_of_state(self, engine_state: mjx.Data) -> dict[str, jax.Array]:
-        """Return margins with which what sleeps touches nothing."""
+    def _state_fields(self, engine_state: mjx.Data) -> dict[str, jax.Array]:
+        """Return margins that disable the contacts of sleeping objects."""
         if self._sleep is None:
             return {}
         asleep = self._sleep.asleep(engine_state.userdata)
@@ -351,7 +349,7 @@ class WarpEngine(MjxEngine):
         return {"geom_margin": margin.reshape(self.worlds, *self.mx.geom_margin.shape)}
 
     def set_qpos(self, engine_state: mjx.Data, pinned: Array, pinned_dof: Array, qpos: Array) -> mjx.Data:
-        """Put the pinned coordinates at qpos, at rest; loose objects that this moves are awake."""
+        """Set the pinned coordinates to qpos, at rest; teleported loose objects wake."""
         done = super().set_qpos(engine_state, pinned, pinned_dof, qpos)
         if self._sleep is None:
             return done
@@ -359,24 +357,24 @@ class WarpEngine(MjxEngine):
         return done.replace(userdata=jnp.where(moved, 0.0, engine_state.userdata))
 
     def reset(self, engine_state: mjx.Data, mask: Array, qpos: Array) -> mjx.Data:
-        """Put the masked worlds at rest at qpos, with all awake; the others keep every bit."""
+        """Reset the masked worlds to qpos, at rest, with all objects awake; the others keep every bit."""
         done = super().reset(engine_state, mask, qpos)
         return done.replace(userdata=jnp.where(mask[:, None], 0.0, engine_state.userdata))
 
-    def use_graphs(self, name: str) -> None:
-        """Capture other CUDA graphs than usual, of `GRAPHS`; what is compiled already stays."""
-        self._graphs = GRAPHS.get(name)
+    def select_graphs(self, name: str) -> None:
+        """Select a CUDA graph mode of `GRAPH_MODES`; already compiled steps keep theirs."""
+        self._graphs = GRAPH_MODES.get(name)
         if jax.default_backend() != "cpu":
             mode = import_module("warp").JaxCallableGraphMode[self._graphs.mode]
             self.mx = self.mx.tree_replace({"opt._impl.graph_mode": mode})
 
-    def _step_of_calls(self) -> tuple[Callable[[mjx.Model, mjx.Data], mjx.Data], int]:
+    def _step_and_count(self) -> tuple[Callable[[mjx.Model, mjx.Data], mjx.Data], int]:
         if self._graphs.control_step:
-            return step_several(self.physics.substeps), 1
-        return super()._step_of_calls()
+            return multi_step(self.physics.substeps), 1
+        return super()._step_and_count()
 
-    def waiting(self, step: Callable[StepArguments, StepOutcome]) -> Callable[StepArguments, StepOutcome]:
-        """Return a function that steps and, on a CPU, waits: `finish_steps` does not see dropped outcomes."""
+    def blocking(self, step: Callable[StepArguments, StepOutcome]) -> Callable[StepArguments, StepOutcome]:
+        """Return a step function that blocks on a CPU: `block_until_finished` misses dropped results."""
         if jax.default_backend() != "cpu":
             return step
 

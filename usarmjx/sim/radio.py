@@ -11,9 +11,9 @@ from usarmjx.base.backend import Part, named_scope, on_numpy, set_rows, vmap, xp
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.comms.attenuation import AnyRadioSettings, RadioSettings, WorldRadioSettings
-from usarmjx.comms.links import Links, antenna_positions, evaluate_links, is_due, without_old_events
+from usarmjx.comms.links import Links, antenna_positions, drop_old_events, evaluate_links, is_due
 from usarmjx.comms.mail import BYTES_PER_NUMBER, Inboxes, MessageSettings, OutgoingMessages, deliver
-from usarmjx.comms.walls import arena_solids, bare_floor, with_boxes
+from usarmjx.comms.walls import add_boxes, arena_solids, bare_floor
 from usarmjx.engines.base import PhysicsState
 from usarmjx.models.compile.doors import door_boxes
 from usarmjx.models.types.shapes import SKY
@@ -88,19 +88,19 @@ def links_due(scene: Scene, world: World) -> Array:
 
 def last_links(world: World) -> Links:
     """Return the links as they were last."""
-    return without_old_events(_links(world), world.step)
+    return drop_old_events(_links(world), world.step)
 
 
 def radio_obstacles(scene: Scene, world: World, physics: PhysicsState) -> Geoms:
     """Return what weakens links now: the arena's solids, and doors where they stand."""
     if world.arena_state is None:
         doors = door_boxes(scene.arena, physics.qpos[scene.door_qpos], xp)
-        return with_boxes(arena_solids(scene.arena), *doors)
+        return add_boxes(arena_solids(scene.arena), *doors)
     arena, lift = world.arena_state, xp.array([0.0, 0.0, scene.arena.floor])
     shapes = scene.arena.shapes[: len(arena.pos)]
     walls = np.array([i for i, shape in enumerate(shapes) if shape.material != SKY], int)
     pos, mat = arena.pos[walls] + lift, mat_from_quat(arena.quat[walls])
-    return with_boxes(arena_solids(bare_floor(scene.arena)), pos, mat, arena.size[walls])
+    return add_boxes(arena_solids(bare_floor(scene.arena)), pos, mat, arena.size[walls])
 
 
 @named_scope("update_links")

@@ -23,7 +23,7 @@ from usarmjx.comms.links import Links, no_links
 from usarmjx.engines.base import GeomPoses, PhysicsState
 from usarmjx.engines.c.camera_rays import CCameraRays, GeomColors
 from usarmjx.engines.c.faults import RecoveryResult
-from usarmjx.engines.c.placement import REACH, free_pose
+from usarmjx.engines.c.placement import SEARCH_RADIUS, free_pose
 from usarmjx.engines.c.rays import CRayCaster
 from usarmjx.engines.c.world import CWorld
 from usarmjx.models.compile.compose import add_robot, new_spec, remove_robot
@@ -100,7 +100,7 @@ class SpeedLimits:
 
 EMPTY_SEAT = RosterEntry(robot="", parked=True)
 """Stands in a roster where there is no robot."""
-STEPS_AHEAD = 10
+WAKE_LOOKAHEAD = 10
 """For so many control steps it is worked out at once where what moves by itself will be."""
 SomeRobots = tuple[Scene, list[tuple[int, np.ndarray]]]
 """A scene with some of the robots, and of each of its groups the index and the members."""
@@ -143,7 +143,7 @@ class SingleWorld:
         self._parts: dict[frozenset[int], SomeRobots] = {}
         self._speeds = SpeedLimits((), {}, self.engine.data.qpos, scene.physics.period)
         self._looks: tuple[Scene, GeomColors] | None = None
-        self._moved_from: tuple[int, GeomPoses | None] = -STEPS_AHEAD, None
+        self._moved_from: tuple[int, GeomPoses | None] = -WAKE_LOOKAHEAD, None
         self._regroup({}, {})
 
     @property
@@ -205,14 +205,14 @@ class SingleWorld:
         """Put the one robot of a group where there is room for it."""
         model, data, floor = self.engine.model, self.engine.data, self.scene.arena.floor
         (index,) = group.indices
-        for (pos, quat), reach in (*((pose, 0.0) for pose in poses), (poses[0], REACH)):
+        for (pos, quat), reach in (*((pose, 0.0) for pose in poses), (poses[0], SEARCH_RADIUS)):
             found = free_pose(model, data, index, np.array(pos), quat, floor, reach)
             if found is not None:
                 self.engine.place(index, *found)
                 self._homes[int(group.slots[0])] = self.engine.pose(index)
                 return
         where = ",".join(f"{value:.2f}" for value in poses[0][0])
-        raise UsageError(f"no room for a {group.robot.name} within {REACH:g} m of {where}")
+        raise UsageError(f"no room for a {group.robot.name} within {SEARCH_RADIUS:g} m of {where}")
 
     @numpy_backend()
     def _started(self, group: RobotGroup) -> GroupState:
@@ -274,18 +274,18 @@ class SingleWorld:
         self.world, inputs = compute_inputs(self.scene, self.world, self.physics, self._moved())
         self.engine.apply(inputs)
         limits = self._speeds.update(self.engine.data.qpos)
-        lost, put_back = self.engine.advance(self._indices, limits, self._homes)
+        lost, reset_trees = self.engine.advance(self._indices, limits, self._homes)
         # The engine has looked already whether all is finite and nobody too fast, as `finish_step` does.
         faults, step = self.world.faults, np.asarray(self.world.step + 1, np.int32)
-        if lost or put_back:
-            overflow, bad = (np.asarray(count, np.int32) for count in (lost != 0, bool(put_back)))
+        if lost or reset_trees:
+            overflow, bad = (np.asarray(count, np.int32) for count in (lost != 0, bool(reset_trees)))
             faults = faults.replace(overflow=faults.overflow + overflow, not_finite=faults.not_finite + bad)
         self.world = self.world.replace(step=step, faults=faults)
-        if put_back:
-            self._speeds.begin_again(put_back.robots, self.engine.data.qpos)
-        for slot in put_back.robots:
+        if reset_trees:
+            self._speeds.begin_again(reset_trees.robots, self.engine.data.qpos)
+        for slot in reset_trees.robots:
             self.edit(slot, command=idle_command(self.roster[slot].spec))
-        return put_back
+        return reset_trees
 
     @numpy_backend()
     def observe(self, slots: Iterable[int]) -> dict[int, tuple[Reading, ...]]:
@@ -337,8 +337,8 @@ class SingleWorld:
         """Return where the arena's geoms that move are now."""
         first, ahead = self._moved_from
         late = int(self.world.step) - first
-        if not 0 <= late < STEPS_AHEAD:
-            steps = self.world.step + np.arange(STEPS_AHEAD, dtype=np.int32)
+        if not 0 <= late < WAKE_LOOKAHEAD:
+            steps = self.world.step + np.arange(WAKE_LOOKAHEAD, dtype=np.int32)
             ahead = moved_geom_poses(self.scene, None, time_of(self.scene, self.world.replace(step=steps)))
             late, self._moved_from = 0, (int(self.world.step), ahead)
         return None if ahead is None else GeomPoses(pos=ahead.pos[late], quat=ahead.quat[late])
@@ -394,7 +394,7 @@ class SingleWorld:
         Robots have forgotten what they were told, and their batteries are full. Where two appeared at one
         place, the second is put next to it.
         """
-        self.engine.put_all_back(self._indices, self._homes)
+        self.engine.reset_all(self._indices, self._homes)
         self.world = restarted(self.scene, self.world, self.physics)
         self._speeds.begin_again(self._indices, self.engine.data.qpos)
 

@@ -117,9 +117,9 @@ def ray(name, start, along):
     scene, data, *_ = posed(name)
     own, gone, geom = set(scene.groups[0].indices[0].body_ids), 0.0, np.zeros(1, np.int32)
     while True:
-        met = mujoco.mj_ray(scene.model, data, start + gone * along, along, None, 1, -1, geom)
-        gone += met
-        if met < 0:
+        hits = mujoco.mj_ray(scene.model, data, start + gone * along, along, None, 1, -1, geom)
+        gone += hits
+        if hits < 0:
             return np.inf
         if scene.model.geom_bodyid[geom[0]] not in own:
             return gone

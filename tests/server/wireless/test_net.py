@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 from tests.arenas import COURSE, FLAT
 from tests.server.radio_servers import REACH, SHORT, client, crowded, drain, on_air, spread, wait_until
 from usarmjx.cli.app import app
-from usarmjx.comms.links import antenna_of
+from usarmjx.comms.links import antenna_offset
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.network.ports import bound_socket
 from usarmjx.server.viewing.controls import ServedControls
@@ -51,7 +51,7 @@ def antenna_distance(places, one, other):
     ends = []
     for name in (one, other):
         kind = "ComStation" if name.startswith("Base") else "P2AT"
-        ends.append(np.add(places[name], antenna_of(ROBOTS.get(kind))))
+        ends.append(np.add(places[name], antenna_offset(ROBOTS.get(kind))))
     return math.dist(*ends)
 
 

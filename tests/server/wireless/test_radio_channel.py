@@ -9,7 +9,7 @@ import pytest
 from tests.arenas import FLAT
 from tests.server.radio_servers import crowded
 from usarmjx.comms.attenuation import RadioSettings
-from usarmjx.comms.links import antenna_positions, pair_powers, pairs_of
+from usarmjx.comms.links import antenna_positions, pair_powers, pair_slots
 from usarmjx.comms.walls import arena_solids
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots import ROBOTS
@@ -47,7 +47,7 @@ def test_all_pairs_in_the_yellow_arena_are_as_in_the_batch(yellow):
         [antenna_positions(STATION, s.pos, s.quat, yellow.arena.floor) for s in map(yellow.state, robots)]
     )
     power, walls = pair_powers(SETTINGS, arena_solids(yellow.arena), places)
-    pairs = [(robots[i].name, robots[j].name) for i, j in zip(*pairs_of(len(robots)), strict=True)]
+    pairs = [(robots[i].name, robots[j].name) for i, j in zip(*pair_slots(len(robots)), strict=True)]
     np.testing.assert_array_equal([radio.obstacles(*pair) for pair in pairs], walls)
     np.testing.assert_allclose([radio.signal_strength(*pair) for pair in pairs], power, atol=1e-3)
     np.testing.assert_allclose([radio.signal_strength(*pair[::-1]) for pair in pairs], power, atol=1e-3)

@@ -12,7 +12,7 @@ from tests.handy import known
 from tests.lands import land
 from tests.server.test_adapter import P2AT_REPORT, TABLE_2, TICK, House, heard, look
 from usarmjx.base.errors import SpecError
-from usarmjx.engines.c.placement import REACH
+from usarmjx.engines.c.placement import SEARCH_RADIUS
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.robot import options
@@ -65,7 +65,7 @@ def moving(house):
     return clients
 
 
-def put_back(house):
+def reset_trees(house):
     """In how many control steps something was put back."""
     return int(house.world._single.world.faults.not_finite)
 
@@ -93,7 +93,7 @@ def test_a_car_that_does_not_fit_is_refused_and_nobody_else_moves_by_a_bit(caplo
         each.run(TICK)
     assert_same_bits(states(house, clients), states(twin, others))
     assert [heard(client) for client in clients] == [heard(client) for client in others]
-    assert not put_back(house)
+    assert not reset_trees(house)
     assert house.say(car, f"INIT {{ClassName USARBot.P2AT}} {TABLE_2}") == [], "it may ask again"
     assert car.robot is not None
     house.run()
@@ -112,13 +112,13 @@ def test_who_is_told_a_place_that_is_taken_stands_beside_or_is_refused(caplog, n
     assert caplog.text.count("INIT refused: no room") == count - len(there)
     stood = states(house, there)
     places = np.array([state.pos[:2] for state in stood])
-    assert (np.linalg.norm(places - (20, -3), axis=-1) <= REACH + 1e-6).all()
+    assert (np.linalg.norm(places - (20, -3), axis=-1) <= SEARCH_RADIUS + 1e-6).all()
     house.run()
     for client, place in zip(there, places, strict=True):
         told = look(heard(client))[2]
         assert told[:2] == pytest.approx((place[0], -place[1]), abs=WIRE), "as its first report says"
     house.run(3 * 50)
-    assert not put_back(house)
+    assert not reset_trees(house)
     for before, after in zip(stood, states(house, there), strict=True):
         assert np.linalg.norm(after.pos - before.pos) < SETTLED
     for client in clients:
@@ -140,7 +140,7 @@ def test_a_robot_that_goes_bad_is_put_back_by_name_and_the_others_go_on(caplog):
     spoil(house, bad)
     for each in (house, twin):
         each.run(5 * TICK)
-    assert put_back(house) == 1
+    assert reset_trees(house) == 1
     assert re.findall("the physics of (.*) went bad: put back", caplog.text) == ["Unlucky"]
     for mine, other in zip(states(house, clients), states(twin, twin.clients[:2]), strict=True):
         np.testing.assert_allclose(mine.pos, other.pos, atol=UNSOLVED)
@@ -188,7 +188,7 @@ def test_a_robot_that_falls_has_not_gone_bad(name):
         house.run(1)
         speeds.append(np.linalg.norm(house.world.state(client.robot).linear))
     assert max(speeds) > 11.0
-    assert not put_back(house)
+    assert not reset_trees(house)
     assert house.world.state(client.robot).pos[2] < 0.5
     assert speeds[-1] < 0.2, "it lies"
 
@@ -204,7 +204,7 @@ def test_who_falls_out_of_the_world_is_put_back(monkeypatch):
         house.run(1)
         lowest = min(lowest, house.world.state(client.robot).pos[2])
     assert lowest == pytest.approx(-30.0, abs=2.0)  # of a control step's way at 24 m/s, and of the margin
-    assert put_back(house) == 1
+    assert reset_trees(house) == 1
     assert house.world.state(client.robot).pos == pytest.approx([0.0, 0.0, 0.26], abs=SETTLED)
 
 

@@ -10,9 +10,11 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from usarmjx.base.settings.declaration import (
+    AT_LEAST_ONE,
     NOT_NEGATIVE,
     POSITIVE,
     SHARE,
+    RenamedSettingWarning,
     Setting,
     SettingField,
     describe,
@@ -37,10 +39,12 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 __all__ = [
+    "AT_LEAST_ONE",
     "NOT_NEGATIVE",
     "POSITIVE",
     "SHARE",
     "FileValue",
+    "RenamedSettingWarning",
     "Setting",
     "SettingField",
     "Text",

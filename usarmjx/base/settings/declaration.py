@@ -31,6 +31,10 @@ _UNIT = re.compile(r"\[([A-Za-z%/^*. 0-9-]*[A-Za-z%][A-Za-z%/^*. 0-9-]*)\]")
 _ENTRY = re.compile(r"(\w+(?:, \w+)*): *(.*)")
 
 
+class RenamedSettingWarning(DeprecationWarning):
+    """Use of a setting's name of the version before."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Setting:
     """Limits and texts of a setting, a note of its annotation; several notes add up, the last one counts.
@@ -101,6 +105,7 @@ NO_NOTE = Setting()
 POSITIVE = Setting(gt=0)
 NOT_NEGATIVE = Setting(ge=0)
 SHARE = Setting(ge=0, le=1)
+AT_LEAST_ONE = Setting(ge=1)
 
 
 @dataclass(frozen=True, kw_only=True)

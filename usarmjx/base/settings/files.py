@@ -62,6 +62,12 @@ class FileValue:
             return self.data
         raise self.error(f"{self.shown} is not a list")
 
+    def plain(self) -> Any:  # noqa: ANN401 - any data
+        """Return the data without the lines that it is on."""
+        if isinstance(self.data, dict):
+            return {key: item.plain() for key, item in self.data.items()}
+        return [item.plain() for item in self.data] if isinstance(self.data, list) else self.data
+
     @property
     def shown(self) -> str:
         """The value as refusals quote it."""

@@ -36,6 +36,7 @@ from usarmjx.base.settings.declaration import (
     MAPPINGS,
     SEQUENCES,
     SMALLEST,
+    RenamedSettingWarning,
     Setting,
     SettingField,
     bare,
@@ -92,6 +93,11 @@ def _plain(value: object) -> object:
     if kind.__module__ == "numpy" and getattr(value, "shape", None) == () and hasattr(value, "dtype"):
         return cast(Any, value).item()
     return value
+
+
+def _onto(old: object, given: object) -> object:
+    """Return a value, or the old dataclass with the settings that a mapping gives."""
+    return _Onto(old, given) if is_dataclass(old) and isinstance(_plain(given), Mapping) else given
 
 
 def _refusal(value: object, problem: str, kind: str = "value") -> PydanticCustomError:
@@ -188,22 +194,33 @@ class Reader:
         """
         return self.from_data(kind, nested_texts(texts, where), where=where, base=base)
 
-    def values(self, kind: type, data: object, *, where: str = "") -> dict[str, Any]:
+    def values(self, kind: type, data: object, *, where: str = "", base: object = None) -> dict[str, Any]:
         """Return checked values by field, of the fields that the data has.
+
+        Args:
+            kind: The dataclass.
+            data: See `from_data`.
+            where: Its source, for refusals.
+            base: Instance whose nested settings hold where the data sets only some of them.
 
         Raises:
             UsageError: See `from_data`; a missing name is none.
         """
         try:
-            return self._checked(kind, data, self._named(kind, data))
+            given = self._named(kind, data)
+            for name, item in given.items():
+                given[name] = _onto(getattr(base, name, None), item)
+            return self._checked(kind, data, given)
         except ValidationError as error:
             raise self._error(error, where) from None
         except PydanticCustomError as error:
             raise self._error_of(error.context or {}, (), where) from error.__cause__
 
-    def text_values(self, kind: type, texts: Mapping[str, str], *, where: str = "") -> dict[str, Any]:
+    def text_values(
+        self, kind: type, texts: Mapping[str, str], *, where: str = "", base: object = None
+    ) -> dict[str, Any]:
         """Return checked values by field, of the fields that there are texts of; see `from_text`."""
-        return self.values(kind, nested_texts(texts, where), where=where)
+        return self.values(kind, nested_texts(texts, where), where=where, base=base)
 
     def validate(self, instance: object) -> None:
         """Check an instance that was built in Python, from its `__post_init__`.
@@ -266,8 +283,7 @@ class Reader:
         for name, field in record.fields.items():
             if base is not None:
                 old = getattr(base, name)
-                onto = name in given and is_dataclass(old) and isinstance(_plain(given[name]), Mapping)
-                given[name] = _Onto(old, given[name]) if onto else given.get(name, old)
+                given[name] = _onto(old, given[name]) if name in given else old
             elif name not in given and name in defaults:
                 given[name] = defaults[name]
             elif name not in given and field.required:
@@ -320,7 +336,7 @@ class Reader:
                 place = getattr(item, "place", "") if isinstance(item, FileValue | Text) else ""
                 start = f"{place}: " if place else ""
                 text = f"{start}{key} of {kind.__name__} is called {name} now; the old name goes next version"
-                warnings.warn(text, DeprecationWarning, stacklevel=2)
+                warnings.warn(text, RenamedSettingWarning, stacklevel=2)
             if name is None:
                 raise _refusal(item, _unknown(str(key), kind, record), "name")
             if name in found:
@@ -518,7 +534,10 @@ def _scalar(hint: type, note: Setting, expects: str) -> CoreSchema:
         try:
             return validate(prepare(_plain(value)))
         except ValidationError:
-            raise _unexpected(value, expects) from None
+            plain = _plain(value)
+            endless = note.finite and isinstance(plain, float) and math.isinf(plain)
+            words = expects.replace("a number", "a finite number", 1) if endless else expects
+            raise _unexpected(value, words) from None
         except _PrecisionError:
             raise _unexpected(value, f"{expects}; {PRECISION}") from None
 

@@ -1,4 +1,4 @@
-"""C MuJoCo: starts at once, needs no accelerator, and is the oracle for the others."""
+"""Engine `c`: batches on C MuJoCo, which starts at once and is the oracle of the other engines."""
 
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -18,22 +18,24 @@ from usarmjx.models.compile.randomization import RandomizedBodies
 
 STATE = mujoco.mjtState
 INTEGRATION_STATE = STATE.mjSTATE_INTEGRATION
-"""All that a step depends on, warm start included, so that a state can be stepped again bit for bit."""
+"""State components that a step depends on, warm start included, so that a state can be stepped again bit for
+bit."""
 
 
-VISIBLE = (STATE.mjSTATE_QPOS, STATE.mjSTATE_QVEL, STATE.mjSTATE_ACT)
+VISIBLE_STATE = (STATE.mjSTATE_QPOS, STATE.mjSTATE_QVEL, STATE.mjSTATE_ACT)
+"""State components returned to the layers above."""
 BUFFER_WARNINGS = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
-"""The warnings about buffers that are too small."""
+"""Warnings about full contact and constraint buffers."""
 
 
 class CState(NamedTuple):
-    """What C MuJoCo's worlds go on from.
+    """State of the worlds on C MuJoCo.
 
     Attributes:
         integration: MuJoCo's integration states (worlds, n).
-        qpos: The positions among them (worlds, nq).
-        qvel: The velocities among them (worlds, nv).
-        act: The activations among them (worlds, na).
+        qpos: Positions in these (worlds, nq).
+        qvel: Velocities in these (worlds, nv).
+        act: Activations in these (worlds, na).
         overflow: Warnings about full buffers in the last control step (worlds,).
         solved: Contacts, rows and iterations of the last physics step (worlds, 3).
     """
@@ -47,14 +49,14 @@ class CState(NamedTuple):
 
 
 def c_model(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Return a copy that does not silently reset a world that went bad; we count and reset those."""
+    """Return a copy without MuJoCo's silent reset of diverged worlds, which are counted and reset here."""
     copy = model.__copy__()
     copy.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return copy
 
 
 def state_slices(model: mujoco.MjModel) -> dict[mujoco.mjtState, slice]:
-    """Return where the parts of `INTEGRATION_STATE` are in a state of it."""
+    """Return the slice of each component of `INTEGRATION_STATE`."""
     places: dict[mujoco.mjtState, slice] = {}
     start = 0
     for bit in range(int(mujoco.mjtState.mjNSTATE)):
@@ -66,7 +68,7 @@ def state_slices(model: mujoco.MjModel) -> dict[mujoco.mjtState, slice]:
 
 
 def buffer_warnings(data: mujoco.MjData) -> int:
-    """Return how often this data's contact or constraint buffer was too small."""
+    """Return how often this data's contact or constraint buffer was full."""
     return int(data.warning.number[BUFFER_WARNINGS].sum())
 
 
@@ -77,7 +79,7 @@ def _pin(data: mujoco.MjData, pinned: Array, pinned_dof: Array, qpos: Array) -> 
 
 
 class CEngine(Engine[CState]):
-    """Steps worlds one by one, on all cores."""
+    """Engine that steps worlds one by one, on all cores."""
 
     name = "c"
     traceable = False
@@ -93,7 +95,7 @@ class CEngine(Engine[CState]):
         super().__init__(spec, physics, worlds, moved_geoms, varied_bodies)
         self._parts = state_slices(self.model)
         count = min(worlds, cores())
-        # Each thread has its own model, as what differs in the world that it steps is part of it.
+        # Each thread has its own model: fields that differ between worlds are written into it.
         same = moved_geoms is None and varied_bodies is None
         self.moved_body = MovedBody(self.model, self.moved_ids) if self.moved_ids else None
         self._models = [self.model if same else self.model.__copy__() for _ in range(count)]
@@ -102,15 +104,15 @@ class CEngine(Engine[CState]):
         self._pool = ThreadPoolExecutor(count) if count > 1 else None
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
-        """Return the model, with silent resets off."""
+        """Compile the model with silent resets off."""
         model = c_model(spec.compile())
         if self.varied_bodies is not None and self.varied_bodies.vary.wheel is not None:
-            # The boxes around wheels are out of date then: each geom is compared with each.
+            # The bounding volume hierarchy has the compiled wheel sizes, so all geom pairs are tested.
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
         return model
 
     def start(self) -> CState:
-        """Return every world at the model's reference configuration."""
+        """Return every world in the model's reference configuration."""
         size = mujoco.mj_stateSize(self.model, INTEGRATION_STATE)
         blank = CState(
             integration=np.zeros((self.worlds, size)),
@@ -128,9 +130,9 @@ class CEngine(Engine[CState]):
 
     def advance(self, engine_state: CState, inputs: Inputs) -> CState:
         """Step every world by one control step."""
-        told = jax.tree.map(np.asarray, inputs)
+        arrays = jax.tree.map(np.asarray, inputs)
         fields = self._varied_fields(inputs)
-        everything, overflow = self._applied(engine_state, told), np.zeros(self.worlds, np.int32)
+        states, overflow = self._applied(engine_state, arrays), np.zeros(self.worlds, np.int32)
         solved = np.zeros((self.worlds, 3), np.int32)
 
         def work(thread: int) -> None:
@@ -138,15 +140,15 @@ class CEngine(Engine[CState]):
             before = buffer_warnings(data)
             varied = [(getattr(model, name), values) for name, values in fields.items()]
             for world in range(thread, self.worlds, len(self._datas)):
-                mujoco.mj_setState(model, data, everything[world], INTEGRATION_STATE)
+                mujoco.mj_setState(model, data, states[world], INTEGRATION_STATE)
                 for array, values in varied:
                     array[:] = values[world]
-                if told.geom_poses is not None and self.moved_body is not None:
-                    here = told.geom_poses
+                if arrays.geom_poses is not None and self.moved_body is not None:
+                    here = arrays.geom_poses
                     size = None if here.size is None else here.size[world]
                     self.moved_body.move(model, here.pos[world], here.quat[world], size, world)
                 mujoco.mj_step(model, data, nstep=self.physics.substeps)
-                mujoco.mj_getState(model, data, everything[world], INTEGRATION_STATE)
+                mujoco.mj_getState(model, data, states[world], INTEGRATION_STATE)
                 warnings = buffer_warnings(data)
                 overflow[world], before = warnings - before, warnings
                 solved[world] = data.ncon, data.nefc, data.solver_niter[0]
@@ -155,8 +157,8 @@ class CEngine(Engine[CState]):
             work(0)
         else:
             list(self._pool.map(work, range(len(self._datas))))
-        qpos, qvel, act = (everything[:, self._parts[part]].copy() for part in VISIBLE)
-        return CState(everything, qpos, qvel, act, overflow, solved)
+        qpos, qvel, act = (states[:, self._parts[part]].copy() for part in VISIBLE_STATE)
+        return CState(states, qpos, qvel, act, overflow, solved)
 
     def _varied_fields(self, inputs: Inputs) -> dict[str, np.ndarray]:
         """Return the model's fields that differ between worlds (worlds, ...)."""
@@ -164,18 +166,18 @@ class CEngine(Engine[CState]):
             return {}
         return {name: np.asarray(values) for name, values in self._fields(inputs.varied).items()}
 
-    def _applied(self, own: CState, told: Inputs) -> np.ndarray:
-        """Return the integration states with the inputs in them (worlds, n)."""
+    def _applied(self, own: CState, arrays: Inputs) -> np.ndarray:
+        """Return the integration states with the inputs written into them (worlds, n)."""
         new, at = own.integration.copy(), self._parts
-        new[:, at[STATE.mjSTATE_CTRL]], new[:, at[STATE.mjSTATE_ACT]] = told.ctrl, told.act
-        new[:, at[STATE.mjSTATE_XFRC_APPLIED]] = told.xfrc_applied.reshape(self.worlds, -1)
-        np.copyto(new[:, at[STATE.mjSTATE_QPOS]], told.qpos, where=told.pinned)
+        new[:, at[STATE.mjSTATE_CTRL]], new[:, at[STATE.mjSTATE_ACT]] = arrays.ctrl, arrays.act
+        new[:, at[STATE.mjSTATE_XFRC_APPLIED]] = arrays.xfrc_applied.reshape(self.worlds, -1)
+        np.copyto(new[:, at[STATE.mjSTATE_QPOS]], arrays.qpos, where=arrays.pinned)
         for part in (STATE.mjSTATE_QVEL, STATE.mjSTATE_WARMSTART):
-            np.copyto(new[:, at[part]], 0.0, where=told.pinned_dof)
+            np.copyto(new[:, at[part]], 0.0, where=arrays.pinned_dof)
         return new
 
     def set_qpos(self, engine_state: CState, pinned: Array, pinned_dof: Array, qpos: Array) -> CState:
-        """Put the pinned coordinates at qpos, at rest."""
+        """Set the pinned coordinates to qpos, at rest."""
         new = CState(*(array.copy() for array in engine_state))
         data = self._datas[0]
         for world in np.flatnonzero(np.asarray(pinned).any(-1)):
@@ -185,7 +187,7 @@ class CEngine(Engine[CState]):
         return new
 
     def reset(self, engine_state: CState, mask: Array, qpos: Array) -> CState:
-        """Put the masked worlds at rest at qpos; the others are untouched."""
+        """Reset the masked worlds to qpos, at rest; the others are untouched."""
         new = CState(*(array.copy() for array in engine_state))
         data, qpos = self._datas[0], np.asarray(qpos)
         for world in np.flatnonzero(np.asarray(mask)):
@@ -208,5 +210,5 @@ class CEngine(Engine[CState]):
         return jnp.asarray(engine_state.overflow)
 
     def solved(self, engine_state: CState) -> SolvedStep:
-        """Return what the solver met in each world's last physics step."""
+        """Return the solver statistics of each world's last physics step."""
         return SolvedStep(*engine_state.solved.T)

@@ -1,8 +1,8 @@
-"""Geoms that are elsewhere in another world of C MuJoCo, and the tree of boxes by which contacts find them.
+"""Geoms that move between worlds of C MuJoCo, and the bounding volume hierarchy of their body.
 
-MuJoCo makes that tree when it compiles a model: of geoms that move it would be out of date, and without it
-each geom of a robot is compared with each of the arena's. So the tree is made anew here where many geoms have
-moved (another arena), and its boxes are fitted again where a few have (limbs of victims).
+MuJoCo builds that hierarchy at compile time: it would be outdated for moved geoms, and without it each geom
+of a robot is tested against each of the arena's. It is rebuilt here when many geoms have moved (another
+arena), and refitted when a few have (limbs of victims).
 """
 
 from typing import Any, NamedTuple
@@ -14,17 +14,17 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.rotations import mat_from_quat
 
-NEW_ARENA = 0.5
-"""Where more than this share of the geoms has moved, the tree is made anew."""
+REBUILD_FRACTION = 0.5
+"""Fraction of moved geoms above which the hierarchy is rebuilt."""
 
 
-class WorldTree(NamedTuple):
-    """The tree of one world.
+class BoundingTree(NamedTuple):
+    """Bounding volume hierarchy of one world.
 
     Attributes:
-        places: Where its geoms are: position, orientation, half sizes of the box around each (geoms, 10).
-        order: The geoms by leaf, from left to right (geoms,).
-        boxes: Middle and half size of each node's box (nodes, 6).
+        places: Position, orientation and half sizes of the bounding box of each geom (geoms, 10).
+        order: Geoms by leaf, from left to right (geoms,).
+        boxes: Centre and half size of each node's box (nodes, 6).
     """
 
     places: np.ndarray
@@ -33,69 +33,71 @@ class WorldTree(NamedTuple):
 
 
 class MovedBody:
-    """The geoms of a body that stands still in the middle of the world, and where they are in each world.
+    """Movable geoms of a static body at the world's origin, and their hierarchy in each world.
 
-    The tree halves its geoms again and again, along the axis along which their middles are farthest apart; so
-    its form depends on their number alone.
+    The hierarchy splits the geoms in halves, along the axis of the largest spread of their centres; so its
+    topology depends only on their number.
 
     Args:
-        model: The compiled model; its tree takes that form.
-        ids: The geoms that are moved, all of one body.
+        model: The compiled model; its hierarchy takes that topology.
+        ids: The movable geoms, all of one body.
     """
 
     def __init__(self, model: mujoco.MjModel, ids: list[int]) -> None:
         self.ids = ids
-        body, tree = int(model.geom_bodyid[ids[0]]), _tree_of(model)
+        body, tree = int(model.geom_bodyid[ids[0]]), _bvh_fields(model)
         begin, count = int(tree.body_bvhadr[body]), int(tree.body_bvhnum[body])
         self._nodes = slice(begin, begin + count)
         leaves: np.ndarray = tree.bvh_nodeid[self._nodes]
         self._geoms: np.ndarray = np.sort(leaves[leaves >= 0])
-        self._children, self._levels, self._leaf = _form(len(self._geoms))
-        self._worlds: dict[int, WorldTree] = {}
+        self._children, self._levels, self._leaf = _tree_topology(len(self._geoms))
+        self._worlds: dict[int, BoundingTree] = {}
         if len(self._geoms):
             tree.bvh_child[self._nodes] = self._children
             for depth, (nodes, _) in enumerate(self._levels):
                 tree.bvh_depth[self._nodes][nodes] = depth
-            self._write(model, self._fitted(model, 0))
+            self._write_tree(model, self._bounding_tree(model, 0))
 
     def move(
         self, model: mujoco.MjModel, pos: Array, quat: Array, size: Array | None = None, world: int = 0
     ) -> None:
-        """Put the geoms elsewhere. The model must have their `geom_sameframe` cleared.
+        """Move the geoms. The model must have their `geom_sameframe` cleared.
 
         Args:
             model: The model.
             pos: Positions (n, 3) [m].
             quat: Orientations (n, 4).
-            size: Half sizes (n, 3) [m], of boxes; None: they stay.
-            world: For which world: what its tree was is kept for the next time.
+            size: Half sizes (n, 3) [m] of boxes; None: unchanged.
+            world: The world, whose hierarchy is kept for its next call.
         """
         model.geom_pos[self.ids], model.geom_quat[self.ids] = pos, quat
         if size is not None:
             model.geom_size[self.ids], model.geom_aabb[self.ids, 3:] = size, size
             model.geom_rbound[self.ids] = np.linalg.norm(size, axis=-1)
         if len(self._geoms):
-            self._write(model, self._fitted(model, world))
+            self._write_tree(model, self._bounding_tree(model, world))
 
-    def _fitted(self, model: mujoco.MjModel, world: int) -> WorldTree:
+    def _bounding_tree(self, model: mujoco.MjModel, world: int) -> BoundingTree:
         geoms, known = self._geoms, self._worlds.get(world)
         places = np.hstack([model.geom_pos[geoms], model.geom_quat[geoms], model.geom_aabb[geoms, 3:]])
         if known is None or not np.array_equal(known.places, places):
-            mid, half = _boxes_around(model, geoms)
-            if known is None or (known.places != places).any(axis=1).mean() > NEW_ARENA:
-                order = self._order(mid)
+            mid, half = _bounding_boxes(model, geoms)
+            if known is None or (known.places != places).any(axis=1).mean() > REBUILD_FRACTION:
+                order = self._leaf_order(mid)
             else:
                 order = known.order
-            known = self._worlds[world] = WorldTree(places, order, self._fit(mid[order], half[order]))
+            known = self._worlds[world] = BoundingTree(
+                places, order, self._node_boxes(mid[order], half[order])
+            )
         return known
 
-    def _write(self, model: mujoco.MjModel, known: WorldTree) -> None:
+    def _write_tree(self, model: mujoco.MjModel, known: BoundingTree) -> None:
         node_ids = np.full(len(self._children), -1, np.int32)
         node_ids[self._leaf] = self._geoms[known.order]
-        tree = _tree_of(model)
+        tree = _bvh_fields(model)
         tree.bvh_nodeid[self._nodes], tree.bvh_aabb[self._nodes] = node_ids, known.boxes
 
-    def _order(self, mid: np.ndarray) -> np.ndarray:
+    def _leaf_order(self, mid: np.ndarray) -> np.ndarray:
         """Return the geoms by leaf: those of each node are sorted along its longest axis (geoms,)."""
         order = np.arange(len(mid))
         for _, starts in self._levels:
@@ -106,7 +108,7 @@ class MovedBody:
             order = order[np.lexsort((along, node))]
         return order
 
-    def _fit(self, mid: np.ndarray, half: np.ndarray) -> np.ndarray:
+    def _node_boxes(self, mid: np.ndarray, half: np.ndarray) -> np.ndarray:
         """Return the boxes of all nodes around those of the leaves, from left to right (nodes, 6)."""
         low, high = np.empty((2, len(self._children), 3))
         low[self._leaf], high[self._leaf] = mid - half, mid + half
@@ -118,16 +120,16 @@ class MovedBody:
         return np.hstack([(low + high) / 2, (high - low) / 2])
 
 
-def _tree_of(model: mujoco.MjModel) -> Any:  # noqa: ANN401 - MuJoCo's types leave the tree's fields out
+def _bvh_fields(model: mujoco.MjModel) -> Any:  # noqa: ANN401 - MuJoCo's types leave the tree's fields out
     return model
 
 
-def _form(count: int) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
-    """Return a tree of so many leaves.
+def _tree_topology(count: int) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
+    """Return the topology of a hierarchy of `count` leaves.
 
     Returns:
-        The children of each node (nodes, 2), -1 for a leaf; by level its nodes, and where the leaves of each
-        begin, those of higher levels included; the node of each leaf (leaves,).
+        Children of each node (nodes, 2), -1 for a leaf; for each level its nodes, and the first leaf of each
+        subtree of this and higher levels; the node of each leaf (leaves,).
     """
     children, leaf = np.full((max(2 * count - 1, 0), 2), -1, np.int32), np.zeros(count, int)
     levels: list[tuple[np.ndarray, np.ndarray]] = []
@@ -149,8 +151,8 @@ def _form(count: int) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]], 
     return children, levels, leaf
 
 
-def _boxes_around(model: mujoco.MjModel, geoms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return middles and half sizes of boxes around geoms, along their body's inertial axes (geoms, 3)."""
+def _bounding_boxes(model: mujoco.MjModel, geoms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return centres and half sizes of bounding boxes of geoms, in their body's inertial frame (geoms, 3)."""
     body, own = model.geom_bodyid[geoms[0]], model.geom_aabb[geoms]
     with numpy_backend():
         frame, mat = mat_from_quat(model.body_iquat[body]), mat_from_quat(model.geom_quat[geoms])

@@ -1,7 +1,7 @@
-"""Rays cast by C MuJoCo in one world, as the sensors ask for them: nothing is compiled.
+"""Sensor rays cast by C MuJoCo in one world, without compilation.
 
-What `sensors.rays.raycast` promises holds here too (materials, the robot's own geoms, reach, incidence). Grid
-fenders, which C MuJoCo does not know, are cast by their kernel.
+The semantics are those of `sensors.rays.raycast` (materials, exclusion of the robot's own geoms, range,
+incidence). Grid fenders, which C MuJoCo does not have, are cast by their kernel.
 """
 
 import math
@@ -24,26 +24,26 @@ from usarmjx.sensors.rays.raycast import DEFAULT_QUERY, Hits, RayQuery, distance
 from usarmjx.sensors.rays.targets import GeomBlock
 
 HIDDEN_GROUP = len(MATERIALS)
-"""The geom group of what rays pass, as the robot that looks; the groups before are the materials."""
+"""Geom group that rays pass, for instance of the robot that casts them; lower groups are the materials."""
 
 FEW_RAYS = 12
-"""Fewer rays from a point are cast one by one at all geoms: to cast them together begins with all bounds."""
+"""Ray count per origin below which rays are cast one by one: `mj_multiRay` first tests all bounding boxes."""
 MANY_RAYS = 32
-"""More rays from a point are cast at all geoms: to find those within reach would not pay."""
-MARGIN = 1e-4
-"""By how much a geom's bounding sphere counts as larger than it is, against what is rounded [m]."""
+"""Ray count per origin above which culling by range does not pay."""
+SPHERE_MARGIN = 1e-4
+"""Enlargement of bounding spheres against rounding [m]."""
 MIN_COSINE = 0.1
-"""Rays from a point are in a cone about the first of them if all are nearer to it than this cosine."""
+"""Lowest cosine to the first ray for which a cone test is valid."""
 
 
 class CRayCaster:
-    """Casts rays in a world of C MuJoCo, whose kinematics must be current.
+    """Ray caster for a world of C MuJoCo with current kinematics.
 
     Args:
         model: The model; its geom groups are set to the geoms' materials.
         data: Its state.
-        materials: What each geom is made of (ngeom,); see `models.build.materials.materials_of`.
-        robots: Where each robot is in the model, by slot.
+        materials: Material of each geom (ngeom,); see `models.compile.materials.materials_of`.
+        robots: Indices of each robot in the model, by slot.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class CRayCaster:
     ) -> None:
         self._model, self._data = model, data
         model.geom_group[:] = [MATERIALS.index(material) for material in materials]
-        self._own = {
+        self._robot_state = {
             slot: np.flatnonzero(np.isin(model.geom_bodyid, index.body_ids)) for slot, index in robots.items()
         }
         is_fender = model.geom_group == MATERIALS.index(FENDER)
@@ -64,14 +64,14 @@ class CRayCaster:
     def __call__(
         self, origin: Array, direction: Array, query: RayQuery = DEFAULT_QUERY, fans: Fans | None = None
     ) -> Hits:
-        """Return the first surface that each ray meets, as `cast_rays` does; float32."""
-        del fans  # the rays are all there
+        """Return the first hit of each ray, as `cast_rays` does; float32."""
+        del fans  # directions are already expanded
         count = len(origin)
         if query.wanted is not None and not query.wanted:
             return Hits(distance=np.full(count, np.inf, np.float32), cosine=np.zeros(count, np.float32))
         start, along = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
         hidden = self.geoms_of(int(query.exclude_owner))
-        distance, normal, _ = self.meet(start, along, query, hidden)
+        distance, normal, _ = self.hit_geoms(start, along, query, hidden)
         met = distance <= query.max_distance
         cosine = np.abs(_dot(normal, along)) if query.incidence else np.zeros(count)
         return Hits(
@@ -80,27 +80,27 @@ class CRayCaster:
         )
 
     def geoms_of(self, slot: int) -> np.ndarray:
-        """Return a robot's geoms (n,); none for what is no robot's slot."""
-        return self._own.get(slot, np.zeros(0, int))
+        """Return a robot's geoms (n,); empty for any other slot."""
+        return self._robot_state.get(slot, np.zeros(0, int))
 
-    def meet(
+    def hit_geoms(
         self, start: np.ndarray, along: np.ndarray, query: RayQuery, hidden: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return distances (rays,), infinite without a hit, normals (rays, 3) and geoms (rays,).
 
         Args:
-            start: Where rays start [m] (rays, 3).
+            start: Ray origins [m] (rays, 3).
             along: Unit vectors (rays, 3).
-            query: What they pass, and whether normals are wanted.
-            hidden: Geoms that they pass too (n,).
+            query: Materials that the rays pass, and whether normals are needed.
+            hidden: Further geoms that they pass (n,).
         """
         groups = self._model.geom_group
         before = groups.copy()
         groups[hidden] = HIDDEN_GROUP
         try:
             distance, normal, geom = self._cast(start, along, query)
-            # Where the first that a ray meets is a fender, it may pass it whole.
-            caged = self._is_fender[geom]  # no geom is the last
+            # MuJoCo has a fender as a solid cylinder; the ray may pass between its bars.
+            caged = self._is_fender[geom]  # geom -1 (no hit) reads the appended False
             if caged.any():
                 rays = start[caged], along[caged]
                 open_query = query.replace(transparent=query.transparent | {FENDER})
@@ -146,7 +146,7 @@ class CRayCaster:
                 distance[first:end],
                 normals[3 * first : 3 * end] if query.incidence else None,
                 end - first,
-                mujoco.mjMAXVAL,  # a shorter reach leaves out floors that are within it
+                mujoco.mjMAXVAL,  # with a shorter cutoff MuJoCo omits floors within it
             )
         groups[:] = before
         return np.where(geom >= 0, distance, np.inf), normal, geom
@@ -154,30 +154,30 @@ class CRayCaster:
     def _near(
         self, start: np.ndarray, along: np.ndarray, bounds: np.ndarray, reach: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return which geoms rays from each point might meet: by bounding spheres, and cones about the rays.
+        """Return which geoms the rays of each origin may meet, by bounding spheres and cones about the rays.
 
         Args:
-            start: Where rays start [m] (rays, 3), point by point.
+            start: Ray origins [m] (rays, 3), grouped.
             along: Unit vectors (rays, 3).
-            bounds: The first ray from each point, and how many rays there are (points + 1,).
-            reach: How far they go [m].
+            bounds: First ray of each origin, and the number of rays (origins + 1,).
+            reach: Range [m].
 
         Returns:
-            Geoms that any might meet (n,), and whether those from each point might meet them (points, n).
+            Geoms that any ray may meet (n,), and whether those of each origin may meet them (origins, n).
         """
         firsts, rays = bounds[:-1], bounds[1:] - bounds[:-1]
         point = start[firsts] - start[0]
         middle, bound = self._data.geom_xpos - start[0], self._model.geom_rbound
         out = _dot(point, point)[:, None]
-        most, square = reach + MARGIN + math.sqrt(out.max()), _dot(middle, middle)
+        most, square = reach + SPHERE_MARGIN + math.sqrt(out.max()), _dot(middle, middle)
         geoms = np.flatnonzero((square <= (most + bound) ** 2) | (bound == 0))  # planes have no bound
         middle, square, bound = middle[geoms], square[geoms], bound[geoms]
         axis = along[firsts]
         cosine = np.minimum.reduceat(_dot(along, axis.repeat(rays, 0)), firsts)[:, None]
         ahead = axis @ middle.T - _dot(axis, point)[:, None]
         far = out + square - 2 * (point @ middle.T)
-        aside, radius = np.sqrt(np.maximum(far - ahead * ahead, 0.0)), bound + MARGIN
-        # How far the middle is from the side of the cone.
+        aside, radius = np.sqrt(np.maximum(far - ahead * ahead, 0.0)), bound + SPHERE_MARGIN
+        # Distance of the centre from the side of the cone.
         outside = aside * cosine - ahead * np.sqrt(np.maximum(1 - cosine * cosine, 0.0)) > radius
         missed = (far > (reach + radius) ** 2) | (outside & (cosine > MIN_COSINE))
         return geoms, ~missed | (bound == 0)
@@ -191,11 +191,11 @@ class CRayCaster:
         normal: np.ndarray,
         geom: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return distances, normals and geoms where fenders are looked at too."""
+        """Return distances, normals and geoms with fenders included."""
         ids = np.setdiff1d(self._fenders, hidden)
         pos, mat = self._data.geom_xpos[ids], self._data.geom_xmat[ids].reshape(-1, 3, 3)
         block = GeomBlock(pos=pos, mat=mat, size=self._model.geom_size[ids], owner=np.full(len(ids), -1))
-        closest, fender, turned = nearest_of_block(FENDER_KIND, block, start, along)
+        closest, fender, turned = nearest_in_block(FENDER_KIND, block, start, along)
         closer = closest < distance
         return (
             np.where(closer, closest, distance),
@@ -205,25 +205,25 @@ class CRayCaster:
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the products of vectors (n, 3) with each other (n,)."""
+    """Return the scalar products of vectors (n, 3) (n,)."""
     return np.einsum("ij,ij->i", a, b)
 
 
 @cache
 def _solid_groups(transparent: frozenset[str]) -> np.ndarray:
-    """Return which geom groups rays do not pass that pass some materials (groups,)."""
+    """Return which geom groups block rays that pass some materials (groups,)."""
     solid = np.zeros(mujoco.mjNGROUP, np.uint8)
     solid[: len(MATERIALS)] = [material not in transparent for material in MATERIALS]
     return solid
 
 
-def nearest_of_block(
+def nearest_in_block(
     kind: int, block: GeomBlock, start: np.ndarray, along: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return how far rays (rays, 3) are from a few geoms that C MuJoCo does not know, by their kernel.
+    """Return the nearest hits of rays (rays, 3) on a few geoms without support in C MuJoCo, by their kernel.
 
     Returns:
-        Distances to the nearest, infinite without a hit (rays,); which it is (rays,); normals (rays, 3).
+        Distances, infinite without a hit (rays,); indices of the geoms (rays,); normals (rays, 3).
     """
     with numpy_backend():
         rows = [jax.tree.map(lambda x, i=i: x[i], block) for i in range(len(block.owner))]

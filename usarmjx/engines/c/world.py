@@ -1,7 +1,7 @@
-"""One world on C MuJoCo whose robots come and go while it runs.
+"""One world on C MuJoCo whose robots join and leave at run time.
 
-`c.CEngine` steps many worlds of one model; here the model is recompiled when a robot joins or leaves, and the
-state of all that stays is kept to the bit.
+`batch.CEngine` steps many worlds of one model; here the model is recompiled when a robot joins or leaves, and
+the state of everything that stays is kept to the bit.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,7 +12,7 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.engines.base import GeomPoses, Inputs, PhysicsState
 from usarmjx.engines.c.batch import buffer_warnings
-from usarmjx.engines.c.faults import RecoveryResult, put_all_back, step_and_recover
+from usarmjx.engines.c.faults import RecoveryResult, reset_all, step_and_recover
 from usarmjx.engines.c.moved_geoms import MovedBody
 from usarmjx.engines.c.rays import CRayCaster
 from usarmjx.models.compile.geoms import MovedGeoms
@@ -28,10 +28,10 @@ class CWorld:
         spec: Its description, which `edit` changes.
         arena: The arena in it.
         substeps: Physics steps per control step.
-        moved_geoms: Geoms of the arena that move; None: there are none.
+        moved_geoms: Movable geoms of the arena; None: none.
 
     Attributes:
-        model: The compiled model, another one after every `edit`.
+        model: The compiled model, replaced by every `edit`.
         data: Its state, likewise.
     """
 
@@ -40,7 +40,7 @@ class CWorld:
     ) -> None:
         self._spec, self._arena, self._substeps = spec, arena, substeps
         self._moved_names = () if moved_geoms is None else moved_geoms.names
-        # We count and mend what goes bad; C MuJoCo would reset the world without a word.
+        # Faults are recovered per robot; by default C MuJoCo silently resets the whole world.
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
@@ -53,11 +53,11 @@ class CWorld:
         self._caster: CRayCaster | None = None
 
     def edit(self, change: Callable[[mujoco.MjSpec], None], undo: Callable[[mujoco.MjSpec], None]) -> None:
-        """Change the description and compile it; the states of all that stays are kept bit for bit.
+        """Change the description and recompile; the state of everything that stays is kept bit for bit.
 
         Args:
-            change: Changes it.
-            undo: Takes back what it did, all or a part of it, if it or the compilation fails.
+            change: Changes the description.
+            undo: Reverts all of `change`, or the part that was done, if it or the compilation fails.
         """
         try:
             change(self._spec)
@@ -79,54 +79,54 @@ class CWorld:
         )
 
     def apply(self, inputs: Inputs) -> None:
-        """Take the inputs of a control step (no axis over worlds); nobody is ever parked here."""
+        """Set the inputs of a control step (no axis over worlds); no robot is ever parked here."""
         self.data.ctrl[:], self.data.act[:] = inputs.ctrl, inputs.act
         self.data.xfrc_applied[:] = inputs.xfrc_applied
         self.move(inputs.geom_poses)
 
     def move(self, poses: GeomPoses | None) -> None:
-        """Put the geoms that move where they are now."""
+        """Move the movable geoms to their current poses."""
         if poses is not None and self._moved_body is not None:
             self._moved_body.move(self.model, poses.pos, poses.quat)
 
     def advance(
         self, robots: Mapping[int, RobotIndex], limits: Mapping[int, float], homes: Mapping[int, Array]
     ) -> tuple[int, RecoveryResult]:
-        """Advance by a control step; robots that go bad are put back, see `faults.step_and_recover`.
+        """Make one control step; faulty robots are reset, see `faults.step_and_recover`.
 
         Args:
-            robots: Where each robot is in the model, by slot.
-            limits: Up to which speed each is sound [m/s].
-            homes: Where each is put back: position and orientation (7,).
+            robots: Indices of each robot in the model, by slot.
+            limits: Highest plausible speed of each [m/s].
+            homes: Home of each: position and orientation (7,).
 
         Returns:
-            How often a contact buffer was too small, and what was put back.
+            Number of contact buffer overflows, and the reset objects.
         """
         before, floor = buffer_warnings(self.data), self._arena.floor
-        put_back = step_and_recover(self.model, self.data, self._substeps, robots, limits, homes, floor)
-        return buffer_warnings(self.data) - before, put_back
+        reset_trees = step_and_recover(self.model, self.data, self._substeps, robots, limits, homes, floor)
+        return buffer_warnings(self.data) - before, reset_trees
 
-    def put_all_back(self, robots: Mapping[int, RobotIndex], homes: Mapping[int, Array]) -> None:
-        """Put robots back to their homes, see `advance`, and all else that moves where the model has it."""
-        put_all_back(self.model, self.data, robots, homes, self._arena.floor)
+    def reset_all(self, robots: Mapping[int, RobotIndex], homes: Mapping[int, Array]) -> None:
+        """Reset robots to their homes, see `advance`, and all other movable bodies to the reference pose."""
+        reset_all(self.model, self.data, robots, homes, self._arena.floor)
 
     def pose(self, index: RobotIndex) -> np.ndarray:
-        """Return where a robot is: position [m] and orientation (7,)."""
+        """Return a robot's position [m] and orientation (7,)."""
         return self.data.qpos[index.root_qposadr : index.root_qposadr + 7].copy()
 
     def place(self, index: RobotIndex, pos: Array, quat: Array) -> None:
-        """Put a robot somewhere [m], at rest."""
+        """Teleport a robot to a pose [m], at rest."""
         root = index.root_qposadr
         self.data.qpos[root : root + 7] = (*pos, *quat)
         self.data.qvel[index.root_dofadr : index.root_dofadr + 6] = 0.0
         mujoco.mj_kinematics(self.model, self.data)
 
     def caster(self, robots: Mapping[int, RobotIndex], poses: GeomPoses | None) -> CRayCaster:
-        """Return what casts rays at the world as it is now.
+        """Return a ray caster for the current state.
 
         Args:
-            robots: Where each robot is in the model, by slot.
-            poses: Where the geoms that move are now.
+            robots: Indices of each robot in the model, by slot.
+            poses: Current poses of the movable geoms.
         """
         self.move(poses)
         mujoco.mj_kinematics(self.model, self.data)

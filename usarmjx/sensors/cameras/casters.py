@@ -98,7 +98,7 @@ class Caster(Protocol):
         """Return where something stands in the way of the light, of what is wanted (rays,)."""
         ...
 
-    def normals(self, met: RayHits, origin: Array, direction: Array) -> Array:
+    def normals(self, hits: RayHits, origin: Array, direction: Array) -> Array:
         """Return the unit normals of the surfaces that rays meet, towards the rays (rays, 3)."""
         ...
 
@@ -146,9 +146,9 @@ class GeomCaster:
         own = label == jnp.asarray(beams.carrier)[jnp.maximum(beams.source, 0)]
         return dark & ~(own & (block.geom_index >= 0))
 
-    def normals(self, met: RayHits, origin: Array, direction: Array) -> Array:
+    def normals(self, hits: RayHits, origin: Array, direction: Array) -> Array:
         """As `Caster` says."""
-        met_arrays = GeomHits(jnp.asarray(met.distance), jnp.asarray(met.geom_index))
+        met_arrays = GeomHits(jnp.asarray(hits.distance), jnp.asarray(hits.geom_index))
         return normals(self._geoms, met_arrays, jnp.asarray(origin), jnp.asarray(direction))
 
     def frames(self, which: Array) -> tuple[Array, Array, Array]:

@@ -238,13 +238,13 @@ class _Seen(NamedTuple):
 
     Attributes:
         view: The rays.
-        met: What they meet.
+        hits: What they meet.
         normal: Unit normals there, towards the rays (rays, 3).
         point: Where that is [m] (rays, 3).
     """
 
     view: CameraView
-    met: RayHits
+    hits: RayHits
     normal: Array
     point: Array
 
@@ -269,7 +269,7 @@ def annotate(
     """
     plain = viewpoint.replace(supersampling=1)
     seen = _first_hits(render_scene, plain, width, height)
-    there, which = seen.met.geom_index >= 0, xp.maximum(xp.asarray(seen.met.geom_index), 0)
+    there, which = seen.hits.geom_index >= 0, xp.maximum(xp.asarray(seen.hits.geom_index), 0)
     instance = xp.asarray(render_scene.appearance.instance)[which]
     instance = xp.where(there, instance, SKY_LABEL * INSTANCES)
     instance = xp.where(seen.view.inside, instance, OUTSIDE_LABEL)
@@ -297,10 +297,10 @@ def _first_hits(render_scene: RenderScene, viewpoint: Viewpoint, width: int, hei
     geoms = render_scene.geoms.replace(blocks=tuple(blocks))
     caster = GeomCaster(geoms, render_scene.appearance, xp.asarray(viewpoint.slot))
     view = camera_view(viewpoint, width, height)
-    met = caster.from_camera(view.start, view.along, SOLID_QUERY)
-    reach = xp.where(met.geom_index >= 0, met.distance, 0.0)[:, None]
-    normal = caster.normals(met, view.start, view.along)
-    return _Seen(view, met, normal, view.start + reach * view.along)
+    hits = caster.from_camera(view.start, view.along, SOLID_QUERY)
+    reach = xp.where(hits.geom_index >= 0, hits.distance, 0.0)[:, None]
+    normal = caster.normals(hits, view.start, view.along)
+    return _Seen(view, hits, normal, view.start + reach * view.along)
 
 
 def _carried(point: Array, now: GeomBlock, then: GeomBlock) -> Array:

@@ -180,14 +180,14 @@ class _Surface(NamedTuple):
     Vectors have their components first, as processors like it: (3, rays).
 
     Attributes:
-        met: Whether they end at all (rays,).
+        hits: Whether they end at all (rays,).
         geom_index: On which geom (rays,).
         point: Just off its surface [m] (3, rays).
         normal: The surface's, towards the rays (3, rays).
         rgb: Its colour (3, rays).
     """
 
-    met: Array
+    hits: Array
     geom_index: Array
     point: Array
     normal: Array
@@ -216,7 +216,7 @@ def shade(
     surface = _surface(render_scene, caster, first, origin, direction)
     rgb = _lit(render_scene, caster, surface)
     if MIRROR in caster.materials:
-        gloss = xp.where(surface.met, xp.asarray(look.reflectance)[surface.geom_index], 0.0)
+        gloss = xp.where(surface.hits, xp.asarray(look.reflectance)[surface.geom_index], 0.0)
         rgb = _if(
             (gloss > 0).any(),
             lambda rgb: _reflected(render_scene, caster, surface, direction, gloss, rgb),
@@ -230,7 +230,7 @@ def shade(
             lambda rgb: _behind_panes(render_scene, caster, pane, origin, direction, rgb),
             rgb,
         )
-    label = xp.where(surface.met, xp.asarray(look.label)[surface.geom_index], SKY_LABEL)
+    label = xp.where(surface.hits, xp.asarray(look.label)[surface.geom_index], SKY_LABEL)
     return Shaded(rgb.T, first.distance, label)
 
 
@@ -262,14 +262,14 @@ def _behind_panes(
     surface = _surface(render_scene, caster, pane, start, along)
     clear = xp.asarray(caster.appearance.transparency)[surface.geom_index]
     seen = (1 - clear) * _lit(render_scene, caster, surface, shadows=False) + clear * rgb
-    return xp.where(surface.met, seen, rgb)
+    return xp.where(surface.hits, seen, rgb)
 
 
 def _surface(
     render_scene: RenderScene, caster: Caster, first: RayHits, start: Array, along: Array
 ) -> _Surface:
-    met, which = first.geom_index >= 0, xp.maximum(first.geom_index, 0)
-    reach = xp.where(met, first.distance, 0.0)
+    hits, which = first.geom_index >= 0, xp.maximum(first.geom_index, 0)
+    reach = xp.where(hits, first.distance, 0.0)
     point, normal = start.T + reach * along.T, caster.normals(first, start, along).T
     look = caster.appearance
     of_floor = xp.asarray(caster.is_plane)[which]
@@ -279,7 +279,7 @@ def _surface(
     rgb = xp.where(of_floor, _checkers(render_scene, point), rgb)
     if look.texture is not None:
         rgb = _with_textures(caster, first, point, normal, rgb)
-    return _Surface(met, which, point + (RAY_BIAS + RAY_BIAS_PER_METRE * reach) * normal, normal, rgb)
+    return _Surface(hits, which, point + (RAY_BIAS + RAY_BIAS_PER_METRE * reach) * normal, normal, rgb)
 
 
 def _with_textures(caster: Caster, first: RayHits, point: Array, normal: Array, rgb: Array) -> Array:
@@ -328,7 +328,7 @@ def _lit(render_scene: RenderScene, caster: Caster, surface: _Surface, *, shadow
         light = _if(on, lambda light: light + _headlight(render_scene, surface, dark), light)
     sky = xp.where(day > 0, SKY_RGB, NIGHT_RGB)[:, None]
     lit = xp.clip(surface.rgb * (light * render_scene.exposure), 0, 1)
-    return xp.where(surface.met, developed(lit, render_scene.gain), sky)
+    return xp.where(surface.hits, developed(lit, render_scene.gain), sky)
 
 
 def _main_light(render_scene: RenderScene, surface: _Surface, day: Array, dark: Darkness | None) -> Array:
@@ -348,15 +348,15 @@ def _main_light(render_scene: RenderScene, surface: _Surface, day: Array, dark: 
         away, source = xp.where(more, distance, away), xp.where(more, number, source)
         colour = xp.where(more, rgb[:, None] / xp.maximum(total, MIN_LIGHT), colour)
     if dark is not None:
-        wanted = surface.met & (best > MIN_LIGHT)
+        wanted = surface.hits & (best > MIN_LIGHT)
         best = best * ~dark(Beams(wanted, surface.point, toward, away, source, lights.pos, sun))
     return best * colour
 
 
 def _headlight(render_scene: RenderScene, surface: _Surface, dark: Darkness | None) -> Array:
     """Return the light of the headlight that gives most (rays,); its own robot does not stand in its way."""
-    best, toward = xp.zeros(len(surface.met)), xp.zeros_like(surface.point)
-    away, source = xp.zeros(len(surface.met)), xp.zeros(len(surface.met), xp.int32)
+    best, toward = xp.zeros(len(surface.hits)), xp.zeros_like(surface.point)
+    away, source = xp.zeros(len(surface.hits)), xp.zeros(len(surface.hits), xp.int32)
     lights = render_scene.headlights
     for number, (pos, along, on) in enumerate(zip(lights.pos, lights.direction, lights.on, strict=True)):
         way, distance = _way(surface.point, pos)
@@ -366,7 +366,7 @@ def _headlight(render_scene: RenderScene, surface: _Surface, dark: Darkness | No
         best, away = xp.where(more, own, best), xp.where(more, distance, away)
         toward, source = xp.where(more, way, toward), xp.where(more, number, source)
     if dark is not None:
-        wanted, sun = surface.met & (best > MIN_LIGHT), render_scene.sun_direction
+        wanted, sun = surface.hits & (best > MIN_LIGHT), render_scene.sun_direction
         beams = Beams(wanted, surface.point, toward, away, source, lights.pos, sun, lights.label)
         best = best * (wanted & ~dark(beams))
     return best
