@@ -10,9 +10,9 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 import dev
-import trial
 import usarmjx
 from tests.test_docs import command_problem
+from tools import trial
 from usarmjx.server.network import ports
 
 DOCKERFILE = (dev.ROOT / "Dockerfile").read_text(encoding="utf-8")

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-import dependencies
 import dev
+from tools import dependencies
 
 PINS = (
     "# a comment\nnumpy==2.4.6\njax==0.10.2; python_version < '3.0'\njax==0.11.2; python_version >= '3.0'\n"
@@ -105,8 +105,8 @@ def test_an_audit_without_network_or_tool_says_so_in_a_line(monkeypatch, capsys)
 
 def test_the_verbs_of_a_contributor_lead_there():
     for name, rest in (("audit", ["--strict"]), ("sbom", ["x.json"])):
-        assert dev.VERBS[name].steps(*rest) == [["dependencies.py", name, *rest]]
+        assert dev.VERBS[name].steps(*rest) == [["-m", "tools.dependencies", name, *rest]]
     done = subprocess.run(
-        [sys.executable, "dependencies.py", "sbom"], cwd=dev.ROOT, capture_output=True, text=True
+        [sys.executable, "-m", "tools.dependencies", "sbom"], cwd=dev.ROOT, capture_output=True, text=True
     )
     assert json.loads(done.stdout)["bomFormat"] == "CycloneDX"

@@ -15,6 +15,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 import dev
+from tools import checks, environment
 
 FAKE_PYTHON = """#!/bin/sh
 # Stands for the interpreter of the virtual environment: notes what it is asked, fails on request.
@@ -33,10 +34,10 @@ class FakeCheckout:
     """A folder with the two files that decide the packages and an interpreter that takes notes."""
 
     def __init__(self, root: Path) -> None:
-        self.environment = dev.Environment(root, root / ".venv")
+        self.environment = environment.Environment(root, root / ".venv")
         self.log = root / "calls"
         self.broken = root / "broken"
-        for name in dev.PINNED_BY:
+        for name in environment.PINNED_BY:
             (root / name).write_text(f"content of {name}")
         python = self.environment.python
         python.parent.mkdir(parents=True)
@@ -124,11 +125,11 @@ def test_quick_leaves_out_what_takes_long_and_hands_on_what_else_is_asked():
     for part in ("ruff check", "ruff format --check", "importlinter"):
         assert sum(part in tool for tool in tools) == 1, part
     assert len(tools) == 3
-    assert set(dev.QUICK) < set(tests)
+    assert set(checks.QUICK) < set(tests)
     assert tests[-2:] == ["-k", "foo"]
 
 
-@pytest.mark.parametrize("name", [*dev.QUICK, *dev.OPTIMISED])
+@pytest.mark.parametrize("name", [*checks.QUICK, *checks.OPTIMISED])
 def test_what_quick_and_optimised_name_is_there(name: str):
     path, *tests = name.split("::")
     text = (dev.ROOT / path).read_text(encoding="utf-8") if tests else ""
@@ -145,7 +146,7 @@ def collected(*args: object) -> list[str]:
 
 
 def test_quick_is_a_net_of_more_than_a_thousand_tests():
-    assert len(collected(*dev.QUICK)) > 1000
+    assert len(collected(*checks.QUICK)) > 1000
 
 
 def test_fuzz_runs_the_property_tests_alone_and_each_time_with_other_examples():
@@ -160,14 +161,6 @@ def test_fuzz_runs_the_property_tests_alone_and_each_time_with_other_examples():
     assert fuzz.print_blob
     assert same.derandomize
     assert same.database is None
-
-
-def test_a_folder_named_build_is_no_build_output(tmp_path: Path):
-    """By default pytest leaves such folders out, and ours have tests of usarmjx/models/build."""
-    (tmp_path / "build").mkdir()
-    (tmp_path / "build" / "test_sample.py").write_text("def test_it(): pass\n")
-    (found,) = collected("--rootdir", tmp_path, tmp_path)
-    assert found.endswith("test_sample.py::test_it")
 
 
 def test_only_the_demo_and_what_strangers_do_go_without_the_development_tools():
@@ -192,7 +185,7 @@ def test_extras_are_added_to_those_present(checkout: FakeCheckout):
     assert checkout.ensure("train") == []
 
 
-@pytest.mark.parametrize("name", dev.PINNED_BY)
+@pytest.mark.parametrize("name", environment.PINNED_BY)
 def test_changed_requirements_are_installed(checkout: FakeCheckout, name: str):
     checkout.ensure("dev")
     (checkout.environment.root / name).write_text("something newer")
@@ -204,7 +197,7 @@ def test_failed_installation_is_reported_and_repeated(checkout: FakeCheckout):
     checkout.ensure("dev")
     checkout.broken.touch()
     (checkout.environment.root / "constraints.txt").write_text("impossible==1")
-    with pytest.raises(dev.SetupError, match=r"no such package\npip failed with status 3"):
+    with pytest.raises(environment.SetupError, match=r"no such package\npip failed with status 3"):
         checkout.ensure("dev")
     assert checkout.environment.installed() is None
     checkout.broken.unlink()
@@ -217,7 +210,7 @@ def test_interrupted_installation_is_repeated(checkout: FakeCheckout, monkeypatc
 
     checkout.ensure()
     with monkeypatch.context() as patch:
-        patch.setattr(dev, "follow", interrupt)
+        patch.setattr(environment, "follow", interrupt)
         with pytest.raises(KeyboardInterrupt):
             checkout.ensure("dev")
     # Half of the new packages may be there: not even the former state is certain.
@@ -235,22 +228,22 @@ def test_copied_checkout_is_installed_anew(checkout: FakeCheckout, tmp_path: Pat
     checkout.ensure("dev")
     copy = tmp_path / "copy"
     copy.mkdir()
-    for name in (*dev.PINNED_BY, ".venv"):
+    for name in (*environment.PINNED_BY, ".venv"):
         source = checkout.environment.root / name
         (shutil.copytree if source.is_dir() else shutil.copy)(source, copy / name)
     # Its editable install still points to the first checkout.
-    assert dev.Environment(copy, copy / ".venv").installed() is None
+    assert environment.Environment(copy, copy / ".venv").installed() is None
 
 
 def test_first_bad_status_is_returned_and_the_rest_still_runs(
     checkout: FakeCheckout, capsys: pytest.CaptureFixture[str]
 ):
     steps = [["-m", "good"], ["-m", "bad"], ["-m", "killed"], ["-m", "last"]]
-    assert dev.run_steps(checkout.environment, steps) == 7
+    assert environment.run_steps(checkout.environment, steps) == 7
     assert len(checkout.log.read_text().splitlines()) == len(steps)
     assert capsys.readouterr().err.endswith("failed: bad, killed\n")
-    assert dev.run_steps(checkout.environment, [["-m", "killed"]]) == 128 + 15
-    assert dev.run_steps(checkout.environment, [["-m", "good"]]) == 0
+    assert environment.run_steps(checkout.environment, [["-m", "killed"]]) == 128 + 15
+    assert environment.run_steps(checkout.environment, [["-m", "good"]]) == 0
 
 
 @pytest.mark.parametrize(("given", "seen"), [(None, "8"), ("3", "3")])
@@ -260,26 +253,26 @@ def test_jax_gets_a_pool_that_cannot_deadlock(
     monkeypatch.delenv("NPROC", raising=False)
     if given:
         monkeypatch.setenv("NPROC", given)
-    dev.run_steps(checkout.environment, [["-m", "good"]])
+    environment.run_steps(checkout.environment, [["-m", "good"]])
     assert checkout.log.read_text() == f"NPROC={seen} -m good\n"
 
 
 def test_missing_ensurepip_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    for name in dev.PINNED_BY:
+    for name in environment.PINNED_BY:
         (tmp_path / name).touch()
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(dev.SetupError, match="python3-venv"):
-        dev.Environment(tmp_path, tmp_path / ".venv").ensure(frozenset())
+    with pytest.raises(environment.SetupError, match="python3-venv"):
+        environment.Environment(tmp_path, tmp_path / ".venv").ensure(frozenset())
 
 
 @pytest.mark.slow
 def test_environment_is_completed_and_nothing_in_it_deleted(tmp_path: Path):
-    environment = dev.Environment(tmp_path, tmp_path / ".venv")
-    environment.folder.mkdir()
-    (environment.folder / "mine").touch()
-    environment._create()
-    assert environment._has_pip()
-    assert (environment.folder / "mine").exists()
+    made = environment.Environment(tmp_path, tmp_path / ".venv")
+    made.folder.mkdir()
+    (made.folder / "mine").touch()
+    made._create()
+    assert made._has_pip()
+    assert (made.folder / "mine").exists()
 
 
 def read_pins(python: str) -> dict[str, str]:

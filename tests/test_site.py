@@ -12,8 +12,8 @@ from typing import ClassVar
 import pytest
 
 import dev
-import documents
 import usarmjx
+from tools import documents
 
 LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href", "video": "src"}
 """Elements that make a browser fetch what their attribute names."""
