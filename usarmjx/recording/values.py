@@ -69,7 +69,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401
         if array.dtype.kind in NUMBERS:
             return msgpack.ExtType(ARRAY, pack((array.shape, array.dtype.str, array.tobytes())))
     if isinstance(value, np.generic):
-        return cast(np.generic[Any], value).item()
+        return cast("np.generic[Any]", value).item()
     if isinstance(value, str | int):  # a class of texts, an enumeration
         return str(value) if isinstance(value, str) else int(value)
     if isinstance(value, Mapping):

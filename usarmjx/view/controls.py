@@ -84,7 +84,7 @@ class WorldControls(Protocol):
         ...
 
     def step(self, steps: int = 1) -> None:
-        """Let paused worlds make some control steps."""
+        """Make some control steps in paused worlds."""
         ...
 
     def set_speed(self, factor: float) -> None:

@@ -482,7 +482,7 @@ def test_refusals_are_the_peers_fault():
 
 def test_the_framing_table_is_closed():
     """Every phase that can be reached has its way out, but CLOSED."""
-    table = dialect_a.TRANSITIONS
+    table = dialect_a.DATA_LINK_TRANSITIONS
     assert set().union(*table.values()) <= set(table)
     assert [phase for phase, following in table.items() if not following] == [Part.CLOSED]
     assert dialect_a.DialectAPhase is DialectAPhase

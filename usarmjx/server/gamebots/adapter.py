@@ -47,7 +47,7 @@ MOTION_COMMANDS = (
     *(wire.DriveRobot, wire.DriveWheels, wire.DriveJoint, wire.MultiDrive),
     *(wire.MisPkg, wire.Set, wire.SetJoint, wire.SetFov, wire.TurnCamera),
 )
-"""Commands that are ignored while somebody else drives the client's robot."""
+"""Commands that are ignored while a user of the page drives the client's robot."""
 
 
 def pan_tilt_of(robot: RobotSpec) -> MissionPackage | None:

@@ -57,7 +57,7 @@ _CUT_MARGIN = 0.01
 
 
 class HttpRequestError(PeerError):
-    """A peer speaks HTTP: it may be a browser in which somebody else's page sends our commands."""
+    """A peer speaks HTTP: it may be a browser in which a foreign page sends our commands."""
 
 
 def refuse_http(line: str) -> None:
@@ -179,7 +179,7 @@ def parse_message(line: str) -> Message:
         if "}" in after:
             raise PeerError(f"a second '}}' follows the segment {clip(inside)}")
         words = _GAP.split(inside.strip(_SPACE), maxsplit=1)
-        if words[0]:  # an empty pair of braces says nothing
+        if words[0]:  # an empty pair of braces is ignored
             segments.append((words[0], words[1] if len(words) > 1 else ""))
     return Message(head.upper(), tuple(segments))
 

@@ -30,9 +30,9 @@ STANDS = 1e-6
 MAP = "map"
 """The world's frame."""
 UPRIGHT = mat_from_angles(np.pi / 2, 0.0, 0.0)
-"""From the frame of a scan in the x-z plane to that of its mount: ROS scans about z."""
+"""Rotation from the frame of a scan in the x-z plane to that of its mount: ROS scans about z."""
 AHEAD_IS_Z = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""From the frame of a picture to that of its camera: ROS has x to the right, y down and z ahead there."""
+"""Rotation from a picture's frame to its camera's: ROS has x to the right, y down and z ahead there."""
 UNKNOWN = -1.0
 """First number of the covariance of an unmeasured quantity."""
 

@@ -353,7 +353,7 @@ class ServedControls:
         self._clock.pause(on)
 
     def step(self, steps: int = 1) -> None:
-        """Let all worlds make some control steps, and pause them."""
+        """Make some control steps in all worlds, and pause them."""
         self._guarded(0, partial(self._clock.step, steps))
 
     def set_speed(self, factor: float) -> None:

@@ -1,4 +1,4 @@
-"""Viser's server behind a gate: viser listens by itself, with no place for a socket, a token or limits."""
+"""Viser's server behind a gate: viser listens by itself, and takes no socket, token or limits."""
 
 import asyncio
 import socket

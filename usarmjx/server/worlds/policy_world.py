@@ -167,7 +167,7 @@ class PolicyBatch(SharedBatch):
         return TaskView(world=worlds, physics=physics, readings=readings, scene=self.env.scene)
 
     def _act_on(self, views: TaskView, began: jax.Array) -> None:
-        """Let the policy act, with a fresh memory where an episode began (worlds,)."""
+        """Apply the policy's actions, with a fresh memory where an episode began (worlds,)."""
         state = self._policy_state
         obs = self._observe_all(views, state.task)
         initial = self._policy.initial_carry(self.env.worlds)

@@ -35,7 +35,7 @@ They were searched for, so that any two are far apart for people with normal, pr
 tritanopic sight.
 """
 SCALE = np.array([(213, 94, 0), (240, 228, 66), (0, 158, 115)], float)
-"""From bad over fair to good, distinct for the colour-blind, too (Okabe and Ito's colours)."""
+"""Colours from bad over fair to good, distinct for the colour-blind, too (Okabe and Ito's colours)."""
 
 
 def robot_colors(slots: np.ndarray) -> np.ndarray:

@@ -170,7 +170,7 @@ class RfidLayer(NodeLayer):
 
 
 class VictimHitLayer(NodeLayer):
-    """Where the rays of victim sensors with bShowResults ended."""
+    """Ends of the rays of victim sensors with bShowResults."""
 
     name = "Victim hits"
     about = "where rays of victim sensors with bShowResults ended: green on a victim, yellow on a false alarm"
