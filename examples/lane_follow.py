@@ -17,7 +17,7 @@ from pathlib import Path
 
 import usarmjx
 from usarmjx.client import ServerMessage, UsarsimClient
-from usarmjx.models.roads import FOOT, RouteNetwork, read_rndf, to_local_xy
+from usarmjx.models.roads import METRES_PER_FOOT, RouteNetwork, read_rndf, to_local_xy
 
 RNDF = Path(usarmjx.__file__).parent / "models" / "arenas" / "ARDA_RNDF.txt"
 ORIGIN = (34.587, -117.367)  # of DM-ARDA [degrees]
@@ -260,7 +260,7 @@ def main() -> int:
         known = ", ".join(starts)
         print(f"lane_follow: no start {options.start}; there are: {known}", file=sys.stderr)
         return 1
-    log.lane = (path.length, (network.lane(segment, lane).width or 12.0) * FOOT)
+    log.lane = (path.length, (network.lane(segment, lane).width or 12.0) * METRES_PER_FOOT)
     worst = max(map(abs, log.sideways))
     print(
         f"{log.track[-1][0] - log.track[0][0]:.1f} s on lane {options.lane}, {path.length:.0f} m long, by "

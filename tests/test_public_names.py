@@ -174,10 +174,17 @@ def names_of(face):
     return importlib.import_module(face).__all__
 
 
+def origin(module, name):
+    """The module that defines a public name, and its name there."""
+    there = imported(parsed(module)).get(name, (module, name))
+    return there if there == (module, name) else origin(*there)
+
+
 def test_faces_are_the_packages_that_list_their_names():
     files = (dev.ROOT / "usarmjx").rglob("__init__.py")
     packages = {".".join(file.parent.relative_to(dev.ROOT).parts) for file in files}
-    assert {name for name in packages if hasattr(importlib.import_module(name), "__all__")} == set(FACES)
+    listing = {name for name in packages if hasattr(importlib.import_module(name), "__all__")}
+    assert {name for name in listing if not name.startswith("usarmjx.base.")} == set(FACES)
 
 
 @pytest.mark.parametrize("face", FACES)

@@ -52,9 +52,9 @@ class _ArrayFunctions:
 
 if TYPE_CHECKING:
     xp = jnp
+    """Array functions of the active library: `jax.numpy`, or NumPy inside `numpy_backend()`."""
 else:
     xp = _ArrayFunctions()
-"""Array functions of the active library: `jax.numpy`, or NumPy inside `numpy_backend()`."""
 
 
 def named_scope(name: str) -> "_NamedScope":

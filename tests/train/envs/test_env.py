@@ -57,6 +57,23 @@ def env(request):
     return goal_env(3, request.param)
 
 
+class Halved(Env):
+    """An environment whose robots do half of what they are asked."""
+
+    def step(self, state, actions):
+        return super().step(state, tuple(group / 2 for group in actions))
+
+
+def test_a_subclass_steps_its_own_way(env):
+    assert Env.step.__doc__
+    assert "step" not in vars(env)
+    own = Halved(env.task, env.worlds, engine=env.batch.engine.name)
+    own._step_program = lambda state, actions: (state, actions)  # what it would compile
+    state, (halved,) = own.step("state", actions(env, (1.0, 0.5)))
+    assert state == "state"
+    assert halved[0, 0].tolist() == [0.5, 0.25]
+
+
 @pytest.fixture(scope="module")
 def begun(env):
     """An environment, its state after a step, and an action."""

@@ -29,7 +29,7 @@ else:
         __name__,
         {
             "usarmjx.models.roads.network": (
-                "FOOT",
+                "METRES_PER_FOOT",
                 "Lane",
                 "Mission",
                 "PointId",

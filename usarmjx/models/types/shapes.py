@@ -135,12 +135,18 @@ class Tyre:
         )
 
 
-OPAQUE, GLASS, MIRROR, FENDER, SKY = "opaque", "glass", "mirror", "fender", "sky"
-"""Values of `Shape.material`; `MATERIALS` describes them."""
+OPAQUE = "opaque"
+"""Material that stops rays, the default."""
+GLASS = "glass"
+"""Material that passes infrared and light, not sound."""
+MIRROR = "mirror"
+"""Material that reflects light, and stops other rays."""
+FENDER = "fender"
+"""Material of a grid fender: passes every ray that meets one of its holes."""
+SKY = "sky"
+"""Material that passes everything but light, is never touched and does not attenuate radio."""
 MATERIALS = (OPAQUE, GLASS, MIRROR, FENDER, SKY)
-"""Effects of a solid on rays (manual 14.1.2): glass passes infrared and light, not sound; a mirror reflects
-light; a grid fender passes every ray that meets one of its holes; the sky passes everything but light, is
-never touched and does not attenuate radio. All others stop rays."""
+"""Values of `Shape.material`: effects of a solid on rays (manual 14.1.2)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,21 +14,24 @@ from usarmjx.models.compile.victims import victim_table
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import GLASS, MIRROR
 
-(
-    OUTSIDE_LABEL,
-    SKY_LABEL,
-    ARENA_LABEL,
-    LOOSE_LABEL,
-    DOOR_LABEL,
-    VICTIM_LABEL,
-    FALSE_ALARM_LABEL,
-    WATER_LABEL,
-) = range(-1, 7)
-"""What a pixel of a segmentation shows: nothing, since it is outside of an omnidirectional camera's mirror;
-the sky; floor and fixed solids; a loose object; a door; a victim; a body part that is no victim's; water,
-which no pixel has, since it lets light through."""
+OUTSIDE_LABEL = -1
+"""Label of a pixel outside of an omnidirectional camera's mirror."""
+SKY_LABEL = 0
+"""Label of the sky."""
+ARENA_LABEL = 1
+"""Label of the floor and of fixed solids."""
+LOOSE_LABEL = 2
+"""Label of loose objects."""
+DOOR_LABEL = 3
+"""Label of doors."""
+VICTIM_LABEL = 4
+"""Label of victims."""
+FALSE_ALARM_LABEL = 5
+"""Label of body parts that are no victim's."""
+WATER_LABEL = 6
+"""Label of water, which no pixel has, since it lets light through."""
 ROBOT_LABEL = 16
-"""The robot in roster slot k has the label `ROBOT_LABEL` + k."""
+"""Label of the robot in roster slot 0; the robot in slot k has `ROBOT_LABEL` + k."""
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 INSTANCES = 1 << 16
 """An instance is its class's label times this, plus which one it is of its class; see `instances`."""
