@@ -131,6 +131,8 @@ def rows_of(kind: type, base: object = None, prefix: str = "") -> list[tuple[str
         rows.append((prefix + one.name, one.expects, shown, one.note.help))
         if one.nested is not None and one.nested is not kind:
             inner = value if isinstance(value, one.nested) else None
+            if any(part.required for part in describe(one.nested)):
+                continue  # a description as a whole, which nobody sets by parts
             rows += rows_of(one.nested, inner, f"{prefix}{one.name}.")
     return rows
 

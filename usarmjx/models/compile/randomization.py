@@ -4,7 +4,7 @@
 as fields of its model that differ between worlds (`engines.varied`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, NamedTuple
@@ -157,7 +157,8 @@ def sample_values(
         key: Random key of the world and the episode.
         ranges: The world's own ranges of some of these quantities, lowest and highest (2,).
     """
-    drawn, given = {}, ranges or {}
+    drawn: dict[str, Any] = {}
+    given = ranges or {}
     for index, (name, rule) in enumerate(QUANTITY_RULES.items()):
         if vary.range_of(name) is None:
             continue
@@ -238,7 +239,7 @@ def _motors(robot: RobotSpec) -> bool:
     return any(part.motor is not None for part in parts_of(robot))
 
 
-_INAPPLICABLE = {
+_INAPPLICABLE: dict[str, tuple[str, Callable[[RobotSpec], bool]]] = {
     "mass": ("is trimmed to its weight", _pushed),
     "wheel": ("has no wheels", lambda robot: max_wheel_radius(robot) == 0.0),
     "torque": ("has no motors at its joints to move by", lambda robot: _pushed(robot) or not _motors(robot)),

@@ -7,7 +7,7 @@ truly is.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ from flax import struct
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import Registry
+from usarmjx.base.settings import AT_LEAST_ONE, validate
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import Inboxes, MessageSettings
@@ -180,20 +181,20 @@ class Task(ABC):
     Attributes:
         about: What it is, in a sentence.
         needs_solver: What in it only an engine with a solver of contacts does, `planar` does not.
-        arena: Its arenas: a name or description of one, several of them, `GeneratedArenas`, the name of a
-            kind of generated arenas (`maze`), or `floor`, which is empty.
+        arena: Arenas: a name or description of one, several of them, `GeneratedArenas`, the name of a kind of
+            generated arenas (`maze`), or `floor`, which is empty.
         sensors: Types of sensors that the robots keep, and mounts that each is given; None: all their own.
         physics: Solver and time settings, or their name in `PHYSICS`.
         repeat: Control steps per action. `make` changes it where it sets other physics, so that an action
             lasts as long.
         episode_steps: Actions until the time is up.
-        time_limit: `end`: the task is one of so many steps, its score is over them and its agents see the
-            time that is left, so nothing follows; `truncation`: it would go on, and learners put a value in
+        time_limit: Meaning of the time limit: `end`, the score is over so many steps, the agents see the time
+            that is left and nothing follows; `truncation`, the episode would go on, and learners add a value
             for what follows.
         radio: Constants of the robots' radios; None: they have none.
-        mail: Sizes of the messages over it; None: there are none.
-        shuffle: Draw start poses at each reset instead of handing them out in the arena's order.
-        vary: What else differs between worlds and episodes: domain randomisation; None: nothing.
+        mail: Sizes of the messages over the radio; None: there are none.
+        shuffle: Draw start poses at each reset instead of taking them in the arena's order.
+        vary: Domain randomisation: what else differs between worlds and episodes; None: nothing.
     """
 
     about: ClassVar[str] = ""
@@ -202,13 +203,21 @@ class Task(ABC):
     arena: Arenas = "floor"
     sensors: tuple[str | Mount, ...] | None = None
     physics: Physics | str = "reference"
-    repeat: int = 10
-    episode_steps: int = 100
+    repeat: Annotated[int, AT_LEAST_ONE] = 10
+    episode_steps: Annotated[int, AT_LEAST_ONE] = 100
     time_limit: TimeLimit = "truncation"
     radio: RadioSettings | None = None
     mail: MessageSettings | None = None
     shuffle: bool = True
     vary: DomainRandomization | None = None
+
+    def __post_init__(self) -> None:
+        """Check the settings; a subclass with a `__post_init__` of its own calls this one.
+
+        Raises:
+            SpecError: A value that is not allowed; names the field and what is.
+        """
+        validate(self)
 
     @property
     @abstractmethod

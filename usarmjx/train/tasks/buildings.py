@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, SHARE
 from usarmjx.base.worker_processes import spread
 from usarmjx.models.compile.reachability import footprint_of
 from usarmjx.models.generate import Difficulty, generate
@@ -30,16 +32,16 @@ class Buildings(GeneratedArenas):
     would miss.
 
     Attributes:
-        roughness: Height of boards and other obstacles, from 0 to 1.
-        clutter: How much lies about, from 0 to 1.
+        roughness: Height of boards and other obstacles.
+        clutter: Amount of clutter.
         dead_ends: Share of the walls between rooms with only one doorway.
         radio_shadow: Share of the walls that count twice for the radio.
         sizes: Sizes that the arenas of a level have in turn, as `size`; none: all have that.
         near_victims: Most victims within `NEAR_START` of the first start pose. Victims are then drawn from
-            the places all over the arena where the generator would put as many as it can; None: they are
+            the positions all over the arena where the generator would put as many as it can; None: they are
             where it puts so few.
-        together: Whether robots start in the free cells nearest to the first start pose; else at those
-            nearest to it of `starts` all over the arena.
+        together: Let robots start in the free cells nearest to the first start pose; else at those nearest to
+            it of `starts` all over the arena.
     """
 
     kind: str = "building"
@@ -47,12 +49,12 @@ class Buildings(GeneratedArenas):
     levels: tuple[float, ...] = (0.4, 0.6, 0.8)
     size: tuple[int, int] = (10, 8)
     victims: int | None = 0
-    roughness: float = 0.0
-    clutter: float = 0.0
-    dead_ends: float = 0.0
-    radio_shadow: float = 1.0
-    sizes: tuple[tuple[int, int], ...] = ()
-    near_victims: int | None = None
+    roughness: Annotated[float, SHARE] = 0.0
+    clutter: Annotated[float, SHARE] = 0.0
+    dead_ends: Annotated[float, SHARE] = 0.0
+    radio_shadow: Annotated[float, SHARE] = 1.0
+    sizes: Annotated[tuple[tuple[int, int], ...], AT_LEAST_ONE] = ()
+    near_victims: Annotated[int | None, NOT_NEGATIVE] = None
     together: bool = False
 
     def difficulty(self, level: float) -> Difficulty:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError, UsageError
+from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.arda import NETWORK
 from usarmjx.models.drives import Ackermann
@@ -168,15 +169,15 @@ class Convoy(Task):
     than the lane is wide.
 
     Attributes:
-        robot: Class of the cars: one that steers its front wheels.
-        count: How many.
-        network: The route network of the arena.
-        lane: Segment and lane.
-        spacing: Between the cars at the start [m].
+        robot: Class of the cars, which steer with their front wheels.
+        count: Number of cars.
+        network: Route network of the arena.
+        lane: Segment and lane of the network, from 1.
+        spacing: Distance between the cars at the start, front to front [m].
         speeds: Lowest and highest target speed [m/s].
         standstill: Gap that is wanted at rest [m].
-        headway: More of it per speed [s].
-        price: Of ending the episode.
+        headway: Gap that is wanted in addition, per speed [s].
+        price: Price of ending the episode.
     """
 
     about: ClassVar[str] = "Cars follow a lane one behind the other."
@@ -185,13 +186,13 @@ class Convoy(Task):
     repeat: int = 5
     episode_steps: int = 300
     robot: str | RobotSpec = "Sedan"
-    count: int = 3
+    count: Annotated[int, AT_LEAST_ONE] = 3
     network: RouteNetwork = NETWORK
-    lane: tuple[int, int] = (1, 1)
-    spacing: float = 8.0
-    speeds: tuple[float, float] = (3.0, 6.0)
-    standstill: float = 3.0
-    headway: float = 1.0
+    lane: Annotated[tuple[int, int], Setting(ge=1)] = (1, 1)
+    spacing: Annotated[float, POSITIVE] = 8.0
+    speeds: Annotated[tuple[float, float], POSITIVE] = (3.0, 6.0)
+    standstill: Annotated[float, NOT_NEGATIVE] = 3.0
+    headway: Annotated[float, NOT_NEGATIVE] = 1.0
     price: float = 5.0
 
     @cached_property

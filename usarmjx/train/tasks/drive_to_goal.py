@@ -1,12 +1,13 @@
 """One robot drives to a goal: the first task, for any class of robot that has a drive."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.models.types.robot import Mount, RobotSpec
 from usarmjx.train.envs.recipe import spec_of
 from usarmjx.train.envs.task import StepResult, Task, TaskView
@@ -44,10 +45,10 @@ class DriveToGoal(Task):
 
     Attributes:
         robot: Class of the robot, or its description.
-        pose: The sensor by which it knows where it is: INS or GroundTruth.
+        pose: Sensor that gives the robot's pose: INS or GroundTruth.
         ranges: Types of range sensors; the first of them that the robot has is read.
-        radius: So near is there [m].
-        nearest: Goals are at least so far from the start, if there are such [m].
+        radius: Distance at which the goal is reached [m].
+        nearest: Smallest distance of a goal from the start, where the arena has such goals [m].
         bonus: Reward on arrival.
         haste: Price of a step.
     """
@@ -55,10 +56,10 @@ class DriveToGoal(Task):
     about: ClassVar[str] = "One robot drives to a place."
 
     robot: str | RobotSpec = "P2AT"
-    pose: str = "INS"
+    pose: Annotated[str, Setting(choices=("INS", "GroundTruth"))] = "INS"
     ranges: tuple[str, ...] = ("Sonar", "RangeScanner", "IR")
-    radius: float = 0.5
-    nearest: float = 2.0
+    radius: Annotated[float, POSITIVE] = 0.5
+    nearest: Annotated[float, NOT_NEGATIVE] = 2.0
     bonus: float = 2.0
     haste: float = 0.02
 

@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.settings import AT_LEAST_ONE, SHARE
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping.maps import FREE
@@ -37,17 +38,17 @@ class Explore(TeamTask):
     that touch. All rewards of an episode add up to its score less what the first scans are worth.
 
     Attributes:
-        robot: Class of the robots.
-        count: How many.
-        share: Of what a robot finds, what it must share with all.
+        robot: Class of the robots, or their description.
+        count: Number of robots.
+        share: Share of the reward for a find that goes to all robots alike.
     """
 
     about: ClassVar[str] = "A team explores a building."
 
     episode_steps: int = 200
     robot: str | RobotSpec = "P2AT"
-    count: int = 4
-    share: float = 0.5
+    count: Annotated[int, AT_LEAST_ONE] = 4
+    share: Annotated[float, SHARE] = 0.5
 
     @property
     def robots(self) -> tuple[RobotSpec, ...]:

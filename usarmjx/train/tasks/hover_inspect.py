@@ -1,7 +1,7 @@
 """A robot with rotors flies through windows and looks at points."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +10,7 @@ from flax import struct
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.models.arenas.elements import block
 from usarmjx.models.drives import RotaryWing
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
@@ -98,15 +99,15 @@ class HoverInspect(Task):
     (`wall_clearance`); when its origin is higher than the walls.
 
     Attributes:
-        robot: Class of the robot: one with rotors.
-        rooms: How many rooms, 1 to 5.
-        dwell: Steps for which to look at a point.
-        near: So near is near enough [m].
-        view: Half of the angle that counts as looking at [rad].
-        touch: What is so near is touched [m].
+        robot: Class of the robot, one with rotors.
+        rooms: Number of rooms.
+        dwell: Steps in a row for which the robot looks at a point.
+        near: Largest distance from which a point counts as looked at [m].
+        view: Half of the angle within which a point counts as looked at [rad].
+        touch: Distance from a wall that counts as contact [m].
         bonus: Reward for a point.
         haste: Price of a step.
-        price: Of touching, and of leaving.
+        price: Price of contact, and of leaving.
     """
 
     about: ClassVar[str] = "A robot flies through windows and looks at points."
@@ -114,11 +115,11 @@ class HoverInspect(Task):
     repeat: int = 10
     episode_steps: int = 250
     robot: str | RobotSpec = "AirRobot"
-    rooms: int = 3
-    dwell: int = 5
-    near: float = 2.0
-    view: float = 0.35
-    touch: float = 0.01
+    rooms: Annotated[int, Setting(ge=1, le=5)] = 3
+    dwell: Annotated[int, AT_LEAST_ONE] = 5
+    near: Annotated[float, POSITIVE] = 2.0
+    view: Annotated[float, POSITIVE] = 0.35
+    touch: Annotated[float, NOT_NEGATIVE] = 0.01
     bonus: float = 2.0
     haste: float = 0.01
     price: float = 3.0

@@ -3,13 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.settings import AT_LEAST_ONE
 from usarmjx.comms.links import reachable
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.radio import world_radio
@@ -66,8 +67,8 @@ class RelayChain(TeamTask):
     equal parts.
 
     Attributes:
-        robot: Class of the robots.
-        count: How many.
+        robot: Class of the robots, or their description.
+        count: Number of robots.
     """
 
     about: ClassVar[str] = "Robots carry the radio of a base into a building."
@@ -75,7 +76,7 @@ class RelayChain(TeamTask):
     arena: Arenas = field(default_factory=partial(Buildings, renewable=True))
     episode_steps: int = 400
     robot: str | RobotSpec = "P2AT"
-    count: int = 5
+    count: Annotated[int, AT_LEAST_ONE] = 5
 
     @property
     def robots(self) -> tuple[RobotSpec, ...]:

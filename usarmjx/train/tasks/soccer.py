@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ from flax.struct import PyTreeNode
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
+from usarmjx.base.settings import Setting
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import BYTES_PER_NUMBER, Inboxes, MessageSettings, OutgoingMessages
@@ -259,8 +260,8 @@ class Soccer(Task):
     it; with that the episode ends. A mean of scores is goals less goals against per episode.
 
     Attributes:
-        opponent: Who drives yellow: `self`, the agents, with the same policy as blue's; `baseline`, the
-            policy written by hand; `still`, nobody. But for `self` only blue's robots are agents.
+        opponent: Driver of yellow: `self`, the agents, with the policy of blue; `baseline`; `still`, none.
+            But for `self` only blue's robots are agents.
         bonus: Reward for a goal.
         approach: Reward per metre nearer to the ball.
     """
@@ -274,7 +275,7 @@ class Soccer(Task):
     time_limit: TimeLimit = "end"
     radio: RadioSettings | None = field(default_factory=RadioSettings)
     mail: MessageSettings | None = MAIL_SETTINGS
-    opponent: str = "self"
+    opponent: Annotated[str, Setting(choices=("self", "baseline", "still"))] = "self"
     bonus: float = 5.0
     approach: float = 0.2
 

@@ -1,7 +1,7 @@
 """A tracked robot climbs a flight of stairs, with the help of its flippers if it has some."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +10,7 @@ from flax import struct
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE
 from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots.kit import ENCODER_AXIS
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
@@ -84,14 +85,14 @@ class Stairs(Task):
     plus that of the stairs, and its up axis less than 18 degrees off (cosine 0.95).
 
     Attributes:
-        robot: Class of the robot: one on tracks or wheels that skid.
-        steps: How many steps.
+        robot: Class of the robot, on tracks or on wheels that skid.
+        steps: Number of steps of the stairs.
         rise: Height of a step [m].
         going: Depth of a step [m]. 0.18 by 0.257 makes 35 degrees.
         bonus: Reward on arrival.
         haste: Price of a step of time.
-        price: Of a fall.
-        seed: Of the start poses.
+        price: Price of a fall.
+        seed: Seed of the start poses.
     """
 
     about: ClassVar[str] = "A tracked robot climbs stairs."
@@ -100,13 +101,13 @@ class Stairs(Task):
     repeat: int = 5
     episode_steps: int = 200
     robot: str | RobotSpec = "Kenaf"
-    steps: int = 6
-    rise: float = 0.18
-    going: float = 0.257
+    steps: Annotated[int, AT_LEAST_ONE] = 6
+    rise: Annotated[float, POSITIVE] = 0.18
+    going: Annotated[float, POSITIVE] = 0.257
     bonus: float = 2.0
     haste: float = 0.01
     price: float = 2.0
-    seed: int = 0
+    seed: Annotated[int, NOT_NEGATIVE] = 0
 
     @property
     def robots(self) -> tuple[RobotSpec, ...]:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,7 @@ from flax import struct
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import Part, set_rows
 from usarmjx.base.rotations import wrap_angle
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, SHARE
 from usarmjx.base.transforms import flip_angles, flip_vector
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import BYTES_PER_NUMBER, MessageSettings
@@ -308,10 +309,10 @@ class TeamTask(Task):
     Attributes:
         cell: Side of a map's squares [m].
         passing: Class of the robot that decides which squares are reached.
-        talk: Whom robots send messages to: all others, the base station only, or nobody.
-        touch: What is so near is touched [m].
-        price: Of a contact, in points of the score.
-        advice: Whether the robots observe what their planner advises.
+        talk: Receivers of the robots' messages: all others, the base station only, or none.
+        touch: Distance from an obstacle that counts as contact [m].
+        price: Price of a contact, in points of the score.
+        advice: Let the robots observe the advice of their planner.
         haste: Share of the points for a find that it loses by coming at the end of the episode instead of at
             the start, the less the sooner it comes: at 1 it pays for the time that is left, at 0 it pays the
             same whenever it comes.
@@ -326,13 +327,13 @@ class TeamTask(Task):
     time_limit: TimeLimit = "end"
     radio: RadioSettings | None = WALLED_RADIO
     shuffle: bool = False
-    cell: float = 0.3
+    cell: Annotated[float, POSITIVE] = 0.3
     passing: str = "P2AT"
     talk: Talk = "all"
-    touch: float = 0.01
+    touch: Annotated[float, NOT_NEGATIVE] = 0.01
     price: float = 0.2
     advice: bool = True
-    haste: float = 1.0
+    haste: Annotated[float, SHARE] = 1.0
 
     def scene(self) -> Scene:
         """Return the scene, with room for maps in its messages if nothing else is said."""

@@ -3,13 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.settings import POSITIVE
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.comms.links import reachable
 from usarmjx.models.types.robot import RobotSpec
@@ -165,13 +166,13 @@ class VictimSearch(TeamTask):
         wheeled: Robots on wheels.
         tracked: Robots on tracks with flippers, which they hold up.
         flying: Robots that fly above the walls and look down.
-        near: So near to a victim is a mark right [m].
+        near: Distance from a victim within which a mark is right [m].
         wrong: Price of a square wrongly marked.
-        hint: Reward for what a robot explores.
-        return_speed: With which robots reckon to be home in time, as the crow flies [m/s].
-        seek_home: Whether robots that have to go home and know no way look for one at frontiers near the
-            base; else they wait where they are.
-        fence: Whether robots that fly are kept above the building.
+        hint: Reward for squares that a robot explores.
+        return_speed: Speed with which robots plan to be home in time, in a straight line [m/s].
+        seek_home: Let robots that have to go home and know no way look for one at frontiers near the base;
+            else they wait.
+        fence: Keep robots that fly above the building.
     """
 
     about: ClassVar[str] = "A mixed team finds victims and reports them over the radio."
@@ -182,10 +183,10 @@ class VictimSearch(TeamTask):
     wheeled: tuple[str, ...] = ("P2AT",) * 4
     tracked: tuple[str, ...] = ("kenaf",) * 2
     flying: tuple[str, ...] = ("AirRobot",) * 2
-    near: float = 1.5
+    near: Annotated[float, POSITIVE] = 1.5
     wrong: float = 0.5
     hint: float = 0.05
-    return_speed: float = 0.3
+    return_speed: Annotated[float, POSITIVE] = 0.3
     seek_home: bool = False
     fence: bool = False
 

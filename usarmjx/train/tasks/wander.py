@@ -1,13 +1,14 @@
 """One robot goes about and touches nothing."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE
 from usarmjx.models.types.robot import Mount, RobotSpec
 from usarmjx.train.envs.recipe import Arenas, spec_of
 from usarmjx.train.envs.task import StepResult, Task, TaskView
@@ -43,8 +44,8 @@ class Wander(Task):
         robot: Class of the robot, or its description.
         ranges: Types of range sensors; the first of them that the robot has is read.
         square: Side of a square [m]; the first one begins at the lowest corner of the arena's extent.
-        touch: What is so near is touched [m].
-        price: Of a contact.
+        touch: Distance from an obstacle that counts as contact [m].
+        price: Price of a contact.
     """
 
     about: ClassVar[str] = "One robot goes about and touches nothing."
@@ -53,8 +54,8 @@ class Wander(Task):
     episode_steps: int = 300
     robot: str | RobotSpec = "P2AT"
     ranges: tuple[str, ...] = ("Sonar", "RangeScanner", "IR")
-    square: float = 1.2
-    touch: float = 0.01
+    square: Annotated[float, POSITIVE] = 1.2
+    touch: Annotated[float, NOT_NEGATIVE] = 0.01
     price: float = 5.0
 
     @property
