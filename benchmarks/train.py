@@ -3,7 +3,7 @@
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.baselines import PHYSICS_NAMES, check_word, missing, physics_baselines
+from benchmarks.baselines import PHYSICS_NAMES, missing, physics_baselines
+from benchmarks.cases import BaselineOptions, TrainCase
 from benchmarks.scenes import sizes
 from benchmarks.tools import append_record, record_header, spread_of
 from usarmjx.base.errors import UsageError, UsarmjxError
@@ -22,6 +23,7 @@ from usarmjx.train.learning.run_record import RunRecord, load_record
 from usarmjx.train.make import make_task
 from usarmjx.train.policies.sources import task_settings
 
+USUAL = BaselineOptions()
 STEPS, REPEATS = 5, 3
 """Control steps of a repeat, and repeats, of what is measured beside a run."""
 DIGITS = 4
@@ -43,22 +45,21 @@ def train_record(
         folder: Of the run.
         baseline: Score of the policy written by hand.
         note: What a reader of the record must know.
-        baselines: What is measured of the task's scene beside it, of `baselines.WORDS`.
+        baselines: What is measured of the task's scene beside it, of `cases.BASELINES`.
 
     Raises:
         UsageError: The folder is no run, or no episode has ended in it.
     """
     run, curve, lines = load_record(folder), curve_of_run(folder), read_lines(folder / "metrics.jsonl")
     rates = [line["steps_per_s"] for line in lines]
-    check_word(baselines)
     header = record_header("train", note=note)
     usual = task_config(run.task, gpu=on_gpu(run.engine))
-    changed = differences(usual, run.config, but=("steps", "worlds", "seed"))
+    changed = differences(usual, run.config, but=("total_steps", "num_worlds", "seed"))
     return {
         **header,
         "case": {
             "task": run.task,
-            "worlds": run.config.worlds,
+            "worlds": run.config.num_worlds,
             "engine": run.engine,
             "seed": run.config.seed,
         },
@@ -66,7 +67,7 @@ def train_record(
         "rates": {"training": spread_of("agent-steps/s", rates[1:] or rates)},
         "task": run.task,
         "engine": run.engine,
-        "worlds": run.config.worlds,
+        "worlds": run.config.num_worlds,
         "processes": run.processes,
         "seed": run.config.seed,
         "settings": {"task": run.overrides, "training": changed},
@@ -96,17 +97,20 @@ def _scene_beside(run: RunRecord, baselines: str) -> dict[str, Any]:
         except UsarmjxError as error:
             reason = str(error)
         else:
-            found = physics_baselines(scene, run.config.worlds, STEPS, REPEATS, baselines)
+            found = physics_baselines(scene, run.config.num_worlds, STEPS, REPEATS, baselines)
             return {"scene": sizes(scene), "baselines": found}
     return {"scene": None, "baselines": {name: missing(reason) for name in PHYSICS_NAMES}}
 
 
-def record_run(
-    folder: Path, baseline: float | None, file: Path | None, note: str = "", baselines: str = "none"
-) -> str:
-    """Append the record of a run to a file; return it in a line."""
-    record = train_record(folder, baseline, note, baselines)
-    append_record(record, file)
+def record_run(folder: Path, baseline: float | None, options: BaselineOptions) -> str:
+    """Append the record of a run to a file; return it in a line.
+
+    Raises:
+        UsageError: See `train_record`; or no such word for baselines.
+    """
+    options.check()
+    record = train_record(folder, baseline, options.note, options.baselines)
+    append_record(record, options.json)
     reached, text = record["baseline_reached_s"], ""
     if baseline is not None:
         text = f"; baseline {baseline:g} " + ("not reached" if reached is None else f"after {reached:.0f} s")
@@ -117,41 +121,7 @@ def record_run(
     )
 
 
-DEFAULT_STEPS = 200_000
-"""Agent steps unless told."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainCase:
-    """A training.
-
-    Attributes:
-        task: What is learned.
-        worlds: Worlds; None: those of the task.
-        steps: Agent steps.
-        engine: Of the physics.
-        seed: Of all random numbers.
-        settings: Of the training or the task, as `key=value`.
-    """
-
-    task: str
-    worlds: int | None = None
-    steps: int = DEFAULT_STEPS
-    engine: str = "auto"
-    seed: int = 0
-    settings: tuple[str, ...] = ()
-
-    def words(self, out: Path) -> list[str]:
-        """Return its command line."""
-        words = ["train", self.task, "--out", str(out), "--steps", str(self.steps), "--quiet"]
-        words += ["--engine", self.engine, "--seed", str(self.seed)]
-        words += [] if self.worlds is None else ["--worlds", str(self.worlds)]
-        return [*words, *(word for setting in self.settings for word in ("--set", setting))]
-
-
-def measure_training(
-    case: TrainCase, baseline: float | None, file: Path | None, note: str = "", baselines: str = "all"
-) -> str:
+def measure_training(case: TrainCase, baseline: float | None, options: BaselineOptions = USUAL) -> str:
     """Train in a process of its own, append the record of the run to a file, and return it in a line.
 
     Raises:
@@ -164,4 +134,4 @@ def measure_training(
         if done.returncode:
             said = [line for line in done.stderr.splitlines() if line.strip()]
             raise UsageError(f"the training failed: {said[-1] if said else done.returncode}")
-        return record_run(run, baseline, file, note, baselines)
+        return record_run(run, baseline, options)

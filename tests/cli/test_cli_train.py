@@ -76,7 +76,7 @@ def test_a_run_is_in_a_folder_of_its_task_and_goes_on_with_its_settings(tmp_path
         invoke("train", "drive-to-goal", "--resume").exit_code == 0
     )  # nothing is there: left to the trainer
     assert asked.pop() == (config, folder, True, EnvArguments("auto"))
-    before = Config(worlds=3, minibatches=3, seed=5, memory=7)
+    before = Config(num_worlds=3, num_minibatches=3, seed=5, gru_size=7)
     shape = {"groups": (), "privileged_size": 0, "episode_steps": 7, "period": 0.2, "processes": 1}
     folder.mkdir(parents=True)
     RunRecord(

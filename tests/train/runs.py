@@ -17,16 +17,16 @@ PROGRAM = ("-m", "tests.train.runs")
 """This module as a program, for Python in the folder of the project."""
 
 CONFIG = Config(
-    steps=24_000,  # 10 iterations of 25 steps of 32 worlds of 3 robots
-    worlds=32,
-    rollout=25,
-    schedule="linear",  # `adaptive` decides by thresholds: rounding could tip it
+    total_steps=24_000,  # 10 iterations of 25 steps of 32 worlds of 3 robots
+    num_worlds=32,
+    rollout_length=25,
+    lr_schedule="linear",  # `adaptive` decides by thresholds: rounding could tip it
     learning_rate=1e-3,
-    discount=0.9,
-    layers=(32, 32),
-    critic_layers=(32, 32),
-    checkpoint_every=1,
-    keep=2,
+    gamma=0.9,
+    hidden_sizes=(32, 32),
+    critic_hidden_sizes=(32, 32),
+    checkpoint_interval=1,
+    keep_checkpoints=2,
 )
 NOT_REPEATABLE = ("steps_per_s",)
 PATIENCE = 600

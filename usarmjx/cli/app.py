@@ -8,12 +8,10 @@ import typer
 from typer.core import TyperGroup
 
 import usarmjx
-from benchmarks import commands
-from benchmarks.chaos import command as chaos
-from tools import sensor_figures
 from usarmjx.cli import (
     arena,
     calibrate,
+    checkout,
     demo,
     doctor,
     evaluation,
@@ -125,7 +123,7 @@ def root(
     del version
 
 
-app.add_typer(commands.app, name="bench")
+checkout.add_benchmarks(app)
 app.add_typer(arena.app, name="arena")
 app.add_typer(sweep.app, name="sweep")
 app.add_typer(train.app)
@@ -136,7 +134,6 @@ app.command("list")(listing.list_everything)
 app.command()(pictures.portraits)
 app.command()(serve.serve)
 app.command()(calibrate.calibrate)
-app.command()(chaos.chaos)
 app.command()(console.console)
 app.command("radio-map")(pictures.radio_map)
 app.command()(recordings.view)
@@ -144,7 +141,6 @@ app.command()(recordings.plot)
 app.command()(recordings.replay)
 app.command()(demo.demo)
 app.command()(doctor.doctor)
-app.command("sensor-plots")(sensor_figures.sensor_plots)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

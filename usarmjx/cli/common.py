@@ -1,6 +1,7 @@
 """What the commands of all sub-applications share."""
 
 import inspect
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from copy import copy
@@ -13,6 +14,7 @@ from typer.models import OptionInfo
 
 from usarmjx.base.errors import UsageError, UsarmjxError
 from usarmjx.base.files import disk_error
+from usarmjx.base.settings import RenamedSettingWarning
 from usarmjx.cli.completion import complete_arenas, complete_engines, complete_robots
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -88,10 +90,23 @@ class ErrorExit:
     """
 
     def __enter__(self) -> None:
-        """Begin."""
+        """Begin; from now on old names of settings are reported, a line each."""
+        self._warnings = warnings.catch_warnings()
+        self._warnings.__enter__()
+        warnings.simplefilter("always", RenamedSettingWarning)
+        usual = warnings.showwarning
+
+        def report(message: Warning | str, category: type[Warning], *where: Any) -> None:  # noqa: ANN401
+            if issubclass(category, RenamedSettingWarning):
+                typer.echo(f"usarmjx: {message}", err=True)
+            else:
+                usual(message, category, *where)
+
+        warnings.showwarning = report
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> bool:
         """End the command if the error is one of ours, or a disk's."""
+        self._warnings.__exit__(None, None, None)
         text = str(error) if isinstance(error, UsarmjxError) else None
         if isinstance(error, OSError) and (reason := disk_error(error)):
             text = f"{error.filename or 'the output'}: {reason}"

@@ -25,7 +25,7 @@ from usarmjx.base.settings import (
     to_text,
     to_yaml,
 )
-from usarmjx.cli.tools import ErrorExit
+from usarmjx.cli.common import ErrorExit
 
 METAVARS: dict[Any, str] = {int: "N", float: "NUMBER", Path: "PATH"}
 MOST_LISTED = 4

@@ -5,19 +5,33 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, cast
 
 import typer
+from typer.core import TyperCommand
 
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.base.settings import (
+    FileValue,
+    Text,
+    default_reader,
+    describe,
+    parse_assignments,
+    read_file,
+    summary,
+    to_data,
+    to_text,
+    to_yaml,
+)
 from usarmjx.cli.common import ErrorExit, OldOutArgument, chosen_out
 from usarmjx.cli.completion import complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption
 from usarmjx.cli.recordings import RecordOption, export_recording
+from usarmjx.cli.setting_options import ConfigOption, PrintConfigOption, help_table, option_name
 from usarmjx.cli.startup_messages import announce, say, tried_on
 from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
 from usarmjx.server.runtime.signals import PARENT_PIPE
@@ -25,6 +39,7 @@ from usarmjx.server.runtime.signals import PARENT_PIPE
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env
     from usarmjx.train.envs.state import EnvState
+    from usarmjx.train.envs.task import Task
     from usarmjx.train.learning.config import Config
     from usarmjx.train.learning.fine_tuning import TrainedNetworks
     from usarmjx.train.learning.run_record import EnvArguments
@@ -32,16 +47,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainOptions:
-    """What is asked for, by options of their own and by `--set`.
+    """Options of a training, as typed.
 
     Attributes:
         out: Folder of the run.
-        engine: Its name, or `auto`.
-        resume: Go on with the run in the folder.
-        source: Folder of the run whose networks are begun with; None: random ones.
-        checkpoint: Of that run.
-        given: Settings with options of their own, those that were given.
-        pairs: Others, as typed.
+        engine: Name of the engine, or `auto`.
+        resume: Whether to go on with the run in the folder.
+        source: Folder of the run whose networks the new run begins with; None: random ones.
+        checkpoint: Checkpoint of that run.
+        config: File of settings; None: there is none.
+        given: Values of options of their own, by field of `Config`.
+        pairs: Settings of the training and fields of the task, `name=value` each.
     """
 
     out: Path
@@ -49,29 +65,46 @@ class TrainOptions:
     resume: bool = False
     source: Path | None = None
     checkpoint: str = "best"
+    config: Path | None = None
     given: dict[str, Any]
     pairs: list[str]
 
-    @property
-    def typed(self) -> set[str]:
-        """Keys of what `--set` sets."""
-        return {pair.partition("=")[0] for pair in self.pairs}
 
-    def within(self, settings: dict[str, Any], fields: dict[str, str]) -> "TrainOptions":
-        """Return these with settings and fields of the task that hold where nothing else is asked for."""
-        pairs = [f"{key}={text}" for key, text in fields.items() if key not in self.typed]
-        kept = {key: value for key, value in settings.items() if key not in self.typed}
-        return replace(self, given={**kept, **self.given}, pairs=[*pairs, *self.pairs])
+@dataclass(frozen=True, kw_only=True)
+class RunSettings:
+    """Settings that are asked for.
+
+    Attributes:
+        training: Checked values by field of `Config`.
+        fields: Fields of the task as texts, those of nested settings by names with dots.
+    """
+
+    training: dict[str, Any]
+    fields: dict[str, str]
+
+    def over(self, training: dict[str, Any], fields: dict[str, str]) -> "RunSettings":
+        """Return these over settings and fields that hold where nothing else is asked for."""
+        kept = {name: text for name, text in fields.items() if not self._replaces(name)}
+        return RunSettings(training={**training, **self.training}, fields={**kept, **self.fields})
+
+    def _replaces(self, name: str) -> bool:
+        """Return whether these replace a field; parts of physics change the named one instead."""
+        parts = name != "physics" and any(own.startswith(f"{name}.") for own in self.fields)
+        return parts or name.partition(".")[0] in self.fields
+
+    def beyond(self, other: "RunSettings") -> list[str]:
+        """Return the fields that the other settings do not have, `name=text` each."""
+        return [f"{name}={text}" for name, text in self.fields.items() if name not in other.fields]
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunPlan:
-    """What is run.
+    """Everything that a run is started with.
 
     Attributes:
         config: Settings of the training.
         overrides: Fields of the task that are set otherwise.
-        origin: Engine, and the same fields as typed.
+        origin: Engine, and the same fields as texts.
         source: Networks to begin with.
     """
 
@@ -82,92 +115,129 @@ class RunPlan:
 
 
 def plan_run(task: str, options: TrainOptions) -> RunPlan:
-    """Return what is run when that is asked for; a line tells what nobody has typed.
+    """Return the plan of a run, after a line about the defaults of its task that are not those of all tasks.
 
     Raises:
         UnknownNameError: No such task, engine, setting or field; lists those there are.
-        UsageError: A value that does not read, or no networks to begin with.
+        UsageError: A value that is not allowed, or no networks to begin with.
     """
+    from usarmjx.train.learning.config import on_gpu, task_config
     from usarmjx.train.learning.run_record import EnvArguments
+    from usarmjx.train.make import make_task, task_values
 
-    source, notice = None, ""
+    known = make_task(task)
+    source, notice, engine, asked = None, "", options.engine, read_settings(known, options)
     if options.resume:
-        options = _as_before(options)
+        engine, asked = _as_before(options, asked)
     else:
         if options.source is not None:
             from usarmjx.train.learning.fine_tuning import load_trained
 
             source = load_trained(options.source, options.checkpoint)
-            options = _as_trained(task, source, options)
-        options, notice = _as_usual(task, options)
-    config, overrides = _split_settings(task, options)
+            asked = _as_trained(task, source, asked)
+        engine, asked, notice = _as_usual(task, engine, asked)
+    config = task_config(task, gpu=on_gpu(engine), **asked.training)
+    overrides = task_values(known, asked.fields)
     if notice:  # once nothing is wrong with what was typed
         say(notice)
-    texts = dict(pair.split("=", 1) for pair in options.pairs)
-    origin = EnvArguments(options.engine, {key: texts[key] for key in overrides})
-    return RunPlan(config=config, overrides=overrides, origin=origin, source=source)
+    return RunPlan(
+        config=config, overrides=overrides, origin=EnvArguments(engine, asked.fields), source=source
+    )
 
 
-def _as_before(options: TrainOptions) -> TrainOptions:
-    """Return settings, fields and engine as the run was started, unless asked for otherwise."""
+def read_settings(task: "Task", options: TrainOptions) -> RunSettings:
+    """Return the settings of file, `--set` and options of their own, in this order; the last one counts.
+
+    A name that `Config` has, or had in the version before, is one of the training.
+
+    Raises:
+        UnknownNameError: Neither the training nor the task has such a setting; lists those there are.
+        UsageError: A value that is not allowed, or one that is given twice.
+    """
+    from usarmjx.train.learning.config import Config
+
+    reader = default_reader()
+    known, own = reader.names(Config), reader.names(type(task))
+    data, texts = _config_file(options.config), parse_assignments(options.pairs, "--set")
+    for name, value in {**data, **texts}.items():
+        if name.partition(".")[0] not in known.keys() | own.keys():
+            where = value.place if isinstance(value, FileValue | Text) else ""
+            names = ", ".join(dict.fromkeys([*own.values(), *known.values()]))
+            raise UnknownNameError(
+                f"{where}: the task and its training have no setting {name!r}; they have: {names}"
+            )
+    first = reader.values(Config, {name: value for name, value in data.items() if name in known})
+    typed = reader.values(Config, {name: text for name, text in texts.items() if name in known})
+    if twice := sorted(options.given.keys() & typed.keys()):
+        raise UsageError(f"{twice[0]} is given twice, by {option_name(twice[0])} and by --set")
+    mine = {name: value for name, value in data.items() if name not in known}
+    reader.values(type(task), mine, base=task)
+    fields = {name: text for key, value in mine.items() for name, text in _as_texts(key, value)}
+    asked = RunSettings(training={}, fields={name: text for name, text in texts.items() if name not in known})
+    return replace(asked.over({}, fields), training={**first, **typed, **options.given})
+
+
+def _config_file(path: Path | None) -> dict[str, Any]:
+    return {} if path is None else dict(read_file(path).mapping())
+
+
+def _as_texts(name: str, value: FileValue) -> Iterator[tuple[str, str]]:
+    """Yield a field of a file as texts that `--set` reads, those of nested settings by names with dots."""
+    if isinstance(value.data, dict):
+        for key, item in value.data.items():
+            yield from _as_texts(f"{name}.{key}", item)
+    else:
+        yield name, to_text(value.plain())
+
+
+def _as_before(options: TrainOptions, asked: RunSettings) -> tuple[str, RunSettings]:
+    """Return engine and settings as the run was started, unless asked for otherwise."""
     from usarmjx.train.learning.run_record import RECORD_FILE, load_record
 
     if not (options.out / RECORD_FILE).exists():
-        return options
+        return options.engine, asked
     record = load_record(options.out)
-    before = options.within(vars(record.config), record.overrides)
-    return replace(before, engine=record.engine if options.engine == "auto" else options.engine)
+    engine = record.engine if options.engine == "auto" else options.engine
+    return engine, asked.over(vars(record.config), record.overrides)
 
 
 def recorded_engine(out: Path) -> str:
-    """Return the engine that a run was started with, before JAX is imported; `auto` where none is told."""
+    """Return the engine that a run was started with, before JAX is imported; `auto` if there is no record."""
     try:
         return str(json.loads((out / "config.json").read_text())["engine"])
-    except (OSError, ValueError, KeyError, TypeError):  # `load_record` says what is wrong with it
+    except (OSError, ValueError, KeyError, TypeError):  # `load_record` refuses the file
         return "auto"
 
 
-def _as_trained(task: str, source: "TrainedNetworks", options: TrainOptions) -> TrainOptions:
-    """Return networks' settings and, of the same task, fields as those were trained with, but for physics."""
+def _as_trained(task: str, source: "TrainedNetworks", asked: RunSettings) -> RunSettings:
+    """Return the networks' settings and, of the same task, the fields that they were trained with.
+
+    Physics is left out: a run may begin with networks of other physics.
+    """
     from usarmjx.train.make import same_class
 
     same = same_class(task, source.record.task)
-    fields = {key: text for key, text in source.record.overrides.items() if same and key != "physics"}
-    chosen = options.within(source.settings, fields)
-    say("; ".join([source.describe(), *chosen.pairs[: len(chosen.pairs) - len(options.pairs)]]))
+    fields = {
+        name: text
+        for name, text in source.record.overrides.items()
+        if same and name.partition(".")[0] != "physics"
+    }
+    chosen = asked.over(source.settings, fields)
+    say("; ".join([source.describe(), *chosen.beyond(asked)]))
     return chosen
 
 
-def _as_usual(task: str, options: TrainOptions) -> tuple[TrainOptions, str]:
-    """Return what trainings of the task have unless asked for otherwise, and what to say of it."""
+def _as_usual(task: str, engine: str, asked: RunSettings) -> tuple[str, RunSettings, str]:
+    """Return engine and settings of the task's trainings unless asked for otherwise, and a notice."""
     from usarmjx.engines import choose_engine
     from usarmjx.train.learning.config import training_engine, training_fields
 
-    engine = training_engine(task, options.engine)
-    chosen = replace(options.within({}, training_fields(task, engine)), engine=engine)
-    if engine == choose_engine(options.engine, "train"):
-        return chosen, ""
-    usual = chosen.pairs[: len(chosen.pairs) - len(options.pairs)]
-    return chosen, ", ".join([f"{task} trains on engine {engine} unless another is named", *usual])
-
-
-def _split_settings(task: str, options: TrainOptions) -> tuple["Config", dict[str, Any]]:
-    """Return the settings of the training, and the fields of the task that are set otherwise."""
-    from dataclasses import asdict, fields
-
-    from usarmjx.train.learning.config import Config, on_gpu, parse_settings, task_config
-    from usarmjx.train.make import make_task
-
-    chosen = make_task(task)
-    own = {field.name: getattr(chosen, field.name) for field in fields(chosen)}
-    simple = {
-        name: value for name, value in own.items() if isinstance(value, str | bool | int | float | tuple)
-    }
-    training = asdict(Config())
-    found = parse_settings(options.pairs, {**simple, **training}, f"{task} and its training")
-    overrides = {key: value for key, value in found.items() if key not in training}
-    chosen_here = {**options.given, **{key: value for key, value in found.items() if key in training}}
-    return task_config(task, gpu=on_gpu(options.engine), **chosen_here), overrides
+    usual = training_engine(task, engine)
+    chosen = asked.over({}, training_fields(task, usual))
+    if usual == choose_engine(engine, "train"):
+        return usual, chosen, ""
+    line = f"{task} trains on engine {usual} unless another is named"
+    return usual, chosen, ", ".join([line, *chosen.beyond(asked)])
 
 
 HOST = "127.0.0.1"
@@ -179,12 +249,47 @@ SetOption = Annotated[
     typer.Option(
         "--set",
         "-c",
-        help="A setting of the training or a field of the task, key=value; may be repeated.",
+        metavar="NAME=VALUE",
+        help="A setting of the training or the task, see `usarmjx train TASK --help`; may be repeated.",
     ),
 ]
 
 
-@app.command()
+class TrainCommand(TyperCommand):
+    """`usarmjx train`, whose help lists the settings of the task that is named."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - click's, or typer's own copy
+        """Parse the words after `usarmjx train`, and keep them for the help."""
+        ctx.meta[self.name] = list(args)
+        return super().parse_args(ctx, args)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - as above
+        """Write the help, and the settings of a task that is named before or after `--help`."""
+        super().format_help(ctx, formatter)
+        words = [word.removeprefix("--task=") for word in ctx.meta.get(self.name, ())]
+        names = [word for word in words if not word.startswith("-")]
+        if names:
+            typer.echo(settings_help(names))
+
+
+def settings_help(names: Sequence[str]) -> str:
+    """Return the settings of the training and the fields of the first task among some words; else nothing."""
+    from usarmjx.train.learning.config import Config, task_config
+    from usarmjx.train.make import is_own, make_task
+    from usarmjx.train.tasks import TASKS
+
+    task = next((name for name in names if is_own(name) or name in TASKS), None)
+    if task is None:
+        return ""
+    found = make_task(task)
+    tables = (
+        (f"Settings of the training of {task}, on a CPU", Config, task_config(task)),
+        (f"Settings of the task {task}", type(found), found),
+    )
+    return "\n\n".join(help_table(*table) for table in tables) + "\n"
+
+
+@app.command(cls=TrainCommand, epilog="`usarmjx train TASK --help` lists the settings of a task.")
 def train(
     named: Annotated[
         str | None,
@@ -198,11 +303,11 @@ def train(
     out: Annotated[
         Path | None, typer.Option(help="Folder of the run; runs/TASK if none is given.", show_default=False)
     ] = None,
-    worlds: Annotated[
+    num_worlds: Annotated[
         int | None,
         typer.Option(min=1, help="Worlds in all; each task has its number, and more on a GPU."),
     ] = None,
-    steps: Annotated[
+    total_steps: Annotated[
         int | None, typer.Option(min=1, help="Agent steps in all; each task has its number.")
     ] = None,
     seed: Annotated[
@@ -210,6 +315,8 @@ def train(
     ] = None,
     engine: PolicyEngineOption = "auto",
     settings: SetOption = None,
+    config: ConfigOption = None,
+    print_config: PrintConfigOption = False,
     resume: Annotated[
         bool,
         typer.Option("--resume", help="Go on where the run in the folder was left, with its settings."),
@@ -245,7 +352,7 @@ def train(
         int, typer.Option(min=1, help="With --record: of so many iterations one is kept, of 4 worlds.")
     ] = 50,
 ) -> None:
-    """Train a policy for a task. An unknown --set key lists what may be set."""
+    """Train a policy for a task."""
     with ErrorExit():
         task = _task_of(named, task)
         if resume and source is not None:
@@ -253,6 +360,20 @@ def train(
         if source is None and checkpoint != "best":
             raise UsageError("--checkpoint says which one of the run that --from names: name that, too")
         out = out or Path("runs") / task.rpartition(":")[2].removesuffix(".py")
+        typed = {"num_worlds": num_worlds, "total_steps": total_steps, "seed": seed}
+        options = TrainOptions(
+            out=out,
+            engine=engine,
+            resume=resume,
+            source=source,
+            checkpoint=checkpoint,
+            config=config,
+            given={key: value for key, value in typed.items() if value is not None},
+            pairs=settings or [],
+        )
+        if print_config:
+            typer.echo(config_text(task, options), nl=False)
+            return
         from usarmjx.train.learning.processes import process_info, spawn
 
         joined = process_info(os.environ)
@@ -275,20 +396,38 @@ def train(
                 watchers.append(_ShownTraining(page, f"{task}, in training"))
             if record is not None and process.index == 0:
                 watchers.append(_RecordedTraining(record, record_every))
-            typed = {"worlds": worlds, "steps": steps, "seed": seed}
-            options = TrainOptions(
-                out=out,
-                engine=engine,
-                resume=resume,
-                source=source,
-                checkpoint=checkpoint,
-                given={key: value for key, value in typed.items() if value is not None},
-                pairs=settings or [],
-            )
             bar = not quiet and not process.index
             score = _train(task, options, watchers, None if process.index else wandb, bar)
             if process.index == 0:
                 typer.echo(score)
+
+
+def config_text(task: str, options: TrainOptions) -> str:
+    """Return the settings of a run and of its task as a file for `--config`."""
+    from usarmjx.base.settings.yaml_file import dump_yaml
+    from usarmjx.train.make import make_task
+
+    plan = plan_run(task, options)
+    chosen = make_task(task, **plan.overrides)
+    names = {one.name for one in describe(type(plan.config))}
+    rows = {one.name: one for one in describe(type(chosen)) if one.name not in names}
+    data = {name: to_data(value) for name in rows if _is_data(value := getattr(chosen, name))}
+    if "repeat" not in plan.overrides:  # it follows from the physics
+        data.pop("repeat")
+    comments = {name: summary(rows[name]) for name in data}
+    return to_yaml(plan.config) + dump_yaml(data, comments)
+
+
+def _is_data(value: object) -> bool:
+    """Return whether a field of a task reads back from a file: it is no description that Python built."""
+    from usarmjx.comms.attenuation import RadioSettings
+    from usarmjx.comms.mail import MessageSettings
+    from usarmjx.models.compile.physics import Physics
+    from usarmjx.models.compile.randomization import DomainRandomization
+
+    settings = (Physics, RadioSettings, MessageSettings, DomainRandomization)
+    plain = value is None or isinstance(value, (str, bool, int, float, *settings))
+    return plain or (isinstance(value, tuple) and all(map(_is_data, cast(tuple[object, ...], value))))
 
 
 def _task_of(named: str | None, task: str | None) -> str:
@@ -446,7 +585,7 @@ class _RecordedTraining:
         from usarmjx.recording.episodes import TrainingRecorder, episode_file
 
         file = self._held.enter_context(episode_file(env, self._path))
-        calls = 1 if env.traceable else config.rollout
+        calls = 1 if env.traceable else config.rollout_length
         self._recorder = TrainingRecorder(env, file, self._every, calls)
 
     def look(self, state: "EnvState") -> None:

@@ -206,7 +206,7 @@ def curve_of_run(folder: Path) -> Curve:
     return Curve(
         task=VERSIONS.get(settings.task, settings.task),
         seed=config.seed,
-        worlds=config.worlds,
+        worlds=config.num_worlds,
         steps=steps[there],
         seconds=seconds[there],
         score=score[there],

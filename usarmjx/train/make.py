@@ -6,13 +6,15 @@ import importlib.util
 import math
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from usarmjx.base.errors import UnknownNameError, UsageError, quoted
-from usarmjx.models.compile.physics import Physics
+from usarmjx.base.settings import default_reader, validate
+from usarmjx.models.compile.physics import PHYSICS, Physics
 from usarmjx.sim.calibration import build_calibrated
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
@@ -203,9 +205,32 @@ def make_task(name: str, **overrides: object) -> Task:
     if bad := sorted(set(overrides) - set(known)):
         raise UnknownNameError(f"task {name} has no field {', '.join(bad)}; it has: {', '.join(known)}")
     chosen = replace(task, **overrides)
+    validate(chosen)  # a task of one's own may have a `__post_init__` that does not
     if "physics" not in overrides or "repeat" in overrides:
         return chosen
     return replace(chosen, repeat=_steps_per_action(name, task, chosen.physics_settings))
+
+
+def task_values(task: Task, texts: Mapping[str, str], where: str = "--set") -> dict[str, Any]:
+    """Return fields of a task to set otherwise, for `make_task`, from texts by name.
+
+    Args:
+        task: The task.
+        texts: Texts by name; those of nested settings have dots, as `radio.cutoff`, and change only these.
+            Parts of `physics` change the settings of the name that is given beside them.
+        where: Source of the texts, for messages.
+
+    Raises:
+        UnknownNameError: A field that the task does not have; lists those there are.
+        UsageError: A value that is not allowed; names its limits.
+    """
+    named = texts.get("physics")
+    if named is not None and any(name.startswith("physics.") for name in texts):
+        texts = {name: text for name, text in texts.items() if name != "physics"}
+        task = replace(task, physics=PHYSICS.get(named))
+    else:
+        task = replace(task, physics=task.physics_settings)
+    return default_reader().text_values(type(task), texts, where=where, base=task)
 
 
 def _steps_per_action(name: str, task: Task, physics: Physics) -> int:

@@ -62,7 +62,7 @@ def test_the_arenas_trained_on_are_those_of_before():
 @pytest.mark.parametrize("split", ["validation", "test"])
 def test_nobody_trains_on_held_out_arenas(split):
     """Whether all worlds have one of them or each its own."""
-    config = Config(worlds=2, minibatches=1, layers=(4,), critic_layers=(4,))
+    config = Config(num_worlds=2, num_minibatches=1, hidden_sizes=(4,), critic_hidden_sizes=(4,))
     arenas = SMALL.of_split(split).arenas()[:2]
     for scene in (Place(arena=arenas[1]), Place(arenas=Place(arenas=arenas))):
         env = Place(name="mine", worlds=2, levels=(), scene=scene)

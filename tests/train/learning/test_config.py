@@ -92,7 +92,7 @@ def test_the_table_of_hyper_parameters_is_of_tasks_and_settings_that_there_are()
             assert {name: found[name] for name in given} == given
     ours = {name.lower() for name, task in TASKS if type(task).__module__.startswith("usarmjx.")}
     assert set(HYPERPARAMETERS) == ours == set(ON_GPU)
-    assert task_config("Drive-To-Goal", discount=0.5).discount == 0.5
+    assert task_config("Drive-To-Goal", gamma=0.5).discount == 0.5
     assert task_config("trek") == Config()
 
 
@@ -106,14 +106,14 @@ def test_a_bare_command_has_the_settings_of_the_runs_that_are_told_of(task, worl
     config = task_config(task, gpu=True)
     for run in runs:
         assert run["settings"]["training"] == [
-            f"minibatches: 4 -> {config.minibatches}",
-            f"imitate: 0 -> {config.imitate}",
-            f"checkpoint_every: 20 -> {config.checkpoint_every}",
+            f"minibatches: 4 -> {config.num_minibatches}",
+            f"imitate: 0 -> {config.imitation_steps}",
+            f"checkpoint_every: 20 -> {config.checkpoint_interval}",
         ]
-        assert run["worlds"] == config.worlds == worlds
+        assert run["worlds"] == config.num_worlds == worlds
     longest = max(run["agent_steps"] for run in runs)
-    assert 0 <= longest - config.steps < 0.02 * longest  # the last iteration is a whole one
-    assert (config.discount, config.trace, config.layers) == (0.97, 0.9, (256, 128))
+    assert 0 <= longest - config.total_steps < 0.02 * longest  # the last iteration is a whole one
+    assert (config.gamma, config.gae_lambda, config.hidden_sizes) == (0.97, 0.9, (256, 128))
 
 
 def runs_of(task, engine):
@@ -155,7 +155,7 @@ def test_the_runs_on_gpus_that_are_told_of_had_the_settings_of_a_bare_command(ta
     }
     assert set(runs) == seeds
     for seed, run in runs.items():
-        config = task_config(task, gpu=True, seed=seed, checkpoint_every=run["config"]["checkpoint_every"])
+        config = task_config(task, gpu=True, seed=seed, checkpoint_interval=run["config"]["checkpoint_every"])
         assert from_record(run["config"]) == config
 
 
@@ -193,19 +193,19 @@ def test_new_settings_see_to_the_end_of_an_episode(task):
     """What comes at its end counts 1/e at its start, but where figures are told of a shorter sight."""
     config, steps = task_config(task), TASKS.get(task).episode_steps
     if TASKS.get(task) in {TASKS.get(short) for short in ("explore-v1", "victim-search-v1", "explore-v2")}:
-        assert config.discount**steps < 0.01
+        assert config.gamma**steps < 0.01
     elif task in ("relay-chain", "victim-search-v2"):
-        assert (config.discount, config.trace) == (0.99, 0.95)
+        assert (config.gamma, config.gae_lambda) == (0.99, 0.95)
     else:
-        assert config.discount**steps == pytest.approx(math.exp(-1), rel=0.01)
-        assert 1 / (1 - config.discount * config.trace) == pytest.approx(steps / 10)
+        assert config.gamma**steps == pytest.approx(math.exp(-1), rel=0.01)
+        assert 1 / (1 - config.gamma * config.gae_lambda) == pytest.approx(steps / 10)
 
 
 def test_minibatches_that_nobody_set_divide_the_worlds():
-    assert task_config("explore", gpu=True, worlds=24).minibatches == 8
-    assert task_config("explore", worlds=3).minibatches == 1
+    assert task_config("explore", gpu=True, num_worlds=24).minibatches == 8
+    assert task_config("explore", num_worlds=3).minibatches == 1
     with pytest.raises(UsageError, match="3 worlds cannot be divided into 2 minibatches"):
-        task_config("explore", worlds=3, minibatches=2)
+        task_config("explore", num_worlds=3, num_minibatches=2)
 
 
 def test_engines_that_need_no_gpu_use_none(monkeypatch):
@@ -218,7 +218,7 @@ def test_engines_that_need_no_gpu_use_none(monkeypatch):
 
 
 def test_settings_come_back_from_json():
-    config = Config(layers=(3, 4), memory=5)
+    config = Config(hidden_sizes=(3, 4), gru_size=5)
     assert (
         from_record({k: list(v) if isinstance(v, tuple) else v for k, v in asdict(config).items()}) == config
     )
@@ -229,7 +229,10 @@ def test_settings_come_back_from_json():
     [(64, 4, 8, 8), (8, 4, 8, 2), (96, 4, 8, 8), (28, 4, 8, 7)],
 )
 def test_blocks_divide_the_worlds_of_a_minibatch(worlds, minibatches, blocks, expected):
-    assert Config(worlds=worlds, minibatches=minibatches, blocks=blocks).shuffled_blocks == expected
+    assert (
+        Config(num_worlds=worlds, num_minibatches=minibatches, shuffle_blocks=blocks).shuffled_blocks
+        == expected
+    )
 
 
 def test_means_of_an_iteration():

@@ -28,9 +28,9 @@ ARENAS = GeneratedArenas(kind="maze", count=1, levels=(0.0, 0.5, 1.0), size=(3, 
 STEPS = 4
 """Actions of an episode and of a rollout: each world meets another arena in every iteration."""
 CONFIG = Config(
-    steps=6 * STEPS * 4,  # six iterations of four worlds
-    worlds=4, rollout=STEPS, minibatches=2, epochs=1, layers=(4,), critic_layers=(4,),
-    curriculum=0.5, checkpoint_every=1, keep=10,
+    total_steps=6 * STEPS * 4,  # six iterations of four worlds
+    num_worlds=4, rollout_length=STEPS, num_minibatches=2, num_epochs=1, hidden_sizes=(4,), critic_hidden_sizes=(4,),
+    curriculum=0.5, checkpoint_interval=1, keep_checkpoints=10,
 )  # fmt: skip
 LEVELS = (0.0, 1 / 3, 2 / 3, 1.0, 1.0, 1.0)
 """It rises over half of the iterations, evenly."""

@@ -23,8 +23,8 @@ from usarmjx.train.learning.ppo import MIN_LEARNING_RATE
 from usarmjx.train.learning.run_record import load_record
 from usarmjx.train.learning.trainer import train
 
-KEPT = replace(CONFIG, keep=100)
-NO_LEARNING = replace(KEPT, steps=4800, schedule="constant", learning_rate=1e-30)
+KEPT = replace(CONFIG, keep_checkpoints=100)
+NO_LEARNING = replace(KEPT, total_steps=4800, lr_schedule="constant", learning_rate=1e-30)
 """Steps that no weight resolves."""
 TAKEN = ("params", "obs_statistics", "privileged_statistics", "return_statistics")
 
@@ -68,27 +68,27 @@ def test_it_begins_with_everything_that_was_learned_and_acts_as_its_source(refer
 
 def test_it_goes_on_carefully(reference, tmp_path):
     """At the rate of a random network its first update changed the policy by 0.037."""
-    config = replace(KEPT, schedule="adaptive", learning_rate=3e-3, minibatches=8, steps=2400)
+    config = replace(KEPT, lr_schedule="adaptive", learning_rate=3e-3, num_minibatches=8, total_steps=2400)
     tuned(tmp_path / "run", load_trained(reference, "last"), config)
     (first,) = lines(tmp_path / "run")
     assert 0.0 < first["loss/divergence"] < 3 * config.target_kl
-    tuned(tmp_path / "steady", load_trained(reference), replace(config, schedule="constant"))
+    tuned(tmp_path / "steady", load_trained(reference), replace(config, lr_schedule="constant"))
     (first,) = lines(tmp_path / "steady")
     assert first["loss/rate"] == pytest.approx(3e-3)
 
 
 def test_imitation_of_what_begins_so_keeps_its_learning_rate(reference):
     """At the lowest one it would teach nothing."""
-    source, config = load_trained(reference), replace(KEPT, schedule="adaptive")
+    source, config = load_trained(reference), replace(KEPT, lr_schedule="adaptive")
     fresh = source.train_state.replace(learning_rate=np.float32(2e-3))
     for imitate, rate in ((0, MIN_LEARNING_RATE), (2400, 2e-3)):
-        begun = source.begin(fresh, replace(config, imitate=imitate))
+        begun = source.begin(fresh, replace(config, imitation_steps=imitate))
         assert float(begun.learning_rate) == pytest.approx(rate)
 
 
 def test_its_first_rollout_is_that_of_a_trained_policy(reference, tmp_path):
     """The source's first iterations, with the same worlds and random numbers, scored less."""
-    tuned(tmp_path / "run", load_trained(reference, "last"), replace(CONFIG, steps=4800))
+    tuned(tmp_path / "run", load_trained(reference, "last"), replace(CONFIG, total_steps=4800))
     first = [line["score"] for line in lines(reference)[:2]]
     assert sum(line["score"] for line in lines(tmp_path / "run")) > sum(first)
 
@@ -189,10 +189,10 @@ def test_nobody_is_imitated_unless_asked_for(planar_run, tmp_path):
     """Of another task fields are its own, and what is typed holds."""
     wanted = {"out": tmp_path / "x", "engine": "c", "source": planar_run, "given": {}}
     plan = plan_run("wander", TrainOptions(**wanted, pairs=[]))
-    assert (plan.config.imitate, plan.overrides, plan.config.layers) == (0, {}, (4, 3))
+    assert (plan.config.imitation_steps, plan.overrides, plan.config.hidden_sizes) == (0, {}, (4, 3))
     assert task_config("wander").imitate > 0
     plan = plan_run("wander", TrainOptions(**wanted, pairs=["imitate=7", "layers=5"]))
-    assert (plan.config.imitate, plan.config.layers) == (7, (5,))
+    assert (plan.config.imitation_steps, plan.config.hidden_sizes) == (7, (5,))
 
 
 @pytest.mark.parametrize(

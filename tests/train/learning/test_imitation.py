@@ -20,8 +20,8 @@ from usarmjx.train.learning.ppo import MIN_LEARNING_RATE
 from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.train_state import policy_params
 
-CONFIG = Config(worlds=32, rollout=16, minibatches=2, layers=(32,), critic_layers=(8,), learning_rate=3e-3)
-ROUND = CONFIG.worlds * CONFIG.rollout * 3
+CONFIG = Config(num_worlds=32, rollout_length=16, num_minibatches=2, hidden_sizes=(32,), critic_hidden_sizes=(8,), learning_rate=3e-3)
+ROUND = CONFIG.num_worlds * CONFIG.rollout_length * 3
 """Agent steps of an iteration: three robots."""
 
 
@@ -43,7 +43,7 @@ def teacher(monkeypatch):
 
 
 def trainer_of(env=None, **settings):
-    return Trainer(env or DriveToy(CONFIG.worlds), dataclasses.replace(CONFIG, **settings), ProcessGroup())
+    return Trainer(env or DriveToy(CONFIG.num_worlds), dataclasses.replace(CONFIG, **settings), ProcessGroup())
 
 
 class HiddenToy(DriveToy):
@@ -119,7 +119,7 @@ def after_lessons(**settings):
 def test_ppo_begins_carefully_after_the_lessons():
     """Its first update changed the policy by 37 times `target_kl`."""
     known, config = after_lessons()
-    assert config.schedule == "adaptive"
+    assert config.lr_schedule == "adaptive"
     assert known["loss/divergence"] < 3 * config.target_kl
 
 
@@ -134,11 +134,11 @@ def test_a_teacher_begins_anew_with_each_episode():
     trainer = trainer_of(imitate=ROUND)
     train_state, worlds = trainer.start()
     worlds, steps, _, _ = trainer.rollout.collect(train_state, worlds, jax.random.key(0))
-    since = np.zeros(CONFIG.worlds, int)
+    since = np.zeros(CONFIG.num_worlds, int)
     for done in np.asarray(steps.done):
         since = np.where(done, 0, since + 1)
     assert_array_equal(worlds.teacher_carry, since)
-    assert since.min() < CONFIG.rollout  # some episodes did end
+    assert since.min() < CONFIG.rollout_length  # some episodes did end
     for shown, obs in zip(steps.teacher_action, steps.obs, strict=True):
         assert_allclose(shown, np.clip(2.0 * np.asarray(obs), -0.8, 0.8), rtol=1e-6)
 
@@ -146,7 +146,7 @@ def test_a_teacher_begins_anew_with_each_episode():
 def test_a_teacher_sees_what_is_hidden_and_the_policy_does_not():
     tasks = []
     BASELINES.replace("drive-toy", lambda env: tasks.append(env.task) or straight(env))
-    env = HiddenToy(CONFIG.worlds)
+    env = HiddenToy(CONFIG.num_worlds)
     trainer = trainer_of(env, imitate=ROUND)
     assert tasks == ["the task with goals in view"]
     assert env.task is env, "the worlds stay as they are"
@@ -188,4 +188,4 @@ def test_what_cannot_be_imitated_is_said():
     with pytest.raises(UsageError, match=r"drive-toy has no policy by hand.*set imitate to 0.*explore"):
         trainer_of(imitate=1)
     with pytest.raises(UsageError, match="imitate is -1; it must be at least 0"):
-        Config(imitate=-1)
+        Config(imitation_steps=-1)

@@ -18,7 +18,7 @@ from usarmjx.train.learning.rollout import Rollout
 from usarmjx.train.learning.trainer import compiling
 from usarmjx.train.make import make_task
 
-CONFIG = Config(worlds=2, minibatches=1, rollout=2, layers=(4,), critic_layers=(4,))
+CONFIG = Config(num_worlds=2, num_minibatches=1, rollout_length=2, hidden_sizes=(4,), critic_hidden_sizes=(4,))
 TASK = make_task("drive-to-goal", ranges=(), pose="GroundTruth")
 
 
@@ -59,7 +59,7 @@ def test_the_second_start_traces_nothing_and_learns_the_same(engine, tmp_path, m
                 monkeypatch.setattr(owner, name, not_to_be_traced(name))
         jax.tree.map(np.testing.assert_array_equal, first, trained(engine))
         with pytest.raises(RuntimeError, match="it was traced"):
-            trained(engine, replace(CONFIG, discount=0.9))
+            trained(engine, replace(CONFIG, gamma=0.9))
 
 
 def test_programs_are_those_of_any_seed(tmp_path, monkeypatch):

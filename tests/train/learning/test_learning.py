@@ -35,7 +35,7 @@ def test_a_pioneer_learns_to_drive_to_its_goals(env, tmp_path):
 
     So other rounding, which makes another run of it within some hundred steps, does not matter.
     """
-    config = task_config("drive-to-goal", steps=STEPS, worlds=32, seed=SEED)
+    config = task_config("drive-to-goal", total_steps=STEPS, num_worlds=32, seed=SEED)
     networks = make_networks(env.groups, env.privileged_size, config)
     ignorant = policy_params(make_train_state(networks, config))
     assert success(env, networks.policy.as_policy(ignorant), episodes=32) < 0.2

@@ -27,9 +27,9 @@ ARENAS = Buildings(count=2, levels=(0.5, 1.0), size=(4, 3), renewable=True)
 STEPS = 3
 """Actions of an episode and of a rollout: each world meets another arena in every iteration."""
 CONFIG = Config(
-    steps=5 * STEPS * 4 * 2,  # five iterations of four worlds of two robots
-    worlds=4, rollout=STEPS, minibatches=2, epochs=1, layers=(4,), critic_layers=(4,), renew=2,
-    checkpoint_every=1, keep=10,
+    total_steps=5 * STEPS * 4 * 2,  # five iterations of four worlds of two robots
+    num_worlds=4, rollout_length=STEPS, num_minibatches=2, num_epochs=1, hidden_sizes=(4,), critic_hidden_sizes=(4,), arena_refresh_interval=2,
+    checkpoint_interval=1, keep_checkpoints=10,
 )  # fmt: skip
 
 

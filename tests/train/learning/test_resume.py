@@ -85,7 +85,7 @@ def test_a_run_is_not_resumed_to_fewer_steps_than_it_has_done(copy):
     """It says so, and changes nothing, not even what is written down of its settings."""
     before = lines(copy), (copy / "config.json").read_text()
     with pytest.raises(UsageError, match="has 24,000 agent steps behind it, more than the 12,000 that"):
-        run(copy, replace(CONFIG, steps=12_000), resume=True)
+        run(copy, replace(CONFIG, total_steps=12_000), resume=True)
     assert (lines(copy), (copy / "config.json").read_text()) == before
 
 
@@ -138,7 +138,7 @@ def test_a_run_of_another_version_is_refused_in_one_line(copy):
 def test_a_checkpoint_of_something_else_is_refused(copy, reference):
     """Of other networks, or of another toy: it says what it found and what it expected."""
     path = Checkpoints(reference).find("last")
-    for worlds, config in ((32, replace(CONFIG, layers=(16, 32))), (16, replace(CONFIG, worlds=16))):
+    for worlds, config in ((32, replace(CONFIG, hidden_sizes=(16, 32))), (16, replace(CONFIG, num_worlds=16))):
         part = "learner" if worlds == 32 else "worlds"
         train_state, rollout_state = Trainer(DriveToy(worlds), config, ProcessGroup()).start()
         with pytest.raises(UsageError, match=r"of another run: it holds .* expected"):
@@ -182,8 +182,8 @@ def place(env, state):
 def test_a_robot_goes_on_where_it_was(engine, tmp_path):
     """A real environment: physics, sensors' memories and random keys come back bit for bit."""
     config = Config(
-        steps=4 * 4 * 4, worlds=4, rollout=4, minibatches=2, epochs=1, layers=(8,), critic_layers=(8,),
-        checkpoint_every=2,
+        total_steps=4 * 4 * 4, num_worlds=4, rollout_length=4, num_minibatches=2, num_epochs=1, hidden_sizes=(8,), critic_hidden_sizes=(8,),
+        checkpoint_interval=2,
     )  # fmt: skip
     env = make("drive-to-goal", worlds=4, engine=engine, episode_steps=6)
 
@@ -194,7 +194,7 @@ def test_a_robot_goes_on_where_it_was(engine, tmp_path):
     seen = []
     train(env, config, tmp_path / "whole", progress=False, look=lambda state: seen.append(place(env, state)))
     assert seen[0][0] == 0, "who looks sees the worlds before anything is compiled"
-    assert len(seen) == 1 + config.iterations(1) * (1 if env.traceable else config.rollout)
+    assert len(seen) == 1 + config.iterations(1) * (1 if env.traceable else config.rollout_length)
     assert len({pose for _, pose in seen}) == len(seen), "and each time the robot is somewhere else"
     with pytest.raises(Stop):
         train(env, config, tmp_path / "part", progress=False, watch=stop)

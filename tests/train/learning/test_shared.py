@@ -15,13 +15,13 @@ from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.train_state import make_networks, make_train_state, policy_params
 
-CONFIG = Config(worlds=16, rollout=8, minibatches=2, layers=(8,), critic_layers=(8,), shared=True)
+CONFIG = Config(num_worlds=16, rollout_length=8, num_minibatches=2, hidden_sizes=(8,), critic_hidden_sizes=(8,), shared_policy=True)
 
 
 @pytest.fixture(scope="module")
 def learned():
     """Networks, and weights before and after an update in which both classes acted."""
-    trainer = Trainer(DriveToy(CONFIG.worlds), CONFIG, ProcessGroup())
+    trainer = Trainer(DriveToy(CONFIG.num_worlds), CONFIG, ProcessGroup())
     train_state, worlds = trainer.start()
     after, _, _ = trainer.iterate(train_state, worlds, 0)
     return trainer.networks, train_state, after
@@ -56,5 +56,5 @@ def test_classes_that_see_or_do_different_numbers_are_refused_by_name():
     groups = (group("A", 1, 3, 2), group("B", 1, 3, 1))
     with pytest.raises(UsageError, match="A sees 3 and does 2, B sees 3 and does 1"):
         make_networks(groups, 0, CONFIG)
-    alone = dataclasses.replace(CONFIG, shared=False)
+    alone = dataclasses.replace(CONFIG, shared_policy=False)
     assert len(make_train_state(make_networks(groups, 0, alone), alone).params.policy) == 2

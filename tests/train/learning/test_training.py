@@ -80,7 +80,7 @@ def test_worlds_that_go_wrong_are_counted_and_do_no_harm(reference):
 def both():
     """The same run with one compiled rollout, and step by step: compilations, what was first collected."""
     found = {}
-    config = Config(worlds=4, minibatches=2, rollout=4, layers=(4,), critic_layers=(4,), memory=3)
+    config = Config(num_worlds=4, num_minibatches=2, rollout_length=4, hidden_sizes=(4,), critic_hidden_sizes=(4,), gru_size=3)
     with compilations(COMPILED) as compiled:
         for traceable in (True, False):
             trainer = Trainer(DriveToy(4, traceable=traceable), config, ProcessGroup())
@@ -106,7 +106,7 @@ def test_nothing_is_compiled_after_the_first_iteration(both, traceable):
 def test_a_first_rollout_finds_what_was_compiled_beside_the_making_of_worlds():
     group = ProcessGroup()
     with compilations(COMPILED) as compiled:
-        trainer = Trainer(DriveToy(4), Config(worlds=4, minibatches=1, rollout=2), group)
+        trainer = Trainer(DriveToy(4), Config(num_worlds=4, num_minibatches=1, rollout_length=2), group)
         with compiling(trainer):
             train_state, worlds = trainer.start()
         before = len(compiled)
@@ -133,7 +133,7 @@ def test_the_time_of_the_first_iteration_is_from_when_it_compiled(tmp_path, monk
 
     monkeypatch.setattr(trainer_module, "time", SimpleNamespace(perf_counter=tick))
     monkeypatch.setattr(trainer_module, "compiling", slow)
-    config = Config(steps=144, worlds=4, minibatches=1, rollout=4)  # three iterations of 48
+    config = Config(total_steps=144, num_worlds=4, num_minibatches=1, rollout_length=4)  # three iterations of 48
     told = []
     train(DriveToy(4), config, tmp_path / "run", progress=False, watch=told.append)
     steps = told[0]["agent_steps"]
@@ -162,15 +162,15 @@ def test_a_rollout_step_by_step_is_that_in_one_piece(both):
 def memory_score(tmp_path, memory):
     """Return what share of the lights was told right in the last iterations."""
     config = Config(
-        steps=40_000,
-        worlds=64,
-        rollout=20,
+        total_steps=40_000,
+        num_worlds=64,
+        rollout_length=20,
         learning_rate=3e-3,
-        discount=0.99,
-        layers=(16,),
-        critic_layers=(16,),
-        memory=memory,
-        checkpoint_every=1000,
+        gamma=0.99,
+        hidden_sizes=(16,),
+        critic_hidden_sizes=(16,),
+        gru_size=memory,
+        checkpoint_interval=1000,
     )
     train(lambda worlds, first: MemoryToy(worlds, first), config, tmp_path / str(memory), progress=False)
     return np.mean([record["score"] for record in lines(tmp_path / str(memory))[-5:]])
@@ -192,8 +192,8 @@ def test_a_time_limit_is_no_end(tmp_path):
     Without the critic's opinion of the last state it would be 1 to 2.95, depending on the time.
     """
     config = Config(
-        steps=60_000, worlds=16, rollout=16, discount=0.8, learning_rate=3e-3, schedule="constant",
-        layers=(8,), critic_layers=(8,), entropy=0.0,
+        total_steps=60_000, num_worlds=16, rollout_length=16, gamma=0.8, learning_rate=3e-3, lr_schedule="constant",
+        hidden_sizes=(8,), critic_hidden_sizes=(8,), entropy_coef=0.0,
     )  # fmt: skip
     trainer = Trainer(EndlessToy(16), config, ProcessGroup())
     train_state, worlds = trainer.start()
@@ -207,7 +207,7 @@ def test_a_time_limit_is_no_end(tmp_path):
 
 def test_first_episodes_begin_at_random_times():
     """So that not all time-outs come at once; the same for a world in whichever process."""
-    config = Config(worlds=32, layers=(4,), critic_layers=(4,))
+    config = Config(num_worlds=32, hidden_sizes=(4,), critic_hidden_sizes=(4,))
     _, worlds = Trainer(DriveToy(32), config, ProcessGroup()).start()
     lengths = np.asarray(worlds.env_state.length)
     assert lengths.min() < 5

@@ -22,7 +22,7 @@ SAME = 1e-5
 
 def policy_with(memory, tmp_path, half=False):
     """A policy with large random weights and statistics, in JAX and in NumPy."""
-    config = Config(worlds=4, layers=(32, 16), memory=memory)
+    config = Config(num_worlds=4, hidden_sizes=(32, 16), gru_size=memory)
     env = DriveToy(4)
     networks = make_networks(env.groups, env.privileged_size, config)
     params = policy_params(make_train_state(networks, config))

@@ -84,7 +84,7 @@ def test_numbers_of_processes_that_the_worlds_cannot_be_shared_out_to_are_refuse
     CONFIG.check_processes(2)
     with pytest.raises(UsageError, match="3 processes cannot share: set blocks to a multiple of 3"):
         CONFIG.check_processes(3)
-    Config(worlds=96, minibatches=4, blocks=3).check_processes(3)
+    Config(num_worlds=96, num_minibatches=4, shuffle_blocks=3).check_processes(3)
 
 
 @pytest.mark.parametrize(

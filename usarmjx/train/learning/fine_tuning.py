@@ -16,7 +16,10 @@ from usarmjx.train.learning.ppo import careful_rate
 from usarmjx.train.learning.run_record import RunRecord
 from usarmjx.train.learning.train_state import Networks, TrainState
 
-SHAPE_SETTINGS = ("layers", "critic_layers", "memory", "shared", "normalise_obs", "normalise_values")
+SHAPE_SETTINGS = (
+    *("hidden_sizes", "critic_hidden_sizes", "gru_size", "shared_policy"),
+    *("normalize_obs", "normalize_values"),
+)
 """Settings that networks cannot do without: those of the source hold, unless other ones are asked for."""
 EXPORTED = "an exported policy has neither critic nor statistics that could go on: name the folder of a run"
 
@@ -42,7 +45,7 @@ class TrainedNetworks:
     @property
     def settings(self) -> dict[str, Any]:
         """Settings of a run that begins with these, unless others are asked for; it imitates nobody."""
-        return {**{name: getattr(self.record.config, name) for name in SHAPE_SETTINGS}, "imitate": 0}
+        return {**{name: getattr(self.record.config, name) for name in SHAPE_SETTINGS}, "imitation_steps": 0}
 
     @property
     def origin(self) -> dict[str, Any]:
@@ -72,10 +75,10 @@ class TrainedNetworks:
         pairs = {
             "robots": (_agents(self.networks.groups), _agents(networks.groups)),
             "numbers that only critics see": (self.networks.privileged_size, networks.privileged_size),
-            "layers": (self.networks.policy.layers, networks.policy.layers),
-            "critic_layers": (self.networks.critic_layers, networks.critic_layers),
-            "memory": (self.networks.policy.memory, networks.policy.memory),
-            "shared": (self.networks.shared, networks.shared),
+            "hidden_sizes": (self.networks.policy.layers, networks.policy.layers),
+            "critic_hidden_sizes": (self.networks.critic_layers, networks.critic_layers),
+            "gru_size": (self.networks.policy.memory, networks.policy.memory),
+            "shared_policy": (self.networks.shared, networks.shared),
         }
         if off := [f"{what}: {old} -> {new}" for what, (old, new) in pairs.items() if old != new]:
             raise UsageError(f"networks of {self.run} do not fit: {'; '.join(off)}")
@@ -91,7 +94,7 @@ class TrainedNetworks:
         """
         own, rate = self.train_state, fresh.learning_rate
         return fresh.replace(
-            learning_rate=rate if config.imitate else careful_rate(rate, config),
+            learning_rate=rate if config.imitation_steps else careful_rate(rate, config),
             params=own.params,
             obs_statistics=own.obs_statistics,
             privileged_statistics=own.privileged_statistics,

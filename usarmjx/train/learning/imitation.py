@@ -71,7 +71,7 @@ def imitation_loss(
         kind: The family of distributions.
         logits: Its parameters (..., 2 action_size).
         teacher_action: What the teacher would have done, from -1 to 1 (..., action_size).
-        deviation: Of actions before they are squashed, see `Config.imitate_std`.
+        deviation: Deviation of actions before they are squashed, see `Config.imitation_std`.
 
     Returns:
         Half the sum of the squares of both (...).

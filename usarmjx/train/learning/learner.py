@@ -48,13 +48,13 @@ class Trainer:
 
     def __init__(self, env: Env | EnvFactory, config: Config, process_group: ProcessGroup) -> None:
         config.check_processes(process_group.count)
-        share = config.worlds // process_group.count
+        share = config.num_worlds // process_group.count
         if callable(env):
             env = env(share, process_group.index * share)
         if env.worlds != share:
             raise UsageError(
-                f"the environment has {env.worlds} worlds; {config.worlds} worlds of {process_group.count} "
-                f"processes need {share}"
+                f"the environment has {env.worlds} worlds; {config.num_worlds} worlds of "
+                f"{process_group.count} processes need {share}"
             )
         _check_split(env)
         if config.curriculum and not env.levels:
@@ -67,11 +67,11 @@ class Trainer:
         self.agents = self.networks.agent_count
         self.iterations = config.iterations(self.agents)
         workers = workers_for(process_group.count)
-        self.stream = ArenaStream(env, config.renew, self.iterations, workers)
-        teacher = teacher_of(env) if config.imitate else None
+        self.stream = ArenaStream(env, config.arena_refresh_interval, self.iterations, workers)
+        teacher = teacher_of(env) if config.imitation_steps else None
         known: ProgramCache | None = getattr(env, "program_cache", None)
         # Of each seed they are the same.
-        general = replace(config, seed=0, checkpoint_every=1, keep=1)
+        general = replace(config, seed=0, checkpoint_interval=1, keep_checkpoints=1)
         self._program_cache = known and known.of(
             general, self.networks, process_group.index, process_group.count
         )

@@ -127,8 +127,8 @@ def compute_targets(
             trajectory.bootstrap_value[g],
             rollout_ends.last_value[g],
             ends,
-            config.discount,
-            config.trace,
+            config.gamma,
+            config.gae_lambda,
         )
         valid = jnp.broadcast_to(~ends[2], found.shape)
         count = jnp.maximum(_total(valid), 1)
@@ -185,20 +185,20 @@ def loss(
         change = jnp.clip(log_prob - steps.log_prob[g], -MAX_LOG_RATIO, MAX_LOG_RATIO)
         ratio = jnp.exp(change)
         found = {
-            "policy": -surrogate(log_prob, steps.log_prob[g], minibatch.advantage[g], config.clip),
+            "policy": -surrogate(log_prob, steps.log_prob[g], minibatch.advantage[g], config.clip_epsilon),
             "value": 0.5 * (values[g] - minibatch.target[g]) ** 2,
             "entropy": entropy,
             "divergence": ratio - 1.0 - change,  # an estimate of the Kullback-Leibler divergence
-            "clipped": (jnp.abs(ratio - 1.0) > config.clip).astype(jnp.float32),
+            "clipped": (jnp.abs(ratio - 1.0) > config.clip_epsilon).astype(jnp.float32),
             "weight": jnp.ones_like(ratio),
         }
         if steps.teacher_action:
-            found["imitation"] = imitation_loss(kind, logits, steps.teacher_action[g], config.imitate_std)
+            found["imitation"] = imitation_loss(kind, logits, steps.teacher_action[g], config.imitation_std)
             found["policy"] = jnp.where(imitating, found["imitation"], found["policy"])
         valid = ~steps.bad[..., None]
         for name, one in found.items():
             sums[name] = sums.get(name, jnp.float32(0)) + jnp.where(valid, one, 0.0).sum()
-    whole = sums["policy"] + config.value * sums["value"] - config.entropy * sums["entropy"]
+    whole = sums["policy"] + config.value_coef * sums["value"] - config.entropy_coef * sums["entropy"]
     return whole, sums
 
 
@@ -225,12 +225,12 @@ def _shuffle(key: jax.Array, worlds: int, blocks: int, first: jax.Array, minibat
 
 def careful_rate(rate: jax.Array, config: Config) -> jax.Array:
     """Return the learning rate with which PPO begins on a policy that has learned: an adaptive one grows."""
-    return jnp.full_like(rate, MIN_LEARNING_RATE) if config.schedule == "adaptive" else rate
+    return jnp.full_like(rate, MIN_LEARNING_RATE) if config.lr_schedule == "adaptive" else rate
 
 
 def begin_update(networks: Networks, config: Config, train_state: TrainState) -> TrainState:
     """Return the train state with the learning rate, and Adam's moments, that an update begins with."""
-    if config.schedule == "linear":
+    if config.lr_schedule == "linear":
         left = 1.0 - train_state.iteration / config.iterations(networks.agent_count)
         rate = config.learning_rate * jnp.maximum(left, 0.0).astype(jnp.float32)
         train_state = train_state.replace(learning_rate=rate)
@@ -274,7 +274,7 @@ def run_epochs(
         params = jax.tree.map(lambda old, step: old - state.learning_rate * step, state.params, steps)
         new = state.replace(params=params, opt_state=moments)
         new = jax.tree.map(lambda after, before: jnp.where(sound, after, before), new, state)
-        if config.schedule == "adaptive":
+        if config.lr_schedule == "adaptive":
             rate = _adapt(state.learning_rate, known["divergence"], config)
             new = new.replace(
                 learning_rate=jnp.where(networks.is_imitating(state, config), state.learning_rate, rate)
@@ -284,11 +284,11 @@ def run_epochs(
     def epoch(state: TrainState, number: jax.Array) -> tuple[TrainState, dict[str, jax.Array]]:
         now = jax.random.fold_in(key, number)
         first = jax.lax.axis_index(PROCESS_AXIS) * blocks
-        index = _shuffle(now, worlds, blocks, first, config.minibatches)
-        keys = fold_each(now, config.shuffled_blocks + jnp.arange(config.minibatches))
+        index = _shuffle(now, worlds, blocks, first, config.num_minibatches)
+        keys = fold_each(now, config.shuffled_blocks + jnp.arange(config.num_minibatches))
         return jax.lax.scan(update_once, state, (index, keys))
 
-    train_state, known = jax.lax.scan(epoch, train_state, jnp.arange(config.epochs))
+    train_state, known = jax.lax.scan(epoch, train_state, jnp.arange(config.num_epochs))
     return train_state, jax.tree.map(jnp.mean, known)
 
 
@@ -328,7 +328,7 @@ def update(
     train_state, known = run_epochs(networks, config, processes, train_state, batch, key)
     good = ~steps.bad
     everyone: list[jax.Array] = [jnp.broadcast_to(good[..., None], one.shape) for one in returns]
-    if config.normalise_obs:
+    if config.normalize_obs:
         obs = tuple(
             update_statistics(one, seen, who, PROCESS_AXIS)
             for one, seen, who in zip(old.obs_statistics, steps.obs, everyone, strict=True)
@@ -339,7 +339,7 @@ def update(
                 old.privileged_statistics, steps.privileged, good, PROCESS_AXIS
             ),
         )
-    if config.normalise_values:
+    if config.normalize_values:
         value = tuple(
             update_statistics(one, v, w, PROCESS_AXIS)
             for one, v, w in zip(old.return_statistics, returns, everyone, strict=True)

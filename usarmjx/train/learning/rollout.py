@@ -62,7 +62,7 @@ class Rollout:
         networks: Shapes of policy and critics.
         config: Settings.
         first: Number of the first world.
-        teacher: Whom to imitate for the first `config.imitate` agent steps.
+        teacher: Baseline to imitate for the first `config.imitation_steps` agent steps.
         program_cache: Of its programs.
     """
 
@@ -109,7 +109,7 @@ class Rollout:
         seed = jax.device_put(np.uint32(config.seed % 2**32), jax.local_devices()[0])
         env = self.env.reset(seed, level) if config.curriculum else self.env.reset(seed)
         number, late, carry = self._begin(jax.random.fold_in(jax.random.key(config.seed), STAGGER_STREAM))
-        if config.stagger:  # by counting steps that never were, so nothing else of an episode changes
+        if config.stagger_resets:  # by counting steps that never were, so nothing else of an episode changes
             env = env.replace(length=late.astype(env.length.dtype))
         return RolloutState(
             env_state=env,
@@ -298,13 +298,13 @@ class Rollout:
             names[:] = sums
             return now, (row, jnp.stack([*sums.values()]))
 
-        now, (steps, sums) = jax.lax.scan(step, start, jnp.arange(self.config.rollout))
+        now, (steps, sums) = jax.lax.scan(step, start, jnp.arange(self.config.rollout_length))
         return now, steps, self._ends(train_state, start, now), dict(zip(names, sums.sum(0), strict=True))
 
     def _loop(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Collected:
         now = start
         rows: list[tuple[Trajectory, dict[str, jax.Array]]] = []
-        for step in range(self.config.rollout):
+        for step in range(self.config.rollout_length):
             now, row = self._step(train_state, now, key, np.int32(step))
             rows.append(row)
             self.look(now.env_state)

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
+from usarmjx.base.settings import default_reader
 from usarmjx.train.envs.env import AgentGroup, Env
 from usarmjx.train.learning.config import Config, differences, from_record
 
@@ -15,7 +16,7 @@ RECORD_FILE = "config.json"
 FORMAT = 1
 PACKAGES = ("jax", "jaxlib", "flax", "optax", "brax", "mujoco", "mujoco-mjx", "numpy")
 """Packages whose versions a record keeps, because results depend on them."""
-MAY_CHANGE = ("steps", "keep", "checkpoint_every")
+MAY_CHANGE = ("total_steps", "keep_checkpoints", "checkpoint_interval")
 """Settings that may differ when a run is resumed."""
 FIXED = ("task", "engine", "overrides", "groups", "privileged_size", "episode_steps", "processes")
 """Fields of a record that may not differ when a run is resumed."""
@@ -27,7 +28,7 @@ class EnvArguments:
 
     Attributes:
         engine: As asked for.
-        overrides: Fields of the task that were set otherwise, as typed: `config.parse_settings` reads them.
+        overrides: Fields of the task that were set otherwise, as typed: `make.task_values` reads them.
     """
 
     engine: str = "auto"
@@ -133,8 +134,6 @@ def load_record(folder: Path) -> RunRecord:
         if values.pop("format") != FORMAT:
             raise UsageError(f"{file} was written by another version of usarmjx")
         values["config"] = from_record(values["config"])
-        groups: list[dict[str, Any]] = [{**one, "agents": tuple(one["agents"])} for one in values["groups"]]
-        values["groups"] = tuple(AgentGroup(**one) for one in groups)
-        return RunRecord(**values)
+        return default_reader().from_data(RunRecord, values, where=str(file))
     except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(f"{file} does not read: {error}") from error

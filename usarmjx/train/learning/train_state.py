@@ -135,16 +135,16 @@ def make_networks(groups: tuple[AgentGroup, ...], privileged_size: int, config: 
     Raises:
         UsageError: They are to share a policy, but what they see or do differs in size.
     """
-    if config.shared and len({(group.obs_size, group.action_size) for group in groups}) > 1:
+    if config.shared_policy and len({(group.obs_size, group.action_size) for group in groups}) > 1:
         sizes = ", ".join(f"{one.name} sees {one.obs_size} and does {one.action_size}" for one in groups)
         raise UsageError(f"these cannot share a policy, they see and do different numbers: {sizes}")
-    policy = LearnedPolicy(groups, config.layers, config.memory)
-    return Networks(policy, config.critic_layers, privileged_size, shared=config.shared)
+    policy = LearnedPolicy(groups, config.hidden_sizes, config.gru_size)
+    return Networks(policy, config.critic_hidden_sizes, privileged_size, shared=config.shared_policy)
 
 
 def make_optimiser(config: Config) -> optax.GradientTransformation:
     """Return the optimiser, whose steps are still to be multiplied by minus the learning rate."""
-    return optax.chain(optax.clip_by_global_norm(config.max_gradient), optax.scale_by_adam(eps=1e-5))
+    return optax.chain(optax.clip_by_global_norm(config.max_grad_norm), optax.scale_by_adam(eps=1e-5))
 
 
 def make_train_state(networks: Networks, config: Config) -> TrainState:

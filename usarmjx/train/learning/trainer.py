@@ -2,12 +2,12 @@
 
 import time
 from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, nullcontext
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 from jax.sharding import SingleDeviceSharding
@@ -135,7 +135,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
         trainer = Trainer(env, config, process_group)
         trainer.rollout.look = look or trainer.rollout.look
         record = make_record(trainer.env, config, process_group.count, origin)
-        checkpoints = Checkpoints(out, process_group, config.keep)
+        checkpoints = Checkpoints(out, process_group, config.keep_checkpoints)
         if resume:
             old = load_record(out)
             record.check_resumes(old, out)
@@ -178,7 +178,7 @@ def _check_ahead(trainer: Trainer, checkpoints: Checkpoints) -> None:
         if done["iteration"] > trainer.iterations:
             raise UsageError(
                 f"the run in {checkpoints.run} has {done['agent_steps']:,} agent steps behind it, more than "
-                f"the {trainer.config.steps:,} that are asked for: ask for as many at least"
+                f"the {trainer.config.total_steps:,} that are asked for: ask for as many at least"
             )
 
 
@@ -227,44 +227,112 @@ def _judged(trainer: Trainer, train_state: TrainState, lines: list[dict[str, Any
     return {"score": trainer.full_score(train_state) if first else None, "kind": FULL}
 
 
-def _save(
-    checkpoints: Checkpoints, iteration: int, state: tuple[TrainState, RolloutState], note: dict[str, Any]
-) -> WriteError | None:
-    """Write a checkpoint, and return why it could not be written."""
-    try:
-        checkpoints.save(iteration, *state, note)
-    except WriteError as error:
-        return error
-    return None
+class _CheckpointWriter:
+    """Checkpoints written beside the training, one at a time.
+
+    A checkpoint of a GPU's worlds takes longer than an iteration to fetch and write, and the device would
+    wait for it. Several processes write together, which takes collectives that must not meet those of an
+    update: then each save is waited for.
+
+    Args:
+        checkpoints: Those of the run.
+        beside: Whether a thread writes.
+        say: Takes a line about a checkpoint that could not be written.
+        watch: Takes the lines of iterations, each after the checkpoints before it are written.
+    """
+
+    def __init__(
+        self,
+        checkpoints: Checkpoints,
+        beside: bool,
+        say: Callable[[str], None],
+        watch: Callable[[dict[str, Any]], None],
+    ) -> None:
+        self._checkpoints, self._say, self._watch = checkpoints, say, watch
+        self._pool = ThreadPoolExecutor(1, "checkpoints") if beside else None
+        self._lines: list[dict[str, Any]] = []
+        self._written: Future[WriteError | None] = Future()
+        self._written.set_result(None)
+
+    def save(self, iteration: int, state: tuple[TrainState, RolloutState], note: dict[str, Any]) -> None:
+        """Begin to write a checkpoint, after the one before."""
+        self.settle()
+        if self._pool is None:
+            self._written = Future()
+            self._written.set_result(self._write(iteration, state, note))
+        else:
+            self._written = self._pool.submit(self._write, iteration, state, note)
+
+    def show(self, line: dict[str, Any], last: bool) -> None:
+        """Hand on a line, at once unless a checkpoint is being written or it is the last line."""
+        self._lines.append(line)
+        if self._written.done() and not last:
+            self.settle()
+
+    def settle(self) -> None:
+        """Wait for the checkpoint that is being written, and hand on the lines that waited for it."""
+        if missing := self.finish():
+            self._say(f"{missing}; training goes on, and the next checkpoint is tried")
+
+    def finish(self) -> WriteError | None:
+        """Do as `settle` does; return why the checkpoint could not be written, or None."""
+        missing = self._written.result()
+        self._written = Future()
+        self._written.set_result(None)
+        while self._lines:
+            self._watch(self._lines.pop(0))
+        return missing
+
+    def _write(
+        self, iteration: int, state: tuple[TrainState, RolloutState], note: dict[str, Any]
+    ) -> WriteError | None:
+        try:
+            self._checkpoints.save(iteration, *state, note)
+        except WriteError as error:
+            return error
+        return None
+
+    def close(self) -> None:
+        """Wait, and end the thread."""
+        if self._pool is not None:
+            self._pool.shutdown()
 
 
-Unread: TypeAlias = list[tuple[int, dict[str, jax.Array]]]
-"""Iterations with their numbers for the log, which may still be at work."""
+class _Iteration(NamedTuple):
+    """An iteration whose numbers may still be at work.
+
+    Attributes:
+        number: From 1.
+        known: Numbers for the log.
+        state: What it left, if a checkpoint of it is due; else None.
+    """
+
+    number: int
+    known: dict[str, jax.Array]
+    state: tuple[TrainState, RolloutState] | None
 
 
-def _iterated(
-    trainer: Trainer, left: tuple[TrainState, RolloutState, int]
-) -> Iterator[tuple[int, tuple[TrainState, RolloutState], Unread, bool]]:
+def _iterated(trainer: Trainer, left: tuple[TrainState, RolloutState, int]) -> Iterator[list[_Iteration]]:
     """Iterate to the end, from where it was left.
 
     Yields:
-        The iteration's number and what it left; what can be read of iterations by now: the one before, while
-        this one is at work, so that the device does not wait for the host; and whether a checkpoint is due:
-        then of this one, too.
+        Iterations whose numbers can be read: the one before, while the next one is at work, so that the
+        device does not wait for the host; at the end the last one, too.
     """
     train_state, worlds, before = left
-    unread: Unread = []
-    for iteration in range(before + 1, trainer.iterations + 1):
-        train_state, worlds, known = trainer.iterate(train_state, worlds, iteration - 1)
-        due = iteration % trainer.config.checkpoint_every == 0 or iteration == trainer.iterations
-        ready = [*unread, (iteration, known)] if due else unread
-        unread = [] if due else [(iteration, known)]
-        yield iteration, (train_state, worlds), ready, due
+    unread: list[_Iteration] = []
+    for number in range(before + 1, trainer.iterations + 1):
+        train_state, worlds, known = trainer.iterate(train_state, worlds, number - 1)
+        last = number == trainer.iterations
+        due = last or number % trainer.config.checkpoint_interval == 0
+        unread.append(_Iteration(number, known, (train_state, worlds) if due else None))
+        ready, unread = (unread, []) if last else (unread[:-1], unread[-1:])
+        yield ready
 
 
 def _line(trainer: Trainer, iteration: int, sums: dict[str, float], rate: float) -> dict[str, Any]:
     """Return what is written of an iteration."""
-    world_steps = trainer.config.rollout * trainer.config.worlds
+    world_steps = trainer.config.rollout_length * trainer.config.num_worlds
     return {
         "iteration": iteration,
         "agent_steps": iteration * world_steps * trainer.agents,
@@ -284,31 +352,27 @@ def _run(
 ) -> TrainResult:
     """Iterate to the end, from where it was left; the first iteration's time is from when it compiled."""
     iterations, out = trainer.iterations, checkpoints.run
-    steps = trainer.config.rollout * trainer.config.worlds * trainer.agents
+    steps = trainer.config.rollout_length * trainer.config.num_worlds * trainer.agents
     lines: list[dict[str, Any]] = []  # of the iterations since the last checkpoint
     line: dict[str, Any] = {}
-    missing: WriteError | None = None
-    with log or nullcontext():
-        for iteration, state, ready, due in _iterated(trainer, left):
-            for number, known in ready:
-                sums = {name: float(one) for name, one in jax.device_get(known).items()}
+    say = log.say if log else lambda text: None
+    writer = _CheckpointWriter(checkpoints, trainer.process_group.count == 1, say, watch)
+    with log or nullcontext(), closing(writer):
+        for ready in _iterated(trainer, left):
+            for one in ready:
+                sums = {name: float(value) for name, value in jax.device_get(one.known).items()}
                 began, seconds = (now := time.perf_counter()), now - began
-                line = _line(trainer, number, sums, steps / seconds)
+                line = _line(trainer, one.number, sums, steps / seconds)
                 lines.append(line)
                 if log:
                     log.write(line)
-                if number < iteration:
-                    watch(line)
-            if due:
-                note = {"agent_steps": iteration * steps, **_judged(trainer, state[0], lines)}
-                missing = _save(checkpoints, iteration, state, note)
-                if log and missing and iteration < iterations:
-                    log.say(f"{missing}; training goes on, and the next checkpoint is tried")
-                lines.clear()
-                watch(line)
-                began = time.perf_counter()
+                if one.state is not None:
+                    note = {"agent_steps": one.number * steps, **_judged(trainer, one.state[0], lines)}
+                    writer.save(one.number, one.state, note)
+                    lines.clear()
+                writer.show(line, last=one.number == iterations)
             check_parent()
-        if missing:
+        if missing := writer.finish():
             raise WriteError(f"{missing}; the last checkpoint is missing: resume the run from the one before")
         if log:
             log.check_whole()

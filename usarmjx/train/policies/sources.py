@@ -1,20 +1,20 @@
 """Policies from wherever they are: the folder of a run, an exported file, the package, or written by hand."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 
 from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.base.settings import parse_assignments
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import AgentGroup, Env
 from usarmjx.train.envs.recipe import GeneratedArenas
-from usarmjx.train.envs.task import Policy
-from usarmjx.train.learning.config import parse_settings
+from usarmjx.train.envs.task import Policy, Task
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
-from usarmjx.train.make import check_there, find_baseline, make, make_task
+from usarmjx.train.make import check_there, find_baseline, make, make_task, task_values
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.policy_file import NumpyPolicy
 
@@ -120,27 +120,39 @@ def task_settings(
 ) -> tuple[dict[str, Any], list[str]]:
     """Return fields of a task as a policy was trained and as asked for, and notes on those left out.
 
-    Fields that are not words, numbers or lists of them (`radio`, `vary`) cannot be read back. Whatever the
+    Descriptions that were set from Python, as `radio=RadioSettings(...)`, cannot be read back. Whatever the
     physics was in training, it is the reference's here unless asked for: scores are compared.
 
+    Args:
+        task: Name of the task.
+        trained: Fields as the policy was trained, texts by name.
+        settings: Fields to set otherwise, `name=value` each.
+
     Raises:
-        UsageError: A setting that does not read.
-        UnknownNameError: No such task, or field that can be set; lists those there are.
+        UsageError: A value that is not allowed; names its limits.
+        UnknownNameError: No such task, or field; lists those there are.
     """
-    chosen = make_task(task)
-    own = {one.name: getattr(chosen, one.name) for one in fields(chosen)}
-    simple: dict[str, Any] = {
-        name: value for name, value in own.items() if isinstance(value, str | bool | int | float | tuple)
-    }
-    notes = [
-        f"trained with {name}={text}, which is not read back: {task} has its own here"
-        for name, text in trained.items()
-        if name not in simple
-    ]
-    if "physics" in trained:
-        notes.append(f"trained with physics={trained['physics']}; here it is the reference's")
-    before = [f"{name}={text}" for name, text in trained.items() if name in simple and name != "physics"]
-    return parse_settings([*before, *settings], simple, task), notes
+    chosen, asked = make_task(task), parse_assignments(settings, "--set")
+    replaced = {name.partition(".")[0] for name in asked if "." not in name}
+    kept, notes = dict[str, str](), list[str]()
+    for name, text in trained.items():
+        first = name.partition(".")[0]
+        if first == "physics":
+            notes.append(f"trained with {name}={text}; here it is the reference's")
+        elif not _reads(chosen, name, text):
+            notes.append(f"trained with {name}={text}, which is not read back: {task} has its own here")
+        elif first not in replaced:
+            kept[name] = text
+    return task_values(chosen, {**kept, **asked}), notes
+
+
+def _reads(task: Task, name: str, text: str) -> bool:
+    """Return whether a field of a task reads from the text that was kept of it."""
+    try:
+        task_values(task, {name: text})
+    except UsageError:
+        return False
+    return True
 
 
 def find_source(what: str, checkpoint: str = "best") -> PolicySource:
