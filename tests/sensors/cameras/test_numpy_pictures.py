@@ -11,7 +11,7 @@ import pytest
 from tests.lands import hills
 from tests.server.worlds.test_dynamic_world_view import POND, box
 from tests.sim.on_numpy import nothing_compiled
-from usarmjx.models.arenas import YELLOW
+from usarmjx.models.arenas.yellow import YELLOW
 from usarmjx.models.robots.kit import camera
 from usarmjx.models.robots.pioneer import P2AT, P2DX
 from usarmjx.models.types.arena import ArenaSpec, Door

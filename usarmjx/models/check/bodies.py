@@ -85,7 +85,7 @@ class BodyProbe:
         self._model = new_spec(self._arena, Physics()).compile()
         self._data = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)
-        self._names = [self._model.geom(i).name for i in range(self._model.ngeom)]
+        self._names: list[str] = [self._model.geom(i).name for i in range(self._model.ngeom)]
         touched = (self._model.geom_contype != 0) & np.isin(self._model.geom_type, SOLID_KINDS)
         self._solids = [
             i for i, name in enumerate(self._names) if touched[i] and name.startswith(ARENA_PREFIX)
@@ -119,7 +119,8 @@ class BodyProbe:
 
     def _over_ground(self, victim: Victim, parts: Mapping[int, str], ground: GroundFinder) -> Iterator[str]:
         """Yield a victim that floats, or is below the floor; victims in water may do either."""
-        floor, gaps = self._arena.floor, []
+        gaps: list[float] = []
+        floor = self._arena.floor
         for part in parts:
             x, y, z = (float(v) for v in self._data.geom_xpos[part])
             half = float(np.abs(self._data.geom_xmat[part].reshape(3, 3)[2]) @ self._model.geom_size[part])

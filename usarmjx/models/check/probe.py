@@ -114,7 +114,7 @@ class ArenaProbe:
         add_robot(spec, robot, "robot/", (0.0, 0.0, PARKED_HEIGHT))
         self._model = spec.compile()
         self._root = int(self._model.joint("robot/root").qposadr[0])
-        self._names = [self._model.geom(i).name for i in range(self._model.ngeom)]
+        self._names: list[str] = [self._model.geom(i).name for i in range(self._model.ngeom)]
         self._data = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)
 
@@ -202,6 +202,6 @@ class ArenaProbe:
         """Return the pairs of geoms in contact, with their depths."""
         found: dict[tuple[str, str], float] = {}
         for contact in self._data.contact:
-            one, other = (self._names[geom] for geom in contact.geom)
+            one, other = (self._names[int(geom)] for geom in contact.geom)
             found[one, other] = max(-float(contact.dist), found.get((one, other), 0.0))
         return found

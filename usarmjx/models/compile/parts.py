@@ -63,7 +63,7 @@ def _link_parts(package: MissionPackage) -> list[Part]:
     Parts are parallel to the chassis at rest (captured mounts show it); joints turn about link z.
     """
     frames, names = link_frames(package), {-1: CHASSIS}
-    parts = []
+    parts: list[Part] = []
     for link in package.links:
         names[link.number] = part_name(package, link)
         parts.append(

@@ -20,6 +20,8 @@ A triangle's position is its first corner, the x axis of its frame its first edg
 for solids; its size: the length of that edge, x and y of the third corner. A fender is a box. A column is a
 piece of terrain for the radio, see `terrain_columns`.
 """
+Frames = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Positions (n, 3), orientations (n, 3, 3) and sizes (n, 3)."""
 GeomType = mujoco.mjtGeom
 MESH, HFIELD = int(GeomType.mjGEOM_MESH), int(GeomType.mjGEOM_HFIELD)
 MIN_DOUBLE_AREA = 1e-12
@@ -74,7 +76,8 @@ def ray_primitives_of(
         columns: Whether terrain is cut into columns instead of triangles, and meshes are replaced by their
             hulls, as for the radio.
     """
-    parts = []
+    owners: list[tuple[int, int, str]] = []
+    frames: list[Frames] = []
     for index, geom in enumerate(geoms):
         kind, material = int(model.geom_type[geom]), OPAQUE if materials is None else materials[geom]
         if kind == HFIELD and columns:
@@ -84,24 +87,21 @@ def ray_primitives_of(
         else:
             kind = FENDER_KIND if material == FENDER else kind
             pos, mat, size = np.zeros((1, 3)), np.eye(3)[None], model.geom_size[geom][None]
-        parts.append((index, kind, material, pos, mat, size))
-    counts = [len(part[3]) for part in parts]
+        owners.append((index, kind, material))
+        frames.append((pos, mat, size))
+    counts = [len(pos) for pos, _, _ in frames]
     stacked = [
-        np.concatenate([part[k] for part in parts]) if parts else np.zeros((0, *shape))
-        for k, shape in ((3, (3,)), (4, (3, 3)), (5, (3,)))
+        np.concatenate([frame[k] for frame in frames]) if frames else np.zeros((0, *shape))
+        for k, shape in ((0, (3,)), (1, (3, 3)), (2, (3,)))
     ]
     return RayPrimitives(
-        geom=np.repeat([part[0] for part in parts], counts).astype(int),
-        kind=np.repeat([part[1] for part in parts], counts).astype(int),
-        material=np.repeat(np.array([part[2] for part in parts], object), counts),
+        geom=np.repeat([owner[0] for owner in owners], counts).astype(int),
+        kind=np.repeat([owner[1] for owner in owners], counts).astype(int),
+        material=np.repeat(np.array([owner[2] for owner in owners], object), counts),
         pos=stacked[0].astype(np.float32),
         mat=stacked[1].astype(np.float32),
         size=stacked[2].astype(np.float32),
     )
-
-
-Frames = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Positions (n, 3), orientations (n, 3, 3) and sizes (n, 3)."""
 
 
 def triangles_of(model: mujoco.MjModel, geom: int, *, hull: bool = False) -> Frames:
@@ -162,10 +162,14 @@ def triangle_frames(corners: np.ndarray) -> Frames:
 def terrain_grid(model: mujoco.MjModel, data: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return x (columns,), y (rows,) and z (rows, columns) of a terrain's corners in its geom's frame [m]."""
     rows, columns = int(model.hfield_nrow[data]), int(model.hfield_ncol[data])
-    half_x, half_y, top, _ = model.hfield_size[data]
+    half_x, half_y, top, _ = model.hfield_size[data].tolist()
     first = model.hfield_adr[data]
     z = model.hfield_data[first : first + rows * columns].astype(float).reshape(rows, columns) * top
-    return np.linspace(-half_x, half_x, columns), np.linspace(-half_y, half_y, rows), z
+    return (
+        np.linspace(-float(half_x), float(half_x), columns),
+        np.linspace(-float(half_y), float(half_y), rows),
+        z,
+    )
 
 
 def _terrain_faces(x: np.ndarray, y: np.ndarray, z: np.ndarray, size: np.ndarray) -> np.ndarray:

@@ -113,7 +113,7 @@ def surface_adjacencies(
         (here_i, there_i), (here_j, there_j) = _slices(di), _slices(dj)
         here, there = (here_i, here_j), (there_i, there_j)
         length = math.hypot(di, dj) * cell
-        joined = {}
+        joined: dict[tuple[int, int], np.ndarray] = {}
         for a, b in product(range(len(ground)), repeat=2):
             rise = step + RISE_TOLERANCE + length * np.maximum(steep[a][here], steep[b][there])
             joined[a, b] = np.abs(ground[a][here] - ground[b][there]) <= rise  # False beside NaN
@@ -164,13 +164,17 @@ def erode(which: np.ndarray, links: tuple[SurfaceAdjacency, ...], steps: int) ->
 
 def label_areas(which: np.ndarray, links: tuple[SurfaceAdjacency, ...]) -> np.ndarray:
     """Number the areas connected by the cells' sides; -1 elsewhere (layers, i, j)."""
-    from scipy.sparse import coo_array  # imports in a fifth of a second; serving a world does not need it
-    from scipy.sparse.csgraph import connected_components
+    # Imports in a fifth of a second; serving a world does not need it.
+    from scipy.sparse import coo_array  # pyright: ignore[reportMissingTypeStubs]
+    from scipy.sparse.csgraph import (  # pyright: ignore[reportMissingTypeStubs]
+        connected_components,  # pyright: ignore[reportUnknownVariableType]
+    )
 
     count = np.count_nonzero(which)
     number = np.full(which.shape, -1, np.int32)
     number[which] = np.arange(count, dtype=np.int32)
-    starts, ends = [], []
+    starts: list[np.ndarray] = []
+    ends: list[np.ndarray] = []
     for link in links:
         if not link.corner:
             for (a, b), joined in link.joined.items():

@@ -6,7 +6,7 @@ bones they are, have one shape in all worlds; slots that a bone does not use are
 
 from functools import cache
 from types import ModuleType
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import mujoco
 import numpy as np
@@ -148,7 +148,9 @@ def drawn_bones(table: VictimTable, xp: ModuleType = np) -> DrawnBones:
     )
 
 
-_KINDS = {ELLIPSOID: "ellipsoid", CAPSULE: "capsule"}
+VisualSolid = tuple[Literal["ellipsoid", "capsule"], Vec3, Vec3, Vec3]
+"""Kind, size, centre and colour."""
+_KINDS: dict[int, Literal["ellipsoid", "capsule"]] = {ELLIPSOID: "ellipsoid", CAPSULE: "capsule"}
 
 
 def victim_visual_model(table: VictimTable, owner: int) -> VisualModel:
@@ -157,7 +159,7 @@ def victim_visual_model(table: VictimTable, owner: int) -> VisualModel:
     drawn, used = drawn_bones(table), used_slots(table.part)
     rows = (
         tuple(
-            (_KINDS[VISUAL_SLOTS[slot]], *(tuple(column[box, slot].tolist()) for column in drawn))
+            (_KINDS[VISUAL_SLOTS[slot]], *(_vector(column[box, slot]) for column in drawn))
             for slot in np.flatnonzero(used[box])
         )
         for box in mine
@@ -165,8 +167,13 @@ def victim_visual_model(table: VictimTable, owner: int) -> VisualModel:
     return _visual_model(tuple(rows))
 
 
+def _vector(array: Array) -> Vec3:
+    x, y, z = array.tolist()
+    return (x, y, z)
+
+
 @cache
-def _visual_model(rows: tuple[tuple[tuple, ...], ...]) -> VisualModel:  # type: ignore[type-arg] - kind, size, at, rgb
+def _visual_model(rows: tuple[tuple[VisualSolid, ...], ...]) -> VisualModel:
     """Return the visuals of solids by box; victims of one size share them."""
     return build_visual_model(
         [

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from flax import struct
@@ -412,7 +413,7 @@ def pad_table(table: VictimTable, boxes: int, victims: int) -> VictimTable:
 
     fills = {"size": 1e-3, "joint": PARKED_COORDINATE, "owner": PADDING_OWNER, "parent": -1, "rgba": 0.0}
     voices = ("at", "mouth", "loudness", "duration", "pause", "breathes")
-    columns = {}
+    columns: dict[str, Any] = {}
     for name, value in vars(table).items():
         rows = people if name in voices else more
         fill = {"at": PARKED_COORDINATE, "mouth": -1}.get(name, fills.get(name, 0.0))

@@ -1,7 +1,7 @@
 """Visuals: solids that follow frames, for pictures, as arrays and as a MuJoCo model."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -89,7 +89,7 @@ class VisualModel:
 
 def flipped(shape: Shape) -> Shape:
     """Return a robot's shape in MuJoCo's axes."""
-    return Shape(**{**vars(shape), "at": flip_vector(shape.at), "rotation": flip_angles(shape.rotation)})
+    return replace(shape, at=flip_vector(shape.at), rotation=flip_angles(shape.rotation))
 
 
 def build_visual_model(shapes: Sequence[Sequence[Shape]]) -> VisualModel:

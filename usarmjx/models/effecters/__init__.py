@@ -51,7 +51,7 @@ def effecters_of(robot: RobotSpec) -> tuple[Effecter, ...]:
     names = [mount.name.lower() for mount in robot.effecters]
     if len(set(names)) < len(names):
         raise SpecError(f"robot {robot.name}: effecters of one name among {', '.join(names)}")
-    effecters = []
+    effecters: list[Effecter] = []
     for mount in robot.effecters:
         kind = EFFECTERS.get(mount.kind)
         settings = resolve_settings(kind.settings_class, mount.all_options, f"{mount.kind} {mount.name}")

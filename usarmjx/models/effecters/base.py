@@ -114,7 +114,7 @@ class Effecter(ABC):
     """
 
     kind: ClassVar[str]
-    settings_class: ClassVar[type] = EffecterSettings
+    settings_class: ClassVar[type[Any]] = EffecterSettings
 
     mount: Mount
     settings: Any

@@ -79,8 +79,9 @@ def read_grey(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if pixels.ndim == 2:
         return pixels, np.ones(pixels.shape, bool)
     clear = mode in ("LA", "RGBA")
-    grey = pixels[..., :-1].mean(-1) if clear else pixels.mean(-1)
-    return grey, pixels[..., -1] == 255 if clear else np.ones(grey.shape, bool)
+    grey: np.ndarray = pixels[..., :-1].mean(-1) if clear else pixels.mean(-1)
+    opaque: np.ndarray = pixels[..., -1] == 255 if clear else np.ones(grey.shape, bool)
+    return grey, opaque
 
 
 def image_size(path: Path) -> tuple[int, int]:

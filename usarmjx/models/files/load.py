@@ -6,10 +6,10 @@ any arena as YAML. Unsupported content of a file is refused by name, or left out
 """
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import yaml
@@ -75,7 +75,8 @@ class _Files:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path, self._known = path, {}
+        self._path = path
+        self._known: dict[int, object] = {}
 
     def plain(self, value: Any) -> Any:  # noqa: ANN401 - any field's value
         """Return a value as mappings, lists and scalars; fields that have their defaults are left out."""
@@ -91,8 +92,8 @@ class _Files:
                 if field.default is MISSING or held != field.default
             }
         if isinstance(value, (tuple, list)):
-            return [self.plain(item) for item in value]
-        return value.item() if isinstance(value, np.generic) else value
+            return [self.plain(item) for item in cast("Sequence[object]", value)]
+        return cast("Any", value).item() if isinstance(value, np.generic) else value
 
 
 def _write(value: Mesh | HeightField, path: Path, number: int) -> object:

@@ -1,7 +1,7 @@
 """Maps of ROS' map_server as walls: an image of occupancy, and a YAML file that describes it."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -145,7 +145,8 @@ def rectangles(filled: np.ndarray, most: float = np.inf) -> list[Cells]:
 
     It stops after the row that exceeds `most`.
     """
-    left, found = filled.copy(), []
+    found: list[Cells] = []
+    left = filled.copy()
     for row in range(left.shape[0]):
         if len(found) > most:
             break
@@ -192,10 +193,12 @@ def _extent(plan: OccupancyGrid) -> Rectangle:
 
 def _free_position(plan: OccupancyGrid) -> tuple[float, float] | None:
     """Return the free position farthest from all cells that are not free."""
-    from scipy.ndimage import distance_transform_edt
+    from scipy import ndimage  # pyright: ignore[reportMissingTypeStubs]
+
+    distance = cast("Any", ndimage).distance_transform_edt
 
     if not plan.free.any():
         return None
-    away = np.asarray(distance_transform_edt(np.pad(plan.free, 1)))[1:-1, 1:-1]
+    away = np.asarray(distance(np.pad(plan.free, 1)))[1:-1, 1:-1]
     row, column = np.unravel_index(int(away.argmax()), away.shape)
     return _there(plan, float(column) + 0.5, float(row) + 0.5)

@@ -164,13 +164,14 @@ def convex_pieces(
     import trimesh
 
     _check_reach(vertices, name)
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh: Any = trimesh.Trimesh(vertices, faces, process=False)
+    graph: Any = trimesh.graph
     mesh.merge_vertices()
     every = np.arange(len(mesh.faces))
-    groups = trimesh.graph.connected_components(mesh.face_adjacency, min_len=1, nodes=every, engine="scipy")
+    groups = graph.connected_components(mesh.face_adjacency, min_len=1, nodes=every, engine="scipy")
     if len(groups) > MAX_MESH_PIECES:
         raise ArenaFileError(f"{name}: {len(groups)} pieces; at most {MAX_MESH_PIECES}")
-    parts: Any = mesh.submesh(groups, append=False, repair=False)
+    parts = mesh.submesh(groups, append=False, repair=False)
     names = (
         [name] if len(parts) == 1 else [f"{name}, piece {i + 1} of {len(parts)}" for i in range(len(parts))]
     )

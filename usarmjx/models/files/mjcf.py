@@ -294,17 +294,19 @@ class _MjcfReader:
         self._owner = [0] * model.nbody  # the body with the joint that moves each one; 0: it is fixed
         for body in range(1, model.nbody):
             jointed = model.body_jntnum[body] > 0
-            self._owner[body] = body if jointed else self._owner[model.body_parentid[body]]
+            self._owner[body] = body if jointed else self._owner[int(model.body_parentid[body])]
         self._owned: dict[int, list[int]] = {}
         for geom in range(model.ngeom):
-            self._owned.setdefault(self._owner[model.geom_bodyid[geom]], []).append(geom)
+            self._owned.setdefault(self._owner[int(model.geom_bodyid[geom])], []).append(geom)
         self._members: dict[int, list[int]] = {}
         for body in range(model.nbody):
             self._members.setdefault(self._owner[body], []).append(body)
 
     def content(self) -> Content:
         """Return the file's content."""
-        model, loose, doors = self._model, [], []
+        loose: list[LooseObject] = []
+        doors: list[Door] = []
+        model = self._model
         moving = sum(owner == body for body, owner in enumerate(self._owner)) - 1
         if moving > MAX_MOVING_BODIES:
             raise self._error(f"has {moving} bodies that move; at most {MAX_MOVING_BODIES}")
@@ -346,7 +348,7 @@ class _MjcfReader:
         ]
         if kinds == [JointType.mjJNT_FREE]:
             return True
-        name, parent = self._name("body", body), self._owner[model.body_parentid[body]]
+        name, parent = self._name("body", body), self._owner[int(model.body_parentid[body])]
         if parent:
             raise self._error(
                 f"body {name!r} hangs on {self._name('body', parent)!r} by a joint; loose objects and doors "
@@ -411,7 +413,7 @@ class _MjcfReader:
 
     def _inertia(self, body: int, frame: Pose) -> Inertia:
         """Return mass, centre and inertia of a body including bodies fixed to it, in the body's axes."""
-        parts = []
+        parts: list[Inertia] = []
         for member in self._members[body]:
             mat = frame.mat.T @ self._data.ximat[member].reshape(3, 3)
             tensor = mat @ np.diag(self._model.body_inertia[member]) @ mat.T
@@ -464,7 +466,7 @@ def _ignored(path: Path, spec: mujoco.MjSpec) -> list[str]:
         "contact pairs": spec.pairs,
         "contact exclusions": spec.excludes,
     }
-    said = []
+    said: list[str] = []
     for kind, found in kinds.items():
         if found:
             names = ", ".join(one.name or "without name" for one in found[:5])

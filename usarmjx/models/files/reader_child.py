@@ -37,7 +37,9 @@ LOADING: dict[str, dict[str, Any]] = {
 """Options of trimesh by kind of mesh file, which keep the file's order and vertices."""
 
 
-OPTIONS = json.loads(sys.argv[1]) if __name__ == "__main__" else ([], 0, 0, 0)
+OPTIONS: tuple[list[str], int, int, float] = (
+    json.loads(sys.argv[1]) if __name__ == "__main__" else ([], 0, 0, 0)
+)
 SEARCH_PATH, CPU_TIME, MEMORY, IDLE = OPTIONS
 """Module search path; limits for one file [s], [bytes]; time without requests after which to end [s]."""
 
@@ -94,7 +96,9 @@ def read_mesh(path: str) -> tuple[dict[str, object], list[Any]]:
     limit()
     kind = path[-3:].lower()
     with open(path, "rb") as file:
-        scene: Any = trimesh.load_scene(_as_utf8(file, kind), file_type=kind, **LOADING[kind])
+        scene: Any = trimesh.load_scene(  # pyright: ignore[reportUnknownMemberType]
+            _as_utf8(file, kind), file_type=kind, **LOADING[kind]
+        )
     found = [(str(name), scene.geometry[name]) for name in sorted(scene.geometry)]
     arrays = [
         np.ascontiguousarray(array, kind)

@@ -8,6 +8,7 @@ seconds, and ends by itself.
 import atexit
 import contextlib
 import json
+import math
 import os
 import signal
 import subprocess
@@ -49,9 +50,10 @@ def read_mesh_objects(path: Path) -> list[MeshArrays]:
     head, body = _READER.read("mesh", path)
     if "error" in head:
         raise ArenaFileError(f"{path}: does not read as a mesh: {head['error']}")
-    found, start = [], 0
+    found: list[np.ndarray] = []
+    start = 0
     for shape, kind in zip(head["shapes"], ["<f8", "<i8"] * len(head["names"]), strict=True):
-        count = int(np.prod(shape))
+        count = math.prod(shape)
         found.append(np.frombuffer(body, kind, count, start).reshape(shape))
         start += 8 * count
     return list(zip(head["names"], found[::2], found[1::2], strict=True))

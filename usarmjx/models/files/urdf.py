@@ -185,7 +185,7 @@ def _mesh_file(path: Path, name: str, where: str) -> Path:
 
 def _colours(path: Path, root: ElementTree.Element) -> dict[str, Rgba]:
     """Return the named colours of a file."""
-    found = {}
+    found: dict[str, Rgba] = {}
     for material in root.findall("material"):
         color = material.find("color")
         if color is not None:

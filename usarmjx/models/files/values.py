@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import yaml
 
@@ -180,7 +180,7 @@ class _YamlReader:
         if len(node.value) > MAX_DIGITS and node.tag.endswith((":int", ":float")):
             raise ArenaFileError(f"{where}: a number of {len(node.value)} characters; at most {MAX_DIGITS}")
         try:
-            data = self._loader.construct_object(node)
+            data: object = cast("Any", self._loader).construct_object(node)
         except yaml.YAMLError:
             raise
         except Exception as error:  # PyYAML raises whatever a wrong date, number or tag makes it run into

@@ -101,7 +101,7 @@ def complete_arena(arena: ArenaSpec, content: Content, value: YamlValue, given: 
 def _contents(key: str, value: YamlValue) -> list[Content]:
     """Return the content of the files under a key: one, or a list of them."""
     kind, action = SOLID_SOURCES[key]
-    contents = []
+    contents: list[Content] = []
     for item in value.data if isinstance(value.data, list) else [value]:
         plain = replace(item, data={"file": item}) if isinstance(item.data, str) else item
         content = action(read_record(kind, plain, SPECIAL))

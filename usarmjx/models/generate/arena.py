@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from usarmjx.base.errors import SpecError
+from usarmjx.base.transforms import Vec3
 from usarmjx.models.compile.reachability import (
     DEFAULT_SLOPE,
     RobotFootprint,
@@ -208,8 +209,9 @@ def _arena(builder: ArenaBuilder, name: str, robot: str) -> ArenaSpec:
     )
 
 
-def _round(values: tuple[float, ...]) -> tuple:
-    return tuple(round(float(value), DECIMALS) + 0.0 for value in values)  # no -0.0
+def _round(values: Vec3) -> Vec3:
+    x, y, z = (round(float(value), DECIMALS) + 0.0 for value in values)  # no -0.0
+    return (x, y, z)
 
 
 def _rounded(shapes: list[Shape]) -> tuple[Shape, ...]:

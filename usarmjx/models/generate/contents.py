@@ -88,14 +88,14 @@ class ArenaBuilder:
     seed: int
     robot: str = ""
     most_starts: int = DEFAULT_STARTS
-    shapes: list[Shape] = field(default_factory=list)
+    shapes: list[Shape] = field(default_factory=list[Shape])
     corner: Cell = (0, 0)
-    clear: set[Cell] = field(default_factory=set)
-    obstructed: set[Cell] = field(default_factory=set)
-    victims: list[Victim] = field(default_factory=list)
-    loose: list[LooseObject] = field(default_factory=list)
-    tags: list[Tag] = field(default_factory=list)
-    starts: list[StartPose] = field(default_factory=list)
+    clear: set[Cell] = field(default_factory=set[Cell])
+    obstructed: set[Cell] = field(default_factory=set[Cell])
+    victims: list[Victim] = field(default_factory=list[Victim])
+    loose: list[LooseObject] = field(default_factory=list[LooseObject])
+    tags: list[Tag] = field(default_factory=list[Tag])
+    starts: list[StartPose] = field(default_factory=list[StartPose])
 
     def random_stream(self, purpose: str) -> RandomStream:
         """Return the random stream of a purpose."""
@@ -109,7 +109,7 @@ class ArenaBuilder:
 @cache
 def outline(posture: str) -> tuple[float, float]:
     """Return the extent of a victim along the x axis of its pelvis [m]: lowest and highest."""
-    ends = []
+    ends: list[float] = []
     for part in shapes_in_arena(Victim(name="one", at=(0.0, 0.0, 0.0), posture=posture)):
         mat = mat_from_angles(*np.array(part.rotation))
         reach = float(np.abs(mat[0]) @ half_lengths(part))

@@ -116,7 +116,8 @@ class CellGrid:
     def wall_shapes(self) -> tuple[list[Shape], list[Shape]]:
         """Return outer and inner walls, straight runs as one box each."""
         columns, rows = self.size
-        outer, inner = [], []
+        outer: list[Shape] = []
+        inner: list[Shape] = []
         for line in range(columns + 1):
             for a, b in _runs([self._wall((line - 1, r), (line, r)) for r in range(rows)]):
                 (inner if 0 < line < columns else outer).append(_wall(line, line, a, b))
@@ -157,7 +158,7 @@ def doubled(wall: Shape) -> list[Shape]:
     x, y, z = wall.at
     along, across, up = wall.size
     half = THICKNESS / 4
-    sheets = []
+    sheets: list[Shape] = []
     for side in (-half, half):
         upright = along < across
         at = (x + side, y, z) if upright else (x, y + side, z)

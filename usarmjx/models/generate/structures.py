@@ -73,7 +73,7 @@ def slope(at: Position2D, run: float, width: float, angle: float, uphill: int, r
 
 def rubble(draw: RandomStream, at: Position2D, roughness: float) -> list[Shape]:
     """Return a slab that leans, and three blocks around it, all turned at random."""
-    shapes = []
+    shapes: list[Shape] = []
     for i, (sx, sy) in enumerate(draw.shuffled(((1, 1), (1, -1), (-1, 1), (-1, -1)))):
         spot = (at[0] + 0.27 * sx, at[1] + 0.27 * sy)
         yaw = math.radians(draw.randint(180))
@@ -101,7 +101,7 @@ def steps(draw: RandomStream, at: Position2D, roughness: float) -> list[Shape]:
     """Return a field of square posts of four heights, higher towards one side, one corner or the middle."""
     pitch, unit = STRUCTURE_SIZE / POSTS, lerp(0.03, 0.08, roughness)
     sx, sy = draw.choice(((1, 0), (0, 1), (1, 1), (1, -1), (0, 0)))
-    shapes = []
+    shapes: list[Shape] = []
     for i in range(POSTS):
         for j in range(POSTS):
             x, y = i - (POSTS - 1) / 2, j - (POSTS - 1) / 2

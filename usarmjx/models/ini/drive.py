@@ -43,12 +43,12 @@ def read_roles(lines: Sequence[Line]) -> dict[int, WheelRole]:
     Raises:
         SpecError: An unknown field or type; names file and line.
     """
-    roles = {}
+    roles: dict[int, WheelRole] = {}
     for line in lines:
         struct = as_struct(line)
         reject_unknown(line, struct, ("Number", "PowerType", "SteerType", "MaxSteerAngle"))
         number = int(number_of(line, struct, "Number", float(line.index or 0), above=-1.0))
-        types = []
+        types: list[str | None] = []
         for field, allowed in (("PowerType", POWER_TYPES), ("SteerType", STEER_TYPES)):
             value = struct.get(field)
             spelt = {name.lower(): name for name in allowed}

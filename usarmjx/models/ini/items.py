@@ -129,7 +129,7 @@ MAX_BASE_CLASSES = 32
 class WarningLog:
     """Warnings in the order of their occurrence, without repetitions."""
 
-    texts: list[str] = field(default_factory=list)
+    texts: list[str] = field(default_factory=list[str])
 
     def add(self, line: Line, text: str) -> None:
         """Add a warning about a line."""

@@ -187,7 +187,7 @@ def _sum(first: Vec3, second: Vec3, sign: int = 1) -> Vec3:
 
 def templates(packages: Iterable[MissionPackage], definitions: Definitions) -> dict[str, MissionPackage]:
     """Return packages by class name in lower case, with the ini files' changes, mounted at the origin."""
-    found = {}
+    found: dict[str, MissionPackage] = {}
     for package in packages:
         bare = mount_package(package, _sum(ZERO, base_of(package), -1))
         found[package.name.lower()] = redefine(bare, definitions)

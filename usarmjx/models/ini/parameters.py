@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 
@@ -117,7 +118,7 @@ def _retracked(robot: RobotSpec, flipper: str, wheels: list[Part], count: int) -
     """
     last = wheels[-1]
     tip, first = last.shapes[0].size[0], robot.wheel_radius
-    fresh = []
+    fresh: list[Part] = []
     for i in range(1, count + 1):
         share = i / count
         fresh.append(_scaled(last, f"{flipper}Wheel{i}", share, (first + (tip - first) * share) / tip))
@@ -316,7 +317,7 @@ def apply_parameters(
     """
     steps = [(key, low, set_to) for key, (low, set_to) in SETTERS.items()]
     scale = units.uu_per_metre
-    steps += [(key, -np.inf, lambda r, v, set_to=to: set_to(r, v, scale)) for key, to in LENGTHS.items()]
+    steps += [(key, -np.inf, partial(_set_length, set_to, scale)) for key, set_to in LENGTHS.items()]
     for key, low, set_to in steps:
         line = figures.get(key.lower())
         if line is None or key.lower() in skip:
@@ -330,6 +331,12 @@ def apply_parameters(
     if (line := figures.get("babsolutecamera")) is not None:
         robot = replace(robot, absolute_camera=as_bool(line, line.value, "bAbsoluteCamera"))
     return robot
+
+
+def _set_length(
+    set_to: Callable[[RobotSpec, float, float], RobotSpec], scale: float, robot: RobotSpec, value: float
+) -> RobotSpec:
+    return set_to(robot, value, scale)
 
 
 def _is_set(robot: RobotSpec, key: str, value: float) -> bool:

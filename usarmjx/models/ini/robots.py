@@ -57,10 +57,10 @@ class SortedSections:
         tracks: Lines with the number of tires, by robot, then by end.
     """
 
-    robots: dict[str, RobotSection] = field(default_factory=dict)
-    defaults: dict[str, Options] = field(default_factory=dict)
-    lines: dict[tuple[str, str], Line] = field(default_factory=dict)
-    tracks: dict[str, dict[str, Line]] = field(default_factory=dict)
+    robots: dict[str, RobotSection] = field(default_factory=dict[str, RobotSection])
+    defaults: dict[str, Options] = field(default_factory=dict[str, Options])
+    lines: dict[tuple[str, str], Line] = field(default_factory=dict[tuple[str, str], Line])
+    tracks: dict[str, dict[str, Line]] = field(default_factory=dict[str, dict[str, Line]])
 
 
 def sort_sections(
@@ -258,7 +258,7 @@ def build_robots(
         before = built.get(name.lower()) or robots.get(name)
         built[name.lower()] = read_tracks(before, counts)
     kept: dict[tuple[str, str], list[str]] = {}
-    changed = []
+    changed: list[RobotSpec] = []
     for name in dict.fromkeys([*(name.lower() for name in robots.names()), *built]):
         before = robots.get(name) if name in robots else None
         robot = built.get(name) or _with_packages(robots.get(name), sources)

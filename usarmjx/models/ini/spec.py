@@ -42,9 +42,9 @@ class RobotSection:
     name: str
     first: Line
     units: Units = field(default_factory=Units)
-    figures: dict[str, Line] = field(default_factory=dict)
-    lists: dict[str, list[tuple[Line, Units]]] = field(default_factory=dict)
-    joints: dict[int, tuple[Line, Units]] = field(default_factory=dict)
+    figures: dict[str, Line] = field(default_factory=dict[str, Line])
+    lists: dict[str, list[tuple[Line, Units]]] = field(default_factory=dict[str, list[tuple[Line, Units]]])
+    joints: dict[int, tuple[Line, Units]] = field(default_factory=dict[int, tuple[Line, Units]])
 
     @property
     def where(self) -> str:

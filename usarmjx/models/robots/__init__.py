@@ -1,14 +1,15 @@
 """The robot classes that INIT can spawn, each a value; `ROBOTS` finds them by name.
 
-Figures are the manual's, a data sheet's or chosen, and say so in `sources`; what follows from them is
-computed. `kit`, `track_kit` and `car_kit` have what many robots share. Begin with `pioneer`. A figure that
-GETGEO or GETCONF reports is held to the manual by tests: change it only with a source.
+Numbers are the manual's, a data sheet's or chosen, as `sources` states; derived ones are computed. Every
+public `RobotSpec` of a module here is registered: a new robot is one file. `kit`, `track_kit` and `car_kit`
+have the parts that many robots share. Begin with `pioneer`. Tests hold the numbers that GETGEO or GETCONF
+report to the manual: change one only with a source.
 """
 
+import sys
+
 from usarmjx.base.registry import Registry
-from usarmjx.models.robots.airborne import AIRROBOT, PASSAROLA
-from usarmjx.models.robots.cars import COOPER, HUMMER, SEDAN, SNOWSTORM
-from usarmjx.models.robots.flippers import KENAF, TARANTULA
+from usarmjx.models.discovery import values_in
 from usarmjx.models.robots.kit import (
     POSE_SENSORS,
     ball,
@@ -24,17 +25,6 @@ from usarmjx.models.robots.kit import (
     sick_lms200,
     wheel,
 )
-from usarmjx.models.robots.kurt import KURT2D, KURT3D
-from usarmjx.models.robots.legged import ERS, QRIO
-from usarmjx.models.robots.lisa import LISA
-from usarmjx.models.robots.pioneer import OMNI_P2AT, OMNI_P2DX, P2AT, P2DX
-from usarmjx.models.robots.small_wheeled import ATRVJR, STEREO_P2AT, ZERG
-from usarmjx.models.robots.soryu import SORYU
-from usarmjx.models.robots.station import COMSTATION
-from usarmjx.models.robots.talon import RUGBOT, TALON
-from usarmjx.models.robots.telemax import TELEMAX
-from usarmjx.models.robots.underwater import SUBMARINE
-from usarmjx.models.robots.unit_loader import UNIT_LOADER
 from usarmjx.models.types.robot import RobotSpec
 
 __all__ = [
@@ -56,33 +46,5 @@ __all__ = [
 
 ROBOTS: Registry[RobotSpec] = Registry("robot")
 """Robot classes by the name that INIT gives them."""
-for _spec in (
-    P2AT,
-    P2DX,
-    STEREO_P2AT,
-    ATRVJR,
-    ZERG,
-    HUMMER,
-    SNOWSTORM,
-    SEDAN,
-    COOPER,
-    KURT2D,
-    KURT3D,
-    LISA,
-    OMNI_P2AT,
-    OMNI_P2DX,
-    ERS,
-    QRIO,
-    TARANTULA,
-    TALON,
-    SORYU,
-    TELEMAX,
-    RUGBOT,
-    KENAF,
-    AIRROBOT,
-    PASSAROLA,
-    SUBMARINE,
-    COMSTATION,
-    UNIT_LOADER,
-):
+for _spec in values_in(sys.modules[__name__], RobotSpec):
     ROBOTS.add(_spec.name, _spec)
