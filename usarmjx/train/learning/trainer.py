@@ -255,8 +255,7 @@ class _CheckpointWriter:
         self._written.set_result(None)
 
     def save(self, iteration: int, state: tuple[TrainState, RolloutState], note: dict[str, Any]) -> None:
-        """Begin to write a checkpoint, after the one before."""
-        self.settle()
+        """Begin to write a checkpoint; `settle` the one before first."""
         if self._pool is None:
             self._written = Future()
             self._written.set_result(self._write(iteration, state, note))
@@ -364,6 +363,8 @@ def _run(
                 began, seconds = (now := time.perf_counter()), now - began
                 line = _line(trainer, one.number, sums, steps / seconds)
                 lines.append(line)
+                if one.state is not None:
+                    writer.settle()
                 if log:
                     log.write(line)
                 if one.state is not None:
