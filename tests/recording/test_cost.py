@@ -30,7 +30,7 @@ def test_the_loop_hardly_notices(tmp_path, monkeypatch):
         return run
 
     monkeypatch.setattr(dynamic_world, "record_step", timed(dynamic_world.record_step))
-    for name in ("told", "read", "lines"):
+    for name in ("record_orders", "read", "lines"):
         monkeypatch.setattr(WorldRecorder, name, timed(getattr(WorldRecorder, name)))
     world = dynamic_world.DynamicWorld(ARENAS.get("soccer"), max_robots=ROBOTS)
     file = record_worlds([world], tmp_path / "crowd.mcap")

@@ -74,10 +74,11 @@ def _plain(value: Any) -> Any:  # noqa: ANN401
         return str(value) if isinstance(value, str) else int(value)
     if isinstance(value, Mapping):
         return dict(cast(Mapping[str, object], value))
-    kind: type[object] = type(cast(object, value))
+    record = cast(object, value)
+    kind = type(record)
     if _kinds().get(kind.__name__) is not kind:
         raise UsageError(f"a {kind.__name__} cannot be recorded, as only usarmjx's own values can")
-    return {KIND: kind.__name__, **{name: getattr(value, name) for name in _names(kind)}}
+    return {KIND: kind.__name__, **{name: getattr(record, name) for name in _names(kind)}}
 
 
 def unpack(data: bytes) -> Any:  # noqa: ANN401 - any of the values

@@ -20,7 +20,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from usarmjx.base.errors import PeerError
-from usarmjx.server.gamebots.console import LogTail, SpectatorConsole, WatchingCamera
+from usarmjx.server.gamebots.console import SpectatorCamera, SpectatorConsole
 from usarmjx.server.network.access import EVERYBODY, AccessRules, parse_address
 from usarmjx.server.network.gate import Gate
 from usarmjx.server.network.ports import bound_socket
@@ -29,6 +29,7 @@ from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.spectator import Spectator, read_message
 from usarmjx.server.pictures.views import CompositeView
 from usarmjx.server.protocol.images import jpeg
+from usarmjx.server.runtime.logs import LogTail
 from usarmjx.server.worlds.served_world import ServedWorld
 
 if TYPE_CHECKING:
@@ -90,14 +91,14 @@ class Page:
     idle_since: float = field(default_factory=time.monotonic)
     shown: deque[float] = field(default_factory=lambda: deque(maxlen=MANY_PICTURES))
 
-    def camera(self) -> WatchingCamera | None:
+    def camera(self) -> SpectatorCamera | None:
         """Return from where it looks now; None: from several places."""
         eye = self.spectator.eye()
         if eye is None:
             return None
         spent = self.shown[-1] - self.shown[0] if self.shown else 0.0
         rate = (len(self.shown) - 1) / spent if spent else 0.0
-        return WatchingCamera(*eye, rate, self.spectator.caption())
+        return SpectatorCamera(*eye, rate, self.spectator.caption())
 
 
 class SpectatorServer:

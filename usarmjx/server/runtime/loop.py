@@ -1,4 +1,7 @@
-"""The loop that all is served in: it steps the served worlds in time with the clock."""
+"""The server's loop: it steps the served worlds in time with the clock, and sockets are read in between.
+
+A `StepClock` decides when the worlds step, a `Pace` how they catch up after a delay, a `StepMeter` measures.
+"""
 
 import asyncio
 import contextlib
@@ -10,28 +13,44 @@ import threading
 import time
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from functools import partial
 
 from usarmjx.base.errors import UsageError
 from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.runtime.signals import StopSignals
 
+log = logging.getLogger(__name__)
+
 GAP_BOUNDS = (0.005, 0.01, 0.015, 0.025, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
-"""Gaps between two control steps are counted up to each of these [s]; one is due after 0.02 s."""
+"""Upper bounds of the histogram of gaps between two control steps [s]; a step is due after 0.02 s."""
 WINDOW, SAMPLE = 5.0, 0.5
-"""The real-time factor is that of the last seconds, looked at so often [s]."""
+"""Time over which the real-time factor is averaged, and interval of its samples [s]."""
+MAX_LAG = 0.5
+"""Lag at which the pacing loop gives up catching up [s]."""
+RECOVERY = 2.0
+"""Time without a lag after which the loop counts as recovered [s]."""
+IDLE_PERIOD = 0.02
+"""Interval at which paused worlds are served [s]."""
+MAX_STEPS = 1000
+"""Most waiting single steps."""
+MAX_FACTOR = 1000.0
+"""Largest real-time factor."""
+GC_THRESHOLD = 1000
+"""Collections of young objects before one of old objects; Python's default is 10."""
+SWITCH_INTERVAL = 5e-4
+"""Time after which the loop interrupts another thread of Python, such as JAX's tracing [s]."""
 
 
 class StepMeter:
-    """A `net.Service` that measures the control steps of a world.
+    """A `gamebots.server.Service` that measures the control steps of a world.
 
     Args:
         server: The world's server.
 
     Attributes:
         server: The world's server.
-        gaps: How many gaps between two control steps were up to each bound, and how many above the last.
+        gaps: Number of gaps between two control steps up to each bound, and above the last.
         gap_sum: Their sum [s].
     """
 
@@ -43,11 +62,11 @@ class StepMeter:
         self._samples: deque[tuple[float, float]] = deque(maxlen=round(WINDOW / SAMPLE) + 1)
 
     async def start(self) -> list[str]:
-        """Begin; there is nothing to say."""
+        """Do nothing: there is no port to open."""
         return []
 
     def tick(self) -> None:
-        """The world has made a control step."""
+        """Count a control step that has just been made."""
         self.count(time.perf_counter())
 
     def count(self, now: float) -> None:
@@ -62,35 +81,27 @@ class StepMeter:
             self._samples.append((now, self.server.world.time))
 
     def stop(self) -> None:
-        """Nothing to do."""
+        """Do nothing."""
 
     def realtime_factor(self, now: float) -> float:
-        """Return simulated seconds per second of late, as seen at a time [s]; 0 while there is no telling."""
+        """Return the recent simulated seconds per second at a time [s]; 0 before the first sample."""
         if not self._samples or now <= self._samples[0][0]:
             return 0.0
         began, start = self._samples[0]
         return (self.server.world.time - start) / (now - began)
 
 
-log = logging.getLogger(__name__)
-
-MAX_LAG = 0.5
-"""What is further behind the clock than this gives up catching up [s]."""
-RECOVERY = 2.0
-"""What is in time so long after giving up has caught its breath [s]."""
-
-
 class Pace:
-    """Says when to make the next control step.
+    """Schedule of control steps.
 
-    A world that cannot keep up with the clock makes its steps one right after the other. Whenever it is
-    `MAX_LAG` behind, it lets that time go: else it would run ahead of the clock when it could again. The log
-    gets a line when that begins, and one with the total when it ends.
+    A world that cannot keep up with the clock makes its steps one right after the other. Whenever it lags by
+    `MAX_LAG`, it gives that time up: otherwise it would later run faster than the clock to make up for it.
+    The log gets a line when that begins, and one with the total when it ends.
 
     Args:
         period: Length of a control step [s of simulated time].
-        factor: Simulated seconds per second; 0: as fast as it can.
-        now: When the first step is made [s].
+        factor: Simulated seconds per second; 0: as fast as possible.
+        now: Time of the first step [s].
     """
 
     def __init__(self, period: float, factor: float, now: float) -> None:
@@ -100,7 +111,7 @@ class Pace:
         self._lost = 0.0
 
     def pause(self, now: float) -> float:
-        """Return how long to wait for the next control step, after one that ended at a time [s]."""
+        """Return the wait until the next control step [s], after one that ended at a time [s]."""
         if self._period <= 0.0:
             return 0.0
         self._deadline += self._period
@@ -119,7 +130,7 @@ class Pace:
         self._lost += behind
 
     def finish(self, now: float) -> None:
-        """Log how much time was lost, if any was since that was logged last, at a time [s]."""
+        """Log the time that was lost since the last such line, if any, at a time [s]."""
         if not math.isnan(self._fell_behind):
             lasted = now - self._fell_behind
             log.warning("no longer behind the clock: %.2f s lost in %.1f s", self._lost, lasted)
@@ -127,22 +138,14 @@ class Pace:
         self._lost = 0.0
 
 
-IDLE_PERIOD = 0.02
-"""Worlds that stand still are attended to so often [s]."""
-MAX_STEPS = 1000
-"""Most single steps that may wait."""
-MAX_FACTOR = 1000.0
-"""Largest factor that can be asked for."""
-
-
 class StepClock:
-    """Says when worlds make their next control step, and whether they make it.
+    """Clock of the worlds: pauses, single steps and the real-time factor.
 
-    Whoever steps them asks `takes_step` before each and `wait` after it; `pause`, `step` and `set_factor` may
-    be called from any thread.
+    The loop calls `takes_step` before each control step and `sleep` after it; `pause`, `step` and
+    `set_factor` may be called from any thread.
 
     Args:
-        factor: Simulated seconds per second; 0: as many as there can be.
+        factor: Simulated seconds per second; 0: as many as possible.
     """
 
     def __init__(self, factor: float = 1.0) -> None:
@@ -153,24 +156,24 @@ class StepClock:
 
     @property
     def factor(self) -> float:
-        """Simulated seconds per second that are wanted; 0: as many as there can be."""
+        """Wanted simulated seconds per second; 0: as many as possible."""
         return self._factor
 
     @property
     def paused(self) -> bool:
-        """Whether the worlds stand still."""
+        """Whether the worlds are paused."""
         return self._paused
 
     def pause(self, on: bool) -> None:
-        """Let the worlds stand still, or go on."""
+        """Pause the worlds, or let them go on."""
         with self._lock:
             self._paused, self._steps = on, 0
 
     def step(self, steps: int = 1) -> None:
-        """Let the worlds make so many more control steps, and stand still then.
+        """Make some more control steps, and pause the worlds.
 
         Raises:
-            UsageError: That many cannot be asked for.
+            UsageError: The number is out of range.
         """
         if not 1 <= steps <= MAX_STEPS:
             raise UsageError(f"{steps} single steps cannot be asked for: 1 to {MAX_STEPS}")
@@ -178,10 +181,10 @@ class StepClock:
             self._paused, self._steps = True, min(self._steps + steps, MAX_STEPS)
 
     def set_factor(self, factor: float) -> None:
-        """Set how many simulated seconds a second shall have.
+        """Set the simulated seconds per second.
 
         Raises:
-            UsageError: It is no such number.
+            UsageError: The factor is out of range.
         """
         if not (math.isfinite(factor) and 0.0 <= factor <= MAX_FACTOR):
             raise UsageError(f"a real-time factor of {factor:g} is not possible: 0 to {MAX_FACTOR:g}")
@@ -189,7 +192,7 @@ class StepClock:
             self._factor, self._pace = factor, None
 
     def takes_step(self) -> bool:
-        """Return whether the worlds make a control step now; a single step is used up by that."""
+        """Return whether the worlds make a control step now; it uses up a single step."""
         with self._lock:
             if self._paused and not self._steps:
                 return False
@@ -197,11 +200,11 @@ class StepClock:
             return True
 
     def wait(self, period: float, now: float) -> float:
-        """Return how long to wait after a time [s]: for the next control step, or the next look.
+        """Return the wait [s] until the next control step, or the next check of a pause.
 
         Args:
             period: Length of a control step [s of simulated time].
-            now: When the last one ended [s].
+            now: End of the last one [s].
         """
         with self._lock:
             if self._paused:
@@ -211,31 +214,35 @@ class StepClock:
                 self._pace = Pace(period, self._factor, now)
             return self._pace.pause(now)
 
+    async def sleep(self, period: float) -> None:
+        """Sleep until the next control step, or the next check of a pause, is due.
+
+        A subclass that does not follow the wall clock overrides this and `takes_step`.
+
+        Args:
+            period: Length of a control step [s of simulated time].
+        """
+        await asyncio.sleep(self.wait(period, time.perf_counter()))
+
     def finish(self, now: float) -> None:
-        """Log how much time was lost, if any was since that was logged last, at a time [s]."""
+        """Log the time that was lost since the last such line, if any, at a time [s]."""
         with self._lock:
             if self._pace is not None:
                 self._pace.finish(now)
 
 
-GC_THRESHOLD = 1000
-"""Young objects are looked through for garbage so often before old ones are; Python's default is 10."""
-SWITCH_INTERVAL = 5e-4
-"""The loop gets its turn so soon when another thread runs Python, as when JAX traces a function [s]."""
-
-
 class ServerLoop:
-    """Serves worlds until told to stop.
+    """Serves worlds until `stop`.
 
     All have one clock: each makes one control step after the other in the order given, and in between
     sockets are read.
 
     Args:
-        servers: One for each world.
-        clock: Pauses, and how fast simulated time goes; a number: simulated seconds per second, or 0.
+        servers: Server of each world.
+        clock: Clock of all worlds; a number: simulated seconds per second, or 0.
 
     Attributes:
-        listening: Whether all is listening.
+        listening: Whether all servers listen.
     """
 
     def __init__(self, servers: Sequence[BotServer], clock: StepClock | float = 1.0) -> None:
@@ -246,13 +253,13 @@ class ServerLoop:
         self.listening = False
 
     async def run(self) -> None:
-        """Listen, say so, and step until `stop`.
+        """Listen, print the addresses, and step until `stop`.
 
         Raises:
             UsageError: A port is taken or the address is not ours.
         """
         try:
-            # First all listen: who has read the line of one world finds the others too.
+            # All listen before the first line: a reader of one world's address may use the others at once.
             for lines in [self._announcement(server, await server.start()) for server in self._servers]:
                 print(*(f"usarmjx: {line}" for line in lines), sep="\n", flush=True)
             self.listening = True
@@ -266,7 +273,7 @@ class ServerLoop:
         self._stop.set()
 
     def _times_up(self, served: float) -> bool:
-        """Return whether the worlds have been served for as long as they shall be [s of simulated time]."""
+        """Return whether the time limit is reached, after some time of serving [s of simulated time]."""
         limit = self._servers[0].settings.time_limit
         return limit > 0 and served >= 60 * limit - self._servers[0].world.period / 2
 
@@ -282,7 +289,7 @@ class ServerLoop:
                 if number:
                     await asyncio.sleep(0)
                 self._tick(server, moves)
-            await asyncio.sleep(self._clock.wait(world.period, time.perf_counter()))
+            await self._clock.sleep(world.period)
         ended = time.perf_counter()
         self._clock.finish(ended)
         spent = max(ended - began, 1e-9)
@@ -299,11 +306,11 @@ class ServerLoop:
 
 
 @contextlib.contextmanager
-def low_latency() -> Iterator[None]:
-    """Let no other thread and no search for garbage hold up the loop; on leaving all is as it was.
+def low_latency() -> Generator[None]:
+    """Keep other threads and the garbage collector from delaying the loop, within the context.
 
-    To look for garbage among the hundreds of thousands of objects that JAX keeps holds up all threads, and
-    that again and again while a function is traced.
+    A collection among the hundreds of thousands of objects that JAX keeps stops all threads, and tracing a
+    function triggers many of them.
     """
     switch_interval, thresholds = sys.getswitchinterval(), gc.get_threshold()
     sys.setswitchinterval(SWITCH_INTERVAL)
@@ -318,12 +325,12 @@ def low_latency() -> Iterator[None]:
 
 
 def serve(servers: Sequence[BotServer], clock: StepClock | float, signals: StopSignals) -> None:
-    """Serve worlds until a signal comes.
+    """Serve worlds until a signal.
 
     Args:
-        servers: One for each world.
-        clock: Pauses, and how fast simulated time goes; a number: simulated seconds per second, or 0.
-        signals: What says when to stop.
+        servers: Server of each world.
+        clock: Clock of all worlds; a number: simulated seconds per second, or 0.
+        signals: Signals that stop the loop.
 
     Raises:
         UsageError: A port is taken or the address is not ours.
