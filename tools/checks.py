@@ -36,7 +36,7 @@ OPTIMISED = (
     "tests/comms/test_attenuation.py",
     "tests/comms/test_mail.py",
     "tests/engines/test_engines.py::test_jax_drives_as_c_mujoco_does",
-    "tests/models/compile/test_body_plan.py",
+    "tests/models/compile/test_kinematic_tree.py",
     "tests/sensors/rays/test_raycast.py",
     "tests/server/test_joints_wire.py",
     "tests/sim/test_control.py",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.lone import LoneWorld
-from tests.models.robots.test_looks import naked
+from tests.models.robots.test_visuals import naked
 from usarmjx.base.backend import numpy_backend
 from usarmjx.models.compile.kinematic_tree import forward_kinematics
 from usarmjx.models.compile.victim_visuals import BONE_VISUALS, VISUAL_SLOTS, drawn_bones, used_slots

@@ -10,7 +10,6 @@ import pytest
 from usarmjx.base.errors import SpecError
 from usarmjx.models.compile.reachability import DEFAULT_SLOPE, footprint_of, reach_map
 from usarmjx.models.generate import KINDS, Difficulty, generate
-from usarmjx.models.generate.draw import RandomStream
 from usarmjx.models.generate.obstacles import (
     MAX_HEIGHT_RATIO,
     OBSTACLES,
@@ -20,6 +19,7 @@ from usarmjx.models.generate.obstacles import (
     obstacle_height,
 )
 from usarmjx.models.generate.plan import CELL
+from usarmjx.models.generate.random_stream import RandomStream
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sim.trials.obstacles import HOPELESS, LEVELS
 

@@ -144,6 +144,7 @@ def _exits() -> dict[PointId, list[PointId]]:
     for junction in JUNCTIONS:
         for point, heading in _at_junction(junction, coming=True):
             onwards = _at_junction(junction, coming=False)
+            # No turning round: entries against the own heading are left out.
             exits[point] = [entry for entry, along in onwards if _dot(heading, along) > -0.5]
     exits[3, 2, 2] = [(PARKING, 0, 3), (3, 2, 3)]
     return exits

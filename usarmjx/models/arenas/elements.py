@@ -127,6 +127,7 @@ def slope(
     along, across, rise = (b - a for a, b in zip(foot, head, strict=True))
     run = math.hypot(along, across)
     angle, uphill = math.atan2(rise, run), math.atan2(across, along)
+    # From the upper face, which is given, to the slab's centre half a thickness below it.
     back = thickness / 2 * math.sin(angle)
     x, y, z = ((a + b) / 2 for a, b in zip(foot, head, strict=True))
     return Shape(

@@ -93,6 +93,7 @@ class BodyProbe:
 
     def check_victims(self) -> Iterator[str]:
         """Yield victims that are in solids, in the air or below the ground."""
+        # Bones whose scale is 0 have no box.
         table = box_names(self._arena.victims, self._arena.false_alarms)
         ground = GroundFinder(self._model, self._data, ignore=VICTIM_PREFIX)
         for victim in self._arena.victims:

@@ -73,6 +73,7 @@ def slots_for(arenas: Sequence[ArenaSpec], spare: float) -> ArenaSlots:
         most = max(own, key=len)
         longest = [max(max(row[k].size) for row in own if k < len(row)) for k in range(len(most))]
         more = room(len(most)) - len(most)
+        # Spare slots have the longest box as their example, so that they fit any later one.
         boxes += [*most[:1] * more, *most]
         lengths += [*longest[:1] * more, *longest]
     tables = [victim_table(arena.victims, arena.false_alarms) for arena in arenas]
@@ -80,6 +81,7 @@ def slots_for(arenas: Sequence[ArenaSpec], spare: float) -> ArenaSlots:
     limbs = np.zeros((len(arenas), bones))
     for row, table in zip(limbs, tables, strict=True):
         row[: table.num_boxes] = np.asarray(table.size).max(-1)
+    # With spare slots, bones of later arenas may come in any order: each fits the longest.
     limbs = np.full(room(bones), limbs.max(initial=0.0)) if spare else limbs.max(0)
     return ArenaSlots(
         boxes=tuple(boxes),

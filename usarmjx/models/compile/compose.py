@@ -180,6 +180,7 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw
             gear.name1, gear.name2 = prefix + part.name, prefix + part.geared
             gear.data[:2] = 0.0, 1.0
     names = [body.name for body in bodies.values()]
+    # Parts may overlap at rest, as the wheels of a track do.
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
             # MuJoCo skips contacts of a parent with its child only; siblings need an exclusion.
@@ -216,6 +217,7 @@ def _add_part(spec: mujoco.MjSpec, parent: mujoco.MjsBody, part: Part, prefix: s
     if part.spring is not None:
         spring = part.spring
         joint.stiffness, joint.damping = [spring.stiffness, 0, 0], [spring.damping, 0, 0]
+        # MuJoCo's spring exerts stiffness * (springref - position): -load at position 0.
         joint.springref = -spring.load / spring.stiffness
     return body
 

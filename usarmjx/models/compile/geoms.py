@@ -65,6 +65,7 @@ def add_geom(
         quat=quat_from_angles(*shape.rotation),
         mass=shape.mass,
         rgba=shape.rgba,
+        # Torsional and rolling friction, and the last two of solimp, are MuJoCo's defaults.
         friction=[surface.friction, 0.005, 0.0001],
         priority=surface.priority,
         solref=surface.solref,

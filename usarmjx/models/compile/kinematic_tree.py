@@ -153,6 +153,7 @@ class KinematicTree:
         rest, slides = self.rest_mat[1:].astype(float), self.slides[1:, None]
         x, y, z = self.axis[1:].astype(float).T
         zero = np.zeros_like(x)
+        # K, the axis' cross-product matrix: R = 1 + sin(q) K + (1 - cos(q)) K^2 (Rodrigues).
         across = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
         twice = np.where(slides[:, None], 0.0, rest @ across @ across)
         motions = (

@@ -167,6 +167,7 @@ def sample_values(
         if not rule.robots:
             drawn[name] = _number(rule, span, own)
             continue
+        # One key per slot, not one draw of all: a robot's value does not depend on the size of the roster.
         numbers = vmap(partial(_number, rule, span))(random.fold_in(own, np.arange(len(varies))))
         drawn[name] = xp.where(varies, numbers, xp.asarray(rule.neutral, numbers.dtype))
     return RandomizedValues(**drawn)

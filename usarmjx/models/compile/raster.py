@@ -151,6 +151,8 @@ def _rows(
     y = grid.low[1] + (j + 0.5) * grid.cell
     ends_low, ends_high = np.full(len(owner), -np.inf), np.full(len(owner), np.inf)
     steep, inside = np.zeros(len(owner)), np.ones(len(owner), bool)
+    # Faces that point up bound the line from above, those that point down from below; upright ones only
+    # decide whether the line meets the solid.
     for face in range(normals.shape[1]):
         normal = normals[:, face]
         left = offsets[owner, face] - normal[owner, 0] * x - normal[owner, 1] * y

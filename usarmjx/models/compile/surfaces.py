@@ -76,6 +76,7 @@ def walkable_surfaces(
     # All cells at once: the k-th pass handles the k-th lowest solid of every cell that has one.
     for now in np.split(np.argsort(rank, kind="stable"), np.cumsum(np.bincount(rank))[:-1]):
         at = square[now]
+        # Enough room above the block so far: it is complete, and the next one begins.
         free = at[low[now] - top[at] >= height]
         close(free)
         firm[free] = -np.inf

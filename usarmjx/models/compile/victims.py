@@ -431,6 +431,7 @@ def victim_table(victims: Sequence[Victim], false_alarms: Sequence[FalseAlarm] =
     """
     table = build_victim_table(victims, false_alarms)
     share = np.linspace(0.0, 1.0, SWING_STEPS)[:, None, None]
+    # An angle with rate 0 never leaves its initial value, whatever its final one.
     moving = np.where(table.rate > 0, table.final - table.initial, 0.0)
     corners = _corners(table, table.initial + share * moving, np)
     swing = np.linalg.norm(corners - corners[:1], axis=-1).max((0, 2), initial=0.0)

@@ -120,6 +120,7 @@ class Ackermann(Drive):
         finite on a straight course.
         """
         x, y = positions
+        # The bicycle's two steering angles fix the turning centre; its curvature is 0 on a straight course.
         curvature = (xp.tan(front) - xp.tan(rear)) / self.wheel_base
         behind = x - max(wheel.x for wheel in self.wheels)
         return 1.0 + curvature * y, xp.tan(front) + curvature * behind

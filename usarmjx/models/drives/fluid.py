@@ -35,6 +35,7 @@ def shape_factors(radii: Vec3) -> np.ndarray:
     """
     points, weights = np.polynomial.legendre.leggauss(QUADRATURE_NODES)
     t, weights = (points + 1) / 2, weights / 2
+    # The mean radius squared; the substitution of the docstring maps the infinite range to [0, 1].
     scale = math.prod(radii) ** (2 / 3)
     grown = scale + (np.square(radii)[:, None] - scale) * t**2  # t^2 (a^2 + s)
     integrals = 2 * scale * (weights * t**2 / grown / np.sqrt(grown.prod(0))).sum(1)
@@ -137,6 +138,7 @@ class Hull:
         radii = np.array(self.radii, np.float32)
         reach = xp.linalg.norm(radii * up, axis=-1, keepdims=True)
         level = xp.clip(depth[..., None] / reach, -1.0, 1.0)
+        # Volume and centroid of a spherical segment, in units of the ball's.
         share = (2 + 3 * level - level**3) / 4
         middle = -0.75 * (1 - level) ** 2 * (1 + level) ** 2 / xp.maximum(4 * share, 1e-6)
         return share, radii**2 * up / reach * middle

@@ -136,6 +136,7 @@ class RotaryWing(Drive):
         tilt = xp.where(up < -0.99, np.array([1.0, 0.0], np.float32), tilt)
         rate = angular - turn * mat[..., 2, :]
         pull = xp.concatenate([self.bandwidth**2 * tilt, xp.zeros_like(up)], -1)
+        # 1.8 is twice the damping ratio 0.9.
         gains = np.array([1.8 * self.bandwidth, 1.8 * self.bandwidth, self.turn_gain], np.float32)
         most = np.array(self.max_torque, np.float32)
         return xp.clip(np.array(self.inertia, np.float32) * (pull - gains * rate), -most, most)
@@ -158,6 +159,7 @@ def _thrust(force: Array, axis: Array) -> Array:
     after a crash, must not push itself on: only the component of the force along the axis remains.
     """
     near, far = math.cos(math.radians(5)), math.cos(math.radians(15))
+    # 0.1 below keeps a body on its side from dividing by zero.
     along = (force * axis).sum(-1, keepdims=True)
     trust = xp.clip((along / _length(force) - far) / (near - far), 0.0, 1.0)
     return along + trust * (force[..., 2:] / xp.maximum(axis[..., 2:], 0.1) - along)

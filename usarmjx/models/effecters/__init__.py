@@ -1,8 +1,8 @@
 """Effecters: devices with which robots act on the world (manual 8, 11).
 
 `base.Effecter` is an effecter of a robot, with its own parts, solids and operations; `gripper`, `roller` and
-`still` are the manual's, found by type in `EFFECTERS`. `effect` runs on NumPy and, traced, on JAX: see
-`usarmjx.base.backend`. Begin with `still`. Building a scene refuses a type that is not registered here.
+`jointless` are the manual's, found by type in `EFFECTERS`. `effect` runs on NumPy and, traced, on JAX: see
+`usarmjx.base.backend`. Begin with `jointless`. Building a scene refuses a type that is not registered here.
 """
 
 from functools import cache
@@ -18,8 +18,8 @@ from usarmjx.models.effecters.base import (
     no_dropped_tags,
 )
 from usarmjx.models.effecters.gripper import Gripper
+from usarmjx.models.effecters.jointless import Headlight, RfidReleaser
 from usarmjx.models.effecters.roller import RollerTable
-from usarmjx.models.effecters.still import Headlight, RfidReleaser
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.models.types.settings import resolve_settings
 

@@ -68,6 +68,7 @@ class Gripper(Effecter):
             [part.name for part in on_base if side * (part.at[1] - mount.at[1]) > 0] for side in (-1, 1)
         )
         found = (left[-1], right[-1]) if left and right and mount.parent != CHASSIS else OWN_FINGERS
+        # Names that are set take precedence over parts that were found.
         names = [
             name or usual for name, usual in zip((own.left_finger, own.right_finger), found, strict=True)
         ]

@@ -105,6 +105,7 @@ def _write(value: Mesh | HeightField, path: Path, number: int) -> object:
 def _write_mesh(mesh: Mesh, path: Path, number: int) -> str | dict[str, str]:
     """Write the vertices and the faces, its own or those of their hull; return its YAML value."""
     vertices = np.asarray(mesh.vertices, float)
+    # repr of a float reads back to the same bits.
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
     if mesh.faces is None:
         lines += _hull_lines(vertices)

@@ -110,6 +110,7 @@ def _shown(word: bytes) -> str:
 
 def _check_stl(path: Path, data: bytes) -> None:
     announced = int.from_bytes(data[STL_HEADER_BYTES - 4 : STL_HEADER_BYTES], "little")
+    # The length decides first: binary files may begin with the word "solid", too.
     if len(data) >= STL_HEADER_BYTES and len(data) == STL_HEADER_BYTES + STL_FACET_BYTES * announced:
         _check_facets(path, np.frombuffer(data, STL_FACET_DTYPE, announced, STL_HEADER_BYTES))
         return

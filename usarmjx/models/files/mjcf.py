@@ -188,6 +188,7 @@ def geom_shapes(
     if kind == GeomType.mjGEOM_HFIELD:
         return [_terrain(model, int(model.geom_dataid[geom]), like)]
     if kind != GeomType.mjGEOM_MESH:
+        # mjGEOM_PLANE without its prefix.
         raise ArenaFileError(f"{name} is a {kind.name[7:].lower()}; arenas have none")
     # Solids without contacts are only seen, by their faces: they need not be convex.
     pieces = meshes.of(geom, name, hull=surface == FIXTURE)

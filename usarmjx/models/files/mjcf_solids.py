@@ -88,7 +88,9 @@ def combine_inertias(parts: Sequence[Inertia]) -> Inertia:
 def inertia_box(inertia: Inertia) -> Shape:
     """Return a box with that mass and inertia, without contacts."""
     moments, axes = np.linalg.eigh(inertia.tensor)
+    # eigh may return a left-handed frame, which is no rotation.
     axes[:, 2] *= np.sign(np.linalg.det(axes))
+    # A box has I_x = m (b^2 + c^2) / 12 for full edges b and c, and so on: solved for the squared edges.
     squares = 6 * (moments.sum() - 2 * moments) / inertia.mass
     x, y, z = np.maximum(np.sqrt(np.maximum(squares, 0.0)) / 2, MIN_HALF_EDGE).tolist()
     return Shape(

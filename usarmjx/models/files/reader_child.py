@@ -145,6 +145,7 @@ def main() -> None:
     sys.path[:] = SEARCH_PATH
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # prints of the readers must not mix with answers
+    # On Windows select works with sockets only: there the process waits until its input closes.
     while os.name == "nt" or select.select([0], [], [], IDLE)[0]:
         line = sys.stdin.buffer.readline()
         if not line:

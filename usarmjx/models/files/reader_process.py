@@ -137,6 +137,7 @@ class ReaderProcess:
         if self._child is not None and self._owner == os.getpid() and self._child.poll() is None:
             return self._child
         self.close()
+        # By argument: the option -I ignores PYTHONPATH and the working directory.
         folders = [folder for folder in sys.path if folder]
         options = [folders, self._cpu_time, self._memory, self._idle]
         self._child = subprocess.Popen(

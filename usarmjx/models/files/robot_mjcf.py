@@ -89,9 +89,11 @@ def _name(model: mujoco.MjModel, actuator: int) -> str:
 def _motor(model: mujoco.MjModel, actuator: int, joint: int, max_speed: float) -> Motor:
     """Return the servo equivalent to an actuator."""
     gear = abs(float(model.actuator_gear[actuator, 0]))
+    # biasprm is (0, -kp, -kv); a gear scales both force and position, so the joint sees its square.
     bias = -model.actuator_biasprm[actuator, 1:3] * gear**2
     kind = _kind(model, actuator, *bias)
     dof = model.jnt_dofadr[joint]
+    # MuJoCo's estimate at the initial pose, with all that the joint carries.
     inertia = 1.0 / float(model.dof_invweight0[dof])
     drag = 0.0 if np.any(model.jnt_stiffness[joint]) else float(model.dof_damping[dof])
     stiffness, damping = float(bias[0]), float(bias[1]) + drag

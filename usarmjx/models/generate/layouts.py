@@ -1,8 +1,8 @@
 """Layouts of walls and ways on the grid of a generated arena: mazes, open fields, buildings."""
 
 from usarmjx.models.generate.difficulty import Difficulty
-from usarmjx.models.generate.draw import RandomStream
 from usarmjx.models.generate.plan import Cell, CellGrid, Edge, edge
+from usarmjx.models.generate.random_stream import RandomStream
 
 MIN_WALL_PERCENT = {"maze": 40, "field": 10}
 """Share of a perfect maze's walls at wall density 0 [%]."""

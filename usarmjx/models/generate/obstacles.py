@@ -13,8 +13,8 @@ from importlib.resources import files
 from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import Registry
 from usarmjx.models.compile.reachability import RobotFootprint
-from usarmjx.models.generate.draw import RandomStream
 from usarmjx.models.generate.plan import CELL, DIRECTIONS
+from usarmjx.models.generate.random_stream import RandomStream
 from usarmjx.models.generate.structures import CONCRETE, WOOD, block, lerp, slope
 from usarmjx.models.types.shapes import Position2D, Shape
 

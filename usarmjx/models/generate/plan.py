@@ -6,7 +6,7 @@ connected. Walls never cut the tree, so that every robot that fits between two w
 
 from collections.abc import Iterable, Iterator
 
-from usarmjx.models.generate.draw import RandomStream
+from usarmjx.models.generate.random_stream import RandomStream
 from usarmjx.models.types.shapes import Shape
 
 CELL = 1.2
@@ -87,6 +87,7 @@ class CellGrid:
         self.tree = {START_CELL: []}
         tips: list[Cell] = [START_CELL]
         while tips:
+            # Growth from the last cell makes long corridors, from a random one short branches.
             at = draw.randint(len(tips)) if bushy else -1
             cell = tips[at]
             free = [n for n in self.around(cell) if n not in taken and edge(cell, n) not in self.walls]

@@ -7,8 +7,8 @@ around the middle, clear of all walls. Roughness changes their heights, never th
 import math
 from collections.abc import Callable
 
-from usarmjx.models.generate.draw import RandomStream
 from usarmjx.models.generate.plan import CELL, THICKNESS, Cell, middle
+from usarmjx.models.generate.random_stream import RandomStream
 from usarmjx.models.types.shapes import Position2D, Rgba, Shape
 
 STRUCTURE_SIZE = 1.1

@@ -193,6 +193,7 @@ def leaning(axis: Vec3) -> Vec3:
     """Return roll, pitch and yaw of the smallest rotation from the left to an axis on that side."""
     x, y, z = axis
     cross = np.array([[0.0, -x, 0.0], [x, 0.0, z], [0.0, -z, 0.0]])  # cross-product matrix of LEFT x axis
+    # Rotation between unit vectors: 1 + K + K^2 / (1 + c) with c = LEFT . axis = -y.
     roll, pitch, yaw = (angles_from_mat(np.eye(3) + cross + cross @ cross / (1.0 - y)) + 0.0).tolist()
     return (roll, pitch, yaw)
 

@@ -180,6 +180,7 @@ def set_chassis_mass(robot: RobotSpec, value: float) -> RobotSpec:
 def set_max_torque(robot: RobotSpec, value: float) -> RobotSpec:
     """Set MaxTorque: torque in CONF; wheels scale in proportion, and it limits MotorTorque."""
     share = value / robot.max_torque
+    # A hinge's torque is the smaller of MotorTorque and MaxTorque, here with MotorTorque at its default.
     cut = min(value, MOTOR_TORQUE) / min(robot.max_torque, MOTOR_TORQUE)
     robot = _motors(_motors(robot, _is_wheel, torque=share), _is_hinge, torque=cut)
     return replace(robot, max_torque=value)

@@ -121,6 +121,7 @@ def read_ini(path: Path) -> IniFile:
 
 
 def _decode(data: bytes) -> str:
+    # Unreal writes its ini files in UTF-16 with a byte order mark.
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         return data.decode("utf-16")
     if data.startswith(b"\xef\xbb\xbf"):

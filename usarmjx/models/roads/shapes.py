@@ -144,6 +144,7 @@ def _dashes(path: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     done = 0.0
     for a, b in _pieces(path):
         length = float(np.linalg.norm(b - a))
+        # Dashes continue across bends: the phase goes on with the length so far.
         first = math.floor(done / (DASH_LENGTH + DASH_GAP)) * (DASH_LENGTH + DASH_GAP) - done
         for start in np.arange(first, length, DASH_LENGTH + DASH_GAP):
             low, high = max(0.0, start), min(length, start + DASH_LENGTH)

@@ -291,6 +291,7 @@ def _body(car: Car, head: float) -> tuple[Shape, ...]:
     unsprung = 4 * sum(car.unsprung)
     sprung = car.mass - unsprung
     body, cabin = (car.beltline - car.floor) / 2, (height - car.beltline) / 2
+    # Position of the ballast that gives the whole car its axle loads and the height of its centre of gravity.
     ahead = car.wheel_base * (car.front_weight_share - 0.5) * car.mass / sprung
     balance = (car.cog_height * car.mass - car.tyre[0] * unsprung) / sprung
     return (

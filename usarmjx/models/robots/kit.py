@@ -81,6 +81,7 @@ def rod(start: Vec3, end: Vec3, radius: float, rgba: Rgba = DARK, *, blunt: bool
     """Return a rod between two points, with round ends unless it is blunt."""
     way = np.subtract(end, start)
     length = float(np.linalg.norm(way))
+    # The pitch and yaw that take the z axis to the rod's direction.
     turn = (0.0, math.acos(way[2] / length), math.atan2(way[1], way[0]))
     x, y, z = (np.add(start, end) / 2).tolist()
     kind = "cylinder" if blunt else "capsule"

@@ -16,7 +16,7 @@ from usarmjx.models.compile.kinematic_tree import KinematicTree, kinematic_tree_
 from usarmjx.models.compile.ray_geoms import TRIANGLE_KIND
 from usarmjx.models.compile.visuals import Solids
 from usarmjx.models.effecters import effecters_of
-from usarmjx.models.effecters.still import Headlight
+from usarmjx.models.effecters.jointless import Headlight
 from usarmjx.models.types.robot import CHASSIS, Mount, RobotSpec
 from usarmjx.sensors.cameras.imaging import PLAIN_IMAGING, Imaging, imaging_of
 from usarmjx.sensors.settings import CameraSettings, resolve_camera

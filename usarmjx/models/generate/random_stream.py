@@ -25,6 +25,7 @@ class RandomStream:
     """
 
     def __init__(self, seed: int, purpose: str) -> None:
+        # crc32, as Python's own hash of a text differs between processes.
         self._bits = np.random.PCG64(np.random.SeedSequence([seed, crc32(purpose.encode())]))
         self._pool: list[int] = []
 
