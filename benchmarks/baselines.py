@@ -18,7 +18,7 @@ from mujoco import rollout
 from benchmarks.scenes import bare_step, random_actuation, repeat_loop, start_qpos
 from benchmarks.serving.load import make_hall
 from benchmarks.tools import WARM_UP, rate_of, time_repeats
-from usarmjx.base.errors import UsageError, UsarmjxError
+from usarmjx.base.errors import UsarmjxError
 from usarmjx.base.process import cores
 from usarmjx.engines import choose_engine
 from usarmjx.engines.c.batch import CEngine
@@ -30,8 +30,6 @@ from usarmjx.sim.scene import Scene, build_scene
 
 WORLDS_PER_CORE = 4
 """Worlds that `mujoco.rollout` steps for each core, so that none waits long for the last one."""
-WORDS = ("all", "cpu", "none")
-"""What `--baselines` may be: both, without MJX (which compiles), neither."""
 PHYSICS_NAMES = ("mujoco_rollout", "bare_mjx")
 MJX = ("jax", "warp")
 HALL_STEPS = 5
@@ -39,17 +37,6 @@ HALL_STEPS = 5
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 Bundle = tuple[int, np.ndarray, np.ndarray, int]
 """Number of a world, a start [m] (3,), unit vectors (rays, 3), a body that is looked through or -1."""
-
-
-def check_word(word: str) -> str:
-    """Return what `--baselines` says.
-
-    Raises:
-        UsageError: It is none of `WORDS`.
-    """
-    if word not in WORDS:
-        raise UsageError(f"--baselines: {word!r} is not one of {', '.join(WORDS)}")
-    return word
 
 
 def missing(reason: str) -> dict[str, Any]:
@@ -74,7 +61,7 @@ def physics_baselines(
         worlds: Worlds of the batch of MJX.
         steps: Control steps in a repeat.
         repeats: How many of them.
-        word: What is measured, of `WORDS`.
+        word: What is measured, of `cases.BASELINES`.
         bare: What was measured of MJX already, as `rate_of` has it; None: nothing.
     """
     found: dict[str, Any] = {name: missing("not asked for") for name in PHYSICS_NAMES}

@@ -4,13 +4,12 @@ Between two rounds of pictures the worlds are not stepped, but every robot's cam
 that no picture is the one before.
 """
 
+import math
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any, cast
 
 import jax
@@ -18,9 +17,10 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from benchmarks.baselines import WORLDS_PER_CORE, baseline_lines, check_word, missing, multiray_rate, posed
+from benchmarks.baselines import WORLDS_PER_CORE, baseline_lines, missing, multiray_rate, posed
+from benchmarks.cases import AllBaselineOptions, BaselineOptions, CameraCase
 from benchmarks.scenes import sizes
-from benchmarks.tools import append_record, rate_of, record_header, time_repeats
+from benchmarks.tools import rate_of, run_case, time_repeats
 from usarmjx.base.errors import UsageError
 from usarmjx.base.process import cores
 from usarmjx.engines.base import PhysicsState
@@ -127,34 +127,15 @@ def measure_mujoco_warp(
     }
 
 
+ALL = AllBaselineOptions()
 FOV_FACTOR = 0.99
 """By how much the field of view changes from one picture to the next."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraCase:
-    """What to measure: `steps` pictures of every robot's main camera, `repeats` times.
-
-    With `peer` also those of MuJoCo Warp's own renderer, of the first robot's camera in each world.
-    """
-
-    worlds: int
-    robots: int = 1
-    robot: str = "P2AT"
-    arena: str = "yellow"
-    width: int = 64
-    height: int = 64
-    engine: str = "auto"
-    steps: int = 5
-    repeats: int = 5
-    seed: int = 0
-    peer: bool = False
 
 
 def _loop(case: CameraCase, batch: Batch, state: BatchState) -> Callable[[jax.Array], jax.Array]:
     """Return a function that takes pictures `steps` times, and sums them up so that all are needed."""
     index = camera_index(batch.scene.groups[0].robot)
-    eye, size = (0, cameras_of(batch.scene.groups[0].robot)[index], index), (case.width, case.height)
+    eye, size = (0, cameras_of(batch.scene.groups[0].robot)[index], index), case.pixels
     check_size(eye[1], *size)
     worlds, physics = state.worlds, batch.physics(state)
 
@@ -189,17 +170,17 @@ def _scene_summary(scene: Scene, batch: Batch, state: BatchState) -> dict[str, A
 
 def _on_cpu(case: CameraCase, scene: Scene, batch: Batch, state: BatchState) -> dict[str, Any]:
     """Return the rate of `mj_multiRay` for the pixels of a robot's camera: no colours, one ray each."""
-    robot, size = scene.groups[0].robot, (case.width, case.height)
+    robot, size = scene.groups[0].robot, case.pixels
     try:
         model = with_camera(scene, cameras_of(robot)[camera_index(robot)], size)
     except UsageError as error:
         return missing(str(error))
     count = min(case.worlds, WORLDS_PER_CORE * cores())
     datas = [posed(model, qpos) for qpos in np.asarray(batch.physics(state).qpos[:count], float)]
-    edge = np.tan(np.radians(model.cam_fovy[0]) / 2) / case.height
+    width, height = size
+    edge = np.tan(np.radians(model.cam_fovy[0]) / 2) / height
     right, up = np.meshgrid(
-        (2 * np.arange(case.width) + 1 - case.width) * edge,
-        (case.height - 2 * np.arange(case.height) - 1) * edge,
+        (2 * np.arange(width) + 1 - width) * edge, (height - 2 * np.arange(height) - 1) * edge
     )
     pixels = np.stack([right, up, -np.ones_like(up)], -1).reshape(-1, 3)
     pixels /= np.linalg.norm(pixels, axis=-1, keepdims=True)
@@ -212,32 +193,29 @@ def _on_cpu(case: CameraCase, scene: Scene, batch: Batch, state: BatchState) -> 
     return {**rate, "worlds": count, "what": "depth and what is seen, one ray a pixel; no colours"}
 
 
-def measure_camera(case: CameraCase, file: Path | None = None, note: str = "", baselines: str = "all") -> str:
-    """Run a case, append its record to `file` as a JSON line, and return a summary for people.
-
-    Args:
-        case: What to measure.
-        file: Of records.
-        note: What a reader of the record must know.
-        baselines: What is measured beside it, of `baselines.WORDS`.
+def measure_camera(case: CameraCase, options: BaselineOptions = ALL) -> str:
+    """Measure a case, append its record, and return a summary for people.
 
     Raises:
         UnknownNameError: No such arena or robot, or a robot without a camera.
         SpecError: More robots than the arena has start poses.
         UsageError: A picture of that size cannot be taken; a peer is asked for, but warp-lang is missing.
     """
-    check_word(baselines)
-    header = record_header("camera", note=note)
+    return run_case("camera", options, lambda: _measure(case, options.baselines), _summary)
+
+
+def _measure(case: CameraCase, baselines: str) -> dict[str, Any]:
+    """Return the record of a case, without its header."""
     if case.peer and find_spec("warp") is None:
         raise UsageError("MuJoCo Warp's renderer needs warp-lang: pip install usarmjx[cuda]")
-    scene = build_scene(case.arena, [case.robot] * case.robots)
+    recorded = case.as_record()
+    scene = build_scene(case.arena, [recorded["robot"]] * recorded["robots"])
     batch = build_calibrated(lambda: Batch(scene, case.worlds, engine=case.engine, seed=case.seed))
     state = batch.reset()
     first, times, _ = time_repeats(_loop(case, batch, state), jnp.zeros(()), case.repeats)
-    work = case.worlds * case.robots * case.steps
-    record = {
-        **header,
-        "case": asdict(case),
+    work = case.worlds * recorded["robots"] * case.steps
+    return {
+        "case": recorded,
         "in_the_picture": "colours with shadows, bricks and checkers, mirrors (once), glass, headlights; "
         "depth; segmentation",
         "scene": _scene_summary(scene, batch, state),
@@ -249,18 +227,16 @@ def measure_camera(case: CameraCase, file: Path | None = None, note: str = "", b
             else _on_cpu(case, scene, batch, state)
         },
         "frames_per_s": work / statistics.median(times),
-        "pixels_per_s": work * case.width * case.height / statistics.median(times),
+        "pixels_per_s": work * math.prod(case.pixels) / statistics.median(times),
         "times_s": times,
         "compile_s": first - times[0],
         "peer": _peer(case, scene, batch, state) if case.peer else None,
     }
-    append_record(record, file)
-    return _summary(record)
 
 
 def _peer(case: CameraCase, scene: Scene, batch: Batch, state: BatchState) -> list[dict[str, Any]]:
     """Return what MuJoCo Warp's renderer takes for the same, with and without shadows."""
-    robot, size = scene.groups[0].robot, (case.width, case.height)
+    robot, size = scene.groups[0].robot, case.pixels
     model = with_camera(scene, cameras_of(robot)[camera_index(robot)], size)
     qpos = np.asarray(batch.physics(state).qpos)
     return [

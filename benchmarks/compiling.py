@@ -11,13 +11,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from benchmarks.cases import BaselineOptions, CompileCase
 from usarmjx.base.errors import UsageError
 
+USUAL = BaselineOptions()
 STAGES = ("import_s", "scene_s", "batch_s", "trace_s", "compile_s", "first_step_s")
 """In their order; `trace_s` and `compile_s` are one compiled step's, null where the engine is not traced."""
 
@@ -28,15 +28,16 @@ def measure_start(words: dict[str, Any]) -> dict[str, float | None]:
     began = clock()
     import jax
 
-    from benchmarks.scenes import SceneCase, whole_step
+    from benchmarks.cases import SceneCase
+    from benchmarks.scenes import batch_of, scene_of, whole_step
 
     # What compiles in a moment is cached too: else a small scene would look as if nothing were.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     times["import_s"] = clock() - began
     case, began = SceneCase(**words), clock()
-    scene = case.scene()
+    scene = scene_of(case)
     times["scene_s"], began = clock() - began, clock()
-    batch = case.batch(scene)
+    batch = batch_of(case, scene)
     state = jax.block_until_ready(batch.reset())
     times["batch_s"], began = clock() - began, clock()
     step = whole_step(batch, jax.random.key(0))
@@ -51,21 +52,6 @@ def measure_start(words: dict[str, Any]) -> dict[str, float | None]:
         jax.block_until_ready(step(jax.numpy.int32(0), state))
     times["first_step_s"] = clock() - began
     return times
-
-
-@dataclass(frozen=True, kw_only=True)
-class CompileCase:
-    """What to measure: the fields of `SceneCase`, and how often.
-
-    Attributes:
-        scene: Fields of `SceneCase`.
-        repeats: Pairs of processes, cold and cached.
-        limit: After which a process is ended [s].
-    """
-
-    scene: dict[str, Any]
-    repeats: int = 1
-    limit: float = 1800.0
 
 
 def _in_a_process(case: CompileCase, cache: str) -> dict[str, float | None]:
@@ -86,28 +72,24 @@ def _spread(values: Sequence[float | None]) -> dict[str, Any] | None:
     return {"median": statistics.median(known), "values": known} if known else None
 
 
-def measure_compile(
-    case: CompileCase, file: Path | None = None, note: str = "", baselines: str = "cpu"
-) -> str:
-    """Run a case, append its record to `file` as a JSON line, and return a summary for people.
-
-    Args:
-        case: What to measure.
-        file: Of records.
-        note: What a reader of the record must know.
-        baselines: What is measured beside it, of `baselines.WORDS`.
+def measure_compile(case: CompileCase, options: BaselineOptions = USUAL) -> str:
+    """Measure a case, append its record, and return a summary for people.
 
     Raises:
         UsageError: A process failed; says why.
     """
-    from benchmarks.baselines import check_word, physics_baselines
-    from benchmarks.scenes import SceneCase, sizes
-    from benchmarks.tools import append_record, record_header
+    from benchmarks.scenes import resolved
+    from benchmarks.tools import run_case
 
-    check_word(baselines)
-    worlds = SceneCase(**case.scene)
-    resolved = worlds.resolved()
-    header = record_header("compile", host=resolved["engine"] == "c", note=note)
+    host = resolved(case)["engine"] == "c"
+    return run_case("compile", options, lambda: _measure(case, options.baselines), _summary, host=host)
+
+
+def _measure(case: CompileCase, baselines: str) -> dict[str, Any]:
+    """Return the record of a case, without its header."""
+    from benchmarks.baselines import physics_baselines
+    from benchmarks.scenes import resolved, scene_of, sizes
+
     found: dict[str, list[dict[str, float | None]]] = {"cold": [], "cached": []}
     for _ in range(case.repeats):
         with TemporaryDirectory(prefix="usarmjx-bench-") as cache:
@@ -117,18 +99,17 @@ def measure_compile(
         temperature: {stage: _spread([run[stage] for run in runs]) for stage in STAGES}
         for temperature, runs in found.items()
     }
-    scene = worlds.scene()
-    record = {
-        **header,
-        "case": {**asdict(case)["scene"], **resolved, "repeats": case.repeats},
+    scene = scene_of(case)
+    recorded = case.as_record()
+    del recorded["limit"]
+    return {
+        "case": {**recorded, **resolved(case)},
         "in_the_step": "commands, control, physics, sensors when due, resets: compiled as one function",
         "scene": sizes(scene),
         "rates": {},
-        "baselines": physics_baselines(scene, worlds.worlds, 2, case.repeats, baselines),
+        "baselines": physics_baselines(scene, case.worlds, 2, case.repeats, baselines),
         "stages": stages,
     }
-    append_record(record, file)
-    return _summary(record)
 
 
 def _summary(record: dict[str, Any]) -> str:

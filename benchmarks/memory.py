@@ -2,36 +2,21 @@
 
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from benchmarks.baselines import check_word, physics_baselines
-from benchmarks.scenes import SceneCase, sizes, whole_step
-from benchmarks.tools import append_record, record_header
+from benchmarks.baselines import physics_baselines
+from benchmarks.cases import BaselineOptions, MemoryCase, SceneCase
+from benchmarks.scenes import batch_of, resolved, scene_of, sizes, whole_step
+from benchmarks.tools import run_case
 from usarmjx.sim.batch import BatchState
 
 KILOBYTE = 1024
 """Unit of the system's count of a process's memory [bytes]."""
 BASELINE_REPEATS = 2
-
-
-@dataclass(frozen=True, kw_only=True)
-class MemoryCase:
-    """What to measure.
-
-    Attributes:
-        scene: Worlds, of which the number is replaced.
-        counts: Numbers of worlds.
-        compile: Whether a step is compiled, to see what it needs; engines that are traced only.
-    """
-
-    scene: SceneCase
-    counts: tuple[int, ...] = (1, 16)
-    compile: bool = True
+USUAL = BaselineOptions()
 
 
 def size_of(tree: Any) -> int:  # noqa: ANN401 - any PyTree
@@ -76,7 +61,7 @@ def _host_peak() -> int | None:
 
 
 def _measure_one(case: SceneCase, *, compile_it: bool) -> dict[str, Any]:
-    batch = case.batch(case.scene())
+    batch = batch_of(case, scene_of(case))
     state = jax.block_until_ready(batch.reset())
     parts = parts_of(state)
     step = whole_step(batch, jax.random.key(0))
@@ -91,35 +76,26 @@ def _measure_one(case: SceneCase, *, compile_it: bool) -> dict[str, Any]:
     }
 
 
-def measure_memory(case: MemoryCase, file: Path | None = None, note: str = "", baselines: str = "cpu") -> str:
-    """Run a case, append its record to `file` as a JSON line, and return a summary for people.
+def measure_memory(case: MemoryCase, options: BaselineOptions = USUAL) -> str:
+    """Measure a case, append its record, and return a summary for people; baselines are of the physics."""
+    host = resolved(case)["engine"] == "c"
+    return run_case("memory", options, lambda: _measure(case, options.baselines), _summary, host=host)
 
-    Args:
-        case: What to measure.
-        file: Of records.
-        note: What a reader of the record must know.
-        baselines: What is measured of the scene's physics beside it, of `baselines.WORDS`.
-    """
-    check_word(baselines)
-    resolved = case.scene.resolved()
-    header = record_header("memory", host=resolved["engine"] == "c", note=note)
-    rows = [
-        _measure_one(replace(case.scene, worlds=count), compile_it=case.compile)
-        for count in sorted(case.counts)
-    ]
-    scene = case.scene.scene()
-    record = {
-        **header,
-        "case": {**asdict(case.scene), **resolved, "worlds": sorted(case.counts), "compile": case.compile},
+
+def _measure(case: MemoryCase, baselines: str) -> dict[str, Any]:
+    """Return the record of a case, without its header."""
+    counts = sorted(case.counts)
+    rows = [_measure_one(case.scene_case(count), compile_it=case.compile) for count in counts]
+    scene, recorded = scene_of(case), case.scene_case(1).as_record()
+    return {
+        "case": {**recorded, **resolved(case), "worlds": counts, "compile": case.compile},
         "in_the_step": "commands, control, physics, sensors when due, resets: compiled as one function",
         "scene": sizes(scene),
         "rates": {},
-        "baselines": physics_baselines(scene, max(case.counts), 2, BASELINE_REPEATS, baselines),
+        "baselines": physics_baselines(scene, counts[-1], 2, BASELINE_REPEATS, baselines),
         "rows": rows,
         "bytes_per_world": bytes_per_world(rows),
     }
-    append_record(record, file)
-    return _summary(record)
 
 
 def bytes_per_world(rows: Sequence[dict[str, Any]]) -> float:

@@ -7,9 +7,7 @@ and with one arena for all.
 
 import statistics
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -20,13 +18,13 @@ import numpy as np
 from benchmarks.baselines import (
     WORLDS_PER_CORE,
     baseline_lines,
-    check_word,
     missing,
     model_of,
     multiray_rate,
     posed,
 )
-from benchmarks.tools import append_record, rate_of, record_header, time_repeats
+from benchmarks.cases import AllBaselineOptions, BaselineOptions, RadioCase
+from benchmarks.tools import rate_of, run_case, time_repeats
 from usarmjx.base.accelerator import warp_in_use
 from usarmjx.base.process import cores
 from usarmjx.comms.attenuation import RadioSettings
@@ -38,18 +36,7 @@ ARENA_SIDE = 20.0
 """Arenas are this long and wide [m]."""
 MOVE_PER_EVALUATION = 0.02
 """Robots go this far between two evaluations [m]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class RadioCase:
-    """What to measure: `steps` evaluations of all links, `repeats` times."""
-
-    worlds: int
-    robots: int = 16
-    walls: int = 100
-    steps: int = 20
-    repeats: int = 5
-    seed: int = 0
+ALL = AllBaselineOptions()
 
 
 def random_walls(key: jax.Array, walls: int) -> Geoms:
@@ -113,28 +100,24 @@ def _on_cpu(case: RadioCase, walls: Geoms, key: jax.Array) -> dict[str, Any]:
     return {**rate, "worlds": count, "what": "the first wall on the way, not their count; no power"}
 
 
-def measure_radio(case: RadioCase, file: Path | None = None, note: str = "", baselines: str = "all") -> str:
-    """Run a case, append its record to `file` as a JSON line, and return a summary for people.
+def measure_radio(case: RadioCase, options: BaselineOptions = ALL) -> str:
+    """Measure a case, append its record, and return a summary for people."""
+    return run_case("radio", options, lambda: _measure(case, options.baselines), _summary)
 
-    Args:
-        case: What to measure.
-        file: Of records.
-        note: What a reader of the record must know.
-        baselines: What is measured beside it, of `baselines.WORDS`.
-    """
-    check_word(baselines)
-    header, key = record_header("radio", note=note), jax.random.key(case.seed)
+
+def _measure(case: RadioCase, baselines: str) -> dict[str, Any]:
+    """Return the record of a case, without its header."""
+    key, robots = jax.random.key(case.seed), case.robots
     many = jax.vmap(partial(random_walls, walls=case.walls))(jax.random.split(key, case.worlds))
     one = jax.tree.map(lambda x: x[0], many)
-    start = jax.vmap(lambda _: no_links(case.robots))(jnp.arange(case.worlds))
+    start = jax.vmap(lambda _: no_links(robots))(jnp.arange(case.worlds))
     own_first, own, links = time_repeats(_loop(case, many, shared=False, key=key), start, case.repeats)
     shared_first, shared, _ = time_repeats(_loop(case, one, shared=True, key=key), start, case.repeats)
-    work = case.worlds * case.robots * (case.robots - 1) // 2 * case.steps
+    work = case.worlds * robots * (robots - 1) // 2 * case.steps
     paired = np.asarray(links.paired)
-    record = {
-        **header,
-        "case": asdict(case),
-        "scene": {"robots": case.robots, "geoms": case.walls},
+    return {
+        "case": case.as_record(),
+        "scene": {"robots": robots, "geoms": case.walls},
         "rates": {
             "own_walls": rate_of("links/s", work, own_first, own),
             "shared_walls": rate_of("links/s", work, shared_first, shared),
@@ -155,8 +138,6 @@ def measure_radio(case: RadioCase, file: Path | None = None, note: str = "", bas
         "mean_walls": float(np.asarray(links.walls)[paired].mean()) if paired.any() else 0.0,
         "most_walls": int(np.asarray(links.walls).max()),
     }
-    append_record(record, file)
-    return _summary(record)
 
 
 def _summary(record: dict[str, Any]) -> str:

@@ -6,9 +6,7 @@ parts are in the way of the others' rays. Brute force tests every ray against ev
 
 import statistics
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -20,14 +18,14 @@ from flax import struct
 from benchmarks.baselines import (
     WORLDS_PER_CORE,
     baseline_lines,
-    check_word,
     missing,
     model_of,
     multiray_rate,
     posed,
 )
+from benchmarks.cases import AllBaselineOptions, BaselineOptions, RayCase, one_class
 from benchmarks.radio import ARENA_SIDE, random_walls
-from benchmarks.tools import append_record, rate_of, record_header, time_repeats
+from benchmarks.tools import rate_of, run_case, time_repeats
 from usarmjx.base.accelerator import warp_in_use
 from usarmjx.base.errors import UsageError
 from usarmjx.base.process import cores
@@ -51,19 +49,7 @@ MAX_MOVE, MAX_TURN = 0.02, 0.05
 DISTANCE_TOLERANCE = 1e-3
 """Distances that differ by more count as different [m]."""
 KINDS = mujoco.mjtGeom
-
-
-@dataclass(frozen=True, kw_only=True)
-class RayCase:
-    """What to measure: `steps` scans of every robot, `repeats` times."""
-
-    worlds: int
-    robots: int = 16
-    robot: str = "P2AT"
-    walls: int = 100
-    steps: int = 10
-    repeats: int = 5
-    seed: int = 0
+ALL = AllBaselineOptions()
 
 
 class _MovingRobots(struct.PyTreeNode, kw_only=True):
@@ -201,45 +187,43 @@ def _on_cpu(
         here = jax.tree.map(lambda x, w=world: x[w], (walls, moving))
         bodies = _bodies(plan, here[1].after(case.steps - 1))
         datas.append(posed(model_of(_geoms(plan, here[0], bodies))))
-        for slot in range(case.robots):
+        for slot in range(len(moving.yaw[0])):
             fans = scanner.fans(jax.tree.map(lambda x, s=slot: x[s], bodies))
             start, along = (np.asarray(part, float) for part in fans.rays())
             bundles.append((world, start[0], along, slot + 1))
     rate, found = multiray_rate("rays/s", datas, bundles, case.repeats)
-    theirs = np.array(found).reshape(count, case.robots, -1)
+    theirs = np.array(found).reshape(count, len(moving.yaw[0]), -1)
     ours = np.where(np.isfinite(nearest[:count]), nearest[:count], -1.0)
     return {**rate, "worlds": count, "different": float((np.abs(theirs - ours) > DISTANCE_TOLERANCE).mean())}
 
 
-def measure_rays(case: RayCase, file: Path | None = None, note: str = "", baselines: str = "all") -> str:
-    """Run a case, append its record to `file` as a JSON line, and return a summary for people.
-
-    Args:
-        case: What to measure.
-        file: Of records.
-        note: What a reader of the record must know.
-        baselines: What is measured beside it, of `baselines.WORDS`.
+def measure_rays(case: RayCase, options: BaselineOptions = ALL) -> str:
+    """Measure a case, append its record, and return a summary for people.
 
     Raises:
         UnknownNameError: No such robot class.
         UsageError: One without a range scanner.
     """
-    check_word(baselines)
-    header, key = record_header("rays", note=note), jax.random.key(case.seed)
-    plan = kinematic_tree_of(ROBOTS.get(case.robot))
+    return run_case("rays", options, lambda: _measure(case, options.baselines), _summary)
+
+
+def _measure(case: RayCase, baselines: str) -> dict[str, Any]:
+    """Return the record of a case, without its header."""
+    key, (robot, robots) = jax.random.key(case.seed), one_class(case.roster)
+    plan = kinematic_tree_of(ROBOTS.get(robot))
     walls = jax.vmap(lambda k: random_walls(k, case.walls).blocks[0])(jax.random.split(key, case.worlds))
-    moving = jax.vmap(partial(_moving_robots, robots=case.robots, height=plan.clearance))(
+    moving = jax.vmap(partial(_moving_robots, robots=robots, height=plan.clearance))(
         jax.random.split(jax.random.fold_in(key, 1), case.worlds)
     )
     beams = len(_scanner(plan).directions())
-    scans = jnp.zeros((case.worlds, case.robots, beams))
+    scans = jnp.zeros((case.worlds, robots, beams))
     first, times, ours = time_repeats(
         _loop(case, _bounding_volume_cast, plan, walls, moving), scans, case.repeats
     )
     slow_first, slow, theirs = time_repeats(
         _loop(case, brute_force, plan, walls, moving), scans, case.repeats
     )
-    rays = case.worlds * case.robots * beams
+    rays = case.worlds * robots * beams
     ours, theirs = np.asarray(ours), np.asarray(theirs)
     both = np.isfinite(ours) & np.isfinite(theirs)
     apart = np.abs(ours[both] - theirs[both])
@@ -250,13 +234,13 @@ def measure_rays(case: RayCase, file: Path | None = None, note: str = "", baseli
     on_cpu = missing("not asked for")
     if baselines != "none":
         on_cpu = _on_cpu(case, plan, walls, moving, ours)
-    record = {
-        **header,
-        "case": asdict(case),
-        "scene": {"robots": case.robots, "geoms": case.walls + 1 + case.robots * len(plan.geom_type)},
+    geoms = case.walls + 1 + robots * len(plan.geom_type)
+    return {
+        "case": case.as_record(),
+        "scene": {"robots": robots, "geoms": geoms},
         "rates": rates,
         "baselines": {"mj_multiray": on_cpu, "mjx_ray": {"missing": "the rate `brute_force` is its way"}},
-        "geoms_per_world": case.walls + 1 + case.robots * len(plan.geom_type),
+        "geoms_per_world": geoms,
         "geoms_per_robot": len(plan.geom_type),
         "in_the_step": "poses of all robots' geoms, beams, the distance of what each meets first, the own "
         "robot left out; walls (boxes) own for each world; no noise, no reports",
@@ -272,8 +256,6 @@ def measure_rays(case: RayCase, file: Path | None = None, note: str = "", baseli
             (np.isfinite(ours) != np.isfinite(theirs)).mean() + (apart > DISTANCE_TOLERANCE).mean()
         ),
     }
-    append_record(record, file)
-    return _summary(record)
 
 
 def _summary(record: dict[str, Any]) -> str:

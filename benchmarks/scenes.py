@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.cases import SceneCase, SceneOptions
 from usarmjx.base.arrays import Array
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.engines import Inputs, PhysicsState, choose_engine
@@ -211,68 +212,50 @@ SAMPLE_ARENAS = 64
 """Generated arenas that a shared one is chosen from."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class SceneCase:
-    """Worlds of a scene, and their engine.
+def resolved(case: SceneOptions) -> dict[str, Any]:
+    """Return the engine and the substeps that a case means.
 
-    Without `substeps`, control steps take 50 ms.
-
-    With `generated` arenas, `arena` is the kind that is generated, and resets draw others of them. With 1 all
-    worlds share one: the one with the most loose objects, and then solids, of `SAMPLE_ARENAS`, for a fair
-    comparison, as a batch of many has room for the most of everything. They have `size` cells, or, if that is
-    None, `cells_for` as many robots; and a start pose for each.
+    Raises:
+        UnknownNameError: No such engine or physics.
     """
+    timestep = PHYSICS.get(case.physics).timestep
+    engine = choose_engine(case.engine, "batch")
+    return {"engine": engine, "substeps": case.substeps or round(CONTROL_STEP / timestep)}
 
-    worlds: int
-    roster: str = "P2AT"
-    arena: str = "yellow"
-    generated: int = 0
-    size: tuple[int, int] | None = None
-    engine: str = "auto"
-    radio: bool = False
-    physics: str = "reference"
-    substeps: int | None = None
-    seed: int = 0
 
-    def resolved(self) -> dict[str, Any]:
-        """Return the engine and the substeps that are meant.
+def scene_of(case: SceneOptions) -> Scene:
+    """Build the scene of a case.
 
-        Raises:
-            UnknownNameError: No such engine or physics.
-        """
-        timestep = PHYSICS.get(self.physics).timestep
-        engine = choose_engine(self.engine, "batch")
-        return {"engine": engine, "substeps": self.substeps or round(CONTROL_STEP / timestep)}
+    Raises:
+        UsarmjxError: The roster or the arena cannot be built.
+    """
+    kept: dict[str, Any] = {"radio": RadioSettings()} if case.radio else {}
+    physics = replace(PHYSICS.get(case.physics), substeps=resolved(case)["substeps"])
+    return build_scene(_arena(case), parse_roster(case.roster), physics, **kept)
 
-    def scene(self) -> Scene:
-        """Build the scene.
 
-        Raises:
-            UsarmjxError: The roster or the arena cannot be built.
-        """
-        kept: dict[str, Any] = {"radio": RadioSettings()} if self.radio else {}
-        physics = replace(PHYSICS.get(self.physics), substeps=self.resolved()["substeps"])
-        return build_scene(self._arena(), parse_roster(self.roster), physics, **kept)
+def batch_of(case: SceneCase, scene: Scene) -> Batch:
+    """Build the batch of a case's scene; resets draw start poses."""
+    settings: dict[str, Any] = {"engine": resolved(case)["engine"], "seed": case.seed, "shuffle": True}
+    return build_calibrated(lambda: Batch(scene, case.worlds, **settings))
 
-    def batch(self, scene: Scene) -> Batch:
-        """Build the batch of a scene; resets draw start poses."""
-        settings: dict[str, Any] = {"engine": self.resolved()["engine"], "seed": self.seed, "shuffle": True}
-        return build_calibrated(lambda: Batch(scene, self.worlds, **settings))
 
-    def _arena(self) -> str | ArenaSpec | list[ArenaSpec]:
-        """Return the arena, or all arenas; a single generated one is shared by all worlds."""
-        if not self.generated:
-            return self.arena
-        if self.generated > 1:
-            return self._generate(self.generated)
-        sample = self._generate(SAMPLE_ARENAS)
-        return max(sample, key=lambda arena: (len(arena.loose), len(arena.shapes)))
+def _arena(case: SceneOptions) -> str | ArenaSpec | list[ArenaSpec]:
+    """Return the arena, or all arenas; a single generated one is shared by all worlds."""
+    if not case.generated:
+        return case.arena
+    if case.generated > 1:
+        return _generate(case, case.generated)
+    sample = _generate(case, SAMPLE_ARENAS)
+    return max(sample, key=lambda arena: (len(arena.loose), len(arena.shapes)))
 
-    def _generate(self, count: int) -> list[ArenaSpec]:
-        robots = len(parse_roster(self.roster))
-        size = cells_for(robots) if self.size is None else self.size
-        starts = max(DEFAULT_STARTS, robots)
-        return generate_many(self.arena, count, seed=self.seed, size=(size[0], size[1]), starts=starts)
+
+def _generate(case: SceneOptions, count: int) -> list[ArenaSpec]:
+    robots = len(parse_roster(case.roster))
+    starts = max(DEFAULT_STARTS, robots)
+    return generate_many(
+        case.arena, count, seed=case.seed, size=case.cells or cells_for(robots), starts=starts
+    )
 
 
 def cells_for(robots: int) -> tuple[int, int]:

@@ -6,20 +6,21 @@ in the same run, in turn with ours. Cold is with an empty compilation cache, cac
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from benchmarks.baselines import check_word, hall_baselines
+from benchmarks.baselines import hall_baselines
+from benchmarks.cases import CLASS_ARENA, BaselineOptions, ServeCase
 from benchmarks.serving.clients import Bounds, Missing, attempt, gather, measure_inits, ratios, rows, show
 from benchmarks.serving.load import make_hall, measure_gaps, measure_load, measure_pictures
 from benchmarks.serving.process import OWN_TREE, ServerProcess, SourceTree
-from benchmarks.tools import append_record, record_header, spread_of
+from benchmarks.tools import run_case, spread_of
 from usarmjx.base.errors import UsageError
 from usarmjx.models.files.load import find_arena, save_arena
 
+USUAL = BaselineOptions()
 USUAL_SEATS = 16
 """Robots that a server takes if nobody asks for more."""
 MEANING = {
@@ -36,66 +37,40 @@ MEANING = {
 """What a record's figures are."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ServeCase:
-    """What to measure.
-
-    Attributes:
-        parts: Which parts, of `PARTS`.
-        arena: Where robots are.
-        class_arena: Where one robot of each class is, which needs room for cars.
-        classes: Robot classes whose INIT is timed; the first one watches the others.
-        robots: Numbers of robots whose load is measured; more than the arena has start poses are in a hall.
-        joining: How many join a watcher.
-        engine: Engine of the servers.
-        seconds: Length of one measurement of what goes on and on [s].
-        windows: How many of them.
-        repeats: Servers started for each figure, cold and cached.
-        limit: What takes longer than this is given up [s].
-    """
-
-    parts: tuple[str, ...] = ("start", "init", "gaps", "load", "pictures")
-    arena: str = "yellow"
-    class_arena: str = "field"
-    classes: tuple[str, ...] = ("P2AT", "P2DX", "AirRobot", "Hummer", "Talon")
-    robots: tuple[int, ...] = (1, 4, 16, 64)
-    joining: int = 15
-    engine: str = "c"
-    seconds: float = 5.0
-    windows: int = 3
-    repeats: int = 3
-    limit: float = 120.0
-
-    @property
-    def bounds(self) -> Bounds:
-        """How long to measure and to wait."""
-        return Bounds(self.seconds, self.windows, self.limit)
+def bounds_of(case: ServeCase) -> Bounds:
+    """Return how long to measure and to wait."""
+    return Bounds(case.seconds, case.windows, case.limit)
 
 
 def measure_serve(
     case: ServeCase,
     checkouts: Sequence[Path] = (),
-    file: Path | None = None,
-    note: str = "",
+    options: BaselineOptions = USUAL,
     say: Callable[[str], None] = lambda text: None,
-    baselines: str = "all",
 ) -> str:
-    """Run a case, append its record to `file` as a JSON line, and return a summary for people.
+    """Measure a case, append its record, and return a summary for people.
 
     Args:
         case: What to measure.
         checkouts: Source trees whose servers are measured too.
-        file: Of records.
-        note: What a reader must know, as that the machine was not idle.
+        options: Of the record.
         say: Hears what is measured now.
-        baselines: What is measured beside it, of `baselines.WORDS`.
 
     Raises:
         UsageError: A checkout has no server, or there is no such part.
         UnknownNameError: No such arena.
     """
-    check_word(baselines)
-    header = record_header("serve", host=True, note=note)
+
+    def measure() -> dict[str, Any]:
+        return _measure(case, checkouts, options.baselines, say)
+
+    return run_case("serve", options, measure, _summary, host=True)
+
+
+def _measure(
+    case: ServeCase, checkouts: Sequence[Path], baselines: str, say: Callable[[str], None]
+) -> dict[str, Any]:
+    """Return the record of a case, without its header."""
     if unknown := [part for part in case.parts if part not in PARTS]:
         raise UsageError(f"no part is called {unknown[0]!r}; known: {', '.join(PARTS)}")
     trees = [SourceTree(OWN_TREE), *(SourceTree(folder.resolve()) for folder in checkouts)]
@@ -107,9 +82,8 @@ def measure_serve(
         {"commit": tree.commit, "figures": figures, "of_ours": ratios(found[0], figures) if number else None}
         for number, (tree, figures) in enumerate(zip(trees, found, strict=True))
     ]
-    record = {
-        **header,
-        "case": asdict(case),
+    return {
+        "case": case.as_record(),
         "scene": {"robots": max(case.robots)} if "load" in case.parts else None,
         "rates": _rates(found[0]),
         "baselines": hall_baselines("P2AT", max(case.robots), case.windows, baselines),
@@ -118,8 +92,6 @@ def measure_serve(
         "meaning": MEANING,
         "servers": servers,
     }
-    append_record(record, file)
-    return _summary(record)
 
 
 def _rates(figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -179,17 +151,17 @@ def _start(case: ServeCase, tree: SourceTree) -> dict[str, Any]:
 
 
 def _init(case: ServeCase, tree: SourceTree) -> dict[str, Any]:
-    measure = partial(measure_inits, kinds=case.classes, bounds=case.bounds)
-    return _cold_and_cached(case, tree, case.class_arena, measure)
+    measure = partial(measure_inits, kinds=case.classes, bounds=bounds_of(case))
+    return _cold_and_cached(case, tree, CLASS_ARENA, measure)
 
 
 def _gaps(case: ServeCase, tree: SourceTree) -> dict[str, Any]:
-    measure = partial(measure_gaps, joining=case.joining, bounds=case.bounds)
+    measure = partial(measure_gaps, joining=case.joining, bounds=bounds_of(case))
     return _cold_and_cached(case, tree, case.arena, measure)
 
 
 def _pictures(case: ServeCase, tree: SourceTree) -> dict[str, Any]:
-    measure = partial(measure_pictures, bounds=case.bounds)
+    measure = partial(measure_pictures, bounds=bounds_of(case))
     return _cold_and_cached(case, tree, case.arena, measure, ["--image-format", "raw"])
 
 
@@ -203,7 +175,7 @@ def _load(case: ServeCase, tree: SourceTree) -> dict[str, Any]:
             arena = case.arena if robots <= room else str(save_arena(make_hall(robots), hall))
             seats = tree.seats(max(USUAL_SEATS, robots))
             server = ServerProcess(tree, Path(folder), ["--arena", arena, "--engine", case.engine, *seats])
-            figures[f"{robots} robots"] = attempt(partial(_load_of, server, robots, case.bounds))
+            figures[f"{robots} robots"] = attempt(partial(_load_of, server, robots, bounds_of(case)))
     return figures
 
 

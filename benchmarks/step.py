@@ -10,7 +10,6 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass
 from functools import partial
 from heapq import nlargest
 from pathlib import Path
@@ -20,17 +19,20 @@ import jax
 import mujoco
 import numpy as np
 
-from benchmarks.baselines import MJX, baseline_lines, check_word, physics_baselines
+from benchmarks.baselines import MJX, baseline_lines, physics_baselines
+from benchmarks.cases import AllBaselineOptions, BaselineOptions, StepCase
 from benchmarks.scenes import (
     RESET_SHARE,
-    SceneCase,
     SceneFigures,
     bare_step,
+    batch_of,
     repeat_loop,
+    resolved,
+    scene_of,
     start_qpos,
     whole_step,
 )
-from benchmarks.tools import append_record, rate_of, record_header, time_repeats
+from benchmarks.tools import rate_of, run_case, time_repeats
 from usarmjx.base.errors import EngineError
 from usarmjx.engines.c.batch import c_model
 from usarmjx.sim.batch import Batch, BatchState
@@ -140,20 +142,7 @@ def kernel_lines(kernels: dict[str, Any]) -> list[str]:
 BASELINE_STEPS = 400
 RATE = "robot-steps/s"
 USUAL_GRAPH = "step"
-
-
-@dataclass(frozen=True, kw_only=True)
-class StepCase(SceneCase):
-    """What to measure; `steps` control steps of `substeps` physics steps, `repeats` times.
-
-    `graph` says which CUDA graphs engine `warp` launches (`engines/warp_graphs.py`); with `profile` a repeat
-    of the whole step more, which is not in the rates, is told by its kernels.
-    """
-
-    steps: int = 20
-    repeats: int = 5
-    graph: str = USUAL_GRAPH
-    profile: bool = False
+ALL = AllBaselineOptions()
 
 
 def _one_core(scene: Scene, speeds: np.ndarray) -> float:
@@ -177,31 +166,28 @@ def in_the_step(*, radio: bool) -> str:
     )
 
 
-def measure_step(case: StepCase, file: Path | None = None, note: str = "", baselines: str = "all") -> str:
-    """Run a case, append its record to `file` as a JSON line, and return a summary for people.
-
-    Args:
-        case: What to measure.
-        file: Of records.
-        note: What a reader of the record must know.
-        baselines: What is measured beside it, of `baselines.WORDS`.
+def measure_step(case: StepCase, options: BaselineOptions = ALL) -> str:
+    """Measure a case, append its record, and return a summary for people.
 
     Raises:
         EngineError: A contact buffer overflowed, so the figures would be wrong.
     """
-    check_word(baselines)
-    resolved = case.resolved()
-    header = record_header("step", host=resolved["engine"] == "c", note=note)
-    scene = case.scene()
-    batch = case.batch(scene)
+    host = resolved(case)["engine"] == "c"
+    return run_case("step", options, lambda: _measure(case, options.baselines), _summary, host=host)
+
+
+def _measure(case: StepCase, baselines: str) -> dict[str, Any]:
+    """Return the record of a case, without its header."""
+    engine = resolved(case)["engine"]
+    scene = scene_of(case)
+    batch = batch_of(case, scene)
     if case.graph != USUAL_GRAPH:
         batch.engine.select_graphs(case.graph)
     rates, state, seen, kernels = _rates(case, batch)
     bare, whole, blind = (rates[name] for name in ("bare", "whole", "blind"))
     rays = sum(len(group.slots) * sum(group.suite.ray_counts) for group in scene.groups)
     record = {
-        **header,
-        "case": {**asdict(case), **resolved},
+        "case": {**case.as_record(), **resolved(case)},
         "robots_per_world": scene.num_robots,
         "arena_geoms": len(scene.fixed_geoms.kind) + len(scene.moved_geom_table.kind),
         "loose_objects": len(scene.arena.loose),
@@ -216,7 +202,7 @@ def measure_step(case: StepCase, file: Path | None = None, note: str = "", basel
             case.steps,
             case.repeats,
             baselines,
-            {**bare, "engine": resolved["engine"]} if resolved["engine"] in MJX else None,
+            {**bare, "engine": engine} if engine in MJX else None,
         ),
         "bare_robot_steps_per_s": bare["rate"],
         "robot_steps_per_s": whole["rate"],
@@ -235,8 +221,7 @@ def measure_step(case: StepCase, file: Path | None = None, note: str = "", basel
     }
     if kernels is not None:
         record["kernels"] = kernels
-    append_record(record, file)
-    return _summary(record)
+    return record
 
 
 def _rates(

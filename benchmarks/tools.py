@@ -14,6 +14,7 @@ from typing import Any
 
 import jax
 
+from benchmarks.cases import BaselineOptions
 from usarmjx.base.files import AppendedFile, atomic_write
 from usarmjx.base.process import cores
 
@@ -131,6 +132,33 @@ def append_record(record: dict[str, Any], file: Path | None) -> None:
         lines = AppendedFile(file)
         lines.append(json.dumps(record).encode() + b"\n")
         lines.close()
+
+
+def run_case(
+    benchmark: str,
+    options: BaselineOptions,
+    measure: Callable[[], dict[str, Any]],
+    summary: Callable[[dict[str, Any]], str],
+    *,
+    host: bool = False,
+) -> str:
+    """Measure a case, append its record to a file, and return a summary for people.
+
+    Args:
+        benchmark: Its name.
+        options: Of the record.
+        measure: Returns the entries after the header: `case`, `scene`, `rates`, `baselines` and others.
+        summary: Turns the record into a text.
+        host: Whether the work is the host's alone.
+
+    Raises:
+        UsageError: No such word for baselines.
+    """
+    options.check()
+    header = record_header(benchmark, host=host, note=options.note)
+    record = {**header, **measure()}
+    append_record(record, options.json)
+    return summary(record)
 
 
 def rewrite_record(record: dict[str, Any], file: Path, before: bytes = b"") -> bytes:

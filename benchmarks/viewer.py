@@ -5,26 +5,21 @@ import os
 import statistics
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import msgspec.msgpack
 import viser
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
-from websockets.typing import Subprotocol
 
-from benchmarks.baselines import check_word, hall_baselines
+from benchmarks.baselines import hall_baselines
+from benchmarks.cases import BaselineOptions, ViewerCase
 from benchmarks.serving.clients import Bounds, Missing, attempt
 from benchmarks.serving.load import make_hall, measure_load
 from benchmarks.serving.process import OWN_TREE, VIEWER, ServerProcess, SourceTree
-from benchmarks.tools import append_record, record_header, spread_of
+from benchmarks.tools import run_case, spread_of
 from usarmjx.base.errors import UsageError
 from usarmjx.models.files.load import save_arena
 from usarmjx.models.robots import ROBOTS
@@ -33,65 +28,12 @@ from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.control import CommandUpdate
 from usarmjx.view.page import UPDATE_PERIOD, ViewerPage
 
-
-def camera_message() -> bytes:
-    """Return what a browser says first: then it counts as one that looks."""
-    place = {"wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 9.0), "look_at": (0.0, 0.0, 0.0)}
-    lens = {"fov": 0.9, "near": 0.1, "far": 100.0, "image_height": 800, "image_width": 1280}
-    up = {"up_direction": (0.0, 0.0, 1.0)}
-    return msgspec.msgpack.encode({"type": "ViewerCameraMessage", **place, **lens, **up})
-
-
-def main(port: str, protocol: str) -> None:
-    """Look at the page of a port until there is no more input."""
-    size = 0
-    with connect(f"ws://127.0.0.1:{port}", subprotocols=[Subprotocol(protocol)], max_size=None) as connection:
-
-        def read() -> None:
-            nonlocal size
-            with contextlib.suppress(ConnectionClosed):
-                for message in connection:
-                    size += len(message)
-
-        threading.Thread(target=read, daemon=True).start()
-        for line in sys.stdin:
-            if line.strip() == "hello":
-                connection.send(camera_message())
-            print(size, flush=True)
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])
-
-
+USUAL = BaselineOptions()
 TURNING = {"Left": 2.0, "Right": -2.0}
 STEPS = 3
 """Control steps between two updates."""
 SETTLING = 1.0
 """A browser has taken in the world after so long [s]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ViewerCase:
-    """What to measure.
-
-    Attributes:
-        robots: Numbers of robots that turn, with all their sensors.
-        robot: Their class.
-        updates: Updates of the page for each number.
-        served: Robots of a server whose pace is measured with and without a page; 0: none is.
-        seconds: Length of one look at that server [s].
-        windows: How many of them.
-        limit: What takes longer than this is given up [s].
-    """
-
-    robots: tuple[int, ...] = (1, 16)
-    robot: str = "P2AT"
-    updates: int = 100
-    served: int = 16
-    seconds: float = 5.0
-    windows: int = 3
-    limit: float = 120.0
 
 
 class Browser:
@@ -102,7 +44,7 @@ class Browser:
     """
 
     def __init__(self, port: int) -> None:
-        words = [sys.executable, "-m", "benchmarks.viewer", str(port), f"viser-v{viser.__version__}"]
+        words = [sys.executable, "-m", "benchmarks.onlooker", str(port), f"viser-v{viser.__version__}"]
         self._process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self._say_hello()
 
@@ -137,25 +79,22 @@ def looking(port: int) -> Iterator[Browser]:
         browser.close()
 
 
-def measure_viewer(case: ViewerCase, file: Path | None = None, note: str = "", baselines: str = "all") -> str:
-    """Run a case, append its record to `file` as a JSON line, and return a summary for people.
-
-    Args:
-        case: What to measure.
-        file: Of records.
-        note: What a reader of the record must know.
-        baselines: What is measured beside it, of `baselines.WORDS`.
+def measure_viewer(case: ViewerCase, options: BaselineOptions = USUAL) -> str:
+    """Measure a case, append its record, and return a summary for people.
 
     Raises:
         UnknownNameError: No such robot.
     """
-    check_word(baselines)
-    began, header = os.getloadavg(), record_header("viewer", host=True, note=note)
+    return run_case("viewer", options, lambda: _measure(case, options.baselines), _summary, host=True)
+
+
+def _measure(case: ViewerCase, baselines: str) -> dict[str, Any]:
+    """Return the record of a case, without its header."""
+    began = os.getloadavg()
     updates = {f"{robots} robots": _measure_updates(case, robots) for robots in case.robots}
     most = max(case.robots)
-    record = {
-        **header,
-        "case": asdict(case),
+    return {
+        "case": case.as_record(),
         "scene": {"robots": most},
         "rates": {
             name: spread_of("updates/CPU s", [1e3 / ms for ms in row.pop("process_cpus_ms")])
@@ -172,8 +111,6 @@ def measure_viewer(case: ViewerCase, file: Path | None = None, note: str = "", b
         "served": _measure_served(case) if case.served else None,
         "load_average": {"begin": began, "end": os.getloadavg()},
     }
-    append_record(record, file)
-    return _summary(record)
 
 
 def _measure_updates(case: ViewerCase, robots: int) -> dict[str, Any]:

@@ -5,14 +5,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
+from benchmarks.cases import RecordOptions, ScorecardCase
 from benchmarks.fidelity.manoeuvres import MANOEUVRES, drive_all
 from benchmarks.tools import append_record, record_header
-from usarmjx.models.compile.physics import Physics
+from usarmjx.models.compile.physics import PHYSICS, Physics
 from usarmjx.models.robots import ROBOTS
 
+NO_RECORD = RecordOptions()
 TOLERATED = 0.1
 """Share of the reference by which a number may differ."""
 Card = dict[str, dict[str, float]]
@@ -46,31 +47,19 @@ def differences(reference: Card, other: Card) -> Iterator[tuple[str, str, float,
                 yield name, manoeuvre, wanted, found
 
 
-def write_scorecard(
-    physics: Physics,
-    names: Iterable[str] | None = None,
-    jobs: int = 1,
-    file: Path | None = None,
-    note: str = "",
-) -> str:
-    """Measure settings beside the reference settings; append a record to `file`; return a summary for people.
-
-    Args:
-        physics: The settings.
-        names: The classes; None: all that are driven.
-        jobs: Processes at once.
-        file: Where the record goes, a JSON line.
-        note: What a reader of the record must know.
+def write_scorecard(case: ScorecardCase, options: RecordOptions = NO_RECORD) -> str:
+    """Measure settings beside the reference settings; append a record; return a summary for people.
 
     Raises:
-        UnknownNameError: There is no such class.
+        UnknownNameError: There is no such class, or no such settings.
     """
-    classes = [ROBOTS.get(name).name for name in names or ROBOTS.names()]
-    header = record_header("physics", host=True, note=note)
-    reference, card = measure_cards((Physics(), physics), classes, jobs)
+    physics = PHYSICS.get(case.physics)
+    classes = [ROBOTS.get(name).name for name in case.robot or ROBOTS.names()]
+    header = record_header("physics", host=True, note=options.note)
+    reference, card = measure_cards((Physics(), physics), classes, case.jobs)
     record: dict[str, Any] = {
         **header,
-        "case": {"classes": classes, "jobs": jobs},
+        "case": {"classes": classes, "jobs": case.jobs},
         "scene": None,
         "rates": {},
         "baselines": {"reference settings": {"what": "each number has the reference's before it"}},
@@ -84,7 +73,7 @@ def write_scorecard(
         },
         "differing": [list(row[:2]) for row in differences(reference, card)],
     }
-    append_record(record, file)
+    append_record(record, options.json)
     return summary(reference, card)
 
 

@@ -6,7 +6,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import jax
 import mujoco
 
+from benchmarks.cases import ContestCase, PeerFolders, RecordOptions, SceneCase
 from benchmarks.peering.ours import WORKLOADS, Workload
 from benchmarks.peering.peers import (
     ON_HOST,
@@ -24,12 +25,13 @@ from benchmarks.peering.peers import (
     ensure_environment,
     read_peers,
 )
-from benchmarks.scenes import SceneCase, start_qpos
+from benchmarks.scenes import scene_of, start_qpos
 from benchmarks.tools import append_record, rate_of, record_header, rewrite_record, spare_memory
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.engines import choose_engine
 from usarmjx.engines.c.batch import c_model
 
+NO_RECORD = RecordOptions()
 OURS = "usarmjx"
 """Who we are in a record's rows."""
 UNFINISHED, INTERRUPTED = (f"{what}: what came later is not here" for what in ("not finished", "interrupted"))
@@ -138,70 +140,21 @@ ROBOTS_OF_OURS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class ContestCase:
-    """What to measure.
-
-    Attributes:
-        sizes: Worlds and robots in each.
-        peers: Folders of the peers; none: all there are.
-        engines: Of ours.
-        variants: Of the peers and of `WORKLOADS`, those that are measured; none: all.
-        steps: Of a repeat.
-        repeats: How many.
-        seed: Of all random numbers.
-        arena: Of ours and of MuJoCo's.
-        limit: After which a process is ended [s].
-    """
-
-    sizes: tuple[tuple[int, int], ...] = ((64, 4),)
-    peers: tuple[str, ...] = ()
-    engines: tuple[str, ...] = ("auto", "planar")
-    variants: tuple[str, ...] = ()
-    steps: int = 20
-    repeats: int = 3
-    seed: int = 0
-    arena: str = "yellow"
-    limit: float = 900.0
-
-
-def parse_sizes(texts: Sequence[str]) -> tuple[tuple[int, int], ...]:
-    """Return sizes that are written as `4096x16`, worlds and robots.
-
-    Raises:
-        UsageError: One is not of that form.
-    """
-    found = []
-    for text in texts:
-        worlds, cross, robots = text.partition("x")
-        if not (cross and worlds.isdecimal() and robots.isdecimal() and int(worlds) and int(robots)):
-            raise UsageError(f"--size: {text!r} is not WORLDSxROBOTS, as 4096x16")
-        found.append((int(worlds), int(robots)))
-    return tuple(found)
-
-
 def measure_peers(
     case: ContestCase,
-    folder: Path,
-    environments: Path,
-    *,
-    install: bool = True,
-    file: Path | None = None,
-    note: str = "",
+    folders: PeerFolders,
+    options: RecordOptions = NO_RECORD,
     say: Callable[[str], None] = lambda text: None,
 ) -> str:
-    """Run all in turn, append a record to `file` as a JSON line, and return a summary for people.
+    """Run all in turn, append a record as a JSON line, and return a summary for people.
 
     The record is written anew after each row, so that it has those that there are whatever ends the run.
     SIGTERM ends it as Ctrl-C does.
 
     Args:
         case: What to measure.
-        folder: Of the peers' folders.
-        environments: Where each peer has its environment, or gets one.
-        install: Whether it may get one.
-        file: Of records.
-        note: What a reader of the record must know.
+        folders: Of the peers and of their environments.
+        options: Of the record.
         say: Hears what is measured now.
 
     Raises:
@@ -209,14 +162,14 @@ def measure_peers(
         UnknownNameError: No such engine or variant.
         WriteError: The file cannot be written; it has the rows before.
     """
-    peers = read_peers(folder, case.peers)
+    peers = read_peers(folders.folder, case.peers)
     spare_memory()
     engines = tuple(dict.fromkeys(choose_engine(engine, "batch") for engine in case.engines))
-    settings = {**asdict(case), "engines": engines}
-    record = GrowingRecord(record_header("peers", note=note), settings, file)
+    settings = {**case.as_record(), "engines": engines}
+    record = GrowingRecord(record_header("peers", note=options.note), settings, options.json)
     end = ""
     with tempfile.TemporaryDirectory(prefix="usarmjx-peers-") as scratch, _sigterm_as_interrupt():
-        turns = _turns(case, peers, engines, folder, environments, install, Path(scratch))
+        turns = _turns(case, peers, engines, folders, Path(scratch))
         chosen = _chosen(tuple(turns), case.variants)
         try:
             for (worlds, robots), turn in product(case.sizes, chosen):
@@ -284,9 +237,7 @@ def _turns(
     case: ContestCase,
     peers: Sequence[Peer],
     engines: Sequence[str],
-    folder: Path,
-    environments: Path,
-    install: bool,
+    folders: PeerFolders,
     scratch: Path,
 ) -> Iterator[Turn]:
     """Yield all that can be measured."""
@@ -295,12 +246,12 @@ def _turns(
         here = gpu and not peer.host
         for variant in peer.variants:
             row = {"who": peer.name, "variant": variant, **peer.about(variant)}
-            words = _peer_words(case, peer, variant, environments, install, here, scratch)
+            words = _peer_words(case, peer, variant, folders, here, scratch)
             yield Turn(variant, row, here, words)
     for engine in engines:
         for name, part in WORKLOADS.items():
             if engine in (part.engines or (engine,)):
-                ini = folder.parent / part.ini if part.ini else None
+                ini = folders.folder.parent / part.ini if part.ini else None
                 words = _ours_words(case, engine, name, ini)
                 yield Turn(name, _ours_row(engine, name, part), gpu and engine != "c", words)
 
@@ -337,10 +288,10 @@ def _ours_words(case: ContestCase, engine: str, part: str, ini: Path | None) -> 
 
 
 def _peer_words(
-    case: ContestCase, peer: Peer, variant: str, environments: Path, install: bool, gpu: bool, scratch: Path
+    case: ContestCase, peer: Peer, variant: str, folders: PeerFolders, gpu: bool, scratch: Path
 ) -> Words:
     def words(worlds: int, robots: int) -> list[str]:
-        python = ensure_environment(peer, environments, install=install)
+        python = ensure_environment(peer, folders.environments, install=folders.install)
         chosen = ["--variant", variant, "--device", "gpu" if gpu else "cpu"]
         if peer.host:
             chosen += ["--model", str(_save_model(case.arena, robots, scratch))]
@@ -353,7 +304,7 @@ def _save_model(arena: str, robots: int, folder: Path) -> Path:
     """Write our scene as a MuJoCo model whose robots are at their start poses; return the file."""
     file = folder / f"{robots}.mjb"
     if not file.exists():
-        scene = SceneCase(worlds=1, roster=f"P2AT:{robots}", arena=arena, engine="c").scene()
+        scene = scene_of(SceneCase(worlds=1, roster=f"P2AT:{robots}", arena=arena, engine="c"))
         model = c_model(scene.model)
         model.qpos0[:] = start_qpos(scene)
         mujoco.mj_saveModel(model, str(file))

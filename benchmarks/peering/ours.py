@@ -9,7 +9,8 @@ from typing import Any
 
 import jax
 
-from benchmarks.scenes import SceneCase, bare_step, repeat_loop, whole_step
+from benchmarks.cases import SceneCase
+from benchmarks.scenes import bare_step, batch_of, repeat_loop, scene_of, whole_step
 from benchmarks.tools import WARM_UP, time_repeats, versions
 from usarmjx.sim.configure import configure
 
@@ -100,8 +101,8 @@ def measure(  # noqa: PLR0913 - as the command line has them
         engine=engine,
         seed=seed,
     )
-    scene = case.scene()
-    batch, key = case.batch(scene), jax.random.key(seed + 1)
+    scene = scene_of(case)
+    batch, key = batch_of(case, scene), jax.random.key(seed + 1)
     state: Any = batch.reset()
     if part == "bare":
         (body, given), state = bare_step(batch, key, state), state.physics

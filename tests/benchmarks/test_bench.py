@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks.step import StepCase, measure_step
+from benchmarks.cases import BaselineOptions, StepCase
+from benchmarks.step import measure_step
 from tests.benchmarks.records import faults
 from usarmjx.base.errors import UsageError
 
@@ -15,7 +16,7 @@ def outcome(tmp_path_factory):
     """A tiny run: (record, summary)."""
     file = tmp_path_factory.mktemp("bench") / "new" / "results.jsonl"
     case = StepCase(worlds=2, roster="P2AT", engine="c", steps=2, repeats=1, substeps=4, profile=True)
-    summary = measure_step(case, file, "toy size", "cpu")
+    summary = measure_step(case, BaselineOptions(json=file, note="toy size"))
     (line,) = file.read_text().splitlines()
     return json.loads(line), summary
 
@@ -102,4 +103,4 @@ def test_the_schema_refuses_what_lacks_something(outcome):
 
 def test_an_unknown_word_for_baselines_is_refused():
     with pytest.raises(UsageError, match="'some' is not one of all, cpu, none"):
-        measure_step(StepCase(worlds=1, engine="c"), baselines="some")
+        measure_step(StepCase(worlds=1, engine="c"), BaselineOptions(baselines="some"))

@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.camera import CameraCase, measure_camera, with_camera
+from benchmarks.camera import measure_camera, with_camera
+from benchmarks.cases import AllBaselineOptions, CameraCase
 from tests.benchmarks.records import faults
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
@@ -18,8 +19,8 @@ from usarmjx.sim.scene import build_scene
 
 def test_the_record_says_what_was_measured_where(tmp_path):
     file = tmp_path / "new" / "camera.jsonl"
-    case = CameraCase(worlds=2, robots=2, arena="soccer", width=16, height=8, engine="c", steps=2, repeats=2)
-    summary = measure_camera(case, file)
+    case = CameraCase(worlds=2, roster="P2AT:2", arena="soccer", size="16x8", engine="c", steps=2, repeats=2)
+    summary = measure_camera(case, AllBaselineOptions(json=file))
     record = json.loads(file.read_text())
     assert record["benchmark"] == "camera"
     assert record["device"]
@@ -70,8 +71,8 @@ def test_cameras_that_the_peer_does_not_have_are_refused():
 
 def test_the_record_has_the_peers_figures(tmp_path):
     pytest.importorskip("warp", reason="needs warp-lang")
-    case = CameraCase(worlds=1, arena="soccer", width=16, height=8, engine="c", steps=1, repeats=1, peer=True)
-    summary = measure_camera(case, tmp_path / "camera.jsonl")
+    case = CameraCase(worlds=1, arena="soccer", size="16x8", engine="c", steps=1, repeats=1, peer=True)
+    summary = measure_camera(case, AllBaselineOptions(json=tmp_path / "camera.jsonl"))
     peers = json.loads((tmp_path / "camera.jsonl").read_text())["peer"]
     assert [peer["shadows"] for peer in peers] == [True, False]
     for peer in peers:
@@ -82,4 +83,4 @@ def test_the_record_has_the_peers_figures(tmp_path):
 
 def test_a_robot_without_a_camera_is_refused_by_name():
     with pytest.raises(UnknownNameError, match="ComStation has no camera"):
-        measure_camera(CameraCase(worlds=1, robot="ComStation", arena="soccer", engine="c"))
+        measure_camera(CameraCase(worlds=1, roster="ComStation", arena="soccer", engine="c"))

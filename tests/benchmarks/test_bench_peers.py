@@ -12,8 +12,9 @@ import pytest
 
 import dev
 from benchmarks import tools
+from benchmarks.cases import ContestCase, PeerFolders, RecordOptions, parse_worlds
 from benchmarks.peering import contest, peers
-from benchmarks.peering.contest import ContestCase, GrowingRecord, measure_peers, parse_sizes
+from benchmarks.peering.contest import GrowingRecord, measure_peers
 from benchmarks.peering.ours import WORKLOADS
 from benchmarks.peering.peers import ContestantError, ask_process, ensure_environment, read_peers
 from benchmarks.report.page import peers_text
@@ -106,9 +107,11 @@ def asked(monkeypatch):
 
 
 def test_a_run_has_ours_and_theirs_and_what_failed(folder, asked, tmp_path):
-    case = ContestCase(sizes=((4, 2), (8, 2)), engines=("c",), steps=3, repeats=3)
+    case = ContestCase(size=["4x2", "8x2"], engines=["c"], steps=3, repeats=3)
     file = tmp_path / "peers.jsonl"
-    text = measure_peers(case, folder, tmp_path, file=file, note="toy size")
+    text = measure_peers(
+        case, PeerFolders(folder=folder, environments=tmp_path), RecordOptions(json=file, note="toy size")
+    )
     record = json.loads(file.read_text())
     assert faults(record) == []
     rows = {(row["who"], row["variant"], row["worlds"]): row for row in record["rows"]}
@@ -130,13 +133,15 @@ def test_a_run_has_ours_and_theirs_and_what_failed(folder, asked, tmp_path):
 
 def test_variants_are_chosen_by_name(folder, asked, tmp_path):
     said = []
-    case = ContestCase(engines=("c",), steps=1, repeats=1, variants=("blind", "fine"))
-    measure_peers(case, folder, tmp_path, say=said.append)
+    case = ContestCase(engines=["c"], steps=1, repeats=1, variants=["blind", "fine"])
+    measure_peers(case, PeerFolders(folder=folder, environments=tmp_path), say=said.append)
     assert said[::2] == ["Toy, fine: 64 x 4", "usarmjx, c, blind: 64 x 4"]
     assert said[3] == f"  {64 * 4 * 3 / 0.5:,.0f} robot-steps/s on host"
-    wrong = ContestCase(engines=("c",), variants=("fine", "12 beams, open ground"))
+    wrong = ContestCase(engines=["c"], variants=["fine", "12 beams, open ground"])
     with pytest.raises(UnknownNameError, match=r"'fine', 'broken', 'whole', 'blind', 'bare'$"):
-        measure_peers(wrong, folder, tmp_path)  # engine c is not measured with twelve
+        measure_peers(
+            wrong, PeerFolders(folder=folder, environments=tmp_path)
+        )  # engine c is not measured with twelve
 
 
 def test_who_ran_on_the_processor_is_no_row_of_a_gpu(folder, asked, monkeypatch, tmp_path):
@@ -155,8 +160,9 @@ def test_who_ran_on_the_processor_is_no_row_of_a_gpu(folder, asked, monkeypatch,
 
     monkeypatch.setattr(contest, "ask_process", ask)
     file = tmp_path / "peers.jsonl"
-    chosen = ("fine", "whole", "blind")
-    measure_peers(ContestCase(engines=("c", "jax"), variants=chosen), folder, tmp_path, file=file)
+    chosen = ["fine", "whole", "blind"]
+    case = ContestCase(engines=["c", "jax"], variants=chosen)
+    measure_peers(case, PeerFolders(folder=folder, environments=tmp_path), RecordOptions(json=file))
     record = json.loads(file.read_text())
     assert faults(record) == []
     rows = {f"{row['who']}, {row['variant']}": row for row in record["rows"]}
@@ -264,7 +270,8 @@ def test_planar_is_measured_with_as_many_beams_as_others_have(monkeypatch, folde
     monkeypatch.setattr(contest, "WORKLOADS", {name: part for name, part in WORKLOADS.items() if part.ini})
     (tmp_path / "peers").mkdir()
     folder = (tmp_path / "toy").rename(tmp_path / "peers" / "toy").parent
-    assert "12 beams, open ground" in measure_peers(ContestCase(engines=("c", "planar")), folder, tmp_path)
+    folders = PeerFolders(folder=folder, environments=tmp_path)
+    assert "12 beams, open ground" in measure_peers(ContestCase(engines=["c", "planar"]), folders)
     ours = [words for words in asked if "--ini" in words]
     assert [words[words.index("--engine") + 1] for words in ours] == ["planar"] * 2
     for words, part in zip(ours, contest.WORKLOADS.values(), strict=True):
@@ -315,7 +322,7 @@ def test_processes_that_say_nothing_or_take_too_long():
 
 
 def test_sizes():
-    assert parse_sizes(["4096x16", "1x1"]) == ((4096, 16), (1, 1))
+    assert ContestCase(size=["4096x16", "1x1"]).sizes == [(4096, 16), (1, 1)]
     for bad in ("4096", "0x4", "4x", "axb", "4x-1"):
         with pytest.raises(UsageError, match="WORLDSxROBOTS"):
-            parse_sizes([bad])
+            parse_worlds(bad)

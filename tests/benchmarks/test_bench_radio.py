@@ -6,7 +6,8 @@ import jax
 import numpy as np
 import pytest
 
-from benchmarks.radio import ARENA_SIDE, RadioCase, measure_radio, random_walls
+from benchmarks.cases import AllBaselineOptions, RadioCase
+from benchmarks.radio import ARENA_SIDE, measure_radio, random_walls
 from tests.benchmarks.records import faults
 from tests.comms.solids import Geom, Solids, slab_count
 
@@ -15,7 +16,9 @@ from tests.comms.solids import Geom, Solids, slab_count
 def outcome(tmp_path_factory):
     """A tiny run: (record, summary)."""
     file = tmp_path_factory.mktemp("bench") / "new" / "radio.jsonl"
-    summary = measure_radio(RadioCase(worlds=3, robots=4, walls=10, steps=2, repeats=2), file)
+    summary = measure_radio(
+        RadioCase(worlds=3, roster="P2AT:4", walls=10, steps=2, repeats=2), AllBaselineOptions(json=file)
+    )
     (line,) = file.read_text().splitlines()
     return json.loads(line), summary
 

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks.rays import RayCase, measure_rays
+from benchmarks.cases import AllBaselineOptions, RayCase
+from benchmarks.rays import measure_rays
 from tests.benchmarks.records import faults
 from usarmjx.base.errors import UsageError
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
@@ -16,8 +17,8 @@ from usarmjx.models.robots import ROBOTS
 def outcome(tmp_path_factory):
     """A tiny run: (record, summary)."""
     file = tmp_path_factory.mktemp("bench") / "rays.jsonl"
-    case = RayCase(worlds=2, robots=3, robot="P2DX", walls=12, steps=2, repeats=2)
-    summary = measure_rays(case, file)
+    case = RayCase(worlds=2, roster="P2DX:3", walls=12, steps=2, repeats=2)
+    summary = measure_rays(case, AllBaselineOptions(json=file))
     (line,) = file.read_text().splitlines()
     return json.loads(line), summary
 
@@ -51,7 +52,7 @@ def test_the_summary_has_the_rates(outcome):
 
 def test_a_robot_without_a_scanner_is_refused():
     with pytest.raises(UsageError, match=r"AirRobot has no range scanner to measure with; it has: "):
-        measure_rays(RayCase(worlds=1, robot="AirRobot"))
+        measure_rays(RayCase(worlds=1, roster="AirRobot:16"))
 
 
 def test_the_record_has_the_form_of_all_and_mujoco_sees_the_same(outcome):

@@ -6,7 +6,8 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks import train
-from benchmarks.train import TrainCase, measure_training
+from benchmarks.cases import TrainCase
+from benchmarks.train import measure_training
 from tests.benchmarks.records import faults
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
@@ -14,10 +15,10 @@ from usarmjx.train.learning.config import USUAL_ENGINE
 
 
 def test_a_task_is_trained_as_the_command_line_would(tmp_path):
-    case = TrainCase(task="explore", worlds=8, steps=100, engine="c", seed=3, settings=("a=1", "b=2"))
+    case = TrainCase(task="explore", worlds=8, steps=100, engine="c", seed=3, settings=["a=1", "b=2"])
     assert case.words(tmp_path) == [
-        "train", "explore", "--out", str(tmp_path), "--steps", "100", "--quiet", "--engine", "c",
-        "--seed", "3", "--worlds", "8", "--set", "a=1", "--set", "b=2",
+        "train", "explore", "--out", str(tmp_path), "--total-steps", "100", "--quiet", "--engine", "c",
+        "--seed", "3", "--num-worlds", "8", "--set", "a=1", "--set", "b=2",
     ]  # fmt: skip
 
 
@@ -35,7 +36,7 @@ def test_a_task_is_trained_on_the_engine_that_train_takes(task, monkeypatch, tmp
 
 def test_a_training_that_fails_says_why():
     with pytest.raises(UsageError, match=r"the training failed: .*unknown task 'dance'"):
-        measure_training(TrainCase(task="dance"), None, None)
+        measure_training(TrainCase(task="dance"), None)
 
 
 def test_either_runs_or_a_task():

@@ -5,14 +5,17 @@ import json
 import pytest
 
 from benchmarks import viewer
-from benchmarks.viewer import ViewerCase, measure_viewer
+from benchmarks.cases import BaselineOptions, ViewerCase
+from benchmarks.viewer import measure_viewer
 from tests.benchmarks.records import faults
 from usarmjx.base.errors import UsageError
 
 
 def test_the_record_has_what_an_update_costs_and_sends(tmp_path):
     file = tmp_path / "viewer.jsonl"
-    summary = measure_viewer(ViewerCase(robots=(1, 2), updates=6, served=0), file)
+    summary = measure_viewer(
+        ViewerCase(rosters=["P2AT:1", "P2AT:2"], updates=6, served=0), BaselineOptions(json=file)
+    )
     record = json.loads(file.read_text())
     assert record["benchmark"] == "viewer"
     assert record["served"] is None
@@ -29,13 +32,14 @@ def test_the_record_has_what_an_update_costs_and_sends(tmp_path):
 def test_a_page_that_nobody_reaches_is_given_up(monkeypatch):
     monkeypatch.setattr(viewer.Browser, "_say_hello", lambda self: None)
     with pytest.raises(UsageError, match=r"no browser came to the page within 0\.2 s"):
-        measure_viewer(ViewerCase(robots=(1,), updates=1, served=0, limit=0.2))
+        measure_viewer(ViewerCase(rosters=["P2AT"], updates=1, served=0, limit=0.2))
 
 
 @pytest.mark.slow
 def test_a_server_is_measured_alone_and_with_a_page_open(tmp_path):
     file = tmp_path / "viewer.jsonl"
-    measure_viewer(ViewerCase(robots=(1,), updates=1, served=1, seconds=0.5, windows=1), file)
+    case = ViewerCase(rosters=["P2AT"], updates=1, served=1, seconds=0.5, windows=1)
+    measure_viewer(case, BaselineOptions(json=file))
     served = json.loads(file.read_text())["served"]
     for name in ("alone", "page_open"):
         assert served[name]["realtime_factor"] > 0.0

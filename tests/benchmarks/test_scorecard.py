@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from benchmarks.cases import RecordOptions, ScorecardCase
 from benchmarks.fidelity.manoeuvres import drive_all, flipper_lift, gripper_hold, spin, top_speed
 from benchmarks.fidelity.scorecard import differences, write_scorecard
 from benchmarks.fidelity.track import Orders, Track, orders_of
@@ -72,7 +73,7 @@ def test_a_difference_is_one_beyond_a_tenth_and_beyond_what_counts_for_nothing()
 
 def test_the_record_has_both_numbers_of_every_manoeuvre(tmp_path):
     file = tmp_path / "physics.jsonl"
-    text = write_scorecard(Physics.fast(), ["passarola"], file=file)
+    text = write_scorecard(ScorecardCase(robot=["passarola"]), RecordOptions(json=file))
     record = json.loads(file.read_text())
     reference, fast = record["numbers"]["Passarola"]["top speed"]
     assert fast == pytest.approx(reference, rel=0.02)  # in the air there is no contact to differ by
@@ -94,7 +95,7 @@ def test_a_manoeuvre_whose_physics_went_bad_has_no_number(monkeypatch, tmp_path)
     assert math.isnan(numbers["spin"])
     assert math.isfinite(numbers["ramp hold"])  # nobody tells it anything there
     file = tmp_path / "physics.jsonl"
-    write_scorecard(Physics.fast(), ["P2AT"], file=file)
+    write_scorecard(ScorecardCase(robot=["P2AT"]), RecordOptions(json=file))
     record = json.loads(file.read_text(), parse_constant=pytest.fail)
     assert record["numbers"]["P2AT"]["spin"] == [None, None]
     assert ["P2AT", "spin"] in record["differing"]

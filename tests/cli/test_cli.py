@@ -5,10 +5,12 @@ import subprocess
 import sys
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
 from usarmjx.base.errors import UsageError
-from usarmjx.cli.app import app
+from usarmjx.cli import checkout
+from usarmjx.cli.app import COMMANDS, app
 from usarmjx.engines import ENGINES
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots import ROBOTS
@@ -41,6 +43,34 @@ def test_the_module_runs_and_help_does_not_wait_for_jax():
     )
     assert "serve" in done.stdout
     assert done.stdout.rstrip().endswith("False")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_summary_of_a_command_is_the_first_paragraph_of_its_help(name):
+    """It is written down beside the command's place, so that help of all commands imports none."""
+    command = typer.main.get_command(app).commands[name]
+    assert command.name == name
+    assert " ".join(command.help.split("\n\n")[0].split()) == COMMANDS[name][1]
+
+
+def test_a_wheel_alone_says_where_the_benchmarks_are(monkeypatch, tmp_path):
+    """In one line, whatever was asked for; and a folder of that name where Python runs is not them."""
+    monkeypatch.setattr(checkout, "ROOT", tmp_path)
+    for words in (["bench"], ["bench", "step", "--worlds", "2"], ["chaos", "--self"]):
+        result = invoke(*words)
+        assert result.exit_code == 2
+        (line,) = result.stderr.splitlines()
+        assert line.startswith("usarmjx: benchmarks are a folder of the sources, which no wheel has")
+    assert "bench" in invoke("--help").output
+
+
+def test_a_sweep_without_a_checkout_keeps_no_record(monkeypatch, tmp_path):
+    """It says so before it plays anything."""
+    monkeypatch.setattr(checkout, "ROOT", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    result = invoke("sweep", "run", "thousand", "--json", "x.jsonl")
+    assert (result.exit_code, "benchmarks are a folder" in result.stderr) == (2, True)
+    assert not list(tmp_path.iterdir())
 
 
 def test_serve_help_names_every_option():

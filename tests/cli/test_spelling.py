@@ -3,7 +3,7 @@
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks.commands import one_class
+from benchmarks.cases import one_class
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import COUNTED, OTHER_ROBOT, RENAMED, app, respelt
 from usarmjx.cli.common import chosen_out

@@ -1,29 +1,13 @@
-"""The command line. Imports happen inside the commands, so that `--help` answers at once."""
+"""The command line. Each command is imported when it is used, so that `--help` answers at once."""
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
 import usarmjx
-from usarmjx.cli import (
-    arena,
-    calibrate,
-    checkout,
-    demo,
-    doctor,
-    evaluation,
-    listing,
-    pictures,
-    play,
-    recordings,
-    serve,
-    sweep,
-    train,
-)
-from usarmjx.cli.console import command as console
+from usarmjx.cli.lazy_commands import LazyGroup
 from usarmjx.cli.startup_messages import say
 
 RENAMED: Mapping[str, Mapping[str, str]] = {
@@ -86,11 +70,83 @@ def _with_roster(
     return [*rest, *(word for roster in rosters for word in ("--roster", roster))]
 
 
+COMMANDS = {
+    "demo": (
+        "usarmjx.cli.demo:demo",
+        "Show four robots that explore an arena, in a browser: look on, or take one over.",
+    ),
+    "serve": (
+        "usarmjx.cli.serve:serve",
+        "Serve worlds of a batch over the Gamebots protocol, their radio and their cameras.",
+    ),
+    "list": (
+        "usarmjx.cli.listing:list_everything",
+        "List robots, sensors, arenas, tasks, policies, engines: a table on a terminal, lines in a pipe.",
+    ),
+    "play": (
+        "usarmjx.cli.play:play",
+        "Show one world of a policy at work: draw an episode from above, show it in a browser, or serve it.",
+    ),
+    "eval": (
+        "usarmjx.cli.evaluation:evaluate_policy",
+        "Tell a policy's mean final score and the 95 % interval of that mean.",
+    ),
+    "teams": (
+        "usarmjx.cli.evaluation:teams",
+        "Tell what teams get for each part of a score in the same buildings, and how early they find.",
+    ),
+    "train": ("usarmjx.cli.train:app", "Train a policy for a task."),
+    "export": (
+        "usarmjx.cli.train:app",
+        "Write a policy to a file that NumPy alone can run; or a recording as tables or as a film.",
+    ),
+    "curves": (
+        "usarmjx.cli.train:app",
+        "Draw how scores rose in training, over agent steps and over time; of each seed the last run given.",
+    ),
+    "sweep": ("usarmjx.cli.sweep:app", "Play many configurations of tasks, and compare them."),
+    "calibrate": (
+        "usarmjx.cli.calibrate:calibrate",
+        "Measure how robots answer their motors, for engine planar, and how far off it is with that.",
+    ),
+    "arena": ("usarmjx.cli.arena:app", "List, draw, check and generate arenas."),
+    "view": ("usarmjx.cli.recordings:view", "Show a recording in a browser, at any speed."),
+    "plot": (
+        "usarmjx.cli.recordings:plot",
+        "Draw a recorded mission: plan, trails, scans, radio power, victims found, and all over time.",
+    ),
+    "replay": (
+        "usarmjx.cli.recordings:replay",
+        "Compute a recording again; tell the first number that is another in any bit, and fail then.",
+    ),
+    "portraits": ("usarmjx.cli.pictures:portraits", "Draw robots with the sensors' raycaster."),
+    "radio-map": (
+        "usarmjx.cli.pictures:radio_map",
+        "Draw a map of the power that a radio's signal has all over an arena.",
+    ),
+    "console": (
+        "usarmjx.cli.console.command:console",
+        "Talk to a server in a terminal: send commands, see messages and pictures, drive by keys or "
+        "joystick.",
+    ),
+    "doctor": (
+        "usarmjx.cli.doctor:doctor",
+        "Check versions, devices, cache, ports, engines and small worlds; exit code 1 if one is wrong.",
+    ),
+    "bench": ("benchmarks.commands:app", "Measure how fast things go on this machine."),
+    "chaos": (
+        "benchmarks.chaos.command:chaos",
+        "Attack a server of your own, within bounds, and tell what a well-behaved neighbour noticed of it.",
+    ),
+}
+"""All commands: the place of each and its summary, which is the first paragraph of its help."""
 HELP = {"help_option_names": ["-h", "--help"]}
 
 
-class RootCommand(TyperGroup):
+class RootCommand(LazyGroup):
     """All of the command line; old spellings of options become the present ones here."""
+
+    table = COMMANDS
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - click's, or typer's own copy
         """Parse what was typed."""
@@ -121,26 +177,6 @@ def root(
 ) -> None:
     """USARSim rebuilt as a GPU-batched simulator of multi-robot swarms."""
     del version
-
-
-checkout.add_benchmarks(app)
-app.add_typer(arena.app, name="arena")
-app.add_typer(sweep.app, name="sweep")
-app.add_typer(train.app)
-app.command("eval")(evaluation.evaluate_policy)
-app.command()(play.play)
-app.command()(evaluation.teams)
-app.command("list")(listing.list_everything)
-app.command()(pictures.portraits)
-app.command()(serve.serve)
-app.command()(calibrate.calibrate)
-app.command()(console.console)
-app.command("radio-map")(pictures.radio_map)
-app.command()(recordings.view)
-app.command()(recordings.plot)
-app.command()(recordings.replay)
-app.command()(demo.demo)
-app.command()(doctor.doctor)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

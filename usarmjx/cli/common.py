@@ -65,6 +65,8 @@ def _options_of(group: type) -> list[inspect.Parameter]:
 
 
 def _default(field: Field[Any]) -> Any:  # noqa: ANN401 - of any type
+    if field.default_factory is not MISSING:
+        return field.default_factory()
     return inspect.Parameter.empty if field.default is MISSING else field.default
 
 

@@ -381,7 +381,7 @@ def doctor(
         bool, typer.Option(help="Step small worlds and serve a client, too: ten seconds.")
     ] = True,
 ) -> None:
-    """Look at versions, devices, cache, ports, engines, and try small worlds; exit code 1 if one is wrong."""
+    """Check versions, devices, cache, ports, engines and small worlds; exit code 1 if one is wrong."""
     with ErrorExit():
         announce("looking at packages, cache, ports and devices ...", quickly=True)
         pass  # REMOVED_IMPORT

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from benchmarks.commands import NoteOption
+from usarmjx.cli.checkout import import_benchmarks
 from usarmjx.cli.common import ErrorExit
 from usarmjx.cli.startup_messages import announce, tried_on
 
@@ -68,15 +68,17 @@ def run(
     table: TableOption = None,
     episodes: EpisodesOption = None,
     json: Annotated[
-        Path | None, typer.Option(help="Append a record of what it took to this file, as usarmjx bench does.")
+        Path | None,
+        typer.Option(
+            help="In a checkout: append a record of what it took to this file, as usarmjx bench does."
+        ),
     ] = None,
-    note: NoteOption = "",
+    note: Annotated[str, typer.Option(help="What a reader of the record must know.")] = "",
 ) -> None:
     """Play the cells of a sweep that have no result yet, and say what came of all."""
     with ErrorExit():
         begun = time.perf_counter()
         announce(f"reading {what} ...", engines=["jax" if engine is None else tried_on(engine)])
-        from benchmarks.sweep import SweepMeter
         from usarmjx.sweeps.run import play_prepared, prepare, usual_stream
         from usarmjx.sweeps.spec import find_spec, load_spec
         from usarmjx.sweeps.workers import Workers
@@ -94,7 +96,9 @@ def run(
             for record in prepared.broken:
                 typer.echo(f"fails: {record.failed}")
             return
-        meter = SweepMeter(begun)
+        # Before hours of work: without a checkout there is no record.
+        meter = None if json is None else import_benchmarks("benchmarks.sweep").SweepMeter(begun)
+        sinks = [*_sinks(tensorboard, wandb, spec.name), *([] if meter is None else [meter])]
         found = play_prepared(
             spec,
             folder,
@@ -102,7 +106,7 @@ def run(
             played_on,
             say=None if quiet else lambda line: typer.echo(f"usarmjx: {line}", err=True),
             stream=None if quiet else usual_stream(),
-            sinks=[*_sinks(tensorboard, wandb, spec.name), meter],
+            sinks=sinks,
         )
         _tell(found, figure, table, episodes)
         if json is not None:
@@ -165,12 +169,10 @@ def _sinks(tensorboard: Path | None, wandb: str | None, name: str) -> list[Any]:
 
 def _record(found: Any, plan: Any, meter: Any, workers: Any, file: Path, note: str) -> None:  # noqa: ANN401
     """Append what a sweep took to a file of records, and say it."""
-    from benchmarks.sweep import record_line, sweep_record
-    from benchmarks.tools import append_record
-
-    record = sweep_record(found, plan, meter, workers, note)
-    append_record(record, file)
-    typer.echo(f"{record_line(record)}: {file}")
+    sweep, tools = import_benchmarks("benchmarks.sweep"), import_benchmarks("benchmarks.tools")
+    record = sweep.sweep_record(found, plan, meter, workers, note)
+    tools.append_record(record, file)
+    typer.echo(f"{sweep.record_line(record)}: {file}")
 
 
 def _tell(found: Any, figure: Path | None, table: Path | None, episodes: Path | None) -> None:  # noqa: ANN401

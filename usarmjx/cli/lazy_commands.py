@@ -1,0 +1,103 @@
+"""Commands that are imported when they are used: help of all of them needs their summaries only."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any, ClassVar
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from usarmjx.cli.checkout import has_benchmarks, import_benchmarks, needs_checkout
+
+CommandTable = Mapping[str, tuple[str, str]]
+"""Names of commands with the place of each, as `module:attribute`, and its summary.
+
+The attribute is a function, or a `typer.Typer` that either is the command or has one of that name."""
+
+
+def load_command(name: str, place: str, summary: str) -> Any:  # noqa: ANN401 - click's, or typer's own copy
+    """Import a command."""
+    module, _, attribute = place.partition(":")
+    if module.partition(".")[0] != "benchmarks":
+        target = getattr(import_module(module), attribute)
+    elif has_benchmarks():
+        target = getattr(import_benchmarks(module), attribute)
+    else:
+        return needs_checkout(name, summary)
+    if not isinstance(target, typer.Typer):
+        # With one more command it is a group, which has the command as it is, without options of a program.
+        target, function = typer.Typer(), target
+        target.command(name)(function)
+    group = typer.main.get_group(target)
+    group.name = name
+    return group.commands.get(name, group)
+
+
+class LazyCommands(Mapping[str, Any]):
+    """The commands of a table, each imported at its first look-up.
+
+    Args:
+        table: The commands.
+    """
+
+    def __init__(self, table: CommandTable) -> None:
+        self._table = table
+        self._loaded: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:  # noqa: ANN401 - click's, or typer's own copy
+        """Return a command."""
+        if name not in self._loaded:
+            self._loaded[name] = load_command(name, *self._table[name])
+        return self._loaded[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter(self._table)
+
+    def __len__(self) -> int:
+        """Return the number of commands."""
+        return len(self._table)
+
+
+class LazyGroup(TyperGroup):
+    """A group of commands; its help and the shell's completion of their names import none of them.
+
+    Attributes:
+        table: The commands, of a subclass.
+    """
+
+    table: ClassVar[CommandTable] = {}
+
+    def __init__(self, **settings: Any) -> None:  # noqa: ANN401 - typer's
+        super().__init__(**{**settings, "commands": {}})
+        self.commands: Any = LazyCommands(self.table)
+        self._summaries_only = False
+
+    @contextmanager
+    def _summaries(self) -> Iterator[None]:
+        self._summaries_only = True
+        try:
+            yield
+        finally:
+            self._summaries_only = False
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ANN401 - click's, or typer's own copy
+        """Return the names of all commands, in the table's order."""
+        return list(self.table)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401 - click's, or typer's own copy
+        """Return a command, or None; while help is written, one that has its summary only."""
+        if self._summaries_only and cmd_name in self.table:
+            return TyperCommand(cmd_name, help=self.table[cmd_name][1])
+        return self.commands.get(cmd_name)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - click's, or typer's own copy
+        """Write the help of the group."""
+        with self._summaries():
+            super().format_help(ctx, formatter)
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> Any:  # noqa: ANN401 - click's, or typer's own copy
+        """Return the names that begin so."""
+        with self._summaries():
+            return super().shell_complete(ctx, incomplete)
