@@ -17,8 +17,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import TypeVar
 
-import jax
-
 from usarmjx.base.process import pool_fits_cores
 
 T = TypeVar("T")
@@ -58,6 +56,8 @@ def materialize(tree: T) -> T:
     Args:
         tree: PyTree of arrays.
     """
+    import jax  # not before the cache folders are set
+
     if jax.default_backend() != "gpu":
         return tree
     return jax.lax.optimization_barrier(tree)  # pyright: ignore[reportUnknownMemberType] - JAX has no type
@@ -71,6 +71,8 @@ def unroll_on_gpu(count: int) -> int:
     Args:
         count: Factor on a GPU.
     """
+    import jax
+
     return count if jax.default_backend() == "gpu" else 1
 
 
