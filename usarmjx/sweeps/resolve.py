@@ -6,15 +6,15 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.base.settings import SHARE, default_reader
 from usarmjx.models.compile.arena_set import arena_set
 from usarmjx.models.compile.parts import parts_of as robot_parts
-from usarmjx.models.compile.physics import PHYSICS, Physics
+from usarmjx.models.compile.physics import PHYSICS
 from usarmjx.models.compile.randomization import QUANTITY_RULES, DomainRandomization
 from usarmjx.models.generate import KINDS
 from usarmjx.models.robots import ROBOTS
@@ -92,15 +92,10 @@ def resolve(settings: CellSettings) -> Resolved:
     Raises:
         UsageError: Something that there is not, or that does not go together; says what does.
     """
-    task = make_task(settings["task"])
-    own = parts_of(settings, FIELDS)
-    if own:
-        task = make_task(settings["task"], **_typed(task, own))
+    task = _with_fields(make_task(settings["task"]), settings)
     if "roster" in settings:
         task = with_roster(task, settings["roster"])
-    task = replace(task, physics=_physics(settings, task))
-    task, radio = _with_radio(settings, task)
-    task, ranges = _with_ranges(settings, task, radio)
+    task, ranges = _with_parts(task, settings)
     arenas = _arenas(settings, task)
     if isinstance(arenas, tuple):
         task, specs = replace(task, arena="floor"), arenas
@@ -110,28 +105,16 @@ def resolve(settings: CellSettings) -> Resolved:
     return Resolved(settings=settings, task=task, arenas=specs, ranges=ranges, driver=driver)
 
 
-def _typed(task: Task, own: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields of a task as it has them: YAML's lists are tuples."""
-    usual = {field.name: getattr(task, field.name) for field in fields(task)}
-    found: dict[str, Any] = {}
-    for name, value in own.items():
-        known = usual.get(name)
-        if name in ("arena", "radio", "physics", "vary", "mail", "sensors"):
-            raise UsageError(f"{FIELDS}.{name}: what it is has settings of its own, or none in a sweep")
-        if isinstance(known, tuple) and isinstance(value, list):
-            value = tuple(value)
-        if name in usual and not _alike(known, value):
-            raise UsageError(f"{FIELDS}.{name} is {value!r}, expected something like {known!r}")
-        found[name] = value
-    return found
+OWN_SETTINGS = ("arena", "radio", "physics", "vary", "mail", "sensors")
+"""Fields of a task that a cell has settings of its own for, or cannot set."""
 
 
-def _alike(known: object, value: object) -> bool:
-    if isinstance(known, bool) or isinstance(value, bool):
-        return isinstance(known, bool) and isinstance(value, bool)
-    if isinstance(known, float):
-        return isinstance(value, int | float)
-    return known is None or isinstance(value, type(known))
+def _with_fields(task: Task, settings: CellSettings) -> Task:
+    """Return a task with the fields that a cell sets as `fields.NAME`."""
+    own = parts_of(settings, FIELDS)
+    if wrong := [name for name in own if name in OWN_SETTINGS]:
+        raise UsageError(f"{FIELDS}.{wrong[0]}: a cell has {wrong[0]} as a setting of its own, or not at all")
+    return replace(task, **default_reader().values(type(task), own, where=FIELDS)) if own else task
 
 
 def with_roster(task: Task, roster: object) -> Task:
@@ -175,48 +158,31 @@ def _side(name: str) -> str:
     return "tracked" if set(FLIPPERS) <= {part.name for part in robot_parts(robot)} else "wheeled"
 
 
-def _physics(settings: CellSettings, task: Task) -> Physics:
+def _with_parts(task: Task, settings: CellSettings) -> tuple[Task, dict[str, tuple[float, float]]]:
+    """Return the task with its physics, radio and randomisation, and the ranges that are data."""
     named = settings.get("physics", task.physics)
-    if not isinstance(named, str | Physics):
-        raise UsageError(f"physics is {named!r}, expected one of {', '.join(PHYSICS.names())}")
-    base = PHYSICS.get(named) if isinstance(named, str) else named
-    return replace(base, **parts_of(settings, "physics"))
-
-
-def _with_radio(settings: CellSettings, task: Task) -> tuple[Task, dict[str, tuple[float, float]]]:
-    """Return the task with its radio, and the constants of that which are data."""
-    said = parts_of(settings, "radio")
-    for name, value in said.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise UsageError(f"radio.{name} is {value!r}, expected a number")
-    if not said:
+    task = replace(task, physics=PHYSICS.get(named) if isinstance(named, str) else named)
+    radio, vary = parts_of(settings, "radio"), parts_of(settings, "vary")
+    data = {f"radio_{name}": radio[name] for name in RADIO_AS_DATA if name in radio}
+    if both := [name for name in data if name in vary]:
+        raise UsageError(f"{both[0].replace('_', '.', 1)} and vary.{both[0]} are both given: give one")
+    given = {"physics": parts_of(settings, "physics"), "radio": radio}
+    reader, given = default_reader(), {name: own for name, own in given.items() if own}
+    task = replace(task, **reader.values(type(task), given, base=task))
+    spans = {name: [value, value] if _is_number(value) else value for name, value in (data | vary).items()}
+    if not spans.keys() - {"classes"}:
         return task, {}
-    radio = replace(task.radio or RadioSettings(), **said)
-    data = {f"radio_{name}": (float(said[name]), float(said[name])) for name in RADIO_AS_DATA if name in said}
-    return replace(task, radio=radio), data
-
-
-def _with_ranges(
-    settings: CellSettings, task: Task, radio: Mapping[str, tuple[float, float]]
-) -> tuple[Task, dict[str, tuple[float, float]]]:
-    """Return the task with its domain randomisation, and the ranges of that as data."""
-    said, given = parts_of(settings, "vary"), dict(radio)
-    classes = said.pop("classes", [])
-    for name, value in said.items():
-        span = tuple(value) if isinstance(value, list) else (value, value)
-        if name in radio:
-            raise UsageError(f"{name.replace('_', '.', 1)} and vary.{name} are both said: say one")
-        given[name] = span  # type: ignore - what is no range is refused below
-    if not given:
-        return task, {}
-    base = task.vary or DomainRandomization()
-    vary = replace(base, **given, classes=tuple(classes) or base.classes)
-    data = {
+    task = replace(task, **reader.values(type(task), {"vary": spans}, base=task))
+    ranges = task.vary or DomainRandomization()
+    return task, {
         name: (float(span[0]), float(span[1]))
         for name in QUANTITY_RULES
-        if (span := vary.range_of(name)) is not None and name not in STATIC_RANGES
+        if (span := ranges.range_of(name)) is not None and name not in STATIC_RANGES
     }
-    return replace(task, vary=vary), data
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _arenas(settings: CellSettings, task: Task) -> Any:  # noqa: ANN401 - specs of generated ones, else a name
@@ -236,26 +202,26 @@ def _arenas(settings: CellSettings, task: Task) -> Any:  # noqa: ANN401 - specs 
             known = ", ".join(KINDS.names())
             raise UsageError(f"arena.{next(iter(said))}: not of generated arenas; arena.kind may be {known}")
         return recipe if isinstance(recipe, str | ArenaSpec) else tuple(recipe)
-    recipe = resolve_arenas(_said_recipe(recipe, said), robot, len(task.robots))
+    recipe = resolve_arenas(_changed_recipe(recipe, said), robot, len(task.robots))
     return _generated(recipe, int(settings["episodes"]), "count" in said)
 
 
-def _said_recipe(recipe: GeneratedArenas, said: dict[str, Any]) -> GeneratedArenas:
-    if "level" in said:
-        level = said.pop("level")
-        if isinstance(level, bool) or not isinstance(level, int | float):
-            raise UsageError(f"arena.level is {level!r}, expected a number from 0 to 1")
-        said["levels"] = (float(level),)
-    if "size" in said:
-        said["size"] = tuple(said["size"]) if isinstance(said["size"], list) else said["size"]
-        said["sizes"] = ()  # the task's own would go before
-    known = {field.name for field in fields(recipe)}
-    if missing := sorted(set(said) - known):
-        raise UsageError(f"arena.{missing[0]}: the arenas of this task have: {', '.join(sorted(known))}")
-    try:
-        return replace(recipe, **said)
-    except TypeError as error:
-        raise UsageError(f"arena: {error}") from error
+@dataclass(frozen=True, kw_only=True)
+class _Level:
+    """Setting `arena.level`, one level in place of a recipe's levels."""
+
+    level: Annotated[float, SHARE]
+
+
+def _changed_recipe(recipe: GeneratedArenas, given: dict[str, Any]) -> GeneratedArenas:
+    """Return a recipe of generated arenas with the parts that a cell sets."""
+    reader = default_reader()
+    if "level" in given:
+        level = reader.from_data(_Level, {"level": given.pop("level")}, where="arena").level
+        given["levels"] = [level]
+    if "size" in given and isinstance(recipe, Buildings):
+        given["sizes"] = []  # the task's own would go before
+    return reader.from_data(type(recipe), given, where="arena", base=recipe)
 
 
 @lru_cache(maxsize=64)

@@ -3,63 +3,120 @@
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-import yaml
 
-from usarmjx.base.errors import SpecError, UnknownNameError, UsageError
-from usarmjx.base.files import read_bounded
+from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.base.settings import (
+    AT_LEAST_ONE,
+    NOT_NEGATIVE,
+    FileValue,
+    Setting,
+    default_reader,
+    describe,
+    read_file,
+)
+from usarmjx.base.settings.files import shown
 
-PLAIN = ("task", "policy", "episodes", "seed", "engine", "arena", "roster", "physics")
-"""Settings without parts."""
-PARTS = {
-    "arena": (
-        *("kind", "level", "seed", "count", "size", "victims", "reachable"),
-        *("roughness", "clutter", "dead_ends", "radio_shadow"),
-    ),
-    "radio": ("pdo", "do", "n", "cutoff", "max_obs", "atten_fac", "period", "shadowing", "loss_band"),
-    "physics": (
-        *("timestep", "substeps", "solver", "iterations", "ls_iterations", "cone", "impratio"),
-        *("contacts_per_robot", "pairs_per_robot"),
-    ),
-    "vary": (
-        *("friction", "mass", "wheel", "torque", "speed", "noise", "latency"),
-        *("radio_pdo", "radio_n", "radio_cutoff", "radio_atten_fac", "classes"),
-    ),
-}
-"""Settings that are said as `name.part`, or nested."""
 FIELDS = "fields"
 """`fields.NAME` sets any other field of the task."""
-DEFAULTS: dict[str, Any] = {"policy": "by-hand", "episodes": 20, "seed": 0, "engine": "auto"}
-WHOLE = {"episodes": 1, "seed": 0}
-"""Settings that are whole numbers, and the lowest they may be."""
-
 CellSettings = Mapping[str, Any]
-"""A cell's settings by their flat names."""
+"""A cell's settings by their flat names, as they were given: the key of its result is a hash of them."""
+Named = str | Mapping[str, Any]
+"""A name, or the parts of what it names."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """Settings of a cell. Those with parts are given as `name.part`, or nested.
+
+    Attributes:
+        task: Name of the task, or FILE.py:CLASS.
+        policy: Policy that drives: `by-hand`, `shipped`, a run's folder, an exported file, FILE.py:FUNCTION,
+            or a kind with its name.
+        episodes: Episodes of the cell, each in a world of its own.
+        seed: Seed of all random numbers.
+        engine: Physics engine, or `auto`.
+        arena: Arena, or parts of the recipe of generated ones.
+        roster: Robot classes and how many of each, or a list of classes.
+        physics: Name of the physics settings, or parts of them.
+        radio: Parts of the radio's constants.
+        vary: Parts of the domain randomisation.
+        fields: Other fields of the task.
+    """
+
+    task: str
+    policy: Named = "by-hand"
+    episodes: Annotated[int, AT_LEAST_ONE] = 20
+    seed: Annotated[int, NOT_NEGATIVE] = 0
+    engine: str = "auto"
+    arena: Named | None = None
+    roster: Mapping[str, int] | list[str] | None = None
+    physics: Named | None = None
+    radio: Mapping[str, Any] | None = None
+    vary: Mapping[str, Any] | None = None
+    fields: Mapping[str, Any] | None = None
+
+
+NAMES = tuple(one.name for one in describe(Cell))
+"""Settings of a cell."""
+DEFAULTS: dict[str, Any] = {
+    one.name: one.default for one in describe(Cell) if one.name in ("policy", "episodes", "seed", "engine")
+}
+"""Settings that every cell has, and their values if they are not given."""
+
+
+@cache
+def parts() -> dict[str, tuple[str, ...]]:
+    """Return the parts of the settings that have some, as the classes declare them; imports MuJoCo."""
+    from usarmjx.comms.attenuation import RadioSettings
+    from usarmjx.models.compile.physics import Physics
+    from usarmjx.models.compile.randomization import DomainRandomization
+    from usarmjx.train.tasks.buildings import Buildings
+
+    served = ("listen_port", "debug")
+    own = ("levels", "robot", "starts", "split", "renewable", "sizes", "near_victims", "together")
+    kinds: dict[str, tuple[type, tuple[str, ...]]] = {
+        "arena": (Buildings, own),
+        "radio": (RadioSettings, served),
+        "physics": (Physics, ()),
+        "vary": (DomainRandomization, ()),
+    }
+    found = {
+        name: tuple(one.name for one in describe(kind) if one.name not in but)
+        for name, (kind, but) in kinds.items()
+    }
+    return {**found, "arena": ("level", *found["arena"])}
 
 
 def flatten(given: object, where: str) -> dict[str, Any]:
     """Return settings by their flat names.
 
     Args:
-        given: As YAML gives them, nested or flat.
-        where: Where they stand, for messages.
+        given: Settings as YAML gives them, nested or flat; a value of a file knows its line.
+        where: Part of the file, for messages.
 
     Raises:
-        UsageError: No mapping, or a key that there is not; says which there are.
+        UsageError: No mapping, or a key that there is not; names the known ones.
     """
-    if not isinstance(given, Mapping):
-        raise UsageError(f"{where} is {given!r}, expected settings as key: value")
+    place = f"{given.place}: {where}" if isinstance(given, FileValue) else where
+    rows = given.data if isinstance(given, FileValue) else given
+    if not isinstance(rows, Mapping):
+        raise UsageError(f"{place} is {shown(rows)}, expected settings as key: value")
     flat: dict[str, Any] = {}
-    for key, value in given.items():
-        nested = isinstance(value, Mapping) and (key in PARTS or key == FIELDS)
-        rows = {f"{key}.{part}": own for part, own in value.items()} if nested else {str(key): value}
-        for name, own in rows.items():
-            check_key(name, where)
+    for key, item in rows.items():
+        line = f"{item.place}: {where}" if isinstance(item, FileValue) else where
+        value = item.plain() if isinstance(item, FileValue) else item
+        nested = isinstance(value, Mapping) and (key in parts() or key == FIELDS)
+        for name, own in (
+            {f"{key}.{p}": v for p, v in value.items()} if nested else {str(key): value}
+        ).items():
+            check_key(name, line)
             if name in flat:
-                raise UsageError(f"{where} says {name} twice")
+                raise UsageError(f"{line} has {name} twice")
             flat[name] = own
     return flat
 
@@ -68,34 +125,32 @@ def check_key(key: str, where: str) -> None:
     """Refuse a setting that there is not.
 
     Raises:
-        UsageError: Names the key, and what is allowed.
+        UnknownNameError: Names the key, and the known ones.
     """
     first, dot, part = key.partition(".")
-    if not dot and key in PLAIN:
-        return
     if dot and first == FIELDS and part:
         return
-    if dot and first in PARTS:
-        if part not in PARTS[first]:
-            raise UsageError(f"{where} has no setting {key!r}; {first} has: {', '.join(PARTS[first])}")
+    if dot and first in parts():
+        if part not in parts()[first]:
+            raise UnknownNameError(
+                f"{where} has no setting {key!r}; {first} has: {', '.join(parts()[first])}"
+            )
         return
-    known = [*PLAIN, *(f"{name}.*" for name in PARTS if name not in PLAIN), f"{FIELDS}.*"]
-    raise UsageError(f"{where} has no setting {key!r}; there are: {', '.join(known)}")
+    if dot or key not in NAMES or key in (FIELDS, "radio", "vary"):
+        known = [one for one in NAMES if one not in (FIELDS, "radio", "vary")]
+        rest = [*(f"{name}.*" for name in parts() if name not in known), f"{FIELDS}.*"]
+        raise UnknownNameError(f"{where} has no setting {key!r}; there are: {', '.join([*known, *rest])}")
 
 
 def complete(settings: CellSettings, where: str) -> dict[str, Any]:
-    """Return the settings with the usual ones for what they do not say.
+    """Return the settings with the defaults for those that are not given, in the order of their names.
 
     Raises:
-        UsageError: No task, or a number that is none; says what is allowed.
+        UsageError: No task, or a value that is not allowed; names its limits.
     """
-    full = {**DEFAULTS, **settings}
-    if not isinstance(full.get("task"), str):
-        raise UsageError(f"{where}: task is {full.get('task')!r}, expected the name of a task")
-    for name, least in WHOLE.items():
-        value = full[name]
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise UsageError(f"{where}: {name} is {value!r}, expected a whole number from {least}")
+    full = {"task": None, **DEFAULTS, **settings}
+    whole = {name: value for name, value in full.items() if name in NAMES}
+    default_reader().values(Cell, whole, where=where)
     return dict(sorted(full.items()))
 
 
@@ -109,11 +164,46 @@ def as_text(value: object) -> str:
 
 
 BUNDLED = Path(__file__).parent / "bundled"
-KEYS = ("about", "common", "product", "list", "sample", "worlds")
-METHODS = ("latin-hypercube", "random")
-SAMPLE_KEYS = ("count", "method", "seed", "ranges")
-MAX_BYTES = 1_000_000
 MAX_CELLS = 1_000_000
+"""Most cells of a sweep."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleSettings:
+    """Part `sample` of a sweep's file: points of ranges.
+
+    Attributes:
+        count: Number of points.
+        method: Method by which the points are drawn.
+        seed: Seed of the points.
+        ranges: Lowest and highest number by setting.
+    """
+
+    count: Annotated[int, Setting(ge=1, le=MAX_CELLS)]
+    method: Annotated[str, Setting(choices=("latin-hypercube", "random"))] = "latin-hypercube"
+    seed: Annotated[int, NOT_NEGATIVE] = 0
+    ranges: Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepFile:
+    """A sweep's file. Cells are all combinations of `list`, `product` and `sample`.
+
+    Attributes:
+        about: Question that the sweep answers, in a sentence.
+        common: Settings of all cells.
+        product: Values by setting, of which all combinations are played.
+        list: Settings of cells, one after the other.
+        sample: Points of ranges.
+        worlds: Most worlds of a batch; None: by the memory of the machine.
+    """
+
+    about: str = ""
+    common: Any = None
+    product: Any = None
+    list: Any = None
+    sample: Any = None
+    worlds: Annotated[int | None, AT_LEAST_ONE] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,11 +211,11 @@ class SweepSpec:
     """A sweep.
 
     Attributes:
-        name: Of its file.
-        about: What it asks, in a sentence.
-        cells: The settings of each cell, all that are in force.
-        axes: CellSettings that differ between cells, in the order of the file.
-        worlds: How many worlds a batch has at most; None: as the machine likes it.
+        name: Name of its file.
+        about: Question that it answers, in a sentence.
+        cells: Settings of each cell, with the defaults.
+        axes: Settings that differ between cells, in the order of the file.
+        worlds: Most worlds of a batch; None: by the memory of the machine.
     """
 
     name: str
@@ -154,70 +244,70 @@ def load_spec(path: Path, common: Mapping[str, Any] | None = None) -> SweepSpec:
 
     Args:
         path: The file.
-        common: CellSettings that replace those of all cells.
+        common: Settings that replace those of all cells.
 
     Raises:
-        UsageError: It cannot be read, or something in it is not allowed; names file and key, and what is.
+        UsageError: It cannot be read, or something in it is not allowed; names file, line, key and limits.
     """
-    try:
-        given = yaml.safe_load(read_bounded(path, MAX_BYTES))
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f" line {mark.line + 1}:" if mark else ""
-        problem = getattr(error, "problem", None) or "it does not read"
-        raise SpecError(f"{path}:{line} no YAML: {problem}") from error
-    try:
-        return read_spec(given, path.stem, common)
-    except UsageError as error:
-        raise SpecError(f"{path}: {error}") from error
+    return read_spec(read_file(path), path.stem, common)
 
 
 def read_spec(given: object, name: str = "sweep", common: Mapping[str, Any] | None = None) -> SweepSpec:
-    """Return a sweep from what its file holds.
+    """Return a sweep from the data of its file.
+
+    Args:
+        given: The data; a `FileValue` knows its lines.
+        name: Name of the sweep.
+        common: Settings that replace those of all cells.
 
     Raises:
-        UsageError: Something is not allowed; names the key, and what is.
+        UsageError: Something is not allowed; names the key, the value and its limits.
     """
-    if not isinstance(given, Mapping):
-        raise UsageError(f"expected a mapping with {', '.join(KEYS)}")
-    if unknown := [str(key) for key in given if key not in KEYS]:
-        raise UsageError(f"no key {', '.join(unknown)}; there are: {', '.join(KEYS)}")
-    parts = [_rows(given.get("list")), _product(given.get("product")), _sample(given.get("sample"))]
+    rows = given.data if isinstance(given, FileValue) else given
+    file, found = default_reader().from_data(SweepFile, given), dict[str, Any](rows)  # type: ignore - a mapping
+    parts = [_rows(found.get("list")), _product(found.get("product")), _sample(found.get("sample"))]
     count = int(np.prod([len(rows) for rows in parts]))
     if count > MAX_CELLS:
         raise UsageError(f"{count} cells, expected at most {MAX_CELLS}")
-    base = flatten(given.get("common") or {}, "common")
+    base = flatten(found["common"], "common") if file.common else {}
     over = flatten(common or {}, "the command line")
-    cells = [complete({**base, **_joined(rows), **over}, "a cell") for rows in itertools.product(*parts)]
+    where = f"{given.path}: a cell" if isinstance(given, FileValue) else "a cell"
+    cells = [complete({**base, **_joined(rows), **over}, where) for rows in itertools.product(*parts)]
     unique = list({repr(cell): cell for cell in cells}.values())
     names = dict.fromkeys(key for rows in parts for row in rows for key in row)
     axes = tuple(key for key in names if len({repr(cell.get(key)) for cell in unique}) > 1)
-    worlds = given.get("worlds")
-    if worlds is not None and (isinstance(worlds, bool) or not isinstance(worlds, int) or worlds < 1):
-        raise UsageError(f"worlds is {worlds!r}, expected a whole number from 1")
-    about = " ".join(str(given.get("about", "")).split())
-    return SweepSpec(name=name, about=about, cells=tuple(unique), axes=axes, worlds=worlds)
+    about = " ".join(file.about.split())
+    return SweepSpec(name=name, about=about, cells=tuple(unique), axes=axes, worlds=file.worlds)
 
 
 def _joined(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     joined: dict[str, Any] = {}
     for row in rows:
         if twice := sorted(set(joined) & set(row)):
-            raise UsageError(f"{', '.join(twice)} is in two of list, product and sample: say it once")
+            raise UsageError(f"{', '.join(twice)} is in two of list, product and sample: give it once")
         joined |= row
     return joined
 
 
+def _plain(value: object) -> Any:  # noqa: ANN401 - any data
+    return value.plain() if isinstance(value, FileValue) else value
+
+
+def _is_empty(value: object) -> bool:
+    return _plain(value) is None
+
+
 def _rows(given: object) -> list[dict[str, Any]]:
-    if given is None:
+    if _is_empty(given):
         return [{}]
-    if not isinstance(given, list) or not given:
-        raise UsageError(f"list is {given!r}, expected settings of cells, one after the other")
-    return [flatten(row, f"list, row {i + 1}") for i, row in enumerate(given)]
+    rows = given.data if isinstance(given, FileValue) else given
+    if not isinstance(rows, list) or not rows:
+        raise UsageError(f"list is {shown(rows)}, expected settings of cells, one after the other")
+    return [flatten(row, f"list, row {i + 1}") for i, row in enumerate(rows)]
 
 
 def _product(given: object) -> list[dict[str, Any]]:
-    if given is None:
+    if _is_empty(given):
         return [{}]
     axes = flatten(given, "product")
     for key, values in axes.items():
@@ -228,27 +318,15 @@ def _product(given: object) -> list[dict[str, Any]]:
 
 def _sample(given: object) -> list[dict[str, Any]]:
     """Return points of ranges; whole numbers where both ends are."""
-    if given is None:
+    if _is_empty(given):
         return [{}]
-    if not isinstance(given, Mapping):
-        raise UsageError(f"sample is {given!r}, expected a mapping with {', '.join(SAMPLE_KEYS)}")
-    if unknown := [str(key) for key in given if key not in SAMPLE_KEYS]:
-        raise UsageError(f"sample has no key {', '.join(unknown)}; there are: {', '.join(SAMPLE_KEYS)}")
-    count, seed = given.get("count"), given.get("seed", 0)
-    method = given.get("method", METHODS[0])
-    if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MAX_CELLS:
-        raise UsageError(f"sample: count is {count!r}, expected a whole number from 1 to {MAX_CELLS}")
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise UsageError(f"sample: seed is {seed!r}, expected a whole number from 0")
-    if method not in METHODS:
-        raise UsageError(f"sample: method is {method!r}, expected {' or '.join(METHODS)}")
-    ranges = flatten(given.get("ranges") or {}, "sample: ranges")
+    sample = default_reader().from_data(SampleSettings, given, where="sample")
+    ranges = flatten(sample.ranges, "sample: ranges")
     if not ranges:
         raise UsageError("sample: ranges is empty, expected key: [lowest, highest]")
     for key, span in ranges.items():
-        check_key(key, "sample: ranges")
         _check_span(key, span)
-    points = _points(count, len(ranges), method, seed)
+    points = _points(sample.count, len(ranges), sample.method, sample.seed)
     return [
         {key: _at(span, share) for (key, span), share in zip(ranges.items(), row, strict=True)}
         for row in points

@@ -387,7 +387,8 @@ class Reader:
             return _path_reader(expects)
         if is_record(hint):
             return self._record_reader(hint)
-        return _instance_reader(origin, expects) if isinstance(origin, type) else _deep_plain
+        known = isinstance(origin, type) and origin is not Any  # a class since Python 3.11
+        return _instance_reader(origin, expects) if known else _deep_plain
 
     def _special_reader(self, hint: Any) -> Callable[[Any], Any]:  # noqa: ANN401 - a type hint
         action = self._special[hint]
@@ -536,8 +537,7 @@ def _scalar(hint: type, note: Setting, expects: str) -> CoreSchema:
         except ValidationError:
             plain = _plain(value)
             endless = note.finite and isinstance(plain, float) and math.isinf(plain)
-            words = expects.replace("a number", "a finite number", 1) if endless else expects
-            raise _unexpected(value, words) from None
+            raise _unexpected(value, f"{expects}, finite" if endless else expects) from None
         except _PrecisionError:
             raise _unexpected(value, f"{expects}; {PRECISION}") from None
 
