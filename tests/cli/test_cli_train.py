@@ -22,13 +22,13 @@ from usarmjx.train.learning.run_record import EnvArguments, RunRecord
 from usarmjx.train.learning.trainer import TrainResult
 from usarmjx.train.policies.policy_file import NumpyPolicy
 
-SMALL = ["--task", "drive-to-goal", "--engine", "c", "--worlds", "2", "--steps", "8", "--quiet"]
+SMALL = ["--task", "drive-to-goal", "--engine", "c", "--num-worlds", "2", "--total-steps", "8", "--quiet"]
 SETTINGS = {
-    "rollout": 2,
-    "minibatches": 1,
-    "epochs": 1,
-    "layers": 4,
-    "critic_layers": 4,
+    "rollout_length": 2,
+    "num_minibatches": 1,
+    "num_epochs": 1,
+    "hidden_sizes": 4,
+    "critic_hidden_sizes": 4,
     "episode_steps": 7,  # of the task
 }
 
@@ -48,7 +48,7 @@ def test_a_run_is_trained_and_exported(tmp_path):
     assert (settings["task"], settings["engine"], settings["episode_steps"]) == ("drive-to-goal", "c", 7)
     assert (recorded_engine(out), recorded_engine(tmp_path)) == ("c", "auto")
     assert settings["overrides"] == {"episode_steps": "7"}
-    assert settings["config"]["layers"] == [4]
+    assert settings["config"]["hidden_sizes"] == [4]
     assert [json.loads(line)["iteration"] for line in (out / "metrics.jsonl").open()] == [1, 2]
     result = invoke("export", out, "--out", tmp_path / "policy.npz", "--checkpoint", "last")
     assert result.exit_code == 0, result.output
@@ -82,13 +82,18 @@ def test_a_run_is_in_a_folder_of_its_task_and_goes_on_with_its_settings(tmp_path
     RunRecord(
         task="drive-to-goal", engine="c", overrides={"episode_steps": "7"}, config=before, **shape
     ).save(folder)
-    assert invoke("train", "drive-to-goal", "--resume", "--steps", 12).exit_code == 0
-    assert asked.pop() == (replace(before, steps=12), folder, True, EnvArguments("c", {"episode_steps": "7"}))
-    more = ["--seed", 6, "--set", "rollout=3", "--set", "episode_steps=8", "--engine", "jax"]
+    assert invoke("train", "drive-to-goal", "--resume", "--total-steps", 12).exit_code == 0
+    assert asked.pop() == (
+        replace(before, total_steps=12),
+        folder,
+        True,
+        EnvArguments("c", {"episode_steps": "7"}),
+    )
+    more = ["--seed", 6, "--set", "rollout_length=3", "--set", "episode_steps=8", "--engine", "jax"]
     assert invoke("train", "drive-to-goal", "--resume", *more).exit_code == 0
     config, _, _, origin = asked.pop()  # which the trainer refuses
     assert (config, origin) == (
-        replace(before, seed=6, rollout=3),
+        replace(before, seed=6, rollout_length=3),
         EnvArguments("jax", {"episode_steps": "8"}),
     )
 
@@ -124,11 +129,11 @@ def test_some_tasks_have_an_engine_of_their_own(words, engine, fields, tmp_path,
         (["train", "--task", "drive", "--out", "x"], "unknown task"),
         (
             ["train", "--task", "drive-to-goal", "--out", "x", "--set", "lr=1"],
-            "has no setting 'lr'; it has: ",
+            "have no setting 'lr'; they have: ",
         ),
         (
-            ["train", "--task", "drive-to-goal", "--out", "x", "--set", "epochs=a"],
-            "needs a value of type int",
+            ["train", "--task", "drive-to-goal", "--out", "x", "--set", "num_epochs=a"],
+            "--set: num_epochs is 'a', expected a whole number from 1",
         ),
         (["train", "--task", "drive-to-goal", "--out", "x", "--resume"], "nothing to resume in x"),
         (["export", "nowhere", "--out", "x.npz"], "nowhere is no run"),
@@ -176,7 +181,7 @@ def test_what_was_trained_but_cannot_be_kept_is_the_exit_code(monkeypatch, tmp_p
         raise WriteError("cannot write x: No space left on device; the last checkpoint is missing")
 
     monkeypatch.setattr("usarmjx.train.learning.trainer.train", train)
-    result = invoke("train", *SMALL, "--set", "minibatches=1", "--out", tmp_path / "x")
+    result = invoke("train", *SMALL, "--set", "num_minibatches=1", "--out", tmp_path / "x")
     assert result.exit_code == 2
     assert result.stderr.splitlines()[-1].endswith("No space left on device; the last checkpoint is missing")
 

@@ -183,7 +183,7 @@ def test_a_run_is_recorded_as_it_is_drawn(reference, tmp_path):
     reached = drawn.seconds[next(i for i, score in enumerate(scores) if score >= 0.5)]
     assert (curve.baseline, record["baseline_reached_s"]) == (0.5, pytest.approx(reached))
     assert record["agent_steps"] == 24_000
-    assert any(change.startswith("discount: 0.99 -> 0.9") for change in record["settings"]["training"])
+    assert any(change.startswith("gamma: 0.99 -> 0.9") for change in record["settings"]["training"])
     assert from_record(record["config"]) == CONFIG
     assert f"score {scores[-1]:.3f}; baseline 0.5 after {reached:.0f} s" in done.output
     assert train_record(reference, 2.0)["baseline_reached_s"] is None

@@ -156,8 +156,18 @@ def test_a_sweep_plays_own_tasks_and_tells_their_versions_apart(own):
 
 @pytest.mark.slow
 def test_an_own_task_is_trained_resumed_tried_and_drawn(own, monkeypatch):
-    small = ["--worlds", 4, "--engine", "c", "--quiet", "--set", "rollout=4", "--set", "minibatches=1"]
-    train = ["train", "my_task.py:Meet", "--out", "run", *small, "--set", "imitate=32"]
+    small = [
+        "--num-worlds",
+        4,
+        "--engine",
+        "c",
+        "--quiet",
+        "--set",
+        "rollout_length=4",
+        "--set",
+        "num_minibatches=1",
+    ]
+    train = ["train", "my_task.py:Meet", "--out", "run", *small, "--set", "imitation_steps=32"]
     assert invoke(*train, "--steps", 32).exit_code == 0
     assert json.loads((own / "run" / "config.json").read_text())["task"] == f"{own}/my_task.py:Meet"
     monkeypatch.chdir("/")

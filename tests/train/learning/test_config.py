@@ -2,6 +2,7 @@
 
 import json
 import math
+import warnings
 from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,6 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.base.settings import RenamedSettingWarning, default_reader, describe
 from usarmjx.engines import ENGINES, choose_engine, engine_class
 from usarmjx.train.learning.config import (
     HYPERPARAMETERS,
@@ -18,7 +20,6 @@ from usarmjx.train.learning.config import (
     Config,
     from_record,
     on_gpu,
-    parse_settings,
     task_config,
     training_engine,
     training_fields,
@@ -30,53 +31,62 @@ ROOT = Path(__file__).parents[3]
 
 
 def test_settings_are_read_with_their_type():
-    pairs = [
-        "steps=1_000",
-        "discount=0.5",
-        "layers=32,16",
-        "stagger=no",
-        "schedule=linear",
-        "critic_layers=[8]",
-    ]
-    assert parse_settings(pairs, asdict(Config()), "training") == {
-        "steps": 1000, "discount": 0.5, "layers": (32, 16), "stagger": False, "schedule": "linear",
-        "critic_layers": (8,),
+    texts = {
+        "total_steps": "1_000", "gamma": "0.5", "hidden_sizes": "32,16", "stagger_resets": "no",
+        "lr_schedule": "linear", "critic_hidden_sizes": "[8]", "num_worlds": "1e3",
+    }  # fmt: skip
+    assert default_reader().text_values(Config, texts) == {
+        "total_steps": 1000, "gamma": 0.5, "hidden_sizes": (32, 16), "stagger_resets": False,
+        "lr_schedule": "linear", "critic_hidden_sizes": (8,), "num_worlds": 1000,
     }  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("pair", "words"),
+    ("name", "text", "expected"),
     [
-        ("steps", "not of the form key=value"),
-        ("steps=many", "needs a value of type int"),
-        ("stagger=perhaps", "needs a value of type bool"),
-        ("layers=a,b", "needs a value of type tuple"),
+        ("total_steps", "many", "a whole number from 1"),
+        ("stagger_resets", "perhaps", "true or false"),
+        ("hidden_sizes", "a,b", "a whole number from 1"),
+        ("hidden_sizes", "64.7,64", "a whole number from 1"),
     ],
 )
-def test_what_does_not_read_is_refused(pair, words):
-    with pytest.raises(UsageError, match=words):
-        parse_settings([pair], asdict(Config()), "training")
+def test_texts_that_are_no_values_of_a_setting_are_refused(name, text, expected):
+    with pytest.raises(UsageError, match=rf"^--set: {name}.* is .*, expected {expected}"):
+        default_reader().text_values(Config, {name: text}, where="--set")
 
 
 def test_unknown_settings_list_the_known_ones():
-    with pytest.raises(UnknownNameError, match=r"'lr'; it has: .*learning_rate"):
-        parse_settings(["lr=1"], asdict(Config()), "training")
-    with pytest.raises(UnknownNameError, match=r"unknown setting lr; known: .*learning_rate"):
+    with pytest.raises(UnknownNameError, match=r"no setting 'lr'; .* has: .*learning_rate"):
         task_config("drive-to-goal", lr=1)
+
+
+def test_names_of_the_version_before_are_accepted_with_a_warning():
+    """On command lines and in Python with a warning, in records of runs silently."""
+    with pytest.warns(RenamedSettingWarning, match="discount of Config is called gamma now"):
+        assert task_config("drive-to-goal", discount=0.5).gamma == 0.5
+    old = {alias for one in describe(Config) for alias in one.note.aliases}
+    assert len(old) == 25
+    assert not old & {one.name for one in describe(Config)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert from_record({"worlds": 8, "layers": [3], "value": 1.0}) == Config(
+            num_worlds=8, hidden_sizes=(3,), value_coef=1.0
+        )
 
 
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"steps": 0}, "steps is 0"),
-        ({"discount": 1.5}, "discount is 1.5; it must be from 0 to 1"),
-        ({"clip": 0.0}, "clip is 0.0; it must be above 0"),
-        ({"imitate_std": 0.0}, "imitate_std is 0.0; it must be above 0"),
-        ({"schedule": "cosine"}, "constant, linear, adaptive"),
-        ({"layers": ()}, "needs a hidden layer"),
-        ({"critic_layers": ()}, "critic_layers is empty"),
-        ({"memory": -1}, "memory at least 0"),
-        ({"worlds": 10, "minibatches": 4}, "10 worlds cannot be divided into 4"),
+        ({"total_steps": 0}, "total_steps is 0, expected a whole number from 1"),
+        ({"gamma": 1.5}, "gamma is 1.5, expected a number from 0 to 1"),
+        ({"gamma": math.nan}, "gamma is nan, expected a number from 0 to 1"),
+        ({"clip_epsilon": 0.0}, "clip_epsilon is 0.0, expected a number above 0"),
+        ({"imitation_std": 0.0}, "imitation_std is 0.0, expected a number above 0"),
+        ({"lr_schedule": "cosine"}, "constant, linear, adaptive"),
+        ({"hidden_sizes": ()}, "hidden_sizes is .*, expected a list of at least 1"),
+        ({"critic_hidden_sizes": ()}, "critic_hidden_sizes is .*, expected a list of at least 1"),
+        ({"gru_size": -1}, "gru_size is -1, expected a whole number from 0"),
+        ({"num_worlds": 10, "num_minibatches": 4}, "10 worlds cannot be divided into 4"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(settings, words):
@@ -92,7 +102,7 @@ def test_the_table_of_hyper_parameters_is_of_tasks_and_settings_that_there_are()
             assert {name: found[name] for name in given} == given
     ours = {name.lower() for name, task in TASKS if type(task).__module__.startswith("usarmjx.")}
     assert set(HYPERPARAMETERS) == ours == set(ON_GPU)
-    assert task_config("Drive-To-Goal", gamma=0.5).discount == 0.5
+    assert task_config("Drive-To-Goal", gamma=0.5).gamma == 0.5
     assert task_config("trek") == Config()
 
 
@@ -202,8 +212,8 @@ def test_new_settings_see_to_the_end_of_an_episode(task):
 
 
 def test_minibatches_that_nobody_set_divide_the_worlds():
-    assert task_config("explore", gpu=True, num_worlds=24).minibatches == 8
-    assert task_config("explore", num_worlds=3).minibatches == 1
+    assert task_config("explore", gpu=True, num_worlds=24).num_minibatches == 8
+    assert task_config("explore", num_worlds=3).num_minibatches == 1
     with pytest.raises(UsageError, match="3 worlds cannot be divided into 2 minibatches"):
         task_config("explore", num_worlds=3, num_minibatches=2)
 

@@ -29,7 +29,8 @@ STEPS = 4
 """Actions of an episode and of a rollout: each world meets another arena in every iteration."""
 CONFIG = Config(
     total_steps=6 * STEPS * 4,  # six iterations of four worlds
-    num_worlds=4, rollout_length=STEPS, num_minibatches=2, num_epochs=1, hidden_sizes=(4,), critic_hidden_sizes=(4,),
+    num_worlds=4, rollout_length=STEPS, num_minibatches=2, num_epochs=1,
+    hidden_sizes=(4,), critic_hidden_sizes=(4,),
     curriculum=0.5, checkpoint_interval=1, keep_checkpoints=10,
 )  # fmt: skip
 LEVELS = (0.0, 1 / 3, 2 / 3, 1.0, 1.0, 1.0)
@@ -38,7 +39,7 @@ LEVELS = (0.0, 1 / 3, 2 / 3, 1.0, 1.0, 1.0)
 
 @pytest.fixture(scope="module")
 def env():
-    return usarmjx.make("drive-to-goal", 4, "c", **LIGHT, arena=ARENAS, episode_steps=STEPS, radius=-1.0)
+    return usarmjx.make("drive-to-goal", 4, "c", **LIGHT, arena=ARENAS, episode_steps=STEPS, radius=1e-6)
 
 
 @pytest.fixture(scope="module")

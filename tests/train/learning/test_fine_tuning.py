@@ -128,8 +128,12 @@ class Blinkered(DriveToy):
     [
         (Blinkered, {}, r"robots: .* that see 2 and do 2, .* that see 1 and do 2"),
         (MemoryToy, {}, r"numbers that only critics see: \d -> 1"),
-        (DriveToy, {"layers": (16,)}, r"do not fit: layers: \(32, 32\) -> \(16,\)$"),
-        (DriveToy, {"critic_layers": (8,), "memory": 4}, r"critic_layers: .* memory: 0 -> 4$"),
+        (DriveToy, {"hidden_sizes": (16,)}, r"do not fit: hidden_sizes: \(32, 32\) -> \(16,\)$"),
+        (
+            DriveToy,
+            {"critic_hidden_sizes": (8,), "gru_size": 4},
+            r"critic_hidden_sizes: .* gru_size: 0 -> 4$",
+        ),
     ],
 )
 def test_networks_that_do_not_fit_are_named_and_nothing_is_written(env, settings, words, reference, tmp_path):
@@ -158,7 +162,14 @@ def invoke(*words):
 def planar_run(tmp_path_factory):
     """A short training on engine `planar` with settings of its own."""
     folder = tmp_path_factory.mktemp("planar") / "run"
-    told = ("rollout=2", "epochs=1", "layers=4,3", "critic_layers=4", "episode_steps=7", "physics=coarse")
+    told = (
+        "rollout_length=2",
+        "num_epochs=1",
+        "hidden_sizes=4,3",
+        "critic_hidden_sizes=4",
+        "episode_steps=7",
+        "physics=coarse",
+    )
     pairs = [word for pair in told for word in ("--set", pair)]
     small = ("--worlds", 2, "--steps", 8, "--quiet")
     result = invoke("train", "drive-to-goal", "--engine", "planar", "--out", folder, *small, *pairs)
@@ -168,13 +179,13 @@ def planar_run(tmp_path_factory):
 
 def test_a_run_on_another_engine_has_its_networks_and_fields_but_its_own_physics(planar_run, tmp_path):
     out = tmp_path / "tuned"
-    small = ("--worlds", 2, "--steps", 8, "--quiet", "--set", "rollout=2")
+    small = ("--num-worlds", 2, "--total-steps", 8, "--quiet", "--set", "rollout_length=2")
     result = invoke("train", "drive-to-goal", "--engine", "c", "--out", out, "--from", planar_run, *small)
     assert result.exit_code == 0, result.output
     assert f"of {planar_run}: drive-to-goal on engine planar, 8 agent steps; episode_steps=7" in result.stderr
     settings = json.loads((out / "config.json").read_text())
     assert (settings["engine"], settings["overrides"]) == ("c", {"episode_steps": "7"})
-    assert (settings["config"]["layers"], settings["config"]["critic_layers"]) == ([4, 3], [4])
+    assert (settings["config"]["hidden_sizes"], settings["config"]["critic_hidden_sizes"]) == ([4, 3], [4])
     found = settings["began_with"]
     assert found["run"] == str(planar_run)
     assert (found["checkpoint"], found["engine"], found["agent_steps"]) == (2, "planar", 8)
@@ -190,8 +201,8 @@ def test_nobody_is_imitated_unless_asked_for(planar_run, tmp_path):
     wanted = {"out": tmp_path / "x", "engine": "c", "source": planar_run, "given": {}}
     plan = plan_run("wander", TrainOptions(**wanted, pairs=[]))
     assert (plan.config.imitation_steps, plan.overrides, plan.config.hidden_sizes) == (0, {}, (4, 3))
-    assert task_config("wander").imitate > 0
-    plan = plan_run("wander", TrainOptions(**wanted, pairs=["imitate=7", "layers=5"]))
+    assert task_config("wander").imitation_steps > 0
+    plan = plan_run("wander", TrainOptions(**wanted, pairs=["imitation_steps=7", "hidden_sizes=5"]))
     assert (plan.config.imitation_steps, plan.config.hidden_sizes) == (7, (5,))
 
 

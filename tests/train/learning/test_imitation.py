@@ -20,7 +20,14 @@ from usarmjx.train.learning.ppo import MIN_LEARNING_RATE
 from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.train_state import policy_params
 
-CONFIG = Config(num_worlds=32, rollout_length=16, num_minibatches=2, hidden_sizes=(32,), critic_hidden_sizes=(8,), learning_rate=3e-3)
+CONFIG = Config(
+    num_worlds=32,
+    rollout_length=16,
+    num_minibatches=2,
+    hidden_sizes=(32,),
+    critic_hidden_sizes=(8,),
+    learning_rate=3e-3,
+)
 ROUND = CONFIG.num_worlds * CONFIG.rollout_length * 3
 """Agent steps of an iteration: three robots."""
 
@@ -43,7 +50,9 @@ def teacher(monkeypatch):
 
 
 def trainer_of(env=None, **settings):
-    return Trainer(env or DriveToy(CONFIG.num_worlds), dataclasses.replace(CONFIG, **settings), ProcessGroup())
+    return Trainer(
+        env or DriveToy(CONFIG.num_worlds), dataclasses.replace(CONFIG, **settings), ProcessGroup()
+    )
 
 
 class HiddenToy(DriveToy):
@@ -77,7 +86,7 @@ def test_the_loss_is_half_the_squares_of_what_is_off():
 
 
 def test_a_learner_does_what_it_was_shown():
-    trainer = trainer_of(imitate=20 * ROUND, steps=25 * ROUND, imitate_std=0.1)
+    trainer = trainer_of(imitation_steps=20 * ROUND, total_steps=25 * ROUND, imitation_std=0.1)
     train_state, worlds = trainer.start()
     off = []
     for iteration in range(20):
@@ -109,7 +118,9 @@ def test_a_learner_does_what_it_was_shown():
 
 def after_lessons(**settings):
     """What is known of the first update by PPO after twenty of imitation."""
-    trainer = trainer_of(imitate=20 * ROUND, steps=22 * ROUND, imitate_std=0.1, minibatches=8, **settings)
+    trainer = trainer_of(
+        imitation_steps=20 * ROUND, total_steps=22 * ROUND, imitation_std=0.1, num_minibatches=8, **settings
+    )
     (train_state, worlds), known = trainer.start(), {}
     for iteration in range(21):
         train_state, worlds, known = trainer.iterate(train_state, worlds, iteration)
@@ -131,7 +142,7 @@ def test_ppo_begins_with_moments_of_its_own():
 
 
 def test_a_teacher_begins_anew_with_each_episode():
-    trainer = trainer_of(imitate=ROUND)
+    trainer = trainer_of(imitation_steps=ROUND)
     train_state, worlds = trainer.start()
     worlds, steps, _, _ = trainer.rollout.collect(train_state, worlds, jax.random.key(0))
     since = np.zeros(CONFIG.num_worlds, int)
@@ -147,7 +158,7 @@ def test_a_teacher_sees_what_is_hidden_and_the_policy_does_not():
     tasks = []
     BASELINES.replace("drive-toy", lambda env: tasks.append(env.task) or straight(env))
     env = HiddenToy(CONFIG.num_worlds)
-    trainer = trainer_of(env, imitate=ROUND)
+    trainer = trainer_of(env, imitation_steps=ROUND)
     assert tasks == ["the task with goals in view"]
     assert env.task is env, "the worlds stay as they are"
     train_state, worlds = trainer.start()
@@ -164,7 +175,7 @@ def test_after_the_lessons_only_ppo_counts(since):
 
     The first one begins at the lowest rate, with moments of its own.
     """
-    with_teacher, alone = trainer_of(imitate=ROUND), trainer_of()
+    with_teacher, alone = trainer_of(imitation_steps=ROUND), trainer_of()
     train_state, worlds = alone.start()
     assert int(train_state.iteration) == 0
     train_state = train_state.replace(iteration=train_state.iteration + 1 + since)
@@ -186,6 +197,6 @@ def test_after_the_lessons_only_ppo_counts(since):
 def test_what_cannot_be_imitated_is_said():
     BASELINES._entries.pop("drive-toy")
     with pytest.raises(UsageError, match=r"drive-toy has no policy by hand.*set imitate to 0.*explore"):
-        trainer_of(imitate=1)
-    with pytest.raises(UsageError, match="imitate is -1; it must be at least 0"):
+        trainer_of(imitation_steps=1)
+    with pytest.raises(UsageError, match="imitation_steps is -1, expected a whole number from 0"):
         Config(imitation_steps=-1)

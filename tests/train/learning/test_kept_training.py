@@ -18,7 +18,9 @@ from usarmjx.train.learning.rollout import Rollout
 from usarmjx.train.learning.trainer import compiling
 from usarmjx.train.make import make_task
 
-CONFIG = Config(num_worlds=2, num_minibatches=1, rollout_length=2, hidden_sizes=(4,), critic_hidden_sizes=(4,))
+CONFIG = Config(
+    num_worlds=2, num_minibatches=1, rollout_length=2, hidden_sizes=(4,), critic_hidden_sizes=(4,)
+)
 TASK = make_task("drive-to-goal", ranges=(), pose="GroundTruth")
 
 

@@ -18,17 +18,28 @@ KILLS = 20
 SEED = 7
 ITERATIONS = 80
 SETTINGS = {
-    "rollout": 8,
-    "minibatches": 2,
-    "epochs": 1,
-    "layers": "8",
-    "critic_layers": "8",
+    "rollout_length": 8,
+    "num_minibatches": 2,
+    "num_epochs": 1,
+    "hidden_sizes": "8",
+    "critic_hidden_sizes": "8",
     "episode_steps": 30,
-    "checkpoint_every": 1,
-    "keep": 1000,
+    "checkpoint_interval": 1,
+    "keep_checkpoints": 1000,
 }
-COMMAND = ["-m", "usarmjx", "train", "--task", "drive-to-goal", "--engine", "c", "--worlds", "4", "--quiet"]
-COMMAND += ["--steps", str(ITERATIONS * 4 * 8)]
+COMMAND = [
+    "-m",
+    "usarmjx",
+    "train",
+    "--task",
+    "drive-to-goal",
+    "--engine",
+    "c",
+    "--num-worlds",
+    "4",
+    "--quiet",
+]
+COMMAND += ["--total-steps", str(ITERATIONS * 4 * 8)]
 COMMAND += [word for name, value in SETTINGS.items() for word in ("--set", f"{name}={value}")]
 
 

@@ -17,7 +17,15 @@ from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.statistics import init_statistics
 from usarmjx.train.learning.train_state import critic_values
 
-CONFIG = Config(num_worlds=16, rollout_length=8, num_minibatches=2, num_epochs=2, hidden_sizes=(8,), critic_hidden_sizes=(8,), gru_size=4)
+CONFIG = Config(
+    num_worlds=16,
+    rollout_length=8,
+    num_minibatches=2,
+    num_epochs=2,
+    hidden_sizes=(8,),
+    critic_hidden_sizes=(8,),
+    gru_size=4,
+)
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,8 @@ STEPS = 3
 """Actions of an episode and of a rollout: each world meets another arena in every iteration."""
 CONFIG = Config(
     total_steps=5 * STEPS * 4 * 2,  # five iterations of four worlds of two robots
-    num_worlds=4, rollout_length=STEPS, num_minibatches=2, num_epochs=1, hidden_sizes=(4,), critic_hidden_sizes=(4,), arena_refresh_interval=2,
+    num_worlds=4, rollout_length=STEPS, num_minibatches=2, num_epochs=1,
+    hidden_sizes=(4,), critic_hidden_sizes=(4,), arena_refresh_interval=2,
     checkpoint_interval=1, keep_checkpoints=10,
 )  # fmt: skip
 

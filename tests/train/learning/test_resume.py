@@ -138,7 +138,10 @@ def test_a_run_of_another_version_is_refused_in_one_line(copy):
 def test_a_checkpoint_of_something_else_is_refused(copy, reference):
     """Of other networks, or of another toy: it says what it found and what it expected."""
     path = Checkpoints(reference).find("last")
-    for worlds, config in ((32, replace(CONFIG, hidden_sizes=(16, 32))), (16, replace(CONFIG, num_worlds=16))):
+    for worlds, config in (
+        (32, replace(CONFIG, hidden_sizes=(16, 32))),
+        (16, replace(CONFIG, num_worlds=16)),
+    ):
         part = "learner" if worlds == 32 else "worlds"
         train_state, rollout_state = Trainer(DriveToy(worlds), config, ProcessGroup()).start()
         with pytest.raises(UsageError, match=r"of another run: it holds .* expected"):
@@ -148,8 +151,8 @@ def test_a_checkpoint_of_something_else_is_refused(copy, reference):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"discount": 0.95}, r"started otherwise: discount: 0.9 -> 0.95"),
-        ({"layers": (16,)}, r"layers: \(32, 32\) -> \(16,\)"),
+        ({"gamma": 0.95}, r"started otherwise: gamma: 0.9 -> 0.95"),
+        ({"hidden_sizes": (16,)}, r"hidden_sizes: \(32, 32\) -> \(16,\)"),
     ],
 )
 def test_a_run_is_not_resumed_with_other_settings(copy, change, words):
@@ -182,7 +185,8 @@ def place(env, state):
 def test_a_robot_goes_on_where_it_was(engine, tmp_path):
     """A real environment: physics, sensors' memories and random keys come back bit for bit."""
     config = Config(
-        total_steps=4 * 4 * 4, num_worlds=4, rollout_length=4, num_minibatches=2, num_epochs=1, hidden_sizes=(8,), critic_hidden_sizes=(8,),
+        total_steps=4 * 4 * 4, num_worlds=4, rollout_length=4, num_minibatches=2,
+        num_epochs=1, hidden_sizes=(8,), critic_hidden_sizes=(8,),
         checkpoint_interval=2,
     )  # fmt: skip
     env = make("drive-to-goal", worlds=4, engine=engine, episode_steps=6)

@@ -15,7 +15,14 @@ from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.train_state import make_networks, make_train_state, policy_params
 
-CONFIG = Config(num_worlds=16, rollout_length=8, num_minibatches=2, hidden_sizes=(8,), critic_hidden_sizes=(8,), shared_policy=True)
+CONFIG = Config(
+    num_worlds=16,
+    rollout_length=8,
+    num_minibatches=2,
+    hidden_sizes=(8,),
+    critic_hidden_sizes=(8,),
+    shared_policy=True,
+)
 
 
 @pytest.fixture(scope="module")

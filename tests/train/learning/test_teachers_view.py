@@ -89,7 +89,14 @@ def test_a_training_without_advice_imitates_what_the_advised_baseline_does(both)
     """Over the end of an episode, too; what the policy sees has its size, and zeros for the advice."""
     hidden, shown = both
     assert [group.obs_size for group in hidden.groups] == [group.obs_size for group in shown.groups]
-    config = Config(num_worlds=2, rollout_length=5, num_minibatches=1, hidden_sizes=(8,), critic_hidden_sizes=(8,), imitation_steps=100)
+    config = Config(
+        num_worlds=2,
+        rollout_length=5,
+        num_minibatches=1,
+        hidden_sizes=(8,),
+        critic_hidden_sizes=(8,),
+        imitation_steps=100,
+    )
     trainer = Trainer(hidden, replace(config, stagger_resets=False), ProcessGroup())
     train_state, worlds = trainer.start()
     _, steps, _, _ = trainer.rollout.collect(train_state, worlds, jax.random.key(0))

@@ -80,7 +80,14 @@ def test_worlds_that_go_wrong_are_counted_and_do_no_harm(reference):
 def both():
     """The same run with one compiled rollout, and step by step: compilations, what was first collected."""
     found = {}
-    config = Config(num_worlds=4, num_minibatches=2, rollout_length=4, hidden_sizes=(4,), critic_hidden_sizes=(4,), gru_size=3)
+    config = Config(
+        num_worlds=4,
+        num_minibatches=2,
+        rollout_length=4,
+        hidden_sizes=(4,),
+        critic_hidden_sizes=(4,),
+        gru_size=3,
+    )
     with compilations(COMPILED) as compiled:
         for traceable in (True, False):
             trainer = Trainer(DriveToy(4, traceable=traceable), config, ProcessGroup())
@@ -133,7 +140,9 @@ def test_the_time_of_the_first_iteration_is_from_when_it_compiled(tmp_path, monk
 
     monkeypatch.setattr(trainer_module, "time", SimpleNamespace(perf_counter=tick))
     monkeypatch.setattr(trainer_module, "compiling", slow)
-    config = Config(total_steps=144, num_worlds=4, num_minibatches=1, rollout_length=4)  # three iterations of 48
+    config = Config(
+        total_steps=144, num_worlds=4, num_minibatches=1, rollout_length=4
+    )  # three iterations of 48
     told = []
     train(DriveToy(4), config, tmp_path / "run", progress=False, watch=told.append)
     steps = told[0]["agent_steps"]
@@ -192,8 +201,8 @@ def test_a_time_limit_is_no_end(tmp_path):
     Without the critic's opinion of the last state it would be 1 to 2.95, depending on the time.
     """
     config = Config(
-        total_steps=60_000, num_worlds=16, rollout_length=16, gamma=0.8, learning_rate=3e-3, lr_schedule="constant",
-        hidden_sizes=(8,), critic_hidden_sizes=(8,), entropy_coef=0.0,
+        total_steps=60_000, num_worlds=16, rollout_length=16, gamma=0.8,
+        learning_rate=3e-3, lr_schedule="constant", hidden_sizes=(8,), critic_hidden_sizes=(8,), entropy_coef=0.0,
     )  # fmt: skip
     trainer = Trainer(EndlessToy(16), config, ProcessGroup())
     train_state, worlds = trainer.start()

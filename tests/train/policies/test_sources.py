@@ -110,7 +110,7 @@ def test_settings_of_the_training_come_back_and_those_that_cannot_are_told():
     assert found == {"radius": 0.4, "ranges": ("Sonar", "IR")}
     (note,) = notes
     assert "vary=Variation(mass=(0.9, 1.1)), which is not read back" in note
-    with pytest.raises(UnknownNameError, match="drive-to-goal has no setting 'wheels'"):
+    with pytest.raises(UnknownNameError, match="DriveToGoal has no setting 'wheels'"):
         task_settings("drive-to-goal", {}, ["wheels=3"])
     with pytest.raises(UnknownNameError, match=r"known: .*drive-to-goal"):
         baseline("chess")
