@@ -19,9 +19,9 @@ from usarmjx.base.accelerator import warp_in_use
 from usarmjx.engines import choose_engine
 from usarmjx.engines.mjx_warp import GRAPH_MODES
 from usarmjx.engines.planar import engine as planar_engine
-from usarmjx.engines.planar.footprints import keep_apart
-from usarmjx.engines.planar.neighbor_search import around_by_jax, around_on_warp
-from usarmjx.engines.planar.separation import part_robots
+from usarmjx.engines.planar.footprints import separate_footprints
+from usarmjx.engines.planar.neighbor_search import update_neighbors_on_jax, update_neighbors_on_warp
+from usarmjx.engines.planar.separation import separate_robots
 from usarmjx.models.compile.physics import Physics
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import RosterEntry, build_scene
@@ -70,8 +70,8 @@ def test_every_kind_of_graph_computes_what_the_usual_one_does(graph):
         state = jax.jit(lambda state, batch=batch: batch.run(state, 20))(begun)
         batch.check_overflow(state)
         found.append(np.asarray(batch.physics(state).qpos))
-    went = found[0] - np.asarray(batch.physics(begun).qpos)
-    assert abs(went[:, scene.groups[0].root_qposadr[:, :2]]).max(-1).min() > 0.05
+    displacement = found[0] - np.asarray(batch.physics(begun).qpos)
+    assert abs(displacement[:, scene.groups[0].root_qposadr[:, :2]]).max(-1).min() > 0.05
     root = scene.groups[0].root_qposadr
     np.testing.assert_allclose(found[1][:, root], found[0][:, root], atol=PARITY)
     np.testing.assert_allclose(found[1], found[0], atol=WHEELS)
@@ -240,8 +240,8 @@ def test_more_threads_than_a_row_of_blocks_has_are_all_launched():
 def test_crowds_are_kept_apart_on_warp_as_by_jax(robots):
     """Within 0.1 mm; but one robot in a thousand, that is as deep in two things and goes out of the other."""
     case = crowd(500, robots, seed=robots)
-    kept, touched = jax.jit(partial(keep_apart, discs=True))(*case.values())
-    found, felt = jax.jit(part_robots)(*as_the_engine_has_it(case))
+    kept, touched = jax.jit(partial(separate_footprints, discs=True))(*case.values())
+    found, felt = jax.jit(separate_robots)(*as_the_engine_has_it(case))
     off = np.abs(np.asarray(found.pos - kept.pos)).max(-1)
     assert (off > 1e-4).mean() < 1e-3
     assert (np.asarray(felt) != np.asarray(touched)).mean() < 1e-3
@@ -253,14 +253,16 @@ def test_what_is_around_robots_is_found_on_warp_as_by_jax(monkeypatch):
     batch = Batch(build_scene("yellow", ["P2AT"] * 8, Physics.coarse()), 64, engine="planar")
     found: list[tuple] = []
 
-    def both(solids, known, aims):
-        by_jax, by_warp = (find(solids, known, aims) for find in (around_by_jax, around_on_warp))
+    def both(solids, known, proposed):
+        by_jax, by_warp = (
+            find(solids, known, proposed) for find in (update_neighbors_on_jax, update_neighbors_on_warp)
+        )
         jax.debug.callback(
             lambda *them: found.append(jax.tree.map(np.array, them)), by_jax, by_warp, ordered=True
         )
         return by_jax
 
-    monkeypatch.setattr(planar_engine, "around_robots", both)
+    monkeypatch.setattr(planar_engine, "update_neighbors", both)
     state = batch.reset()
     for step in range(100):
         if step % 20 == 0:

@@ -16,7 +16,7 @@ PROGRAM = """
 import sys
 import jax, numpy as np
 from pathlib import Path
-from usarmjx.base.program_cache import ProgramKeeper, compile_program
+from usarmjx.base.program_cache import ProgramCache, compile_program
 from usarmjx.train.mapping.warp_waves import distances_on_warp
 def ways(start, enter):
     print("traced")
@@ -25,7 +25,7 @@ start, enter = np.full((3, 9, 9), np.inf, np.float32), np.ones((3, 9, 9), np.flo
 start[:, 2, 2], enter[1, 4, :8] = 0, np.inf
 if sys.argv[2] == "other":  # which takes the first number of Warp's
     distances_on_warp(start[0, :5, :5], enter[0, :5, :5], None)
-found = compile_program(ways, ProgramKeeper(Path(sys.argv[1]), "x"), "test")(start, enter)
+found = compile_program(ways, ProgramCache(Path(sys.argv[1]), "x"), "test")(start, enter)
 np.save(sys.argv[3], np.asarray(found))
 """
 
@@ -34,18 +34,18 @@ STEPS = """
 import sys
 import jax, numpy as np
 from pathlib import Path
-from usarmjx.base.program_cache import ProgramKeeper, compile_program
-from usarmjx.engines.planar import looking, parting
+from usarmjx.base.program_cache import ProgramCache, compile_program
+from usarmjx.engines.planar import neighbor_search, separation
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
-for module in (looking, parting):
+for module in (neighbor_search, separation):
     module.warp_in_use = lambda: True
 batch = Batch(build_scene("yellow", ["P2AT", "P2AT"]), 2, engine="planar")
 state = batch.drive(batch.reset(), 0, {"Left": 3.0, "Right": 4.0})
 def go(state):
     print("traced")
     return jax.lax.fori_loop(0, 60, lambda _, now: batch.step(now), state)
-found = compile_program(go, ProgramKeeper(Path(sys.argv[1]), "x"), "test")(state)
+found = compile_program(go, ProgramCache(Path(sys.argv[1]), "x"), "test")(state)
 np.save(sys.argv[3], np.asarray(batch.physics(found).qpos))
 """
 """Its kernels change arrays in place: what is known of what is around robots."""

@@ -11,14 +11,14 @@ from usarmjx.engines.planar.movable import SolidPlacement
 from usarmjx.engines.planar.neighbor_lists import NeighborList
 from usarmjx.engines.planar.overlap import Outlines
 from usarmjx.engines.planar.proposed_motion import ProposedMotion
-from usarmjx.engines.planar.solids import NOWHERE, PlanSolids, as_numbers
+from usarmjx.engines.planar.solids import FAR_AWAY, PlanSolids, pack_solids
 
 SOLIDS = 8
 """Near each robot."""
 
 
 def crowd(worlds: int, robots: int, seed: int = 0) -> dict[str, Any]:
-    """Return the arguments of `keep_apart`: footprints before and after, solids, who moves, who is over whom.
+    """Return the arguments of `separate_footprints`: footprints before and after, solids, who moves, who is over whom.
 
     Half of the solids stop nobody, of the others a third are discs; a tenth of the robots do not move, and a
     fifth are at another height. In the first world nobody meets anything.
@@ -48,7 +48,7 @@ def crowd(worlds: int, robots: int, seed: int = 0) -> dict[str, Any]:
     x, y = (pos[..., axis].T + 2 * (draw(*shape) - 0.5) for axis in range(2))
     nowhere = (draw(*shape) < 0.5) | (jnp.arange(worlds) == 0)
     solids = Outlines(
-        x=jnp.where(nowhere, NOWHERE, x),
+        x=jnp.where(nowhere, FAR_AWAY, x),
         y=y,
         cos=jnp.cos(turn),
         sin=jnp.sin(turn),
@@ -83,9 +83,9 @@ def as_the_engine_has_it(case: dict[str, Any], *, discs: bool = True) -> tuple[P
     around = NeighborList(
         at=jnp.zeros((*shape, 4)),
         room=jnp.zeros((*shape, 4)),
-        left_out=jnp.zeros(shape, jnp.int32),
-        near_solids=as_numbers(solids),
-        under_solids=as_numbers(solids),
+        omitted=jnp.zeros(shape, jnp.int32),
+        obstacles=pack_solids(solids),
+        ground_solids=pack_solids(solids),
         scene=scene,
         discs=discs,
     )

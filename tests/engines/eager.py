@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.engines.planar.movable import SolidPlacement
-from usarmjx.engines.planar.neighbor_lists import Margin, look_around
-from usarmjx.engines.planar.responses import Response, use_response
+from usarmjx.engines.planar.neighbor_lists import Margin, build_neighbor_list
+from usarmjx.engines.planar.responses import Response, override_response
 from usarmjx.models.robots import ROBOTS
 
 SINGLE = 2e-4
@@ -19,7 +19,7 @@ BLIND = replace(ROBOTS.get("P2AT"), sensors=(), cameras=())
 EAGER = replace(BLIND, name="Eager", battery_life=1e6)
 """A P2AT that does what it is told at once."""
 
-use_response(EAGER, AT_ONCE)
+override_response(EAGER, AT_ONCE)
 
 
 def around(prints, solids, floor=0.0):
@@ -28,7 +28,7 @@ def around(prints, solids, floor=0.0):
     def of_world(one):
         reach = Margin(aside=jnp.full_like(one.low, 0.1), height=jnp.zeros_like(one.low))
         scene = SolidPlacement(loose=jnp.zeros(0), geoms=jnp.zeros((0, 10)))
-        return look_around(one, one.low + one.step, solids, floor, reach, scene)
+        return build_neighbor_list(one, one.low + one.step, solids, floor, reach, scene)
 
     return jax.vmap(of_world)(prints)
 

@@ -13,7 +13,13 @@ import usarmjx
 from tests.engines.eager import AT_ONCE, BLIND, EAGER
 from usarmjx.cli.app import app
 from usarmjx.engines.planar import responses
-from usarmjx.engines.planar.responses import as_entry, description_key, measured, rolls, use_response
+from usarmjx.engines.planar.responses import (
+    description_key,
+    override_response,
+    packaged_responses,
+    response_entry,
+    rolls,
+)
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server import make_worlds
 from usarmjx.sim.calibration import calibrate, drive_log, ensure_calibrated, random_orders
@@ -28,7 +34,7 @@ ROLLING = [name for name, robot in ROBOTS if rolls(robot.drive)]
 @pytest.mark.parametrize("name", ROLLING)
 def test_responses_were_measured_of_robots_as_they_are(name):
     """After a change of a robot: `usarmjx calibrate`."""
-    entry = measured()[name]
+    entry = packaged_responses()[name]
     assert entry["key"] == description_key(ROBOTS.get(name))
     assert set(entry["errors"]) == {"1 s", "5 s", "20 s"}
 
@@ -38,14 +44,16 @@ def test_a_measurement_comes_again_to_what_is_published():
     orders = random_orders(robot, 6, 150, seed=7)
     real, planar = (drive_log(robot, orders, engine) for engine in ("c", "planar"))
     apart = np.median(np.linalg.norm((planar.pose - real.pose)[-1, :, :2], axis=-1))
-    assert apart <= 2.0 * measured()["Talon"]["errors"]["5 s"]["distance"], "after 3 s, other orders"
+    assert apart <= 2.0 * packaged_responses()["Talon"]["errors"]["5 s"]["distance"], (
+        "after 3 s, other orders"
+    )
     assert apart < 0.1 * np.median(np.linalg.norm(np.diff(real.pose[..., :2], axis=0), axis=-1).sum(0))
 
 
 @pytest.mark.parametrize("name", ["Talon", "P2AT", "Sedan", "OmniP2AT"])
 def test_planar_is_as_far_from_c_as_is_published(name):
     """A class of each kind of drive (tracks, sides, Ackermann, wheels that all steer), by the same orders."""
-    robot, published = ROBOTS.get(name), measured()[name]["errors"]
+    robot, published = ROBOTS.get(name), packaged_responses()[name]["errors"]
     orders = random_orders(robot, 16, 1000, seed=1)[:250]
     real, planar = (drive_log(robot, orders, engine) for engine in ("c", "planar"))
     apart = np.median(np.linalg.norm((planar.pose - real.pose)[..., :2], axis=-1), axis=1)
@@ -69,10 +77,10 @@ def test_a_robot_of_one_s_own_is_measured_once_and_kept(tmp_path, monkeypatch, c
     assert "measuring how a Own answers its motors" in caplog.text
     (file,) = (tmp_path / "planar").glob("*.json")
     assert json.loads(file.read_text())["key"] == description_key(own)
-    response = responses._own.pop(own)
+    response = responses._overrides.pop(own)
     ensure_calibrated([own], tmp_path)
     assert made == ["Own"]
-    assert responses._own.pop(own) == response
+    assert responses._overrides.pop(own) == response
     assert 0.5 < response.gain < 1.5
 
 
@@ -81,14 +89,14 @@ def own(tmp_path, monkeypatch):
     """A robot of which nothing was measured; measuring it takes no time."""
 
     def quick(robot):
-        use_response(robot, AT_ONCE)
-        return as_entry(robot, AT_ONCE)
+        override_response(robot, AT_ONCE)
+        return response_entry(robot, AT_ONCE)
 
     robot = replace(ROBOTS.get("P2AT"), name="Mine", mass=31.0)
     monkeypatch.setenv("USARMJX_CACHE", str(tmp_path))
     monkeypatch.setattr("usarmjx.sim.calibration.calibrate", quick)
     yield robot
-    responses._own.pop(robot, None)
+    responses._overrides.pop(robot, None)
 
 
 def test_a_batch_refuses_a_robot_that_was_not_measured_at_once(own, tmp_path, caplog):
@@ -102,7 +110,7 @@ def test_a_batch_refuses_a_robot_that_was_not_measured_at_once(own, tmp_path, ca
     assert not [*tmp_path.iterdir()]
     usarmjx.sim.ensure_calibrated(scene)
     assert usarmjx.Batch(scene, engine="planar").engine
-    responses._own.pop(own)  # as in another process, which finds the file
+    responses._overrides.pop(own)  # as in another process, which finds the file
     assert usarmjx.Batch(scene, engine="planar").engine
 
 
@@ -128,7 +136,7 @@ def test_the_page_has_the_table_of_what_ships():
     printed = CliRunner().invoke(app, ["calibrate", "--markdown"])
     assert printed.exit_code == 0
     assert printed.output.strip() in (dev.ROOT / "docs" / "fidelity.md").read_text(encoding="utf-8")
-    assert f"| P2AT | {measured()['P2AT']['errors']['1 s']['distance']:.2f} m" in printed.output
+    assert f"| P2AT | {packaged_responses()['P2AT']['errors']['1 s']['distance']:.2f} m" in printed.output
 
 
 def test_what_does_not_roll_is_refused():

@@ -11,11 +11,11 @@ import pytest
 
 from tests.arenas import FLAT
 from tests.engines.eager import AT_ONCE, EAGER, SINGLE, around, drive, poses
-from usarmjx.engines.planar.bodies import footprint_of
-from usarmjx.engines.planar.footprints import TOLERANCE, Footprints, keep_apart
-from usarmjx.engines.planar.neighbor_lists import stopping
-from usarmjx.engines.planar.responses import use_response
-from usarmjx.engines.planar.solids import seen_from_above
+from usarmjx.engines.planar.bodies import footprint_box
+from usarmjx.engines.planar.footprints import OVERLAP_TOLERANCE, Footprints, separate_footprints
+from usarmjx.engines.planar.neighbor_lists import obstacle_outlines
+from usarmjx.engines.planar.responses import override_response
+from usarmjx.engines.planar.solids import project_geoms
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
@@ -80,7 +80,7 @@ def crowd():
             state = batch.drive(state, 0, {"Left": told[0], "Right": told[1]})
         state = batch.step(state)
         touched += np.asarray(state.physics.touched)
-        assert not np.asarray(state.physics.left_out).any()
+        assert not np.asarray(state.physics.omitted).any()
         if step % 8 == 0:
             seen.append(poses(batch, state))
     return batch, np.array(seen), touched
@@ -99,7 +99,7 @@ def test_no_robot_is_in_a_wall_or_in_another(crowd):
         corners = rectangles(moment[:, :2], moment[:, 2], robots.half)
         worst = max(worst, *(overlap(robot, wall) for robot in corners for wall in walls))
         worst = max(worst, *(overlap(corners[i], corners[j]) for i in range(4) for j in range(i)))
-    assert worst <= TOLERANCE + 1e-4, "by an independent test of rectangles"
+    assert worst <= OVERLAP_TOLERANCE + 1e-4, "by an independent test of rectangles"
     assert np.median(touched) > 50, "most have met something again and again"
     assert np.abs(seen[..., :2]).max() < 1.5, "nobody has left"
 
@@ -114,12 +114,12 @@ def test_what_is_around_robots_is_looked_up_seldom_and_forgotten_at_a_reset(crow
     batch = crowd[0]
     state, looks = drive(batch, 3.0, 3.0, 1), 1
     for _ in range(20):
-        before = np.asarray(state.physics.around.at)
+        before = np.asarray(state.physics.neighbors.at)
         state = batch.step(state)
-        looks += not np.array_equal(before, state.physics.around.at)
+        looks += not np.array_equal(before, state.physics.neighbors.at)
     assert 1 <= looks < 5
     mask = jnp.arange(batch.worlds) == 1
-    cleared = batch.engine.reset(state.physics, mask, state.physics.qpos).around.free.aside
+    cleared = batch.engine.reset(state.physics, mask, state.physics.qpos).neighbors.obstacle_margin.aside
     assert np.array_equal(np.asarray(cleared == 0).all(-1), mask)
 
 
@@ -139,7 +139,7 @@ def test_two_that_meet_head_on_stop_in_the_middle():
     robots = batch.engine._robots
     assert left[0] + right[0] == pytest.approx(0.0, abs=SINGLE)
     assert right[0] - left[0] == pytest.approx(
-        2 * (robots.half[0, 0] + robots.offset[0, 0]), abs=3 * TOLERANCE
+        2 * (robots.half[0, 0] + robots.offset[0, 0]), abs=3 * OVERLAP_TOLERANCE
     )
     assert np.asarray(state.physics.touched).all()
 
@@ -157,17 +157,21 @@ def test_the_heavier_of_two_pushes_the_lighter():
     apart = prints.replace(pos=jnp.array([[0.0, 0.0], [1.2, 0.0]]))
     apart, prints = jax.tree.map(lambda x: x[None], (apart, prints))
     known = around(prints, no_solids())
-    kept, touched = keep_apart(apart, prints, stopping(prints, known.near), jnp.ones((1, 2), bool))
-    went = np.asarray(kept.pos[0] - prints.pos[0])[:, 0]
-    assert went.sum() == pytest.approx(went[1] + went[0])
-    assert 30.0 * went[0] + 10.0 * went[1] == pytest.approx(0.0, abs=1e-3), "their centre of mass stays"
+    kept, touched = separate_footprints(
+        apart, prints, obstacle_outlines(prints, known.near), jnp.ones((1, 2), bool)
+    )
+    displacement = np.asarray(kept.pos[0] - prints.pos[0])[:, 0]
+    assert displacement.sum() == pytest.approx(displacement[1] + displacement[0])
+    assert 30.0 * displacement[0] + 10.0 * displacement[1] == pytest.approx(0.0, abs=1e-3), (
+        "their centre of mass stays"
+    )
     assert touched.all()
-    assert not known.left_out.any()
+    assert not known.omitted.any()
 
 
 BODY = EAGER.chassis[0]
 BURDENED = replace(EAGER, name="Burdened", chassis=(replace(BODY, mass=40.0), *EAGER.chassis[1:]))
-use_response(BURDENED, AT_ONCE)
+override_response(BURDENED, AT_ONCE)
 
 
 @pytest.mark.parametrize("speeds", [(4.0, 4.0), (4.0, 0.0), (0.0, 4.0)], ids=["both", "light", "heavy"])
@@ -198,7 +202,7 @@ def test_robots_that_push_have_the_speed_that_their_momentum_leaves_them(speeds)
 
 
 def no_solids():
-    return seen_from_above(np.zeros(0, int), jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)), jnp.zeros((0, 3)))
+    return project_geoms(np.zeros(0, int), jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)), jnp.zeros((0, 3)))
 
 
 def test_a_world_alone_does_bit_for_bit_what_it_does_among_others(crowd):
@@ -216,7 +220,7 @@ def test_a_world_alone_does_bit_for_bit_what_it_does_among_others(crowd):
 def test_what_flies_stands_on_what_is_below_it():
     """An AirRobot comes down on a P2AT and on another AirRobot: on their tops, and carried up by the one."""
     air, ground = (replace(ROBOTS.get(name), sensors=(), cameras=(), battery_life=1e6) for name in PAIR)
-    heights = [float(np.diff(footprint_of(robot)[:, 2])[0]) for robot in (air, ground)]
+    heights = [float(np.diff(footprint_box(robot)[:, 2])[0]) for robot in (air, ground)]
     places = ((0.0, 0.0, 2.0), (0.0, 0.0, 0.188), (3.0, 0.0, 2.0), (3.1, 0.2, 0.188))
     starts = tuple(StartPose(tag=f"S{i}", at=at) for i, at in enumerate(places))
     scene = build_scene(replace(FLAT, starts=starts), [air, ground, air, air])

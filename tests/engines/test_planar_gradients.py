@@ -11,11 +11,18 @@ import pytest
 from tests.arenas import FLAT
 from tests.engines.eager import AT_ONCE, EAGER, around
 from usarmjx.base.rotations import mat_from_quat, parts
-from usarmjx.engines.planar.flight import sine_over, turned
-from usarmjx.engines.planar.footprints import Footprints, deepest_of, layout, meetings, parted, push_of
-from usarmjx.engines.planar.neighbor_lists import stopping
-from usarmjx.engines.planar.responses import use_response
-from usarmjx.engines.planar.solids import seen_from_above
+from usarmjx.engines.planar.flight import rotate, sinc
+from usarmjx.engines.planar.footprints import (
+    Footprints,
+    apply_separation,
+    contact_candidates,
+    deepest_overlap,
+    footprint_components,
+    separation_step,
+)
+from usarmjx.engines.planar.neighbor_lists import obstacle_outlines
+from usarmjx.engines.planar.responses import override_response
+from usarmjx.engines.planar.solids import project_geoms
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import StartPose
 from usarmjx.models.types.robot import Mount, options
@@ -135,7 +142,7 @@ SEEING = replace(
         ),
     ),
 )
-use_response(SEEING, replace(AT_ONCE, forward_lag=0.1, turn_lag=0.05, acceleration=50.0))
+override_response(SEEING, replace(AT_ONCE, forward_lag=0.1, turn_lag=0.05, acceleration=50.0))
 
 
 def test_ranges_change_with_what_wheels_are_told_as_small_steps_show():
@@ -168,13 +175,13 @@ def test_ranges_change_with_what_wheels_are_told_as_small_steps_show():
 def test_turns_have_slopes_however_small_they_are(angle):
     """By the exponential map: a quaternion changes with its vector by half of it at rest."""
     start, vector = jnp.array([[1.0, 0.0, 0.0, 0.0]]), jnp.array([[angle, 0.0, 0.0]])
-    slopes = jax.jacrev(lambda by: jnp.stack(turned(parts(start), parts(by)), -1)[0])(vector)
+    slopes = jax.jacrev(lambda by: jnp.stack(rotate(parts(start), parts(by)), -1)[0])(vector)
     slope = np.asarray(slopes)[:, 0]
     expected = np.zeros((4, 3))
     expected[:2, 0] = -np.sin(angle / 2) / 2, np.cos(angle / 2) / 2
     expected[[2, 3], [1, 2]] = 0.5 * np.sinc(angle / 2 / np.pi)
     assert slope == pytest.approx(expected, abs=1e-5)
-    by_itself = jax.grad(sine_over)(jnp.float32(angle))
+    by_itself = jax.grad(sinc)(jnp.float32(angle))
     exact = -angle / 3 if angle < 0.01 else np.cos(angle) / angle - np.sin(angle) / angle**2
     assert float(by_itself) == pytest.approx(exact, abs=1e-4)
 
@@ -190,17 +197,17 @@ def test_a_push_has_the_slope_that_small_steps_show():
         step=jnp.zeros(3),
         mass=jnp.array([20.0, 30.0, 1.0]),
     )
-    none = seen_from_above(np.zeros(0, int), jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)), jnp.zeros((0, 3)))
+    none = project_geoms(np.zeros(0, int), jnp.zeros((0, 3)), jnp.zeros((0, 3, 3)), jnp.zeros((0, 3)))
     overlapping = jax.tree.map(lambda x: x[None], overlapping)
-    near, moves = stopping(overlapping, around(overlapping, none).near), jnp.ones((3, 1), bool)
+    near, moves = obstacle_outlines(overlapping, around(overlapping, none).near), jnp.ones((3, 1), bool)
     weight = jnp.asarray(np.random.default_rng(2).normal(size=(3, 3)), jnp.float32)
 
     @jax.jit
     def found(x):
-        prints = layout(overlapping.replace(pos=overlapping.pos.at[0, 0, 0].set(x)))
-        others = meetings(prints, prints, near, moves, None, discs=True)
-        deepest = deepest_of(prints.outline, others, others.level)
-        apart = parted(prints, push_of(prints.outline, others, deepest), moves)
+        prints = footprint_components(overlapping.replace(pos=overlapping.pos.at[0, 0, 0].set(x)))
+        others = contact_candidates(prints, prints, near, moves, None, discs=True)
+        deepest = deepest_overlap(prints.outline, others, others.same_height)
+        apart = apply_separation(prints, separation_step(prints.outline, others, deepest), moves)
         return (jnp.hstack([apart.outline.x, apart.outline.y, apart.yaw]) * weight).sum()
 
     slope = float(jax.jit(jax.grad(found))(0.3))

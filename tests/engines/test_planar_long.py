@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from usarmjx.engines.planar.bodies import footprint_of
-from usarmjx.engines.planar.footprints import TOLERANCE
+from usarmjx.engines.planar.bodies import footprint_box
+from usarmjx.engines.planar.footprints import OVERLAP_TOLERANCE
 from usarmjx.engines.planar.responses import rolls
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
@@ -31,7 +31,7 @@ CASES += [(name, period, 2.0) for name in ("AirRobot", "Passarola") for period i
 
 def pen_of(robot):
     """A pen some robots wide, and its walls as rectangles: middles, headings, half sides."""
-    low, high = footprint_of(robot)
+    low, high = footprint_box(robot)
     size = float(np.abs([low[:2], high[:2]]).max(0) @ [1, 1]) / 2 + 0.1
     wide = 5 * size
     walls = [
@@ -79,7 +79,7 @@ def depth(a, b):
 
 def deepest(root, robot, walls):
     """How deep the worst of robots (worlds, robots, 7) is in a wall or another one."""
-    low, high = footprint_of(robot)
+    low, high = footprint_box(robot)
     w, x, y, z = np.moveaxis(root[..., 3:], -1, 0)
     yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     offset, half = (low + high)[:2] / 2, (high - low)[:2] / 2
@@ -117,7 +117,7 @@ def test_nobody_gets_into_anything_in_a_million_random_steps(name, period, stand
             root = np.asarray(batch.physics(state).qpos)[:, group.root_qposadr]
             worst = max(worst, deepest(root.astype(float), robot, walls))
             met += np.asarray(state.physics.touched)
-    assert worst <= TOLERANCE + 2e-4
+    assert worst <= OVERLAP_TOLERANCE + 2e-4
     assert (met > 0).mean() > 0.3, "many have met something"
     assert np.abs(root[..., :2]).max() < wide, "nobody has left"
     assert np.isfinite(root).all()

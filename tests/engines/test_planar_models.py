@@ -11,12 +11,12 @@ from tests.arenas import FLAT
 from tests.engines.eager import AT_ONCE, BLIND, EAGER, around
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.engines.planar.bodies import Motion
-from usarmjx.engines.planar.drives import follow, wheels_of
-from usarmjx.engines.planar.footprints import Footprints, keep_apart
-from usarmjx.engines.planar.neighbor_lists import stopping
-from usarmjx.engines.planar.responses import Response, measured
-from usarmjx.engines.planar.rolling import rolled
-from usarmjx.engines.planar.solids import seen_from_above
+from usarmjx.engines.planar.drives import limited_lag, wheel_kinematics
+from usarmjx.engines.planar.footprints import Footprints, separate_footprints
+from usarmjx.engines.planar.neighbor_lists import obstacle_outlines
+from usarmjx.engines.planar.responses import Response, packaged_responses
+from usarmjx.engines.planar.rolling import integrate_twist
+from usarmjx.engines.planar.solids import project_geoms
 from usarmjx.models.compile.physics import PHYSICS, Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sim.batch import Batch
@@ -38,7 +38,7 @@ def test_sides_that_answer_apart_speed_up_before_they_turn():
     for answer in (apart, step):
         now = jnp.zeros((1, 3))
         for _ in range(40):
-            now = follow(answer, now, told, dt)
+            now = limited_lag(answer, now, told, dt)
             turns[answer.sides_apart].append(float(now[0, 2]))
         assert np.asarray(now) == pytest.approx(np.asarray(told), abs=1e-4), "they get there"
     slower_has_it = round(0.75 / (2.0 * dt))
@@ -50,7 +50,7 @@ def test_sides_that_answer_apart_speed_up_before_they_turn():
 def test_a_fit_tells_which_way_sides_answer():
     """What a model of either kind does is explained by the same kind."""
     robot = ROBOTS.get("P2DX")
-    wheels = wheels_of(robot)
+    wheels = wheel_kinematics(robot)
     orders = random_orders(robot, 4, 100, seed=3)
     for apart in (False, True):
         truth = Response(
@@ -60,7 +60,7 @@ def test_a_fit_tells_which_way_sides_answer():
         wanted = jax.vmap(wheels.twist)(joints, jnp.asarray(orders))
 
         def step(now, asked, truth=truth):
-            now = follow(truth, now, asked, 0.02)
+            now = limited_lag(truth, now, asked, 0.02)
             return now, now
 
         twist = np.asarray(jax.lax.scan(step, jnp.zeros((4, 3)), wanted)[1])
@@ -72,31 +72,34 @@ def test_a_fit_tells_which_way_sides_answer():
 
 
 def test_a_p2dx_answers_with_its_sides_apart_as_measured():
-    entry = measured()["P2DX"]
+    entry = packaged_responses()["P2DX"]
     assert entry["response"]["sides_apart"]
     assert entry["errors"]["5 s"]["distance"] < 0.55, "0.75 m with both sides in step"
 
 
 def way_of(response, told, dt, every):
     """Where robots (n,) get to that are told other twists (orders, n, 3) every so often [s]."""
-    still = jnp.zeros((told.shape[1], 3))
+    static_solids = jnp.zeros((told.shape[1], 3))
     start = Motion(
-        pos=still, quat=jnp.tile(jnp.array([1.0, 0, 0, 0]), (len(still), 1)), linear=still, angular=still
+        pos=static_solids,
+        quat=jnp.tile(jnp.array([1.0, 0, 0, 0]), (len(static_solids), 1)),
+        linear=static_solids,
+        angular=static_solids,
     )
 
     def step(now, asked):
         motion, twist = now
-        twist = follow(response, twist, asked, dt)
-        return (rolled(motion, twist, dt), twist), 0
+        twist = limited_lag(response, twist, asked, dt)
+        return (integrate_twist(motion, twist, dt), twist), 0
 
     asked = np.repeat(told, round(every / dt), axis=0)
-    return np.asarray(jax.lax.scan(step, (start, still), asked)[0][0].pos)
+    return np.asarray(jax.lax.scan(step, (start, static_solids), asked)[0][0].pos)
 
 
 @pytest.mark.parametrize("name", ["P2AT", "Zerg", "Talon"])
 def test_steps_of_50_ms_lead_to_where_those_of_20_ms_do(name):
     robot, rng = ROBOTS.get(name), np.random.default_rng(0)
-    figures = Response(**measured()[name]["response"])
+    figures = Response(**packaged_responses()[name]["response"])
     speed = robot.drive.top_speed
     told = (rng.uniform(-1.0, 1.0, (5, 32, 3)) * [speed, 0.0, 1.0]).astype(np.float32)
     fine, coarse = (way_of(figures, told, dt, 1.0) for dt in (0.02, PHYSICS.get("coarse").period))
@@ -147,7 +150,7 @@ def test_a_mirrored_world_stays_the_mirror_image():
         mass=jnp.asarray(rng.uniform(5.0, 40.0, (8, n)), jnp.float32),
     )
     crowded = start.replace(pos=0.15 * start.pos)
-    walls = seen_from_above(
+    walls = project_geoms(
         np.full(1, 6), jnp.array([[0.5, 0.0, 0.5]]), jnp.eye(3)[None], jnp.array([[0.1, 2.0, 0.5]])
     )
 
@@ -155,7 +158,9 @@ def test_a_mirrored_world_stays_the_mirror_image():
         return prints.replace(pos=prints.pos * jnp.array([1.0, -1.0]), yaw=-prints.yaw)
 
     moves = jnp.ones((8, n), bool)
-    apart = jax.jit(lambda a, b: keep_apart(a, b, stopping(b, around(b, walls).near), moves))
+    apart = jax.jit(
+        lambda a, b: separate_footprints(a, b, obstacle_outlines(b, around(b, walls).near), moves)
+    )
     one, touched = apart(start, crowded)
     other, also = apart(mirrored(start), mirrored(crowded))
     assert np.asarray(touched).mean() > 0.5

@@ -16,10 +16,10 @@ from tests.arenas import COURSE, FLAT
 from tests.engines.eager import AT_ONCE, BLIND, EAGER, SINGLE, drive, poses
 from usarmjx.base.errors import UnsupportedFeatureError
 from usarmjx.engines.planar.bodies import move_joints, servos_of
-from usarmjx.engines.planar.drives import follow, wheels_of
-from usarmjx.engines.planar.footprints import TOLERANCE
-from usarmjx.engines.planar.responses import Response, check_robot, measured, use_response
-from usarmjx.engines.planar.solids import ground_under, seen_from_above
+from usarmjx.engines.planar.drives import limited_lag, wheel_kinematics
+from usarmjx.engines.planar.footprints import OVERLAP_TOLERANCE
+from usarmjx.engines.planar.responses import Response, check_robot, override_response, packaged_responses
+from usarmjx.engines.planar.solids import ground_heights, project_geoms
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import DomainRandomization
@@ -39,7 +39,7 @@ def flat():
 
 
 def test_wheels_at_odds_drive_an_arc_of_the_radius_that_they_make(flat):
-    wheels, first = wheels_of(EAGER), poses(flat, flat.reset())
+    wheels, first = wheel_kinematics(EAGER), poses(flat, flat.reset())
     left, right, seconds = 2.0, 3.0, 1.0
     speed = wheels.radius * (left + right) / 2
     turn = wheels.radius * (right - left) / wheels.track
@@ -52,8 +52,8 @@ def test_wheels_at_odds_drive_an_arc_of_the_radius_that_they_make(flat):
         expected = first[0, robot, :2] + [c * chord[0] - s * chord[1], s * chord[0] + c * chord[1]]
         assert now[0, robot, :2] == pytest.approx(expected, abs=SINGLE)
         assert math.remainder(now[0, robot, 2] - yaw - angle, math.tau) == pytest.approx(0.0, abs=SINGLE)
-    spins = np.asarray(flat.physics(state).qvel)[0, flat.scene.groups[0].dofadr[0]]
-    assert spins[wheels.spin] == pytest.approx([left] * 2 + [right] * 2, abs=1e-3)
+    wheel_speeds = np.asarray(flat.physics(state).qvel)[0, flat.scene.groups[0].dofadr[0]]
+    assert wheel_speeds[wheels.spin] == pytest.approx([left] * 2 + [right] * 2, abs=1e-3)
 
 
 @pytest.mark.parametrize(("name", "slip"), [("Eager", 1.0), ("P2AT", 0.0), ("Zerg", 0.0)])
@@ -61,7 +61,7 @@ def test_sides_that_go_against_each_other_turn_a_robot_on_the_spot(name, slip):
     """At 2 w r / track times the share of it that the class keeps: what was measured, where 0 is given."""
     robot = EAGER if name == "Eager" else replace(ROBOTS.get(name), sensors=(), cameras=())
     wheel, track = robot.wheel_radius, robot.wheel_separation
-    share = slip or measured()[name]["response"]["turn_gain"]
+    share = slip or packaged_responses()[name]["response"]["turn_gain"]
     assert share == 1.0 or share < 0.97, "it slips"
     batch, spin, steps = Batch(build_scene(FLAT, [robot]), 1, engine="planar"), 1.5, 50
     begun = drive(batch, -spin, spin, 50)
@@ -81,7 +81,7 @@ def turn_rate(batch, state):
 
 def test_wheels_have_turned_as_far_as_they_went(flat):
     group, state = flat.scene.groups[0], drive(flat, 2.0, 2.0, 50)
-    joints = np.asarray(flat.physics(state).qpos)[0, group.qposadr[0]][wheels_of(EAGER).spin]
+    joints = np.asarray(flat.physics(state).qpos)[0, group.qposadr[0]][wheel_kinematics(EAGER).spin]
     assert joints == pytest.approx(2.0 * (50 - 0.5) * 0.02, abs=1e-3)  # the first step's mean is half
 
 
@@ -89,12 +89,12 @@ def test_a_lag_and_a_most_acceleration_are_those_of_the_closed_form():
     slow = replace(AT_ONCE, forward_lag=0.3)
     twist = jnp.zeros((1, 3))
     for _ in range(10):
-        twist = follow(slow, twist, jnp.array([[1.0, 0.0, 0.0]]), 0.02)
+        twist = limited_lag(slow, twist, jnp.array([[1.0, 0.0, 0.0]]), 0.02)
     assert float(twist[0, 0]) == pytest.approx(1 - math.exp(-0.2 / 0.3), rel=1e-5)
     braking, way = replace(AT_ONCE, acceleration=2.0), 0.0
     twist = jnp.array([[1.5, 0.0, 0.0]])
     for _ in range(2000):
-        now = follow(braking, twist, jnp.zeros((1, 3)), 0.001)
+        now = limited_lag(braking, twist, jnp.zeros((1, 3)), 0.001)
         way, twist = way + float(twist[0, 0] + now[0, 0]) / 2 * 0.001, now
     assert way == pytest.approx(1.5**2 / (2 * 2.0), rel=2e-3)  # the braking distance v^2 / 2a
 
@@ -104,34 +104,34 @@ def test_longer_steps_lead_to_the_same():
     told = jnp.array([[0.7, 0.0, 0.4]])
     fine, coarse = jnp.zeros((1, 3)), jnp.zeros((1, 3))
     for _ in range(5):
-        fine = follow(answer, fine, told, 0.02)
+        fine = limited_lag(answer, fine, told, 0.02)
     for _ in range(2):
-        coarse = follow(answer, coarse, told, 0.05)
+        coarse = limited_lag(answer, coarse, told, 0.05)
     assert np.asarray(fine) == pytest.approx(np.asarray(coarse), rel=1e-5)
 
 
 def test_a_car_turns_as_a_bicycle_does():
     car = ROBOTS.get("Hummer")
-    wheels, front = wheels_of(car), 0.3
+    wheels, front = wheel_kinematics(car), 0.3
     keys = np.array([[4.0, front, 0.0]], np.float32)
     targets = np.asarray(car.drive.targets(keys))[0]
     names = [one.joint for one in car.drive.joint_controls]
     plan = build_scene(FLAT, [car]).groups[0].plan
-    joints, spins = (
+    joints, wheel_speeds = (
         np.zeros((1, len(plan.parts) - 1), np.float32),
         np.zeros((1, len(wheels.spin)), np.float32),
     )
     for name, target in zip(names, targets, strict=True):
         joints[0, plan.joint_index(name)] = target
-    spins[0] = [joints[0, j] if wheels.powered[i] else 0.0 for i, j in enumerate(wheels.spin)]
-    twist = np.asarray(wheels.twist(jnp.asarray(joints), jnp.asarray(spins)))[0]
+    wheel_speeds[0] = [joints[0, j] if wheels.powered[i] else 0.0 for i, j in enumerate(wheels.spin)]
+    twist = np.asarray(wheels.twist(jnp.asarray(joints), jnp.asarray(wheel_speeds)))[0]
     rear = [wheel.x for wheel in car.drive.wheels if not wheel.steer]
     speed = 4.0 * car.drive.radius
     assert twist[2] * car.drive.wheel_base == pytest.approx(twist[0] * math.tan(front), rel=1e-3)
     assert twist[0] == pytest.approx(speed, rel=0.05)  # of the middle of the powered wheels, by the arc
     assert twist[1] == pytest.approx(-twist[2] * np.mean(rear), rel=1e-2)  # the rear axle does not slide
-    again = np.asarray(wheels.spins(jnp.asarray(joints), jnp.asarray(twist[None])))[0]
-    assert again[wheels.powered] == pytest.approx(spins[0][wheels.powered], rel=1e-3)
+    again = np.asarray(wheels.wheel_speeds(jnp.asarray(joints), jnp.asarray(twist[None])))[0]
+    assert again[wheels.powered] == pytest.approx(wheel_speeds[0][wheels.powered], rel=1e-3)
 
 
 def test_a_joint_follows_its_target_as_a_servo_without_load():
@@ -182,7 +182,7 @@ def test_a_ramp_tilts_as_it_slopes_and_a_step_too_high_stops():
     kerb = Batch(build_scene(high, [EAGER]), 1, engine="planar")
     state = drive(kerb, 4.0, 4.0, 200)
     front = poses(kerb, state)[0, 0, 0] + kerb.engine._robots.half[0, 0] + kerb.engine._robots.offset[0, 0]
-    assert front == pytest.approx(1.0, abs=2 * TOLERANCE)
+    assert front == pytest.approx(1.0, abs=2 * OVERLAP_TOLERANCE)
     assert bool(np.asarray(state.physics.touched)[0, 0])
 
 
@@ -221,7 +221,7 @@ def test_the_top_of_a_box_is_the_plane_that_mujoco_s_rays_meet(pitch):
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    solids = seen_from_above(
+    solids = project_geoms(
         model.geom_type,
         jnp.asarray(data.geom_xpos),
         jnp.asarray(data.geom_xmat.reshape(-1, 3, 3)),
@@ -230,10 +230,10 @@ def test_the_top_of_a_box_is_the_plane_that_mujoco_s_rays_meet(pitch):
     for x, y in ((0.3, -0.2), (0.4, -0.1), (0.1, -0.25)):
         out = np.zeros(1, np.int32)
         fall = mujoco.mj_ray(model, data, np.array([x, y, 5.0]), np.array([0.0, 0.0, -1.0]), None, 1, -1, out)
-        height = float(ground_under(solids, 0.0, jnp.array([x, y]), jnp.array(9.0)))
+        height = float(ground_heights(solids, 0.0, jnp.array([x, y]), jnp.array(9.0)))
         assert height == pytest.approx(5.0 - fall, abs=1e-5)
-    assert float(ground_under(solids, 0.0, jnp.array([2.0, 2.0]), jnp.array(9.0))) == 0.0
-    assert float(ground_under(solids, 0.0, jnp.array([0.3, -0.2]), jnp.array(0.1))) == 0.0, "it is above"
+    assert float(ground_heights(solids, 0.0, jnp.array([2.0, 2.0]), jnp.array(9.0))) == 0.0
+    assert float(ground_heights(solids, 0.0, jnp.array([0.3, -0.2]), jnp.array(0.1))) == 0.0, "it is above"
 
 
 def test_where_a_robot_gets_to_has_the_slope_that_small_changes_show(flat):
@@ -307,7 +307,7 @@ VARIED = {
 def test_larger_wheels_go_farther_and_more_mass_or_less_friction_or_torque_starts_slower(which):
     """By the factors: a wheel's radius is in the speed, grip over mass in the acceleration."""
     heavy, steps, dt = replace(EAGER, name="Heavy"), 10, 0.02
-    use_response(heavy, replace(AT_ONCE, acceleration=1.0))
+    override_response(heavy, replace(AT_ONCE, acceleration=1.0))
     vary, factor = VARIED[which]
     batch = Batch(build_scene(FLAT, [heavy], vary=vary), 1, engine="planar")
     way = poses(batch, drive(batch, 4.0, 4.0, steps))[0, 0, 0] - poses(batch, batch.reset())[0, 0, 0]

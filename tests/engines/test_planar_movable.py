@@ -11,7 +11,7 @@ from tests.engines.eager import EAGER
 from usarmjx.engines.base import GeomPoses
 from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.movable import MovableSolids
-from usarmjx.engines.planar.neighbor_lists import NEAR
+from usarmjx.engines.planar.neighbor_lists import LIST_LENGTH
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.types.arena import ArenaSpec, SegmentMotion, StartPose, Victim
 from usarmjx.models.types.shapes import Shape
@@ -20,7 +20,7 @@ from usarmjx.sim.scene import build_scene
 
 SWEEP = SegmentMotion(name="LeftArm", final=(0.0, 0.0, 1.2), initial=(0.0, 0.0, 0.01), rates=(0.0, 0.0, 1.0))
 """Lying on its back the victim sweeps the ground beside it, out to 0.9 m and back."""
-RING = np.linspace(0, math.tau, 3 * NEAR, endpoint=False)
+RING = np.linspace(0, math.tau, 3 * LIST_LENGTH, endpoint=False)
 WARD = ArenaSpec(
     name="ward",
     starts=tuple(
@@ -52,12 +52,12 @@ def ends(*, forgetful=False):
         if step % 10 == 0:
             told = rng.uniform(-1.0, 5.0, (2, WORLDS, 3)).astype(np.float32)
             state = batch.drive(state, 0, {"Left": told[0], "Right": told[1]})
-        around = state.physics.around
+        around = state.physics.neighbors
         if forgetful:
             around = jax.tree.map(jnp.zeros_like, around)
             state = state.replace(physics=state.physics.replace(around=around))
         state = batch.step(state)
-        looks.append((np.asarray(around.at) != state.physics.around.at).any((1, 2)))
+        looks.append((np.asarray(around.at) != state.physics.neighbors.at).any((1, 2)))
     return np.asarray(batch.physics(state).qpos), np.mean(looks)
 
 
@@ -73,7 +73,7 @@ def test_robots_meet_limbs_as_if_all_was_looked_up_in_each_step(truth):
 
 
 def test_limbs_that_come_near_are_noticed(truth, monkeypatch):
-    monkeypatch.setattr(MovableSolids, "came_near", lambda *_: jnp.bool_(False))
+    monkeypatch.setattr(MovableSolids, "moved_nearby", lambda *_: jnp.bool_(False))
     assert not np.array_equal(ends()[0], truth[0]), "robots pass through limbs otherwise"
 
 
@@ -86,7 +86,7 @@ def test_near_is_what_has_moved_and_is_near_now_or_was(then, now, near):
     place = np.array([[1.0, 2.0, 0.0]])
     ball = MovableSolids(
         loose=np.zeros(0, int),
-        places=np.zeros(1, int),
+        pose_index=np.zeros(1, int),
         size=np.array([[0.1, 0.0, 0.0]]),
         origin=place,
         turn=np.array([[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]]),  # its x is the plan's y
@@ -103,6 +103,6 @@ def test_near_is_what_has_moved_and_is_near_now_or_was(then, now, near):
 
     def at(x):
         poses = GeomPoses(pos=jnp.array([[x, 0.0, 0.0]]), quat=jnp.array([[1.0, 0.0, 0.0, 0.0]]))
-        return ball.where(jnp.zeros(0), poses).geoms
+        return ball.placement(jnp.zeros(0), poses).geoms
 
-    assert bool(ball.came_near(at(then), at(now), prints, jnp.array([0.2]))) == near
+    assert bool(ball.moved_nearby(at(then), at(now), prints, jnp.array([0.2]))) == near

@@ -20,17 +20,17 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
 from usarmjx.base.rotations import mat_from_quat
-from usarmjx.engines.planar.drives import SideWheels, follow, wheels_of
+from usarmjx.engines.planar.drives import SideWheels, limited_lag, wheel_kinematics
 from usarmjx.engines.planar.responses import (
-    NAMES,
+    NUMERIC_FIELDS,
     Response,
     UncalibratedRobotError,
-    as_entry,
     description_key,
+    override_response,
+    response_entry,
     response_file,
     rolls,
     uncalibrated,
-    use_response,
 )
 from usarmjx.models.drives.ground import OmniDrive, SkidSteer
 from usarmjx.models.types.arena import ArenaSpec, StartPose
@@ -57,7 +57,7 @@ HORIZONS = (1.0, 5.0, 20.0)
 """After such times the error of the pose is stated [s]."""
 LOWEST = np.array([0.2, 0.05, 1e-3, 1e-3, 0.05, 0.05, 0.2, -0.3])
 HIGHEST = np.array([1.5, 1.5, 1.5, 1.5, 50.0, 200.0, 50.0, 0.3])
-"""Within which the figures are looked for, in the order of `NAMES`."""
+"""Within which the figures are looked for, in the order of `NUMERIC_FIELDS`."""
 WORTH_ANOTHER_MODEL = 0.8
 """Sides answer by themselves if that leaves no more than this share of the cost of the simpler model."""
 
@@ -99,7 +99,7 @@ def random_orders(robot: RobotSpec, robots: int, steps: int, seed: int) -> np.nd
 
 def _turns_at_most(robot: RobotSpec) -> float:
     """Return how fast a robot with wheels on two sides would turn on the spot, did nothing slip [rad/s]."""
-    wheels, drive = wheels_of(robot), robot.drive
+    wheels, drive = wheel_kinematics(robot), robot.drive
     assert isinstance(wheels, SideWheels)
     assert isinstance(drive, SkidSteer)
     return 2.0 * drive.max_spin * wheels.radius / wheels.track
@@ -131,7 +131,7 @@ def drive_log(robot: RobotSpec, orders: np.ndarray, engine: str = "c") -> DriveL
     scene = build_scene(OPEN_FLOOR, [robot])
     batch, group = Batch(scene, worlds=orders.shape[1], engine=engine), scene.groups[0]
     drive, names = robot.drive, group.plan.parts[1:]
-    wheels = wheels_of(robot)
+    wheels = wheel_kinematics(robot)
     state = batch.reset()
     for _ in range(SETTLING):
         state = batch.step(state)
@@ -180,7 +180,7 @@ def _fit(robot: RobotSpec, log: DriveLog, *, sides_apart: bool) -> tuple[Respons
     """Return the best figures of a model, what is left of the twists (3,), rms, and the cost of that."""
     from scipy.optimize import least_squares  # half a second, of which a calibrated robot has no need
 
-    wheels = wheels_of(robot)
+    wheels = wheel_kinematics(robot)
     told, joints = jnp.asarray(log.told, jnp.float32), jnp.asarray(log.joints, jnp.float32)
     wanted = jax.vmap(wheels.twist)(joints, told)
     real = jnp.asarray(log.twist, jnp.float32)
@@ -213,17 +213,17 @@ def _fit(robot: RobotSpec, log: DriveLog, *, sides_apart: bool) -> tuple[Respons
     )
     twists = _twists(jnp.asarray(found.x, jnp.float32), wanted, log.period, sides_apart)
     left = np.sqrt((np.asarray(twists - real) ** 2).mean((0, 1)))
-    figures = {name: float(f"{x:.5g}") for name, x in zip(NAMES, found.x.tolist(), strict=True)}
+    figures = {name: float(f"{x:.5g}") for name, x in zip(NUMERIC_FIELDS, found.x.tolist(), strict=True)}
     return Response(**figures, sides_apart=sides_apart), left, float(found.cost)
 
 
 def _twists(values: Array, wanted: Array, period: float, sides_apart: bool) -> Array:
     """Return the twists (steps, robots, 3) that figures make of those that wheels are told."""
-    figures = dict(zip(NAMES, values, strict=True))
+    figures = dict(zip(NUMERIC_FIELDS, values, strict=True))
     answer = Response(**figures, sides_apart=sides_apart)  # type: ignore - numbers that are traced
 
     def step(now: Array, asked: Array) -> tuple[Array, Array]:
-        now = follow(answer, now, asked, period)
+        now = limited_lag(answer, now, asked, period)
         return now, now
 
     rolling = jax.lax.scan(step, jnp.zeros_like(wanted[0]), wanted)[1]
@@ -261,9 +261,11 @@ def calibrate(robot: RobotSpec, robots: int = 24, seconds: float = 12.0, seed: i
         raise UsageError(f"{robot.name} does not roll on wheels or tracks: there is nothing to calibrate")
     orders = random_orders(robot, robots, round(seconds / 0.02), seed)
     response, left = fit_response(robot, drive_log(robot, orders))
-    use_response(robot, response)
+    override_response(robot, response)
     names = ("forward_speed", "sideways_speed", "rate_of_turn")
-    return as_entry(robot, response, left={k: float(f"{x:.3g}") for k, x in zip(names, left, strict=True)})
+    return response_entry(
+        robot, response, left={k: float(f"{x:.3g}") for k, x in zip(names, left, strict=True)}
+    )
 
 
 def pose_errors(robot: RobotSpec, robots: int = 16, seed: int = 1) -> dict[str, dict[str, float]]:

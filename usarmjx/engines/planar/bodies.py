@@ -1,4 +1,4 @@
-"""The robots of a model as this engine sees them."""
+"""Bodies of engine `planar`: fixed, loose and hinged bodies, joint servos, and robots as rigid footprints."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,21 +25,22 @@ from usarmjx.models.compile.layout import RobotIndex
 from usarmjx.models.compile.reachability import STEP_SHARE
 from usarmjx.models.types.robot import HOLD_SUFFIX, RobotSpec
 
-FREE, HINGE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE)
+FREE_JOINT, HINGE_JOINT = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE)
+"""MuJoCo joint types of movable bodies."""
 
 
 @dataclass(frozen=True, eq=False)
 class FixedBodies:
-    """Bodies that stay where qpos has them.
+    """Bodies other than robots, which stay at their qpos.
 
     Attributes:
-        pos: Origins of all bodies of the model at rest [m] (nbody, 3).
+        pos: Origins of all bodies of the model at the reference pose [m] (nbody, 3).
         mat: Their orientations (nbody, 3, 3).
-        free: Bodies that lie loose (n,).
-        free_qpos: Where in qpos they are (n, 7).
+        free: Loose bodies (n,).
+        free_qpos: Their indices in qpos (n, 7).
         hinged: Bodies on a hinge (n,).
-        hinge_qpos: Where in qpos their angles are (n,).
-        axis: Their axes, in their own axes (n, 3).
+        hinge_qpos: Indices of their angles in qpos (n,).
+        axis: Hinge axes, in the body's frame (n, 3).
     """
 
     pos: np.ndarray
@@ -52,11 +53,11 @@ class FixedBodies:
 
     @property
     def movable(self) -> np.ndarray:
-        """Bodies that need not be where they are at rest (n,)."""
+        """Bodies that can leave the reference pose (n,)."""
         return np.concatenate([self.free, self.hinged])
 
     def poses(self, qpos: Array) -> tuple[Array, Array]:
-        """Return origins (nbody, 3) and orientations (nbody, 3, 3) of the bodies; of robots those at rest."""
+        """Return origins (nbody, 3) and orientations (nbody, 3, 3); robots at the reference pose."""
         pos, mat = jnp.asarray(self.pos, jnp.float32), jnp.asarray(self.mat, jnp.float32)
         if len(self.free):
             here = qpos[self.free_qpos]
@@ -70,22 +71,23 @@ class FixedBodies:
 
 
 def fixed_bodies(model: mujoco.MjModel, robot_bodies: set[int]) -> FixedBodies:
-    """Return the bodies of a model that are no robot's.
+    """Return the bodies of a model that are not part of a robot.
 
     Raises:
-        UnsupportedFeatureError: One hangs on a joint that this engine does not know.
+        UnsupportedFeatureError: A body has a joint that this engine does not support.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     joints = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) not in robot_bodies]
-    free = [j for j in joints if model.jnt_type[j] == FREE]
-    hinges = [j for j in joints if model.jnt_type[j] == HINGE]
-    strange = set(joints) - set(free) - set(hinges)
-    strange |= {
+    free = [j for j in joints if model.jnt_type[j] == FREE_JOINT]
+    hinges = [j for j in joints if model.jnt_type[j] == HINGE_JOINT]
+    unsupported = set(joints) - set(free) - set(hinges)
+    # A hinge is supported only at its body's origin and on a child of the world.
+    unsupported |= {
         j for j in hinges if np.any(model.jnt_pos[j]) or model.body_parentid[model.jnt_bodyid[j]] != 0
     }
-    if strange:
-        names = ", ".join(repr(model.joint(j).name) for j in sorted(strange)[:4])
+    if unsupported:
+        names = ", ".join(repr(model.joint(j).name) for j in sorted(unsupported)[:4])
         raise UnsupportedFeatureError(
             f"engine 'planar' cannot run this scene: joints {names}: of what is no robot it knows bodies "
             "that are fixed, that lie loose, or that turn on one hinge"
@@ -103,18 +105,19 @@ def fixed_bodies(model: mujoco.MjModel, robot_bodies: set[int]) -> FixedBodies:
 
 @dataclass(frozen=True, eq=False)
 class PlanarServos:
-    """The servos of a model, see `models.build.compose`.
+    """Servos of a model, see `models.compile.compose`.
 
     Attributes:
-        pull: Actuators that pull towards a target (n,).
-        hold: Those that hold, likewise (n,).
-        act: Where in act the targets are (n,).
-        qpos: Where in qpos the joints are (n,).
-        qvel: Where in qvel they are (n,).
-        lag: By how much a joint trails its target at a speed: damping over stiffness [s] (n,).
-        low: Lower ends of their ranges (n,).
-        high: Upper ends (n,).
-        geared: Pairs of joints of which the first does what the second does, in qpos and qvel (pairs, 2).
+        pull: Position actuators, which pull towards a target (n,).
+        hold: Hold actuators of the same joints (n,).
+        act: Indices of the targets in act (n,).
+        qpos: Indices of the joints in qpos (n,).
+        qvel: Indices of the joints in qvel (n,).
+        lag: Time by which a moving joint trails its target: damping over stiffness [s] (n,).
+        low: Lower joint limits (n,).
+        high: Upper joint limits (n,).
+        geared_qpos: Pairs of joints of which the first copies the second, indices in qpos (pairs, 2).
+        geared_qvel: The same, indices in qvel (pairs, 2).
     """
 
     pull: np.ndarray
@@ -132,17 +135,17 @@ class PlanarServos:
 def servos_of(model: mujoco.MjModel) -> PlanarServos:
     """Return the servos of a model."""
     names = [model.actuator(i).name for i in range(model.nu)]
-    holds = [i for i, name in enumerate(names) if name.endswith(HOLD_SUFFIX)]
-    pulls = [names.index(names[i].removesuffix(HOLD_SUFFIX)) for i in holds]
+    stays_valid = [i for i, name in enumerate(names) if name.endswith(HOLD_SUFFIX)]
+    pulls = [names.index(names[i].removesuffix(HOLD_SUFFIX)) for i in stays_valid]
     joints = model.actuator_trnid[pulls, 0].astype(int)
-    gains = model.actuator_biasprm[holds], model.actuator_gainprm[holds]
+    gains = model.actuator_biasprm[stays_valid], model.actuator_gainprm[stays_valid]
     damping, stiffness = -gains[1][:, 2], -gains[1][:, 1]
     limited = model.jnt_limited[joints].astype(bool)
     gears = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
     pairs = np.stack([model.eq_obj1id[gears], model.eq_obj2id[gears]], -1).astype(int).reshape(-1, 2)
     return PlanarServos(
         pull=np.array(pulls, int),
-        hold=np.array(holds, int),
+        hold=np.array(stays_valid, int),
         act=model.actuator_actadr[pulls].astype(int),
         qpos=model.jnt_qposadr[joints].astype(int),
         qvel=model.jnt_dofadr[joints].astype(int),
@@ -155,17 +158,17 @@ def servos_of(model: mujoco.MjModel) -> PlanarServos:
 
 
 def move_joints(servos: PlanarServos, state: Any, ctrl: Array, act: Array, dt: float) -> Any:  # noqa: ANN401
-    """Return the state of one world after its joints have gone after their targets for a time.
+    """Return the state of one world after its joints have followed their targets.
 
-    The target moves at the speed of `ctrl`; the joint follows as a servo without load does, whose stiffness
-    pulls as its damping holds back: exact for that. A joint told to exert a torque stays.
+    The target moves at the speed of `ctrl`; the joint follows as an unloaded servo with stiffness and damping
+    does, by the exact solution. A joint in torque mode stays.
 
     Args:
         servos: The servos.
-        state: A state with qpos (nq,), qvel (nv,) and act (na,).
+        state: State with qpos (nq,), qvel (nv,) and act (na,).
         ctrl: Inputs (nu,).
         act: Activations at the beginning (na,).
-        dt: Time [s].
+        dt: Time step [s].
     """
     speed, aim = ctrl[servos.pull], act[servos.act]
     before, lag = state.qpos[servos.qpos], jnp.maximum(jnp.asarray(servos.lag), 1e-4)
@@ -185,13 +188,13 @@ def move_joints(servos: PlanarServos, state: Any, ctrl: Array, act: Array, dt: f
 
 
 class Motion(struct.PyTreeNode, kw_only=True):
-    """Where robots are and how they move.
+    """Poses and velocities of robots.
 
     Attributes:
         pos: Chassis origins [m] (robots, 3).
         quat: Orientations (robots, 4).
         linear: Velocities, world axes [m/s] (robots, 3).
-        angular: Rates of turn, chassis axes [rad/s] (robots, 3).
+        angular: Angular velocities, chassis axes [rad/s] (robots, 3).
     """
 
     pos: Array
@@ -201,36 +204,36 @@ class Motion(struct.PyTreeNode, kw_only=True):
 
     @property
     def unit(self) -> tuple[Array, ...]:
-        """The numbers of their orientations, normalised (robots,) each."""
+        """Components of the normalised orientations (robots,) each."""
         w, x, y, z = parts(self.quat)
         size = jnp.sqrt(w * w + x * x + y * y + z * z)
         return w / size, x / size, y / size, z / size
 
     @property
     def yaw(self) -> Array:
-        """Which way they head on the plan [rad] (robots,)."""
+        """Headings [rad] (robots,)."""
         w, x, y, z = self.unit
         return jnp.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
 
 
 @dataclass(frozen=True, eq=False)
 class PlanarRobots:
-    """The robots of a model, in the order of their slots.
+    """Robots of a model, by slot.
 
     Attributes:
-        root_qpos: Where in qpos they are (robots, 7).
-        root_dof: Where in qvel (robots, 6).
+        root_qpos: Indices of the chassis in qpos (robots, 7).
+        root_dof: Indices of the chassis in qvel (robots, 6).
         chassis: Body ids of the chassis (robots,).
-        flies: Which fly or dive (robots,).
-        rolling: Those that roll, by class.
-        half: Half length and width of their footprints [m] (robots, 2).
-        offset: Middles of the footprints on the chassis [m] (robots, 2).
-        clearance: Height of the origins above what they stand on [m] (robots,).
-        height: Of the robots [m] (robots,).
-        step: How high a step they get onto [m] (robots,).
-        mass: [kg] (robots,).
+        flies: Which robots fly or dive (robots,).
+        rolling: Rolling robots, by class.
+        half: Half length and width of the footprints [m] (robots, 2).
+        offset: Centres of the footprints on the chassis [m] (robots, 2).
+        clearance: Height of the origins above the ground [m] (robots,).
+        height: Heights of the robots [m] (robots,).
+        step: Highest step that each climbs [m] (robots,).
+        mass: Masses [kg] (robots,).
         centre: Centres of mass on the chassis [m] (robots, 3).
-        inertia: About these [kg m^2] (robots, 3, 3).
+        inertia: Inertia about these [kg m^2] (robots, 3, 3).
         inverse_inertia: Its inverse (robots, 3, 3).
     """
 
@@ -251,19 +254,19 @@ class PlanarRobots:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of robots."""
         return len(self.chassis)
 
     def motion(self, state: Any) -> Motion:  # noqa: ANN401 - a state with qpos and qvel
-        """Return where the robots of one world are."""
+        """Return the motion of the robots of one world."""
         root = [state.qpos[places] for places in self.root_qpos.T]
         speed = [state.qvel[places] for places in self.root_dof.T]
         vectors = root[:3], root[3:], speed[:3], speed[3:]
         pos, quat, linear, angular = (jnp.stack(numbers, -1) for numbers in vectors)
         return Motion(pos=pos, quat=quat, linear=linear, angular=angular)
 
-    def written(self, state: Any, motion: Motion) -> Any:  # noqa: ANN401 - a state with qpos and qvel
-        """Return the state of one world with its robots elsewhere."""
+    def write(self, state: Any, motion: Motion) -> Any:  # noqa: ANN401 - a state with qpos and qvel
+        """Return the state of one world with its robots' motion replaced."""
         motion = materialize(motion)
         root = jnp.concatenate([motion.pos, motion.quat], -1)
         speed = jnp.concatenate([motion.linear, motion.angular], -1)
@@ -272,18 +275,18 @@ class PlanarRobots:
             qvel=set_rows(state.qvel, (self.root_dof, speed)),
         )
 
-    def choose(self, flown: Motion, rolled: Motion) -> Motion:
-        """Return what flies from one motion and the others from another."""
+    def choose(self, flown: Motion, integrate_twist: Motion) -> Motion:
+        """Select one motion for flying robots and another for the rest."""
         if not self.flies.any():
-            return rolled
-        return jax.tree.map(lambda a, b: jnp.where(self.flies[:, None], a, b), flown, rolled)
+            return integrate_twist
+        return jax.tree.map(lambda a, b: jnp.where(self.flies[:, None], a, b), flown, integrate_twist)
 
     def footprints(self, motion: Motion) -> Footprints:
-        """Return what robots take up on the plan."""
+        """Return the robots' footprints."""
         yaw = motion.yaw
         low = motion.pos[:, 2] - self.clearance
         return Footprints(
-            pos=motion.pos[:, :2] + on_plan(self.offset, yaw),
+            pos=motion.pos[:, :2] + rotate_by_yaw(self.offset, yaw),
             yaw=yaw,
             half=jnp.asarray(self.half, jnp.float32),
             low=low,
@@ -293,8 +296,8 @@ class PlanarRobots:
         )
 
 
-def on_plan(vector: Array, yaw: Array) -> Array:
-    """Return vectors (n, 2) of robots that head somewhere (n,), in the axes of the plan."""
+def rotate_by_yaw(vector: Array, yaw: Array) -> Array:
+    """Rotate vectors (n, 2) by yaw angles (n,), from robot axes to world axes."""
     x, y, cos, sin = vector[:, 0], vector[:, 1], jnp.cos(yaw), jnp.sin(yaw)
     return jnp.stack([x * cos - y * sin, x * sin + y * cos], -1)
 
@@ -303,12 +306,12 @@ def robots_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
     """Return the robots of a model.
 
     Raises:
-        UnsupportedFeatureError: One that this engine cannot move.
+        UnsupportedFeatureError: A robot cannot be moved by this engine.
     """
     for robot, _ in robots:
         check_robot(robot)
     chassis = np.array([index.body_ids[0] for _, index in robots], int)
-    boxes = np.array([footprint_of(robot) for robot, _ in robots]).reshape(-1, 2, 3)
+    boxes = np.array([footprint_box(robot) for robot, _ in robots]).reshape(-1, 2, 3)
     turn = np.zeros((len(chassis), 9))
     for row, body in zip(turn, chassis, strict=True):
         mujoco.mju_quat2Mat(row, model.body_iquat[body])
@@ -334,8 +337,8 @@ def robots_of(model: mujoco.MjModel, robots: Sequence[tuple[RobotSpec, RobotInde
 
 
 @cache
-def footprint_of(robot: RobotSpec) -> np.ndarray:
-    """Return the box around all of a robot at rest that touches, on its chassis: extreme corners (2, 3)."""
+def footprint_box(robot: RobotSpec) -> np.ndarray:
+    """Return the bounding box of a robot's colliding geoms at rest, on its chassis: two corners (2, 3)."""
     spec = mujoco.MjSpec()
     add_robot(spec, robot, "", (0.0, 0.0, 0.0))
     model = spec.compile()

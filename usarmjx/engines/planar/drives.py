@@ -1,4 +1,4 @@
-"""What wheels make of a robot: a twist of its chassis, which follows their speeds as its class does."""
+"""Wheel kinematics and drive response: wheel speeds to a chassis twist and back."""
 
 from dataclasses import dataclass
 
@@ -21,22 +21,22 @@ from usarmjx.models.drives.ackermann import Ackermann, Wheel
 from usarmjx.models.drives.ground import OmniDrive, SkidSteer
 from usarmjx.models.types.robot import RobotSpec
 
-SLOW = 0.05
-"""At less speed robots turn as sharply as they like [m/s]."""
-STEADY = 1e-6
-"""Keeps what no wheel decides at rest."""
+MIN_CORNERING_SPEED = 0.05
+"""Speed below which turning is not limited by lateral acceleration [m/s]."""
+REGULARIZATION = 1e-6
+"""Regularization of the least squares, which keeps components at zero that no wheel determines."""
 
 
 @dataclass(frozen=True, eq=False)
 class RollingWheels:
-    """Wheels that turn at speeds and angles of their own, or only roll along.
+    """Wheels with individual speeds and steering angles, powered or passive.
 
     Attributes:
-        pos: Where they are on the chassis, ahead and to the left [m] (wheels, 2).
-        spin: Places of their joints among the joints (wheels,).
-        steer: Places of the joints that they steer by (wheels,); -1: they do not.
+        pos: Positions on the chassis, ahead and to the left [m] (wheels, 2).
+        spin: Indices of their joints among the robot's joints (wheels,).
+        steer: Indices of their steering joints (wheels,); -1: none.
         powered: Whether they have a motor (wheels,).
-        radius: [m].
+        radius: Wheel radius [m].
     """
 
     pos: np.ndarray
@@ -45,40 +45,40 @@ class RollingWheels:
     powered: np.ndarray
     radius: float
 
-    def headings(self, joints: Array) -> Array:
-        """Return which way wheels roll (robots, wheels, 2)."""
+    def rolling_directions(self, joints: Array) -> Array:
+        """Return the rolling directions of the wheels (robots, wheels, 2)."""
         angle = jnp.where(self.steer < 0, 0.0, joints[:, np.maximum(self.steer, 0)])
         return jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
 
     def twist(self, joints: Array, spin: Array) -> Array:
-        """Return the twist (robots, 3) that agrees best with how the wheels turn.
+        """Return the least-squares twist (robots, 3) for the wheel speeds.
 
         Args:
-            joints: Positions of the joints (robots, joints).
-            spin: Speeds of the wheels [rad/s] (robots, wheels).
+            joints: Joint positions (robots, joints).
+            spin: Wheel speeds [rad/s] (robots, wheels).
         """
-        ahead = self.headings(joints)
+        ahead = self.rolling_directions(joints)
         aside = jnp.stack([-ahead[..., 1], ahead[..., 0]], -1)
-        rolls, slides = self._rows(ahead), self._rows(aside)
+        rolls, slides = self._twist_rows(ahead), self._twist_rows(aside)
         rolls = rolls * jnp.asarray(self.powered, jnp.float32)[:, None]
         rows = jnp.concatenate([rolls, slides], 1)
         wanted = jnp.concatenate([self.radius * spin * self.powered, jnp.zeros_like(spin)], 1)
-        square = (rows[..., :, None] * rows[..., None, :]).sum(1) + STEADY * jnp.eye(3)
+        square = (rows[..., :, None] * rows[..., None, :]).sum(1) + REGULARIZATION * jnp.eye(3)
         return _solve3(square, (rows * wanted[..., None]).sum(1))
 
-    def spins(self, joints: Array, twist: Array) -> Array:
-        """Return how fast wheels turn that roll along with a twist (robots, wheels)."""
-        rows = self._rows(self.headings(joints))
+    def wheel_speeds(self, joints: Array, twist: Array) -> Array:
+        """Return the speeds of wheels that roll along with a twist (robots, wheels)."""
+        rows = self._twist_rows(self.rolling_directions(joints))
         return (rows * twist[:, None]).sum(-1) / self.radius
 
-    def _rows(self, along: Array) -> Array:
-        """Return how fast each wheel goes along a direction, by the twist's numbers (robots, wheels, 3)."""
+    def _twist_rows(self, along: Array) -> Array:
+        """Return each wheel's speed along a direction as a row of twist coefficients (robots, wheels, 3)."""
         lever = self.pos[:, 0] * along[..., 1] - self.pos[:, 1] * along[..., 0]
         return jnp.concatenate([along, lever[..., None]], -1)
 
 
 def _solve3(a: Array, b: Array) -> Array:
-    """Return the solutions of 3 x 3 systems (n, 3, 3), (n, 3) by cross products: no batched factorisation."""
+    """Solve 3 x 3 systems (n, 3, 3), (n, 3) by cross products, without a batched factorisation."""
     rows = [jnp.cross(a[:, 1], a[:, 2]), jnp.cross(a[:, 2], a[:, 0]), jnp.cross(a[:, 0], a[:, 1])]
     det = (a[:, 0] * rows[0]).sum(-1, keepdims=True)
     return sum(b[:, i : i + 1] * rows[i] for i in range(3)) / det
@@ -89,11 +89,11 @@ class SideWheels:
     """Wheels of two sides: skid steering, and tracks.
 
     Attributes:
-        spin: Places of their joints among the joints, the left ones first (wheels,).
-        left: How many of them are on the left.
-        ratio: Speed of each over its side's (wheels,).
-        radius: Of what turns at the side's speed [m].
-        track: Distance of the sides [m].
+        spin: Indices of their joints among the robot's joints, left ones first (wheels,).
+        left: Number of wheels on the left.
+        ratio: Speed of each wheel over its side's (wheels,).
+        radius: Radius at which the side's speed is defined [m].
+        track: Distance between the sides [m].
     """
 
     spin: np.ndarray
@@ -103,14 +103,14 @@ class SideWheels:
     track: float
 
     def twist(self, joints: Array, spin: Array) -> Array:
-        """Return forward speed, sideways speed and rate of turn (robots, 3); see `RollingWheels.twist`."""
+        """Return forward speed, lateral speed and yaw rate (robots, 3); see `RollingWheels.twist`."""
         del joints
         rim = self.radius * spin / self.ratio
         left, right = rim[:, : self.left].mean(-1), rim[:, self.left :].mean(-1)
         return jnp.stack([(left + right) / 2, jnp.zeros_like(left), (right - left) / self.track], -1)
 
-    def spins(self, joints: Array, twist: Array) -> Array:
-        """Return the speeds of the wheels (robots, wheels) that make a twist; see `RollingWheels.spins`."""
+    def wheel_speeds(self, joints: Array, twist: Array) -> Array:
+        """Return the wheel speeds (robots, wheels) for a twist; see `RollingWheels.wheel_speeds`."""
         del joints
         side = np.repeat([-1.0, 1.0], [self.left, len(self.spin) - self.left])
         rim = twist[:, :1] + side * twist[:, 2:] * self.track / 2
@@ -120,8 +120,8 @@ class SideWheels:
 Wheels = RollingWheels | SideWheels
 
 
-def wheels_of(robot: RobotSpec) -> Wheels:
-    """Return the wheels of a class that rolls."""
+def wheel_kinematics(robot: RobotSpec) -> Wheels:
+    """Return the wheels of a rolling class."""
     plan, drive = kinematic_tree_of(robot), robot.drive
     if isinstance(drive, SkidSteer):
         return _sides(plan, drive)
@@ -159,16 +159,16 @@ def _joint(plan: KinematicTree, name: str) -> int:
 
 @dataclass(frozen=True, eq=False)
 class RollingGroup:
-    """The robots of a class that rolls, in a model.
+    """Robots of one rolling class in a model.
 
     Attributes:
         wheels: Its wheels.
-        response: How it answers them.
-        members: Which of the model's robots they are (n,).
-        qpos: Where in qpos their joints are (n, joints).
-        qvel: Where in qvel they are (n, joints).
-        ctrl: Where in ctrl the wheels' inputs are (n, wheels); those without a motor have the last place.
-        act: Where in act the wheels' activations are, likewise.
+        response: Its drive response.
+        members: Indices of its robots in the model (n,).
+        qpos: Indices of their joints in qpos (n, joints).
+        qvel: Indices of their joints in qvel (n, joints).
+        ctrl: Indices of the wheels' inputs in ctrl (n, wheels); one past the end for a wheel without a motor.
+        act: Indices of the wheels' activations in act, likewise.
     """
 
     wheels: Wheels
@@ -183,10 +183,10 @@ class RollingGroup:
 def rolling_groups(
     model: mujoco.MjModel, robots: list[tuple[RobotSpec, RobotIndex]]
 ) -> tuple[RollingGroup, ...]:
-    """Return the robots that roll, by class.
+    """Return the rolling robots, by class.
 
     Raises:
-        UncalibratedRobotError: The motor response of a class was not measured.
+        UnsupportedFeatureError: The drive response of a class is unknown.
     """
     classes: dict[RobotSpec, list[int]] = {}
     for number, (robot, _) in enumerate(robots):
@@ -200,7 +200,7 @@ def rolling_groups(
 def _group(
     model: mujoco.MjModel, robot: RobotSpec, members: list[int], robots: list[tuple[RobotSpec, RobotIndex]]
 ) -> RollingGroup:
-    indices, wheels = [robots[number][1] for number in members], wheels_of(robot)
+    indices, wheels = [robots[number][1] for number in members], wheel_kinematics(robot)
     actuated = kinematic_tree_of(robot).actuated.tolist()
     places = [actuated.index(joint) if joint in actuated else None for joint in wheels.spin.tolist()]
 
@@ -218,30 +218,32 @@ def _group(
     )
 
 
-def follow(response: Response, before: Array, told: Array, dt: float, grip: Array | float = 1.0) -> Array:
-    """Return the twist (robots, 3) after a time in which the wheels were told one, from that before.
+def limited_lag(
+    response: Response, before: Array, target: Array, dt: float, grip: Array | float = 1.0
+) -> Array:
+    """Return the twist (robots, 3) after a time step, given the previous twist and the wheels' target.
 
-    Exact for a first-order lag; the change is held to the class's most.
+    The exact first-order lag, with the change limited by the class's accelerations.
 
     Args:
-        response: How the class answers.
-        before: Forward speed, sideways speed, rate of turn [m/s, rad/s] (robots, 3).
-        told: What the wheels make of it in the end (robots, 3).
-        dt: Time [s].
-        grip: Factor on the most change, for instance of another friction or mass; () or (robots, 1).
+        response: Drive response of the class.
+        before: Previous forward speed, lateral speed and yaw rate [m/s, rad/s] (robots, 3).
+        target: Target twist (robots, 3).
+        dt: Time step [s].
+        grip: Factor on the acceleration limits, for instance for another friction or mass; () or (robots, 1).
     """
     lag = jnp.array([response.forward_lag, response.forward_lag, response.turn_lag])
     most = jnp.array([response.acceleration, response.acceleration, response.turn_acceleration])
     share = -jnp.expm1(-dt / jnp.maximum(lag, 1e-4))
-    sharpest = response.cornering / jnp.maximum(jnp.abs(before[..., 0]), SLOW)
-    told = jnp.stack([told[..., 0], told[..., 1], jnp.clip(told[..., 2], -sharpest, sharpest)], -1)
-    change = (told - before) * share
+    sharpest = response.cornering / jnp.maximum(jnp.abs(before[..., 0]), MIN_CORNERING_SPEED)
+    target = jnp.stack([target[..., 0], target[..., 1], jnp.clip(target[..., 2], -sharpest, sharpest)], -1)
+    change = (target - before) * share
     if response.sides_apart:
         part = change / (most * dt * grip)
         left = jnp.clip(part[..., 0] - part[..., 2], -1.0, 1.0)
         right = jnp.clip(part[..., 0] + part[..., 2], -1.0, 1.0)
         part = jnp.stack([(left + right) / 2, part[..., 1], (right - left) / 2], -1)
         return before + part * most * dt * grip
-    # The motors of both sides are as strong: what one side needs to turn is lost to going ahead.
+    # Both sides have the same motors: torque that one side uses for turning is lost to forward acceleration.
     effort = (jnp.abs(change) / most).sum(-1, keepdims=True) / (dt * grip)
     return before + change / jnp.maximum(effort, 1.0)

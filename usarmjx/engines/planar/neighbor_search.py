@@ -1,7 +1,4 @@
-"""All solids of a model, and how robots look around among them: by JAX, or on a GPU by kernels of Warp.
-
-These have JAX's slope.
-"""
+"""Neighbor search among all solids of a model: on JAX, or on a GPU by Warp kernels with JAX's gradients."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,60 +19,60 @@ from usarmjx.engines.planar.footprints import Footprints
 from usarmjx.engines.planar.movable import MovableSolids, movable_solids
 from usarmjx.engines.planar.neighbor_lists import (
     NeighborList,
-    farthest_in_a_step,
-    ground_of,
-    look_around,
-    places_of,
+    build_neighbor_list,
+    ground_from_list,
+    list_poses,
+    max_displacement,
 )
-from usarmjx.engines.planar.proposed_motion import ProposedMotion, rows_of
-from usarmjx.engines.planar.rolling import feet_of
+from usarmjx.engines.planar.proposed_motion import ProposedMotion, pack_motion
+from usarmjx.engines.planar.rolling import foot_positions
 from usarmjx.engines.planar.solids import (
     PlanSolids,
     SolidGeoms,
+    concatenate_solids,
     floor_height,
-    ground_under,
-    joined,
-    solids_of,
+    ground_heights,
+    world_solids,
 )
 
-FEW = 8
-"""Few are at most one of so many worlds."""
+SUBSET_DIVISOR = 8
+"""Divisor of the number of worlds that gives the size of a subset."""
 
 T = TypeVar("T")
 
 
-def few_of(worlds: int) -> int:
-    """Return how many worlds are few; 0: there are too few in all for that to be less work."""
-    return worlds // FEW
+def subset_size(worlds: int) -> int:
+    """Return the number of worlds in a subset; 0: too few worlds for a subset to be faster."""
+    return worlds // SUBSET_DIVISOR
 
 
-def picked(tree: T, places: Array) -> T:
-    """Return some worlds of all (worlds, ...); anything at places beyond the last."""
+def take_worlds(tree: T, places: Array) -> T:
+    """Gather some worlds of all (worlds, ...); arbitrary values for indices past the end."""
     return jax.tree.map(lambda part: jnp.take(part, places, 0, mode="clip"), tree)
 
 
-def put_back(tree: T, places: Array, new: T) -> T:
-    """Return all worlds with some replaced; what is for places beyond the last is dropped."""
+def scatter_worlds(tree: T, places: Array, new: T) -> T:
+    """Scatter some worlds into all; indices past the end are dropped."""
 
-    def written(old: Array, part: Array) -> Array:
+    def write(old: Array, part: Array) -> Array:
         return jnp.asarray(old).at[places].set(part, mode="drop")
 
-    return jax.tree.map(written, tree, new)
+    return jax.tree.map(write, tree, new)
 
 
-def where_needed(needed: Array, function: Callable[..., T], known: T, *args: Any) -> T:  # noqa: ANN401
-    """Return what is known, with what a function returns in worlds that need it.
+def masked_update(needed: Array, function: Callable[..., T], known: T, *args: Any) -> T:  # noqa: ANN401
+    """Return known values, recomputed by a function in the worlds that need it.
 
-    It is the same as if it were worked out in all, but for what XLA rounds otherwise in a smaller batch.
+    The result equals a computation in all worlds, except for XLA's rounding in another batch size.
 
     Args:
-        needed: Which worlds do (worlds,).
-        function: Of many worlds, each by itself.
-        known: Arrays like those that it returns (worlds, ...).
+        needed: Mask of the worlds to recompute (worlds,).
+        function: Function of many worlds, independent of each other.
+        known: Known values, arrays like the function's result (worlds, ...).
         args: Its arguments, PyTrees of arrays (worlds, ...).
     """
     worlds = len(needed)
-    few = few_of(worlds)
+    few = subset_size(worlds)
 
     def in_all() -> T:
         def chosen(new: Array, old: Array) -> Array:
@@ -85,7 +82,7 @@ def where_needed(needed: Array, function: Callable[..., T], known: T, *args: Any
 
     def in_few() -> T:
         places = jnp.nonzero(needed, size=few, fill_value=worlds)[0]
-        return put_back(known, places, function(*picked(args, places)))
+        return scatter_worlds(known, places, function(*take_worlds(args, places)))
 
     count = needed.sum()
     if not few:
@@ -95,42 +92,42 @@ def where_needed(needed: Array, function: Callable[..., T], known: T, *args: Any
 
 
 @dataclass(frozen=True, eq=False)
-class AllSolids:
-    """The solids of a model that robots can meet.
+class SceneSolids:
+    """Solids of a model that robots can touch.
 
     Attributes:
         model: The model.
-        fixed: Its bodies that are no robot's.
-        movable: Its geoms that can be elsewhere.
-        elsewhere: These, as they are compared.
-        still: The solids that are where they are.
+        fixed: Its bodies other than robots.
+        movable: Its movable geoms.
+        movable_set: These, as tested for motion.
+        static_solids: Static solids.
         floor: Height of the floor [m].
-        most: At so many solids a robot looks closely.
+        most: Length of the obstacle lists.
     """
 
     model: mujoco.MjModel
     fixed: FixedBodies
     movable: SolidGeoms
-    elsewhere: MovableSolids
-    still: PlanSolids
+    movable_set: MovableSolids
+    static_solids: PlanSolids
     floor: float
     most: int
 
     @property
     def count(self) -> int:
-        """How many there are."""
-        return self.still.count + len(self.movable.ids)
+        """Number of solids."""
+        return self.static_solids.count + len(self.movable.ids)
 
     def of_world(self, qpos: Array, poses: GeomPoses | None) -> PlanSolids:
-        """Return the solids of one world: only those that may be elsewhere are worked out again."""
+        """Return the solids of one world; only the movable ones are recomputed."""
         if not len(self.movable.ids):
-            return self.still
-        moved = solids_of(self.model, self.movable, self.fixed.poses(qpos), poses)
-        return joined(self.still, moved)
+            return self.static_solids
+        moved = world_solids(self.model, self.movable, self.fixed.poses(qpos), poses)
+        return concatenate_solids(self.static_solids, moved)
 
     @cached_property
     def tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What Warp's kernels are told: kinds and shapes of solids that can be elsewhere, and the others."""
+        """Tables for the Warp kernels: kinds and shapes of movable solids, and the static solids."""
         from usarmjx.engines.planar.warp_solids import FIXED, FREE, HINGED
 
         geoms, fixed, model = self.movable, self.fixed, self.model
@@ -147,146 +144,168 @@ class AllSolids:
             mujoco.mju_quat2Mat(row, model.geom_quat[geom])
         body = fixed.pos[geoms.bodies], fixed.mat[geoms.bodies].reshape(-1, 9), hold[2][geoms.bodies]
         geom = model.geom_pos[geoms.ids], turn, model.geom_size[geoms.ids]
-        still = np.stack([np.asarray(part) for part in jax.tree.leaves(self.still)], -1)
-        return kinds.astype(np.int32), np.concatenate([*body, *geom], -1).astype(np.float32), still
+        static_solids = np.stack([np.asarray(part) for part in jax.tree.leaves(self.static_solids)], -1)
+        return kinds.astype(np.int32), np.concatenate([*body, *geom], -1).astype(np.float32), static_solids
 
 
-def all_solids(model: mujoco.MjModel, geoms: SolidGeoms, fixed: FixedBodies, most: int) -> AllSolids:
+def scene_solids(model: mujoco.MjModel, geoms: SolidGeoms, fixed: FixedBodies, most: int) -> SceneSolids:
     """Return the solids of a model.
 
     Args:
         model: The model.
-        geoms: Those of its geoms that robots can meet.
-        fixed: Its bodies that are no robot's.
-        most: At so many solids a robot looks closely.
+        geoms: Its geoms that robots can touch.
+        fixed: Its bodies other than robots.
+        most: Length of the obstacle lists.
     """
     can_move = (geoms.moved >= 0) | np.isin(geoms.bodies, fixed.movable)
-    movable, rest = geoms.where(can_move), partial(solids_of, model, geoms.where(~can_move), poses=None)
-    return AllSolids(
+    movable, rest = geoms.where(can_move), partial(world_solids, model, geoms.where(~can_move), poses=None)
+    return SceneSolids(
         model=model,
         fixed=fixed,
         movable=movable,
-        elsewhere=movable_solids(model, fixed, movable),
-        still=jax.jit(rest)((jnp.float32(fixed.pos), jnp.float32(fixed.mat))),  # one program, not eighty
+        movable_set=movable_solids(model, fixed, movable),
+        static_solids=jax.jit(rest)(
+            (jnp.float32(fixed.pos), jnp.float32(fixed.mat))
+        ),  # one program, not eighty
         floor=floor_height(model),
         most=most,
     )
 
 
-def nothing_known(solids: AllSolids, aims: ProposedMotion) -> NeighborList:
-    """Return zeros of the shapes of what is around robots: nothing is known."""
-    on_warp = _fits_on_warp(solids, aims)
-    shapes = jax.eval_shape(partial(_as_it_is_kept, solids, on_warp), aims)
+def invalid_neighbor_list(solids: SceneSolids, proposed: ProposedMotion) -> NeighborList:
+    """Return invalid neighbor lists: zeros of the right shapes."""
+    on_warp = _fits_on_warp(solids, proposed)
+    shapes = jax.eval_shape(partial(_stored_form, solids, on_warp), proposed)
     return jax.tree.map(lambda one: jnp.zeros(one.shape, one.dtype), shapes)
 
 
-def around_robots(solids: AllSolids, known: NeighborList, aims: ProposedMotion) -> NeighborList:
-    """Return what is around all robots, looked up anew where some may have come to what was far away."""
+def update_neighbors(solids: SceneSolids, known: NeighborList, proposed: ProposedMotion) -> NeighborList:
+    """Return valid neighbor lists, rebuilt where robots may have come near other solids."""
     if not solids.count:
         return known
-    return (around_on_warp if _fits_on_warp(solids, aims) else around_by_jax)(solids, known, aims)
-
-
-def around_by_jax(solids: AllSolids, known: NeighborList, aims: ProposedMotion) -> NeighborList:
-    """As `around_robots`, by JAX: all robots of a world that needs it look."""
-    reach, worlds = farthest_in_a_step(aims.left, aims.there), len(aims.moves)
-    holds = known.holds(places_of(aims.left, aims.limit.max(1)), aims.scene.loose, reach)
-    then, now = known.scene.geoms, aims.scene.geoms
-    come_near = where_needed(
-        holds & (then != now).any((1, 2)),
-        jax.vmap(solids.elsewhere.came_near),
-        jnp.zeros(worlds, bool),
-        *(then, now, aims.left, reach.aside),
+    return (update_neighbors_on_warp if _fits_on_warp(solids, proposed) else update_neighbors_on_jax)(
+        solids, known, proposed
     )
-    needed = jnp.logical_not(holds) | come_near
-    known = known.replace(left_out=jnp.zeros_like(known.left_out))
-    on_warp = not isinstance(known.near_solids, PlanSolids)
-    return where_needed(needed, partial(_as_it_is_kept, solids, on_warp), known, aims)
 
 
-def _as_it_is_kept(solids: AllSolids, on_warp: bool, aims: ProposedMotion) -> NeighborList:
-    """As `looked_up`, as Warp's kernels keep it or not."""
-    found = looked_up(solids, aims)
+def update_neighbors_on_jax(
+    solids: SceneSolids, known: NeighborList, proposed: ProposedMotion
+) -> NeighborList:
+    """As `update_neighbors`, on JAX: rebuilds the lists of all robots of a world if one needs it."""
+    reach, worlds = max_displacement(proposed.left, proposed.there), len(proposed.moves)
+    stays_valid = known.stays_valid(
+        list_poses(proposed.left, proposed.limit.max(1)), proposed.scene.loose, reach
+    )
+    then, now = known.scene.geoms, proposed.scene.geoms
+    come_near = masked_update(
+        stays_valid & (then != now).any((1, 2)),
+        jax.vmap(solids.movable_set.moved_nearby),
+        jnp.zeros(worlds, bool),
+        *(then, now, proposed.left, reach.aside),
+    )
+    needed = jnp.logical_not(stays_valid) | come_near
+    known = known.replace(omitted=jnp.zeros_like(known.omitted))
+    on_warp = not isinstance(known.obstacles, PlanSolids)
+    return masked_update(needed, partial(_stored_form, solids, on_warp), known, proposed)
+
+
+def _stored_form(solids: SceneSolids, on_warp: bool, proposed: ProposedMotion) -> NeighborList:
+    """As `search_neighbors`, packed for the Warp kernels if required."""
+    found = search_neighbors(solids, proposed)
     return found.packed if on_warp else found
 
 
-def looked_up(solids: AllSolids, aims: ProposedMotion) -> NeighborList:
-    """Look up what is around the robots of all worlds."""
-    reach = farthest_in_a_step(aims.left, aims.there)
+def search_neighbors(solids: SceneSolids, proposed: ProposedMotion) -> NeighborList:
+    """Build the neighbor lists of all worlds."""
+    reach = max_displacement(proposed.left, proposed.there)
 
-    def of_world(aims: ProposedMotion, reach: Any) -> NeighborList:  # noqa: ANN401 - a world's part of a margin
-        here, limit = solids.of_world(aims.qpos, aims.poses), aims.limit.max(0)
-        return look_around(aims.left, limit, here, solids.floor, reach, aims.scene, solids.most)
+    def of_world(proposed: ProposedMotion, reach: Any) -> NeighborList:  # noqa: ANN401 - a world's part of a margin
+        here, limit = solids.of_world(proposed.qpos, proposed.poses), proposed.limit.max(0)
+        return build_neighbor_list(
+            proposed.left, limit, here, solids.floor, reach, proposed.scene, solids.most
+        )
 
-    return jax.vmap(of_world)(aims, reach)
+    return jax.vmap(of_world)(proposed, reach)
 
 
-def ground_below(solids: AllSolids, around: NeighborList, kept: Footprints, aims: ProposedMotion) -> Array:
-    """Return how high the ground is under robots where they came to [m] (worlds, 4, robots)."""
+def ground_below_robots(
+    solids: SceneSolids, neighbors: NeighborList, kept: Footprints, proposed: ProposedMotion
+) -> Array:
+    """Return the ground heights under the robots' resolved poses [m] (worlds, 4, robots)."""
     if not solids.count:
-        return jnp.full(aims.limit.shape, solids.floor)
-    return (ground_on_warp if _fits_on_warp(solids, aims) else ground_by_jax)(solids, around, kept, aims)
+        return jnp.full(proposed.limit.shape, solids.floor)
+    return (ground_on_warp if _fits_on_warp(solids, proposed) else ground_on_jax)(
+        solids, neighbors, kept, proposed
+    )
 
 
-def ground_by_jax(solids: AllSolids, around: NeighborList, kept: Footprints, aims: ProposedMotion) -> Array:
-    """As `ground_below`, by JAX."""
-    feet = jax.vmap(feet_of)(kept)
-    known = around.knows_ground(places_of(kept, aims.limit.max(1))).all(-1)
-    found = ground_of(around.under, solids.floor, feet, aims.limit)
+def ground_on_jax(
+    solids: SceneSolids, neighbors: NeighborList, kept: Footprints, proposed: ProposedMotion
+) -> Array:
+    """As `ground_below_robots`, on JAX."""
+    feet = jax.vmap(foot_positions)(kept)
+    known = neighbors.ground_is_valid(list_poses(kept, proposed.limit.max(1))).all(-1)
+    found = ground_from_list(neighbors.under, solids.floor, feet, proposed.limit)
 
     def everywhere(qpos: Array, poses: GeomPoses | None, feet: Array, limit: Array) -> Array:
-        return ground_under(solids.of_world(qpos, poses), solids.floor, feet, limit)
+        return ground_heights(solids.of_world(qpos, poses), solids.floor, feet, limit)
 
-    args = aims.qpos, aims.poses, feet, aims.limit
-    return where_needed(jnp.logical_not(known), jax.vmap(everywhere), found, *args)
+    args = proposed.qpos, proposed.poses, feet, proposed.limit
+    return masked_update(jnp.logical_not(known), jax.vmap(everywhere), found, *args)
 
 
-def _fits_on_warp(solids: AllSolids, aims: ProposedMotion) -> bool:
-    """Return whether they are for Warp here: some robots, and as many solids as it has room for."""
-    if not warp_in_use() or not aims.moves.size:
+def _fits_on_warp(solids: SceneSolids, proposed: ProposedMotion) -> bool:
+    """Return whether Warp is used: there are robots, and no more solids than a kernel has room for."""
+    if not warp_in_use() or not proposed.moves.size:
         return False
-    from usarmjx.engines.planar.warp_neighbor_search import room_for
+    from usarmjx.engines.planar.warp_neighbor_search import shared_capacity
 
-    return room_for(solids.count) is not None
-
-
-def around_on_warp(solids: AllSolids, known: NeighborList, aims: ProposedMotion) -> NeighborList:
-    """As `around_robots`, on Warp: one launch, in which only those robots look that need it."""
-    return _around_with_slope(solids, known, aims)
+    return shared_capacity(solids.count) is not None
 
 
-def ground_on_warp(solids: AllSolids, around: NeighborList, kept: Footprints, aims: ProposedMotion) -> Array:
-    """As `ground_below`, on Warp."""
-    return _ground_with_slope(solids, around, kept, aims)
+def update_neighbors_on_warp(
+    solids: SceneSolids, known: NeighborList, proposed: ProposedMotion
+) -> NeighborList:
+    """As `update_neighbors`, on Warp: one launch, in which only robots with invalid lists search."""
+    return _search_with_gradient(solids, known, proposed)
 
 
-def _launch_look(solids: AllSolids, known: NeighborList, aims: ProposedMotion) -> NeighborList:
-    from usarmjx.engines.planar.warp_neighbor_search import GROUND_THREADS, room_for
+def ground_on_warp(
+    solids: SceneSolids, neighbors: NeighborList, kept: Footprints, proposed: ProposedMotion
+) -> Array:
+    """As `ground_below_robots`, on Warp."""
+    return _ground_with_gradient(solids, neighbors, kept, proposed)
 
-    worlds, room = len(aims.moves), room_for(solids.count)
-    kept = known.at, known.room, known.left_out, known.near_numbers, known.under_numbers
+
+def _launch_search(solids: SceneSolids, known: NeighborList, proposed: ProposedMotion) -> NeighborList:
+    from usarmjx.engines.planar.warp_neighbor_search import GROUND_THREADS, shared_capacity
+
+    worlds, room = len(proposed.moves), shared_capacity(solids.count)
+    kept = known.at, known.room, known.omitted, known.packed_obstacles, known.packed_ground
     kept = *kept, known.scene.loose, known.scene.geoms
-    found = _looking(solids.most, room)(
-        *(rows_of(aims), *_scene(solids, aims), solids.floor),
+    found = _search_kernel(solids.most, room)(
+        *(pack_motion(proposed), *_scene(solids, proposed), solids.floor),
         *(_flat(part) for part in kept),
         output_dims=1,
         launch_dims=worlds * GROUND_THREADS,
     )
-    at, margins, left_out, near, under, loose, geoms = (
+    at, margins, omitted, near, under, loose, geoms = (
         new.reshape(old.shape) if old.size else old for new, old in zip(found, kept, strict=True)
     )
     scene = known.scene.replace(loose=loose, geoms=geoms)
     return known.replace(
-        at=at, room=margins, left_out=left_out, near_solids=near, under_solids=under, scene=scene
+        at=at, room=margins, omitted=omitted, obstacles=near, ground_solids=under, scene=scene
     )
 
 
-def _launch_ground(solids: AllSolids, around: NeighborList, kept: Footprints, aims: ProposedMotion) -> Array:
-    worlds, robots = aims.moves.shape
+def _launch_ground(
+    solids: SceneSolids, neighbors: NeighborList, kept: Footprints, proposed: ProposedMotion
+) -> Array:
+    worlds, robots = proposed.moves.shape
     places = jnp.concatenate([kept.pos, kept.yaw[..., None]], -1)
-    found = _grounding()(
-        *(rows_of(aims), *_scene(solids, aims), _flat(places)),
-        *(_flat(part) for part in (around.at, around.room, around.under_numbers)),
+    found = _ground_kernel()(
+        *(pack_motion(proposed), *_scene(solids, proposed), _flat(places)),
+        *(_flat(part) for part in (neighbors.at, neighbors.room, neighbors.packed_ground)),
         solids.floor,
         output_dims=worlds * 4 * robots,
         launch_dims=worlds * robots,
@@ -295,49 +314,54 @@ def _launch_ground(solids: AllSolids, around: NeighborList, kept: Footprints, ai
 
 
 def _flat(part: Array) -> Array:
-    """Return all numbers of an array; one where there are none, as kernels have no empty arrays."""
+    """Return the flattened array; one element for an empty array, as kernels take no empty arrays."""
     return jnp.asarray(part).reshape(-1) if part.size else jnp.zeros(1, part.dtype)
 
 
-def _scene(solids: AllSolids, aims: ProposedMotion) -> tuple[Array, ...]:
-    """Return what both kernels are told of solids, see `warp_solids`."""
-    (kinds, shapes, still), poses = solids.tables, aims.poses
+def _scene(solids: SceneSolids, proposed: ProposedMotion) -> tuple[Array, ...]:
+    """Return the arguments about solids that both kernels take, see `warp_solids`."""
+    (kinds, shapes, static_solids), poses = solids.tables, proposed.poses
     places, sized = (0, False) if poses is None else (poses.pos.shape[1], poses.size is not None)
     if poses is None:
         kinds = kinds * [1, 0, 1, 1, 0] - [0, 1, 0, 0, 1]
         poses = GeomPoses(pos=jnp.zeros(1), quat=jnp.zeros(1))
     size = poses.pos if poses.size is None else poses.size
-    data, loose = aims.scene.geoms.shape[1], aims.scene.loose
+    data, loose = proposed.scene.geoms.shape[1], proposed.scene.loose
     counts = (
-        aims.moves.shape[1],
-        solids.still.count,
+        proposed.moves.shape[1],
+        solids.static_solids.count,
         len(kinds),
         data,
         loose.shape[1],
         places,
         sized,
-        len(aims.moves),
+        len(proposed.moves),
     )
     return (
         *(jnp.asarray(counts, jnp.int32), _flat(kinds.astype(np.int32)), _flat(shapes)),
-        *(_flat(jnp.asarray(part, jnp.float32)) for part in (still, loose, poses.pos, poses.quat, size)),
+        *(
+            _flat(jnp.asarray(part, jnp.float32))
+            for part in (static_solids, loose, poses.pos, poses.quat, size)
+        ),
     )
 
 
 @warp_function
-def _looking(most: int, room: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
-    """Return what launches the kernel that looks around."""
+def _search_kernel(most: int, room: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
+    """Return the kernel that builds neighbor lists."""
     import warp as wp
 
-    from usarmjx.engines.planar.warp_neighbor_search import CHANGED, GROUND_THREADS, looking_kernel
+    from usarmjx.engines.planar.warp_neighbor_search import GROUND_THREADS, IN_OUT_ARRAYS, search_kernel
 
-    kernel = looking_kernel(most, room)
-    return wp.jax_kernel(kernel, num_outputs=len(CHANGED), in_out_argnames=CHANGED, block_dim=GROUND_THREADS)
+    kernel = search_kernel(most, room)
+    return wp.jax_kernel(
+        kernel, num_outputs=len(IN_OUT_ARRAYS), in_out_argnames=IN_OUT_ARRAYS, block_dim=GROUND_THREADS
+    )
 
 
 @warp_function
-def _grounding() -> Any:  # noqa: ANN401 - Warp's kernels have no type
-    """Return what launches the kernel that finds the ground."""
+def _ground_kernel() -> Any:  # noqa: ANN401 - Warp's kernels have no type
+    """Return the kernel that finds the ground."""
     import warp as wp
 
     from usarmjx.engines.planar.warp_neighbor_search import GROUND_THREADS, ground_under_robots
@@ -345,16 +369,16 @@ def _grounding() -> Any:  # noqa: ANN401 - Warp's kernels have no type
     return wp.jax_kernel(ground_under_robots, block_dim=GROUND_THREADS)
 
 
-def _with_slope_of(launched: Callable[..., Any], by_jax: Callable[..., Any]) -> Any:  # noqa: ANN401
-    """Return a function that is worked out by Warp and has JAX's slope; its first argument is no array."""
+def _with_gradient_of(launched: Callable[..., Any], by_jax: Callable[..., Any]) -> Any:  # noqa: ANN401
+    """Return a function computed by Warp with JAX's gradient; its first argument is static."""
     whole = cast(Any, jax.custom_jvp)(launched, nondiff_argnums=(0,))  # JAX leaves its types open
 
-    def slopes(solids: AllSolids, values: tuple[Any, ...], rates: tuple[Any, ...]) -> tuple[Any, Any]:
+    def slopes(solids: SceneSolids, values: tuple[Any, ...], rates: tuple[Any, ...]) -> tuple[Any, Any]:
         return whole(solids, *values), jax.jvp(partial(by_jax, solids), values, rates)[1]
 
     whole.defjvp(slopes)
     return whole
 
 
-_around_with_slope = _with_slope_of(_launch_look, around_by_jax)
-_ground_with_slope = _with_slope_of(_launch_ground, ground_by_jax)
+_search_with_gradient = _with_gradient_of(_launch_search, update_neighbors_on_jax)
+_ground_with_gradient = _with_gradient_of(_launch_ground, ground_on_jax)

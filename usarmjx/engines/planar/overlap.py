@@ -1,6 +1,6 @@
-"""By how much rectangles and discs on a plan overlap, for each pair, and where, for one of them.
+"""Overlaps of rectangles and discs on a plan: depth, direction and contact point of pairs.
 
-Coordinates are arrays of their own: rows of two leave a processor's vector units empty.
+Coordinates are separate arrays: rows of two would leave the CPU's vector units empty.
 """
 
 from typing import NamedTuple
@@ -9,24 +9,25 @@ import jax.numpy as jnp
 
 from usarmjx.base.arrays import Array
 
-FLAT = 1e-3
-"""A side whose corners are as near but for so much lies flat [m]."""
-FAR = 1e6
-"""Nothing is so far away [m]; an infinity has no slope."""
-SIGNS = ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))
+FLAT_TOLERANCE = 1e-3
+"""Distance within which two corners count as equally near: their side lies flat [m]."""
+LARGE_DISTANCE = 1e6
+"""Distance beyond all distances [m]; an infinity has no gradient."""
+CORNER_SIGNS = ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))
+"""Signs of a rectangle's corners, along the first and the second side."""
 
 
 class Outlines(NamedTuple):
-    """Rectangles and discs on the plan, of shapes that can be broadcast.
+    """Rectangles and discs on the plan, of shapes that broadcast.
 
     Attributes:
-        x: Middles [m] (...,).
-        y: Middles [m] (...,).
-        cos: Of the way the first side points (...,).
-        sin: Of it (...,).
-        length: Half the first side [m]; 0 of a disc (...,).
-        width: Half the other [m]; 0 of a disc (...,).
-        radius: Of discs [m]; 0 of rectangles (...,).
+        x: Centres [m] (...,).
+        y: Centres [m] (...,).
+        cos: Cosine of the first side's direction (...,).
+        sin: Sine of the first side's direction (...,).
+        length: Half the first side [m]; 0 for a disc (...,).
+        width: Half the second side [m]; 0 for a disc (...,).
+        radius: Radius of discs [m]; 0 for rectangles (...,).
     """
 
     x: Array
@@ -39,16 +40,16 @@ class Outlines(NamedTuple):
 
 
 def outlines(pos: Array, axis: Array, half: Array, radius: Array) -> Outlines:
-    """Return outlines from middles, axes and half sides (..., 2), and radii (...,)."""
+    """Return outlines from centres, axes and half sides (..., 2), and radii (...,)."""
     x, y, cos, sin, length, width = (part[..., i] for part in (pos, axis, half) for i in range(2))
     return Outlines(x, y, cos, sin, length, width, radius)
 
 
-def side_depth(one: Outlines, other: Outlines) -> tuple[Array, Array, Array]:
-    """Return by how much rectangles overlap, and which way the one has to go (x and y).
+def rectangle_overlap(one: Outlines, other: Outlines) -> tuple[Array, Array, Array]:
+    """Return the overlap depths of rectangles, and the directions out of it for the first (x and y).
 
-    By the theorem of the separating axis: the way out is the shortest of those along the four sides' normals,
-    to the side where the rectangle's middle is, so that nothing gets through a thin wall.
+    Separating-axis test: the way out is the shortest along the four sides' normals, towards the side of the
+    rectangle's centre, so that nothing passes through a thin wall.
     """
     dx, dy = one.x - other.x, one.y - other.y
     c = jnp.abs(one.cos * other.cos + one.sin * other.sin)
@@ -57,9 +58,9 @@ def side_depth(one: Outlines, other: Outlines) -> tuple[Array, Array, Array]:
     for mine, theirs in ((one, other), (other, one)):
         ahead, aside = dx * mine.cos + dy * mine.sin, dy * mine.cos - dx * mine.sin
         reach = mine.length + theirs.length * c + theirs.width * s
-        ways.append(_way(reach, ahead, mine.cos, mine.sin))
+        ways.append(_axis_overlap(reach, ahead, mine.cos, mine.sin))
         reach = mine.width + theirs.length * s + theirs.width * c
-        ways.append(_way(reach, aside, -mine.sin, mine.cos))
+        ways.append(_axis_overlap(reach, aside, -mine.sin, mine.cos))
     depth, out_x, out_y = ways[0]
     for reach, x, y in ways[1:]:
         nearer = reach < depth
@@ -68,14 +69,14 @@ def side_depth(one: Outlines, other: Outlines) -> tuple[Array, Array, Array]:
     return depth, out_x, out_y
 
 
-def _way(reach: Array, apart: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Return the depth along a normal, and that normal towards where the middle is."""
+def _axis_overlap(reach: Array, apart: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Return the depth along a normal, and the normal pointing to the centre's side."""
     sign = jnp.where(apart < 0, -1.0, 1.0)
     return reach - jnp.abs(apart), sign * x, sign * y
 
 
-def disc_depth(one: Outlines, other: Outlines) -> tuple[Array, Array, Array]:
-    """Return by how much rectangles and discs overlap, and which way the rectangle has to go (x and y)."""
+def disc_overlap(one: Outlines, other: Outlines) -> tuple[Array, Array, Array]:
+    """Return the overlap depths of rectangles and discs, and the rectangles' directions out (x and y)."""
     dx, dy = other.x - one.x, other.y - one.y
     ahead, left = dx * one.cos + dy * one.sin, dy * one.cos - dx * one.sin
     out_x = ahead - jnp.clip(ahead, -one.length, one.length)
@@ -83,7 +84,7 @@ def disc_depth(one: Outlines, other: Outlines) -> tuple[Array, Array, Array]:
     square = out_x * out_x + out_y * out_y
     is_in = square < 1e-18
     far = jnp.sqrt(jnp.where(is_in, 1.0, square))
-    # A middle inside: by the nearest side.
+    # Centre inside the rectangle: leave by the nearest side.
     gap_x, gap_y = one.length - jnp.abs(ahead), one.width - jnp.abs(left)
     by_x = gap_x <= gap_y
     in_x = jnp.where(by_x, jnp.where(ahead < 0, -1.0, 1.0), 0.0)
@@ -93,39 +94,41 @@ def disc_depth(one: Outlines, other: Outlines) -> tuple[Array, Array, Array]:
     return depth, -(own_x * one.cos - own_y * one.sin), -(own_x * one.sin + own_y * one.cos)
 
 
-def meeting_place(one: Outlines, other: Outlines, way: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return where rectangles meet: in the middle of what their nearest corners have in common.
+def contact_coordinates(
+    one: Outlines, other: Outlines, direction: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """Return the contact of rectangles: the midpoint of the common span of their nearest corners.
 
     Args:
-        one: Rectangles that have to go along `way`.
-        other: What they have to get out of; of a disc anything.
-        way: Unit vectors, x and y.
+        one: Rectangles that move along `direction`.
+        other: Rectangles that they leave; arbitrary for discs.
+        direction: Unit vectors, x and y.
 
     Returns:
-        How far along the way that is, and how far to its left.
+        Coordinates along the direction, and to its left.
     """
-    x, y = way
+    x, y = direction
     mine, theirs = _corners(one), _corners(other)
     low, high = ([cx * x + cy * y for cx, cy in corners] for corners in (mine, theirs))
-    bottom, top = _least(low), -_least([-value for value in high])
-    first, last = _span(mine, way, [value < bottom + FLAT for value in low])
-    start, end = _span(theirs, way, [value > top - FLAT for value in high])
+    bottom, top = _minimum(low), -_minimum([-value for value in high])
+    first, last = _corner_span(mine, direction, [value < bottom + FLAT_TOLERANCE for value in low])
+    start, end = _corner_span(theirs, direction, [value > top - FLAT_TOLERANCE for value in high])
     return (bottom + top) / 2, (jnp.maximum(first, start) + jnp.minimum(last, end)) / 2
 
 
-def meeting_point(
-    one: Outlines, other: Outlines, way: tuple[Array, Array], place: tuple[Array, Array], *, discs: bool
+def contact_point(
+    one: Outlines, other: Outlines, direction: tuple[Array, Array], place: tuple[Array, Array], *, discs: bool
 ) -> tuple[Array, Array]:
-    """Return where outlines meet, x and y: of a disc where the rectangle is nearest to it.
+    """Return the contact points, x and y; for a disc the rectangle's nearest point.
 
     Args:
-        one: Rectangles that have to go along `way`.
-        other: What they have to get out of.
-        way: Unit vectors, x and y.
-        place: Of rectangles, see `meeting_place`.
+        one: Rectangles that move along `direction`.
+        other: Outlines that they leave.
+        direction: Unit vectors, x and y.
+        place: Contacts of rectangles, see `contact_coordinates`.
         discs: Whether any may be a disc.
     """
-    (x, y), (along, middle) = way, place
+    (x, y), (along, middle) = direction, place
     at = along * x - middle * y, along * y + middle * x
     if not discs:
         return at
@@ -145,24 +148,24 @@ def _corners(one: Outlines) -> list[tuple[Array, Array]]:
             one.x + i * one.length * one.cos - j * one.width * one.sin,
             one.y + i * one.length * one.sin + j * one.width * one.cos,
         )
-        for i, j in SIGNS
+        for i, j in CORNER_SIGNS
     ]
 
 
-def _least(values: list[Array]) -> Array:
-    """Return the least of arrays: by comparing, whose slope is that of one of them whatever XLA rounds."""
+def _minimum(values: list[Array]) -> Array:
+    """Return the minimum of arrays by comparisons, whose gradient selects one of them whatever XLA rounds."""
     least = values[0]
     for value in values[1:]:
         least = jnp.where(value < least, value, least)
     return least
 
 
-def _span(
-    corners: list[tuple[Array, Array]], way: tuple[Array, Array], nearest: list[Array]
+def _corner_span(
+    corners: list[tuple[Array, Array]], direction: tuple[Array, Array], nearest: list[Array]
 ) -> tuple[Array, Array]:
-    """Return from where to where corners that are nearest reach, across a way."""
-    place = [cy * way[0] - cx * way[1] for cx, cy in corners]
+    """Return the interval of the nearest corners across a direction."""
+    place = [cy * direction[0] - cx * direction[1] for cx, cy in corners]
     here = list(zip(nearest, place, strict=True))
-    first = _least([jnp.where(near, value, FAR) for near, value in here])
-    last = _least([jnp.where(near, -value, FAR) for near, value in here])
+    first = _minimum([jnp.where(near, value, LARGE_DISTANCE) for near, value in here])
+    last = _minimum([jnp.where(near, -value, LARGE_DISTANCE) for near, value in here])
     return first, -last

@@ -1,4 +1,4 @@
-"""How a robot class answers its motors: the figures of `planar`, measured on engine `c`."""
+"""Drive responses of robot classes: parameters of `planar`, measured on engine `c`."""
 
 import hashlib
 import json
@@ -23,24 +23,25 @@ from usarmjx.models.drives.base import Drive
 from usarmjx.models.drives.ground import NoDrive, OmniDrive, SkidSteer
 from usarmjx.models.types.robot import RobotSpec
 
-FILE = "responses.json"
+RESPONSES_FILE = "responses.json"
+"""Package resource with the measured responses."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Response:
-    """How a class that rolls answers the speeds of its wheels.
+    """Response of a rolling class to its wheel speeds.
 
     Attributes:
-        gain: Forward speed over what the wheels' rims do.
-        turn_gain: Rate of turn over what the wheels' rims do, were they as far apart as in the description.
-        forward_lag: The speed follows the wheels' with such a time constant [s].
-        turn_lag: So does the rate of turn [s].
-        acceleration: Most of it [m/s^2].
-        turn_acceleration: Most change of the rate of turn [rad/s^2].
-        cornering: Most sideways acceleration in a bend [m/s^2]: what is faster turns less.
-        drift: Sideways speed over forward speed times rate of turn, to the outside [s].
-        sides_apart: Whether the motors of each side go after its speed by themselves, up to their most, so
-            that a robot that is to speed up and to turn does the one before the other; else both in step.
+        gain: Forward speed over rim speed.
+        turn_gain: Yaw rate over the rate computed from rim speeds and the described track.
+        forward_lag: Time constant of the speed [s].
+        turn_lag: Time constant of the yaw rate [s].
+        acceleration: Largest acceleration [m/s^2].
+        turn_acceleration: Largest angular acceleration [rad/s^2].
+        cornering: Largest lateral acceleration [m/s^2], which limits the yaw rate at speed.
+        drift: Lateral speed, to the outside, over forward speed times yaw rate [s].
+        sides_apart: Whether the sides saturate independently, so that a robot that accelerates and turns does
+            one before the other; otherwise both proportionally.
     """
 
     gain: float = 1.0
@@ -54,13 +55,13 @@ class Response:
     sides_apart: bool = False
 
 
-NAMES = tuple(field.name for field in fields(Response) if field.name != "sides_apart")
-"""The figures that are numbers."""
+NUMERIC_FIELDS = tuple(field.name for field in fields(Response) if field.name != "sides_apart")
+"""Numeric fields of a response."""
 
 
 @cache
 def description_key(robot: RobotSpec) -> str:
-    """Return what changes when the robot's physics does: of that robot a response was measured."""
+    """Return a digest of a robot's physics; a measurement is valid only for the digest it was made with."""
     spec = mujoco.MjSpec()
     add_robot(spec, robot, "", (0.0, 0.0, 0.0))
     spec.compile()
@@ -70,13 +71,15 @@ def description_key(robot: RobotSpec) -> str:
 
 
 @cache
-def measured() -> dict[str, Any]:
-    """Return the shipped measurements: by class its key, its response and what remains unexplained."""
-    return json.loads(resources.files("usarmjx.engines.planar").joinpath(FILE).read_text(encoding="utf-8"))
+def packaged_responses() -> dict[str, Any]:
+    """Return the packaged measurements by class: key, response and residual errors."""
+    return json.loads(
+        resources.files("usarmjx.engines.planar").joinpath(RESPONSES_FILE).read_text(encoding="utf-8")
+    )
 
 
 def rolls(drive: Drive) -> bool:
-    """Whether a drive moves its robot by wheels or tracks."""
+    """Return whether a drive moves its robot by wheels or tracks."""
     return isinstance(drive, SkidSteer | Ackermann | OmniDrive)
 
 
@@ -107,59 +110,54 @@ def response_file(robot: RobotSpec, folder: Path | None = None) -> Path | None:
     return None if cache is None else cache / "planar" / f"{robot.name}-{description_key(robot)}.json"
 
 
-def known_response(robot: RobotSpec, folder: Path | None = None) -> Response | None:
-    """Return the response of a class that rolls, if it was measured with the present description.
-
-    Args:
-        robot: The robot.
-        folder: Cache folder with responses of earlier runs; None: this user's.
-    """
-    if robot in _own:
-        return _own[robot]
-    entry = measured().get(robot.name)
+def find_response(robot: RobotSpec, folder: Path | None = None) -> Response | None:
+    """Return a rolling class's response, if it was measured for its current description."""
+    if robot in _overrides:
+        return _overrides[robot]
+    entry = packaged_responses().get(robot.name)
     if entry is not None and entry["key"] == description_key(robot):
         return Response(**entry["response"])
     file = response_file(robot, folder)
     if file is None or not file.is_file():
         return None
-    use_response(robot, Response(**json.loads(file.read_text(encoding="utf-8"))["response"]))
-    return _own[robot]
+    override_response(robot, Response(**json.loads(file.read_text(encoding="utf-8"))["response"]))
+    return _overrides[robot]
 
 
 def uncalibrated(robots: Iterable[RobotSpec], folder: Path | None = None) -> tuple[RobotSpec, ...]:
-    """Return the robots that roll and whose response was not measured, each once; see `known_response`."""
+    """Return the robots that roll and whose response was not measured, each once; see `find_response`."""
     return tuple(
         robot
         for robot in dict.fromkeys(robots)
-        if rolls(robot.drive) and known_response(robot, folder) is None
+        if rolls(robot.drive) and find_response(robot, folder) is None
     )
 
 
 def response_of(robot: RobotSpec) -> Response:
-    """Return the response of a class that rolls.
+    """Return a rolling class's response.
 
     Raises:
-        UncalibratedRobotError: It was not measured.
+        UnsupportedFeatureError: It was not measured.
     """
-    response = known_response(robot)
+    response = find_response(robot)
     if response is None:
         raise UncalibratedRobotError([robot])
     return response
 
 
-_own: dict[RobotSpec, Response] = {}
+_overrides: dict[RobotSpec, Response] = {}
 
 
-def use_response(robot: RobotSpec, response: Response) -> None:
-    """Let a class answer so in engines that are built from now on in this process."""
-    _own[robot] = response
+def override_response(robot: RobotSpec, response: Response) -> None:
+    """Override a class's response in engines built later in this process."""
+    _overrides[robot] = response
 
 
 def check_robot(robot: RobotSpec) -> None:
-    """Refuse what `planar` cannot move.
+    """Refuse a robot that `planar` cannot move.
 
     Raises:
-        UnsupportedFeatureError: Names it.
+        UnsupportedFeatureError: Names the robot.
     """
     drive = robot.drive
     if isinstance(drive, NoDrive) and robot.parts:
@@ -173,20 +171,20 @@ def check_robot(robot: RobotSpec) -> None:
         )
 
 
-def as_entry(robot: RobotSpec, response: Response, **more: Any) -> dict[str, Any]:  # noqa: ANN401 - JSON
-    """Return what the file of measurements has of a class."""
+def response_entry(robot: RobotSpec, response: Response, **more: Any) -> dict[str, Any]:  # noqa: ANN401 - JSON
+    """Return a class's entry of the file of measurements."""
     return {"key": description_key(robot), "response": asdict(response), **more}
 
 
 def error_table() -> str:
-    """Return how far off the shipped figures leave each class, as a table in Markdown."""
-    horizons = list(next(iter(measured().values()))["errors"])
+    """Return the residual errors of the packaged responses by class, as a Markdown table."""
+    horizons = list(next(iter(packaged_responses().values()))["errors"])
 
-    def told(error: dict[str, float]) -> str:
+    def text(error: dict[str, float]) -> str:
         return f"{error['distance']:.2f} m, {math.degrees(error['heading']):.0f}° of {error['way']:.1f} m"
 
     rows = (
-        [name, *(told(entry["errors"][horizon]) for horizon in horizons)]
-        for name, entry in sorted(measured().items(), key=lambda item: item[0].lower())
+        [name, *(text(entry["errors"][horizon]) for horizon in horizons)]
+        for name, entry in sorted(packaged_responses().items(), key=lambda item: item[0].lower())
     )
     return markdown_table(["class", *(f"after {horizon}" for horizon in horizons)], rows)

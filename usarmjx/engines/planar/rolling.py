@@ -1,4 +1,4 @@
-"""Robots that roll: from what their wheels are told to where they come to, on the ground."""
+"""Rolling robots: from wheel inputs to poses on the ground."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,33 +11,36 @@ from usarmjx.base.backend import set_rows
 from usarmjx.base.compilation import materialize
 from usarmjx.base.rotations import parts
 from usarmjx.engines.base import Inputs
-from usarmjx.engines.planar.bodies import Motion, PlanarRobots, on_plan
-from usarmjx.engines.planar.drives import follow
-from usarmjx.engines.planar.flight import sine_over
+from usarmjx.engines.planar.bodies import Motion, PlanarRobots, rotate_by_yaw
+from usarmjx.engines.planar.drives import limited_lag
+from usarmjx.engines.planar.flight import sinc
 from usarmjx.engines.planar.footprints import Footprints
-from usarmjx.engines.planar.overlap import SIGNS
+from usarmjx.engines.planar.overlap import CORNER_SIGNS
 
 GRAVITY = 9.81
+"""Gravity of falling robots [m/s^2]."""
 STANCE = 0.8
-"""Robots stand at this share of their footprints' sides from the middle."""
-STEEPEST_TILT = 0.6
-"""Robots tilt by no more, as rise over run: one that hangs over an edge does not stand on its nose."""
-IN_THE_AIR = 0.02
-"""What is so far above the ground keeps its tilt [m]."""
+"""Position of the feet, as a fraction of the footprint's half sides."""
+MAX_TILT = 0.6
+"""Largest tilt, as rise over run: a robot that overhangs an edge does not stand on its nose."""
+AIRBORNE_HEIGHT = 0.02
+"""Height above ground from which a robot keeps its tilt [m]."""
+Quaternion = tuple[Array, ...]
+"""Components (n,) of quaternions, w first."""
 
 
 def roll(robots: PlanarRobots, before: Any, state: Any, inputs: Inputs, dt: float) -> tuple[Any, Array]:  # noqa: ANN401
-    """Return the state with the wheels turned, and the twists of the chassis.
+    """Return the state with the wheels turned, and the chassis twists.
 
     Args:
         robots: The robots.
-        before: A state with qpos and qvel, of one world, at the beginning of the step.
+        before: State of one world at the beginning of the step, with qpos and qvel.
         state: The same with the other joints moved, and act.
-        inputs: What the engine is told.
+        inputs: Engine inputs.
         dt: Length of a control step [s].
 
     Returns:
-        The state; forward speed, sideways speed and rate of turn of each robot (robots, 3).
+        The state; forward speed, lateral speed and yaw rate of each robot (robots, 3).
     """
     twist = jnp.zeros((robots.count, 3))
     ctrl = jnp.append(inputs.ctrl, 0.0)
@@ -47,14 +50,16 @@ def roll(robots: PlanarRobots, before: Any, state: Any, inputs: Inputs, dt: floa
         places = group.qpos[:, wheels.spin]
         spin = before.qvel[group.qvel[:, wheels.spin]]
         grip, size = _variation(inputs, group.members)
-        now = follow(answer, wheels.twist(joints, spin), wheels.twist(joints, ctrl[group.ctrl]), dt, grip)
-        turned = wheels.spins(joints, now)
-        angle, turned = materialize((before.qpos[places] + (spin + turned) * dt / 2, turned))
-        # What a servo aims at is where its wheel is: it does not wind up.
+        now = limited_lag(
+            answer, wheels.twist(joints, spin), wheels.twist(joints, ctrl[group.ctrl]), dt, grip
+        )
+        rotate = wheels.wheel_speeds(joints, now)
+        angle, rotate = materialize((before.qpos[places] + (spin + rotate) * dt / 2, rotate))
+        # The servo's target follows the wheel's angle, so that it does not wind up.
         act = set_rows(jnp.append(state.act, 0.0), (group.act, angle))[:-1]
         state = state.replace(
             qpos=set_rows(state.qpos, (places, angle)),
-            qvel=set_rows(state.qvel, (group.qvel[:, wheels.spin], turned)),
+            qvel=set_rows(state.qvel, (group.qvel[:, wheels.spin], rotate)),
             act=act,
         )
         ahead, turn = answer.gain * now[:, 0], answer.turn_gain * now[:, 2]
@@ -64,10 +69,10 @@ def roll(robots: PlanarRobots, before: Any, state: Any, inputs: Inputs, dt: floa
 
 
 def _variation(inputs: Inputs, members: np.ndarray) -> tuple[Array | float, Array | float]:
-    """Return factors on the most acceleration (n, 1) and on the speed (n, 1) of robots that vary.
+    """Return factors on the acceleration limits (n, 1) and on the speed (n, 1) of randomized robots.
 
-    Less friction, weaker motors and more mass all leave less acceleration; of friction and motors the scarcer
-    one counts. Larger wheels go farther.
+    Less friction, weaker motors and more mass reduce the acceleration; of friction and motors the smaller
+    factor counts. Larger wheels increase the speed.
     """
     varied = inputs.varied
     if varied is None:
@@ -81,11 +86,11 @@ def _variation(inputs: Inputs, members: np.ndarray) -> tuple[Array | float, Arra
     return grip, one if varied.wheel is None else varied.wheel[members][:, None]
 
 
-def rolled(motion: Motion, twist: Array, dt: float) -> Motion:
-    """Return robots after they went with their twists for a time: in an arc, by its chord."""
+def integrate_twist(motion: Motion, twist: Array, dt: float) -> Motion:
+    """Integrate the twists over a time step: an arc, by its chord."""
     w, x, y, z = motion.unit
     ahead, aside, turn = parts(twist)
-    way = jnp.stack(
+    velocity = jnp.stack(
         [
             (1 - 2 * (y * y + z * z)) * ahead + 2 * (x * y - w * z) * aside,
             2 * (x * y + w * z) * ahead + (1 - 2 * (x * x + z * z)) * aside,
@@ -93,53 +98,53 @@ def rolled(motion: Motion, twist: Array, dt: float) -> Motion:
         -1,
     )
     angle = turn * dt
-    share = sine_over(angle / 2) * dt
-    (x, y, height), (dx, dy) = parts(motion.pos), parts(on_plan(way, angle / 2))
+    share = sinc(angle / 2) * dt
+    (x, y, height), (dx, dy) = parts(motion.pos), parts(rotate_by_yaw(velocity, angle / 2))
     return motion.replace(
         pos=jnp.stack([x + dx * share, y + dy * share, height], -1),
-        quat=_about_z(motion.quat, angle),
-        linear=jnp.stack([*parts(on_plan(way, angle)), motion.linear[:, 2]], -1),
-        angular=_with_third(motion.angular, turn),
+        quat=_rotate_about_vertical(motion.quat, angle),
+        linear=jnp.stack([*parts(rotate_by_yaw(velocity, angle)), motion.linear[:, 2]], -1),
+        angular=_replace_third(motion.angular, turn),
     )
 
 
-def _with_third(vectors: Array, third: Array) -> Array:
-    """Return vectors (n, 3) with another third number (n,)."""
+def _replace_third(vectors: Array, third: Array) -> Array:
+    """Return vectors (n, 3) with the third component (n,) replaced."""
     return jnp.stack([vectors[:, 0], vectors[:, 1], third], -1)
 
 
-def _where(mask: Array, new: Sequence[Array], old: Array) -> Array:
-    """Return vectors of which some are others, number by number."""
+def _select_components(mask: Array, new: Sequence[Array], old: Array) -> Array:
+    """Return vectors, some of them replaced, by components."""
     return jnp.stack([jnp.where(mask, *pair) for pair in zip(new, parts(old), strict=True)], -1)
 
 
-def _about_z(quat: Array, angle: Array) -> Array:
-    """Return orientations (n, 4) turned about the vertical (n,)."""
+def _rotate_about_vertical(quat: Array, angle: Array) -> Array:
+    """Rotate orientations (n, 4) about the vertical (n,)."""
     c, s = jnp.cos(angle / 2), jnp.sin(angle / 2)
     w, x, y, z = parts(quat)
     return jnp.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], -1)
 
 
-def stopped(
+def apply_contacts(
     robots: PlanarRobots, before: Motion, after: Motion, kept: Footprints, touched: Array, dt: float
 ) -> Motion:
-    """Return motions as they were kept apart: what touched something has the speed with which it got on."""
+    """Apply the resolved poses: robots that touched something get their actual velocity."""
     turn = kept.yaw - after.yaw
     turn = jnp.arctan2(jnp.sin(turn), jnp.cos(turn))
-    x, y = parts(kept.pos - on_plan(robots.offset, kept.yaw))
+    x, y = parts(kept.pos - rotate_by_yaw(robots.offset, kept.yaw))
     angle = kept.yaw - before.yaw
     rate = jnp.arctan2(jnp.sin(angle), jnp.cos(angle)) / dt
-    went = [(now - then) / dt for now, then in zip((x, y), parts(before.pos), strict=False)]
+    displacement = [(now - then) / dt for now, then in zip((x, y), parts(before.pos), strict=False)]
     return after.replace(
-        pos=_where(touched, (x, y, after.pos[:, 2]), after.pos),
-        quat=_where(touched, parts(_about_z(after.quat, turn)), after.quat),
-        linear=_where(touched, (*went, after.linear[:, 2]), after.linear),
-        angular=_with_third(after.angular, jnp.where(touched, rate, after.angular[:, 2])),
+        pos=_select_components(touched, (x, y, after.pos[:, 2]), after.pos),
+        quat=_select_components(touched, parts(_rotate_about_vertical(after.quat, turn)), after.quat),
+        linear=_select_components(touched, (*displacement, after.linear[:, 2]), after.linear),
+        angular=_replace_third(after.angular, jnp.where(touched, rate, after.angular[:, 2])),
     )
 
 
-def reach_of(robots: PlanarRobots, before: Motion) -> Array:
-    """Return up to what height the ground may be under where robots stand [m] (4, robots)."""
+def ground_limits(robots: PlanarRobots, before: Motion) -> Array:
+    """Return the height limits of ground under the robots' feet [m] (4, robots)."""
     w, x, y, z = before.unit
     limits: list[Array] = []
     for stance in _stances(robots):
@@ -149,54 +154,50 @@ def reach_of(robots: PlanarRobots, before: Motion) -> Array:
     return jnp.stack(limits)
 
 
-def feet_of(prints: Footprints) -> Array:
-    """Return where robots (robots,) stand on the plan (4, robots, 2)."""
-    stances = [STANCE * jnp.asarray(corner) * prints.half for corner in SIGNS]
-    return jnp.stack([prints.pos + on_plan(stance, prints.yaw) for stance in stances])
+def foot_positions(footprints: Footprints) -> Array:
+    """Return the feet of robots (robots,) on the plan (4, robots, 2)."""
+    stances = [STANCE * jnp.asarray(corner) * footprints.half for corner in CORNER_SIGNS]
+    return jnp.stack([footprints.pos + rotate_by_yaw(stance, footprints.yaw) for stance in stances])
 
 
 def _stances(robots: PlanarRobots) -> list[Array]:
     half, offset = (jnp.asarray(part, jnp.float32) for part in (robots.half, robots.offset))
-    return [STANCE * jnp.asarray(corner) * half + offset for corner in SIGNS]
+    return [STANCE * jnp.asarray(corner) * half + offset for corner in CORNER_SIGNS]
 
 
 def place_on_ground(robots: PlanarRobots, before: Motion, after: Motion, ground: Array, dt: float) -> Motion:
-    """Return robots that roll on the ground below them, tilted as it is, or falling; others not below it.
+    """Put rolling robots on the ground, tilted along it or falling; keep flying robots above it.
 
     Args:
         robots: The robots.
-        before: Where they were.
-        after: Where they came to on the plan.
-        ground: How high it is under what they stand on [m] (4, robots).
+        before: Old motion.
+        after: Resolved motion on the plan.
+        ground: Ground heights under their feet [m] (4, robots).
         dt: Length of a control step [s].
     """
-    half, limit = STANCE * jnp.asarray(robots.half, jnp.float32), STEEPEST_TILT
+    half, limit = STANCE * jnp.asarray(robots.half, jnp.float32), MAX_TILT
     height = ground.mean(0) + robots.clearance
     rise = jnp.clip((ground[0] + ground[1] - ground[2] - ground[3]) / (4 * half[:, 0]), -limit, limit)
     lean = jnp.clip((ground[0] + ground[3] - ground[1] - ground[2]) / (4 * half[:, 1]), -limit, limit)
     old, upward = before.pos[:, 2], after.linear[:, 2]
     falling = old + upward * dt - GRAVITY * dt * dt / 2
     z = jnp.where(robots.flies, jnp.maximum(after.pos[:, 2], height), jnp.maximum(height, falling))
-    rolls = ~robots.flies & (z <= height + IN_THE_AIR)
-    tilted = _tilted(after.yaw, rise, lean)
-    # How the tilt changed, in the robot's own axes.
-    rate = _turn_between(before.unit, tilted)
+    rolls = ~robots.flies & (z <= height + AIRBORNE_HEIGHT)
+    tilted = _orientation_on_slope(after.yaw, rise, lean)
+    # Rotation from the old to the new tilt, in the robot's axes.
+    rate = _tilt_change(before.unit, tilted)
     stands = robots.flies & (after.pos[:, 2] < height)
     held = jnp.where(stands, jnp.maximum(upward, 0.0), upward)
     return after.replace(
-        pos=_with_third(after.pos, z),
-        quat=_where(rolls, tilted, after.quat),
-        linear=_with_third(after.linear, jnp.where(robots.flies, held, (z - old) / dt)),
-        angular=_where(rolls, (rate[0] / dt, rate[1] / dt, after.angular[:, 2]), after.angular),
+        pos=_replace_third(after.pos, z),
+        quat=_select_components(rolls, tilted, after.quat),
+        linear=_replace_third(after.linear, jnp.where(robots.flies, held, (z - old) / dt)),
+        angular=_select_components(rolls, (rate[0] / dt, rate[1] / dt, after.angular[:, 2]), after.angular),
     )
 
 
-Quaternion = tuple[Array, ...]
-"""Four arrays (n,), w first."""
-
-
-def _turn_between(one: Quaternion, other: Quaternion) -> tuple[Array, Array]:
-    """Return sines of the turns from orientations to others, about their own first and second axes."""
+def _tilt_change(one: Quaternion, other: Quaternion) -> tuple[Array, Array]:
+    """Return the sines of the rotations between orientations, about their own first and second axes."""
     (w, x, y, z), (w2, x2, y2, z2) = one, other
     turn = w * w2 + x * x2 + y * y2 + z * z2
     first = w * x2 - x * w2 - y * z2 + z * y2
@@ -204,21 +205,21 @@ def _turn_between(one: Quaternion, other: Quaternion) -> tuple[Array, Array]:
     return 2 * turn * first, 2 * turn * second
 
 
-def _tilted(yaw: Array, rise: Array, lean: Array) -> Quaternion:
-    """Return orientations of robots on planes that rise ahead and to the left of them (n,).
+def _orientation_on_slope(yaw: Array, rise: Array, lean: Array) -> Quaternion:
+    """Return orientations of robots on planes with slopes ahead and to the left (n,).
 
-    The columns of the matrix are the robot's axes: ahead along the rise, up across that and the lean.
+    The columns of the matrix are the robot's axes: ahead along the rise, up perpendicular to rise and lean.
     """
     long = jnp.sqrt(1 + rise * rise)
     high = jnp.sqrt(1 + rise * rise + lean * lean)
     up = -rise / high, -lean / high, 1 / high
     ahead = 1 / long, rise / long
-    # The axis to the left is up x ahead: what of it and of the others the quaternion needs.
+    # The left axis is up x ahead; the quaternion follows from the matrix of the three axes.
     left_x, left_y, left_z = up[1] * ahead[1], up[2] * ahead[0] - up[0] * ahead[1], -up[1] * ahead[0]
     w = jnp.sqrt(1 + ahead[0] + left_y + up[2]) / 2
     x, y, z = (left_z - up[1]) / (4 * w), (up[0] - ahead[1]) / (4 * w), -left_x / (4 * w)
     c, s = jnp.cos(yaw / 2), jnp.sin(yaw / 2)
     quat = c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w
-    # The larger of those two numbers that can be the largest is positive.
+    # Canonical sign: the larger of w and z, one of which is the largest component, is positive.
     flip = jnp.where(jnp.abs(quat[3]) > jnp.abs(quat[0]), quat[3], quat[0]) < 0
     return tuple(jnp.where(flip, -number, number) for number in quat)

@@ -1,7 +1,7 @@
-"""What robots stand on and stop at: solids seen from above, with the plane of their tops.
+"""Solids of engine `planar`: obstacles and ground, projected to the plan, with the plane of their tops.
 
-A solid is a rectangle or a disc on the plan, from a height to another. A box whose top lies less steep than
-`STEEPEST` can be driven on where the robot comes up to it without a step: ramps and levels.
+A solid is a rectangle or a disc on the plan with a height range. A box whose top is less steep than
+`MIN_DRIVABLE_COSINE` is drivable where the robot reaches it without a step: ramps and levels.
 """
 
 import math
@@ -19,28 +19,29 @@ from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.engines.base import GeomPoses
 from usarmjx.engines.planar.overlap import Outlines, outlines
 
-STEEPEST = math.cos(math.radians(30.0))
-"""Cosine of the steepest slope that robots drive on."""
-NOWHERE = 1e6
-"""A solid so high, or so low, meets nobody [m]."""
-KINDS = {
+MIN_DRIVABLE_COSINE = math.cos(math.radians(30.0))
+"""Cosine of the steepest drivable slope."""
+FAR_AWAY = 1e6
+"""Coordinate of a solid that touches nothing [m]."""
+GEOM_TYPES = {
     int(mujoco.mjtGeom.mjGEOM_BOX),
     int(mujoco.mjtGeom.mjGEOM_CYLINDER),
     int(mujoco.mjtGeom.mjGEOM_CAPSULE),
     int(mujoco.mjtGeom.mjGEOM_SPHERE),
     int(mujoco.mjtGeom.mjGEOM_ELLIPSOID),
 }
+"""Supported geom types."""
 
 
 class PlanSolids(struct.PyTreeNode, kw_only=True):
-    """Solids, of one world or of many.
+    """Solids of one world or of many.
 
     Attributes:
-        outline: On the plan (..., solids).
+        outline: Outlines on the plan (..., solids).
         low: Lowest point [m] (..., solids).
-        top: Height of the top over the middle [m] (..., solids).
-        slope_x: How the top rises along x (..., solids).
-        slope_y: How it rises along y (..., solids).
+        top: Height of the top above the centre [m] (..., solids).
+        slope_x: Slope of the top along x (..., solids).
+        slope_y: Slope of the top along y (..., solids).
         highest: Highest point [m] (..., solids).
         discs: Whether any may be a disc.
     """
@@ -55,17 +56,17 @@ class PlanSolids(struct.PyTreeNode, kw_only=True):
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of solids."""
         return self.low.shape[-1]
 
 
-def as_numbers(solids: PlanSolids | Array) -> Array:
-    """Return the numbers of solids (..., k, robots) in one array (..., numbers, k, robots)."""
+def pack_solids(solids: PlanSolids | Array) -> Array:
+    """Pack solids (..., k, robots) into one array (..., numbers, k, robots)."""
     return jnp.stack(jax.tree.leaves(solids), -3) if isinstance(solids, PlanSolids) else jnp.asarray(solids)
 
 
-def as_solids(solids: PlanSolids | Array, *, discs: bool) -> PlanSolids:
-    """Return solids, or those whose numbers `as_numbers` has put together; `discs` as theirs."""
+def unpack_solids(solids: PlanSolids | Array, *, discs: bool) -> PlanSolids:
+    """Unpack solids packed by `pack_solids`; `discs` as for those."""
     if isinstance(solids, PlanSolids):
         return solids
     parts = [solids[..., i, :, :] for i in range(solids.shape[-3])]
@@ -77,13 +78,13 @@ def as_solids(solids: PlanSolids | Array, *, discs: bool) -> PlanSolids:
 
 
 class SolidGeoms(NamedTuple):
-    """The geoms of a model that robots can meet and that are no robot's.
+    """Geoms of a model that robots can touch, without the robots' own.
 
     Attributes:
-        ids: Their ids (n,).
+        ids: Geom ids (n,).
         kinds: MuJoCo geom types (n,).
-        bodies: The bodies that they are fixed to (n,).
-        moved: Places in `GeomPoses` of those that are data (n,); -1: they are fixed to their bodies.
+        bodies: Their bodies (n,).
+        moved: Indices in `GeomPoses` of geoms that are inputs (n,); -1: fixed to the body.
     """
 
     ids: np.ndarray
@@ -92,22 +93,22 @@ class SolidGeoms(NamedTuple):
     moved: np.ndarray
 
     def where(self, mask: np.ndarray) -> "SolidGeoms":
-        """Return some of them, masked (n,)."""
+        """Return the masked ones (n,)."""
         return SolidGeoms(*(part[mask] for part in self))
 
 
 def solid_geoms(model: mujoco.MjModel, robot_bodies: set[int], moved_ids: list[int]) -> SolidGeoms:
-    """Return the geoms that robots can meet, without floors.
+    """Return the geoms that robots can touch, without floors.
 
     Raises:
-        UnsupportedFeatureError: One is of a kind that this engine does not know: meshes and height fields.
+        UnsupportedFeatureError: A geom type is not supported: meshes and height fields.
     """
     touches = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     others = [g for g in np.flatnonzero(touches).tolist() if model.geom_bodyid[g] not in robot_bodies]
     others = [g for g in others if model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE]
-    strange = [model.geom(g).name for g in others if int(model.geom_type[g]) not in KINDS]
-    if strange:
-        names = ", ".join(map(repr, strange[:4]))
+    unsupported = [model.geom(g).name for g in others if int(model.geom_type[g]) not in GEOM_TYPES]
+    if unsupported:
+        names = ", ".join(map(repr, unsupported[:4]))
         raise UnsupportedFeatureError(
             f"engine 'planar' cannot run this scene: {names} of meshes or height fields; engines c, jax and "
             "warp can"
@@ -123,22 +124,22 @@ def solid_geoms(model: mujoco.MjModel, robot_bodies: set[int], moved_ids: list[i
 
 
 def floor_height(model: mujoco.MjModel) -> float:
-    """Return how high the floor is [m]; without one, far below all."""
+    """Return the height of the floor [m]; far below everything without one."""
     planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
     heights = [model.body_pos[model.geom_bodyid[g], 2] + model.geom_pos[g, 2] for g in planes]
-    return float(max(heights, default=-NOWHERE))
+    return float(max(heights, default=-FAR_AWAY))
 
 
-def solids_of(
+def world_solids(
     model: mujoco.MjModel, geoms: SolidGeoms, bodies: tuple[Array, Array], poses: GeomPoses | None
 ) -> PlanSolids:
     """Return the solids of one world.
 
     Args:
         model: The model.
-        geoms: Which geoms they are.
+        geoms: Its geoms.
         bodies: Origins (nbody, 3) [m] and orientations (nbody, 3, 3) of the model's bodies.
-        poses: Where geoms are that are data.
+        poses: Input poses of geoms.
     """
     pos, mat = jnp.asarray(model.geom_pos[geoms.ids]), mat_from_quat(jnp.asarray(model.geom_quat[geoms.ids]))
     size = jnp.asarray(model.geom_size[geoms.ids])
@@ -150,11 +151,11 @@ def solids_of(
             size = jnp.where(is_moved[:, None], poses.size[place], size)
     origin, turn = bodies[0][geoms.bodies], bodies[1][geoms.bodies]
     pos, mat = origin + matvec(turn, pos), matmul(turn, mat)
-    return seen_from_above(geoms.kinds, pos, mat, size)
+    return project_geoms(geoms.kinds, pos, mat, size)
 
 
-def joined(one: PlanSolids, other: PlanSolids) -> PlanSolids:
-    """Return the solids of both, of which one set may be the same in all worlds."""
+def concatenate_solids(one: PlanSolids, other: PlanSolids) -> PlanSolids:
+    """Concatenate solids, of which one set may be shared by all worlds."""
     discs = one.discs or other.discs
     both = one.replace(discs=discs), other.replace(discs=discs)
     return jax.tree.map(_end_to_end, *both)
@@ -166,27 +167,27 @@ def _end_to_end(first: Array, second: Array) -> Array:
     return jnp.concatenate([*parts], -1)
 
 
-def seen_from_above(kinds: np.ndarray, pos: Array, mat: Array, size: Array) -> PlanSolids:
-    """Return what geoms look like on the plan.
+def project_geoms(kinds: np.ndarray, pos: Array, mat: Array, size: Array) -> PlanSolids:
+    """Project geoms to the plan.
 
     Args:
         kinds: MuJoCo geom types (n,).
-        pos: Middles [m] (n, 3).
+        pos: Centres [m] (n, 3).
         mat: Orientations (n, 3, 3).
         size: MuJoCo sizes [m] (n, 3).
     """
     box, half = _half_box(kinds, size)
-    upright = jnp.abs(mat[:, 2])  # how much each axis points up
+    upright = jnp.abs(mat[:, 2])  # vertical component of each axis
     up = jnp.argmax(upright, -1)
     normal = jnp.take_along_axis(mat, up[:, None, None], 2)[..., 0]
     normal = normal * jnp.where(normal[:, 2:] < 0, -1.0, 1.0)
     thick = jnp.take_along_axis(half, up[:, None], 1)[:, 0]
     height = (upright * half).sum(-1)
-    flat = box & (normal[:, 2] >= STEEPEST)
+    flat = box & (normal[:, 2] >= MIN_DRIVABLE_COSINE)
     slope = jnp.where(flat[:, None], -normal[:, :2] / jnp.maximum(normal[:, 2:], 0.1), 0.0)
     middle = pos + normal * thick[:, None]
     over = middle[:, 2] + (slope * (pos - middle)[:, :2]).sum(-1)
-    # The first side lies as the most level of the two other axes does.
+    # The first side follows the more level one of the two other axes.
     level = jnp.argmin(jnp.where(jnp.arange(3) == up[:, None], 2.0, upright), -1)
     first = jnp.take_along_axis(mat, level[:, None, None], 2)[:, :2, 0]
     axis = first / jnp.maximum(jnp.linalg.norm(first, axis=-1, keepdims=True), 1e-6)
@@ -207,7 +208,7 @@ def seen_from_above(kinds: np.ndarray, pos: Array, mat: Array, size: Array) -> P
 
 
 def _half_box(kinds: np.ndarray, size: Array) -> tuple[np.ndarray, Array]:
-    """Return which geoms are boxes (n,), and half sides of the boxes around all of them (n, 3)."""
+    """Return which geoms are boxes (n,), and half sides of all geoms' bounding boxes (n, 3)."""
     geom = mujoco.mjtGeom
     box = kinds == int(geom.mjGEOM_BOX)
     as_is = box | (kinds == int(geom.mjGEOM_ELLIPSOID))
@@ -217,16 +218,16 @@ def _half_box(kinds: np.ndarray, size: Array) -> tuple[np.ndarray, Array]:
     return box, jnp.where(as_is[:, None], size, jnp.concatenate([radius, radius, long], -1))
 
 
-def ground_under(solids: PlanSolids, floor: float, points: Array, reach: Array) -> Array:
-    """Return how high the ground is under points (..., 2); what is above `reach` (...,) is not ground."""
-    if not solids.count:  # the largest of nothing has no slope
+def ground_heights(solids: PlanSolids, floor: float, points: Array, reach: Array) -> Array:
+    """Return the ground heights under points (..., 2); solids above `reach` (...,) are not ground."""
+    if not solids.count:  # the maximum of an empty axis has no gradient
         return jnp.full(points.shape[:-1], floor)
-    tops = tops_under(solids, points[..., :1], points[..., 1:], reach[..., None])
+    tops = top_heights(solids, points[..., :1], points[..., 1:], reach[..., None])
     return jnp.maximum(jnp.max(tops, axis=-1), floor)
 
 
-def tops_under(solids: PlanSolids, x: Array, y: Array, reach: Array) -> Array:
-    """Return how high solids are at points, broadcast to them; where they are no ground, far below all."""
+def top_heights(solids: PlanSolids, x: Array, y: Array, reach: Array) -> Array:
+    """Return the heights of solids at points, broadcast to them; far below everything where not ground."""
     one = solids.outline
     dx, dy = x - one.x, y - one.y
     inside = jnp.abs(dx * one.cos + dy * one.sin) <= one.length
@@ -234,4 +235,4 @@ def tops_under(solids: PlanSolids, x: Array, y: Array, reach: Array) -> Array:
     if solids.discs:
         inside |= dx * dx + dy * dy <= one.radius * one.radius
     height = solids.top + dx * solids.slope_x + dy * solids.slope_y
-    return jnp.where(inside & (height <= reach), height, -NOWHERE)
+    return jnp.where(inside & (height <= reach), height, -FAR_AWAY)

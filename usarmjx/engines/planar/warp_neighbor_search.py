@@ -1,10 +1,9 @@
-"""What is around robots looked up on Warp, of those of whom it is not known.
+"""Warp kernels of the neighbor search: lists of near solids, and ground heights.
 
-A block of threads has a world to itself: it finds out of which robots what is known no longer holds, and only
-if there are any works out where the solids are that can be elsewhere; its warps have some of those robots
-each, its lanes some solids. On a CPU, where tests run it, the first thread does the whole world. What each
-step means is told in `neighbor_lists`, `movable` and `solids`; other than there, robots of whom it holds go
-on by what they know.
+A block of threads handles one world: it finds the robots whose lists are invalid, and only if there are any
+computes the movable solids; then its warps handle some of those robots each, its lanes some solids. On a CPU,
+in tests, the first thread handles the whole world. The steps are those of `neighbor_lists`, `movable` and
+`solids`, except that robots with valid lists keep them.
 """
 
 from functools import cache
@@ -18,7 +17,16 @@ from usarmjx.engines.planar.warp_solids import scene_code
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
-GROUND = """
+GROUND_THREADS = 128
+"""Threads of a block of the ground kernel."""
+THREADS = 128
+"""Threads of a block, which handles one world."""
+IN_OUT_ARRAYS = ("at", "room", "omitted", "near", "under", "known_loose", "known_geoms")
+"""Outputs that the search kernel changes in place."""
+SHARED_CAPACITIES = (64, 128, 256, 416, 600)
+"""Capacities for solids in shared memory; the smallest sufficient one is used."""
+
+GROUND_CODE = """
 #if defined(__CUDA_ARCH__)
     const unsigned together = __activemask();
 #endif
@@ -29,8 +37,8 @@ GROUND = """
     const float* const free = room.data + (size_t)index * 4;
     const Stance mine = {
         went[0], went[1], cos(went[2]), sin(went[2]),
-        STANCE * told(r, NUMBER_LENGTH), STANCE * told(r, NUMBER_WIDTH),
-        {told(r, NUMBER_LIMIT_0), told(r, NUMBER_LIMIT_1), told(r, NUMBER_LIMIT_2), told(r, NUMBER_LIMIT_3)},
+        STANCE * input(r, FIELD_LENGTH), STANCE * input(r, FIELD_WIDTH),
+        {input(r, FIELD_LIMIT_0), input(r, FIELD_LIMIT_1), input(r, FIELD_LIMIT_2), input(r, FIELD_LIMIT_3)},
     };
     const float dx = mine.x - was[0], dy = mine.y - was[1];
     const float limit = max(max(mine.limits[0], mine.limits[1]), max(mine.limits[2], mine.limits[3]));
@@ -45,12 +53,12 @@ GROUND = """
     const int solids = fixed + others;
     const auto solid = [&](int i) -> Solid {
         if (i >= fixed) return moved(i - fixed);
-        const float* const q = still.data + 12 * i;
+        const float* const q = static_solids.data + 12 * i;
         return {q[0], q[1], q[2], q[3], q[4], q[5], q[6], q[7], q[8], q[9], q[10], q[11]};
     };
     float found[4] = {floor, floor, floor, floor};
     if (knows) {
-        const int layers = min(solids, LAYERS);
+        const int layers = min(solids, GROUND_LIST_LENGTH);
         const float* const rows = under.data + (size_t)world * 12 * layers * count + r;
         const auto number = [&](int i, int k) { return rows[((size_t)i * layers + k) * count]; };
         for (int k = 0; k < layers; ++k)
@@ -59,7 +67,7 @@ GROUND = """
                             number(10, k), number(11, k)}, found);
     }
 #if defined(__CUDA_ARCH__)
-    // Who of a warp has to look at all solids is helped by all its threads, that look at some each.
+    // A thread of the warp that must search all solids is helped by the others, which take some each.
     const int lane = (int)(threadIdx.x % 32u), helpers = __popc(together);
     const int place = __popc(together & ((1u << lane) - 1u));
     for (unsigned left = __ballot_sync(together, !knows); left != 0u; left &= left - 1u) {
@@ -82,24 +90,23 @@ GROUND = """
 #endif
     for (int j = 0; j < 4; ++j) ground.data[((size_t)own * 4 + j) * count + r] = found[j];
 """
-"""What a robot's thread does: `neighbours.ground_of`, or `solids.ground_under` where that is not known."""
+"""Native code of a robot's thread: `neighbor_lists.ground_from_list`, or `solids.ground_heights` for an
+invalid list."""
 
 
-ROBOT = """
+ROBOT_CODE = """
     int world = (int)((unsigned)index / (unsigned)sizes.data[0]);  // that of which solids are asked
 """
-WORDS = {"STANCE": f"{STANCE}f"}
-GROUND_THREADS = 128
-"""Threads of a block."""
+MACROS = {"STANCE": f"{STANCE}f"}
 
 
-@wp.func_native(scene_code(ROBOT, GROUND, WORDS))
+@wp.func_native(scene_code(ROBOT_CODE, GROUND_CODE, MACROS))
 def _ground_under_robot(
     robots: wp.array[float],
     sizes: wp.array[int],
     kinds: wp.array[int],
     shapes: wp.array[float],
-    still: wp.array[float],
+    static_solids: wp.array[float],
     loose: wp.array[float],
     geom_pos: wp.array[float],
     geom_quat: wp.array[float],
@@ -120,7 +127,7 @@ def ground_under_robots(
     sizes: wp.array[int],
     kinds: wp.array[int],
     shapes: wp.array[float],
-    still: wp.array[float],
+    static_solids: wp.array[float],
     loose: wp.array[float],
     geom_pos: wp.array[float],
     geom_quat: wp.array[float],
@@ -132,25 +139,16 @@ def ground_under_robots(
     floor: float,
     ground: wp.array[float],
 ) -> None:
-    """Find how high the ground is under the four stances of each robot."""
+    """Find the ground heights under the four feet of each robot."""
     # fmt: off
     _ground_under_robot(
-        robots, sizes, kinds, shapes, still, loose, geom_pos, geom_quat, geom_size, kept, at, room, under,
-        floor, wp.tid(), ground,
+        robots, sizes, kinds, shapes, static_solids, loose, geom_pos, geom_quat, geom_size, kept, at, room,
+        under, floor, wp.tid(), ground,
     )
     # fmt: on
 
 
-wp.set_module_options({"enable_backward": False, "fast_math": False})
-
-THREADS = 128
-"""Threads of a block, which has a world to itself."""
-CHANGED = ("at", "room", "left_out", "near", "under", "known_loose", "known_geoms")
-"""What the first kernel changes where a world needs it."""
-ROOMS = (64, 128, 256, 416, 600)
-"""So many solids a world has room for in shared memory: the least that is enough."""
-
-LOOK = """
+SEARCH_CODE = """
 #if defined(__CUDA_ARCH__)
     const int thread = (int)((unsigned)index % THREADS);
     const int lane = thread % 32, lanes = 32, warp = thread / 32, warps = THREADS / 32;
@@ -186,33 +184,33 @@ LOOK = """
     float* const was = at.data + (size_t)world * count * 4;
     float* const free = room.data + (size_t)world * count * 4;
     const auto limit_of = [&](int r) {
-        return max(max(told(r, NUMBER_LIMIT_0), told(r, NUMBER_LIMIT_1)),
-                   max(told(r, NUMBER_LIMIT_2), told(r, NUMBER_LIMIT_3)));
+        return max(max(input(r, FIELD_LIMIT_0), input(r, FIELD_LIMIT_1)),
+                   max(input(r, FIELD_LIMIT_2), input(r, FIELD_LIMIT_3)));
     };
     const auto size_of = [&](int r) {
-        const float length = told(r, NUMBER_LENGTH), width = told(r, NUMBER_WIDTH);
+        const float length = input(r, FIELD_LENGTH), width = input(r, FIELD_WIDTH);
         return sqrt(length * length + width * width);
     };
 
-    // neighbours.farthest_in_a_step
+    // neighbor_lists.max_displacement
     const auto way_of = [&](int r) {
-        const float x = told(r, NUMBER_THERE_X) - told(r, NUMBER_BEFORE_X);
-        const float y = told(r, NUMBER_THERE_Y) - told(r, NUMBER_BEFORE_Y);
+        const float x = input(r, FIELD_THERE_X) - input(r, FIELD_BEFORE_X);
+        const float y = input(r, FIELD_THERE_Y) - input(r, FIELD_BEFORE_Y);
         return sqrt(x * x + y * y);
     };
     const auto up_of = [&](int r) {
-        return max(told(r, NUMBER_BEFORE_LOW) - told(r, NUMBER_THERE_LOW),
-                   told(r, NUMBER_THERE_HIGH) - told(r, NUMBER_BEFORE_HIGH));
+        return max(input(r, FIELD_BEFORE_LOW) - input(r, FIELD_THERE_LOW),
+                   input(r, FIELD_THERE_HIGH) - input(r, FIELD_BEFORE_HIGH));
     };
     float farthest = 0.0f;
     for (int r = lane; r < count; r += lanes) farthest = max(farthest, way_of(r));
     farthest = -least(-farthest);
 
-    // Neighbours.holds, of one robot
+    // NeighborList.lists_stay_valid, of one robot
     const auto is_lost = [&](int r) -> bool {
-        const float x = told(r, NUMBER_BEFORE_X) - was[4 * r], y = told(r, NUMBER_BEFORE_Y) - was[4 * r + 1];
-        const float aside = sqrt(x * x + y * y) + (way_of(r) + farthest + SLACK), up = up_of(r);
-        const float sank = abs(told(r, NUMBER_BEFORE_LOW) - was[4 * r + 2]) + up;
+        const float x = input(r, FIELD_BEFORE_X) - was[4 * r], y = input(r, FIELD_BEFORE_Y) - was[4 * r + 1];
+        const float aside = sqrt(x * x + y * y) + (way_of(r) + farthest + SEPARATION_SLACK), up = up_of(r);
+        const float sank = abs(input(r, FIELD_BEFORE_LOW) - was[4 * r + 2]) + up;
         const float tilted = abs(limit_of(r) - was[4 * r + 3]) + up;
         return !(free[4 * r] > aside && free[4 * r + 1] > sank && free[4 * r + 2] > aside
             && free[4 * r + 3] > tilted);
@@ -226,7 +224,7 @@ LOOK = """
     for (int i = thread; i < numbers; i += threads)
         other_world = other_world || !(loose_was[i] == loose_now[i]);
 
-    // MovableSolids.where, came_near
+    // MovableSolids.placement, moved_nearby
     float* const geoms_were = known_geoms.data + (size_t)world * data_geoms * 10;
     const auto row_of = [&](int m) { return kinds.data[m * KIND_NUMBERS + 4]; };
     const auto geom_now = [&](int m, int i) -> float {
@@ -240,8 +238,9 @@ LOOK = """
         const float x = p[0] + (p[3] * ten[0] + p[4] * ten[1] + p[5] * ten[2]);
         const float y = p[1] + (p[6] * ten[0] + p[7] * ten[1] + p[8] * ten[2]);
         for (int r = 0; r < count; ++r) {
-            const float far = size_of(r) + (way_of(r) + farthest + SLACK) + (ten[7] + ten[8] + ten[9]);
-            const float dx = told(r, NUMBER_BEFORE_X) - x, dy = told(r, NUMBER_BEFORE_Y) - y;
+            const float far =
+                size_of(r) + (way_of(r) + farthest + SEPARATION_SLACK) + (ten[7] + ten[8] + ten[9]);
+            const float dx = input(r, FIELD_BEFORE_X) - x, dy = input(r, FIELD_BEFORE_Y) - y;
             if (dx * dx + dy * dy < far * far) return true;
         }
         return false;
@@ -255,11 +254,11 @@ LOOK = """
             now[i] = geom_now(m, i);
             other = other || now[i] != then[i];
         }
-        // Who looks while something is elsewhere than it is known to be has all look: that is known of all.
+        // `scene` is shared by all robots: one that searches with moved solids makes all of them search.
         other_world = other && (lost || meets(m, then) || meets(m, now));
     }
     other_world = any_of_all(other_world);
-    for (int r = thread; r < count; r += threads) left_out.data[(size_t)world * count + r] = 0;
+    for (int r = thread; r < count; r += threads) omitted.data[(size_t)world * count + r] = 0;
     if (!lost && !other_world) return;
 
     for (int i = thread; i < numbers; i += threads) loose_was[i] = loose_now[i];
@@ -271,25 +270,26 @@ LOOK = """
     wait_for_all();
     const int solids = fixed + others;
     const auto number_of = [&](int i, int n) -> float {
-        return i < fixed ? still.data[12 * i + n] : reinterpret_cast<const float*>(here + (i - fixed))[n];
+        return i < fixed ? static_solids.data[12 * i + n]
+                         : reinterpret_cast<const float*>(here + (i - fixed))[n];
     };
     const auto solid = [&](int i) -> Solid {
         if (i >= fixed) return here[i - fixed];
-        const float* const p = still.data + 12 * i;
+        const float* const p = static_solids.data + 12 * i;
         return {p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11]};
     };
     const float last_step = (float)(1073741824 / solids - 1);
     const auto key_of = [&](float rank, int i) -> int {
-        return (int)min(max((rank + DEEPEST) / NEARNESS, 0.0f), last_step) * solids + i;
+        return (int)min(max((rank + MAX_RANKED_DEPTH) / RANK_RESOLUTION, 0.0f), last_step) * solids + i;
     };
     for (int r = warp; r < count; r += warps) {
         if (!other_world && !is_lost(r)) continue;
         wait();  // until all lanes have asked
-        const float x = told(r, NUMBER_BEFORE_X), y = told(r, NUMBER_BEFORE_Y), step = told(r, NUMBER_STEP);
-        const float low = told(r, NUMBER_BEFORE_LOW), high = told(r, NUMBER_BEFORE_HIGH);
+        const float x = input(r, FIELD_BEFORE_X), y = input(r, FIELD_BEFORE_Y), step = input(r, FIELD_STEP);
+        const float low = input(r, FIELD_BEFORE_LOW), high = input(r, FIELD_BEFORE_HIGH);
         const float limit = limit_of(r), size = size_of(r);
-        const float aside_reach = way_of(r) + farthest + SLACK, up_reach = up_of(r);
-        // neighbours.look_around: how far away it is on the plan, in height, and above what may be ground
+        const float aside_reach = way_of(r) + farthest + SEPARATION_SLACK, up_reach = up_of(r);
+        // neighbor_lists.build_neighbor_list: horizontal, vertical and ground distances
         float apart, higher, deep, steep;
         const auto measure = [&](const Solid& o) {
             const float dx = x - o.x, dy = y - o.y;
@@ -305,12 +305,12 @@ LOOK = """
             const Solid o = solid(i);
             measure(o);
             stopping += higher < 0.0f && apart < aside_reach;
-            near_keys[i] = key_of(higher < 0.0f ? apart : max(apart, higher) + LAST, i);
-            ground_keys[i] = key_of(o.highest < floor ? NOWHERE : max(apart, deep), i);
+            near_keys[i] = key_of(higher < 0.0f ? apart : max(apart, higher) + OTHER_HEIGHT_RANK, i);
+            ground_keys[i] = key_of(o.highest < floor ? FAR_AWAY : max(apart, deep), i);
         }
         stopping = sum(stopping);
 
-        // neighbours._nearest: by the least of those that are greater than the last, then in their own order
+        // neighbor_lists._first_by_rank: repeated minimum above the last one, then index order
         const auto keep = [&](const int* keys, int most, float* rows) -> int {
             int chosen[MOST], last = -1;
             for (int j = 0; j < most; ++j) {
@@ -327,14 +327,14 @@ LOOK = """
             }
             return last;
         };
-        const int near_count = min(solids, MOST), under_count = min(solids, LAYERS);
+        const int near_count = min(solids, MOST), under_count = min(solids, GROUND_LIST_LENGTH);
         float* const near_rows = near.data + (size_t)world * 12 * near_count * count;
         float* const under_rows = under.data + (size_t)world * 12 * under_count * count;
         const int near_last = keep(near_keys, near_count, near_rows);
         const int under_last = keep(ground_keys, under_count, under_rows);
 
-        // neighbours._margin, of what may stop it and of what may be ground
-        float aside[2] = {NOWHERE, NOWHERE}, height[2] = {NOWHERE, NOWHERE};
+        // neighbor_lists._margin, of what may stop it and of what may be ground
+        float aside[2] = {FAR_AWAY, FAR_AWAY}, height[2] = {FAR_AWAY, FAR_AWAY};
         for (int pass = 0; pass < 2; ++pass) {
             for (int i = lane; i < solids; i += lanes) {
                 const Solid o = solid(i);
@@ -344,7 +344,7 @@ LOOK = """
                                               : ground_keys[i] > under_last && o.highest >= floor;
                     if (!other) continue;
                     const float up = n == 0 ? higher : deep;
-                    const bool by_height = apart * (up_reach + SWAY) < up * aside_reach;
+                    const bool by_height = apart * (up_reach + HEIGHT_SLACK) < up * aside_reach;
                     const float until = by_height ? max(apart, up / (2.0f * max(steep, 1e-6f))) : apart;
                     if (pass == 0)
                         aside[n] = min(aside[n], until);
@@ -363,32 +363,40 @@ LOOK = """
                 free[4 * r + 2 * n] = aside[n];
                 free[4 * r + 2 * n + 1] = height[n];
             }
-            left_out.data[(size_t)world * count + r] = max(stopping - MOST, 0);
+            omitted.data[(size_t)world * count + r] = max(stopping - MOST, 0);
         }
     }
 """
-"""What the lanes of a world do."""
+"""Native code of a world's block: `neighbor_lists.build_neighbor_list` for robots with invalid lists."""
 
-WORLD = """
+WORLD_CODE = """
     const int world = (int)((unsigned)index / THREADS);
 """
 
 
 def _code(most: int, room: int) -> str:
-    """Return the native code that looks at so many solids closely, with room for so many in all."""
-    measures = ("SLACK", "SWAY", "DEEPEST", "NEARNESS", "LAST")
+    """Return the native code for lists of `most` solids, with room for `room` solids in all."""
+    measures = (
+        "SEPARATION_SLACK",
+        "HEIGHT_SLACK",
+        "MAX_RANKED_DEPTH",
+        "RANK_RESOLUTION",
+        "OTHER_HEIGHT_RANK",
+    )
     words: dict[str, object] = {name: f"{getattr(neighbor_lists, name)}f" for name in measures}
-    return scene_code(WORLD, LOOK, {**words, "MOST": most, "ROOM": room, "THREADS": f"{THREADS}u"})
+    return scene_code(
+        WORLD_CODE, SEARCH_CODE, {**words, "MOST": most, "ROOM": room, "THREADS": f"{THREADS}u"}
+    )
 
 
-def room_for(solids: int) -> int | None:
-    """Return for how many solids a kernel has room, so many at least; None: none has."""
-    return next((room for room in ROOMS if room >= solids), None)
+def shared_capacity(solids: int) -> int | None:
+    """Return the smallest capacity for `solids` solids; None: there is none."""
+    return next((room for room in SHARED_CAPACITIES if room >= solids), None)
 
 
 @cache
-def looking_kernel(most: int, places: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
-    """Return the kernel that looks around, at so many solids closely, with places for those of `room_for`."""
+def search_kernel(most: int, places: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
+    """Return the search kernel for lists of `most` solids and a capacity of `places` solids."""
 
     @wp.func_native(_code(most, places))
     def look_in_world(
@@ -396,7 +404,7 @@ def looking_kernel(most: int, places: int) -> Any:  # noqa: ANN401 - Warp's kern
         sizes: wp.array[int],
         kinds: wp.array[int],
         shapes: wp.array[float],
-        still: wp.array[float],
+        static_solids: wp.array[float],
         loose: wp.array[float],
         geom_pos: wp.array[float],
         geom_quat: wp.array[float],
@@ -405,7 +413,7 @@ def looking_kernel(most: int, places: int) -> Any:  # noqa: ANN401 - Warp's kern
         index: int,
         at: wp.array[float],
         room: wp.array[float],
-        left_out: wp.array[int],
+        omitted: wp.array[int],
         near: wp.array[float],
         under: wp.array[float],
         known_loose: wp.array[float],
@@ -417,7 +425,7 @@ def looking_kernel(most: int, places: int) -> Any:  # noqa: ANN401 - Warp's kern
         sizes: wp.array[int],
         kinds: wp.array[int],
         shapes: wp.array[float],
-        still: wp.array[float],
+        static_solids: wp.array[float],
         loose: wp.array[float],
         geom_pos: wp.array[float],
         geom_quat: wp.array[float],
@@ -425,7 +433,7 @@ def looking_kernel(most: int, places: int) -> Any:  # noqa: ANN401 - Warp's kern
         floor: float,
         at: wp.array[float],
         room: wp.array[float],
-        left_out: wp.array[int],
+        omitted: wp.array[int],
         near: wp.array[float],
         under: wp.array[float],
         known_loose: wp.array[float],
@@ -433,12 +441,12 @@ def looking_kernel(most: int, places: int) -> Any:  # noqa: ANN401 - Warp's kern
     ) -> None:
         # fmt: off
         look_in_world(
-            robots, sizes, kinds, shapes, still, loose, geom_pos, geom_quat, geom_size, floor, wp.tid(),
-            at, room, left_out, near, under, known_loose, known_geoms,
+            robots, sizes, kinds, shapes, static_solids, loose, geom_pos, geom_quat, geom_size, floor,
+            wp.tid(), at, room, omitted, near, under, known_loose, known_geoms,
         )
         # fmt: on
 
-    # By this name XLA knows it: another for each of these numbers, whichever was made first.
+    # XLA finds the kernel by this name, so it must be unique and independent of the order of creation.
     look_around_robots.__qualname__ = f"look_around_robots_{most}_{places}"
     kernel: Any = wp.kernel
     return kernel(look_around_robots, enable_backward=False, grid_stride=False, module="unique")

@@ -1,8 +1,8 @@
-"""Robots kept apart on Warp: `footprints.keep_apart` of all worlds in one launch.
+"""Warp kernel of the separation: `footprints.separate_footprints` of all worlds in one launch.
 
-Some lanes of a warp have a world to themselves, a robot or a few each, and do as many turns as their world
-needs; all that others need to know of a robot lies in shared memory. On a CPU, where tests run it, the first
-lane does the whole world. What each step means is told in `footprints` and `overlap`.
+Some lanes of a warp handle one world, one or more robots each, with as many iterations as that world needs;
+robots' shared data is in shared memory. On a CPU, in tests, the first lane handles the whole world. The steps
+are those of `footprints` and `overlap`.
 """
 
 from functools import cache
@@ -11,27 +11,27 @@ from typing import Any
 import warp as wp
 
 from usarmjx.engines.planar import footprints, overlap, proposed_motion
-from usarmjx.engines.planar.solids import NOWHERE
-from usarmjx.engines.planar.warp_solids import with_words
+from usarmjx.engines.planar.solids import FAR_AWAY
+from usarmjx.engines.planar.warp_solids import expand_macros
 
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
-BLOCK = 128
+BLOCK_THREADS = 128
 """Threads of a block."""
-WARP = 32
-"""Lanes that a world has at most."""
-CLOSE = 0.5
-"""What is farther from a robot than that, once it went where it would, is not asked in any turn: pushes are
-of centimetres [m]."""
-MOST_ROBOTS = 128
-"""Of more robots in a world than this a block of threads could not hold all that is needed."""
-SHAPES = """
+WARP_LANES = 32
+"""Lanes of a warp."""
+TEST_DISTANCE = 0.5
+"""Distance from a robot's proposed pose beyond which solids are not tested in any iteration [m]: pushes are
+of centimetres."""
+MAX_ROBOTS = 128
+"""Largest number of robots of a world for which shared memory suffices."""
+OUTLINE_CODE = """
     using wp::abs; using wp::cos; using wp::max; using wp::min; using wp::sin; using wp::sqrt;
     struct Outline { float x, y, c, s, l, w, r; };
     struct Way { float depth, x, y; };
     struct Span { float low, high; };
 
-    // overlap.side_depth
+    // overlap.rectangle_overlap
     const auto side_depth = [](const Outline& a, const Outline& b) -> Way {
         const float dx = a.x - b.x, dy = a.y - b.y;
         const float c = abs(a.c * b.c + a.s * b.s), s = abs(a.c * b.s - a.s * b.c);
@@ -54,7 +54,7 @@ SHAPES = """
         return found;
     };
 
-    // overlap.disc_depth
+    // overlap.disc_overlap
     const auto disc_depth = [](const Outline& a, const Outline& b) -> Way {
         const float dx = b.x - a.x, dy = b.y - a.y;
         const float ahead = dx * a.c + dy * a.s, left = dy * a.c - dx * a.s;
@@ -79,7 +79,7 @@ SHAPES = """
         return b.r > 0.0f ? disc_depth(a, b) : side_depth(a, b);
     };
 
-    // overlap.meeting_point
+    // overlap.contact_point
     const auto corner = [](const Outline& a, int n, float& x, float& y) {
         const float i = n < 2 ? 1.0f : -1.0f, j = n == 0 || n == 3 ? 1.0f : -1.0f;
         x = a.x + i * a.l * a.c - j * a.w * a.s;
@@ -96,11 +96,11 @@ SHAPES = """
         return least;
     };
     const auto span_of = [&](const Outline& a, float wx, float wy, float least) -> Span {
-        Span found = {FAR, -FAR};
+        Span found = {LARGE_DISTANCE, -LARGE_DISTANCE};
         for (int n = 0; n < 4; ++n) {
             float x, y;
             corner(a, n, x, y);
-            if (x * wx + y * wy < least + FLAT) {
+            if (x * wx + y * wy < least + FLAT_TOLERANCE) {
                 const float place = y * wx - x * wy;
                 found.low = min(found.low, place);
                 found.high = max(found.high, place);
@@ -126,21 +126,21 @@ SHAPES = """
         y = along * way.y + middle * way.x;
     };
 """
-"""Functions of two outlines: the first has to get out of the second."""
+"""Native functions of two outlines: the first leaves the second."""
 
-WORLD = """
+WORLD_CODE = """
     constexpr int WORDS = (COUNT + 31) / 32;
     const int world = (int)((unsigned)index / LANES);
     const size_t total = (size_t)worlds * COUNT;
     const size_t first = (size_t)world * COUNT;
-    const auto told = [&](int r, int number) { return robots.data[number * total + first + r]; };
+    const auto input = [&](int r, int number) { return robots.data[number * total + first + r]; };
     const float* const around = near.data + (size_t)world * 12 * solids * COUNT;
     const int* const over = stacked.data + (flies ? (size_t)world * COUNT * COUNT : 0);
 #if defined(__CUDA_ARCH__)
     constexpr int SLOTS = (COUNT + LANES - 1) / LANES;
     const int lane = (int)((unsigned)index % LANES);
     const int lanes = LANES;
-    __shared__ float held[BLOCK / LANES * COUNT * 9];
+    __shared__ float held[BLOCK_THREADS / LANES * COUNT * 9];
     float* const here = held + threadIdx.x / LANES * COUNT * 9;
     const unsigned group = LANES == 32 ? 0xffffffffu : (1u << LANES % 32) - 1u;
     const unsigned mask = group << (threadIdx.x % 32 / LANES * LANES);
@@ -162,21 +162,21 @@ WORLD = """
         const float* const p = here + r * 9;
         return {p[0], p[1], p[2], p[3], p[4], p[5], 0.0f};
     };
-    // A solid's numbers are as in `solids.as_numbers`, one after those of all robots and solids.
+    // A solid's numbers are as in `solids.pack_solids`, one after those of all robots and solids.
     const auto number = [&](int i, int k, int r) { return around[((size_t)i * solids + k) * COUNT + r]; };
     const auto solid = [&](int k, int r) -> Outline {
         return {number(0, k, r), number(1, k, r), number(2, k, r), number(3, k, r),
                 number(4, k, r), number(5, k, r), number(6, k, r)};
     };
-    // neighbours.stopping
+    // neighbor_lists.obstacle_outlines
     const auto stops = [&](const Outline& o, int k, int r) -> bool {
-        const float dx = told(r, NUMBER_BEFORE_X) - o.x, dy = told(r, NUMBER_BEFORE_Y) - o.y;
-        const float low = told(r, NUMBER_BEFORE_LOW), high = told(r, NUMBER_BEFORE_HIGH);
+        const float dx = input(r, FIELD_BEFORE_X) - o.x, dy = input(r, FIELD_BEFORE_Y) - o.y;
+        const float low = input(r, FIELD_BEFORE_LOW), high = input(r, FIELD_BEFORE_HIGH);
         const float ahead = min(max(dx * o.c + dy * o.s, -o.l), o.l);
         const float aside = min(max(dy * o.c - dx * o.s, -o.w), o.w);
         const float rise = (ahead * o.c - aside * o.s) * number(9, k, r)
             + (ahead * o.s + aside * o.c) * number(10, k, r);
-        return max(low + told(r, NUMBER_STEP) - (number(8, k, r) + rise),
+        return max(low + input(r, FIELD_STEP) - (number(8, k, r) + rise),
                    max(number(7, k, r) - high, low - number(11, k, r))) < 0.0f;
     };
     const auto apart_by_more = [](const Outline& a, const Outline& b, float gap) -> bool {
@@ -188,8 +188,8 @@ WORLD = """
         p[0] = x; p[1] = y; p[2] = c; p[3] = s;
     };
     const auto show_heights = [&](int r, int from) {
-        here[r * 9 + 6] = told(r, from + NUMBER_BEFORE_LOW);
-        here[r * 9 + 7] = told(r, from + NUMBER_BEFORE_HIGH);
+        here[r * 9 + 6] = input(r, from + FIELD_BEFORE_LOW);
+        here[r * 9 + 7] = input(r, from + FIELD_BEFORE_HIGH);
     };
 
     float x[SLOTS], y[SLOTS], c[SLOTS], s[SLOTS], yaw[SLOTS];  // where the robots come to
@@ -198,18 +198,18 @@ WORLD = """
     bool touched[SLOTS], stuck[SLOTS];
     unsigned near_solids[SLOTS], near_robots[SLOTS * WORDS];  // a bit each
     for (int i = 0, r = lane; r < COUNT; ++i, r += lanes) {
-        x[i] = told(r, NUMBER_THERE_X);
-        y[i] = told(r, NUMBER_THERE_Y);
-        c[i] = told(r, NUMBER_THERE_COS);
-        s[i] = told(r, NUMBER_THERE_SIN);
-        yaw[i] = told(r, NUMBER_THERE_YAW);
-        here[r * 9 + 4] = told(r, NUMBER_LENGTH);
-        here[r * 9 + 5] = told(r, NUMBER_WIDTH);
-        here[r * 9 + 8] = told(r, NUMBER_MOVES) != 0.0f ? told(r, NUMBER_MASS) : 1e9f;  // or it is a wall
+        x[i] = input(r, FIELD_THERE_X);
+        y[i] = input(r, FIELD_THERE_Y);
+        c[i] = input(r, FIELD_THERE_COS);
+        s[i] = input(r, FIELD_THERE_SIN);
+        yaw[i] = input(r, FIELD_THERE_YAW);
+        here[r * 9 + 4] = input(r, FIELD_LENGTH);
+        here[r * 9 + 5] = input(r, FIELD_WIDTH);
+        here[r * 9 + 8] = input(r, FIELD_MOVES) != 0.0f ? input(r, FIELD_MASS) : 1e9f;  // else a wall
         show(r, x[i], y[i], c[i], s[i]);
-        show_heights(r, NUMBER_THERE_X);
+        show_heights(r, FIELD_THERE_X);
         touched[i] = false;
-        allowed[i] = TOLERANCE;
+        allowed[i] = OVERLAP_TOLERANCE;
         depth[i] = 0.0f;
         size[i] = 0.0f;
     }
@@ -219,18 +219,19 @@ WORLD = """
         near_solids[i] = 0u;
         for (int k = 0; k < solids; ++k) {
             const Outline b = solid(k, r);
-            if (b.x < NOWHERE && !apart_by_more(a, b, CLOSE) && stops(b, k, r)) near_solids[i] |= 1u << k;
+            if (b.x < FAR_AWAY && !apart_by_more(a, b, TEST_DISTANCE) && stops(b, k, r))
+                near_solids[i] |= 1u << k;
         }
         for (int w = 0; w < WORDS; ++w) {
             unsigned found = 0u;
             for (int o = 32 * w; o < COUNT && o < 32 * w + 32; ++o) {
                 const bool passes = o == r || (flies && over[o * COUNT + r] != 0);
-                if (!passes && !apart_by_more(a, robot(o), CLOSE)) found |= 1u << (o - 32 * w);
+                if (!passes && !apart_by_more(a, robot(o), TEST_DISTANCE)) found |= 1u << (o - 32 * w);
             }
             near_robots[i * WORDS + w] = found;
         }
     }
-    for (int turn = 0; turn < 2 + ROUNDS + RESTS; ++turn) {
+    for (int turn = 0; turn < 2 + PUSH_ITERATIONS + RESTORE_ITERATIONS; ++turn) {
         bool one_is_stuck = false;
         for (int i = 0, r = lane; r < COUNT; ++i, r += lanes) {
             const Outline a = robot(r);
@@ -241,7 +242,7 @@ WORLD = """
                 const float found = depth_in(a, solid(k, r)).depth;
                 if (found > push) { push = found; from = k; }
             }
-            const float low = here[r * 9 + 6], high = here[r * 9 + 7], mass = told(r, NUMBER_MASS);
+            const float low = here[r * 9 + 6], high = here[r * 9 + 7], mass = input(r, FIELD_MASS);
             for (int w = 0; w < WORDS; ++w) {
                 for (unsigned left = near_robots[i * WORDS + w]; left != 0u; left &= left - 1u) {
                     const int o = 32 * w + first_bit(left);
@@ -257,7 +258,7 @@ WORLD = """
             }
             deepest = max(deepest, push);
             if (turn == 1) {
-                allowed[i] = max(deepest, TOLERANCE);
+                allowed[i] = max(deepest, OVERLAP_TOLERANCE);
             } else {
                 depth[i] = deepest;
                 size[i] = max(push, 0.0f);
@@ -268,7 +269,7 @@ WORLD = """
             one_is_stuck = one_is_stuck || stuck[i];
         }
         if (!any(one_is_stuck)) break;
-        if (turn != 1 && turn <= ROUNDS) {
+        if (turn != 1 && turn <= PUSH_ITERATIONS) {
             for (int i = 0, r = lane; r < COUNT; ++i, r += lanes) {
                 if (size[i] <= 0.0f) continue;
                 const Outline a = robot(r);
@@ -281,18 +282,19 @@ WORLD = """
         }
         wait();
         for (int i = 0, r = lane; r < COUNT; ++i, r += lanes) {
-            if (turn == 0 || (turn > ROUNDS && (stuck[i] || turn > ROUNDS + RESTS))) {
-                const float was_x = told(r, NUMBER_BEFORE_X), was_y = told(r, NUMBER_BEFORE_Y);
-                const float was_c = told(r, NUMBER_BEFORE_COS), was_s = told(r, NUMBER_BEFORE_SIN);
+            const bool all_back = turn > PUSH_ITERATIONS + RESTORE_ITERATIONS;
+            if (turn == 0 || (turn > PUSH_ITERATIONS && (stuck[i] || all_back))) {
+                const float was_x = input(r, FIELD_BEFORE_X), was_y = input(r, FIELD_BEFORE_Y);
+                const float was_c = input(r, FIELD_BEFORE_COS), was_s = input(r, FIELD_BEFORE_SIN);
                 if (turn == 0) {
                     show(r, was_x, was_y, was_c, was_s);
-                    show_heights(r, NUMBER_BEFORE_X);
+                    show_heights(r, FIELD_BEFORE_X);
                     continue;
                 }
-                x[i] = was_x; y[i] = was_y; c[i] = was_c; s[i] = was_s; yaw[i] = told(r, NUMBER_BEFORE_YAW);
-            } else if (turn <= ROUNDS && size[i] > 0.0f && told(r, NUMBER_MOVES) != 0.0f) {
+                x[i] = was_x; y[i] = was_y; c[i] = was_c; s[i] = was_s; yaw[i] = input(r, FIELD_BEFORE_YAW);
+            } else if (turn <= PUSH_ITERATIONS && size[i] > 0.0f && input(r, FIELD_MOVES) != 0.0f) {
                 const float lever = (at_x[i] - x[i]) * way_y[i] - (at_y[i] - y[i]) * way_x[i];
-                const float length = told(r, NUMBER_LENGTH), width = told(r, NUMBER_WIDTH);
+                const float length = input(r, FIELD_LENGTH), width = input(r, FIELD_WIDTH);
                 const float spread = (length * length + width * width) / 3.0f;
                 const float go = size[i] / (1.0f + lever * lever / spread);
                 x[i] += go * way_x[i];
@@ -302,42 +304,55 @@ WORLD = """
                 s[i] = sin(yaw[i]);
             }
             show(r, x[i], y[i], c[i], s[i]);
-            if (turn == 1) show_heights(r, NUMBER_THERE_X);
+            if (turn == 1) show_heights(r, FIELD_THERE_X);
         }
         wait();
     }
     for (int i = 0, r = lane; r < COUNT; ++i, r += lanes) {
         float* const out = kept.data + ((size_t)world * COUNT + r) * 4;
-        const bool moved = x[i] != told(r, NUMBER_THERE_X) || y[i] != told(r, NUMBER_THERE_Y)
-            || yaw[i] != told(r, NUMBER_THERE_YAW);
+        const bool moved = x[i] != input(r, FIELD_THERE_X) || y[i] != input(r, FIELD_THERE_Y)
+            || yaw[i] != input(r, FIELD_THERE_YAW);
         out[0] = x[i];
         out[1] = y[i];
         out[2] = yaw[i];
         out[3] = touched[i] || moved ? 1.0f : 0.0f;
     }
 """
-"""What the lanes of a world do."""
+"""Native code of a world's lanes."""
 
 
 def lanes_for(robots: int) -> int:
-    """Return how many lanes of a warp a world of so many robots has: a power of two."""
-    return min(1 << (robots - 1).bit_length(), WARP)
+    """Return the number of lanes for a world of `robots` robots: a power of two."""
+    return min(1 << (robots - 1).bit_length(), WARP_LANES)
 
 
 def _code(robots: int) -> str:
-    """Return the native code for worlds of so many robots."""
+    """Return the native code for worlds of `robots` robots."""
     words: dict[str, object] = {
-        **proposed_motion.WORDS,
-        **{"COUNT": robots, "LANES": f"{lanes_for(robots)}", "BLOCK": BLOCK, "CLOSE": f"{CLOSE}f"},
-        **{"ROUNDS": footprints.ROUNDS, "RESTS": footprints.RESTS, "TOLERANCE": f"{footprints.TOLERANCE}f"},
-        **{"NOWHERE": f"{NOWHERE}f", "FAR": f"{overlap.FAR}f", "FLAT": f"{overlap.FLAT}f"},
+        **proposed_motion.MACROS,
+        **{
+            "COUNT": robots,
+            "LANES": f"{lanes_for(robots)}",
+            "BLOCK_THREADS": BLOCK_THREADS,
+            "TEST_DISTANCE": f"{TEST_DISTANCE}f",
+        },
+        **{
+            "PUSH_ITERATIONS": footprints.PUSH_ITERATIONS,
+            "RESTORE_ITERATIONS": footprints.RESTORE_ITERATIONS,
+            "OVERLAP_TOLERANCE": f"{footprints.OVERLAP_TOLERANCE}f",
+        },
+        **{
+            "FAR_AWAY": f"{FAR_AWAY}f",
+            "LARGE_DISTANCE": f"{overlap.LARGE_DISTANCE}f",
+            "FLAT_TOLERANCE": f"{overlap.FLAT_TOLERANCE}f",
+        },
     }
-    return with_words(SHAPES + WORLD, words)
+    return expand_macros(OUTLINE_CODE + WORLD_CODE, words)
 
 
 @cache
-def parting_kernel(robots: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
-    """Return the kernel for worlds of so many robots."""
+def separation_kernel(robots: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
+    """Return the kernel for worlds of `robots` robots."""
 
     @wp.func_native(_code(robots))
     def keep_world_apart(
@@ -362,7 +377,7 @@ def parting_kernel(robots: int) -> Any:  # noqa: ANN401 - Warp's kernels have no
     ) -> None:
         keep_world_apart(robots, near, stacked, worlds, solids, flies, wp.tid(), kept)
 
-    # By this name XLA knows it: of each number of robots another, whichever was made first.
+    # XLA finds the kernel by this name, so it must be unique and independent of the order of creation.
     keep_robots_apart.__qualname__ = f"keep_robots_apart_of_{robots}"
     kernel: Any = wp.kernel
     return kernel(keep_robots_apart, enable_backward=False, grid_stride=False, module="unique")

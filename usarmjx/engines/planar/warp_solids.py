@@ -1,4 +1,4 @@
-"""Solids as Warp's kernels see them: twelve numbers each, and what `solids` and `neighbours` ask of them."""
+"""Solids in Warp kernels: twelve numbers each, and the native functions of `solids` and `neighbor_lists`."""
 
 from collections.abc import Mapping
 from functools import reduce
@@ -6,19 +6,20 @@ from functools import reduce
 import mujoco
 
 from usarmjx.engines.planar import proposed_motion
-from usarmjx.engines.planar.neighbor_lists import LAYERS
-from usarmjx.engines.planar.solids import NOWHERE, STEEPEST
+from usarmjx.engines.planar.neighbor_lists import GROUND_LIST_LENGTH
+from usarmjx.engines.planar.solids import FAR_AWAY, MIN_DRIVABLE_COSINE
 
 SHAPE_NUMBERS = 30
-"""Of a solid that can be elsewhere: origin and axes of its body at rest, the axis of its hinge, position,
+"""Numbers of a movable solid: origin and axes of its body at the reference pose, hinge axis, and position,
 axes and size of its geom."""
 KIND_NUMBERS = 5
-"""Its MuJoCo geom type; its place among geoms that are data, or -1; whether its body is fixed, lies loose or
-hangs on a hinge; where among the numbers of what is loose this body's are; its place among the solids that
-are data, or -1."""
+"""Integers of a movable solid: MuJoCo geom type; index among input poses, or -1; joint type of its body
+(fixed, free or hinged); offset of the body among loose coordinates; index among the solids that are
+inputs, or -1."""
 FIXED, FREE, HINGED = range(3)
+"""Joint types of a movable solid's body."""
 
-SOLIDS = """
+SOLID_CODE = """
     using wp::abs; using wp::cos; using wp::max; using wp::min; using wp::sin; using wp::sqrt;
     struct Solid { float x, y, c, s, l, w, r, low, top, slope_x, slope_y, highest; };
     struct Turn { float m[9]; };
@@ -40,7 +41,7 @@ SOLIDS = """
         return found;
     };
 
-    // solids.seen_from_above
+    // solids.project_geoms
     const auto seen = [](int kind, const float* pos, const Turn& turn, const float* size) -> Solid {
         const float* const m = turn.m;
         const bool box = kind == BOX;
@@ -61,7 +62,7 @@ SOLIDS = """
         found.y = pos[1];
         found.low = pos[2] - height;
         found.highest = pos[2] + height;
-        const bool flat = box && nz >= STEEPEST;
+        const bool flat = box && nz >= MIN_DRIVABLE_COSINE;
         found.slope_x = flat ? -nx / max(nz, 0.1f) : 0.0f;
         found.slope_y = flat ? -ny / max(nz, 0.1f) : 0.0f;
         const float x = pos[0] + nx * half[up], y = pos[1] + ny * half[up], z = pos[2] + nz * half[up];
@@ -81,7 +82,7 @@ SOLIDS = """
         return found;
     };
 
-    // solids.solids_of, poses.FixedBodies.poses: the solid that can be elsewhere, where it is
+    // solids.world_solids, bodies.FixedBodies.poses: a movable solid at its current pose
     const auto moved = [&](int m) -> Solid {
         const int* const k = kinds.data + m * KIND_NUMBERS;
         const float* const p = shapes.data + m * SHAPE_NUMBERS;
@@ -113,7 +114,7 @@ SOLIDS = """
         return seen(k[0], at, product(body, turn), size);
     };
 
-    // neighbours._height_apart
+    // neighbor_lists._height_gap
     const auto height_apart = [](const Solid& o, float x, float y, float low, float high, float step) {
         const float dx = x - o.x, dy = y - o.y;
         const float ahead = min(max(dx * o.c + dy * o.s, -o.l), o.l);
@@ -122,50 +123,54 @@ SOLIDS = """
         return max(low + step - (o.top + rise), max(o.low - high, low - o.highest));
     };
 
-    // solids.tops_under
+    // solids.top_heights
     const auto top_under = [](const Solid& o, float x, float y, float reach) -> float {
         const float dx = x - o.x, dy = y - o.y;
         const bool inside = (abs(dx * o.c + dy * o.s) <= o.l && abs(dy * o.c - dx * o.s) <= o.w)
             || (o.r > 0.0f && dx * dx + dy * dy <= o.r * o.r);
         const float height = o.top + dx * o.slope_x + dy * o.slope_y;
-        return inside && height <= reach ? height : -NOWHERE;
+        return inside && height <= reach ? height : -FAR_AWAY;
     };
 """
-"""Functions of solids; `moved` is of one that can be elsewhere, in the world `world`."""
+"""Native functions of solids; `moved` returns a movable one in the world `world`."""
 
-SIZES = """
+SIZE_CODE = """
     const int count = sizes.data[0], fixed = sizes.data[1], others = sizes.data[2];
     const int data_geoms = sizes.data[3];
     const int numbers = sizes.data[4], places = sizes.data[5], sized = sizes.data[6];
     const size_t total = (size_t)sizes.data[7] * count;
     const size_t first = (size_t)world * count;
-    const auto told = [&](int r, int number) { return robots.data[number * total + first + r]; };
+    const auto input = [&](int r, int number) { return robots.data[number * total + first + r]; };
 """
-"""How many robots; solids that are where they are, and that can be elsewhere, and which of these are data;
-numbers of what is loose; geoms that are told of; whether their sizes are; how many worlds."""
+"""Native constants: numbers of robots, of static and movable solids, of solids that are inputs, of loose
+coordinates and of input poses; whether sizes are inputs; number of worlds."""
 
 _GEOM = mujoco.mjtGeom
-WORDS: Mapping[str, object] = {
+MACROS: Mapping[str, object] = {
     **{name: int(getattr(_GEOM, f"mjGEOM_{name}")) for name in ("BOX", "ELLIPSOID", "CAPSULE", "SPHERE")},
     **{"KIND_NUMBERS": KIND_NUMBERS, "SHAPE_NUMBERS": SHAPE_NUMBERS, "FREE": FREE, "HINGED": HINGED},
-    **{"STEEPEST": f"{STEEPEST:.9f}f", "NOWHERE": f"{NOWHERE}f", "LAYERS": LAYERS},
-    **proposed_motion.WORDS,
+    **{
+        "MIN_DRIVABLE_COSINE": f"{MIN_DRIVABLE_COSINE:.9f}f",
+        "FAR_AWAY": f"{FAR_AWAY}f",
+        "GROUND_LIST_LENGTH": GROUND_LIST_LENGTH,
+    },
+    **proposed_motion.MACROS,
 }
-"""What stands for numbers in native code."""
+"""Macros of native code."""
 
 
-def with_words(code: str, words: Mapping[str, object]) -> str:
-    """Return native code with words replaced by what they stand for."""
-    longest_first = sorted(words, key=len, reverse=True)  # one may begin as another
+def expand_macros(code: str, words: Mapping[str, object]) -> str:
+    """Return native code with macros expanded."""
+    longest_first = sorted(words, key=len, reverse=True)  # a name may be a prefix of another
     return reduce(lambda text, word: text.replace(word, str(words[word])), longest_first, code)
 
 
 def scene_code(begin: str, code: str, words: Mapping[str, object]) -> str:
-    """Return native code of a kernel that knows robots and solids.
+    """Return the native code of a kernel with robots and solids.
 
     Args:
         begin: Declares `world`.
-        code: What it does.
-        words: What stands for numbers in it, besides `WORDS`.
+        code: Body of the kernel.
+        words: Further macros, besides `MACROS`.
     """
-    return with_words(begin + SIZES + SOLIDS + code, {**WORDS, **words})
+    return expand_macros(begin + SIZE_CODE + SOLID_CODE + code, {**MACROS, **words})
