@@ -243,6 +243,13 @@ _KENAF_BODY = (
 )
 
 
+KENAF_SENSORS = (
+    Mount(kind="RangeScanner", name="Scanner1", at=KENAF_SCANNER, defaults=HOKUYO),
+    *POSE_SENSORS,
+    *(Mount(kind="Encoder", name=name, parent=part, direction=ENCODER_AXIS) for name, part in KENAF_ENCODERS),
+)
+
+
 def kenaf(wheels: int = 8) -> RobotSpec:
     """Return the Kenaf with a number of wheels in each of its two body tracks (manual 12.10.2)."""
     row = {"separation": KENAF_SEPARATION, "front": KENAF_PIVOT, "rear": -KENAF_PIVOT, "height": 0.0}
@@ -278,14 +285,7 @@ def kenaf(wheels: int = 8) -> RobotSpec:
         parts=parts,
         drive=drive_tracks(parts, KENAF_BELT),
         packages=(KENAF_CAMERA,),
-        sensors=(
-            Mount(kind="RangeScanner", name="Scanner1", at=KENAF_SCANNER, defaults=HOKUYO),
-            *POSE_SENSORS,
-            *(
-                Mount(kind="Encoder", name=name, parent=part, direction=ENCODER_AXIS)
-                for name, part in KENAF_ENCODERS
-            ),
-        ),
+        sensors=KENAF_SENSORS,
         cameras=(
             camera(at=(0.05, 0.0, 0.0), parent="kenafCameraTilt"),
             camera("BirdsEye", at=KENAF_MAST, direction=(0.0, -0.9, 0.0), parent=CHASSIS),
