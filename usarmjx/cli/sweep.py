@@ -1,12 +1,14 @@
 """`usarmjx sweep`: many cells of a file or of a bundled sweep; what came of them, and how two compare."""
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
+from usarmjx.base.settings import parse_assignments
 from usarmjx.cli.checkout import import_benchmarks
 from usarmjx.cli.common import ErrorExit
 from usarmjx.cli.startup_messages import announce, tried_on
@@ -57,7 +59,12 @@ def run(
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", "-c", help="A setting of all cells, key=value; repeatable."),
+        typer.Option(
+            "--set",
+            "-c",
+            metavar="NAME=VALUE",
+            help="A setting of all cells, or a field of their task; may be repeated.",
+        ),
     ] = None,
     retry: Annotated[bool, typer.Option("--retry", help="Play again what has failed.")] = False,
     plan: Annotated[bool, typer.Option("--plan", help="Only tell what would be played together.")] = False,
@@ -83,10 +90,11 @@ def run(
         from usarmjx.sweeps.spec import find_spec, load_spec
         from usarmjx.sweeps.workers import Workers
 
-        common = _pairs(settings or [])
+        file = find_spec(what)
+        common = _typed(file, parse_assignments(settings or [], "--set"))
         if engine is not None:
             common["engine"] = engine
-        spec = load_spec(find_spec(what), common)
+        spec = load_spec(file, common)
         folder = out or Path("sweeps") / spec.name
         played_on = Workers(place=run_on, count=workers, address=address)
         prepared = prepare(spec, folder, retry)
@@ -142,22 +150,15 @@ def compare(
         typer.echo(compared(read_sweep(first), read_sweep(second)))
 
 
-def _pairs(given: list[str]) -> dict[str, Any]:
-    """Return settings typed as key=value, their values read as YAML."""
-    import yaml
+def _typed(file: Path, texts: Mapping[str, str]) -> dict[str, Any]:
+    """Return settings of all cells from texts; names that cells do not have are fields of their tasks."""
+    from usarmjx.sweeps.spec import load_spec
+    from usarmjx.sweeps.typed import typed_settings
 
-    from usarmjx.base.errors import UsageError
-
-    found: dict[str, Any] = {}
-    for pair in given:
-        key, equals, text = pair.partition("=")
-        if not equals:
-            raise UsageError(f"{pair!r} is not of the form key=value")
-        try:
-            found[key] = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise UsageError(f"{key}={text} does not read as YAML") from error
-    return found
+    if not texts:
+        return {}
+    tasks = [texts["task"]] if "task" in texts else [cell["task"] for cell in load_spec(file).cells]
+    return typed_settings(texts, tasks)
 
 
 def _sinks(tensorboard: Path | None, wandb: str | None, name: str) -> list[Any]:

@@ -6,12 +6,12 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.settings import SHARE, default_reader
+from usarmjx.base.settings import default_reader
 from usarmjx.models.compile.arena_set import arena_set
 from usarmjx.models.compile.parts import parts_of as robot_parts
 from usarmjx.models.compile.physics import PHYSICS
@@ -20,7 +20,7 @@ from usarmjx.models.generate import KINDS
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.sweeps.drivers import CellDriver, contents, find_driver
-from usarmjx.sweeps.spec import FIELDS, CellSettings
+from usarmjx.sweeps.spec import FIELDS, ArenaLevel, CellSettings
 from usarmjx.train.envs.recipe import GeneratedArenas, resolve_arenas, spec_of
 from usarmjx.train.envs.task import Task
 from usarmjx.train.make import file_of, make_task
@@ -206,18 +206,11 @@ def _arenas(settings: CellSettings, task: Task) -> Any:  # noqa: ANN401 - specs 
     return _generated(recipe, int(settings["episodes"]), "count" in said)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Level:
-    """Setting `arena.level`, one level in place of a recipe's levels."""
-
-    level: Annotated[float, SHARE]
-
-
 def _changed_recipe(recipe: GeneratedArenas, given: dict[str, Any]) -> GeneratedArenas:
     """Return a recipe of generated arenas with the parts that a cell sets."""
     reader = default_reader()
     if "level" in given:
-        level = reader.from_data(_Level, {"level": given.pop("level")}, where="arena").level
+        level = reader.from_data(ArenaLevel, {"level": given.pop("level")}, where="arena").level
         given["levels"] = [level]
     if "size" in given and isinstance(recipe, Buildings):
         given["sizes"] = []  # the task's own would go before

@@ -13,6 +13,7 @@ from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.settings import (
     AT_LEAST_ONE,
     NOT_NEGATIVE,
+    SHARE,
     FileValue,
     Setting,
     default_reader,
@@ -61,6 +62,13 @@ class Cell:
     fields: Mapping[str, Any] | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class ArenaLevel:
+    """Setting `arena.level`: one level in place of a recipe's levels."""
+
+    level: Annotated[float, SHARE]
+
+
 NAMES = tuple(one.name for one in describe(Cell))
 """Settings of a cell."""
 DEFAULTS: dict[str, Any] = {
@@ -70,24 +78,29 @@ DEFAULTS: dict[str, Any] = {
 
 
 @cache
-def parts() -> dict[str, tuple[str, ...]]:
-    """Return the parts of the settings that have some, as the classes declare them; imports MuJoCo."""
+def part_classes() -> dict[str, type]:
+    """Return the classes that declare the parts of settings; imports MuJoCo."""
     from usarmjx.comms.attenuation import RadioSettings
     from usarmjx.models.compile.physics import Physics
     from usarmjx.models.compile.randomization import DomainRandomization
     from usarmjx.train.tasks.buildings import Buildings
 
-    served = ("listen_port", "debug")
-    own = ("levels", "robot", "starts", "split", "renewable", "sizes", "near_victims", "together")
-    kinds: dict[str, tuple[type, tuple[str, ...]]] = {
-        "arena": (Buildings, own),
-        "radio": (RadioSettings, served),
-        "physics": (Physics, ()),
-        "vary": (DomainRandomization, ()),
-    }
+    return {"arena": Buildings, "radio": RadioSettings, "physics": Physics, "vary": DomainRandomization}
+
+
+NO_PARTS = (
+    *("levels", "robot", "starts", "split", "renewable", "sizes", "near_victims", "together"),
+    *("listen_port", "debug"),
+)
+"""Fields of `part_classes` that a cell does not set: it has one level of its arenas, and serves nothing."""
+
+
+@cache
+def parts() -> dict[str, tuple[str, ...]]:
+    """Return the parts of the settings that have some."""
     found = {
-        name: tuple(one.name for one in describe(kind) if one.name not in but)
-        for name, (kind, but) in kinds.items()
+        name: tuple(one.name for one in describe(kind) if one.name not in NO_PARTS)
+        for name, kind in part_classes().items()
     }
     return {**found, "arena": ("level", *found["arena"])}
 
