@@ -15,7 +15,6 @@ from usarmjx.cli.app import app
 from usarmjx.cli.tables import LISTINGS, Listing
 from usarmjx.engines import ENGINES
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.generate import KINDS
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.base import SENSORS
 from usarmjx.train.baselines import BASELINES
@@ -107,14 +106,17 @@ def test_what_cannot_be_listed_is_one_line():
 # Completion
 
 
-def test_names_that_are_completed_are_those_there_are():
-    aliases = [alias for _, arena in ARENAS for alias in arena.aliases]
-    assert {*ARENAS.names()} <= {*completion.ARENA_NAMES} <= {*ARENAS.names(), *aliases}
-    assert [*completion.ROBOT_NAMES] == ROBOTS.names()
-    assert [*completion.TASK_NAMES] == TASKS.names()
-    assert [*completion.POLICY_NAMES] == POLICIES.names()
-    assert [*completion.ENGINE_NAMES] == ["auto", *ENGINES.names()]
-    assert [*completion.KIND_NAMES] == KINDS.names()
+def test_names_that_are_completed_are_those_of_the_registries(tmp_path, monkeypatch):
+    """Kept in a file, of which a change of the package's folders makes another one."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert completion.complete_robots("Zer") == ["Zerg"]
+    (file,) = (tmp_path / "usarmjx").glob("names-*.json")
+    assert json.loads(file.read_text()) == completion.registered_names()
+    assert completion.complete_tasks("victim") == [one for one in TASKS.names() if one.startswith("victim")]
+    file.write_text(json.dumps({"robots": ["Zerglet"]}))
+    assert completion.complete_robots("Zer") == ["Zerglet"], "the file is read"
+    monkeypatch.setattr(completion, "_fingerprint", lambda: "other")
+    assert completion.complete_robots("Zer") == ["Zerg"]
     assert {*completion.LISTING_NAMES} == {"everything", "commands", *LISTINGS}
 
 

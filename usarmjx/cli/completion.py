@@ -1,74 +1,121 @@
-"""Names that a shell completes. They are written down here, as registries take a second or two to import.
+"""Names that a shell completes: those of the registries, kept in a file; registries take seconds to import.
 
-A test compares them with the registries.
+A change of the package's folders of robots, arenas, tasks, kinds, engines or policies makes the file anew.
 """
 
-ARENA_NAMES = (
-    *("arda", "factory", "field", "orange", "outdoor", "pool", "red", "soccer", "yellow"),
-    *("orange_2025", "red_2025", "yellow_2025"),
-    *("DM-ARDA", "DM-Factory", "DM-Field", "DM-Outdoor", "DM-Pool", "DM-Soccer"),
-    *("DM-USAR_orange", "DM-USAR_red", "DM-USAR_yellow"),
-    *("DM-USAR_orange_2025", "DM-USAR_red_2025", "DM-USAR_yellow_2025"),
-)
-ROBOT_NAMES = (
-    *("AirRobot", "ATRVJr", "ComStation", "Cooper", "ERS", "Hummer", "kenaf", "Kurt2D", "Kurt3D", "Lisa"),
-    *("OmniP2AT", "OmniP2DX", "P2AT", "P2DX", "Passarola", "QRIO", "Rugbot", "Sedan", "SnowStorm", "Soryu"),
-    *("StereoP2AT", "Submarine", "Talon", "Tarantula", "TeleMax", "UnitLoader", "Zerg"),
-)
-TASK_NAMES = (
-    *("convoy", "drive-to-goal", "explore", "explore-v1", "explore-v2", "hover-inspect", "relay-chain"),
-    *("soccer", "stairs", "victim-search", "victim-search-v1", "victim-search-v2", "wander"),
-)
-POLICY_NAMES = (
-    "drive-to-goal",
-    "explore",
-    "explore-v2",
-    "hover-inspect",
-    "relay-chain",
-    "stairs",
-    "victim-search",
-    "victim-search-v2",
-    "wander",
-)
-ENGINE_NAMES = ("auto", "c", "jax", "planar", "warp")
-KIND_NAMES = ("building", "collapsed", "maze", "ramps", "rubble", "steps")
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+from usarmjx.base.errors import WriteError
+from usarmjx.base.files import atomic_write
+
+PACKAGE = Path(__file__).parents[1]
+FOLDERS = ("models/robots", "models/arenas", "models/generate", "engines", "train/tasks", "train/policies")
+"""Folders whose files define the names."""
+MOST_SECONDS = 60
+"""Longest that a shell waits for the registries [s]."""
 LISTING_NAMES = ("arenas", "commands", "engines", "everything", "policies", "robots", "sensors", "tasks")
+"""Words after `usarmjx list`."""
+
+
+def registered_names() -> dict[str, list[str]]:
+    """Return the names of all registries, by kind; imports JAX."""
+    from usarmjx.engines import ENGINES
+    from usarmjx.models.arenas import ARENAS
+    from usarmjx.models.generate import KINDS
+    from usarmjx.models.robots import ROBOTS
+    from usarmjx.train.policies import POLICIES
+    from usarmjx.train.tasks import TASKS
+
+    return {
+        "arenas": [*ARENAS.names(), *(alias for _, arena in ARENAS for alias in arena.aliases)],
+        "robots": ROBOTS.names(),
+        "tasks": TASKS.names(),
+        "policies": POLICIES.names(),
+        "engines": ["auto", *ENGINES.names()],
+        "kinds": KINDS.names(),
+    }
+
+
+def names_of(kind: str) -> list[str]:
+    """Return the names of a kind from the file, after making it if there is none of the package as it is."""
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "usarmjx"
+    file = folder / f"names-{_fingerprint()}.json"
+    with suppress(OSError, ValueError, KeyError):
+        return list(json.loads(file.read_text())[kind])
+    try:
+        names = _asked()
+    except (OSError, ValueError, subprocess.SubprocessError):
+        return []
+    with suppress(OSError, WriteError):  # a shell completes without the file, too, only slower
+        folder.mkdir(parents=True, exist_ok=True)
+        with atomic_write(file) as fresh:
+            fresh.write_text(json.dumps(names))
+    return names[kind]
+
+
+def _asked() -> dict[str, list[str]]:
+    """Return the names of all registries from a process of its own: one that completes imports no JAX."""
+    code = "import json; from usarmjx.cli.completion import registered_names as f; print(json.dumps(f()))"
+    environment = {name: text for name, text in os.environ.items() if name != "_USARMJX_COMPLETE"}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=MOST_SECONDS,
+        check=True,
+        env=environment,
+    )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def _fingerprint() -> str:
+    """Return a hash of the files that define names: their paths, sizes and times."""
+    files = [file for folder in FOLDERS for file in sorted((PACKAGE / folder).rglob("*")) if file.is_file()]
+    kept = [(file, file.stat()) for file in files if "__pycache__" not in file.parts]
+    rows = [(str(file), one.st_size, one.st_mtime_ns) for file, one in kept]
+    return hashlib.sha256(repr(rows).encode()).hexdigest()[:16]
 
 
 def complete_listings(incomplete: str) -> list[str]:
     """Return what can be listed whose names begin so."""
-    return _beginning(LISTING_NAMES, incomplete)
+    return [name for name in LISTING_NAMES if name.startswith(incomplete)]
 
 
 def complete_arenas(incomplete: str) -> list[str]:
     """Return the arenas whose names begin so."""
-    return _beginning(ARENA_NAMES, incomplete)
+    return _beginning("arenas", incomplete)
 
 
 def complete_robots(incomplete: str) -> list[str]:
     """Return the robot classes whose names begin so."""
-    return _beginning(ROBOT_NAMES, incomplete)
+    return _beginning("robots", incomplete)
 
 
 def complete_tasks(incomplete: str) -> list[str]:
     """Return the tasks whose names begin so."""
-    return _beginning(TASK_NAMES, incomplete)
+    return _beginning("tasks", incomplete)
 
 
 def complete_policies(incomplete: str) -> list[str]:
     """Return the packaged policies whose names begin so."""
-    return _beginning(POLICY_NAMES, incomplete)
+    return _beginning("policies", incomplete)
 
 
 def complete_engines(incomplete: str) -> list[str]:
     """Return the engines whose names begin so."""
-    return _beginning(ENGINE_NAMES, incomplete)
+    return _beginning("engines", incomplete)
 
 
 def complete_kinds(incomplete: str) -> list[str]:
     """Return the kinds of generated arenas whose names begin so."""
-    return _beginning(KIND_NAMES, incomplete)
+    return _beginning("kinds", incomplete)
 
 
-def _beginning(names: tuple[str, ...], incomplete: str) -> list[str]:
-    return [name for name in names if name.startswith(incomplete)]
+def _beginning(kind: str, incomplete: str) -> list[str]:
+    return [name for name in names_of(kind) if name.startswith(incomplete)]
