@@ -55,7 +55,7 @@ def ends(*, forgetful=False):
         around = state.physics.neighbors
         if forgetful:
             around = jax.tree.map(jnp.zeros_like, around)
-            state = state.replace(physics=state.physics.replace(around=around))
+            state = state.replace(physics=state.physics.replace(neighbors=around))
         state = batch.step(state)
         looks.append((np.asarray(around.at) != state.physics.neighbors.at).any((1, 2)))
     return np.asarray(batch.physics(state).qpos), np.mean(looks)

@@ -22,7 +22,7 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2AT
 from usarmjx.models.types.arena import FalseAlarm, HelpSound, SegmentMotion, Tag, Victim
 from usarmjx.models.types.robot import Mount, options
-from usarmjx.sensors.base import ROBOT_FIELDS, SENSORS, SensorInput, is_for_teams
+from usarmjx.sensors.base import ROBOT_FIELDS, SENSORS, SensorInput, is_vectorized
 from usarmjx.sensors.rays.raycast import Hits, RayQuery
 from usarmjx.sensors.suite import Suite, suite_of
 from usarmjx.sensors.surroundings import surroundings_at
@@ -390,5 +390,5 @@ def test_several_robots_read_and_look_at_once_as_each_would_alone():
     expected = jax.tree.map(lambda *rows: np.stack(rows), *alone)
     assert jax.tree.structure(together) == jax.tree.structure(expected)
     jax.tree.map(np.testing.assert_array_equal, together, expected)
-    kinds = {sensor.kind for sensor in suite.sensors if is_for_teams(sensor.read)}
+    kinds = {sensor.kind for sensor in suite.sensors if is_vectorized(sensor.read)}
     assert kinds >= {"Sonar", "IR", "RangeScanner", "Odometry", "INS", "Encoder", "GroundTruth", "RFID"}

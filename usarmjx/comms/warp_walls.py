@@ -15,8 +15,8 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.warp_functions import warp_function
 from usarmjx.comms import clipping
 from usarmjx.models.compile.ray_geoms import COLUMN_KIND
-from usarmjx.sensors.rays.batched_calls import over_worlds
-from usarmjx.sensors.rays.raycast_warp import GROUP_SIZE, four_at, local, pack, place_of, thread_index
+from usarmjx.sensors.rays.batched_calls import merge_vmaps
+from usarmjx.sensors.rays.raycast_warp import GROUP_SIZE, geom_row, load_vec4, local, pack, thread_index
 from usarmjx.sensors.rays.targets import GeomBlockInfo, Geoms
 from usarmjx.sensors.rays.warp_kinds import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, TINY, TRIANGLE
 
@@ -145,12 +145,12 @@ def count_crossings(
     met = wp.bool(False)
     index = wp.int32(0)
     while index < count:
-        at = first + place_of(index)
-        pos = four_at(geoms, at)
-        r0 = four_at(geoms, at + 32)
-        r1 = four_at(geoms, at + 64)
-        r2 = four_at(geoms, at + 96)
-        size = four_at(geoms, at + 128)
+        at = first + geom_row(index)
+        pos = load_vec4(geoms, at)
+        r0 = load_vec4(geoms, at + 32)
+        r1 = load_vec4(geoms, at + 64)
+        r2 = load_vec4(geoms, at + 96)
+        size = load_vec4(geoms, at + 128)
         s = wp.vec3(size[0], size[1], size[2])
         m = local(r0, r1, r2, middle - wp.vec3(pos[0], pos[1], pos[2]))
         h = local(r0, r1, r2, half)
@@ -162,8 +162,8 @@ def count_crossings(
                 met = met or _crosses_column(m, h, s)
             last = index + 1 == count
             if not last:
-                after = first + place_of(index + 1)
-                last = four_at(geoms, after + 32)[3] != r0[3] or four_at(geoms, after + 64)[3] != r1[3]
+                after = first + geom_row(index + 1)
+                last = load_vec4(geoms, after + 32)[3] != r0[3] or load_vec4(geoms, after + 64)[3] != r1[3]
             if last:
                 if met or (kind == TRIANGLE and inside[0] < inside[1]):
                     total += 1
@@ -197,7 +197,7 @@ def count_on_warp(geoms: Geoms, start: Array, end: Array) -> jax.Array:
     ]
     packed = pack(list(zip(infos, geoms.blocks, strict=True)))
     ends = [jnp.asarray(x, jnp.float32).reshape(1, -1, 3) for x in (start, end)]
-    found = over_worlds(partial(_count, sum(info.num_geoms for info in infos)))(
+    found = merge_vmaps(partial(_count, sum(info.num_geoms for info in infos)))(
         packed[None], jnp.zeros(1, jnp.int32), *ends
     )
     return found.reshape(start.shape[:-1])

@@ -18,7 +18,7 @@ from usarmjx.models.compile.ray_geoms import ray_primitives_of
 from usarmjx.models.compile.victim_visuals import VISUAL_SLOTS, drawn_bones, used_slots
 from usarmjx.models.compile.victims import VictimTable, orientations, segment_poses
 from usarmjx.models.types.shapes import GLASS, MIRROR, OPAQUE, SKY
-from usarmjx.sensors.cameras.lenses import TILE, tiled, untiled
+from usarmjx.sensors.cameras.lenses import TILE, from_tiles, to_tiles
 from usarmjx.sensors.cameras.paint import (
     GLASS_TRANSPARENCY,
     MIRROR_REFLECTANCE,
@@ -304,10 +304,10 @@ def render_picture(
     render_scene = _render_scene(solids, lighting)
     rows = camera_rays(eye, target, width, height).reshape(height, width, 3)
     room = ((0, -height % TILE), (0, -width % TILE), (0, 0))
-    rays = tiled(np.pad(rows, room, mode="edge"))
+    rays = to_tiles(np.pad(rows, room, mode="edge"))
     chunk = min(CHUNK, len(rays))
     padded = np.concatenate([rays, np.repeat(rays[-1:], -len(rays) % chunk, 0)])
     start = jnp.asarray(np.broadcast_to(np.asarray(eye, np.float32), (chunk, 3)))
     parts = map(jnp.asarray, padded.reshape(-1, chunk, 3))
     seen = [np.asarray(_shade(render_scene, start, part)) for part in parts]
-    return np.asarray(untiled(jnp.asarray(np.concatenate(seen)[: len(rays)]), width, height))
+    return np.asarray(from_tiles(jnp.asarray(np.concatenate(seen)[: len(rays)]), width, height))

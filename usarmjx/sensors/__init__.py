@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from usarmjx.sensors.base import SensorInput as SensorInput
     from usarmjx.sensors.base import SensorSettings as SensorSettings
     from usarmjx.sensors.base import apply_output_curve as apply_output_curve
-    from usarmjx.sensors.base import for_teams as for_teams
     from usarmjx.sensors.base import noisy as noisy
+    from usarmjx.sensors.base import vectorized as vectorized
     from usarmjx.sensors.ranging import Ir as Ir
     from usarmjx.sensors.ranging import IrScanner as IrScanner
     from usarmjx.sensors.ranging import IrScannerSettings as IrScannerSettings
@@ -61,7 +61,7 @@ else:
                 "SensorInput",
                 "SensorSettings",
                 "apply_output_curve",
-                "for_teams",
+                "vectorized",
                 "noisy",
             ),
             "usarmjx.sensors.ranging": (

@@ -1,6 +1,6 @@
-"""What a sensor is: frozen settings and pure functions over arrays of one robot.
+"""Sensor interface: frozen settings and pure functions over the arrays of one robot, and common noise.
 
-The batch maps these functions over robots and worlds; nothing here knows of either.
+The batch maps these functions over robots and worlds; this module depends on neither.
 """
 
 import math
@@ -33,27 +33,39 @@ from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
 
 FORMS = {"number": 1, "count": 1, "flag": 1, "yaw": 1, "vector": 3, "angles": 3}
-"""Kinds of quantities, and of how many numbers each is. `count` is a whole number, `flag` is 1 or 0, `yaw` an
-angle about the vertical to the left [rad], `vector` has x, y, z, and `angles` are roll, pitch, yaw [rad]."""
+"""Forms of quantities and their sizes. `count` is an integer, `flag` is 1 or 0, `yaw` an angle about the
+vertical to the left [rad], `vector` has x, y, z, and `angles` are roll, pitch, yaw [rad]."""
+NOISE_SETTINGS = (
+    *("noise", "sigma", "max_noise", "min_noise", "field_noise", "intensity_noise"),
+    *("gyro_noise", "gyro_bias", "gyro_bias_walk", "accel_noise", "accel_bias", "accel_bias_walk"),
+)
+"""Settings that are amplitudes of random errors; `precision` is the inverse of one."""
+NO_RAYS = np.zeros((0, 3), np.float32)
+"""Empty array of rays."""
+ROBOT_FIELDS = ("state", "bodies", "hits", "battery")
+"""Fields of the inputs of several robots that have a leading axis over robots."""
+Method = TypeVar("Method", bound=Callable[..., Any])
+OutputCurve = tuple[tuple[float, float], ...]
+"""Points (input, output) of an OutputCurve, inputs ascending."""
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """Numbers of a sensor's value that are one thing.
+    """Named part of a sensor's value.
 
     Attributes:
-        key: What it is called in messages, one word.
-        form: Which of `FORMS` it is.
+        key: Key in messages, one word.
+        form: One of `FORMS`.
     """
 
     key: str
     form: str = "number"
 
     def __post_init__(self) -> None:
-        """Refuse what no message can carry.
+        """Check form and key.
 
         Raises:
-            SpecError: A form that there is not, or a key that is not one word.
+            SpecError: An unknown form, or a key that is not one word.
         """
         if self.form not in FORMS:
             raise SpecError(f"{self.key} is a {self.form!r}, expected one of {', '.join(FORMS)}")
@@ -62,53 +74,41 @@ class Quantity:
 
     @property
     def size(self) -> int:
-        """How many numbers it is."""
+        """Number of values."""
         return FORMS[self.form]
 
 
 def total_size(quantities: Sequence[Quantity]) -> int:
-    """Return of how many numbers some quantities are."""
+    """Return the total size of quantities."""
     return sum(quantity.size for quantity in quantities)
 
 
-NOISE_SETTINGS = (
-    *("noise", "sigma", "max_noise", "min_noise", "field_noise", "intensity_noise"),
-    *("gyro_noise", "gyro_bias", "gyro_bias_walk", "accel_noise", "accel_bias", "accel_bias_walk"),
-)
-"""Settings that are sizes of random errors; `precision` is the inverse of one."""
+def vectorized(method: Method) -> Method:
+    """Mark a sensor's `read`, `fans` or `aimed_rays` as accepting arrays with a leading axis over robots.
 
-NO_RAYS = np.zeros((0, 3), np.float32)
-ROBOT_FIELDS = ("state", "bodies", "hits", "battery")
-"""What of the inputs of several robots has a leading axis over them."""
-Method = TypeVar("Method", bound=Callable[..., Any])
-
-
-def for_teams(method: Method) -> Method:
-    """Mark a sensor's `read`, `fans` or `aimed_rays` whose arrays may all have a leading axis over robots.
-
-    On NumPy it is called once for all robots of a class, where others are called robot by robot. What a
-    subclass has in its place has the mark only if it is marked itself.
+    On NumPy a marked method is called once for all robots of a class, others robot by robot. An overriding
+    method needs its own mark.
     """
-    vars(method)["for_teams"] = True
+    vars(method)["vectorized"] = True
     return method
 
 
-def is_for_teams(method: Callable[..., Any]) -> bool:
-    """Return whether a sensor's method has the mark of `for_teams`."""
-    return getattr(method, "for_teams", False)
+def is_vectorized(method: Callable[..., Any]) -> bool:
+    """Return whether a sensor's method has the mark of `vectorized`."""
+    return getattr(method, "vectorized", False)
 
 
 class SensorInput(struct.PyTreeNode, kw_only=True):
-    """What the sensors of one robot can draw on at one moment.
+    """Inputs of one robot's sensors at one moment.
 
     Attributes:
         time: Simulated time [s] ().
-        state: The robot's own state.
+        state: State of the robot.
         bodies: Poses of its bodies.
-        hits: What the rays of the sensors met (rays,).
-        surroundings: Victims and tags of its world; None: there are none.
-        noise_factor: Factor on the noise of its sensors (); None: 1.
-        battery: For how long its battery lasts yet [s] (); None: nobody asked.
+        hits: Hits of the sensors' rays (rays,).
+        surroundings: Victims and tags of the world; None: none.
+        noise_factor: Factor on the noise of the sensors (); None: 1.
+        battery: Remaining battery time [s] (); None: not needed.
     """
 
     time: Array
@@ -121,21 +121,21 @@ class SensorInput(struct.PyTreeNode, kw_only=True):
 
     @property
     def surroundings_or_empty(self) -> Surroundings:
-        """The surroundings, `NO_SURROUNDINGS` where none were given."""
+        """Surroundings, or `NO_SURROUNDINGS`."""
         return NO_SURROUNDINGS if self.surroundings is None else self.surroundings
 
     def of(self, robots: Array | int) -> "SensorInput":
-        """Return, of the inputs of several robots, those of one, or of whichever are masked (robots,)."""
+        """Select one robot, or the masked ones (robots,), from the inputs of several."""
         own = {name: getattr(self, name) for name in ROBOT_FIELDS}
         return self.replace(**jax.tree.map(lambda x: x[robots], own))
 
 
 class Reading(struct.PyTreeNode, kw_only=True):
-    """What a sensor last reported.
+    """Latest reading of a sensor.
 
     Attributes:
-        value: The data; each sensor says which [sensor's unit] (...,).
-        fresh: Whether it was taken now, rather than at an earlier scan ().
+        value: Data as documented by the sensor [sensor's unit] (...,).
+        fresh: Whether it was measured now, not at an earlier scan ().
     """
 
     value: Array
@@ -144,13 +144,13 @@ class Reading(struct.PyTreeNode, kw_only=True):
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """Settings that all sensors have (manual 10).
+    """Settings common to all sensors (manual 10).
 
     Attributes:
-        hidden_sensor: Whether the sensor itself is not to be seen; see `models.build.housings`.
+        hidden_sensor: Whether the sensor's housing is invisible; see `models.compile.visuals`.
         with_time_stamp: Whether its messages carry the time.
-        weight: Adds to the payload [kg].
-        scan_interval: Time between two measurements [s]; 0 measures whenever asked.
+        weight: Share of the payload [kg].
+        scan_interval: Time between two measurements [s]; 0 measures at every request.
     """
 
     hidden_sensor: Annotated[bool, ManualKey("HiddenSensor")] = True
@@ -159,18 +159,18 @@ class SensorSettings:
     scan_interval: Annotated[float, NOT_NEGATIVE] = 0.0
 
     def problem(self) -> str:
-        """Return what settings do not go together, "" if all do; each for itself has its `NumberLimits`."""
+        """Return a conflict between settings, "" if there is none; single settings have `NumberLimits`."""
         return ""
 
 
 @dataclass(frozen=True)
 class NoisySensorSettings(SensorSettings):
-    """Settings of sensors whose measure has noise, see `sensors.noise.noisy`.
+    """Settings of sensors with noise, see `noisy`.
 
     Attributes:
         noise: Relative amplitude of the uniform noise.
         mean: Mean of the relative Gaussian noise.
-        sigma: Its standard deviation (manual 10.6.2: any sensor may have it).
+        sigma: Standard deviation of the relative Gaussian noise (manual 10.6.2: any sensor may have it).
     """
 
     noise: Annotated[float, NOT_NEGATIVE] = 0.0
@@ -180,22 +180,22 @@ class NoisySensorSettings(SensorSettings):
 
 @dataclass(frozen=True, eq=False)
 class Sensor(ABC):
-    """The sensors of one type on one robot class that report together, or a single one.
+    """Sensor of one type on one robot class: a single mount, or all mounts that report together.
 
     Attributes:
         kind: Type as on the wire.
-        grouped: Whether all of the type share one message (bUseGroup).
-        transparent: Materials that its rays go through.
-        bundle_size: So many rays after each other go about the same way; see `raycast.nearest_hits`.
-        needs_surroundings: Whether it asks for the surroundings.
-        needs_victims: Whether it asks for victims in them, rather than tags only.
-        needs_battery: Whether it asks for the battery.
-        settings_class: The class of its settings.
-        quantities: What the numbers of its value are, those of one mount if it is grouped; empty: not said.
-            Messages are made from it, but for those of the manual's sensors, which are as captured.
-        plan: The robot class.
-        mounts: Where the sensors sit.
-        settings: Their settings, one each.
+        grouped: Whether all mounts of the type share one message (bUseGroup).
+        transparent: Materials that its rays pass.
+        bundle_size: Number of consecutive rays with similar directions; see `raycast.nearest_hits`.
+        needs_surroundings: Whether it uses the surroundings.
+        needs_victims: Whether it uses victims, not only tags.
+        needs_battery: Whether it uses the battery time.
+        settings_class: Class of its settings.
+        quantities: Parts of its value, of one mount if it is grouped; empty: undeclared. Messages are made
+            from it, except for the manual's sensors, whose messages follow captures.
+        plan: Kinematic tree of the robot class.
+        mounts: The mounts.
+        settings: Settings of each mount.
     """
 
     kind: ClassVar[str]
@@ -213,30 +213,30 @@ class Sensor(ABC):
     settings: tuple[Any, ...]
 
     def rays(self, bodies: BodyPoses) -> tuple[Array, Array]:
-        """Return origins [m] (rays, 3) and unit directions (rays, 3) of the rays to cast; most need none."""
+        """Return origins [m] (rays, 3) and unit directions (rays, 3) of the rays to cast; none by default."""
         fans = self.fans(bodies)
         return (NO_RAYS, NO_RAYS) if fans is None else fans.rays()
 
     def fans(self, bodies: BodyPoses) -> Fans | None:
-        """Return all rays as fans, of a sensor whose rays start at its mounts and are fixed there.
+        """Return all rays as fans, for a sensor whose rays start at its mounts and are fixed there.
 
-        It needs no `rays` then, and is faster on a GPU, where nobody asks for them. A subclass that has
-        rays of its own returns None here.
+        Such a sensor needs no `rays`, and is faster on a GPU, where the rays are not materialised. A subclass
+        with other rays returns None here.
         """
         del bodies
         return None
 
     def aimed_rays(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, Array]:
-        """Return the rays as `rays` does, of a sensor that aims some of them at what is around.
+        """Return the rays as `rays` does, for a sensor that aims some of them at the surroundings.
 
-        There are as many in every world, whatever there is. Those that nobody wants have a direction of
-        zeros: they are not cast, and meet nothing.
+        The number of rays is the same in every world. Unused ones have a zero direction: they are not cast
+        and hit nothing.
         """
         del surroundings
         return self.rays(bodies)
 
     def init_memory(self, inputs: SensorInput, key: Array) -> Any:  # noqa: ANN401 - memory is the sensor's own
-        """Return the sensor's memory at the start of an episode, before any ray is cast; most have none."""
+        """Return the sensor's memory at the start of an episode, before any ray is cast; empty by default."""
         del inputs, key
         return ()
 
@@ -251,21 +251,21 @@ class Sensor(ABC):
         inputs: SensorInput,
         memory: Any,  # noqa: ANN401
     ) -> Any | None:  # noqa: ANN401
-        """Carry out a SET command; return the new memory, or None when the command is not valid."""
+        """Execute a SET command; return the new memory, or None for an invalid command."""
         del opcode, params, inputs, memory
         return None
 
     @property
     def has_overlay(self) -> bool:
-        """Whether it keeps an overlay for pictures in its memory; see `overlay`."""
+        """Whether its memory contains an overlay for pictures; see `overlay`."""
         return False
 
     def overlay(self, memory: Any) -> OverlayLines:  # noqa: ANN401
-        """Return what a sensor that `has_overlay` shows of its last reading in pictures."""
+        """Return the overlay of the last reading, for a sensor that `has_overlay`."""
         raise NotImplementedError(f"{self.kind} draws nothing")
 
     def with_noise(self, factor: ArrayLike) -> "Sensor":
-        """Return the sensor with so many times the noise, factor () >= 0; what has none keeps none."""
+        """Return the sensor with its noise scaled by a factor () >= 0."""
         scaled: list[Any] = []
         for settings in self.settings:
             noise = {name: getattr(settings, name, 0.0) for name in NOISE_SETTINGS}
@@ -278,25 +278,25 @@ class Sensor(ABC):
 
     @property
     def max_distance(self) -> float:
-        """How far away what its rays meet matters to it [m]."""
+        """Range of its rays [m]."""
         return math.inf
 
     @property
     def needs_incidence(self) -> bool:
-        """Whether it looks at the angle under which its rays meet surfaces."""
+        """Whether it uses the angles of incidence of its rays."""
         return False
 
     @property
     def on_command(self) -> bool:
-        """Whether the sensor measures only when told to (SCAN)."""
+        """Whether it measures only on the SCAN command."""
         return False
 
     def check(self) -> None:
-        """Find what is wrong with mounts and settings while the scene is built.
+        """Check mounts and settings while the scene is built.
 
         Raises:
-            SpecError: A mount on a part that the robot does not have, or sensors that report together but
-                do not measure together.
+            SpecError: A mount on an unknown part, or sensors that report together but do not measure
+                together.
         """
         self.bodies_of_mounts()
         if len({(settings.scan_interval, settings.with_time_stamp) for settings in self.settings}) > 1:
@@ -305,7 +305,7 @@ class Sensor(ABC):
             )
 
     def check_value(self, shape: tuple[int, ...]) -> None:
-        """Compare the shape of what `read` returns with what the sensor tells of.
+        """Check the shape of a value against the declared quantities.
 
         Raises:
             SpecError: They differ.
@@ -315,10 +315,10 @@ class Sensor(ABC):
             raise SpecError(f"{self.kind}: a value of shape {shape} was read, expected {wanted} numbers")
 
     def bodies_of_mounts(self) -> np.ndarray:
-        """Return the body that each mount sits on (mounts,).
+        """Return the body of each mount (mounts,).
 
         Raises:
-            SpecError: A mount names a part that the robot does not have.
+            SpecError: A mount names an unknown part.
         """
         parts = self.plan.parts
         for mount in self.mounts:
@@ -340,18 +340,14 @@ class Sensor(ABC):
 
     @cached_property
     def _mounts_on_bodies(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Bodies of the mounts (mounts,), positions (mounts, 3) and orientations there (mounts, 3, 3)."""
+        """Bodies of the mounts (mounts,), positions (mounts, 3) and orientations on them (mounts, 3, 3)."""
         at = np.array([flip_vector(mount.at) for mount in self.mounts], np.float32)
         angles = np.array([flip_angles(mount.direction) for mount in self.mounts], np.float32)
         return self.bodies_of_mounts(), at, mat_from_angles(angles[:, 0], angles[:, 1], angles[:, 2])
 
 
 SENSORS: Registry[type[Sensor]] = Registry("sensor")
-"""Sensor types by the name that INIT, ini files and `Mount.kind` give them."""
-
-
-OutputCurve = tuple[tuple[float, float], ...]
-"""Points (input, output) of an OutputCurve, inputs ascending."""
+"""Sensor types by their names on the wire."""
 
 
 def relative_uniform(key: Array, data: Array, amplitude: Array | float) -> Array:
@@ -372,7 +368,7 @@ def normal_factor(key: Array, shape: Sequence[int], mean: Array | float, sigma: 
 
 
 def setting_values(settings: Sequence[NoisySensorSettings], name: str) -> Array:
-    """Return a setting of each sensor (sensors,): numbers, or arrays where `with_noise` has scaled it."""
+    """Return a setting of each sensor (sensors,); a JAX array if `with_noise` has scaled it by one."""
     values = [getattr(s, name) for s in settings]
     if not on_numpy() and any(isinstance(value, jax.Array) for value in values):
         return xp.stack([xp.asarray(value, xp.float32) for value in values])
@@ -380,27 +376,27 @@ def setting_values(settings: Sequence[NoisySensorSettings], name: str) -> Array:
 
 
 def noisy(key: Array, data: Array, settings: Sequence[NoisySensorSettings]) -> Array:
-    """Return data (sensors, ...) with each sensor's noise: uniform, then Gaussian where one is set.
+    """Return data (sensors, ...) with each sensor's noise: uniform, then Gaussian if set.
 
-    Keys are folded by place: a sensor's noise does not depend on those after it. On NumPy of robots' keys
-    (robots,) and data (robots, sensors, ...) as well.
+    Keys are folded by index: a sensor's noise does not depend on those after it. On NumPy also for robots'
+    keys (robots,) and data (robots, sensors, ...).
     """
     noise, mean, sigma = (setting_values(settings, name) for name in ("noise", "mean", "sigma"))
     keys = random.fold_in(key, np.arange(len(settings)))
     rows = (-1, *[1] * (data.ndim - random.axes(keys)))
-    told = data if _is_zero(noise) else relative_uniform(keys, data, noise.reshape(rows))
+    noisy_data = data if _is_zero(noise) else relative_uniform(keys, data, noise.reshape(rows))
     if _is_zero(mean) and _is_zero(sigma):
-        return told
-    return relative_normal(random.fold_in(keys, 1), told, mean.reshape(rows), sigma.reshape(rows))
+        return noisy_data
+    return relative_normal(random.fold_in(keys, 1), noisy_data, mean.reshape(rows), sigma.reshape(rows))
 
 
 def _is_zero(values: Array) -> bool:
-    """Return whether numbers that are known by now are all 0."""
+    """Return whether values known at trace time are all 0."""
     return isinstance(values, np.ndarray) and not values.any()
 
 
 def curve_problem(points: OutputCurve) -> str:
-    """Return what is wrong with the points of an OutputCurve, "" if nothing is."""
+    """Return the fault of an OutputCurve's points, "" if there is none."""
     pairs = all(len(point) == 2 and all(map(math.isfinite, point)) for point in points)
     if pairs and all(a[0] < b[0] for a, b in pairwise(points)):
         return ""
@@ -408,7 +404,7 @@ def curve_problem(points: OutputCurve) -> str:
 
 
 def apply_output_curve(data: Array, points: OutputCurve) -> Array:
-    """Distort data by straight lines between points, zero outside them; no points: unchanged (manual 10)."""
+    """Distort data by linear interpolation between points, zero outside; no points: unchanged (manual 10)."""
     if not points:
         return data
     inputs, outputs = zip(*points, strict=True)

@@ -8,17 +8,17 @@ from usarmjx.base.backend import xp
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Sensor, SensorInput, noisy
 
 BREATH_CO2 = 4.0
-"""CO2 in breath beyond that of air, percent by volume."""
+"""CO2 in breath in excess of that in air [percent by volume]."""
 MOUTH_RADIUS = 0.1
-"""Distance from a mouth up to which there is nothing but breath [m] (chosen)."""
+"""Distance from a mouth within which the air is pure breath [m] (chosen)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Co2(Sensor):
-    """Smells the breath of victims; value: CO2 beyond that of air [percent by volume] ().
+    """CO2 sensor for victims' breath; value: CO2 in excess of that in air [percent by volume] ().
 
-    The breath of each thins out with the square of the distance, as sound does: 0.04 % at 1 m, and what is
-    beyond 3 m does not show in two decimals. Ours: no source says how the original worked.
+    The concentration falls with the square of the distance, like sound: 0.04 % at 1 m, and beyond 3 m it
+    vanishes in two decimals. This model is our own: no source describes the original's.
     """
 
     kind = "CO2Sensor"
@@ -26,7 +26,7 @@ class Co2(Sensor):
     settings_class = NoisySensorSettings
 
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
-        """Smell once."""
+        """Measure once."""
         around = inputs.surroundings_or_empty
         pos, _ = self.mount_poses(inputs.bodies)
         far = xp.linalg.norm(xp.asarray(around.mouth) - pos[0], axis=-1)

@@ -1,7 +1,7 @@
-"""GPS sensor (manual 10.5; 10.13 is an older text, with the axes the other way round).
+"""GPS sensor (manual 10.5; 10.13 is an older text, with the axes exchanged).
 
-The sensor itself works in metres, the server turns them into degrees: a degree is 111 km, of which
-float32 would keep half a metre.
+The sensor works in metres and the server converts to degrees: a degree is 111 km, of which float32 would
+resolve half a metre.
 """
 
 import math
@@ -28,14 +28,14 @@ from usarmjx.models.types.settings import NOT_NEGATIVE, ManualKey
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
 
 MAX_SATELLITES, MIN_FIX_SATELLITES = 12, 4
-"""Most satellites there are, and fewest that a position takes (manual 10.5.2)."""
+"""Number of satellites, and the smallest number for a position (manual 10.5.2)."""
 ELEVATION_MASK = math.radians(5)
-"""Satellites lower than this are not received (GPSSensor.uc) [rad]."""
+"""Lowest elevation of a received satellite (GPSSensor.uc) [rad]."""
 
 DEFAULT_LOCATION = options(
     LatitudeDegree=39, LatitudeMinute=8.0273, LongitudeDegree=-77, LongitudeMinute=-12.998
 )
-"""Where the world's origin lies if neither the arena nor an ini file says it (GPSSensor.uc)."""
+"""Location of the world's origin if neither the arena nor an ini file defines it (GPSSensor.uc)."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,10 @@ class GpsSettings(SensorSettings):
         max_noise: Largest error of a coordinate with four satellites [m].
         min_noise: Largest error of a coordinate with twelve [m].
         zero_zero_location: LatitudeDegree, LatitudeMinute, LongitudeDegree and LongitudeMinute of the
-            world's origin; south and west are negative. One that is left out is 0.
-        latitude_scale: Metres of a degree of latitude; a negative one turns the x axis round. Ours, as the
-            next, for the scale factors of manual 10.13.1's GPSStart.
-        longitude_scale: Metres of a degree of longitude.
+            world's origin; south and west are negative. A missing one is 0.
+        latitude_scale: Metres per degree of latitude; a negative value reverses the x axis. Own key, like
+            the next, for the scale factors of manual 10.13.1's GPSStart.
+        longitude_scale: Metres per degree of longitude.
     """
 
     scan_interval: float = 0.2
@@ -61,7 +61,7 @@ class GpsSettings(SensorSettings):
     longitude_scale: float = METRES_PER_LONGITUDE_DEGREE
 
     def problem(self) -> str:
-        """Return what settings do not go together."""
+        """Return a conflict between settings."""
         if self.min_noise > self.max_noise:
             return f"minNoise is {self.min_noise:g}, expected at most maxNoise, {self.max_noise:g}"
         for key, scale in (("LatitudeScale", self.latitude_scale), ("LongitudeScale", self.longitude_scale)):
@@ -74,8 +74,9 @@ class GpsSettings(SensorSettings):
 def satellite_directions() -> np.ndarray:
     """Return the directions of the satellites, north, west and up: unit vectors (satellites, 3).
 
-    They stand still, evenly over the sky above the mask: equal steps of height on the unit sphere, the
-    golden angle apart in bearing. Ours; the original followed the orbits of real ones.
+    They are fixed and evenly spread over the sky above the mask: equal steps of height on the unit sphere,
+    with the golden angle between bearings. This is our own; the original followed the orbits of real
+    satellites.
     """
     index = np.arange(MAX_SATELLITES) + 0.5
     up = math.sin(ELEVATION_MASK) + (1 - math.sin(ELEVATION_MASK)) * index / MAX_SATELLITES
@@ -97,7 +98,7 @@ def reference_location(location: Options) -> tuple[float, float]:
     (GPSSensor.uc): -359 and 59.9996 are 0.0004 minutes east.
 
     Raises:
-        SpecError: A key that a location does not have, or a value that is no number.
+        SpecError: An unknown key, or a value that is not a number.
     """
     known = [f"{name}{part}" for name in ("Latitude", "Longitude") for part in ("Degree", "Minute")]
     values = {key.lower(): value for key, value in location}
@@ -122,15 +123,15 @@ def geographic_coordinates(
 ) -> tuple[float, float]:
     """Return latitude in [-90, 90] and longitude in [-180, 180) [degrees] of a position x, y [m].
 
-    X is north and the wire's y, to the right of it, east. Past a pole the latitude turns back; the
-    longitude stays, so that beyond it the x axis points the other way (manual 10.5.1). Past 180 degrees
-    east is west.
+    X is north and the wire's y, to the right of it, east. Past a pole the latitude turns back and the
+    longitude stays, so that beyond it the x axis points the other way (manual 10.5.1). East past 180 degrees
+    is west.
 
     Args:
-        settings: The sensor's.
-        position: Where it is in the world.
-        origin: Where the arena says that its origin lies; that of the settings counts only where it says
-            nothing (manual 10.5.2).
+        settings: Settings of the sensor.
+        position: Position in the world.
+        origin: Location of the arena's origin; None: that of the settings, which has lower priority (manual
+            10.5.2).
     """
     origin = reference_location(settings.zero_zero_location) if origin is None else origin
     scales = settings.latitude_scale, settings.longitude_scale
@@ -146,17 +147,17 @@ def _wrapped(degrees: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Gps(Sensor):
-    """Satellite navigation; value: x, y with their error [m], and the number of satellites seen (3,).
+    """Satellite navigation; value: x, y with their error [m], and the number of visible satellites (3,).
 
-    With fewer than `MIN_FIX_SATELLITES` satellites there is no position: x and y are 0. A satellite is seen
-    if nothing but the robot itself is between it and the mount: the sky is where no ray hits anything.
+    With fewer than `MIN_FIX_SATELLITES` satellites there is no position: x and y are 0. A satellite is
+    visible if nothing but the robot itself is between it and the mount: the sky is where rays hit nothing.
     """
 
     kind = "GPS"
     settings_class = GpsSettings
 
     def check(self) -> None:
-        """Find what is wrong; see `Sensor.check`."""
+        """Check mounts and settings; see `Sensor.check`."""
         super().check()
         try:
             reference_location(self.settings[0].zero_zero_location)
@@ -164,13 +165,13 @@ class Gps(Sensor):
             raise SpecError(f"{self.kind} {self.mounts[0].name}: {error}") from error
 
     def rays(self, bodies: BodyPoses) -> tuple[Array, Array]:
-        """One line to each satellite, however the robot is turned."""
+        """Return one ray to each satellite, independent of the robot's orientation."""
         pos, _ = self.mount_poses(bodies)
         along = xp.asarray(satellite_directions())
         return xp.broadcast_to(pos[0], along.shape), along
 
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
-        """Take a position. The largest error is three standard deviations (GPSSensor.uc), cut off there."""
+        """Measure a position. The largest error is three standard deviations (GPSSensor.uc)."""
         satellites = xp.isinf(inputs.hits.distance).sum().astype(xp.float32)
         pos, _ = self.mount_poses(inputs.bodies)
         deviation = largest_error(self.settings[0], satellites) / 3

@@ -1,4 +1,4 @@
-"""Human motion sensor (manual 10.12): a pyroelectric one, which sees warm things that move."""
+"""Human motion sensor (manual 10.12): a pyroelectric sensor, which detects warm moving objects."""
 
 import math
 from dataclasses import dataclass
@@ -25,9 +25,9 @@ from usarmjx.sensors.base import (
 from usarmjx.sensors.surroundings import Surroundings, nearest
 
 MAX_MOVERS = 8
-"""So many moving body parts, the nearest, are looked at for whether something hides them."""
+"""Number of moving body parts, nearest first, that are tested for occlusion."""
 MIN_MOVING_SPEED = 1e-3
-"""What is slower than this does not move [m/s]."""
+"""Lowest speed that counts as motion [m/s]."""
 HALF_DISTANCE, HALF_SPEED, HALF_SWING = 5.0, 0.2, 0.1
 """Distance [m], speed [m/s] and amplitude [m] at which each halves the probability (chosen)."""
 
@@ -37,9 +37,9 @@ class HumanMotionSettings(NoisySensorSettings):
     """Manual 10.12.2.
 
     Attributes:
-        max_range: Farthest that a victim is noticed [m].
-        fov: Full angle of the cone that it sees. The manual has 60 and says that 65535 is a full turn, which
-            makes no sense of the 60: up to 360 it is in degrees, beyond that in Unreal's units.
+        max_range: Range [m].
+        fov: Full angle of the field of view. The manual has 60 and defines 65535 as a full turn, which
+            contradicts the 60: values up to 360 are degrees, larger ones Unreal's units.
         output_curve: Points of the distortion curve; none: undistorted.
     """
 
@@ -49,25 +49,25 @@ class HumanMotionSettings(NoisySensorSettings):
     output_curve: OutputCurve = ()
 
     def problem(self) -> str:
-        """Return what settings do not go together."""
+        """Return a conflict between settings."""
         return curve_problem(self.output_curve)
 
     @property
     def fov_radians(self) -> float:
-        """The field of view [rad]."""
+        """Field of view [rad]."""
         return math.radians(self.fov) if self.fov <= 360 else self.fov * 2 * math.pi / 65535
 
 
 def human_motion_probability(distance: Array, speed: Array, swing: Array, xp: ModuleType = xp) -> Array:
-    """Return how likely a motion is a human's (...,).
+    """Return the probability that a motion is a human's (...,).
 
-    Ours, as the manual only names what it depends on: 1 for a near, fast and wide motion, half of it for
+    Our own formula, as the manual only names the variables: 1 for a near, fast and wide motion, halved by
     each of `HALF_DISTANCE`, `HALF_SPEED` and `HALF_SWING`.
 
     Args:
         distance: Distance [m] (...,).
         speed: Speed [m/s] (...,).
-        swing: How far it gets from where it began [m] (...,).
+        swing: Amplitude from the initial position [m] (...,).
         xp: Array module of all three.
     """
     near = 1 / (1 + (distance / HALF_DISTANCE) ** 2)
@@ -75,14 +75,14 @@ def human_motion_probability(distance: Array, speed: Array, swing: Array, xp: Mo
 
 
 class _Movers(struct.PyTreeNode, kw_only=True):
-    """The nearest moving body parts, nearest first.
+    """Nearest moving body parts, nearest first.
 
     Attributes:
         pos: Positions [m] (n, 3).
-        distance: Distances, infinite where there is none [m] (n,).
-        owner: Numbers of their victims (n,).
-        speed: How fast their fastest corners move [m/s] (n,).
-        swing: Farthest that a corner of each gets from where it began [m] (n,).
+        distance: Distances, infinite for missing parts [m] (n,).
+        owner: Victims' indices (n,).
+        speed: Speeds of their fastest corners [m/s] (n,).
+        swing: Largest amplitudes of their corners [m] (n,).
         half_diagonal: Half the diagonals of their boxes [m] (n,).
     """
 
@@ -96,9 +96,9 @@ class _Movers(struct.PyTreeNode, kw_only=True):
 
 @dataclass(frozen=True, eq=False)
 class HumanMotion(Sensor):
-    """Looks at the closest moving victim in its field of view; value: probability of human motion ().
+    """Detector of the closest moving victim in view; value: probability of human motion ().
 
-    A victim is in view if the centre of a moving part of it is, and a ray to it ends on the part.
+    A victim is in view if the centre of a moving part is, and a ray to it ends on the part.
     """
 
     kind = "HumanMotion"
@@ -107,7 +107,7 @@ class HumanMotion(Sensor):
     settings_class = HumanMotionSettings
 
     def _movers(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, _Movers]:
-        """Return where the sensor is (3,), and what moves before it."""
+        """Return the sensor's position (3,), and the moving parts in its field of view."""
         settings = self.settings[0]
         pos, mat = self.mount_poses(bodies)
         boxes = xp.asarray(surroundings.box_pos)
@@ -135,7 +135,7 @@ class HumanMotion(Sensor):
         )
 
     def aimed_rays(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, Array]:
-        """One ray to each of the nearest moving parts, if there are as many."""
+        """Return one ray to each of the nearest moving parts."""
         pos, movers = self._movers(bodies, surroundings)
         way = movers.pos - pos
         along = way / xp.maximum(xp.linalg.norm(way, axis=-1, keepdims=True), 1e-3)
@@ -143,10 +143,10 @@ class HumanMotion(Sensor):
         return xp.broadcast_to(pos, along.shape), along
 
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
-        """Look once: at the closest part that nothing hides; at the widest motion of its victim."""
+        """Measure once: the closest visible part, and the widest motion of its victim."""
         settings = self.settings[0]
         _, movers = self._movers(inputs.bodies, inputs.surroundings_or_empty)
-        # A ray to the centre of a box ends within half its diagonal of it; what is in front ends it before.
+        # A ray to a box's centre ends within half the diagonal of it; an obstacle in front ends it earlier.
         seen = xp.isfinite(movers.distance) & (inputs.hits.distance >= movers.distance - movers.half_diagonal)
         far = xp.where(seen, movers.distance, xp.inf)
         first = xp.argmin(far)
@@ -156,8 +156,8 @@ class HumanMotion(Sensor):
         likely = xp.where(
             found, human_motion_probability(xp.where(found, far[first], 0.0), speed, swing), 0.0
         )
-        told = apply_output_curve(noisy(key, likely[None], self.settings)[0], settings.output_curve)
-        return memory, xp.clip(told, 0.0, 1.0)
+        reported = apply_output_curve(noisy(key, likely[None], self.settings)[0], settings.output_curve)
+        return memory, xp.clip(reported, 0.0, 1.0)
 
 
 SENSORS.add(HumanMotion.kind, HumanMotion)

@@ -1,6 +1,6 @@
-"""Inertial measurement unit and magnetometer, as MEMS chips have them. Ours; the manual has neither.
+"""Inertial measurement unit and magnetometer, modelled on MEMS chips. Extensions; the manual has neither.
 
-Values are in MuJoCo's axes; the server turns them into USARSim's.
+Values are in MuJoCo's axes; the server converts them to USARSim's.
 """
 
 import math
@@ -17,14 +17,14 @@ from usarmjx.base.backend import xp
 from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rotation_vector
 from usarmjx.base.transforms import GRAVITY, flip_vector
 from usarmjx.models.types.settings import NOT_NEGATIVE, POSITIVE, NumberLimits
-from usarmjx.sensors.base import SENSORS, Quantity, Sensor, SensorInput, SensorSettings, for_teams
+from usarmjx.sensors.base import SENSORS, Quantity, Sensor, SensorInput, SensorSettings, vectorized
 
-LIFT = np.array([0.0, 0.0, GRAVITY], np.float32)
-"""The specific force of what rests, world axes [m/s2]."""
-FIRST_SPAN = 0.02
-"""The first measurement counts as one of so long: a control step [s]."""
-QUARTER_TURN = NumberLimits(low=-math.pi / 2 - 1e-5, high=math.pi / 2 + 1e-5)
-HALF_A_TURN_EACH_WAY = NumberLimits(low=-math.pi - 1e-5, high=math.pi + 1e-5)
+REST_FORCE = np.array([0.0, 0.0, GRAVITY], np.float32)
+"""Specific force of a body at rest, world axes [m/s2]."""
+FIRST_INTERVAL = 0.02
+"""Assumed duration of the first measurement: a control step [s]."""
+QUARTER_TURN_LIMITS = NumberLimits(low=-math.pi / 2 - 1e-5, high=math.pi / 2 + 1e-5)
+HALF_TURN_LIMITS = NumberLimits(low=-math.pi - 1e-5, high=math.pi + 1e-5)
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ class ImuSettings(SensorSettings):
     Attributes:
         gyro_noise: Density of the white noise of angular velocities [rad/s/sqrt(Hz)].
         gyro_bias: Standard deviation of their bias at the start [rad/s].
-        gyro_bias_walk: How fast that walks [rad/s/sqrt(s)].
+        gyro_bias_walk: Random walk of that bias [rad/s/sqrt(s)].
         gyro_range: Largest angular velocity about an axis [rad/s].
         accel_noise: Density of the white noise of accelerations [m/s2/sqrt(Hz)].
         accel_bias: Standard deviation of their bias at the start [m/s2].
-        accel_bias_walk: How fast that walks [m/s2/sqrt(s)].
+        accel_bias_walk: Random walk of that bias [m/s2/sqrt(s)].
         accel_range: Largest acceleration along an axis [m/s2].
     """
 
@@ -54,12 +54,12 @@ class ImuSettings(SensorSettings):
 
 
 class ImuMemory(struct.PyTreeNode, kw_only=True):
-    """What an IMU remembers.
+    """Memory of an IMU.
 
     Attributes:
-        velocity: Of its mount at the last measurement, world axes [m/s] (3,).
-        mat: Orientation of its mount then (3, 3).
-        time: When that was [s] ().
+        velocity: Velocity of its mount at the last measurement, world axes [m/s] (3,).
+        mat: Orientation of its mount at the last measurement (3, 3).
+        time: Time of the last measurement [s] ().
         bias: Bias of angular velocities [rad/s] and accelerations [m/s2] (6,).
     """
 
@@ -73,9 +73,9 @@ class ImuMemory(struct.PyTreeNode, kw_only=True):
 class Imu(Sensor):
     """Gyroscopes and accelerometers; value: angular velocity [rad/s], specific force [m/s2], own axes (6,).
 
-    At rest the specific force is 9.81 upward. Both are means since the last measurement, as such a chip sums
-    up between two readings: the turn, and the change of velocity less gravity, seen from half way between
-    both orientations.
+    At rest the specific force is 9.81 upward. Both are means since the last measurement, as such a chip
+    integrates between two readings: the rotation, and the change of velocity minus gravity, in the
+    orientation half-way between both measurements.
     """
 
     kind = "IMU"
@@ -84,7 +84,7 @@ class Imu(Sensor):
 
     @cached_property
     def _chain(self) -> np.ndarray:
-        """The bodies on the way from the chassis to the mount, without the chassis (n,)."""
+        """Bodies from the chassis to the mount, without the chassis (n,)."""
         found, body = list[int](), int(self.bodies_of_mounts()[0])
         while body > 0:
             found.append(body)
@@ -107,38 +107,38 @@ class Imu(Sensor):
         return velocity, turn
 
     def _by_kind(self, suffix: str) -> Array:
-        """Return a setting of gyroscopes and accelerometers for all six numbers (6,)."""
+        """Return a setting of gyroscopes and accelerometers, repeated for all six values (6,)."""
         pair = [getattr(self.settings[0], f"{kind}_{suffix}") for kind in ("gyro", "accel")]
         return xp.repeat(xp.stack([xp.asarray(value, xp.float32) for value in pair]), 3)
 
     def init_memory(self, inputs: SensorInput, key: Array) -> ImuMemory:
-        """It starts with a bias of its own."""
+        """Draw the initial bias."""
         pos, mat = self.mount_poses(inputs.bodies)
         velocity, _ = self._motion(inputs, pos[0])
         bias = self._by_kind("bias") * random.normal(key, (6,))
         return ImuMemory(velocity=velocity, mat=mat[0], time=inputs.time, bias=bias)
 
-    @for_teams
+    @vectorized
     def read(self, inputs: SensorInput, memory: ImuMemory, key: Array) -> tuple[ImuMemory, Array]:
-        """Measure turn and change of velocity since the last time; noise and bias are added, then limits."""
+        """Measure rotation and change of velocity since the last time, with noise, bias and limits."""
         pos, mat = self.mount_poses(inputs.bodies)
         pos, mat = pos[..., 0, :], mat[..., 0, :, :]
         velocity, turn = self._motion(inputs, pos)
         elapsed = (inputs.time - memory.time)[..., None]
-        again, span = elapsed > 0, xp.where(elapsed > 0, elapsed, FIRST_SPAN)
+        again, span = elapsed > 0, xp.where(elapsed > 0, elapsed, FIRST_INTERVAL)
         turned = rotation_vector(matmul(memory.mat.mT, mat))
         rate = xp.where(again, turned / span, matvec(mat.mT, turn))
         change = xp.where(again, (velocity - memory.velocity) / span, 0.0)
         half_turned = matmul(memory.mat, mat_from_rotation_vector(turned / 2))
         half_way = xp.where(again[..., None], half_turned, mat)
-        force = matvec(half_way.mT, change + LIFT)
+        force = matvec(half_way.mT, change + REST_FORCE)
         drawn = random.normal(key, (*memory.time.shape, 12))
         bias = memory.bias + self._by_kind("bias_walk") * xp.sqrt(elapsed) * drawn[..., :6]
         noise = self._by_kind("noise") / xp.sqrt(span) * drawn[..., 6:]
         limit = self._by_kind("range")
-        told = xp.clip(xp.concatenate([rate, force], -1) + bias + noise, -limit, limit)
+        measured = xp.clip(xp.concatenate([rate, force], -1) + bias + noise, -limit, limit)
         now = xp.broadcast_to(inputs.time, memory.time.shape)
-        return ImuMemory(velocity=velocity, mat=mat, time=now, bias=bias), told
+        return ImuMemory(velocity=velocity, mat=mat, time=now, bias=bias), measured
 
 
 @dataclass(frozen=True)
@@ -146,28 +146,28 @@ class MagnetometerSettings(SensorSettings):
     """Keys of `[USARBot.Magnetometer]`; the field is about that of central Europe (chosen).
 
     Attributes:
-        strength: Of the earth's field [uT].
-        inclination: How far it points down [rad].
-        declination: How far it points east of north, which is x in every world [rad].
-        hard_iron: What the robot's own iron adds, in the mount's axes as on the wire [uT].
+        strength: Strength of the earth's field [uT].
+        inclination: Its angle below the horizontal [rad].
+        declination: Its angle east of north, which is x in every world [rad].
+        hard_iron: Field of the robot's own iron, in the mount's axes as on the wire [uT].
         field_noise: Standard deviation of the noise along each axis [uT].
     """
 
     weight: float = 0.05
     strength: Annotated[float, NOT_NEGATIVE] = 48.0
-    inclination: Annotated[float, QUARTER_TURN] = 1.13
-    declination: Annotated[float, HALF_A_TURN_EACH_WAY] = 0.0
+    inclination: Annotated[float, QUARTER_TURN_LIMITS] = 1.13
+    declination: Annotated[float, HALF_TURN_LIMITS] = 0.0
     hard_iron: tuple[tuple[str, float], ...] = (("X", 0.0), ("Y", 0.0), ("Z", 0.0))
     field_noise: Annotated[float, NOT_NEGATIVE] = 0.1
 
     def problem(self) -> str:
-        """Return what settings do not go together."""
+        """Return a conflict between settings."""
         axes = {str(axis).upper() for axis, _ in self.hard_iron}
         return "" if axes <= set("XYZ") else f"HardIron is {self.hard_iron}, expected X, Y and Z"
 
     @property
     def field(self) -> np.ndarray:
-        """The earth's field in the world's axes, x to the north and z up [uT] (3,)."""
+        """Earth's field in world axes, x to the north and z up [uT] (3,)."""
         level, east = math.cos(self.inclination), math.sin(self.declination)
         ahead = level * math.cos(self.declination)
         return self.strength * np.array([ahead, -level * east, -math.sin(self.inclination)], np.float32)
@@ -175,7 +175,7 @@ class MagnetometerSettings(SensorSettings):
 
 @dataclass(frozen=True, eq=False)
 class Magnetometer(Sensor):
-    """The earth's magnetic field along three axes; value: field in its own axes [uT] (3,)."""
+    """Three-axis magnetometer; value: field in its own axes [uT] (3,)."""
 
     kind = "Magnetometer"
     settings_class = MagnetometerSettings
@@ -186,7 +186,7 @@ class Magnetometer(Sensor):
         axes = {str(axis).upper(): value for axis, value in self.settings[0].hard_iron}
         return np.array(flip_vector(tuple(float(axes.get(axis, 0.0)) for axis in "XYZ")), np.float32)  # type: ignore[arg-type]
 
-    @for_teams
+    @vectorized
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Measure once."""
         settings = self.settings[0]

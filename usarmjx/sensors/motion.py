@@ -1,6 +1,6 @@
 """Sensors of the robot's own motion: odometry, INS, encoder, ground truth (manual 10.4, 10.6, 10.7).
 
-Values are in MuJoCo's axes; the server turns them into USARSim's.
+Values are in MuJoCo's axes; the server converts them to USARSim's.
 """
 
 from dataclasses import dataclass
@@ -24,14 +24,14 @@ from usarmjx.sensors.base import (
     Sensor,
     SensorInput,
     SensorSettings,
-    for_teams,
     noisy,
     normal_factor,
     relative_normal,
+    vectorized,
 )
 
-SHARE = NumberLimits(low=-1.0, low_exclusive=True)
-"""An error as a share: what is measured stays above 0."""
+RELATIVE_ERROR = NumberLimits(low=-1.0, low_exclusive=True)
+"""Relative error; above -1, so that the measured value stays positive."""
 
 
 @dataclass(frozen=True)
@@ -39,32 +39,32 @@ class OdometrySettings(SensorSettings):
     """Manual 10.4.2.
 
     Attributes:
-        encoder_resolution: Smallest wheel angle it can tell [rad].
-        left_tire: Wheel that stands for the left side; empty: the left-most.
-        right_tire: Wheel that stands for the right side; empty: the right-most.
-        diameter_error: By what share of it the wheels' measured diameter is too large. Ours, as the next:
-            the manual names both errors (10.4.1) and no keys for them.
-        separation_error: By what share of it the measured distance of the wheels is too large.
-        mean: Mean of the relative noise on the way of each wheel.
-        sigma: Its standard deviation (manual 10.6.2: any sensor may have it).
+        encoder_resolution: Smallest measurable wheel angle [rad].
+        left_tire: Wheel of the left side; empty: the left-most.
+        right_tire: Wheel of the right side; empty: the right-most.
+        diameter_error: Relative error of the measured wheel diameter. Own key, like the next: the manual
+            names both errors (10.4.1) without keys.
+        separation_error: Relative error of the measured wheel separation.
+        mean: Mean of the relative noise on each wheel's path.
+        sigma: Standard deviation of that noise (manual 10.6.2: any sensor may have it).
     """
 
     scan_interval: float = 0.2
     encoder_resolution: Annotated[float, ANGLE_STEP] = 0.01
     left_tire: str = "LeftFWheel"
     right_tire: str = "RightFWheel"
-    diameter_error: Annotated[float, SHARE] = 0.0
-    separation_error: Annotated[float, SHARE] = 0.0
+    diameter_error: Annotated[float, RELATIVE_ERROR] = 0.0
+    separation_error: Annotated[float, RELATIVE_ERROR] = 0.0
     mean: float = 0.0
     sigma: Annotated[float, NOT_NEGATIVE] = 0.0
 
 
 class OdometryMemory(struct.PyTreeNode, kw_only=True):
-    """What odometry has counted.
+    """Memory of odometry.
 
     Attributes:
         pose: Estimate of x, y [m] and heading [rad] (3,).
-        ticks: Wheel ticks that it accounts for, left and right (2,).
+        ticks: Wheel ticks included in the estimate, left and right (2,).
     """
 
     pose: Array
@@ -89,13 +89,13 @@ class Odometry(Sensor):
         return joints[int(np.argmax(leftward) if leftmost else np.argmin(leftward))]
 
     def check(self) -> None:
-        """Find what is wrong; see `Sensor.check`."""
+        """Check mounts and settings; see `Sensor.check`."""
         super().check()
         _ = self._pair
 
     @cached_property
     def _pair(self) -> np.ndarray:
-        """Joints of the left and the right wheel that it counts (2,)."""
+        """Joints of the left and the right wheel (2,)."""
         settings = self.settings[0]
         return np.array([self._wheel(settings.left_tire, True), self._wheel(settings.right_tire, False)])
 
@@ -103,10 +103,10 @@ class Odometry(Sensor):
         return xp.trunc(inputs.state.joint_pos[..., self._pair] / self.settings[0].encoder_resolution)
 
     def init_memory(self, inputs: SensorInput, key: Array) -> OdometryMemory:
-        """Here and now are the reference."""
+        """Start the estimate at the current pose."""
         return OdometryMemory(pose=xp.zeros(3), ticks=self._ticks(inputs))
 
-    @for_teams
+    @vectorized
     def read(self, inputs: SensorInput, memory: OdometryMemory, key: Array) -> tuple[OdometryMemory, Array]:
         """Advance the estimate by the ticks since the last time, along the old heading."""
         ticks = self._ticks(inputs)
@@ -126,7 +126,7 @@ class Odometry(Sensor):
     def handle_set(
         self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: OdometryMemory
     ) -> OdometryMemory | None:
-        """RESET makes the present pose the reference (manual, Table 4)."""
+        """Handle RESET: the current pose becomes the reference (manual, Table 4)."""
         return self.init_memory(inputs, xp.zeros(0)) if opcode.upper() == "RESET" else None
 
 
@@ -137,10 +137,10 @@ class InsSettings(SensorSettings):
     Attributes:
         mean: Mean of the relative noise.
         sigma: Standard deviation of the relative noise.
-        drifting: Whether the estimate also drifts away.
-        precision: The higher, the slower the drift.
-        polar_step: Whether a step is laid off along the heading, whichever way it went, as the manual words
-            it: a climb or a sideways motion is lost then. Ours.
+        drifting: Whether the estimate drifts.
+        precision: Inverse of the drift rate.
+        polar_step: Whether a step is added along the heading whatever its direction, as the manual words it:
+            climbs and sideways motion are lost then. Own key.
     """
 
     weight: float = 0.1
@@ -153,13 +153,13 @@ class InsSettings(SensorSettings):
 
 
 class InsMemory(struct.PyTreeNode, kw_only=True):
-    """What the INS remembers.
+    """Memory of the INS.
 
     Attributes:
         pos: Estimated position [m] (3,).
         mat: Estimated orientation (3, 3).
-        true_pos: Position at the last step [m] (3,).
-        true_mat: Orientation at the last step (3, 3).
+        true_pos: True position at the last step [m] (3,).
+        true_mat: True orientation at the last step (3, 3).
         time: Time of the last step [s] ().
         drift_rate: Drift of x, y, z [m/s] and about x, y, z [rad/s] (6,).
     """
@@ -180,10 +180,10 @@ class Ins(Sensor):
     settings_class = InsSettings
 
     def init_memory(self, inputs: SensorInput, key: Array) -> InsMemory:
-        """The first estimate is the truth; each component gets a drift rate of its own.
+        """Start the estimate at the true pose, with a drift rate for each component.
 
         The manual gives no formula for the drift, only that a higher Precision means less of it and that
-        components drift differently: ours is a constant rate, uniform in +-1/Precision.
+        components drift differently: here a constant rate, uniform in +-1/Precision.
         """
         pos, mat = self.mount_poses(inputs.bodies)
         rate = random.uniform(key, (6,), minval=-1.0, maxval=1.0) / self.settings[0].precision
@@ -196,13 +196,13 @@ class Ins(Sensor):
             drift_rate=rate * float(self.settings[0].drifting),
         )
 
-    @for_teams
+    @vectorized
     def read(self, inputs: SensorInput, memory: InsMemory, key: Array) -> tuple[InsMemory, Array]:
-        """The manual's seven steps, of which the last three take the motion as it was in the robot's axes.
+        """Apply the manual's seven steps, with the last three on the motion in the robot's axes.
 
-        On a straight drive that is the manual's own step. The distance of `polar_step` carries the sign of
-        the motion along the heading; the manual's has none, so that its robot would count as driving
-        forward when it backs up.
+        On a straight drive that equals the manual's step. The distance of `polar_step` has the sign of the
+        motion along the heading; the manual's has none, so that a robot that backs up would count as driving
+        forward.
         """
         settings = self.settings[0]
         pos, mat = self.mount_poses(inputs.bodies)
@@ -227,7 +227,7 @@ class Ins(Sensor):
     def handle_set(
         self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: InsMemory
     ) -> InsMemory | None:
-        """POSE sets the estimate to x, y, z, roll, pitch, yaw (MuJoCo's axes) and ends the drift."""
+        """Handle POSE: set the estimate to x, y, z, roll, pitch, yaw (MuJoCo's axes) and end the drift."""
         if opcode.upper() != "POSE" or len(params) != 6:
             return None
         roll, pitch, yaw = xp.asarray(params[3:])
@@ -237,7 +237,7 @@ class Ins(Sensor):
 
 @dataclass(frozen=True, eq=False)
 class Inu(Ins):
-    """Inertial navigation under its older name, by which Player asks; value: as of an INS (6,)."""
+    """Inertial navigation under its older name, which Player uses; value: as of an INS (6,)."""
 
     kind = "INU"
 
@@ -256,9 +256,9 @@ class EncoderSettings(NoisySensorSettings):
 
 @dataclass(frozen=True, eq=False)
 class Encoder(Sensor):
-    """Spin of the part each sits on, about the mount's x axis; value: ticks (mounts,).
+    """Rotation of the part of each mount, about the mount's x axis; value: ticks (mounts,).
 
-    Its memory is the angle of each part at the last RESET [rad] (mounts,).
+    The memory is the angle of each part at the last RESET [rad] (mounts,).
     """
 
     kind = "Encoder"
@@ -271,14 +271,14 @@ class Encoder(Sensor):
         return float(np.dot(looks_along, axis))
 
     def check(self) -> None:
-        """Find what is wrong; see `Sensor.check`."""
+        """Check mounts and settings; see `Sensor.check`."""
         super().check()
         if (self.bodies_of_mounts() == 0).any():
             raise SpecError("an encoder needs a part that turns, not the chassis")
 
     @cached_property
     def _joints(self) -> tuple[np.ndarray, np.ndarray]:
-        """The joint that each turns with and the sign of its turn, both (mounts,)."""
+        """Joint of each mount's part, and the sign of its rotation, both (mounts,)."""
         sign = np.array([self._sign(mount) for mount in self.mounts], np.float32)
         return self.bodies_of_mounts() - 1, sign
 
@@ -287,10 +287,10 @@ class Encoder(Sensor):
         return xp.asarray(inputs.state.joint_pos[..., joints] * sign)
 
     def init_memory(self, inputs: SensorInput, key: Array) -> Array:
-        """Counts start at zero."""
+        """Start all counts at zero."""
         return self._angles(inputs)
 
-    @for_teams
+    @vectorized
     def read(self, inputs: SensorInput, memory: Array, key: Array) -> tuple[Array, Array]:
         """Divide the angle by the resolution, noise first (manual 10.7.1)."""
         angles = self._angles(inputs) - memory
@@ -300,7 +300,7 @@ class Encoder(Sensor):
     def handle_set(
         self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: Array
     ) -> Array | None:
-        """RESET sets the counts to zero (manual, Table 5)."""
+        """Handle RESET: set the counts to zero (manual, Table 5)."""
         return self.init_memory(inputs, xp.zeros(0)) if opcode.upper() == "RESET" else None
 
 
@@ -314,12 +314,12 @@ class GroundTruthSettings(SensorSettings):
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth(Sensor):
-    """Where the mount truly is; value: position [m] and roll, pitch, yaw [rad] (6,)."""
+    """True pose of the mount; value: position [m] and roll, pitch, yaw [rad] (6,)."""
 
     kind = "GroundTruth"
     settings_class = GroundTruthSettings
 
-    @for_teams
+    @vectorized
     def read(self, inputs: SensorInput, memory: tuple[()], key: Array) -> tuple[tuple[()], Array]:
         """Return the pose."""
         pos, mat = self.mount_poses(inputs.bodies)

@@ -1,4 +1,4 @@
-"""Battery meter: what is left in a robot's battery. Ours; the manual has the time left in STA alone (9.3)."""
+"""Battery meter. An extension; the manual has the remaining time only in STA (9.3)."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -6,17 +6,25 @@ from typing import Annotated, Any
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.models.types.settings import POSITIVE
-from usarmjx.sensors.base import SENSORS, NoisySensorSettings, Quantity, Sensor, SensorInput, for_teams, noisy
+from usarmjx.sensors.base import (
+    SENSORS,
+    NoisySensorSettings,
+    Quantity,
+    Sensor,
+    SensorInput,
+    noisy,
+    vectorized,
+)
 
 
 @dataclass(frozen=True)
 class BatterySettings(NoisySensorSettings):
-    """Keys of `[USARBot.Battery]`: six cells of a lithium polymer battery (chosen).
+    """Keys of `[USARBot.Battery]`: a six-cell lithium polymer battery (chosen).
 
     Attributes:
         scan_interval: Time between two measurements [s].
-        full_voltage: Its voltage when full [V].
-        empty_voltage: Its voltage when empty [V].
+        full_voltage: Voltage of the full battery [V].
+        empty_voltage: Voltage of the empty battery [V].
     """
 
     scan_interval: float = 1.0
@@ -24,7 +32,7 @@ class BatterySettings(NoisySensorSettings):
     empty_voltage: Annotated[float, POSITIVE] = 19.8
 
     def problem(self) -> str:
-        """Return what settings do not go together."""
+        """Return a conflict between settings."""
         if self.empty_voltage > self.full_voltage:
             return (
                 f"EmptyVoltage is {self.empty_voltage:g}, expected at most FullVoltage, {self.full_voltage:g}"
@@ -34,10 +42,10 @@ class BatterySettings(NoisySensorSettings):
 
 @dataclass(frozen=True, eq=False)
 class BatteryMeter(Sensor):
-    """Meter of the battery; value: charge as a share, voltage [V], and for how long it lasts yet [s] (3,).
+    """Battery meter; value: charge as a fraction, voltage [V], and remaining time [s] (3,).
 
-    The charge falls evenly during the robot's `battery_life`, as the one of STA, and the voltage with it;
-    noise is on the voltage. Water that kills a battery leaves nothing.
+    Charge and voltage fall linearly over the robot's `battery_life`, like the value in STA; noise is on the
+    voltage. Water that destroys a battery empties it.
     """
 
     kind = "Battery"
@@ -45,7 +53,7 @@ class BatteryMeter(Sensor):
     settings_class = BatterySettings
     quantities = (Quantity("Charge"), Quantity("Voltage"), Quantity("TimeLeft"))
 
-    @for_teams
+    @vectorized
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Measure once."""
         settings, life = self.settings[0], self.plan.robot.battery_life
@@ -53,8 +61,8 @@ class BatteryMeter(Sensor):
         left = full if inputs.battery is None else xp.asarray(inputs.battery, xp.float32)
         charge = xp.clip(left / life, 0.0, 1.0)
         voltage = settings.empty_voltage + charge * (settings.full_voltage - settings.empty_voltage)
-        told = noisy(key, voltage[..., None], self.settings)
-        return memory, xp.concatenate([charge[..., None], told, left[..., None]], -1)
+        noisy_voltage = noisy(key, voltage[..., None], self.settings)
+        return memory, xp.concatenate([charge[..., None], noisy_voltage, left[..., None]], -1)
 
 
 SENSORS.add(BatteryMeter.kind, BatteryMeter)

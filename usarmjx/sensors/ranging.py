@@ -1,4 +1,4 @@
-"""Sonar, infrared and range scanner (manual 10.2, 10.3)."""
+"""Range sensors: sonar, infrared, range scanners and lidar (manual 10.2, 10.3)."""
 
 import math
 from dataclasses import dataclass
@@ -29,22 +29,33 @@ from usarmjx.sensors.base import (
     SensorInput,
     apply_output_curve,
     curve_problem,
-    for_teams,
     noisy,
+    vectorized,
 )
 from usarmjx.sensors.rays.bundles import Fans
 
 MAX_BEAMS = 65_536
-"""More than this no scan has: its resolution is a slip."""
+"""Largest number of beams of a scan; a larger one is an error in its resolution."""
+# Rays of a beam: its axis, four at half the angle on the diagonals, four on the cone itself, as
+# (fraction of the half angle, angle about the axis).
+BEAM_RINGS = ((0.5, 45.0), (1.0, 0.0))
+BEAM_PATTERN = (
+    (0.0, 0.0),
+    *((share, math.radians(first + 90 * i)) for share, first in BEAM_RINGS for i in range(4)),
+)
+FRACTION = NumberLimits(low=0.0, high=1.0)
+"""Limits of a fraction."""
+REFERENCE_DISTANCE = 1.0
+"""Distance from which on the power of an echo falls with its square [m]."""
 
 
 @dataclass(frozen=True)
 class RangeSettings(NoisySensorSettings):
-    """Settings of everything that measures a distance.
+    """Settings of all range sensors.
 
     Attributes:
-        min_range: Shortest distance reported [m].
-        max_range: Longest distance, reported when nothing is hit [m].
+        min_range: Shortest reported distance [m].
+        max_range: Longest distance, reported without a hit [m].
         output_curve: Points of the distortion curve; none: undistorted.
     """
 
@@ -53,34 +64,34 @@ class RangeSettings(NoisySensorSettings):
     output_curve: OutputCurve = ()
 
     def problem(self) -> str:
-        """Return what settings do not go together."""
+        """Return a conflict between settings."""
         if self.min_range > self.max_range:
             return f"MinRange is {self.min_range:g}, expected at most MaxRange, {self.max_range:g}"
         return curve_problem(self.output_curve)
 
 
-def farthest(settings: tuple[RangeSettings, ...]) -> float:
-    """Return the longest distance that any of some sensors reports [m]."""
+def largest_range(settings: tuple[RangeSettings, ...]) -> float:
+    """Return the largest range of some sensors [m]."""
     return max(one.max_range for one in settings)
 
 
 def range_readings(distance: Array, settings: tuple[RangeSettings, ...], key: Array) -> Array:
-    """Turn true distances [m] (..., sensors, n) into what each sensor reports [m] (..., sensors, n).
+    """Convert true distances [m] (..., sensors, n) to reported distances [m] (..., sensors, n).
 
-    Noise falls on hits only and is clamped to the sensor's range; beyond the range, or without a hit,
-    the reading is MaxRange exactly; the distortion curve comes last.
+    Noise applies to hits only and is clamped to the sensor's range; without a hit in range the reading is
+    exactly MaxRange; the distortion curve comes last.
 
     Args:
-        distance: The distances.
-        settings: Of each sensor.
-        key: Of the noise; as many axes as the distances have before the sensors.
+        distance: True distances.
+        settings: Settings of each sensor.
+        key: Key of the noise, with as many axes as the distances have before the sensors.
     """
     low, high = (
         np.array([[getattr(s, name)] for s in settings], np.float32) for name in ("min_range", "max_range")
     )
     hit = distance < high
-    told = noisy(key, xp.where(hit, distance, 0.0), settings)
-    ranges = xp.where(hit, xp.clip(told, low, high), high)
+    noisy_distance = noisy(key, xp.where(hit, distance, 0.0), settings)
+    ranges = xp.where(hit, xp.clip(noisy_distance, low, high), high)
     curves = [s.output_curve for s in settings]
     if any(curves):
         return xp.stack([apply_output_curve(ranges[..., i, :], curve) for i, curve in enumerate(curves)], -2)
@@ -93,9 +104,9 @@ class SonarSettings(RangeSettings):
 
     Attributes:
         beam_angle: Full angle of the beam cone [rad].
-        max_incidence: A surface met at more than this angle from its normal mirrors the sound away; at
-            a quarter turn or more none does, and a level robot hears the floor where its cone meets it. Ours;
-            the manual is silent [rad].
+        max_incidence: Angle of incidence above which a surface reflects the sound away [rad]; from pi / 2 on
+            none does, and a level robot hears the floor where its cone meets it. Own key; the manual has
+            none.
     """
 
     with_time_stamp: bool = True
@@ -104,17 +115,8 @@ class SonarSettings(RangeSettings):
     max_incidence: Annotated[float, HALF_TURN] = math.pi / 2
 
 
-# The lines of a beam: its axis, four half way out on the diagonals, four on the cone itself, as
-# (share of the half angle, angle about the axis).
-RINGS = ((0.5, 45.0), (1.0, 0.0))
-BEAM_PATTERN = (
-    (0.0, 0.0),
-    *((share, math.radians(first + 90 * i)) for share, first in RINGS for i in range(4)),
-)
-
-
 def beam_directions(beam_angle: float) -> np.ndarray:
-    """Return the unit directions of a beam's lines about the x axis (lines, 3)."""
+    """Return the unit directions of a beam's rays about the x axis (rays, 3)."""
     lines: list[tuple[float, float, float]] = []
     for share, around in BEAM_PATTERN:
         tilt = share * beam_angle / 2
@@ -124,7 +126,7 @@ def beam_directions(beam_angle: float) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Sonar(Sensor):
-    """Several lines in each cone, the shortest wins; value: ranges [m] (mounts,)."""
+    """Sonar with several rays per cone, of which the shortest counts; value: ranges [m] (mounts,)."""
 
     kind = "Sonar"
     grouped = True
@@ -133,31 +135,31 @@ class Sonar(Sensor):
 
     @property
     def needs_incidence(self) -> bool:
-        """Whether any of them is deaf to surfaces that mirror the sound away."""
+        """Whether any of them ignores surfaces at large angles of incidence."""
         return bool((self._min_cosines > -1).any())
 
     @property
     def max_distance(self) -> float:
-        """Farther away than MaxRange it sees nothing [m]."""
-        return farthest(self.settings)
+        """Largest MaxRange [m]."""
+        return largest_range(self.settings)
 
-    @for_teams
+    @vectorized
     def fans(self, bodies: BodyPoses) -> Fans:
-        """All beams' lines."""
+        """Return the rays of all beams."""
         return Fans(*self.mount_poses(bodies), self._cones)
 
     @cached_property
     def _cones(self) -> np.ndarray:
-        """The lines of each beam about its mount's x axis (mounts, lines, 3)."""
+        """Ray directions of each beam about its mount's x axis (mounts, rays, 3)."""
         return np.stack([beam_directions(settings.beam_angle) for settings in self.settings])
 
     @cached_property
     def _min_cosines(self) -> np.ndarray:
-        """Cosine of the widest angle from the normal at which each hears a surface; -1: any (mounts, 1)."""
+        """Cosine of each sensor's largest angle of incidence; -1: unlimited (mounts, 1)."""
         widest = np.array([[one.max_incidence] for one in self.settings], np.float32)
         return np.where(widest < np.float32(math.pi / 2), np.cos(widest), np.float32(-1))
 
-    @for_teams
+    @vectorized
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Measure once (manual 10.2.1)."""
         hits, beams = inputs.hits, len(self.mounts)
@@ -177,7 +179,7 @@ class IrSettings(RangeSettings):
 
 @dataclass(frozen=True, eq=False)
 class Ir(Sensor):
-    """One line each, which passes glass (manual 10.2.1); value: ranges [m] (mounts,)."""
+    """Infrared sensor with one ray, which passes glass (manual 10.2.1); value: ranges [m] (mounts,)."""
 
     kind = "IR"
     grouped = True
@@ -186,15 +188,15 @@ class Ir(Sensor):
 
     @property
     def max_distance(self) -> float:
-        """Farther away than MaxRange it sees nothing [m]."""
-        return farthest(self.settings)
+        """Largest MaxRange [m]."""
+        return largest_range(self.settings)
 
     def rays(self, bodies: BodyPoses) -> tuple[Array, Array]:
-        """Each sensor's line, along its x axis."""
+        """Return each sensor's ray, along its x axis."""
         pos, mat = self.mount_poses(bodies)
         return pos, mat[:, :, 0]
 
-    @for_teams
+    @vectorized
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Measure once (manual 10.2.1)."""
         return memory, range_readings(inputs.hits.distance[..., None], self.settings, key)[..., 0]
@@ -221,7 +223,7 @@ class ScannerSettings(RangeSettings):
     yaw: bool = True
 
     def problem(self) -> str:
-        """Return what settings do not go together."""
+        """Return a conflict between settings."""
         if self.pitch == self.yaw:
             return "a range scanner scans in one plane: exactly one of bYaw and bPitch must be true"
         return super().problem() or beam_count_problem(self.beams)
@@ -233,19 +235,19 @@ class ScannerSettings(RangeSettings):
 
 
 def step_count(fov: float, resolution: float) -> int:
-    """Return how many whole steps fit; a rounding error below 1e-3 of a step does not cost one."""
+    """Return the number of whole steps in a field of view, tolerating a rounding error of 1e-3 steps."""
     return int(fov / resolution + 1e-3)
 
 
 def beam_count_problem(beams: int) -> str:
-    """Return what is wrong with a scan of so many beams, "" if nothing is."""
+    """Return the fault of a scan with `beams` beams, "" if there is none."""
     return f"that makes {beams} beams, expected up to {MAX_BEAMS}" if beams > MAX_BEAMS else ""
 
 
 def fan_directions(settings: ScannerSettings) -> np.ndarray:
     """Return the unit directions of a scan about the x axis (beams, 3), from right to left.
 
-    In the tilt plane the first beam is the lowest. The order is that of real servers' messages.
+    In the tilt plane the first beam is the lowest. The order is that of captured messages.
     """
     angle = -settings.scan_fov / 2 + np.arange(settings.beams) * settings.resolution
     along, aside, zero = np.cos(angle), np.sin(angle), np.zeros_like(angle)
@@ -255,36 +257,36 @@ def fan_directions(settings: ScannerSettings) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class RangeScanner(Sensor):
-    """One line per step of a fan; value: ranges [m] (beams,)."""
+    """Scanner with one ray per angular step; value: ranges [m] (beams,)."""
 
     kind = "RangeScanner"
     settings_class = ScannerSettings
 
     @property
     def max_distance(self) -> float:
-        """Farther away than MaxRange it sees nothing [m]."""
-        return farthest(self.settings)
+        """Largest MaxRange [m]."""
+        return largest_range(self.settings)
 
     @property
     def on_command(self) -> bool:
-        """Whether it scans on the SCAN command only."""
+        """Whether it scans only on the SCAN command."""
         return self.settings[0].scan_interval <= 0
 
     def directions(self) -> np.ndarray:
         """Unit directions of the beams about the mount's x axis (beams, 3)."""
         return fan_directions(self.settings[0])
 
-    @for_teams
+    @vectorized
     def fans(self, bodies: BodyPoses) -> Fans:
-        """One line per step of the fan."""
+        """Return one ray per step of the fan."""
         return Fans(*self.mount_poses(bodies), self._fan)
 
     @cached_property
     def _fan(self) -> np.ndarray:
-        """The one fan that all beams are (1, beams, 3)."""
+        """Directions of all beams, as one fan (1, beams, 3)."""
         return self.directions()[None]
 
-    @for_teams
+    @vectorized
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Scan once (manual 10.3.1)."""
         return memory, range_readings(inputs.hits.distance[..., None, :], self.settings, key)[..., 0, :]
@@ -296,7 +298,7 @@ class RangeScanner(Sensor):
         inputs: SensorInput,
         memory: Any,  # noqa: ANN401
     ) -> Any | None:  # noqa: ANN401
-        """SCAN is valid in both modes; the suite makes the scan due (manual, Table 3)."""
+        """Accept SCAN, valid in both modes; the suite makes the scan due (manual, Table 3)."""
         return memory if opcode.upper() == "SCAN" else None
 
 
@@ -310,13 +312,13 @@ class IrScannerSettings(ScannerSettings):
 
     @property
     def beams(self) -> int:
-        """Number of beams: as many as steps, as the end of the field of view has none (IRScanner.uc)."""
+        """Number of beams: the number of steps, as the end of the field of view has none (IRScanner.uc)."""
         return math.ceil(self.scan_fov / self.resolution - 1e-3)
 
 
 @dataclass(frozen=True, eq=False)
 class IrScanner(RangeScanner):
-    """A range scanner of infrared lines, which pass glass (manual 10.3); value: ranges [m] (beams,)."""
+    """Range scanner with infrared rays, which pass glass (manual 10.3); value: ranges [m] (beams,)."""
 
     kind = "IRScanner"
     transparent = Ir.transparent
@@ -325,7 +327,7 @@ class IrScanner(RangeScanner):
 
 @dataclass(frozen=True)
 class Scanner3DSettings(RangeSettings):
-    """The manual only names this sensor (12.17.2). Keys and numbers of Ardabot's USARBot.ini.
+    """Settings of the 3D scanner: keys and values of Ardabot's USARBot.ini; see manual 12.17.2 for its name.
 
     Attributes:
         scan_interval: Time between scans [s]; 0 is manual mode: scan on the SCAN command only.
@@ -344,7 +346,7 @@ class Scanner3DSettings(RangeSettings):
     horizontal_resolution: Annotated[float, ANGLE_STEP] = 0.0209
 
     def problem(self) -> str:
-        """Return what settings do not go together."""
+        """Return a conflict between settings."""
         return super().problem() or beam_count_problem(math.prod(self.shape))
 
     @property
@@ -367,8 +369,8 @@ class Scanner3DSettings(RangeSettings):
 def grid_directions(settings: Scanner3DSettings) -> np.ndarray:
     """Return the unit directions of a scan about the x axis (rows, columns, 3).
 
-    Rows run from the highest to the lowest, which is how Player's driver reads them; the beams of a row
-    from right to left, as those of a range scanner.
+    Rows run from the highest to the lowest, the order of Player's driver; the beams of a row from right to
+    left, as in a range scanner.
     """
     down, left = (
         -fov / 2 + np.arange(count) * resolution
@@ -381,7 +383,7 @@ def grid_directions(settings: Scanner3DSettings) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class RangeScanner3D(RangeScanner):
-    """Rows of beams; value: ranges [m] (rows, columns)."""
+    """Scanner with rows of beams; value: ranges [m] (rows, columns)."""
 
     kind = "RangeScanner3D"
     settings_class = Scanner3DSettings
@@ -390,7 +392,7 @@ class RangeScanner3D(RangeScanner):
         """Unit directions of the beams about the mount's x axis, row by row (beams, 3)."""
         return grid_directions(self.settings[0]).reshape(-1, 3)
 
-    @for_teams
+    @vectorized
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Scan once, all beams at the same moment."""
         ranges = range_readings(inputs.hits.distance[..., None, :], self.settings, key)[..., 0, :]
@@ -401,20 +403,16 @@ for _sensor in (IrScanner, RangeScanner3D):
     SENSORS.add(_sensor.kind, _sensor)
 
 
-SHARE_OF_ALL = NumberLimits(low=0.0, high=1.0)
-NEAREST = 1.0
-"""The power of an echo falls with the square of the distance from here on [m]."""
-
-
 @dataclass(frozen=True)
 class LidarSettings(Scanner3DSettings):
     """Keys of `[USARBot.Lidar]`: 16 rows 2 degrees apart, 180 beams all around (chosen).
 
     Attributes:
-        reflectance: Share of the light that surfaces throw back.
-        min_power: Weaker echoes are lost; 1 is that of a white surface 1 m away that faces the sensor.
-        dropout: Probability with which any other echo is lost.
-        intensity_noise: Standard deviation of the noise of intensities, as a share.
+        reflectance: Fraction of the light that surfaces reflect.
+        min_power: Power below which echoes are lost; 1 is that of a white surface 1 m away that faces the
+            sensor.
+        dropout: Probability of losing any other echo.
+        intensity_noise: Standard deviation of the relative noise of intensities.
     """
 
     scan_interval: float = 0.1
@@ -423,18 +421,18 @@ class LidarSettings(Scanner3DSettings):
     vertical_resolution: Annotated[float, ANGLE_STEP] = math.radians(2)
     horizontal_fov: Annotated[float, TURN, ManualKey("HorizontalFOV")] = math.radians(358)
     horizontal_resolution: Annotated[float, ANGLE_STEP] = math.radians(2)
-    reflectance: Annotated[float, SHARE_OF_ALL] = 0.5
+    reflectance: Annotated[float, FRACTION] = 0.5
     min_power: Annotated[float, NOT_NEGATIVE] = 5e-5
-    dropout: Annotated[float, SHARE_OF_ALL] = 0.0
+    dropout: Annotated[float, FRACTION] = 0.0
     intensity_noise: Annotated[float, NOT_NEGATIVE] = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Lidar(RangeScanner3D):
-    """Rows of beams and the strength of their echoes; value: ranges [m], then intensities (2, rows, columns).
+    """Lidar with echo intensities; value: ranges [m], then intensities (2, rows, columns).
 
-    An intensity is what the surface throws back, its reflectance times the cosine of the angle of incidence:
-    calibrated, that is, distance taken out. An echo that is lost is MaxRange with an intensity of 0.
+    An intensity is the reflectance times the cosine of the angle of incidence: calibrated, that is,
+    independent of the distance. A lost echo has range MaxRange and intensity 0.
     """
 
     kind = "Lidar"
@@ -442,15 +440,15 @@ class Lidar(RangeScanner3D):
 
     @property
     def needs_incidence(self) -> bool:
-        """It does: a surface met flatly throws back little."""
+        """True: intensities depend on it."""
         return True
 
-    @for_teams
+    @vectorized
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
-        """Scan once, all beams at the same moment; noise of ranges as of any scanner."""
+        """Scan once, all beams at the same moment; range noise as for all scanners."""
         settings, hits = self.settings[0], inputs.hits
         back = settings.reflectance * hits.cosine
-        power = back / xp.square(xp.maximum(hits.distance, NEAREST))
+        power = back / xp.square(xp.maximum(hits.distance, REFERENCE_DISTANCE))
         lost, noise = (random.fold_in(key, number) for number in (1, 2))
         heard = (power >= settings.min_power) & (hits.distance < settings.max_range)
         heard &= random.uniform(lost, heard.shape) >= settings.dropout

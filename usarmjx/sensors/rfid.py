@@ -1,4 +1,4 @@
-"""RFID sensor (manual 10.9)."""
+"""RFID reader (manual 10.9)."""
 
 from dataclasses import dataclass
 from types import ModuleType
@@ -12,22 +12,22 @@ from usarmjx.base.backend import set_at, xp
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.models.types.settings import NOT_NEGATIVE, ManualKey, OneOf
 from usarmjx.models.types.shapes import GLASS, SKY
-from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings, for_teams
-from usarmjx.sensors.sketch import OverlayLines, no_overlay
+from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings, vectorized
+from usarmjx.sensors.sketch import OverlayLines, empty_overlay
 from usarmjx.sensors.surroundings import Surroundings, nearest
 
 MAX_TAGS = 16
-"""Most tags that a sensor reads at once, the nearest; so many rays look for obstacles."""
+"""Number of tags that a sensor reads at once, nearest first, and of rays that test for obstacles."""
 RADIUS_MODE, OBSTACLE_MODE, ATTENUATION_MODE = "Radius", "Obstacle", "Attenuation"
 SENSING_MODES = OneOf((RADIUS_MODE, OBSTACLE_MODE, ATTENUATION_MODE))
 RAY_END_HEIGHT = 0.01
-"""Rays end this far above a tag [m]: it lies on the ground, and is not hidden by it."""
+"""Height above a tag at which its ray ends [m]: the tag lies on the ground, which must not hide it."""
 OBSTACLE_MARGIN = 0.02
-"""What is nearer to a tag than this is no obstacle [m]."""
+"""Distance from a tag within which surfaces are not obstacles [m]."""
 MIN_TAG_DISTANCE = 1e-3
-"""No tag counts as nearer than this [m]: the path loss has no limit."""
+"""Lower bound of a tag's distance [m]: the path loss diverges at 0."""
 MAX_EXPONENT = 6.0
-"""No arena is as large as this power of ten [m]: tags farther away need not be thought of."""
+"""Upper bound of the range as a power of ten [m], larger than any arena."""
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class RfidSettings(SensorSettings):
         max_range: Range in the modes Radius and Obstacle [m].
         max_single_shot_range: The same for tags that answer only once [m].
         tx_power_dbm: Power of the transmitter [dBm].
-        rx_sensitivity_dbm: Weakest signal that is received [dBm].
-        obstacle_attenuation_db: Loss through an obstacle; there is never more than one [dB].
+        rx_sensitivity_dbm: Weakest received signal [dBm].
+        obstacle_attenuation_db: Loss through an obstacle, of which at most one counts [dB].
         trace_rfids: Whether pictures show lines to the tags.
-        always_read_rfid_mem: Whether each report tells what is written on the tags.
+        always_read_rfid_mem: Whether each report contains the tags' memory.
     """
 
     sensing_mode: Annotated[str, SENSING_MODES] = ATTENUATION_MODE
@@ -56,7 +56,7 @@ class RfidSettings(SensorSettings):
 
     @property
     def mode(self) -> str:
-        """The member of `SENSING_MODES` that is meant."""
+        """Member of `SENSING_MODES` in its canonical spelling."""
         return next(mode for mode in SENSING_MODES if mode.lower() == self.sensing_mode.lower())
 
 
@@ -64,9 +64,9 @@ def signal_strength(settings: RfidSettings, distance: Array, blocked: Array, xp:
     """Return the strength of a tag's answer [dBm] (...,): twice the indoor path loss (manual 10.9.3.3).
 
     Args:
-        settings: The sensor's settings.
-        distance: How far away the tag is [m] (...,).
-        blocked: Whether something is between (...,).
+        settings: Settings of the sensor.
+        distance: Distance of the tag [m] (...,).
+        blocked: Whether there is an obstacle (...,).
         xp: Array module of both.
     """
     loss = 2 * 10 * (5.25 + 2 * xp.log10(xp.maximum(distance, MIN_TAG_DISTANCE)))
@@ -74,13 +74,13 @@ def signal_strength(settings: RfidSettings, distance: Array, blocked: Array, xp:
 
 
 def distance_of_strength(settings: RfidSettings) -> float:
-    """Return how far away a tag with nothing on the way answers as weakly as can be received [m]."""
+    """Return the distance at which an unobstructed tag's answer has the weakest received strength [m]."""
     loss = settings.tx_power_dbm - settings.rx_sensitivity_dbm
     return 10 ** min((loss / 20 - 5.25) / 2, MAX_EXPONENT) * (1 + 1e-5)
 
 
-def _goodness(settings: RfidSettings, strength: Array) -> Array:
-    """Return how green a line is (...,): 1 as strong as from a metre away, 0 as weak as can be received."""
+def _link_quality(settings: RfidSettings, strength: Array) -> Array:
+    """Return the green share of a line (...,): 1 at the strength from 1 m, 0 at the weakest received one."""
     least, best = (
         settings.rx_sensitivity_dbm,
         signal_strength(settings, np.ones((), np.float32), np.zeros((), np.float32), np),
@@ -89,12 +89,12 @@ def _goodness(settings: RfidSettings, strength: Array) -> Array:
 
 
 class RfidMemory(struct.PyTreeNode, kw_only=True):
-    """What an RFID sensor remembers.
+    """Memory of an RFID reader.
 
     Attributes:
-        answered: Which of the single-shot tags have answered it, the dropped ones last (all_tags,).
-        last_read_ids: IDs of the tags that it read last, -1 for none (max_tags,).
-        overlay: Lines to the tags; None unless they are wanted.
+        answered: Which single-shot tags have answered it, dropped ones last (all_tags,).
+        last_read_ids: IDs of the tags in the last reading, -1 for none (max_tags,).
+        overlay: Lines to the tags; None unless requested.
     """
 
     answered: Array
@@ -103,15 +103,15 @@ class RfidMemory(struct.PyTreeNode, kw_only=True):
 
 
 class _Tags(struct.PyTreeNode, kw_only=True):
-    """The nearest tags, nearest first.
+    """Nearest tags, nearest first.
 
     Attributes:
-        index: Places among all tags, the dropped ones last (..., n).
+        index: Indices among all tags, dropped ones last (..., n).
         pos: Positions [m] (..., n, 3).
         distance: Distances [m] (..., n).
         id: IDs (..., n).
-        single: Whether they answer once only (..., n).
-        there: Whether there is such a tag (..., n).
+        single: Whether they answer only once (..., n).
+        there: Whether the tag exists (..., n).
     """
 
     index: Array
@@ -122,8 +122,8 @@ class _Tags(struct.PyTreeNode, kw_only=True):
     there: Array
 
 
-def _filled(values: Array) -> Array:
-    """Return values of tags (tags, ...) with zeros behind them if there are fewer than `MAX_TAGS`."""
+def _pad_tags(values: Array) -> Array:
+    """Pad values of tags (tags, ...) with zeros to `MAX_TAGS`."""
     values = xp.asarray(values)
     missing = MAX_TAGS - len(values)
     if missing <= 0:
@@ -131,21 +131,21 @@ def _filled(values: Array) -> Array:
     return xp.concatenate([values, xp.zeros((missing, *values.shape[1:]), values.dtype)])
 
 
-def _in_rows(index: Array) -> Any:  # noqa: ANN401 - what indexes
-    """Return what picks places (n,) of an array, or places (robots, n) each of their row."""
+def _row_index(index: Array) -> Any:  # noqa: ANN401 - what indexes
+    """Return an index for tags (n,), or for each robot's tags (robots, n)."""
     return index if index.ndim == 1 else (np.arange(len(index))[:, None], index)
 
 
 def _nearest_tags(surroundings: Surroundings, pos: Array) -> _Tags:
-    """Return `MAX_TAGS` tags about a position [m] (..., 3), those that are there first; always as many."""
+    """Return the `MAX_TAGS` tags nearest to a position [m] (..., 3), existing ones first."""
     names = ("tag_there", "tag_pos", "tag_single", "tag_id")
-    there, positions, single, ids = (_filled(getattr(surroundings, name)) for name in names)
+    there, positions, single, ids = (_pad_tags(getattr(surroundings, name)) for name in names)
     far = xp.where(there, xp.linalg.norm(positions - pos[..., None, :], axis=-1), xp.inf)
     index = nearest(far, MAX_TAGS)
     return _Tags(
         index=index,
         pos=positions[index],
-        distance=far[_in_rows(index)],
+        distance=far[_row_index(index)],
         id=ids[index],
         single=single[index],
         there=there[index],
@@ -154,9 +154,9 @@ def _nearest_tags(surroundings: Surroundings, pos: Array) -> _Tags:
 
 @dataclass(frozen=True, eq=False)
 class Rfid(Sensor):
-    """Reads tags around it; value: read or not, ID and x, y, z [m] of the 16 nearest tags (16, 5).
+    """RFID reader; value: read or not, ID and x, y, z [m] of the 16 nearest tags (16, 5).
 
-    The nearest (`MAX_TAGS`) come first. Where they are is in the sensor's axes.
+    The nearest (`MAX_TAGS`) come first. Positions are in the sensor's axes.
     """
 
     kind = "RFID"
@@ -168,15 +168,15 @@ class Rfid(Sensor):
 
     @property
     def max_distance(self) -> float:
-        """It reads no tag that is farther away, whatever there is on the way [m]."""
+        """Distance beyond which no tag is read, with or without obstacles [m]."""
         settings = self.settings[0]
         if settings.mode != ATTENUATION_MODE:
             return max(settings.max_range, settings.max_single_shot_range)
         return max(distance_of_strength(settings), MIN_TAG_DISTANCE)
 
-    @for_teams
+    @vectorized
     def aimed_rays(self, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, Array]:
-        """One ray to each of the nearest tags in reach, unless obstacles do not matter."""
+        """Return one ray to each of the nearest tags in range, unless obstacles are irrelevant."""
         if self.settings[0].mode == RADIUS_MODE:
             return self.rays(bodies)
         pos, _ = self.mount_poses(bodies)
@@ -187,17 +187,17 @@ class Rfid(Sensor):
         return xp.broadcast_to(pos, along.shape), along
 
     def init_memory(self, inputs: SensorInput, key: Array) -> RfidMemory:
-        """Nothing was read yet."""
+        """Return an empty memory."""
         del key
         room = inputs.surroundings_or_empty.tag_there.shape[0] + MAX_TAGS
-        lines = no_overlay(MAX_TAGS) if self.has_overlay else None
+        lines = empty_overlay(MAX_TAGS) if self.has_overlay else None
         return RfidMemory(
             answered=xp.zeros(room, bool), last_read_ids=xp.full(MAX_TAGS, -1, xp.int32), overlay=lines
         )
 
-    @for_teams
+    @vectorized
     def read(self, inputs: SensorInput, memory: RfidMemory, key: Array) -> tuple[RfidMemory, Array]:
-        """Read all tags in reach once; those that answer only once never again."""
+        """Read all tags in range once; single-shot tags answer only the first time."""
         del key
         settings = self.settings[0]
         pos, mat = self.mount_poses(inputs.bodies)
@@ -208,15 +208,15 @@ class Rfid(Sensor):
         if settings.mode == ATTENUATION_MODE:
             near, strength = tags.there, signal_strength(settings, tags.distance, blocked)
             reached = near & (strength >= settings.rx_sensitivity_dbm)
-            good = _goodness(settings, strength)
+            good = _link_quality(settings, strength)
         else:
             reach = xp.where(tags.single, settings.max_single_shot_range, settings.max_range)
             near = tags.there & (tags.distance <= reach)
             reached, good = near & ~blocked, (~blocked).astype(xp.float32)
-        here = _in_rows(tags.index)
+        here = _row_index(tags.index)
         read = reached & ~memory.answered[here]
         offset = xp.where(read[..., None], tags.pos - pos, 0.0)
-        told = (offset[..., None] * mat).sum(-2)  # in the sensor's axes
+        position = (offset[..., None] * mat).sum(-2)  # in the sensor's axes
         row = xp.stack([read.astype(xp.float32), xp.where(read, tags.id, 0).astype(xp.float32)], -1)
         lines = None
         if self.has_overlay:
@@ -229,18 +229,18 @@ class Rfid(Sensor):
             last_read_ids=xp.where(read, tags.id, -1),
             overlay=lines,
         )
-        return memory, xp.concatenate([row, told], -1)
+        return memory, xp.concatenate([row, position], -1)
 
     @property
     def has_overlay(self) -> bool:
-        """With bTraceRFIDs (manual 10.9.2)."""
+        """Whether bTraceRFIDs is set (manual 10.9.2)."""
         return self.settings[0].trace_rfids
 
     def overlay(self, memory: RfidMemory) -> OverlayLines:
-        """Lines to the nearest tags (manual 10.9.3).
+        """Return lines to the nearest tags (manual 10.9.3).
 
-        Green to those that are reached, red to those behind an obstacle, none to those out of range; in the
-        mode Attenuation from green to red by the strength of the signal, black to those out of reach.
+        Green to readable tags, red to those behind an obstacle, none to those out of range; in the mode
+        Attenuation from green to red by signal strength, black to unreadable ones.
         """
         assert memory.overlay is not None
         return memory.overlay
@@ -252,9 +252,9 @@ class Rfid(Sensor):
         inputs: SensorInput,
         memory: Any,  # noqa: ANN401
     ) -> Any | None:  # noqa: ANN401
-        """Read and Write (manual 10.9.5, 10.9.6) are valid for a tag that is in range; the first parameter.
+        """Validate Read and Write (manual 10.9.5, 10.9.6), whose first parameter is a tag in range.
 
-        What is written on tags is not the sensor's: see `server.tags`.
+        The content of tags is not part of the sensor: see `server.worlds`.
         """
         del inputs
         known = opcode.lower() in ("read", "write") and bool(params) and params[0] >= 0

@@ -1,4 +1,4 @@
-"""Settings of cameras; `field_name` and `resolve_settings` are those of `models.spec.settings`."""
+"""Settings of cameras, and payload checks; re-exports `field_name` and `resolve_settings`."""
 
 import math
 from dataclasses import dataclass, replace
@@ -12,9 +12,10 @@ from usarmjx.sensors.base import SENSORS, SensorSettings
 
 __all__ = ["CameraSettings", "field_name", "resolve_camera", "resolve_settings"]
 
-BEND = NumberLimits(low=-0.3, high=1.0)
+DISTORTION_LIMITS = NumberLimits(low=-0.3, high=1.0)
+"""Limits of a distortion coefficient."""
 MAX_SUPERSAMPLING = 4
-"""More rays along each side of a pixel are a slip."""
+"""Largest number of rays along each side of a pixel."""
 
 
 @dataclass(frozen=True)
@@ -22,19 +23,19 @@ class CameraSettings:
     """Settings of a camera (manual 10.14.2, its CONF example, and 3.2.6.2).
 
     Attributes:
-        weight: Adds to the payload [kg].
-        camera_def_fov: Horizontal field of view that it starts with [rad].
-        camera_min_fov: Smallest one [rad].
-        camera_max_fov: Largest one [rad].
-        is_stereo: Whether it has two eyes.
-        stereo_spacing: Half the way from the left eye to the right one, in USARSim's axes [m].
-        omni: Whether it looks into a parabolic mirror; those on the packages of manual 10.15 do anyway.
-        exposure: Factor on the brightness of its pictures. Ours, as the following.
-        distortion_k1: How the lens bends straight lines: coefficient of the square of the distance from the
-            middle, in focal lengths, of Brown's radial distortion; negative bulges.
-        distortion_k2: That of the fourth power.
+        weight: Share of the payload [kg].
+        camera_def_fov: Initial horizontal field of view [rad].
+        camera_min_fov: Smallest field of view [rad].
+        camera_max_fov: Largest field of view [rad].
+        is_stereo: Whether it has two lenses.
+        stereo_spacing: Half the offset from the left to the right lens, in USARSim's axes [m].
+        omni: Whether it faces a parabolic mirror; the packages of manual 10.15 always do.
+        exposure: Factor on the brightness of its pictures. Own key, like the following.
+        distortion_k1: Brown's radial distortion: coefficient of the squared distance from the centre, in
+            focal lengths; negative is barrel distortion.
+        distortion_k2: Coefficient of the fourth power.
         image_noise: Standard deviation of the noise of each colour of each pixel, of 255.
-        supersampling: Rays along each side of a pixel: edges are as smooth as there are more.
+        supersampling: Rays along each side of a pixel, for smooth edges.
     """
 
     weight: float = 0.4
@@ -45,19 +46,19 @@ class CameraSettings:
     stereo_spacing: tuple[tuple[str, float], ...] = (("Y", 0.05),)
     omni: bool = False
     exposure: Annotated[float, POSITIVE] = 1.0
-    distortion_k1: Annotated[float, BEND] = 0.0
-    distortion_k2: Annotated[float, BEND] = 0.0
+    distortion_k1: Annotated[float, DISTORTION_LIMITS] = 0.0
+    distortion_k2: Annotated[float, DISTORTION_LIMITS] = 0.0
     image_noise: Annotated[float, NOT_NEGATIVE] = 0.0
     supersampling: Annotated[int, NumberLimits(low=1, high=MAX_SUPERSAMPLING)] = 1
 
 
 def resolve_camera(mount: Mount, owner: str) -> CameraSettings:
-    """Return the settings of a camera; its first field of view is brought within limits unless it is its own.
+    """Return the settings of a camera; a default field of view is clamped to the limits.
 
     So equal CameraMinFov and CameraMaxFov make a camera of that field of view (manual 10.14.2).
 
     Raises:
-        UsageError: See `models.spec.settings.checked`.
+        UsageError: See `models.types.settings.checked`.
         SpecError: Likewise; or fields of view in the wrong order or not between 0 and pi.
     """
     settings = resolve_settings(CameraSettings, mount.all_options, owner)
@@ -75,10 +76,10 @@ def resolve_camera(mount: Mount, owner: str) -> CameraSettings:
 def carried_weight(robot: RobotSpec) -> float:
     """Return the weight of all sensors, cameras and effecters of a robot class [kg].
 
-    It adds to no body: what an item really weighs is in the solids of its part (manual 10, footnote 3).
+    It is not added to any body: the mass of an item is in the solids of its part (manual 10, footnote 3).
 
     Raises:
-        UnknownNameError: An item of an unknown type or with an unknown setting.
+        UnknownNameError: An item has an unknown type or setting.
     """
     weights = [_weight(mount, SENSORS.get(mount.kind).settings_class) for mount in robot.sensors]
     weights += [_weight(mount, CameraSettings) for mount in robot.cameras]
@@ -92,9 +93,9 @@ def _weight(mount: Mount, kind: type[object]) -> float:
 
 
 def overload(robot: RobotSpec) -> str:
-    """Return what is wrong if a robot carries more than its payload, else "".
+    """Return the fault if a robot carries more than its payload, otherwise "".
 
-    A payload of 0 is one that nobody knows.
+    A payload of 0 is unknown.
     """
     load = carried_weight(robot)
     if not robot.payload or load <= robot.payload + 1e-9:

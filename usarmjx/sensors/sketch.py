@@ -1,4 +1,4 @@
-"""What sensors draw into the pictures of cameras, so that one sees what they do (manual 10.9.2, 10.10.2)."""
+"""Overlays that sensors draw into camera pictures (manual 10.9.2, 10.10.2)."""
 
 from flax import struct
 
@@ -7,13 +7,13 @@ from usarmjx.base.backend import xp
 
 
 class OverlayLines(struct.PyTreeNode, kw_only=True):
-    """Straight lines; one that ends where it starts is a point.
+    """Straight lines; a line of zero length is a point.
 
     Attributes:
-        start: Where they start [m] (lines, 3).
-        end: Where they end [m] (lines, 3).
+        start: Start points [m] (lines, 3).
+        end: End points [m] (lines, 3).
         rgb: Red, green and blue, 0 to 1 (lines, 3).
-        shown: Which of them there are (lines,).
+        shown: Which lines exist (lines,).
     """
 
     start: Array
@@ -22,7 +22,7 @@ class OverlayLines(struct.PyTreeNode, kw_only=True):
     shown: Array
 
 
-def no_overlay(count: int) -> OverlayLines:
-    """Return an overlay with room for some lines, of which there is none."""
+def empty_overlay(count: int) -> OverlayLines:
+    """Return an overlay of `count` hidden lines."""
     nowhere = xp.zeros((count, 3))
     return OverlayLines(start=nowhere, end=nowhere, rgb=nowhere, shown=xp.zeros(count, bool))

@@ -17,7 +17,7 @@ from usarmjx.sensors.base import (
 )
 
 MIN_SOURCE_DISTANCE = 0.1
-"""Sources sound no louder from nearer than this [m]."""
+"""Lower bound of a source's distance [m]."""
 
 
 @dataclass(frozen=True)
@@ -25,23 +25,22 @@ class SoundSettings(NoisySensorSettings):
     """Manual 10.11.2; noise is on the loudness.
 
     Attributes:
-        output_curve: Points of the distortion curve of the loudness; none: undistorted.
+        output_curve: Points of the loudness's distortion curve; none: undistorted.
     """
 
     noise: float = 0.05
     output_curve: OutputCurve = ()
 
     def problem(self) -> str:
-        """Return what settings do not go together."""
+        """Return a conflict between settings."""
         return curve_problem(self.output_curve)
 
 
 @dataclass(frozen=True, eq=False)
 class Sound(Sensor):
-    """Hears the victim that is the loudest here; value: loudness, and how long its cries last [s] (2,).
+    """Microphone for the loudest victim; value: loudness, and duration of its cries [s] (2,).
 
-    Walls do not dampen sound: the manual has the square of the distance and nothing else. In silence both
-    are 0.
+    Walls do not attenuate sound: the manual has only the square of the distance. In silence both are 0.
     """
 
     kind = "Sound"
@@ -49,7 +48,7 @@ class Sound(Sensor):
     settings_class = SoundSettings
 
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
-        """Listen once."""
+        """Measure once."""
         settings, around = self.settings[0], inputs.surroundings_or_empty
         if around.mouth.shape[0] == 0:
             return memory, xp.zeros(2)

@@ -1,7 +1,7 @@
-"""All sensors of a robot class, read together, each when it is due.
+"""Sensor suite of a robot class: all its sensors, each read when it is due.
 
-A batch maps `Suite.hits` and `Suite.read` of one robot over robots and worlds. On NumPy they are of several
-robots too, all arrays with a leading axis over them: what sensors have `for_teams` is called once then.
+A batch maps `Suite.hits` and `Suite.read` of one robot over robots and worlds. On NumPy they also take
+several robots, with a leading axis on all arrays: methods marked `vectorized` are then called once.
 """
 
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ from usarmjx.sensors import (
     touch,
     victim,
 )
-from usarmjx.sensors.base import SENSORS, Reading, Sensor, SensorInput, is_for_teams
+from usarmjx.sensors.base import SENSORS, Reading, Sensor, SensorInput, is_vectorized
 from usarmjx.sensors.rays.raycast import NO_HITS, Hits, RayCaster, RayQuery, cast_rays
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sensors.settings import resolve_camera, resolve_settings
@@ -46,20 +46,20 @@ SENSOR_MODULES = (
     *(co2, gps, human_motion, inertial, ranging, motion, power),
     *(ranging, rfid, ranging, sound, touch, victim),
 )
-"""One for each family of sensors."""
+"""Module of each family of sensors."""
 
 
 CLOCK_SLACK = 1e-3
-"""A scan that is due within this time is due now: sums of float32 steps do not meet exactly [s]."""
+"""Time within which a scan counts as due [s]: sums of float32 steps are not exact."""
 
 
 class SensorMemory(struct.PyTreeNode, kw_only=True):
-    """What the sensors of one robot remember.
+    """Memory of one robot's sensors.
 
     Attributes:
-        due: When each sensor measures next [s] (sensors,).
+        due: Time of each sensor's next measurement [s] (sensors,).
         own: Each sensor's own memory.
-        last: Each sensor's last reading.
+        last: Each sensor's last value.
     """
 
     due: Array
@@ -68,34 +68,34 @@ class SensorMemory(struct.PyTreeNode, kw_only=True):
 
 
 NO_MEMORY = SensorMemory(due=np.zeros(0, np.float32), own=(), last=())
-"""Of a robot whose sensors have not started."""
+"""Memory of a robot whose sensors have not started."""
 
 
 @dataclass(frozen=True, eq=False)
 class Suite:
-    """The sensors of a robot class, in the order in which they report."""
+    """Sensors of a robot class, in the order of their reports."""
 
     plan: KinematicTree
     sensors: tuple[Sensor, ...]
 
     @property
     def needs_surroundings(self) -> bool:
-        """Whether any sensor asks for the surroundings."""
+        """Whether any sensor uses the surroundings."""
         return any(sensor.needs_surroundings for sensor in self.sensors)
 
     @property
     def needs_victims(self) -> bool:
-        """Whether any sensor asks for victims in the surroundings."""
+        """Whether any sensor uses victims in the surroundings."""
         return any(sensor.needs_surroundings and sensor.needs_victims for sensor in self.sensors)
 
     @cached_property
     def needs_battery(self) -> bool:
-        """Whether any sensor asks for the battery."""
+        """Whether any sensor uses the battery time."""
         return any(sensor.needs_battery for sensor in self.sensors)
 
     @cached_property
     def ray_counts(self) -> tuple[int, ...]:
-        """How many rays each sensor casts."""
+        """Number of rays of each sensor."""
         n = len(self.plan.parts)
         bodies = BodyPoses(pos=np.zeros((n, 3), np.float32), mat=np.zeros((n, 3, 3), np.float32))
         with numpy_backend():
@@ -103,12 +103,12 @@ class Suite:
 
     @cached_property
     def _ray_ends(self) -> tuple[int, ...]:
-        """How many rays all sensors up to each cast."""
+        """Cumulative number of rays (sensors,)."""
         return tuple(accumulate(self.ray_counts))
 
     @cached_property
     def _intervals(self) -> tuple[np.ndarray, np.ndarray]:
-        """Time between two measurements [s] (sensors,), and which sensors measure on command only."""
+        """Time between two measurements [s] (sensors,), and which sensors measure only on command."""
         interval = np.array([sensor.settings[0].scan_interval for sensor in self.sensors], np.float32)
         return interval, np.array([sensor.on_command for sensor in self.sensors], bool)
 
@@ -118,11 +118,11 @@ class Suite:
         return xp.concatenate([origin for origin, _ in pairs]), xp.concatenate([along for _, along in pairs])
 
     def due(self, time: Array, memory: SensorMemory) -> Array:
-        """Return which sensors measure at a time [s] () (sensors,)."""
+        """Return which sensors are due at a time [s] () (sensors,)."""
         return time >= memory.due - CLOCK_SLACK
 
     def _rays_of(self, i: int) -> slice:
-        """Return which of all rays are those of sensor `i`."""
+        """Return the slice of sensor `i` in all rays."""
         return slice(self._ray_ends[i] - self.ray_counts[i], self._ray_ends[i])
 
     def cast_rays(
@@ -144,14 +144,14 @@ class Suite:
         due: Array | None = None,
         surroundings: Surroundings = NO_SURROUNDINGS,
     ) -> Hits:
-        """Return what the rays of all sensors of a robot meet; angles of incidence only where one needs them.
+        """Return the hits of all sensors' rays of a robot, with incidence only for sensors that use it.
 
         Args:
-            cast: Casts them.
+            cast: Ray caster.
             bodies: Poses of the robot's bodies.
             slot: The robot's slot (); of several (robots,).
-            due: Which sensors measure now (sensors,); rays of the others are not cast and meet nothing. None:
-                all do.
+            due: Which sensors measure now (sensors,); rays of the others are not cast and hit nothing. None:
+                all.
             surroundings: Victims and tags.
         """
         if on_numpy():
@@ -174,7 +174,7 @@ class Suite:
         wanted: Array | None,
         surroundings: Surroundings,
     ) -> Hits:
-        """Return what the rays of one sensor meet, if anybody wants to know."""
+        """Return the hits of one sensor's rays, if they are wanted."""
         fans = sensor.fans(bodies)
         origin, direction = sensor.aimed_rays(bodies, surroundings) if fans is None else fans.rays()
         if fans is None:
@@ -190,14 +190,14 @@ class Suite:
         due: Array | None,
         surroundings: Surroundings,
     ) -> Hits:
-        """As `hits`, of one robot () or of several (robots,)."""
+        """As `hits`, for one robot () or several (robots,)."""
         distance = np.full((*slot.shape, sum(self.ray_counts)), np.inf, np.float32)
         cosine = np.zeros(distance.shape, np.float32)
         for i, sensor in enumerate(self.sensors):
             wanted = np.ones(slot.shape, bool) if due is None else np.asarray(due[..., i])
             if not self.ray_counts[i] or not wanted.any():
                 continue
-            together = _rays_of_team(sensor, bodies, surroundings) if slot.ndim else None
+            together = _rays_of_robots(sensor, bodies, surroundings) if slot.ndim else None
             for robot in zip(*np.nonzero(wanted), strict=True) if slot.ndim else [()]:
                 if together is not None:
                     origin, direction = (part[robot] for part in together)
@@ -211,11 +211,11 @@ class Suite:
         return Hits(distance=distance, cosine=cosine)
 
     def init_memory(self, inputs: SensorInput, key: Array) -> SensorMemory:
-        """Return the memory of a robot that starts now: everything but a manual scanner is due at once.
+        """Return the memory of a robot that starts now: all sensors are due except manual scanners.
 
-        No rays are cast for it: `inputs.hits` is not used.
+        No rays are cast: `inputs.hits` is not used.
         """
-        sensors = self._as_noisy_as(inputs)
+        sensors = self._with_noise(inputs)
         own = tuple(s.init_memory(inputs, own) for s, own in zip(sensors, self._keys(key), strict=True))
         rays = xp.zeros(sum(self.ray_counts))
         seen = inputs.replace(hits=Hits(distance=rays, cosine=rays))
@@ -226,15 +226,15 @@ class Suite:
                 self._read_one(i, sensor, seen, own[i], keys[i])[1] for i, sensor in enumerate(sensors)
             )
 
-        # Only how large the values are is asked: JAX finds out without measuring, NumPy takes a measurement.
+        # Only the shapes are needed: JAX derives them without measuring, NumPy has to measure.
         blank = read_all() if on_numpy() else jax.eval_shape(read_all)
         for sensor, value in zip(self.sensors, blank, strict=True):
             sensor.check_value(value.shape)
         due = xp.where(self._intervals[1], xp.inf, 0.0) + inputs.time
         return SensorMemory(due=due, own=own, last=tuple(xp.zeros(v.shape, v.dtype) for v in blank))
 
-    def _as_noisy_as(self, inputs: SensorInput) -> tuple[Sensor, ...]:
-        """Return the sensors of a robot whose noise may be more or less than usual."""
+    def _with_noise(self, inputs: SensorInput) -> tuple[Sensor, ...]:
+        """Return the sensors with the noise factor of a robot."""
         factor = inputs.noise_factor
         if factor is None:
             return self.sensors
@@ -243,7 +243,7 @@ class Suite:
         )
 
     def _keys(self, key: Array) -> Sequence[Array]:
-        """Return a key for each sensor, folded by its place: adding one leaves the noise of others alone."""
+        """Return a key for each sensor, folded by its index: an added sensor leaves other noise unchanged."""
         keys = random.fold_in(key, np.arange(len(self.sensors)))
         return np.moveaxis(keys, -2, 0) if on_numpy() else keys
 
@@ -255,14 +255,14 @@ class Suite:
         memory: Any,  # noqa: ANN401 - the sensor's own
         key: Array,
     ) -> tuple[Any, Array]:
-        """Return what sensor `i` of a robot remembers after it measures, and what it measures."""
+        """Return the new memory and the value of sensor `i`."""
         mine = (..., self._rays_of(i))
         hits = Hits(distance=inputs.hits.distance[mine], cosine=inputs.hits.cosine[mine])
         inputs = inputs.replace(hits=hits)
         with named_scope(sensor.kind):
             if not on_numpy():
                 return sensor.read(inputs, memory, key)
-            if random.axes(key) and not is_for_teams(sensor.read):
+            if random.axes(key) and not is_vectorized(sensor.read):
 
                 def of_robot(robot: int, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
                     return sensor.read(inputs.of(robot), memory, key)
@@ -274,14 +274,14 @@ class Suite:
     def read(
         self, inputs: SensorInput, memory: SensorMemory, key: Array
     ) -> tuple[SensorMemory, tuple[Reading, ...]]:
-        """Measure what is due; the others keep their last reading, marked as not fresh."""
+        """Read the due sensors; the others keep their last value, marked as not fresh."""
         interval, manual = self._intervals
         fresh, keys = self.due(inputs.time, memory), self._keys(key)
         kept = [
             self._read_if(i, sensor, fresh[..., i], inputs, memory, keys[i])
-            for i, sensor in enumerate(self._as_noisy_as(inputs))
+            for i, sensor in enumerate(self._with_noise(inputs))
         ]
-        # The next scan follows the schedule, not the moment it was read, so that the rate holds on average.
+        # The next scan follows the schedule, not the time of reading, so that the mean rate is exact.
         late = inputs.time - memory.due >= interval
         following = xp.where(manual, xp.inf, xp.where(late, inputs.time, memory.due) + interval)
         due = xp.where(fresh, following, memory.due)
@@ -292,7 +292,7 @@ class Suite:
     def _read_if(
         self, i: int, sensor: Sensor, fresh: Array, inputs: SensorInput, memory: SensorMemory, key: Array
     ) -> tuple[Any, Array]:
-        """As `_read_one` of a sensor that is due, else what there was before."""
+        """As `_read_one` for a due sensor, otherwise the old memory and value."""
         before = memory.own[i], memory.last[i]
         if on_numpy() and not fresh.any():
             return before
@@ -306,7 +306,7 @@ class Suite:
         return jax.tree.map(lambda new, old: jnp.where(fresh, new, old), after, before)
 
     def find(self, kind: str, name: str) -> int | None:
-        """Return the place of the sensor that holds the mount of that type and name, case ignored."""
+        """Return the index of the sensor with a mount of that type and name, case ignored."""
         for i, sensor in enumerate(self.sensors):
             names = {mount.name.lower() for mount in sensor.mounts}
             if sensor.kind.lower() == kind.lower() and name.lower() in names:
@@ -314,10 +314,10 @@ class Suite:
         return None
 
     def index(self, kind: str) -> int:
-        """Return the place of the first sensor of a type.
+        """Return the index of the first sensor of a type.
 
         Raises:
-            UnknownNameError: The robot has none; lists the types it has.
+            UnknownNameError: The robot has none; lists its types.
         """
         kinds = [sensor.kind.lower() for sensor in self.sensors]
         if kind.lower() not in kinds:
@@ -328,7 +328,7 @@ class Suite:
     def handle_set(
         self, i: int, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: SensorMemory
     ) -> SensorMemory | None:
-        """Carry out a SET command on sensor `i`; None when it is not valid for that sensor."""
+        """Execute a SET command on sensor `i`; None if it is invalid for that sensor."""
         own = self.sensors[i].handle_set(opcode, params, inputs, memory.own[i])
         if own is None:
             return None
@@ -336,15 +336,15 @@ class Suite:
         return memory.replace(own=(*memory.own[:i], own, *memory.own[i + 1 :]), due=due)
 
 
-def carry_over(before: Suite, after: Suite, memory: SensorMemory, fresh: SensorMemory) -> SensorMemory:
-    """Return what a robot's sensors remember when settings of some of them have changed; NumPy's arrays.
+def migrate_memory(before: Suite, after: Suite, memory: SensorMemory, fresh: SensorMemory) -> SensorMemory:
+    """Return the memory of a robot's sensors after a change of settings; NumPy arrays.
 
     Args:
-        before: Its sensors so far.
+        before: Old sensors.
         after: The same sensors with other settings.
-        memory: What those so far remember.
-        fresh: What the others would remember if they started now: what has another shape is taken from it,
-            and when each measures next whose settings have changed.
+        memory: Memory of the old sensors.
+        fresh: Initial memory of the new sensors: source of memories whose shape has changed, and of the next
+            measurement of sensors whose settings have.
     """
 
     def same_shape(old: object, new: object) -> bool:
@@ -363,18 +363,18 @@ def _rays(sensor: Sensor, bodies: BodyPoses, surroundings: Surroundings) -> tupl
     return sensor.aimed_rays(bodies, surroundings) if fans is None else fans.rays()
 
 
-def _rays_of_team(
+def _rays_of_robots(
     sensor: Sensor, bodies: BodyPoses, surroundings: Surroundings
 ) -> tuple[Array, Array] | None:
-    """As `_rays`, of several robots (robots, rays, 3); None: the sensor does one after the other."""
-    fans = sensor.fans(bodies) if is_for_teams(sensor.fans) else None
+    """As `_rays`, for several robots (robots, rays, 3); None: the sensor supports only one at a time."""
+    fans = sensor.fans(bodies) if is_vectorized(sensor.fans) else None
     if fans is not None:
         return fans.rays()
-    return sensor.aimed_rays(bodies, surroundings) if is_for_teams(sensor.aimed_rays) else None
+    return sensor.aimed_rays(bodies, surroundings) if is_vectorized(sensor.aimed_rays) else None
 
 
 def _query(sensor: Sensor, slot: Array | np.int32, wanted: Array | None = None) -> RayQuery:
-    """Return how a sensor of the robot in a slot () casts its rays, if anybody wants to know ()."""
+    """Return the ray query of a sensor of the robot in a slot (), if its hits are wanted ()."""
     return RayQuery(
         transparent=sensor.transparent,
         bundle_size=sensor.bundle_size,
@@ -387,17 +387,17 @@ def _query(sensor: Sensor, slot: Array | np.int32, wanted: Array | None = None) 
 
 @lru_cache(maxsize=64)
 def _scaled(suite: Suite, factor: float) -> tuple[Sensor, ...]:
-    """Return a suite's sensors with so many times the noise, kept for the next time that they read."""
+    """Return a suite's sensors with scaled noise, cached."""
     return tuple(sensor.with_noise(factor) for sensor in suite.sensors)
 
 
 @cache
 def suite_of(robot: RobotSpec) -> Suite:
-    """Return the sensors of a robot class; those of a grouped type share one place, at their first mount.
+    """Return the sensors of a robot class; mounts of a grouped type share the first one's sensor.
 
     Raises:
-        UnknownNameError: A mount of an unknown type or with an unknown setting.
-        SpecError: A mount that cannot be built.
+        UnknownNameError: A mount has an unknown type or setting.
+        SpecError: A mount cannot be built.
     """
     plan = kinematic_tree_of(robot)
     for mount in robot.cameras:

@@ -1,4 +1,4 @@
-"""What sensors can know of a world beside their own robot and what their rays meet: victims and RFID tags."""
+"""Surroundings of the sensors besides their robot and ray hits: victims and RFID tags."""
 
 from types import ModuleType
 
@@ -25,21 +25,21 @@ class Surroundings(struct.PyTreeNode, kw_only=True):
     """Victims and tags of one world at one moment, in world axes. Shared by its robots.
 
     Attributes:
-        box_pos: Centres of the victims' boxes and false alarms [m] (boxes, 3).
+        box_pos: Centres of the boxes of victims and false alarms [m] (boxes, 3).
         box_mat: Their orientations (boxes, 3, 3).
         box_size: Their half lengths [m] (boxes, 3).
-        box_part: What they are, as places in `victims.PART_NAMES` (boxes,).
-        box_owner: Whose they are: a victim's place, or less than 0: see `VictimTable.owner` (boxes,).
-        speed: How fast their fastest corners move [m/s] (boxes,).
-        swing: Farthest that a corner of each gets from where it began [m] (boxes,).
-        mouth: Where each victim cries and breathes [m] (victims, 3).
-        loudness: How loud each cries now, measured at 1 m (victims,).
-        duration: How long its cries last [s] (victims,).
+        box_part: Body parts, as indices in `victims.PART_NAMES` (boxes,).
+        box_owner: Victim's index, or a negative number: see `VictimTable.owner` (boxes,).
+        speed: Speeds of their fastest corners [m/s] (boxes,).
+        swing: Largest amplitude of each box's corners from the initial position [m] (boxes,).
+        mouth: Victims' mouths, where they cry and breathe [m] (victims, 3).
+        loudness: Current loudness of each at 1 m (victims,).
+        duration: Duration of its cries [s] (victims,).
         breathes: Whether it breathes (victims,).
-        tag_pos: Where RFID tags are [m] (tags, 3).
+        tag_pos: Positions of RFID tags [m] (tags, 3).
         tag_id: Their IDs (tags,).
         tag_single: Whether they answer only once (tags,).
-        tag_there: Whether there is such a tag (tags,).
+        tag_there: Whether the tag exists (tags,).
     """
 
     box_pos: Array
@@ -60,7 +60,7 @@ class Surroundings(struct.PyTreeNode, kw_only=True):
 
 
 def nearest(distance: Array, count: int) -> Array:
-    """Return the places of the least of some distances (..., n), the nearest first (..., count)."""
+    """Return the indices of the smallest distances (..., n), in ascending order (..., count)."""
     if on_numpy():
         return np.argsort(distance, stable=True)[..., :count]
     return jax.lax.top_k(-distance, count)[1]
@@ -74,15 +74,15 @@ def surroundings_at(
     floor: Array,
     xp: ModuleType = xp,
 ) -> Surroundings:
-    """Return what is around in one world.
+    """Return the surroundings of one world.
 
     Args:
         victims: Victims and false alarms, in the arena's axes.
         arena_tags: The arena's own tags, in the arena's axes.
-        dropped_tags: Tags that robots have dropped, in world axes.
-        time: Simulated time, by which victims move and cry [s] ().
+        dropped_tags: Tags dropped by robots, in world axes.
+        time: Simulated time, on which victims' motion and cries depend [s] ().
         floor: Height of the arena's floor in the world [m] ().
-        xp: Array module of all of them.
+        xp: Array module of all arguments.
     """
     up = xp.stack([0.0 * floor, 0.0 * floor, floor * xp.ones((), xp.float32)])
     pos, quat = segment_poses(victims, time, xp)
@@ -103,13 +103,13 @@ def surroundings_at(
 
 
 def tags_at(arena_tags: TagTable, dropped_tags: DroppedTags, floor: Array) -> Surroundings:
-    """Return what is around where nobody looks for victims; arguments are those of `surroundings_at`."""
+    """Return surroundings with tags only; arguments as for `surroundings_at`."""
     up = xp.stack([0.0 * floor, 0.0 * floor, floor])
     return NO_SURROUNDINGS.replace(**_all_tags(arena_tags, dropped_tags, up, xp))
 
 
 def _all_tags(arena_tags: TagTable, dropped_tags: DroppedTags, up: Array, xp: ModuleType) -> dict[str, Array]:
-    """Return the fields of `Surroundings` that are of tags: those of the arena, then those dropped."""
+    """Return the tag fields of `Surroundings`: those of the arena, then dropped ones."""
     room = len(dropped_tags.pos)
     return {
         "tag_pos": xp.concatenate([arena_tags.pos + up, dropped_tags.pos]),
@@ -123,4 +123,5 @@ with numpy_backend():
     NO_SURROUNDINGS = surroundings_at(
         victim_table([]), tag_table([]), no_dropped_tags(), xp.zeros(()), xp.zeros(())
     )
+    """Surroundings without victims and tags."""
 """Of a world without victims, and without tags of its own."""

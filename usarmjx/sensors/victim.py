@@ -1,4 +1,4 @@
-"""Victim and false positive sensor (manual 10.10), as the original's VictSensor.uc works."""
+"""Victim and false positive sensor (manual 10.10), after the original's VictSensor.uc."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,15 +14,14 @@ from usarmjx.models.types.settings import ANGLE_STEP, HALF_TURN, NOT_NEGATIVE, P
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
 from usarmjx.sensors.ranging import beam_count_problem, step_count
 from usarmjx.sensors.rays.bundles import Fans
-from usarmjx.sensors.sketch import OverlayLines, no_overlay
+from usarmjx.sensors.sketch import OverlayLines, empty_overlay
 
-TOLERANCE = 1e-3
-"""A ray that ends this much short of a body part still met it [m]: the same number, worked out twice."""
+BOX_TOLERANCE = 1e-3
+"""Tolerance of a ray's end on a body part [m]: the same distance computed in two ways."""
 GRID_SHIFTS = ((0, 0), (1, 0), (1, 1), (0, 1))
-"""The four grids of rays that a reading is made of: by how many half steps each is shifted to the right and
-down."""
+"""Shifts of the four ray grids of a reading, in half steps to the right and down."""
 GREEN, YELLOW, RED, WHITE = np.array([(0, 1, 0), (1, 1, 0), (1, 0, 0), (1, 1, 1)], np.float32)
-"""Of points where rays end: on a victim, a false alarm, anything else, nothing (chosen)."""
+"""Colours of ray ends: on a victim, a false alarm, anything else, nothing (chosen)."""
 
 
 @dataclass(frozen=True)
@@ -30,16 +29,16 @@ class VictSensorSettings(SensorSettings):
     """Manual 10.10.2.
 
     Attributes:
-        scan_interval: Time between two readings [s]: the original sends one of its four grids with each of
-            its robot's reports, which come every 0.2 s, and tells what all of them met after the fourth.
+        scan_interval: Time between two readings [s]: the original casts one of its four grids with each of
+            its robot's reports, every 0.2 s, and reports the hits of all four after the last.
         distance: Length of the rays [m].
         horizontal_fov: Angle from the first column of rays to the last [rad].
         horizontal_step: Angle between two columns of a grid [rad].
         vertical_fov: Angle from the first row of rays to the last [rad].
         vertical_step: Angle between two rows of a grid [rad].
-        show_results: Whether pictures show where rays end, and on what.
-        mean: Mean error of a coordinate, as a share of the distance.
-        sigma: Standard deviation of the error, as a share of the distance.
+        show_results: Whether pictures show the ends of the rays and their hits.
+        mean: Mean error of a coordinate, relative to the distance.
+        sigma: Standard deviation of the error, relative to the distance.
     """
 
     with_time_stamp: bool = True
@@ -54,7 +53,7 @@ class VictSensorSettings(SensorSettings):
     sigma: Annotated[float, NOT_NEGATIVE] = 0.01
 
     def problem(self) -> str:
-        """Return what settings do not go together."""
+        """Return a conflict between settings."""
         columns = step_count(self.horizontal_fov, self.horizontal_step) + 1
         return beam_count_problem(columns * (step_count(self.vertical_fov, self.vertical_step) + 1))
 
@@ -71,9 +70,9 @@ def shifted_grids(settings: VictSensorSettings) -> tuple[np.ndarray, ...]:
 
 
 def _angles(fov: float, step: float, shift: int) -> np.ndarray:
-    """Angles from half the field of view downward, the first by `shift` half steps less (n,).
+    """Return angles from half the field of view downward, shifted by `shift` half steps (n,).
 
-    There are none where that is beyond the field of view.
+    Empty if the shift exceeds the field of view.
     """
     late = shift * step / 2
     if late > fov:
@@ -89,14 +88,14 @@ def _grid(left: np.ndarray, up: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class VictSensor(Sensor):
-    """Rays that look for parts of victims; value: met or not, part and x, y, z [m] of each (boxes, 5).
+    """Ray grid that looks for parts of victims; value: hit or not, part and x, y, z [m] of each (boxes, 5).
 
-    For each box of a victim or false alarm: whether it was met, which part it is as a place in
-    `victims.PART_NAMES`, and where its centre is, in the sensor's axes [m].
+    For each box of a victim or false alarm: whether it was hit, its body part as an index in
+    `victims.PART_NAMES`, and its centre in the sensor's axes [m].
 
     All four grids are cast at the moment of the reading. A left and a right limb are two parts, upper and
-    lower arm (leg) one. False alarms come and go as the original's do: each grid that meets one takes it for
-    nothing with the probability with which a normal number is below `distance` / 3 of its distance.
+    lower arm (leg) one. False alarms flicker as in the original: each grid that hits one ignores it with the
+    probability that a normal number is below `distance` / 3 of its distance.
     """
 
     kind = "VictSensor"
@@ -110,15 +109,15 @@ class VictSensor(Sensor):
 
     @cached_property
     def _fan(self) -> np.ndarray:
-        """Directions of all of them, one after the other (1, rays, 3)."""
+        """Directions of all grids, concatenated (1, rays, 3)."""
         return np.concatenate(self._grids)[None]
 
     def fans(self, bodies: BodyPoses) -> Fans:
-        """All four grids, one after the other."""
+        """Return all four grids, concatenated."""
         return Fans(*self.mount_poses(bodies), self._fan)
 
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
-        """Look once with all four grids."""
+        """Measure once with all four grids."""
         settings, around = self.settings[0], inputs.surroundings_or_empty
         pos, mat = self.mount_poses(inputs.bodies)
         end, inside = self._ends(inputs)
@@ -131,17 +130,17 @@ class VictSensor(Sensor):
         doubt = xp.abs(drawn[: met.size].reshape(met.shape)) * far > settings.distance / 3
         seen = (met & (doubt | (xp.asarray(around.box_owner) >= 0))).any(0)
         error = settings.mean + settings.sigma * drawn[met.size :].reshape(position.shape)
-        told = xp.where(seen[:, None], position + far[:, None] * error, 0.0)
+        reported = xp.where(seen[:, None], position + far[:, None] * error, 0.0)
         row = xp.stack([seen.astype(xp.float32), xp.asarray(around.box_part, xp.float32)], -1)
         if self.has_overlay:
             rgb = xp.where((inputs.hits.distance <= settings.distance)[:, None], RED, WHITE)
             for owned, color in ((around.box_owner < 0, YELLOW), (around.box_owner >= 0, GREEN)):
                 rgb = xp.where(xp.any(inside & owned[:, None], 0)[:, None], color, rgb)
             memory = OverlayLines(start=end, end=end, rgb=rgb, shown=xp.ones(len(end), bool))
-        return memory, xp.concatenate([row, told], -1)
+        return memory, xp.concatenate([row, reported], -1)
 
     def _ends(self, inputs: SensorInput) -> tuple[Array, Array]:
-        """Return where rays end [m] (rays, 3), and which boxes' surfaces are there (boxes, rays)."""
+        """Return the ends of rays [m] (rays, 3), and the boxes whose surfaces are there (boxes, rays)."""
         settings, around = self.settings[0], inputs.surroundings_or_empty
         origin, along = self.rays(inputs.bodies)
         near = inputs.hits.distance <= settings.distance
@@ -149,23 +148,23 @@ class VictSensor(Sensor):
         pos, mat, size = map(xp.asarray, (around.box_pos, around.box_mat, around.box_size))
         away = [end[:, j] - pos[:, j, None] for j in range(3)]
         inside = near
-        for axis in range(3):  # sums of products, which a GPU does not round to TensorFloat-32
+        for axis in range(3):  # sums of products: no TensorFloat-32 on a GPU
             position = sum(mat[:, j, axis, None] * away[j] for j in range(3))
-            inside = inside & (xp.abs(position) <= size[:, axis, None] + TOLERANCE)
+            inside = inside & (xp.abs(position) <= size[:, axis, None] + BOX_TOLERANCE)
         return end, inside
 
     def init_memory(self, inputs: SensorInput, key: Array) -> Any:  # noqa: ANN401 - an overlay if it has one
-        """Nothing was met yet."""
+        """Return a memory without hits."""
         del inputs, key
-        return no_overlay(self._fan.shape[1]) if self.has_overlay else ()
+        return empty_overlay(self._fan.shape[1]) if self.has_overlay else ()
 
     @property
     def has_overlay(self) -> bool:
-        """With bShowResults (manual 10.10.2)."""
+        """Whether bShowResults is set (manual 10.10.2)."""
         return self.settings[0].show_results
 
     def overlay(self, memory: OverlayLines) -> OverlayLines:
-        """Points where rays end, coloured by what is there."""
+        """Return the ends of rays as points, coloured by their hits."""
         return memory
 
 

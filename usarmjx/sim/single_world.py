@@ -32,7 +32,7 @@ from usarmjx.models.effecters import Opcode, no_dropped_tags
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.base import Reading, SensorInput
 from usarmjx.sensors.cameras.shading import RenderScene
-from usarmjx.sensors.suite import carry_over, suite_of
+from usarmjx.sensors.suite import migrate_memory, suite_of
 from usarmjx.sim.control import idle_command
 from usarmjx.sim.operate import EffecterOrder, OperationResult, operate
 from usarmjx.sim.radio import update_links
@@ -236,7 +236,7 @@ class SingleWorld:
         rows, entry = self._rows(), self.roster[slot]
         (group,) = robot_groups(self.engine.model, {slot: robot})
         before, fresh = rows[slot].memory, _row(self._started(group).memory, 0)
-        memory = carry_over(suite_of(entry.spec), group.suite, before, fresh)
+        memory = migrate_memory(suite_of(entry.spec), group.suite, before, fresh)
         rows[slot] = rows[slot].replace(memory=memory)
         self._regroup(self.roster | {slot: replace(entry, robot=robot)}, rows)
 

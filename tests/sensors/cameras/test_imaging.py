@@ -18,11 +18,11 @@ from usarmjx.models.robots.kit import camera
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.arena import Light
 from usarmjx.models.types.robot import options
-from usarmjx.sensors.cameras.imaging import levels, smoothed
-from usarmjx.sensors.cameras.lenses import pinhole_rays, untiled
+from usarmjx.sensors.cameras.imaging import box_filter, quantize
+from usarmjx.sensors.cameras.lenses import from_tiles, pinhole_rays
 from usarmjx.sensors.cameras.mounts import cameras_of
 from usarmjx.sensors.cameras.picture import camera_viewpoint, render_picture
-from usarmjx.sensors.cameras.shading import INDOOR_GAIN, developed, point_lights, shadow_gain
+from usarmjx.sensors.cameras.shading import INDOOR_GAIN, point_lights, shadow_gain, tone_mapped
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.server.worlds.served_world import CameraRequest
 from usarmjx.sim.configure import configure
@@ -45,7 +45,7 @@ def pixel_of(along, k1, k2):
 def test_each_pixel_looks_where_the_lens_shows_what_is_there(k1, k2):
     with numpy_backend():
         rays = pinhole_rays(WIDTH, HEIGHT, np.float32(FOV), np.float32([k1, k2]))
-    along = untiled(rays.direction, WIDTH, HEIGHT).astype(float)
+    along = from_tiles(rays.direction, WIDTH, HEIGHT).astype(float)
     right, down = pixel_of(along, k1, k2)
     columns, rows = np.meshgrid(np.arange(WIDTH) + 0.5 - WIDTH / 2, np.arange(HEIGHT) + 0.5 - HEIGHT / 2)
     np.testing.assert_allclose(right, columns, atol=PIXEL)
@@ -61,7 +61,7 @@ def test_a_lens_that_bulges_has_an_edge_beyond_which_there_is_nothing():
         rays = pinhole_rays(WIDTH, HEIGHT, np.float32(FOV), np.float32([-0.2, 0.0]))
     columns, rows = np.meshgrid(np.arange(WIDTH) + 0.5 - WIDTH / 2, np.arange(HEIGHT) + 0.5 - HEIGHT / 2)
     seen = np.hypot(columns, rows) / (WIDTH / 2 / math.tan(FOV / 2))
-    inside, edge = untiled(rays.inside, WIDTH, HEIGHT), 2 / 3 * math.sqrt(1 / 0.6)
+    inside, edge = from_tiles(rays.inside, WIDTH, HEIGHT), 2 / 3 * math.sqrt(1 / 0.6)
     np.testing.assert_array_equal(inside[abs(seen - edge) > 0.01], (seen < edge)[abs(seen - edge) > 0.01])
     assert 0.5 < inside.mean() < 0.95
     assert np.isfinite(rays.direction).all()
@@ -79,8 +79,8 @@ def test_indoors_what_is_dark_is_brightened_and_nothing_is_lost():
     with numpy_backend():
         assert (shadow_gain(lamps), shadow_gain(none)) == (INDOOR_GAIN, 1.0)
         value = np.linspace(0, 1, 101, dtype=np.float32)
-        bright = developed(value, INDOOR_GAIN)
-        np.testing.assert_array_equal(developed(value, 1.0), value)
+        bright = tone_mapped(value, INDOOR_GAIN)
+        np.testing.assert_array_equal(tone_mapped(value, 1.0), value)
     assert (bright[0], bright[-1]) == (0.0, 1.0)
     assert (np.diff(bright) > 0).all(), "what differs still does"
     assert bright[1] / value[1] == pytest.approx(INDOOR_GAIN, rel=0.02)
@@ -102,8 +102,10 @@ def test_the_yellow_arena_is_no_longer_dark():
 def test_noise_is_as_large_as_it_says_and_another_one_for_each_moment_and_robot():
     grey = np.full((60, 80, 3), 0.5, np.float32)
     with numpy_backend():
-        plain = levels(grey, None, 0, 0)
-        loud = [levels(grey, np.float32(6.0), seed, slot) for seed, slot in ((1, 0), (1, 0), (2, 0), (1, 1))]
+        plain = quantize(grey, None, 0, 0)
+        loud = [
+            quantize(grey, np.float32(6.0), seed, slot) for seed, slot in ((1, 0), (1, 0), (2, 0), (1, 1))
+        ]
     assert (plain == 128).all()
     error = loud[0].astype(float) - 127.5
     # 14,400 numbers: the deviation is good to 0.6 %, with 1/12 for rounding; four times that.
@@ -112,7 +114,7 @@ def test_noise_is_as_large_as_it_says_and_another_one_for_each_moment_and_robot(
     np.testing.assert_array_equal(loud[0], loud[1])
     assert all((loud[0] != other).mean() > 0.9 for other in loud[2:])
     with numpy_backend():
-        white = levels(np.ones((9, 9, 3), np.float32), np.float32(50.0), 1, 0)
+        white = quantize(np.ones((9, 9, 3), np.float32), np.float32(50.0), 1, 0)
     assert white.max() == 255
 
 
@@ -121,7 +123,7 @@ def test_an_edge_through_a_pixel_is_as_bright_as_its_share():
     three in a row's half; labels and depths are those of a ray near the middle of the pixel."""
     values = np.arange(16.0).reshape(4, 4)
     with numpy_backend():
-        np.testing.assert_array_equal(smoothed(values, 2), [[2.5, 4.5], [10.5, 12.5]])
+        np.testing.assert_array_equal(box_filter(values, 2), [[2.5, 4.5], [10.5, 12.5]])
     white, black = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
     focal = 16 / 2 / math.tan(0.6)
     edge = 0.6 * 5.0 / focal  # to the left, of what is 5 m away: the edge is 0.6 pixels left of the middle

@@ -8,11 +8,11 @@ import pytest
 
 from usarmjx.sensors.cameras.lenses import (
     MIRROR_RIM_ANGLE,
+    from_tiles,
     omni_rays,
     pinhole_rays,
     pixel_offsets,
-    tiled,
-    untiled,
+    to_tiles,
 )
 
 SINGLE = 2e-6  # float32 rounding of unit vectors and of angles up to pi
@@ -22,7 +22,7 @@ SINGLE = 2e-6  # float32 rounding of unit vectors and of angles up to pi
 @pytest.mark.parametrize(("width", "height", "fov"), [(64, 64, 0.8727), (30, 21, 2.0944), (320, 240, 0.3491)])
 def test_a_pinholes_pixels_look_where_their_middles_are(width, height, fov):
     rays = pinhole_rays(width, height, jnp.float32(fov))
-    along, depth = (np.asarray(untiled(x, width, height)) for x in (rays.direction, rays.depth_scale))
+    along, depth = (np.asarray(from_tiles(x, width, height)) for x in (rays.direction, rays.depth_scale))
     focal = width / 2 / math.tan(fov / 2)
     column, row = np.meshgrid(np.arange(width), np.arange(height))
     x, y = column + 0.5 - width / 2, height / 2 - row - 0.5
@@ -39,14 +39,14 @@ def test_pixels_come_in_tiles_and_go_back():
     for width, height in ((16, 8), (17, 9), (5, 30)):
         right, up = pixel_offsets(width, height)
         assert len(right) % 64 == 0
-        picture = np.asarray(untiled(jnp.stack([jnp.asarray(right), jnp.asarray(up)], -1), width, height))
+        picture = np.asarray(from_tiles(jnp.stack([jnp.asarray(right), jnp.asarray(up)], -1), width, height))
         column, row = np.meshgrid(np.arange(width), np.arange(height))
         np.testing.assert_allclose(picture[..., 0], column + 0.5 - width / 2)
         np.testing.assert_allclose(picture[..., 1], height / 2 - row - 0.5)
     numbers = np.arange(16 * 24).reshape(16, 24)
-    cut = tiled(numbers)
+    cut = to_tiles(numbers)
     np.testing.assert_array_equal(cut[:64], numbers[:8, :8].ravel())
-    np.testing.assert_array_equal(untiled(jnp.asarray(cut), 24, 16), numbers)
+    np.testing.assert_array_equal(from_tiles(jnp.asarray(cut), 24, 16), numbers)
 
 
 @pytest.mark.oracle
@@ -54,7 +54,7 @@ def test_an_omnidirectional_pixel_looks_where_the_paraboloid_throws_it():
     """A ray along the axis, reflected at the mirror's own slope, goes away from its focus."""
     size = 41
     rays = omni_rays(size, size, jnp.float32(1.0))
-    along, inside = (np.asarray(untiled(x, size, size)) for x in (rays.direction, rays.inside))
+    along, inside = (np.asarray(from_tiles(x, size, size)) for x in (rays.direction, rays.inside))
     rim, h = math.tan(MIRROR_RIM_ANGLE / 2), 1.0
     for row, column in ((20, 20), (20, 30), (3, 20), (10, 8), (33, 35)):
         x, y = (column + 0.5 - size / 2) / (size / 2) * rim, (size / 2 - row - 0.5) / (size / 2) * rim
@@ -75,7 +75,7 @@ def test_an_omnidirectional_pixel_looks_where_the_paraboloid_throws_it():
 def test_known_directions_have_known_radii_in_the_mirror():
     size = 400
     rays = omni_rays(size, size, jnp.float32(1.0))
-    along, inside = (np.asarray(untiled(x, size, size)) for x in (rays.direction, rays.inside))
+    along, inside = (np.asarray(from_tiles(x, size, size)) for x in (rays.direction, rays.inside))
     row = along[200, 200:]  # half a pixel below the middle
     angle = np.degrees(np.arccos(np.clip(-row[:, 0], -1, 1)))
     radius = (np.hypot(np.arange(200) + 0.5, 0.5)) / 200

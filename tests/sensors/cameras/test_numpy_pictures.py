@@ -30,7 +30,7 @@ from usarmjx.sensors.cameras.paint import (
     VICTIM_LABEL,
 )
 from usarmjx.sensors.cameras.picture import render_picture
-from usarmjx.sensors.cameras.programs import with_spare_capacity
+from usarmjx.sensors.cameras.programs import pad_render_scene
 from usarmjx.sensors.cameras.shading import SUN_DIRECTION, shade
 from usarmjx.server.pictures.spectator import viewpoint_at
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
@@ -104,7 +104,7 @@ def both(world, slot, name):
     robot = world.robots[slot]
     request = CameraRequest(robot, robot.camera_index(name), *SIZE)
     (picture,) = world.snapshot([request])()
-    scene, viewpoint = with_spare_capacity(world._single.render_scene()), world.viewpoint(request)
+    scene, viewpoint = pad_render_scene(world._single.render_scene()), world.viewpoint(request)
     with mock.patch.object(picture_module, "shade", _shade):  # as many rays through any lens: one program
         compiled = render_picture(scene, viewpoint, *SIZE)
     return picture, jax.device_get(compiled)

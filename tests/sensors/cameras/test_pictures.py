@@ -386,7 +386,7 @@ def test_worlds_with_arenas_of_their_own_have_their_own_colours_and_light():
     assert len(colour[1]) > 50
     assert not colour[0][:, 1:].any()
     assert not colour[1][:, :2].any()
-    # Cameras brighten what is dark indoors (`light.developed`): the light itself is compared.
+    # Cameras brighten what is dark indoors (`light.tone_mapped`): the light itself is compared.
     night = colour[1].max() / 255
     light = night / (INDOOR_GAIN - (INDOOR_GAIN - 1) * night)
     assert 255 * light < colour[0][:, 0].min(), "night"

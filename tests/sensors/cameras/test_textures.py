@@ -24,7 +24,7 @@ from usarmjx.models.types.textures import (
 )
 from usarmjx.sensors.cameras.paint import ARENA_LABEL
 from usarmjx.sensors.cameras.shading import BRICK_CONTRAST, shade
-from usarmjx.sensors.cameras.textures import BRICK, LANDOLT_RINGS, MORTAR_SHADE, TILE, noise, textured
+from usarmjx.sensors.cameras.textures import BRICK, LANDOLT_RINGS, MORTAR_SHADE, TILE, apply_textures, noise
 from usarmjx.sensors.rays.raycast import EXCLUDE_NONE
 from usarmjx.server.pictures.spectator import viewpoint_at
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
@@ -41,7 +41,7 @@ def pattern(name, across, up):
     code, rgb = np.full(len(across), texture_code(name)), np.full((3, len(across)), GREY, np.float32)
     away = np.broadcast_to(NOWHERE, across.shape)
     with numpy_backend():
-        seen = textured({name}, code, rgb, (across, up), (away, away))
+        seen = apply_textures({name}, code, rgb, (across, up), (away, away))
     return (seen[0] / GREY).reshape(shape)
 
 
@@ -50,7 +50,7 @@ def sign(texture, u, v):
     u, v = (np.float32(np.atleast_1d(x)) for x in (u, v))
     code, rgb = np.full(len(u), texture_code(texture)), np.full((3, len(u)), GREY, np.float32)
     with numpy_backend():
-        return textured(texture_names(code), code, rgb, (u, v), (u, v)).T
+        return apply_textures(texture_names(code), code, rgb, (u, v), (u, v)).T
 
 
 def grid(step=0.01):

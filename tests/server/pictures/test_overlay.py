@@ -8,7 +8,7 @@ import pytest
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.models.robots import ROBOTS
-from usarmjx.sensors.cameras.lenses import MIRROR_DISTANCE, omni_rays, untiled
+from usarmjx.sensors.cameras.lenses import MIRROR_DISTANCE, from_tiles, omni_rays
 from usarmjx.sensors.cameras.mounts import cameras_of
 from usarmjx.sensors.cameras.picture import camera_viewpoint
 from usarmjx.sensors.sketch import OverlayLines
@@ -88,7 +88,7 @@ def test_a_mirror_shows_a_ball_where_its_ray_goes(row, column):
     """The ball is put where the renderer's own ray of a pixel passes."""
     here = eye("OmniP2DX", fov=cameras_of(ROBOTS.get("OmniP2DX"))[0].default_fov, angles=(0.1, -1.5, 0.7))
     assert here.lens == "omni"
-    along = np.asarray(untiled(omni_rays(WIDTH, HEIGHT, np.float32(1.0)).direction, WIDTH, HEIGHT))[
+    along = np.asarray(from_tiles(omni_rays(WIDTH, HEIGHT, np.float32(1.0)).direction, WIDTH, HEIGHT))[
         row, column
     ]
     ball = PLACE + here.mat @ (np.array([MIRROR_DISTANCE, 0.0, 0.0]) + 0.8 * along)
@@ -161,7 +161,7 @@ def test_a_line_ends_behind_what_is_nearer():
 def test_a_mirror_bends_a_line():
     """The ends are where the renderer's own rays of two pixels pass; what is painted sees the line."""
     here = eye("OmniP2DX", fov=cameras_of(ROBOTS.get("OmniP2DX"))[0].default_fov, angles=(0.1, -1.5, 0.7))
-    along = np.asarray(untiled(omni_rays(WIDTH, HEIGHT, np.float32(1.0)).direction, WIDTH, HEIGHT), float)
+    along = np.asarray(from_tiles(omni_rays(WIDTH, HEIGHT, np.float32(1.0)).direction, WIDTH, HEIGHT), float)
     focus = PLACE + here.mat @ (MIRROR_DISTANCE, 0.0, 0.0)
     start, end = (focus + here.mat @ (1.5 * along[pixel]) for pixel in ((30, 60), (35, 110)))
     found = lined(here, start, end)

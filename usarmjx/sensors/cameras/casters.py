@@ -1,6 +1,7 @@
-"""What casts the rays of pictures: at a scene's geoms with JAX here, elsewhere with C MuJoCo.
+"""Ray casters of cameras: an interface, and its implementation on JAX; that on C MuJoCo is in `engines.c`.
 
-A camera needs three things of one: what its rays meet first, where lights are hidden, and how geoms look.
+A caster answers three questions: the first hits of rays, which surfaces are in shadow, and the appearance of
+geoms.
 """
 
 from collections.abc import Collection
@@ -18,19 +19,20 @@ from usarmjx.sensors.rays.raycast import RayQuery, nearest_hits
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, GeomHits, Geoms, concatenated, normals
 
 TILE_BUNDLE_SIZE = TILE * TILE
-"""Rays that go about the same way."""
+"""Rays of a tile, which have similar directions."""
 SOLID_QUERY = RayQuery(transparent=frozenset({SKY, GLASS}), bundle_size=TILE_BUNDLE_SIZE)
+"""Queries for solids and for panes of glass."""
 PANE_QUERY = RayQuery(transparent=frozenset(MATERIALS) - {GLASS}, bundle_size=TILE_BUNDLE_SIZE)
 """What rays pass that look for solids, and for panes."""
 
 
 class RayHits(NamedTuple):
-    """What rays meet first.
+    """First hits of rays.
 
     Attributes:
-        distance: How far away, infinite where there is nothing [m] (rays,).
-        geom_index: Which geom, as its place in the caster's appearance; -1 for none (rays,).
-        normal: The surface's, if that is known already (rays, 3).
+        distance: Distances, infinite without a hit [m] (rays,).
+        geom_index: Index of the geom in the caster's appearance; -1 for none (rays,).
+        normal: Surface normals, if already known (rays, 3).
     """
 
     distance: Array
@@ -39,17 +41,17 @@ class RayHits(NamedTuple):
 
 
 class Beams(NamedTuple):
-    """The light that surfaces get most of; vectors have their components first.
+    """Shadow rays from surfaces to their dominant light; vectors have their components first.
 
     Attributes:
-        wanted: Which surfaces get any that is worth looking for (rays,).
-        point: Where they are [m] (3, rays).
-        toward: Unit vectors to their light (3, rays).
-        away: How far away that is, infinite for the sun [m] (rays,).
-        source: Which it is, as a place in `pos`; -1: the sun (rays,).
-        pos: Where lights are [m] (n, 3).
+        wanted: Which surfaces get enough light to test (rays,).
+        point: Surface points [m] (3, rays).
+        toward: Unit vectors to the light (3, rays).
+        away: Distance of the light, infinite for the sun [m] (rays,).
+        source: Index of the light in `pos`; -1: the sun (rays,).
+        pos: Positions of the lights [m] (n, 3).
         sun: Direction to the sun, a unit vector (3,).
-        carrier: Labels of the robots that carry them, which do not stand in their way; None: nobody (n,).
+        carrier: Labels of the robots that carry the lights and cast no shadow in them; None: none (n,).
     """
 
     wanted: Array
@@ -63,60 +65,60 @@ class Beams(NamedTuple):
 
 
 class Caster(Protocol):
-    """Casts the rays of one camera's pictures."""
+    """Ray caster of one camera's pictures."""
 
     @property
     def appearance(self) -> GeomAppearance:
-        """How geoms look."""
+        """Appearance of the geoms."""
         ...
 
     @property
     def materials(self) -> Collection[str]:
-        """What they are made of, altogether."""
+        """Materials that occur."""
         ...
 
     @property
     def is_plane(self) -> np.ndarray:
-        """Which of them are planes (geoms,)."""
+        """Mask of planes (geoms,)."""
         ...
 
     def from_camera(self, origin: Array, direction: Array, query: RayQuery) -> RayHits:
-        """Return what the camera's own rays meet; what covers its lens is left out.
+        """Cast the camera's own rays, which pass the geoms that cover the lens.
 
         Args:
-            origin: Where they start [m] (rays, 3).
+            origin: Origins [m] (rays, 3).
             direction: Unit vectors (rays, 3).
-            query: What they pass.
+            query: Options.
         """
         ...
 
     def from_surfaces(self, origin: Array, direction: Array, wanted: Array) -> RayHits:
-        """Return what solids rays meet (rays, 3) that a mirror throws back; those that are wanted (rays,)."""
+        """Cast mirror reflections (rays, 3) at solids; only the wanted ones (rays,)."""
         ...
 
     def is_dark(self, beams: Beams) -> Array:
-        """Return where something stands in the way of the light, of what is wanted (rays,)."""
+        """Return which wanted shadow rays are blocked (rays,)."""
         ...
 
     def normals(self, hits: RayHits, origin: Array, direction: Array) -> Array:
-        """Return the unit normals of the surfaces that rays meet, towards the rays (rays, 3)."""
+        """Return the unit normals at the hits, towards the ray origins (rays, 3)."""
         ...
 
     def frames(self, which: Array) -> tuple[Array, Array, Array]:
-        """Return where geoms are [m] (rays, 3), how they are turned (rays, 3, 3), and their sizes (rays, 3).
+        """Return positions [m] (rays, 3), orientations (rays, 3, 3) and sizes (rays, 3) of geoms.
 
-        Only those with a sign on them need be known.
+        Only those of geoms with a sign on them need to be right.
         """
         ...
 
 
 class GeomCaster:
-    """Casts rays with JAX.
+    """Ray caster on JAX.
 
     Args:
-        geoms: What there is.
-        appearance: How it looks.
-        exclude_owner: Geoms of this owner are transparent to the camera's own rays ().
+        geoms: The geoms.
+        appearance: Their appearance.
+        exclude_owner: Owner whose geoms the camera's own rays pass ().
     """
 
     def __init__(self, geoms: Geoms, appearance: GeomAppearance, exclude_owner: Array) -> None:
@@ -126,18 +128,18 @@ class GeomCaster:
         self.is_plane = np.concatenate([np.full(len(block.owner), kind == PLANE) for kind, block in kinds])
 
     def from_camera(self, origin: Array, direction: Array, query: RayQuery) -> RayHits:
-        """As `Caster` says."""
+        """See `Caster`."""
         query = query.replace(exclude_owner=self._exclude_owner)
         return RayHits(*nearest_hits(self._geoms, origin, direction, query))
 
     def from_surfaces(self, origin: Array, direction: Array, wanted: Array) -> RayHits:
-        """As `Caster` says."""
-        rays = _needed(wanted, jnp.asarray(origin).T, jnp.asarray(direction).T)
+        """See `Caster`."""
+        rays = _masked_rays(wanted, jnp.asarray(origin).T, jnp.asarray(direction).T)
         return RayHits(*nearest_hits(self._geoms, *rays, SOLID_QUERY))
 
     def is_dark(self, beams: Beams) -> Array:
-        """As `Caster` says; what is met first on the way to a light is in its way."""
-        rays = _needed(beams.wanted, beams.point, beams.toward)
+        """See `Caster`; a light is blocked if the first hit is nearer than the light."""
+        rays = _masked_rays(beams.wanted, beams.point, beams.toward)
         block = nearest_hits(self._geoms, *rays, SOLID_QUERY)
         dark = block.distance < beams.away
         if beams.carrier is None:
@@ -147,12 +149,12 @@ class GeomCaster:
         return dark & ~(own & (block.geom_index >= 0))
 
     def normals(self, hits: RayHits, origin: Array, direction: Array) -> Array:
-        """As `Caster` says."""
+        """See `Caster`."""
         met_arrays = GeomHits(jnp.asarray(hits.distance), jnp.asarray(hits.geom_index))
         return normals(self._geoms, met_arrays, jnp.asarray(origin), jnp.asarray(direction))
 
     def frames(self, which: Array) -> tuple[Array, Array, Array]:
-        """As `Caster` says."""
+        """See `Caster`."""
         geom = jax.tree.map(lambda column: jnp.asarray(column)[which], concatenated(self._geoms))
         return geom.pos, geom.mat, geom.size
 
@@ -161,10 +163,10 @@ def _padded(values: jax.Array, missing: int) -> jax.Array:
     return jnp.pad(values, (0, missing))  # pyright: ignore[reportUnknownMemberType] - jnp.pad is half typed
 
 
-def _needed(wanted: Array, start: Array, along: Array) -> tuple[jax.Array, jax.Array]:
-    """Return rays (rays, 3) of which those that are not wanted do as another one of their bundle.
+def _masked_rays(wanted: Array, start: Array, along: Array) -> tuple[jax.Array, jax.Array]:
+    """Return rays (rays, 3) in which unwanted ones duplicate a wanted one of their bundle.
 
-    A bundle of which none is wanted looks up from far above, where it meets nothing and costs little.
+    A bundle without wanted rays looks up from far above, where it hits nothing and costs little.
     """
     missing = -len(wanted) % TILE_BUNDLE_SIZE
     asked = _padded(jnp.asarray(wanted), missing).reshape(-1, TILE_BUNDLE_SIZE)

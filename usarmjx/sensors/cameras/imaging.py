@@ -1,4 +1,4 @@
-"""What becomes of the light behind a camera's lens: exposure, noise, and how many rays make a pixel."""
+"""Imaging behind a camera's lens: exposure, noise and supersampling."""
 
 from typing import NamedTuple
 
@@ -11,12 +11,12 @@ from usarmjx.sensors.settings import CameraSettings
 
 
 class Imaging(NamedTuple):
-    """How a camera makes a picture of what its rays see.
+    """Imaging parameters of a camera.
 
     Attributes:
         exposure: Factor on brightness.
-        distortion: k1 and k2 of the lens; None: none (2,).
-        noise: Standard deviation of each colour, of 255; None: none.
+        distortion: k1 and k2 of the lens; None: no distortion (2,).
+        noise: Standard deviation of each colour, of 255; None: no noise.
         supersampling: Rays along each side of a pixel.
     """
 
@@ -27,10 +27,11 @@ class Imaging(NamedTuple):
 
 
 PLAIN_IMAGING = Imaging()
+"""Imaging of an ideal camera."""
 
 
 def imaging_of(settings: CameraSettings) -> Imaging:
-    """Return what settings make of pictures; what is not asked for costs nothing."""
+    """Return the imaging parameters of settings; effects that are off are None and cost nothing."""
     bend = np.array([settings.distortion_k1, settings.distortion_k2], np.float32)
     return Imaging(
         exposure=settings.exposure,
@@ -40,13 +41,13 @@ def imaging_of(settings: CameraSettings) -> Imaging:
     )
 
 
-def levels(rgb: Array, noise: Array | None, seed: Array | int, slot: Array | int) -> Array:
-    """Return colours in [0, 1] (..., 3) as numbers from 0 to 255, uint8, with noise if there is any.
+def quantize(rgb: Array, noise: Array | None, seed: Array | int, slot: Array | int) -> Array:
+    """Return colours in [0, 1] (..., 3) as uint8 levels, with noise if there is any.
 
     Args:
-        rgb: The colours.
-        noise: Its standard deviation, of 255 ().
-        seed: Of the noise ().
+        rgb: Colours.
+        noise: Standard deviation of the noise, of 255 ().
+        seed: Seed of the noise ().
         slot: Slot of the robot, whose noise is its own ().
     """
     bright = 255 * rgb
@@ -56,7 +57,7 @@ def levels(rgb: Array, noise: Array | None, seed: Array | int, slot: Array | int
     return xp.floor(bright + 0.5).astype(xp.uint8)
 
 
-def smoothed(values: Array, times: int) -> Array:
-    """Return the mean of each block of so many times so many values (rows, columns, ...) of a picture."""
+def box_filter(values: Array, times: int) -> Array:
+    """Return the mean of each block of `times` x `times` values of a picture (rows, columns, ...)."""
     rows, columns = values.shape[0] // times, values.shape[1] // times
     return values.reshape(rows, times, columns, times, *values.shape[2:]).mean((1, 3))

@@ -1,4 +1,4 @@
-"""The cameras of a robot class, resolved: where they sit, what they can zoom to, and what lens they have."""
+"""Cameras and headlights of a robot class: mounts, zoom limits, lenses, and geoms that cover a lens."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -22,17 +22,19 @@ from usarmjx.sensors.cameras.imaging import PLAIN_IMAGING, Imaging, imaging_of
 from usarmjx.sensors.settings import CameraSettings, resolve_camera
 
 COVER_DISTANCE = 0.04
-"""How near to the lens a solid covers it [m]."""
+"""Distance from the lens within which a solid covers it [m]."""
 STAND_IN_MARGIN = 0.01
-"""How far beside a solid the middle of what is drawn in its place may be [m]."""
+"""Largest distance of a visual's centre from the solid that it stands for [m]."""
 GeomType = mujoco.mjtGeom
+OMNI_PACKAGES = ("OmniCamera", "OmniCamPillar")
+"""Mission packages with a mirror: a camera on one of their links faces it (manual 10.15.2)."""
 
 
-def covering_geoms(plan: KinematicTree, body: int, at: np.ndarray) -> np.ndarray:
-    """Return which of a robot's drawn solids a camera at a place (3,) on a body does not see (solids,).
+def lens_covering_geoms(plan: KinematicTree, body: int, at: np.ndarray) -> np.ndarray:
+    """Return which of a robot's visual geoms are hidden from a camera at a position (3,) on a body (geoms,).
 
-    Those of the body itself, those nearer than `COVER_DISTANCE` with all joints at 0, and those that are
-    drawn in the place of a solid so near, as the pieces of a housing are.
+    Those of the body itself, those nearer than `COVER_DISTANCE` with all joints at 0, and the visuals of a
+    collision solid that near, such as the pieces of a housing.
     """
     drawn, solids = plan.visuals.solids, plan.solids
     (middles, drawn_mat), (pos, mat) = _rest_poses(plan, drawn), _rest_poses(plan, solids)
@@ -41,7 +43,7 @@ def covering_geoms(plan: KinematicTree, body: int, at: np.ndarray) -> np.ndarray
     def away(of: Solids, place: int, mat: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return how far points (n, 3), seen from the middle of a solid, are from it (n,)."""
         kind, size = int(of.kind[place]), of.size[place]
-        return np.array([_away(kind, point, size) for point in points @ mat[place]])
+        return np.array([_distance_from_geom(kind, point, size) for point in points @ mat[place]])
 
     count = range(len(drawn.kind))
     near = [away(drawn, i, drawn_mat, lens - middles[i])[0] < COVER_DISTANCE for i in count]
@@ -54,14 +56,14 @@ def covering_geoms(plan: KinematicTree, body: int, at: np.ndarray) -> np.ndarray
 
 
 def _rest_poses(plan: KinematicTree, solids: Solids) -> tuple[np.ndarray, np.ndarray]:
-    """Return where solids are on the chassis with all joints at 0 [m] (n, 3), and their turns (n, 3, 3)."""
-    with numpy_backend():  # it may be asked for while JAX traces
+    """Return positions [m] (n, 3) and orientations (n, 3, 3) of solids on the chassis, all joints at 0."""
+    with numpy_backend():  # the caller may be inside a JAX trace
         pos, mat = solids.poses(plan.rest_pos, plan.rest_frames)
     return np.asarray(pos), np.asarray(mat)
 
 
-def _away(kind: int, point: np.ndarray, size: np.ndarray) -> float:
-    """Return how far a point in a geom's frame is from it [m]; of an ellipsoid, from the box about it."""
+def _distance_from_geom(kind: int, point: np.ndarray, size: np.ndarray) -> float:
+    """Return the distance of a point from a geom in its frame [m]; for an ellipsoid, from its box."""
     x, y, z = np.abs(point)
     if kind == GeomType.mjGEOM_SPHERE:
         return float(np.linalg.norm(point)) - size[0]
@@ -70,11 +72,11 @@ def _away(kind: int, point: np.ndarray, size: np.ndarray) -> float:
     if kind == GeomType.mjGEOM_CYLINDER:
         return float(np.hypot(max(np.hypot(x, y) - size[0], 0.0), max(z - size[1], 0.0)))
     if kind == TRIANGLE_KIND:
-        return _from_triangle(point, size)
+        return _distance_from_triangle(point, size)
     return float(np.linalg.norm(np.maximum([x, y, z] - size, 0.0)))
 
 
-def _from_triangle(point: np.ndarray, size: np.ndarray) -> float:
+def _distance_from_triangle(point: np.ndarray, size: np.ndarray) -> float:
     corners = np.array([(0.0, 0.0), (size[0], 0.0), (size[1], size[2])])
     edges, flat = np.roll(corners, -1, 0) - corners, point[:2] - corners
     share = np.clip((flat * edges).sum(-1) / np.maximum((edges**2).sum(-1), 1e-12), 0.0, 1.0)
@@ -83,28 +85,23 @@ def _from_triangle(point: np.ndarray, size: np.ndarray) -> float:
     return float(np.hypot(0.0 if within else beside, point[2]))
 
 
-OMNI_PACKAGES = ("OmniCamera", "OmniCamPillar")
-"""Mission packages that carry a mirror: a camera on one of their links looks into it (manual 10.15.2)."""
-
-
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A camera of a robot class; lengths and axes are ours.
+    """Camera of a robot class, in SI units and MuJoCo's axes.
 
     Attributes:
-        mount: Where it is described.
-        body: The body it sits on, as a place in `KinematicTree.parts`.
-        pos: Position on it [m] (3,).
-        mat: Orientation on it; x is the optical axis (3, 3).
-        default_fov: Field of view that it starts with [rad].
+        mount: Its mount.
+        body: Index of its body in `KinematicTree.parts`.
+        pos: Position on the body [m] (3,).
+        mat: Orientation on the body; x is the optical axis (3, 3).
+        default_fov: Initial field of view [rad].
         min_fov: Smallest field of view [rad].
-        max_fov: Largest [rad].
-        lens: What it looks through.
-        eye_offsets: Where its eyes are, in its own axes: one in the middle, or the left one and the right
-            one [m] (n, 3).
-        hidden_geoms: Geoms of its robot that it does not see, as they would cover its lens (`lens_cover`):
-            captured mounts leave the original's finer bodies free, and lie on or in our solids (geoms,).
-        imaging: What becomes of the light behind the lens.
+        max_fov: Largest field of view [rad].
+        lens: Type of lens.
+        eye_offsets: Positions of its lenses in its own axes: one in the centre, or left and right [m] (n, 3).
+        hidden_geoms: Geoms of its robot hidden from it, as they would cover the lens (`lens_covering_geoms`):
+            captured mounts are outside the original's finer bodies, but lie on or in our solids (geoms,).
+        imaging: Imaging parameters.
     """
 
     mount: Mount
@@ -120,7 +117,7 @@ class Camera:
     imaging: Imaging = PLAIN_IMAGING
 
     def clamp(self, fov: Array, xp: ModuleType = np) -> Array:
-        """Return what field of view it has when told one [rad] (...,): 0 is the default (manual 9.4)."""
+        """Return the field of view for a request [rad] (...,): 0 is the default (manual 9.4)."""
         fov = xp.asarray(fov, xp.float32)
         wanted = xp.where(xp.isnan(fov) | (fov == 0), self.default_fov, fov)
         return xp.clip(wanted, self.min_fov, self.max_fov).astype(xp.float32)
@@ -128,11 +125,11 @@ class Camera:
 
 @cache
 def cameras_of(robot: RobotSpec) -> tuple[Camera, ...]:
-    """Return the cameras of a robot class, in its order: the first is the main one (manual 12.1.2).
+    """Return the cameras of a robot class in its order: the first is the main one (manual 12.1.2).
 
     Raises:
-        SpecError: A camera on a part that the robot does not have; fields of view in the wrong order or not
-            between 0 and pi; a stereo camera without a distance of its eyes.
+        SpecError: A camera on an unknown part; fields of view in the wrong order or not between 0 and pi; a
+            stereo camera with spacing 0.
     """
     return tuple(_camera(robot, mount) for mount in robot.cameras)
 
@@ -154,13 +151,13 @@ def _camera(robot: RobotSpec, mount: Mount) -> Camera:
         min_fov=settings.camera_min_fov,
         max_fov=settings.camera_max_fov,
         lens="omni" if settings.omni or mount.parent.rsplit("_Link", 1)[0] in OMNI_PACKAGES else "pinhole",
-        eye_offsets=_eyes(where, settings),
-        hidden_geoms=covering_geoms(plan, body, at),
+        eye_offsets=_lens_offsets(where, settings),
+        hidden_geoms=lens_covering_geoms(plan, body, at),
         imaging=imaging_of(settings),
     )
 
 
-def _eyes(where: str, settings: CameraSettings) -> np.ndarray:
+def _lens_offsets(where: str, settings: CameraSettings) -> np.ndarray:
     if not settings.is_stereo:
         return np.zeros((1, 3), np.float32)
     axes = {str(axis).upper(): value for axis, value in settings.stereo_spacing}
@@ -173,10 +170,10 @@ def _eyes(where: str, settings: CameraSettings) -> np.ndarray:
 
 
 def camera_index(robot: RobotSpec, name: str | int | None = None) -> int:
-    """Return the place of a camera, by its name (case ignored) or its place; None: the main one.
+    """Return the index of a camera, by its name (case ignored) or its index; None: the main one.
 
     Raises:
-        UnknownNameError: There is no such camera; lists those there are.
+        UnknownNameError: There is no such camera; lists the known ones.
     """
     known = [mount.name for mount in robot.cameras]
     lower = [one.lower() for one in known]
@@ -191,12 +188,12 @@ def camera_index(robot: RobotSpec, name: str | int | None = None) -> int:
 
 @dataclass(frozen=True, eq=False)
 class HeadlightMount:
-    """Where a robot class has its headlight; lengths and axes are ours.
+    """Headlight of a robot class, in SI units and MuJoCo's axes.
 
     Attributes:
-        body: The body it sits on, as a place in `KinematicTree.parts`.
-        pos: Position on it [m] (3,).
-        direction: Where it shines, a unit vector (3,).
+        body: Index of its body in `KinematicTree.parts`.
+        pos: Position on the body [m] (3,).
+        direction: Direction of its light, a unit vector (3,).
     """
 
     body: int
@@ -206,7 +203,7 @@ class HeadlightMount:
 
 @cache
 def headlight_of(robot: RobotSpec) -> HeadlightMount:
-    """Return the headlight: its effecter's, or else in the middle of the robot's front (manual 11.5)."""
+    """Return the headlight: its effecter's, or else at the centre of the robot's front (manual 11.5)."""
     mounts = [one.mount for one in effecters_of(robot) if isinstance(one, Headlight)]
     front: Vec3 = (robot.dimensions[0] / 2, 0.0, 0.0)
     mount = mounts[0] if mounts else Mount(kind="Headlight", name="Headlight", at=front)

@@ -1,4 +1,4 @@
-"""What geoms look like: colours and labels, beside what rays meet."""
+"""Appearance of geoms: colours, transparency, and segmentation labels."""
 
 from typing import Any
 
@@ -15,7 +15,8 @@ from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import GLASS, MIRROR
 
 OUTSIDE_LABEL = -1
-"""Label of a pixel outside of an omnidirectional camera's mirror."""
+"""Segmentation labels: outside of an omnidirectional camera's mirror; sky; floor and fixed solids; loose
+object; door; victim; body part of no victim; water (on no pixel, as it is transparent)."""
 SKY_LABEL = 0
 """Label of the sky."""
 ARENA_LABEL = 1
@@ -31,30 +32,33 @@ FALSE_ALARM_LABEL = 5
 WATER_LABEL = 6
 """Label of water, which no pixel has, since it lets light through."""
 ROBOT_LABEL = 16
-"""Label of the robot in roster slot 0; the robot in slot k has `ROBOT_LABEL` + k."""
+"""Label of the robot in slot 0; that in slot k has `ROBOT_LABEL` + k."""
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+"""MuJoCo's plane type."""
 INSTANCES = 1 << 16
-"""An instance is its class's label times this, plus which one it is of its class; see `instances`."""
+"""Instance numbers per class: an instance is its class's label times this, plus its number; see `instances`.
+"""
 MAX_ROBOT_GEOMS = 1 << 16
-"""More than any robot has geoms."""
+"""Upper bound of a robot's number of geoms."""
 GLASS_TRANSPARENCY = 0.65
-"""How much of what is behind it glass shows."""
+"""Share of the background seen through glass."""
 MIRROR_REFLECTANCE = 0.75
-"""How much of what a mirror shows is what it reflects."""
+"""Share of the reflection in a mirror's colour."""
 WATER_RGB, WATER_TRANSPARENCY = (0.25, 0.5, 0.65), 0.55
+"""Colour of water, and share of the background seen through it."""
 
 
 class GeomAppearance(struct.PyTreeNode, kw_only=True):
-    """How geoms look, in the order of the blocks of their `Geoms`, one block after the other.
+    """Appearance of geoms, in the order of the blocks of their `Geoms`.
 
     Attributes:
         rgb: Colours, in [0, 1] (n, 3).
-        transparency: Share of what is behind that is seen through them (n,).
-        reflectance: Share of what they reflect in how they look (n,).
-        label: What they are in a segmentation (n,).
-        instance: Which one of its class each belongs to, see `instances` (n,); None: not told apart.
-        texture: Codes of what is on them, see `models.spec.textures` (n,); None: nothing is.
-        textures: Names of all textures that there are; static.
+        transparency: Share of the background seen through them (n,).
+        reflectance: Share of the reflection in their colour (n,).
+        label: Segmentation labels (n,).
+        instance: Instances, see `instances` (n,); None: not distinguished.
+        texture: Texture codes, see `models.types.textures` (n,); None: no textures.
+        textures: Names of all textures that occur; static.
     """
 
     rgb: Array
@@ -67,23 +71,23 @@ class GeomAppearance(struct.PyTreeNode, kw_only=True):
 
 
 def instances(label: Any, index: Any) -> Any:  # noqa: ANN401 - whole numbers or arrays of them
-    """Return the instances of the things of a class (n,) that are the first, the second ... of theirs (n,).
+    """Return the instances of objects by their class labels (n,) and their numbers within the class (n,).
 
-    Robots have the class `ROBOT_LABEL`, and are told apart by their slots. `instance // INSTANCES` gives the
-    class back, and `instance % INSTANCES` which one it is.
+    Robots have the class `ROBOT_LABEL`, numbered by slot. `instance // INSTANCES` is the class, and `instance
+    % INSTANCES` the number.
     """
     return label * INSTANCES + index
 
 
 def robot_geom_owner(slot: Array, geom: Array) -> Array:
-    """Return the owner that tells a robot's geom, by its index in the `KinematicTree`, from all others."""
+    """Return the unique owner of a robot's geom, given its index in the `KinematicTree`."""
     return slot * MAX_ROBOT_GEOMS + geom
 
 
 def camera_owners(owner: Array, slot: Array, hidden_geoms: Array) -> Array:
-    """Return the owners (n,) as those see it that look through a camera of the robot in a slot ().
+    """Return the owners (n,) as seen through a camera of the robot in a slot ().
 
-    What its class's camera does not see (`Camera.hidden_geoms`) belongs to the slot; nothing else is owned.
+    Geoms hidden from the camera (`Camera.hidden_geoms`) belong to the slot; all others have no owner.
     """
     piece = jnp.append(jnp.asarray(hidden_geoms), False)[
         jnp.clip(owner - slot * MAX_ROBOT_GEOMS, 0, len(hidden_geoms))
@@ -92,22 +96,22 @@ def camera_owners(owner: Array, slot: Array, hidden_geoms: Array) -> Array:
 
 
 def transparencies(material: np.ndarray) -> np.ndarray:
-    """Return how much of what is behind things of some materials (n,) show (n,)."""
+    """Return the transparencies of materials (n,)."""
     return np.array([GLASS_TRANSPARENCY * (name == GLASS) for name in material], np.float32)
 
 
 def reflectances(material: np.ndarray) -> np.ndarray:
-    """Return how much of what things of some materials (n,) look like they reflect (n,)."""
+    """Return the reflectances of materials (n,)."""
     return np.array([MIRROR_REFLECTANCE * (name == MIRROR) for name in material], np.float32)
 
 
 def bone_labels(owner: Array, xp: object = np) -> Array:
-    """Return the labels of victims' boxes (n,) from their owners in a `VictimTable` (n,)."""
+    """Return the labels of victims' boxes (n,), given their owners in a `VictimTable` (n,)."""
     return xp.where(owner >= 0, VICTIM_LABEL, FALSE_ALARM_LABEL)  # type: ignore[attr-defined]
 
 
 def labels_of(model: mujoco.MjModel, arena: ArenaSpec) -> np.ndarray:
-    """Return the labels of a model's geoms (ngeom,); robots have `ROBOT_LABEL`, whichever they are."""
+    """Return the labels of a model's geoms (ngeom,); all robots have `ROBOT_LABEL`."""
     bones = bone_labels(victim_table(arena.victims, arena.false_alarms).owner)
     names = [model.geom(i).name for i in range(model.ngeom)]
     known = {f"{VICTIM_PREFIX}{i}": int(label) for i, label in enumerate(bones)} | {"floor": ARENA_LABEL}

@@ -1,4 +1,4 @@
-"""A picture that a robot's camera takes: colours, depths, and what every pixel shows."""
+"""Pictures of a robot's camera: colours, depths, segmentation, and annotation of each pixel."""
 
 from functools import partial
 from typing import NamedTuple
@@ -12,36 +12,36 @@ from usarmjx.base.backend import on_numpy, xp
 from usarmjx.base.errors import UsageError
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.sensors.cameras.casters import SOLID_QUERY, Caster, GeomCaster, RayHits
-from usarmjx.sensors.cameras.imaging import levels, smoothed
-from usarmjx.sensors.cameras.lenses import MIRROR_DISTANCE, omni_rays, pinhole_rays, untiled
+from usarmjx.sensors.cameras.imaging import box_filter, quantize
+from usarmjx.sensors.cameras.lenses import MIRROR_DISTANCE, from_tiles, omni_rays, pinhole_rays
 from usarmjx.sensors.cameras.mounts import Camera
 from usarmjx.sensors.cameras.paint import INSTANCES, OUTSIDE_LABEL, SKY_LABEL, camera_owners
 from usarmjx.sensors.cameras.shading import RenderScene, Shaded, shade, shadow_gain
 from usarmjx.sensors.rays.targets import GeomBlock, concatenated
 
 MAX_SIDE = 4096
-"""Most pixels along a side."""
+"""Largest side of a picture [pixels]."""
 HIDDEN_GEOMS_MULTIPLE = 256
-"""Robots have a multiple of so many geoms, as far as the shape of a `Viewpoint` tells."""
+"""Multiple to which `Viewpoint.hidden_geoms` is padded, so that robots share compiled programs."""
 CHUNK = 16_384
-"""Rays that are cast together on NumPy: what they meet fits into a processor's cache."""
+"""Rays cast together on NumPy: their hits fit into a CPU cache."""
 
 
 class Viewpoint(struct.PyTreeNode, kw_only=True):
-    """From where a picture is taken, and through what: all that differs between cameras.
+    """Pose and lens of a camera: everything that differs between cameras.
 
     Attributes:
-        pos: Where the camera is [m] (3,).
-        mat: Its orientation; x is the optical axis, z up in the picture (3, 3).
-        eye_offsets: Where its eyes are, in its own axes [m] (eyes, 3).
-        fov: Its field of view [rad] ().
-        default_fov: That which it starts with [rad] ().
-        slot: Its robot's slot in the roster ().
-        hidden_geoms: Geoms of its robot that it does not see: `Camera.hidden_geoms`, then False (geoms,).
+        pos: Position [m] (3,).
+        mat: Orientation; x is the optical axis, z up in the picture (3, 3).
+        eye_offsets: Positions of its lenses in its own axes [m] (eyes, 3).
+        fov: Field of view [rad] ().
+        default_fov: Initial field of view [rad] ().
+        slot: Slot of its robot ().
+        hidden_geoms: Geoms of its robot hidden from it: `Camera.hidden_geoms`, padded with False (geoms,).
         exposure: Factor on the brightness of its pictures ().
-        distortion: k1 and k2 of its lens, see `lenses.undistorted` (2,); None: none.
-        noise: Standard deviation of each colour of a pixel, of 255 (); None: none.
-        lens: What it looks through; static.
+        distortion: k1 and k2 of its lens, see `lenses.undistort` (2,); None: no distortion.
+        noise: Standard deviation of each colour of a pixel, of 255 (); None: no noise.
+        lens: Type of lens; static.
         supersampling: Rays along each side of a pixel; static.
     """
 
@@ -60,12 +60,12 @@ class Viewpoint(struct.PyTreeNode, kw_only=True):
 
 
 def camera_viewpoint(camera: Camera, bodies: BodyPoses, slot: Array, fov: Array) -> Viewpoint:
-    """Return from where a robot's camera looks; numpy arrays if those given are.
+    """Return the viewpoint of a robot's camera; NumPy arrays if the arguments are.
 
     Args:
         camera: The camera.
         bodies: Poses of the robot's bodies.
-        slot: Its slot in the roster ().
+        slot: The robot's slot ().
         fov: The camera's field of view [rad] ().
     """
     pos, mat = bodies.pos[camera.body], bodies.mat[camera.body]
@@ -86,14 +86,14 @@ def camera_viewpoint(camera: Camera, bodies: BodyPoses, slot: Array, fov: Array)
 
 
 class Picture(struct.PyTreeNode, kw_only=True):
-    """What a camera sees; rows from the top, columns from the left.
+    """Picture of a camera; rows from the top, columns from the left.
 
     Attributes:
         rgb: Colours, 0 to 255, uint8 (..., height, width, 3).
-        depth: How far away it is, of a pinhole perpendicular to the picture, of an omnidirectional camera
-            from its mirror's focus; infinite for the sky and outside of the mirror; glass is looked
-            through and mirrors are looked at, float32 [m] (..., height, width).
-        segmentation: What it is, see `paint`; int32 (..., height, width).
+        depth: Depth, perpendicular to the picture for a pinhole, distance from the mirror's focus for an
+            omnidirectional camera; infinite for the sky and outside of the mirror; glass is transparent and
+            mirrors are surfaces, float32 [m] (..., height, width).
+        segmentation: Labels, see `paint`; int32 (..., height, width).
     """
 
     rgb: Array
@@ -102,7 +102,7 @@ class Picture(struct.PyTreeNode, kw_only=True):
 
 
 def check_size(camera: Camera, width: int, height: int) -> None:
-    """Refuse sizes that a picture cannot have.
+    """Refuse invalid sizes of a picture.
 
     Raises:
         UsageError: A side below 1 or above `MAX_SIDE`, or an odd width of a stereo pair.
@@ -120,45 +120,45 @@ def render_picture(
     height: int,
     caster: Caster | None = None,
 ) -> Picture:
-    """Return what a robot's camera sees; pure, the size is static.
+    """Render a robot's camera; pure, with static size.
 
-    The robot sees itself, but for what covers the lens (`Camera.hidden_geoms`). A stereo camera's picture
-    has the left eye's in its left half and the right eye's in the other (MultiView's subview, manual
+    The robot sees itself except for geoms that cover the lens (`Camera.hidden_geoms`). A stereo picture has
+    the left lens's view in its left half and the right one's in the other (MultiView's subview, manual
     3.2.6.2). The mirror of an omnidirectional camera fills the picture at the default field of view, and
-    grows as it shrinks.
+    grows as the field of view shrinks.
 
     Args:
-        render_scene: What there is to see.
-        viewpoint: From where.
+        render_scene: The scene.
+        viewpoint: The camera.
         width: Pixels along a row.
         height: Rows.
-        caster: What casts this camera's rays, on NumPy; None: JAX does.
+        caster: Ray caster on NumPy; None: JAX.
     """
     view = camera_view(viewpoint, width, height)
     exposed = render_scene.replace(exposure=viewpoint.exposure, gain=shadow_gain(render_scene.lights))
-    seen = _see(exposed, viewpoint, view.start, view.along, caster)
+    seen = _shade_rays(exposed, viewpoint, view.start, view.along, caster)
     times, inside = viewpoint.supersampling, view.inside
     rgb = view.picture(xp.where(inside[:, None], seen.rgb, 0.0))
     depth = view.picture(xp.where(inside, seen.distance * view.depth_scale, xp.inf).astype(xp.float32))
     label = view.picture(xp.where(inside, seen.label, OUTSIDE_LABEL).astype(xp.int32))
     if times > 1:
         middle = slice(times // 2, None, times)
-        rgb, depth, label = smoothed(rgb, times), depth[middle, middle], label[middle, middle]
+        rgb, depth, label = box_filter(rgb, times), depth[middle, middle], label[middle, middle]
     return Picture(
-        rgb=levels(rgb, viewpoint.noise, render_scene.seed, viewpoint.slot), depth=depth, segmentation=label
+        rgb=quantize(rgb, viewpoint.noise, render_scene.seed, viewpoint.slot), depth=depth, segmentation=label
     )
 
 
 class CameraView(NamedTuple):
-    """The rays of all eyes of a camera, and how pictures are made of what they meet.
+    """Rays of all lenses of a camera, and their arrangement in pictures.
 
     Attributes:
-        start: Where they start [m] (rays, 3).
+        start: Origins [m] (rays, 3).
         along: Unit vectors (rays, 3).
-        depth_scale: What a ray's length is multiplied by to be a depth (rays,).
-        inside: Whether its pixel shows anything at all (rays,).
-        eyes: How many eyes there are.
-        size: Width and height of each one's picture, in rays.
+        depth_scale: Factor from a ray's length to depth (rays,).
+        inside: Whether its pixel is inside the lens's field of view (rays,).
+        eyes: Number of lenses.
+        size: Width and height of each lens's picture, in rays.
     """
 
     start: Array
@@ -169,12 +169,12 @@ class CameraView(NamedTuple):
     size: tuple[int, int]
 
     def picture(self, values: Array) -> Array:
-        """Return values of rays (rays, ...) as a picture (rows, columns, ...), the left eye's on the left."""
-        return xp.concatenate([untiled(one, *self.size) for one in xp.split(values, self.eyes)], 1)
+        """Return values of rays (rays, ...) as a picture (rows, columns, ...), the left lens on the left."""
+        return xp.concatenate([from_tiles(one, *self.size) for one in xp.split(values, self.eyes)], 1)
 
 
 def camera_view(viewpoint: Viewpoint, width: int, height: int) -> CameraView:
-    """Return the rays of a camera's picture of so many pixels, those of an eye one after the other."""
+    """Return the rays of a camera's picture of `width` x `height` pixels, lens by lens."""
     offsets = xp.asarray(viewpoint.eye_offsets)
     eyes, times = len(offsets), viewpoint.supersampling
     size = width // eyes * times, height * times
@@ -191,10 +191,10 @@ def camera_view(viewpoint: Viewpoint, width: int, height: int) -> CameraView:
     return CameraView(start, *columns, eyes, size)
 
 
-def _see(
+def _shade_rays(
     render_scene: RenderScene, viewpoint: Viewpoint, start: Array, along: Array, caster: Caster | None
 ) -> Shaded:
-    """Return what a camera's rays see; on NumPy some of them after the others."""
+    """Shade a camera's rays; in chunks on NumPy."""
     slot = xp.asarray(viewpoint.slot)
     if on_numpy():
         parts = [slice(first, first + CHUNK) for first in range(0, len(start), CHUNK)]
@@ -211,21 +211,20 @@ def _see(
 @partial(jax.jit, static_argnames=("width", "height"))
 @jax.default_matmul_precision("highest")
 def render_picture_jit(render_scene: RenderScene, viewpoint: Viewpoint, width: int, height: int) -> Picture:
-    """As `render_picture`, compiled once for all cameras with as many eyes and the same lens."""
+    """As `render_picture`, compiled once for all cameras with equal numbers of lenses and types of lens."""
     return render_picture(render_scene, viewpoint, width, height)
 
 
 class Annotation(struct.PyTreeNode, kw_only=True):
-    """What a camera's pixels show; rows from the top, columns from the left.
+    """Annotation of a camera's pixels; rows from the top, columns from the left.
 
     Attributes:
-        instances: What they belong to, see `paint.instances`; the sky has 0 and what is outside of a mirror
-            -1, int32 (..., height, width).
+        instances: Instances, see `paint.instances`; 0 for the sky and -1 outside of a mirror, int32 (...,
+            height, width).
         normals: Unit normals of the surfaces, in the camera's axes (x along its optical axis, y to the left,
-            z up), towards it; zero where nothing is (..., height, width, 3).
-        flow: How far what is there moves in the picture, to the right and down, until another moment; of a
-            pinhole, NaN where nothing is or where it is behind the camera then [pixels] (..., height,
-            width, 2).
+            z up), towards it; zero without a surface (..., height, width, 3).
+        flow: Optical flow to the right and down until another moment, of a pinhole; NaN without a surface or
+            for a point behind the later camera [pixels] (..., height, width, 2).
     """
 
     instances: Array
@@ -234,13 +233,13 @@ class Annotation(struct.PyTreeNode, kw_only=True):
 
 
 class _Seen(NamedTuple):
-    """What one ray for each pixel meets.
+    """Hits of one ray per pixel.
 
     Attributes:
         view: The rays.
-        hits: What they meet.
+        hits: Their hits.
         normal: Unit normals there, towards the rays (rays, 3).
-        point: Where that is [m] (rays, 3).
+        point: Hit points [m] (rays, 3).
     """
 
     view: CameraView
@@ -257,13 +256,13 @@ def annotate(
     width: int,
     height: int,
 ) -> Annotation:
-    """Return what a camera's pixels show, and where it goes until another moment; pure, the size is static.
+    """Annotate a camera's pixels, with the optical flow until another moment; pure, with static size.
 
     Args:
-        render_scene: What there is to see.
-        viewpoint: From where.
-        later_scene: The same things, where they are at the other moment.
-        later_viewpoint: Where the camera is then.
+        render_scene: The scene.
+        viewpoint: The camera.
+        later_scene: The same scene at the other moment.
+        later_viewpoint: The camera at the other moment.
         width: Pixels along a row.
         height: Rows.
     """
@@ -279,9 +278,9 @@ def annotate(
         jax.tree.map(lambda column: xp.asarray(column)[which], concatenated(scene.geoms))
         for scene in (render_scene, later_scene)
     )
-    moved = _carried(seen.point, now, then)
-    there_then = _image(later_viewpoint, moved, seen.view)
-    flow = xp.where(shown, there_then - _image(viewpoint, seen.point, seen.view), xp.nan)
+    moved = _move_points(seen.point, now, then)
+    there_then = _project(later_viewpoint, moved, seen.view)
+    flow = xp.where(shown, there_then - _project(viewpoint, seen.point, seen.view), xp.nan)
     return Annotation(
         instances=seen.view.picture(instance.astype(xp.int32)),
         normals=seen.view.picture(normal),
@@ -303,14 +302,14 @@ def _first_hits(render_scene: RenderScene, viewpoint: Viewpoint, width: int, hei
     return _Seen(view, hits, normal, view.start + reach * view.along)
 
 
-def _carried(point: Array, now: GeomBlock, then: GeomBlock) -> Array:
-    """Return where points (rays, 3) on geoms are when these are elsewhere."""
+def _move_points(point: Array, now: GeomBlock, then: GeomBlock) -> Array:
+    """Return the later positions of points (rays, 3) that move with their geoms."""
     local = ((point - now.pos)[:, None, :] * xp.swapaxes(now.mat, -1, -2)).sum(-1)
     return then.pos + (then.mat * local[:, None, :]).sum(-1)
 
 
-def _image(viewpoint: Viewpoint, point: Array, view: CameraView) -> Array:
-    """Return where a pinhole's eyes see points (rays, 3): to the right and down [pixels] (rays, 2)."""
+def _project(viewpoint: Viewpoint, point: Array, view: CameraView) -> Array:
+    """Return the pinhole projections of points (rays, 3), to the right and down [pixels] (rays, 2)."""
     count = len(point) // view.eyes
     eye = viewpoint.pos + xp.asarray(viewpoint.eye_offsets) @ viewpoint.mat.T
     local = (point - xp.repeat(eye, count, 0)) @ xp.asarray(viewpoint.mat)

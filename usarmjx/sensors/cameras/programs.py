@@ -1,4 +1,4 @@
-"""Programs that render pictures, compiled in the background: nobody waits for one."""
+"""Background compilation of picture programs: no client waits for a compiler."""
 
 import logging
 from collections.abc import Callable, Hashable, Sequence
@@ -14,29 +14,33 @@ from usarmjx.sensors.cameras.picture import Picture, Viewpoint, render_picture_j
 from usarmjx.sensors.cameras.shading import Headlights, RenderScene
 from usarmjx.sensors.rays.targets import PADDING_DISTANCE, GeomBlock
 
-SPARE = 8
-"""For so many more there is always room when a capacity is chosen."""
-SPARE_COMPACT = 40
-"""Likewise for the compact geoms of a kind, which robots are drawn as: for one more P2AT, which has 36."""
+SPARE_GEOMS = 8
+"""Spare capacity beyond a count."""
+SPARE_COMPACT_GEOMS = 40
+"""Spare capacity for a type's compact geoms, robots' visuals: one more P2AT, which has 36."""
 
-SpareRoom = dict[tuple[int, str, bool] | str, int]
-"""The capacity for geoms of a kind and material, compact or not, and the one for headlights."""
+Capacities = dict[tuple[int, str, bool] | str, int]
+"""Capacities for geoms by type, material and compactness, and for headlights."""
 HEADLIGHTS = "headlights"
+"""Key of the capacity for headlights."""
+log = logging.getLogger(__name__)
+View = tuple[Viewpoint, int, int]
+"""Viewpoint, width and height of a picture."""
 
 
-def capacity(count: int, spare: int = SPARE) -> int:
-    """Return for how many to make room: a power of two, with some to spare."""
+def capacity(count: int, spare: int = SPARE_GEOMS) -> int:
+    """Return the capacity for `count` items: a power of two with some spare."""
     return 1 << (count + spare - 1).bit_length()
 
 
-def with_spare_capacity(render_scene: RenderScene, room: SpareRoom | None = None) -> RenderScene:
-    """Return a render scene of NumPy arrays, padded by geoms far away and headlights that are off.
+def pad_render_scene(render_scene: RenderScene, capacities: Capacities | None = None) -> RenderScene:
+    """Pad a render scene of NumPy arrays with geoms far away and headlights that are off.
 
     Args:
-        render_scene: What there is to see.
-        room: The capacities so far, which are kept where they suffice and otherwise changed here.
+        render_scene: The scene.
+        capacities: Current capacities, which are kept if sufficient and otherwise enlarged in place.
     """
-    room = {} if room is None else room
+    capacities = {} if capacities is None else capacities
     geoms = render_scene.geoms
     ends = np.cumsum([len(block.owner) for block in geoms.blocks])
     compact = geoms.compact or (False,) * len(ends)
@@ -45,7 +49,9 @@ def with_spare_capacity(render_scene: RenderScene, room: SpareRoom | None = None
     sorts = zip(geoms.kinds, geoms.materials, compact, strict=True)
     for sort, block, end in zip(sorts, geoms.blocks, ends, strict=True):
         count, (_, _, is_compact) = len(block.owner), sort
-        pad = partial(_padded, size=_size(room, sort, count, SPARE_COMPACT if is_compact else SPARE))
+        pad = partial(
+            _padded, size=_size(capacities, sort, count, SPARE_COMPACT_GEOMS if is_compact else SPARE_GEOMS)
+        )
         mine = jax.tree.map(lambda x, a=end - count, b=end: x[a:b], render_scene.appearance)
         padded = jax.tree.map(pad, block)
         padded.pos[count:], padded.mat[count:], padded.owner[count:] = PADDING_DISTANCE, np.eye(3), -1
@@ -54,23 +60,25 @@ def with_spare_capacity(render_scene: RenderScene, room: SpareRoom | None = None
     return render_scene.replace(
         geoms=geoms.replace(blocks=tuple(blocks)),
         appearance=jax.tree.map(lambda *parts: np.concatenate(parts), *appearances),
-        headlights=_padded_headlights(render_scene.headlights, room),
+        headlights=_padded_headlights(render_scene.headlights, capacities),
     )
 
 
-def _size(room: SpareRoom, sort: tuple[int, str, bool] | str, count: int, spare: int = SPARE) -> int:
-    """Return the capacity for so many of a sort, after making room for them if there is too little."""
-    if sort not in room or count > room[sort]:
-        room[sort] = capacity(count, spare)
-    return room[sort]
+def _size(
+    capacities: Capacities, sort: tuple[int, str, bool] | str, count: int, spare: int = SPARE_GEOMS
+) -> int:
+    """Return the capacity for `count` items, enlarged if necessary."""
+    if sort not in capacities or count > capacities[sort]:
+        capacities[sort] = capacity(count, spare)
+    return capacities[sort]
 
 
-def _padded_headlights(headlights: Headlights, room: SpareRoom) -> Headlights:
-    return jax.tree.map(lambda x: _padded(x, _size(room, HEADLIGHTS, len(x))), headlights)
+def _padded_headlights(headlights: Headlights, capacities: Capacities) -> Headlights:
+    return jax.tree.map(lambda x: _padded(x, _size(capacities, HEADLIGHTS, len(x))), headlights)
 
 
 def _padded(values: Any, size: int) -> np.ndarray:  # noqa: ANN401 - an array
-    """Return an array with zeros (False) behind its rows, up to a size, single precision."""
+    """Pad an array with rows of zeros (False) to a size, single precision."""
     values = np.asarray(values)
     single = {"f": np.float32, "i": np.int32, "u": values.dtype, "b": bool}[values.dtype.kind]
     out = np.zeros((size, *values.shape[1:]), single)
@@ -78,17 +86,11 @@ def _padded(values: Any, size: int) -> np.ndarray:  # noqa: ANN401 - an array
     return out
 
 
-log = logging.getLogger(__name__)
-
-View = tuple[Viewpoint, int, int]
-"""From where a picture is taken, its width and its height."""
-
-
 class PicturePrograms:
-    """Knows which pictures can be rendered by a compiled program, and has others compiled, one at a time.
+    """Compiled picture programs; missing ones are compiled one at a time in a background thread.
 
     Args:
-        render: Renders a picture, and compiles first if there is no program for it.
+        render: Renders a picture, and compiles first if necessary.
     """
 
     def __init__(
@@ -97,23 +99,24 @@ class PicturePrograms:
         self._render = render
         self._compiler = ThreadPoolExecutor(1, thread_name_prefix="compiler")
         self._programs: dict[Hashable, Future[Any]] = {}
-        self._room: SpareRoom = {}
+        self._room: Capacities = {}
 
     @property
     def idle(self) -> bool:
-        """Whether nothing is being compiled."""
+        """Whether no compilation is running."""
         return all(program.done() for program in self._programs.values())
 
     def find(self, render_scene: RenderScene, views: Sequence[View]) -> Callable[[], list[Picture]] | None:
-        """Return what renders some pictures; None while programs for them are missing.
+        """Return a function that renders some pictures; None while their programs are missing.
 
-        Those are compiled from now on. Robots that come and go need no others, within some limits.
+        Missing programs are compiled from now on. Robots may join and leave within the spare capacity without
+        new programs.
 
         Args:
-            render_scene: What there is to see; NumPy's arrays.
-            views: From where.
+            render_scene: The scene, in NumPy arrays.
+            views: The pictures.
         """
-        padded = with_spare_capacity(render_scene, self._room)
+        padded = pad_render_scene(render_scene, self._room)
         if not all([self._is_ready(padded, view) for view in views]):
             return None
         return lambda: [jax.device_get(self._render(padded, *view)) for view in views]
@@ -128,7 +131,7 @@ class PicturePrograms:
         return program.done() and program.result()
 
     def _compile(self, render_scene: RenderScene, view: View) -> bool:
-        """Render a picture, for the sake of the program; return whether that went well."""
+        """Render a picture in order to compile its program; return whether that succeeded."""
         try:
             jax.block_until_ready(self._render(render_scene, *view))
         except Exception:

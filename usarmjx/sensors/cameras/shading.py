@@ -1,9 +1,9 @@
-"""What rays see: the one place where geoms get their colours, for cameras and for still pictures.
+"""Shading: the colours that rays see, for cameras and for still pictures.
 
-A surface has light from everywhere, that of the sun or of the one lamp that gives it most, and that of the
-headlight that gives it most, the latter two if nothing stands in between. Mirrors reflect once; glass and
-water mix their own colour with what is behind them, and lights shine through them. Floors have checkers,
-and the arena's solids a faint pattern of bricks, so that there is structure to see.
+A surface has ambient light, that of the sun or of the brightest lamp there, and that of the brightest
+headlight there, the latter two unless blocked. Mirrors reflect once; glass and water blend their own colour
+with the background, and cast no shadows. Floors have checkers, and the arena's solids a faint brick pattern,
+for visible structure.
 """
 
 import math
@@ -22,33 +22,49 @@ from usarmjx.models.types.shapes import GLASS, MIRROR
 from usarmjx.models.types.textures import SIGNS
 from usarmjx.sensors.cameras.casters import PANE_QUERY, SOLID_QUERY, Beams, Caster, GeomCaster, RayHits
 from usarmjx.sensors.cameras.paint import ARENA_LABEL, SKY_LABEL, GeomAppearance
-from usarmjx.sensors.cameras.textures import on_face, textured
+from usarmjx.sensors.cameras.textures import apply_textures, on_face
 from usarmjx.sensors.rays.targets import Geoms
 
 AMBIENT, DIFFUSE = 0.45, 0.6
-"""Daylight from everywhere, and that of the sun on what faces it."""
+"""Ambient daylight, and sunlight on a surface that faces the sun."""
 INDOOR_AMBIENT = 0.3
-"""Light from everywhere in an arena with lamps."""
+"""Ambient light in an arena with lamps."""
 INDOOR_GAIN = 2.5
-"""By how much cameras brighten what is dark where there are lamps (chosen); see `developed`."""
+"""Gain of cameras on dark colours in arenas with lamps (chosen); see `tone_mapped`."""
 SUN_DIRECTION: Vec3 = (0.45, 0.35, 0.82)
-"""Direction to the sun; need not be a unit vector."""
+"""Direction to the sun, not normalised."""
 AMBIENT_GRADIENT = np.array([0.12, -0.08, 0.2], np.float32) / AMBIENT
-"""By which share light from everywhere changes with a surface's slope, so that sides in shadow differ."""
+"""Relative change of ambient light with a surface's normal, so that faces in shadow differ."""
 MIN_LIGHT_DISTANCE = 0.25
-"""What is nearer to a light than this is lit as at this distance [m]."""
+"""Lower bound of a light's distance [m]."""
 SPOT_OUTER_ANGLE, SPOT_INNER_ANGLE = math.radians(30.0), math.radians(20.0)
-"""Half the opening of a headlight's cone, and within which it is at its brightest (chosen) [rad]."""
+"""Half angles of a headlight's cone and of its bright core (chosen) [rad]."""
 HEADLIGHT_BRIGHTNESS = 2.0
 """Brightness of a headlight at 1 m, as `Light.brightness` (chosen)."""
+SKY_RGB = np.array([0.93, 0.95, 0.97], np.float32)
+"""Colour of the sky by day."""
+NIGHT_RGB = np.array([0.1, 0.11, 0.14], np.float32)
+"""Colour of the sky above arenas with lamps."""
+CHECKER_RGB = np.array([[0.86, 0.86, 0.84], [0.78, 0.78, 0.76]], np.float32)
+"""Colours of the floor's checkers."""
+FLOOR_RGB = np.array([0.87, 0.88, 0.88], np.float32)
+"""Colour of the floor beyond the checkers."""
+BRICK_CONTRAST = 0.03
+"""Relative brightness change of the brick pattern on the arena's solids."""
+RAY_BIAS, RAY_BIAS_PER_METRE = 5e-4, 3e-5
+"""Offset of secondary rays from their surface [m], and its increase per metre of the primary ray."""
+MIN_LIGHT = 1e-3
+"""Brightness below which light is ignored."""
+Darkness = Callable[[Beams], Array]
+"""Shadow test, as `Caster.is_dark`."""
 
 
 class PointLights(struct.PyTreeNode, kw_only=True):
-    """An arena's lamps.
+    """Lamps of an arena.
 
     Attributes:
-        pos: Where they are, in the world [m] (n, 3).
-        rgb: Colour times brightness at 1 m; zero for those that there are not (n, 3).
+        pos: World positions [m] (n, 3).
+        rgb: Colour times brightness at 1 m; zero for padding (n, 3).
     """
 
     pos: Array
@@ -56,13 +72,13 @@ class PointLights(struct.PyTreeNode, kw_only=True):
 
 
 class Headlights(struct.PyTreeNode, kw_only=True):
-    """The robots' headlights.
+    """Headlights of the robots.
 
     Attributes:
-        pos: Where they are [m] (n, 3).
-        direction: Where they shine, unit vectors (n, 3).
-        on: Which shine (n,).
-        label: Label of the robot, which does not stand in the way of its own light (n,).
+        pos: Positions [m] (n, 3).
+        direction: Directions, unit vectors (n, 3).
+        on: Which are on (n,).
+        label: Label of the robot, which casts no shadow in its own light (n,).
     """
 
     pos: Array
@@ -72,13 +88,13 @@ class Headlights(struct.PyTreeNode, kw_only=True):
 
 
 def no_headlights() -> Headlights:
-    """Return none."""
+    """Return an empty set of headlights."""
     none = np.zeros((0, 3), np.float32)
     return Headlights(pos=none, direction=none, on=np.zeros(0, bool), label=np.zeros(0, np.int32))
 
 
 def point_lights(lights: Sequence[Light], floor: float) -> PointLights:
-    """Return an arena's lamps; numpy arrays."""
+    """Return the lamps of an arena; NumPy arrays."""
     pos = [np.add(light.at, (0.0, 0.0, floor)) for light in lights]
     rgb = [np.multiply(light.rgb, light.brightness) for light in lights]
     return PointLights(
@@ -87,22 +103,22 @@ def point_lights(lights: Sequence[Light], floor: float) -> PointLights:
 
 
 def daylight(lamps: PointLights) -> Array:
-    """Return 1 where the sun lights the arena, 0 where it has lamps ()."""
+    """Return 1 if the sun lights the arena, 0 if it has lamps ()."""
     return 1.0 - (xp.asarray(lamps.rgb) > 0).any().astype(xp.float32)
 
 
 def shadow_gain(lamps: PointLights) -> Array:
-    """Return by how much cameras brighten what is dark in the light of an arena ()."""
+    """Return the gain of cameras on dark colours in an arena's light ()."""
     return xp.where(daylight(lamps) > 0, 1.0, INDOOR_GAIN)
 
 
-def developed(rgb: Array, gain: Array | float) -> Array:
-    """Return colours that are `gain` times as bright near black and the same at white, in [0, 1] as they."""
+def tone_mapped(rgb: Array, gain: Array | float) -> Array:
+    """Return colours with a gain of `gain` near black and 1 at white; arguments and result in [0, 1]."""
     return gain * rgb / (1 + (gain - 1) * rgb)
 
 
-def falloff(distance: Array) -> Array:
-    """Return a light's brightness at a distance [m], that at 1 m being 1."""
+def distance_falloff(distance: Array) -> Array:
+    """Return a light's brightness at a distance [m], relative to 1 m."""
     return 1.0 / xp.square(xp.maximum(distance, MIN_LIGHT_DISTANCE))
 
 
@@ -113,35 +129,20 @@ def spot_falloff(cosine: Array) -> Array:
     return share * share * (3 - 2 * share)
 
 
-SKY_RGB = np.array([0.93, 0.95, 0.97], np.float32)
-NIGHT_RGB = np.array([0.1, 0.11, 0.14], np.float32)
-"""The sky above arenas with lamps."""
-CHECKER_RGB = np.array([[0.86, 0.86, 0.84], [0.78, 0.78, 0.76]], np.float32)
-"""Colours of the floor's checkers."""
-FLOOR_RGB = np.array([0.87, 0.88, 0.88], np.float32)
-"""Colour of the floor beyond them."""
-BRICK_CONTRAST = 0.03
-"""By which share the bricks of the arena's solids are brighter or darker than their colour."""
-RAY_BIAS, RAY_BIAS_PER_METRE = 5e-4, 3e-5
-"""Rays that leave a surface start this far off [m], and this far for every metre of the way there."""
-MIN_LIGHT = 1e-3
-"""Light that is not looked for."""
-
-
 class RenderScene(struct.PyTreeNode, kw_only=True):
-    """All that there is to see in one world.
+    """Everything visible in one world.
 
     Attributes:
-        geoms: What rays meet; of whole worlds with the owners of `paint.robot_geom_owner`.
-        appearance: What that looks like.
+        geoms: The geoms; for whole worlds with the owners of `paint.robot_geom_owner`.
+        appearance: Their appearance.
         sun_direction: Direction to the sun, a unit vector (3,).
         lights: The arena's lamps; with any, there is no sun.
         headlights: The robots' headlights.
         checker_size: Side of the floor's checkers [m] ().
-        checker_bounds: Where the floor has checkers: least and largest x and y [m] (2, 2).
-        exposure: Factor on all light that surfaces throw back ().
-        gain: By how much what is dark is brightened, see `light.developed` ().
-        seed: Of the noise of pictures, another one for each world and moment ().
+        checker_bounds: Area of the checkers: least and largest x and y [m] (2, 2).
+        exposure: Factor on all reflected light ().
+        gain: Gain on dark colours, see `tone_mapped` ().
+        seed: Seed of the noise of pictures, different for each world and moment ().
     """
 
     geoms: Geoms
@@ -156,17 +157,13 @@ class RenderScene(struct.PyTreeNode, kw_only=True):
     seed: Array | int = 0
 
 
-Darkness = Callable[[Beams], Array]
-"""Returns where something stands in the way of lights, as `Caster.is_dark`."""
-
-
 class Shaded(NamedTuple):
-    """What rays see.
+    """Shaded rays.
 
     Attributes:
         rgb: Colours in [0, 1] (rays, 3).
-        distance: How far away it is, infinite where it is the sky; glass does not count [m] (rays,).
-        label: What it is, see `paint` (rays,).
+        distance: Distances, infinite for the sky; glass does not count [m] (rays,).
+        label: Labels, see `paint` (rays,).
     """
 
     rgb: Array
@@ -175,16 +172,16 @@ class Shaded(NamedTuple):
 
 
 class _Surface(NamedTuple):
-    """Where rays end.
+    """Surfaces at the hits of rays.
 
-    Vectors have their components first, as processors like it: (3, rays).
+    Vectors have their components first, for vectorisation: (3, rays).
 
     Attributes:
-        hits: Whether they end at all (rays,).
-        geom_index: On which geom (rays,).
-        point: Just off its surface [m] (3, rays).
-        normal: The surface's, towards the rays (3, rays).
-        rgb: Its colour (3, rays).
+        hits: Whether the ray hits anything (rays,).
+        geom_index: Index of the geom (rays,).
+        point: Point just off the surface [m] (3, rays).
+        normal: Surface normal, towards the ray (3, rays).
+        rgb: Colour of the surface (3, rays).
     """
 
     hits: Array
@@ -201,23 +198,23 @@ def shade(
     exclude_owner: Array,
     caster: Caster | None = None,
 ) -> Shaded:
-    """Return what rays see.
+    """Shade rays.
 
     Args:
-        render_scene: What there is.
-        origin: Where they start [m] (rays, 3).
+        render_scene: The scene.
+        origin: Origins [m] (rays, 3).
         direction: Unit vectors (rays, 3).
-        exclude_owner: Geoms of this owner are transparent to them; `EXCLUDE_NONE`: none ().
-        caster: What casts them, and knows how geoms look; None: JAX does, at those of `render_scene`.
+        exclude_owner: Owner whose geoms the rays pass; `EXCLUDE_NONE`: none ().
+        caster: Ray caster with the geoms' appearance; None: JAX, on those of `render_scene`.
     """
     caster = caster or GeomCaster(render_scene.geoms, render_scene.appearance, exclude_owner)
-    look = caster.appearance
+    appearance = caster.appearance
     first = caster.from_camera(origin, direction, SOLID_QUERY)
     surface = _surface(render_scene, caster, first, origin, direction)
     rgb = _lit(render_scene, caster, surface)
     if MIRROR in caster.materials:
-        gloss = xp.where(surface.hits, xp.asarray(look.reflectance)[surface.geom_index], 0.0)
-        rgb = _if(
+        gloss = xp.where(surface.hits, xp.asarray(appearance.reflectance)[surface.geom_index], 0.0)
+        rgb = _change_if(
             (gloss > 0).any(),
             lambda rgb: _reflected(render_scene, caster, surface, direction, gloss, rgb),
             rgb,
@@ -225,16 +222,17 @@ def shade(
     if GLASS in caster.materials:
         pane = caster.from_camera(origin, direction, PANE_QUERY)
         pane = pane._replace(geom_index=xp.where(pane.distance < first.distance, pane.geom_index, -1))
-        rgb = _if(
+        rgb = _change_if(
             (pane.geom_index >= 0).any(),
             lambda rgb: _behind_panes(render_scene, caster, pane, origin, direction, rgb),
             rgb,
         )
-    label = xp.where(surface.hits, xp.asarray(look.label)[surface.geom_index], SKY_LABEL)
+    label = xp.where(surface.hits, xp.asarray(appearance.label)[surface.geom_index], SKY_LABEL)
     return Shaded(rgb.T, first.distance, label)
 
 
-def _if(needed: Array | np.bool, change: Callable[[Array], Array], value: Array) -> Array:
+def _change_if(needed: Array | np.bool, change: Callable[[Array], Array], value: Array) -> Array:
+    """Apply a change if needed; on JAX by `lax.cond`."""
     if on_numpy():
         return change(value) if needed else value
     return jax.lax.cond(needed, change, lambda value: value, value)
@@ -247,7 +245,7 @@ def _dot(a: Array, b: Array) -> Array:
 def _reflected(
     render_scene: RenderScene, caster: Caster, surface: _Surface, along: Array, gloss: Array, rgb: Array
 ) -> Array:
-    """Return colours with what mirrors reflect, in which a camera sees all of its robot."""
+    """Return colours with mirror reflections, in which a camera sees all of its robot."""
     ahead, start = along.T, surface.point.T
     back = (ahead - 2 * _dot(ahead, surface.normal) * surface.normal).T
     first = caster.from_surfaces(start, back, gloss > 0)
@@ -258,7 +256,7 @@ def _reflected(
 def _behind_panes(
     render_scene: RenderScene, caster: Caster, pane: RayHits, start: Array, along: Array, rgb: Array
 ) -> Array:
-    """Return colours with the panes that are in front of them: lit, whatever is in between."""
+    """Return colours blended with the panes in front of them, which are lit without shadows."""
     surface = _surface(render_scene, caster, pane, start, along)
     clear = xp.asarray(caster.appearance.transparency)[surface.geom_index]
     seen = (1 - clear) * _lit(render_scene, caster, surface, shadows=False) + clear * rgb
@@ -271,27 +269,27 @@ def _surface(
     hits, which = first.geom_index >= 0, xp.maximum(first.geom_index, 0)
     reach = xp.where(hits, first.distance, 0.0)
     point, normal = start.T + reach * along.T, caster.normals(first, start, along).T
-    look = caster.appearance
+    appearance = caster.appearance
     of_floor = xp.asarray(caster.is_plane)[which]
-    bricks = (xp.asarray(look.label)[which] == ARENA_LABEL) & ~of_floor
+    bricks = (xp.asarray(appearance.label)[which] == ARENA_LABEL) & ~of_floor
     shade = xp.where(bricks, 1 + BRICK_CONTRAST * _bricks(render_scene, point, normal), 1.0)
-    rgb = xp.asarray(look.rgb).T[:, which] * shade
+    rgb = xp.asarray(appearance.rgb).T[:, which] * shade
     rgb = xp.where(of_floor, _checkers(render_scene, point), rgb)
-    if look.texture is not None:
+    if appearance.texture is not None:
         rgb = _with_textures(caster, first, point, normal, rgb)
     return _Surface(hits, which, point + (RAY_BIAS + RAY_BIAS_PER_METRE * reach) * normal, normal, rgb)
 
 
 def _with_textures(caster: Caster, first: RayHits, point: Array, normal: Array, rgb: Array) -> Array:
-    """Return colours (3, rays) with what is on surfaces, in place of their bricks."""
-    look, which = caster.appearance, xp.maximum(first.geom_index, 0)
-    code = xp.where(first.geom_index >= 0, xp.asarray(look.texture)[which], 0)
-    plain = xp.asarray(look.rgb).T[:, which]
+    """Return colours (3, rays) with textures instead of bricks."""
+    appearance, which = caster.appearance, xp.maximum(first.geom_index, 0)
+    code = xp.where(first.geom_index >= 0, xp.asarray(appearance.texture)[which], 0)
+    plain = xp.asarray(appearance.rgb).T[:, which]
     level = xp.abs(normal[2]) > 0.7
     side = point[1] * normal[0] - point[0] * normal[1]  # along a wall
     place = xp.where(level, point[0], side), xp.where(level, point[1], point[2])
-    sign = on_face(*caster.frames(which), point, normal) if SIGNS.keys() & look.textures else place
-    return xp.where(code > 0, textured(look.textures, code, plain, place, sign), rgb)
+    sign = on_face(*caster.frames(which), point, normal) if SIGNS.keys() & appearance.textures else place
+    return xp.where(code > 0, apply_textures(appearance.textures, code, plain, place, sign), rgb)
 
 
 def _checkers(render_scene: RenderScene, point: Array) -> Array:
@@ -307,7 +305,7 @@ def _checkers(render_scene: RenderScene, point: Array) -> Array:
 
 
 def _bricks(render_scene: RenderScene, point: Array, normal: Array) -> Array:
-    """Return -1 or 1 by turns along a surface: on walls bricks half as high as long, on ground squares."""
+    """Return -1 or 1 alternating along a surface: bricks half as high as long on walls, squares on ground."""
     level = xp.abs(normal[2]) > 0.7
     side = point[1] * normal[0] - point[0] * normal[1]  # along a wall
     across = xp.where(level, point[0], side) / render_scene.checker_size
@@ -316,7 +314,7 @@ def _bricks(render_scene: RenderScene, point: Array, normal: Array) -> Array:
 
 
 def _lit(render_scene: RenderScene, caster: Caster, surface: _Surface, *, shadows: bool = True) -> Array:
-    """Return the colours of surfaces in their light (3, rays), of the sky where rays met nothing."""
+    """Return the colours of lit surfaces (3, rays), and of the sky without a hit."""
     day = daylight(render_scene.lights)
     everywhere = xp.where(day > 0, AMBIENT, INDOOR_AMBIENT) * (
         1 + _dot(surface.normal, xp.asarray(AMBIENT_GRADIENT))
@@ -325,14 +323,14 @@ def _lit(render_scene: RenderScene, caster: Caster, surface: _Surface, *, shadow
     light = everywhere + _main_light(render_scene, surface, day, dark)
     if len(render_scene.headlights.on):
         on = xp.asarray(render_scene.headlights.on).any()
-        light = _if(on, lambda light: light + _headlight(render_scene, surface, dark), light)
+        light = _change_if(on, lambda light: light + _headlight(render_scene, surface, dark), light)
     sky = xp.where(day > 0, SKY_RGB, NIGHT_RGB)[:, None]
     lit = xp.clip(surface.rgb * (light * render_scene.exposure), 0, 1)
-    return xp.where(surface.hits, developed(lit, render_scene.gain), sky)
+    return xp.where(surface.hits, tone_mapped(lit, render_scene.gain), sky)
 
 
 def _main_light(render_scene: RenderScene, surface: _Surface, day: Array, dark: Darkness | None) -> Array:
-    """Return the light of the sun, or of the lamp that gives most (3, rays)."""
+    """Return the light of the sun, or of the brightest lamp at each surface (3, rays)."""
     sun, lights = xp.asarray(render_scene.sun_direction), render_scene.lights
     facing = xp.maximum(_dot(surface.normal, sun), 0.0)
     best = DIFFUSE * 3 * day * facing  # of all three colours together
@@ -342,7 +340,7 @@ def _main_light(render_scene: RenderScene, surface: _Surface, day: Array, dark: 
     for number, (pos, rgb) in enumerate(zip(lights.pos, lights.rgb, strict=True)):
         way, distance = _way(surface.point, pos)
         total = rgb.sum()
-        lamp = total * xp.maximum(_dot(surface.normal, way), 0.0) * falloff(distance)
+        lamp = total * xp.maximum(_dot(surface.normal, way), 0.0) * distance_falloff(distance)
         more = lamp > best
         best, toward = xp.where(more, lamp, best), xp.where(more, way, toward)
         away, source = xp.where(more, distance, away), xp.where(more, number, source)
@@ -354,14 +352,14 @@ def _main_light(render_scene: RenderScene, surface: _Surface, day: Array, dark: 
 
 
 def _headlight(render_scene: RenderScene, surface: _Surface, dark: Darkness | None) -> Array:
-    """Return the light of the headlight that gives most (rays,); its own robot does not stand in its way."""
+    """Return the light of the brightest headlight at each surface (rays,), not blocked by its own robot."""
     best, toward = xp.zeros(len(surface.hits)), xp.zeros_like(surface.point)
     away, source = xp.zeros(len(surface.hits)), xp.zeros(len(surface.hits), xp.int32)
     lights = render_scene.headlights
     for number, (pos, along, on) in enumerate(zip(lights.pos, lights.direction, lights.on, strict=True)):
         way, distance = _way(surface.point, pos)
         own = xp.maximum(_dot(surface.normal, way), 0.0) * spot_falloff(-_dot(way, along))
-        own = own * HEADLIGHT_BRIGHTNESS * falloff(distance) * on
+        own = own * HEADLIGHT_BRIGHTNESS * distance_falloff(distance) * on
         more = own > best
         best, away = xp.where(more, own, best), xp.where(more, distance, away)
         toward, source = xp.where(more, way, toward), xp.where(more, number, source)
@@ -373,7 +371,7 @@ def _headlight(render_scene: RenderScene, surface: _Surface, dark: Darkness | No
 
 
 def _way(point: Array, to: Array) -> tuple[Array, Array]:
-    """Return unit vectors from points (3, rays) to a place (3,), and how far it is [m] (rays,)."""
+    """Return unit vectors from points (3, rays) to a position (3,), and the distances [m] (rays,)."""
     way = xp.asarray(to)[:, None] - point
     distance = xp.sqrt(_dot(way, way))
     return way / xp.maximum(distance, 1e-9), distance

@@ -1,7 +1,7 @@
-"""What surfaces have on them: brick, tiles, wood and concrete, and signs for detectors. No image files.
+"""Procedural textures: brick, tiles, wood and concrete, and signs for detectors, without image files.
 
-All of it is a function of a place: of walls and floors in the world, so that neighbouring solids fit, and of
-signs on the face of their box. A texture is a name, for signs with a number (`tag:7`), and a code in arrays.
+A texture is a function of position: for walls and floors in the world, so that neighbouring solids match, and
+for signs on the face of their box. It has a name, with a number for signs (`tag:7`), and a code in arrays.
 """
 
 from collections.abc import Callable, Collection
@@ -13,9 +13,9 @@ from usarmjx.base.backend import on_numpy, xp
 from usarmjx.models.types.textures import SIGNS, TEXTURES, decode_texture
 
 QR_SIDE = 21
-"""Cells along a side."""
+"""Cells along a side of a QR code."""
 QR_RIM = 4
-"""White cells around it, as the standard asks for."""
+"""White cells around it, as the standard requires."""
 QR_HEX = (
     "1fd97f822a0dd1d76eaebb7425d82320ff55fc000005d889150d5fdf565c64defdc9b00c167f2b4a0b3cd75a4bba0b35d6716098a7fc861",
     "1fd27f82ca0dd0576ea4bb75e5d82aa0ff55fc00c0024d3b5c33595682f848cc67d5b009977f136e08fcd74899bad37dd051609803fca28",
@@ -28,7 +28,30 @@ QR_HEX = (
     "1fd57f82b20dd0176ea2bb7575d829a0ff55fc0000024f3bf98f5c35b2fd30cc95c5b00cdf7f316e0908d74319bafb7dd151609c83fce28",
     "1fca7f828a0dd3576e80bb74f5d82da0ff55fc024001ee62046a371abd0b55fa9d90900ce8ff64fe0a5a975559ba785dd1aa209503fc8f3",
 )
-"""The cells of the codes that say USARMJX 0 to USARMJX 9, row by row from the top left, dark as 1."""
+"""Cells of the QR codes of the texts USARMJX 0 to USARMJX 9, row by row from the top left, dark as 1."""
+BRICK, MORTAR, MORTAR_SHADE = (0.24, 0.08), 0.01, 0.55
+"""Length and height of a brick with its joint, width of a joint [m], and brightness of the joint."""
+TILE, GROUT, GROUT_SHADE = 0.3, 0.008, 0.45
+"""Side of a tile with its joint, width of a joint [m], and brightness of the joint."""
+PLANK = (1.2, 0.12)
+"""Length and width of a plank [m]."""
+GRAIN = (0.25, 0.008)
+"""Length and width of wood grain [m]."""
+STAINS = (0.4, 0.06)
+"""Widths of coarse and fine stains of concrete [m]."""
+WHITE, BLACK = np.ones((3, 1), np.float32), np.full((3, 1), 0.02, np.float32)
+LANDOLT_RINGS = 5
+"""Rings of a chart, each half as large as the one around it."""
+HAZARD_RGB = np.array(
+    [[0.95, 0.45, 0.05], [0.1, 0.55, 0.2], [0.85, 0.1, 0.1], [0.1, 0.3, 0.75], [0.95, 0.85, 0.1]], np.float32
+)
+"""Colours of the upper half of a hazmat label, by number: explosives, gas, fire, wet, oxidiser."""
+TAG_BITS = np.array(
+    [46386, 3994, 13101, 39238, 21662, 31181, 40494, 50418, 65242, 53078],
+)
+"""16 bits of each of the first ten markers of OpenCV's ArUco dictionary DICT_4X4_50, row by row."""
+TAG_SIDE = 6
+"""Cells along a side of a marker, black border included; one white cell is around it."""
 
 
 def qr_cells() -> np.ndarray:
@@ -40,33 +63,8 @@ def qr_cells() -> np.ndarray:
 QR_CELLS = qr_cells()
 
 
-BRICK, MORTAR, MORTAR_SHADE = (0.24, 0.08), 0.01, 0.55
-"""Length and height of a brick with its joint, the width of a joint [m], and how bright that is."""
-TILE, GROUT, GROUT_SHADE = 0.3, 0.008, 0.45
-"""Side of a tile with its joint, the width of a joint [m], and how bright that is."""
-PLANK = (1.2, 0.12)
-"""Length and width of a plank [m]."""
-GRAIN = (0.25, 0.008)
-"""How long and how wide the grain of wood is [m]."""
-STAINS = (0.4, 0.06)
-"""How wide coarse and fine stains of concrete are [m]."""
-WHITE, BLACK = np.ones((3, 1), np.float32), np.full((3, 1), 0.02, np.float32)
-LANDOLT_RINGS = 5
-"""Rings of a chart, each half as large as the one around it."""
-HAZARD_RGB = np.array(
-    [[0.95, 0.45, 0.05], [0.1, 0.55, 0.2], [0.85, 0.1, 0.1], [0.1, 0.3, 0.75], [0.95, 0.85, 0.1]], np.float32
-)
-"""Colours of the upper half of a hazmat label, by number: explosives, gas, fire, wet, oxidiser."""
-TAG_BITS = np.array(
-    [46386, 3994, 13101, 39238, 21662, 31181, 40494, 50418, 65242, 53078],
-)
-"""The 16 bits of the first ten markers of OpenCV's ArUco dictionary DICT_4X4_50, row by row."""
-TAG_SIDE = 6
-"""Cells along a side of a marker, its black border included; one white cell is around it."""
-
-
 def noise(i: Array, j: Array, salt: int) -> Array:
-    """Return a number in [0, 1) that only whole numbers i and j tell (...)."""
+    """Return a hash of integers i and j in [0, 1) (...)."""
     mixed = i.astype(xp.uint32) * np.uint32(374761393) + j.astype(xp.uint32) * np.uint32(668265263)
     mixed = mixed + np.uint32(salt * 974711 + 1)
     mixed = (mixed ^ (mixed >> np.uint32(13))) * np.uint32(1274126177)
@@ -75,7 +73,7 @@ def noise(i: Array, j: Array, salt: int) -> Array:
 
 
 def smooth_noise(x: Array, y: Array, salt: int) -> Array:
-    """Return noise that is that of whole numbers there and in between them goes evenly (...)."""
+    """Return value noise: hashes of the integer lattice, linearly interpolated (...)."""
     i, j = xp.floor(x).astype(xp.int32), xp.floor(y).astype(xp.int32)
     dx, dy = x - i, y - j
     low = noise(i, j, salt) * (1 - dx) + noise(i + 1, j, salt) * dx
@@ -121,11 +119,11 @@ PATTERNS: dict[str, Callable[[Array, Array], Array]] = {
     "wood": _wood,
     "concrete": _concrete,
 }
-"""Factors on a surface's colour, by places along it and up it [m] (rays,)."""
+"""Factors on a surface's colour, by positions along it and up it [m] (rays,)."""
 
 
 def _chart(u: Array, v: Array, number: Array) -> Array:
-    """Nested Landolt rings: five strokes wide, one stroke the ring and its gap, in one of 8 directions."""
+    """Draw nested Landolt rings: five strokes wide, ring and gap one stroke, in one of 8 directions."""
     dark, radius = xp.zeros(u.shape, bool), xp.hypot(u, v)
     for ring in range(LANDOLT_RINGS):
         outer = 0.95 * 0.5**ring
@@ -138,7 +136,7 @@ def _chart(u: Array, v: Array, number: Array) -> Array:
 
 
 def _hazmat(u: Array, v: Array, number: Array) -> Array:
-    """A diamond with a black rim: above its class's colour and a disc, below as many bars as its class."""
+    """Draw a diamond with a black rim: class colour and disc above, as many bars as its class below."""
     away = xp.abs(u) + xp.abs(v)
     colour = xp.asarray(HAZARD_RGB).T[:, (number - 1) % len(HAZARD_RGB)]
     disc = xp.hypot(u, v - 0.35) < 0.2
@@ -149,7 +147,7 @@ def _hazmat(u: Array, v: Array, number: Array) -> Array:
 
 
 def _tag(u: Array, v: Array, number: Array) -> Array:
-    """An ArUco marker of 4 x 4 cells with its black border and a white one around it."""
+    """Draw an ArUco marker of 4 x 4 cells with its black border and a white one around it."""
     cells = TAG_SIDE + 2
     column = xp.clip(xp.floor((u + 1) / 2 * cells), 0, cells - 1).astype(xp.int32) - 2
     row = xp.clip(xp.floor((1 - v) / 2 * cells), 0, cells - 1).astype(xp.int32) - 2
@@ -161,7 +159,7 @@ def _tag(u: Array, v: Array, number: Array) -> Array:
 
 
 def _qr(u: Array, v: Array, number: Array) -> Array:
-    """A QR code with a white rim."""
+    """Draw a QR code with a white rim."""
     cells = QR_SIDE + 2 * QR_RIM
     column = xp.floor((u + 1) / 2 * cells).astype(xp.int32) - QR_RIM
     row = xp.floor((1 - v) / 2 * cells).astype(xp.int32) - QR_RIM
@@ -176,18 +174,18 @@ DRAWINGS: dict[str, Callable[[Array, Array, Array], Array]] = {
     "tag": _tag,
     "qr": _qr,
 }
-"""Colours of signs (3, rays), by places on them from -1 to 1, to the right and up, and numbers (rays,)."""
+"""Colours of signs (3, rays), by positions on them from -1 to 1, right and up, and numbers (rays,)."""
 
 
 def on_face(pos: Array, mat: Array, size: Array, point: Array, normal: Array) -> tuple[Array, Array]:
-    """Return where points are on the largest square in the middle of a box's face: right and up, -1 to 1.
+    """Return positions of points on the largest centred square of a box's face: right and up, -1 to 1.
 
-    Up is the box's z on its sides, its x on its top and bottom; right is to the right of who looks at it.
+    Up is the box's z on its sides, its x on its top and bottom; right is as seen by a viewer in front.
 
     Args:
-        pos: Where the boxes are [m] (rays, 3).
-        mat: How they are turned (rays, 3, 3).
-        size: Their half lengths [m] (rays, 3).
+        pos: Positions of the boxes [m] (rays, 3).
+        mat: Orientations (rays, 3, 3).
+        size: Half lengths [m] (rays, 3).
         point: The points [m] (3, rays).
         normal: Normals there (3, rays).
     """
@@ -202,17 +200,17 @@ def on_face(pos: Array, mat: Array, size: Array, point: Array, normal: Array) ->
     return right / half, up / half
 
 
-def textured(
+def apply_textures(
     names: Collection[str], code: Array, rgb: Array, place: tuple[Array, Array], sign: tuple[Array, Array]
 ) -> Array:
-    """Return the colours of surfaces with what is on them (3, rays).
+    """Return the colours of surfaces with their textures (3, rays).
 
     Args:
-        names: The textures that there are.
-        code: Which each surface has, see `models.spec.textures.code_of` (rays,).
+        names: Textures that occur.
+        code: Texture code of each surface, see `models.types.textures.code_of` (rays,).
         rgb: Their own colours (3, rays).
-        place: Where along and up them [m], both (rays,).
-        sign: Where on the largest square in the middle of their face, from -1 to 1, both (rays,).
+        place: Positions along and up the surfaces [m], both (rays,).
+        sign: Positions on the largest centred square of their face, from -1 to 1, both (rays,).
     """
     kind, number = decode_texture(code)
     for index, name in enumerate(TEXTURES, start=1):
@@ -221,7 +219,7 @@ def textured(
         at, there = place, kind == index
         if name in SIGNS:
             at, there = sign, there & (xp.abs(sign[0]) <= 1) & (xp.abs(sign[1]) <= 1)
-        if on_numpy():  # no ray has all textures: each is worked out where it is
+        if on_numpy():  # compute each texture only at its own rays
             rays = np.flatnonzero(there)
             rgb = np.array(rgb)
             rgb[:, rays] = _drawn(name, rgb[:, rays], (at[0][rays], at[1][rays]), number[rays])

@@ -1,7 +1,7 @@
-"""Bundles of rays that go about the same way, and which geoms they can meet at all.
+"""Bundles of rays with similar directions, and the culling of geoms by their bounding cones.
 
-A bundle is a cone about an axis, thick at its tip by how far its rays' starts are apart. A geom is left out
-when the cone misses the box about it: one test in place of as many as the bundle has rays.
+A bundle is a cone about an axis, with a tip as thick as the spread of its rays' origins. A geom is culled if
+the cone misses its bounding box: one test instead of one per ray.
 """
 
 from typing import NamedTuple
@@ -16,15 +16,15 @@ from usarmjx.base.rotations import matvec
 from usarmjx.sensors.rays.kernels import TINY, XYZ, bounding_box
 
 CONE_MARGIN = 1e-3
-"""Cones are thicker by this, for the rounding of single precision [m]."""
+"""Thickening of cones against rounding [m]."""
 MIN_SLOPE = 1e-5
-"""Cones are at least this steep: their walls are never parallel to a geom's face they go along."""
+"""Lowest slope of a cone, so that its walls are never parallel to a face of a geom."""
 MIN_COSINE = 0.17
-"""Bundles whose rays are farther from the axis than this cosine meet everything."""
+"""Cosine to the axis below which a bundle is too wide for culling."""
 
 
 class Fans(NamedTuple):
-    """Rays that start in the origins of moving frames and are fixed in them: a fan for each frame.
+    """Rays from the origins of moving frames, fixed in them: one fan per frame.
 
     Attributes:
         pos: Origins [m] (..., fans, 3).
@@ -37,8 +37,8 @@ class Fans(NamedTuple):
     directions: np.ndarray
 
     def rays(self) -> tuple[Array, Array]:
-        """Return starts [m] and unit vectors in world axes, fan by fan, both (..., rays, 3)."""
-        if on_numpy():  # a matrix product for each fan
+        """Return origins [m] and unit vectors in world axes, fan by fan, both (..., rays, 3)."""
+        if on_numpy():  # one matrix product per fan
             along = self.directions @ self.mat.mT
         else:
             along = matvec(self.mat[..., None, :, :], self.directions)
@@ -47,13 +47,13 @@ class Fans(NamedTuple):
 
 
 class Cone(NamedTuple):
-    """A cone about a bundle's rays; components as in `kernels.XYZ`.
+    """Bounding cone of a bundle's rays; components as in `kernels.XYZ`.
 
     Attributes:
-        tip: Middle of the rays' starts [m].
+        tip: Mean of the rays' origins [m].
         axis: Unit vector.
-        tip_radius: How far from the tip rays start [m] (...,).
-        slope: Tangent of the half angle (...,); negative: it is too wide to leave anything out.
+        tip_radius: Largest distance of a ray's origin from the tip [m] (...,).
+        slope: Tangent of the half angle (...,); negative: too wide for culling.
     """
 
     tip: XYZ
@@ -63,14 +63,14 @@ class Cone(NamedTuple):
 
 
 def bundled(values: jax.Array, size: int) -> jax.Array:
-    """Return numbers of rays (..., rays) in bundles (..., bundles, size); the last one fills the last."""
+    """Return values of rays (..., rays) in bundles (..., bundles, size), padded with the last value."""
     missing = (*values.shape[:-1], -values.shape[-1] % size)
     whole = jnp.concatenate([values, jnp.broadcast_to(values[..., -1:], missing)], -1)
     return whole.reshape(*values.shape[:-1], -1, size)
 
 
 def bounding_cones(start: XYZ, along: XYZ) -> Cone:
-    """Return the cones about bundles of rays (..., size), components (...)."""
+    """Return the bounding cones of bundles of rays (..., size), components (...)."""
     tip, axis = ([x.mean(-1) for x in vector] for vector in (start, along))
     length = jnp.maximum(jnp.sqrt(sum(x * x for x in axis)), TINY)
     axis = [x / length for x in axis]
@@ -85,16 +85,17 @@ def bounding_cones(start: XYZ, along: XYZ) -> Cone:
 def cone_box_distance(
     kind: int, size: XYZ, tip: XYZ, axis: XYZ, tip_radius: jax.Array, slope: jax.Array
 ) -> jax.Array:
-    """Return how far along its axis a cone meets the box about a geom, infinite for a miss [m] (...).
+    """Return the distance at which a cone meets a geom's bounding box, infinite for a miss [m] (...).
 
-    No ray of the bundle meets the geom any nearer. The box grows along the axis as the cone does, which
-    makes the slab test of a ray one of a cone; that says too much, never too little.
+    It is measured along the axis and a lower bound for all rays of the bundle. The box is widened along the
+    axis as the cone is, which turns the slab test of a ray into one of a cone; the test may report a false
+    hit, never a false miss.
 
     Args:
-        kind: Of geom.
-        size: Its size numbers [m].
-        tip: The cone's, in the geom's frame [m].
-        axis: The cone's, in the geom's frame.
+        kind: Geom type.
+        size: Geom sizes [m].
+        tip: Tip of the cone in the geom's frame [m].
+        axis: Axis of the cone in the geom's frame.
         tip_radius: See `Cone` [m].
         slope: See `Cone`.
     """
@@ -103,7 +104,7 @@ def cone_box_distance(
     for i, (at, along) in enumerate(zip(tip, axis, strict=True)):
         offset, room = at if middle is None else at - middle[i], half[i] + tip_radius
         position, speed = jnp.where(along >= 0, offset, -offset), jnp.abs(along)
-        # In at one side, where the cone's wall closes in on it; out at the other, if the cone is that narrow.
+        # Entry where the cone's wall approaches the slab; exit at the other side of a narrow cone.
         opening, closing = speed + slope, speed - slope
         closing = jnp.where(jnp.abs(closing) < TINY, TINY, closing)
         share = 1.0 / (opening * closing)
@@ -116,12 +117,12 @@ def cone_box_distance(
 def cone_sphere_distance(
     offset: XYZ, axis: XYZ, radius: Array, tip_radius: jax.Array, slope: jax.Array
 ) -> jax.Array:
-    """As `cone_box_distance`, for the bounding sphere: too much of what is long, at a quarter of the work.
+    """As `cone_box_distance`, for the bounding sphere: coarser for long geoms, at a quarter of the cost.
 
     Args:
-        offset: From the cone's tip to the middle of the sphere [m].
-        axis: The cone's; both in any axes.
-        radius: Of the sphere [m].
+        offset: Vector from the cone's tip to the sphere's centre [m].
+        axis: Axis of the cone; both in any frame.
+        radius: Radius of the sphere [m].
         tip_radius: See `Cone` [m].
         slope: See `Cone`.
     """

@@ -1,4 +1,4 @@
-"""At which angle rays meet surfaces, on Warp: a thread for each ray that looks at the one geom it has met."""
+"""Angles of incidence on Warp: one thread per ray reads the one geom that its ray has hit."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,16 +9,16 @@ import warp as wp
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.warp_functions import warp_function
-from usarmjx.sensors.rays.batched_calls import over_worlds
+from usarmjx.sensors.rays.batched_calls import merge_vmaps
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.raycast_warp import (
     GROUP_SIZE,
-    four_at,
+    geom_row,
+    integer_quotient,
+    load_vec4,
     local,
     pack,
-    place_of,
     thread_index,
-    whole_part,
 )
 from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, GeomHits
 from usarmjx.sensors.rays.warp_kinds import normal_of
@@ -31,12 +31,12 @@ BLOCK_DIM = 256
 
 @wp.func
 def _cosine(geoms: wp.array[wp.vec4], at: int, start: wp.vec3, along: wp.vec3, distance: float) -> float:
-    """Return the cosine between a ray and the normal of the surface that it meets."""
-    pos = four_at(geoms, at)
-    r0 = four_at(geoms, at + 32)
-    r1 = four_at(geoms, at + 64)
-    r2 = four_at(geoms, at + 96)
-    s = four_at(geoms, at + 128)
+    """Return the cosine between a ray and the surface normal at its hit."""
+    pos = load_vec4(geoms, at)
+    r0 = load_vec4(geoms, at + 32)
+    r1 = load_vec4(geoms, at + 64)
+    r2 = load_vec4(geoms, at + 96)
+    s = load_vec4(geoms, at + 128)
     point = local(r0, r1, r2, start + distance * along - wp.vec3(pos[0], pos[1], pos[2]))
     normal = normal_of(int(r1[3]), point, wp.vec3(s[0], s[1], s[2]))
     return wp.abs(wp.dot(normal, local(r0, r1, r2, along)))
@@ -57,14 +57,14 @@ def cosines_of_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     fans: int,
     cosine: wp.array[float],
 ) -> None:
-    """Find the angles of fans' rays, 0 for those that meet nothing."""
+    """Compute the cosines of fans' rays, 0 without a hit."""
     t = thread_index(wp.tid())
     found = wp.float32(0.0)
     if geom[t] >= 0:
-        cast = whole_part(t, rays)
+        cast = integer_quotient(t, rays)
         ray = t - cast * rays
-        fan = cast * fans + whole_part(ray, whole_part(rays, fans))
-        at = world[cast] * ((count + 31) >> 5) * GROUP_SIZE + place_of(slots[geom[t]])
+        fan = cast * fans + integer_quotient(ray, integer_quotient(rays, fans))
+        at = world[cast] * ((count + 31) >> 5) * GROUP_SIZE + geom_row(slots[geom[t]])
         found = _cosine(geoms, at, pos[fan], mat[fan] * lines[ray], distance[t])
     cosine[t] = found
 
@@ -82,11 +82,11 @@ def cosines_of_rays(  # noqa: PLR0913 - as above
     rays: int,
     cosine: wp.array[float],
 ) -> None:
-    """Find the angles of given rays, 0 for those that meet nothing."""
+    """Compute the cosines of individual rays, 0 without a hit."""
     t = thread_index(wp.tid())
     found = wp.float32(0.0)
     if geom[t] >= 0:
-        at = world[whole_part(t, rays)] * ((count + 31) >> 5) * GROUP_SIZE + place_of(slots[geom[t]])
+        at = world[integer_quotient(t, rays)] * ((count + 31) >> 5) * GROUP_SIZE + geom_row(slots[geom[t]])
         found = _cosine(geoms, at, origin[t], direction[t], distance[t])
     cosine[t] = found
 
@@ -98,7 +98,7 @@ def _kernel(name: str) -> Any:  # noqa: ANN401 - Warp's kernels have no type
 
 
 def _slots_of(work: Sequence[tuple[GeomBlockInfo, GeomBlock]]) -> np.ndarray:
-    """Return where `pack` puts each geom (geoms,); those that rays pass are nowhere."""
+    """Return each geom's position in the array of `pack` (geoms,); undefined for transparent geoms."""
     slots = np.zeros(max(info.first_index + info.num_geoms for info, _ in work), np.int32)
     before = 0
     for info, _ in work:
@@ -110,12 +110,12 @@ def _slots_of(work: Sequence[tuple[GeomBlockInfo, GeomBlock]]) -> np.ndarray:
 def cosines_of_hits(
     work: Sequence[tuple[GeomBlockInfo, GeomBlock]], rays: tuple[Array, Array] | Fans, first: GeomHits
 ) -> Array:
-    """Return the cosine between each ray and the surface that it meets, in [0, 1]; 0 without one (rays,).
+    """Return the cosine between each ray and the surface at its hit, in [0, 1]; 0 without a hit (rays,).
 
     Args:
-        work: The geoms that rays do not pass.
-        rays: Starts and directions (rays, 3), or fans.
-        first: What they meet.
+        work: Geoms that block rays.
+        rays: Origins and directions (rays, 3), or fans.
+        first: Hits.
     """
     if not work or not len(first.distance):
         return jnp.zeros_like(first.distance)
@@ -135,4 +135,4 @@ def cosines_of_hits(
         return found.reshape(len(world), count)
 
     casts = [first.distance, first.geom_index, *(jnp.asarray(x, jnp.float32) for x in given)]
-    return over_worlds(run)(pack(work)[None], jnp.zeros(1, jnp.int32), *(x[None] for x in casts))[0]
+    return merge_vmaps(run)(pack(work)[None], jnp.zeros(1, jnp.int32), *(x[None] for x in casts))[0]

@@ -1,8 +1,7 @@
-"""Where rays meet geoms, one small kernel per kind of geom, and at what angle.
+"""Ray intersection: one small kernel per geom type, bounding volumes and surface normals.
 
-Each kernel takes a ray in the geom's frame, origin and direction as three arrays (...), and the geom's
-size numbers as three, and returns the distance to its surface (...), infinite for a miss. Arrays (3, ...)
-will do too.
+A kernel takes a ray in the geom's frame, origin and direction as three arrays (...) each, and three size
+values, and returns the distance to the surface (...), infinite for a miss. Arrays (3, ...) are accepted, too.
 """
 
 import math
@@ -17,14 +16,14 @@ from usarmjx.base.backend import xp
 from usarmjx.models.compile.ray_geoms import FENDER_KIND, TRIANGLE_KIND
 
 TINY = 1e-12
-"""Stands in for a zero component of a direction, so that slabs parallel to a ray divide safely."""
+"""Lower bound of a direction's components, so that slabs parallel to a ray divide safely."""
 EDGE_MARGIN = 3e-5
-"""By this share of its height a triangle reaches over its edges: no ray slips through where two meet."""
+"""Relative widening of a triangle's edges, so that no ray passes between two triangles."""
 GRID_PITCH, BAR_WIDTH = 0.05, 0.01
-"""A grid fender's bars lie this far apart, middle to middle, and are this wide [m] (chosen)."""
+"""Spacing and width of a grid fender's bars [m] (chosen)."""
 
 UNBOUNDED = 1e9
-"""Half length of what has no end [m]."""
+"""Half length of an unbounded geom [m]."""
 
 GeomType = mujoco.mjtGeom
 
@@ -33,7 +32,7 @@ XYZ = Sequence[Any] | Array
 
 
 def _nearest(*candidates: Array) -> Array:
-    """The smallest of the candidates that are not behind the origin."""
+    """Return the smallest candidate that is not behind the origin."""
     ahead = [xp.where(t >= 0, t, xp.inf) for t in candidates]
     out = ahead[0]
     for t in ahead[1:]:
@@ -42,7 +41,7 @@ def _nearest(*candidates: Array) -> Array:
 
 
 def ray_plane(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
-    """Distance to a plane through the frame's origin with normal z; sizes 0 mean unbounded."""
+    """Return the distance to a plane through the frame's origin with normal z; sizes of 0 are unbounded."""
     t = xp.where(direction[2] < -TINY, -origin[2] / xp.where(direction[2] < -TINY, direction[2], -1), -1)
     inside = t >= 0
     for axis in (0, 1):
@@ -51,7 +50,7 @@ def ray_plane(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
 
 
 def ray_box(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
-    """Distance to a box with half lengths `size`: the slab method."""
+    """Return the distance to a box with half lengths `size` by the slab method."""
     near: Any = -math.inf
     far: Any = math.inf
     for axis in range(3):
@@ -66,9 +65,9 @@ def _dot(a: XYZ, b: XYZ) -> Array:
 
 
 def _ball(origin: XYZ, direction: XYZ, radius: Array) -> tuple[Array, Array]:
-    """Both crossings of a sphere, NaN-free: infinite when the ray misses."""
+    """Return both crossings of a sphere, infinite (not NaN) for a miss."""
     middle = -_dot(origin, direction)
-    # The squared distance of the centre from the ray, by the foot point: |o|^2 - m^2 would cancel.
+    # Squared distance of the centre from the ray, by the foot point: |o|^2 - m^2 would cancel.
     foot = [o + middle * d for o, d in zip(origin, direction, strict=True)]
     under = radius**2 - _dot(foot, foot)
     root = xp.sqrt(xp.maximum(under, 0.0))
@@ -77,12 +76,12 @@ def _ball(origin: XYZ, direction: XYZ, radius: Array) -> tuple[Array, Array]:
 
 
 def ray_sphere(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
-    """Distance to a sphere of radius `size[0]`."""
+    """Return the distance to a sphere of radius `size[0]`."""
     return _nearest(*_ball(origin, direction, size[0]))
 
 
 def _tube(origin: XYZ, direction: XYZ, radius: Array) -> tuple[Array, Array]:
-    """Both crossings of an unbounded tube about z."""
+    """Return both crossings of an unbounded tube about z."""
     flat = direction[0] ** 2 + direction[1] ** 2
     safe = xp.maximum(flat, TINY)
     middle = -(origin[0] * direction[0] + origin[1] * direction[1]) / safe
@@ -98,7 +97,7 @@ def _within(t: Array, z: Array, low: Array | float, high: Array | float) -> Arra
 
 
 def ray_cylinder(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
-    """Distance to a cylinder about z with radius `size[0]` and half length `size[1]`."""
+    """Return the distance to a cylinder about z with radius `size[0]` and half length `size[1]`."""
     radius, half = size[0], size[1]
     sides = [_within(t, origin[2] + t * direction[2], -half, half) for t in _tube(origin, direction, radius)]
     step = xp.where(xp.abs(direction[2]) < TINY, TINY, direction[2])
@@ -111,7 +110,7 @@ def ray_cylinder(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
 
 
 def ray_capsule(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
-    """Distance to a capsule about z with radius `size[0]` and half length `size[1]` of its tube."""
+    """Return the distance to a capsule about z with radius `size[0]` and half length `size[1]`."""
     radius, half = size[0], size[1]
     hits = [_within(t, origin[2] + t * direction[2], -half, half) for t in _tube(origin, direction, radius)]
     for end, low, high in ((half, half, xp.inf), (-half, -xp.inf, -half)):
@@ -122,7 +121,7 @@ def ray_capsule(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
 
 
 def ray_ellipsoid(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
-    """Distance to an ellipsoid with radii `size`: a unit ball where every axis is measured in its radius."""
+    """Return the distance to an ellipsoid with radii `size`: a unit ball in scaled coordinates."""
     start = [o / s for o, s in zip(origin, size, strict=True)]
     along = [d / s for d, s in zip(direction, size, strict=True)]
     stretch = _dot(along, along)
@@ -134,11 +133,11 @@ def ray_ellipsoid(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
 
 
 def ray_triangle(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
-    """Distance to a triangle in the plane z = 0, seen from both sides; see `pieces.TRIANGLE_KIND`."""
+    """Return the distance to a two-sided triangle in the plane z = 0; see `ray_geoms.TRIANGLE_KIND`."""
     length, x3, y3 = size[0], size[1], size[2]
     t = -origin[2] / xp.where(xp.abs(direction[2]) < TINY, TINY, direction[2])
     x, y = origin[0] + t * direction[0], origin[1] + t * direction[1]
-    # Shares of the second and the third corner, times twice the area.
+    # Barycentric coordinates of the second and the third corner, times twice the area.
     second, third = x * y3 - y * x3, y * length
     area = length * y3
     slack = EDGE_MARGIN * area
@@ -147,10 +146,10 @@ def ray_triangle(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
 
 
 def in_hole(point: XYZ, size: XYZ) -> Array:
-    """Whether a point (3, ...) on the surface of a grid fender lies in one of its holes (...).
+    """Return whether a point (3, ...) on the surface of a grid fender lies in a hole (...).
 
-    Bars run along the axes of the box, one of them through the middle of each face. A face narrower than
-    the distance of two bars has no holes.
+    Bars run along the axes of the box, one of them through the centre of each face. A face narrower than the
+    bar spacing has no holes.
     """
     free = [
         (xp.abs(point[i] - GRID_PITCH * xp.floor(point[i] / GRID_PITCH + 0.5)) > BAR_WIDTH / 2)
@@ -164,9 +163,9 @@ def in_hole(point: XYZ, size: XYZ) -> Array:
 
 
 def ray_fender(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
-    """Distance to a box that is a grid: where a ray meets it first decides whether it passes it whole.
+    """Return the distance to a box-shaped grid: a ray whose first hit is in a hole passes the box entirely.
 
-    So does, for a ray from inside, where it leaves.
+    For a ray from inside the exit point decides.
     """
     t = ray_box(origin, direction, size)
     met = xp.isfinite(t)
@@ -185,10 +184,11 @@ RAY_KERNELS: dict[int, Callable[[XYZ, XYZ, XYZ], Array]] = {
     TRIANGLE_KIND: ray_triangle,
     FENDER_KIND: ray_fender,
 }
+"""Kernel of each geom type."""
 
 
 def bounding_box(kind: int, size: XYZ) -> tuple[XYZ | None, XYZ]:
-    """Middle (None: the frame's origin) and half lengths of the box about a geom, along the frame's axes."""
+    """Return centre (None: the frame's origin) and half lengths of a geom's bounding box, in its frame."""
     zero, middle = 0.0 * size[0], None
     if kind == GeomType.mjGEOM_PLANE:
         wide, long = (xp.where(half > 0, half, UNBOUNDED) for half in (size[0], size[1]))
@@ -206,7 +206,7 @@ def bounding_box(kind: int, size: XYZ) -> tuple[XYZ | None, XYZ]:
 
 
 def bounding_radius(kind: int, size: XYZ) -> Array:
-    """Radius of the bounding sphere about a geom's position."""
+    """Return the radius of the bounding sphere about a geom's position."""
     if kind == TRIANGLE_KIND:
         return xp.maximum(xp.abs(size[0]), xp.hypot(size[1], size[2]))
     _, half = bounding_box(kind, size)
@@ -214,9 +214,9 @@ def bounding_radius(kind: int, size: XYZ) -> Array:
 
 
 def surface_normal(kind: int, point: Array, size: Array) -> Array:
-    """Unit normal of the surface at a point on it; all in the geom's frame, (..., 3).
+    """Return the unit normal at a point on the surface; all in the geom's frame, (..., 3).
 
-    Flat geoms, which have two sides, say z.
+    Flat geoms, which have two sides, have normal z.
     """
     up = xp.broadcast_to(xp.array([0.0, 0.0, 1.0]), point.shape)
     if kind in (GeomType.mjGEOM_PLANE, TRIANGLE_KIND):

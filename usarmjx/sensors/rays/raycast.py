@@ -1,9 +1,9 @@
-"""The raycaster that all sensors share: casts in bundles that pass what a sensor sees through.
+"""Ray caster of all sensors: nearest hits in bundles, through transparent materials.
 
-MJX's own `ray` misses cylinders and height fields without a word. Conventions are those of C MuJoCo's
-`mj_ray`: the distance to the first surface crossed, from inside a solid too, in units of the direction's
-length (directions here are unit vectors, so metres); a plane is seen from its front only. Meshes and terrain
-are seen as their triangles, see `models.build.pieces`.
+MJX's own `ray` silently misses cylinders and height fields. Conventions are those of C MuJoCo's `mj_ray`: the
+distance to the first surface crossed, also from inside a solid, in units of the direction's length
+(directions here are unit vectors, so metres); a plane is visible only from its front. Meshes and terrain
+consist of triangles, see `models.compile.ray_geoms`.
 """
 
 import math
@@ -25,32 +25,52 @@ from usarmjx.models.compile.ray_geoms import TRIANGLE_KIND
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.kernels import RAY_KERNELS
 from usarmjx.sensors.rays.raycast_cpu import nearest_of_bundles
-from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, GeomHits, Geoms, normals, sloped
+from usarmjx.sensors.rays.targets import (
+    GeomBlock,
+    GeomBlockInfo,
+    GeomHits,
+    Geoms,
+    differentiable_cast,
+    normals,
+)
 
 T = TypeVar("T")
+DEFAULT_BUNDLE_SIZE = 32
+"""Default number of consecutive rays with similar directions."""
+COMPACT_KINDS = frozenset({int(mujoco.mjtGeom.mjGEOM_SPHERE), TRIANGLE_KIND})
+"""Geom types that are always compact; triangles of meshes and terrain are small."""
+CULLING_THRESHOLD = 100_000
+"""Number of ray-geom pairs, over all robots and worlds, above which culling pays on a CPU."""
+CULLING_GEOMS = 300
+"""Number of geoms above which culling pays if most casts are wanted: the test of so many takes as long as the
+search for the near ones."""
+EXCLUDE_NONE = np.int32(-2)
+"""Owner that no geom has: slots count from 0, and the arena is -1."""
+NO_COSINE: Any = 0.0
+"""Cosine of a miss, a number in place of an array."""
 
 
-def cast_if_wanted(wanted: Bool[Array, ""] | None, cast: Callable[..., T], missed: T, *args: Any) -> T:  # noqa: ANN401
-    """Return `cast(*args)` where that is wanted, else misses.
+def masked_cast(wanted: Bool[Array, ""] | None, cast: Callable[..., T], missed: T, *args: Any) -> T:  # noqa: ANN401
+    """Return `cast(*args)` if it is wanted, otherwise misses.
 
-    Mapped over robots and worlds it is cast for all of them if any one wants it, and not at all if none does.
+    Under vmap over robots and worlds it casts for all of them if any wants it, and not at all if none does.
     (A plain `lax.cond` would become a select there, which always casts.)
 
     Args:
-        wanted: Whether anybody wants to know (); None: yes.
-        cast: A function of arrays only; it must not close over any that are traced.
-        missed: What a miss is, a number for each array of its result.
+        wanted: Whether the result is needed (); None: yes.
+        cast: Function of arrays only; it must not close over traced ones.
+        missed: Value of a miss, a number for each array of the result.
         args: Its arguments.
     """
     if wanted is None:
         return cast(*args)
-    hits = _cast_if_any(wanted, cast, missed, args)
+    hits = _masked_cast(wanted, cast, missed, args)
     return jax.tree.map(lambda hit, miss: jnp.where(wanted, hit, miss), hits, missed)
 
 
-def _cast_if_any(wanted: Array, cast: Callable[..., T], missed: T, args: tuple[Any, ...]) -> T:
-    """Return what is cast, if any of many want it (...); else misses of the same shape."""
-    cast = jax.jit(cast, inline=True)  # traced once: for its shapes, for its work, and for all maps
+def _masked_cast(wanted: Array, cast: Callable[..., T], missed: T, args: tuple[Any, ...]) -> T:
+    """Cast if any of many want it (...); otherwise return misses of the same shape."""
+    cast = jax.jit(cast, inline=True)  # one trace serves shapes, execution and all vmaps
 
     @custom_vmap
     def run(wanted: Array, args: tuple[Any, ...]) -> T:
@@ -62,33 +82,20 @@ def _cast_if_any(wanted: Array, cast: Callable[..., T], missed: T, args: tuple[A
     def run_mapped(size: int, batched: Any, wanted: Array, args: tuple[Any, ...]) -> tuple[T, Any]:  # noqa: ANN401
         axes = jax.tree.map(lambda mapped: 0 if mapped else None, batched[1])
         mapped = jax.vmap(cast, in_axes=axes, axis_size=size)
-        # Not `run` again: an outer map calls this rule too, with one axis more on everything.
-        hits = _cast_if_any(wanted, mapped, missed, args)
+        # Not `run` again: an outer vmap calls this rule, too, with one more axis on everything.
+        hits = _masked_cast(wanted, mapped, missed, args)
         return hits, jax.tree.map(lambda _: True, hits)
 
     return run(wanted, args)
 
 
-DEFAULT_BUNDLE_SIZE = 32
-"""Rays after each other that go about the same way, if nobody says otherwise."""
-COMPACT_KINDS = frozenset({int(mujoco.mjtGeom.mjGEOM_SPHERE), TRIANGLE_KIND})
-"""Kinds that count as compact anyway; the triangles of meshes and terrain are small."""
-CULLING_THRESHOLD = 100_000
-"""Rays times geoms, of all robots and worlds, from which on leaving out geoms pays on a CPU, ..."""
-CULLING_GEOMS = 300
-"""... if there are more geoms, or few casts are wanted: to test so many takes as long as to find the near."""
-
-EXCLUDE_NONE = np.int32(-2)
-"""No owner of any geom: robots' slots count from 0, and the arena is -1."""
-
-
 class Hits(struct.PyTreeNode, kw_only=True):
-    """What rays hit first.
+    """First hits of rays.
 
     Attributes:
-        distance: Distance to the surface, infinite where nothing was hit [m] (rays,).
-        cosine: Cosine between the ray and the surface normal, in [0, 1]; 0 without a hit, and where it
-            was not asked for (rays,).
+        distance: Distance to the surface, infinite without a hit [m] (rays,).
+        cosine: Cosine between the ray and the surface normal, in [0, 1]; 0 without a hit, or if not requested
+            (rays,).
     """
 
     distance: Array
@@ -96,20 +103,20 @@ class Hits(struct.PyTreeNode, kw_only=True):
 
 
 NO_HITS = Hits(distance=np.zeros(0, np.float32), cosine=np.zeros(0, np.float32))
-"""Of a robot that casts no rays."""
+"""Hits of a robot without rays."""
 
 
 class RayQuery(struct.PyTreeNode, kw_only=True):
-    """How rays are cast, and for whom; all backends honour all of it.
+    """Options of a cast, which all backends honour.
 
     Attributes:
-        transparent: Materials that they go through, without any cost.
-        bundle_size: So many rays after each other start and go about the same way. What is nowhere near their
-            cone costs them next to nothing.
-        max_distance: What is farther is not met [m].
-        incidence: Whether to find out at which angle they meet surfaces.
-        exclude_owner: Slot of the robot that looks; its own geoms are transparent to it ().
-        wanted: Whether anybody wants to know; if not, nothing is met (); None: yes.
+        transparent: Materials that the rays pass.
+        bundle_size: Number of consecutive rays with similar origins and directions. Geoms far from their
+            common cone cost next to nothing.
+        max_distance: Range [m].
+        incidence: Whether to compute the angles of incidence.
+        exclude_owner: Slot of the casting robot, whose own geoms are transparent ().
+        wanted: Whether the result is needed; if not, nothing is hit (); None: yes.
     """
 
     transparent: frozenset[str] = struct.field(pytree_node=False, default=frozenset())
@@ -122,22 +129,18 @@ class RayQuery(struct.PyTreeNode, kw_only=True):
 
 DEFAULT_QUERY = RayQuery()
 RayCaster = Callable[[Array, Array, RayQuery, Fans | None], Hits]
-"""Casts rays at all there is in a world: as `cast_rays`, its geoms given."""
-
-
-NO_COSINE: Any = 0.0
-"""Of a miss; a number in place of an array."""
+"""Caster for everything in a world: `cast_rays` with its geoms bound."""
 
 
 class IndexedBlock(NamedTuple):
-    """Geoms of a kind that rays do not pass, and what is known of them while compiling."""
+    """Geoms of one type that block rays, and their static properties."""
 
     info: GeomBlockInfo
     block: GeomBlock
 
 
 def distance_to(kind: int, geom: GeomBlock, origin: Array, direction: Array) -> Array:
-    """Distance of rays (..., 3) from geoms, whose axes go before those of the rays' components [m] (...)."""
+    """Return the distances of rays (..., 3) from geoms, whose axes precede the rays' last [m] (...)."""
     # Sums of products instead of matrix products: they fuse with the kernel, so that no array of rays
     # times geoms is ever stored, and a GPU does not round them to TensorFloat-32.
     offset, mat = origin - geom.pos, geom.mat
@@ -147,7 +150,7 @@ def distance_to(kind: int, geom: GeomBlock, origin: Array, direction: Array) -> 
 
 
 def indexed_blocks(geoms: Geoms, transparent: frozenset[str] = frozenset()) -> list[IndexedBlock]:
-    """Return the geoms that rays do not pass; what is compact comes last, as the rest may hide it."""
+    """Return the geoms that block rays; compact ones last, as the others may hide them."""
     compact = geoms.compact or (False,) * len(geoms.blocks)
     found, first = list[IndexedBlock](), 0
     for kind, block, small, material in zip(geoms.kinds, geoms.blocks, compact, geoms.materials, strict=True):
@@ -167,14 +170,14 @@ def nearest_hits(
     query: RayQuery = DEFAULT_QUERY,
     fans: Fans | None = None,
 ) -> GeomHits:
-    """Return what each ray meets first.
+    """Return the first hit of each ray.
 
     Args:
-        geoms: What there is to hit.
+        geoms: The geoms.
         origin: Origins of the rays [m] (rays, 3).
         direction: Unit vectors (rays, 3).
-        query: How, and for whom.
-        fans: The same rays as fans, if they are such: a GPU turns them where it needs them.
+        query: Options.
+        fans: The same rays as fans, if they are: a GPU rotates them where it needs them.
     """
     seen = indexed_blocks(geoms, query.transparent)
     if warp_in_use():
@@ -188,7 +191,7 @@ def brute_force_hits(
     direction: Float[Array, "rays 3"],
     query: RayQuery = DEFAULT_QUERY,
 ) -> GeomHits:
-    """As `nearest_hits`: all rays against one geom after the other."""
+    """As `nearest_hits`: all rays against each geom."""
     return _hits_on_a_cpu(seen, origin, direction, query, None, math.inf)
 
 
@@ -228,7 +231,7 @@ def warp_hits(
     rays: tuple[Array, Array] | Fans,
     query: RayQuery = DEFAULT_QUERY,
 ) -> GeomHits:
-    """As `nearest_hits`: see `raycast_warp`."""
+    """As `nearest_hits`, on Warp; see `raycast_warp`."""
     from usarmjx.sensors.rays.raycast_warp import nearest_of_bundles
 
     wanted = jnp.ones((), bool) if query.wanted is None else query.wanted
@@ -249,13 +252,13 @@ def cast_rays(
     query: RayQuery = DEFAULT_QUERY,
     fans: Fans | None = None,
 ) -> Hits:
-    """Return the first surface that each ray meets, see `nearest_hits`; at which angle, if the query asks.
+    """Return the first hit of each ray, see `nearest_hits`, with its angle if the query asks for it.
 
-    Rays without a direction (of zeros) meet nothing.
-    Distances can be differentiated, see `surfaces.sloped`; angles count as constant.
+    Rays with a zero direction hit nothing. Distances are differentiable, see `targets.differentiable_cast`;
+    angles are constants.
     """
     lines, frames = (None, ()) if fans is None else (fans.directions, (fans.pos, fans.mat))
-    first = sloped(partial(_nearest_of_frames, lines), geoms, origin, direction, query, *frames)
+    first = differentiable_cast(partial(_nearest_of_frames, lines), geoms, origin, direction, query, *frames)
     cosine: Array = jnp.zeros_like(first.distance)
     if query.incidence:
         cosine = _incidence(query, lines, *jax.lax.stop_gradient((geoms, first, origin, direction, *frames)))
@@ -275,14 +278,14 @@ def _incidence(
     direction: Array,
     *frames: Array,
 ) -> Array:
-    """Return the cosine between each ray and the surface that it meets (rays,); frames as below."""
+    """Return the cosine between each ray and the surface at its hit (rays,); frames as below."""
     if warp_in_use():
         from usarmjx.sensors.rays.incidence_warp import cosines_of_hits
 
         rays = (origin, direction) if lines is None else Fans(frames[0], frames[1], lines)
         return cosines_of_hits(indexed_blocks(geoms, query.transparent), rays, first)
     wanted = None if jax.default_backend() == "gpu" else query.wanted
-    return cast_if_wanted(wanted, _cosines, NO_COSINE, geoms, first, origin, direction)
+    return masked_cast(wanted, _cosines, NO_COSINE, geoms, first, origin, direction)
 
 
 def _nearest_of_frames(
@@ -293,7 +296,7 @@ def _nearest_of_frames(
     query: RayQuery,
     *frames: Array,
 ) -> GeomHits:
-    """As `nearest_hits`; of fans the lines are no values of the function, but known while compiling."""
+    """As `nearest_hits`, with the directions of fans as a static argument."""
     fans = None if lines is None else Fans(frames[0], frames[1], lines)
     return nearest_hits(geoms, origin, direction, query, fans)
 

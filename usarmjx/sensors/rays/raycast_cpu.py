@@ -1,8 +1,8 @@
-"""The raycaster for CPUs: a few casts at a time, each bundle of rays through what is near it, front to back.
+"""Ray caster for CPUs: a few casts at a time, each bundle against the geoms near it, front to back.
 
-However many robots and worlds there are, one loop goes over those casts that somebody wants. For each bundle
-it finds out how far away its cone meets each geom of a kind. Then geom after geom, the nearest first, all
-rays of a bundle are tested, until the next is farther than what every ray has met.
+However many robots and worlds there are, one loop handles the wanted casts. For each bundle it computes the
+distance at which its cone meets each geom of a type. Then all rays of a bundle are tested against one geom
+after the other, the nearest first, until the next one is farther than the hits of all rays.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.sensors.rays.batched_calls import over_worlds
+from usarmjx.sensors.rays.batched_calls import merge_vmaps
 from usarmjx.sensors.rays.bundles import (
     Cone,
     Fans,
@@ -27,28 +27,29 @@ from usarmjx.sensors.rays.kernels import RAY_KERNELS, XYZ, bounding_radius
 from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo, GeomHits
 
 RAYS_AT_A_TIME = 256
-"""Rays of the casts that are done together, about: they wait for each other."""
+"""Approximate number of rays in a group of casts; its bundles iterate in lockstep."""
 UNCULLED_RAYS_AT_A_TIME = 8192
-"""As many where all geoms are tested though there is much to do, and nobody waits: enough for all cores."""
+"""The same if all geoms are tested, without lockstep: enough for all cores."""
 GEOMS_AT_A_TIME = 4
-"""So many of all geoms are tested in one loop over the rays, which reads and writes what was met once."""
+"""Geoms per iteration of the loop without culling, which reads and writes the hits once."""
 LANES = 16
-"""Bundles are multiples of it: as many numbers as are computed at once, or a few times that."""
+"""Divisor of bundle sizes: a small multiple of the SIMD width."""
 MAX_UNCULLED_GEOMS = 2
-"""So many geoms of a kind are tested without looking whether they are near."""
-POS, MAT, SIZE, OWNER, NUMBERS = 0, 3, 12, 15, 16
-"""Where a geom's numbers are: position (3), orientation by rows (9), size (3), owner; and how many."""
-NOTHING = np.int32(np.iinfo(np.int32).max)
-"""The rank of what is not met: after all others."""
+"""Number of geoms of a type up to which they are tested without culling."""
+POS_OFFSET, MAT_OFFSET, SIZE_OFFSET, OWNER_OFFSET, PACKED_SIZE = 0, 3, 12, 15, 16
+"""Offsets of a geom's packed values: position (3), orientation by rows (9), size (3), owner; and their
+number."""
+NO_RANK = np.int32(np.iinfo(np.int32).max)
+"""Rank of a geom that is not met: after all others."""
 
 
 class _Bundles(NamedTuple):
-    """Some casts' bundles of rays; components as in `kernels.XYZ`.
+    """Bundles of rays of some casts; components as in `kernels.XYZ`.
 
     Attributes:
-        start: Where rays start [m] (casts, bundles, size).
+        start: Origins [m] (casts, bundles, size).
         along: Unit vectors (casts, bundles, size).
-        exclude: Owner of geoms that a cast's rays pass (casts,).
+        exclude: Owner whose geoms a cast's rays pass (casts,).
     """
 
     start: XYZ
@@ -57,7 +58,7 @@ class _Bundles(NamedTuple):
 
 
 def pack(work: Sequence[tuple[GeomBlockInfo, GeomBlock]]) -> jax.Array:
-    """Return a world's geoms by number, block after block (NUMBERS, geoms)."""
+    """Return the packed geoms of a world, block by block (NUMBERS, geoms)."""
     blocks = [
         jnp.concatenate([b.pos.T, b.mat.reshape(-1, 9).T, b.size.T, jnp.asarray(b.owner)[None]])
         for _, b in work
@@ -75,17 +76,17 @@ def nearest_of_bundles(
     culling_threshold: float,
     culling_geoms: int = 0,
 ) -> GeomHits:
-    """Return what rays meet first.
+    """Return the first hit of each ray.
 
     Args:
         work: The geoms.
-        rays: Starts and directions (rays, 3), or fans.
-        exclude_and_wanted: Owner of geoms that rays pass (), and whether anybody wants to know ().
-        bundle_size: So many rays after each other go about the same way.
-        max_distance: What is farther is not met [m].
-        culling_threshold: Up to so many rays times geoms of all casts together each ray is tested against
-            all geoms: there is less to compile.
-        culling_geoms: Up to so many geoms each ray is tested against all, too, where most casts are wanted.
+        rays: Origins and directions (rays, 3), or fans.
+        exclude_and_wanted: Owner whose geoms the rays pass (), and whether the result is needed ().
+        bundle_size: Number of consecutive rays with similar directions.
+        max_distance: Range [m].
+        culling_threshold: Number of ray-geom pairs of all casts up to which every pair is tested: less to
+            compile.
+        culling_geoms: Number of geoms up to which every pair is tested, too, if most casts are wanted.
     """
     count = rays.directions[..., 0].size if isinstance(rays, Fans) else len(rays[0])
     if not work or not count:
@@ -123,7 +124,7 @@ def nearest_of_bundles(
         split = [bundled(x[0].T, piece).transpose(1, 2, 0) for x in split]
     exclude, wanted = (jnp.full(len(split[0]), number) for number in exclude_and_wanted)
     casts = jnp.zeros(len(split[0]), jnp.int32), exclude.astype(jnp.float32), wanted
-    found = over_worlds(run)(pack(work)[None], *casts, *split)
+    found = merge_vmaps(run)(pack(work)[None], *casts, *split)
     return GeomHits(*(x.reshape(-1)[:count] for x in found))
 
 
@@ -135,7 +136,7 @@ def _cast_wanted(
     geoms: Array,
     *casts: Array,
 ) -> GeomHits:
-    """Return what rays meet of casts that are wanted (casts,), a few at a time; the others meet nothing."""
+    """Return the hits of wanted casts (casts,), a few at a time; the others hit nothing."""
     number = len(wanted)
     if together >= number:
         pairs = zip(some(geoms, *casts), blank, strict=True)
@@ -159,7 +160,7 @@ def _where(wanted: Array, new: jax.Array, old: jax.Array) -> jax.Array:
 
 
 def _rays(lines: np.ndarray | None, given: Sequence[jax.Array]) -> tuple[XYZ, XYZ]:
-    """Return components of where rays start and where they go (casts, rays)."""
+    """Return the components of ray origins and directions (casts, rays)."""
     if lines is None:
         start, along = (tuple(jnp.moveaxis(x, -1, 0)) for x in given)
         return start, along
@@ -184,16 +185,16 @@ def _cast_some(
     exclude: jax.Array,
     *given: jax.Array,
 ) -> GeomHits:
-    """Return what the rays of some casts meet (casts, rays).
+    """Return the hits of some casts (casts, rays).
 
     Args:
-        infos: What is known of the geoms.
-        lines: Of fans; None: rays are given.
-        size: Of bundles; None: none are looked at, and all geoms are tested.
-        max_distance: What is farther is not met [m].
-        geoms: Of all worlds (worlds, NUMBERS, geoms).
-        world: Whose each cast meets (casts,).
-        exclude: Owners of geoms that rays pass (casts,).
+        infos: Static properties of the geoms.
+        lines: Directions of fans; None: individual rays.
+        size: Bundle size; None: no culling.
+        max_distance: Range [m].
+        geoms: Geoms of all worlds (worlds, NUMBERS, geoms).
+        world: World of each cast (casts,).
+        exclude: Owners whose geoms the rays pass (casts,).
         given: Poses of fans, or rays (casts, ...).
     """
     rays = _rays(lines, given)
@@ -214,27 +215,27 @@ def _cast_some(
 
 
 def _distance(kind: int, numbers: jax.Array, start: XYZ, along: XYZ) -> jax.Array:
-    """Return how far rays (..., size) are from geoms (..., NUMBERS) [m] (..., size)."""
+    """Return the distances of rays (..., size) to geoms (..., NUMBERS) [m] (..., size)."""
 
     def number(i: int) -> jax.Array:
         return numbers[..., i, None]
 
-    offset = [start[j] - number(POS + j) for j in range(3)]
-    turned = [[number(MAT + 3 * j + i) for j in range(3)] for i in range(3)]
+    offset = [start[j] - number(POS_OFFSET + j) for j in range(3)]
+    turned = [[number(MAT_OFFSET + 3 * j + i) for j in range(3)] for i in range(3)]
     local, way = ([_dot(row, vector) for row in turned] for vector in (offset, along))
-    return jnp.asarray(RAY_KERNELS[kind](local, way, [number(SIZE + i) for i in range(3)]))
+    return jnp.asarray(RAY_KERNELS[kind](local, way, [number(SIZE_OFFSET + i) for i in range(3)]))
 
 
 def _test_all(info: GeomBlockInfo, block: jax.Array, bundles: _Bundles, found: GeomHits) -> GeomHits:
-    """Return what is met with some geoms (casts, NUMBERS, geoms) more."""
+    """Update the hits with some geoms (casts, NUMBERS, geoms)."""
 
     def closer(found: GeomHits, one: tuple[jax.Array, jax.Array]) -> tuple[GeomHits, None]:
         numbers, index = one[0][:, None], one[1]
         t = _distance(info.kind, numbers, bundles.start, bundles.along)
-        passed = numbers[..., OWNER] == bundles.exclude[:, None]
+        passed = numbers[..., OWNER_OFFSET] == bundles.exclude[:, None]
         return found.closer(jnp.where(passed[..., None], jnp.inf, t), index), None
 
-    # On a CPU this is ten times as fast as reductions over arrays of rays times geoms.
+    # On a CPU a scan is ten times as fast as reductions over arrays of rays times geoms.
     rows = jnp.moveaxis(block, -1, 0), info.first_index + jnp.arange(info.num_geoms)
     return jax.lax.scan(closer, found, rows, unroll=min(GEOMS_AT_A_TIME, info.num_geoms))[0]
 
@@ -242,71 +243,75 @@ def _test_all(info: GeomBlockInfo, block: jax.Array, bundles: _Bundles, found: G
 def _test_near(
     info: GeomBlockInfo, block: jax.Array, bundles: _Bundles, cone: Cone, found: GeomHits
 ) -> GeomHits:
-    """As `_test_all`, for each bundle only those that are near, front to back."""
+    """As `_test_all`, for each bundle only with the near geoms, front to back."""
     casts, number, size = found.distance.shape
     bits = (info.num_geoms - 1).bit_length()
     low = np.int32((1 << bits) - 1)
-    near = _entries(info, block, cone)
-    near = jnp.where((block[:, OWNER] == bundles.exclude[:, None])[:, None], jnp.inf, near)
-    # A rank is a distance but for its last bits, which say which geom: whole numbers are compared fast.
+    near = _cone_distances(info, block, cone)
+    near = jnp.where((block[:, OWNER_OFFSET] == bundles.exclude[:, None])[:, None], jnp.inf, near)
+    # A rank is the distance's bit pattern with the geom's index in its last bits: positive floats sort
+    # like their bit patterns, and integer comparisons are fast.
     ranks = jax.lax.bitcast_convert_type(near, jnp.int32) & ~low | np.arange(info.num_geoms, dtype=np.int32)
-    ranks = jnp.where(near < jnp.inf, ranks, NOTHING).reshape(casts * number, -1)
+    ranks = jnp.where(near < jnp.inf, ranks, NO_RANK).reshape(casts * number, -1)
     start, along = ([x.reshape(-1, size) for x in vector] for vector in (bundles.start, bundles.along))
     whose = np.repeat(np.arange(casts), number)
 
     def reaches(rank: jax.Array, found: GeomHits) -> jax.Array:
         entry = jax.lax.bitcast_convert_type(rank & ~low, jnp.float32)
-        return ((rank < NOTHING) & (entry <= _folded(jnp.maximum, found.distance))).any()
+        return ((rank < NO_RANK) & (entry <= _reduce_rows(jnp.maximum, found.distance))).any()
 
     def test(carry: tuple[jax.Array, jax.Array, GeomHits]) -> tuple[jax.Array, jax.Array, GeomHits]:
         rank, _, found = carry
         index = rank & low
         numbers = block.at[whose, :, index].get(mode="clip")
         t = _distance(info.kind, numbers, start, along)
-        t = jnp.where((rank < NOTHING)[:, None], t, jnp.inf)
+        t = jnp.where((rank < NO_RANK)[:, None], t, jnp.inf)
         place = (info.first_index + index)[:, None]
-        # Of two as near the first in the block, as if all were looked at in order.
+        # Ties go to the first geom of the block, as in a test of all in order.
         same = (t == found.distance) & (place < found.geom_index) & (found.geom_index >= info.first_index)
         found = found.closer(t, place)
         found = found._replace(geom_index=jnp.where(same, place, found.geom_index))
-        rank = _least_above(ranks, rank)
+        rank = _next_rank(ranks, rank)
         return rank, reaches(rank, found), found
 
     flat = GeomHits(*(x.reshape(-1, size) for x in found))
-    rank = _least_above(ranks, jnp.full(len(ranks), -1, jnp.int32))
+    rank = _next_rank(ranks, jnp.full(len(ranks), -1, jnp.int32))
     end = jax.lax.while_loop(lambda carry: carry[1], test, (rank, reaches(rank, flat), flat))
     return GeomHits(*(x.reshape(casts, number, size) for x in end[2]))
 
 
-def _least_above(ranks: jax.Array, rank: jax.Array) -> jax.Array:
-    """Return the least of the ranks of each bundle (bundles, geoms) above one (bundles,)."""
+def _next_rank(ranks: jax.Array, rank: jax.Array) -> jax.Array:
+    """Return the smallest rank of each bundle (bundles, geoms) above a given one (bundles,)."""
     missing = -ranks.shape[1] % LANES
-    ranks = jnp.pad(ranks, ((0, 0), (0, missing)), constant_values=NOTHING)  # pyright: ignore[reportUnknownMemberType] - jnp.pad is half typed
-    return _folded(jnp.minimum, jnp.where(ranks > rank[:, None], ranks, NOTHING))
+    ranks = jnp.pad(ranks, ((0, 0), (0, missing)), constant_values=NO_RANK)  # pyright: ignore[reportUnknownMemberType] - jnp.pad is half typed
+    return _reduce_rows(jnp.minimum, jnp.where(ranks > rank[:, None], ranks, NO_RANK))
 
 
-def _folded(both: Callable[[Array, Array], jax.Array], values: jax.Array) -> jax.Array:
-    """Return the numbers of each row (rows, n LANES) as one, `both` of two after the other (rows,).
+def _reduce_rows(both: Callable[[Array, Array], jax.Array], values: jax.Array) -> jax.Array:
+    """Reduce each row (rows, n LANES) by `both` (rows,).
 
-    A reduction along the rows would go number by number.
+    A plain reduction along the rows would not be vectorised.
     """
     parts = [values[:, i : i + LANES] for i in range(0, values.shape[1], LANES)]
     lanes = jax.lax.optimization_barrier(reduce(both, parts))  # pyright: ignore[reportUnknownMemberType] - JAX has no type
     return reduce(both, [lanes[:, i] for i in range(LANES)])
 
 
-def _entries(info: GeomBlockInfo, block: jax.Array, cone: Cone) -> jax.Array:
-    """Return how far away cones meet geoms (casts, bundles, geoms)."""
+def _cone_distances(info: GeomBlockInfo, block: jax.Array, cone: Cone) -> jax.Array:
+    """Return the distances at which cones meet geoms (casts, bundles, geoms)."""
 
     def number(i: int) -> jax.Array:
         return block[:, None, i]
 
     tip, axis = ([x[..., None] for x in vector] for vector in (cone.tip, cone.axis))
     radius, slope = cone.tip_radius[..., None], cone.slope[..., None]
-    offset, size = [tip[j] - number(POS + j) for j in range(3)], tuple(number(SIZE + i) for i in range(3))
+    offset, size = (
+        [tip[j] - number(POS_OFFSET + j) for j in range(3)],
+        tuple(number(SIZE_OFFSET + i) for i in range(3)),
+    )
     if info.compact:
         around = bounding_radius(info.kind, size)
         return cone_sphere_distance([-x for x in offset], axis, around, radius, slope)
-    turned = [[number(MAT + 3 * j + i) for j in range(3)] for i in range(3)]
+    turned = [[number(MAT_OFFSET + 3 * j + i) for j in range(3)] for i in range(3)]
     local, way = ([_dot(row, vector) for row in turned] for vector in (offset, axis))
     return cone_box_distance(info.kind, size, local, way, radius, slope)

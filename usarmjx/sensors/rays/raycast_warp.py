@@ -1,8 +1,8 @@
-"""The raycaster on Warp: a warp of threads for each bundle of rays takes a world's geoms front to back.
+"""Ray caster on Warp: a warp of threads for each bundle of rays tests a world's geoms front to back.
 
-First each lane looks at a few geoms and finds out how far away the bundle's cone meets them. Then geom after
-geom, the nearest first, every lane tests its ray against one, until the next is farther than what all rays
-have met. On a CPU, where tests run it, each thread is a bundle of one ray.
+First each lane computes the distances at which the bundle's cone meets a few geoms. Then every lane tests its
+ray against one geom after the other, the nearest first, until the next is farther than the hits of all rays.
+On a CPU, in tests, each thread is a bundle of one ray.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
 from usarmjx.base.warp_functions import warp_function
 from usarmjx.sensors.rays import bundles
-from usarmjx.sensors.rays.batched_calls import over_worlds
+from usarmjx.sensors.rays.batched_calls import merge_vmaps
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.kernels import bounding_box, bounding_radius
 from usarmjx.sensors.rays.targets import GeomBlock, GeomBlockInfo
@@ -26,21 +26,29 @@ from usarmjx.sensors.rays.warp_kinds import cone_box_distance, cone_sphere_dista
 wp.set_module_options({"enable_backward": False, "fast_math": True})
 
 WARP_SIZE = wp.constant(32)
+"""Lanes of a warp."""
 KEYS_PER_LANE = 4
-"""Geoms whose distances a lane keeps while the nearest are tested."""
+"""Geoms whose distances a lane holds during a pass."""
 BLOCK_DIM = 64
 """Threads of a block."""
 SLOT_BITS = wp.constant(wp.uint32(255))
-"""The last bits of a key: which geom of a pass it is. The first ones sort as the distance does."""
+"""Last bits of a key: index of the geom in the pass. The first bits sort like the distance."""
 LAST_KEY = wp.constant(wp.uint32(0xFFFFFFFF))
+"""Key after all others."""
 BEYOND = wp.constant(wp.uint32(0x7F800000))
-"""Keys from here on are of geoms that the cone misses: the bits of infinity."""
+"""First key of geoms that the cone misses: the bits of infinity."""
 CONE_MARGIN = wp.constant(bundles.CONE_MARGIN)
 MIN_SLOPE = wp.constant(bundles.MIN_SLOPE)
 MIN_COSINE = wp.constant(bundles.MIN_COSINE)
 TINY = wp.constant(1e-12)
 GROUP_SIZE = wp.constant(6 * 32)
-"""Numbers of four of 32 geoms."""
+"""Four-vectors of a group of 32 geoms."""
+MAX_BUNDLE = 32
+"""Largest bundle: one ray per lane."""
+MAX_THREADS = 2**31 - 1
+"""Largest number of threads of a launch, which kernels index with 32 bits."""
+UNLIMITED_DISTANCE = 3e38
+"""Finite stand-in for an unlimited range, as misses are infinitely far."""
 
 
 @wp.func_native("""
@@ -51,7 +59,7 @@ GROUP_SIZE = wp.constant(6 * 32)
 #endif
 """)
 def thread_index(index: int) -> int:
-    """Return `wp.tid()`, which it is given, without the division of 64 bits by which a GPU finds that.
+    """Return `wp.tid()`, passed as `index`, without the 64-bit division by which a GPU computes it.
 
     Warp spreads more than 2**24 threads over rows of blocks.
     """
@@ -59,8 +67,8 @@ def thread_index(index: int) -> int:
 
 
 @wp.func_native("return (int)((unsigned)number / (unsigned)size);")
-def whole_part(number: int, size: int) -> int:
-    """Return how many times a number of at least 0 has a size in it."""
+def integer_quotient(number: int, size: int) -> int:
+    """Return the quotient of two integers, the first at least 0, by an unsigned division."""
     ...
 
 
@@ -128,8 +136,8 @@ def _any_lane(x: bool) -> bool: ...
     return values.data[index];
 #endif
 """)
-def four_at(values: wp.array[wp.vec4], index: int) -> wp.vec4:
-    """Return four numbers in one load."""
+def load_vec4(values: wp.array[wp.vec4], index: int) -> wp.vec4:
+    """Return a four-vector in one load."""
     ...
 
 
@@ -145,7 +153,7 @@ class WarpCone:
 
 @wp.func
 def _cone_about(start: wp.vec3, along: wp.vec3, same_start: bool) -> WarpCone:
-    """Return the cone about the rays of all lanes."""
+    """Return the bounding cone of the rays of all lanes."""
     cone = WarpCone()
     share = 1.0 / wp.float32(_lanes())
     cone.tip = start
@@ -163,14 +171,14 @@ def _cone_about(start: wp.vec3, along: wp.vec3, same_start: bool) -> WarpCone:
 
 
 @wp.func
-def place_of(geom: int) -> int:
-    """Return where the first row of a world's geom is; see `warp_calls.pack`."""
+def geom_row(geom: int) -> int:
+    """Return the index of the first row of a world's geom; see `pack`."""
     return (geom >> 5) * GROUP_SIZE + (geom & 31)
 
 
 @wp.func
 def local(r0: wp.vec4, r1: wp.vec4, r2: wp.vec4, v: wp.vec3) -> wp.vec3:
-    """Return a vector in a geom's frame."""
+    """Rotate a vector into a geom's frame."""
     return wp.vec3(
         r0[0] * v[0] + r1[0] * v[1] + r2[0] * v[2],
         r0[1] * v[0] + r1[1] * v[1] + r2[1] * v[2],
@@ -186,7 +194,7 @@ else:
 
 @wp.func
 def _key(near: float, owner: float, exclude: float, cone: WarpCone, slot: int, number: int) -> wp.uint32:
-    """Return what sorts as the distance does (`SLOT_BITS`); the last of all for what is not there."""
+    """Return a key that sorts like the distance (`SLOT_BITS`); the last key for missing geoms."""
     bits = wp.cast(wp.where(cone.slope < 0.0, 0.0, near), wp.uint32) & ~SLOT_BITS
     return wp.where(slot >= number or owner == exclude, LAST_KEY, bits | wp.uint32(slot))
 
@@ -195,12 +203,12 @@ def _key(near: float, owner: float, exclude: float, cone: WarpCone, slot: int, n
 def _box_key(
     geoms: wp.array[wp.vec4], at: int, cone: WarpCone, exclude: float, slot: int, number: int
 ) -> wp.uint32:
-    """Return the key of a geom by the box about it."""
-    pos = four_at(geoms, at)
-    r0 = four_at(geoms, at + 32)
-    r1 = four_at(geoms, at + 64)
-    r2 = four_at(geoms, at + 96)
-    half = four_at(geoms, at + 160)
+    """Return the key of a geom by its bounding box."""
+    pos = load_vec4(geoms, at)
+    r0 = load_vec4(geoms, at + 32)
+    r1 = load_vec4(geoms, at + 64)
+    r2 = load_vec4(geoms, at + 96)
+    half = load_vec4(geoms, at + 160)
     tip = local(r0, r1, r2, cone.tip - wp.vec3(pos[0], pos[1], pos[2]))
     axis = local(r0, r1, r2, cone.axis)
     near = cone_box_distance(wp.vec3(half[0], half[1], half[2]), tip, axis, cone.tip_radius, cone.slope)
@@ -211,9 +219,9 @@ def _box_key(
 def _sphere_key(
     geoms: wp.array[wp.vec4], at: int, cone: WarpCone, exclude: float, slot: int, number: int
 ) -> wp.uint32:
-    """Return the key of a geom by the sphere about it."""
-    pos = four_at(geoms, at)
-    r0 = four_at(geoms, at + 32)
+    """Return the key of a geom by its bounding sphere."""
+    pos = load_vec4(geoms, at)
+    r0 = load_vec4(geoms, at + 32)
     away = wp.vec3(pos[0], pos[1], pos[2]) - cone.tip
     near = cone_sphere_distance(away, cone.axis, pos[3], cone.tip_radius, cone.slope)
     return _key(near, r0[3], exclude, cone, slot, number)
@@ -221,7 +229,7 @@ def _sphere_key(
 
 @wp.struct
 class WarpBest:
-    """The nearest up to now: how far away [m] and which."""
+    """Nearest hit so far: distance [m] and geom."""
 
     distance: float
     geom: float
@@ -229,7 +237,7 @@ class WarpBest:
 
 @wp.func
 def _first_key(keys: Keys) -> wp.uint32:
-    """Return the least of all lanes' keys."""
+    """Return the smallest key of all lanes."""
     mine = LAST_KEY
     for k in range(KEYS_PER_LANE):
         mine = wp.min(mine, keys[k])
@@ -238,7 +246,7 @@ def _first_key(keys: Keys) -> wp.uint32:
 
 @wp.func
 def _next_key(keys: Keys, after: wp.uint32) -> wp.uint32:
-    """Return the least of all lanes' keys that is greater than one."""
+    """Return the smallest key of all lanes above a given one."""
     mine = LAST_KEY
     for k in range(KEYS_PER_LANE):
         mine = wp.min(mine, wp.where(keys[k] > after, keys[k], LAST_KEY))
@@ -258,7 +266,7 @@ def _nearest(  # noqa: PLR0913 - a struct of them would do no more
     exclude: float,
     reach: float,
 ) -> WarpBest:
-    """Return what this lane's ray meets first among the geoms of a world."""
+    """Return the first hit of this lane's ray among the geoms of a world."""
     best = WarpBest()
     best.distance = reach
     best.geom = -1.0
@@ -271,21 +279,21 @@ def _nearest(  # noqa: PLR0913 - a struct of them would do no more
         if begin < wide:
             for k in range(KEYS_PER_LANE):
                 slot = k * width + lane
-                at = first + place_of(wp.min(begin + slot, end - 1))
+                at = first + geom_row(wp.min(begin + slot, end - 1))
                 keys[k] = _box_key(geoms, at, cone, exclude, slot, end - begin)
         else:
             for k in range(KEYS_PER_LANE):
                 slot = k * width + lane
-                at = first + place_of(wp.min(begin + slot, end - 1))
+                at = first + geom_row(wp.min(begin + slot, end - 1))
                 keys[k] = _sphere_key(geoms, at, cone, exclude, slot, end - begin)
         key = _first_key(keys)
         while key < BEYOND and _any_lane(key <= (wp.cast(best.distance, wp.uint32) | SLOT_BITS)):
-            at = first + place_of(begin + wp.int32(key & SLOT_BITS))
-            pos = four_at(geoms, at)
-            r0 = four_at(geoms, at + 32)
-            r1 = four_at(geoms, at + 64)
-            r2 = four_at(geoms, at + 96)
-            s = four_at(geoms, at + 128)
+            at = first + geom_row(begin + wp.int32(key & SLOT_BITS))
+            pos = load_vec4(geoms, at)
+            r0 = load_vec4(geoms, at + 32)
+            r1 = load_vec4(geoms, at + 64)
+            r2 = load_vec4(geoms, at + 96)
+            s = load_vec4(geoms, at + 128)
             key = _next_key(keys, key)
             away = start - wp.vec3(pos[0], pos[1], pos[2])
             t = distance_of(
@@ -319,10 +327,10 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     distance: wp.array[float],
     geom: wp.array[int],
 ) -> None:
-    """Cast the rays of fans; a warp for each bundle of each cast."""
+    """Cast the rays of fans; a warp per bundle and cast."""
     t = thread_index(wp.tid())
     lane = t & 31
-    cast = whole_part(t >> 5, bundles)
+    cast = integer_quotient(t >> 5, bundles)
     begin = ((t >> 5) - cast * bundles) * bundle
     ray = wp.min(begin + lane, wp.min(begin + bundle, rays) - 1)
     best = WarpBest()
@@ -331,7 +339,7 @@ def cast_fans(  # noqa: PLR0913 - a kernel's arguments are its buffers
     if wanted[cast] > 0:
         fan = cast * fans
         if fans > 1:
-            fan += whole_part(ray, whole_part(rays, fans))
+            fan += integer_quotient(ray, integer_quotient(rays, fans))
         first = world[cast] * ((count + 31) >> 5) * GROUP_SIZE
         best = _nearest(
             geoms,
@@ -366,10 +374,10 @@ def cast_rays(  # noqa: PLR0913 - as above
     distance: wp.array[float],
     geom: wp.array[int],
 ) -> None:
-    """Cast given rays; a warp for each bundle of each cast. Rays without a direction meet nothing."""
+    """Cast individual rays; a warp per bundle and cast. Rays with a zero direction hit nothing."""
     t = thread_index(wp.tid())
     lane = t & 31
-    cast = whole_part(t >> 5, bundles)
+    cast = integer_quotient(t >> 5, bundles)
     begin = ((t >> 5) - cast * bundles) * bundle
     ray = cast * rays + wp.min(begin + lane, wp.min(begin + bundle, rays) - 1)
     best = WarpBest()
@@ -395,22 +403,14 @@ def cast_rays(  # noqa: PLR0913 - as above
     geom[ray] = int(best.geom)
 
 
-MAX_BUNDLE = 32
-"""Most rays of a bundle: one for each lane."""
-MOST_THREADS = 2**31 - 1
-"""Of a launch: kernels number them with 32 bits."""
-UNLIMITED_DISTANCE = 3e38
-"""Stands for an unlimited reach, as what is missed is infinitely far."""
-
-
 def pack(blocks: Sequence[tuple[GeomBlockInfo, GeomBlock]]) -> jax.Array:
-    """Return a world's geoms as kernels read them: four numbers at a time, of 32 after each other.
+    """Return a world's geoms packed for the kernels: four-vectors, in groups of 32 geoms.
 
-    Of each there are (6, 4): position and bounding radius, which is 0 where the box about it is to be looked
-    at; the rows of the orientation, each with a number: owner, kind, place; size; half lengths of the box.
+    Each geom has (6, 4): position and bounding radius, which is 0 if the bounding box is to be used; the rows
+    of the orientation, each with one more value: owner, type, index; size; half lengths of the box.
 
     Returns:
-        (groups, 6, 32, 4); zeros fill the last group up.
+        (groups, 6, 32, 4); the last group is padded with zeros.
     """
     geoms = jnp.concatenate([_packed(info, block) for info, block in blocks], 1)
     whole = jnp.pad(geoms, ((0, 0), (0, -geoms.shape[1] % 32), (0, 0)))  # pyright: ignore[reportUnknownMemberType] - jnp.pad is half typed
@@ -437,7 +437,7 @@ def _kernel(name: str) -> Any:  # noqa: ANN401 - Warp's kernels have no type
 
 
 def _bundle_of(size: int) -> int:
-    """Return the size of equal bundles of which a few make one that was asked for."""
+    """Return the size of equal bundles of which a few make a requested one."""
     return -(-size // -(-size // MAX_BUNDLE))
 
 
@@ -452,14 +452,14 @@ def nearest_of_bundles(
     """Return distance (inf for a miss) and geom index (-1 for a miss) of each first hit, both (rays,).
 
     Args:
-        work: The geoms, those that are compact last.
-        rays: Origins [m] and unit vectors (rays, 3); or fans, whose rays are never written down.
-        exclude_and_wanted: Owner whose geoms are left out (), and whether to cast the rays at all ().
+        work: The geoms, compact ones last.
+        rays: Origins [m] and unit vectors (rays, 3); or fans, whose rays are never materialised.
+        exclude_and_wanted: Owner whose geoms are excluded (), and whether to cast at all ().
         bundle_size: See `raycast.RayQuery`.
         max_distance: See `raycast.RayQuery` [m].
 
     Raises:
-        UsageError: Mapped over so many worlds and robots, more than `MOST_THREADS` were needed at once.
+        UsageError: The vmapped launch needs more than `MAX_THREADS` threads.
     """
     name, given, lines = "cast_rays", rays, ()
     if isinstance(rays, Fans):
@@ -478,17 +478,17 @@ def nearest_of_bundles(
     def run(geoms: Array, world: Array, exclude: Array, wanted: Array, *given: Array) -> tuple[Array, ...]:
         casts = len(world)
         arrays = [geoms.reshape(-1, 4), world, exclude, wanted]
-        arrays += [x.reshape(-1, *x.shape[2:]) for x in given]  # fans, or rays, of all casts in one axis
+        arrays += [x.reshape(-1, *x.shape[2:]) for x in given]  # fans or rays of all casts on one axis
         threads = casts * bundles * MAX_BUNDLE
-        if threads > MOST_THREADS:
+        if threads > MAX_THREADS:
             raise UsageError(
                 f"{casts:,} casts of {count:,} rays each need {threads:,} threads of a GPU at once, "
-                f"at most {MOST_THREADS:,}: fewer worlds"
+                f"at most {MAX_THREADS:,}: fewer worlds"
             )
         found = _kernel(name)(*arrays, *lines, *numbers, output_dims=casts * count, launch_dims=threads)
         return tuple(x.reshape(casts, count) for x in found)
 
     asked = [jnp.asarray(number).astype(jnp.int32) for number in exclude_and_wanted]
     casts = [*asked, *(jnp.asarray(x, jnp.float32) for x in given)]
-    found = over_worlds(run)(pack(work)[None], jnp.zeros(1, jnp.int32), *(x[None] for x in casts))
+    found = merge_vmaps(run)(pack(work)[None], jnp.zeros(1, jnp.int32), *(x[None] for x in casts))
     return found[0][0], found[1][0]

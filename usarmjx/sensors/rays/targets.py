@@ -1,4 +1,4 @@
-"""What there is to hit: geoms by kind and material, as arrays."""
+"""Ray targets: geoms by type and material as arrays, their hits, normals and gradients."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -17,18 +17,20 @@ from usarmjx.models.types.shapes import OPAQUE
 from usarmjx.sensors.rays.kernels import RAY_KERNELS, surface_normal
 
 PADDING_DISTANCE = 1e6
-"""Where padding geoms are parked [m]."""
+"""Coordinate of padding geoms [m]."""
 
 
 GeomType = mujoco.mjtGeom
 
 
 BlockKey = tuple[int, str]
-"""Kind and material of geoms: those of one sort make a block."""
+"""Geom type and material of a block."""
+MIN_GRADIENT_COSINE = 1e-3
+"""Lowest cosine of incidence in gradients."""
 
 
 class GeomBlockInfo(NamedTuple):
-    """What is known of geoms while compiling: kind, how many, index of the first, and if they are compact."""
+    """Static properties of a block: geom type, number of geoms, index of the first, and compactness."""
 
     kind: int
     num_geoms: int
@@ -37,13 +39,13 @@ class GeomBlockInfo(NamedTuple):
 
 
 class GeomBlock(struct.PyTreeNode, kw_only=True):
-    """Geoms of one kind and material.
+    """Geoms of one type and material.
 
     Attributes:
-        pos: Centres, of triangles the first corners [m] (geoms, 3).
+        pos: Centres, or the first corners of triangles [m] (geoms, 3).
         mat: Orientations (geoms, 3, 3).
-        size: MuJoCo's size numbers, or those that `models.build.pieces` tells of [m] (geoms, 3).
-        owner: Robot slot that the geom belongs to; -1 for the arena (geoms,).
+        size: MuJoCo sizes, or those defined in `models.compile.ray_geoms` [m] (geoms, 3).
+        owner: Slot of the robot; -1 for the arena (geoms,).
     """
 
     pos: Array
@@ -53,14 +55,14 @@ class GeomBlock(struct.PyTreeNode, kw_only=True):
 
 
 class Geoms(struct.PyTreeNode, kw_only=True):
-    """All that rays can hit in one world.
+    """Geoms of one world.
 
     Attributes:
-        blocks: The geoms, by kind and material.
-        kinds: What kind each block is of: MuJoCo's type, or a kind of `models.build.pieces`.
-        materials: What each block is made of; a member of `spec.MATERIALS`.
-        compact: Whether the bounding sphere of each geom of a block is a fair picture of it, as of robots'
-            parts and unlike of walls; empty: of none.
+        blocks: Geoms by type and material.
+        kinds: Geom type of each block: MuJoCo's, or one of `models.compile.ray_geoms`.
+        materials: Material of each block; a member of `shapes.MATERIALS`.
+        compact: Whether the bounding sphere is a good approximation of each geom of a block, as for robots'
+            parts and unlike walls; empty: false for all.
     """
 
     blocks: tuple[GeomBlock, ...]
@@ -70,12 +72,12 @@ class Geoms(struct.PyTreeNode, kw_only=True):
 
 
 def check_ray_kinds(geom_types: Sequence[int], names: Sequence[str]) -> None:
-    """Refuse geoms that no kernel can hit.
+    """Refuse geoms without a ray kernel.
 
     Raises:
         UnsupportedGeomError: Names the types and the geoms.
     """
-    known = {*RAY_KERNELS, MESH, HFIELD}  # the latter two as triangles
+    known = {*RAY_KERNELS, MESH, HFIELD}  # meshes and height fields become triangles
     bad = [(int(t), name) for t, name in zip(geom_types, names, strict=True) if int(t) not in known]
     if bad:
         types = sorted({GeomType(t).name for t, _ in bad})
@@ -83,7 +85,7 @@ def check_ray_kinds(geom_types: Sequence[int], names: Sequence[str]) -> None:
 
 
 def indices_by_key(kind: np.ndarray, *others: Sequence[Any]) -> dict[Any, np.ndarray]:
-    """Return the places of geoms of each kind (n,), material (n,) and so on, sorted by these."""
+    """Return the indices of geoms of each type (n,), material (n,) and so on, sorted by these."""
     indices: dict[Any, list[int]] = {}
     for i, sort in enumerate(zip(map(int, kind), *others, strict=True)):
         indices.setdefault(sort, []).append(i)
@@ -99,16 +101,16 @@ def make_geoms(
     material: Sequence[str] | None = None,
     compact: Sequence[bool] | None = None,
 ) -> Geoms:
-    """Sort geoms into blocks by kind, material and compactness, in the order given within each.
+    """Sort geoms into blocks by type, material and compactness, in the given order within each.
 
     Args:
-        kind: Their kinds (n,).
+        kind: Geom types (n,).
         pos: Positions [m] (n, 3).
         mat: Orientations (n, 3, 3).
-        size: Size numbers [m] (n, 3).
+        size: Sizes [m] (n, 3).
         owner: Owners (n,).
-        material: What each is made of; None: all opaque.
-        compact: See `Geoms` (n,); None: none is.
+        material: Materials; None: all opaque.
+        compact: See `Geoms` (n,); None: false for all.
     """
     made_of = [OPAQUE] * len(kind) if material is None else material
     indices = indices_by_key(kind, made_of, [False] * len(kind) if compact is None else compact)
@@ -122,40 +124,36 @@ def make_geoms(
     )
 
 
-FLATTEST = 1e-3
-"""A ray that meets a surface at a smaller cosine counts as one that meets it at this one, for slopes."""
-
-
 class GeomHits(NamedTuple):
-    """What rays meet first.
+    """First hits of rays.
 
     Attributes:
-        distance: How far away, infinite where there is nothing [m] (rays,).
-        geom_index: Which geom of all blocks, one block after the other; -1 for none (rays,).
+        distance: Distance, infinite without a hit [m] (rays,).
+        geom_index: Index of the geom in all blocks; -1 for none (rays,).
     """
 
     distance: jax.Array
     geom_index: jax.Array
 
     def closer(self, distance: jax.Array, index: jax.Array) -> "GeomHits":
-        """Return what is closer, this or something else."""
+        """Return the closer ones of these hits and others."""
         better = distance < self.distance
         return GeomHits(jnp.where(better, distance, self.distance), jnp.where(better, index, self.geom_index))
 
     def met(self) -> "GeomHits":
-        """Return it with an infinite distance where nothing was met."""
+        """Return the hits with an infinite distance where nothing was hit."""
         return GeomHits(jnp.where(self.geom_index < 0, jnp.inf, self.distance), self.geom_index)
 
 
 def concatenated(geoms: Geoms) -> GeomBlock:
-    """Return all geoms as one block, one block after the other."""
+    """Return all geoms as one block."""
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *geoms.blocks)
 
 
 def normals(geoms: Geoms, first: GeomHits, origin: jax.Array, direction: jax.Array) -> jax.Array:
-    """Return the unit normals of the surfaces that rays meet, in world axes and towards the rays (rays, 3).
+    """Return the unit normals at the hits, in world axes and towards the rays (rays, 3).
 
-    They are zero where nothing was met.
+    They are zero without a hit.
     """
     geom = jax.tree.map(lambda x: x[jnp.maximum(first.geom_index, 0)], concatenated(geoms))
     reach = jnp.where(first.geom_index >= 0, first.distance, 0.0)[:, None]
@@ -170,30 +168,30 @@ def normals(geoms: Geoms, first: GeomHits, origin: jax.Array, direction: jax.Arr
     return jnp.where((turned * direction).sum(-1, keepdims=True) > 0, -turned, turned)
 
 
-def sloped(
+def differentiable_cast(
     cast: Callable[..., GeomHits],
     geoms: Geoms,
     origin: Array,
     direction: Array,
     *others: Any,  # noqa: ANN401 - of the caster
 ) -> GeomHits:
-    """Return what `cast(geoms, origin, direction, *others)` says; its distances can be differentiated.
+    """Return `cast(geoms, origin, direction, *others)` with differentiable distances.
 
-    In both modes, whatever casts: what is met first stays so for a small change, and the surface counts as
-    its plane there. Slopes are by where rays and geoms are, not by how large geoms are.
+    Forward and reverse mode, for any caster: the hit geom counts as constant, and its surface as the tangent
+    plane. Gradients are with respect to the poses of rays and geoms, not to the geoms' sizes.
     """
     return _cast(cast, geoms, origin, direction, *others)
 
 
-def _as_it_is(cast: Callable[..., GeomHits], *values: Any) -> GeomHits:  # noqa: ANN401 - of the caster
+def _cast_unchanged(cast: Callable[..., GeomHits], *values: Any) -> GeomHits:  # noqa: ANN401 - of the caster
     return cast(*values)
 
 
-def _slopes(
+def _cast_gradient(
     cast: Callable[..., GeomHits], values: tuple[Any, ...], rates: tuple[Any, ...]
 ) -> tuple[GeomHits, GeomHits]:
     geoms, origin, direction = values[:3]
-    first = sloped(cast, *values)
+    first = differentiable_cast(cast, *values)
     met, which = first.geom_index >= 0, jnp.maximum(first.geom_index, 0)
     reach = jnp.where(met, first.distance, 0.0)[:, None]
     normal = normals(geoms, first, origin, direction)
@@ -206,10 +204,10 @@ def _slopes(
     own = matvec(jnp.swapaxes(mat, -1, -2), normal)
     rate = rates[1] + reach * rates[2] - pos_rate
     away = (normal * rate + matvec(mat_rate, own) * (origin + reach * direction - pos)).sum(-1)
-    facing = jnp.minimum((normal * direction).sum(-1), -FLATTEST)
+    facing = jnp.minimum((normal * direction).sum(-1), -MIN_GRADIENT_COSINE)
     slope = jnp.where(met, -away / facing, 0.0)
     return first, GeomHits(slope, np.zeros(which.shape, jax.dtypes.float0))  # type: ignore - of whole numbers
 
 
-_cast: Any = jax.custom_jvp(_as_it_is, nondiff_argnums=(0,))
-_cast.defjvp(_slopes)
+_cast: Any = jax.custom_jvp(_cast_unchanged, nondiff_argnums=(0,))
+_cast.defjvp(_cast_gradient)

@@ -1,7 +1,4 @@
-"""As `kernels` and the cones' tests of `bundles`, for Warp: one ray or one cone and one geom at a time.
-
-Vectors are in the geom's frame. What each means is said there; the arithmetic is the same.
-"""
+"""Warp versions of `kernels` and of the cone tests of `bundles`: one ray or cone and one geom per call."""
 
 import mujoco
 import warp as wp
@@ -172,7 +169,7 @@ def _ray_fender(o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
 
 @wp.func
 def distance_of(kind: int, o: wp.vec3, d: wp.vec3, s: wp.vec3) -> float:
-    """Distance to a geom's surface, infinite for a miss [m]."""
+    """Return the distance to a geom's surface, infinite for a miss [m]."""
     t = wp.float32(wp.inf)
     if kind == BOX:
         t = _ray_box(o, d, s)
@@ -218,7 +215,7 @@ def _round_normal(kind: int, p: wp.vec3, s: wp.vec3) -> wp.vec3:
 
 @wp.func
 def normal_of(kind: int, p: wp.vec3, s: wp.vec3) -> wp.vec3:
-    """Unit normal of the surface at a point on it, outwards or inwards; see `kernels.surface_normal`."""
+    """Return the unit normal at a point on the surface, outward or inward; see `kernels.surface_normal`."""
     normal = wp.vec3(0.0, 0.0, 1.0)
     if kind == BOX or kind == FENDER:  # noqa: SIM109 - Warp knows no `in`
         normal = _box_normal(p, s)
