@@ -33,7 +33,6 @@ from usarmjx.server.network.ports import (
     bound_socket,
     count_up,
 )
-from usarmjx.server.worlds.batch_world import parse_instances
 
 if TYPE_CHECKING:
     from usarmjx.comms.attenuation import RadioSettings
@@ -395,6 +394,8 @@ def instances_of(several: str | None, one: int | None, worlds: int) -> tuple[int
     """
     if several is not None and one is not None:
         raise UsageError("give either --instance or --instances")
+    from usarmjx.server.worlds.batch_world import parse_instances  # imports JAX
+
     return parse_instances(str(one or 0) if several is None else several, worlds)
 
 
