@@ -13,8 +13,8 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.sensors.cameras.mounts import cameras_of
 from usarmjx.sensors.cameras.picture import camera_viewpoint
 from usarmjx.view.viewpoint import (
-    FOV,
     FILL_SHARE,
+    FOV,
     Viewer,
     ViewMode,
     Walls,
