@@ -97,6 +97,7 @@ class ClientSocket:
 def connect(host: str, port: int, timeout: float, token: str | None, auth: str = AUTH) -> socket.socket:
     """Return a connection; a server that requires its token hangs up on anything else before it."""
     connection = socket.create_connection((host, port), timeout)
+    # Commands are small: Nagle's algorithm would hold them back until the server acknowledges the last one.
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     token = os.environ.get("USARMJX_TOKEN", "") if token is None else token
     if token:
@@ -263,6 +264,7 @@ class UsarsimClient(ClientSocket):
                 if message is not None:
                     passed.append(message)
         finally:
+            # `extendleft` reverses its argument: twice reversed is the order of arrival.
             self._messages.extendleft(reversed(passed))
         raise TimeoutError(f"the server did not send {what} within {self.timeout:g} s")
 
@@ -299,6 +301,7 @@ class CameraClient(ClientSocket):
 
     def picture(self) -> Image:
         """Return the next picture; the first one of a camera may take some seconds."""
+        # The server sends the first picture unasked (manual 14.5.3).
         if not self._first:
             self._socket.sendall(b"OK")
         self._first = False

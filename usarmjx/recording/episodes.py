@@ -24,6 +24,7 @@ MIDST = "training goes on from episode to episode, and the recording leaves out 
 def _world_of(env: Env, state: EnvState, number: int) -> tuple[World, PhysicsState]:
     """Return one world, without an axis over worlds; NumPy arrays."""
     worlds, physics = state.batch.worlds, env.batch.physics(state.batch)
+    # Typed random keys cannot become NumPy arrays, their data can.
     keyed = worlds.replace(key=jax.random.key_data(worlds.key))
     return jax.tree.map(lambda x: np.asarray(x)[number], (keyed, physics))
 

@@ -127,6 +127,7 @@ class RecordingFile:
         """
         number = self._channels.get(channel) or self._register(channel)
         data = json.dumps(value).encode() if CHANNELS[channel.kind] else pack(value)
+        # MCAP's log time is the simulated time, its publish time that of the recording.
         self._writer.add_message(number, round(at * NANO), data, time.time_ns())
 
     def _register(self, channel: ChannelName) -> int:

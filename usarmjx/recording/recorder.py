@@ -240,6 +240,7 @@ class WorldRecorder:
             states: Fields of the groups' `GroupState`s, by name; leading axis over robots.
         """
         values = tuple(value for state in states for value in state.values())
+        # Unchanged PyTrees are the same objects: in most steps this spares the comparison of arrays.
         if len(values) == len(self._last) and all(a is b for a, b in zip(values, self._last, strict=True)):
             return
         self._last = values
@@ -305,6 +306,7 @@ def _changed(leaves: list[np.ndarray], before: list[np.ndarray] | None, count: i
     differs = np.zeros(count, bool)
     for new, old in zip(leaves, before, strict=True):
         if new is not old:
+            # Bits, not values: a replay must repeat -0.0 and NaN, too.
             bits = [np.ascontiguousarray(one).view(np.uint8).reshape(count, -1) for one in (new, old)]
             differs |= (bits[0] != bits[1]).any(-1)
     return np.flatnonzero(differs).tolist()

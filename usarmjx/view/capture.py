@@ -88,6 +88,7 @@ class Capture:
             for name, row in self._arena_bodies(world, physics):
                 label = int(np.asarray(row.label)[0])
                 shape = _shape(row)
+                # Bodies of one shape share its key: the page sends each mesh once.
                 key = next((key for key, known in shapes.items() if _are_same(known, shape)), name)
                 shapes.setdefault(key, shape)
                 bodies.append(DrawnBody(name=name, shape=key, slot=NOBODY, label=label))

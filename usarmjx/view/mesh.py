@@ -118,6 +118,7 @@ def _material(finish: Finish) -> dict[str, object]:
 
 
 def _file(tree: bytes, binary: bytes) -> bytes:
+    # glTF aligns chunks to 4 bytes, the JSON chunk by spaces.
     tree += b" " * (-len(tree) % 4)
     chunks = b"".join(
         len(data).to_bytes(4, "little") + kind + data
@@ -291,6 +292,7 @@ def _face(axis: int, sign: float, patches: list[tuple[float, ...]]) -> tuple[np.
     corners[:, :, axis] = sign
     corners[:, :, first] = np.stack([low_1, high_1, high_1, low_1], axis=1)
     corners[:, :, second] = np.stack([low_2, low_2, high_2, high_2], axis=1)
+    # The order of corners is reversed on the far side: counter-clockwise is outside.
     return corners if sign > 0 else corners[:, ::-1], sign * np.eye(3)[axis]
 
 

@@ -284,6 +284,7 @@ class ViewerPage:
 
     def refresh(self) -> None:
         """Show the present frames at once."""
+        # One group of messages, so that browsers never draw half an update.
         with numpy_backend(), self.server.atomic():
             while self._posted:
                 self._guarded(self._posted.popleft())

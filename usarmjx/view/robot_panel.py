@@ -61,6 +61,7 @@ class SensorPlot:
             values = values[:: -(-len(values) // MAX_POINTS)]
             self._plot.data = (np.arange(len(values), dtype=float), values)
             return
+        # A reset, a seek or another world has moved the time backwards.
         if self._past and time < self._past[-1][0]:
             self._past.clear()
         elif self._past and time == self._past[-1][0]:  # the world is paused

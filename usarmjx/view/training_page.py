@@ -61,6 +61,7 @@ class BatchSource:
     def _one(self, world: int) -> tuple[World, PhysicsState]:
         if self._fetched is None:
             worlds, physics = self._state.worlds, self._batch.physics(self._state)
+            # Typed random keys cannot become NumPy arrays, their data can.
             keyed = worlds.replace(key=jax.random.key_data(worlds.key))
             # All worlds in one transfer: its fixed cost is larger than that of the data.
             self._fetched = jax.device_get(self._pick((keyed, physics), self._worlds))

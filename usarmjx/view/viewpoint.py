@@ -119,6 +119,7 @@ class Walls:
             return np.zeros(len(ends), bool)
         begin = np.einsum("bj,bji->bi", start - self._pos, self._mat)
         along = np.einsum("ej,bji->ebi", ends - start, self._mat)
+        # A ray parallel to a side would divide by 0.
         along = np.where(np.abs(along) < 1e-9, 1e-9, along)
         sides = np.sort([(-self._size - begin) / along, (self._size - begin) / along], axis=0)
         enters, leaves = sides[0].max(-1), sides[1].min(-1)
@@ -310,6 +311,7 @@ def robot_on_ray(drawing: Drawing, frame: Frame, start: np.ndarray, ray: np.ndar
 
 def _box_distance(start: np.ndarray, ray: np.ndarray, half: np.ndarray) -> float | None:
     """Return the distance along a ray to a box about the origin [m]; None if the ray misses it."""
+    # A ray parallel to a side would divide by 0.
     ray = np.where(np.abs(ray) < 1e-9, 1e-9, ray)
     sides = np.sort([(-half - start) / ray, (half - start) / ray], axis=0)
     enters, leaves = sides[0].max(), sides[1].min()

@@ -230,6 +230,7 @@ class Client:
         unknown = [key for key in values if key not in full]
         if unknown:
             self.session.add_fault(f"{robot.spec.name} has no DRIVE {{{'} {'.join(unknown)}}}")
+        # The known keys of a DRIVE count even if others are wrong.
         known = {k: v * full[k] / 100 if command.normalized else v for k, v in values.items() if k in full}
         flip_until = self._world.time + FLIP_TIME if command.flip else None
         self._update_command(CommandUpdate(drive=known, light=command.light, flip_until=flip_until))
@@ -247,6 +248,8 @@ class Client:
         elif order in RELATIVE_MODES:
             mode = RELATIVE_MODES[order]
             now = self._world.state(robot).joint_pos[joint] if mode == ControlMode.POSITION else 0.0
+            # A relative speed or torque adds to the command in force, a relative angle to the measured one
+            # (KRobot.uc).
             goal = value + (target if mode != ControlMode.POSITION and present == mode else now)
         elif order in tuple(ControlMode):
             mode = ControlMode(order)
@@ -431,6 +434,7 @@ class Client:
 
     def due(self) -> bool:
         """Whether a report of the robot is due."""
+        # Both times are sums of floats: without the margin a report slips to the next step now and then.
         return self.robot is not None and self._world.time >= self.robot.next_report - 1e-6
 
     def report(self) -> None:

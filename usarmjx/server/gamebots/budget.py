@@ -110,6 +110,7 @@ class ClientBudget:
     @property
     def balance(self) -> float:
         """Rest of the budget; below zero the client waits [s]."""
+        # Computed from the number of steps on demand, so that silent clients take no time in a step.
         return min(BURST, self._balance + (self._pool.steps - self._step) * self._pool.growth)
 
     @property

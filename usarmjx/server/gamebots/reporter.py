@@ -64,6 +64,7 @@ class Reporter:
         robot.next_report += robot.spec.msg_timer
         state, battery = world.state(robot), battery_left(world, robot)
         joints = state.joint_pos
+        # STA comes first, and alone from a robot with an empty battery (KRobot.uc, timer).
         self._session.send(robot_report(robot.plan, robot.command, joints, time, battery, robot.tile))
         if battery <= 0:
             robot.pending.clear()

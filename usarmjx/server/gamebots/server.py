@@ -255,6 +255,7 @@ class BotServer:
             self._serve_connection(connection, now)
         for service in self.services:
             service.tick()
+        # Faults that were only counted get their line here, even if no further fault follows.
         self._fault_log.flush()
         self._budgets.refill()
         self._joins.refill()
@@ -273,6 +274,7 @@ class BotServer:
         self._stopped = True
         while self._leaving:
             self._leaving.popleft().leave()
+        # A compilation in this thread cannot be interrupted: the process ends without it.
         self._executor.shutdown(wait=False, cancel_futures=True)
 
     def _serve_connection(self, connection: RobotConnection, now: float) -> None:
@@ -286,6 +288,7 @@ class BotServer:
                 "%s: no INIT for %g s: its connection is closed", connection.peer, patience
             )
             connection.hang_up()
+        # A client without budget is not read, so the end of its stream would stay unseen until its turn.
         if connection.budget.balance <= 0.0 and connection.has_left:
             connection.budget.dismiss("it has left, and the rest of what it had sent is dropped")
         connection.flush()
@@ -316,6 +319,7 @@ class BotServer:
             self._gate.refuse(peer, f"{len(self._connections)} connections are open")
             writer.close()
             return
+        # A full buffer stops the sender by TCP itself: unread lines of a flooding client stay on its machine.
         limit_receive_buffer(writer, RECEIVE_BUFFER)
         settings = self.settings
         client = Client(self.world, peer, self._fault_log, settings.dialect, settings.time_limit)

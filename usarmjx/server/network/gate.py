@@ -87,6 +87,7 @@ class Gate:
         """Return whether a peer sends the token, if one is required; later bytes stay unread."""
         if not self.rules.token:
             return True
+        # Peers that never send a token must not keep others from sending theirs.
         if len(self._strangers) >= MAX_STRANGERS:
             self._strangers.pop(0).abort()
         self._strangers.append(writer.transport)

@@ -115,6 +115,7 @@ def bound_socket(host: str, port: int, option: str = "") -> socket.socket:
     except OSError as error:
         raise _refusal(host, port, option, error) from error
     try:
+        # After a restart the port's old connections may still be in TIME_WAIT.
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         bound.bind((host, port))
     except OSError as error:

@@ -184,6 +184,7 @@ class ImageServer:
             client.last = part, frames[part]
             # The client may have received `_send_last` meanwhile, and now wait for another part or nothing.
             waits = client.session.wants(ended) and client.session.region == part[1]
+            # A client that waited before the rendering counts from its start, which keeps its rate.
             if waits and not client.writer.is_closing():
                 client.send(frames[part], now if (client.waits_since or ended) <= now else ended)
 

@@ -56,6 +56,7 @@ class RenderThread:
         began = time.monotonic()
         made = await asyncio.get_running_loop().run_in_executor(self._executor, *job)
         ended = time.monotonic()
+        # The pause makes the work `MAX_TIME_SHARE` of both together.
         self._rested = ended + min(MAX_PAUSE, (ended - began) * (1 - MAX_TIME_SHARE) / MAX_TIME_SHARE)
         return made
 

@@ -190,6 +190,7 @@ def format_message(message: Message) -> str:
     Raises:
         UsageError: The kind, a key or a value holds what the grammar cannot carry.
     """
+    # One regular expression accepts the usual message; the slow check only names the culprit.
     parts = [f"{{{key} {value}}}" if value else f"{{{key}}}" for key, value in message.segments]
     line = " ".join([message.kind, *parts])
     spaced = " " in "".join([key for key, _ in message.segments])
@@ -289,6 +290,7 @@ def two_decimals(value: float) -> str:
 def four_decimals_list(values: Iterable[float]) -> str:
     """Return numbers of the form `four_decimals`, separated by commas only."""
     numbers, signed = [*values], math.copysign
+    # One test of the sum spares a test per number; an overflow of the sum alone passes the tests below.
     if not math.isfinite(sum(numbers)):
         for value in numbers:
             _require_finite(value)

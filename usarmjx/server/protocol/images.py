@@ -122,6 +122,7 @@ class ImageSession:
         at = 0
         while at < len(data):
             head = data[at : at + 1]
+            # TCP may cut a request anywhere: an incomplete one waits for its rest.
             length = {b"O": 2, b"U": 1 + RECTANGLE.size}.get(head, 1)
             piece = data[at : at + length]
             if len(piece) < length:

@@ -119,6 +119,7 @@ class RobotSession:
             self.phase, self.faults_in_a_row = SessionPhase.ACTIVE, 0
         else:
             self._fault(f"INIT refused: {self._refusal}" if self._refusal else "INIT is refused")
+            # `_fault` has counted one already.
             self.faults_in_a_row += REFUSAL_FAULTS - 1
         self._refusal = ""
         return self._take([])

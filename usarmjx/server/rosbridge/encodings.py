@@ -85,6 +85,7 @@ class MessageBytes:
         self._bytes += packed
 
     def _align(self, size: int) -> None:
+        # Offsets count from behind the header of 4 bytes, which `whole` adds last.
         if self._aligned:
             self._bytes += bytes(-len(self._bytes) % size)
 

@@ -99,6 +99,7 @@ def drive_keys(robot: RobotSpec, velocity: Velocity) -> dict[str, float]:
         return _car_keys(drive, velocity)
     if isinstance(drive, OmniDrive):
         return _wheel_keys(drive, velocity)
+    # The wire's lateral and rotational velocities are positive to the right, ROS's to the left.
     if isinstance(drive, RotaryWing | Blimp):
         return {
             "AltitudeVelocity": velocity.up,
@@ -125,6 +126,7 @@ def _wheel_keys(drive: OmniDrive, velocity: Velocity) -> dict[str, float]:
         left = velocity.left + velocity.turn * wheel.x
         angle, speed = 0.0, ahead
         if wheel.steer:
+            # A wheel that rolls backwards turns its speed's sign: its angle stays within 90 degrees.
             sign = -1.0 if ahead < 0 else 1.0
             speed = sign * math.hypot(ahead, left)
             angle = math.atan2(sign * left, sign * ahead)

@@ -203,6 +203,7 @@ class RosbridgeServer:
         ]
         make = partial(picture_messages, asked, views, now)
         for one in subscriptions:
+            # Before rendering: a tick in the meantime must not order the same picture again.
             one.subscription.last_revision, one.subscription.due = one.revision, now + IMAGE_PERIOD
         frames = await self._render_thread.render(views.values(), make)
         for one, frame in zip(subscriptions, frames, strict=True):

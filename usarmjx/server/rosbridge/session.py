@@ -281,6 +281,7 @@ class BridgeSession:
         if one is None:
             if len(self.subscriptions) >= MAX_SUBSCRIPTIONS:
                 raise UsageError(f"more than {MAX_SUBSCRIPTIONS} topics are too many for one client")
+            # Only ROS 2 spells types with /msg/.
             version = RosVersion.ROS2 if "/msg/" in asked else self._version
             one = self.subscriptions[topic] = TopicSubscription(short, version)
         name = str(message.get("id", ""))

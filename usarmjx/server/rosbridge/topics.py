@@ -105,6 +105,7 @@ class WorldTopics:
     def all(self) -> dict[str, RosTopic]:
         """Return all present topics."""
         known = [(robot, id(robot.suite)) for robot in self._world.present.values()]
+        # By the suite's identity, too: `editactor` gives a robot another description with other sensors.
         if not self._by_name or known != self._known:
             self._known, self._changes = known, self._changes + 1
             self._names = self._named(robot for robot, _ in known)

@@ -54,6 +54,7 @@ def configure_log(*, verbose: bool = False, as_json: bool = False) -> None:
     """Log warnings to the standard error stream, and this package's information if verbose."""
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
     logging.getLogger(PACKAGE).setLevel(logging.INFO if verbose else logging.WARNING)
+    # JSON is for collectors of logs: warnings of libraries must have that form, too.
     if as_json:
         logging.captureWarnings(True)
         for handler in logging.getLogger().handlers:

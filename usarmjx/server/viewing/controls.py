@@ -393,6 +393,7 @@ class ServedControls:
 
     def spawn(self, world: int, robot: str, name: str, pos: Vec3, yaw: float) -> None:
         """Spawn a robot of a class with no client."""
+        # The key is a new object: two spawns never replace each other.
         appearing = partial(self._spawn, world, robot, name, pos, yaw)
         self._enqueue(world, object(), partial(self._begin, world, appearing))
 
@@ -404,6 +405,7 @@ class ServedControls:
     def release_all(self) -> None:
         """Stop all robots that the page drives, and give back what it took over."""
         for world, robots in enumerate(self._robots):
+            # Stopping robots must not fail because the queue is full.
             self._enqueue(world, "let go", robots.release_all, always=True)
 
     # Helpers, of which the requests' own code runs in the thread of the worlds
@@ -420,6 +422,8 @@ class ServedControls:
         with self._lock:
             key = world, what
             if key in self._requests or len(self._requests) < MAX_WAITING or always:
+                # An OrderedDict keeps the position of a replaced key: dragging a slider does not postpone
+                # its request.
                 self._requests[key] = _Request(world, act, takes_long)
                 return
         self._fail(world, f"too much was asked for at once: {MAX_WAITING} requests wait already")

@@ -75,6 +75,7 @@ class ServedSource:
     def _links(self, cached: _CachedDrawing, served: ServedWorld, frame: Frame) -> Links | None:
         if self._radio is None or frame.links is not None:
             return frame.links
+        # Both bounds: after a reset or another world the time may have moved backwards.
         if not 0.0 <= cached.links_due - frame.time <= LINK_PERIOD:
             cached.links, cached.links_due = served.links(self._radio), frame.time + LINK_PERIOD
         return cached.links

@@ -82,6 +82,7 @@ class ViewerService:
         host = self._settings.host
         self._bound = self._bound or bound_socket(host, self.port)
         self.port = self._bound.getsockname()[1]
+        # Nobody accepts yet: the first connection waits in the backlog, wakes `_open`, and viser accepts it.
         self._bound.listen()
         self._bound.setblocking(False)
         self._loop = asyncio.get_running_loop()

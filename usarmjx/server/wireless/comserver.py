@@ -195,6 +195,7 @@ class ComServer:
         Raises:
             Refusal: Neither robot listens there, they do not reach each other, or one is unknown.
         """
+        # Clients disagree on the order of an OPEN's robots, see `Open`.
         ask = self._listener_last(ask)
         if not self._owns(caller, ask.name) and not self._owns(caller, ask.host):
             raise Refusal(THIRD_PARTY)

@@ -183,9 +183,11 @@ async def connect(
     try:
         client.setblocking(False)
         keep_alive(client)
+        # Not `open_connection`: it connects before anybody learns the local port.
         state = client.connect_ex((address, port))
         if state not in (0, *CONNECT_PENDING):
             raise OSError(state, os.strerror(state))
+        # The peer may ask for this port (REVERSEDNS) before the connection is established on our side.
         note(client.getsockname()[1])
         if state:
             async with asyncio.timeout(CONNECT_TIMEOUT):

@@ -167,6 +167,7 @@ class Switchboard:
 
     def poll(self) -> Changes:
         """Return the changes of participants in the world and of routes that the radio carries."""
+        # In reverse, so that of robots with one name the first counts.
         present = {robot.name.lower(): robot for robot in reversed(self.radio.present())}
         gone = tuple(name for name in self._participants if self._is_gone(name, present.get(name.lower())))
         opened: list[Route] = []

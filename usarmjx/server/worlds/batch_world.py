@@ -207,6 +207,7 @@ class BatchWorld(ServedWorld):
         """Return the world and its physics as they are now, without an axis over worlds; NumPy arrays."""
         if self._fetched is None or self._fetched[0] is not self._state:
             worlds, physics = self._state.worlds, self._batch.physics(self._state)
+            # Typed random keys cannot become NumPy arrays, their data can.
             keyed = worlds.replace(key=jax.random.key_data(worlds.key))
             mine = select_world(self._instance, (keyed, physics))
             self._fetched = self._state, mine

@@ -216,6 +216,7 @@ class PolicyBatch(SharedBatch):
         return before[1]
 
     def _task_keys(self) -> jax.Array:
+        # Actions fold the step into the same key: a number beyond all steps keeps the two streams apart.
         return jax.random.split(jax.random.fold_in(self._key, 1 << 30), self.env.worlds)
 
     def score(self, world: int) -> float:

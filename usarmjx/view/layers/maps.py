@@ -124,6 +124,7 @@ class MapLayer(NodeLayer):
         else:
             self._add_scans(frame)
             squares, low, cell = None, self._scans.low, self._scans.cell
+        # The upper bound lets a picture through after the time has moved backwards (reset, seek).
         if frame.time < self._due <= frame.time + 2 * PICTURE_PERIOD:
             return
         self._due = frame.time + PICTURE_PERIOD

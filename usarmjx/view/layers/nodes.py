@@ -129,6 +129,7 @@ class PointNode:
         self._handle.visible = bool(len(points))
         if len(points):
             self._handle.points = points
+            # Compared by identity: comparing arrays in every update costs more than it saves.
             if rgb is not self._rgb:
                 self._handle.colors = colors
             self._rgb = rgb
