@@ -1,4 +1,7 @@
-"""Plots of what sensors see and of how wrong they are, for docs/sensors.md."""
+"""Draw the pictures of docs/sensors.md: what sensors see, and how wrong they are.
+
+`python tools/sensor_figures.py --out docs` draws all of them, with names before it only these.
+"""
 
 import math
 from collections.abc import Callable
@@ -18,7 +21,7 @@ from matplotlib.patches import Patch, Polygon, Wedge
 
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import angles_from_mat
-from usarmjx.cli.common import ErrorExit, OutFolderOption, chosen_out
+from usarmjx.cli.common import ErrorExit
 from usarmjx.cli.startup_messages import announce
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.compile.kinematic_tree import forward_kinematics
@@ -51,25 +54,6 @@ from usarmjx.sensors.suite import suite_of
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 from usarmjx.sim.world import sense_self
-
-
-def sensor_plots(
-    only: Annotated[list[str] | None, typer.Argument(help="Which of them; all without any.")] = None,
-    out: OutFolderOption = None,
-) -> None:
-    """Draw what sensors see and how wrong they are: the pictures of docs/sensors.md."""
-    with ErrorExit():
-        named = [*(only or ())]
-        # Once the folder came first.
-        where = chosen_out(out, Path(named.pop(0)) if out is None and named else None)
-        announce("drawing what sensors see ...")
-        import usarmjx.plots.camera_plots  # noqa: F401 - adds its plots
-
-        pass  # REMOVED_IMPORT
-
-        for name in named or PLOTS.names():
-            typer.echo(f"wrote {plot(name, where)}")
-
 
 START_HEIGHT = 0.188
 """Height of start poses above the ground (manual 5.3.5) [m]."""
@@ -450,14 +434,6 @@ def _gps(figure: Figure) -> None:
     figure.axes[0].set_ylabel("error of y (west) [m]")
 
 
-PLOTS.add("laser", (_laser, (9.0, 6.2)))
-PLOTS.add("sonar", (_sonar, (9.5, 5.1)))
-PLOTS.add("rfid", (_rfid, (8.0, 4.4)))
-PLOTS.add("ins", (_ins, (12.0, 4.0)))
-PLOTS.add("noise", (_noise, (9.5, 4.2)))
-PLOTS.add("gps", (_gps, (10.5, 3.9)))
-
-
 BEFORE_SITTING_VICTIM = ((9.9, 2.55), math.radians(4))
 BEFORE_LYING_VICTIM = ((2.1, 2.85), math.radians(185))
 """Where in the yellow arena pictures are taken: before a victim that sits, and one that lies."""
@@ -540,7 +516,31 @@ def texture_wall() -> ArenaSpec:
     return ArenaSpec(name="DM-Textures", shapes=tuple(shapes), starts=(), extent=((-4.0, 1.0), (-2.0, 2.0)))
 
 
+PLOTS.add("laser", (_laser, (9.0, 6.2)))
+PLOTS.add("sonar", (_sonar, (9.5, 5.1)))
+PLOTS.add("rfid", (_rfid, (8.0, 4.4)))
+PLOTS.add("ins", (_ins, (12.0, 4.0)))
+PLOTS.add("noise", (_noise, (9.5, 4.2)))
+PLOTS.add("gps", (_gps, (10.5, 3.9)))
 PLOTS.add("camera", (_camera, (10.5, 4.1)))
 PLOTS.add("stereo", (_stereo, (8.4, 3.4)))
 PLOTS.add("omni", (_omni, (4.6, 4.6)))
 PLOTS.add("textures", (_textures, (6.4, 3.0)))
+
+
+def main(
+    out: Annotated[Path, typer.Option(help="Folder for the pictures.")],
+    only: Annotated[list[str] | None, typer.Argument(help="Which of them; all without any.")] = None,
+) -> None:
+    """Draw what sensors see and how wrong they are: the pictures of docs/sensors.md."""
+    with ErrorExit():
+        announce("drawing what sensors see ...")
+        for name in only or PLOTS.names():
+            typer.echo(f"wrote {plot(name, out)}")
+
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app.command()(main)
+
+if __name__ == "__main__":
+    app()

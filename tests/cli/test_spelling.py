@@ -98,8 +98,6 @@ def test_where_to_write_to(capsys, tmp_path):
     [
         ["portraits", "{folder}/robots.png", "Dalek"],
         ["portraits", "Dalek", "--out", "{folder}/robots.png"],
-        ["sensor-plots", "{folder}", "smell"],
-        ["sensor-plots", "smell", "--out", "{folder}"],
         ["radio-map", "atlantis", "{folder}/a.png", "--from", "0,0"],
         ["export", "{folder}/nowhere", "{folder}/a.npz"],
     ],

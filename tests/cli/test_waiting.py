@@ -23,7 +23,6 @@ COMMANDS = (
     "arena gallery --out x",
     "portraits --out x.png",
     "radio-map yellow --from 0,0 --out x.png",
-    "sensor-plots --out x",
     "demo --no-browser --port 0 --viewer-port 0",
     "demo --headless --out x",
     "doctor",

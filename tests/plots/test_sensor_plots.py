@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import dev
 from tests.test_docs import blocks
 from tools import sensor_figures
-from usarmjx.cli.app import app
+from tools.sensor_figures import app
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import Shape
@@ -178,14 +178,14 @@ def test_the_first_camera_of_the_stereo_pair_is_the_left_one():
 
 
 def test_the_command_writes_what_is_asked_for(tmp_path):
-    result = CliRunner().invoke(app, ["sensor-plots", "rfid", "noise", "--out", str(tmp_path / "new")])
+    result = CliRunner().invoke(app, ["rfid", "noise", "--out", str(tmp_path / "new")])
     assert result.exit_code == 0, result.output
     files = [tmp_path / "new" / f"sensor-{name}.png" for name in ("rfid", "noise")]
-    assert result.output == "".join(f"wrote {path}\n" for path in files)
+    assert result.stdout == "".join(f"wrote {path}\n" for path in files)
     image = imread(files[0])[..., :3]
     for colour in (sensor_figures.BLUE, sensor_figures.ORANGE):
         assert (np.abs(image - to_rgb(colour)).max(-1) < 0.02).sum() > 500
-    result = CliRunner().invoke(app, ["sensor-plots", "smell", "--out", str(tmp_path)])
+    result = CliRunner().invoke(app, ["smell", "--out", str(tmp_path)])
     assert result.exit_code == 2
     assert "unknown plot 'smell'; known: camera, gps, ins, laser" in result.output
 
@@ -195,4 +195,4 @@ def test_all_plots_are_in_the_docs_and_small():
     for name in sensor_figures.PLOTS.names():
         assert f"](sensor-{name}.png)" in page
         assert (dev.ROOT / "docs" / f"sensor-{name}.png").stat().st_size < 150_000
-    assert any("usarmjx sensor-plots --out docs" in block for block in blocks(page, "console"))
+    assert any("python tools/sensor_figures.py --out docs" in block for block in blocks(page, "console"))

@@ -217,7 +217,7 @@ def _default(parameter: Any) -> str:  # noqa: ANN401 - click's, or typer's own c
         return ""
     if value is True:
         return f"`{parameter.opts[0]}`"
-    return f"`{value}`"
+    return f"`{', '.join(map(str, value)) if isinstance(value, list) else value}`"
 
 
 def _first_paragraph(text: str) -> str:
