@@ -32,7 +32,7 @@ def test_the_record_says_what_was_measured_where(tmp_path):
     assert record["pixels_per_s"] == pytest.approx(record["frames_per_s"] * 16 * 8)
     assert len(record["times_s"]) == 2
     # The field is 45 solids, the ball one, and each of the two robots what it is drawn as.
-    count = 45 + 1 + 2 * len(kinematic_tree_of(ROBOTS.get(case.robot)).figure.solids.kind)
+    count = 45 + 1 + 2 * len(kinematic_tree_of(ROBOTS.get("P2AT")).visuals.solids.kind)
     assert record["scene"] == {"geoms": count, "materials": {"opaque": count}, "lit_by": "4 lamps"}
     assert f"{record['frames_per_s']:,.1f} /s" in summary
     assert f"geoms         {count}, lit by 4 lamps" in summary

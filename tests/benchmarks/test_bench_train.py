@@ -49,7 +49,7 @@ def test_either_runs_or_a_task():
 def test_the_physics_of_a_tasks_scene_is_measured_beside_its_rate(monkeypatch):
     monkeypatch.setattr(train, "STEPS", 1)
     monkeypatch.setattr(train, "REPEATS", 1)
-    config = SimpleNamespace(worlds=2)
+    config = SimpleNamespace(num_worlds=2)
     run = SimpleNamespace(task="drive-to-goal", overrides={"physics": "fast"}, config=config)
     found = train._scene_beside(run, "cpu")
     assert found["scene"]["robots"] == 1

@@ -112,9 +112,9 @@ def test_settings_have_names_that_an_error_lists():
     assert PHYSICS.get("reference") == Physics()
     with pytest.raises(UnknownNameError, match="known: coarse, fast, reference"):
         PHYSICS.get("quick")
-    with pytest.raises(SpecError, match="cone 'round' is not one of elliptic, pyramidal"):
+    with pytest.raises(SpecError, match="cone is 'round', expected one of elliptic, pyramidal"):
         Physics(cone="round")
-    with pytest.raises(SpecError, match="solver 'PGS' is not one of CG, Newton"):
+    with pytest.raises(SpecError, match="solver is 'PGS', expected one of CG, Newton"):
         Physics(solver="PGS")
-    with pytest.raises(SpecError, match="sleep_tolerance -1 is no speed from 0 on"):
+    with pytest.raises(SpecError, match=r"sleep_tolerance is -1, expected a number from 0 \[m/s\]"):
         Physics(sleep_tolerance=-1)
