@@ -16,7 +16,7 @@ from matplotlib.image import imsave
 
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.files import atomic_write
-from usarmjx.engines.c.camera_rays import NOBODY, CCameraRays
+from usarmjx.engines.c.camera_rays import NO_ROBOT, CCameraRays
 from usarmjx.models.compile.compose import new_spec
 from usarmjx.models.compile.kinematic_tree import KinematicTree, kinematic_tree_of
 from usarmjx.models.compile.materials import materials_of
@@ -80,7 +80,7 @@ def portrait(robot: RobotSpec, width: int = 480, height: int = 360) -> np.ndarra
         eye_offsets=np.zeros((1, 3)),
         fov=fov,
         default_fov=fov,
-        slot=np.array(NOBODY),
+        slot=np.array(NO_ROBOT),
         hidden_geoms=np.zeros(0, bool),
         lens="pinhole",
     )
