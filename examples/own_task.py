@@ -53,7 +53,7 @@ class Meet(Task):
 
     @staticmethod
     def by_hand(env):
-        """Return the policy by hand: what --baseline tries, and what --set imitation_steps=200000 begins with."""
+        """Return the baseline: `--baseline` plays it, `--set imitation_steps=200000` imitates it first."""
 
         def steer(carry, obs, key):
             ahead, left = obs[0][..., 0], obs[0][..., 1]

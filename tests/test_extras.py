@@ -80,7 +80,8 @@ from usarmjx.train.learning.trainer import Trainer
 from usarmjx.train.make import make
 from usarmjx.train.learning.processes import ProcessGroup
 
-config = Config(num_worlds=2, num_minibatches=1, shuffle_blocks=1, hidden_sizes=(4,), critic_hidden_sizes=(4,))
+sizes = {"hidden_sizes": (4,), "critic_hidden_sizes": (4,)}
+config = Config(num_worlds=2, num_minibatches=1, shuffle_blocks=1, **sizes)
 Trainer(make("drive-to-goal", worlds=2, engine="planar"), config, ProcessGroup()).start()
 print([name for name in ("brax", "mujoco.mjx") if name in sys.modules])
 """

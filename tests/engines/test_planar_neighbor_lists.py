@@ -65,7 +65,9 @@ def moved():
     )
     known = jax.jit(around)(prints, solids)
     room = jax.tree.map(
-        lambda *each: jnp.clip(jnp.minimum(*each), 0.0, 1.0) * 0.98, known.obstacle_margin, known.ground_margin
+        lambda *each: jnp.clip(jnp.minimum(*each), 0.0, 1.0) * 0.98,
+        known.obstacle_margin,
+        known.ground_margin,
     )
     way = rng.uniform(-3, 3, shape)
     ahead = room.aside[..., None] * jnp.stack([jnp.cos(way), jnp.sin(way)], -1)

@@ -5,8 +5,8 @@ client that a loaded machine holds up. Under `Lockstep` it stands still while th
 once while the test waits for data that has not come.
 
 The clients of a test use blocking sockets in this process. While a served world is in lockstep, the blocking
-calls of sockets, `select.select` and `time.sleep` report that their thread waits. Daemon threads do not count:
-they are part of a client library (of `websockets`, for one) and wait at all times.
+calls of sockets, `select.select` and `time.sleep` report that their thread waits. Daemon threads do not
+count: they are part of a client library (of `websockets`, for one) and wait at all times.
 """
 
 import asyncio
@@ -45,7 +45,7 @@ class Lockstep(StepClock):
 
     @contextlib.contextmanager
     def waiting(self, *sockets):
-        """Let worlds step until one of these sockets can be read; without sockets, until the end of `with`."""
+        """Let worlds step until one of these sockets can be read; without sockets, until `with` ends."""
         thread = threading.get_ident()
         before = self._waiting.get(thread)
         self._waiting[thread] = sockets

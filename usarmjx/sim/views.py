@@ -71,7 +71,9 @@ def _textures(scene: Scene, others: int) -> dict[str, Any]:
 
 def _robots(scene: Scene) -> list[AttachedVisual]:
     return [
-        AttachedVisual(group.plan.visuals, np.array(index.body_ids), False, ROBOT_LABEL + int(slot), int(slot))
+        AttachedVisual(
+            group.plan.visuals, np.array(index.body_ids), False, ROBOT_LABEL + int(slot), int(slot)
+        )
         for group in scene.groups
         for slot, index in zip(group.slots, group.indices, strict=True)
     ]

@@ -202,7 +202,11 @@ def test_a_time_limit_is_no_end(tmp_path):
     """
     config = Config(
         total_steps=60_000, num_worlds=16, rollout_length=16, gamma=0.8,
-        learning_rate=3e-3, lr_schedule="constant", hidden_sizes=(8,), critic_hidden_sizes=(8,), entropy_coef=0.0,
+        learning_rate=3e-3,
+        lr_schedule="constant",
+        hidden_sizes=(8,),
+        critic_hidden_sizes=(8,),
+        entropy_coef=0.0,
     )  # fmt: skip
     trainer = Trainer(EndlessToy(16), config, ProcessGroup())
     train_state, worlds = trainer.start()

@@ -173,10 +173,7 @@ def deepest_overlap(robots: Outlines, neighbors: ContactCandidates, same_height:
     # Each of two robots moves its share of the way out.
     rows = [
         *walls,
-        *(
-            jnp.where(row > 0, row * share, row)
-            for row, share in zip(others, neighbors.share, strict=True)
-        ),
+        *(jnp.where(row > 0, row * share, row) for row, share in zip(others, neighbors.share, strict=True)),
     ]
     push, which = rows[0], jnp.zeros(rows[0].shape, jnp.int32)
     for row, other in enumerate(rows[1:], 1):

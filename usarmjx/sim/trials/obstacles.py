@@ -13,8 +13,8 @@ from usarmjx.base.files import atomic_write
 from usarmjx.models.arenas.elements import CELL
 from usarmjx.models.arenas.lanes import MobilityLane, lane_of
 from usarmjx.models.compile.reachability import footprint_of
-from usarmjx.models.generate.random_stream import RandomStream
 from usarmjx.models.generate.obstacles import CROSSINGS_FILE, OBSTACLES, SuccessCurve, obstacle_height
+from usarmjx.models.generate.random_stream import RandomStream
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.trials.driver import Trial
 

@@ -187,7 +187,9 @@ class _WayFinder:
         if not len(self._points):
             return -1
         ground = self.map.ground[self._free]
-        away = np.hypot(*(self._points - (x, y)).T) + np.where(np.abs(ground - z) < VICTIM_REACH, 0.0, 10.0 * VICTIM_REACH)
+        away = np.hypot(*(self._points - (x, y)).T) + np.where(
+            np.abs(ground - z) < VICTIM_REACH, 0.0, 10.0 * VICTIM_REACH
+        )
         best = int(away.argmin())
         return best if away[best] <= most else -1
 

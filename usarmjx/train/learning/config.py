@@ -246,8 +246,8 @@ class Config:
         if self.shuffled_blocks % processes:
             raise UsageError(
                 f"{self.num_worlds} worlds in {self.num_minibatches} minibatches are shuffled in "
-                f"{self.shuffled_blocks} blocks, which {processes} processes cannot share: set shuffle_blocks "
-                f"to a multiple of {processes} that divides {self.num_worlds // self.num_minibatches}"
+                f"{self.shuffled_blocks} blocks, which {processes} processes cannot share: set "
+                f"shuffle_blocks to a multiple of {processes} that divides {self.num_worlds // self.num_minibatches}"
             )
 
     def iterations(self, agents: int) -> int:
