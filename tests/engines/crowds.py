@@ -18,7 +18,7 @@ SOLIDS = 8
 
 
 def crowd(worlds: int, robots: int, seed: int = 0) -> dict[str, Any]:
-    """Return the arguments of `separate_footprints`: footprints before and after, solids, motion, order in height.
+    """Return the arguments of `separate_footprints`: footprints before and after, solids, motion, heights.
 
     Half of the solids stop nobody, of the others a third are discs; a tenth of the robots do not move, and a
     fifth are at another height. In the first world nobody meets anything.

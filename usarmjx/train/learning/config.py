@@ -247,7 +247,8 @@ class Config:
             raise UsageError(
                 f"{self.num_worlds} worlds in {self.num_minibatches} minibatches are shuffled in "
                 f"{self.shuffled_blocks} blocks, which {processes} processes cannot share: set "
-                f"shuffle_blocks to a multiple of {processes} that divides {self.num_worlds // self.num_minibatches}"
+                f"shuffle_blocks to a multiple of {processes} that divides "
+                f"{self.num_worlds // self.num_minibatches}"
             )
 
     def iterations(self, agents: int) -> int:
