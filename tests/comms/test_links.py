@@ -108,6 +108,16 @@ def test_links_hold_up_to_the_cutoff():
         assert links_of([(0, 0, 1), (distance, 0, 1)], constants=constants).in_range[0, 1] == holds
 
 
+def test_a_link_holds_at_the_cutoff_itself():
+    """Manual 3.2.4: it fails below. With a log factor of 0 the power is ePdo at any distance, to the bit."""
+    for cutoff, holds in ((-60.0, True), (float(np.nextafter(np.float32(-60), np.float32(0))), False)):
+        constants = RadioSettings(pdo=-60.0, n=0.0, cutoff=cutoff)
+        links = links_of([(0, 0, 1), (5, 0, 1)], constants=constants)
+        assert links.power[0, 1] == -60.0
+        assert links.in_range[0, 1] == holds
+        assert links.delivery_probability[0, 1] == holds
+
+
 def test_events_are_changes_since_the_last_evaluation():
     constants = RadioSettings(cutoff=-60.0)
     near, far = [(0, 0, 1), (1, 0, 1)], [(0, 0, 1), (100, 0, 1)]

@@ -14,6 +14,7 @@ from tests.engines.eager import AT_ONCE, EAGER, SINGLE, around, drive, poses
 from usarmjx.engines.planar.bodies import footprint_box
 from usarmjx.engines.planar.footprints import OVERLAP_TOLERANCE, Footprints, separate_footprints
 from usarmjx.engines.planar.neighbor_lists import obstacle_outlines
+from usarmjx.engines.planar.overlap import outlines, rectangle_overlap
 from usarmjx.engines.planar.responses import override_response
 from usarmjx.engines.planar.solids import project_geoms
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
@@ -47,6 +48,31 @@ def overlap(a, b):
             axis = np.array([-edge[1], edge[0]]) / np.linalg.norm(edge)
             depths.append(min((a @ axis).max(), (b @ axis).max()) - max((a @ axis).min(), (b @ axis).min()))
     return min(depths)
+
+
+@pytest.mark.oracle
+def test_rectangles_are_as_deep_in_each_other_as_their_corners_say():
+    """Half of what both take up along a side's normal, less the distance of their middles: the least."""
+    rng, count = np.random.default_rng(4), 200
+    pos, half = rng.uniform(-1, 1, (2, count, 2)), rng.uniform(0.1, 0.8, (2, count, 2))
+    yaw = rng.uniform(-np.pi, np.pi, (2, count))
+
+    def depths(pos):
+        ways = []
+        corners = [rectangles(*one) for one in zip(pos, yaw, half, strict=True)]
+        for angle in (*yaw, *(yaw + np.pi / 2)):
+            normal = np.stack([np.cos(angle), np.sin(angle)], -1)
+            reach = [np.ptp(one @ normal[..., None], axis=1)[:, 0] / 2 for one in corners]
+            ways.append(sum(reach) - np.abs(((pos[0] - pos[1]) * normal).sum(-1)))
+        return np.min(ways, 0)
+
+    axis, none = np.stack([np.cos(yaw), np.sin(yaw)], -1), np.zeros(count)
+    one, other = (outlines(*map(jnp.asarray, (pos[i], axis[i], half[i], none))) for i in (0, 1))
+    depth, x, y = map(np.asarray, rectangle_overlap(one, other))
+    assert depth == pytest.approx(depths(pos), abs=1e-5)
+    assert 0.2 < (depth > 0).mean() < 0.8, "some are apart"
+    out = np.stack([pos[0] + depth[:, None] * np.stack([x, y], -1), pos[1]])
+    assert depths(out)[depth > 0] == pytest.approx(0.0, abs=1e-5), "so far and that way they come apart"
 
 
 WALLS = (

@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -15,10 +16,13 @@ from benchmarks.fidelity.manoeuvres import BOARDS
 from tests.arenas import COURSE, FLAT
 from tests.engines.eager import AT_ONCE, BLIND, EAGER, SINGLE, drive, poses
 from usarmjx.base.errors import UnsupportedFeatureError
-from usarmjx.engines.planar.bodies import move_joints, servos_of
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.engines.planar.bodies import Motion, move_joints, robots_of, servos_of
 from usarmjx.engines.planar.drives import limited_lag, wheel_kinematics
+from usarmjx.engines.planar.flight import fly
 from usarmjx.engines.planar.footprints import OVERLAP_TOLERANCE
 from usarmjx.engines.planar.responses import Response, check_robot, override_response, packaged_responses
+from usarmjx.engines.planar.rolling import roll
 from usarmjx.engines.planar.solids import ground_heights, project_geoms
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.compile.physics import Physics
@@ -31,6 +35,13 @@ from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 
 GEOM = mujoco.mjtGeom
+
+
+class Record(SimpleNamespace):
+    """Fields, some of which may be replaced."""
+
+    def replace(self, **fields):
+        return Record(**(vars(self) | fields))
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +121,29 @@ def test_longer_steps_lead_to_the_same():
     assert np.asarray(fine) == pytest.approx(np.asarray(coarse), rel=1e-5)
 
 
+def test_a_bend_is_no_sharper_than_its_cornering_allows():
+    """Speed times rate of turn: at 2 m/s 3 m/s^2 leave 1.5 rad/s, either way."""
+    careful, before = replace(AT_ONCE, cornering=3.0), jnp.array([[2.0, 0.0, 0.0]])
+    for told, turn in ((5.0, 1.5), (-5.0, -1.5), (1.2, 1.2)):
+        now = limited_lag(careful, before, jnp.array([[2.0, 0.0, told]]), 0.02)
+        assert np.asarray(now)[0] == pytest.approx([2.0, 0.0, turn], abs=1e-5)
+
+
+def test_what_drifts_goes_sideways_by_its_speed_times_its_turn():
+    robot = replace(EAGER, name="Drifting")
+    override_response(robot, replace(AT_ONCE, drift=-0.1))
+    scene = build_scene(FLAT, [robot])
+    model, wheels = scene.model, wheel_kinematics(robot)
+    robots = robots_of(model, [(robot, scene.groups[0].indices[0])])
+    places = robots.rolling[0].ctrl[0]  # the left ones first
+    still = Record(qpos=jnp.asarray(model.qpos0), qvel=jnp.zeros(model.nv), act=jnp.zeros(model.na))
+    for left, right in ((2.0, 3.0), (3.0, 2.0)):
+        ctrl = jnp.zeros(model.nu).at[places].set(jnp.array([left, left, right, right]))
+        _, twist = roll(robots, still, still, Record(ctrl=ctrl, varied=None), 0.02)
+        ahead, turn = wheels.radius * (left + right) / 2, wheels.radius * (right - left) / wheels.track
+        assert np.asarray(twist)[0] == pytest.approx([ahead, -0.1 * ahead * turn, turn], abs=1e-4)
+
+
 def test_a_car_turns_as_a_bicycle_does():
     car = ROBOTS.get("Hummer")
     wheels, front = wheel_kinematics(car), 0.3
@@ -138,14 +172,7 @@ def test_a_joint_follows_its_target_as_a_servo_without_load():
     scene = build_scene(FLAT, ["Talon"])
     servos, model = servos_of(scene.model), scene.model
 
-    class State:
-        def __init__(self, **fields):
-            vars(self).update(fields)
-
-        def replace(self, **fields):
-            return State(**(vars(self) | fields))
-
-    zero = State(qpos=jnp.asarray(model.qpos0), qvel=jnp.zeros(model.nv), act=jnp.zeros(model.na))
+    zero = Record(qpos=jnp.asarray(model.qpos0), qvel=jnp.zeros(model.nv), act=jnp.zeros(model.na))
     which = next(i for i, name in enumerate(servos.pull) if "Arm" in model.actuator(int(name)).name)
     lag, q0 = servos.lag[which], model.qpos0[servos.qpos[which]]
     ctrl = jnp.zeros(model.nu).at[servos.hold].set(1.0).at[servos.pull[which]].set(0.1)
@@ -217,6 +244,7 @@ def test_how_high_a_step_wheels_climb_is_what_was_measured_on_c():
 def test_the_top_of_a_box_is_the_plane_that_mujoco_s_rays_meet(pitch):
     spec = mujoco.MjSpec()
     geom = spec.worldbody.add_geom(type=GEOM.mjGEOM_BOX, size=[0.6, 0.4, 0.1], pos=[0.3, -0.2, 0.5])
+    geom.alt.type = mujoco.mjtOrientation.mjORIENTATION_EULER  # else the angles are not looked at
     geom.alt.euler = [0.0, math.degrees(pitch), 30.0]
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -294,6 +322,30 @@ def test_what_flies_goes_where_mujoco_has_it(name, within):
         ways.append(np.asarray(batch.physics(state).qpos)[0, scene.groups[0].root_qposadr[0]])
     assert np.linalg.norm(ways[0][:3] - start[:3]) > 0.3, "it has gone somewhere"
     assert ways[1] == pytest.approx(ways[0], abs=within)
+
+
+@pytest.mark.oracle
+def test_what_tumbles_keeps_its_angular_momentum():
+    """That of a free body: an AirRobot, twice as hard to turn about its own z as about the others."""
+    scene = build_scene(FLAT, [replace(ROBOTS.get("AirRobot"), sensors=(), cameras=())])
+    (group,) = scene.groups
+    robots = robots_of(scene.model, [(group.robot, group.indices[0])])
+    none = jnp.zeros((1, 3))
+    begin = Motion(
+        pos=none, quat=jnp.array([[1.0, 0.0, 0.0, 0.0]]), linear=none, angular=jnp.array([[3.0, 0.5, 2.0]])
+    )
+    free = jnp.zeros((scene.model.nbody, 6))
+    step = jax.jit(lambda now: fly(robots, now, free, scene.model, 0.02))
+    end = begin
+    for _ in range(25):
+        end = step(end)
+
+    def momentum(now):
+        return np.asarray(mat_from_quat(now.quat))[0] @ robots.inertia[0] @ np.asarray(now.angular)[0]
+
+    first = momentum(begin)
+    assert np.linalg.norm(end.angular - begin.angular) > 2.0, "its axis has moved in it"
+    assert momentum(end) == pytest.approx(first, abs=0.02 * np.linalg.norm(first))
 
 
 VARIED = {

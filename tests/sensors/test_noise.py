@@ -7,7 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from usarmjx.sensors.base import apply_output_curve, relative_normal, relative_uniform
+from usarmjx.sensors.base import (
+    NoisySensorSettings,
+    apply_output_curve,
+    noisy,
+    relative_normal,
+    relative_uniform,
+)
 
 DRAWS = 200_000
 SIGMAS = 5  # a fair draw misses by more than this once in 1.7 million times; the keys are fixed
@@ -47,6 +53,13 @@ def test_noise_is_proportional_and_the_keys_own(noise):
     assert (one == noise(jax.random.key(1), data)).all()
     assert (one[1:] != other[1:]).all()
     np.testing.assert_allclose(noise(jax.random.key(1), 10 * data)[1:] / 10, one[1:], rtol=1e-5)
+
+
+def test_sensors_of_a_group_have_noise_of_their_own_whoever_comes_after_them():
+    settings, key = (NoisySensorSettings(noise=0.5, sigma=0.1),) * 3, jax.random.key(3)
+    told = np.asarray(noisy(key, jnp.ones((3, 2)), settings))
+    assert len(set(told.ravel().tolist())) == 6
+    np.testing.assert_array_equal(noisy(key, jnp.ones((2, 2)), settings[:2]), told[:2])
 
 
 def test_no_noise_changes_nothing():

@@ -12,6 +12,7 @@ from usarmjx.base.markdown import markdown_table
 from usarmjx.cli.common import (
     ArenaArgument,
     ErrorExit,
+    JsonFlag,
     OldOutArgument,
     OutFolderOption,
     SeedOption,
@@ -19,7 +20,7 @@ from usarmjx.cli.common import (
     read_size,
 )
 from usarmjx.cli.completion import complete_kinds, complete_robots
-from usarmjx.cli.listing import JsonFlag, MarkdownFlag, check_form, show_listing
+from usarmjx.cli.listing import MarkdownFlag, check_form, show_listing
 from usarmjx.cli.startup_messages import announce
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.lanes import LANES

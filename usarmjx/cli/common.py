@@ -140,6 +140,7 @@ IniOption = Annotated[
     list[Path] | None,
     typer.Option("--ini", help="USARBot.ini or USARMisPkg.ini with robots; may be given several times."),
 ]
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 WorldsOption = Annotated[int, typer.Option(min=1, help="Worlds in the batch.")]
 RadioIniOption = Annotated[
     Path | None, typer.Option("--radio-ini", help="USARComServer.ini with the radio's constants.")

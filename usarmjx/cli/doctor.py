@@ -24,8 +24,7 @@ import usarmjx
 from usarmjx.base import process
 from usarmjx.base.compilation import CACHE_VARIABLE, cache_folder, enable_compilation_cache
 from usarmjx.base.errors import UsarmjxError, quoted
-from usarmjx.cli.common import ErrorExit
-from usarmjx.cli.listing import JsonFlag
+from usarmjx.cli.common import ErrorExit, JsonFlag
 from usarmjx.cli.startup_messages import announce, say
 from usarmjx.server.network.ports import (
     BOT_PORT,
@@ -373,7 +372,7 @@ def _next(client: "UsarsimClient", kind: str) -> "ServerMessage":
 
 
 def try_speed() -> Iterator[Finding]:
-    """Measure the speed of physics on engine `c`, bare: what surrounds it would have to compile."""
+    """Measure the speed of physics on engine `c`."""
     import numpy as np
 
     from usarmjx.engines.base import Inputs

@@ -16,7 +16,7 @@ import typer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.markdown import markdown_table
-from usarmjx.cli.common import ErrorExit, IniOption, UnitOption, configure_from
+from usarmjx.cli.common import ErrorExit, IniOption, JsonFlag, UnitOption, configure_from
 from usarmjx.cli.completion import complete_listings
 from usarmjx.cli.startup_messages import announce
 from usarmjx.engines import ENGINES, choose_engine
@@ -376,7 +376,6 @@ def sensors_table() -> str:
 
 
 EVERYTHING, COMMANDS = "everything", "commands"
-JsonFlag = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 MarkdownFlag = Annotated[bool, typer.Option("--markdown", help="Print Markdown, as the documents have it.")]
 
 

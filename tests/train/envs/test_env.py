@@ -1,14 +1,18 @@
 """Environments: what a step is made of, on both engines that a CPU has."""
 
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from usarmjx.train.envs.episode import apply_policy_actions
 
 import usarmjx
+from tests.arenas import FLAT
 from tests.listening import COMPILED, compilations
+from tests.lone import LoneWorld
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings, OutgoingMessages
@@ -16,6 +20,7 @@ from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import Mount
 from usarmjx.sim.actions import Actions, JointAction
+from usarmjx.sim.scene import build_scene
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.recipe import GeneratedArenas, open_floor, with_sensors
 from usarmjx.train.envs.task import StepResult, Task
@@ -129,6 +134,19 @@ def test_actions_are_made_finite_and_clamped(env):
     wild = env.step(env.reset(), actions(env, (7.0, np.nan), (np.inf, -9.0), (0.5, -0.5)))
     tame = env.step(env.reset(), actions(env, (1.0, 0.0), (0.0, -1.0), (0.5, -0.5)))
     same(worldly(wild), worldly(tame), slice(None))
+
+
+def test_tasks_get_no_other_actions():
+    """Whatever they make of them: DRIVE clips its numbers itself, messages and joints do not."""
+    lone, seen = LoneWorld(build_scene(FLAT, ["P2AT"])), []
+
+    def act(view, memory, actions):
+        seen.extend(actions)
+        return Actions()
+
+    wild = jnp.array([[7.0, -9.0, np.nan, np.inf, -np.inf, 0.5]])
+    apply_policy_actions(lone.scene, SimpleNamespace(act=act), lone.world, lone.physics, (), (wild,))
+    np.testing.assert_array_equal(seen[0], [[1.0, -1.0, 0.0, 0.0, 0.0, 0.5]])
 
 
 def test_actions_of_another_shape_are_refused(env):
