@@ -186,7 +186,7 @@ def test_they_are_in_use_where_warp_is_and_a_block_holds_the_solids(monkeypatch)
     for module in (neighbor_search, separation):
         monkeypatch.setattr(module, "warp_in_use", lambda: True)
     assert kernels() == ["ground_under_robots", "keep_robots_apart", "look_around_robots"]
-    monkeypatch.setattr(warp_neighbor_search, "ROOMS", (2,))
+    monkeypatch.setattr(warp_neighbor_search, "SHARED_CAPACITIES", (2,))
     assert kernels() == ["keep_robots_apart"]
 
 
@@ -283,7 +283,7 @@ def test_the_threads_of_a_gpu_do_together_what_one_does(scene, launches):
             np.testing.assert_allclose(mine, theirs, atol=ROUNDING)
     _, args, (found,), dim = launches["_ground_kernel"][-1]
     code = warp_solids.scene_code(
-        warp_neighbor_search.ROBOT, warp_neighbor_search.GROUND, warp_neighbor_search.WORDS
+        warp_neighbor_search.ROBOT_CODE, warp_neighbor_search.GROUND_CODE, warp_neighbor_search.MACROS
     )
     args = [*args, np.zeros_like(found)]
     room = args[11] = np.array(args[11])
@@ -295,7 +295,7 @@ def test_the_threads_of_a_gpu_do_together_what_one_does(scene, launches):
     (robots,), args, (found,), dim = launches["_kernel"][-1]
     code, kernel = warp_separation._code(robots), warp_separation.separation_kernel(robots)
     args = [*args, np.zeros_like(found)]
-    apply_separation = run_as_on_a_gpu(code, kernel, args, dim, warp_separation.BLOCK)[-1]
+    apply_separation = run_as_on_a_gpu(code, kernel, args, dim, warp_separation.BLOCK_THREADS)[-1]
     np.testing.assert_allclose(apply_separation, found, atol=ROUNDING)
 
 
@@ -304,10 +304,10 @@ def test_the_threads_of_a_gpu_do_together_what_one_does(scene, launches):
 def test_they_compile_for_a_gpu(kernel, tmp_path):
     """NVRTC comes with Warp and needs no GPU; a block has 48 KiB of shared memory."""
     made = {
-        "look": lambda: warp_neighbor_search.search_kernel(8, warp_neighbor_search.ROOMS[0]),
-        "look at the most": lambda: warp_neighbor_search.search_kernel(12, warp_neighbor_search.ROOMS[-1]),
+        "look": lambda: warp_neighbor_search.search_kernel(8, warp_neighbor_search.SHARED_CAPACITIES[0]),
+        "look at the most": lambda: warp_neighbor_search.search_kernel(12, warp_neighbor_search.SHARED_CAPACITIES[-1]),
         "ground": lambda: warp_neighbor_search.ground_under_robots,
-        "part": lambda: warp_separation.separation_kernel(warp_separation.MOST_ROBOTS),
+        "part": lambda: warp_separation.separation_kernel(warp_separation.MAX_ROBOTS),
     }[kernel]()
     wp.compile_aot_module(made.module, arch=75, module_dir=tmp_path, use_ptx=True)
     (text,) = (path.read_bytes().decode("latin-1") for path in tmp_path.glob("*.ptx"))

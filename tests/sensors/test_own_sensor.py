@@ -241,7 +241,7 @@ def test_every_form_is_turned_into_the_wires_axes(form, value, text):
     assert (
         said(of_type("New", (Quantity("Key", form),)), value) == f"SEN {{Type New}} {{Name A}} {{Key {text}}}"
     )
-    assert set(FORMS) == set(telling._WORDS)
+    assert set(FORMS) == set(telling._FORMATS)
 
 
 def test_quantities_follow_each_other_and_without_them_all_numbers_are_one():

@@ -161,10 +161,12 @@ def vmap(function: Callable[..., T], in_axes: Any = 0) -> Callable[..., T]:  # n
     def looped(*args: Any) -> T:  # noqa: ANN401 - PyTrees
         given = cast(tuple[Any, ...], in_axes if isinstance(in_axes, tuple) else (in_axes,) * len(args))
         columns = [_rows(arg, axis) for arg, axis in zip(args, given, strict=True)]
+        # As `jax.vmap`: shared arguments have no count of their own.
         count = next(n for n, _ in columns if n is not None)
         results = [function(*(row(i) for _, row in columns)) for i in range(count)]
         if not results:
             raise ValueError("nothing to map over")
+        # A view instead of a copy.
         if count == 1:
             return jax.tree.map(lambda leaf: np.asarray(leaf)[None], results[0])
         return jax.tree.map(lambda *leaves: np.array(leaves), *results)

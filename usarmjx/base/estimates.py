@@ -78,6 +78,7 @@ def estimate(
         found = stats.binomtest(int(everything.sum()), count).proportion_ci(CONFIDENCE, method="wilson")
         low, high = float(found.low), float(found.high)
         return Estimate(value=value, low=low, high=high, count=count, method="Wilson")
+    # The bootstrap of a single value has no spread; an honest interval is unbounded.
     if count == 1:
         return Estimate(value=value, low=-np.inf, high=np.inf, count=1)
     draw = np.random.default_rng(seed)

@@ -89,6 +89,7 @@ def cores() -> int:
 
 
 def _backend_runs() -> bool:
+    # Looked up, not imported: this module runs before JAX is imported.
     bridge = sys.modules.get("jax._src.xla_bridge")
     return bool(bridge and bridge.backends_are_initialized())
 

@@ -200,6 +200,7 @@ def digest_of_sources(folder: Path, since: float) -> str:
         SourcesChangedError: A file changed since.
     """
     found = hashlib.blake2b(digest_size=20)
+    # Sorted: the order of directory entries differs between file systems.
     for path in sorted(_files(folder)):
         if path.stat().st_mtime > since:
             raise SourcesChangedError(f"{path} was changed while this process ran")
@@ -279,6 +280,7 @@ def compile_program(
     named = function
     while isinstance(named, partial):
         named = named.func
+    # `named` keeps the function's own name for the cache: the wrapper and partials have none.
     exact = jax.default_matmul_precision("highest")(function) if precise else function
     compiled = jax.jit(exact, static_argnums=static)
     return (

@@ -75,6 +75,7 @@ def rotation_vector(mat: Array) -> Array:
 
     Exact for angles below pi; a simulation step rotates by far less.
     """
+    # The antisymmetric part is sin(angle) times the axis; atan2 stays accurate at all angles below pi.
     pairs = ((2, 1), (0, 2), (1, 0))
     skew = xp.stack([mat[..., i, j] - mat[..., j, i] for i, j in pairs], -1) / 2
     sine = xp.linalg.norm(skew, axis=-1)

@@ -65,6 +65,7 @@ def angles_from_mat(mat: Array, xp: ModuleType = np) -> Array:
     """
     upright = xp.hypot(mat[..., 0, 0], mat[..., 1, 0]) < GIMBAL_LOCK_COS
     roll = xp.where(upright, 0.0, xp.arctan2(mat[..., 2, 1], mat[..., 2, 2]))
+    # Clipped: rounding can exceed 1, and arcsin would return NaN.
     pitch = xp.arcsin(xp.clip(-mat[..., 2, 0], -1.0, 1.0))
     turned = xp.arctan2(-mat[..., 0, 1], mat[..., 1, 1])
     yaw = xp.where(upright, turned, xp.arctan2(mat[..., 1, 0], mat[..., 0, 0]))

@@ -163,6 +163,7 @@ def received_power(settings: AnyRadioSettings, distance: Array, walls: Array) ->
         distance: Distance between the antennas [m] (...).
         walls: Number of solids between them (...).
     """
+    # maximum also makes the gradient 0, not infinite, at coincident antennas.
     apart = xp.maximum(xp.asarray(distance, xp.float32), MIN_ANTENNA_DISTANCE)
     fading = 10.0 * settings.n * xp.log10(apart / settings.do)
     return xp.asarray(settings.pdo - fading - xp.minimum(walls, settings.max_obs) * settings.atten_fac)

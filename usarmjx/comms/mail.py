@@ -124,6 +124,11 @@ def _through(links: Links, key: Array) -> Array:
     return random.uniform(key, links.delivery_probability.shape) < links.delivery_probability
 
 
+def _count(messages: Array) -> Array:
+    """Return the count of masked messages of each sender (robots,)."""
+    return messages.sum(-1, dtype=xp.int32)
+
+
 def deliver(
     settings: MessageSettings,
     inboxes: Inboxes,
@@ -147,6 +152,7 @@ def deliver(
     """
     step, time = moment
     to, capacity = messages.receivers, settings.capacity
+    # Several deliveries in one control step share the budget.
     spent = xp.where(inboxes.step == step, inboxes.spent, 0)
     length = xp.maximum(messages.size_bytes, 0).astype(xp.int32)
     # Counted in messages: a sum of bytes over many receivers could overflow int32.
@@ -166,9 +172,6 @@ def deliver(
     new_sender = set_at(xp.full((robots, capacity + 1), -1), where, sender)[:, :capacity]
     fresh, source = new_sender >= 0, xp.maximum(new_sender, 0)
 
-    def count(dropped: Array) -> Array:
-        return dropped.sum(-1, dtype=xp.int32)
-
     before = inboxes.dropped
     return inboxes.replace(
         count=inboxes.count + fits.sum(0, dtype=xp.int32),
@@ -176,14 +179,14 @@ def deliver(
         time=xp.where(fresh, time, inboxes.time),
         size_bytes=xp.where(fresh, length[source], inboxes.size_bytes),
         payload=xp.where(fresh[..., None], messages.payload[source], inboxes.payload),
-        spent=spent + length * count(paid),
+        spent=spent + length * _count(paid),
         step=xp.asarray(step, xp.int32),
-        sent=inboxes.sent + count(to),
+        sent=inboxes.sent + _count(to),
         dropped=DropCounts(
-            over_budget=before.over_budget + count(to & ~paid),
-            no_link=before.no_link + count(paid & ~links.in_range),
-            lost=before.lost + count(linked & ~arrived),
-            inbox_full=before.inbox_full + count(arrived & ~fits),
+            over_budget=before.over_budget + _count(to & ~paid),
+            no_link=before.no_link + _count(paid & ~links.in_range),
+            lost=before.lost + _count(linked & ~arrived),
+            inbox_full=before.inbox_full + _count(arrived & ~fits),
         ),
     )
 

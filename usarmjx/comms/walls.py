@@ -106,6 +106,7 @@ def crosses_cylinder(middle: XYZ, half: XYZ, size: XYZ) -> Array:
     The segment is clipped at the planes of the caps; its point nearest to the axis decides.
     """
     (mx, my, mz), (hx, hy, hz) = middle, half
+    # A segment parallel to the caps: the tiny slope makes its interval between the caps unbounded.
     slope = xp.where(xp.abs(hz) < TINY, TINY, hz)
     centre, width = -mz / slope, size[1] / xp.abs(slope)
     low, high = xp.clip(centre - width, -1.0, 1.0), xp.clip(centre + width, -1.0, 1.0)

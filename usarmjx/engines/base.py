@@ -92,6 +92,7 @@ class VariedModel:
 
     def _derived(self, factor: float) -> dict[str, np.ndarray]:
         """Return MuJoCo's derived constants for chassis of `factor` times their mass."""
+        # mj_setConst writes into the model; the original must keep its constants.
         model, own = copy.copy(self._model), self._bodies.chassis[self._bodies.varies]
         model.body_mass[own] *= factor
         model.body_inertia[own] *= factor

@@ -135,6 +135,7 @@ class MjxEngine(Engine[mjx.Data]):
         data = data.replace(ctrl=inputs.ctrl, act=inputs.act, xfrc_applied=inputs.xfrc_applied)
         fields = self._fields(inputs) | self._state_fields(data)
         if not fields:
+            # No field differs between worlds: vmap shares the whole model.
             model, axes = self.mx, None
         else:
             model = self.mx.tree_replace(fields)
@@ -274,6 +275,7 @@ class JaxEngine(MjxEngine):
         in_force = (contact.dist < contact.includemargin).sum(-1)
         lost = jnp.where(in_force >= contact.dist.shape[-1], in_force, 0)
         radius = self._fields(inputs).get("geom_rbound", jnp.asarray(self.model.geom_rbound)[None])
+        # Only these types have more pairs than the cap, so only they can lose any.
         for pairs in self._capped:
             apart = engine_state.geom_xpos[:, pairs[:, 0]] - engine_state.geom_xpos[:, pairs[:, 1]]
             reach = radius[:, pairs].sum(-1)

@@ -272,6 +272,7 @@ class Sensor(ABC):
             noise = {name: value * factor for name, value in noise.items() if value}
             precision = getattr(settings, "precision", None)
             if precision is not None:
+                # Precision is an inverse: twice the noise is half the precision.
                 noise["precision"] = precision / factor
             scaled.append(replace(settings, **noise))
         return replace(self, settings=tuple(scaled))

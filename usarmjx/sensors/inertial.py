@@ -124,6 +124,8 @@ class Imu(Sensor):
         pos, mat = self.mount_poses(inputs.bodies)
         pos, mat = pos[..., 0, :], mat[..., 0, :, :]
         velocity, turn = self._motion(inputs, pos)
+        # A second reading at the same time has no interval: it reports the momentary rate without
+        # acceleration.
         elapsed = (inputs.time - memory.time)[..., None]
         again, span = elapsed > 0, xp.where(elapsed > 0, elapsed, FIRST_INTERVAL)
         turned = rotation_vector(matmul(memory.mat.mT, mat))

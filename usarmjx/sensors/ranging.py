@@ -449,6 +449,7 @@ class Lidar(RangeScanner3D):
         settings, hits = self.settings[0], inputs.hits
         back = settings.reflectance * hits.cosine
         power = back / xp.square(xp.maximum(hits.distance, REFERENCE_DISTANCE))
+        # Key 0 is used by `range_readings`: all three draws are independent.
         lost, noise = (random.fold_in(key, number) for number in (1, 2))
         heard = (power >= settings.min_power) & (hits.distance < settings.max_range)
         heard &= random.uniform(lost, heard.shape) >= settings.dropout

@@ -282,6 +282,8 @@ class Suite:
             for i, sensor in enumerate(self._with_noise(inputs))
         ]
         # The next scan follows the schedule, not the time of reading, so that the mean rate is exact.
+        # A sensor that missed a whole interval restarts its schedule, instead of measuring repeatedly to
+        # catch up.
         late = inputs.time - memory.due >= interval
         following = xp.where(manual, xp.inf, xp.where(late, inputs.time, memory.due) + interval)
         due = xp.where(fresh, following, memory.due)

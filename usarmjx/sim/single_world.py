@@ -100,7 +100,7 @@ class SpeedLimits:
 
 EMPTY_SEAT = RosterEntry(robot="", parked=True)
 """Stands in a roster where there is no robot."""
-WAKE_LOOKAHEAD = 10
+STEPS_AHEAD = 10
 """For so many control steps it is worked out at once where what moves by itself will be."""
 SomeRobots = tuple[Scene, list[tuple[int, np.ndarray]]]
 """A scene with some of the robots, and of each of its groups the index and the members."""
@@ -143,7 +143,7 @@ class SingleWorld:
         self._parts: dict[frozenset[int], SomeRobots] = {}
         self._speeds = SpeedLimits((), {}, self.engine.data.qpos, scene.physics.period)
         self._looks: tuple[Scene, GeomColors] | None = None
-        self._moved_from: tuple[int, GeomPoses | None] = -WAKE_LOOKAHEAD, None
+        self._moved_from: tuple[int, GeomPoses | None] = -STEPS_AHEAD, None
         self._regroup({}, {})
 
     @property
@@ -274,18 +274,18 @@ class SingleWorld:
         self.world, inputs = compute_inputs(self.scene, self.world, self.physics, self._moved())
         self.engine.apply(inputs)
         limits = self._speeds.update(self.engine.data.qpos)
-        lost, reset_trees = self.engine.advance(self._indices, limits, self._homes)
+        lost, recovery = self.engine.advance(self._indices, limits, self._homes)
         # The engine has looked already whether all is finite and nobody too fast, as `finish_step` does.
         faults, step = self.world.faults, np.asarray(self.world.step + 1, np.int32)
-        if lost or reset_trees:
-            overflow, bad = (np.asarray(count, np.int32) for count in (lost != 0, bool(reset_trees)))
+        if lost or recovery:
+            overflow, bad = (np.asarray(count, np.int32) for count in (lost != 0, bool(recovery)))
             faults = faults.replace(overflow=faults.overflow + overflow, not_finite=faults.not_finite + bad)
         self.world = self.world.replace(step=step, faults=faults)
-        if reset_trees:
-            self._speeds.begin_again(reset_trees.robots, self.engine.data.qpos)
-        for slot in reset_trees.robots:
+        if recovery:
+            self._speeds.begin_again(recovery.robots, self.engine.data.qpos)
+        for slot in recovery.robots:
             self.edit(slot, command=idle_command(self.roster[slot].spec))
-        return reset_trees
+        return recovery
 
     @numpy_backend()
     def observe(self, slots: Iterable[int]) -> dict[int, tuple[Reading, ...]]:
@@ -337,8 +337,8 @@ class SingleWorld:
         """Return where the arena's geoms that move are now."""
         first, ahead = self._moved_from
         late = int(self.world.step) - first
-        if not 0 <= late < WAKE_LOOKAHEAD:
-            steps = self.world.step + np.arange(WAKE_LOOKAHEAD, dtype=np.int32)
+        if not 0 <= late < STEPS_AHEAD:
+            steps = self.world.step + np.arange(STEPS_AHEAD, dtype=np.int32)
             ahead = moved_geom_poses(self.scene, None, time_of(self.scene, self.world.replace(step=steps)))
             late, self._moved_from = 0, (int(self.world.step), ahead)
         return None if ahead is None else GeomPoses(pos=ahead.pos[late], quat=ahead.quat[late])

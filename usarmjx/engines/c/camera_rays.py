@@ -331,6 +331,7 @@ class CameraCaster:
                 light = np.asarray(beams.pos[source], np.float64)
                 if beams.carrier is not None:
                     own = int(beams.carrier[source]) - ROBOT_LABEL
+            # Cast from the light: all shadow rays of one light share an origin, and so form bundles.
             way = point - light
             distance = np.sqrt((way * way).sum(-1))
             along, query = way / distance[:, None], SOLID_QUERY.replace(incidence=False)

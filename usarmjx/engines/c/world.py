@@ -103,8 +103,8 @@ class CWorld:
             Number of contact buffer overflows, and the reset objects.
         """
         before, floor = buffer_warnings(self.data), self._arena.floor
-        reset_trees = step_and_recover(self.model, self.data, self._substeps, robots, limits, homes, floor)
-        return buffer_warnings(self.data) - before, reset_trees
+        recovery = step_and_recover(self.model, self.data, self._substeps, robots, limits, homes, floor)
+        return buffer_warnings(self.data) - before, recovery
 
     def reset_all(self, robots: Mapping[int, RobotIndex], homes: Mapping[int, Array]) -> None:
         """Reset robots to their homes, see `advance`, and all other movable bodies to the reference pose."""

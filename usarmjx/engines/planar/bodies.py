@@ -173,6 +173,7 @@ def move_joints(servos: PlanarServos, state: Any, ctrl: Array, act: Array, dt: f
     speed, aim = ctrl[servos.pull], act[servos.act]
     before, lag = state.qpos[servos.qpos], jnp.maximum(jnp.asarray(servos.lag), 1e-4)
     behind = aim - before
+    # Exact solution of lag * q' = target - q for a target that moves at constant speed.
     later = speed * lag + (behind - speed * lag) * jnp.exp(-dt / lag)
     after = jnp.clip(aim + speed * dt - later, servos.low, servos.high)
     held = ctrl[servos.hold] > 0

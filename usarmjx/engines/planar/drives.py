@@ -63,6 +63,7 @@ class RollingWheels:
         rolls = rolls * jnp.asarray(self.powered, jnp.float32)[:, None]
         rows = jnp.concatenate([rolls, slides], 1)
         wanted = jnp.concatenate([self.radius * spin * self.powered, jnp.zeros_like(spin)], 1)
+        # Normal equations: wheels want their rolling speed along, and no slip across, their heading.
         square = (rows[..., :, None] * rows[..., None, :]).sum(1) + REGULARIZATION * jnp.eye(3)
         return _solve3(square, (rows * wanted[..., None]).sum(1))
 
@@ -235,6 +236,7 @@ def limited_lag(
     lag = jnp.array([response.forward_lag, response.forward_lag, response.turn_lag])
     most = jnp.array([response.acceleration, response.acceleration, response.turn_acceleration])
     share = -jnp.expm1(-dt / jnp.maximum(lag, 1e-4))
+    # Lateral acceleration = speed * yaw rate.
     sharpest = response.cornering / jnp.maximum(jnp.abs(before[..., 0]), MIN_CORNERING_SPEED)
     target = jnp.stack([target[..., 0], target[..., 1], jnp.clip(target[..., 2], -sharpest, sharpest)], -1)
     change = (target - before) * share

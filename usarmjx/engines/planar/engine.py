@@ -139,9 +139,10 @@ class PlanarEngine(Engine[PlanarState]):
     def advance(self, engine_state: PlanarState, inputs: Inputs) -> PlanarState:
         """Make one control step in every world."""
         pinned = self.set_qpos(engine_state, inputs.pinned, inputs.pinned_dof, inputs.qpos)
+        # A pinned robot is not pushed: it acts like a wall.
         moves = ~inputs.pinned[:, self._robots.root_qpos[:, 0]]
-        rotate = PhysicsState(qpos=pinned.qpos, qvel=pinned.qvel, act=pinned.act)
-        state, before, after, proposed = jax.vmap(self._aim)(rotate, inputs, moves)
+        turned = PhysicsState(qpos=pinned.qpos, qvel=pinned.qvel, act=pinned.act)
+        state, before, after, proposed = jax.vmap(self._aim)(turned, inputs, moves)
         neighbors = update_neighbors(self._solids, pinned.neighbors, proposed)
         kept, touched = separate_robots(proposed, neighbors)
         stopped_at = jax.vmap(self._stop)(before, after, kept, touched)
@@ -162,8 +163,8 @@ class PlanarEngine(Engine[PlanarState]):
         """Return one world with its joints moved, its motion before, and the proposed motion."""
         dt, robots = self.physics.period, self._robots
         moved = move_joints(self._servos, state, inputs.ctrl, inputs.act, dt)
-        rotate, twist = roll(robots, state, moved, inputs, dt)
-        before = robots.motion(rotate)
+        turned, twist = roll(robots, state, moved, inputs, dt)
+        before = robots.motion(turned)
         after = robots.choose(
             fly(robots, before, inputs.xfrc_applied, self.model, dt), integrate_twist(before, twist, dt)
         )
@@ -174,7 +175,7 @@ class PlanarEngine(Engine[PlanarState]):
         limit, poses = ground_limits(robots, before), inputs.geom_poses
         scene = self._solids.movable_set.placement(state.qpos, poses)
         return (
-            rotate,
+            turned,
             before,
             after,
             ProposedMotion(left, there, moves, stacked, limit, scene, state.qpos, poses),

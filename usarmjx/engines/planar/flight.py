@@ -97,6 +97,7 @@ def _step(
     centre, speed = plus(now.pos, arm), plus(now.linear, cross(spin, arm))
     speed = plus(speed, times(pull, h))
     own = apply(transposed(mat), torque)
+    # Euler's equations: angular rates and inertia are in the body frame.
     gyration = cross(now.angular, apply(body.inertia, now.angular))
     angular = plus(now.angular, times(apply(body.inverse, minus(own, gyration)), h))
     quat = rotate(now.quat, times(angular, h))

@@ -353,6 +353,7 @@ def _iterate(
     push = jax.tree.map(partial(jnp.where, is_second), now.first, push)
     in_world = unresolved.any(0)
     goes, pushes = in_world & ~is_first, number <= PUSH_ITERATIONS
+    # A restored robot may overlap one that has moved into its place; at last whole worlds are restored.
     back = jnp.where(number > PUSH_ITERATIONS + RESTORE_ITERATIONS, in_world, unresolved)
     apart = apply_separation(now.footprints, push, moves)
 

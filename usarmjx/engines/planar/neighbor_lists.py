@@ -269,6 +269,7 @@ def _first_by_rank(solids: PlanSolids, rank: Array, most: int) -> tuple[PlanSoli
     if count <= most:
         everyone = jax.tree.map(lambda part: jnp.tile(part[:, None], (1, len(rank))), solids)
         return everyone, jnp.zeros(rank.shape, bool)
+    # Rank and index in one integer: unique keys, equal order on JAX and Warp.
     steps = jnp.clip((rank + MAX_RANKED_DEPTH) / RANK_RESOLUTION, 0.0, 2**30 // count - 1).astype(jnp.int32)
     key = steps * count + jnp.arange(count)
 

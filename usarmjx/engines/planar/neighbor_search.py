@@ -87,6 +87,7 @@ def masked_update(needed: Array, function: Callable[..., T], known: T, *args: An
     count = needed.sum()
     if not few:
         return jax.lax.cond(count > 0, in_all, lambda: known)
+    # switch runs one branch only: nothing, a subset of the worlds, or all.
     which = (count > 0).astype(jnp.int32) + (count > few)
     return jax.lax.switch(which, [lambda: known, in_few, in_all])
 

@@ -53,13 +53,15 @@ def roll(robots: PlanarRobots, before: Any, state: Any, inputs: Inputs, dt: floa
         now = limited_lag(
             answer, wheels.twist(joints, spin), wheels.twist(joints, ctrl[group.ctrl]), dt, grip
         )
-        rotate = wheels.wheel_speeds(joints, now)
-        angle, rotate = materialize((before.qpos[places] + (spin + rotate) * dt / 2, rotate))
+        turned_speed = wheels.wheel_speeds(joints, now)
+        angle, turned_speed = materialize(
+            (before.qpos[places] + (spin + turned_speed) * dt / 2, turned_speed)
+        )
         # The servo's target follows the wheel's angle, so that it does not wind up.
         act = set_rows(jnp.append(state.act, 0.0), (group.act, angle))[:-1]
         state = state.replace(
             qpos=set_rows(state.qpos, (places, angle)),
-            qvel=set_rows(state.qvel, (group.qvel[:, wheels.spin], rotate)),
+            qvel=set_rows(state.qvel, (group.qvel[:, wheels.spin], turned_speed)),
             act=act,
         )
         ahead, turn = answer.gain * now[:, 0], answer.turn_gain * now[:, 2]
@@ -98,6 +100,7 @@ def integrate_twist(motion: Motion, twist: Array, dt: float) -> Motion:
         -1,
     )
     angle = turn * dt
+    # Chord of an arc: length v dt sin(a/2) / (a/2), direction half the angle.
     share = sinc(angle / 2) * dt
     (x, y, height), (dx, dy) = parts(motion.pos), parts(rotate_by_yaw(velocity, angle / 2))
     return motion.replace(

@@ -142,6 +142,7 @@ def render_picture(
     depth = view.picture(xp.where(inside, seen.distance * view.depth_scale, xp.inf).astype(xp.float32))
     label = view.picture(xp.where(inside, seen.label, OUTSIDE_LABEL).astype(xp.int32))
     if times > 1:
+        # Depth and labels are sampled, not averaged: a mean of labels has no meaning.
         middle = slice(times // 2, None, times)
         rgb, depth, label = box_filter(rgb, times), depth[middle, middle], label[middle, middle]
     return Picture(

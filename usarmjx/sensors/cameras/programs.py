@@ -124,6 +124,7 @@ class PicturePrograms:
     def _is_ready(self, render_scene: RenderScene, view: View) -> bool:
         viewpoint, *size = view
         leaves, tree = jax.tree.flatten((render_scene, viewpoint))
+        # The same key by which `jax.jit` finds a program: structure, shapes, types and static size.
         key = tree, *((np.shape(leaf), np.result_type(leaf)) for leaf in leaves), *size
         if key not in self._programs:
             self._programs[key] = self._compiler.submit(self._compile, render_scene, view)

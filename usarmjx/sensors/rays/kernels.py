@@ -42,6 +42,7 @@ def _nearest(*candidates: Array) -> Array:
 
 def ray_plane(origin: XYZ, direction: XYZ, size: XYZ) -> Array:
     """Return the distance to a plane through the frame's origin with normal z; sizes of 0 are unbounded."""
+    # Only from the front, as in C MuJoCo's mj_ray.
     t = xp.where(direction[2] < -TINY, -origin[2] / xp.where(direction[2] < -TINY, direction[2], -1), -1)
     inside = t >= 0
     for axis in (0, 1):

@@ -42,8 +42,8 @@ COMPACT_KINDS = frozenset({int(mujoco.mjtGeom.mjGEOM_SPHERE), TRIANGLE_KIND})
 CULLING_THRESHOLD = 100_000
 """Number of ray-geom pairs, over all robots and worlds, above which culling pays on a CPU."""
 CULLING_GEOMS = 300
-"""Number of geoms above which culling pays if most casts are wanted: the test of so many takes as long as the
-search for the near ones."""
+"""Number of geoms above which culling pays if most casts are wanted: brute force over this number takes as
+long as the search for the near ones."""
 EXCLUDE_NONE = np.int32(-2)
 """Owner that no geom has: slots count from 0, and the arena is -1."""
 NO_COSINE: Any = 0.0

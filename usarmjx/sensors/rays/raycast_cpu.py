@@ -142,6 +142,7 @@ def _cast_wanted(
         pairs = zip(some(geoms, *casts), blank, strict=True)
         return GeomHits(*(_where(wanted, new, old) for new, old in pairs))
     total = wanted.sum()
+    # Padding rows index past the end: reads are clipped, writes dropped.
     order = jnp.nonzero(wanted, size=number + -number % together, fill_value=number)[0]
 
     def more(carry: tuple[jax.Array, GeomHits]) -> tuple[jax.Array, GeomHits]:

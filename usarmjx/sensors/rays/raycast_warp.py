@@ -287,6 +287,7 @@ def _nearest(  # noqa: PLR0913 - a struct of them would do no more
                 at = first + geom_row(wp.min(begin + slot, end - 1))
                 keys[k] = _sphere_key(geoms, at, cone, exclude, slot, end - begin)
         key = _first_key(keys)
+        # All lanes stay in the loop until none needs the next geom: the shuffles need the whole warp.
         while key < BEYOND and _any_lane(key <= (wp.cast(best.distance, wp.uint32) | SLOT_BITS)):
             at = first + geom_row(begin + wp.int32(key & SLOT_BITS))
             pos = load_vec4(geoms, at)

@@ -204,6 +204,7 @@ def _cast_gradient(
     own = matvec(jnp.swapaxes(mat, -1, -2), normal)
     rate = rates[1] + reach * rates[2] - pos_rate
     away = (normal * rate + matvec(mat_rate, own) * (origin + reach * direction - pos)).sum(-1)
+    # Bounded: the gradient of a grazing hit diverges.
     facing = jnp.minimum((normal * direction).sum(-1), -MIN_GRADIENT_COSINE)
     slope = jnp.where(met, -away / facing, 0.0)
     return first, GeomHits(slope, np.zeros(which.shape, jax.dtypes.float0))  # type: ignore - of whole numbers
