@@ -63,6 +63,18 @@ def with_camera(scene: Scene, camera: Camera, size: tuple[int, int]) -> mujoco.M
     return spec.compile()
 
 
+def _times_of(run: Callable[[], Any], repeats: int, wait: Callable[[], Any]) -> list[float]:
+    """Return the wall time of each of some runs [s], from an idle device to an idle one."""
+    times: list[float] = []
+    for _ in range(repeats):
+        wait()
+        began = time.perf_counter()
+        run()
+        wait()
+        times.append(time.perf_counter() - began)
+    return times
+
+
 def measure_mujoco_warp(
     model: mujoco.MjModel, qpos: np.ndarray, size: tuple[int, int], steps: int, repeats: int, shadows: bool
 ) -> dict[str, Any]:
@@ -110,13 +122,7 @@ def measure_mujoco_warp(
         with wp.ScopedCapture() as capture:
             look()
         run = partial(wp.capture_launch, cast(wp.Graph, capture.graph))
-    times = []
-    for _ in range(repeats):
-        wp.synchronize()
-        began = time.perf_counter()
-        run()
-        wp.synchronize()
-        times.append(time.perf_counter() - began)
+    times = _times_of(run, repeats, wp.synchronize)
     depth = context.depth_data.numpy()
     return {
         "frames_per_s": worlds * steps / float(np.median(times)),

@@ -83,19 +83,24 @@ def sweep_record(
         "compilations": len(plan.groups),
         "wall_s": meter.seconds,
         "compile_s": compiling,
-        "scores": [
-            {
-                "task": row.task,
-                "policy": row.policy,
-                "cells": row.cells,
-                "score": row.mean.value,
-                "low": _known(row.mean.low),
-                "high": _known(row.mean.high),
-                "method": row.mean.method,
-            }
-            for row in overall_rows(found)
-        ],
+        "scores": _scores(found),
     }
+
+
+def _scores(found: StoredSweep) -> list[dict[str, Any]]:
+    """Return the score of each task and policy, with its interval."""
+    return [
+        {
+            "task": row.task,
+            "policy": row.policy,
+            "cells": row.cells,
+            "score": row.mean.value,
+            "low": _known(row.mean.low),
+            "high": _known(row.mean.high),
+            "method": row.mean.method,
+        }
+        for row in overall_rows(found)
+    ]
 
 
 def _common(played: list[CellRecord]) -> dict[str, str]:

@@ -142,7 +142,7 @@ def test_search_knows_the_manuals_table_the_docstrings_and_all_options(site: Pat
     text = {entry["location"]: entry["text"] for entry in index}
     assert any(place.startswith("conformance.html#") and "GETSTARTPOSES" in text[place] for place in text)
     assert "worlds" in text["api.html#usarmjx.Batch.reset"]
-    assert "--spectator-port" in text["commands.html#usarmjx-serve"]
+    assert "--viewer-port" in text["commands.html#usarmjx-serve"]
     assert not any(place.startswith("source/") for place in text)
 
 

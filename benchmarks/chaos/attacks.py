@@ -2,9 +2,11 @@
 
 import math
 from dataclasses import dataclass
+from importlib.metadata import version
 
 import numpy as np
 
+from benchmarks.onlooker import camera_message
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.server.protocol.grammar import DEFAULT_LIMIT
 
@@ -13,8 +15,8 @@ CHUNK = 64 * 1024
 INIT = "INIT {ClassName USARBot.P2AT}"
 PIECES = 1000
 """Most pieces of a long line."""
-DEEP, DIGITS = 1000, 400
-"""Brackets within brackets, and digits of a number, in messages of a page [characters]."""
+DEEP = 1000
+"""Lists within lists in a message of a page."""
 MASK = bytes(4)
 """What a page's message is masked with: nothing changes."""
 
@@ -31,7 +33,7 @@ class Attack:
         reads: Whether it reads what it is told.
         stay: After how long it goes, to come again at once [s].
         rude: Whether it breaks its connection off then instead of closing it.
-        page: Whether it goes to the page's port.
+        page: Whether it goes to the live page's port.
     """
 
     name: str
@@ -56,10 +58,9 @@ def fill(head: str, piece: str, tail: str = "") -> str:
     return head + piece * min(PIECES, room // len(piece)) + tail
 
 
-def page_message(text: str) -> bytes:
+def page_message(data: bytes) -> bytes:
     """Return a page's message as a frame of RFC 6455; it must have 126 to 65535 bytes."""
-    data = text.encode()
-    return b"\x81\xfe" + len(data).to_bytes(2, "big") + MASK + data
+    return b"\x82\xfe" + len(data).to_bytes(2, "big") + MASK + data
 
 
 def _junk() -> bytes:
@@ -70,11 +71,14 @@ def _junk() -> bytes:
 
 
 JOIN = f"{INIT}\r\n".encode()
+NESTED = b"\x91" * DEEP + b"\xc0"
+"""Lists within lists, as msgpack."""
 REQUEST = b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Type: text/plain\r\nContent-Length: 65536\r\n\r\n"
 UPGRADE = (
-    b"GET /view HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
-    b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
-)
+    f"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+    f"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+    f"Sec-WebSocket-Protocol: viser-v{version('viser')}\r\n\r\n"
+).encode()
 VECTOR = fill("SET {Type INS} {Name INS} {Opcode POSE} {Params ", "1.2345,", "1}")
 POSE = "SET {Type INS} {Name INS} {Opcode POSE} {Params 1,2,3,0,0,0}"
 
@@ -99,9 +103,16 @@ ATTACKS = (
     ),
     Attack(
         "page",
-        "a page's messages, nested deeply and with long numbers",
+        "a page's messages without a pause: where its camera is",
         UPGRADE,
-        (page_message("[" * DEEP) + page_message(f'{{"move": [{"9" * DIGITS}, 0, 0]}}')) * 20,
+        page_message(camera_message()) * 100,
+        page=True,
+    ),
+    Attack(
+        "page-junk",
+        "messages that no page sends, nested deeply",
+        UPGRADE,
+        page_message(NESTED) * 20,
         page=True,
     ),
 )

@@ -32,8 +32,8 @@ class TargetOptions:
     arena: Annotated[
         str, typer.Option(help="With --self: arena name, or a file.", autocompletion=complete_arenas)
     ] = "yellow"
-    spectator_port: Annotated[
-        int | None, typer.Option(min=1, max=LAST_PORT, help="Port of the server's page; else it is spared.")
+    viewer_port: Annotated[
+        int | None, typer.Option(min=1, max=LAST_PORT, help="Port of its live page; else that is spared.")
     ] = None
     metrics_port: Annotated[
         int | None, typer.Option(min=1, max=LAST_PORT, help="Port of its metrics, which a soak needs.")
@@ -151,4 +151,4 @@ def _target(options: TargetOptions) -> "Iterator[Target]":
     if not options.own_server:
         check_loopback(host)
     process = options.pid or (None if options.own_server else local_process(port))
-    yield Target(host, port, options.spectator_port, options.metrics_port, process)
+    yield Target(host, port, options.viewer_port, options.metrics_port, process)

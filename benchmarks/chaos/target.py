@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.serving.clients import HOST
-from benchmarks.serving.process import METRICS, OWN_TREE, PAGE, ServerProcess, SourceTree
+from benchmarks.serving.process import METRICS, OWN_TREE, VIEWER, ServerProcess, SourceTree
 from usarmjx.base.errors import UsageError
 from usarmjx.server.network.ports import LAST_PORT
 
@@ -146,10 +146,10 @@ def started(arena: str, seats: int) -> Iterator[Target]:
         seats: Most robots.
     """
     options = ["--arena", arena, "--engine", "c", "--seats", str(seats)]
-    ports = ["--spectator-port", "0", "--metrics-port", "0"]
+    ports = ["--viewer-port", "0", "--metrics-port", "0"]
     with (
         TemporaryDirectory() as cache,
         ServerProcess(SourceTree(OWN_TREE), Path(cache), [*options, *ports]) as server,
     ):
-        page, metrics = server.port_said(PAGE), server.port_said(METRICS)
+        page, metrics = server.port_said(VIEWER), server.port_said(METRICS)
         yield Target(HOST, server.port, page, metrics, server.process)

@@ -44,9 +44,10 @@ from tests.server.peers import Peer, serving
 from tests.server.still_world import StillWorld
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.cli.app import app
-from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
 from usarmjx.server.protocol.grammar import DEFAULT_LIMIT
 from usarmjx.server.runtime.loop import low_latency
+from usarmjx.server.viewing.served_source import ServedSource
+from usarmjx.server.viewing.viewer_service import ViewerService, ViewerSettings
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 MOST = 0.25
@@ -82,7 +83,7 @@ class House:
 @pytest.fixture(scope="module")
 def house():
     world = DynamicWorld(FLAT, seed=1, max_robots=16)
-    page = SpectatorServer(world, SpectatorSettings(port=0))
+    page = ViewerService(ServedSource([world]), ViewerSettings())
     before = set(threading.enumerate())
     # As `serve` does: else this thread looks for garbage among all that the tests before have left behind.
     with low_latency(), serving(world, [page], max_faults=MAX_FAULTS) as (port, server):

@@ -12,7 +12,7 @@ from usarmjx.cli.app import app
 from usarmjx.server.network.access import EVERYBODY, AccessRules
 from usarmjx.server.viewing.controls import ServedControls
 
-PORTS = ("--port", "0", "--spectator-port", "0")
+PORTS = ("--port", "0", "--viewer-port", "0")
 MORE_PORTS = ("--wss-port", "0", "--wss2-port", "0", "--position-port", "0", "--image-port", "0")
 
 

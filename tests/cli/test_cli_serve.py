@@ -125,15 +125,15 @@ def test_seats_are_robots_and_each_takes_a_connection(order, options, robots, co
 
 def test_every_world_has_ports_of_its_own_for_everything(order):
     first = free_ports(40)
-    options = ("--port", "--wss-port", "--wss2-port", "--position-port", "--image-port", "--spectator-port")
-    # As the usual ones: pictures and pages are two apart.
+    options = ("--port", "--wss-port", "--wss2-port", "--position-port", "--image-port", "--rosbridge-port")
+    # Pictures and rosbridge are two apart.
     offsets = dict(zip(options, (0, 5, 10, 15, 20, 22), strict=True))
     words = [word for option, offset in offsets.items() for word in (option, str(first + offset))]
     made, result = order("--worlds", "3", "--instances", "all", *words)
     assert result.exit_code == 0, result.stderr
     found = []
     for server in made.servers:
-        radio, images, page = server.services[:3]
+        radio, images, ros = server.services[:3]
         air = radio._settings
         found.append(
             [
@@ -144,7 +144,7 @@ def test_every_world_has_ports_of_its_own_for_everything(order):
                     air.wss2_port,
                     air.position_port,
                     images._settings.port,
-                    page._settings.port,
+                    ros._settings.port,
                 )
             ]
         )
@@ -159,19 +159,19 @@ def test_every_world_has_ports_of_its_own_for_everything(order):
 
 
 def test_one_option_moves_all_ports(order):
-    made, result = order("--port-offset", "1111", "--spectator-port", "5005")
+    made, result = order("--port-offset", "1111", "--rosbridge-port", "5005")
     assert result.exit_code == 0, result.stderr
     (server,) = made.servers
-    radio, images, page, _, live_page = server.services
+    radio, images, ros, _, live_page = server.services
     assert live_page.port == VIEWER_PORT + 1111
     assert server.settings.port == 3000 + 1111
     air = radio._settings
     assert (air.wss_port, air.wss2_port, air.position_port) == (5874 + 1111, 50000 + 1111, 7435 + 1111)
-    assert (images._settings.port, page._settings.port) == (5003 + 1111, 5005 + 1111)
+    assert (images._settings.port, ros._settings.port) == (5003 + 1111, 5005 + 1111)
 
 
 @pytest.mark.parametrize(
-    "option", ["--port", "--wss-port", "--wss2-port", "--position-port", "--image-port", "--spectator-port"]
+    "option", ["--port", "--wss-port", "--wss2-port", "--position-port", "--image-port", "--rosbridge-port"]
 )
 @pytest.mark.parametrize("world", [0, 1])
 def test_a_taken_port_is_said_before_anything_is_built(order, option, world):

@@ -22,7 +22,8 @@ COMMANDS = dict(commands_of(app))
     [
         ("serve --no-viewer --port 0", "serve --no-view --port 0", 1),
         ("radio-map yellow --ini=a.ini", "radio-map yellow --radio-ini=a.ini", 1),
-        ("chaos --page-port 5 --self", "chaos --spectator-port 5 --self", 1),
+        ("chaos --page-port 5 --self", "chaos --viewer-port 5 --self", 1),
+        ("chaos --spectator-port 5 --self", "chaos --viewer-port 5 --self", 1),
         ("bench rays --robots 4 --worlds 2", "bench rays --worlds 2 --roster P2AT:4", 1),
         ("bench rays --robot Zerg", "bench rays --roster Zerg:16", 1),
         ("bench camera --robots=2 --robot=P2DX", "bench camera --roster P2DX:2", 1),
@@ -51,6 +52,15 @@ def test_present_spellings_are_in_the_help_and_old_ones_are_not():
         assert "--roster" in names_of(COMMANDS[path])
         old = {"--robots"} if path in OTHER_ROBOT else {"--robots", "--robot"}
         assert not old & names_of(COMMANDS[path])
+
+
+def test_the_spectators_page_is_the_live_page_now():
+    """In one line, whatever its port was."""
+    for words in (["serve", "--spectator-port", "5005"], ["play", "wander", "--spectator-port=0"]):
+        result = CliRunner().invoke(app, words)
+        assert (result.exit_code, result.stdout) == (2, "")
+        assert result.stderr.endswith("the live page has what that page had: --viewer-port sets its port\n")
+        assert result.stderr.count("\n") == 1
 
 
 def test_an_old_spelling_works_and_is_told_on_the_error_stream():

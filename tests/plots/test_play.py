@@ -11,8 +11,8 @@ from usarmjx.cli.app import app
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.plots.play import GIF_SPEEDUP, _caption, record_episode, save_recording
-from usarmjx.server.pictures.spectator_server import SpectatorServer
 from usarmjx.server.rosbridge.net import RosbridgeServer
+from usarmjx.server.viewing.controls import ServedControls
 from usarmjx.server.worlds.policy_world import PolicyWorld
 from usarmjx.train.make import make
 from usarmjx.train.policies import policies_in, sources
@@ -94,17 +94,16 @@ def test_play_serves_the_world_that_a_policy_drives(tmp_path, monkeypatch):
     served = []
     monkeypatch.setattr("usarmjx.server.runtime.loop.serve", lambda *given: served.append(given))
     file = policy_file(tmp_path / "goal.npz", {"ranges": ""})
-    how = ["--port", "3001", "--realtime-factor", "2", "--set", "pose=GroundTruth", "--spectator-port", "0"]
+    how = ["--port", "3001", "--realtime-factor", "2", "--set", "pose=GroundTruth"]
     how += ["--rosbridge-port", "0"]
     done = CliRunner().invoke(app, ["play", str(file), "--serve", *how])
     assert done.exit_code == 0, done.output
     assert done.output == "robots to take over by INIT: P2AT0\n"
     (((server,), clock, _),) = served
-    ros, page, controls = server.services
+    ros, controls = server.services
     assert isinstance(ros, RosbridgeServer)
     assert ros.server is server, "robots that appear there report to it"
-    assert isinstance(page, SpectatorServer)
-    assert page.controls is controls
+    assert isinstance(controls, ServedControls)
     assert isinstance(server.world, PolicyWorld)
     assert (server.settings.host, server.settings.port, clock.factor) == ("127.0.0.1", 3001, 2.0)
 

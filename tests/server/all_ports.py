@@ -11,12 +11,13 @@ import numpy as np
 from tests.server.fake_radio import FakeRadio
 from tests.server.peers import PATIENCE, looping
 from tests.server.still_world import StillWorld
+from tests.view.simple_worlds import HandMadeSource, drawing_of
 from usarmjx.server.gamebots.server import BotServer, BotServerSettings
 from usarmjx.server.network.access import AccessRules
 from usarmjx.server.network.ports import bound_socket
 from usarmjx.server.pictures.image_server import ImageServer, ImageSettings
-from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
 from usarmjx.server.runtime.metrics import MetricsServer
+from usarmjx.server.viewing.viewer_service import ViewerService, ViewerSettings
 from usarmjx.server.wireless.net import WirelessService, WirelessSettings
 
 HOST, ELSEWHERE = "127.0.0.1", "127.0.0.2"
@@ -110,7 +111,7 @@ def all_ports(**rules):
         FakeRadio(("R1", "R2")), lambda: world.time, WirelessSettings(access=access, **ports)
     )
     images = ImageServer(world, ImageSettings(port=0, size=(8, 6), format=0, access=access))
-    page = SpectatorServer(world, SpectatorSettings(port=0, access=access))
+    page = ViewerService(HandMadeSource(drawing_of()), ViewerSettings(access=access))
     server = BotServer(world, BotServerSettings(port=0, access=access), [radio, images, page])
     figures = bound_socket(HOST, 0)
     server.services.append(MetricsServer([server], 1.0, figures))

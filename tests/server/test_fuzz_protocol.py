@@ -5,7 +5,6 @@ Examples are batches of lines or messages, most of them nearly right: what is pa
 """
 
 import dataclasses
-import json
 import math
 import re
 
@@ -14,15 +13,13 @@ from hypothesis import strategies as st
 from websockets.server import ServerProtocol
 
 from tests.server.fake_radio import FakeRadio
-from tests.server.still_world import StillWorld
 from usarmjx.base.errors import PeerError
-from usarmjx.server.pictures.spectator import MAX_BRACKETS, MAX_DIGITS, STEEPEST, Spectator, read_message
-from usarmjx.server.pictures.spectator_server import MAX_MESSAGE_SIZE
 from usarmjx.server.protocol.command_parsers import COMMANDS
 from usarmjx.server.protocol.commands import DRIVE_KEYS, LEGAL_COMMANDS, SessionPhase
 from usarmjx.server.protocol.grammar import HttpRequestError, Message, format_message, parse_message
 from usarmjx.server.protocol.images import ImageSession
 from usarmjx.server.protocol.session import MAX_FAULTS, RobotSession
+from usarmjx.server.viewing.viser_gate import MAX_MESSAGE_SIZE
 from usarmjx.server.wireless.comserver import ComServer
 from usarmjx.server.wireless.dialect_a import DataLinkParser, DialectASession
 from usarmjx.server.wireless.dialect_b import MAX_LINE_SIZE, DialectBSession
@@ -248,66 +245,8 @@ def test_acknowledgements_of_pictures(batch):
             assert not session.wants(float(step))
 
 
-SCALARS = (
-    None,
-    True,
-    False,
-    0,
-    -1,
-    1.5,
-    1e308,
-    -1e-9,
-    math.nan,
-    math.inf,
-    10**19,
-    10**400,
-    "",
-    "left",
-    "right",
-    "c",
-)
-CUTS = ("[", '{"move":', '{"a":[', "}", "\ud800", '"')
-
-
-def value_of(tape, depth=2):
-    """Something that JSON has."""
-    if depth and tape.number(2):
-        inside = [value_of(tape, depth - 1) for _ in range(tape.number(4))]
-        return inside if tape.number(1) else {str(key): value for key, value in enumerate(inside)}
-    return tape.pick(SCALARS)
-
-
-def saying_of(tape):
-    """What a page says, or nearly."""
-    keys = [key for key in ("click", "key", "move", "turn", "ready") if tape.number(1)]
-    said = {key: value_of(tape) for key in keys}
-    if tape.number(1):
-        said["move"] = [tape.pick(SCALARS[3:12]) for _ in range(3)]
-        said["turn"] = [tape.pick(SCALARS[3:12]) for _ in range(2)]
-    text = json.dumps(said)
-    strange = (tape.pick(CUTS) * (1 + 3 * tape.number(200)), text[: tape.number(len(text))], tape.data(20))
-    return tape.pick((text, text, text, *strange))
-
-
-@given(batches(saying_of))
-def test_messages_of_a_page(batch):
-    spectator = Spectator(StillWorld(), SIZE)
-    for text in batch:
-        try:
-            spectator.handle_message(read_message(text))
-        except PeerError:
-            said = text if isinstance(text, str) else text.decode("latin-1")
-            assert said.count("[") + said.count("{") > MAX_BRACKETS or re.search(
-                rf"\d{{{MAX_DIGITS + 1}}}", said
-            )
-        assert all(math.isfinite(number) for number in spectator.pos)
-        assert abs(spectator.yaw) <= math.pi
-        assert abs(spectator.pitch) <= STEEPEST
-    assert spectator.caption() == "free view"
-
-
 UPGRADE = (
-    b"GET /view HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+    b"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
     b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
 )
 

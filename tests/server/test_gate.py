@@ -8,8 +8,6 @@ import socket
 import time
 
 import pytest
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
 
 import dev
 from tests.server.all_ports import (
@@ -18,7 +16,6 @@ from tests.server.all_ports import (
     KINDS,
     all_ports,
     begins,
-    black,
     hear,
     server_side,
 )
@@ -31,9 +28,9 @@ from usarmjx.server.network.access import AccessRules, parse_networks
 from usarmjx.server.network.gate import KEEPALIVE_COUNT, KEEPALIVE_IDLE, KEEPALIVE_INTERVAL, Gate
 from usarmjx.server.network.ports import bound_socket
 from usarmjx.server.pictures.image_server import ImageSettings
-from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
 from usarmjx.server.protocol.session import SEND_LIMIT
 from usarmjx.server.runtime import metrics
+from usarmjx.server.viewing.viewer_service import ViewerSettings
 from usarmjx.server.wireless import sockets, switchboard
 from usarmjx.server.wireless.net import WirelessSettings
 from usarmjx.server.wireless.sockets import ReservedPort
@@ -199,23 +196,6 @@ def test_who_waits_for_an_answer_or_has_a_robot_does_not_yield():
         first.close()
 
 
-def test_a_page_that_asks_for_nothing_is_closed_and_one_that_waits_is_not():
-    world = StillWorld()
-
-    def develop(shots):
-        time.sleep(3 * TIMEOUT)
-        return [black(shot) for shot in shots]
-
-    world.snapshot = lambda shots: lambda: develop(shots)
-    page = SpectatorServer(world, SpectatorSettings(port=0, idle_timeout=TIMEOUT))
-    with serving(world, [page]), connect(f"ws://{HOST}:{page.port}/view") as watcher:
-        watcher.send('{"ready": true}')
-        assert "caption" in watcher.recv(timeout=PATIENCE)
-        assert watcher.recv(timeout=PATIENCE)
-        with pytest.raises(ConnectionClosed):
-            watcher.recv(timeout=PATIENCE)
-
-
 # Dialling out
 
 FAILED = b"Fail: Could not establish connection"
@@ -291,7 +271,7 @@ def test_the_page_on_security_has_the_limits_that_are_in_force():
     )
     told = {what: [int(number) for number in re.findall(r"\d+", rows[what])] for what in rows}
     bots, air, calls = BotServerSettings(), WirelessSettings(), switchboard.MAX_CONNECTIONS
-    images, page = ImageSettings(), SpectatorSettings()
+    images, page = ImageSettings(), ViewerSettings()
     held = (bots.max_connections, air.max_connections, images.max_connections, page.max_connections)
     quarters = [3 * room // 4 for room in (*held, calls, metrics.MAX_CONNECTIONS)]
     found_out = KEEPALIVE_IDLE + KEEPALIVE_INTERVAL * KEEPALIVE_COUNT
@@ -302,8 +282,7 @@ def test_the_page_on_security_has_the_limits_that_are_in_force():
         "connections to the wireless servers and for positions": [held[1]],
         "silent on them, without a robot in the world": [air.idle_timeout],
         "connections for pictures": [held[2]],
-        "pages": [held[3]],
-        "a page that asks for no picture": [page.idle_timeout],
+        "connections of live pages": [held[3]],
         "connections of one address to one kind of port, but from loopback": quarters,
         "before the token is said": [gate.AUTH_TIMEOUT, gate.MAX_AUTH_SIZE, gate.MAX_STRANGERS],
         "a peer that has vanished without a word": [

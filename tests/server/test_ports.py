@@ -10,7 +10,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.server.network.ports import LAST_PORT, bound_ports, bound_socket, count_up
 
 HOST = "127.0.0.1"
-OPTIONS = ("--port", "--wss-port", "--image-port", "--spectator-port")
+OPTIONS = ("--port", "--wss-port", "--image-port", "--rosbridge-port")
 
 
 def column(ports, option):
@@ -24,11 +24,11 @@ def test_each_kind_counts_up_from_its_own_port():
 
 
 def test_ports_of_another_kind_are_left_out():
-    """The usual ports of pictures and of pages are two apart."""
-    ports = count_up({"--port": 3000, "--image-port": 5003, "--spectator-port": 5005}, 4)
+    """Of kinds whose first ports are two apart."""
+    ports = count_up({"--port": 3000, "--image-port": 5003, "--rosbridge-port": 5005}, 4)
     assert column(ports, "--port") == [3000, 3001, 3002, 3003]
     assert column(ports, "--image-port") == [5003, 5004, 5007, 5009]
-    assert column(ports, "--spectator-port") == [5005, 5006, 5008, 5010]
+    assert column(ports, "--rosbridge-port") == [5005, 5006, 5008, 5010]
 
 
 def test_the_offset_moves_all_but_free_ports():

@@ -4,6 +4,7 @@ import http.client
 import socket
 
 import pytest
+import viser
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -142,10 +143,10 @@ def test_a_browser_says_the_token_once_and_has_a_cookie_then(locked):
     assert (headers["Referrer-Policy"], headers["Cache-Control"]) == ("no-referrer", "no-store")
     assert page_of(locked, "/", Cookie=f"a=b; {cookie}; c=d")[0] == 200
     assert page_of(locked, "/")[0] == page_of(locked, "/", Cookie=f"{COOKIE}={TOKEN}")[0] == 403
-    view = f"ws://{HOST}:{locked.ports['page']}/view"
+    how = {"subprotocols": [f"viser-v{viser.__version__}"], "max_size": None}
+    view = f"ws://{HOST}:{locked.ports['page']}/"
     for wrong in ({}, {"Cookie": cookie[:-1]}):
         with pytest.raises(InvalidStatus, match="403"):
-            connect(view, additional_headers=wrong)
-    with connect(view, additional_headers={"Cookie": cookie}) as watcher:
-        watcher.send('{"ready": true}')
-        assert "caption" in watcher.recv(timeout=PATIENCE)
+            connect(view, additional_headers=wrong, **how)
+    with connect(view, additional_headers={"Cookie": cookie}, **how) as watcher:
+        assert watcher.recv(timeout=PATIENCE)

@@ -7,16 +7,22 @@ from typing import Annotated, Any
 import typer
 
 import usarmjx
+from usarmjx.cli.common import BAD_INPUT
 from usarmjx.cli.lazy_commands import LazyGroup
 from usarmjx.cli.startup_messages import say
 
 RENAMED: Mapping[str, Mapping[str, str]] = {
     "serve": {"--viewer": "--view", "--no-viewer": "--no-view"},
     "radio-map": {"--ini": "--radio-ini"},
-    "chaos": {"--page-port": "--spectator-port"},
+    "chaos": {"--page-port": "--viewer-port", "--spectator-port": "--viewer-port"},
     "train": {"--worlds": "--num-worlds", "--steps": "--total-steps"},
 }
 """By commands: old options and what they are called now."""
+REMOVED: Mapping[tuple[str, str], str] = {
+    (command, "--spectator-port"): "the live page has what that page had: --viewer-port sets its port"
+    for command in ("serve", "play")
+}
+"""By command and option: what to use in place of an option that is no more."""
 COUNTED: Mapping[str, tuple[str, str]] = {
     "bench rays": ("P2AT", "16"),
     "bench camera": ("P2AT", "1"),
@@ -48,6 +54,13 @@ def respelt(words: Sequence[str], tell: Callable[[str], None]) -> list[str]:
     if path not in COUNTED:
         return done
     return _with_roster(done, *COUNTED[path], tell, ("--robots",) if path in OTHER_ROBOT else ROBOTS)
+
+
+def removed_option(words: Sequence[str]) -> str:
+    """Return a line about the first option that is no more; empty: all are there."""
+    options = [word.partition("=")[0] for word in words[1:]]
+    found = ((one, REMOVED.get((words[0], one))) for one in options)
+    return next((f"there is no {one}: {instead}" for one, instead in found if instead), "")
 
 
 def _with_roster(
@@ -150,6 +163,9 @@ class RootCommand(LazyGroup):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - click's, or typer's own copy
         """Parse what was typed."""
+        if told := removed_option(args):
+            say(told)
+            raise typer.Exit(BAD_INPUT)
         return super().parse_args(ctx, respelt(args, say))
 
 

@@ -236,8 +236,6 @@ def generate(
     """Make an arena of the same kind, size, difficulty and seed, always the same; say what is in it."""
     with ErrorExit():
         announce(f"making a {kind} ...")
-        from usarmjx.models.compile.compose import new_spec
-        from usarmjx.models.compile.physics import Physics
         from usarmjx.models.files.load import save_arena
         from usarmjx.models.generate import Difficulty
         from usarmjx.models.generate import generate as make
@@ -257,11 +255,19 @@ def generate(
         if yaml is not None:
             typer.echo(f"wrote {save_arena(arena, yaml)}")
         if xml is not None:
-            spec = new_spec(arena, Physics())
-            spec.compile()
-            with atomic_write(xml) as fresh:
-                fresh.write_text(spec.to_xml(), encoding="utf-8")
+            _write_mjcf(arena, xml)
             typer.echo(f"wrote {xml}")
+
+
+def _write_mjcf(arena: "ArenaSpec", path: Path) -> None:
+    """Write an arena without robots as an MJCF file."""
+    from usarmjx.models.compile.compose import new_spec
+    from usarmjx.models.compile.physics import Physics
+
+    spec = new_spec(arena, Physics())
+    spec.compile()
+    with atomic_write(path) as fresh:
+        fresh.write_text(spec.to_xml(), encoding="utf-8")
 
 
 LaneRobotOption = Annotated[

@@ -31,7 +31,6 @@ from usarmjx.cli.serving_options import (
     RosbridgePortOption,
     RosOptions,
     RunOptions,
-    SpectatorOptions,
     ViewerOptions,
     port_of,
 )
@@ -150,7 +149,6 @@ def run_live(browser: bool, port: int | None, viewer_port: int | None, rosbridge
         run=RunOptions(),
         viewer=ViewerOptions(viewer_port=viewer_port),
         view=True,
-        spectator=SpectatorOptions(),
         services=(RosOptions(rosbridge_port=rosbridge_port),),
         layers=LAYERS,
     )

@@ -16,7 +16,6 @@ from usarmjx.cli.serving_options import (
     ListenOptions,
     RosOptions,
     RunOptions,
-    SpectatorOptions,
     ViewerOptions,
 )
 from usarmjx.cli.startup_messages import announce
@@ -50,7 +49,6 @@ def play(
     listen: ListenOptions,
     run: RunOptions,
     ros: RosOptions,
-    spectator: SpectatorOptions,
     viewer: ViewerOptions,
     engine: PolicyEngineOption = "c",
     out: Annotated[Path, typer.Option(help="Picture to write: .png is a strip, .gif moves.")] = Path(
@@ -78,7 +76,6 @@ def play(
             run=run,
             viewer=viewer,
             view=view or viewer.viewer_port is not None,
-            spectator=spectator,
             services=(ros,),
         )
         with StopSignals() as signals, host.ports() as ports:

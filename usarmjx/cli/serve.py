@@ -25,7 +25,6 @@ from usarmjx.cli.serving_options import (
     RadioOptions,
     RosOptions,
     RunOptions,
-    SpectatorOptions,
     ViewerOptions,
     instances_of,
 )
@@ -101,7 +100,6 @@ def serve(
     radio: RadioOptions,
     images: ImageOptions,
     ros: RosOptions,
-    spectator: SpectatorOptions,
     viewer: ViewerOptions,
     view: ViewOption = True,
     log_json: Annotated[bool, typer.Option("--log-json", help="Log a JSON object per line.")] = False,
@@ -121,7 +119,6 @@ def serve(
             run=run,
             viewer=viewer,
             view=view,
-            spectator=spectator,
             services=(radio, images, ros),
         )
         with host.ports() as ports:

@@ -269,45 +269,6 @@ class ImageOptions:
         return make
 
 
-@dataclass(frozen=True, kw_only=True)
-class SpectatorOptions:
-    """The page that shows what the original's viewing client did; each field is an option."""
-
-    panel: ClassVar[str] = "Pages"
-
-    spectator_port: Annotated[
-        int | None,
-        typer.Option(min=0, max=LAST_PORT, help="Show each world on a page of this port; else no such page."),
-    ] = None
-    allow_host: AllowHostOption = None
-
-    @property
-    def wanted(self) -> bool:
-        """Whether there is one."""
-        return self.spectator_port is not None
-
-    @property
-    def ports(self) -> dict[str, int]:
-        """Its port by its option."""
-        return {"--spectator-port": self.spectator_port or 0}
-
-    def prepare(self, listen: "ListenOptions", ini: Sequence[Path]) -> ServiceMaker:
-        """Return what makes the page of a world."""
-        from usarmjx.server.network.web_gate import check_names
-        from usarmjx.server.pictures.spectator_server import SpectatorServer, SpectatorSettings
-        from usarmjx.server.runtime.logs import keep_log
-
-        del ini
-        names = check_names(self.allow_host or ())
-        settings = SpectatorSettings(listen.host, access=listen.rules, names=names)
-
-        def make(world: "ServedWorld", sockets: Sockets) -> "Service":
-            bound = sockets["--spectator-port"]
-            return SpectatorServer(world, replace(settings, port=port_of(bound)), bound, keep_log())
-
-        return make
-
-
 def port_of(bound: socket.socket) -> int:
     """Return the port that a socket is bound to."""
     return bound.getsockname()[1]
@@ -556,6 +517,7 @@ class ViewerOptions:
 
     viewer_port: ViewerPortOption = None
     viewer_control: ViewerControlOption = False
+    allow_host: AllowHostOption = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -611,7 +573,6 @@ class Host:
         run: How fast they run.
         viewer: The live page.
         view: Whether there is one.
-        spectator: The spectator's page, of which browsers may use the same names.
         services: Services of each world.
         layers: What the live page shows at first beside what it always does.
     """
@@ -622,7 +583,6 @@ class Host:
     run: RunOptions
     viewer: ViewerOptions
     view: bool
-    spectator: SpectatorOptions
     services: Sequence[ServiceOptions] = field(default_factory=list[ServiceOptions])
     layers: Sequence[str] = ()
 
@@ -645,7 +605,7 @@ class Host:
 
     @property
     def _wanted(self) -> list[ServiceOptions]:
-        return [one for one in (*self.services, self.spectator) if one.wanted]
+        return [one for one in self.services if one.wanted]
 
     def warn(self, ports: "OpenPorts") -> None:
         """Say what strangers could do here, if they can reach it."""
@@ -658,7 +618,7 @@ class Host:
             UsageError: One is wrong.
         """
         makers = [one.prepare(self.listen, ini) for one in self._wanted]
-        names, control = self.spectator.allow_host or (), self.viewer.viewer_control
+        names, control = self.viewer.allow_host or (), self.viewer.viewer_control
         return Services(makers, viewer_settings(self.listen.host, self.listen.rules, names, control))
 
     def serve(

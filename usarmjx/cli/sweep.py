@@ -40,47 +40,62 @@ EpisodesOption = Annotated[
 ]
 
 
+SweepFileArgument = Annotated[
+    str, typer.Argument(metavar="FILE", help="YAML file, or the name of a bundled sweep.")
+]
+SweepFolderOption = Annotated[
+    Path | None, typer.Option(help="Folder of the results; else sweeps/ and the file's name.")
+]
+RunOnOption = Annotated[
+    str, typer.Option(help="Where batches are played: here, processes, ray; --engine is the physics.")
+]
+WorkerCountOption = Annotated[
+    int | None, typer.Option(min=1, help="With processes or ray: how many; else one for each GPU.")
+]
+AddressOption = Annotated[str | None, typer.Option(help="With ray: address of a cluster.")]
+CellEngineOption = Annotated[
+    str | None, typer.Option(help="Physics of all cells: warp, jax, c, planar, or auto.")
+]
+CellSettingsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        "-c",
+        metavar="NAME=VALUE",
+        help="A setting of all cells, or a field of their task; may be repeated.",
+    ),
+]
+RetryOption = Annotated[bool, typer.Option("--retry", help="Play again what has failed.")]
+PlanOption = Annotated[bool, typer.Option("--plan", help="Only tell what would be played together.")]
+SweepQuietOption = Annotated[bool, typer.Option("--quiet", help="Say nothing about progress.")]
+TensorboardOption = Annotated[Path | None, typer.Option(help="Folder for TensorBoard.")]
+SweepWandbOption = Annotated[str | None, typer.Option(help="Project of Weights & Biases to send cells to.")]
+RecordFileOption = Annotated[
+    Path | None,
+    typer.Option(help="In a checkout: append a record of what it took to this file, as usarmjx bench does."),
+]
+NoteOption = Annotated[str, typer.Option(help="What a reader of the record must know.")]
+
+
 @app.command()
 def run(
-    what: Annotated[str, typer.Argument(metavar="FILE", help="YAML file, or the name of a bundled sweep.")],
-    out: Annotated[
-        Path | None, typer.Option(help="Folder of the results; else sweeps/ and the file's name.")
-    ] = None,
-    run_on: Annotated[
-        str,
-        typer.Option(help="Where batches are played: here, processes, ray; --engine is the physics."),
-    ] = "here",
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="With processes or ray: how many; else one for each GPU.")
-    ] = None,
-    address: Annotated[str | None, typer.Option(help="With ray: address of a cluster.")] = None,
-    engine: Annotated[
-        str | None, typer.Option(help="Physics of all cells: warp, jax, c, planar, or auto.")
-    ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            "-c",
-            metavar="NAME=VALUE",
-            help="A setting of all cells, or a field of their task; may be repeated.",
-        ),
-    ] = None,
-    retry: Annotated[bool, typer.Option("--retry", help="Play again what has failed.")] = False,
-    plan: Annotated[bool, typer.Option("--plan", help="Only tell what would be played together.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing about progress.")] = False,
-    tensorboard: Annotated[Path | None, typer.Option(help="Folder for TensorBoard.")] = None,
-    wandb: Annotated[str | None, typer.Option(help="Project of Weights & Biases to send cells to.")] = None,
+    what: SweepFileArgument,
+    out: SweepFolderOption = None,
+    run_on: RunOnOption = "here",
+    workers: WorkerCountOption = None,
+    address: AddressOption = None,
+    engine: CellEngineOption = None,
+    settings: CellSettingsOption = None,
+    retry: RetryOption = False,
+    plan: PlanOption = False,
+    quiet: SweepQuietOption = False,
+    tensorboard: TensorboardOption = None,
+    wandb: SweepWandbOption = None,
     figure: FigureOption = None,
     table: TableOption = None,
     episodes: EpisodesOption = None,
-    json: Annotated[
-        Path | None,
-        typer.Option(
-            help="In a checkout: append a record of what it took to this file, as usarmjx bench does."
-        ),
-    ] = None,
-    note: Annotated[str, typer.Option(help="What a reader of the record must know.")] = "",
+    json: RecordFileOption = None,
+    note: NoteOption = "",
 ) -> None:
     """Play the cells of a sweep that have no result yet, and say what came of all."""
     with ErrorExit():

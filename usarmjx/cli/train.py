@@ -244,7 +244,7 @@ HOST = "127.0.0.1"
 """Where the live page of a training is."""
 app = typer.Typer()
 
-SetOption = Annotated[
+TrainSetOption = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
@@ -289,68 +289,81 @@ def settings_help(names: Sequence[str]) -> str:
     return "\n\n".join(help_table(*table) for table in tables) + "\n"
 
 
+TaskArgument = Annotated[
+    str | None,
+    typer.Argument(metavar="TASK", help="Name of the task, or FILE.py:CLASS.", autocompletion=complete_tasks),
+]
+TaskOption = Annotated[
+    str | None, typer.Option(help="Name of the task, likewise.", autocompletion=complete_tasks)
+]
+RunFolderOption = Annotated[
+    Path | None, typer.Option(help="Folder of the run; runs/TASK if none is given.", show_default=False)
+]
+NumWorldsOption = Annotated[
+    int | None, typer.Option(min=1, help="Worlds in all; each task has its number, and more on a GPU.")
+]
+TotalStepsOption = Annotated[
+    int | None, typer.Option(min=1, help="Agent steps in all; each task has its number.")
+]
+RunSeedOption = Annotated[
+    int | None, typer.Option(help="Seed of all random numbers; 0, or that of a run that is resumed.")
+]
+ResumeOption = Annotated[
+    bool, typer.Option("--resume", help="Go on where the run in the folder was left, with its settings.")
+]
+FromOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--from",
+        metavar="RUN",
+        help="Begin with the networks of another run, on this engine: its folder.",
+        show_default=False,
+    ),
+]
+FromCheckpointOption = Annotated[
+    str, typer.Option(help="With --from: best, last, or the number of an iteration.")
+]
+ProcessesOption = Annotated[int, typer.Option(min=1, help="Processes on this host, each with a device.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", help="Show no progress bar.")]
+ServeOption = Annotated[
+    bool,
+    typer.Option(
+        "--serve", help="Serve a world, too, in which the newest checkpoint drives; see `play --follow`."
+    ),
+]
+ServePortOption = Annotated[int, typer.Option(min=0, max=65535, help="With --serve: its TCP port.")]
+WandbOption = Annotated[
+    str | None, typer.Option(help="Project of Weights & Biases that the run is shown in, too.")
+]
+RecordEveryOption = Annotated[
+    int, typer.Option(min=1, help="With --record: of so many iterations one is kept, of 4 worlds.")
+]
+
+
 @app.command(cls=TrainCommand, epilog="`usarmjx train TASK --help` lists the settings of a task.")
 def train(
-    named: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="TASK", help="Name of the task, or FILE.py:CLASS.", autocompletion=complete_tasks
-        ),
-    ] = None,
-    task: Annotated[
-        str | None, typer.Option(help="Name of the task, likewise.", autocompletion=complete_tasks)
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder of the run; runs/TASK if none is given.", show_default=False)
-    ] = None,
-    num_worlds: Annotated[
-        int | None,
-        typer.Option(min=1, help="Worlds in all; each task has its number, and more on a GPU."),
-    ] = None,
-    total_steps: Annotated[
-        int | None, typer.Option(min=1, help="Agent steps in all; each task has its number.")
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option(help="Seed of all random numbers; 0, or that of a run that is resumed.")
-    ] = None,
+    named: TaskArgument = None,
+    task: TaskOption = None,
+    out: RunFolderOption = None,
+    num_worlds: NumWorldsOption = None,
+    total_steps: TotalStepsOption = None,
+    seed: RunSeedOption = None,
     engine: PolicyEngineOption = "auto",
-    settings: SetOption = None,
+    settings: TrainSetOption = None,
     config: ConfigOption = None,
     print_config: PrintConfigOption = False,
-    resume: Annotated[
-        bool,
-        typer.Option("--resume", help="Go on where the run in the folder was left, with its settings."),
-    ] = False,
-    source: Annotated[
-        Path | None,
-        typer.Option(
-            "--from",
-            metavar="RUN",
-            help="Begin with the networks of another run, on this engine: its folder.",
-            show_default=False,
-        ),
-    ] = None,
-    checkpoint: Annotated[
-        str, typer.Option(help="With --from: best, last, or the number of an iteration.")
-    ] = "best",
-    processes: Annotated[int, typer.Option(min=1, help="Processes on this host, each with a device.")] = 1,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress bar.")] = False,
-    serve: Annotated[
-        bool,
-        typer.Option(
-            "--serve", help="Serve a world, too, in which the newest checkpoint drives; see `play --follow`."
-        ),
-    ] = False,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="With --serve: its TCP port.")] = 3000,
-    wandb: Annotated[
-        str | None, typer.Option(help="Project of Weights & Biases that the run is shown in, too.")
-    ] = None,
+    resume: ResumeOption = False,
+    source: FromOption = None,
+    checkpoint: FromCheckpointOption = "best",
+    processes: ProcessesOption = 1,
+    quiet: QuietOption = False,
+    serve: ServeOption = False,
+    port: ServePortOption = 3000,
+    wandb: WandbOption = None,
     view: ViewOption = False,
     viewer_port: ViewerPortOption = None,
     record: RecordOption = None,
-    record_every: Annotated[
-        int, typer.Option(min=1, help="With --record: of so many iterations one is kept, of 4 worlds.")
-    ] = 50,
+    record_every: RecordEveryOption = 50,
 ) -> None:
     """Train a policy for a task."""
     with ErrorExit():
@@ -374,32 +387,60 @@ def train(
         if print_config:
             typer.echo(config_text(task, options), nl=False)
             return
-        from usarmjx.train.learning.processes import process_info, spawn
+        if processes > 1 and not _joined():
+            from usarmjx.train.learning.processes import spawn
 
-        joined = process_info(os.environ)
-        if processes > 1 and joined is None:
             raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))
-        announce(
-            f"building worlds for {task} ...",
-            aloud=joined is None or joined.index == 0,
-            engines=[recorded_engine(out) if resume and engine == "auto" else tried_on(engine)],
-        )
-        from usarmjx.train.learning.processes import distributed_run
+        shown = _Shown(serve, port, view, viewer_port, record, record_every, wandb, quiet)
+        _run_training(task, options, shown)
 
-        with (
-            distributed_run() as process,
-            _served(out, port, serve and process.index == 0),
-            viewer_socket(HOST, viewer_port, 0, view and process.index == 0) as page,
-        ):
-            watchers: list[_TrainingWatcher] = []
-            if page is not None:
-                watchers.append(_ShownTraining(page, f"{task}, in training"))
-            if record is not None and process.index == 0:
-                watchers.append(_RecordedTraining(record, record_every))
-            bar = not quiet and not process.index
-            score = _train(task, options, watchers, None if process.index else wandb, bar)
-            if process.index == 0:
-                typer.echo(score)
+
+@dataclass(frozen=True)
+class _Shown:
+    """Where a training shows itself: the options of `train` of the same names."""
+
+    serve: bool
+    port: int
+    view: bool
+    viewer_port: int | None
+    record: Path | None
+    record_every: int
+    wandb: str | None
+    quiet: bool
+
+
+def _joined() -> bool:
+    """Return whether this process is one of several that train together."""
+    from usarmjx.train.learning.processes import process_info
+
+    return process_info(os.environ) is not None
+
+
+def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
+    """Train in this process, show it where the options say, and print the score."""
+    from usarmjx.train.learning.processes import distributed_run, process_info
+
+    joined, engine = process_info(os.environ), options.engine
+    recorded = options.resume and engine == "auto"
+    announce(
+        f"building worlds for {task} ...",
+        aloud=joined is None or joined.index == 0,
+        engines=[recorded_engine(options.out) if recorded else tried_on(engine)],
+    )
+    with (
+        distributed_run() as process,
+        _served(options.out, shown.port, shown.serve and process.index == 0),
+        viewer_socket(HOST, shown.viewer_port, 0, shown.view and process.index == 0) as page,
+    ):
+        watchers: list[_TrainingWatcher] = []
+        if page is not None:
+            watchers.append(_ShownTraining(page, f"{task}, in training"))
+        if shown.record is not None and process.index == 0:
+            watchers.append(_RecordedTraining(shown.record, shown.record_every))
+        bar = not shown.quiet and not process.index
+        score = _train(task, options, watchers, None if process.index else shown.wandb, bar)
+        if process.index == 0:
+            typer.echo(score)
 
 
 def config_text(task: str, options: TrainOptions) -> str:

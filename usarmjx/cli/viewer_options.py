@@ -116,14 +116,9 @@ def viewer_server(
 
 def add_controls(servers: "Sequence[BotServer]", clock: "StepClock") -> "ServedControls":
     """Let people at the pages of servers control their worlds, which have one clock."""
-    from usarmjx.server.pictures.spectator_server import SpectatorServer
     from usarmjx.server.viewing.controls import ServedControls
 
     controls = ServedControls(servers, clock)
-    for number, server in enumerate(servers):
-        for service in server.services:
-            if isinstance(service, SpectatorServer):
-                service.controls, service.number = controls, number
     servers[0].services.append(controls)
     return controls
 

@@ -462,6 +462,18 @@ def start_height(arena: ArenaSpec, start: StartPose, robot: RobotSpec) -> float:
     return float(origin_height(arena, start.at[2], robot))
 
 
+def _resolve_arena(
+    arena: str | Path | ArenaSpec | Sequence[ArenaSpec], spare: float
+) -> tuple[ArenaSpec, ArenaSet | None]:
+    """Return the description to compose, and the set that worlds draw their arenas from, if any."""
+    if isinstance(arena, (str, Path)):
+        return find_arena(arena), None
+    if isinstance(arena, ArenaSpec):
+        return arena, None
+    arenas = arena_set(arena, spare)
+    return arenas.template, arenas
+
+
 def build_scene(
     arena: str | Path | ArenaSpec | Sequence[ArenaSpec] = "yellow",
     roster: Sequence[str | RobotSpec | RosterEntry] = ("P2AT",),
@@ -492,12 +504,7 @@ def build_scene(
         UnsupportedGeomError: A geom that rays cannot hit, or that the radio cannot count as a wall.
     """
     physics = physics or Physics()
-    arenas = None
-    if isinstance(arena, (str, Path)):
-        arena = find_arena(arena)
-    elif not isinstance(arena, ArenaSpec):
-        arenas = arena_set(arena, spare)
-        arena = arenas.template
+    arena, arenas = _resolve_arena(arena, spare)
     entries = tuple(e if isinstance(e, RosterEntry) else RosterEntry(robot=e) for e in roster)
     if mail is not None and radio is None:
         raise SpecError("mail needs a radio: give build_scene a radio=RadioSettings(...) too")

@@ -148,8 +148,7 @@ class ViewButtons:
             if viewer is None:
                 return
             if name == NEXT:
-                viewer.attach_next(page.drawing, page.frame)
-                page.robot = viewer.robot
+                page.attach_next(viewer)
             elif name == FREE:
                 viewer.free()
             else:
@@ -230,6 +229,8 @@ class ViewerPage:
         robot: Slot of the robot that any user chose last.
         onlookers: Users of the page, by viser's client numbers.
         layers: Layers over the world, by name.
+        after_last: Called when a user goes on from the last robot; shows a picture of all of them and returns
+            True, or returns False: the first robot follows.
     """
 
     def __init__(
@@ -248,6 +249,7 @@ class ViewerPage:
         self.robot: int | None = None
         self.viewers: dict[int, Viewer] = {}
         self.layers: dict[str, Layer] = {name: make() for name, make in LAYERS}
+        self.after_last: Callable[[], bool] = lambda: False
         self._posted: deque[Callable[[], None]] = deque()
         self._next_update, self._turn = 0.0, 0
         self._frames: list[Frame] = []
@@ -331,6 +333,15 @@ class ViewerPage:
         else:
             viewer.attach(robot)
             self.robot = robot
+
+    def attach_next(self, viewer: Viewer) -> None:
+        """Attach a user's view to the next robot; after the last one, free it for what `after_last` shows."""
+        last = max(self.drawing.robots.keys() & self.frame.robots.keys(), default=None)
+        if viewer.robot is not None and viewer.robot == last and self.after_last():
+            viewer.free()
+        else:
+            viewer.attach_next(self.drawing, self.frame)
+        self.robot = viewer.robot
 
     def show_layers(self, names: Sequence[str]) -> None:
         """Show layers, for all users.
@@ -427,10 +438,10 @@ class ViewerPage:
             start = np.array(event.ray_origin) - self._cell.offset
             robot = robot_on_ray(self.drawing, self.frame, start, np.array(event.ray_direction))
             if robot is None:
-                viewer.attach_next(self.drawing, self.frame)
+                self.attach_next(viewer)
             else:
                 viewer.attach(robot)
-            self.robot = viewer.robot
+                self.robot = robot
 
         self.post(attach)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.sensors.cameras.test_qr_signs import SIDE, text_of
+from tests.viewpoints import viewpoint_at
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.elements import CELL, WOOD
 from usarmjx.models.arenas.lanes import LANES
@@ -13,7 +14,6 @@ from usarmjx.models.arenas.league_hall import wall_sign
 from usarmjx.models.arenas.pieces import BARE, finished
 from usarmjx.models.arenas.yellow_2025 import YELLOW_2025
 from usarmjx.models.types.shapes import GLASS, Shape
-from usarmjx.server.pictures.spectator import viewpoint_at
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 FINISHED = ["yellow", "orange", "red", "yellow_2025", "orange_2025", "red_2025", "factory", "outdoor", "pool"]

@@ -11,6 +11,7 @@ import pytest
 from tests.lands import hills
 from tests.server.worlds.test_dynamic_world_view import POND, box
 from tests.sim.on_numpy import nothing_compiled
+from tests.viewpoints import viewpoint_at
 from usarmjx.models.arenas.yellow import YELLOW
 from usarmjx.models.robots.kit import camera
 from usarmjx.models.robots.pioneer import P2AT, P2DX
@@ -32,7 +33,6 @@ from usarmjx.sensors.cameras.paint import (
 from usarmjx.sensors.cameras.picture import render_picture
 from usarmjx.sensors.cameras.programs import pad_render_scene
 from usarmjx.sensors.cameras.shading import SUN_DIRECTION, shade
-from usarmjx.server.pictures.spectator import viewpoint_at
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.server.worlds.served_world import CameraRequest, ViewpointRequest
 from usarmjx.sim.control import CommandUpdate

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from tests.viewpoints import viewpoint_at
 from usarmjx.models.arenas.league_hall import wall_sign
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.textures import SIGNS
 from usarmjx.sensors.cameras.textures import QR_CELLS
-from usarmjx.server.pictures.spectator import viewpoint_at
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
 SIDE, CODEWORDS, CHECKS = 21, 26, 17  # of version 1 with error correction H

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.sensors.cameras.stages import stage_of, wall
+from tests.viewpoints import viewpoint_at
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsarmjxError
 from usarmjx.models.files.load import load_arena
@@ -26,7 +27,6 @@ from usarmjx.sensors.cameras.paint import ARENA_LABEL
 from usarmjx.sensors.cameras.shading import BRICK_CONTRAST, shade
 from usarmjx.sensors.cameras.textures import BRICK, LANDOLT_RINGS, MORTAR_SHADE, TILE, apply_textures, noise
 from usarmjx.sensors.rays.raycast import EXCLUDE_NONE
-from usarmjx.server.pictures.spectator import viewpoint_at
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.scene import build_scene
 

@@ -8,6 +8,7 @@ import time
 from collections import deque
 from types import SimpleNamespace
 
+import msgspec.msgpack
 import pytest
 import viser
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
@@ -122,6 +123,25 @@ def test_a_long_message_ends_the_connection(served):
         with pytest.raises(ConnectionClosed) as closed:
             deque(connection, maxlen=0)
     assert closed.value.rcvd.code == 1009
+
+
+@pytest.mark.parametrize(
+    "message",
+    ["text", b"", b"\xc1", b"\x91" * 5000, msgspec.msgpack.encode({"type": "NoSuchMessage"}), b"\x80"],
+    ids=["text", "empty", "no msgpack", "nested", "unknown", "no type"],
+)
+def test_messages_that_no_page_sends_end_the_connection(served, message, caplog):
+    """In a line of the log; others are served as before."""
+    port = served()
+    with connect(f"ws://{HOST}:{port}", subprotocols=PROTOCOLS, max_size=None) as connection:
+        connection.send(message)
+        with pytest.raises(ConnectionClosed) as closed:
+            deque(connection, maxlen=0)
+    assert (closed.value.rcvd.code, closed.value.rcvd.reason) == (1008, "it sent what no page sends")
+    assert opens(port)
+    (record,) = caplog.records
+    assert f"viewers: {HOST} is refused: it sent what no page sends" in record.getMessage()
+    assert not record.exc_info
 
 
 def test_who_talks_too_much_is_heard_later():

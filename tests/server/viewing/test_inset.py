@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,11 +12,13 @@ from tests.view.visitor import PATIENCE
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.shapes import Shape
 from usarmjx.server.pictures.views import robot_view, snapshot
+from usarmjx.server.protocol.viewports import MultiView
 from usarmjx.server.viewing import inset as inset_module
 from usarmjx.server.viewing.inset import ALL_ROBOTS, ITS_VIEW, NOTHING, SIZE, CameraInset
 from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.view.page import ViewerPage
+from usarmjx.view.viewpoint import FOV, Viewer
 
 YARD = ArenaSpec(
     name="yard",
@@ -111,3 +114,27 @@ def test_where_nobody_has_that_camera_the_page_says_so(page, world):
     page.refresh()
     assert inset._caption.content == "one has no Behind."
     assert ALL_ROBOTS not in inset._choice.options
+
+
+def test_after_the_last_robot_comes_the_multi_view(page, world, monkeypatch):
+    """As in the original's viewing client; and with the first robot the picture of before."""
+    page.close()
+    monkeypatch.setattr(world, "multi_view", MultiView(camera_num=4))
+    page = ViewerPage(ServedSource([world]), panels=[lambda page: CameraInset(page, [world])])
+    try:
+        inset, viewer = page.panels[0], Viewer(SimpleNamespace(camera=SimpleNamespace(fov=FOV)))
+        inset._choice.value = ITS_VIEW
+        seen = []
+        for _ in range(4):
+            page.attach_next(viewer)
+            page.refresh()
+            seen.append((viewer.robot, inset._choice.value))
+        assert seen == [(0, ITS_VIEW), (1, ITS_VIEW), (None, ALL_ROBOTS), (0, ITS_VIEW)]
+    finally:
+        page.close()
+
+
+def test_without_a_multi_view_the_first_robot_follows_the_last(page):
+    viewer = Viewer(SimpleNamespace(camera=SimpleNamespace(fov=FOV)))
+    robots = [page.attach_next(viewer) or viewer.robot for _ in range(3)]
+    assert robots == [0, 1, 0]

@@ -22,14 +22,15 @@ NOTHING, ITS_VIEW, ALL_ROBOTS = "nothing", "its own view", "all robots"
 """Choices beside the names of cameras: no picture, the robot's viewports, and the MultiView."""
 SIZE = (320, 240)
 """Width and height of a picture [pixels]."""
-PERIOD = 0.25
+PERIOD = 1 / 20
 """Least interval between two pictures [s]."""
 
 
 class CameraInset:
     """A `view.page.Panel`: a camera's picture of the last chosen robot, else of the first one.
 
-    Pictures are rendered only while a user asks for one.
+    Pictures are rendered only while a user asks for one. A user who goes on from the last robot gets the
+    picture of all robots, if the world has one, as in the original's viewing client (manual 3.2.6.2).
 
     Args:
         page: The page.
@@ -43,9 +44,11 @@ class CameraInset:
         self._page, self._worlds = page, worlds
         self._threads: dict[int, RenderThread] = {}
         self._due = 0.0
+        self._before_all: str | None = None
         self.rendered = 0
+        page.after_last = self._show_all
         gui = page.server.gui
-        with gui.add_folder("Camera picture", expand_by_default=False):
+        with gui.add_folder("Camera picture"):
             self._choice = gui.add_dropdown(
                 "Show", [NOTHING, ITS_VIEW], hint="What a robot's camera sees, as clients get it"
             )
@@ -68,6 +71,8 @@ class CameraInset:
 
     def update(self, drawing: Drawing, frame: Frame) -> None:
         """Render a picture, if one is due."""
+        if self._before_all is not None and self._page.robot is not None:
+            self._choice.value, self._before_all = self._before_all, None
         wanted, now = self._choice.value, time.monotonic()
         if wanted == NOTHING:
             self._image.visible, self._caption.content = False, ""
@@ -82,6 +87,14 @@ class CameraInset:
             self._image.visible = False
             return
         thread.begin(self._show(thread, view))
+
+    def _show_all(self) -> bool:
+        """Show all robots until a user chooses one; return whether the world has such a picture."""
+        if ALL_ROBOTS not in self._choice.options:
+            return False
+        if self._choice.value != ALL_ROBOTS:
+            self._before_all, self._choice.value = self._choice.value, ALL_ROBOTS
+        return True
 
     def close(self) -> None:
         """Stop rendering."""

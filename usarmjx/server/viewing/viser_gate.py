@@ -30,6 +30,8 @@ MAX_MESSAGE_SIZE = 64 * 1024
 """Longest message of a page [bytes]."""
 MAX_RATE, MAX_BURST = 200.0, 400.0
 """Messages per second of a page, and burst; further messages wait."""
+NO_MESSAGE = "it sent what no page sends"
+"""Reason for which a connection is closed."""
 POLICY = "; ".join(
     [
         "default-src 'self' 'unsafe-inline' data: blob:",
@@ -66,7 +68,7 @@ def gated_viser(bound: socket.socket, host: str, gate: Gate, names: Collection[s
         answer = _bounded(gate, _secured(options.pop("process_request")))
         options["process_request"] = for_own_names({host, *names}, asking_token(gate, answer))
         options |= {"sock": bound, "max_size": MAX_MESSAGE_SIZE, "create_connection": create_connection}
-        server = serve(_once_made(handler, made), **options)
+        server = serve(_guarded(handler, gate, made), **options)
         served.append(server)
         return server
 
@@ -88,13 +90,24 @@ def gated_viser(bound: socket.socket, host: str, gate: Gate, names: Collection[s
     return server
 
 
-def _once_made(handler: Any, made: threading.Event) -> Any:  # noqa: ANN401 - viser's own
-    """Return a handler whose connections wait for viser: it listens before all of it is constructed."""
+def _guarded(handler: Any, gate: Gate, made: threading.Event) -> Any:  # noqa: ANN401 - viser's own
+    """Return a handler that waits for viser, and ends connections whose messages viser cannot read.
+
+    Viser listens before all of it is constructed. A message that is none, or nested, raises an error of any
+    kind in it, which would be a traceback in the log for each such connection.
+    """
 
     async def handle(connection: ServerConnection) -> None:
         while not made.is_set():
             await asyncio.sleep(0.01)
-        await handler(connection)
+        try:
+            await handler(connection)
+        except websockets.exceptions.ConnectionClosed:
+            raise
+        except Exception as error:
+            peer = connection.remote_address
+            gate.refuse(str(peer[0]) if peer else "", f"{NO_MESSAGE} ({type(error).__name__})")
+            await connection.close(1008, NO_MESSAGE)
 
     return handle
 

@@ -54,6 +54,17 @@ def _look_away(state: EnvState) -> None:
     del state
 
 
+def _step_sums(after: StepView, ended: jax.Array, bad: jax.Array) -> dict[str, jax.Array]:
+    """Return the sums of a step for the log (worlds,): ended episodes, bad worlds and the task's metrics."""
+    return {
+        "episodes": ended,
+        "score": jnp.where(ended, after.final_score, 0.0),
+        "bad": bad,
+        **{f"step/{name}": jnp.where(bad, 0.0, one) for name, one in after.metrics.items()},
+        **{f"end/{name}": jnp.where(ended, one, 0.0) for name, one in after.metrics.items()},
+    }
+
+
 class Rollout:
     """Lets robots act.
 
@@ -232,18 +243,12 @@ class Rollout:
             bad=bad,
             teacher_action=decision.teacher_action,
         )
-        sums = _summed(
-            {
-                "episodes": ended,
-                "return": jnp.where(ended, episode_return, 0.0),
-                "score": jnp.where(ended, after.final_score, 0.0),
-                "length": jnp.where(ended, before.length + 1, 0),
-                "timeouts": truncated,
-                "bad": bad,
-                **{f"step/{name}": jnp.where(bad, 0.0, one) for name, one in after.metrics.items()},
-                **{f"end/{name}": jnp.where(ended, one, 0.0) for name, one in after.metrics.items()},
-            }
-        )
+        of_episodes = {
+            "return": jnp.where(ended, episode_return, 0.0),
+            "length": jnp.where(ended, before.length + 1, 0),
+            "timeouts": truncated,
+        }
+        sums = _summed({**of_episodes, **_step_sums(after, ended, bad)})
         teacher = (
             decision.teacher_carry
             if self.teacher is None

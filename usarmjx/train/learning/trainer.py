@@ -134,20 +134,12 @@ def train(  # noqa: PLR0913 - all but three may be left out
         process_group.barrier("look for a run")  # before anyone writes one
         trainer = Trainer(env, config, process_group)
         trainer.rollout.look = look or trainer.rollout.look
-        record = make_record(trainer.env, config, process_group.count, origin)
         checkpoints = Checkpoints(out, process_group, config.keep_checkpoints)
-        if resume:
-            old = load_record(out)
-            record.check_resumes(old, out)
-            _check_ahead(trainer, checkpoints)
-            record = replace(record, began_with=old.began_with)
-        else:
+        if not resume:
             _lock(held, out, process_group)
             _check_new(out, process_group)  # another one may have been quicker
-        if source is not None:
-            source.check(trainer.networks)
-            record = replace(record, began_with=source.origin)
-        check_begun(checkpoints, record, source)
+        record = make_record(trainer.env, config, process_group.count, origin)
+        record = _checked_record(record, trainer, checkpoints, resume, source)
         _prepare(out, record, process_group)
         began = time.perf_counter()
         with compiling(trainer):
@@ -156,6 +148,26 @@ def train(  # noqa: PLR0913 - all but three may be left out
         log = MetricsLog(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None
         left = train_state, worlds, before
         return _run(trainer, checkpoints, left, log, watch or (lambda line: None), began)
+
+
+def _checked_record(
+    record: RunRecord,
+    trainer: Trainer,
+    checkpoints: Checkpoints,
+    resume: bool,
+    source: TrainedNetworks | None,
+) -> RunRecord:
+    """Return the record with the run that it began with, after a look at the run to resume."""
+    if resume:
+        old = load_record(checkpoints.run)
+        record.check_resumes(old, checkpoints.run)
+        _check_ahead(trainer, checkpoints)
+        record = replace(record, began_with=old.began_with)
+    if source is not None:
+        source.check(trainer.networks)
+        record = replace(record, began_with=source.origin)
+    check_begun(checkpoints, record, source)
+    return record
 
 
 def _lock(held: ExitStack, out: Path, process_group: ProcessGroup) -> None:
