@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from usarmjx.train.envs.episode import apply_policy_actions
 
 import usarmjx
 from tests.arenas import FLAT
@@ -21,7 +20,7 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import Mount
 from usarmjx.sim.actions import Actions, JointAction
 from usarmjx.sim.scene import build_scene
-from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.env import Env, apply_policy_actions
 from usarmjx.train.envs.recipe import GeneratedArenas, open_floor, with_sensors
 from usarmjx.train.envs.task import StepResult, Task
 from usarmjx.train.make import make_task
