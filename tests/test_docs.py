@@ -207,7 +207,7 @@ def test_examples_of_a_document_share_names():
 
 def test_the_page_of_all_robots_is_the_generated_one():
     """After a change: `usarmjx list robots --markdown > docs/all-robots.md`, and `usarmjx portraits`."""
-    from usarmjx.cli.listing import robots_table
+    from usarmjx.cli.catalogue import robots_table
 
     assert (dev.ROOT / "docs" / "all-robots.md").read_text() == robots_table() + "\n"
 

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 import dev
 from usarmjx.cli.app import app
-from usarmjx.cli.listing import SAMPLES, SECTIONS, ini_value, sensors_table
+from usarmjx.cli.catalogue import SAMPLES, SECTIONS, ini_value, sensors_table
 from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.settings import field_name, field_names, manual_keys

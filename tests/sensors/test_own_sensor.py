@@ -16,7 +16,7 @@ from tests.scripts import load
 from tests.server.peers import Peer, serving
 from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
-from usarmjx.cli.listing import sensors_table
+from usarmjx.cli.catalogue import sensors_table
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT

@@ -56,7 +56,7 @@ class Listing:
 
 def robots() -> Listing:
     """Return the robot classes."""
-    from usarmjx.cli.listing import sensor_names
+    from usarmjx.cli.catalogue import sensor_names
     from usarmjx.models.robots import ROBOTS
 
     columns = "class", "steering", "L x W x H [m]", "mass [kg]", "top speed [m/s]", "sensors"
@@ -76,7 +76,7 @@ def robots() -> Listing:
 
 def sensors() -> Listing:
     """Return the types of sensors."""
-    from usarmjx.cli.listing import describe, robots_with
+    from usarmjx.cli.catalogue import describe, robots_with
     from usarmjx.sensors.base import SENSORS
 
     rows = [(kind, *describe(SENSORS.get(kind)), robots_with(kind)) for kind in SENSORS.names()]
@@ -137,7 +137,7 @@ def policies() -> Listing:
 
 def engines() -> Listing:
     """Return the engines, and what `auto` takes."""
-    from usarmjx.cli.listing import availability
+    from usarmjx.cli.catalogue import availability
     from usarmjx.engines import ENGINES, choose_engine
 
     chosen = {purpose: choose_engine("auto", purpose) for purpose in ("serve", "train", "batch")}
