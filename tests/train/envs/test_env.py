@@ -45,7 +45,7 @@ def test_teams_of_any_size_find_start_poses():
 
 
 def goal_env(worlds, engine="c", **overrides):
-    settings = {**LIGHT, "episode_steps": LIMIT, "radius": -1.0, **overrides}
+    settings = {**LIGHT, "episode_steps": LIMIT, "radius": 1e-6, **overrides}
     return usarmjx.make("drive-to-goal", worlds=worlds, engine=engine, **settings)
 
 
@@ -287,7 +287,7 @@ def test_overrides_and_names_that_do_not_exist_are_refused():
         usarmjx.make("drive-to-goal", robots=3, lidar=True)
     with pytest.raises(UnknownNameError, match=r"unknown task 'drive'; known: .*drive-to-goal"):
         usarmjx.make("drive")
-    with pytest.raises(UsageError, match="repeat 0"):
+    with pytest.raises(UsageError, match="repeat is 0"):
         usarmjx.make("drive-to-goal", repeat=0)
     with pytest.raises(AttributeError, match="no attribute 'mak'"):
         usarmjx.mak  # noqa: B018
