@@ -397,9 +397,9 @@ class TrainCase:
 
     def words(self, out: Path) -> list[str]:
         """Return the command line of the training."""
-        words = ["train", str(self.task), "--out", str(out), "--total-steps", str(self.steps), "--quiet"]
+        words = ["train", str(self.task), "--out", str(out), "--steps", str(self.steps), "--quiet"]
         words += ["--engine", self.engine, "--seed", str(self.seed)]
-        words += [] if self.worlds is None else ["--num-worlds", str(self.worlds)]
+        words += [] if self.worlds is None else ["--worlds", str(self.worlds)]
         return [*words, *(word for setting in self.settings for word in ("--set", setting))]
 
 

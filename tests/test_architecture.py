@@ -101,7 +101,8 @@ def test_paths_of_modules_in_all_documents_exist():
 def documented_names() -> frozenset[str]:
     """What code and documents may mean by a word in ticks: any name, parameter or text of the package."""
     found = set(names()) | {*dev.VERBS, *vars(dev)}
-    for path in PACKAGE.rglob("*.py"):
+    checkout = [path for folder in ("benchmarks", "tools") for path in (dev.ROOT / folder).rglob("*.py")]
+    for path in [*PACKAGE.rglob("*.py"), *checkout]:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.arg):
                 found.add(node.arg)

@@ -17,8 +17,8 @@ from usarmjx.train.learning.config import USUAL_ENGINE
 def test_a_task_is_trained_as_the_command_line_would(tmp_path):
     case = TrainCase(task="explore", worlds=8, steps=100, engine="c", seed=3, settings=["a=1", "b=2"])
     assert case.words(tmp_path) == [
-        "train", "explore", "--out", str(tmp_path), "--total-steps", "100", "--quiet", "--engine", "c",
-        "--seed", "3", "--num-worlds", "8", "--set", "a=1", "--set", "b=2",
+        "train", "explore", "--out", str(tmp_path), "--steps", "100", "--quiet", "--engine", "c",
+        "--seed", "3", "--worlds", "8", "--set", "a=1", "--set", "b=2",
     ]  # fmt: skip
 
 

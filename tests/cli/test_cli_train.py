@@ -22,7 +22,7 @@ from usarmjx.train.learning.run_record import EnvArguments, RunRecord
 from usarmjx.train.learning.trainer import TrainResult
 from usarmjx.train.policies.policy_file import NumpyPolicy
 
-SMALL = ["--task", "drive-to-goal", "--engine", "c", "--num-worlds", "2", "--total-steps", "8", "--quiet"]
+SMALL = ["--task", "drive-to-goal", "--engine", "c", "--worlds", "2", "--steps", "8", "--quiet"]
 SETTINGS = {
     "rollout_length": 2,
     "num_minibatches": 1,
@@ -82,7 +82,7 @@ def test_a_run_is_in_a_folder_of_its_task_and_goes_on_with_its_settings(tmp_path
     RunRecord(
         task="drive-to-goal", engine="c", overrides={"episode_steps": "7"}, config=before, **shape
     ).save(folder)
-    assert invoke("train", "drive-to-goal", "--resume", "--total-steps", 12).exit_code == 0
+    assert invoke("train", "drive-to-goal", "--resume", "--steps", 12).exit_code == 0
     assert asked.pop() == (
         replace(before, total_steps=12),
         folder,

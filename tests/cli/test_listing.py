@@ -19,7 +19,7 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.sensors.base import SENSORS
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.policies import POLICIES
-from usarmjx.train.policies.sources import find_source
+from usarmjx.train.policies.sources import load_policy
 from usarmjx.train.tasks import TASKS
 
 REGISTRIES = {"robots": ROBOTS, "sensors": SENSORS, "arenas": ARENAS, "tasks": TASKS, "engines": ENGINES}
@@ -46,7 +46,7 @@ def test_tasks_say_which_policies_come_for_them():
     assert told["stairs"].endswith("by hand")
     for name in ("explore", "victim-search"):
         assert told[name] == told[f"{name}-v1"] == "trained, by hand"
-        assert find_source(f"{name}-v1").name == find_source(name).name
+        assert load_policy(f"{name}-v1").name == load_policy(name).name
 
 
 def test_json_is_a_list_of_objects_and_no_word_more_on_standard_output():

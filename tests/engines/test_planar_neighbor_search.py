@@ -303,9 +303,10 @@ def test_the_threads_of_a_gpu_do_together_what_one_does(scene, launches):
 @pytest.mark.parametrize("kernel", ["look", "look at the most", "ground", "part"])
 def test_they_compile_for_a_gpu(kernel, tmp_path):
     """NVRTC comes with Warp and needs no GPU; a block has 48 KiB of shared memory."""
+    capacities = warp_neighbor_search.SHARED_CAPACITIES
     made = {
-        "look": lambda: warp_neighbor_search.search_kernel(8, warp_neighbor_search.SHARED_CAPACITIES[0]),
-        "look at the most": lambda: warp_neighbor_search.search_kernel(12, warp_neighbor_search.SHARED_CAPACITIES[-1]),
+        "look": lambda: warp_neighbor_search.search_kernel(8, capacities[0]),
+        "look at the most": lambda: warp_neighbor_search.search_kernel(12, capacities[-1]),
         "ground": lambda: warp_neighbor_search.ground_under_robots,
         "part": lambda: warp_separation.separation_kernel(warp_separation.MAX_ROBOTS),
     }[kernel]()

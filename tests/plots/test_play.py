@@ -16,7 +16,7 @@ from usarmjx.server.viewing.controls import ServedControls
 from usarmjx.server.worlds.policy_world import PolicyWorld
 from usarmjx.train.make import make
 from usarmjx.train.policies import policies_in, sources
-from usarmjx.train.policies.sources import find_source
+from usarmjx.train.policies.sources import load_policy
 
 LIGHT = {"ranges": (), "pose": "GroundTruth", "physics": Physics(timestep=0.01, substeps=5), "repeat": 4}
 SEED = 2
@@ -27,7 +27,7 @@ def driven(tmp_path_factory):
     """An environment and a policy that heads for its goals."""
     file = policy_file(tmp_path_factory.mktemp("policy") / "goal.npz")
     env = make("drive-to-goal", engine="c", episode_steps=150, **LIGHT)
-    return env, find_source(str(file)).policy(env)
+    return env, load_policy(str(file)).policy(env)
 
 
 @pytest.fixture(scope="module")

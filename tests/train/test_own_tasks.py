@@ -20,7 +20,7 @@ from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.learning.imitation import teacher_of
 from usarmjx.train.make import find_task, full_name
-from usarmjx.train.policies.sources import baseline, find_source
+from usarmjx.train.policies.sources import baseline, load_policy
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_task.py"
 HALF = """
@@ -110,7 +110,7 @@ def test_what_is_wrong_with_an_own_task_is_one_line(own, name, text, message):
 def test_a_run_finds_its_task_again_or_says_what_is_missing(own):
     kept = full_name("my_task.py:Meet")
     policy_file(own / "run.npz", task=kept, overrides={"near": "0.6"})
-    source = find_source("run.npz")
+    source = load_policy("run.npz")
     assert source.task == kept
     env = SimpleNamespace(name=kept, groups=usarmjx.make(kept, engine="c").groups)
     with pytest.raises(UsageError, match=r"is for robots .*P2AT.*P2DX"):
@@ -157,7 +157,7 @@ def test_a_sweep_plays_own_tasks_and_tells_their_versions_apart(own):
 @pytest.mark.slow
 def test_an_own_task_is_trained_resumed_tried_and_drawn(own, monkeypatch):
     small = [
-        "--num-worlds",
+        "--worlds",
         4,
         "--engine",
         "c",

@@ -1,7 +1,7 @@
 """Public names of a package, each imported from its module on first use (PEP 562).
 
 The `__init__` of a package is its face: it lists public names and loads none of them. Type checkers and the
-API reference read the imports of its `TYPE_CHECKING` branch, Python runs `attach` in the other branch;
+API reference read the imports of its TYPE_CHECKING branch, Python runs `attach` in the other branch;
 `tests/test_public_names.py` compares the two.
 """
 

@@ -46,7 +46,7 @@ KNOWN_PACKAGES = frozenset(
 )
 """Packages whose classes and functions are identified by name and version; our own by the sources' digest."""
 PLAIN_TYPES = (bool, int, float, complex, str, bytes, type(None), EllipsisType, np.dtype)
-"""Types whose `repr` identifies a value."""
+"""Types whose repr identifies a value."""
 T = TypeVar("T")
 CLOCK_ERROR = 1.0
 """Tolerance of file times [s]."""
@@ -439,7 +439,7 @@ def _traced(compiled: Any, args: tuple[Any, ...]) -> bytes | None:  # noqa: ANN4
         exported = export.export(compiled, disabled_checks=ours)(*args)
         text = str(exported.mlir_module()) if ours else ""
         numbers = [int(number) for number in LAUNCH_ID.findall(text)]
-        # `Exported.serialize` needs flatbuffers and loses weak types.
+        # Exported.serialize needs flatbuffers and loses weak types.
         return pickle.dumps((replace(exported, _get_vjp=None), warp_functions.launches(numbers)))
     except Exception:  # an error of the program itself appears when it is compiled
         return None

@@ -15,7 +15,7 @@ RENAMED: Mapping[str, Mapping[str, str]] = {
     "serve": {"--viewer": "--view", "--no-viewer": "--no-view"},
     "radio-map": {"--ini": "--radio-ini"},
     "chaos": {"--page-port": "--viewer-port", "--spectator-port": "--viewer-port"},
-    "train": {"--worlds": "--num-worlds", "--steps": "--total-steps"},
+    "train": {"--num-worlds": "--worlds", "--total-steps": "--steps"},
 }
 """By commands: old options and what they are called now."""
 REMOVED: Mapping[tuple[str, str], str] = {

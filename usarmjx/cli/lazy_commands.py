@@ -13,7 +13,7 @@ from usarmjx.cli.checkout import has_benchmarks, import_benchmarks, needs_checko
 CommandTable = Mapping[str, tuple[str, str]]
 """Names of commands with the place of each, as `module:attribute`, and its summary.
 
-The attribute is a function, or a `typer.Typer` that either is the command or has one of that name."""
+The attribute is a function, or a typer.Typer that either is the command or has one of that name."""
 
 
 def load_command(name: str, place: str, summary: str) -> Any:  # noqa: ANN401 - click's, or typer's own copy

@@ -74,7 +74,7 @@ class PolicyOptions:
         """
         from usarmjx.train.make import is_own, same_class
         from usarmjx.train.policies.sources import baseline as by_hand
-        from usarmjx.train.policies.sources import find_source
+        from usarmjx.train.policies.sources import load_policy
 
         if self.baseline is not None and self.policy is None:
             return by_hand(self.baseline, self.task)
@@ -85,7 +85,7 @@ class PolicyOptions:
             raise UsageError(
                 f"no policy is packaged for {named}: name a run's folder too, or --baseline {named}"
             )
-        found = find_source(named, self.checkpoint)
+        found = load_policy(named, self.checkpoint)
         if found.checkpoint:
             typer.echo(f"usarmjx: {found.checkpoint}", err=True)
         if self.task is None:

@@ -300,10 +300,11 @@ RunFolderOption = Annotated[
     Path | None, typer.Option(help="Folder of the run; runs/TASK if none is given.", show_default=False)
 ]
 NumWorldsOption = Annotated[
-    int | None, typer.Option(min=1, help="Worlds in all; each task has its number, and more on a GPU.")
+    int | None,
+    typer.Option("--worlds", min=1, help="Worlds in all; each task has its number, and more on a GPU."),
 ]
 TotalStepsOption = Annotated[
-    int | None, typer.Option(min=1, help="Agent steps in all; each task has its number.")
+    int | None, typer.Option("--steps", min=1, help="Agent steps in all; each task has its number.")
 ]
 RunSeedOption = Annotated[
     int | None, typer.Option(help="Seed of all random numbers; 0, or that of a run that is resumed.")

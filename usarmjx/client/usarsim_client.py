@@ -264,7 +264,7 @@ class UsarsimClient(ClientSocket):
                 if message is not None:
                     passed.append(message)
         finally:
-            # `extendleft` reverses its argument: twice reversed is the order of arrival.
+            # extendleft reverses its argument: twice reversed is the order of arrival.
             self._messages.extendleft(reversed(passed))
         raise TimeoutError(f"the server did not send {what} within {self.timeout:g} s")
 

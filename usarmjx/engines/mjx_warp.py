@@ -395,7 +395,7 @@ class WarpEngine(MjxEngine):
         """Return contacts, rows and iterations of each world's last physics step."""
         impl = engine_state._impl
         used = jnp.arange(impl.contact__worldid.size) < impl.nacon.reshape(-1)[0]
-        # The contact buffer keeps stale entries past `nacon`.
+        # The contact buffer keeps stale entries past nacon.
         world = jnp.where(used, impl.contact__worldid.reshape(-1), self.worlds)  # past the end: dropped
         contacts = jnp.zeros(self.worlds, jnp.int32).at[world].add(1, mode="drop")
         return SolvedStep(contacts, impl.nefc.reshape(-1), impl.solver_niter.reshape(-1))

@@ -62,7 +62,7 @@ class Surroundings(struct.PyTreeNode, kw_only=True):
 def nearest(distance: Array, count: int) -> Array:
     """Return the indices of the smallest distances (..., n), in ascending order (..., count)."""
     if on_numpy():
-        # Stable, as `top_k` is: equal distances keep the order of both libraries alike.
+        # Stable, as top_k is: equal distances keep the order of both libraries alike.
         return np.argsort(distance, stable=True)[..., :count]
     return jax.lax.top_k(-distance, count)[1]
 

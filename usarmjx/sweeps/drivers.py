@@ -16,7 +16,7 @@ from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.make import find_baseline
 from usarmjx.train.policies import POLICIES
-from usarmjx.train.policies.sources import find_source
+from usarmjx.train.policies.sources import load_policy
 
 BY_HAND, SHIPPED = "by-hand", "shipped"
 KINDS = ("by-hand", "run", "file", "python", "client")
@@ -92,7 +92,7 @@ def find_driver(policy: object, task: str) -> CellDriver:
             f"no policy for {task} comes with the package; there are: {', '.join(POLICIES.names())}"
         )
     checkpoint = str(more.get("checkpoint", "best"))
-    source = find_source(str(POLICIES.get(task)) if kind == SHIPPED else what, checkpoint)
+    source = load_policy(str(POLICIES.get(task)) if kind == SHIPPED else what, checkpoint)
     assert source.learned is not None  # as neither of them is by hand
     learned, weights = source.learned
 

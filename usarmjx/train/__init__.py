@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from usarmjx.train.policies.policy_file import NumpyPolicy as NumpyPolicy
     from usarmjx.train.policies.policy_file import export_run as export_run
     from usarmjx.train.policies.sources import PolicySource as PolicySource
-    from usarmjx.train.policies.sources import find_source as load_policy  # noqa: F401
+    from usarmjx.train.policies.sources import load_policy as load_policy  # noqa: F401
     from usarmjx.train.tasks import TASKS as TASKS
 else:
     __getattr__, __dir__, __all__ = attach(

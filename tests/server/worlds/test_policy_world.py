@@ -319,7 +319,7 @@ def test_the_newest_checkpoint_of_a_run_drives(compiled, monkeypatch, tmp_path, 
             raise found
         return found
 
-    monkeypatch.setattr(policy_world, "find_source", find)
+    monkeypatch.setattr(policy_world, "load_policy", find)
 
     async def serve():
         follower = PolicyFollower(compiled.policy_batch, tmp_path, interval=0.001)
@@ -349,7 +349,7 @@ def test_a_run_without_a_checkpoint_is_waited_for(monkeypatch, tmp_path):
         return one
 
     monkeypatch.setattr(policy_world, "newest", lambda run: next(looks))
-    monkeypatch.setattr(policy_world, "find_source", find)
+    monkeypatch.setattr(policy_world, "load_policy", find)
     assert wait_for_run(tmp_path, interval=0.001) == "policy"
     with pytest.raises(UsageError, match="broken"):
         wait_for_run(tmp_path, interval=0.001)

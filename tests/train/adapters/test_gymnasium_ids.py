@@ -83,9 +83,9 @@ def test_gymnasium_wrappers_that_ask_for_next_step_take_it(vector):
 
 
 def test_every_task_has_an_id_with_its_version(vector, monkeypatch):
-    from usarmjx.train.adapters import gymnasium
+    from usarmjx.train.adapters import gymnasium as adapter
 
-    ids = {gymnasium.id_of(task): TASKS.get(task) for task in TASKS.names()}
+    ids = {adapter.id_of(task): TASKS.get(task) for task in TASKS.names()}
     assert {id(task) for task in ids.values()} == {id(task) for _, task in TASKS}, "each once"
     assert set(ids) == {name for name in gymnasium.registry if name.startswith("usarmjx/")}
     assert {"usarmjx/drive-to-goal-v1", "usarmjx/explore-v1"} <= set(ids)
@@ -95,8 +95,8 @@ def test_every_task_has_an_id_with_its_version(vector, monkeypatch):
     for number, name in enumerate(["dig", "dig-v1", "dig-v3", "dig-deep"]):
         digs.add(name, number)
     digs.add("fill-v2", digs.add("fill", "either"))
-    monkeypatch.setattr(gymnasium, "TASKS", digs)
-    found = [gymnasium.id_of(name).removeprefix("usarmjx/") for name in digs.names()]
+    monkeypatch.setattr(adapter, "TASKS", digs)
+    found = [adapter.id_of(name).removeprefix("usarmjx/") for name in digs.names()]
     assert found == ["dig-v4", "dig-deep-v1", "dig-v1", "dig-v3", "fill-v2", "fill-v2"]
 
 

@@ -107,7 +107,7 @@ def test_runs_that_differ_by_their_seeds_share_a_row_and_are_told_each(tmp_path,
         (tmp_path / name).mkdir()
         record = RunRecord(task="wander", engine=engine, overrides=overrides, config=Config(), **shape)
         record.save(tmp_path / name)
-    monkeypatch.setattr(task_gaps, "find_source", lambda folder: PolicySource(name=folder, task="wander"))
+    monkeypatch.setattr(task_gaps, "load_policy", lambda folder: PolicySource(name=folder, task="wander"))
     rows = {name: [Path(one.name).name for one in found] for name, found in sources_of(folders(tmp_path))}
     assert rows == {
         "wander, trained on planar, 2 runs": ["a", "d"],

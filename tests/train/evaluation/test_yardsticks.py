@@ -131,7 +131,7 @@ def games(monkeypatch):
 
     monkeypatch.setattr(yardsticks, "Env", lambda task, worlds, name, engine: (task, worlds))
     monkeypatch.setattr(yardsticks, "play_team", play)
-    monkeypatch.setattr(yardsticks, "find_source", found)
+    monkeypatch.setattr(yardsticks, "load_policy", found)
     monkeypatch.setattr(PolicySource, "policy", lambda source, env: None)
     monkeypatch.setattr(
         yardsticks, "TEAMS", {n: (change, lambda env: None) for n, (change, _) in TEAMS.items()}

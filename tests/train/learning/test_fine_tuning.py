@@ -16,7 +16,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
 from usarmjx.cli.train import TrainOptions, plan_run
 from usarmjx.train.evaluation.evaluate import play_episodes
-from usarmjx.train.learning.checkpoint import Checkpoints, load_policy, load_train_state
+from usarmjx.train.learning.checkpoint import Checkpoints, read_policy, load_train_state
 from usarmjx.train.learning.config import task_config
 from usarmjx.train.learning.fine_tuning import load_trained
 from usarmjx.train.learning.ppo import MIN_LEARNING_RATE
@@ -36,7 +36,7 @@ def assert_same(one, other):
 
 def scores(run, which):
     """Of an episode of each world, with most probable actions."""
-    policy, params, _ = load_policy(run, which)
+    policy, params, _ = read_policy(run, which)
     env = DriveToy(32)
     return play_episodes(env, policy.as_policy(params), 32, seed=3).scores
 
@@ -179,7 +179,7 @@ def planar_run(tmp_path_factory):
 
 def test_a_run_on_another_engine_has_its_networks_and_fields_but_its_own_physics(planar_run, tmp_path):
     out = tmp_path / "tuned"
-    small = ("--num-worlds", 2, "--total-steps", 8, "--quiet", "--set", "rollout_length=2")
+    small = ("--worlds", 2, "--steps", 8, "--quiet", "--set", "rollout_length=2")
     result = invoke("train", "drive-to-goal", "--engine", "c", "--out", out, "--from", planar_run, *small)
     assert result.exit_code == 0, result.output
     assert f"of {planar_run}: drive-to-goal on engine planar, 8 agent steps; episode_steps=7" in result.stderr
@@ -189,7 +189,7 @@ def test_a_run_on_another_engine_has_its_networks_and_fields_but_its_own_physics
     found = settings["began_with"]
     assert found["run"] == str(planar_run)
     assert (found["checkpoint"], found["engine"], found["agent_steps"]) == (2, "planar", 8)
-    assert_same(load_policy(out, "0")[1], load_policy(planar_run)[1])
+    assert_same(read_policy(out, "0")[1], read_policy(planar_run)[1])
     assert [json.loads(line)["iteration"] for line in (out / "metrics.jsonl").open()] == [1, 2]
     result = invoke("train", "drive-to-goal", "--out", out, "--resume", "--steps", 12, "--quiet")
     assert result.exit_code == 0, result.output

@@ -35,11 +35,11 @@ COMMAND = [
     "drive-to-goal",
     "--engine",
     "c",
-    "--num-worlds",
+    "--worlds",
     "4",
     "--quiet",
 ]
-COMMAND += ["--total-steps", str(ITERATIONS * 4 * 8)]
+COMMAND += ["--steps", str(ITERATIONS * 4 * 8)]
 COMMAND += [word for name, value in SETTINGS.items() for word in ("--set", f"{name}={value}")]
 
 

@@ -5,7 +5,7 @@ import pytest
 import usarmjx
 from usarmjx.models.compile.physics import Physics
 from usarmjx.train.evaluation.evaluate import evaluate_episodes
-from usarmjx.train.learning.checkpoint import load_policy
+from usarmjx.train.learning.checkpoint import read_policy
 from usarmjx.train.learning.config import task_config
 from usarmjx.train.learning.train_state import make_networks, make_train_state, policy_params
 from usarmjx.train.learning.trainer import train
@@ -41,5 +41,5 @@ def test_a_pioneer_learns_to_drive_to_its_goals(env, tmp_path):
     assert success(env, networks.policy.as_policy(ignorant), episodes=32) < 0.2
     done = train(env, config, tmp_path / "run", progress=False)
     assert done.agent_steps == STEPS
-    policy, params, _ = load_policy(tmp_path / "run", "last")
+    policy, params, _ = read_policy(tmp_path / "run", "last")
     assert success(env, policy.as_policy(params), episodes=64) > 0.8

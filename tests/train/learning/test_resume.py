@@ -16,7 +16,7 @@ from numpy.testing import assert_array_equal
 from tests.train.runs import CONFIG, PATIENCE, PROGRAM, checksums, lines, run, started
 from tests.train.toys import DriveToy
 from usarmjx.base.errors import UsageError
-from usarmjx.train.learning.checkpoint import Checkpoints, load_policy, read_part, write_part
+from usarmjx.train.learning.checkpoint import Checkpoints, read_policy, read_part, write_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.processes import ProcessGroup
@@ -129,7 +129,7 @@ def test_a_run_of_another_version_is_refused_in_one_line(copy):
     for path in Checkpoints(copy).all():
         meta = json.loads((path / "meta.json").read_text())
         (path / "meta.json").write_text(json.dumps({**meta, "format": 2}))
-    for use in (lambda: run(copy, resume=True), lambda: load_policy(copy), lambda: load_policy(copy, "last")):
+    for use in (lambda: run(copy, resume=True), lambda: read_policy(copy), lambda: read_policy(copy, "last")):
         with pytest.raises(UsageError, match="another version of usarmjx") as error:
             use()
         assert "\n" not in str(error.value)
@@ -166,9 +166,9 @@ def test_a_folder_with_a_run_is_not_overwritten(reference, tmp_path):
     with pytest.raises(UsageError, match="nothing to resume"):
         run(tmp_path / "none", resume=True)
     with pytest.raises(UsageError, match="is no run"):
-        load_policy(tmp_path)
+        read_policy(tmp_path)
     with pytest.raises(UsageError, match=r"there are: .*10, besides last and best"):
-        load_policy(reference, "11")
+        read_policy(reference, "11")
 
 
 class Stop(Exception):

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.train.toys import DriveToy
 from usarmjx.base.errors import UsageError
-from usarmjx.train.learning.checkpoint import load_policy
+from usarmjx.train.learning.checkpoint import read_policy
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.run_record import EnvArguments, make_record
 from usarmjx.train.learning.train_state import make_networks, make_train_state, policy_params
@@ -126,7 +126,7 @@ print(policy.task, policy.period, arrived)
 
 def test_the_actor_of_a_run_acts_as_its_policy(reference):
     """As evaluation wants it."""
-    policy, params, _ = load_policy(reference)
+    policy, params, _ = read_policy(reference)
     actor, obs = policy.as_policy(params), DriveToy(3).reset(0).obs
     _, actions = actor.act(actor.initial_carry(3), obs, jax.random.key(0))
     expected, _ = policy.act(params, obs, policy.initial_carry(3), deterministic=True)

@@ -16,10 +16,10 @@ from usarmjx.cli.app import app
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.envs.task import TASKS, Policy
 from usarmjx.train.evaluation.evaluate import as_record, evaluate_episodes
-from usarmjx.train.learning.checkpoint import load_policy
+from usarmjx.train.learning.checkpoint import read_policy
 from usarmjx.train.policies import FOLDER, POLICIES, policies_in, sources
 from usarmjx.train.policies.policy_file import NumpyPolicy
-from usarmjx.train.policies.sources import PolicySource, baseline, find_source, task_settings
+from usarmjx.train.policies.sources import PolicySource, baseline, load_policy, task_settings
 
 GOAL_GROUP = AgentGroup("P2AT", ("P2AT0",), 4, 2)
 
@@ -31,7 +31,7 @@ def env_with(*groups):
 
 def test_a_policy_from_a_file_acts_as_numpy_says(tmp_path):
     file = policy_file(tmp_path / "goal.npz")
-    policy, told = find_source(str(file)).policy(env_with(GOAL_GROUP)), NumpyPolicy(file)
+    policy, told = load_policy(str(file)).policy(env_with(GOAL_GROUP)), NumpyPolicy(file)
     obs = np.random.default_rng(0).uniform(-1, 1, (5, 1, 4)).astype(np.float32)
     _, (actions,) = policy.act(policy.initial_carry(5), (obs,), jax.random.key(0))
     expected, _ = told.act(0, obs, told.initial_carry(0, 5, 1))
@@ -41,8 +41,8 @@ def test_a_policy_from_a_file_acts_as_numpy_says(tmp_path):
 
 
 def test_the_policy_of_a_run_acts_as_its_checkpoint(reference):
-    found = find_source(str(reference), "last")
-    policy, params, record = load_policy(reference, "last")
+    found = load_policy(str(reference), "last")
+    policy, params, record = read_policy(reference, "last")
     assert found.task == record.task
     assert found.checkpoint.startswith(f"checkpoint 10 of {reference}, the last: ")
     driver, obs = (
@@ -75,7 +75,7 @@ def test_who_tries_a_run_is_told_which_checkpoint_that_is_and_why(command, refer
 
 
 def test_a_policy_for_other_robots_is_refused(tmp_path):
-    found = find_source(str(policy_file(tmp_path / "goal.npz")))
+    found = load_policy(str(policy_file(tmp_path / "goal.npz")))
     with pytest.raises(UsageError, match=r"P2AT.*4, 2.*has \[\('P2AT', 20, 2\)\]"):
         found.policy(env_with(AgentGroup("P2AT", ("P2AT0",), 20, 2)))
 
@@ -84,9 +84,9 @@ def test_packaged_policies_are_found_by_their_task(tmp_path, monkeypatch):
     policy_file(tmp_path / "drive-to-goal.npz")
     monkeypatch.setattr(sources, "POLICIES", policies_in(tmp_path))
     monkeypatch.chdir(tmp_path)
-    assert find_source("Drive-To-Goal").task == "drive-to-goal"
+    assert load_policy("Drive-To-Goal").task == "drive-to-goal"
     with pytest.raises(UnknownNameError, match=r"chess is no folder .* packaged one: drive-to-goal"):
-        find_source("chess")
+        load_policy("chess")
 
 
 COARSE = ["trained with physics=coarse; here it is the reference's"]
@@ -100,7 +100,7 @@ def test_every_packaged_policy_is_for_the_task_that_it_is_named_after():
         assert name in TASKS
         assert NumpyPolicy(file).task == name
         assert file.stat().st_size < 1_000_000
-        env, _, notes = find_source(name).env(engine="c")  # refused if the task is another one now
+        env, _, notes = load_policy(name).env(engine="c")  # refused if the task is another one now
         assert (env.name, notes) == (name, TOLD.get(name, []))
 
 

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from tests.train.runs import CONFIG, PATIENCE, PROGRAM, array_checksums, lines, started
 from usarmjx.base.errors import UsageError
-from usarmjx.train.learning.checkpoint import load_policy
+from usarmjx.train.learning.checkpoint import read_policy
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.processes import ProcessInfo, check_parent, process_info, spawn
 
@@ -63,7 +63,7 @@ def test_two_processes_have_the_learning_curve_of_one(reference, two):
 def test_two_processes_end_with_the_weights_of_one(reference, two):
     import jax
 
-    one, other = (jax.tree.leaves(load_policy(folder, "last")[1]) for folder in (reference, two))
+    one, other = (jax.tree.leaves(read_policy(folder, "last")[1]) for folder in (reference, two))
     for weights, same in zip(one, other, strict=True):
         assert_allclose(same, weights, atol=WEIGHTS)
     assert any(np.abs(weights).max() > 0.1 for weights in one)
@@ -82,7 +82,7 @@ def test_each_process_has_its_own_worlds_in_the_checkpoint(two):
 
 def test_numbers_of_processes_that_the_worlds_cannot_be_shared_out_to_are_refused():
     CONFIG.check_processes(2)
-    with pytest.raises(UsageError, match="3 processes cannot share: set blocks to a multiple of 3"):
+    with pytest.raises(UsageError, match="3 processes cannot share: set shuffle_blocks to a multiple of 3"):
         CONFIG.check_processes(3)
     Config(num_worlds=96, num_minibatches=4, shuffle_blocks=3).check_processes(3)
 

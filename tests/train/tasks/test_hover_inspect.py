@@ -148,7 +148,7 @@ def test_the_baseline_squares_up_flies_through_and_hovers_before_the_point():
 
 
 def test_rooms_and_robots_that_do_not_go():
-    with pytest.raises(UsageError, match="9 rooms"):
+    with pytest.raises(UsageError, match="rooms is 9, expected a whole number from 1 to 5"):
         HoverInspect(rooms=9).arenas  # noqa: B018 - it raises
     with pytest.raises(UsageError, match="a P2AT in the air"):
         HoverInspect(robot="P2AT").robots  # noqa: B018 - it raises

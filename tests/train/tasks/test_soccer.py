@@ -327,7 +327,7 @@ def test_only_a_ball_that_a_scanner_meets_is_seen(view):
 
 
 def test_settings_that_are_no_game():
-    with pytest.raises(UsageError, match="opponent chess"):
+    with pytest.raises(UsageError, match="opponent is 'chess', expected one of self, baseline, still"):
         Soccer(opponent="chess").robots  # noqa: B018 - it raises
     with pytest.raises(UsageError, match="expected one loose object"):
         Soccer(arena=replace(SOCCER_FIELD, loose=())).scene()

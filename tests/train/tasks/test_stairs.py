@@ -35,7 +35,7 @@ def test_stairs_have_their_edge_and_goal_where_the_steps_say():
     faces = [shape.at[0] - shape.size[0] for shape in TASK.arenas.shapes]
     np.testing.assert_allclose(tops, (0.2, 0.4, 0.6))
     np.testing.assert_allclose(faces, (0.0, 0.3, 0.6), atol=1e-9)
-    with pytest.raises(UsageError, match="0 steps"):
+    with pytest.raises(UsageError, match="steps is 0, expected a whole number from 1"):
         Stairs(steps=0).arenas  # noqa: B018 - it raises
     with pytest.raises(UsageError, match="a AirRobot on stairs"):
         Stairs(robot="AirRobot").robots  # noqa: B018 - it raises

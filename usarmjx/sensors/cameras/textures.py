@@ -207,7 +207,7 @@ def apply_textures(
 
     Args:
         names: Textures that occur.
-        code: Texture code of each surface, see `models.types.textures.code_of` (rays,).
+        code: Texture code of each surface, see `models.types.textures` (rays,).
         rgb: Their own colours (3, rays).
         place: Positions along and up the surfaces [m], both (rays,).
         sign: Positions on the largest centred square of their face, from -1 to 1, both (rays,).

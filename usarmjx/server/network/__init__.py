@@ -1,1 +1,6 @@
-"""Ports and connections: ports of the servers, and access rules for the peers that connect."""
+"""Ports and connections: which ports the servers get, and who may connect to them.
+
+`ports` finds and binds ports, `access` holds the rules (networks, token, number of connections), `gate` applies
+them to a connection, and `web_gate` to a browser's request. Nothing here knows worlds. Begin with
+`gate.Gate`.
+"""

@@ -143,7 +143,7 @@ class FaultLog:
         self._log, self._limit = log, LineLimit(MAX_LINES, INTERVAL, clock)
 
     def warning(self, text: str, *args: object) -> None:
-        """Log a line as `logging` does, or only count it."""
+        """Log a line as logging does, or only count it."""
         self.flush()
         if self._limit.admits():
             self._log.warning(text, *args)

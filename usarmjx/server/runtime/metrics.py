@@ -176,7 +176,7 @@ async def _no_websocket(connection: ServerConnection) -> None:
 
 def _respond(connection: ServerConnection, text: str, kind: str) -> Response:
     response = connection.respond(HTTPStatus.OK, text)
-    # Headers are a multi-dict: an assignment would add a second value to that of `respond`.
+    # Headers are a multi-dict: an assignment would add a second value to that of respond.
     del response.headers["Content-Type"]
     response.headers["Content-Type"] = kind
     return response

@@ -63,7 +63,7 @@ def gated_viser(bound: socket.socket, host: str, gate: Gate, names: Collection[s
     made = threading.Event()
     create_connection = _measured_connection(gate)
 
-    # Viser calls `websockets.asyncio.server.serve` with a host and port of its own; it takes no socket.
+    # Viser calls websockets.asyncio.server.serve with a host and port of its own; it takes no socket.
     def gated_serve(handler: Any, _host: str, _port: int, **options: Any) -> object:  # noqa: ANN401 - viser's
         answer = _bounded(gate, _secured(options.pop("process_request")))
         options["process_request"] = for_own_names({host, *names}, asking_token(gate, answer))

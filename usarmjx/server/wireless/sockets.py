@@ -183,7 +183,7 @@ async def connect(
     try:
         client.setblocking(False)
         keep_alive(client)
-        # Not `open_connection`: it connects before anybody learns the local port.
+        # Not open_connection: it connects before anybody learns the local port.
         state = client.connect_ex((address, port))
         if state not in (0, *CONNECT_PENDING):
             raise OSError(state, os.strerror(state))

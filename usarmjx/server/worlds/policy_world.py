@@ -36,7 +36,7 @@ from usarmjx.sim.world import World, observe
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy, TaskView, TeamMaps
 from usarmjx.train.learning.checkpoint import Checkpoints
-from usarmjx.train.policies.sources import PolicySource, find_source
+from usarmjx.train.policies.sources import PolicySource, load_policy
 
 log = logging.getLogger(__name__)
 
@@ -374,7 +374,7 @@ def wait_for_run(run: Path, interval: float = INTERVAL) -> PolicySource:
         found = newest(run)
         try:
             if found is not None:
-                return find_source(str(run), "last")
+                return load_policy(str(run), "last")
         except UsageError:
             if newest(run) == found:  # otherwise training has replaced it by a newer one meanwhile
                 raise
@@ -419,7 +419,7 @@ class PolicyFollower:
         log.info("checkpoint %s drives", name)
 
     def _load(self) -> None:
-        self._shared.use_policy(find_source(str(self._run), "last").policy(self._shared.env))
+        self._shared.use_policy(load_policy(str(self._run), "last").policy(self._shared.env))
 
     def tick(self) -> None:
         """Do nothing."""

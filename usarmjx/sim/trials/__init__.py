@@ -1,6 +1,6 @@
-"""Robots driven through arenas: whether they pass, and how often in the lanes of the NIST test methods.
+"""Robots driven through arenas: repetitions in the lanes of the NIST test methods, and coverage of an arena.
 
-`driver` drives one robot along points on C MuJoCo, `postures` says what its flippers do meanwhile, `lanes`
-counts repetitions, `ways` drives all that a robot is said to reach. Drivers know the truth and no obstacle:
-what they do not get over, a better driver may.
+`driver` drives one robot along points on C MuJoCo, sets its flippers and counts repetitions in a lane;
+`ways` drives to all points that an arena declares reachable; `obstacles` measures crossings. Drivers know the
+true state and avoid nothing, so a better driver may pass where these fail.
 """

@@ -24,7 +24,7 @@ from usarmjx.train.envs.task import TaskView
 from usarmjx.train.evaluation.evaluate import Evaluation, evaluate_episodes, evaluation_of
 from usarmjx.train.learning.run_record import load_record
 from usarmjx.train.policies import POLICIES
-from usarmjx.train.policies.sources import PolicySource, baseline, find_source
+from usarmjx.train.policies.sources import PolicySource, baseline, load_policy
 from usarmjx.train.tasks.clearance import clearance
 from usarmjx.train.tasks.team import first_kind
 
@@ -55,12 +55,12 @@ def sources_of(named: Sequence[str]) -> Iterator[Tried]:
     runs: dict[tuple[str, str], list[PolicySource]] = {}
     for name in named:
         if Path(name).is_dir():
-            record, found = load_record(Path(name)), find_source(name)
+            record, found = load_record(Path(name)), load_policy(name)
             fields = "".join(f", {key}={text}" for key, text in sorted(record.overrides.items()))
             runs.setdefault((record.task, f"trained on {record.engine}{fields}"), []).append(found)
             continue
         if name in POLICIES:
-            yield f"{name}, packaged policy", (find_source(name),)
+            yield f"{name}, packaged policy", (load_policy(name),)
         yield f"{name}, by hand", (baseline(name),)
     for (task, how), found in runs.items():
         yield f"{task}, {how}{f', {len(found)} runs' if len(found) > 1 else ''}", tuple(found)

@@ -29,7 +29,7 @@ from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.evaluation.radio_matters import few_arenas
 from usarmjx.train.make import build_env, make_task
 from usarmjx.train.policies import POLICIES
-from usarmjx.train.policies.sources import PolicySource, arenas_of, find_source, task_settings
+from usarmjx.train.policies.sources import PolicySource, arenas_of, load_policy, task_settings
 from usarmjx.train.tasks.team import PERFECT_RADIO, TeamTask
 from usarmjx.train.tasks.victim_search import VictimSearch
 
@@ -77,7 +77,7 @@ def packaged_policy(env: Env) -> Policy:
     name = packaged_name(env.name)
     if name not in POLICIES:
         raise UsageError(f"no policy is packaged for {name}; there are: {', '.join(POLICIES.names())}")
-    return find_source(name).policy(env)
+    return load_policy(name).policy(env)
 
 
 def packaged_name(task: str) -> str:
@@ -145,7 +145,7 @@ def find_team(name: str) -> Team:
     if name in TEAMS:
         return TEAMS[name]
     try:
-        source = find_source(name)
+        source = load_policy(name)
     except UnknownNameError as error:
         raise UnknownNameError(f"{name} is none of the teams {', '.join(TEAMS)}; {error}") from error
     return partial(seen_as_in_training, source), source.policy

@@ -284,7 +284,7 @@ def load_train_state(run: Path, which: str = "best") -> tuple[Networks, TrainSta
     return networks, read_part(path, "learner", make_train_state(networks, record.config)), record
 
 
-def load_policy(run: Path, which: str = "best") -> tuple[LearnedPolicy, PolicyParams, RunRecord]:
+def read_policy(run: Path, which: str = "best") -> tuple[LearnedPolicy, PolicyParams, RunRecord]:
     """Return the policy of a run; see `load_train_state`."""
     networks, train_state, record = load_train_state(run, which)
     return networks.policy, policy_params(train_state), record

@@ -366,6 +366,6 @@ def export_run(run: str | Path, file: str | Path, which: str = "best", half: boo
         about, arrays = read_arrays(POLICIES.get(str(run)))
         _write_arrays(file, {"about": np.array(json.dumps(about)), **arrays}, half)
         return
-    from usarmjx.train.learning.checkpoint import load_policy
+    from usarmjx.train.learning.checkpoint import read_policy
 
-    save_policy(file, *load_policy(Path(run), which), half=half)
+    save_policy(file, *read_policy(Path(run), which), half=half)

@@ -155,7 +155,7 @@ def _reads(task: Task, name: str, text: str) -> bool:
     return True
 
 
-def find_source(what: str, checkpoint: str = "best") -> PolicySource:
+def load_policy(what: str, checkpoint: str = "best") -> PolicySource:
     """Return the policy of a run's folder, of an exported file, or of the package by its task's name.
 
     Args:
@@ -168,9 +168,9 @@ def find_source(what: str, checkpoint: str = "best") -> PolicySource:
     """
     path = Path(what)
     if path.is_dir():
-        from usarmjx.train.learning.checkpoint import Checkpoints, load_policy
+        from usarmjx.train.learning.checkpoint import Checkpoints, read_policy
 
-        policy, params, record = load_policy(path, checkpoint)
+        policy, params, record = read_policy(path, checkpoint)
         return PolicySource(
             name=what,
             task=record.task,
