@@ -35,13 +35,13 @@ from typer.testing import CliRunner
 from usarmjx.cli.app import app
 from usarmjx.plots import play
 from usarmjx.train.evaluation import evaluate
-from usarmjx.train.policies.sources import find_source
+from usarmjx.train.policies.sources import load_policy
 
 def command(*words):
     done = CliRunner().invoke(app, list(words))
     return done.exit_code, done.output
 
-policy, params = find_source("drive-to-goal").learned
+policy, params = load_policy("drive-to-goal").learned
 acting = policy.as_policy(params)
 _, (actions,) = acting.act(acting.initial_carry(2), (jnp.full((2, 1, 20), 0.5),), None)
 told = {"actions": actions.tolist()}

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from usarmjx.train.make import make as make
     from usarmjx.train.policies import POLICIES as POLICIES
     from usarmjx.train.policies.sources import PolicySource as PolicySource
-    from usarmjx.train.policies.sources import find_source as load_policy  # noqa: F401
+    from usarmjx.train.policies.sources import load_policy as load_policy
     from usarmjx.train.tasks import TASKS as TASKS
 else:
     __getattr__, __dir__, __all__ = attach(
@@ -90,7 +90,7 @@ else:
             "usarmjx.train.envs.task": ("Policy",),
             "usarmjx.train.make": ("make",),
             "usarmjx.train.policies": ("POLICIES",),
-            "usarmjx.train.policies.sources": ("PolicySource", "find_source as load_policy"),
+            "usarmjx.train.policies.sources": ("PolicySource", "load_policy"),
             "usarmjx.train.tasks": ("TASKS",),
         },
         "__version__",

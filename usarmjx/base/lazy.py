@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import Any
 
 PublicNames = Mapping[str, Iterable[str]]
-"""Names by the module that defines them, each as in an import: `NAME` or `NAME as PUBLIC_NAME`."""
+"""Names by the module that defines them."""
 
 
 def attach(
@@ -26,18 +26,13 @@ def attach(
         names: Its public names. None may be a submodule's, which Python binds over it.
         eager: Further public names, which the package defines itself.
     """
-    found: dict[str, tuple[str, str]] = {}
-    for module, entries in names.items():
-        for entry in entries:
-            name, _, public = entry.partition(" as ")
-            found[public or name] = module, name
-    exported = sorted([*found, *eager])
+    modules = {name: module for module, entries in names.items() for name in entries}
+    exported = sorted([*modules, *eager])
 
     def get_attribute(name: str) -> Any:  # noqa: ANN401 - any public object
-        if name not in found:
+        if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module, there = found[name]
-        return getattr(import_module(module), there)
+        return getattr(import_module(modules[name]), name)
 
     def list_names() -> list[str]:
         return sorted({*vars(sys.modules[package]), *exported})

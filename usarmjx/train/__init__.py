@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from usarmjx.train.policies.policy_file import NumpyPolicy as NumpyPolicy
     from usarmjx.train.policies.policy_file import export_run as export_run
     from usarmjx.train.policies.sources import PolicySource as PolicySource
-    from usarmjx.train.policies.sources import load_policy as load_policy  # noqa: F401
+    from usarmjx.train.policies.sources import load_policy as load_policy
     from usarmjx.train.tasks import TASKS as TASKS
 else:
     __getattr__, __dir__, __all__ = attach(
@@ -62,7 +62,7 @@ else:
             "usarmjx.train.make": ("make_task",),
             "usarmjx.train.policies": ("POLICIES",),
             "usarmjx.train.policies.policy_file": ("NumpyPolicy", "export_run"),
-            "usarmjx.train.policies.sources": ("PolicySource", "find_source as load_policy"),
+            "usarmjx.train.policies.sources": ("PolicySource", "load_policy"),
             "usarmjx.train.tasks": ("TASKS",),
         },
     )
