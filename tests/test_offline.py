@@ -17,6 +17,7 @@ from tests.offline import SITE
 REMOTE = ("urllib.request", "http.client", "ftplib", "requests", "httpx", "aiohttp", "urllib3", "boto3")
 REMOTE += ("huggingface_hub", "pooch", "gdown", "pip", "websockets.client", "websockets.asyncio.client")
 SUSPECT = re.compile(rf"^\s*(from|import) +({'|'.join({name.partition('.')[0] for name in REMOTE})})", re.M)
+FOLDERS = "usarmjx", "benchmarks", "tools", "examples"
 MAY_ASK = {"benchmarks/chaos/soak.py": {"urllib.request"}}
 """It reads the figures of a server that it has started on this machine."""
 
@@ -41,7 +42,7 @@ def loaders(text):
 
 def test_no_module_imports_what_fetches_something():
     """Which sees also what no test comes to."""
-    files = [*(dev.ROOT / "usarmjx").rglob("*.py"), *(dev.ROOT / "examples").rglob("*.py")]
+    files = [file for folder in FOLDERS for file in (dev.ROOT / folder).rglob("*.py")]
     found = {
         file.relative_to(dev.ROOT).as_posix(): loaders(file.read_text(encoding="utf-8")) for file in files
     }

@@ -19,7 +19,7 @@ from usarmjx.base.progress import RateLimitedLog
 from usarmjx.cli import doctor
 from usarmjx.cli.app import app
 from usarmjx.cli.common import BAD_INPUT, FAILED, INTERRUPTED, ErrorExit
-from usarmjx.cli.demo import DemoError
+from usarmjx.cli.demo_run import DemoError
 from usarmjx.cli.doctor import Finding
 from usarmjx.train.learning.metrics import MetricsLog
 

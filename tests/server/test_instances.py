@@ -3,7 +3,7 @@
 import pytest
 
 from usarmjx.base.errors import UsageError
-from usarmjx.server.worlds.batch_world import parse_instances
+from usarmjx.server.worlds.instances import parse_instances
 
 
 @pytest.mark.parametrize(

@@ -144,8 +144,6 @@ def show_listing(what: str, json: bool, markdown: bool) -> None:
     if what == COMMANDS:
         from usarmjx.cli.app import app
 
-        pass  # REMOVED_IMPORT
-
         typer.echo(commands_json(app) if json else commands_page(app))
         return
     if markdown:
@@ -164,7 +162,7 @@ def show_listing(what: str, json: bool, markdown: bool) -> None:
 
 def _page(what: str) -> str:
     """Return what the documents have of a listing: of some more than its table."""
-    from usarmjx.cli.arena import arenas_table
+    from usarmjx.cli.arena_tables import arenas_table
     from usarmjx.cli.catalogue import robots_table, sensors_table
     from usarmjx.cli.tables import LISTINGS
 

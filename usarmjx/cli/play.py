@@ -21,7 +21,7 @@ from usarmjx.cli.serving_options import (
 from usarmjx.cli.startup_messages import announce
 from usarmjx.cli.viewer_options import ViewOption
 from usarmjx.server.runtime.signals import StopSignals
-from usarmjx.server.worlds.batch_world import parse_instances
+from usarmjx.server.worlds.instances import parse_instances
 
 if TYPE_CHECKING:
     from usarmjx.server.gamebots.server import Service

@@ -355,7 +355,7 @@ def instances_of(several: str | None, one: int | None, worlds: int) -> tuple[int
     """
     if several is not None and one is not None:
         raise UsageError("give either --instance or --instances")
-    from usarmjx.server.worlds.batch_world import parse_instances  # imports JAX
+    from usarmjx.server.worlds.instances import parse_instances
 
     return parse_instances(str(one or 0) if several is None else several, worlds)
 

@@ -16,7 +16,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
 from usarmjx.cli.train import TrainOptions, plan_run
 from usarmjx.train.evaluation.evaluate import play_episodes
-from usarmjx.train.learning.checkpoint import Checkpoints, read_policy, load_train_state
+from usarmjx.train.learning.checkpoint import Checkpoints, load_train_state, read_policy
 from usarmjx.train.learning.config import task_config
 from usarmjx.train.learning.fine_tuning import load_trained
 from usarmjx.train.learning.ppo import MIN_LEARNING_RATE

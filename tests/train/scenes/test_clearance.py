@@ -5,7 +5,7 @@ import pytest
 
 from tests.train.views import placed
 from tests.train.views import view_of as start_of
-from usarmjx.cli.demo import clearance as demo_clearance
+from usarmjx.cli.demo_run import clearance as demo_clearance
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.shapes import Shape

@@ -76,7 +76,7 @@ class ConeBundles(NamedTuple):
 
     Attributes:
         start: The point [m] (3,).
-        bounds: First ray of each bundle, and the number of rays (bundles + 1,).
+        bounds: First ray of each bundle, then the number of rays (bundles_and_end,).
         axis: Unit vectors along the cones (bundles, 3).
         cosine: Cosine of the cones' half angles (bundles, 1).
         sine: Sine of the cones' half angles (bundles, 1).

@@ -69,8 +69,6 @@ class TeamWorld(gymnasium.Env[np.ndarray, np.ndarray]):
     def __init__(self, env: "Env", seed: int = 0) -> None:
         from usarmjx.train.adapters.agents import check_one_world
 
-        pass  # REMOVED_IMPORT
-
         check_one_world(env, "a gymnasium.Env")
         self.metadata = {"render_modes": []}
         self.worlds: Any = VectorWorlds(env, seed=seed)

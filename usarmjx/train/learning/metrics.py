@@ -125,8 +125,6 @@ class MetricsLog:
     def __init__(
         self, folder: Path, iterations: int, after: int = 0, bar: bool = True, console: Console | None = None
     ) -> None:
-        pass  # REMOVED_IMPORT
-
         file = folder / "metrics.jsonl"
         kept = [record for record in read_lines(file) if record["iteration"] <= after]
         with atomic_write(file) as fresh:
