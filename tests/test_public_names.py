@@ -214,6 +214,15 @@ def test_a_name_that_is_not_public_is_no_attribute():
         exec("from usarmjx.sim import select_worlds", {})
 
 
+def test_the_reference_lists_all_public_names_once():
+    page = (dev.ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    listed = [tuple(name.rsplit(".", 1)) for name in re.findall(r"^::: (\S+)$", page, re.MULTILINE)]
+    public = [(face, name) for face in FACES for name in names_of(face) if name != "__version__"]
+    assert set(listed) <= set(public)
+    assert {origin(*name) for name in listed} == {origin(*name) for name in public}
+    assert len({origin(*name) for name in listed}) == len(listed)
+
+
 # What pages and examples teach.
 
 PAGES = [dev.ROOT / "README.md", *(dev.ROOT / "docs").glob("*.md"), *(dev.ROOT / "benchmarks").glob("*.md")]
