@@ -16,7 +16,7 @@ from tests.rig import PERIOD, Rig, steady_speed, steady_spin
 from usarmjx.base.transforms import angles_from_mat
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.shapes import Shape
-from usarmjx.server.protocol.grammar import flip_wire_angles
+from usarmjx.server.protocol.frames import flip_wire_angles
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.control import FLIP_TIME
 from usarmjx.sim.scene import build_scene

@@ -20,7 +20,6 @@ from usarmjx.cli.common import (
 from usarmjx.cli.completion import complete_kinds, complete_robots
 from usarmjx.cli.listing import MarkdownFlag, check_form, show_listing
 from usarmjx.cli.startup_messages import announce
-from usarmjx.models.types.arena import ArenaSpec
 
 if TYPE_CHECKING:
     from usarmjx.models.types.arena import ArenaSpec

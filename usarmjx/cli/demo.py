@@ -25,8 +25,6 @@ from usarmjx.cli.serving_options import (
 )
 from usarmjx.cli.startup_messages import announce
 from usarmjx.cli.viewer_options import ViewerPortOption
-from usarmjx.models.arenas import ARENAS
-from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.server.network.ports import BOT_PORT, LAST_PORT, bound_socket
 from usarmjx.server.runtime.signals import StopSignals
 
@@ -157,6 +155,7 @@ def run_live(browser: bool, port: int | None, viewer_port: int | None, rosbridge
 
 def make_world() -> "PolicyWorld":
     """Return the world in which the shipped policy explores."""
+    from usarmjx.models.arenas import ARENAS
     from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
     from usarmjx.train.baselines import BASELINES
     from usarmjx.train.make import make

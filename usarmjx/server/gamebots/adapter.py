@@ -18,14 +18,8 @@ from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol import reports
 from usarmjx.server.protocol.commands import LinkCommand, MisPkg, TurnCamera
 from usarmjx.server.protocol.dialects import MANUAL, Dialect
-from usarmjx.server.protocol.grammar import (
-    Message,
-    clip,
-    flip_wire_angles,
-    flip_wire_vector,
-    four_decimals,
-    to_vector,
-)
+from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
+from usarmjx.server.protocol.grammar import Message, clip, four_decimals, to_vector
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 from usarmjx.server.protocol.session import MAX_FAULTS, RobotSession
 from usarmjx.server.runtime.logs import INTERVAL, FaultLog, summary

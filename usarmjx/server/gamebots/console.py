@@ -13,7 +13,8 @@ import numpy as np
 from usarmjx.base.errors import UsageError, UsarmjxError
 from usarmjx.base.transforms import angles_from_mat
 from usarmjx.server.gamebots.edit_actor import USAGE, edit_actor
-from usarmjx.server.protocol.grammar import clip, flip_wire_angles, flip_wire_vector, two_decimals_list
+from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
+from usarmjx.server.protocol.grammar import clip, two_decimals_list
 from usarmjx.server.runtime.logs import MAX_KEPT_LINES, LogTail
 from usarmjx.server.worlds.served_world import ServedWorld
 

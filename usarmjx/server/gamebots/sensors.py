@@ -35,16 +35,8 @@ from usarmjx.server.protocol.descriptions import (
     geo_nothing,
     geo_robot,
 )
-from usarmjx.server.protocol.grammar import (
-    Message,
-    Segment,
-    check_word,
-    flip_wire_angles,
-    flip_wire_vector,
-    four_decimals,
-    four_decimals_list,
-    wrap_angles,
-)
+from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector, wrap_angles
+from usarmjx.server.protocol.grammar import Message, Segment, check_word, four_decimals, four_decimals_list
 from usarmjx.sim.control import RobotCommand
 
 T = TypeVar("T")

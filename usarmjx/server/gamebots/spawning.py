@@ -4,7 +4,8 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.server.protocol.commands import Init
-from usarmjx.server.protocol.grammar import clip, flip_wire_angles, flip_wire_vector
+from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
+from usarmjx.server.protocol.grammar import clip
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.sim.scene import start_height

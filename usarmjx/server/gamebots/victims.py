@@ -13,14 +13,8 @@ from usarmjx.models.compile.victims import PART_NAMES
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.sensors.base import Sensor
 from usarmjx.server.protocol.commands import Set
-from usarmjx.server.protocol.grammar import (
-    Message,
-    Segment,
-    flip_wire_vector,
-    four_decimals,
-    two_decimals,
-    two_decimals_list,
-)
+from usarmjx.server.protocol.frames import flip_wire_vector
+from usarmjx.server.protocol.grammar import Message, Segment, four_decimals, two_decimals, two_decimals_list
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 
 EMPTY_MEMORY = "0"

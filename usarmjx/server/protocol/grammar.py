@@ -7,13 +7,12 @@ took: any case, missing or extra spaces, and a last segment without its `}`.
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TypeAlias
 
 from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.base.registry import is_name
-from usarmjx.base.transforms import Vec3, flip_angles, flip_vector
 
 Vector: TypeAlias = tuple[float, float, float]
 Segment: TypeAlias = tuple[str, str]
@@ -319,21 +318,3 @@ def check_word(text: str) -> str:
 def _require_finite(value: float) -> None:
     if not math.isfinite(value):
         raise UsageError(f"{value} cannot be reported: mask it before it gets here")
-
-
-def flip_wire_vector(values: Sequence[float]) -> Vec3:
-    """Convert a vector (3,) between the wire's axes and ours; its own inverse [m]."""
-    x, y, z = values
-    return flip_vector((float(x), float(y), float(z)))
-
-
-def flip_wire_angles(values: Sequence[float]) -> Vec3:
-    """Convert roll, pitch, yaw between the wire's axes and ours; its own inverse [rad]."""
-    roll, pitch, yaw = values
-    return flip_angles((float(roll), float(pitch), float(yaw)))
-
-
-def wrap_angles(values: Sequence[float]) -> Vec3:
-    """Return angles in [0, 2 pi), as Unreal's rotators come out on the wire (manual 9.3, INS)."""
-    roll, pitch, yaw = values
-    return (float(roll) % math.tau, float(pitch) % math.tau, float(yaw) % math.tau)

@@ -18,7 +18,8 @@ from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.gamebots.spawning import spawn_from_init
 from usarmjx.server.protocol.commands import Init
-from usarmjx.server.protocol.grammar import clip, flip_wire_angles, flip_wire_vector
+from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
+from usarmjx.server.protocol.grammar import clip
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion, json_object
 from usarmjx.server.rosbridge.motion import drive_keys, read_twist
 from usarmjx.server.rosbridge.topics import WorldTopics

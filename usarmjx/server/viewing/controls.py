@@ -21,7 +21,7 @@ from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.gamebots.spawning import spawn_from_init
 from usarmjx.server.network.access import AccessRules
 from usarmjx.server.protocol import commands as wire
-from usarmjx.server.protocol.grammar import flip_wire_angles, flip_wire_vector
+from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.runtime.loop import StepClock, StepMeter
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.scene import START_ELEVATION, START_GAP

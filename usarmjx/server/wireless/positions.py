@@ -11,10 +11,10 @@ not answered, as in the original.
 """  # noqa: E501 - an answer is one line
 
 from usarmjx.base.errors import PeerError
+from usarmjx.server.protocol.frames import flip_wire_vector
 from usarmjx.server.protocol.grammar import (
     LineBuffer,
     Message,
-    flip_wire_vector,
     format_message,
     four_decimals_list,
     parse_message,
