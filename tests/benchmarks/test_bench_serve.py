@@ -70,7 +70,7 @@ class Server:
 
 @pytest.fixture(scope="module")
 def server():
-    with serving(DynamicWorld(find_arena("yellow"))) as (port, _):
+    with serving(DynamicWorld(find_arena("yellow")), realtime_factor=1.0) as (port, _):
         yield Server(port)
 
 

@@ -86,7 +86,7 @@ def house():
     page = ViewerService(ServedSource([world]), ViewerSettings())
     before = set(threading.enumerate())
     # As `serve` does: else this thread looks for garbage among all that the tests before have left behind.
-    with low_latency(), serving(world, [page], max_faults=MAX_FAULTS) as (port, server):
+    with low_latency(), serving(world, [page], realtime_factor=1.0, max_faults=MAX_FAULTS) as (port, server):
         (loop,) = (thread for thread in threading.enumerate() if thread not in before)
         clock = ThreadClock(os.getpid(), loop.native_id)
         with Watch(port, "127.0.0.1", clock, LIMIT) as watch:
@@ -146,7 +146,7 @@ class SlowWorld(StillWorld):
 def test_processor_time_and_waits_are_seen(monkeypatch):
     monkeypatch.setattr("benchmarks.chaos.neighbour.CLASS", "ComStation")
     world, before = SlowWorld(), set(threading.enumerate())
-    with serving(world) as (port, _):
+    with serving(world, realtime_factor=1.0) as (port, _):
         (loop,) = (thread for thread in threading.enumerate() if thread not in before)
         with Watch(port, "127.0.0.1", ThreadClock(os.getpid(), loop.native_id), LIMIT) as watch:
 
@@ -188,7 +188,7 @@ def test_bad_lines_and_irregular_reports_are_counted():
 def test_a_neighbour_who_is_dropped_is_told_of_and_another_one_comes(monkeypatch):
     monkeypatch.setattr("benchmarks.chaos.neighbour.CLASS", "ComStation")
     attacks = tuple(find_attack(name) for name in ("silent", "reset-storm"))
-    with serving(StillWorld()) as (port, server):
+    with serving(StillWorld(), realtime_factor=1.0) as (port, server):
         drops = iter([server])
 
         def say(text):
@@ -211,7 +211,7 @@ def server_loop(connection):
 
 
 def test_seats_that_are_held_are_missed():
-    with serving(StillWorld(), max_connections=3) as (port, _):
+    with serving(StillWorld(), realtime_factor=1.0, max_connections=3) as (port, _):
         case = ChaosCase(host="127.0.0.1", port=port, attacks=(), **{**SHORT, "limit": 0.5})
         assert has_seats(case, 3)
         guest = Peer(port)
@@ -222,7 +222,7 @@ def test_seats_that_are_held_are_missed():
 
 
 def test_attackers_keep_their_bounds():
-    with serving(StillWorld()) as (port, server):
+    with serving(StillWorld(), realtime_factor=1.0) as (port, server):
         damage = carry_out(find_attack("giant"), ("127.0.0.1", port), 2, 0.4, 10_000)
         assert damage.connections == 2
         # Each ends the chunk at hand, of which it sends as much as there is room for.
@@ -290,7 +290,7 @@ def test_only_loopback_unless_it_is_said():
 def test_the_command(monkeypatch, tmp_path):
     monkeypatch.setattr("benchmarks.chaos.neighbour.CLASS", "ComStation")
     file = tmp_path / "chaos.jsonl"
-    with serving(StillWorld()) as (port, _):
+    with serving(StillWorld(), realtime_factor=1.0) as (port, _):
         words = ["--attack", "giant", "--attackers", "2", "--seconds", "0.3", "--volume", "0.1"]
         ran = CliRunner().invoke(app, ["chaos", f"127.0.0.1:{port}", *words, "--json", str(file)])
     assert ran.exit_code == 0, ran.output

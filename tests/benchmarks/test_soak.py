@@ -26,7 +26,7 @@ def served(monkeypatch):
     bound = bound_socket("127.0.0.1", 0)
     server.services.append(MetricsServer([server], 1.0, bound))
     target = Target("127.0.0.1", 0, metrics_port=bound.getsockname()[1])
-    with looping([server]):
+    with looping([server], 1.0):
         yield server, Target(target.host, server.port, metrics_port=target.metrics_port)
 
 

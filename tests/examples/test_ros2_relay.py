@@ -91,7 +91,7 @@ def test_the_relay_hands_on_all_topics_and_drives(relay, monkeypatch):
     world = DynamicWorld(FLAT)
     service = RosbridgeServer(world, RosSettings(port=0, size=(32, 24)))
     server = service.server = BotServer(world, BotServerSettings(port=0), [service])
-    with looping([server]):
+    with looping([server], 1.0):
         given = {"url": f"ws://127.0.0.1:{service.port}", "skip": ["/map"]}
         monkeypatch.setattr(FakeNode, "given", given)
         node = relay.Relay()

@@ -133,7 +133,7 @@ def test_serving_ends_when_the_time_limit_of_the_greeting_is_up(capfd):
 def test_a_world_that_lags_says_so_once(caplog):
     world = StillWorld()
     world.on_step = lambda: time.sleep(2.5 * world.period)
-    with serving(world) as (port, _):
+    with serving(world, realtime_factor=1.0) as (port, _):
         peer = Peer(port, init())
         peer.sta_times(8)  # 1.6 s of its time, 4 s of ours
         peer.close()

@@ -256,14 +256,15 @@ def test_realtime_factor_zero_runs_ahead_of_the_clock(world):
         peer.close()
 
 
-def test_realtime_factor_one_keeps_the_clock(port):
-    peer = Peer(port, "INIT {ClassName USARBot.P2AT} {Start S0}")
-    peer.sta_times(1)
-    (start,), began = peer.sta_times(1), time.monotonic()
-    end = peer.sta_times(10)[-1]
-    # It may fall behind on a busy machine, but never run ahead by more than it catches up (0.5 s).
-    assert end - start < time.monotonic() - began + 0.6
-    peer.close()
+def test_realtime_factor_one_keeps_the_clock(world):
+    with serving(world, realtime_factor=1.0) as (port, _):
+        peer = Peer(port, "INIT {ClassName USARBot.P2AT} {Start S0}")
+        peer.sta_times(1)
+        (start,), began = peer.sta_times(1), time.monotonic()
+        end = peer.sta_times(10)[-1]
+        # It may fall behind on a busy machine, but never run ahead by more than it catches up (0.5 s).
+        assert end - start < time.monotonic() - began + 0.6
+        peer.close()
 
 
 def test_the_server_hangs_up_when_it_stops(world):

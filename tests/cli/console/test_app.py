@@ -43,7 +43,7 @@ def served():
         images = ImageServer(
             world, ImageSettings(port=0, size=(64, 48), format=0, fps=50.0, patience=PATIENCE)
         )
-        with serving(world, [images]) as (port, _):
+        with serving(world, [images], realtime_factor=1.0) as (port, _):
             yield world, port, images.port
 
 

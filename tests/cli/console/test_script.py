@@ -25,7 +25,7 @@ STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z ([<>#]) (.*)")
 
 @pytest.fixture(scope="module")
 def port():
-    with serving(StillWorld()) as (port, _):
+    with serving(StillWorld(), realtime_factor=1.0) as (port, _):
         yield port
 
 
@@ -98,7 +98,7 @@ def test_a_token_is_said_first_and_written_nowhere(tmp_path):
     token = tmp_path / "token"
     token.write_text("open-sesame\n")
     path = tmp_path / "talk.txt"
-    with serving(StillWorld(), access=AccessRules(token="open-sesame")) as (port, _):
+    with serving(StillWorld(), realtime_factor=1.0, access=AccessRules(token="open-sesame")) as (port, _):
         options = ["--linger", "0", "--transcript", str(path), "--token-file", str(token)]
         done = run(port, "GETSTARTPOSES\n@until NFO {StartPoses\nAUTH {Token open-sesame}", *options)
         refused = run(port, "@until NFO", "--token", "wrong")

@@ -96,7 +96,7 @@ def serving_ros(world, **settings):
     """A running server's rosbridge port, and the server."""
     service = RosbridgeServer(world, RosSettings(port=0, size=(32, 24), **settings))
     server = service.server = BotServer(world, BotServerSettings(port=0), [service])
-    with looping([server]):
+    with looping([server], 1.0):
         yield service.port, server
 
 
