@@ -14,7 +14,8 @@ from tests.server.still_world import StillWorld
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.network.ports import bound_socket
 from usarmjx.server.runtime.metrics import MetricsServer
 

@@ -12,7 +12,8 @@ import pytest
 import dev
 from tests.arenas import FLAT
 from tests.server.peers import PATIENCE, looping
-from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.rosbridge.definitions import RosVersion
 from usarmjx.server.rosbridge.net import RosbridgeServer, RosSettings
 from usarmjx.server.worlds.dynamic_world import DynamicWorld

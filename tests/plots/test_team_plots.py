@@ -14,7 +14,7 @@ from tests.arenas import FLAT
 from usarmjx.base.estimates import estimate
 from usarmjx.cli.app import app
 from usarmjx.plots.play import COLOURS
-from usarmjx.plots.training_plots import TeamWays, draw_finds, draw_ways, plot_teams
+from usarmjx.plots.team_plots import TeamWays, draw_finds, draw_ways, plot_teams
 from usarmjx.train.evaluation.yardsticks import TeamResult
 
 

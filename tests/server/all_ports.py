@@ -12,7 +12,8 @@ from tests.server.fake_radio import FakeRadio
 from tests.server.peers import PATIENCE, looping
 from tests.server.still_world import StillWorld
 from tests.view.simple_worlds import HandMadeSource, drawing_of
-from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.network.access import AccessRules
 from usarmjx.server.network.ports import bound_socket
 from usarmjx.server.pictures.image_server import ImageServer, ImageSettings

@@ -8,7 +8,8 @@ import struct
 import threading
 
 from tests.server.lockstep import LOCKSTEP, lockstep
-from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.runtime.loop import ServerLoop
 
 PATIENCE = 60.0  # s: how long to wait for what takes well under a second on an idle machine

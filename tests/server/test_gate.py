@@ -22,7 +22,7 @@ from tests.server.all_ports import (
 from tests.server.peers import PATIENCE, Peer, serving
 from tests.server.radio_servers import wait_until
 from tests.server.still_world import StillWorld, init
-from usarmjx.server.gamebots.server import BotServerSettings
+from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.network import gate, ports
 from usarmjx.server.network.access import AccessRules, parse_networks
 from usarmjx.server.network.gate import KEEPALIVE_COUNT, KEEPALIVE_IDLE, KEEPALIVE_INTERVAL, Gate

@@ -8,7 +8,8 @@ import pytest
 from tests.server.peers import Peer, looping
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.wireless.net import WirelessSettings, make_wireless
 from usarmjx.server.worlds.make import make_worlds
 

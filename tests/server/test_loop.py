@@ -12,7 +12,8 @@ import pytest
 from tests.server.peers import PATIENCE, Peer, looping, serving
 from tests.server.still_world import StillWorld, init
 from usarmjx.base.errors import SpecError
-from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.runtime.loop import ServerLoop
 
 CLOCK_ATOL = 0.011  # s: reports tell the time with two decimals

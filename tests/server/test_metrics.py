@@ -15,7 +15,8 @@ from tests.server.still_world import StillWorld, init
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
 from usarmjx.cli.serving_options import metrics_socket
-from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.network.ports import bound_socket
 from usarmjx.server.runtime.logs import JsonFormatter, configure_log
 from usarmjx.server.runtime.loop import GAP_BOUNDS, StepMeter

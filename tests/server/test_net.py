@@ -30,7 +30,8 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.robot import Mount, options
 from usarmjx.server.gamebots.reporter import Reporter
-from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.protocol.dialects import UDK
 from usarmjx.server.runtime.loop import GC_THRESHOLD, SWITCH_INTERVAL, low_latency, serve
 from usarmjx.server.runtime.signals import StopSignals

@@ -10,7 +10,8 @@ import pytest
 from tests.arenas import FLAT
 from tests.server.peers import looping
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.runtime.loop import StepClock
 from usarmjx.server.viewing.controls import ServedControls
 from usarmjx.server.viewing.served_source import ServedSource

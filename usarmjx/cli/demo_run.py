@@ -29,53 +29,21 @@ if TYPE_CHECKING:
 
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
 CONTROLLER = ROOT / "usarmjx" / "client" / "wander.py"
-
-
 WORLDS = 4
-
-
 START_LIMIT = 120.0
-
-
 """How long the server may take to start [s]: the first time it compiles."""
-
-
 STOP_LIMIT = 15.0
-
-
 """How long it may take to stop [s]."""
-
-
 MIN_SPEED = 0.15
-
-
 """Average speed that a run must reach [m/s]: 3 m in 20 s."""
-
-
 OBSTACLE_MIN_HEIGHT = 0.1
-
-
 """What is lower than this is for driving over, as ramps are [m]; a P2AT's wheel has 0.13."""
-
-
 TOUCH_CLEARANCE = 0.01
-
-
 """Clearance below which the hull counts as touching: the last place of GroundTruth's numbers [m]."""
-
-
 POSES_PER_REPORT = 4
-
-
 """Poses looked at per report: 0.2 s at 0.45 m/s would leave 9 cm unseen."""
-
-
 LISTENING = re.compile(r"listening on [\d.]+:(\d+)")
-
-
 SIMULATED = re.compile(r"\s*([\d.]+) s")
 
 

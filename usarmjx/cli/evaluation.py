@@ -52,7 +52,7 @@ def teams(
     with ErrorExit():
         announce("building the worlds that teams play in ...", engines=[tried_on(engine)])
         from usarmjx.engines import choose_engine
-        from usarmjx.plots.training_plots import TeamWays, plot_teams
+        from usarmjx.plots.team_plots import TeamWays, plot_teams
         from usarmjx.train.evaluation import yardsticks
         from usarmjx.train.policies.sources import task_settings
 

@@ -36,7 +36,8 @@ from usarmjx.server.network.ports import (
 
 if TYPE_CHECKING:
     from usarmjx.comms.attenuation import RadioSettings
-    from usarmjx.server.gamebots.server import BotServer, BotServerSettings, Service
+    from usarmjx.server.gamebots.server import BotServer, Service
+    from usarmjx.server.gamebots.settings import BotServerSettings
     from usarmjx.server.network.access import AccessRules
     from usarmjx.server.runtime.signals import StopSignals
     from usarmjx.server.viewing.viewer_service import ViewerSettings
@@ -378,7 +379,7 @@ def bot_settings(
     Raises:
         UsageError: There is no such dialect.
     """
-    from usarmjx.server.gamebots.server import BotServerSettings, read_bot_server
+    from usarmjx.server.gamebots.settings import BotServerSettings, read_bot_server
     from usarmjx.server.protocol.dialects import find_dialect
 
     spoken = find_dialect(dialect)

@@ -389,7 +389,7 @@ def train(
             typer.echo(config_text(task, options), nl=False)
             return
         if processes > 1 and not _joined():
-            from usarmjx.train.learning.processes import spawn
+            from usarmjx.train.learning.launch import spawn
 
             raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))
         shown = _Shown(serve, port, view, viewer_port, record, record_every, wandb, quiet)
@@ -412,14 +412,14 @@ class _Shown:
 
 def _joined() -> bool:
     """Return whether this process is one of several that train together."""
-    from usarmjx.train.learning.processes import process_info
+    from usarmjx.train.learning.launch import process_info
 
     return process_info(os.environ) is not None
 
 
 def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
     """Train in this process, show it where the options say, and print the score."""
-    from usarmjx.train.learning.processes import distributed_run, process_info
+    from usarmjx.train.learning.launch import process_info
 
     joined, engine = process_info(os.environ), options.engine
     recorded = options.resume and engine == "auto"
@@ -428,6 +428,8 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
         aloud=joined is None or joined.index == 0,
         engines=[recorded_engine(options.out) if recorded else tried_on(engine)],
     )
+    from usarmjx.train.learning.processes import distributed_run
+
     with (
         distributed_run() as process,
         _served(options.out, shown.port, shown.serve and process.index == 0),

@@ -20,7 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.network.ports import bound_ports, count_up
 from usarmjx.server.runtime.loop import ServerLoop, StepClock
 from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld

@@ -25,7 +25,8 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import Mount
 from usarmjx.sensors.cameras.mounts import cameras_of
 from usarmjx.sensors.suite import suite_of
-from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.network.access import AccessRules
 from usarmjx.server.rosbridge.definitions import RosVersion
 from usarmjx.server.rosbridge.net import RosbridgeServer, RosSettings

@@ -9,7 +9,8 @@ import pytest
 from tests.arenas import FLAT
 from tests.server.peers import PATIENCE, Peer, looping
 from usarmjx.base.errors import UsageError
-from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.runtime.loop import IDLE_PERIOD, MAX_STEPS, StepClock
 from usarmjx.server.viewing import controls
 from usarmjx.server.viewing import controls as controls_module

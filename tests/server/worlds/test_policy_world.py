@@ -13,7 +13,8 @@ from tests.server.peers import PATIENCE, serving
 from usarmjx.base.errors import UsageError
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
-from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.rosbridge.definitions import RosVersion
 from usarmjx.server.rosbridge.services import RosRobots
 from usarmjx.server.rosbridge.topics import WorldTopics

@@ -9,61 +9,26 @@ from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Protocol
 
 from usarmjx.base.errors import PeerError, UsageError
-from usarmjx.models.ini.parse import read_ini
-from usarmjx.models.ini.read import as_whole, fail
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.gamebots.budget import INIT_COST, JOIN_SHARE, BudgetPool, ClientBudget
-from usarmjx.server.network.access import EVERYBODY, AccessRules
+from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.network.gate import Gate, peer_address
-from usarmjx.server.network.ports import BOT_PORT
 from usarmjx.server.protocol.commands import Command, Init
-from usarmjx.server.protocol.dialects import MANUAL, Dialect
 from usarmjx.server.runtime.logs import FaultLog
 from usarmjx.server.wireless.sockets import has_hung_up, limit_receive_buffer, listen
 from usarmjx.server.worlds.served_world import ServedWorld
 
 log = logging.getLogger(__name__)
-SECTION = "BotAPI.BotServer"
-KEYS = {"listenport": ("port", 0, 65535), "maxconnections": ("max_connections", 1, 4096)}
-"""Fields of `BotServerSettings` by key, with smallest and largest value; port 0 picks a free one."""
 READ_SIZE = 256
 """Most bytes read at once from one client: between two pieces another client has its turn."""
 RECEIVE_BUFFER = 32 * 1024
 """Receive buffer of the system; a client with more unread bytes waits [bytes]."""
 MAX_WRITE_BUFFER = 64 * 1024
 """Fill level of a socket's buffer from which reports wait in the session, which has its own bound [bytes]."""
-
-
-@dataclass(frozen=True)
-class BotServerSettings:
-    """Settings of a Gamebots server.
-
-    Attributes:
-        host: Address to bind; loopback by default.
-        port: TCP port (BotAPI.ini: ListenPort); 0 picks a free one.
-        max_connections: Most clients at once (BotAPI.ini: MaxConnections).
-        init_timeout: Time after which a silent client without a robot makes room, and one that only sends
-            commands when no connection is left; 0: never [s].
-        max_faults: Unusable lines in a row after which a client is dropped, of which a refused INIT counts as
-            `session.REFUSAL_FAULTS`; 0: never.
-        access: Peers that may connect.
-        dialect: Vocabulary of the clients.
-        time_limit: Minutes of simulated time after which serving ends (manual 5.1: TimeLimit); 0: never.
-    """
-
-    host: str = "127.0.0.1"
-    port: int = BOT_PORT
-    max_connections: int = 16
-    init_timeout: float = 60.0
-    max_faults: int = 1000
-    access: AccessRules = EVERYBODY
-    dialect: Dialect = MANUAL
-    time_limit: int = 0
 
 
 @dataclass
@@ -79,22 +44,6 @@ class ConnectionCounts:
     connections: int = 0
     commands: Counter[type] = field(default_factory=Counter[type])
     faults: int = 0
-
-
-def read_bot_server(paths: Iterable[str | Path]) -> dict[str, int]:
-    """Return `[BotAPI.BotServer]` of ini files by fields of `BotServerSettings`; later files override.
-
-    Raises:
-        SpecError: A file cannot be read, or the section has a wrong key or value; names file and line.
-    """
-    fields: dict[str, int] = {}
-    for path in paths:
-        for line in read_ini(Path(path)).section(SECTION).lines:
-            if line.key.lower() not in KEYS:
-                fail(line, f"[{SECTION}] has no key {line.key}", "ListenPort or MaxConnections")
-            name, least, most = KEYS[line.key.lower()]
-            fields[name] = as_whole(line, least, most)
-    return fields
 
 
 @dataclass(eq=False)

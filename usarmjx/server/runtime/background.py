@@ -11,7 +11,8 @@ from typing import Self
 from usarmjx.base.errors import UsageError
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.types.arena import ArenaSpec
-from usarmjx.server.gamebots.server import BotServer, BotServerSettings
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.network.ports import BOT_PORT, bound_ports, count_up
 from usarmjx.server.runtime.loop import ServerLoop
 from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch, check_instances

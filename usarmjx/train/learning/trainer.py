@@ -19,9 +19,10 @@ from usarmjx.train.envs.state import EnvState
 from usarmjx.train.learning.checkpoint import FULL, Checkpoints, read_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_begun
+from usarmjx.train.learning.launch import check_parent
 from usarmjx.train.learning.learner import EnvFactory, Trainer
 from usarmjx.train.learning.metrics import MetricsLog, read_lines, summary
-from usarmjx.train.learning.processes import ProcessGroup, check_parent, run_lock
+from usarmjx.train.learning.processes import ProcessGroup, run_lock
 from usarmjx.train.learning.run_record import (
     DEFAULT_ENV_ARGUMENTS,
     RECORD_FILE,
