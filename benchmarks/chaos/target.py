@@ -27,12 +27,17 @@ def find_process(port: int) -> int:
     """
     sockets = {f"socket:[{inode}]" for inode in _listening(port)}
     for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            if any(os.readlink(one) in sockets for one in (folder / "fd").iterdir()):
-                return int(folder.name)
-        except OSError:
-            continue  # another user's, or gone meanwhile
+        if sockets & set(_open_files(folder)):
+            return int(folder.name)
     raise UsageError(f"no process of yours on this machine listens at port {port}: name it with --pid")
+
+
+def _open_files(process: Path) -> Iterator[str]:
+    """Yield the open files of a process; none of another user's, and none that has closed meanwhile."""
+    with contextlib.suppress(OSError):
+        for one in (process / "fd").iterdir():
+            with contextlib.suppress(OSError):
+                yield os.readlink(one)
 
 
 def _listening(port: int) -> Iterator[str]:
@@ -151,5 +156,5 @@ def started(arena: str, seats: int) -> Iterator[Target]:
         TemporaryDirectory() as cache,
         ServerProcess(SourceTree(OWN_TREE), Path(cache), [*options, *ports]) as server,
     ):
-        page, metrics = server.port_said(VIEWER), server.port_said(METRICS)
+        metrics, page = server.port_said(METRICS), server.port_said(VIEWER)  # in the order of its lines
         yield Target(HOST, server.port, page, metrics, server.process)

@@ -47,7 +47,7 @@ def test_robots_come_drive_and_go(served, monkeypatch, tmp_path):
     assert result["visits"] >= samples[-1]["visits"]
     assert (result["hung_up"], result["put_back"], result["world_resets"]) == (0, 0, 0)
     assert 0.0 < result["longest_gap_s"] < 10.0
-    commands = {command.__name__: count for command, count in server.tally.commands.items()}
+    commands = {command.__name__: count for command, count in server.counts.commands.items()}
     assert commands["Init"] >= 6
     assert commands["DriveRobot"] > 10
 

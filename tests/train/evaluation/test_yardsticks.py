@@ -129,7 +129,7 @@ def games(monkeypatch):
         told = {"runs/blind": {"advice": "false"}, "runs/told": {"advice": "true"}, "runs/usual": {}}
         return PolicySource(name=name, task="explore-v2", overrides=told[name])
 
-    monkeypatch.setattr(yardsticks, "Env", lambda task, worlds, name, engine: (task, worlds))
+    monkeypatch.setattr(yardsticks, "build_env", lambda task, worlds, name, engine: (task, worlds))
     monkeypatch.setattr(yardsticks, "play_team", play)
     monkeypatch.setattr(yardsticks, "load_policy", found)
     monkeypatch.setattr(PolicySource, "policy", lambda source, env: None)

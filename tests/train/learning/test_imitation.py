@@ -136,7 +136,7 @@ def test_ppo_begins_carefully_after_the_lessons():
 
 def test_ppo_begins_with_moments_of_its_own():
     """By those of imitation the first update at a constant rate changed the policy by 0.17."""
-    known, config = after_lessons(schedule="constant")
+    known, config = after_lessons(lr_schedule="constant")
     assert known["loss/rate"] == pytest.approx(config.learning_rate)
     assert known["loss/divergence"] < 0.1
 
