@@ -19,7 +19,8 @@ from pathlib import Path
 try:
     from usarmjx.client import RadioError, RadioLink, UsarsimClient, WirelessA
 except ImportError:  # in a clone that is not installed
-    from usarsim_client import RadioError, RadioLink, UsarsimClient, WirelessA
+    from usarsim_client import UsarsimClient
+    from usarsim_radio import RadioError, RadioLink, WirelessA
 
 # Centres of the arena's cells, 1.2 m apart. There are three walls between the two ends.
 PATHS = {

@@ -387,8 +387,9 @@ class Reader:
             return _path_reader(expects)
         if is_record(hint):
             return self._record_reader(hint)
-        known = isinstance(origin, type) and origin is not Any  # a class since Python 3.11
-        return _instance_reader(origin, expects) if known else _deep_plain
+        if not isinstance(origin, type) or origin is Any:  # Any is a class since Python 3.11
+            return _deep_plain
+        return _instance_reader(cast("type[Any]", origin), expects)
 
     def _special_reader(self, hint: Any) -> Callable[[Any], Any]:  # noqa: ANN401 - a type hint
         action = self._special[hint]

@@ -234,7 +234,8 @@ def run_lane(
         UsageError: The class does not drive on the ground.
     """
     trial, starts = Trial(lane.arena, robot, share), lane.arena.starts
-    left, done, faults, at = 60.0 * minutes, 0, [], 0
+    faults: list[str] = []
+    left, done, at = 60.0 * minutes, 0, 0
     legs = 2 if lane.round_trip else 1
     while left > 0 and len(faults) < MOST_FAULTS and (most is None or done // legs < most):
         ride = trial.follow(lane.way(back=bool(at)), left)

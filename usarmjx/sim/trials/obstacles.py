@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -119,6 +120,7 @@ def write_success(robot: RobotSpec, drives: int, path: Path) -> None:
         UsageError: The class does not drive on the ground, or the file is another one.
         WriteError: The file cannot be written.
     """
+    kept: dict[str, Any]
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))["classes"] if path.exists() else {}
     except (ValueError, KeyError, TypeError):

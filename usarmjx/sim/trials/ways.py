@@ -4,7 +4,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -112,7 +112,8 @@ def plan_legs(arena: ArenaSpec, robot: RobotSpec) -> list[RouteSegment]:
     goals = {f"start {start.tag!r}": (site.node(start), start) for start in arena.starts[1:]}
     goals |= {f"victim {victim.name!r}": (site.beside(victim), None) for victim in arena.victims}
     left = {name: (node, start) for name, (node, start) in goals.items() if node >= 0}
-    here, home, legs = site.node(arena.starts[0]), arena.starts[0], []
+    legs: list[RouteSegment] = []
+    here, home = site.node(arena.starts[0]), arena.starts[0]
     while left and here >= 0:
         lengths, before = site.search(here)
         name = min(left, key=lambda one: lengths[left[one][0]])
@@ -147,9 +148,13 @@ class _WayFinder:
         self._points = np.stack([low[0] + (i + 0.5) * cell, low[1] + (j + 0.5) * cell], -1)
         self._graph = self._edges()
 
-    def _edges(self):  # noqa: ANN202 - a sparse matrix of scipy
-        from scipy.ndimage import distance_transform_edt
-        from scipy.sparse import csr_array
+    def _edges(self) -> Any:  # noqa: ANN401 - a sparse matrix of scipy
+        from scipy import ndimage, sparse  # pyright: ignore[reportMissingTypeStubs]
+
+        csr_array, distance_transform_edt = (
+            cast(Any, sparse).csr_array,
+            cast(Any, ndimage).distance_transform_edt,
+        )
 
         cell = self.map.grid.cell
         room = [np.asarray(distance_transform_edt(np.pad(layer, 1)))[1:-1, 1:-1] for layer in self._free]
@@ -195,9 +200,11 @@ class _WayFinder:
 
     def search(self, node: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the cost of ways from a square to all others, and the squares before them."""
-        from scipy.sparse.csgraph import dijkstra
+        from scipy.sparse import csgraph  # pyright: ignore[reportMissingTypeStubs]
 
-        lengths, before = dijkstra(self._graph, directed=False, indices=node, return_predecessors=True)
+        lengths, before = cast(Any, csgraph).dijkstra(
+            self._graph, directed=False, indices=node, return_predecessors=True
+        )
         return np.asarray(lengths), np.asarray(before)
 
     def way(self, before: np.ndarray, here: int, there: int) -> tuple[Position2D, ...]:

@@ -12,10 +12,11 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
-from scipy import stats
+from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import CONFIDENCE
@@ -55,7 +56,8 @@ def interval(values: np.ndarray) -> Interval:
     mean = float(values.mean())
     if values.size == 1:
         return Interval(mean=mean, low=-np.inf, high=np.inf)
-    half = float(stats.sem(values) * stats.t.ppf((1 + CONFIDENCE) / 2, values.size - 1))
+    scipy: Any = stats
+    half = float(scipy.sem(values) * scipy.t.ppf((1 + CONFIDENCE) / 2, values.size - 1))
     return Interval(mean=mean, low=mean - half, high=mean + half)
 
 

@@ -310,6 +310,10 @@ class _CheckpointWriter:
             self._pool.shutdown()
 
 
+def _silent(text: str) -> None:
+    del text
+
+
 class _Iteration(NamedTuple):
     """An iteration whose numbers may still be at work.
 
@@ -367,7 +371,7 @@ def _run(
     steps = trainer.config.rollout_length * trainer.config.num_worlds * trainer.agents
     lines: list[dict[str, Any]] = []  # of the iterations since the last checkpoint
     line: dict[str, Any] = {}
-    say = log.say if log else lambda text: None
+    say: Callable[[str], None] = log.say if log else _silent
     writer = _CheckpointWriter(checkpoints, trainer.process_group.count == 1, say, watch)
     with log or nullcontext(), closing(writer):
         for ready in _iterated(trainer, left):
