@@ -11,14 +11,19 @@ forward, y right, yaw clockwise; simulated seconds.
 
 import argparse
 import csv
+import importlib
+import importlib.util
 import math
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
+if importlib.util.find_spec("usarmjx") is None:
+    importlib.import_module("usarsim_client")  # which finds usarmjx in this clone
+
 try:
     from usarmjx.client import RadioError, RadioLink, UsarsimClient, WirelessA
-except ImportError:  # in a clone that is not installed
+except ImportError:  # without usarmjx: its two client files lie beside this file
     from usarsim_client import UsarsimClient
     from usarsim_radio import RadioError, RadioLink, WirelessA
 

@@ -92,7 +92,7 @@ def command_problem(words: list[str]) -> str:
 
     path = []  # the verb, and what it is a verb of
     for word in words[1:3]:
-        if word.startswith("-"):
+        if word.startswith("-") or ".py" in word:  # a task of a file of one's own is read for its help
             break
         path.append(word)
     # A wide terminal: a narrow one wraps and cuts the names of options.

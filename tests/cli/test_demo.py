@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from usarmjx.cli import demo as demo
+from usarmjx.cli import demo_run as demo
 from usarmjx.models.arenas.yellow import YELLOW
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.shapes import Shape

@@ -71,7 +71,7 @@ def test_what_was_typed_wrong_is_2_and_says_what_is_allowed(words):
 
 
 def test_what_did_not_come_out_well_is_1(monkeypatch, tmp_path):
-    monkeypatch.setattr("usarmjx.cli.demo.run_demo", lambda *_: 1)
+    monkeypatch.setattr("usarmjx.cli.demo_run.run_demo", lambda *_: 1)
     assert invoke("demo", "--headless", "--out", str(tmp_path)).exit_code == FAILED
     monkeypatch.setattr(doctor, "CHECKS", (lambda: iter([Finding("x", "wrong", "y")]),))
     assert invoke("doctor", "--no-self-test").exit_code == FAILED
@@ -85,7 +85,7 @@ INTERRUPTIBLE = {
     "doctor": "usarmjx.cli.doctor.run_checks",
     "portraits --out x.png": "usarmjx.plots.gallery.portraits",
     "bench step": "benchmarks.step.measure_step",
-    "demo --headless": "usarmjx.cli.demo.run_demo",
+    "demo --headless": "usarmjx.cli.demo_run.run_demo",
 }
 
 

@@ -187,8 +187,8 @@ def test_mistakes_are_named(line: str, words: tuple):
     [
         ("listen_port", 65536, "0 to 65535"),
         ("listen_port", -1, "0 to 65535"),
-        ("pdo", math.nan, "finite"),
-        ("cutoff", -math.inf, "finite"),
+        ("pdo", math.nan, "pdo is nan, expected a number"),
+        ("cutoff", -math.inf, "cutoff is -inf, expected a number"),
         ("do", -2.0, "above 0"),
         ("shadowing", -0.1, "from 0"),
         ("loss_band", -1.0, "from 0"),

@@ -181,5 +181,5 @@ def test_every_message_is_in_a_box_or_counted_as_dropped(calls: list):
 
 @pytest.mark.parametrize("name", ["numbers", "capacity", "bytes_per_step"])
 def test_sizes_that_make_no_sense_are_refused(name: str):
-    with pytest.raises(SpecError, match=f"{name} is 0, allowed is a whole number from 1"):
+    with pytest.raises(SpecError, match=f"{name} is 0, expected a whole number from 1"):
         MessageSettings(**{name: 0})

@@ -353,12 +353,12 @@ def test_each_world_has_its_own_radio():
     ("ranges", "words"),
     [
         ({"friction": (1.0, 0.5)}, r"friction is \(1.0, 0.5\), expected two numbers \(lowest, highest\)"),
-        ({"friction": 0.5}, "expected two numbers"),
-        ({"friction": (0.0, 0.5)}, "allowed is above 0"),
-        ({"mass": (float("nan"), 1.0)}, "mass is"),
-        ({"noise": (-1.0, 1.0)}, "allowed is from 0"),
-        ({"latency": (0.0, 2.0)}, "expected two whole numbers"),
-        ({"latency": (0, 200)}, "allowed is from 0 to 100"),
+        ({"friction": 0.5}, "friction is 0.5, expected a list of 2 numbers above 0 or none"),
+        ({"friction": (0.0, 0.5)}, r"friction\[0\] is 0.0, expected a number above 0"),
+        ({"mass": (float("nan"), 1.0)}, r"mass\[0\] is nan"),
+        ({"noise": (-1.0, 1.0)}, "expected a number from 0"),
+        ({"latency": (0.5, 2.0)}, r"latency\[0\] is 0.5, expected a whole number"),
+        ({"latency": (0, 200)}, "expected a whole number from 0 to 100"),
         ({"radio_n": (-1.0, 2.0)}, "radio_n"),
     ],
 )

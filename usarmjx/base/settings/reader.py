@@ -422,7 +422,8 @@ class Reader:
                 fitting = [
                     max(fitting, key=lambda row: len(self.names(row[0]).keys() & cast(Any, keys).keys()))
                 ]
-            if len(fitting) == 1 and not isinstance(value, Text):
+            # None fits all scalars, and its refusal does not name the other members.
+            if len(fitting) == 1 and fitting[0][0] is not type(None) and not isinstance(value, Text):
                 return fitting[0][1].validate_python(value)
             for _, validator in fitting:
                 try:

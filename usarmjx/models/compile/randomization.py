@@ -106,7 +106,7 @@ class DomainRandomization:
         """Return the range that ends below its start, in words; empty: there is none."""
         spans = [(name, self.range_of(name)) for name in QUANTITY_RULES]
         wrong = [f"{name} is {span}" for name, span in spans if span is not None and span[0] > span[1]]
-        return f"{wrong[0]}, expected (lowest, highest)" if wrong else ""
+        return f"{wrong[0]}, expected two numbers (lowest, highest)" if wrong else ""
 
     def range_of(self, name: str) -> Range | None:
         """Return the range of a quantity of `QUANTITY_RULES`."""
