@@ -32,7 +32,8 @@ def teams(
     worlds: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Episodes, each in a building of its own; 24, or one in each arena of a --split."
+            min=1,
+            help="Episodes, each in a building of its own; 24, or one in each building of a --split.",
         ),
     ] = None,
     seed: SeedOption = 0,
@@ -54,16 +55,17 @@ def teams(
         from usarmjx.engines import choose_engine
         from usarmjx.plots.team_plots import TeamWays, plot_teams
         from usarmjx.train.evaluation import yardsticks
-        from usarmjx.train.policies.sources import task_settings
+        from usarmjx.train.policies.sources import task_settings, usual_split
 
         set_by_hand, _ = task_settings(task, {}, settings or [])
         played, seen = yardsticks.team_task(task, **set_by_hand), TeamWays()
         chosen = list(dict.fromkeys(names or yardsticks.usual_teams(task)))
         watch = yardsticks.ignore if out is None else seen
-        how = (seed, choose_engine(engine, "train"), chosen, _tell, watch, split)
+        how = (seed, choose_engine(engine, "train"), chosen, _tell, watch, split, _warn)
         rows = yardsticks.measure_teams(task, worlds, *how, **set_by_hand)
         typer.echo(yardsticks.table(played, rows))
         if json is not None:
+            split = split or usual_split(task, set_by_hand)
             _keep(json, {"task": task, "split": split, "engine": how[1], "settings": settings or []}, rows)
         if out is not None:
             plot_teams(task, rows, seen, out)
@@ -73,6 +75,11 @@ def teams(
 def _tell(row: "TeamResult") -> None:
     """Say what a team got as soon as it is known."""
     say(f"{row.name}: {row.score.value:.1f}")
+
+
+def _warn(note: str) -> None:
+    """Say that a policy plays buildings of its training."""
+    say(f"warning: {note}")
 
 
 def _keep(path: Path, setup: dict[str, Any], rows: "tuple[TeamResult, ...]") -> None:
@@ -117,6 +124,7 @@ def evaluate_policy(
         from usarmjx.train.evaluation.evaluate import as_record, evaluate_episodes
 
         engine, found = choose_engine(engine, "train"), driver.source()
+        split = split or found.usual_split(driver.settings or ())
         many, episodes = driver.amount(found, split, worlds, episodes)
         env, policy = driver.env(found, many, engine, split)
         numbers = range(driver.seed, driver.seed + seeds)

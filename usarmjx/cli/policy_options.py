@@ -25,7 +25,10 @@ PolicyEngineOption = Annotated[
 ]
 SplitOption = Annotated[
     str | None,
-    typer.Option(help="Generated arenas that were not trained on: test, or validation to choose by."),
+    typer.Option(
+        help="Buildings, where they are generated: test; validation, to choose by; train; fresh, which "
+        "arena.seed draws. Default: test."
+    ),
 ]
 
 
@@ -99,7 +102,7 @@ class PolicyOptions:
     ) -> tuple[int, int]:
         """Return how many worlds, and episodes in all: those asked for, or as many in each generated arena.
 
-        Of a split that is one in each; of others so many that there are about `EPISODES` of them.
+        Of a split that is one in each; of the task's own so many that there are about `EPISODES` of them.
         """
         there = source.count_arenas(self.settings or (), split)
         usual = there if split is not None else there * round(EPISODES / max(there, 1))

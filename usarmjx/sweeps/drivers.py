@@ -5,7 +5,7 @@ import importlib
 import importlib.util
 import sys
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,7 +16,7 @@ from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.make import find_baseline
 from usarmjx.train.policies import POLICIES
-from usarmjx.train.policies.sources import load_policy
+from usarmjx.train.policies.sources import PolicySource, load_policy
 
 BY_HAND, SHIPPED = "by-hand", "shipped"
 KINDS = ("by-hand", "run", "file", "python", "client")
@@ -33,6 +33,7 @@ class CellDriver:
         weights: Of a trained policy: a tree of arrays; else empty.
         command: Of a client over TCP: how it is started; None: the policy acts in the batch.
         speed: Of a client: simulated seconds per second.
+        source: Of a trained policy: where it comes from, and what it was trained on.
     """
 
     shape: Hashable
@@ -40,6 +41,7 @@ class CellDriver:
     weights: Any = field(default=())
     command: str | None = None
     speed: float = 1.0
+    source: PolicySource | None = None
 
 
 def _said(policy: object) -> tuple[str, str, Mapping[str, Any]]:
@@ -94,6 +96,8 @@ def find_driver(policy: object, task: str) -> CellDriver:
     checkpoint = str(more.get("checkpoint", "best"))
     source = load_policy(str(POLICIES.get(task)) if kind == SHIPPED else what, checkpoint)
     assert source.learned is not None  # as neither of them is by hand
+    if kind == SHIPPED:
+        source = replace(source, name=f"packaged policy of {task}")
     learned, weights = source.learned
 
     def make(env: Env, weights: Any) -> Policy:  # noqa: ANN401 - a tree of arrays
@@ -101,7 +105,7 @@ def find_driver(policy: object, task: str) -> CellDriver:
         return learned.as_policy(weights)
 
     shape = ("trained", learned.groups, learned.layers, learned.memory)
-    return CellDriver(shape=shape, make=make, weights=weights)
+    return CellDriver(shape=shape, make=make, weights=weights, source=source)
 
 
 def _own(what: str, env: Env) -> Policy:

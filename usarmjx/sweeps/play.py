@@ -140,6 +140,7 @@ def _halves(work: BatchWork) -> list[BatchWork]:
 
 def _record(work: BatchWork, place: int, one: CellEpisodes, compiling: float) -> CellRecord:
     key, settings = work.cells[place]
+    cell = resolved(settings)
     return CellRecord(
         key=key,
         settings=dict(settings),
@@ -148,6 +149,9 @@ def _record(work: BatchWork, place: int, one: CellEpisodes, compiling: float) ->
         steps=tuple(one.steps.tolist()),
         bad=tuple(one.bad.tolist()),
         metrics={name: tuple(values.tolist()) for name, values in one.metrics.items()},
+        split=cell.split,
+        buildings=cell.buildings,
+        note=cell.training_note,
         seconds=one.seconds,
         compile_seconds=compiling,
         agents=one.agents,

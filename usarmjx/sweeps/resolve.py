@@ -21,7 +21,8 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.sweeps.drivers import CellDriver, contents, find_driver
 from usarmjx.sweeps.spec import FIELDS, ArenaLevel, CellSettings
-from usarmjx.train.envs.recipe import GeneratedArenas, resolve_arenas, spec_of
+from usarmjx.train.envs.membership import building_label
+from usarmjx.train.envs.recipe import SPLITS, TEST, GeneratedArenas, resolve_arenas, spec_of
 from usarmjx.train.envs.task import Task
 from usarmjx.train.make import file_of, make_task
 from usarmjx.train.tasks.buildings import Buildings
@@ -46,6 +47,8 @@ class Resolved:
         arenas: The arenas of its episodes, in turn; None: it has one that is not data.
         ranges: What its worlds draw from, as data.
         driver: What drives the robots.
+        split: Split of its arenas; empty: they are not generated.
+        labels: Name and hash of each of `arenas`.
     """
 
     settings: CellSettings
@@ -53,6 +56,8 @@ class Resolved:
     arenas: tuple[ArenaSpec, ...] | None
     ranges: Mapping[str, tuple[float, float]]
     driver: CellDriver
+    split: str = ""
+    labels: tuple[str, ...] = ()
 
     @property
     def episodes(self) -> int:
@@ -62,6 +67,19 @@ class Resolved:
     def arena_of(self, episode: int) -> ArenaSpec | None:
         """Return the arena of an episode; None: that of the task."""
         return None if self.arenas is None else self.arenas[episode % len(self.arenas)]
+
+    @property
+    def buildings(self) -> tuple[str, ...]:
+        """Name and hash of the building of each episode; empty where its arena is not data (episodes,)."""
+        return tuple(
+            self.labels[episode % len(self.labels)] for episode in range(self.episodes) if self.labels
+        )
+
+    @property
+    def training_note(self) -> str:
+        """A warning if its policy was trained in buildings that it plays, in a line; else empty."""
+        source = self.driver.source
+        return "" if source is None else source.training_note(self.labels)
 
 
 def key_of(settings: CellSettings) -> str:
@@ -96,13 +114,17 @@ def resolve(settings: CellSettings) -> Resolved:
     if "roster" in settings:
         task = with_roster(task, settings["roster"])
     task, ranges = _with_parts(task, settings)
-    arenas = _arenas(settings, task)
-    if isinstance(arenas, tuple):
-        task, specs = replace(task, arena="floor"), arenas
-    else:
-        task, specs = replace(task, arena=arenas), None
-    driver = find_driver(settings["policy"], settings["task"])
-    return Resolved(settings=settings, task=task, arenas=specs, ranges=ranges, driver=driver)
+    arenas, split = _arenas(settings, task)
+    data = isinstance(arenas, tuple)
+    return Resolved(
+        settings=settings,
+        task=replace(task, arena="floor" if data else arenas),
+        arenas=arenas if data else None,
+        ranges=ranges,
+        driver=find_driver(settings["policy"], settings["task"]),
+        split=split,
+        labels=_labels(arenas) if data else (),
+    )
 
 
 OWN_SETTINGS = ("arena", "radio", "physics", "vary", "mail", "sensors")
@@ -185,8 +207,8 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _arenas(settings: CellSettings, task: Task) -> Any:  # noqa: ANN401 - specs of generated ones, else a name
-    """Return the arenas of a cell's episodes, level by level in turn; or the one that it has."""
+def _arenas(settings: CellSettings, task: Task) -> tuple[Any, str]:
+    """Return the arenas of a cell's episodes, level by level in turn, or the one that it has; the split."""
     said, named = parts_of(settings, "arena"), settings.get("arena", task.arena)
     robot = spec_of(task.robots[0]).name if task.robots else "P2AT"
     if (kind := said.get("kind", "maze")) not in KINDS:
@@ -201,9 +223,18 @@ def _arenas(settings: CellSettings, task: Task) -> Any:  # noqa: ANN401 - specs 
         if said:
             known = ", ".join(KINDS.names())
             raise UsageError(f"arena.{next(iter(said))}: not of generated arenas; arena.kind may be {known}")
-        return recipe if isinstance(recipe, str | ArenaSpec) else tuple(recipe)
-    recipe = resolve_arenas(_changed_recipe(recipe, said), robot, len(task.robots))
-    return _generated(recipe, int(settings["episodes"]), "count" in said)
+        if (split := settings.get("split")) is not None:
+            raise UsageError(f"split is {split!r}, but the arenas are not generated: leave split out")
+        return (recipe if isinstance(recipe, str | ArenaSpec) else tuple(recipe)), ""
+    split = settings.get("split") or TEST
+    if "seed" in said and not SPLITS.get(split).drawn:
+        drawn = ", ".join(name for name, one in SPLITS if one.drawn)
+        raise UsageError(
+            f"arena.seed: the buildings of split {split} are fixed; a seed draws those of {drawn}: set split"
+        )
+    recipe = replace(_changed_recipe(recipe, said), split=split, renewable=False)
+    recipe = resolve_arenas(recipe, robot, len(task.robots))
+    return _generated(recipe, int(settings["episodes"]), "count" in said), split
 
 
 def _changed_recipe(recipe: GeneratedArenas, given: dict[str, Any]) -> GeneratedArenas:
@@ -215,6 +246,11 @@ def _changed_recipe(recipe: GeneratedArenas, given: dict[str, Any]) -> Generated
     if "size" in given and isinstance(recipe, Buildings):
         given["sizes"] = []  # the task's own would go before
     return reader.from_data(type(recipe), given, where="arena", base=recipe)
+
+
+@lru_cache(maxsize=64)
+def _labels(arenas: tuple[ArenaSpec, ...]) -> tuple[str, ...]:
+    return tuple(map(building_label, arenas))
 
 
 @lru_cache(maxsize=64)

@@ -42,6 +42,8 @@ class Cell:
         seed: Seed of all random numbers.
         engine: Physics engine, or `auto`.
         arena: Arena, or parts of the recipe of generated ones.
+        split: Split of generated arenas: `test`, `validation`, `train`, or `fresh`, which `arena.seed` draws.
+            None: `test` where arenas are generated.
         roster: Robot classes and how many of each, or a list of classes.
         physics: Name of the physics settings, or parts of them.
         radio: Parts of the radio's constants.
@@ -55,6 +57,7 @@ class Cell:
     seed: Annotated[int, NOT_NEGATIVE] = 0
     engine: str = "auto"
     arena: Named | None = None
+    split: Annotated[str | None, Setting(choices=("train", "validation", "test", "fresh"))] = None
     roster: Mapping[str, int] | list[str] | None = None
     physics: Named | None = None
     radio: Mapping[str, Any] | None = None
@@ -145,8 +148,9 @@ def check_key(key: str, where: str) -> None:
         return
     if dot and first in parts():
         if part not in parts()[first]:
+            other = f"; {part} is a setting of its own" if part in NAMES else ""
             raise UnknownNameError(
-                f"{where} has no setting {key!r}; {first} has: {', '.join(parts()[first])}"
+                f"{where} has no setting {key!r}; {first} has: {', '.join(parts()[first])}{other}"
             )
         return
     if dot or key not in NAMES or key in (FIELDS, "radio", "vary"):

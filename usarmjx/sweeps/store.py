@@ -30,6 +30,9 @@ class CellRecord:
         steps: Steps of the episodes (episodes,).
         bad: Episodes whose physics went wrong (episodes,).
         metrics: The task's metrics at their ends, by name (episodes,).
+        split: Split of its arenas; empty: they are not generated.
+        buildings: Name and hash of the building of each episode; empty: all have the same (episodes,).
+        note: Warning about the result: the policy was trained in buildings that it played.
         seconds: Its share of the time that its batch took [s].
         compile_seconds: Its share of the time that JAX compiled for its batch [s].
         agents: Robots that act in each world; 0: not known.
@@ -44,6 +47,9 @@ class CellRecord:
     steps: tuple[int, ...] = ()
     bad: tuple[bool, ...] = ()
     metrics: dict[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
+    split: str = ""
+    buildings: tuple[str, ...] = ()
+    note: str = ""
     seconds: float = 0.0
     compile_seconds: float = 0.0
     agents: int = 0
@@ -114,7 +120,7 @@ def read_cell(folder: Path, key: str) -> CellRecord | None:
 
 
 def _tuples(content: Mapping[str, Any]) -> dict[str, Any]:
-    rows = {name: tuple(content[name]) for name in ("scores", "steps", "bad")}
+    rows = {name: tuple(content.get(name, ())) for name in ("scores", "steps", "bad", "buildings")}
     return {**rows, "metrics": {name: tuple(values) for name, values in content["metrics"].items()}}
 
 

@@ -36,7 +36,10 @@ def test_no_arena_is_of_two_splits(monkeypatch):
         "train": 48,
         "validation": 102,
         "test": 201,
+        "fresh": 102,
     }
+    for name in ("train", "validation", "test"):
+        assert not seeds["fresh"] & seeds[name]
     assert not seeds["train"] & (seeds["validation"] | seeds["test"])
     assert not seeds["validation"] & seeds["test"]
     drawn = np.array([0, HELD_OUT_START, HELD_OUT_END - 1, HELD_OUT_END], np.uint32)
@@ -59,7 +62,7 @@ def test_the_arenas_trained_on_are_those_of_before():
     assert Buildings(count=1).arenas()[0].name == "DM-building-10x8-2968811710"
 
 
-@pytest.mark.parametrize("split", ["validation", "test"])
+@pytest.mark.parametrize("split", ["validation", "test", "fresh"])
 def test_nobody_trains_on_held_out_arenas(split):
     """Whether all worlds have one of them or each its own."""
     config = Config(num_worlds=2, num_minibatches=1, hidden_sizes=(4,), critic_hidden_sizes=(4,))
@@ -125,5 +128,5 @@ def test_eval_plays_each_arena_of_a_split_once():
     told = CliRunner().invoke(app, ["eval", "--baseline", "drive-to-goal", "--split", "test"])
     assert told.exit_code == 2
     assert "drive-to-goal has no generated arenas as it is set up, so none of the split test" in told.output
-    with pytest.raises(UnknownNameError, match="unknown split 'exam'; known: test, train, validation"):
+    with pytest.raises(UnknownNameError, match="unknown split 'exam'; known: fresh, test, train, validation"):
         SMALL.of_split("exam")

@@ -57,7 +57,7 @@ def test_each_world_has_an_arena_of_its_own_of_all_levels_alike():
     task = make_task("explore")
     levels = task.arena.levels
     few = few_arenas(task, 2 * len(levels))
-    assert few == replace(task, arena=replace(task.arena, count=2))
+    assert few == replace(task, arena=replace(task.arena.of_split("test"), count=2))
     assert few_arenas(small("explore"), 5) == small("explore")
     with pytest.raises(UsageError, match=f"4 worlds for {len(levels)} levels of arenas: expected a multiple"):
         few_arenas(task, 4)

@@ -24,6 +24,10 @@ GENERATED = "DM-"
 """How names of generated arenas begin."""
 HELD_OUT_START, TEST_START, HELD_OUT_END = 4_000_000_000, 4_000_001_000, 4_000_010_000
 """Nobody trains on seeds from the first to the last; from the second on they are for tests."""
+TRAIN_END, FRESH_END = 2**32, 2**48
+"""Training draws seeds below the first; `fresh` draws those from it to the second."""
+TRAIN, TEST, FRESH = "train", "test", "fresh"
+"""Names of splits."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,26 +35,31 @@ class Split:
     """Seeds of generated arenas that are used for one thing.
 
     Attributes:
-        start: The first; those for training leave out what is held out.
-        end: The one after the last.
-        arenas: How many are tried, at least; 0: as many as a task has.
+        start: First seed; those for training leave out what is held out.
+        end: Seed after the last.
+        arenas: Least number of arenas that are tried; 0: as many as a task has.
+        drawn: Whether a seed draws them, as those of training; else they are the first of the split.
     """
 
     start: int
     end: int
     arenas: int = 0
+    drawn: bool = False
 
     def seeds(self, seed: int | tuple[int, ...], count: int) -> np.ndarray:
-        """Return the seeds of so many arenas (count,): drawn by `seed`, or of a held-out split the first.
+        """Return the seeds of arenas (count,): drawn by `seed`, or of a held-out split the first.
 
         Args:
             seed: A number, or several.
-            count: How many.
+            count: Number of arenas.
 
         Raises:
             UsageError: More than there are.
         """
-        if not self.arenas:
+        if self.drawn and self.start:
+            drawn = np.random.SeedSequence(seed).generate_state(count, np.uint64)
+            return (drawn % np.uint64(self.end - self.start)).astype(np.int64) + self.start
+        if self.drawn:
             drawn = np.random.SeedSequence(seed).generate_state(count, np.uint32).astype(np.int64)
             kept = (drawn >= HELD_OUT_START) & (drawn < HELD_OUT_END)
             return np.where(kept, drawn - (HELD_OUT_END - HELD_OUT_START), drawn)
@@ -61,21 +70,30 @@ class Split:
 
 SPLITS: Registry[Split] = Registry("split")
 """Splits of generated arenas by name; policies train on `train` alone."""
-SPLITS.add("train", Split(start=0, end=2**32))
+SPLITS.add(TRAIN, Split(start=0, end=TRAIN_END, drawn=True))
 SPLITS.add("validation", Split(start=HELD_OUT_START, end=TEST_START, arenas=100))
-SPLITS.add("test", Split(start=TEST_START, end=HELD_OUT_END, arenas=200))
+SPLITS.add(TEST, Split(start=TEST_START, end=HELD_OUT_END, arenas=200))
+SPLITS.add(FRESH, Split(start=TRAIN_END, end=FRESH_END, arenas=100, drawn=True))
+
+
+def generator_seed(name: str) -> int | None:
+    """Return the seed of the generated arena of a name; None: the name is of no generated arena."""
+    seed = name.rpartition("-")[2]
+    return int(seed) if name.startswith(GENERATED) and seed.isdecimal() else None
+
+
+def split_of(name: str) -> str | None:
+    """Return the split of the generated arena of a name, by its seed; None: of no generated arena."""
+    seed = generator_seed(name)
+    if seed is None:
+        return None
+    held = (name for name, split in SPLITS if name != TRAIN and split.start <= seed < split.end)
+    return next(held, TRAIN)
 
 
 def held_out(arenas: Iterable[ArenaSpec]) -> str | None:
     """Return the name of the split of the first of some arenas that nobody may train on; None: all may be."""
-    for arena in arenas:
-        seed = arena.name.rpartition("-")[2]
-        if not (arena.name.startswith(GENERATED) and seed.isdecimal()):
-            continue
-        for name, split in SPLITS:
-            if split.arenas and split.start <= int(seed) < split.end:
-                return name
-    return None
+    return next((name for arena in arenas if (name := split_of(arena.name)) not in (None, TRAIN)), None)
 
 
 MIN_START_DISTANCE = 1.0

@@ -83,14 +83,17 @@ def task_gap(
         episodes: Of each seed and policy, at least.
         seeds: Seeds of the environments.
         worlds: How many at once.
-        split: Of generated arenas, a name of `SPLITS`; None: the tasks' own.
+        split: Split of generated arenas, a name of `SPLITS`; None: `test`.
         tell: Is told how far it is.
     """
 
     def cell(name: str, sources: Sequence[PolicySource], engine: str) -> str:
         try:
             env, _, _ = sources[0].env(
-                worlds=min(worlds, episodes), engine=engine, seed=seeds[0], split=split
+                worlds=min(worlds, episodes),
+                engine=engine,
+                seed=seeds[0],
+                split=split or sources[0].usual_split(),
             )
         except UnsupportedFeatureError as refused:
             tell(f"{name}: {refused}")

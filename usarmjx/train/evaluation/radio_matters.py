@@ -25,7 +25,7 @@ from usarmjx.base.markdown import markdown_table
 from usarmjx.engines import choose_engine
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
-from usarmjx.train.envs.recipe import GeneratedArenas
+from usarmjx.train.envs.recipe import TEST, GeneratedArenas
 from usarmjx.train.envs.task import TASKS
 from usarmjx.train.make import build_env, make_task
 from usarmjx.train.tasks.team import PERFECT_RADIO, TeamTask
@@ -85,7 +85,7 @@ def variants(task: TeamTask) -> dict[str, TeamTask]:
 
 
 def few_arenas(task: TeamTask, worlds: int) -> TeamTask:
-    """Return a task with as many generated arenas as worlds, of all levels alike: each world has its own.
+    """Return a task with as many generated arenas of split `test` as worlds, of all levels alike.
 
     Raises:
         UsageError: Worlds that are no multiple of the levels.
@@ -95,7 +95,7 @@ def few_arenas(task: TeamTask, worlds: int) -> TeamTask:
         return task
     if worlds % len(arena.levels):
         raise UsageError(f"{worlds} worlds for {len(arena.levels)} levels of arenas: expected a multiple")
-    return replace(task, arena=replace(arena, count=worlds // len(arena.levels)))
+    return replace(task, arena=replace(arena.of_split(TEST), count=worlds // len(arena.levels)))
 
 
 def run_variant(env: Env, name: str, seed: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:

@@ -25,11 +25,19 @@ from usarmjx.base.markdown import markdown_table
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env, EnvState
+from usarmjx.train.envs.membership import building_label
+from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
-from usarmjx.train.evaluation.radio_matters import few_arenas
 from usarmjx.train.make import build_env, make_task
 from usarmjx.train.policies import POLICIES
-from usarmjx.train.policies.sources import PolicySource, arenas_of, load_policy, task_settings
+from usarmjx.train.policies.sources import (
+    PolicySource,
+    arenas_of,
+    load_exported,
+    load_policy,
+    task_settings,
+    usual_split,
+)
 from usarmjx.train.tasks.team import PERFECT_RADIO, TeamTask
 from usarmjx.train.tasks.victim_search import VictimSearch
 
@@ -151,6 +159,27 @@ def find_team(name: str) -> Team:
     return partial(seen_as_in_training, source), source.policy
 
 
+def training_note(team: str, task: TeamTask, name: str) -> str:
+    """Return a warning if a team's policy was trained in buildings that it plays; empty if it was not.
+
+    Args:
+        team: As `find_team` takes it.
+        task: The task as the team plays it.
+        name: Name of the task.
+    """
+    if team == "packaged":
+        source = replace(load_exported(POLICIES.get(packaged_name(name))), name=team)
+    elif team in TEAMS:
+        return ""
+    else:
+        source = load_policy(team)
+    arenas = task.arenas
+    if isinstance(arenas, GeneratedArenas):
+        arenas = arenas.arenas()
+    several = [arenas] if isinstance(arenas, str | ArenaSpec) else arenas
+    return source.training_note([building_label(one) for one in several if isinstance(one, ArenaSpec)])
+
+
 @dataclass(frozen=True, kw_only=True)
 class TeamResult:
     """What a team got.
@@ -268,20 +297,22 @@ def measure_teams(  # noqa: PLR0913 - all but the first may be left out
     tell: Callable[[TeamResult], None] = lambda row: None,
     watch: TeamWatch = ignore,
     split: str | None = None,
+    warn: Callable[[str], None] = lambda note: None,
     **overrides: object,
 ) -> tuple[TeamResult, ...]:
     """Return what each team gets.
 
     Args:
         name: Of a team task.
-        worlds: Episodes, each in a building of its own, the same for all teams; None: `WORLDS`, or with a
-            split as many as that has, which is also the most.
+        worlds: Episodes, each in a building of its own, the same for all teams; None: `WORLDS`, or as many
+            as a `split` that is given has, which is also the most.
         seed: Of the environments.
         engine: See `make`.
         teams: Names, see `find_team`.
         tell: Is given each row as soon as it is known.
         watch: Sees every state of every team but the last one.
-        split: Of generated arenas, a name of `SPLITS`; None: the task's own, which may be trained on.
+        split: Split of generated arenas, a name of `SPLITS`; None: `test`.
+        warn: Is given a line for each policy that plays buildings of its training.
         overrides: Fields of the task to set otherwise. Without `advice` among them, policies of runs and
             files see the planner's advice if they did in training.
 
@@ -292,17 +323,20 @@ def measure_teams(  # noqa: PLR0913 - all but the first may be left out
     """
     task = team_task(name, **overrides)
     if split is None:
-        worlds = worlds or WORLDS
-        task = few_arenas(task, worlds)
+        worlds, split = worlds or WORLDS, usual_split(name, overrides)
+    if split is None:
+        played = worlds or WORLDS
     else:
         arenas = arenas_to_play(name, worlds, split, **overrides)
-        task, worlds = replace(task, arena=arenas), len(arenas)
+        task, played = replace(task, arena=arenas), len(arenas)
     envs: dict[TeamTask, Env] = {}  # each is compiled once
     rows: list[TeamResult] = []
     for team, (change, driver) in {team: find_team(team) for team in teams}.items():
         own = task if team not in TEAMS and "advice" in overrides else change(task)
         if own not in envs:
-            envs[own] = build_env(own, worlds, name=name, engine=engine)
+            envs[own] = build_env(own, played, name=name, engine=engine)
+        if note := training_note(team, own, name):
+            warn(note)
         rows.append(play_team(envs[own], own, driver(envs[own]), team, seed, watch))
         tell(rows[-1])
     return tuple(rows)

@@ -1,6 +1,6 @@
 """Policies from wherever they are: the folder of a run, an exported file, the package, or written by hand."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,8 @@ from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.settings import parse_assignments
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import AgentGroup, Env
-from usarmjx.train.envs.recipe import GeneratedArenas
+from usarmjx.train.envs.membership import building_label, training_note
+from usarmjx.train.envs.recipe import TEST, GeneratedArenas
 from usarmjx.train.envs.task import Policy, Task
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.make import check_there, find_baseline, make, make_task, task_values
@@ -70,7 +71,8 @@ class PolicySource:
             worlds: How many.
             engine: `warp`, `jax`, `c`, or `auto`.
             seed: Of all random numbers.
-            split: Of generated arenas, a name of `SPLITS`; None: the task's own, which were trained on.
+            split: Split of generated arenas, a name of `SPLITS`; None: the task's own, which were trained on.
+                A note says if the policy plays buildings of its training.
 
         Raises:
             UsageError: A setting that does not read, a scene that cannot be built, or that the policy is
@@ -82,7 +84,26 @@ class PolicySource:
         if split is not None:
             overrides["arena"] = arenas_of(self.task, overrides, split)
         env = make(self.task, worlds=worlds, engine=engine, seed=seed, **overrides)
-        return env, self.policy(env), notes
+        scene = env.scene
+        played = (scene.arena,) if scene.arenas is None else scene.arenas.arenas
+        seen = self.training_note(map(building_label, played))
+        return env, self.policy(env), [*notes, seen] if seen else notes
+
+    def training_note(self, played: Iterable[str]) -> str:
+        """Return a warning if the policy was trained in some buildings, by their labels; empty if in none."""
+        if self.learned is None:
+            return ""
+        overrides, _ = task_settings(self.task, self.overrides, ())
+        return training_note(self.name, make_task(self.task, **overrides).arenas, played)
+
+    def usual_split(self, settings: Sequence[str] = ()) -> str | None:
+        """Return the split that it is evaluated on, see `usual_split`.
+
+        Raises:
+            UsageError: See `env`.
+        """
+        check_there(self.task, self.name)
+        return usual_split(self.task, task_settings(self.task, self.overrides, settings)[0])
 
     def count_arenas(self, settings: Sequence[str], split: str | None) -> int:
         """Return how many arenas of a split its task has; None: of its own, 0 if they are not generated.
@@ -109,6 +130,11 @@ def arenas_of(task: str, overrides: Mapping[str, Any], split: str) -> GeneratedA
     if not isinstance(arenas, GeneratedArenas):
         raise UsageError(f"{task} has no generated arenas as it is set up, so none of the split {split}")
     return arenas.of_split(split)
+
+
+def usual_split(task: str, overrides: Mapping[str, Any]) -> str | None:
+    """Return the split that policies are evaluated on: `test` of generated arenas, None of all others."""
+    return TEST if isinstance(make_task(task, **overrides).arenas, GeneratedArenas) else None
 
 
 def _shapes(groups: Sequence[AgentGroup]) -> list[tuple[str, int, int]]:
