@@ -1,24 +1,39 @@
 """Uncertainty of results: confidence intervals, interquartile means, performance profiles, Pareto fronts.
 
 After Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice" (NeurIPS 2021):
-runs are compared by the interquartile mean, by performance profiles, and with intervals of a stratified
-bootstrap, which resamples episodes within each cell.
+methods are compared by the interquartile mean, by the probability of improvement and by performance profiles.
+Intervals are those of crossed factors, see `crossed`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-CONFIDENCE = 0.95
-"""Confidence level of all intervals."""
-RESAMPLES = 2000
-"""Bootstrap resamples."""
+from usarmjx.base.crossed import (
+    CONFIDENCE,
+    Factor,
+    crossed_mean,
+    crossed_variance,
+    even,
+    p_value,
+    quantile_of_t,
+    wilson_interval,
+)
+
 TRIM = 0.25
 """Fraction of the lowest and of the highest scores that the interquartile mean leaves out."""
 
-Strata = Sequence[np.ndarray]
-"""Values (n,) of each cell."""
+__all__ = [
+    "CONFIDENCE",
+    "Estimate",
+    "crossed_estimate",
+    "estimate_groups",
+    "interquartile_mean",
+    "pareto_front",
+    "performance_profile",
+    "probability_of_improvement",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,14 +45,22 @@ class Estimate:
         low: Lower end of the interval.
         high: Upper end of the interval.
         count: Number of values.
-        method: Method of the interval: `bootstrap` or `Wilson`.
+        method: Method of the interval: `crossed`, or `Wilson` of a share.
+        draws: Number of independent draws by factor: buildings, settings, runs.
+        p: Two-sided probability of an estimate as far from 0 if the truth is 0.
     """
 
     value: float
     low: float
     high: float
     count: int
-    method: str = "bootstrap"
+    method: str = "crossed"
+    draws: Mapping[str, int] | None = None
+    p: float = float("nan")
+
+    def drawn(self, name: str) -> int:
+        """Return the number of draws of a factor; 0: there is none of that name."""
+        return 0 if self.draws is None else self.draws.get(name, 0)
 
 
 def interquartile_mean(values: np.ndarray) -> np.ndarray:
@@ -47,44 +70,107 @@ def interquartile_mean(values: np.ndarray) -> np.ndarray:
     return np.asarray(stats.trim_mean(values, TRIM, axis=-1))
 
 
-def mean(values: np.ndarray) -> np.ndarray:
-    """Return the mean (...,) of values (..., n)."""
-    return np.asarray(values.mean(-1))
+def interquartile_effects(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what each value, and a change of it, does to the interquartile mean (n,), (n,).
 
-
-def estimate(
-    strata: Strata,
-    of: Callable[[np.ndarray], np.ndarray] = mean,
-    *,
-    shares: bool = False,
-    seed: int = 0,
-) -> Estimate:
-    """Estimate a statistic of all values with its 95 % confidence interval.
+    The first are the interquartile mean plus the influence of each value (of Winsorized values, Huber and
+    Ronchetti, "Robust Statistics", 3.2): their mean is the interquartile mean, their spread that of its draws.
+    The second are the derivatives times n: 0 of values that are left out.
 
     Args:
-        strata: Values of each cell.
-        of: Statistic of values (..., n): `mean` or `interquartile_mean`.
-        shares: Whether values that are all 0 or 1 are successes, whose proportion gets Wilson's interval.
-        seed: Seed of the bootstrap.
+        values: Values (n,).
     """
-    rows = [np.asarray(one, float) for one in strata if len(one)]
-    if not rows:
-        return Estimate(value=np.nan, low=np.nan, high=np.nan, count=0)
-    everything = np.concatenate(rows)
-    value, count = float(of(everything)), len(everything)
-    if shares and np.isin(everything, (0.0, 1.0)).all():
-        from scipy import stats
+    order = np.argsort(values, kind="stable")
+    cut = int(TRIM * len(values))
+    kept = order[cut : len(values) - cut]
+    inside = np.zeros(len(values))
+    inside[kept] = len(values) / len(kept)
+    clipped = np.clip(values, values[kept[0]], values[kept[-1]])
+    influence = (clipped - clipped.mean()) * len(values) / len(kept)
+    return float(interquartile_mean(values)) + influence, inside
 
-        found = stats.binomtest(int(everything.sum()), count).proportion_ci(CONFIDENCE, method="wilson")
-        low, high = float(found.low), float(found.high)
-        return Estimate(value=value, low=low, high=high, count=count, method="Wilson")
-    # The bootstrap of a single value has no spread; an honest interval is unbounded.
-    if count == 1:
-        return Estimate(value=value, low=-np.inf, high=np.inf, count=1)
-    draw = np.random.default_rng(seed)
-    drawn = np.concatenate([row[draw.integers(len(row), size=(RESAMPLES, len(row)))] for row in rows], -1)
-    low, high = np.quantile(of(drawn), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return Estimate(value=value, low=float(low), high=float(high), count=count)
+
+def crossed_estimate(
+    table: np.ndarray,
+    factors: Sequence[Factor],
+    count: int,
+    *,
+    value: float | None = None,
+    shares: bool = False,
+    draws: Mapping[str, int] | None = None,
+) -> Estimate:
+    """Estimate the mean of a table with its 95 % confidence interval.
+
+    Args:
+        table: Values, one for each combination of draws (draws of the first factor, ... of the last).
+        factors: Factors that were drawn.
+        count: Number of values that the table was made from.
+        value: Estimate, if it is not the mean of the table.
+        shares: Whether the values are successes, 0 or 1, whose share gets Wilson's interval.
+        draws: Numbers of draws to state; None: those of the factors.
+    """
+    variance, dof = crossed_variance(table, factors)
+    middle = float(crossed_mean(table, factors)) if value is None else value
+    stated = {factor.name: factor.count for factor in factors} if draws is None else draws
+    if not np.isfinite(variance):
+        return Estimate(value=middle, low=-np.inf, high=np.inf, count=count, draws=stated)
+    if shares:
+        fewest = min(factor.count for factor in factors)
+        low, high = wilson_interval(np.array(middle), variance, dof, count, fewest)
+        method = "Wilson"
+    else:
+        half = float(quantile_of_t(dof) * np.sqrt(variance))
+        low, high, method = middle - half, middle + half, "crossed"
+    chance = p_value(middle, float(variance), float(dof))
+    return Estimate(
+        value=middle, low=float(low), high=float(high), count=count, method=method, draws=stated, p=chance
+    )
+
+
+def estimate_groups(
+    values: np.ndarray,
+    groups: Sequence[object] | np.ndarray | None = None,
+    *,
+    strata: int = 1,
+    shares: bool = False,
+    name: str = "buildings",
+) -> Estimate:
+    """Estimate the mean of values with its 95 % confidence interval, those of a group together.
+
+    Args:
+        values: Values (n,).
+        groups: Group of each value, as its building (n,); None: each value is one by itself.
+        strata: Number of strata that the groups are from.
+        shares: Whether values that are all 0 or 1 are successes, whose share gets Wilson's interval.
+        name: What a group is.
+    """
+    values = np.asarray(values, float)
+    if not len(values):
+        return Estimate(value=np.nan, low=np.nan, high=np.nan, count=0)
+    index = np.arange(len(values)) if groups is None else np.unique(np.asarray(groups), return_inverse=True)[1]
+    there = int(index.max()) + 1
+    middle = float(values.mean())
+    sums = np.bincount(index, values - middle)
+    return crossed_estimate(
+        middle + sums * there / len(values),
+        [even(name, there, strata if there > 2 * strata else 1)],
+        len(values),
+        value=middle,
+        shares=shares and bool(np.isin(values, (0.0, 1.0)).all()),
+    )
+
+
+def probability_of_improvement(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return how often a draw of one method is better than one of another (..., draws, draws).
+
+    Its mean is the probability of improvement of Agarwal et al.: Mann and Whitney's U by the number of pairs.
+
+    Args:
+        first: Scores of the one (..., draws).
+        second: Scores of the other (..., draws).
+    """
+    one, other = np.asarray(first)[..., :, None], np.asarray(second)[..., None, :]
+    return (one > other) + 0.5 * (one == other)
 
 
 def performance_profile(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -36,8 +36,9 @@ class Cell:
 
     Attributes:
         task: Name of the task, or FILE.py:CLASS.
-        policy: Policy that drives: `by-hand`, `shipped`, a run's folder, an exported file, FILE.py:FUNCTION,
-            or a kind with its name.
+        policy: Policy that drives: `by-hand`, `shipped`, `random`, a run's folder, an exported file,
+            FILE.py:FUNCTION, or a kind with its name.
+        method: Policies that are runs of one method, as {name: NAME, runs: [POLICY, ...]}: each is a cell.
         episodes: Episodes of the cell, each in a world of its own.
         seed: Seed of all random numbers.
         engine: Physics engine, or `auto`.
@@ -53,6 +54,7 @@ class Cell:
 
     task: str
     policy: Named = "by-hand"
+    method: Named | None = None
     episodes: Annotated[int, AT_LEAST_ONE] = 20
     seed: Annotated[int, NOT_NEGATIVE] = 0
     engine: str = "auto"
@@ -213,6 +215,8 @@ class SweepFile:
         list: Settings of cells, one after the other.
         sample: Points of ranges.
         worlds: Most worlds of a batch; None: by the memory of the machine.
+        normalise: `zero` and `one`: policies or methods of the sweep whose scores count as 0 and as 1 in
+            aggregates over tasks, or such scores by task.
     """
 
     about: str = ""
@@ -221,6 +225,20 @@ class SweepFile:
     list: Any = None
     sample: Any = None
     worlds: Annotated[int | None, AT_LEAST_ONE] = None
+    normalise: Any = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Anchors:
+    """Part `normalise` of a sweep's file.
+
+    Attributes:
+        zero: Policy or method whose score counts as 0, or such a score by task.
+        one: Policy or method whose score counts as 1, or such a score by task.
+    """
+
+    zero: str | Mapping[str, float]
+    one: str | Mapping[str, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,6 +250,8 @@ class SweepSpec:
         about: Question that it answers, in a sentence.
         cells: Settings of each cell, with the defaults.
         axes: Settings that differ between cells, in the order of the file.
+        sampled: Lowest and highest number of each setting that is sampled.
+        normalise: Policies or scores that count as 0 and as 1, see `SweepFile`.
         worlds: Most worlds of a batch; None: by the memory of the machine.
     """
 
@@ -240,6 +260,8 @@ class SweepSpec:
     cells: tuple[dict[str, Any], ...]
     axes: tuple[str, ...]
     worlds: int | None = None
+    sampled: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    normalise: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
 def find_spec(what: str) -> Path:
@@ -282,19 +304,56 @@ def read_spec(given: object, name: str = "sweep", common: Mapping[str, Any] | No
     """
     rows = given.data if isinstance(given, FileValue) else given
     file, found = default_reader().from_data(SweepFile, given), dict[str, Any](rows)  # type: ignore - a mapping
-    parts = [_rows(found.get("list")), _product(found.get("product")), _sample(found.get("sample"))]
+    sample = _sample_settings(found.get("sample"))
+    parts = [_rows(found.get("list")), _product(found.get("product")), _sample(sample)]
     count = int(np.prod([len(rows) for rows in parts]))
     if count > MAX_CELLS:
         raise UsageError(f"{count} cells, expected at most {MAX_CELLS}")
     base = flatten(found["common"], "common") if file.common else {}
     over = flatten(common or {}, "the command line")
     where = f"{given.path}: a cell" if isinstance(given, FileValue) else "a cell"
-    cells = [complete({**base, **_joined(rows), **over}, where) for rows in itertools.product(*parts)]
+    joined = ({**base, **_joined(rows), **over} for rows in itertools.product(*parts))
+    cells = [complete(cell, where) for row in joined for cell in with_runs(row, where)]
     unique = list({repr(cell): cell for cell in cells}.values())
-    names = dict.fromkeys(key for rows in parts for row in rows for key in row)
-    axes = tuple(key for key in names if len({repr(cell.get(key)) for cell in unique}) > 1)
-    about = " ".join(file.about.split())
-    return SweepSpec(name=name, about=about, cells=tuple(unique), axes=axes, worlds=file.worlds)
+    names = dict.fromkeys(key for rows in [[base], *parts] for row in rows for key in row)
+    if "method" in names:
+        names["policy"] = None
+    return SweepSpec(
+        name=name,
+        about=" ".join(file.about.split()),
+        cells=tuple(unique),
+        axes=tuple(key for key in names if len({repr(cell.get(key)) for cell in unique}) > 1),
+        worlds=file.worlds,
+        sampled={} if sample is None else {key: list(span) for key, span in _spans(sample).items()},
+        normalise=_anchors(found.get("normalise")),
+    )
+
+
+def with_runs(settings: CellSettings, where: str) -> list[dict[str, Any]]:
+    """Return a cell's settings, or those of one cell for each run of its method.
+
+    Raises:
+        UsageError: A method without name or runs, or beside a policy.
+    """
+    method = settings.get("method")
+    if method is None or isinstance(method, str):
+        return [dict(settings)]
+    form = "expected {name: NAME, runs: [POLICY, ...]}"
+    runs: Any = method.get("runs") if isinstance(method, Mapping) else None
+    if set(method) != {"name", "runs"} or not isinstance(method["name"], str):
+        raise UsageError(f"{where}: method is {method!r}, {form}")
+    if not isinstance(runs, list) or not runs:
+        raise UsageError(f"{where}: method {method['name']}: runs is {runs!r}, {form}")
+    if "policy" in settings:
+        raise UsageError(f"{where}: method and policy are both given: give one")
+    return [{**settings, "method": method["name"], "policy": run} for run in runs]
+
+
+def _anchors(given: object) -> dict[str, Any]:
+    if _is_empty(given):
+        return {}
+    found = default_reader().from_data(Anchors, given, where="normalise")
+    return {name: one if isinstance(one, str) else dict(one) for name, one in vars(found).items()}
 
 
 def _joined(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -333,16 +392,25 @@ def _product(given: object) -> list[dict[str, Any]]:
     return [dict(zip(axes, row, strict=True)) for row in itertools.product(*axes.values())]
 
 
-def _sample(given: object) -> list[dict[str, Any]]:
-    """Return points of ranges; whole numbers where both ends are."""
-    if _is_empty(given):
-        return [{}]
-    sample = default_reader().from_data(SampleSettings, given, where="sample")
+def _sample_settings(given: object) -> SampleSettings | None:
+    return None if _is_empty(given) else default_reader().from_data(SampleSettings, given, where="sample")
+
+
+def _spans(sample: SampleSettings) -> dict[str, Any]:
+    """Return lowest and highest number of each setting that is sampled."""
     ranges = flatten(sample.ranges, "sample: ranges")
     if not ranges:
         raise UsageError("sample: ranges is empty, expected key: [lowest, highest]")
     for key, span in ranges.items():
         _check_span(key, span)
+    return ranges
+
+
+def _sample(sample: SampleSettings | None) -> list[dict[str, Any]]:
+    """Return points of ranges; whole numbers where both ends are."""
+    if sample is None:
+        return [{}]
+    ranges = _spans(sample)
     points = _points(sample.count, len(ranges), sample.method, sample.seed)
     return [
         {key: _at(span, share) for (key, span), share in zip(ranges.items(), row, strict=True)}

@@ -32,6 +32,7 @@ class CellRecord:
         metrics: The task's metrics at their ends, by name (episodes,).
         split: Split of its arenas; empty: they are not generated.
         buildings: Name and hash of the building of each episode; empty: all have the same (episodes,).
+        strata: Number of levels and sizes that the buildings of episodes have in turn.
         note: Warning about the result: the policy was trained in buildings that it played.
         seconds: Its share of the time that its batch took [s].
         compile_seconds: Its share of the time that JAX compiled for its batch [s].
@@ -49,6 +50,7 @@ class CellRecord:
     metrics: dict[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
     split: str = ""
     buildings: tuple[str, ...] = ()
+    strata: int = 1
     note: str = ""
     seconds: float = 0.0
     compile_seconds: float = 0.0
@@ -69,7 +71,9 @@ class StoredSweep:
     Attributes:
         name: Of its file.
         about: What it asks.
-        axes: CellSettings that differ between cells.
+        axes: Settings that differ between cells.
+        sampled: Lowest and highest number of each setting that was sampled.
+        normalise: Policies or scores that count as 0 and as 1, see `SweepFile`.
         keys: Of all cells.
         records: Those that are finished or have failed, in the order of the sweep.
     """
@@ -79,6 +83,8 @@ class StoredSweep:
     axes: tuple[str, ...]
     keys: tuple[str, ...]
     records: tuple[CellRecord, ...]
+    sampled: Mapping[str, Sequence[float]] = field(default_factory=dict[str, Sequence[float]])
+    normalise: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     @property
     def finished(self) -> list[CellRecord]:
@@ -86,13 +92,22 @@ class StoredSweep:
         return [record for record in self.records if record.failed is None]
 
 
-def write_sweep(folder: Path, name: str, about: str, axes: Sequence[str], keys: Sequence[str]) -> None:
-    """Say which cells the sweep in a folder has.
+def write_sweep(  # noqa: PLR0913 - what a sweep is
+    folder: Path,
+    name: str,
+    about: str,
+    axes: Sequence[str],
+    keys: Sequence[str],
+    sampled: Mapping[str, Sequence[float]] | None = None,
+    normalise: Mapping[str, Any] | None = None,
+) -> None:
+    """Say which cells the sweep in a folder has; see `StoredSweep`.
 
     Raises:
         WriteError: It cannot be written.
     """
     content = {"format": FORMAT, "name": name, "about": about, "axes": [*axes], "cells": [*keys]}
+    content |= {"sampled": dict(sampled or {}), "normalise": dict(normalise or {})}
     content["begun"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     with atomic_write(folder / SWEEP_FILE) as fresh:
         fresh.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -140,6 +155,8 @@ def read_sweep(folder: Path) -> StoredSweep:
             about=content["about"],
             axes=tuple(content["axes"]),
             keys=keys,
+            sampled=content.get("sampled", {}),
+            normalise=content.get("normalise", {}),
             records=tuple(one for one in found if one is not None),
         )
     except OSError as error:
