@@ -1,14 +1,28 @@
-"""What a sweep says beside scores over its axes: differences between policies, score against connectivity."""
+"""Results of a sweep: scores over its axes, differences between methods, score against connectivity."""
 
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from usarmjx.base.estimates import Estimate, estimate, interquartile_mean, pareto_front
+from usarmjx.base.crossed import holm
+from usarmjx.base.estimates import Estimate, estimate_groups, pareto_front
+from usarmjx.sweeps.design import (
+    DRIVERS,
+    Episodes,
+    Sampled,
+    building_of,
+    episodes_of,
+    improvement,
+    mean_score,
+    middle_score,
+    paired,
+    policy_of,
+    range_scores,
+)
 from usarmjx.sweeps.spec import as_text
 from usarmjx.sweeps.store import CellRecord, StoredSweep
 from usarmjx.sweeps.table import scores_of
@@ -19,14 +33,16 @@ UNLINKED = "unlinked"
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """How much better one policy is than another in the same episodes.
+    """Difference of two policies or methods in the same episodes.
 
     Attributes:
         task: The task.
-        first: One policy.
+        first: One policy or method.
         second: The other.
         gain: Score of the first less that of the second.
         better: Share of the episodes in which the first is better.
+        improvement: Probability that a run of the first is better than one of the second, see `improvement`.
+        p: Probability of so large a difference if there is none, corrected for all comparisons (Holm).
     """
 
     task: str
@@ -34,6 +50,8 @@ class Difference:
     second: str
     gain: Estimate
     better: float
+    improvement: Estimate
+    p: float = float("nan")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,12 +73,7 @@ class FrontPoint:
     best: bool
 
 
-def policy_of(record: CellRecord) -> str:
-    """Return a cell's policy, as text."""
-    return as_text(record.settings["policy"])
-
-
-def settings_but(record: CellRecord, names: Collection[str] = ("policy",)) -> str:
+def settings_but(record: CellRecord, names: Collection[str] = DRIVERS) -> str:
     """Return all settings of a cell but some, as text: cells that are alike in them have the same."""
     return repr(sorted((key, value) for key, value in record.settings.items() if key not in names))
 
@@ -71,8 +84,8 @@ def tasks_of(found: StoredSweep) -> list[str]:
 
 
 def axes_of(found: StoredSweep) -> list[str]:
-    """Return the axes but for task and policy, which every table tells apart."""
-    return [axis for axis in found.axes if axis not in ("task", "policy")]
+    """Return the axes but for task, policy and method, which every table tells apart."""
+    return [axis for axis in found.axes if axis not in ("task", *DRIVERS)]
 
 
 def label_of(record: CellRecord, axes: Sequence[str]) -> str:
@@ -81,36 +94,37 @@ def label_of(record: CellRecord, axes: Sequence[str]) -> str:
     return ", ".join(said) or "all"
 
 
-def paired(first: CellRecord, second: CellRecord) -> np.ndarray:
-    """Return scores of one cell less those of the other in the episodes that went well in both (n,)."""
-    both = sorted(set(first.good) & set(second.good))
-    return np.array([first.scores[number] - second.scores[number] for number in both], float)
-
-
 def policy_differences(found: StoredSweep) -> list[Difference]:
-    """Return how much better policies are than each other, in episodes that begin alike."""
+    """Return differences between policies or methods, in episodes that begin alike."""
     rows: list[Difference] = []
     for task in tasks_of(found):
-        by_policy: dict[str, dict[str, CellRecord]] = {}
-        for record in found.finished:
-            if record.settings["task"] == task:
-                by_policy.setdefault(policy_of(record), {})[settings_but(record)] = record
-        for one, other in combinations(by_policy, 2):
-            shared = [key for key in by_policy[one] if key in by_policy[other]]
-            strata = [paired(by_policy[one][key], by_policy[other][key]) for key in shared]
-            strata = [row for row in strata if len(row)]
-            if strata:
-                gains = np.concatenate(strata)
-                rows.append(
-                    Difference(
-                        task=task,
-                        first=one,
-                        second=other,
-                        gain=estimate(strata),
-                        better=float((gains > 0).mean()),
-                    )
-                )
-    return rows
+        by_policy = {
+            policy: episodes_of(records, found.sampled)
+            for policy, records in _by_policy(_of_task(found, task)).items()
+        }
+        rows += [
+            row
+            for one, other in combinations(by_policy, 2)
+            if (row := _difference(task, (one, by_policy[one]), (other, by_policy[other]))) is not None
+        ]
+    corrected = holm([row.gain.p if np.isfinite(row.gain.p) else 1.0 for row in rows])
+    return [replace(row, p=p) for row, p in zip(rows, corrected, strict=True)]
+
+
+def _difference(task: str, one: tuple[str, Episodes], other: tuple[str, Episodes]) -> Difference | None:
+    """Return the difference of two policies by name; None: they have no episode in common."""
+    (first, mine), (second, theirs) = one, other
+    gains, _ = paired(mine, theirs)
+    if not len(gains):
+        return None
+    return Difference(
+        task=task,
+        first=first,
+        second=second,
+        gain=mean_score(gains, shares=False),
+        better=float((gains.scores > 0).mean()),
+        improvement=improvement(mine, theirs),
+    )
 
 
 def front_points(found: StoredSweep) -> list[FrontPoint]:
@@ -175,11 +189,18 @@ def changes(first: StoredSweep, second: StoredSweep) -> tuple[list[Change], int,
         if key not in theirs:
             continue
         one, other = ours[key], theirs[key]
-        gain = estimate([paired(other, one)])
-        before, after = (estimate([scores_of(record)]).value for record in (one, other))
+        gain = _gain(one, other)
+        before, after = (float(scores_of(record).mean()) if record.good else np.nan for record in (one, other))
         said = label_of(one, [axis for axis in axes if axis != "task"])
         rows.append(Change(settings=said, task=one.settings["task"], before=before, after=after, gain=gain))
     return rows, len(ours) - len(rows), len(theirs) - len(rows)
+
+
+def _gain(before: CellRecord, after: CellRecord) -> Estimate:
+    """Return how much better a cell is than another with its settings, in the episodes that both have."""
+    both = sorted(set(before.good) & set(after.good))
+    gains = np.array([after.scores[number] - before.scores[number] for number in both], float)
+    return estimate_groups(gains, [repr(building_of(after, number)) for number in both])
 
 
 def failures(found: StoredSweep) -> dict[str, list[CellRecord]]:
@@ -202,6 +223,8 @@ def other_versions(found: StoredSweep, now: dict[str, str]) -> dict[str, Any]:
 
 MOST_VALUES, BINS = 12, 8
 """A numeric axis with more values than the first is told in so many ranges, with as many cells in each."""
+FEWEST_POINTS = 3
+"""Points of a sampled axis in each of its ranges, at least."""
 USUAL = "as usual"
 
 
@@ -228,6 +251,8 @@ class AxisRow:
         value: Its value.
         policy: Their policy, as text.
         records: The cells.
+        mean: Mean score. Over an axis that was sampled, other sampled settings are adjusted for.
+        sampled: Ranges of the sampled settings.
         left_out: Cells of this policy with this value that the others have not, and so are not among them.
         own: Whether the policies have no cells in common here, so that each stands for its own.
     """
@@ -237,23 +262,20 @@ class AxisRow:
     value: AxisValue
     policy: str
     records: tuple[CellRecord, ...]
+    mean: Estimate
+    sampled: Sampled
     left_out: int = 0
     own: bool = False
 
     @property
     def cells(self) -> int:
-        """How many there are."""
+        """Number of cells."""
         return len(self.records)
 
     @cached_property
-    def mean(self) -> Estimate:
-        """Mean score."""
-        return estimate([scores_of(record) for record in self.records], shares=True)
-
-    @cached_property
     def middle(self) -> Estimate:
-        """Interquartile mean."""
-        return estimate([scores_of(record) for record in self.records], interquartile_mean)
+        """Interquartile mean over runs and settings."""
+        return middle_score(episodes_of(self.records, self.sampled))
 
 
 def overall_rows(found: StoredSweep) -> list[AxisRow]:
@@ -262,7 +284,18 @@ def overall_rows(found: StoredSweep) -> list[AxisRow]:
     for task in tasks_of(found):
         everything = AxisValue(text="all", place=None)
         for policy, records in _by_policy(_of_task(found, task)).items():
-            rows.append(AxisRow(task=task, axis="", value=everything, policy=policy, records=tuple(records)))
+            mean = mean_score(episodes_of(records, found.sampled))
+            rows.append(
+                AxisRow(
+                    task=task,
+                    axis="",
+                    value=everything,
+                    policy=policy,
+                    records=tuple(records),
+                    mean=mean,
+                    sampled=found.sampled,
+                )
+            )
     return rows
 
 
@@ -272,7 +305,7 @@ def axis_rows(found: StoredSweep) -> list[AxisRow]:
         row
         for task in tasks_of(found)
         for axis in axes_of(found)
-        for row in _rows_of(task, axis, _of_task(found, task))
+        for row in _rows_of(task, axis, _of_task(found, task), found.sampled)
     ]
 
 
@@ -280,12 +313,12 @@ def _of_task(found: StoredSweep, task: str) -> list[CellRecord]:
     return [record for record in found.finished if record.settings["task"] == task]
 
 
-def _rows_of(task: str, axis: str, records: Sequence[CellRecord]) -> list[AxisRow]:
-    values = axis_values(records, axis)
+def _rows_of(task: str, axis: str, records: Sequence[CellRecord], sampled: Sampled) -> list[AxisRow]:
+    values = axis_values(records, axis, sampled)
     if len(set(values)) < 2:
         return []
     value_of = {record.key: value for record, value in zip(records, values, strict=True)}
-    alike, apart = shared_cells(records, partial(settings_but, names=("policy", axis)))
+    alike, apart = shared_cells(records, partial(settings_but, names=(*DRIVERS, axis)))
     kept = {record.key for cells in alike.values() for record in cells}
     rows: list[AxisRow] = []
     for value in _in_order(values):
@@ -298,12 +331,31 @@ def _rows_of(task: str, axis: str, records: Sequence[CellRecord]) -> list[AxisRo
                 value=value,
                 policy=policy,
                 records=tuple(cells),
+                mean=mean_score(episodes_of(cells, sampled)),
+                sampled=sampled,
                 left_out=sum(policy_of(record) == policy for record in there) - len(cells),
                 own=own or (apart and len(compared) > 1),
             )
             for policy, cells in compared.items()
         ]
-    return rows
+    return _adjusted(rows) if axis in sampled else rows
+
+
+def _adjusted(rows: Sequence[AxisRow]) -> list[AxisRow]:
+    """Return the rows of a sampled axis, other sampled settings adjusted for."""
+    found: list[AxisRow] = []
+    for policy in dict.fromkeys(row.policy for row in rows):
+        mine = [row for row in rows if row.policy == policy]
+        sampled, axis = mine[0].sampled, mine[0].axis
+        if len(mine) < 2 or min(len(set(episodes_of(row.records, sampled).points)) for row in mine) < 2:
+            found += mine
+            continue
+        pool = episodes_of([record for row in mine for record in row.records], sampled)
+        places = [place for place, row in enumerate(mine) for one in row.records for _ in one.good]
+        means = range_scores(pool, axis, places)
+        found += [replace(row, mean=mean) for row, mean in zip(mine, means, strict=True)]
+    order = list(dict.fromkeys(row.value for row in rows))
+    return sorted(found, key=lambda row: order.index(row.value))
 
 
 def _in_order(values: Iterable[AxisValue]) -> list[AxisValue]:
@@ -311,16 +363,19 @@ def _in_order(values: Iterable[AxisValue]) -> list[AxisValue]:
     return sorted(dict.fromkeys(values), key=lambda value: -np.inf if value.place is None else value.place)
 
 
-def axis_values(records: Sequence[CellRecord], axis: str) -> list[AxisValue]:
+def axis_values(records: Sequence[CellRecord], axis: str, sampled: Sampled) -> list[AxisValue]:
     """Return the value of each cell on an axis (cells,): a range where there are too many numbers."""
     given = [record.settings.get(axis, USUAL) for record in records]
     numbers = [float(value) for value in given if _is_number(value)]
-    if len(set(numbers)) <= MOST_VALUES or any(value != USUAL and not _is_number(value) for value in given):
+    names = tuple(sampled)
+    points = len({tuple(record.settings.get(name) for name in names) for record in records})
+    most = min(MOST_VALUES, points // FEWEST_POINTS) if axis in sampled else MOST_VALUES
+    if len(set(numbers)) <= most or any(value != USUAL and not _is_number(value) for value in given):
         return [
             AxisValue(text=as_text(value), place=float(value) if _is_number(value) else None)
             for value in given
         ]
-    edges = range_edges(numbers)
+    edges = range_edges(numbers, max(1, min(BINS, points // FEWEST_POINTS)) if axis in sampled else BINS)
     ranges = [
         AxisValue(text=f"{as_text(low)} to {as_text(high)}", place=(low + high) / 2)
         for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
@@ -329,9 +384,9 @@ def axis_values(records: Sequence[CellRecord], axis: str) -> list[AxisValue]:
     return [ranges[_range_of(edges, float(value))] if _is_number(value) else usual for value in given]
 
 
-def range_edges(numbers: Sequence[float]) -> np.ndarray:
-    """Return the ends of `BINS` ranges with as many numbers each (ranges + 1,); fewer where they repeat."""
-    return np.unique(np.quantile(numbers, np.linspace(0.0, 1.0, BINS + 1)))
+def range_edges(numbers: Sequence[float], count: int = BINS) -> np.ndarray:
+    """Return the ends of ranges with as many numbers each (ranges + 1,); fewer where they repeat."""
+    return np.unique(np.quantile(numbers, np.linspace(0.0, 1.0, count + 1)))
 
 
 def _range_of(edges: np.ndarray, number: float) -> int:

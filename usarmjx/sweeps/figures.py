@@ -15,10 +15,10 @@ from usarmjx.sweeps.analysis import (
     axes_of,
     axis_rows,
     front_points,
-    policy_of,
     shared_cells,
     tasks_of,
 )
+from usarmjx.sweeps.design import policy_of
 from usarmjx.sweeps.store import StoredSweep
 from usarmjx.sweeps.table import scores_of
 

@@ -54,6 +54,7 @@ def report(found: StoredSweep) -> str:
     bad = sum(len(record.bad) - len(record.good) for record in found.finished)
     if bad:
         lines.append(f"{bad} episodes left out: physics failed")
+    lines += [f"warning: {note}" for note in dict.fromkeys(record.note for record in found.finished) if note]
     for name, others in other_versions(found, versions()).items():
         lines.append(f"computed with another {name}: {', '.join(others)}")
     for reason, records in failures(found).items():
@@ -66,7 +67,7 @@ def report(found: StoredSweep) -> str:
 
 
 def _axis_table(axis: str, rows: Sequence[AxisRow]) -> list[str]:
-    head = ["task", axis or "cells", "policy", "score, 95 % interval", "interquartile mean", "episodes"]
+    head = ["task", axis or "cells", "policy", "score, 95 % interval", "interquartile mean", *COUNTS]
     body = [
         [
             row.task,
@@ -74,11 +75,19 @@ def _axis_table(axis: str, rows: Sequence[AxisRow]) -> list[str]:
             row.policy,
             as_words(row.mean) + (" Wilson" if row.mean.method == "Wilson" else ""),
             as_words(row.middle),
-            str(row.mean.count),
+            *_counts(row.mean),
         ]
         for row in rows
     ]
     return [*aligned(head, body), *_compared(rows)]
+
+
+COUNTS = ("buildings", "settings", "runs", "episodes")
+
+
+def _counts(found: Estimate) -> list[str]:
+    """Return what an interval stands on, for the columns `COUNTS`."""
+    return [*(str(found.drawn(name)) for name in COUNTS[:3]), str(found.count)]
 
 
 def _compared(rows: Sequence[AxisRow]) -> list[str]:
@@ -101,12 +110,22 @@ def _differences(found: StoredSweep) -> list[str]:
     rows = policy_differences(found)
     if not rows:
         return []
-    head = ["task", "policy", "less", "difference in the same episodes, 95 %", "better in", "episodes"]
+    several = any(row.gain.drawn("runs") > 1 for row in rows)
+    head = ["task", "policy", "less", "difference in the same episodes, 95 %", "p (Holm)", "better in"]
     body = [
-        [row.task, row.first, row.second, as_words(row.gain), f"{row.better:.0%}", str(row.gain.count)]
+        [
+            row.task,
+            row.first,
+            row.second,
+            as_words(row.gain),
+            f"{row.p:.2g}",
+            f"{row.better:.0%}",
+            *([as_words(row.improvement)] if several else []),
+            *_counts(row.gain),
+        ]
         for row in rows
     ]
-    return ["", *aligned(head, body)]
+    return ["", *aligned([*head, *(["probability of improvement"] if several else []), *COUNTS], body)]
 
 
 def _front(found: StoredSweep) -> list[str]:

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.estimates import estimate, interquartile_mean
+from usarmjx.base.estimates import interquartile_mean
 from usarmjx.base.files import atomic_write
+from usarmjx.sweeps.design import episodes_of, mean_score
 from usarmjx.sweeps.spec import as_text
 from usarmjx.sweeps.store import CellRecord, StoredSweep
 
@@ -26,9 +27,10 @@ def _cell_row(record: CellRecord) -> TableRecord:
     row = {name: _plain(value) for name, value in record.settings.items()}
     good = record.good
     row |= {"cell": record.key, "failed": record.failed or ""}
-    score = estimate([scores_of(record)], shares=True)
+    score = mean_score(episodes_of([record], {}))
     middle = interquartile_mean(scores_of(record)) if good else np.nan
     row |= {"score": score.value, "low": score.low, "high": score.high, "interquartile_mean": float(middle)}
+    row |= {"split": record.split, "buildings": score.drawn("buildings")}
     row |= {"good": len(good), "bad": len(record.bad) - len(good), "seconds": record.seconds}
     for name, values in record.metrics.items():
         row[f"metric.{name}"] = float(np.mean(np.array(values)[good])) if good else np.nan
@@ -47,6 +49,8 @@ def episode_rows(found: StoredSweep) -> list[TableRecord]:
                     **settings,
                     "cell": record.key,
                     "episode": number,
+                    "split": record.split,
+                    "building": record.buildings[number] if record.buildings else "",
                     "score": score,
                     "steps": record.steps[number],
                     "bad": record.bad[number],

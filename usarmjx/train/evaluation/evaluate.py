@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.estimates import Estimate, estimate, interquartile_mean
+from usarmjx.base.estimates import Estimate, estimate_groups, interquartile_mean
 from usarmjx.sim.batch import select_worlds
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy
