@@ -8,7 +8,7 @@ from usarmjx.base.backend import named_scope, xp
 from usarmjx.comms.mail import OutgoingMessages
 from usarmjx.engines.base import PhysicsState
 from usarmjx.sim.control import CommandUpdate, ControlMode, update_command
-from usarmjx.sim.operate import EffecterOrder, find_operation, operate
+from usarmjx.sim.operate import EffecterCommand, find_operation, operate
 from usarmjx.sim.radio import send
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.world import World
@@ -110,7 +110,7 @@ def _operate(
     mask = xp.broadcast_to(action.where, shape)
     if where is not None:
         mask = mask & where[group.slots]
-    order = EffecterOrder(group=action.group, effecter=effecter, opcode=opcode, value=value, where=mask)
+    order = EffecterCommand(group=action.group, effecter=effecter, opcode=opcode, value=value, where=mask)
     return operate(scene, world, physics, order)[0]
 
 

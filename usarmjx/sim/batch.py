@@ -64,7 +64,7 @@ def select_worlds(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
     return jnp.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
 
-LONGEST_SOLVED_STEP = 0.025
+MAX_SOLVER_TIMESTEP = 0.025
 """With longer steps a solver of contacts throws robots about [s]."""
 
 
@@ -83,10 +83,10 @@ def engine_of(scene: Scene, name: str, worlds: int) -> Engine[Any]:
         EngineError: The engine cannot run here.
     """
     kind = choose_engine(name, "batch")
-    if kind != "planar" and scene.physics.timestep > LONGEST_SOLVED_STEP:
+    if kind != "planar" and scene.physics.timestep > MAX_SOLVER_TIMESTEP:
         raise UnsupportedFeatureError(
             f"engine {kind!r} cannot run this scene: physics steps of {scene.physics.timestep:g} s are for "
-            f"engine planar, others take up to {LONGEST_SOLVED_STEP:g} s"
+            f"engine planar, others take up to {MAX_SOLVER_TIMESTEP:g} s"
         )
     built = scene.spec, scene.physics, worlds, scene.moved_geoms, scene.varied_bodies
     return make_engine(kind, *built, robots=scene.robots)
@@ -194,7 +194,9 @@ class Batch:
         worlds, qpos = self._reset(state.worlds, state.arenas, mask)
         return state.replace(physics=self.engine.reset(state.physics, mask, qpos), worlds=worlds)
 
-    def _mend_where(self, state: BatchState, mask: jax.Array, before: Array, reset_bad: bool) -> BatchState:
+    def _recover_where(
+        self, state: BatchState, mask: jax.Array, before: Array, reset_bad: bool
+    ) -> BatchState:
         """Mend worlds that broke: they start their next episode, or go on from qpos (worlds, nq), at rest."""
         if reset_bad:
             return self._reset_where(state, mask)
@@ -207,15 +209,15 @@ class Batch:
         worlds, inputs = self._compute_inputs(state.worlds, before)
         with jax.named_scope("physics"):
             physics = self.engine.advance(state.physics, inputs)
-        lost = self.engine.overflow(physics, inputs)
-        worlds, finite = self._finish_step(worlds, self.engine.state(physics), lost)
+        overflow = self.engine.overflow(physics, inputs)
+        worlds, finite = self._finish_step(worlds, self.engine.state(physics), overflow)
         state = state.replace(physics=physics, worlds=worlds)
-        mend = partial(self._mend_where, mask=~finite, before=before.qpos, reset_bad=reset_bad)
+        recover = partial(self._recover_where, mask=~finite, before=before.qpos, reset_bad=reset_bad)
         if self.engine.traceable:
             if not (reset_bad or self.engine.has_solver):
-                return mend(state)  # takes less than a condition, for which the host of a GPU waits
-            return jax.lax.cond(finite.all(), lambda s: s, mend, state)
-        return state if bool(finite.all()) else mend(state)
+                return recover(state)  # takes less than a condition, for which the host of a GPU waits
+            return jax.lax.cond(finite.all(), lambda s: s, recover, state)
+        return state if bool(finite.all()) else recover(state)
 
     def run(self, state: BatchState, steps: int, *, reset_bad: bool = True) -> BatchState:
         """Advance every world by some control steps, as `step` does, in fewer calls.
@@ -237,17 +239,19 @@ class Batch:
             return state
         if steps < 1:
             return state
-        physics, now = state.physics, self.physics(state)
-        worlds, inputs = self._compute_inputs(state.worlds, now)
-        for left in reversed(range(steps)):
-            before, physics = now.qpos, self.engine.advance(physics, inputs)
-            lost, now = self.engine.overflow(physics, inputs), self.engine.state(physics)
-            finished, finite, (begun, inputs) = self._finish_and_compute_inputs(worlds, now, lost)
+        physics, current = state.physics, self.physics(state)
+        worlds, inputs = self._compute_inputs(state.worlds, current)
+        for remaining in reversed(range(steps)):
+            before, physics = current.qpos, self.engine.advance(physics, inputs)
+            overflow, current = self.engine.overflow(physics, inputs), self.engine.state(physics)
+            finished, finite, (next_worlds, inputs) = self._finish_and_compute_inputs(
+                worlds, current, overflow
+            )
             if not bool(finite.all()):
                 broken = state.replace(physics=physics, worlds=finished)
-                mended = self._mend_where(broken, ~finite, before, reset_bad)
-                return self.run(mended, left, reset_bad=reset_bad)
-            worlds = begun if left else finished
+                recovered = self._recover_where(broken, ~finite, before, reset_bad)
+                return self.run(recovered, remaining, reset_bad=reset_bad)
+            worlds = next_worlds if remaining else finished
         return state.replace(physics=physics, worlds=worlds)
 
     def arena_of(self, state: BatchState, world: int) -> ArenaSpec:
@@ -375,8 +379,10 @@ class Batch:
         """
         effecter, operation, number = find_operation(self.scene.groups[group], name, opcode, value)
         shape = state.worlds.groups[group].active.shape
-        told = jnp.broadcast_to(jnp.asarray(number, jnp.float32), shape), jnp.broadcast_to(where, shape)
-        worlds, result = self._operate(state.worlds, self.physics(state), (group, effecter), operation, *told)
+        command = jnp.broadcast_to(jnp.asarray(number, jnp.float32), shape), jnp.broadcast_to(where, shape)
+        worlds, result = self._operate(
+            state.worlds, self.physics(state), (group, effecter), operation, *command
+        )
         return state.replace(worlds=worlds), result
 
     def render(
@@ -446,8 +452,8 @@ class Batch:
             UnknownNameError: The robots have no such camera; lists those they have.
         """
         members, (_, lens, index) = state.worlds.groups[group], find_camera(self.scene, group, camera)
-        told = jnp.where(where, lens.clamp(jnp.asarray(fov), jnp), members.fov[..., index])
-        return self.with_group(state, group, members.replace(fov=set_at(members.fov, (..., index), told)))
+        zoomed = jnp.where(where, lens.clamp(jnp.asarray(fov), jnp), members.fov[..., index])
+        return self.with_group(state, group, members.replace(fov=set_at(members.fov, (..., index), zoomed)))
 
     @staticmethod
     def with_group(state: BatchState, group: int, group_state: GroupState) -> BatchState:
@@ -460,10 +466,10 @@ class Batch:
         Raises:
             EngineError: Says how many worlds lost contacts, and what to raise.
         """
-        lost = int((np.asarray(state.worlds.faults.overflow) > 0).sum())
-        if lost:
+        overflow = int((np.asarray(state.worlds.faults.overflow) > 0).sum())
+        if overflow:
             raise EngineError(
-                f"contact buffers overflowed in {lost} of {self.worlds} worlds; raise "
+                f"contact buffers overflowed in {overflow} of {self.worlds} worlds; raise "
                 f"Physics.contacts_per_robot (now {self.scene.physics.contacts_per_robot})"
             )
 

@@ -33,12 +33,12 @@ def joint_efforts(plan: KinematicTree, state: RobotState, act: Array, hold: Arra
     """
     here, servos = actuated_servos(plan)
     pos, vel = state.joint_pos[..., here], state.joint_vel[..., here]
-    wanted = servos.stiffness * act - hold * (servos.stiffness * pos + servos.damping * vel)
-    most = servos.stiffness * np.maximum(servos.windup_limit, servos.brake_limit)
-    exerted = xp.clip(wanted, -most, most)
-    places = np.zeros((len(plan.actuated), len(plan.parts) - 1), np.float32)
-    places[np.arange(len(plan.actuated)), plan.actuated] = 1.0
-    return exerted @ places
+    unclipped = servos.stiffness * act - hold * (servos.stiffness * pos + servos.damping * vel)
+    limit = servos.stiffness * np.maximum(servos.windup_limit, servos.brake_limit)
+    effort = xp.clip(unclipped, -limit, limit)
+    scatter = np.zeros((len(plan.actuated), len(plan.parts) - 1), np.float32)
+    scatter[np.arange(len(plan.actuated)), plan.actuated] = 1.0
+    return effort @ scatter
 
 
 class Joints(NamedTuple):
@@ -75,22 +75,22 @@ def torque_inputs(
         act: Activations of the pulling ones.
     """
     sign, bound = xp.sign(torque), xp.abs(torque)
-    room = speed - sign * joints.vel
+    margin = speed - sign * joints.vel
     # Whatever hangs on a joint, it has the inertia of its motor at least.
-    exact = bound * period <= servos.armature * room
-    even = joints.pos + servos.lead * joints.vel
+    exact = bound * period <= servos.armature * margin
+    equilibrium = joints.pos + servos.lead * joints.vel
     # This much takes a joint that carries nothing just to its top speed.
-    fit = servos.damping * room
-    now = sign * servos.stiffness * (joints.act - even)
+    settled_force = servos.damping * margin
+    present_force = sign * servos.stiffness * (joints.act - equilibrium)
     # More than this share of it per step would make a bare motor overshoot: so it is critically damped.
-    share = xp.minimum(0.25 * servos.damping * period / servos.armature, 1.0)
-    force = xp.where(joints.held, now + share * fit, fit)
+    correction = xp.minimum(0.25 * servos.damping * period / servos.armature, 1.0)
+    force = xp.where(joints.held, present_force + correction * settled_force, settled_force)
     # What is at rest need not begin with nothing; from half its top speed on a joint is on its way.
-    start = servos.damping * (2.0 * room - speed)
-    force = xp.maximum(force, xp.where(start > 0.0, start, -bound))
+    initial_force = servos.damping * (2.0 * margin - speed)
+    force = xp.maximum(force, xp.where(initial_force > 0.0, initial_force, -bound))
     force = sign * xp.clip(force, -bound, bound)
     ctrl = xp.where(exact, 0.0, xp.clip(joints.vel, -speed, speed))
-    act = xp.where(exact, torque, force) / servos.stiffness + xp.where(exact, 0.0, even)
+    act = xp.where(exact, torque, force) / servos.stiffness + xp.where(exact, 0.0, equilibrium)
     return ctrl, xp.where(exact, 0.0, 1.0), act
 
 
@@ -222,10 +222,10 @@ def set_drive(robot: RobotSpec, command: RobotCommand, values: Mapping[str, Arra
     values = drive.to_own_keys(values, setpoint)
     check_drive_keys(robot, values)
     for key, value in values.items():
-        place = drive.keys.index(key)
-        here = np.arange(len(drive.keys)) == place
+        index = drive.keys.index(key)
+        at_key = np.arange(len(drive.keys)) == index
         value = xp.asarray(value, xp.float32)[..., None]
-        setpoint = xp.where(here, xp.clip(value, -drive.limits, drive.limits), setpoint)
+        setpoint = xp.where(at_key, xp.clip(value, -drive.limits, drive.limits), setpoint)
     mask, row = _driven_joints(robot)
     command = command.replace(setpoint=setpoint)
     if not mask.any():
@@ -260,9 +260,9 @@ def move_joints(
         if joint is None:
             known = ", ".join(plan.parts[1:])
             raise UnknownNameError(f"{plan.robot.name} has no joint {name!r}; it has: {known}")
-        here = np.arange(len(plan.parts) - 1) == joint
-        target = xp.where(here, xp.asarray(value, xp.float32)[..., None], target)
-        modes = xp.where(here, int(mode), modes).astype(xp.int32)
+        at_joint = np.arange(len(plan.parts) - 1) == joint
+        target = xp.where(at_joint, xp.asarray(value, xp.float32)[..., None], target)
+        modes = xp.where(at_joint, int(mode), modes).astype(xp.int32)
     return command.replace(target=target, mode=modes)
 
 
@@ -302,26 +302,28 @@ def update_command(
     Raises:
         UnknownNameError: A key of DRIVE or a joint that they do not have; lists those they have.
     """
-    shape, told = command.target.shape[:-1], command
+    shape, updated = command.target.shape[:-1], command
 
-    def each(values: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    def broadcast(values: Mapping[str, ArrayLike]) -> dict[str, Array]:
         return {name: xp.broadcast_to(value, shape) for name, value in values.items()}
 
     if update.drive:
-        told = set_drive(plan.robot, told, each(update.drive))
+        updated = set_drive(plan.robot, updated, broadcast(update.drive))
     if update.joints:
-        told = move_joints(plan, told, each(update.joints), update.mode)
+        updated = move_joints(plan, updated, broadcast(update.joints), update.mode)
     if update.light is not None:
-        told = told.replace(light=xp.broadcast_to(xp.asarray(update.light, bool), shape))
+        updated = updated.replace(light=xp.broadcast_to(xp.asarray(update.light, bool), shape))
     if update.flip_until is not None:
-        told = told.replace(flip_until=xp.broadcast_to(xp.asarray(update.flip_until, xp.float32), shape))
+        updated = updated.replace(
+            flip_until=xp.broadcast_to(xp.asarray(update.flip_until, xp.float32), shape)
+        )
     if where is None:
-        return told
+        return updated
 
-    def chosen(new: Array, old: Array) -> Array:
+    def select(new: Array, old: Array) -> Array:
         return xp.where(where.reshape(*shape, *[1] * (new.ndim - len(shape))), new, old)
 
-    return jax.tree.map(chosen, told, command)
+    return jax.tree.map(select, updated, command)
 
 
 @named_scope("actuation")

@@ -150,11 +150,11 @@ def _update_command(what: Operation, effect: Effect, command: RobotCommand, done
     return update_command(kinematic_tree_of(what.robot), command, update, done)
 
 
-def _drop_tags(tags: DroppedTags, ground: Array, asked: Array) -> tuple[Array, DroppedTags]:
+def _drop_tags(tags: DroppedTags, ground: Array, requested: Array) -> tuple[Array, DroppedTags]:
     """Put one tag on the ground (n, 3) for each of those who asked for it, as long as there is room."""
-    asked = asked & xp.isfinite(ground).all(-1)
-    place = tags.count + xp.cumsum(asked) - 1
-    done = asked & (place < MAX_DROPPED_TAGS)
+    requested = requested & xp.isfinite(ground).all(-1)
+    place = tags.count + xp.cumsum(requested) - 1
+    done = requested & (place < MAX_DROPPED_TAGS)
     here = done[:, None] & (place[:, None] == np.arange(MAX_DROPPED_TAGS))
     pos = (here[..., None] * xp.where(done[:, None], ground, 0.0)[:, None]).sum(0)
     pos = xp.where(xp.any(here, 0)[:, None], pos, tags.pos).astype(xp.float32)
@@ -191,7 +191,7 @@ def _ground_caster(scene: Scene, world: World) -> RayCaster:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EffecterOrder:
+class EffecterCommand:
     """What robots of one group shall do with one of their effecters.
 
     Attributes:
@@ -211,7 +211,7 @@ class EffecterOrder:
 
 @named_scope("operate")
 def operate(
-    scene: Scene, world: World, physics: PhysicsState, order: EffecterOrder, cast: RayCaster | None = None
+    scene: Scene, world: World, physics: PhysicsState, order: EffecterCommand, cast: RayCaster | None = None
 ) -> tuple[World, OperationResult]:
     """Let a group's robots operate one of their effecters; those without power cannot.
 
@@ -253,7 +253,7 @@ def operate_in_worlds(
 
     def one(world: World, physics: PhysicsState, value: Array, where: Array) -> tuple[World, OperationResult]:
         group, effecter = effecter_index
-        order = EffecterOrder(group=group, effecter=effecter, opcode=opcode, value=value, where=where)
+        order = EffecterCommand(group=group, effecter=effecter, opcode=opcode, value=value, where=where)
         return operate(scene, world, physics, order)
 
     return vmap(one)(worlds, physics, value, where)

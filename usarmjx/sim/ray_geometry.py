@@ -140,16 +140,16 @@ class VisibleGeoms(NamedTuple):
 def ray_geoms(rows: Sequence[VisibleGeoms]) -> Geoms:
     """Return rows as what rays are cast at."""
     kind, material, compact = _sorting_keys(rows)
-    pos, mat, size, owner = _joined(rows, "pos", "mat", "size", "owner")
+    pos, mat, size, owner = _concatenated(rows, "pos", "mat", "size", "owner")
     return make_geoms(kind, pos, mat, size, owner, material, compact)
 
 
 def camera_geoms(rows: Sequence[VisibleGeoms]) -> tuple[Geoms, GeomAppearance]:
     """Return rows as what cameras look at: owners are those of `paint.robot_geom_owner`."""
     kind, material, compact = _sorting_keys(rows)
-    rows = [row if row.instance is not None else _one_of_each(row) for row in rows]
+    rows = [row if row.instance is not None else _with_instances(row) for row in rows]
     names = ("pos", "mat", "size", "owner", "rgb", "label", "instance")
-    pos, mat, size, owner, rgb, label, instance = _joined(rows, *names)
+    pos, mat, size, owner, rgb, label, instance = _concatenated(rows, *names)
     geom_index = np.concatenate([row.geom_index for row in rows])
     owner = xp.where(owner >= 0, robot_geom_owner(owner, geom_index), owner)
     geoms = make_geoms(kind, pos, mat, size, owner, material, compact)
@@ -172,11 +172,11 @@ def _texture(rows: Sequence[VisibleGeoms], order: np.ndarray) -> dict[str, Any]:
     return {"texture": code[order], "textures": texture_names(code)} if code.any() else {}
 
 
-def _one_of_each(row: VisibleGeoms) -> VisibleGeoms:
+def _with_instances(row: VisibleGeoms) -> VisibleGeoms:
     return row._replace(instance=instances(xp.asarray(row.label), 0))
 
 
-def _joined(rows: Sequence[VisibleGeoms], *names: str) -> Sequence[Array]:
+def _concatenated(rows: Sequence[VisibleGeoms], *names: str) -> Sequence[Array]:
     columns = [xp.concatenate([xp.asarray(getattr(row, name)) for row in rows]) for name in names]
     if on_numpy():
         return columns
@@ -216,22 +216,22 @@ def visible_arena(
                 rgb=xp.concatenate([arena_state.rgb, arena_state.victims.rgba[:, :3]]),
                 label=xp.concatenate([xp.asarray(look.label[:boxes]), bones]),
             )
-        rows.append(_some(moved, np.arange(max(boxes, 0))) if drawn else moved)
+        rows.append(_select_rows(moved, np.arange(max(boxes, 0))) if drawn else moved)
     if drawn:  # what of the victims does not move is among the rest
         is_bone = np.isin(scene.fixed_geoms.label, (VICTIM_LABEL, FALSE_ALARM_LABEL))
-        rows[0] = _some(rows[0], np.flatnonzero(~is_bone))
-        rows.append(_drawn_victims(scene, arena_state, time))
+        rows[0] = _select_rows(rows[0], np.flatnonzero(~is_bone))
+        rows.append(_victim_geoms(scene, arena_state, time))
     return rows
 
 
-def _some(rows: VisibleGeoms, which: np.ndarray) -> VisibleGeoms:
+def _select_rows(rows: VisibleGeoms, which: np.ndarray) -> VisibleGeoms:
     """Return the rows at some places (m,)."""
     fields = {name: column for name, column in rows._asdict().items() if column is not None}
     columns = {name: column[which] for name, column in fields.items() if name != "compact"}
     return rows._replace(**columns)
 
 
-def _drawn_victims(scene: Scene, arena_state: ArenaState | None, time: Array) -> VisibleGeoms:
+def _victim_geoms(scene: Scene, arena_state: ArenaState | None, time: Array) -> VisibleGeoms:
     """Return what is drawn of victims and false alarms."""
     table = victims_of(scene, arena_state)
     drawn, boxes, slots = drawn_bones(table, xp), table.num_boxes, len(VISUAL_SLOTS)
@@ -252,11 +252,11 @@ def _drawn_victims(scene: Scene, arena_state: ArenaState | None, time: Array) ->
         geom_index=np.zeros(len(which), int),
         transparency=np.zeros(len(which), np.float32),
         compact=True,
-        instance=xp.repeat(_people(table), slots)[which],
+        instance=xp.repeat(_victim_instances(table), slots)[which],
     )
 
 
-def _people(table: VictimTable) -> Array:
+def _victim_instances(table: VictimTable) -> Array:
     """Return whose each box of victims is, as instances (boxes,); a false alarm is one box."""
     owner = xp.asarray(table.owner)
     alarm = xp.cumsum(owner < 0) - 1

@@ -85,10 +85,10 @@ def reset(
         world = world.replace(varied=drawn)
     qpos = _start_qpos(scene, world, shuffle)
     physics = PhysicsState(qpos=qpos, qvel=xp.zeros(scene.model.nv), act=xp.zeros(scene.model.na))
-    return _with_new_robots(scene, world, physics), qpos
+    return _with_idle_robots(scene, world, physics), qpos
 
 
-def restarted(scene: Scene, world: World, physics: PhysicsState) -> World:
+def restart_in_place(scene: Scene, world: World, physics: PhysicsState) -> World:
     """Return a world at the start of its next episode in the same arena, its robots where they are.
 
     Args:
@@ -102,10 +102,10 @@ def restarted(scene: Scene, world: World, physics: PhysicsState) -> World:
         tags=no_dropped_tags(),
         links=None if scene.radio is None else no_links(scene.num_robots),
     )
-    return _with_new_robots(scene, world, physics)
+    return _with_idle_robots(scene, world, physics)
 
 
-def _with_new_robots(scene: Scene, world: World, physics: PhysicsState) -> World:
+def _with_idle_robots(scene: Scene, world: World, physics: PhysicsState) -> World:
     """Return a world whose robots have not been told anything yet and whose sensors start now."""
     groups: list[GroupState] = []
     for group in scene.groups:
@@ -113,7 +113,7 @@ def _with_new_robots(scene: Scene, world: World, physics: PhysicsState) -> World
         groups.append(new_group_state(scene, group, active, xp.zeros(len(group.slots))))
     world = world.replace(groups=tuple(groups))
     groups = [
-        started(scene, world, physics, group, state)
+        start_sensors(scene, world, physics, group, state)
         for group, state in zip(scene.groups, world.groups, strict=True)
     ]
     return world.replace(groups=tuple(groups))
@@ -143,7 +143,7 @@ def new_group_state(scene: Scene, group: RobotGroup, active: ArrayLike, since: A
     )
 
 
-def started(
+def start_sensors(
     scene: Scene, world: World, physics: PhysicsState, group: RobotGroup, state: GroupState
 ) -> GroupState:
     """Return the state of robots whose sensors start now, as those of all do at a reset.
@@ -194,9 +194,9 @@ def _initial_history(scene: Scene, command: RobotCommand) -> CommandHistory | No
     if latency is None:
         return None
 
-    def before(value: Array) -> Array:
+    def repeated(value: Array) -> Array:
         return xp.repeat(xp.asarray(value)[:, None], latency[1], 1)
 
     return CommandHistory(
-        target=before(command.target), mode=before(command.mode), setpoint=before(command.setpoint)
+        target=repeated(command.target), mode=repeated(command.mode), setpoint=repeated(command.setpoint)
     )

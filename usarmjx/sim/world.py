@@ -330,7 +330,7 @@ def compute_inputs(
         if scene.arena.waters:
             state = state.replace(drowned=state.drowned | (state.active & drowns(group.robot, depth)))
         awake = powered(scene, world, group, state)
-        torque, speed = (_of_group(world, group, name) for name in ("torque", "speed"))
+        torque, speed = (_group_values(world, group, name) for name in ("torque", "speed"))
         clock = xp.broadcast_to(time, awake.shape)
         now = DriveConditions(
             time=clock, powered=awake, depth=depth, torque=torque, speed=speed, hold=state.hold
@@ -362,7 +362,7 @@ def compute_inputs(
     return world.replace(groups=tuple(groups), faults=world.faults.replace(refused=refused)), inputs
 
 
-def _of_group(world: World, group: RobotGroup, name: str) -> Array | None:
+def _group_values(world: World, group: RobotGroup, name: str) -> Array | None:
     """Return a number of each of a group's robots (n,); None: it does not vary."""
     values = None if world.varied is None else getattr(world.varied, name)
     return None if values is None else values[group.slots]
@@ -370,15 +370,15 @@ def _of_group(world: World, group: RobotGroup, name: str) -> Array | None:
 
 def _delayed_command(world: World, group: RobotGroup, state: GroupState) -> tuple[RobotCommand, GroupState]:
     """Return what a group's motors have heard of by now, and the state that remembers what they have not."""
-    latency, command = _of_group(world, group, "latency"), state.command
+    latency, command = _group_values(world, group, "latency"), state.command
     if latency is None or state.command_history is None:
         return command, state
-    told = CommandHistory(target=command.target, mode=command.mode, setpoint=command.setpoint)
+    current = CommandHistory(target=command.target, mode=command.mode, setpoint=command.setpoint)
     history = jax.tree.map(
-        lambda new, old: xp.concatenate([new[:, None], old], 1), told, state.command_history
+        lambda new, old: xp.concatenate([new[:, None], old], 1), current, state.command_history
     )
-    heard = jax.tree.map(lambda values: values[np.arange(len(group.slots)), latency], history)
-    command = command.replace(target=heard.target, mode=heard.mode, setpoint=heard.setpoint)
+    delayed = jax.tree.map(lambda values: values[np.arange(len(group.slots)), latency], history)
+    command = command.replace(target=delayed.target, mode=delayed.mode, setpoint=delayed.setpoint)
     return command, state.replace(command_history=jax.tree.map(lambda values: values[:, :-1], history))
 
 
