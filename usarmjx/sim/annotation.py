@@ -1,4 +1,4 @@
-"""What cameras of a batch's robots see, pixel by pixel: instances, normals and optical flow."""
+"""Labels for the cameras of a batch's robots, pixel by pixel: instances, normals and optical flow."""
 
 from collections.abc import Callable
 from functools import partial
@@ -44,7 +44,7 @@ class Annotator:
         *,
         later: BatchState | None = None,
     ) -> Annotation:
-        """Return what a camera of each of a group's robots sees (worlds, robots, ...).
+        """Return the view of a camera of each of a group's robots (worlds, robots, ...).
 
         Args:
             state: The batch.

@@ -1,6 +1,6 @@
 """Many worlds at once: the only place that maps over worlds and compiles.
 
-The same few lines drive all engines. Where the engine can be traced a step is one compiled function;
+The same few lines drive all engines. On a traceable engine a step is one compiled function;
 with C MuJoCo the parts around the engine are.
 """
 
@@ -73,8 +73,8 @@ def engine_of(scene: Scene, name: str, worlds: int) -> Engine[Any]:
 
     Args:
         scene: The scene.
-        name: Of the engine, or `auto`: the best to train with here.
-        worlds: How many copies.
+        name: Name of the engine, or `auto`: the best to train with here.
+        worlds: Number of copies.
 
     Raises:
         UnknownNameError: No such engine.
@@ -96,15 +96,15 @@ class Batch:
     """Copies of a scene that are stepped together.
 
     Args:
-        scene: What every world is a copy of.
-        worlds: How many.
+        scene: The scene that every world copies.
+        worlds: Number of worlds.
         engine: `warp`, `jax`, `c`, `planar`, or `auto`.
-        seed: Of all random numbers.
+        seed: Seed of all random numbers.
         first: Number of the first world. World k draws the same numbers alone as in a batch.
         shuffle: Draw start poses at each reset instead of handing them out in the arena's order.
 
     Raises:
-        UsageError: No worlds asked for.
+        UsageError: Fewer than one world.
         UnsupportedFeatureError: The scene has a feature that the engine would ignore.
         UncalibratedRobotError: Engine `planar` has no figures of a robot, which
             `usarmjx.sim.ensure_calibrated` measures.
@@ -113,7 +113,7 @@ class Batch:
     """
 
     _program_cache: ProgramCache | None = None
-    """Of its programs; None: they are compiled at each start."""
+    """Cache of compiled programs; None: they are compiled at each start."""
 
     def __init__(
         self,
@@ -160,7 +160,7 @@ class Batch:
         """Return all worlds at the start of their first episode.
 
         Args:
-            seed: Of all random numbers; None: the batch's own.
+            seed: Seed of all random numbers; None: the batch's own.
             arenas: Arenas to draw from instead of the scene's, of the same shapes.
         """
         if arenas is None and self.scene.arenas is not None:
@@ -226,7 +226,7 @@ class Batch:
 
         Args:
             state: The batch.
-            steps: How many.
+            steps: Number of control steps.
             reset_bad: Whether worlds whose physics is no longer finite start their next episode at once. If
                 not, they go on from where they were, at rest: for who resets them afterwards.
         """
@@ -286,13 +286,13 @@ class Batch:
     ) -> BatchState:
         """Let each robot send a message to any of the others, over the links of `links`.
 
-        What arrives is in `state.worlds.mail` at once, and what did not is counted there.
+        Messages that arrive are in `state.worlds.mail` at once, which also counts those that were lost.
 
         Args:
             state: The batch.
             to: Receivers, sender by row, broadcast to (worlds, robots, robots).
-            payload: What is said, broadcast to (worlds, robots, numbers).
-            length: What each message stands for [bytes], broadcast to (worlds, robots); None: 4 a number.
+            payload: Numbers to send, broadcast to (worlds, robots, numbers).
+            length: Size of each message [bytes], broadcast to (worlds, robots); None: 4 a number.
 
         Raises:
             UsageError: The scene has no mail.
@@ -339,7 +339,7 @@ class Batch:
             group: Index into `scene.groups`.
             targets: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N],
                 broadcast to (worlds, robots).
-            mode: What the numbers are.
+            mode: Control mode of the targets.
 
         Raises:
             UnknownNameError: A joint that these robots do not have; lists those they have.
@@ -368,10 +368,10 @@ class Batch:
             name: Name of the effecter, case ignored.
             opcode: Name of one of its operations, case ignored.
             value: Its parameter, broadcast to (worlds, robots); None: the usual one.
-            where: Which robots shall do it, broadcast to (worlds, robots).
+            where: Mask of the robots that carry it out, broadcast to (worlds, robots).
 
         Returns:
-            The batch, and per world and robot what became of it.
+            The batch, and the result per world and robot.
 
         Raises:
             UnknownNameError: The robots have no such effecter, or it no such operation; lists those known.
@@ -393,7 +393,7 @@ class Batch:
         width: int = 64,
         height: int = 64,
     ) -> Picture:
-        """Return what a camera of each of a group's robots sees (worlds, robots, ...).
+        """Return the view of a camera of each of a group's robots (worlds, robots, ...).
 
         Args:
             state: The batch.
@@ -418,7 +418,7 @@ class Batch:
         width: int = 320,
         height: int = 240,
     ) -> Picture:
-        """Return what a camera of the robot in one slot of one world sees; the others are as in `render`."""
+        """Return the view of a camera of the robot in one slot of one world; see `render`."""
         group, member = self.scene.group_of(slot)
         _, lens, index = find_camera(self.scene, group, camera, (width, height))
         render_scene, bodies = self._render_scene(state.worlds, self.physics(state), world)
@@ -431,7 +431,7 @@ class Batch:
     def render_view(
         self, state: BatchState, world: int, viewpoint: Viewpoint, width: int = 320, height: int = 240
     ) -> Picture:
-        """Return what there is to see of a world from any place."""
+        """Return the view of a world from any viewpoint."""
         render_scene, _ = self._render_scene(state.worlds, self.physics(state), world)
         with jax.default_matmul_precision("highest"):
             return render_picture_jit(render_scene, viewpoint, width, height)
@@ -446,7 +446,7 @@ class Batch:
             group: Index into `scene.groups`.
             camera: Name or index of a camera of the class; None: the main one.
             fov: Horizontal field of view [rad], broadcast to (worlds, robots).
-            where: Which robots shall do it, broadcast to (worlds, robots).
+            where: Mask of the robots that do it, broadcast to (worlds, robots).
 
         Raises:
             UnknownNameError: The robots have no such camera; lists those they have.
@@ -482,8 +482,8 @@ def put_robot(batch: Batch, state: BatchState, world: int, slot: int, pos: Array
         state: Its state.
         world: Index of the world.
         slot: Slot of the robot.
-        pos: Where its chassis' origin shall be [m] (3,).
-        quat: How it shall be turned (4,).
+        pos: Position of its chassis' origin [m] (3,).
+        quat: Orientation (4,).
     """
     scene = batch.scene
     group, member = scene.group_of(slot)

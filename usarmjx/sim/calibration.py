@@ -1,4 +1,4 @@
-"""How robot classes answer their motors, measured on engine `c` for engine `planar`.
+"""Motor responses of robot classes, measured on engine `c` for engine `planar`.
 
 Many robots of a class drive by random commands on an open floor; the figures of `Response` are those with
 which the twists that `planar` makes of the same commands come nearest, by least squares.
@@ -43,32 +43,33 @@ log = logging.getLogger(__name__)
 START = StartPose(tag="S", at=(0.0, 0.0, 0.188), yaw=0.0)
 OPEN_FLOOR = ArenaSpec(name="open-floor", starts=(START,), extent=((-50.0, 50.0), (-50.0, 50.0)))
 SETTLING_STEPS = 25
-"""Control steps in which robots come to rest before they are told anything."""
+"""Control steps in which robots come to rest before their first command."""
 COMMAND_STEPS = (25, 100)
-"""An order lasts for so many control steps."""
+"""Shortest and longest duration of a command [control steps]."""
 STRAIGHT_SHARE, SPINNING_SHARE = 0.25, 0.15
-"""Shares of orders that go straight on, and that turn on the spot."""
+"""Shares of commands that go straight on, and that turn on the spot."""
 MAX_CAR_SPEED = 4.0
-"""Cars are told to go no faster [m/s]: beyond that they skid through any bend."""
+"""Highest commanded speed of cars [m/s]: beyond that they skid through any bend."""
 MAX_TURN_RATE = 12.0
-"""Unless they are to go straight on, two sides are told speeds that would turn a robot no faster on the
-spot, did nothing slip [rad/s]: a Kurt, which could be told 32, only slides then."""
+"""Highest commanded rate of turn of skid-steered robots without slip, unless they go straight on [rad/s].
+
+A Kurt can be commanded 32 and only slides then."""
 HORIZONS = (1.0, 5.0, 20.0)
-"""After such times the error of the pose is stated [s]."""
+"""Times after which the error of the pose is stated [s]."""
 LOWER_BOUNDS = np.array([0.2, 0.05, 1e-3, 1e-3, 0.05, 0.05, 0.2, -0.3])
 UPPER_BOUNDS = np.array([1.5, 1.5, 1.5, 1.5, 50.0, 200.0, 50.0, 0.3])
-"""Within which the figures are looked for, in the order of `NUMERIC_FIELDS`."""
+"""Bounds of the fit, in the order of `NUMERIC_FIELDS`."""
 MAX_COST_RATIO = 0.8
 """Sides answer by themselves if that leaves no more than this share of the cost of the simpler model."""
 
 
 @dataclass(frozen=True, eq=False)
 class DriveLog:
-    """What robots of a class were told, and what became of it on engine `c`.
+    """Commands to robots of a class, and the motion that followed on engine `c`.
 
     Attributes:
-        period: Of a control step [s].
-        wheel_speeds: Speeds that their wheels were told [rad/s] (steps, robots, wheels).
+        period: Length of a control step [s].
+        wheel_speeds: Commanded speeds of their wheels [rad/s] (steps, robots, wheels).
         joints: Positions of their joints, before each step (steps, robots, joints).
         twist: Forward speed, sideways speed, rate of turn after each (steps, robots, 3).
         pose: Position on the plan [m] and heading [rad] after each (steps, robots, 3).
@@ -82,7 +83,7 @@ class DriveLog:
 
 
 def random_commands(robot: RobotSpec, robots: int, steps: int, seed: int) -> np.ndarray:
-    """Return what robots of a class are told, by the keys of its drive (steps, robots, keys)."""
+    """Return random commands for robots of a class, by the keys of its drive (steps, robots, keys)."""
     rng, drive = np.random.default_rng(seed), robot.drive
     limits, commands = drive.limits, np.zeros((steps, robots, len(drive.keys)), np.float32)
     for number in range(robots):
@@ -98,7 +99,7 @@ def random_commands(robot: RobotSpec, robots: int, steps: int, seed: int) -> np.
 
 
 def _max_turn_rate(robot: RobotSpec) -> float:
-    """Return how fast a robot with wheels on two sides would turn on the spot, did nothing slip [rad/s]."""
+    """Return the top rate of turn on the spot of a robot with wheels on two sides, without slip [rad/s]."""
     wheels, drive = wheel_kinematics(robot), robot.drive
     assert isinstance(wheels, SideWheels)
     assert isinstance(drive, SkidSteer)
@@ -127,7 +128,7 @@ def _random_command(drive: Any, limits: np.ndarray, rng: np.random.Generator) ->
 
 
 def record_drive(robot: RobotSpec, commands: np.ndarray, engine: str = "c") -> DriveLog:
-    """Return what becomes of orders (steps, robots, keys) on an open floor."""
+    """Return the motion that follows commands (steps, robots, keys) on an open floor."""
     scene = build_scene(OPEN_FLOOR, [robot])
     batch, group = Batch(scene, worlds=commands.shape[1], engine=engine), scene.groups[0]
     drive, names = robot.drive, group.plan.parts[1:]
@@ -218,7 +219,7 @@ def _fit(robot: RobotSpec, log: DriveLog, *, sides_apart: bool) -> tuple[Respons
 
 
 def _twists(values: Array, commanded: Array, period: float, sides_apart: bool) -> Array:
-    """Return the twists (steps, robots, 3) that figures make of those that wheels are told."""
+    """Return the twists (steps, robots, 3) that a response makes of the commanded ones."""
     figures = dict(zip(NUMERIC_FIELDS, values, strict=True))
     response = Response(**figures, sides_apart=sides_apart)  # type: ignore - numbers that are traced
 
@@ -233,7 +234,7 @@ def _twists(values: Array, commanded: Array, period: float, sides_apart: bool) -
 
 
 def _jacobian(function: Callable[[Array], Array], values: Array) -> Array:
-    """Return how a function changes with each of its numbers (results, numbers)."""
+    """Return the Jacobian of a function (results, numbers)."""
 
     def directional_derivative(direction: Array) -> Array:
         return jax.jvp(function, (values,), (direction,))[1]
@@ -246,12 +247,12 @@ def calibrate(robot: RobotSpec, robots: int = 24, seconds: float = 12.0, seed: i
 
     Args:
         robot: Its description.
-        robots: How many drive at once.
+        robots: Robots that drive at once.
         seconds: For how long [s].
-        seed: Of their orders.
+        seed: Seed of their commands.
 
     Returns:
-        What the file of measurements has of it: the key of the description, the response, and the rms of what
+        Entry for the file of measurements: the key of the description, the response, and the rms of what
         is left unexplained of forward speed [m/s], sideways speed [m/s] and rate of turn [rad/s].
 
     Raises:
@@ -269,7 +270,7 @@ def calibrate(robot: RobotSpec, robots: int = 24, seconds: float = 12.0, seed: i
 
 
 def pose_errors(robot: RobotSpec, robots: int = 16, seed: int = 1) -> dict[str, dict[str, float]]:
-    """Return how far robots on `planar` are from those on `c` after some time of the same random orders.
+    """Return the distance of robots on `planar` from those on `c` under the same random commands.
 
     Medians over robots of the distance [m] and of the difference in heading [rad], by the time [s].
     """
@@ -311,7 +312,7 @@ Built = TypeVar("Built")
 
 
 def build_calibrated(build: Callable[[], Built]) -> Built:
-    """Return what a function builds, after measuring robots that engine `planar` refuses for want of figures.
+    """Return the result of a builder, after measuring robots that engine `planar` refuses as uncalibrated.
 
     Args:
         build: Builds a batch or an environment; called again after measuring.

@@ -25,7 +25,7 @@ from usarmjx.sim.single_world import SingleWorld
 
 
 def update_robot_spec(world: SingleWorld, slot: int, robot: RobotSpec) -> None:
-    """Give a robot another description; where it is, how it moves and what it was told stay.
+    """Give a robot another description; its pose, motion and commands stay.
 
     Args:
         world: The world.
@@ -58,7 +58,7 @@ def _names(robot: RobotSpec) -> object:
 
 
 def _solids(robot: RobotSpec) -> object:
-    """Return what of a class is in the model, and a little more."""
+    """Return the parts of a class that are in the model, and a little more."""
     return chassis_shapes(robot), parts_of(robot)
 
 
@@ -73,7 +73,7 @@ def _rebuild(world: SingleWorld, slot: int, before: RobotSpec, after: RobotSpec)
         add_robot(spec, robot, prefix, parking)
 
     def state_rows(robot: RobotSpec) -> list[tuple[np.ndarray, list[int]]]:
-        """Return what of the robot's is in the engine's state now, with its places in there."""
+        """Return the robot's arrays in the engine's state, with its indices in them."""
         index, data = index_robot(engine.model, robot, prefix), engine.data
         dofs, actuators = _dofs(index), [*index.actuator_ids, *index.hold_actuator_ids]
         free = [*range(index.root_qposadr, index.root_qposadr + 7), *index.qposadr]
@@ -116,7 +116,7 @@ class ActiveFiles:
         files: All of them, in order.
         robots: The robots that were there when the last one came, as they are with the files, by name.
         originals: Those of them that the files change, as they would be without; None: there would be none.
-        warnings: What has been told about the files.
+        warnings: Warnings that were given about the files.
     """
 
     files: tuple[IniFile, ...] = ()
@@ -125,7 +125,7 @@ class ActiveFiles:
     warnings: frozenset[str] = frozenset()
 
     def are_intact_in(self, robots: Registry[RobotSpec]) -> bool:
-        """Whether nobody has replaced one of the robots since."""
+        """Return whether all robots are still those that the files made."""
         return all(name in robots and robots.get(name) is robot for name, robot in self.robots.items())
 
     def without(self, robots: Registry[RobotSpec]) -> Registry[RobotSpec]:
@@ -154,8 +154,8 @@ def configure(paths: Iterable[str | Path], uu_per_metre: float = UU_PER_METRE) -
         uu_per_metre: Length of a metre in Unreal units.
 
     Returns:
-        What was loaded, with a warning more for each robot that carries more than its payload, if it has a
-        section or did not carry too much before.
+        The robots that were loaded, with a warning more for each that carries more than its payload, if it
+        has a section or did not carry too much before.
 
     Raises:
         SpecError: A file or value that is wrong, or a robot that cannot be built; nothing has changed then.

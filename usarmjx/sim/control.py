@@ -1,4 +1,4 @@
-"""From commands to actuators: what one robot's motors are told for one control step."""
+"""From commands to actuators: the motor inputs of one robot for one control step."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -64,10 +64,10 @@ def torque_inputs(
 
     Args:
         servos: Constants of the servos (actuators,).
-        torque: What each joint shall exert, no more than its motor can [N m or N] (..., actuators).
+        torque: Commanded torque of each joint, no more than its motor can [N m or N] (..., actuators).
         speed: Top speed of each joint [rad/s or m/s] (..., actuators).
         joints: The joints and what their servos did (..., actuators).
-        period: Of a control step [s].
+        period: Length of a control step [s].
 
     Returns:
         ctrl: Inputs of the pulling actuators.
@@ -76,7 +76,7 @@ def torque_inputs(
     """
     sign, bound = xp.sign(torque), xp.abs(torque)
     margin = speed - sign * joints.vel
-    # Whatever hangs on a joint, it has the inertia of its motor at least.
+    # A joint has the inertia of its motor at least, whatever load hangs on it.
     exact = bound * period <= servos.armature * margin
     equilibrium = joints.pos + servos.lead * joints.vel
     # This much takes a joint that carries nothing just to its top speed.
@@ -85,7 +85,7 @@ def torque_inputs(
     # More than this share of it per step would make a bare motor overshoot: so it is critically damped.
     correction = xp.minimum(0.25 * servos.damping * period / servos.armature, 1.0)
     force = xp.where(joints.held, present_force + correction * settled_force, settled_force)
-    # What is at rest need not begin with nothing; from half its top speed on a joint is on its way.
+    # A joint at rest starts with some force at once; above half its top speed it counts as on its way.
     initial_force = servos.damping * (2.0 * margin - speed)
     force = xp.maximum(force, xp.where(initial_force > 0.0, initial_force, -bound))
     force = sign * xp.clip(force, -bound, bound)
@@ -97,7 +97,7 @@ def torque_inputs(
 SURGE_SHARE = 0.6
 """Chosen: a P2DX has four fifths of the acceleration of its plain torque, and its wheels grip at walls."""
 FLIP_TIME = 3.0
-"""How long DRIVE {Flip True} rights a robot [s] (KRobot.uc: FlipTime)."""
+"""Time that DRIVE {Flip True} takes to right a robot [s] (KRobot.uc: FlipTime)."""
 MIN_UPRIGHT_COS = np.cos(np.radians(10.0))
 """A robot that leans less than this needs no righting."""
 FLIP_RATE = 2.5
@@ -113,13 +113,13 @@ class ControlMode(IntEnum):
 
 
 class RobotCommand(struct.PyTreeNode, kw_only=True):
-    """What a robot is told to do until told otherwise.
+    """Command that a robot carries out until the next one.
 
     Attributes:
         target: Wanted position [rad or m], velocity [rad/s or m/s] or torque [N m or N] of each joint
             (joints,).
         mode: `ControlMode` of each joint (joints,).
-        setpoint: What each key of the robot's DRIVE was last set to [rad/s, m/s or rad] (keys,).
+        setpoint: Last value of each key of the robot's DRIVE [rad/s, m/s or rad] (keys,).
         flip_until: Until when it is being righted [s] ().
         light: Whether the headlight is on ().
     """
@@ -132,12 +132,12 @@ class RobotCommand(struct.PyTreeNode, kw_only=True):
 
 
 class DriveConditions(struct.PyTreeNode, kw_only=True):
-    """What decides what a robot's command does.
+    """Conditions that decide on the effect of a robot's command.
 
     Attributes:
         time: Simulated time [s] ().
         powered: Whether its battery lasts ().
-        depth: How far its origin is below the surface of water [m] (); `drives.DRY_DEPTH` outside.
+        depth: Depth of its origin below the surface of water [m] (); `drives.DRY_DEPTH` outside.
         torque: Factor on what its motors can exert (); None: 1.
         speed: Factor on how fast they turn (); None: 1.
         hold: Inputs that its holding actuators had in the step before (actuators,); None: 1.
@@ -152,15 +152,15 @@ class DriveConditions(struct.PyTreeNode, kw_only=True):
 
 
 class ActuatorInputs(struct.PyTreeNode, kw_only=True):
-    """What the engine needs for one robot.
+    """Inputs of the engine for one robot.
 
     Attributes:
         ctrl: Inputs of the pulling actuators: velocities of the servos' targets (actuators,).
-        hold: Inputs of the holding actuators: 1, or 0 where a joint exerts exactly the torque it was told
+        hold: Inputs of the holding actuators: 1, or 0 where a joint exerts exactly the commanded torque
             (actuators,).
         act: Activations of the pulling ones: the servos' targets (actuators,).
         wrench: Force [N] and torque [N m] on the chassis, world axes (6,).
-        refused: How many commanded numbers were not finite ().
+        refused: Number of commanded values that were not finite ().
     """
 
     ctrl: Array
@@ -171,7 +171,7 @@ class ActuatorInputs(struct.PyTreeNode, kw_only=True):
 
 
 def idle_command(robot: RobotSpec) -> RobotCommand:
-    """Return the command of a robot that has not been told anything: wheels braked, other joints held."""
+    """Return the command of a robot before its first one: wheels braked, other joints held."""
     parts = parts_of(robot)
     modes = [ControlMode.VELOCITY if part.is_wheel else ControlMode.POSITION for part in parts]
     return RobotCommand(
@@ -211,7 +211,7 @@ def set_drive(robot: RobotSpec, command: RobotCommand, values: Mapping[str, Arra
 
     Args:
         robot: The robot class.
-        command: What it was told so far; arrays may have leading axes.
+        command: Its command so far; arrays may have leading axes.
         values: Numbers for some of `robot.drive.keys`, or of its `other_keys` [rad/s, m/s or rad]; clipped to
             what it can do.
 
@@ -243,13 +243,13 @@ def move_joints(
     targets: Mapping[str, ArrayLike],
     mode: ControlMode,
 ) -> RobotCommand:
-    """Return a command with joints told where to go, how fast to move or what to exert.
+    """Return a command with other targets of joints: positions, velocities or torques.
 
     Args:
         plan: Body plan of the robot class.
-        command: What it was told so far; arrays may have leading axes.
+        command: Its command so far; arrays may have leading axes.
         targets: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N] (...).
-        mode: What the numbers are.
+        mode: Control mode of the targets.
 
     Raises:
         UnknownNameError: A joint that these robots do not have; lists those they have.
@@ -268,14 +268,14 @@ def move_joints(
 
 @dataclass(frozen=True, kw_only=True)
 class CommandUpdate:
-    """What robots of one class are told anew; what is not named stays as it was. Numbers are broadcast.
+    """Changes of the command of robots of one class; setpoints that are not named stay. Numbers are broadcast.
 
     Attributes:
         drive: Numbers for keys of DRIVE [rad/s, m/s or rad] (...,).
         joints: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N] (...,).
-        mode: What the numbers of `joints` are.
-        light: Whether the headlight shall be on (...,).
-        flip_until: Until when they shall be righted [s] (...,).
+        mode: Control mode of `joints`.
+        light: Whether the headlight is to be on (...,).
+        flip_until: Time until which they are righted [s] (...,).
     """
 
     drive: Mapping[str, ArrayLike] = field(default_factory=dict[str, ArrayLike])
@@ -291,13 +291,13 @@ def update_command(
     update: CommandUpdate,
     where: Array | None = None,
 ) -> RobotCommand:
-    """Return the next command: the one way to tell a robot, whoever tells it.
+    """Return the next command. Every command to a robot, from any caller, passes through here.
 
     Args:
         plan: Body plan of the robot class.
-        command: What the robots were told so far; arrays may have leading axes (...,).
-        update: What they are told anew.
-        where: Which of them are told it (...,); None: all.
+        command: The robots' command so far; arrays may have leading axes (...,).
+        update: The changes.
+        where: Mask of the robots that receive them (...,); None: all.
 
     Raises:
         UnknownNameError: A key of DRIVE or a joint that they do not have; lists those they have.
@@ -343,11 +343,11 @@ def compute_actuation(
 
     Args:
         plan: Body plan of the robot class.
-        command: What the robots are told; all arguments may have leading axes (...,), the same ones.
-        state: Where they are.
+        command: The robots' command; all arguments may have leading axes (...,), the same ones.
+        state: Their state.
         act: Activations of their pulling actuators (..., actuators).
-        conditions: What else decides.
-        period: Of a control step [s].
+        conditions: Battery, water and other conditions.
+        period: Length of a control step [s].
     """
     drive, powered = plan.robot.drive, conditions.powered[..., None]
     target = xp.where(powered, command.target, 0.0)

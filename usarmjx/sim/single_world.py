@@ -52,7 +52,7 @@ from usarmjx.sim.world import (
 )
 
 MAX_FALL_HEIGHT = 1000.0
-"""Whoever has fallen further below the highest place where it was [m] has left the world, and is put back."""
+"""Fall below the greatest height so far after which a robot has left the world and is recovered [m]."""
 
 
 class SpeedLimits:
@@ -60,8 +60,8 @@ class SpeedLimits:
 
     Args:
         groups: The robots.
-        max_heights: Highest place of some of them so far, by slot [m].
-        qpos: Where they are (nq,).
+        max_heights: Greatest height of some of them so far, by slot [m].
+        qpos: Present positions (nq,).
         period: Length of a control step [s].
     """
 
@@ -83,11 +83,11 @@ class SpeedLimits:
 
     @property
     def max_heights(self) -> dict[int, float]:
-        """Highest place of each robot so far, by slot [m]."""
+        """Greatest height of each robot so far, by slot [m]."""
         return dict(zip(self._slots, self._max_heights.tolist(), strict=True))
 
     def reset_robots(self, slots: Iterable[int], qpos: np.ndarray) -> None:
-        """Forget how high robots have been: they are somewhere else now."""
+        """Forget how high robots have been, because they are somewhere else now."""
         selected = np.isin(self._slots, list(slots))
         self._max_heights[selected] = qpos[self._heights[selected]]
 
@@ -103,7 +103,7 @@ class SpeedLimits:
 EMPTY_SLOT = RosterEntry(robot="", parked=True)
 """Stands in a roster where there is no robot."""
 LOOKAHEAD_STEPS = 10
-"""For so many control steps it is worked out at once where what moves by itself will be."""
+"""Control steps for which the poses of moving geoms are computed at once."""
 SubScene = tuple[Scene, list[tuple[int, np.ndarray]]]
 """A scene with some of the robots, and of each of its groups the index and the members."""
 RobotStates = Mapping[int, GroupState]
@@ -115,7 +115,7 @@ class SingleWorld:
 
     Args:
         scene: Its scene, without robots.
-        seed: Of the random numbers, as a batch's.
+        seed: Seed of the random numbers, as a batch's.
         number: Which world of a batch of that seed it is.
         seats: Most robots at once.
 
@@ -175,7 +175,7 @@ class SingleWorld:
                 else what is free within 1 m of the first.
 
         Raises:
-            UsageError: No seat is free, or no place.
+            UsageError: All slots are taken, or there is no room.
             SpecError: MuJoCo cannot build the robot. Nothing has changed after this or any other exception.
         """
         roster, rows = self.roster, self._robot_states()
@@ -235,7 +235,7 @@ class SingleWorld:
     def replace_robot(self, slot: int, robot: RobotSpec) -> None:
         """Let a robot be of another class, which has the same parts and sensors; what it does goes on.
 
-        What of the class is in the model has to be there already, see `update_robot_spec`.
+        The parts of the class have to be in the model already, see `update_robot_spec`.
         """
         rows, entry = self._robot_states(), self.roster[slot]
         (group,) = robot_groups(self.engine.model, {slot: robot})
@@ -265,21 +265,21 @@ class SingleWorld:
         max_heights = {slot: top for slot, top in self._speeds.max_heights.items() if slot in self._homes}
         self._speeds = SpeedLimits(groups, max_heights, self.engine.data.qpos, self.scene.physics.period)
 
-    # What happens in a tick
+    # Control steps
 
     @numpy_backend()
     def step(self) -> RecoveryResult:
         """Advance by one control step under the commands in force.
 
         Returns:
-            What was put back because its physics had gone bad: robots where they appeared, or near there. It
-            is counted in `world.faults`, and what they were told is forgotten.
+            Objects whose physics was not finite, and which were recovered: robots at their start poses, or
+            near there. They count in `world.faults`, and the robots get idle commands.
         """
         self.world, inputs = compute_inputs(self.scene, self.world, self.physics, self._moved())
         self.engine.apply(inputs)
         limits = self._speeds.update(self.engine.data.qpos)
         lost, recovery = self.engine.advance(self._indices, limits, self._homes)
-        # The engine has looked already whether all is finite and nobody too fast, as `finish_step` does.
+        # The engine has checked already that all is finite and no robot too fast, as `finish_step` does.
         faults, step = self.world.faults, np.asarray(self.world.step + 1, np.int32)
         if lost or recovery:
             overflow, bad = (np.asarray(count, np.int32) for count in (lost != 0, bool(recovery)))
@@ -296,7 +296,7 @@ class SingleWorld:
         """Read the sensors that are due of some robots; by slot and sensor."""
         scene, members = self._subscene(frozenset(slots))
         states = self.world.groups
-        # Of the robots' states sensing asks for the memories alone.
+        # Sensing reads only the memories of the robots' states.
         part = [states[i].replace(memory=_row(states[i].memory, some)) for i, some in members]
         world = self.world.replace(groups=tuple(part))
         world, readings = observe(scene, world, self.physics, self._caster())
@@ -338,7 +338,7 @@ class SingleWorld:
         self.world = self.world.with_group(group, state.replace(**new))
 
     def _moved(self) -> GeomPoses | None:
-        """Return where the arena's geoms that move are now."""
+        """Return the present poses of the arena's moving geoms."""
         first, ahead = self._moved_ahead
         offset = int(self.world.step) - first
         if not 0 <= offset < LOOKAHEAD_STEPS:
@@ -364,7 +364,7 @@ class SingleWorld:
 
     @numpy_backend()
     def sensor_input(self, slot: int) -> SensorInput:
-        """Return what a robot senses of itself, no rays cast."""
+        """Return a robot's sensor input without rays."""
         scene, _ = self._subscene(frozenset([slot]))
         inputs = sense_self(scene, self.world, self.physics, scene.groups[0])
         own = {name: _row(getattr(inputs, name), 0) for name in ("state", "bodies", "hits")}
@@ -395,8 +395,7 @@ class SingleWorld:
     def reset(self) -> None:
         """Begin the next episode: robots, loose objects and doors back where they began, and time at 0.
 
-        Robots have forgotten what they were told, and their batteries are full. Where two appeared at one
-        place, the second is put next to it.
+        Robots get idle commands and full batteries. A robot whose start pose is taken is put next to it.
         """
         self.engine.reset_all(self._indices, self._homes)
         self.world = restart_in_place(self.scene, self.world, self.physics)
@@ -415,7 +414,7 @@ class SingleWorld:
 
     @numpy_backend()
     def sight(self) -> CCameraRays:
-        """Return what casts cameras' rays at the world as it is now, whatever becomes of it."""
+        """Return a caster of cameras' rays for the present state, which later steps do not change."""
         self.engine.move(self._moved())
         if self._geom_colors is None or self._geom_colors[0] is not self.scene:
             self._geom_colors = self.scene, geom_colors_of(self.scene)

@@ -1,4 +1,4 @@
-"""What the cameras of a world's robots see. Pure functions of one world."""
+"""Pictures of the cameras of a world's robots. Pure functions of one world."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -41,7 +41,7 @@ from usarmjx.sim.world import Stream, World, episode_key, powered, robot_states,
 
 
 def geom_colors_of(scene: Scene) -> GeomColors:
-    """Return how all geoms of a scene's model look, its water, and the figures of robots and victims."""
+    """Return the colors of all geoms and the water of a scene, and the visuals of robots and victims."""
     model, water = scene.model, visible_water(scene)
     materials, label = materials_of(model, scene.arena), labels_of(model, scene.arena)
     visuals = [*_robot_visuals(scene), *_victim_visuals(scene)]
@@ -64,7 +64,7 @@ def geom_colors_of(scene: Scene) -> GeomColors:
 
 
 def _textures(scene: Scene, others: int) -> dict[str, Any]:
-    """Return what is on the model's geoms, and nothing on so many others, as fields of `GeomAppearance`."""
+    """Return the textures of the model's geoms, and none for `others` more, as fields of `GeomAppearance`."""
     code = np.concatenate([textures_of(scene.model, scene.arena), np.zeros(others, np.int32)])
     return {"texture": code, "textures": texture_names(code)} if code.any() else {}
 
@@ -96,7 +96,7 @@ GroupCamera = tuple[int, Camera, int]
 CHECKER_SIZE = 0.5
 """Side of the floor's checkers [m]."""
 PICTURE_KEY = 2**31 - 1
-"""In place of a robot's slot, for keys of what all cameras of a world share."""
+"""Number that stands for a robot's slot in keys that all cameras of a world share."""
 UNBOUNDED_EXTENT = ((-np.inf, np.inf), (-np.inf, np.inf))
 
 
@@ -109,7 +109,7 @@ def find_camera(
         scene: The scene.
         group: Index into `scene.groups`.
         camera: Name or index of a camera of the class; None: the main one.
-        size: Width and height of a picture that it shall take; None: any.
+        size: Width and height of the picture to take; None: any.
 
     Raises:
         UnknownNameError: The robots have no such camera; lists those they have.
@@ -190,13 +190,13 @@ def render_group(
     group_camera: GroupCamera,
     size: tuple[int, int],
 ) -> Picture:
-    """Return what a camera of all robots of a group sees; leading axis over robots.
+    """Return the picture of a camera of all robots of a group; leading axis over robots.
 
     Args:
         scene: The scene.
         world: The world.
-        physics: Where everything is.
-        group_camera: Group, camera, and the camera's place among those of its class; static.
+        physics: State of the physics.
+        group_camera: Group, camera, and the camera's index among those of its class; static.
         size: Width and height of a picture; static.
     """
     group, camera, place = group_camera
@@ -210,14 +210,14 @@ def render_group(
 def render_scene_of_world(
     scene: Scene, worlds: World, physics: PhysicsState, world: int
 ) -> tuple[RenderScene, tuple[BodyPoses, ...]]:
-    """Return what `build_render_scene` does, of one of many worlds."""
+    """Return `build_render_scene` of one of many worlds."""
     return build_render_scene(scene, *jax.tree.map(lambda x: x[world], (worlds, physics)))
 
 
 def render_groups(
     scene: Scene, worlds: World, physics: PhysicsState, group_camera: GroupCamera, size: tuple[int, int]
 ) -> Picture:
-    """Return what `render_group` does, of all worlds (worlds, robots, ...)."""
+    """Return `render_group` of all worlds (worlds, robots, ...)."""
 
     def one(world: World, physics: PhysicsState) -> Picture:
         return render_group(scene, world, physics, group_camera, size)

@@ -35,29 +35,29 @@ def crawl_posture(pitch: float) -> dict[str, float]:
 
 
 def flipper_posture(robot: RobotSpec) -> Posture | None:
-    """Return what a class does on the way; None: it has no flippers."""
+    """Return the function that sets a class's flippers; None: it has none."""
     return crawl_posture if {*FRONT, *REAR} <= {part.name for part in robot.parts} else None
 
 
 ARRIVAL_DISTANCE = 0.25
-"""How near to a point of its way a robot must get [m]."""
+"""Distance from a waypoint at which a robot has reached it [m]."""
 STEERING_GAIN = 2.0
 """Steering for each radian that its heading is off."""
 COMMAND_DURATION = 0.1
-"""How long an order lasts [s]."""
+"""Duration of a command [s]."""
 STUCK_TIMEOUT = 10.0
-"""Who comes no nearer for so long is stuck [s]."""
+"""Time without progress after which a robot counts as stuck [s]."""
 MIN_PROGRESS = 0.05
 """Nearer than this is nearer [m]."""
 BACK_OFF_TIME = 1.5
-"""How long a stuck robot goes back before it tries once more [s]."""
+"""Time for which a stuck robot drives back before it tries once more [s]."""
 TIP_OVER_COS = math.cos(math.radians(80))
-"""How upright a robot must stay."""
+"""Least cosine of the tilt at which a robot is upright."""
 
 
 @dataclass(frozen=True)
 class DriveRun:
-    """How a robot got along its way.
+    """Result of a drive along a path.
 
     Attributes:
         reached: Points that it got to.
@@ -157,7 +157,7 @@ class Trial:
                 continue
             self._steer(offset, mat)
             if not self.advance(COMMAND_DURATION):
-                return DriveRun(reached, self.world.time - began, f"was put back at {_format_position(pos)}")
+                f"was recovered at {_format_position(pos)}"
         return DriveRun(reached, self.world.time - began)
 
     def _steer(self, offset: np.ndarray, mat: np.ndarray) -> None:
@@ -179,12 +179,12 @@ def _format_position(pos: np.ndarray) -> str:
 
 
 MAX_FAULTS = 3
-"""After so many a test is over."""
+"""Faults after which a test ends."""
 
 
 @dataclass(frozen=True)
 class LaneScore:
-    """What a robot did in a lane.
+    """Result of a robot in a lane.
 
     Attributes:
         lane: The lane.
@@ -192,7 +192,7 @@ class LaneScore:
         seconds: Simulated time that counted [s].
         repetitions: Traverses with the whole robot from one end to the other; there and back in lanes where
             that is one.
-        faults: In words why traverses did not count; after each the robot is put back to its start.
+        faults: Reasons why traverses did not count; after each the robot starts again.
     """
 
     lane: MobilityLane
@@ -232,7 +232,7 @@ def run_lane(
     Args:
         lane: The lane.
         robot: The robot's class.
-        minutes: How long [min].
+        minutes: Duration [min].
         share: Share of its top speed.
         max_repetitions: Repetitions after which the test is over; None: only time ends it.
 

@@ -1,4 +1,4 @@
-"""How difficult the obstacles of generated arenas are: how often a robot crosses them, and how fast."""
+"""Difficulty of the obstacles of generated arenas: share of drives that cross them, and their time."""
 
 import json
 import math
@@ -28,20 +28,20 @@ LEVELS = (0.3, 0.5, 0.7, 0.85, 0.95, 1.1, 1.3, 1.6, 2.0, 2.5, 3.0, 3.6)
 MIN_SUCCESS = 0.2
 """Once no more than this share of the drives succeeds, nothing higher is tried."""
 MAX_LATERAL_OFFSET, MAX_YAW_OFFSET = 0.12, 0.2
-"""Perturbed drives start up to so far beside the middle of the lane [m], turned by up to so much [rad]."""
+"""Largest offset of perturbed drives from the middle of the lane [m], and from its direction [rad]."""
 MIN_SPEED_SHARE, MIN_FRICTION_SHARE = 0.6, 0.6
 """They have at least this share of the top speed, and of everything's friction."""
 
 
 @dataclass(frozen=True)
 class Crossings:
-    """What a robot did at obstacles of one kind and roughness.
+    """Result of a robot at obstacles of one kind and roughness.
 
     Attributes:
         kind: A name of `generate.obstacles.OBSTACLES`.
         roughness: From 0 to 1.
         tries: Lanes with other draws that it was sent through once each.
-        crossed: How many it got through.
+        crossed: Number of lanes that it crossed.
         seconds: Mean simulated time of those [s].
     """
 
@@ -60,9 +60,9 @@ def measure_crossings(
     Args:
         kind: A name of `OBSTACLES`.
         robot: The robot's class, to which they are sized.
-        roughness: How high they are, from 0 to 1.
-        tries: How many lanes, each of other draws.
-        scale: On the step that the robot is said to climb.
+        roughness: Height, from 0 to 1.
+        tries: Number of lanes, each of other draws.
+        scale: Factor on the step that the robot is rated to climb.
 
     Raises:
         UnknownNameError: No such kind.
@@ -101,7 +101,7 @@ def measure_success(robot: RobotSpec, kind: str, drives: int) -> list[tuple[floa
     Args:
         robot: The robot's class.
         kind: A name of `OBSTACLES`.
-        drives: How often at each height.
+        drives: Number of drives at each height.
 
     Returns:
         Heights over the robot's step, and the share of the drives that got over them; until hardly any does.
@@ -148,7 +148,7 @@ def success_text(classes: Mapping[str, Mapping[str, SuccessCurve]], drives: int)
 
 
 def _crosses_perturbed(lane: MobilityLane, robot: RobotSpec, number: int) -> bool:
-    """Return whether a robot gets through a lane from where, how fast and on what ground a number tells."""
+    """Return whether a robot crosses a lane; a seed draws its start pose, speed and friction."""
     rng = np.random.default_rng(number)
     trial = Trial(lane.arena, robot, rng.uniform(MIN_SPEED_SHARE, 1.0))
     trial.world.engine.model.geom_friction[:, 0] *= rng.uniform(MIN_FRICTION_SHARE, 1.0)

@@ -1,4 +1,4 @@
-"""Whether a robot really gets where a plan of an arena says: it is driven to every start pose and victim."""
+"""Drives to every start pose and victim that a plan of an arena declares reachable."""
 
 import itertools
 import math
@@ -29,19 +29,19 @@ WAYPOINT_SPACING = 0.3
 MIN_SPEED_SHARE = 0.1
 """Share of its top speed at which a robot gets on at least, else it is out of time."""
 EXTRA_TIME = 15.0
-"""What it may need besides, for turning and backing off [s]."""
+"""Time besides the drive itself, for turning and backing off [s]."""
 BORDER_DISTANCE, BORDER_COST = 0.1, 3.0
 """Ways keep away from where a robot does not fit: so far [m], and what they give for it."""
 
 
 class RouteSegment(NamedTuple):
-    """A way between two places.
+    """A path between two points of an arena.
 
     Attributes:
-        goal: What is there: "start 'B'".
+        goal: Name of its end: "start 'B'".
         path: Points [m].
         length: Length [m].
-        home: Where the robot is put if it does not get there.
+        home: Start pose to continue from if the robot does not arrive.
     """
 
     goal: str
@@ -52,7 +52,7 @@ class RouteSegment(NamedTuple):
 
 @dataclass(frozen=True)
 class ArenaRoute:
-    """How a robot got round an arena.
+    """Result of a drive round an arena.
 
     Attributes:
         segments: Ways that it was sent.
