@@ -145,6 +145,8 @@ class Batch:
         self._render_scene = self._compile(partial(render_scene_of_world, scene))
         self._links = self._compile(partial(update_links_of_worlds, scene))
         self._send = self._compile(jax.vmap(partial(send, scene)))
+        # C MuJoCo steps outside of JAX, so with it the parts around it are compiled instead of the whole
+        # step.
         self._step_program, self._reset_program = self._step, self._reset_where
         if self.engine.traceable:
             self._step_program = self._compile(self._step)
@@ -422,6 +424,7 @@ class Batch:
         group, member = self.scene.group_of(slot)
         _, lens, index = find_camera(self.scene, group, camera, (width, height))
         render_scene, bodies = self._render_scene(state.worlds, self.physics(state), world)
+        # As `compile_program` does: TensorFloat-32 would move rays by a millimetre.
         with jax.default_matmul_precision("highest"):
             body = jax.tree.map(lambda x: x[member], bodies[group])
             fov = state.worlds.groups[group].fov[world, member, index]
@@ -492,6 +495,7 @@ def put_robot(batch: Batch, state: BatchState, world: int, slot: int, pos: Array
     pinned, qpos = np.zeros(shape, bool), np.zeros(shape, np.float32)
     pinned_dof = np.zeros((batch.worlds, scene.model.nv), bool)
     root = slice(index.root_qposadr, index.root_qposadr + 7)
+    # All engines can pin coordinates, as they do for parked robots: so a robot is moved without stepping.
     pinned[world, root], qpos[world, root] = True, (*pos, *quat)
     pinned_dof[world, index.root_dofadr : index.root_dofadr + 6] = True
     return state.replace(physics=batch.engine.set_qpos(state.physics, pinned, pinned_dof, qpos))

@@ -92,6 +92,7 @@ def _rebuild(world: SingleWorld, slot: int, before: RobotSpec, after: RobotSpec)
         present = after
     except ValueError as error:  # of MuJoCo
         raise SpecError(f"a {before.name} cannot be built so: {error}") from error
+    # After a fault as well: `edit` has undone the change, and the values fit the model of before.
     finally:
         for (array, indices), value in zip(state_rows(present), values, strict=True):
             array[indices] = value

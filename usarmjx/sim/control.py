@@ -76,8 +76,10 @@ def torque_inputs(
     """
     sign, bound = xp.sign(torque), xp.abs(torque)
     margin = speed - sign * joints.vel
-    # A joint has the inertia of its motor at least, whatever load hangs on it.
+    # A joint has the inertia of its motor at least, whatever load hangs on it: a torque that cannot take the
+    # bare motor past its top speed within a step may act in full.
     exact = bound * period <= servos.armature * margin
+    # At this target spring and damper of the servo cancel: stiffness (act - pos) - damping vel is 0.
     equilibrium = joints.pos + servos.lead * joints.vel
     # This much takes a joint that carries nothing just to its top speed.
     settled_force = servos.damping * margin
@@ -89,6 +91,7 @@ def torque_inputs(
     initial_force = servos.damping * (2.0 * margin - speed)
     force = xp.maximum(force, xp.where(initial_force > 0.0, initial_force, -bound))
     force = sign * xp.clip(force, -bound, bound)
+    # In full the holding actuators are off, and the activation alone exerts stiffness * act.
     ctrl = xp.where(exact, 0.0, xp.clip(joints.vel, -speed, speed))
     act = xp.where(exact, torque, force) / servos.stiffness + xp.where(exact, 0.0, equilibrium)
     return ctrl, xp.where(exact, 0.0, 1.0), act
@@ -268,7 +271,7 @@ def move_joints(
 
 @dataclass(frozen=True, kw_only=True)
 class CommandUpdate:
-    """Changes of the command of robots of one class; setpoints that are not named stay. Numbers are broadcast.
+    """Changes of the command of robots of one class; other setpoints stay. Numbers are broadcast.
 
     Attributes:
         drive: Numbers for keys of DRIVE [rad/s, m/s or rad] (...,).
@@ -356,7 +359,7 @@ def compute_actuation(
     finite, sound = xp.isfinite(target), xp.isfinite(setpoint)
     target, setpoint = xp.where(finite, target, 0.0), xp.where(sound, setpoint, 0.0)
     ctrl, hold, new_act = _servo(plan, (target, mode), state, act, period, conditions)
-    # A key of a drive that aims joints has reached their targets already.
+    # Where the drive aims joints its setpoints are in their targets already, and would count twice.
     refused = (~finite).sum(-1) + (0 if drive.joint_controls else (~sound).sum(-1))
     return ActuatorInputs(
         ctrl=ctrl,
@@ -383,6 +386,7 @@ def _wrench(
             setpoint = setpoint * conditions.speed[..., None]
         own = drive.wrench(setpoint, state, conditions.depth)
         wrench = drive.passive_wrench(state, conditions.depth) + xp.where(powered[..., None], own, 0.0)
+    # A traced value decides no branch: on JAX every robot's wrench is computed and masked.
     flips = powered & (conditions.time < flip_until)
     if drive.is_wheeled and not (on_numpy() and not flips.any()):
         wrench = wrench + xp.where(flips[..., None], righting_wrench(plan, state, period), 0.0)
@@ -391,7 +395,7 @@ def _wrench(
 
 def _servo(
     plan: KinematicTree,
-    told: tuple[Array, Array],
+    targets: tuple[Array, Array],
     state: RobotState,
     act: Array,
     period: float,
@@ -401,53 +405,56 @@ def _servo(
 
     At the end of its range a joint in torque mode is held there for as long as the torque pushes outward.
     """
-    here, servos = actuated_servos(plan)
-    q, v, target, mode = (x[..., here] for x in (state.joint_pos, state.joint_vel, *told))
+    actuated, servos = actuated_servos(plan)
+    q, v, target, mode = (x[..., actuated] for x in (state.joint_pos, state.joint_vel, *targets))
     speed, torque, windup_limit = servos.speed, servos.torque, servos.windup_limit
-    stands = (mode == ControlMode.VELOCITY) & (target == 0.0) & servos.has_brake
+    brakes = (mode == ControlMode.VELOCITY) & (target == 0.0) & servos.has_brake
     if servos.stall_limit.any():
         slow = xp.clip(1.0 - xp.abs(v) / STALL_SPEED, 0.0, 1.0)
         windup_limit = windup_limit + slow * servos.stall_limit
     if servos.has_brake.any():
-        windup_limit = xp.where(stands, servos.brake_limit, windup_limit)
+        windup_limit = xp.where(brakes, servos.brake_limit, windup_limit)
     if conditions.torque is not None:
-        share = conditions.torque[..., None]
-        torque, windup_limit = torque * share, windup_limit * share
+        factor = conditions.torque[..., None]
+        torque, windup_limit = torque * factor, windup_limit * factor
     if conditions.speed is not None:
-        share = conditions.speed[..., None]
-        speed, target = speed * share, xp.where(mode == ControlMode.VELOCITY, target * share, target)
+        factor = conditions.speed[..., None]
+        speed, target = speed * factor, xp.where(mode == ControlMode.VELOCITY, target * factor, target)
     low, high = servos.low, servos.high
-    even = q + servos.lead * v
+    # At this target spring and damper of the servo cancel at the present speed.
+    balance = q + servos.lead * v
     held = xp.ones_like(act, dtype=bool) if conditions.hold is None else conditions.hold > 0.0
     # A joint that nothing held has no target to go on from: it begins where it is.
-    aim = xp.clip(xp.where(held, act, even), even - windup_limit, even + windup_limit)
-    wanted = xp.where(mode == ControlMode.POSITION, (target - aim) / period, target)
-    rate = xp.clip(wanted, -speed, speed)
-    ctrl, hold = xp.clip(rate, (low - aim) / period, (high - aim) / period), xp.ones_like(aim)
+    ref = xp.clip(xp.where(held, act, balance), balance - windup_limit, balance + windup_limit)
+    rate = xp.where(mode == ControlMode.POSITION, (target - ref) / period, target)
+    rate = xp.clip(rate, -speed, speed)
+    # The activation integrates ctrl over the step: bounds of the target are bounds of ctrl, over the period.
+    ctrl = xp.clip(rate, (low - ref) / period, (high - ref) / period)
+    hold = xp.ones_like(ref)
     if servos.stall_limit.any():
         # Within a step a target gets no farther ahead than that either: the joint's own limit is higher.
         # It goes along with the wheel, or there would be little torque left; not all the way, or a wheel
         # against a wall would spin.
-        lag, ahead = windup_limit + (aim - even), windup_limit - (aim - even)
-        along = SURGE_SHARE * servos.surge * (servos.lead + period / 2)
-        bounded = xp.clip(ctrl, v - lag / period - along, v + ahead / period + along)
+        lag, ahead = windup_limit + (ref - balance), windup_limit - (ref - balance)
+        surge = SURGE_SHARE * servos.surge * (servos.lead + period / 2)
+        bounded = xp.clip(ctrl, v - lag / period - surge, v + ahead / period + surge)
         ctrl = xp.where(servos.stall_limit > 0.0, bounded, ctrl)
     if servos.has_brake.any():
         # As long as that cannot turn it back within the step, a brake exerts exactly what it can.
-        slips = stands & (xp.abs(v) * servos.armature > servos.brake_limit * servos.stiffness * period)
+        slips = brakes & (xp.abs(v) * servos.armature > servos.brake_limit * servos.stiffness * period)
         ctrl, hold = xp.where(slips, 0.0, ctrl), xp.where(slips, 0.0, hold)
-        aim = xp.where(slips, -xp.sign(v) * servos.brake_limit, aim)
-    forced = mode == ControlMode.TORQUE
-    if on_numpy() and not forced.any():
-        return ctrl, hold, aim
+        ref = xp.where(slips, -xp.sign(v) * servos.brake_limit, ref)
+    torque_mode = mode == ControlMode.TORQUE
+    if on_numpy() and not torque_mode.any():
+        return ctrl, hold, ref
     outward = ((q > high) & (target > 0)) | ((q < low) & (target < 0))
-    free = forced & ~outward
+    free = torque_mode & ~outward
     # Towards the end of its range it slows down, to get halfway there in every step.
-    way = xp.maximum(xp.where(target > 0.0, high - q, q - low), 0.0)
-    top, bounded = xp.minimum(speed, 0.5 * way / period), xp.clip(target, -torque, torque)
+    room = xp.maximum(xp.where(target > 0.0, high - q, q - low), 0.0)
+    top, bounded = xp.minimum(speed, 0.5 * room / period), xp.clip(target, -torque, torque)
     driven = torque_inputs(servos, bounded, top, Joints(q, v, act, held), period)
-    ctrl = xp.where(free, driven[0], xp.where(forced, 0.0, ctrl))
-    act = xp.where(free, driven[2], xp.where(forced, xp.clip(q, low, high), aim))
+    ctrl = xp.where(free, driven[0], xp.where(torque_mode, 0.0, ctrl))
+    act = xp.where(free, driven[2], xp.where(torque_mode, xp.clip(q, low, high), ref))
     return ctrl, xp.where(free, driven[1], hold), act
 
 
@@ -458,18 +465,19 @@ def righting_wrench(plan: KinematicTree, state: RobotState, period: float) -> Ar
     """
     mat = mat_from_quat(state.quat)
     up = mat[..., 2]
+    # The axis of the shortest rotation from the robot's own up to the world's.
     axis = xp.cross(up, np.array([0.0, 0.0, 1.0], np.float32))
     # Upside down every axis is as good: roll about the robot's own length.
     axis = xp.where(up[..., 2:] < -0.9, mat[..., 0], axis)
     axis = axis / xp.maximum(xp.linalg.norm(axis, axis=-1, keepdims=True), 1e-6)
     spin = matvec(mat, state.angular)
-    square = np.square(np.array(plan.robot.dimensions, np.float32))
-    across = ((1.0 - matvec(mat.mT, axis) ** 2) * square).sum(-1, keepdims=True)
-    strength = plan.mass * GRAVITY * xp.sqrt(across)
+    squared_size = np.square(np.array(plan.robot.dimensions, np.float32))
+    squared_width = ((1.0 - matvec(mat.mT, axis) ** 2) * squared_size).sum(-1, keepdims=True)
+    strength = plan.mass * GRAVITY * xp.sqrt(squared_width)
     # A torque is held for a control step, in which a small robot (a box of its dimensions) turns far: it is
     # never pushed back, and damped by no more than what takes a quarter of its spin in one step.
-    push = xp.clip(1.0 - (spin * axis).sum(-1, keepdims=True) / FLIP_RATE, 0.0, 1.0)
-    damping = xp.minimum(strength / FLIP_RATE, 0.25 * plan.mass * across / 12 / period)
-    torque = strength * push * axis - damping * spin
+    drive_share = xp.clip(1.0 - (spin * axis).sum(-1, keepdims=True) / FLIP_RATE, 0.0, 1.0)
+    damping = xp.minimum(strength / FLIP_RATE, 0.25 * plan.mass * squared_width / 12 / period)
+    torque = strength * drive_share * axis - damping * spin
     wrench = xp.concatenate([xp.zeros_like(torque), torque], -1)
     return xp.where(up[..., 2:] < MIN_UPRIGHT_COS, wrench, 0.0)

@@ -128,6 +128,7 @@ def apply_operation(
     value, opcode = xp.asarray(value, xp.float32), what.opcode
     low, high = (opcode.min_val, opcode.max_val) if opcode.takes_value else (-np.inf, np.inf)
     effect = what.effecter.effect(opcode, xp.clip(value, low, high), state.stock)
+    # Comparisons with NaN are false: a parameter that is no number does nothing.
     done = mask & (value >= low - LIMIT_TOLERANCE) & (value <= high + LIMIT_TOLERANCE) & effect.possible
     tags = state.tags
     if effect.drops:
@@ -153,11 +154,12 @@ def _update_command(what: Operation, effect: Effect, command: RobotCommand, done
 def _drop_tags(tags: DroppedTags, ground: Array, requested: Array) -> tuple[Array, DroppedTags]:
     """Put one tag on the ground (n, 3) for each robot of a mask, as long as there is room."""
     requested = requested & xp.isfinite(ground).all(-1)
-    place = tags.count + xp.cumsum(requested) - 1
-    done = requested & (place < MAX_DROPPED_TAGS)
-    here = done[:, None] & (place[:, None] == np.arange(MAX_DROPPED_TAGS))
-    pos = (here[..., None] * xp.where(done[:, None], ground, 0.0)[:, None]).sum(0)
-    pos = xp.where(xp.any(here, 0)[:, None], pos, tags.pos).astype(xp.float32)
+    index = tags.count + xp.cumsum(requested) - 1
+    done = requested & (index < MAX_DROPPED_TAGS)
+    at_index = done[:, None] & (index[:, None] == np.arange(MAX_DROPPED_TAGS))
+    # 0 * inf is NaN: heights where there is no ground must not reach the sum.
+    pos = (at_index[..., None] * xp.where(done[:, None], ground, 0.0)[:, None]).sum(0)
+    pos = xp.where(xp.any(at_index, 0)[:, None], pos, tags.pos).astype(xp.float32)
     return done, DroppedTags(pos=pos, count=(tags.count + done.sum()).astype(xp.int32))
 
 

@@ -122,6 +122,7 @@ def update_links_of_worlds(scene: Scene, worlds: World, physics: PhysicsState) -
     update, keep = vmap(partial(update_links, scene)), vmap(last_links)
     if link_interval(scene) == 1:
         return update(worlds, physics)
+    # One condition for all worlds: within `vmap` a condition becomes a select, which evaluates both branches.
     due = vmap(partial(links_due, scene))(worlds).any()
     return jax.lax.cond(due, update, lambda worlds, _: keep(worlds), worlds, physics)
 
@@ -165,6 +166,7 @@ def outgoing_messages(
 def send(scene: Scene, world: World, messages: OutgoingMessages) -> Inboxes:
     """Return the boxes after everyone's message went to its receivers, as far as links hold."""
     mail = mailboxes(scene, world)
+    # The count tells apart messages that are sent within one step.
     key = random.fold_in(episode_key(world, Stream.MAIL), mail.sent.sum())
     moment = (world.step, time_of(scene, world))
     return deliver(mail_of(scene), mail, messages, _links(world), moment, key)

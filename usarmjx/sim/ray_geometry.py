@@ -153,6 +153,7 @@ def camera_geoms(rows: Sequence[VisibleGeoms]) -> tuple[Geoms, GeomAppearance]:
     geom_index = np.concatenate([row.geom_index for row in rows])
     owner = xp.where(owner >= 0, robot_geom_owner(owner, geom_index), owner)
     geoms = make_geoms(kind, pos, mat, size, owner, material, compact)
+    # `make_geoms` sorts by kind, material and compactness: colors have to follow.
     order = np.concatenate(list(indices_by_key(kind, material, compact).values()))
     appearance = GeomAppearance(
         rgb=rgb[order],
@@ -345,6 +346,7 @@ def visible_robots(
         rows.append(
             VisibleGeoms(
                 kind=np.tile(own.kind, n),
+                # Far away instead of left out: arrays in a compiled step have fixed shapes.
                 pos=xp.where(used[:, None, None], pos, PADDING_DISTANCE).reshape(-1, 3),
                 mat=mat.reshape(-1, 3, 3),
                 size=xp.tile(own.size, (n, 1)),

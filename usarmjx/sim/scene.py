@@ -217,6 +217,7 @@ def loose_geoms(model: mujoco.MjModel, arena: ArenaSpec) -> LooseGeoms:
     return LooseGeoms(
         root_qposadr=np.array([j.qposadr[0] + np.arange(7) for j in joints], int).reshape(-1, 7),
         root_dof=np.array([j.dofadr[0] + np.arange(6) for j in joints], int).reshape(-1, 6),
+        # `bodies` rises: MuJoCo numbers bodies in the order in which the arena's objects are added.
         owner=np.searchsorted(bodies, model.geom_bodyid[local.geom]),
         local=local,
     )
@@ -298,6 +299,7 @@ class RosterEntry:
         return ROBOTS.get(self.robot) if isinstance(self.robot, str) else self.robot
 
 
+# Compared by identity: a scene's arrays have no truth value, and JAX hashes what programs close over.
 @dataclass(frozen=True, eq=False, repr=False)
 class Scene:
     """A composed scene.

@@ -94,8 +94,11 @@ class SpeedLimits:
     def update(self, qpos: np.ndarray) -> dict[int, float]:
         """Look where robots are; return how fast each may be after the next control step [m/s], by slot."""
         height = qpos[self._heights]
+        # The engine recovers such a robot; until then its greatest height stands in.
         height = np.where(np.isfinite(height), height, self._max_heights)
         self._max_heights = np.maximum(self._max_heights, height)
+        # Energy: a fall by h ends at sqrt(2 g h) at most; the last term is what one more step of free fall
+        # adds.
         fallen = np.sqrt(2 * GRAVITY * np.minimum(self._max_heights - height, MAX_FALL_HEIGHT)) + self._step
         return dict(zip(self._slots, np.hypot(self._drive_limits, fallen).tolist(), strict=True))
 
@@ -193,6 +196,7 @@ class SingleWorld:
         except ValueError as error:  # of MuJoCo
             raise SpecError(f"a {robot.name} cannot be built: {error}") from error
         try:
+            # From here on the model has the robot: a fault takes it out again.
             (group,) = robot_groups(self.engine.model, {slot: robot})
             self._place_robot(group, poses)
             state = self._initial_state(group)

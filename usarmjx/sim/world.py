@@ -319,6 +319,7 @@ def compute_inputs(
     time = time_of(scene, world)
     ctrl, act, wrenches, pinned, pinned_dof = (list[Part]() for _ in range(5))
     if world.arena_state is not None:
+        # All worlds share one model: loose objects that this world's arena lacks are held where they are.
         loose, missing = scene.loose_geoms, xp.asarray(~world.arena_state.present)[:, None]
         pinned.append((loose.root_qposadr, missing))
         pinned_dof.append((loose.root_dof, missing))
@@ -374,6 +375,7 @@ def _delayed_command(world: World, group: RobotGroup, state: GroupState) -> tupl
     if latency is None or state.command_history is None:
         return command, state
     current = CommandHistory(target=command.target, mode=command.mode, setpoint=command.setpoint)
+    # Row 0 is the present command and row k that of k steps before, so a latency is an index.
     history = jax.tree.map(
         lambda new, old: xp.concatenate([new[:, None], old], 1), current, state.command_history
     )

@@ -126,6 +126,7 @@ class Trial:
 
     def advance(self, seconds: float) -> bool:
         """Let time pass; return whether the physics stayed sound."""
+        # A list: on a generator `any` would stop stepping at the first fault.
         return not any([bool(self.world.step()) for _ in range(round(seconds / self._period))])
 
     def follow(
