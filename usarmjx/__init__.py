@@ -9,7 +9,6 @@ docs/api.md lists them); all other modules may change. Begin with docs/start.md,
 Names load on first use. The import raises JAX's pool of threads, see `base.process`.
 """
 
-import os
 from typing import TYPE_CHECKING
 
 from usarmjx.base import process
@@ -100,7 +99,4 @@ else:
 __version__ = "0.1.0"
 
 process.ensure_pool_size()
-if os.environ.get("USARMJX_PROGRAMS"):  # a process that a command has started
-    from usarmjx.base.compilation import install_cache_checks
-
-    install_cache_checks()
+process.check_inherited_cache()

@@ -190,8 +190,3 @@ def test_a_damaged_file_of_figures_is_one_line(tmp_path, text):
         next(measure_all([ROBOTS.get("P2AT")], file))
     assert str(refused.value).startswith(f"{file}:")
     assert "\n" not in str(refused.value)
-
-
-def test_the_packaged_responses_are_within_bounds():
-    for name, entry in responses.packaged_responses().items():
-        responses.read_response(entry, name)

@@ -24,7 +24,6 @@ from usarmjx.base.rotations import mat_from_quat
 from usarmjx.base.settings.json_file import as_mapping, read_json
 from usarmjx.engines.planar.drives import SideWheels, limited_lag, wheel_kinematics
 from usarmjx.engines.planar.responses import (
-    BOUNDS,
     NUMERIC_FIELDS,
     Response,
     UncalibratedRobotError,
@@ -60,7 +59,8 @@ MAX_TURN_RATE = 12.0
 A Kurt can be commanded 32 and only slides then."""
 HORIZONS = (1.0, 5.0, 20.0)
 """Times after which the error of the pose is stated [s]."""
-LOWER_BOUNDS, UPPER_BOUNDS = np.array([BOUNDS[name] for name in NUMERIC_FIELDS]).T
+LOWER_BOUNDS = np.array([0.2, 0.05, 1e-3, 1e-3, 0.05, 0.05, 0.2, -0.3])
+UPPER_BOUNDS = np.array([1.5, 1.5, 1.5, 1.5, 50.0, 200.0, 50.0, 0.3])
 """Bounds of the fit, in the order of `NUMERIC_FIELDS`."""
 MAX_COST_RATIO = 0.8
 """Sides answer by themselves if that leaves no more than this share of the cost of the simpler model."""
