@@ -393,6 +393,11 @@ def _wrench(
     return xp.asarray(wrench, xp.float32)
 
 
+def _scaled(values: Array, factor: Array | None) -> Array:
+    """Return values of a robot's joints (..., actuators) times a factor of the robot (...,)."""
+    return values if factor is None else values * factor[..., None]
+
+
 def _servo(
     plan: KinematicTree,
     targets: tuple[Array, Array],
@@ -414,12 +419,9 @@ def _servo(
         windup_limit = windup_limit + slow * servos.stall_limit
     if servos.has_brake.any():
         windup_limit = xp.where(brakes, servos.brake_limit, windup_limit)
-    if conditions.torque is not None:
-        factor = conditions.torque[..., None]
-        torque, windup_limit = torque * factor, windup_limit * factor
-    if conditions.speed is not None:
-        factor = conditions.speed[..., None]
-        speed, target = speed * factor, xp.where(mode == ControlMode.VELOCITY, target * factor, target)
+    torque, windup_limit = (_scaled(one, conditions.torque) for one in (torque, windup_limit))
+    speed = _scaled(speed, conditions.speed)
+    target = xp.where(mode == ControlMode.VELOCITY, _scaled(target, conditions.speed), target)
     low, high = servos.low, servos.high
     # At this target spring and damper of the servo cancel at the present speed.
     balance = q + servos.lead * v
