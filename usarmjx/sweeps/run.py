@@ -13,7 +13,7 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError, quoted
 from usarmjx.engines import choose_engine
-from usarmjx.sweeps.play import BatchWork, failure, play_batch, resolved
+from usarmjx.sweeps.play import BatchWork, failure, halves, play_batch, resolved
 from usarmjx.sweeps.resolve import key_of, signature_of
 from usarmjx.sweeps.spec import SweepSpec, as_text, find_spec, load_spec, read_spec
 from usarmjx.sweeps.store import CellRecord, StoredSweep, read_cell, read_sweep, write_cell, write_sweep
@@ -388,7 +388,9 @@ def play_prepared(
         WriteError: The folder cannot be written to.
     """
     workers, say = workers or Workers(), say or (lambda line: None)
-    write_sweep(folder, spec.name, spec.about, spec.axes, prepared.keys)
+    write_sweep(
+        folder, spec.name, spec.about, spec.axes, prepared.keys, spec.sampled, spec.normalise
+    )
     if prepared.known:
         say(f"{prepared.known} of {len(spec.cells)} cells are there already")
     if prepared.cells:
@@ -406,8 +408,14 @@ def play_prepared(
     keep(prepared.broken)
     works = batches_of(prepared)
     try:
-        for number, records, lost in workers.run(_work(workers, progress), works):
-            keep(_lost(works[number], lost) if lost is not None else records)
+        while works:
+            suspects: list[BatchWork] = []
+            for number, records, lost in workers.run(_work(workers, progress), works):
+                if lost is not None and len(works[number].chosen) > 1:
+                    suspects += halves(works[number])  # one of its cells ends workers: the others do not
+                else:
+                    keep(_lost(works[number], lost) if lost is not None else records)
+            works = suspects
     finally:
         progress.close()
     return read_sweep(folder)
