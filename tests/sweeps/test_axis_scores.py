@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from usarmjx.base.estimates import estimate
+from usarmjx.base.estimates import estimate_groups
 from usarmjx.sweeps.analysis import axis_rows, overall_rows, shared_cells
 from usarmjx.sweeps.figures import cells_told, draw_sweep
 from usarmjx.sweeps.report import report
@@ -56,8 +56,10 @@ def test_a_range_has_the_mean_and_the_interval_of_all_its_episodes(sampled):
     scores = [record.scores for record, at in zip(found.records, cutoffs, strict=True) if low <= at < high]
     assert third.mean.value == pytest.approx(np.mean(scores))
     assert third.mean.count == EPISODES * len(scores)
-    expected = estimate([np.array(one) for one in scores])
-    assert (third.mean.low, third.mean.high) == (expected.low, expected.high)
+    # Each cell has the same six episodes: what is drawn is these, and the cells are as they are.
+    expected = estimate_groups(np.mean(scores, 0))
+    np.testing.assert_allclose([third.mean.low, third.mean.high], [expected.low, expected.high], rtol=1e-9)
+    assert (third.mean.drawn("buildings"), third.mean.drawn("settings")) == (EPISODES, len(scores))
 
 
 def test_few_values_and_words_are_told_one_by_one():

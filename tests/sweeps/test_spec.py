@@ -91,7 +91,7 @@ def test_a_file_that_does_not_read_is_one_line(tmp_path):
         ({"roster": {"P2AT": 0}}, "expected classes and how many"),
         ({"fields.velocity": 3}, "has no setting 'velocity'; it has"),
         ({"fields.price": "dear"}, "fields: price is 'dear', expected a number"),
-        ({"policy": {"runs": "x"}}, "expected by-hand, shipped, a run's folder"),
+        ({"policy": {"runs": "x"}}, "expected by-hand, shipped, random, a run's folder"),
         ({"policy": "nowhere.npz"}, "nowhere.npz is no folder of a run"),
         ({"policy": {"client": "x", "speed": 0}}, "speed is 0"),
         ({"task": "convoy", "policy": "shipped"}, "no policy for convoy comes with the package"),

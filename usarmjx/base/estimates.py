@@ -29,6 +29,8 @@ __all__ = [
     "Estimate",
     "crossed_estimate",
     "estimate_groups",
+    "estimate_middle",
+    "interquartile_effects",
     "interquartile_mean",
     "pareto_front",
     "performance_profile",
@@ -74,7 +76,8 @@ def interquartile_effects(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return what each value, and a change of it, does to the interquartile mean (n,), (n,).
 
     The first are the interquartile mean plus the influence of each value (of Winsorized values, Huber and
-    Ronchetti, "Robust Statistics", 3.2): their mean is the interquartile mean, their spread that of its draws.
+    Ronchetti, "Robust Statistics", 3.2): their mean is the interquartile mean, their spread is that of its
+    draws.
     The second are the derivatives times n: 0 of values that are left out.
 
     Args:
@@ -87,7 +90,7 @@ def interquartile_effects(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     inside[kept] = len(values) / len(kept)
     clipped = np.clip(values, values[kept[0]], values[kept[-1]])
     influence = (clipped - clipped.mean()) * len(values) / len(kept)
-    return float(interquartile_mean(values)) + influence, inside
+    return values[kept].mean() + influence, inside
 
 
 def crossed_estimate(
@@ -130,34 +133,47 @@ def crossed_estimate(
 def estimate_groups(
     values: np.ndarray,
     groups: Sequence[object] | np.ndarray | None = None,
+    strata: Sequence[object] | np.ndarray | None = None,
     *,
-    strata: int = 1,
     shares: bool = False,
-    name: str = "buildings",
 ) -> Estimate:
-    """Estimate the mean of values with its 95 % confidence interval, those of a group together.
+    """Estimate the mean of values with its 95 % confidence interval, those of a group drawn together.
 
     Args:
         values: Values (n,).
-        groups: Group of each value, as its building (n,); None: each value is one by itself.
-        strata: Number of strata that the groups are from.
+        groups: Group of each value, as its building (n,); None: each value is drawn by itself.
+        strata: Stratum of each value, as the level of its building (n,); None: there is one. Strata with
+            fewer than two groups each, on average, count as one.
         shares: Whether values that are all 0 or 1 are successes, whose share gets Wilson's interval.
-        name: What a group is.
     """
     values = np.asarray(values, float)
     if not len(values):
         return Estimate(value=np.nan, low=np.nan, high=np.nan, count=0)
-    index = np.arange(len(values)) if groups is None else np.unique(np.asarray(groups), return_inverse=True)[1]
+    index = np.arange(len(values)) if groups is None else _numbered(groups)
+    level = np.zeros(len(values), int) if strata is None else _numbered(strata)
     there = int(index.max()) + 1
+    if there < 2 * (level.max() + 1):
+        level = np.zeros(len(values), int)
     middle = float(values.mean())
-    sums = np.bincount(index, values - middle)
+    rest = values - (np.bincount(level, values) / np.bincount(level))[level]
+    sums = np.bincount(index, rest)
     return crossed_estimate(
         middle + sums * there / len(values),
-        [even(name, there, strata if there > 2 * strata else 1)],
+        [even("buildings", there, int(level.max()) + 1)],
         len(values),
         value=middle,
         shares=shares and bool(np.isin(values, (0.0, 1.0)).all()),
     )
+
+
+def _numbered(labels: Sequence[object] | np.ndarray) -> np.ndarray:
+    """Return the number of each label (n,)."""
+    return np.unique(np.asarray(labels), return_inverse=True)[1]
+
+
+def estimate_middle(values: np.ndarray) -> Estimate:
+    """Estimate the interquartile mean of independent values (n,) with its 95 % confidence interval."""
+    return estimate_groups(values if len(values) < 2 else interquartile_effects(values)[0])
 
 
 def probability_of_improvement(first: np.ndarray, second: np.ndarray) -> np.ndarray:

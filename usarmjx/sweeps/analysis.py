@@ -1,6 +1,6 @@
 """Results of a sweep: scores over its axes, differences between methods, score against connectivity."""
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import combinations
@@ -9,14 +9,17 @@ from typing import Any
 import numpy as np
 
 from usarmjx.base.crossed import holm
+from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import Estimate, estimate_groups, pareto_front
 from usarmjx.sweeps.design import (
     DRIVERS,
     Episodes,
     Sampled,
     building_of,
+    chosen,
     episodes_of,
     improvement,
+    joined,
     mean_score,
     middle_score,
     paired,
@@ -127,6 +130,85 @@ def _difference(task: str, one: tuple[str, Episodes], other: tuple[str, Episodes
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class Aggregate:
+    """Normalised score of a policy or method over tasks.
+
+    Attributes:
+        policy: The policy or method.
+        tasks: Number of tasks.
+        mean: Mean over the tasks, each counting alike.
+        middle: Interquartile mean over runs, tasks and settings.
+    """
+
+    policy: str
+    tasks: int
+    mean: Estimate
+    middle: Estimate
+
+
+def aggregates(found: StoredSweep) -> list[Aggregate]:
+    """Return normalised scores over tasks: 0 and 1 are scores of policies of the sweep, or of its file.
+
+    The interval of the mean counts what is not known of the scores that stand for 0 and 1, where those are of
+    the same episodes. Policies that lack a task are left out.
+
+    Raises:
+        UsageError: A policy that stands for 0 or 1 and has no cells, or a task without such a score.
+    """
+    if not found.normalise:
+        return []
+    tasks = tasks_of(found)
+    own = {task: _by_policy(_of_task(found, task)) for task in tasks}
+    policies = [name for name in own[tasks[0]] if all(name in own[task] for task in tasks)] if tasks else []
+    rows: list[Aggregate] = []
+    for policy in policies:
+        parts = [_normalised(found, task, own[task], policy) for task in tasks]
+        if all(len(part) for part, _ in parts):
+            whole = joined([part for part, _ in parts], alike=True)
+            middle = middle_score(joined([plain for _, plain in parts], alike=False))
+            rows.append(
+                Aggregate(
+                    policy=policy, tasks=len(tasks), mean=mean_score(whole, shares=False), middle=middle
+                )
+            )
+    return rows
+
+
+def _normalised(
+    found: StoredSweep, task: str, records: Mapping[str, Sequence[CellRecord]], policy: str
+) -> tuple[Episodes, Episodes]:
+    """Return normalised scores of a task, with the deviations of 0 and 1 in them, and without."""
+    mine = episodes_of(records[policy], found.sampled)
+    anchors: list[np.ndarray] = []
+    for name in ("zero", "one"):
+        given = found.normalise[name]
+        if isinstance(given, str):
+            if given not in records:
+                raise UsageError(f"normalise: {name} is {given}, which has no cells of {task}")
+            theirs = episodes_of(records[given], found.sampled)
+            table: dict[Any, list[float]] = {}
+            for key, score in zip(theirs.keys, theirs.scores.tolist(), strict=True):
+                table.setdefault(key, []).append(score)
+            anchors.append(np.array([np.mean(table.get(key, [np.nan])) for key in mine.keys]))
+        elif task in given:
+            anchors.append(np.full(len(mine), float(given[task])))
+        else:
+            raise UsageError(f"normalise: {name} has no score for {task}; it has: {', '.join(given)}")
+    zero, one = anchors
+    both = np.flatnonzero(np.isfinite(zero) & np.isfinite(one))
+    mine, zero, one = chosen(mine, both.tolist()), zero[both], one[both]
+    if not len(mine):
+        return mine, mine
+    span = float(one.mean() - zero.mean())
+    if span == 0.0:
+        raise UsageError(f"normalise: the scores for 0 and 1 of {task} are both {zero.mean():.3g}")
+    share = float((mine.scores.mean() - zero.mean()) / span)
+    rest = (mine.scores - zero - share * (one - zero)) / span  # of a ratio, to first order
+    plain = (mine.scores - zero.mean()) / span
+    return replace(mine, scores=share + rest), replace(mine, scores=plain)
+
+
 def front_points(found: StoredSweep) -> list[FrontPoint]:
     """Return where cells are between score and connectivity; none where the task has no radio."""
     rows: list[FrontPoint] = []
@@ -190,7 +272,9 @@ def changes(first: StoredSweep, second: StoredSweep) -> tuple[list[Change], int,
             continue
         one, other = ours[key], theirs[key]
         gain = _gain(one, other)
-        before, after = (float(scores_of(record).mean()) if record.good else np.nan for record in (one, other))
+        before, after = (
+            float(scores_of(record).mean()) if record.good else np.nan for record in (one, other)
+        )
         said = label_of(one, [axis for axis in axes if axis != "task"])
         rows.append(Change(settings=said, task=one.settings["task"], before=before, after=after, gain=gain))
     return rows, len(ours) - len(rows), len(theirs) - len(rows)

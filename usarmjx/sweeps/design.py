@@ -102,7 +102,7 @@ def episodes_of(records: Sequence[CellRecord], sampled: Sampled) -> Episodes:
 
 
 def building_of(record: CellRecord, number: int) -> Hashable:
-    """Return the building of an episode: its generator's seed, its label, or the episode where all have one."""
+    """Return the building of an episode: its seed or its label; the episode itself where all have one."""
     if not record.buildings:
         return "episode", record.settings.get("seed"), number
     label = record.buildings[number]
@@ -131,6 +131,26 @@ def chosen(episodes: Episodes, places: Sequence[int]) -> Episodes:
     names = ("fixed", "points", "runs", "buildings", "keys")
     columns = {name: [getattr(episodes, name)[place] for place in places] for name in names}
     return replace(episodes, scores=episodes.scores[np.asarray(places, int)], **columns)
+
+
+def joined(parts: Sequence[Episodes], *, alike: bool) -> Episodes:
+    """Return the episodes of several tasks.
+
+    Args:
+        parts: Those of each task.
+        alike: Give scores whose mean is the mean of the tasks' means, however many episodes each has: that
+            mean, and weighted deviations from the task's mean.
+    """
+    total, middle = sum(map(len, parts)), float(np.mean([part.scores.mean() for part in parts]))
+    scores = [part.scores for part in parts]
+    if alike:
+        weights = [total / (len(parts) * len(part)) for part in parts]
+        scores = [
+            middle + weight * (own - own.mean()) for own, weight in zip(scores, weights, strict=True)
+        ]
+    names = ("fixed", "points", "runs", "buildings", "keys")
+    columns = {name: [one for part in parts for one in getattr(part, name)] for name in names}
+    return replace(parts[0], scores=np.concatenate(scores), **columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +224,10 @@ class Layout:
         spans = list(self.episodes.sampled.values())
         return np.array(
             [
-                [(one - span[0]) / max(span[1] - span[0], 1e-300) for one, span in zip(point, spans, strict=True)]
+                [
+                    (one - span[0]) / max(span[1] - span[0], 1e-300)
+                    for one, span in zip(point, spans, strict=True)
+                ]
                 for point in points
             ],
             float,
@@ -298,7 +321,9 @@ def mean_score(episodes: Episodes, *, shares: bool = True) -> Estimate:
     points, value = None, float(scores.mean())
     if SETTINGS in layout.indices and layout.coordinates.size:
         terms = main_effects(layout.coordinates, room=1)
-        points = adjusted(SETTINGS, np.hstack([np.ones((len(terms), 1)), terms]), _unit(terms.shape[1] + 1, 0))
+        points = adjusted(
+            SETTINGS, np.hstack([np.ones((len(terms), 1)), terms]), _unit(terms.shape[1] + 1, 0)
+        )
         value = None
     return crossed_estimate(
         layout.table(scores),
@@ -369,17 +394,23 @@ def middle_score(episodes: Episodes) -> Estimate:
 def improvement(first: Episodes, second: Episodes) -> Estimate:
     """Return the probability that a run of one method has a higher mean score than one of another.
 
-    It is rliable's, with settings as its tasks. The interval is over runs; it is unbounded if a method has one.
+    It is rliable's, with settings as its tasks. The interval is over runs: none if a method has one.
     """
-    tables: list[np.ndarray] = []
-    for episodes in (first, second):
-        means: dict[tuple[Hashable, Hashable], list[float]] = {}
-        for key, run, score in zip(episodes.keys, episodes.runs, episodes.scores.tolist(), strict=True):
-            place = key[:2] if isinstance(key, tuple) else key
-            means.setdefault((run, place), []).append(score)
-        runs = list(dict.fromkeys(episodes.runs))
-        places = sorted({place for _, place in means}, key=repr)
-        tables.append(np.array([[np.mean(means.get((run, one), [np.nan])) for run in runs] for one in places]))
+    means = [_means_of(episodes) for episodes in (first, second)]
+    shared = sorted(set.intersection(*({place for _, place in own} for own in means)), key=repr)
+    runs = [list(dict.fromkeys(run for run, _ in own)) for own in means]
+    tables = [
+        np.array([[own.get((run, place), np.nan) for run in names] for place in shared])
+        for own, names in zip(means, runs, strict=True)
+    ]
     better = np.nanmean(probability_of_improvement(*tables), 0)
     sides = [even(f"{RUNS}{side or ''}", size) for side, size in enumerate(better.shape)]
     return crossed_estimate(better, sides, better.size)
+
+
+def _means_of(episodes: Episodes) -> dict[tuple[Hashable, Hashable], float]:
+    """Return the mean score of each run at each of its settings."""
+    found: dict[tuple[Hashable, Hashable], list[float]] = {}
+    for key, run, score in zip(episodes.keys, episodes.runs, episodes.scores.tolist(), strict=True):
+        found.setdefault((run, key[:2] if isinstance(key, tuple) else key), []).append(score)
+    return {place: float(np.mean(scores)) for place, scores in found.items()}

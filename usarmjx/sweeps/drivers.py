@@ -14,11 +14,12 @@ from usarmjx.base.errors import UsageError
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy
+from usarmjx.train.evaluation.yardsticks import random_policy
 from usarmjx.train.make import find_baseline
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.sources import PolicySource, load_policy
 
-BY_HAND, SHIPPED = "by-hand", "shipped"
+BY_HAND, SHIPPED, RANDOM = "by-hand", "shipped", "random"
 KINDS = ("by-hand", "run", "file", "python", "client")
 """Keys of a policy that is a mapping."""
 
@@ -51,7 +52,7 @@ def _said(policy: object) -> tuple[str, str, Mapping[str, Any]]:
         UsageError: It is none.
     """
     if isinstance(policy, str):
-        if policy in (BY_HAND, SHIPPED):
+        if policy in (BY_HAND, SHIPPED, RANDOM):
             return policy, "", {}
         if ".py:" in policy:
             return "python", policy, {}
@@ -62,7 +63,7 @@ def _said(policy: object) -> tuple[str, str, Mapping[str, Any]]:
         if isinstance(policy[kind], str) and set(more) <= set(allowed):
             return kind, policy[kind], more
     raise UsageError(
-        f"policy is {policy!r}, expected {BY_HAND}, {SHIPPED}, a run's folder, an exported file, "
+        f"policy is {policy!r}, expected {BY_HAND}, {SHIPPED}, {RANDOM}, a run's folder, an exported file, "
         f"file.py:function, or one of {', '.join(KINDS)} as {{kind: which}}"
     )
 
@@ -85,6 +86,8 @@ def find_driver(policy: object, task: str) -> CellDriver:
         return CellDriver(shape=("client", what), command=what, speed=float(speed))
     if kind == "python":
         return CellDriver(shape=("python", what), make=lambda env, _: _own(what, env))
+    if kind == RANDOM:
+        return CellDriver(shape=RANDOM, make=lambda env, _: random_policy(env))
     if kind == BY_HAND:
         name = find_baseline(what or task)
         by_hand = BASELINES.get(name)

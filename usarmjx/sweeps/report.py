@@ -8,6 +8,7 @@ from usarmjx.base.estimates import Estimate
 from usarmjx.recording.inputs import versions
 from usarmjx.sweeps.analysis import (
     AxisRow,
+    aggregates,
     axis_rows,
     changes,
     failures,
@@ -62,7 +63,7 @@ def report(found: StoredSweep) -> str:
     rows = [*overall_rows(found), *axis_rows(found)]
     for axis in dict.fromkeys(row.axis for row in rows):
         lines += ["", *_axis_table(axis, [row for row in rows if row.axis == axis])]
-    lines += _differences(found) + _front(found)
+    lines += _differences(found) + _aggregates(found) + _front(found)
     return "\n".join(lines)
 
 
@@ -126,6 +127,19 @@ def _differences(found: StoredSweep) -> list[str]:
         for row in rows
     ]
     return ["", *aligned([*head, *(["probability of improvement"] if several else []), *COUNTS], body)]
+
+
+def _aggregates(found: StoredSweep) -> list[str]:
+    rows = aggregates(found)
+    if not rows:
+        return []
+    zero, one = (name if isinstance(name, str) else "given" for name in map(found.normalise.get, ("zero", "one")))
+    head = ["policy", f"normalised score (0 {zero}, 1 {one}), 95 %", "interquartile mean", "tasks", *COUNTS]
+    body = [
+        [row.policy, as_words(row.mean), as_words(row.middle), str(row.tasks), *_counts(row.mean)]
+        for row in rows
+    ]
+    return ["", *aligned(head, body)]
 
 
 def _front(found: StoredSweep) -> list[str]:

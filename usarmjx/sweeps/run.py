@@ -388,9 +388,7 @@ def play_prepared(
         WriteError: The folder cannot be written to.
     """
     workers, say = workers or Workers(), say or (lambda line: None)
-    write_sweep(
-        folder, spec.name, spec.about, spec.axes, prepared.keys, spec.sampled, spec.normalise
-    )
+    write_sweep(folder, spec.name, spec.about, spec.axes, prepared.keys, spec.sampled, spec.normalise)
     if prepared.known:
         say(f"{prepared.known} of {len(spec.cells)} cells are there already")
     if prepared.cells:

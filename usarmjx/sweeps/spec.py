@@ -55,9 +55,9 @@ class Cell:
 
     task: str
     policy: Named = "by-hand"
-    method: Named | None = None
     episodes: Annotated[int, AT_LEAST_ONE] = 20
     seed: Annotated[int, NOT_NEGATIVE] = 0
+    method: Named | None = None
     engine: str = "auto"
     arena: Named | None = None
     split: Annotated[str | None, Setting(choices=("train", "validation", "test", "fresh"))] = None

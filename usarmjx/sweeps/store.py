@@ -115,7 +115,7 @@ class _SweepContent:
     normalise: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
-def write_sweep(  # noqa: PLR0913 - what a sweep is
+def write_sweep(
     folder: Path,
     name: str,
     about: str,

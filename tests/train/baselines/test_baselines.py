@@ -1,8 +1,11 @@
 """Hand-written policies, and how policies are evaluated."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import stats
 
 import usarmjx
 from tests.train.envs.test_env import LIGHT
@@ -136,7 +139,7 @@ def played(seed, *scores):
 
 
 def test_a_share_stays_between_0_and_1():
-    """Wilson's interval of 0 and of 1 of 10 (tables); of means that are no shares, by bootstrap."""
+    """Wilson's interval of 0 and of 1 of 10 (tables); of means that are no shares, Student's."""
     none = evaluation_of([played(0, *[0.0] * 10)]).score
     assert (none.low, none.high) == (pytest.approx(0.0), pytest.approx(0.2775, abs=1e-4))
     one = evaluation_of([played(0, *[1.0] * 9, 0.0)]).score
@@ -146,8 +149,23 @@ def test_a_share_stays_between_0_and_1():
         pytest.approx(0.9821, abs=1e-4),
     )
     spread = evaluation_of([played(0, *range(100))]).score
-    assert spread.method == "bootstrap"
+    assert spread.method == "crossed"
     assert spread.high - spread.low == pytest.approx(2 * 1.96 * np.std(range(100)) / 10, rel=0.1)
+
+
+def test_visits_of_one_building_are_drawn_together():
+    """Five seeds in the same 6 buildings that differ by level: Student's interval of 6 means, less levels."""
+    draw = np.random.default_rng(0)
+    levels = np.repeat([0, 1], 3)
+    means = 50.0 * levels + draw.normal(0.0, 5.0, 6)
+    runs = [replace(played(seed, *means), buildings=np.arange(6), levels=levels) for seed in range(5)]
+    found = evaluation_of(runs).score
+    rest = means - np.repeat([means[:3].mean(), means[3:].mean()], 3)
+    error = np.sqrt((rest**2).sum() / (6 - 2) / 6)
+    assert found.count == 30
+    assert found.drawn("buildings") == 6
+    half = stats.t.ppf(0.975, 4) * error
+    np.testing.assert_allclose([found.low, found.high], [means.mean() - half, means.mean() + half], rtol=1e-9)
 
 
 def test_one_odd_seed_hardly_moves_the_interquartile_mean():

@@ -1,17 +1,21 @@
 """Tasks for teams: in a room drawn by hand, with what its robots' sensors would report."""
 
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.train.rooms import DEPTH, WIDTH, begin, play, room, view_of
+from tests.train.rooms import DEPTH, WIDTH, _machine, begin, play, room, view_of
 from usarmjx.models.compile.randomization import RandomizedValues
 from usarmjx.models.compile.reachability import footprint_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.train.baselines.frontier import frontier_action, relay_policy
+from usarmjx.train.learning.config import Config
+from usarmjx.train.learning.rollout import Rollout
 from usarmjx.train.mapping.belief import SECTOR_COUNT
 from usarmjx.train.mapping.maps import FREE, MARK, WALL, reachable_squares
 from usarmjx.train.tasks.buildings import Buildings, sort_starts
@@ -46,6 +50,47 @@ def search(linked, base):
     while more := {int(j) for i in found for j in np.flatnonzero(linked[i])} - found:
         found |= more
     return found
+
+
+def test_an_episode_that_counts_as_begun_earlier_tells_the_time_that_is_left(explored):
+    """Training begins first episodes so; what a critic and the agents see of the time agrees with its end."""
+    task, steps = explored
+    (_, memory, _), (after, _, plain) = steps[0], steps[1]
+    late = STEPS - 2
+    memory = jax.tree.map(jnp.asarray, task.started_at(memory, jnp.int32(late)))
+    result = _machine(task)[2](after, memory)
+    assert float(task.privileged(after, result.memory)[1]) == pytest.approx((late + 1) / STEPS)
+    usual = task.observe(after, plain.memory)[0]
+    left = np.flatnonzero(np.abs(task.observe(after, result.memory)[0] - usual).max(0) > 1e-6)
+    assert len(left) == 1, "nothing else of the observation changes"
+    np.testing.assert_allclose(usual[:, left], 1 - 1 / STEPS, rtol=1e-6)
+    np.testing.assert_allclose(task.observe(after, result.memory)[0][:, left], 1 / STEPS, rtol=1e-5)
+    for name, value in plain.metrics.items():
+        assert float(result.metrics[name]) == float(value), name
+    assert float(plain.score) > float(result.score) > 0, "what the first scans show counts, what is late pays less"
+
+
+def test_training_tells_tasks_how_late_their_first_episodes_begin():
+    class Late(Explore):
+        def started_at(self, memory, steps):
+            return ("told", steps)
+
+    state = SimpleNamespace(length=jnp.zeros(2, jnp.int32), memory=())
+    state.replace = partial(_replaced, state)
+    env = SimpleNamespace(task=Late(), reset=lambda seed: state, worlds=2)
+    late = jnp.array([3, 5])
+    rollout = SimpleNamespace(
+        config=Config(), env=env, teacher=None, _begin=lambda key: (jnp.arange(2), late, ())
+    )
+    begun = Rollout.start(rollout, 1.0).env_state
+    assert begun.memory[0] == "told"
+    assert begun.memory[1].tolist() == begun.length.tolist() == [3, 5]
+
+
+def _replaced(state, **new):
+    made = SimpleNamespace(**{**vars(state), **new})
+    made.replace = partial(_replaced, made)
+    return made
 
 
 @pytest.fixture(scope="module")

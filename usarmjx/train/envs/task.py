@@ -305,6 +305,18 @@ class Task(ABC):
         del view, memory
         return jnp.zeros(0)
 
+    def started_at(self, memory: Memory, steps: jax.Array) -> Memory:
+        """Return the memory of episodes that count as begun some steps ago, so that they end so much earlier.
+
+        A task that counts its own steps sets its count. By default nothing changes.
+
+        Args:
+            memory: Memory of all worlds at the start of their episodes (worlds, ...).
+            steps: Steps before (worlds,).
+        """
+        del steps
+        return memory
+
     @property
     def for_baseline(self) -> "Task":
         """This task with all in view that its baseline drives by; by default itself."""

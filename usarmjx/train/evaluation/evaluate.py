@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.estimates import Estimate, estimate_groups, interquartile_mean
+from usarmjx.base.estimates import Estimate, estimate_groups, estimate_middle
 from usarmjx.sim.batch import select_worlds
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy
@@ -26,6 +26,9 @@ class Episodes:
         worlds: Where they took place (episodes,).
         episode_index: How many episodes there had been in that world before (episodes,).
         bad: How many were left out.
+        buildings: Where each took place, by number of the arena; where all have one, a number for each
+            (episodes,).
+        levels: Level of each building (episodes,).
     """
 
     seed: int
@@ -34,6 +37,8 @@ class Episodes:
     worlds: np.ndarray
     episode_index: np.ndarray
     bad: int
+    buildings: np.ndarray | None = None
+    levels: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +46,8 @@ class Evaluation:
     """What came of an evaluation.
 
     Attributes:
-        score: Mean score of all episodes; where each is 0 or 1 a share, with Wilson's interval.
+        score: Mean score of all episodes; where each is 0 or 1 a share, with Wilson's interval. Episodes in
+            one building are drawn together, whatever their seeds.
         episodes: The episodes of each seed.
         seed_scores: Of each seed, over its episodes.
         over_seeds: Interquartile mean of the seeds' means.
@@ -95,7 +101,8 @@ def play_episodes(
         state = env.reset(seed) if level is None else env.reset(seed, level)
     carry, key = begin, jax.random.key(seed)
     ended, length, step, bad = np.zeros(env.worlds, int), np.zeros(env.worlds, int), 0, 0
-    rows: list[tuple[Any, ...]] = []  # of each episode: score, length, world, index
+    rows: list[tuple[Any, ...]] = []  # of each episode: score, length, world, index, building
+    serials = _serials(state)
     while (ended < each).any():
         carry, actions = act(carry, state.obs, jax.random.fold_in(key, step))
         state = env.step(state, actions)
@@ -107,12 +114,29 @@ def play_episodes(
         carry = jax.tree.map(partial(select_worlds, state.done), begin, carry)
         counts, wrong = done & (ended < each), np.asarray(state.bad)
         here = np.flatnonzero(counts & ~wrong)
-        rows += zip(np.asarray(state.final_score)[here], length[here], here, ended[here], strict=True)
+        where = -1 - np.arange(len(rows), len(rows) + len(here)) if serials is None else serials[here]
+        rows += zip(np.asarray(state.final_score)[here], length[here], here, ended[here], where, strict=True)
+        serials = _serials(state)  # of the episodes that have begun
         bad += int((counts & wrong).sum())
         ended, length = ended + done, np.where(done, 0, length)
-    scores, lengths, worlds, index = np.array(rows, float).reshape(-1, 4).T
-    counts = {"lengths": lengths, "worlds": worlds, "episode_index": index}
-    return Episodes(seed=seed, scores=scores, bad=bad, **{k: v.astype(int) for k, v in counts.items()})
+    scores, lengths, worlds, index, places = np.array(rows, float).reshape(-1, 5).T
+    counts = {"lengths": lengths, "worlds": worlds, "episode_index": index, "buildings": places}
+    found = {name: column.astype(int) for name, column in counts.items()}
+    return Episodes(seed=seed, scores=scores, bad=bad, levels=_levels(env, found["buildings"]), **found)
+
+
+def _serials(state: Any) -> np.ndarray | None:  # noqa: ANN401 - of environments of one's own, too
+    """Return the number of the arena of each world (worlds,); None: they have one."""
+    worlds = getattr(getattr(state, "batch", None), "worlds", None)
+    arenas = getattr(worlds, "arena_state", None)
+    return None if arenas is None else np.asarray(arenas.serial)
+
+
+def _levels(env: Env, buildings: np.ndarray) -> np.ndarray:
+    """Return the level of each building (episodes,): a library has those of one level in a row."""
+    levels = len(getattr(env, "levels", ()))
+    library = env.scene.arenas if levels > 1 else None
+    return buildings * 0 if library is None else buildings // max(len(library.arenas) // levels, 1)
 
 
 def evaluate_episodes(
@@ -145,11 +169,25 @@ def evaluation_of(runs: Sequence[Episodes]) -> Evaluation:
         raise UsageError("no episode ended well: nothing to take the mean of")
     means = np.array([scores.mean() for scores in strata])
     return Evaluation(
-        score=estimate(strata, shares=True),
+        score=_score_of(runs),
         episodes=tuple(runs),
-        seed_scores=tuple(estimate([scores], shares=True) for scores in strata),
-        over_seeds=estimate([means], interquartile_mean),
+        seed_scores=tuple(_score_of([run]) for run in runs),
+        over_seeds=estimate_middle(means),
     )
+
+
+def _score_of(runs: Sequence[Episodes]) -> Estimate:
+    """Return the mean score of all episodes; those in one building are drawn together."""
+    scores = np.concatenate([run.scores for run in runs])
+    places = [
+        (number, episode) if run.buildings is None or run.buildings[episode] < 0 else run.buildings[episode]
+        for number, run in enumerate(runs)
+        for episode in range(len(run.scores))
+    ]
+    levels = [
+        0 if run.levels is None else run.levels[episode] for run in runs for episode in range(len(run.scores))
+    ]
+    return estimate_groups(scores, list(map(repr, places)), levels, shares=True)
 
 
 def as_record(found: Evaluation) -> dict[str, Any]:

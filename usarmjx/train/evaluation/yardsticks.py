@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.errors import UnknownNameError, UsageError
-from usarmjx.base.estimates import Estimate, estimate
+from usarmjx.base.estimates import Estimate, estimate_groups
 from usarmjx.base.markdown import markdown_table
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.train.baselines import BASELINES
@@ -246,7 +246,7 @@ def team_result(
     finds = sum(value.mean(-1) for part, value in parts.items() if task.most_points[part] > 0)
     return TeamResult(
         name=name,
-        score=estimate([scores]),
+        score=estimate_groups(scores),
         parts={part: float(value[-1].mean()) for part, value in parts.items()},
         finds=tuple(np.asarray(finds).tolist()),
         outside=float(series["outside"].mean()) if "outside" in series else 0.0,

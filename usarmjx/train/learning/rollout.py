@@ -122,6 +122,8 @@ class Rollout:
         number, late, carry = self._begin(jax.random.fold_in(jax.random.key(config.seed), STAGGER_STREAM))
         if config.stagger_resets:  # by counting steps that never were, so nothing else of an episode changes
             env = env.replace(length=late.astype(env.length.dtype))
+            if (task := getattr(self.env, "task", None)) is not None:
+                env = env.replace(memory=task.started_at(env.memory, env.length))
         return RolloutState(
             env_state=env,
             world_index=number,

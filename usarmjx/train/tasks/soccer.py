@@ -349,6 +349,10 @@ class Soccer(Task):
             step=jnp.zeros((), jnp.int32),
         )
 
+    def started_at(self, memory: SoccerMemory, steps: jax.Array) -> SoccerMemory:
+        """See `Task`."""
+        return memory.replace(step=steps)
+
     def observe(self, view: TaskView, memory: SoccerMemory) -> tuple[jax.Array, ...]:
         """See `Soccer`."""
         return (self.observations(view, memory)[: len(view.scene.groups[0].slots)],)

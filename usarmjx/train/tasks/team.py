@@ -139,7 +139,8 @@ class TeamMemory(struct.PyTreeNode, kw_only=True):
 
     Attributes:
         belief: What each robot believes (robots, ...).
-        step: Actions so far ().
+        step: Actions so far, and those of `skipped` ().
+        skipped: Actions that count as done before the episode began, see `Task.started_at` ().
         reachable: Which squares a robot gets to (i, j).
         explored: Which of them the team's scanners have truly seen to be free (i, j).
         touching: Which robots touch something (robots,).
@@ -158,6 +159,7 @@ class TeamMemory(struct.PyTreeNode, kw_only=True):
     unlinked: jax.Array
     score: jax.Array
     extra: Any = ()
+    skipped: jax.Array | int = 0
 
 
 def to_robot_frame(pose: jax.Array, position: jax.Array) -> jax.Array:
@@ -468,6 +470,7 @@ class TeamTask(Task):
         memory = TeamMemory(
             belief=self.update_belief(view, self.first_belief(view), mail=False),
             step=jnp.zeros((), jnp.int32),
+            skipped=jnp.zeros((), jnp.int32),
             reachable=self.note(view, "reachable"),
             explored=jnp.zeros(grid.shape, bool),
             touching=jnp.zeros(view.scene.num_robots, bool),
@@ -477,6 +480,10 @@ class TeamTask(Task):
         )
         shown, _ = newly_explored(view, memory, grid)
         return memory.replace(explored=shown)
+
+    def started_at(self, memory: TeamMemory, steps: jax.Array) -> TeamMemory:
+        """See `Task`."""
+        return memory.replace(step=steps, skipped=steps)
 
     def worth(self, left: Number) -> Number:
         """Return what share of its points a find still pays with that share of the time left (...,)."""
@@ -540,7 +547,7 @@ class TeamTask(Task):
 
     def metrics(self, memory: TeamMemory) -> dict[str, jax.Array]:
         """Share of the squares that are explored, contacts, and share of the pair-steps without a link."""
-        steps = jnp.maximum(memory.step, 1)
+        steps = jnp.maximum(memory.step - memory.skipped, 1)
         return {
             "explored": coverage(memory),
             "contacts": memory.contacts,

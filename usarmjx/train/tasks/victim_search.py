@@ -326,7 +326,7 @@ class VictimSearch(TeamTask):
                 **self.metrics(memory),
                 "reported": (found.reported & people).sum() / jnp.maximum(people.sum(), 1),
                 "mapped": found.mapped.sum() / squares,
-                "connected": found.connected / memory.step,
+                "connected": found.connected / (memory.step - memory.skipped),
                 "wrong": found.wrong,
                 "outside": self._outside(view),
             },
