@@ -105,7 +105,9 @@ def test_two_sweeps_are_compared_cell_by_cell(found, tmp_path):
     said = compare(found, stored(tmp_path / "other", other))
     assert "2 cells in both, 2 in the first only, 0 in the second only" in said
     assert "the same score in 1 of them" in said
-    assert "| explore | radio.cutoff -60, policy by-hand | 20    | 21     | 1 (-3.3 to 5.3) " in said, "Student's of 0, 0, 3"
+    assert "| explore | radio.cutoff -60, policy by-hand | 20    | 21     | 1 (-3.3 to 5.3) " in said, (
+        "Student's of 0, 0, 3"
+    )
 
 
 def test_tables_and_figures_are_files(found, tmp_path):

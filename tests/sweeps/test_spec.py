@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from usarmjx.base.errors import UnknownNameError, UsageError
-from usarmjx.sweeps.resolve import key_of, resolve, signature_of
+from usarmjx.sweeps.resolve import resolve, signature_of
 from usarmjx.sweeps.spec import BUNDLED, find_spec, load_spec, read_spec
 from usarmjx.train.tasks.victim_search import VictimSearch
 
@@ -150,17 +150,6 @@ def test_data_share_a_signature_and_what_is_compiled_in_does_not():
     assert signature_of(resolved(**{"vary.latency": [0, 3]}), "c") != signature_of(
         resolved(**{"vary.latency": [0, 4]}), "c"
     )
-
-
-def test_a_cell_has_the_same_key_until_a_setting_or_a_file_that_it_names_changes(tmp_path):
-    file = tmp_path / "own.py"
-    file.write_text("def policy(env): ...\n")
-    (cell,) = read_spec({"common": {"task": "explore", "policy": f"{file}:policy"}}).cells
-    before = key_of(cell)
-    assert key_of(dict(reversed(cell.items()))) == before
-    assert key_of({**cell, "seed": 1}) != before
-    file.write_text("def policy(env): return None\n")
-    assert key_of(cell) != before
 
 
 @pytest.mark.parametrize("file", sorted(BUNDLED.glob("*.yaml")), ids=lambda file: file.stem)

@@ -145,9 +145,7 @@ def joined(parts: Sequence[Episodes], *, alike: bool) -> Episodes:
     scores = [part.scores for part in parts]
     if alike:
         weights = [total / (len(parts) * len(part)) for part in parts]
-        scores = [
-            middle + weight * (own - own.mean()) for own, weight in zip(scores, weights, strict=True)
-        ]
+        scores = [middle + weight * (own - own.mean()) for own, weight in zip(scores, weights, strict=True)]
     names = ("fixed", "points", "runs", "buildings", "keys")
     columns = {name: [one for part in parts for one in getattr(part, name)] for name in names}
     return replace(parts[0], scores=np.concatenate(scores), **columns)

@@ -85,6 +85,7 @@ def find_driver(policy: object, task: str) -> CellDriver:
             raise UsageError(f"policy: speed is {speed!r}, expected simulated seconds per second, above 0")
         return CellDriver(shape=("client", what), command=what, speed=float(speed))
     if kind == "python":
+        _function(what)  # so that a plan says what is missing
         return CellDriver(shape=("python", what), make=lambda env, _: _own(what, env))
     if kind == RANDOM:
         return CellDriver(shape=RANDOM, make=lambda env, _: random_policy(env))
@@ -149,31 +150,17 @@ def _module(place: str) -> ModuleType:
     return sys.modules[known]
 
 
-def contents(policy: object, task: str) -> str:
-    """Return what tells a policy from what was under its name before: of files a hash, else nothing.
+def script_of(policy: object) -> Path | None:
+    """Return the Python file of a policy that is a function; None: it is none, or in a package.
 
     Raises:
         UsageError: See `find_driver`.
     """
     kind, what, _ = _said(policy)
-    if kind == SHIPPED and task in POLICIES:
-        return _hash(POLICIES.get(task))
-    if kind == "python":
-        place = what.rpartition(":")[0]
-        if not place.endswith(".py"):
-            found = importlib.util.find_spec(place) if "." not in place else None
-            place = "" if found is None or found.origin is None else found.origin
-        return _hash(Path(place))
-    return _hash(Path(what)) if kind in ("file", "run") else ""
-
-
-def _hash(path: Path) -> str:
-    """Return a hash of a file, or of the names, sizes and times of what is in a folder; nothing: no such."""
-    if path.is_file():
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    rows = [
-        (str(file.relative_to(path)), file.stat().st_size, file.stat().st_mtime_ns)
-        for file in sorted(path.glob("checkpoints/**/*"))
-        if file.is_file()
-    ]
-    return hashlib.sha256(repr(rows).encode()).hexdigest() if rows else ""
+    if kind != "python":
+        return None
+    place = what.rpartition(":")[0]
+    if place.endswith(".py"):
+        return Path(place)
+    found = importlib.util.find_spec(place) if "." not in place else None
+    return None if found is None or found.origin is None else Path(found.origin)

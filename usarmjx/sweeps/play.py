@@ -182,6 +182,11 @@ class _Frozen:
         return isinstance(other, _Frozen) and self._text == other._text
 
 
+def forget_resolved() -> None:
+    """Forget what settings stood for: the files that they name may have changed."""
+    _resolved.cache_clear()
+
+
 @lru_cache(maxsize=4096)
 def _resolved(frozen: Any) -> Resolved:  # noqa: ANN401 - a _Frozen
     return resolve(frozen.settings)

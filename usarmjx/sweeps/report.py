@@ -133,7 +133,9 @@ def _aggregates(found: StoredSweep) -> list[str]:
     rows = aggregates(found)
     if not rows:
         return []
-    zero, one = (name if isinstance(name, str) else "given" for name in map(found.normalise.get, ("zero", "one")))
+    zero, one = (
+        name if isinstance(name, str) else "given" for name in map(found.normalise.get, ("zero", "one"))
+    )
     head = ["policy", f"normalised score (0 {zero}, 1 {one}), 95 %", "interquartile mean", "tasks", *COUNTS]
     body = [
         [row.policy, as_words(row.mean), as_words(row.middle), str(row.tasks), *_counts(row.mean)]

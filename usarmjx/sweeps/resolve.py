@@ -1,11 +1,8 @@
 """What a cell's settings stand for: task, arenas of its episodes, ranges, driver; what of that is data."""
 
-import hashlib
-import json
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,12 +16,12 @@ from usarmjx.models.compile.randomization import QUANTITY_RULES, DomainRandomiza
 from usarmjx.models.generate import KINDS
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec
-from usarmjx.sweeps.drivers import CellDriver, contents, find_driver
+from usarmjx.sweeps.drivers import CellDriver, find_driver
 from usarmjx.sweeps.spec import FIELDS, ArenaLevel, CellSettings
 from usarmjx.train.envs.membership import building_label
 from usarmjx.train.envs.recipe import SPLITS, TEST, GeneratedArenas, resolve_arenas, spec_of
 from usarmjx.train.envs.task import Task
-from usarmjx.train.make import file_of, make_task
+from usarmjx.train.make import make_task
 from usarmjx.train.tasks.buildings import Buildings
 from usarmjx.train.tasks.equip import flies
 from usarmjx.train.tasks.victim_search import FLIPPERS
@@ -80,22 +77,6 @@ class Resolved:
         """A warning if its policy was trained in buildings that it plays, in a line; else empty."""
         source = self.driver.source
         return "" if source is None else source.training_note(self.labels)
-
-
-def key_of(settings: CellSettings) -> str:
-    """Return the name of a cell's result: a hash of its settings, and of the files that they name.
-
-    Raises:
-        UsageError: See `drivers.find_driver`.
-    """
-    files = {"policy": contents(settings["policy"], settings["task"])}
-    if (own := file_of(settings["task"])) is not None and own.is_file():
-        files["task"] = hashlib.sha256(own.read_bytes()).hexdigest()
-    arena = settings.get("arena")
-    if isinstance(arena, str) and Path(arena).is_file():
-        files["arena"] = hashlib.sha256(Path(arena).read_bytes()).hexdigest()
-    text = json.dumps([dict(settings), files], sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
 def parts_of(settings: CellSettings, name: str) -> dict[str, Any]:

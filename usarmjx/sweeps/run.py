@@ -13,8 +13,9 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError, quoted
 from usarmjx.engines import choose_engine
-from usarmjx.sweeps.play import BatchWork, failure, halves, play_batch, resolved
-from usarmjx.sweeps.resolve import key_of, signature_of
+from usarmjx.sweeps.contents import key_of
+from usarmjx.sweeps.play import BatchWork, failure, forget_resolved, halves, play_batch, resolved
+from usarmjx.sweeps.resolve import signature_of
 from usarmjx.sweeps.spec import SweepSpec, as_text, find_spec, load_spec, read_spec
 from usarmjx.sweeps.store import CellRecord, StoredSweep, read_cell, read_sweep, write_cell, write_sweep
 from usarmjx.sweeps.table import scores_of
@@ -278,27 +279,26 @@ def prepare(spec: SweepSpec, folder: Path, retry: bool = False) -> Prepared:
     broken: list[CellRecord] = []
     signatures: list[dict[str, Any]] = []
     engines: list[str] = []
-    known = 0
+    known, digests = 0, dict[str, str]()
+    forget_resolved()  # files may have changed since
     for asked in spec.cells:
         settings = {**asked, "engine": choose_engine(str(asked["engine"]), "train")}
         try:
-            key = key_of(settings)
+            cell = resolved(settings)
+            key = key_of(settings, cell, digests)
+            signature = signature_of(cell, settings["engine"])
         except UsageError as error:
             key = hashlib.sha256(repr(sorted(settings.items())).encode()).hexdigest()[:20]
-            broken.append(failure(key, settings, str(error)))
+            if key not in keys:
+                keys.append(key)
+                broken.append(failure(key, settings, str(error)))
+            continue
         if key in keys:
             continue
         keys.append(key)
         before = read_cell(folder, key)
         if before is not None and not (retry and before.failed is not None):
             known += 1
-            continue
-        if broken and broken[-1].key == key:
-            continue
-        try:
-            signature = signature_of(resolved(settings), settings["engine"])
-        except UsageError as error:
-            broken.append(failure(key, settings, str(error)))
             continue
         cells.append((key, settings))
         signatures.append(signature)

@@ -67,7 +67,9 @@ def test_an_episode_that_counts_as_begun_earlier_tells_the_time_that_is_left(exp
     np.testing.assert_allclose(task.observe(after, result.memory)[0][:, left], 1 / STEPS, rtol=1e-5)
     for name, value in plain.metrics.items():
         assert float(result.metrics[name]) == float(value), name
-    assert float(plain.score) > float(result.score) > 0, "what the first scans show counts, what is late pays less"
+    assert float(plain.score) > float(result.score) > 0, (
+        "what the first scans show counts, what is late pays less"
+    )
 
 
 def test_training_tells_tasks_how_late_their_first_episodes_begin():

@@ -1,0 +1,138 @@
+"""Contents of all that a cell reads, as the key of its result: a changed picture is another cell.
+
+Whatever is resolved is hashed as it was resolved: buildings, arenas with their meshes and pictures, robots,
+weights of policies. Scripts, which are code, are hashed with the modules beside them that they import.
+"""
+
+import ast
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from usarmjx.base.errors import UsageError
+from usarmjx.base.program_cache import fingerprint
+from usarmjx.models.files.load import find_arena
+from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.recording.inputs import PACKAGES, versions
+from usarmjx.sweeps.drivers import script_of
+from usarmjx.sweeps.resolve import Resolved, resolve
+from usarmjx.sweeps.spec import CellSettings
+from usarmjx.train.envs.recipe import resolve_arenas, spec_of
+from usarmjx.train.make import file_of
+
+KEY_FORMAT = 2
+"""Another number stands for other rules of what a cell plays: no result of earlier rules is found."""
+KEY_LENGTH = 20
+
+
+def key_of(settings: CellSettings, cell: Resolved | None = None, known: dict[str, str] | None = None) -> str:
+    """Return the name of a cell's result: a hash of its settings and of the contents of all that it reads.
+
+    Args:
+        settings: The settings; the name of a method is no part of the key.
+        cell: What they stand for; None: it is resolved.
+        known: Digests of named arenas that were found before, and are now.
+
+    Raises:
+        UsageError: See `resolve`.
+    """
+    cell = resolve(settings) if cell is None else cell
+    own = {name: value for name, value in settings.items() if name != "method"}
+    contents = cell_contents(cell, {} if known is None else known)
+    text = json.dumps([KEY_FORMAT, own, contents], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:KEY_LENGTH]
+
+
+def cell_contents(cell: Resolved, known: dict[str, str]) -> dict[str, Any]:
+    """Return digests of all that a cell reads, by what it is, and the versions of what computes it.
+
+    Args:
+        cell: The cell.
+        known: Digests of named arenas that were found before, and are now.
+
+    Raises:
+        UsageError: An arena that cannot be read.
+    """
+    task = cell.task
+    found: dict[str, Any] = {
+        "versions": {name: version for name, version in versions().items() if name in PACKAGES},
+        "robots": fingerprint([spec_of(robot) for robot in task.robots]),
+        "arena": list(cell.labels) or _arena_digest(task.arena, known, len(task.robots)),
+        "policy": _policy_digest(cell),
+    }
+    own = file_of(cell.settings["task"])
+    if own is not None and own.is_file():
+        found["task"] = script_digest(own)
+    return found
+
+
+def _policy_digest(cell: Resolved) -> str:
+    script = script_of(cell.settings["policy"])
+    if script is not None:
+        return script_digest(script)
+    weights = jax.tree.map(np.asarray, cell.driver.weights)
+    leaves, tree = jax.tree.flatten(weights)
+    return fingerprint(str(tree), leaves)
+
+
+def _arena_digest(arena: Any, known: dict[str, str], robots: int) -> str:  # noqa: ANN401 - a name or a spec
+    if not isinstance(arena, str):
+        return fingerprint(arena)
+    if arena not in known:
+        found = resolve_arenas(arena, "P2AT", robots)
+        known[arena] = fingerprint(found if isinstance(found, ArenaSpec) else find_arena(arena))
+    return known[arena]
+
+
+def script_digest(path: Path) -> str:
+    """Return a hash of a Python file and of those beside it that it imports, and so on.
+
+    Raises:
+        UsageError: It cannot be read.
+    """
+    found: dict[Path, str] = {}
+    _read_script(path.absolute(), found)
+    rows = [(str(file.relative_to(path.absolute().parent)), text) for file, text in sorted(found.items())]
+    return hashlib.sha256(repr(rows).encode()).hexdigest()
+
+
+def _read_script(path: Path, found: dict[Path, str], top: Path | None = None) -> None:
+    """Add the hash of a file, and of those in its folder that it imports."""
+    top = path.parent if top is None else top
+    if path in found:
+        return
+    try:
+        source = path.read_bytes()
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror or error}") from error
+    found[path] = hashlib.sha256(source).hexdigest()
+    try:
+        tree = ast.parse(source)
+    except (SyntaxError, ValueError):
+        return  # importing it says so
+    for node in ast.walk(tree):
+        for name in _imports(node, path, top):
+            parts = name.split(".")
+            for count in range(1, len(parts) + 1):
+                base = top.joinpath(*parts[:count])
+                for file in (base.with_suffix(".py"), base / "__init__.py"):
+                    if file.is_file():
+                        _read_script(file, found, top)
+
+
+def _imports(node: ast.AST, path: Path, top: Path) -> list[str]:
+    """Return the modules that a statement imports, by their names from the folder `top`."""
+    if isinstance(node, ast.Import):
+        return [one.name for one in node.names]
+    if not isinstance(node, ast.ImportFrom):
+        return []
+    base = node.module or ""
+    if node.level:
+        parents = path.relative_to(top).parts[: -node.level]
+        base = ".".join([*parents, *([base] if base else [])])
+    names = [f"{base}.{one.name}" if base else one.name for one in node.names]
+    return [base, *names] if base else names
