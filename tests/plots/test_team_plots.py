@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from tests.arenas import FLAT
-from usarmjx.base.estimates import estimate
+from usarmjx.base.estimates import estimate_groups
 from usarmjx.cli.app import app
 from usarmjx.plots.play import COLOURS
 from usarmjx.plots.team_plots import TeamWays, draw_finds, draw_ways, plot_teams
@@ -21,7 +21,7 @@ from usarmjx.train.evaluation.yardsticks import TeamResult
 def row(name, finds):
     return TeamResult(
         name=name,
-        score=estimate([np.array([finds[-1] - 1.0, finds[-1]])]),
+        score=estimate_groups(np.array([finds[-1] - 1.0, finds[-1]])),
         parts={},
         finds=finds,
         outside=0.0,

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from matplotlib.image import imread
 from numpy.testing import assert_allclose, assert_array_equal
 from typer.testing import CliRunner
@@ -18,9 +17,6 @@ from tests.train.runs import CONFIG, lines
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
 from usarmjx.plots.training_plots import (
-    BLUE,
-    ORANGE,
-    PALE,
     Curve,
     curve_of_record,
     curve_of_run,
@@ -50,39 +46,44 @@ def file(tmp_path):
     return path
 
 
+RUNS, MEAN, BASELINE = "runs", "mean of 2 runs", "baseline"
+
+
 @pytest.fixture
 def panels(file):
-    """Of each panel the lines in it by colour, as places and scores."""
-    figure = Figure()
-    draw_curves(figure, read_curves(file))
+    """Of each panel the lines in it by what they are, as places and scores; over steps, then over time."""
     found = []
-    for axes in figure.axes:
+    for axes in [
+        axes for along in ("steps", "time") for axes in draw_curves(read_curves(file), along)[0].axes
+    ]:
         drawn = {}
         for line in axes.lines:
-            drawn.setdefault(line.get_color(), []).append(np.array(line.get_data(), float).T.tolist())
+            name = line.get_label() if not line.get_label().startswith("_") else RUNS
+            drawn.setdefault(name, []).append(np.array(line.get_data(), float).T.tolist())
         found.append((axes, drawn))
     return found
 
 
 def test_each_task_has_its_curves_over_steps_and_over_time(panels):
     """Time is as written down, or at the record's steps per second; the last run of a seed counts."""
-    (steps, waited), (time, timed), (_, went), (_, went_on) = panels
-    assert (steps.get_xlabel(), time.get_xlabel()) == ("million agent steps", "time [s]")
-    assert steps.get_title(loc="left") == "wait (8 worlds, GPU)"
+    (steps, waited), (_, went), (time, timed), (_, went_on) = panels
+    assert (steps.get_xlabel(), time.get_xlabel()) == ("agent steps [million]", "time [s]")
+    assert steps.get_title(loc="left") == "wait\n8 worlds, GPU"
     first, second = [[1e-4, 2.0], [2e-4, 4.0], [4e-4, 6.0]], [[1e-4, 0.0], [3e-4, 4.0]]
-    assert_allclose(waited[PALE][0], first)
-    assert_allclose(waited[PALE][1], second)
-    assert_allclose(timed[PALE][0], [[2.0, 2.0], [4.0, 4.0], [8.0, 6.0]])
-    assert went == {BLUE: [[[1.0, -1.0], [2.0, 5.0]]]}
-    assert went_on == {BLUE: [[[7.0, -1.0], [9.0, 5.0]]]}
-    assert panels[2][0].get_ylim()[0] == -1.0
+    assert_allclose(waited[RUNS][0], first)
+    assert_allclose(waited[RUNS][1], second)
+    assert_allclose(timed[RUNS][0], [[2.0, 2.0], [4.0, 4.0], [8.0, 6.0]])
+    assert went == {RUNS: [[[1.0, -1.0], [2.0, 5.0]]]}
+    assert went_on == {RUNS: [[[7.0, -1.0], [9.0, 5.0]]]}
+    assert panels[1][0].get_ylim()[0] == -1.0
+    assert [line.get_linestyle() for line in panels[1][0].lines] == ["None"], "two points are no line"
 
 
 def test_the_mean_goes_as_far_as_all_seeds(panels):
     """At 200 steps (4 + 2) / 2, at 300 (5 + 4) / 2; beyond, one has nothing. Over time there is none."""
-    (_, waited), (_, timed), *_ = panels
-    assert_allclose(waited[BLUE], [[[1e-4, 1.0], [2e-4, 3.0], [3e-4, 4.5]]])
-    assert set(timed) == {PALE, ORANGE}
+    (_, waited), _, (_, timed), _ = panels
+    assert_allclose(waited[MEAN], [[[1e-4, 1.0], [2e-4, 3.0], [3e-4, 4.5]]])
+    assert set(timed) == {RUNS, BASELINE}
 
 
 def test_runs_of_other_kinds_are_drawn_by_themselves():
@@ -139,12 +140,9 @@ def test_long_curves_are_drawn_as_means_of_what_follows_each_other():
 
 def test_the_baseline_is_a_line_across(panels):
     (axes, waited), *_, (_, went) = panels
-    assert [score for _, score in waited[ORANGE][0]] == [3.0, 3.0]
-    assert ORANGE not in went
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == [
-        "mean of 2 seeds",
-        "baseline by hand",
-    ]
+    assert [score for _, score in waited[BASELINE][0]] == [3.0, 3.0]
+    assert BASELINE not in went
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == [MEAN, BASELINE]
 
 
 def test_a_run_is_drawn_from_what_it_has_written(reference):
@@ -166,7 +164,9 @@ def test_the_command_draws_records_and_runs(file, reference, tmp_path):
     assert done.exit_code == 0, done.output
     assert done.output == f"wrote {out}\n"
     rows, columns, _ = imread(out).shape
-    assert (columns, rows) == (900, 3 * 240)
+    assert (columns, rows) == (1074, 360), "a page wide at 150 dots an inch"
+    pages = draw_curves([replace(read_curves(file)[0], task=f"task {number}") for number in range(13)])
+    assert [len(page.axes) for page in pages] == [6, 6, 1]
 
 
 def test_a_run_is_recorded_as_it_is_drawn(reference, tmp_path):

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import estimate_groups
+from usarmjx.plots.style import PAGE
 from usarmjx.sweeps.analysis import axis_rows, overall_rows, shared_cells
-from usarmjx.sweeps.figures import cells_told, draw_sweep
+from usarmjx.sweeps.figures import cells_told, draw_sweep, plot_sweep
 from usarmjx.sweeps.report import report
 from usarmjx.sweeps.store import CellRecord, StoredSweep
 
@@ -142,7 +144,7 @@ def test_policies_without_a_cell_in_common_stand_for_their_own():
 
 
 def panels_of(found):
-    return {panel.get_xlabel(): panel for panel in draw_sweep(found).axes}
+    return {panel.get_gid(): panel for figure in draw_sweep(found) for panel in figure.axes}
 
 
 def texts(panel):
@@ -153,30 +155,45 @@ def texts(panel):
 def test_a_legend_says_over_which_cells(uneven):
     panels = panels_of(uneven)
     assert texts(panels["arena.level"]) == ["by-hand, 2 of 4 cells", "shipped"]
-    assert texts(panels["score above"]) == ["by-hand, 2 of 4 cells", "shipped"]
+    assert texts(panels["profile"]) == ["by-hand, 2 of 4 cells", "shipped"]
     assert texts(panels["roster"]) == [], "all of their cells are there"
     assert cells_told("by-hand", 3, 0, True) == "by-hand, its own 3 cells"
 
 
-def test_a_single_point_has_its_interval(uneven):
+def test_points_have_their_intervals_and_no_line_joins_two(uneven):
     spread = [
         cell(1, scores=[1, 3, 5], **{"radio.n": 1}),
         cell(2, scores=[2, 3, 4], **{"radio.n": 2}),
         cell(2, "shipped", [3, 6, 9], **{"radio.n": 2}),
     ]
     found = sweep_of(spread, "radio.n")
-    (bars,) = [one for one in panels_of(found)["radio.n"].containers if one.has_yerr]
-    (line,) = bars.lines[2]
+    panel = panels_of(found)["radio.n"]
+    assert panel.get_xlabel() == "path loss exponent of the radio"
+    bars = {one.get_label(): one for one in panel.containers}
+    assert [one.lines[0].get_linestyle() for one in bars.values()] == ["None", "None"]
+    (line,) = bars["shipped"].lines[2]
     (row,) = [row for row in axis_rows(found) if row.policy == "shipped"]
     (segment,) = line.get_segments()
-    np.testing.assert_allclose(segment, [[2, row.mean.low], [2, row.mean.high]])
+    np.testing.assert_allclose(segment[:, 1], [row.mean.low, row.mean.high])
     assert row.mean.low < 6 < row.mean.high
+    three = sweep_of([*spread, cell(3, scores=[2, 2, 5], **{"radio.n": 3})], "radio.n")
+    assert [one.lines[0].get_linestyle() for one in panels_of(three)["radio.n"].containers] == ["-", "None"]
 
 
-def test_axes_of_a_task_are_drawn_to_one_scale_and_more_than_five_panels_in_lines(uneven):
+def test_axes_of_a_task_are_drawn_to_one_scale_and_six_panels_a_figure(uneven):
     panels = panels_of(uneven)
     assert panels["roster"].get_ylim() == panels["arena.level"].get_ylim()
     settings = [{f"radio.{name}": n for name in ("pdo", "n", "cutoff", "atten_fac")} for n in range(3)]
-    records = [cell(n, seed=n, **own) for n, own in enumerate(settings)]
-    drawn = draw_sweep(sweep_of(records, "seed", *settings[0])).axes
-    assert [panel.get_subplotspec().rowspan.start for panel in drawn] == [0] * 4 + [1] * 4
+    records = [cell(n, seed=n, **{"vary.noise": n, "vary.speed": n}, **own) for n, own in enumerate(settings)]
+    drawn = draw_sweep(sweep_of(records, "seed", "vary.noise", "vary.speed", *settings[0]))
+    assert [len(figure.axes) for figure in drawn] == [6, 2]
+    assert {float(figure.get_figwidth()) for figure in drawn} == {PAGE}
+
+
+@pytest.mark.parametrize("suffix", [".png", ".pdf", ".svg"])
+def test_figures_are_pixels_or_vectors(uneven, tmp_path, suffix):
+    (file,) = plot_sweep(uneven, tmp_path / f"x{suffix}")
+    head = file.read_bytes()[:400]
+    assert head.startswith({".png": b"\x89PNG", ".pdf": b"%PDF", ".svg": b"<?xml"}[suffix])
+    with pytest.raises(UsageError, match=r"x.jpg: figures end in .png, .pdf, .svg, .eps"):
+        plot_sweep(uneven, tmp_path / "x.jpg")

@@ -31,7 +31,7 @@ app = typer.Typer(
 )
 
 FolderArgument = Annotated[Path, typer.Argument(help="Folder of a sweep.")]
-FigureOption = Annotated[Path | None, typer.Option(help="Draw it to this PNG file.")]
+FigureOption = Annotated[Path | None, typer.Option(help="Draw it to this file, .png, .pdf, .svg or .eps.")]
 TableOption = Annotated[
     Path | None, typer.Option(help="Write a row for each cell to this file, .csv or .parquet.")
 ]
@@ -200,8 +200,8 @@ def _tell(found: Any, figure: Path | None, table: Path | None, episodes: Path | 
     if figure is not None:
         from usarmjx.sweeps.figures import plot_sweep
 
-        plot_sweep(found, figure)
-        typer.echo(f"wrote {figure}")
+        for file in plot_sweep(found, figure):
+            typer.echo(f"wrote {file}")
     for path, rows_of in ((table, cell_rows), (episodes, episode_rows)):
         if path is not None:
             export_rows(rows_of(found), path)

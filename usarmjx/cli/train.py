@@ -677,12 +677,17 @@ def curves(
     sources: Annotated[
         list[Path], typer.Argument(help="Folders of runs, or files of benchmark records, one a line.")
     ],
-    out: Annotated[Path, typer.Option(help="PNG file to write.")] = Path("curves.png"),
+    out: Annotated[
+        Path, typer.Option(help="File to write, .png, .pdf, .svg or .eps; further figures have numbers.")
+    ] = Path("curves.png"),
+    over: Annotated[
+        str, typer.Option(help="Draw scores over agent steps or over time: steps, time.")
+    ] = "steps",
 ) -> None:
-    """Draw how scores rose in training, over agent steps and over time; of each seed the last run given."""
+    """Draw how scores rose in training, six tasks a figure; of each seed the last run given."""
     with ErrorExit():
         announce("drawing curves ...")
         from usarmjx.plots.training_plots import plot_curves
 
-        plot_curves(sources, out)
-        typer.echo(f"wrote {out}")
+        for file in plot_curves(sources, out, over):
+            typer.echo(f"wrote {file}")

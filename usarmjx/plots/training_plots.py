@@ -11,19 +11,23 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from usarmjx.base.errors import UsageError
-from usarmjx.plots.picture import save_small
+from usarmjx.plots.style import (
+    FEWEST_FOR_LINE,
+    MOST_PANELS,
+    PALETTE,
+    check_figure,
+    figure_style,
+    numbered,
+    panels_of,
+    save_figure,
+)
 from usarmjx.train.learning.config import fields_by_hand
 from usarmjx.train.learning.metrics import read_lines
 from usarmjx.train.learning.run_record import load_record
 from usarmjx.train.policies import VERSIONS
 
-BLUE, PALE, ORANGE = "#1f5fa8", "#9db8d6", "#d1622b"
-DPI = 100
-ROW_HEIGHT, WIDTH = 2.4, 9.0
-"""Height of a task's panels, and the figure's width [inches]."""
-LINE_COLOURS = 4
-SHARP: dict[str, Any] = {"antialiased": False}
-"""Of lines: seeds whose edges are smoothed make a file half as large again."""
+PALE = 0.35
+"""Opacity of single runs beside their mean."""
 MILLION = 1e6
 MOST_POINTS = 100
 """More would be noise: where few worlds are, few episodes end in an iteration."""
@@ -188,10 +192,11 @@ def _seconds(curve: Curve) -> np.ndarray:
     return curve.seconds
 
 
-AXES: tuple[tuple[str, Axis], ...] = (
-    ("million agent steps", _millions),
-    ("time [s]", _seconds),
-)
+AXES: dict[str, tuple[str, Axis]] = {
+    "steps": ("agent steps [million]", _millions),
+    "time": ("time [s]", _seconds),
+}
+"""What scores are drawn over: label and values."""
 
 
 def draw_task(axes: Axes, curves: Sequence[Curve], along: Axis) -> None:
@@ -201,42 +206,62 @@ def draw_task(axes: Axes, curves: Sequence[Curve], along: Axis) -> None:
     """
     curves = [thinned(curve) for curve in curves]
     for curve in curves:
-        axes.plot(along(curve), curve.score, color=PALE if len(curves) > 1 else BLUE, lw=1.0, **SHARP)
+        fewer = {"alpha": PALE, "lw": 0.8} if len(curves) > 1 else {"lw": 1.2}
+        few = {"marker": ".", "ls": "none"} if len(curve.steps) < FEWEST_FOR_LINE else {}
+        axes.plot(along(curve), curve.score, color=PALETTE[0], **fewer, **few)
     if len(curves) > 1 and along is _millions:
-        label = f"mean of {len(curves)} seeds"
-        axes.plot(*mean_curve(curves, along), color=BLUE, lw=2.0, label=label, **SHARP)
+        axes.plot(*mean_curve(curves, along), color=PALETTE[0], lw=1.6, label=f"mean of {len(curves)} runs")
     if curves[-1].baseline is not None:
-        axes.axhline(curves[-1].baseline, color=ORANGE, ls="--", lw=1.2, label="baseline by hand", **SHARP)
+        axes.axhline(curves[-1].baseline, color=PALETTE[1], ls="--", lw=1.2, label="baseline")
     axes.set(xlim=(0, None), ylim=(min(0.0, *(curve.score.min() for curve in curves)), None))
-    axes.spines[["top", "right"]].set_visible(False)
 
 
-def draw_curves(figure: Figure, curves: Iterable[Curve]) -> None:
-    """Fill a figure: a row for each task, its scores over agent steps and over time."""
-    tasks = curves_by_task(curves)
-    panels = figure.subplots(len(tasks), len(AXES), squeeze=False)
-    for row, (task, found) in zip(panels, tasks.items(), strict=True):
-        for axes, (name, along) in zip(row, AXES, strict=True):
-            draw_task(axes, found, along)
-            axes.set_xlabel(name)
-        row[0].set_ylabel("score")
-        row[0].set_title(task, loc="left", fontsize=10)
-        if row[0].get_legend_handles_labels()[1]:
-            row[0].legend(frameon=False, fontsize=9, loc="best")
+def draw_curves(curves: Iterable[Curve], along: str = "steps") -> list[Figure]:
+    """Draw scores of trainings, a panel for each task: figures of at most `MOST_PANELS` panels.
 
-
-def plot_curves(sources: Sequence[Path], out: Path) -> None:
-    """Draw the curves of records and runs to a PNG file; the folder is made if need be.
+    Args:
+        curves: The curves.
+        along: What they are drawn over, of `AXES`.
 
     Raises:
-        UsageError: A source without curves.
+        UsageError: Another axis; names those there are.
     """
+    if along not in AXES:
+        raise UsageError(f"curves over {along!r}: expected {', '.join(AXES)}")
+    (label, axis), tasks = AXES[along], list(curves_by_task(curves).items())
+    figures: list[Figure] = []
+    with figure_style():
+        for start in range(0, len(tasks), MOST_PANELS):
+            part = tasks[start : start + MOST_PANELS]
+            figure, panels = panels_of(len(part))
+            for panel, (task, found) in zip(panels, part, strict=True):
+                draw_task(panel, found, axis)
+                # Task and engine in one line, worlds and devices in another: a panel is narrow.
+                panel.set_title(task.replace(" (", "\n").removesuffix(")").replace("NVIDIA ", ""))
+                panel.set_xlabel(label)
+                if panel.get_legend_handles_labels()[1]:
+                    panel.legend(loc="lower right", frameon=True, framealpha=0.8, edgecolor="none")
+            panels[0].set_ylabel("score")
+            figures.append(figure)
+    return figures
+
+
+def plot_curves(sources: Sequence[Path], out: Path, along: str = "steps") -> list[Path]:
+    """Draw the curves of records and runs into files, and return these; the folder is made if need be.
+
+    Args:
+        sources: Files of records, folders of runs.
+        out: PNG, PDF, SVG or EPS file; further figures have numbers: `x.pdf`, `x-2.pdf`.
+        along: `steps` or `time`.
+
+    Raises:
+        UsageError: A source without curves, or another suffix.
+        WriteError: A file cannot be written.
+    """
+    check_figure(out)
     curves = [curve for source in sources for curve in read_curves(source)]
-    figure = Figure(
-        figsize=(WIDTH, ROW_HEIGHT * len(curves_by_task(curves))),
-        dpi=DPI,
-        facecolor="white",
-        layout="constrained",
-    )
-    draw_curves(figure, curves)
-    save_small(figure, out, colours=LINE_COLOURS)
+    files: list[Path] = []
+    for number, figure in enumerate(draw_curves(curves, along)):
+        files.append(numbered(out, number))
+        save_figure(figure, files[-1])
+    return files

@@ -1,15 +1,28 @@
-"""A sweep as a figure: scores over its axes, performance profiles, score against connectivity."""
+"""A sweep as figures: scores over its axes, performance profiles, score against connectivity."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import performance_profile
-from usarmjx.plots.picture import save_small
+from usarmjx.plots.style import (
+    FEWEST_FOR_LINE,
+    MARKS,
+    MOST_PANELS,
+    PALETTE,
+    check_figure,
+    figure_style,
+    numbered,
+    panels_of,
+    save_figure,
+    setting_name,
+)
 from usarmjx.sweeps.analysis import (
     AxisRow,
     axes_of,
@@ -22,31 +35,32 @@ from usarmjx.sweeps.design import policy_of
 from usarmjx.sweeps.store import StoredSweep
 from usarmjx.sweeps.table import scores_of
 
-COLOURS = ("#1f5fa8", "#d1622b", "#3b8a4e", "#8a4fa3", "#7a7a7a", "#b8a11f")
-DPI = 100
-PANEL = (3.4, 2.7)
-"""Width and height of a panel [inches]."""
-MOST_COLUMNS = 5
-"""Panels beside each other; what more there are begin another line."""
 THRESHOLDS = 101
+Panel = Callable[[Axes], None]
+"""Draws a panel."""
 
 
-def plot_sweep(found: StoredSweep, out: Path) -> None:
-    """Draw a sweep into a file; see `draw_sweep`.
+def plot_sweep(found: StoredSweep, out: Path) -> list[Path]:
+    """Draw a sweep into files, and return them; see `draw_sweep`.
 
     Args:
         found: The sweep.
-        out: PNG file.
+        out: PNG, PDF, SVG or EPS file; further figures have numbers: `x.pdf`, `x-2.pdf`.
 
     Raises:
-        UsageError: Nothing is finished.
-        WriteError: The file cannot be written.
+        UsageError: Nothing is finished, or another suffix.
+        WriteError: A file cannot be written.
     """
-    save_small(draw_sweep(found), out)
+    check_figure(out)
+    files: list[Path] = []
+    for number, figure in enumerate(draw_sweep(found)):
+        files.append(numbered(out, number))
+        save_figure(figure, files[-1])
+    return files
 
 
-def draw_sweep(found: StoredSweep) -> Figure:
-    """Draw a sweep: its panels for each task.
+def draw_sweep(found: StoredSweep) -> list[Figure]:
+    """Draw a sweep: figures of at most `MOST_PANELS` panels for each task.
 
     Raises:
         UsageError: Nothing is finished.
@@ -55,27 +69,55 @@ def draw_sweep(found: StoredSweep) -> Figure:
     if not tasks:
         raise UsageError(f"{found.name} has no finished cells to draw")
     rows = axis_rows(found)
-    axes = [axis for axis in axes_of(found) if any(row.axis == axis for row in rows)]
-    lines = -(-(len(axes) + 2) // MOST_COLUMNS)
-    columns = -(-(len(axes) + 2) // lines)
-    size = PANEL[0] * columns, PANEL[1] * lines * len(tasks)
-    figure = Figure(figsize=size, dpi=DPI, layout="constrained")
-    panels = figure.subplots(lines * len(tasks), columns, squeeze=False).reshape(len(tasks), -1)
     policies = list(dict.fromkeys(policy_of(record) for record in found.finished))
-    colours = {policy: COLOURS[i % len(COLOURS)] for i, policy in enumerate(policies)}
-    for line, task in zip(panels, tasks, strict=True):
-        drawn: list[Axes] = []
-        for panel, axis in zip(line, axes, strict=False):
-            mine = [row for row in rows if (row.task, row.axis) == (task, axis)]
-            drawn += [panel] if _axis_panel(panel, axis, mine, colours) else []
-        _alike(drawn)
-        profile, front, *spare = line[len(axes) :]
-        _profile_panel(profile, found, task, colours)
-        _front_panel(front, found, task)
-        for panel in spare:
-            panel.set_axis_off()
-        line[0].set_title(f"{task}: score", loc="left", fontsize=10)
-    return figure
+    with figure_style():
+        return [figure for task in tasks for figure in _figures_of(found, task, rows, policies)]
+
+
+def _figures_of(
+    found: StoredSweep, task: str, rows: Sequence[AxisRow], policies: Sequence[str]
+) -> list[Figure]:
+    """Return the figures of a task."""
+    drawn: list[tuple[str, Panel]] = []
+    for axis in axes_of(found):
+        mine = [row for row in rows if (row.task, row.axis) == (task, axis)]
+        if mine:
+            drawn.append((axis, partial(_axis_panel, axis=axis, rows=mine, policies=policies)))
+    drawn.append(("profile", partial(_profile_panel, found=found, task=task, policies=policies)))
+    if any(point.task == task for point in front_points(found)):
+        drawn.append(("front", partial(_front_panel, found=found, task=task)))
+    figures: list[Figure] = []
+    scales: list[Axes] = []
+    for start in range(0, len(drawn), MOST_PANELS):
+        part = drawn[start : start + MOST_PANELS]
+        figure, panels = panels_of(len(part))
+        for panel, (name, draw) in zip(panels, part, strict=True):
+            panel.set_gid(name)
+            draw(panel)
+            scales += [panel] if name not in ("profile", "front") else []
+        figure.suptitle(f"{task}: mean score and 95 % interval", x=0.01, ha="left", fontsize=8)
+        if len(policies) > 1:
+            _legend(figure, policies)
+        figures.append(figure)
+    _alike(scales)
+    return figures
+
+
+def _legend(figure: Figure, policies: Sequence[str]) -> None:
+    """Draw the legend of all policies below the panels."""
+    handles = [
+        Line2D([], [], color=_colour(number), marker=_mark(number), label=name)
+        for number, name in enumerate(policies)
+    ]
+    figure.legend(handles, list(policies), loc="outside lower center", ncols=min(len(policies), 4))
+
+
+def _colour(number: int) -> str:
+    return PALETTE[number % len(PALETTE)]
+
+
+def _mark(number: int) -> str:
+    return MARKS[number % len(MARKS)]
 
 
 def _alike(panels: Sequence[Axes]) -> None:
@@ -86,47 +128,42 @@ def _alike(panels: Sequence[Axes]) -> None:
             panel.set_ylim(min(lows), max(highs))
 
 
-def _axis_panel(panel: Axes, axis: str, rows: list[AxisRow], colours: dict[str, str]) -> bool:
-    """Draw scores over an axis; return whether there are some."""
-    if not rows:
-        panel.set_axis_off()
-        return False
+def _axis_panel(panel: Axes, axis: str, rows: Sequence[AxisRow], policies: Sequence[str]) -> None:
+    """Draw scores over an axis: points with their intervals, joined where there are enough numbers."""
     values = list(dict.fromkeys(row.value for row in rows))
     numbers = [value.place for value in values if value.place is not None]
     named = len(numbers) < len(values)
     places = dict(zip(values, range(len(values)) if named else numbers, strict=True))
-    for policy, colour in colours.items():
+    span = (max(places.values()) - min(places.values())) or 1.0
+    there = [name for name in policies if any(row.policy == name for row in rows)]
+    for number, policy in enumerate(policies):
         mine = sorted((row for row in rows if row.policy == policy), key=lambda row: places[row.value])
         if not mine:
             continue
-        x, y = [places[row.value] for row in mine], [row.mean.value for row in mine]
-        low, high = [row.mean.low for row in mine], [row.mean.high for row in mine]
+        # Beside each other, so that intervals do not cover each other.
+        aside = (there.index(policy) - (len(there) - 1) / 2) * 0.02 * span
+        x = np.array([float(places[row.value]) for row in mine]) + (aside if len(there) > 1 else 0.0)
+        y, low, high = (
+            np.array([getattr(row.mean, end) for row in mine], float) for end in ("value", "low", "high")
+        )
         label = cells_told(
             policy,
             sum(row.cells for row in mine),
             sum(row.left_out for row in mine),
             any(row.own for row in mine),
         )
-        if len(mine) == 1:
-            _point(panel, (x[0], y[0]), (low[0], high[0]), colour, label)
-            continue
-        panel.plot(x, y, "o-", color=colour, markersize=3, label=label)
-        panel.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
+        joined = len(mine) >= FEWEST_FOR_LINE and not named
+        bar = np.where(np.isfinite([y - low, high - y]), [y - low, high - y], 0.0)
+        style = {"color": _colour(number), "marker": _mark(number), "label": label}
+        panel.errorbar(x, y, yerr=bar, linestyle="-" if joined else "none", elinewidth=0.9, **style)
     if named:
-        panel.set_xticks(range(len(values)), [value.text for value in values], fontsize=7)
-    panel.set_xlabel(axis)
+        turned = {"rotation": 20, "ha": "right"} if max(len(value.text) for value in values) > 8 else {}
+        panel.set_xticks(range(len(values)), [value.text for value in values], **turned)
+        panel.set_xlim(-0.5, len(values) - 0.5)
+    panel.set_xlabel(setting_name(axis))
+    panel.set_ylabel("score")
     if any(row.left_out or row.own for row in rows):
-        panel.legend(fontsize=6)
-    return True
-
-
-def _point(
-    panel: Axes, place: tuple[float, float], ends: tuple[float, float], colour: str, label: str
-) -> None:
-    """Draw a single point with its interval, where it has one."""
-    (x, y), (low, high) = place, ends
-    bar = [[y - low], [high - y]] if np.isfinite(ends).all() else None
-    panel.errorbar([x], [y], yerr=bar, fmt="o", color=colour, markersize=3, capsize=3, label=label)
+        panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0))
 
 
 def cells_told(policy: str, used: int, left_out: int, own: bool) -> str:
@@ -143,7 +180,7 @@ def cells_told(policy: str, used: int, left_out: int, own: bool) -> str:
     return f"{policy}, {used} of {used + left_out} cells" if left_out else policy
 
 
-def _profile_panel(panel: Axes, found: StoredSweep, task: str, colours: dict[str, str]) -> None:
+def _profile_panel(panel: Axes, found: StoredSweep, task: str, policies: Sequence[str]) -> None:
     mine = [record for record in found.finished if record.settings["task"] == task]
     compared, own = shared_cells(mine)
     scores = {
@@ -153,25 +190,34 @@ def _profile_panel(panel: Axes, found: StoredSweep, task: str, colours: dict[str
     if not len(everything):
         return
     thresholds = np.linspace(min(0.0, everything.min()), max(everything.max(), 1e-9), THRESHOLDS)
+    told = False
     for policy, values in scores.items():
         there = sum(policy_of(record) == policy for record in mine)
         label = cells_told(policy, len(compared[policy]), there - len(compared[policy]), own)
+        told |= label != policy
         if len(values):
-            panel.plot(
-                thresholds, performance_profile(values, thresholds), color=colours[policy], label=label
-            )
-    panel.legend(fontsize=7)
+            profile = performance_profile(values, thresholds)
+            panel.plot(thresholds, profile, color=_colour(list(policies).index(policy)), label=label)
+    if told:
+        panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0))
     panel.set_xlabel("score above")
     panel.set_ylabel("share of episodes")
+    panel.set_ylim(0.0, 1.02)
 
 
 def _front_panel(panel: Axes, found: StoredSweep, task: str) -> None:
     points = [point for point in front_points(found) if point.task == task]
-    if not points:
-        panel.set_axis_off()
-        return
-    panel.plot([p.connectivity for p in points], [p.score for p in points], ".", color="#b0b0b0")
+    style = {"linestyle": "none", "marker": "."}
+    panel.plot([p.connectivity for p in points], [p.score for p in points], color="#b0b0b0", **style)
     best = sorted((p for p in points if p.best), key=lambda p: p.connectivity)
-    panel.plot([p.connectivity for p in best], [p.score for p in best], "o-", color=COLOURS[1], markersize=3)
-    panel.set_xlabel("connectivity")
+    panel.plot(
+        [p.connectivity for p in best],
+        [p.score for p in best],
+        color=PALETTE[1],
+        marker="o",
+        linestyle="none",
+        label="nobody is better at both",
+    )
+    panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    panel.set_xlabel("share of pairs of robots with a link")
     panel.set_ylabel("score")

@@ -75,7 +75,8 @@ def _axis_table(axis: str, rows: Sequence[AxisRow]) -> list[str]:
             row.value.text if axis else str(row.cells),
             row.policy,
             as_words(row.mean) + (" Wilson" if row.mean.method == "Wilson" else ""),
-            as_words(row.middle),
+            # Ranges of a sampled axis differ in the other settings, for which only the mean is adjusted.
+            "" if row.axis in row.sampled else as_words(row.middle),
             *_counts(row.mean),
         ]
         for row in rows
