@@ -1,64 +1,75 @@
-"""Figures of docs/performance.md: cost over size, and simulated time over robots, ours and others'."""
+"""Figures of docs/performance.md: cost over size, and simulated time of peers, ours and others'."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from matplotlib import colormaps
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from benchmarks.peering.contest import OURS
-from benchmarks.report.laws import laws_of
+from benchmarks.report.laws import Law, laws_of
 from benchmarks.report.records import BenchRecord
 from benchmarks.report.tables import of
-from usarmjx.base.files import atomic_write
+from usarmjx.plots.style import (
+    COLUMN,
+    MOST_PANELS,
+    PAGE,
+    PALETTE,
+    figure_style,
+    panels_of,
+    save_figure,
+    series,
+)
 
-DPI, PANEL = 100, (4.6, 3.6)
-"""Width and height of a panel [inches]."""
 DIGEST = "Description"
 """Where a PNG says of which records it is."""
-OUR_LINES, OTHERS_LINES = "s-", "o--"
-"""Marks and lines of ours and of others."""
-COLOURS = colormaps["tab20"].colors  # pyright: ignore[reportAttributeAccessIssue] - of those made of a list
-
-
-def _save(figure: Figure, out: Path, digest: str) -> None:
-    FigureCanvasAgg(figure)
-    with atomic_write(out) as fresh:
-        figure.savefig(fresh, format="png", metadata={DIGEST: digest})
-
-
-def _logarithmic(panel: Axes, x: str, y: str) -> None:
-    panel.set_xscale("log")
-    panel.set_yscale("log")
-    panel.set_xlabel(x, fontsize=9)
-    panel.set_ylabel(y, fontsize=9)
-    panel.grid(visible=True, which="major", alpha=0.3)
-    panel.tick_params(labelsize=8)
+SHOWN_LINES = 8
+"""Lines of a panel that its legend names, at most."""
+ROW = 0.17
+"""Height of a row of a dot plot [inches]."""
+UNITS = {
+    "ms a step": "cost of a step [ms]",
+    "ms a scan": "cost of a scan [ms]",
+    "ms an evaluation": "cost of an evaluation [ms]",
+    "CPU s a simulated s": "CPU time per simulated time",
+    "CPU ms an update": "CPU time of an update [ms]",
+    "MB": "memory [MB]",
+}
+"""Names of costs in figures."""
 
 
 def draw_laws(records: Sequence[BenchRecord], out: Path, digest: str) -> None:
-    """Draw all laws, a panel for each thing that grows and unit.
+    """Draw costs over sizes, a panel for each thing that grows and unit; two sizes are no law.
 
     Args:
         records: The records.
         out: PNG file.
         digest: Of the records, kept in the file.
     """
-    panels: dict[tuple[str, str], list] = {}
-    for law in laws_of(records):
+    panels: dict[tuple[str, str], list[Law]] = {}
+    for law in (law for law in laws_of(records) if not math.isnan(law.exponent)):
         panels.setdefault((law.axis, law.unit), []).append(law)
-    figure = Figure(figsize=(PANEL[0] * max(len(panels), 1), PANEL[1]), dpi=DPI, layout="constrained")
-    axes = figure.subplots(1, max(len(panels), 1), squeeze=False)[0]
-    for panel, ((axis, unit), laws) in zip(axes, panels.items(), strict=False):
-        for law in laws:
-            label = f"{law.group.rpartition(', ')[0]}: {law.exponent:.2f}"
-            panel.plot(law.sizes, law.costs, "o-", markersize=4, label=label)
-        _logarithmic(panel, axis, unit)
-        if len(laws) <= 8:
-            panel.legend(fontsize=6)
-    _save(figure, out, digest)
+    chosen = sorted(panels.items(), key=lambda item: -max(len(law.sizes) for law in item[1]))[:MOST_PANELS]
+    with figure_style():
+        figure, axes = panels_of(max(len(chosen), 1), width=COLUMN + (PAGE - COLUMN) * (len(chosen) > 1))
+        for panel, ((axis, unit), laws) in zip(axes, chosen, strict=False):
+            for number, law in enumerate(laws):
+                label = f"{law.group.rpartition(', ')[0]}\ngrows as size to the {law.exponent:.2f}"
+                series(panel, law.sizes, law.costs, number, label)
+            panel.set(xscale="log", yscale="log", xlabel=axis, ylabel=UNITS.get(unit, unit))
+            panel.set(xlim=_decades(x for law in laws for x in law.sizes))
+            panel.set(ylim=_decades(y for law in laws for y in law.costs))
+            if len(laws) <= SHOWN_LINES:
+                panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=6)
+        save_figure(figure, out, **{DIGEST: digest})
+
+
+def _decades(values: Iterable[float]) -> tuple[float, float]:
+    """Return the powers of ten around values, between which labels of a logarithmic axis have room."""
+    logs = np.log10(list(values))
+    return 10.0 ** math.floor(logs.min()), 10.0 ** max(math.ceil(logs.max()), math.floor(logs.min()) + 1)
 
 
 def compared(records: Sequence[BenchRecord]) -> list[tuple[str, list[Mapping]]]:
@@ -81,32 +92,46 @@ def compared(records: Sequence[BenchRecord]) -> list[tuple[str, list[Mapping]]]:
 
 
 def draw_peers(records: Sequence[BenchRecord], out: Path, digest: str) -> None:
-    """Draw simulated robot-seconds per second over robots in all, a panel for each run of `compared`.
+    """Draw simulated robot-seconds per second, a row for each program and size, a panel for each run.
 
-    The dotted line is real time: as many as there are robots.
+    The runs are the last of `compared`. The bar in a row is real time: as many as there are robots.
 
     Args:
         records: The records.
         out: PNG file.
         digest: Of the records, kept in the file.
     """
-    runs = compared(records)
-    figure = Figure(figsize=(2 * PANEL[0], 1.4 * PANEL[1] * max(len(runs), 1)), dpi=DPI, layout="constrained")
-    axes = figure.subplots(max(len(runs), 1), 1, squeeze=False)[:, 0]
-    for panel, (machine, rows) in zip(axes, runs, strict=False):
-        lines: dict[str, list[tuple[int, float]]] = {}
-        for row in rows:
-            point = row["worlds"] * row["robots"], row["robot_seconds_per_s"]
-            lines.setdefault(f"{row['who']}: {row['variant']}", []).append(point)
-        for i, (name, points) in enumerate(lines.items()):
-            style, colour = OUR_LINES if name.startswith(OURS) else OTHERS_LINES, COLOURS[i % len(COLOURS)]
-            panel.plot(*zip(*sorted(points), strict=True), style, color=colour, markersize=5, label=name)
-        sizes = sorted({x for points in lines.values() for x, _ in points})
-        panel.plot(sizes, sizes, "kx:", label="real time")
-        _logarithmic(panel, "robots in all worlds", "simulated robot-seconds per second")
-        panel.set_title(machine, loc="left", fontsize=8)
-        panel.legend(fontsize=7, bbox_to_anchor=(1.0, 1.0), loc="upper left")
-    _save(figure, out, digest)
+    runs = compared(records)[-MOST_PANELS:]
+    with figure_style():
+        heights = [1.5 + len(rows) for _, rows in runs] or [1.0]
+        figure = Figure(figsize=(PAGE, 0.7 + ROW * (sum(heights) + 1.2 * len(heights))), layout="constrained")
+        axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights).ravel()
+        speeds = [row["robot_seconds_per_s"] for _, rows in runs for row in rows]
+        for panel, (machine, rows) in zip(axes, runs, strict=False):
+            ordered = sorted(rows, key=lambda row: row["robot_seconds_per_s"])
+            for place, row in enumerate(ordered):
+                ours, robots = row["who"] == OURS, row["worlds"] * row["robots"]
+                style = {"color": PALETTE[0 if ours else 1], "marker": "s" if ours else "o"}
+                panel.plot([row["robot_seconds_per_s"]], [place], **style)
+                panel.plot([robots], [place], color="#555555", marker="|", markersize=7)
+            sizes = {row["worlds"] * row["robots"] for row in rows}
+            names = [
+                f"{row['who']}: {row['variant']}"
+                + (f", {row['worlds'] * row['robots']:,} robots" if len(sizes) > 1 else "")
+                for row in ordered
+            ]
+            panel.set_yticks(range(len(ordered)), names, fontsize=6)
+            panel.set(xscale="log", ylim=(-0.6, max(len(ordered), 1) - 0.4), xlim=_decades(speeds))
+            robots = f", {sizes.pop():,} robots" if len(sizes) == 1 else ""
+            panel.set_title(machine.replace("NVIDIA ", "").replace("(R)", "") + robots, fontsize=7)
+        axes[-1].set_xlabel("simulated robot-seconds per second")
+        marks = (("s", PALETTE[0], OURS), ("o", PALETTE[1], "others"), ("|", "#555555", "real time"))
+        handles = [
+            Line2D([], [], marker=mark, color=colour, linestyle="none", label=name)
+            for mark, colour, name in marks
+        ]
+        figure.legend(handles=handles, loc="outside lower center", ncols=3)
+        save_figure(figure, out, **{DIGEST: digest})
 
 
 FIGURES = {"performance-laws.png": draw_laws, "performance-peers.png": draw_peers}

@@ -1,5 +1,6 @@
 """Cost over size: what a step, a scan, an evaluation takes when worlds, teams, geoms, rays or pairs grow."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from statistics import median
@@ -10,6 +11,8 @@ from benchmarks.report.records import BenchRecord
 from benchmarks.report.tables import MarkdownRow, number, of, table
 
 MILLISECONDS = 1e3
+FEWEST_FOR_LAW = 3
+"""Sizes of a law, at least."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,12 @@ class Law:
 
     @property
     def exponent(self) -> float:
-        """By which power of the size the cost grows: least squares of the logarithms."""
+        """Power of the size by which the cost grows: least squares of the logarithms; NaN of two sizes.
+
+        A line through two points fits them whatever disturbed them, and is no law.
+        """
+        if len(self.sizes) < FEWEST_FOR_LAW:
+            return math.nan
         return float(np.polyfit(np.log(self.sizes), np.log(self.costs), 1)[0])
 
 
@@ -146,7 +154,7 @@ def laws_table(records: Sequence[BenchRecord]) -> str:
             law.group,
             law.unit,
             ", ".join(f"{number(x)}: {number(y)}" for x, y in zip(law.sizes, law.costs, strict=True)),
-            f"{law.exponent:.2f}",
+            "two sizes" if math.isnan(law.exponent) else f"{law.exponent:.2f}",
         ]
         for law in laws_of(records)
     )

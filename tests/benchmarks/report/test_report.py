@@ -1,13 +1,14 @@
 """docs/performance.md is what `usarmjx bench report` makes of the records; laws and tables are right."""
 
 import json
+import math
 
 import pytest
 from typer.testing import CliRunner
 
 import dev
 from benchmarks.report.figures import FIGURES, compared
-from benchmarks.report.laws import laws_of
+from benchmarks.report.laws import laws_of, laws_table
 from benchmarks.report.page import BLOCKS, differences_text, fill_page, is_drawn, physics_table
 from benchmarks.report.records import BenchRecord, read_records
 from benchmarks.report.tables import history_table, number, parts_table
@@ -135,6 +136,9 @@ def test_a_law_is_the_power_by_which_the_cost_grows():
     assert (law.axis, law.sizes, law.costs) == ("worlds", (2, 4, 8), (100.0, 400.0, 1600.0))
     assert law.exponent == pytest.approx(2.0)
     assert laws_of([step(worlds=2), step(worlds=2)]) == []
+    (two,) = laws_of([step(worlds=2, seconds=1.0), step(worlds=4, seconds=4.0)])
+    assert math.isnan(two.exponent), "a line through two points is no law"
+    assert "two sizes |" in laws_table([step(worlds=2, seconds=1.0), step(worlds=4, seconds=4.0)])
 
 
 def test_the_history_of_a_case_is_told_by_commit():
