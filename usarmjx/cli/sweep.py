@@ -13,7 +13,7 @@ from usarmjx.cli.checkout import import_benchmarks
 from usarmjx.cli.common import ErrorExit
 from usarmjx.cli.startup_messages import announce, tried_on
 
-COMMANDS = ("run", "show", "compare")
+COMMANDS = ("run", "show", "compare", "report")
 
 
 class FileOrCommand(TyperGroup):
@@ -165,6 +165,17 @@ def compare(
         typer.echo(compared(read_sweep(first), read_sweep(second)))
 
 
+@app.command()
+def report(folder: FolderArgument) -> None:
+    """Write a page that works without a network and LaTeX tables into the folder: report.html, report.tex."""
+    with ErrorExit():
+        from usarmjx.sweeps.page import write_report
+        from usarmjx.sweeps.store import read_sweep
+
+        for file in write_report(read_sweep(folder), folder):
+            typer.echo(f"wrote {file}")
+
+
 def _typed(file: Path, texts: Mapping[str, str]) -> dict[str, Any]:
     """Return settings of all cells from texts; names that cells do not have are fields of their tasks."""
     from usarmjx.sweeps.spec import load_spec
@@ -193,10 +204,10 @@ def _record(found: Any, plan: Any, meter: Any, workers: Any, file: Path, note: s
 
 def _tell(found: Any, figure: Path | None, table: Path | None, episodes: Path | None) -> None:  # noqa: ANN401
     """Print what came of a sweep, and write what was asked for."""
-    from usarmjx.sweeps.report import report
+    from usarmjx.sweeps.report import report as report_text
     from usarmjx.sweeps.table import cell_rows, episode_rows, export_rows
 
-    typer.echo(report(found))
+    typer.echo(report_text(found))
     if figure is not None:
         from usarmjx.sweeps.figures import plot_sweep
 
