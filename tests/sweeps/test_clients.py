@@ -26,6 +26,7 @@ with socket.create_connection(("127.0.0.1", int(os.environ["USARMJX_PORT"]))) as
 def client_cell(command, **more):
     common = {**SMALL["common"], "episodes": 1, "policy": {"client": command, **more}, "seed": AHEAD}
     common["fields"] = {**common["fields"], "episode_steps": 100, "radius": 1.9}
+    del common["split"]
     (cell,) = read_spec({"common": {**common, "arena": "floor"}}).cells
     return resolve(cell)
 
