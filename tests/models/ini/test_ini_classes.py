@@ -110,7 +110,7 @@ Cameras=(ItemClass=class'USARBot.Wide',ItemName=Eye)
         ("[USARBot.A]\nBaseClass=B\n[USARBot.B]\nBaseClass=A", r"a\.ini:\d: [AB] is based on itself"),
         (
             MINE.replace("8.0", "-8.0"),
-            r"a\.ini:4: RangeScanner: setting MaxRange is -8\.0, expected a number",
+            r"a\.ini:4: RangeScanner: MaxRange is -8\.0, expected a number",
         ),
         (MOUNT.format(more=""), r"a\.ini:2: unknown ItemClass 'MyScanner'; expected one of SonarSensor"),
         (

@@ -575,7 +575,7 @@ WRONG = [
     (f"Sensors=({INS},ItemName=A,Parent=Mast)", "2: A has an unknown Parent 'Mast'; expected one of HARD"),
     (f"Sensors=({INS},ItemName=A,Position=(X=1,W=2))", "2: Position has X, W; expected X, Y and Z"),
     (f"Sensors=({INS},ItemName=A,Position=3)", r"2: Position is '3'; expected \(X=number"),
-    (f"Sensors=({INS},ItemName=A,Sigma=low)", "2: INS: setting Sigma is 'low', expected a number"),
+    (f"Sensors=({INS},ItemName=A,Sigma=low)", "2: INS: Sigma is 'low', expected a number"),
     (f"Sensors=({INS},ItemName=A)\nAddSensors=({INS},ItemName=a)", "3: there is a INS a already; expected"),
     ("MisPkgs=(PkgName=A,PkgClass=class'USARMisPkg.Arm')", "2: unknown PkgClass 'Arm'; expected one of Cam"),
     ("MisPkgs=(PkgName=A,Place=(X=1))", "2: MisPkgs has no Place; expected some of PkgName, Loc"),
