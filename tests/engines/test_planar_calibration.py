@@ -22,7 +22,7 @@ from usarmjx.engines.planar.responses import (
 )
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server import make_worlds
-from usarmjx.sim.calibration import calibrate, drive_log, ensure_calibrated, random_orders
+from usarmjx.sim.calibration import calibrate, ensure_calibrated, random_commands, record_drive
 from usarmjx.train import open_floor
 
 GEOM = mujoco.mjtGeom
@@ -41,8 +41,8 @@ def test_responses_were_measured_of_robots_as_they_are(name):
 
 def test_a_measurement_comes_again_to_what_is_published():
     robot = ROBOTS.get("Talon")
-    orders = random_orders(robot, 6, 150, seed=7)
-    real, planar = (drive_log(robot, orders, engine) for engine in ("c", "planar"))
+    orders = random_commands(robot, 6, 150, seed=7)
+    real, planar = (record_drive(robot, orders, engine) for engine in ("c", "planar"))
     apart = np.median(np.linalg.norm((planar.pose - real.pose)[-1, :, :2], axis=-1))
     assert apart <= 2.0 * packaged_responses()["Talon"]["errors"]["5 s"]["distance"], (
         "after 3 s, other orders"
@@ -54,8 +54,8 @@ def test_a_measurement_comes_again_to_what_is_published():
 def test_planar_is_as_far_from_c_as_is_published(name):
     """A class of each kind of drive (tracks, sides, Ackermann, wheels that all steer), by the same orders."""
     robot, published = ROBOTS.get(name), packaged_responses()[name]["errors"]
-    orders = random_orders(robot, 16, 1000, seed=1)[:250]
-    real, planar = (drive_log(robot, orders, engine) for engine in ("c", "planar"))
+    orders = random_commands(robot, 16, 1000, seed=1)[:250]
+    real, planar = (record_drive(robot, orders, engine) for engine in ("c", "planar"))
     apart = np.median(np.linalg.norm((planar.pose - real.pose)[..., :2], axis=-1), axis=1)
     way = np.linalg.norm(np.diff(real.pose[..., :2], axis=0), axis=-1)
     for horizon, step in (("1 s", 50), ("5 s", 250)):

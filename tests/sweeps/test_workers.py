@@ -62,6 +62,7 @@ def test_without_ray_one_line_says_what_to_install(monkeypatch):
         list(Workers(place="ray").run(work, ["1"]))
 
 
+@pytest.mark.tools
 def test_ray_does_everything_and_what_a_lost_worker_did_again(tmp_path):
     flag = tmp_path / "was-here"
     once = (
