@@ -6,7 +6,7 @@ says which schema stands for which type hint, reads texts by the grammar of `tex
 
 import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from difflib import get_close_matches
@@ -358,7 +358,7 @@ class Reader:
     # Refusals.
 
     @contextmanager
-    def _refusals(self, data: object, where: str) -> Iterator[None]:
+    def _refusals(self, data: object, where: str) -> Generator[None]:
         """Turn refusals of data, of pydantic-core's kinds, into ours."""
         start = data.name if isinstance(data, FileValue) else ""
         try:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
@@ -27,6 +27,8 @@ from usarmjx.models.files.rules import ARENA_RULES, arena_problem
 from usarmjx.models.files.sources import SOLID_SOURCES, MapFile, MeshFile, ModelFile, Scale, TerrainFile
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.shapes import HeightField, Mesh
+
+T = TypeVar("T")
 
 MAX_SOLIDS = 50_000
 """Largest number of solids and victims of an arena."""
@@ -179,7 +181,7 @@ def _one_or_several(value: FileValue) -> list[FileValue]:
     return value.data if isinstance(value.data, list) else [value]
 
 
-def _sources(kind: type, value: FileValue) -> tuple[Any, ...]:
+def _sources(kind: type[T], value: FileValue) -> tuple[T, ...]:
     """Read one source of solids or a list of them, each a mapping or the name of its file alone."""
     items = _one_or_several(value)
     whole = [replace(one, data={"file": one}) if isinstance(one.data, str) else one for one in items]
