@@ -98,7 +98,7 @@ BOMB = "a: &a [1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
     ],
 )
 def test_a_file_that_makes_much_of_little_is_refused_at_once_in_one_line(tmp_path, monkeypatch, text, refusal):
-    monkeypatch.setattr(yaml_file, "MOST_VALUES", 5000)
+    monkeypatch.setattr(yaml_file, "MAX_VALUES", 5000)
     file = tmp_path / "mine.yaml"
     file.write_text(text)
     with pytest.raises(UsageError) as refused:

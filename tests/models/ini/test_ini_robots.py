@@ -218,7 +218,7 @@ CacheSizeMegs=32
     assert loaded.robots == ()
     found = [warning.partition("a.ini:")[2] for warning in loaded.warnings]
     assert found[0].startswith("2: unknown key Wheight")
-    assert found[1].startswith("4: unknown key: Sonar: SonarSettings has no setting 'MaxRnage'; did you mean ")
+    assert found[1].startswith("4: unknown key: Sonar: SonarSettings has no setting 'MaxRnage'; did you")
     assert found[2].startswith("8: section [Engine.GameEngine] is not about robots")
 
 

@@ -321,8 +321,11 @@ class Reader:
     def _name_of(self, kind: type, key: object) -> str | None:
         """Return the field of a name or a key of the manual; None: there is none, now at least."""
         names = self._record(kind).names
-        spelt = self._spelling(key) if self._spelling is not None and isinstance(key, str) else key
-        return names.get(cast(str, key)) or names.get(cast(str, spelt))
+        return names.get(cast(str, key)) or names.get(self._spelt(key))
+
+    def _spelt(self, key: object) -> str:
+        """Return a key in the spelling of fields."""
+        return self._spelling(key) if self._spelling is not None and isinstance(key, str) else str(key)
 
     def _problem(self, instance: object) -> str:
         own = getattr(instance, "problem", None)
@@ -349,7 +352,7 @@ class Reader:
                 text = f"{start}{key} of {kind.__name__} is called {name} now; the old name goes next version"
                 warnings.warn(text, RenamedSettingWarning, stacklevel=2)
             if name is None:
-                raise _refusal(item, _unknown(str(key), kind, record), "name")
+                raise _refusal(item, _unknown(str(key), self._spelt(key), kind, record), "name")
             if name in found:
                 raise _refusal(item, f": {name} is given twice, as {shown(key)} too")
             found[name] = item
@@ -682,8 +685,8 @@ def _deep_plain(value: object) -> object:
     return str(plain) if isinstance(plain, Text) else plain
 
 
-def _unknown(key: str, kind: type, record: _Record) -> str:
-    near = get_close_matches(key, [*record.names, *record.old_names], n=1)
+def _unknown(key: str, spelt: str, kind: type, record: _Record) -> str:
+    near = get_close_matches(spelt, [*record.names, *record.old_names], n=1)
     meant = f"did you mean {near[0]!r}? It" if near else "it"
     return f": {kind.__name__} has no setting {shown(key)}; {meant} has: {', '.join(record.fields)}"
 
