@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from usarmjx.base.errors import UsageError
 from usarmjx.plots.picture import save_small
-from usarmjx.train.learning.config import fields_by_hand
+from usarmjx.train.learning.config import overridden_fields
 from usarmjx.train.learning.metrics import read_lines
 from usarmjx.train.learning.run_record import load_record
 from usarmjx.train.policies import VERSIONS
@@ -74,7 +74,7 @@ def fields_of_record(record: Mapping[str, Any]) -> str:
     """Return what a benchmark record says was set of the task by hand; the oldest have words for it."""
     settings = record.get("settings", {})
     fields = settings.get("task", {}) if isinstance(settings, dict) else {}
-    return fields_by_hand(record["task"], record.get("engine", ""), fields)
+    return overridden_fields(record["task"], record.get("engine", ""), fields)
 
 
 def curve_of_record(record: dict[str, Any]) -> Curve:
@@ -124,7 +124,7 @@ def curve_of_run(folder: Path) -> Curve:
         seconds=seconds[there],
         score=score[there],
         engine=settings.engine,
-        fields=fields_by_hand(settings.task, settings.engine, settings.overrides),
+        fields=overridden_fields(settings.task, settings.engine, settings.overrides),
     )
 
 

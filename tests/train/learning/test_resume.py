@@ -151,7 +151,7 @@ def test_a_checkpoint_of_something_else_is_refused(copy, reference):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"gamma": 0.95}, r"started otherwise: gamma: 0.9 -> 0.95"),
+        ({"gamma": 0.95}, r"started with other settings: gamma: 0.9 -> 0.95"),
         ({"hidden_sizes": (16,)}, r"hidden_sizes: \(32, 32\) -> \(16,\)"),
     ],
 )

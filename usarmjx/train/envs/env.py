@@ -26,7 +26,7 @@ from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.state import AgentGroup, EnvState, EpisodeStart, Memory, Restart, TaskState
 from usarmjx.train.envs.task import StepResult, Task, TaskView, TimeLimit
 
-WRITTEN_ALONE = 1024
+SCATTER_MIN_SIZE = 1024
 """Of what is larger than so many numbers a world, rows are written. Of anything smaller all worlds' are
 written again: a GPU has one kernel for many such, and for each that writes rows one of its own."""
 
@@ -120,7 +120,9 @@ def evaluate_step(
 
 
 @jax.named_scope("restart")
-def restart_some(scene: Scene, task: Task, together: int, now: Restart, arenas: ArenaState | None) -> Restart:
+def restart_subset(
+    scene: Scene, task: Task, together: int, now: Restart, arenas: ArenaState | None
+) -> Restart:
     """Begin an episode in the first worlds of those that are left; only they are computed.
 
     Args:
@@ -140,7 +142,7 @@ def restart_some(scene: Scene, task: Task, together: int, now: Restart, arenas: 
     place = jnp.full(now.left.shape, together).at[rows].set(jnp.arange(together), mode="drop")
 
     def put(old: jax.Array, new: jax.Array) -> jax.Array:
-        if old[0].size > WRITTEN_ALONE:
+        if old[0].size > SCATTER_MIN_SIZE:
             return old.at[rows].set(new, mode="drop")
         return select_worlds(place < together, new.at[place].get(mode="clip"), old)
 
@@ -166,7 +168,7 @@ def restart_batch_size(worlds: int, episode_steps: int) -> int:
     return min(worlds, math.ceil(ends + 3 * math.sqrt(ends)))
 
 
-def program_cache_of(task: Task, scene: Scene, worlds: int, engine: str, first: int) -> ProgramCache | None:
+def env_program_cache(task: Task, scene: Scene, worlds: int, engine: str, first: int) -> ProgramCache | None:
     """Return an environment's program cache, see `open_program_cache`; arguments as for `Env`."""
     if choose_engine(engine, "batch") == "warp":
         return None  # MuJoCo Warp's launches mean nothing to another process
@@ -205,7 +207,7 @@ class Env:
         period: Simulated time of a step [s].
         levels: Difficulties of its generated arenas, from easy to hard; empty: they are not generated.
         program_cache: Of its programs, where such are kept from one start to the next.
-        renewable: Whether its arenas can be replaced by other generated ones, see `renewed_arenas`.
+        renewable: Whether its arenas can be replaced by other generated ones, see `redrawn_arenas`.
         traceable: Whether `step` may be traced (jit, scan); else it is called step by step, its inner
             parts compiled.
 
@@ -230,7 +232,7 @@ class Env:
                 "engines c, jax and warp can"
             )
         self.scene = task.scene()
-        self.program_cache = program_cache_of(task, self.scene, worlds, engine, first)
+        self.program_cache = env_program_cache(task, self.scene, worlds, engine, first)
         settings = {"engine": engine, "seed": seed, "first": first, "shuffle": task.shuffle}
         self.batch = EnvBatch(self.program_cache, self.scene, worlds, **settings)
         self.worlds, self.traceable = worlds, self.batch.engine.traceable
@@ -245,7 +247,7 @@ class Env:
         self._evaluate = self._compile(partial(evaluate_step, self.scene, task))
         self._blank = self._compile(self._blank_state)
         together = restart_batch_size(worlds, task.episode_steps)
-        self._restart_some = self._compile(partial(restart_some, self.scene, task, together))
+        self._restart_some = self._compile(partial(restart_subset, self.scene, task, together))
         self._library = self._compile(self._library_at)
         self._step_program, self._restart = self._step, self._restart_where
         if self.traceable:
@@ -327,7 +329,7 @@ class Env:
         return self._begin(self._blank(key, level_now, arenas))
 
     @property
-    def has_whole_rounds(self) -> bool:
+    def is_evenly_spread(self) -> bool:
         """Whether as many worlds begin in each of its generated arenas."""
         return self._generated is None or self.worlds % self._generated.total == 0
 
@@ -394,7 +396,7 @@ class Env:
             level=level,
         )
 
-    def renewed_arenas(self, generation: int) -> ArenaState:
+    def redrawn_arenas(self, generation: int) -> ArenaState:
         """Return other generated arenas in place of all, for `at_level` (arenas, ...); NumPy arrays.
 
         They are the same whenever the same generation is asked for.
@@ -423,7 +425,7 @@ class Env:
         Args:
             state: The state.
             level: From 0 to 1.
-            library: What `renewed_arenas` returned; None: the arenas of the beginning.
+            library: What `redrawn_arenas` returned; None: the arenas of the beginning.
         """
         level = jnp.asarray(level, jnp.float32)
         if self._generated is None:

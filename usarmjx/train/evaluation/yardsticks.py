@@ -95,12 +95,12 @@ def unchanged(task: TeamTask) -> TeamTask:
     return task
 
 
-def advised(task: TeamTask) -> TeamTask:
+def with_advice(task: TeamTask) -> TeamTask:
     """Return a task as its baseline has to see it."""
     return task.for_baseline
 
 
-def advised_alone(task: TeamTask) -> TeamTask:
+def single_with_advice(task: TeamTask) -> TeamTask:
     """Return the task of `alone` as its baseline has to see it."""
     return alone(task.for_baseline)
 
@@ -110,7 +110,7 @@ def with_perfect_radio(task: TeamTask) -> TeamTask:
     return replace(task.for_baseline, radio=PERFECT_RADIO)
 
 
-def seen_as_in_training(source: PolicySource, task: TeamTask) -> TeamTask:
+def with_training_advice(source: PolicySource, task: TeamTask) -> TeamTask:
     """Return a task that shows the planner's advice if a policy was trained with it, and else hides it."""
     if "advice" not in source.overrides:
         return task
@@ -123,15 +123,15 @@ Team = tuple[Callable[[TeamTask], TeamTask], Callable[[Env], Policy]]
 
 TEAMS: dict[str, Team] = {
     "random": (unchanged, random_policy),
-    "one": (advised_alone, baseline_policy),
-    "baseline": (advised, baseline_policy),
+    "one": (single_with_advice, baseline_policy),
+    "baseline": (with_advice, baseline_policy),
     "perfect-radio": (with_perfect_radio, baseline_policy),
     "packaged": (unchanged, packaged_policy),
 }
 """Those that need no policy of one's own, by name."""
 
 
-def usual_teams(task: str) -> tuple[str, ...]:
+def default_teams(task: str) -> tuple[str, ...]:
     """Return the names of `TEAMS` that can play a task: no policy is packaged for some."""
     return tuple(name for name in TEAMS if name != "packaged" or packaged_name(task) in POLICIES)
 
@@ -148,7 +148,7 @@ def find_team(name: str) -> Team:
         source = load_policy(name)
     except UnknownNameError as error:
         raise UnknownNameError(f"{name} is none of the teams {', '.join(TEAMS)}; {error}") from error
-    return partial(seen_as_in_training, source), source.policy
+    return partial(with_training_advice, source), source.policy
 
 
 @dataclass(frozen=True, kw_only=True)
