@@ -131,14 +131,17 @@ def test_a_run_finds_its_task_again_or_says_what_is_missing(own):
     assert (other.task, other.overrides) == ("wander", {})
 
 
-def test_what_an_own_task_has_by_hand_is_its_baseline(own):
+def test_an_own_task_brings_its_baseline(own):
     source = baseline("my_task.py:Meet")
     assert (source.name, source.task) == (full_name("my_task.py:Meet"),) * 2
     assert source.name in BASELINES
     elsewhere = own / "plain.py"
     elsewhere.write_text(EXAMPLE.read_text().partition("    @staticmethod")[0])
-    with pytest.raises(UsageError, match=r"plain.py:Meet has no policy by hand: .* by_hand\(env\)"):
+    with pytest.raises(UsageError, match=r"plain.py:Meet has no baseline: .* baseline\(env\)"):
         baseline("plain.py:Meet")
+    (own / "older.py").write_text(EXAMPLE.read_text().replace("def baseline(env)", "def by_hand(env)"))
+    with pytest.warns(DeprecationWarning, match="older.py:Meet: `by_hand` is called `baseline`"):
+        assert baseline("older.py:Meet").name in BASELINES
     done = invoke("play", "--task", "my_task.py:Meet")
     assert "no policy is packaged for my_task.py:Meet: name a run's folder" in done.stderr
 

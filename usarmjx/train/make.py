@@ -6,6 +6,7 @@ import importlib.util
 import math
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
@@ -43,8 +44,8 @@ def same_class(one: str, other: str) -> bool:
 def find_task(name: str) -> Task:
     """Return the task of a name, with its usual settings.
 
-    An own one is made by its class without arguments. If that has a function `by_hand` that takes an `Env`
-    and returns a `Policy`, this is the task's baseline from now on.
+    A user's own one is made by its class without arguments. If that has a function `baseline` that takes an
+    `Env` and returns a `Policy`, this is the task's baseline from now on; so is one of the old name `by_hand`.
 
     Raises:
         UnknownNameError: No such task of the package; lists those there are.
@@ -63,9 +64,15 @@ def find_task(name: str) -> Task:
         tasks = ", ".join(_tasks_in(module)) or "none"
         raise UsageError(f"task {name}: {place} has no {wanted!r}; its tasks: {tasks}")
     task = _made(name, found)
-    by_hand: Callable[[Env], Policy] | None = getattr(task, "by_hand", None)
-    if by_hand is not None:
-        BASELINES.replace(full_name(name), by_hand)
+    make_baseline: Callable[[Env], Policy] | None = getattr(task, "baseline", None)
+    if make_baseline is None and (make_baseline := getattr(task, "by_hand", None)) is not None:
+        warnings.warn(
+            f"task {name}: `by_hand` is called `baseline` since 0.1; the old name goes with 0.2",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+    if make_baseline is not None:
+        BASELINES.replace(full_name(name), make_baseline)
     return task
 
 
@@ -84,7 +91,7 @@ def find_baseline(name: str, task: str | None = None) -> str:
         if one is not None and is_own(one):
             find_task(one)
     if is_own(name) and full_name(name) not in BASELINES:
-        raise UsageError(f"task {name} has no policy by hand: give its class a function by_hand(env)")
+        raise UsageError(f"task {name} has no baseline: give its class a function baseline(env)")
     BASELINES.get(full_name(name))
     return full_name(name)
 

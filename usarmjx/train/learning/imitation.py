@@ -30,8 +30,8 @@ def teacher_of(env: Env) -> Policy:
     """
     if env.name not in BASELINES:
         raise UsageError(
-            f"{env.name} has no baseline to imitate: set imitation_steps to 0, or add one to BASELINES; it has "
-            f"{', '.join(BASELINES.names())}"
+            f"{env.name} has no baseline to imitate: set imitation_steps to 0, or add one to BASELINES; "
+            f"it has {', '.join(BASELINES.names())}"
         )
     task: Task | None = getattr(env, "task", None)  # environments of one's own need none
     if task is not None and task.for_baseline is not task:
