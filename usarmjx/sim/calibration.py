@@ -17,9 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.files import atomic_write
+from usarmjx.base.kept_json import kept_text
 from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.settings.json_file import as_mapping, read_json
 from usarmjx.engines.planar.drives import SideWheels, limited_lag, wheel_kinematics
 from usarmjx.engines.planar.responses import (
     NUMERIC_FIELDS,
@@ -27,6 +29,7 @@ from usarmjx.engines.planar.responses import (
     UncalibratedRobotError,
     description_key,
     override_response,
+    read_response,
     response_entry,
     response_file,
     rolls,
@@ -305,7 +308,7 @@ def ensure_calibrated(robots: Scene | Iterable[RobotSpec], folder: Path | None =
         entry, file = calibrate(robot), response_file(robot, folder)
         if file is not None:
             with atomic_write(file) as fresh:
-                fresh.write_text(json.dumps(entry, indent=1), encoding="utf-8")
+                fresh.write_text(kept_text(entry), encoding="utf-8")
 
 
 Built = TypeVar("Built")
@@ -340,12 +343,12 @@ def measure_all(
     """
     known: dict[str, dict[str, Any]] = {}
     if file is not None and file.exists():
-        known = json.loads(file.read_text(encoding="utf-8"))
+        known = _measured(file)
     for robot in robots:
         if everything and not rolls(robot.drive):
             continue
         entry = known.get(robot.name)
-        if entry is None or entry["key"] != description_key(robot):
+        if entry is None or entry.get("key") != description_key(robot):
             entry = calibrate(robot)
             entry["errors"] = pose_errors(robot)
         known[robot.name] = entry
@@ -353,6 +356,22 @@ def measure_all(
             with atomic_write(file) as fresh:
                 fresh.write_text(json.dumps(dict(sorted(known.items())), indent=1) + "\n", encoding="utf-8")
         yield _summary(robot.name, entry)
+
+
+def _measured(file: Path) -> dict[str, dict[str, Any]]:
+    """Return the entries of a file of measurements, by class.
+
+    Raises:
+        SpecError: It is no such file; names the entry.
+    """
+    content = as_mapping(read_json(file, finite=True))
+    if content is None:
+        raise SpecError(f"{file}: is no file of measured robots: expected a mapping of their names")
+    for name, entry in content.items():
+        read_response(entry, f"{file}: {name}")
+        if not isinstance(entry.get("errors"), dict):
+            raise SpecError(f"{file}: {name}: has no errors of poses; remove the entry to measure them")
+    return content
 
 
 def _summary(name: str, entry: dict[str, Any]) -> str:
