@@ -80,7 +80,7 @@ def test_a_task_of_an_installed_module_is_named_by_that(own, monkeypatch):
     [
         ("none.py:Meet", "", r"task none.py:Meet: there is no file /.*none\.py"),
         ("my_task.py:Nope", None, r"my_task.py has no 'Nope'; its tasks: Meet"),
-        ("my_task.py", None, r"say which, as my_task.py:Meet"),
+        ("my_task.py", None, r"name its class, as my_task.py:Meet"),
         ("half.py:helper", HALF, r"of type function, expected a class that extends usarmjx.*Task"),
         ("half.py:NUMBER", HALF, r"of type int, expected a class"),
         ("half.py:Half", HALF, r"cannot be made without arguments: .*abstract"),
@@ -120,8 +120,8 @@ def test_a_run_finds_its_task_again_or_says_what_is_missing(own):
         done = invoke(command, own / "run.npz")
         assert done.exit_code == 2
         assert done.stderr.splitlines()[-1] == (
-            f"usarmjx: {own}/run.npz is for the task Meet of {own}/my_task.py, which is not there; if it is "
-            "elsewhere, say so: --task FILE.py:Meet"
+            f"usarmjx: {own}/run.npz is for the task Meet of {own}/my_task.py, which does not exist; if it "
+            "has moved, add --task FILE.py:Meet"
         )
     from usarmjx.cli.policy_options import PolicyOptions
 

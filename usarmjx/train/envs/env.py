@@ -27,7 +27,7 @@ from usarmjx.train.envs.state import AgentGroup, EnvState, EpisodeStart, Memory,
 from usarmjx.train.envs.task import StepResult, Task, TaskView, TimeLimit
 
 SCATTER_MIN_SIZE = 1024
-"""Of what is larger than so many numbers a world, rows are written. Of anything smaller all worlds' are
+"""Least size of a leaf per world [numbers] whose rows are scattered. Of smaller leaves all worlds' are
 written again: a GPU has one kernel for many such, and for each that writes rows one of its own."""
 
 
@@ -42,7 +42,7 @@ def make_view(scene: Scene, world: World, physics: PhysicsState) -> tuple[World,
 
 @jax.named_scope("task.observe")
 def _observe(task: Task, view: TaskView, memory: Memory) -> tuple[tuple[jax.Array, ...], jax.Array]:
-    """Return what agents and critics observe."""
+    """Return the observations of agents and critics."""
     obs = tuple(jnp.asarray(one, jnp.float32) for one in task.observe(view, memory))
     return obs, jnp.asarray(task.privileged(view, memory), jnp.float32)
 
@@ -87,10 +87,10 @@ def evaluate_step(
     Args:
         scene: The scene.
         task: The task.
-        state: How the task stood before it.
+        state: State of the task before the step.
         worlds: The worlds after it.
         physics: Their physics.
-        before: What had gone wrong until then.
+        before: Counts of faults before the step.
     """
     now = worlds.faults
     bad = (now.not_finite > before.not_finite) | (now.overflow > before.overflow)
@@ -128,7 +128,7 @@ def restart_subset(
     Args:
         scene: The scene.
         task: The task.
-        together: How many worlds; where fewer are left, some of the others are computed for nothing.
+        together: Number of worlds; where fewer are left, some of the others are computed for nothing.
         now: All worlds, and which are left.
         arenas: See `sim.reset.reset`.
     """
@@ -155,7 +155,7 @@ def restart_subset(
 
 
 def restart_batch_size(worlds: int, episode_steps: int) -> int:
-    """Return how many worlds begin an episode at once; where more are done, one such batch follows another.
+    """Return the number of worlds that begin an episode at once; further ones follow in another such batch.
 
     As many as end with a step if their ends are spread and episodes last half their time, and three standard
     deviations more (Poisson's).
@@ -181,7 +181,7 @@ class EnvBatch(Batch):
     """A batch whose programs are kept with those of its environment; arguments are those of `Batch`.
 
     Args:
-        program_cache: Of programs; its digest covers all that the batch is made from.
+        program_cache: Cache of programs; its digest covers all arguments of the batch.
     """
 
     def __init__(self, program_cache: ProgramCache | None, *args: Any, **settings: Any) -> None:  # noqa: ANN401
@@ -194,19 +194,19 @@ class Env:
 
     Args:
         task: The task.
-        worlds: How many.
+        worlds: Number of worlds.
         engine: `warp`, `jax`, `c`, or `auto`.
-        seed: Of all random numbers, unless `reset` is given another.
+        seed: Seed of all random numbers, unless `reset` gets another.
         first: Number of the first world. World k is the same alone as in a batch.
 
     Attributes:
-        name: Of the task.
+        name: Name of the task.
         groups: The agents.
         privileged_size: Numbers that only critics see.
         episode_steps: Steps after which the time is up.
         period: Simulated time of a step [s].
         levels: Difficulties of its generated arenas, from easy to hard; empty: they are not generated.
-        program_cache: Of its programs, where such are kept from one start to the next.
+        program_cache: Cache of its programs, if they are kept from one start to the next.
         renewable: Whether its arenas can be replaced by other generated ones, see `redrawn_arenas`.
         traceable: Whether `step` may be traced (jit, scan); else it is called step by step, its inner
             parts compiled.
@@ -309,8 +309,8 @@ class Env:
         """Return all worlds at the start of their first episode.
 
         Args:
-            seed: Of all random numbers; None: the environment's own.
-            level: How difficult the generated arenas in play are, from 0 to 1; see `at_level`.
+            seed: Seed of all random numbers; None: the environment's own.
+            level: Difficulty of the generated arenas in play, from 0 to 1; see `at_level`.
             mixed: Whether worlds go through generated arenas with one of each level in turn, until they are
                 replaced; else they meet all easy ones first.
 
@@ -330,7 +330,7 @@ class Env:
 
     @property
     def is_evenly_spread(self) -> bool:
-        """Whether as many worlds begin in each of its generated arenas."""
+        """Whether equal numbers of worlds begin in each of its generated arenas."""
         return self._generated is None or self.worlds % self._generated.total == 0
 
     def reset_each(
@@ -345,9 +345,10 @@ class Env:
         arenas.
 
         Args:
-            keys: Of all random numbers, one for each world (worlds,).
+            keys: Random keys of the worlds (worlds,).
             arenas: Theirs, of the shapes of the scene's (worlds, ...); None: the scene's, in turn.
-            ranges: What the worlds draw from, by names of quantities that the task varies (worlds, 2).
+            ranges: Ranges of the worlds' random values, by names of quantities that the task varies (worlds,
+                2).
         """
         level = jnp.float32(1.0)
         arenas = self._arenas(level) if arenas is None else arenas
@@ -397,12 +398,12 @@ class Env:
         )
 
     def redrawn_arenas(self, generation: int) -> ArenaState:
-        """Return other generated arenas in place of all, for `at_level` (arenas, ...); NumPy arrays.
+        """Return newly generated arenas in place of all, for `at_level` (arenas, ...); NumPy arrays.
 
-        They are the same whenever the same generation is asked for.
+        A generation always has the same ones.
 
         Args:
-            generation: How often they are replaced then, from 1.
+            generation: Number of the replacement, from 1.
 
         Raises:
             UsageError: Its arenas cannot be replaced, or nothing fits into their places.
@@ -425,7 +426,7 @@ class Env:
         Args:
             state: The state.
             level: From 0 to 1.
-            library: What `redrawn_arenas` returned; None: the arenas of the beginning.
+            library: Result of `redrawn_arenas`; None: the arenas of the beginning.
         """
         level = jnp.asarray(level, jnp.float32)
         if self._generated is None:
