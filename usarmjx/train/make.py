@@ -204,8 +204,8 @@ def make_task(name: str, **overrides: object) -> Task:
 
     Raises:
         UnknownNameError: No such task, or a field that it does not have; lists those there are.
-        UsageError: A user's own one without file or class, or with a fault; names it and its line.
-            as long as an action; gives the reason.
+        UsageError: A user's own one that cannot be imported, or physics with no whole number of steps
+            lasts lasts in an action; gives the reason.
     """
     task = find_task(name)
     known = sorted(field.name for field in fields(task))

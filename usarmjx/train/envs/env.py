@@ -132,6 +132,7 @@ def restart_subset(
         now: All worlds, and which are left.
         arenas: See `sim.reset.reset`.
     """
+    # Of fixed size, as compiled shapes are. Surplus rows get the index len(left): reads clip, writes drop it.
     rows = jnp.nonzero(now.left, size=together, fill_value=len(now.left))[0]
     some = jax.tree.map(lambda old: old.at[rows].get(mode="clip"), now.worlds)
     fresh, qpos = jax.vmap(partial(reset, scene, shuffle=task.shuffle), in_axes=(0, None))(some, arenas)

@@ -20,7 +20,7 @@ class Episodes:
     """Whole episodes of one seed, those whose physics went wrong left out.
 
     Attributes:
-        seed: Of the environment.
+        seed: Seed of the environment.
         scores: Their final scores (episodes,).
         lengths: Their steps (episodes,).
         worlds: Where they took place (episodes,).
@@ -38,7 +38,7 @@ class Episodes:
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """What came of an evaluation.
+    """Result of an evaluation.
 
     Attributes:
         score: Mean score of all episodes; where each is 0 or 1 a share, with Wilson's interval.

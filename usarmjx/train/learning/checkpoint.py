@@ -67,6 +67,7 @@ def _synced_file(path: Path) -> Generator[BufferedWriter]:
     with path.open("wb") as file:
         yield file
         file.flush()
+        # A rename orders no writes: after a crash the renamed folder could hold empty files.
         os.fsync(file.fileno())
 
 
@@ -252,6 +253,7 @@ class Checkpoints:
                 step()
         except WriteError as error:
             fault = error
+        # A process that raised by itself would leave the others waiting in their next collective.
         if not process_group.everywhere(fault is None):
             raise fault or WriteError(f"cannot write {path}: another process could not")
 

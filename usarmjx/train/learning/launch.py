@@ -111,6 +111,8 @@ def _end(running: list[subprocess.Popen[bytes]], timeout: float = 5.0) -> None:
 
 def _free_port() -> int:
     with socket.socket() as probe:
+        # Another program may take the port before the coordinator does: then the start fails with its
+        # message.
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 

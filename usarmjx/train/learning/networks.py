@@ -112,6 +112,7 @@ def _backward(residuals: Residuals, gradients: jax.Array) -> tuple[Any, ...]:
     before = _reset(is_first, jnp.concatenate([carry[None], after[:-1]]))
     own, new, update = _step_derivatives(gates, before, before @ weights, bias)
     start, gradients = _gradients_sequentially(gradients, own, update, weights, is_first)
+    # Products with weights are made once over all steps; the gradient of a scan makes them in each.
     by_own = jnp.tile(gradients, 3) * own
     by_reset, by_update, by_new = jnp.split(by_own, 3, axis=-1)
     return (

@@ -54,6 +54,7 @@ def advantages(
     done, truncated, bad = ends
     next_value = jnp.concatenate([value[1:], last_value[None]])
     next_value = jnp.where(done, jnp.where(truncated, bootstrap, 0.0), next_value)
+    # A bad step teaches nothing: its error is 0, and no later error flows back across it.
     td_error = jnp.where(bad, 0.0, reward + discount * next_value - value)
     decay = jnp.where(done | bad, 0.0, discount * gae_lambda)
 
@@ -132,6 +133,7 @@ def compute_targets(
         )
         valid = jnp.broadcast_to(~ends[2], advantage.shape)
         count = jnp.maximum(_total(valid), 1)
+        # Over the whole batch of all processes: neither minibatches nor processes change the advantages.
         mean = _total(jnp.where(valid, advantage, 0.0)) / count
         deviation = jnp.sqrt(_total(jnp.where(valid, (advantage - mean) ** 2, 0.0)) / count)
         normal.append(jnp.where(valid, (advantage - mean) / (deviation + 1e-8), 0.0))
@@ -188,7 +190,9 @@ def loss(
             "policy": -surrogate(log_prob, steps.log_prob[g], minibatch.advantage[g], config.clip_epsilon),
             "value": 0.5 * (values[g] - minibatch.target[g]) ** 2,
             "entropy": entropy,
-            "divergence": ratio - 1.0 - log_ratio,  # an estimate of the Kullback-Leibler divergence
+            "divergence": ratio
+            - 1.0
+            - log_ratio,  # estimate k3 of the KL divergence: unbiased, never negative
             "clipped": (jnp.abs(ratio - 1.0) > config.clip_epsilon).astype(jnp.float32),
             "weight": jnp.ones_like(ratio),
         }
@@ -219,6 +223,7 @@ def _shuffle(key: jax.Array, worlds: int, blocks: int, first: jax.Array, minibat
         return jax.random.permutation(key, size)
 
     order = jax.vmap(permutation)(keys)
+    # A minibatch takes the same share of every block, so that no world moves between processes.
     order = order + size * jnp.arange(blocks)[:, None]
     return order.reshape(blocks, minibatches, -1).swapaxes(0, 1).reshape(minibatches, -1)
 
@@ -271,8 +276,10 @@ def run_epochs(
         weight = jnp.maximum(sums.pop("weight"), 1.0)
         gradient, stats = jax.tree.map(lambda one: one / weight, (gradient, sums))
         norm = optax.tree.norm(gradient)
+        # An update whose gradient is not finite is skipped and counted, or it would ruin all weights.
         finite = jnp.isfinite(norm)
         steps, moments = optimiser.update(gradient, state.opt_state)
+        # Not by optax: the rate is part of the train state, which `adaptive` changes between minibatches.
         params = jax.tree.map(lambda old, step: old - state.learning_rate * step, state.params, steps)
         updated = state.replace(params=params, opt_state=moments)
         updated = jax.tree.map(lambda after, before: jnp.where(finite, after, before), updated, state)
@@ -296,6 +303,7 @@ def run_epochs(
 
 def _adapt(rate: jax.Array, divergence: jax.Array, config: Config) -> jax.Array:
     """Return a slower rate if the policy changed by much more than wanted, a faster one if by much less."""
+    # The rule of RSL-RL (Rudin et al. 2022): factor 1.5 outside of half to twice the target.
     slower = jnp.where(divergence > 2.0 * config.target_kl, rate / 1.5, rate)
     faster = jnp.where(divergence < 0.5 * config.target_kl, rate * 1.5, slower)
     return jnp.clip(jnp.where(jnp.isfinite(divergence), faster, rate), MIN_LEARNING_RATE, MAX_LEARNING_RATE)

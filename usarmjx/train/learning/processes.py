@@ -90,6 +90,7 @@ def initialize(environment: Mapping[str, str] | None = None) -> ProcessInfo:
         return ProcessInfo(1, 0, 0)
     if jax.distributed.is_initialized():
         return info
+    # JAX has no collectives between CPU processes unless it is given an implementation.
     cast(Any, jax.config).update("jax_cpu_collectives_implementation", "gloo")
     arguments: dict[str, Any] = {"num_processes": info.count, "process_id": info.index}
     if info.coordinator:

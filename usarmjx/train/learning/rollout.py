@@ -92,6 +92,7 @@ class Rollout:
         self.teacher = teacher
         self.look: Callable[[EnvState], None] = _no_watcher
         """Receives the worlds: after every action, or where a whole rollout is compiled, after that."""
+        # Networks bear TensorFloat-32, which physics and sensors do not.
         compiled = partial(compile_program, program_cache=program_cache, owner="Rollout", precise=False)
         self._decide, self._account = compiled(self._choose_actions), compiled(self._record_step)
         self._stack, self._bound = compiled(_stack_steps), compiled(self._rollout_ends)
@@ -221,6 +222,7 @@ class Rollout:
         done = after.done | bad
         truncated = after.truncated & ~bad
         zeros = tuple(jnp.zeros_like(value) for value in decision.value)
+        # Few steps truncate an episode: only then the critic runs a second time.
         bootstrap = jax.lax.cond(
             truncated.any(),
             lambda: self._value(train_state, after.final_obs, after.final_privileged, decision.critic_carry)[
@@ -304,6 +306,7 @@ class Rollout:
 
         def step(state: RolloutState, number: jax.Array) -> tuple[RolloutState, tuple[Trajectory, jax.Array]]:
             state, (row, sums) = self._step(train_state, state, key, number)
+            # Filled while JAX traces this function; the sums leave the scan as one array.
             names[:] = sums
             return state, (row, jnp.stack([*sums.values()]))
 

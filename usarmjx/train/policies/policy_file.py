@@ -47,6 +47,7 @@ def read_arrays(file: Path) -> tuple[Any, dict[str, np.ndarray]]:
         with zipfile.ZipFile(file) as held:
             members = {one.filename.removesuffix(".npy"): one for one in held.infolist()}
             _check_sizes(file, list(members.values()))
+            # Headers before arrays: a shape can ask for more memory than the file has bytes.
             for name, member in members.items():
                 _check_header(held, member, name)
             found = {name: _read(held, member) for name, member in members.items()}
@@ -171,10 +172,12 @@ ParamTree = Mapping[str, Any]
 
 
 def _sigmoid(x: Vector) -> Vector:
+    # By tanh, because exp(-x) overflows for large negative x.
     return 0.5 * (1.0 + np.tanh(0.5 * x))
 
 
 def _elu(x: Vector) -> Vector:
+    # `where` computes both branches: expm1 of a large x would overflow.
     return np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0)))
 
 
