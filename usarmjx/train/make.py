@@ -205,7 +205,7 @@ def make_task(name: str, **overrides: object) -> Task:
     Raises:
         UnknownNameError: No such task, or a field that it does not have; lists those there are.
         UsageError: A user's own one that cannot be imported, or physics with no whole number of steps
-            lasts lasts in an action; gives the reason.
+            in an action; gives the reason.
     """
     task = find_task(name)
     known = sorted(field.name for field in fields(task))
