@@ -161,7 +161,7 @@ def test_no_arenas_are_generated_that_no_iteration_would_meet(env, monkeypatch):
     stream = ArenaStream(env, 2, 5)
     for iteration in range(5):
         stream.arenas(iteration)
-    stream._maker.shutdown()
+    stream._pool.shutdown()
     assert asked == [1, 2]
 
 
