@@ -331,12 +331,13 @@ def _sensor_fields(sensor: Sensor, index: int) -> list[ConfField]:
     fields: list[ConfField] = [("Name", sensor.mounts[index].name)]
     known = lookup_by_type(sensor, CONFIGURATION)
     if known is None:
-        return [*fields, *generic_fields(settings)]
-    for key, field in known:
+        fields += generic_fields(settings)
+    for key, field in known or ():
         value = getattr(settings, field)
         pair = isinstance(value, tuple)  # vertical and horizontal
         fields.append((key, four_decimals_list(cast(tuple[float, ...], value)) if pair else value))
-    return fields
+    # Without any option it would read as the echo of a name that is not there.
+    return fields if len(fields) > 1 else [*fields, ("ScanInterval", settings.scan_interval)]
 
 
 def _camera_fields(camera: Camera, fov: float) -> list[ConfField]:
@@ -384,18 +385,20 @@ def configuration(
     ]
     if fields:
         answers.append(conf_items(kind, fields))
-    fields = [
-        _camera_fields(camera, fov)
+    cameras = [
+        (camera, fov)
         for camera, fov in zip(cameras_of(robot), fovs, strict=True)
         if _asked(kind, name, camera.mount.kind, camera.mount.name)
     ]
-    if fields:
-        answers.append(conf_items(kind, fields))
+    if cameras:
+        # The manual's line has no names; of several nobody could tell which is which.
+        several = len(cameras) > 1
+        names = [[("Name", camera.mount.name)] if several else [] for camera, _ in cameras]
+        options = [_camera_fields(*one) for one in cameras]
+        answers.append(conf_items(kind, [[*n, *o] for n, o in zip(names, options, strict=True)]))
     effecters = _effecters(robot, kind, name)
-    if effecters and kind.lower() == "effecter":
-        answers.append(conf_effecters([(e.mount.name, _operations(e)) for e in effecters]))
-    elif effecters:
-        answers.append(conf_items(kind, [[("Name", e.mount.name)] for e in effecters]))
+    if effecters:
+        answers.append(conf_effecters([(e.mount.name, _operations(e)) for e in effecters], kind))
     packages = _packages(robot, kind, name)
     if packages:
         answers.append(conf_mispkg([(p.name, [_link_configuration(k) for k in p.links]) for p in packages]))

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from usarmjx.base.errors import UsageError
+from usarmjx.server.protocol.arguments import is_number
 from usarmjx.server.protocol.grammar import Message, Segment, to_int
 
 PACKAGE_TYPE, ACTUATOR_TYPE = "MisPkg", "Actuator"
@@ -57,7 +58,8 @@ def _understand_udk(message: Message) -> Message:
 
 def _count_from_one(segment: Segment) -> Segment:
     key, value = segment
-    return (key, str(to_int(value) + 1)) if key.lower() == "link" and value else segment
+    is_link = key.lower() == "link" and is_number(value)
+    return (key, str(to_int(value) + 1)) if is_link else segment  # a word stays what it is, to be refused
 
 
 def _with_values(message: Message, key: str, replacements: dict[str, str]) -> Message:
