@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass
 
-from usarmjx.base.settings import NO_NOTE, Setting
+from usarmjx.base.settings import Setting
+
+_NO_LIMITS = Setting()
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +19,7 @@ class Parameters:
 
     fewest: int = 0
     most: int = 1
-    note: Setting = NO_NOTE
+    note: Setting = _NO_LIMITS
 
     @property
     def expects(self) -> str:

@@ -425,15 +425,17 @@ class Client:
         return STATUS_FAILED if value is None else self._world.operate(robot, index, opcode, value)
 
     def _geometry(self, command: wire.GetGeo) -> None:
+        types = self.session.dialect.package_types
         if not self.battery_empty:
-            for message in geometry(self._present.plan, command.type, command.name):
+            for message in geometry(self._present.plan, command.type, command.name, types):
                 self.session.send(message)
 
     def _configuration(self, command: wire.GetConf) -> None:
         if not self.battery_empty:
             robot = self._present
             known = (robot.spec, robot.suite.sensors, robot.fovs)
-            for message in configuration(*known, command.type, command.name):
+            types = self.session.dialect.package_types
+            for message in configuration(*known, command.type, command.name, types):
                 self.session.send(message)
 
     def _own_command(self, command: wire.OwnCommand) -> None:

@@ -12,7 +12,7 @@ from enum import Enum
 
 from usarmjx.base.errors import PeerError
 from usarmjx.base.parameters import Parameters
-from usarmjx.base.settings import NO_NOTE, Setting
+from usarmjx.base.settings import Setting
 from usarmjx.server.protocol.commands import DRIVE_KEYS
 from usarmjx.server.protocol.grammar import Message, clip, to_float
 
@@ -24,6 +24,7 @@ _DECIMAL = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 _SPECIAL = r"[+-]?(?:nan|inf)\S*"
 _PLAIN = re.compile(rf"{_DECIMAL}|{_SPECIAL}", re.IGNORECASE)
 _WITH_COMMA = re.compile(rf"(?:{_DECIMAL})(?:,[0-9]*)?|{_SPECIAL}", re.IGNORECASE)
+_NO_LIMITS = Setting()
 _TRUTHS = ("true", "false")
 
 
@@ -45,7 +46,7 @@ class Argument:
     """
 
     kind: ArgumentKind = ArgumentKind.NUMBER
-    note: Setting = NO_NOTE
+    note: Setting = _NO_LIMITS
 
     @property
     def expects(self) -> str:

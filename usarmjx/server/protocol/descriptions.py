@@ -202,9 +202,9 @@ class LinkGeometry:
     orientation: Vector
 
 
-def geo_mispkg(packages: Iterable[tuple[str, Sequence[LinkGeometry]]]) -> Message:
-    """Return the geometry of mission packages, (name, links) of each, all in one line."""
-    segments: list[Segment] = [("Type", "MisPkg")]
+def geo_mispkg(packages: Iterable[tuple[str, Sequence[LinkGeometry]]], type_name: str = "MisPkg") -> Message:
+    """Return the geometry of mission packages, (name, links) of each, all in one line of that type."""
+    segments: list[Segment] = [("Type", type_name)]
     for name, links in packages:
         segments.append(("Name", name))
         for link in links:
@@ -238,9 +238,11 @@ class LinkConfiguration:
     max_range: float
 
 
-def conf_mispkg(packages: Iterable[tuple[str, Sequence[LinkConfiguration]]]) -> Message:
-    """Return the joints of mission packages, (name, links) of each, all in one line."""
-    segments: list[Segment] = [("Type", "MisPkg")]
+def conf_mispkg(
+    packages: Iterable[tuple[str, Sequence[LinkConfiguration]]], type_name: str = "MisPkg"
+) -> Message:
+    """Return the joints of mission packages, (name, links) of each, all in one line of that type."""
+    segments: list[Segment] = [("Type", type_name)]
     for name, links in packages:
         segments.append(("Name", name))
         for link in links:

@@ -82,7 +82,7 @@ class RobotSession:
         self._faults: list[str] = []
         self._more_faults = self.fault_count = self.faults_in_a_row = 0
         self._awaits_answer = False
-        self._refusal = ""
+        self._refusal = self._robot_class = ""
         self._waiting: deque[str] = deque()
         self.send(greeting)
 
@@ -160,7 +160,9 @@ class RobotSession:
         """
         if self.phase is SessionPhase.CLOSED:  # a tick cannot know that its reader has just left
             return
-        translated = [format_message(_in_pairs(one)) for one in self.dialect.translate(message)]
+        translated = [
+            format_message(_in_pairs(one)) for one in self.dialect.translate(message, self._robot_class)
+        ]
         line = "".join(f"{one}\r\n" for one in translated).encode("latin-1", "replace")
         if len(self._outgoing) + len(line) > self._send_limit:
             raise PeerError(f"the peer does not read: {len(self._outgoing)} bytes wait for it")
@@ -198,7 +200,8 @@ class RobotSession:
         """Return the line's command if it is legal now; otherwise note the fault."""
         message = None
         try:
-            message = self.dialect.understand(parse_message(line))
+            said = parse_message(line)
+            message = self.dialect.understand(said)
             command = parse_command(message)
         except PeerError as error:
             self._fault(f"{error}: {clip(line)}")
@@ -209,7 +212,9 @@ class RobotSession:
         if type(command) not in LEGAL_COMMANDS[self.phase]:
             self._fault(f"{type(command).__name__} is ignored when {self.phase.value}")
             return None
-        if not isinstance(command, Init):  # the answer to an Init decides whether it was of any use
+        if isinstance(command, Init):  # its answer decides whether it was of any use
+            self._robot_class = said.get("ClassName").rpartition(".")[2]
+        else:
             self.faults_in_a_row = 0
         return command
 
