@@ -10,12 +10,12 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.rotations import matvec
+from usarmjx.base.settings import POSITIVE
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.models.compile.parts import chassis_shapes, parts_of
 from usarmjx.models.compile.raster import half_lengths
 from usarmjx.models.types.robot import CHASSIS
-from usarmjx.models.types.settings import POSITIVE
 from usarmjx.models.types.shapes import Shape
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
 from usarmjx.sensors.ranging import BEAM_PATTERN
