@@ -22,13 +22,13 @@ from usarmjx.models.compile.kinematic_tree import (
 )
 from usarmjx.models.compile.parts import parts_of
 from usarmjx.models.effecters import (
-    LIMIT_TOLERANCE,
     MAX_DROPPED_TAGS,
     DroppedTags,
     Effect,
     Effecter,
     Opcode,
 )
+from usarmjx.models.effecters.base import LIMIT_TOLERANCE
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.models.types.shapes import SKY
 from usarmjx.sensors.rays.bundles import Fans

@@ -1,4 +1,4 @@
-"""What stock web clients of ROS ask beside topics: rosapi, parameters, tf2_web_republisher, a robot's URDF."""
+"""Services that stock web clients of ROS call beside topics: rosapi, parameters, tf2_web_republisher."""
 
 import json
 from xml.etree.ElementTree import fromstring
@@ -114,7 +114,7 @@ def test_transforms_come_by_the_action_as_roslibs_tf_client_asks(ros):
     base, foot = heard["feedback"]["transforms"]
     assert (base["child_frame_id"], base["header"]["frame_id"]) == ("R1/base_link", "map")
     pose = ros.topic("/R1/odom")["pose"]["pose"]["position"]
-    place, mat = axes(base["transform"])
+    place, _ = axes(base["transform"])
     assert place == pytest.approx([pose[axis] for axis in "xyz"], abs=0.05)
     on_floor, level = axes(foot["transform"])
     assert on_floor[:2] == pytest.approx(place[:2], abs=0.02)

@@ -10,7 +10,6 @@ from functools import cache
 from usarmjx.base.errors import SpecError
 from usarmjx.models.effecters.base import (
     EFFECTERS,
-    LIMIT_TOLERANCE,
     MAX_DROPPED_TAGS,
     DroppedTags,
     Effect,
@@ -26,7 +25,6 @@ from usarmjx.models.types.settings import resolve_settings
 
 __all__ = [
     "EFFECTERS",
-    "LIMIT_TOLERANCE",
     "MAX_DROPPED_TAGS",
     "DroppedTags",
     "Effect",

@@ -361,6 +361,14 @@ def _camera_fields(camera: Camera, fov: float) -> list[ConfField]:
     ]
 
 
+def _camera_configuration(kind: str, cameras: Sequence[tuple[Camera, float]]) -> Message:
+    """Return the CONF of cameras; the manual's has no names, but of several none could tell which is which."""
+    several = len(cameras) > 1
+    names: list[list[ConfField]] = [[("Name", one.mount.name)] if several else [] for one, _ in cameras]
+    options = [_camera_fields(*one) for one in cameras]
+    return conf_items(kind, [[*name, *option] for name, option in zip(names, options, strict=True)])
+
+
 def configuration(
     robot: RobotSpec,
     sensors: Sequence[Sensor],
@@ -409,11 +417,7 @@ def configuration(
         if _asked(kind, name, camera.mount.kind, camera.mount.name)
     ]
     if cameras:
-        # The manual's line has no names; of several nobody could tell which is which.
-        several = len(cameras) > 1
-        names = [[("Name", camera.mount.name)] if several else [] for camera, _ in cameras]
-        options = [_camera_fields(*one) for one in cameras]
-        answers.append(conf_items(kind, [[*n, *o] for n, o in zip(names, options, strict=True)]))
+        answers.append(_camera_configuration(kind, cameras))
     effecters = _effecters(robot, kind, name)
     if effecters:
         answers.append(conf_effecters([(e.mount.name, _operations(e)) for e in effecters], kind))

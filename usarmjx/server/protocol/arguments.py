@@ -149,8 +149,10 @@ def read_parameters(text: str, form: Parameters) -> tuple[float, ...]:
             the text, and what it may be.
     """
     text = text.strip()
-    parts = [part.strip(",") for part in _GAP.split(text)] if _GAP.search(text) else text.split(",")
-    parts = [part for part in parts if part or "," in text] if text else []
+    if _GAP.search(text):
+        parts = [part for part in (part.strip(",") for part in _GAP.split(text)) if part]
+    else:
+        parts = text.split(",") if text else []
     fits = form.fewest <= len(parts) <= form.most and all(_PLAIN.fullmatch(part) for part in parts)
     values = tuple(to_float(part) for part in parts) if fits else ()
     low, high = form.note.ge, form.note.le
