@@ -362,7 +362,7 @@ def _camera_fields(camera: Camera, fov: float) -> list[ConfField]:
 
 
 def _camera_configuration(kind: str, cameras: Sequence[tuple[Camera, float]]) -> Message:
-    """Return the CONF of cameras; the manual's has no names, but of several none could tell which is which."""
+    """Return the CONF of cameras: the manual's has no names, so they are there only where it has several."""
     several = len(cameras) > 1
     names: list[list[ConfField]] = [[("Name", one.mount.name)] if several else [] for one, _ in cameras]
     options = [_camera_fields(*one) for one in cameras]
