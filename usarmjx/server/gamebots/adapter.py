@@ -101,7 +101,7 @@ class Client:
         self._next_log, self._logged = 0.0, 0
         self._world = world
         self._peer = peer
-        self._handlers: dict[type, Callable[..., None]] = {
+        self._handlers: dict[type, Callable[..., object]] = {
             wire.GetStartPoses: self._start_poses,
             wire.DriveRobot: self._drive,
             wire.DriveWheels: self._drive_wheels,
