@@ -49,7 +49,7 @@ def teams(
     ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the rows to this file.")] = None,
 ) -> None:
-    """Tell what teams get for each part of a score in the same buildings, and how early they find."""
+    """Compare teams in the same buildings: each part of their scores, and how early they find."""
     with ErrorExit():
         announce("building the worlds that teams play in ...", engines=[tried_on(engine)])
         from usarmjx.engines import choose_engine
@@ -59,7 +59,7 @@ def teams(
 
         set_by_hand, _ = task_settings(task, {}, settings or [])
         played, seen = yardsticks.team_task(task, **set_by_hand), TeamWays()
-        chosen = list(dict.fromkeys(names or yardsticks.usual_teams(task)))
+        chosen = list(dict.fromkeys(names or yardsticks.default_teams(task)))
         watch = yardsticks.ignore if out is None else seen
         how = (seed, choose_engine(engine, "train"), chosen, _tell, watch, split, _warn)
         rows = yardsticks.measure_teams(task, worlds, *how, **set_by_hand)
@@ -117,7 +117,7 @@ def evaluate_policy(
         Path | None, typer.Option(help="Write the result with every episode to this file.")
     ] = None,
 ) -> None:
-    """Tell a policy's mean final score and the 95 % interval of that mean."""
+    """Report a policy's mean final score with its 95 % interval."""
     with ErrorExit():
         announce("building the worlds that the policy is tried in ...", engines=[tried_on(engine)])
         from usarmjx.engines import choose_engine

@@ -5,7 +5,7 @@ Values are in MuJoCo's axes; the server converts them to USARSim's.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from flax import struct
@@ -14,10 +14,12 @@ from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
+from usarmjx.base.parameters import Parameters
 from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rotation_vector, wrap_angle
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.base.transforms import angles_from_mat, flip_angles, mat_from_angles
 from usarmjx.models.types.robot import Mount
-from usarmjx.models.types.settings import ANGLE_STEP, NOT_NEGATIVE, POSITIVE, ManualKey, NumberLimits
+from usarmjx.models.types.settings import ANGLE_STEP
 from usarmjx.sensors.base import (
     SENSORS,
     NoisySensorSettings,
@@ -30,7 +32,7 @@ from usarmjx.sensors.base import (
     vectorized,
 )
 
-RELATIVE_ERROR = NumberLimits(low=-1.0, low_exclusive=True)
+RELATIVE_ERROR = Setting(gt=-1)
 """Relative error; above -1, so that the measured value stays positive."""
 
 
@@ -76,6 +78,7 @@ class Odometry(Sensor):
     """Dead reckoning from two wheel encoders; value: x, y [m], heading [rad] since the start (3,)."""
 
     kind = "Odometry"
+    opcodes: ClassVar[dict[str, Parameters]] = {"RESET": Parameters()}
     settings_class = OdometrySettings
 
     def _wheel(self, name: str, leftmost: bool) -> int:
@@ -147,9 +150,9 @@ class InsSettings(SensorSettings):
     scan_interval: float = 0.2
     mean: float = 0.0
     sigma: Annotated[float, NOT_NEGATIVE] = 0.1
-    drifting: Annotated[bool, ManualKey("Drifting")] = False
+    drifting: Annotated[bool, Setting(manual_key="Drifting")] = False
     precision: Annotated[float, POSITIVE] = 1000.0
-    polar_step: Annotated[bool, ManualKey("PolarStep")] = False
+    polar_step: Annotated[bool, Setting(manual_key="PolarStep")] = False
 
 
 class InsMemory(struct.PyTreeNode, kw_only=True):
@@ -177,6 +180,7 @@ class Ins(Sensor):
     """Inertial navigation; value: estimated position [m] and roll, pitch, yaw [rad] (6,)."""
 
     kind = "INS"
+    opcodes: ClassVar[dict[str, Parameters]] = {"POSE": Parameters(6, 6)}
     settings_class = InsSettings
 
     def init_memory(self, inputs: SensorInput, key: Array) -> InsMemory:
@@ -262,6 +266,7 @@ class Encoder(Sensor):
     """
 
     kind = "Encoder"
+    opcodes: ClassVar[dict[str, Parameters]] = {"RESET": Parameters()}
     grouped = True
     settings_class = EncoderSettings
 

@@ -210,7 +210,7 @@ def _normalised(
 
 
 def front_points(found: StoredSweep) -> list[FrontPoint]:
-    """Return where cells are between score and connectivity; none where the task has no radio."""
+    """Return points of cells between score and connectivity; none for tasks without radio."""
     rows: list[FrontPoint] = []
     for task in tasks_of(found):
         mine = [
@@ -317,7 +317,7 @@ class AxisValue:
     """A value on an axis, or a range of values.
 
     Attributes:
-        text: As it is told.
+        text: Text of the value.
         place: The number, or the middle of the range; None: no number.
     """
 
