@@ -155,13 +155,13 @@ def _parts(table: np.ndarray, factors: Sequence[Factor]) -> Iterator[tuple[tuple
 
 def quantile_of_t(dof: np.ndarray | float) -> np.ndarray:
     """Return how many standard errors an interval reaches on each side."""
-    from scipy import special
+    from scipy import special  # pyright: ignore[reportMissingTypeStubs]
 
     functions: Any = special
     dof = np.asarray(dof, float)
     normal = functions.ndtri((1 + CONFIDENCE) / 2)
     finite = np.where(np.isfinite(dof), dof, 1.0)
-    return np.where(np.isfinite(dof), functions.stdtrit(finite, (1 + CONFIDENCE) / 2), normal)
+    return np.asarray(np.where(np.isfinite(dof), functions.stdtrit(finite, (1 + CONFIDENCE) / 2), normal))
 
 
 def crossed_interval(
@@ -203,7 +203,7 @@ def wilson_interval(
 
 def p_value(value: float, variance: float, dof: float) -> float:
     """Return the two-sided probability of an estimate as far from 0, if the truth is 0."""
-    from scipy import special
+    from scipy import special  # pyright: ignore[reportMissingTypeStubs]
 
     functions: Any = special
     if variance <= 0.0 or not np.isfinite(variance):

@@ -7,6 +7,7 @@ Intervals are those of crossed factors, see `crossed`.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -67,9 +68,11 @@ class Estimate:
 
 def interquartile_mean(values: np.ndarray) -> np.ndarray:
     """Return the mean of the middle half (...,) of values (..., n)."""
-    from scipy import stats  # the import takes a second, and training needs none of it
+    # The import takes a second, and training needs none of it.
+    from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
-    return np.asarray(stats.trim_mean(values, TRIM, axis=-1))
+    functions: Any = stats
+    return np.asarray(functions.trim_mean(values, TRIM, axis=-1))
 
 
 def interquartile_effects(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -206,8 +206,8 @@ def draw_task(axes: Axes, curves: Sequence[Curve], along: Axis) -> None:
     """
     curves = [thinned(curve) for curve in curves]
     for curve in curves:
-        fewer = {"alpha": PALE, "lw": 0.8} if len(curves) > 1 else {"lw": 1.2}
-        few = {"marker": ".", "ls": "none"} if len(curve.steps) < FEWEST_FOR_LINE else {}
+        fewer: dict[str, Any] = {"alpha": PALE, "lw": 0.8} if len(curves) > 1 else {"lw": 1.2}
+        few: dict[str, Any] = {"marker": ".", "ls": "none"} if len(curve.steps) < FEWEST_FOR_LINE else {}
         axes.plot(along(curve), curve.score, color=PALETTE[0], **fewer, **few)
     if len(curves) > 1 and along is _millions:
         axes.plot(*mean_curve(curves, along), color=PALETTE[0], lw=1.6, label=f"mean of {len(curves)} runs")

@@ -99,9 +99,9 @@ def find_driver(policy: object, task: str) -> CellDriver:
         )
     checkpoint = str(more.get("checkpoint", "best"))
     source = load_policy(str(POLICIES.get(task)) if kind == SHIPPED else what, checkpoint)
-    assert source.learned is not None  # as neither of them is by hand
     if kind == SHIPPED:
         source = replace(source, name=f"packaged policy of {task}")
+    assert source.learned is not None  # as neither of them is by hand
     learned, weights = source.learned
 
     def make(env: Env, weights: Any) -> Policy:  # noqa: ANN401 - a tree of arrays

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -154,7 +155,7 @@ def _axis_panel(panel: Axes, axis: str, rows: Sequence[AxisRow], policies: Seque
         )
         joined = len(mine) >= FEWEST_FOR_LINE and not named
         bar = np.where(np.isfinite([y - low, high - y]), [y - low, high - y], 0.0)
-        style = {"color": _colour(number), "marker": _mark(number), "label": label}
+        style: dict[str, Any] = {"color": _colour(number), "marker": _mark(number), "label": label}
         panel.errorbar(x, y, yerr=bar, linestyle="-" if joined else "none", elinewidth=0.9, **style)
     if named:
         turned = {"rotation": 20, "ha": "right"} if max(len(value.text) for value in values) > 8 else {}
@@ -207,7 +208,7 @@ def _profile_panel(panel: Axes, found: StoredSweep, task: str, policies: Sequenc
 
 def _front_panel(panel: Axes, found: StoredSweep, task: str) -> None:
     points = [point for point in front_points(found) if point.task == task]
-    style = {"linestyle": "none", "marker": "."}
+    style: dict[str, Any] = {"linestyle": "none", "marker": "."}
     panel.plot([p.connectivity for p in points], [p.score for p in points], color="#b0b0b0", **style)
     best = sorted((p for p in points if p.best), key=lambda p: p.connectivity)
     panel.plot(
