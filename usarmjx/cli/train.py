@@ -27,7 +27,7 @@ from usarmjx.base.settings import (
     to_text,
     to_yaml,
 )
-from usarmjx.cli.common import ErrorExit, OldOutArgument, chosen_out
+from usarmjx.cli.common import ErrorExit, OldOutArgument, PortOffsetOption, chosen_out
 from usarmjx.cli.completion import complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption
 from usarmjx.cli.recordings import RecordOption, export_recording
@@ -360,6 +360,7 @@ def train(
     quiet: QuietOption = False,
     serve: ServeOption = False,
     port: ServePortOption = 3000,
+    port_offset: PortOffsetOption = 0,
     wandb: WandbOption = None,
     view: ViewOption = False,
     viewer_port: ViewerPortOption = None,
@@ -392,7 +393,7 @@ def train(
             from usarmjx.train.learning.launch import spawn
 
             raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))
-        shown = _Shown(serve, port, view, viewer_port, record, record_every, wandb, quiet)
+        shown = _Shown(serve, port, port_offset, view, viewer_port, record, record_every, wandb, quiet)
         _run_training(task, options, shown)
 
 
@@ -402,6 +403,7 @@ class _Shown:
 
     serve: bool
     port: int
+    port_offset: int
     view: bool
     viewer_port: int | None
     record: Path | None
@@ -432,8 +434,8 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
 
     with (
         distributed_run() as process,
-        _served(options.out, shown.port, shown.serve and process.index == 0),
-        viewer_socket(HOST, shown.viewer_port, 0, shown.view and process.index == 0) as page,
+        _served(options.out, shown.port, shown.serve and process.index == 0, shown.port_offset),
+        viewer_socket(HOST, shown.viewer_port, shown.port_offset, shown.view and process.index == 0) as page,
     ):
         watchers: list[_TrainingWatcher] = []
         if page is not None:
@@ -487,7 +489,7 @@ def _task_of(named: str | None, task: str | None) -> str:
 
 
 @contextmanager
-def _served(run: Path, port: int, wanted: bool) -> Generator[None]:
+def _served(run: Path, port: int, wanted: bool, offset: int = 0) -> Generator[None]:
     """Serve a world of a run in a process of its own, on the CPU, until the training ends."""
     if not wanted:
         yield
@@ -497,6 +499,7 @@ def _served(run: Path, port: int, wanted: bool) -> Generator[None]:
 
         raise UsageError(f"train --serve needs POSIX: run `usarmjx play {run} --serve --follow` beside it")
     command = [sys.executable, "-m", "usarmjx", "play", str(run), "--serve", "--follow", "--port", str(port)]
+    command += ["--port-offset", str(offset)] if offset else []
     # The child ends with this process, however that ends: then nobody holds the other end of its pipe.
     theirs, ours = os.pipe()
     settings = {**os.environ, "JAX_PLATFORMS": "cpu", PARENT_PIPE: str(theirs)}
