@@ -9,9 +9,10 @@ import typer
 
 from usarmjx.base.files import atomic_write
 from usarmjx.base.progress import RateLimitedLog
-from usarmjx.cli.common import ErrorExit, SeedOption, grouped
+from usarmjx.cli.common import ErrorExit, SeedOption
 from usarmjx.cli.completion import complete_policies, complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions, SplitOption
+from usarmjx.cli.setting_options import with_settings
 from usarmjx.cli.startup_messages import announce, say, tried_on
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def _told(one: "Estimate", what: str) -> str:
     return f"{what} {one.value:.3f}, 95 % interval {interval}"
 
 
-@grouped
+@with_settings
 def evaluate_policy(
     driver: PolicyOptions,
     episodes: Annotated[
