@@ -65,6 +65,9 @@ def play(
 ) -> None:
     """Show one world of a policy at work: draw an episode from above, show it in a browser, or serve it."""
     with ErrorExit():
+        if driver.print_config:
+            driver.print_fields()
+            return
         if not (serve or view):
             _draw_episode(driver, engine, out, seconds, run.record)
             return
