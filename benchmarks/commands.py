@@ -28,7 +28,7 @@ from usarmjx.cli.common import ErrorExit, IniOption, UnitOption, configure_from
 from usarmjx.cli.setting_options import with_settings
 from usarmjx.cli.startup_messages import announce
 
-app = typer.Typer(help="Measure how fast things go on this machine.", no_args_is_help=True)
+app = typer.Typer(help="Measure the speed of this machine.", no_args_is_help=True)
 
 
 @app.command("radio")

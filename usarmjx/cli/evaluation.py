@@ -55,7 +55,7 @@ def teams(
     ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the rows to this file.")] = None,
 ) -> None:
-    """Tell what teams get for each part of a score in the same buildings, and how early they find."""
+    """Compare teams in the same buildings: each part of their scores, and how early they find."""
     with ErrorExit():
         pairs = task_pairs(task, settings or (), config)
         if print_config:
@@ -69,7 +69,7 @@ def teams(
 
         set_by_hand, _ = task_settings(task, {}, pairs)
         played, seen = yardsticks.team_task(task, **set_by_hand), TeamWays()
-        chosen = list(dict.fromkeys(names or yardsticks.usual_teams(task)))
+        chosen = list(dict.fromkeys(names or yardsticks.default_teams(task)))
         watch = yardsticks.ignore if out is None else seen
         how = (seed, choose_engine(engine, "train"), chosen, _tell, watch, split)
         rows = yardsticks.measure_teams(task, worlds, *how, **set_by_hand)
@@ -121,7 +121,7 @@ def evaluate_policy(
         Path | None, typer.Option(help="Write the result with every episode to this file.")
     ] = None,
 ) -> None:
-    """Tell a policy's mean final score and the 95 % interval of that mean."""
+    """Report a policy's mean final score with its 95 % interval."""
     with ErrorExit():
         if driver.print_config:
             driver.print_fields()

@@ -63,7 +63,7 @@ def play(
     ] = False,
     view: ViewOption = False,
 ) -> None:
-    """Show one world of a policy at work: draw an episode from above, show it in a browser, or serve it."""
+    """Show a policy at work in one world: draw an episode, show it in a browser, or serve it."""
     with ErrorExit():
         if driver.print_config:
             driver.print_fields()
