@@ -472,8 +472,8 @@ def righting_wrench(plan: KinematicTree, state: RobotState, period: float) -> Ar
     """Return the wrench (..., 6) that turns robots' wheels down again, so that heading and place stay.
 
     A damped torque takes away the roll and then the pitch, so that the nose points where it did. It is twice
-    what tips a box of the robot's dimensions over its edge. While it turns, a force carries most of its weight
-    and damps its drift, or the robot would roll away over its edge.
+    what tips a box of the robot's dimensions over its edge. While it turns, a force carries most of its
+    weight and damps its drift, or the robot would roll away over its edge.
     """
     mat = mat_from_quat(state.quat)
     up = mat[..., 2]
