@@ -3,6 +3,7 @@
 import importlib
 import json
 import shutil
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -140,6 +141,7 @@ def test_a_run_finds_its_task_again_or_says_what_is_missing(own):
 def test_a_policy_runs_no_code_that_only_it_names(own, monkeypatch, command, task):
     """Neither of a file nor of a module that Python would find in the folder."""
     monkeypatch.syspath_prepend(str(own))
+    monkeypatch.delitem(sys.modules, "helpers", raising=False)
     (own / "helpers.py").write_text("open('RAN', 'w').close()\n")
     policy_file(own / "evil.npz", task=task)
     done = invoke(command, "evil.npz")
