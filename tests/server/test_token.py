@@ -181,3 +181,17 @@ def test_a_proxy_may_speak_http_1_0(locked, kind, pieces, log):
     assert hear(connection, 17) == b"HTTP/1.1 200 OK\r\n"
     assert hear(connection, 10**6)
     assert log.text == ""
+
+
+@pytest.mark.parametrize("kind", ["page", "figures"])
+def test_browsers_that_never_finish_their_request_keep_nobody_out(locked, monkeypatch, kind):
+    """The oldest of too many yields, so that they do not take all file descriptors."""
+    monkeypatch.setattr(gate, "MAX_STRANGERS", 3)
+    held = [locked.connect(kind) for _ in range(3)]
+    for one in held:
+        one.sendall(b"GET /?slow HTTP/1.1\r\nHost: ")
+    assert locked.connect(kind)  # one more
+    held[0].settimeout(PATIENCE)
+    assert hear(held[0], 1) == b""
+    said, _, answer = KINDS[kind]
+    assert begins(locked.connect(kind), said, answer)

@@ -141,8 +141,9 @@ def read_curves(source: Path) -> list[Curve]:
     try:
         records = read_json_lines(source, UsageError)
         found = [curve_of_record(record) for _, record in records if record["benchmark"] == "train"]
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
-        raise UsageError(f"{source} is no file of benchmark records: {error!r}") from error
+    except (UsageError, ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+        reason = str(error) if isinstance(error, UsageError) else repr(error)
+        raise UsageError(f"{source} is no file of benchmark records: {reason}") from error
     if not found:
         raise UsageError(f"{source} has no records of training")
     return found

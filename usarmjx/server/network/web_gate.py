@@ -6,7 +6,7 @@ import socket
 from collections.abc import Awaitable, Callable, Collection
 from dataclasses import replace
 from http import HTTPStatus
-from typing import TypeAlias
+from typing import Any, TypeAlias
 from urllib.parse import unquote
 
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -37,12 +37,25 @@ _HOST = re.compile(r"(?:\[([0-9a-f:.]+)\]|([a-z0-9._-]+))(?::[0-9]+)?", re.IGNOR
 _NAME = re.compile(r"[a-z0-9._-]+|[0-9a-f:.]+", re.IGNORECASE)
 
 
+class _CurrentHttpConnection(ServerConnection):
+    """Connection that takes requests of HTTP/1.0, too."""
+
+    _head: bytes | None = b""
+
+    def data_received(self, data: bytes) -> None:
+        if self._head is not None:  # the request line has not come yet
+            self._head += data
+            if b"\n" not in self._head and len(self._head) < MAX_REQUEST_LINE:
+                return
+            data, self._head = as_current_http(self._head), None
+        super().data_received(data)
+
+
 def gated_connection(gate: Gate) -> type[ServerConnection]:
     """Return the class of connections that a gate admits: others are closed before anything is read."""
 
-    class GatedConnection(ServerConnection):
+    class GatedConnection(_CurrentHttpConnection):
         _entered = ""
-        _head: bytes | None = b""
 
         def connection_made(self, transport: asyncio.BaseTransport) -> None:
             peer = transport.get_extra_info("peername")
@@ -50,21 +63,22 @@ def gated_connection(gate: Gate) -> type[ServerConnection]:
             if gate.enter(address):
                 self._entered = address
                 keep_alive(transport.get_extra_info("socket"))
+                if isinstance(transport, asyncio.WriteTransport):
+                    gate.add_stranger(transport)
                 super().connection_made(transport)
             elif isinstance(transport, asyncio.Transport):
                 transport.abort()
 
-        def data_received(self, data: bytes) -> None:
-            if self._head is not None:  # the request line has not come yet
-                self._head += data
-                if b"\n" not in self._head and len(self._head) < MAX_REQUEST_LINE:
-                    return
-                data, self._head = as_current_http(self._head), None
-            super().data_received(data)
+        async def handshake(self, *options: Any, **more: Any) -> None:  # noqa: ANN401 - websockets' own
+            try:
+                await super().handshake(*options, **more)
+            finally:
+                gate.remove_stranger(self.transport)
 
         def connection_lost(self, exc: Exception | None) -> None:
             if self._entered:
                 gate.leave(self._entered)
+                gate.remove_stranger(self.transport)
                 super().connection_lost(exc)
 
     return GatedConnection
