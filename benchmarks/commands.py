@@ -27,7 +27,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.cli.common import ErrorExit, IniOption, UnitOption, configure_from, grouped
 from usarmjx.cli.startup_messages import announce
 
-app = typer.Typer(help="Measure how fast things go on this machine.", no_args_is_help=True)
+app = typer.Typer(help="Measure the speed of this machine.", no_args_is_help=True)
 
 
 @app.command("radio")

@@ -90,7 +90,7 @@ def chaos(
         Path | None, typer.Option(help="Append a line for each attack or sample to this file.")
     ] = None,
 ) -> None:
-    """Attack a server of your own, within bounds, and tell what a well-behaved neighbour noticed of it.
+    """Attack a server of your own, within bounds, and report how far a well-behaved neighbour notices.
 
     Its columns: the neighbour's longest wait for a report, the most processor time that the server's main
     thread used between two of its reports, reports at a wrong time of the world, lines that are none; what

@@ -48,7 +48,7 @@ def teams(
     ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the rows to this file.")] = None,
 ) -> None:
-    """Tell what teams get for each part of a score in the same buildings, and how early they find."""
+    """Compare teams in the same buildings: each part of their scores, and how early they find."""
     with ErrorExit():
         announce("building the worlds that teams play in ...", engines=[tried_on(engine)])
         from usarmjx.engines import choose_engine
@@ -110,7 +110,7 @@ def evaluate_policy(
         Path | None, typer.Option(help="Write the result with every episode to this file.")
     ] = None,
 ) -> None:
-    """Tell a policy's mean final score and the 95 % interval of that mean."""
+    """Report a policy's mean final score with its 95 % interval."""
     with ErrorExit():
         announce("building the worlds that the policy is tried in ...", engines=[tried_on(engine)])
         from usarmjx.engines import choose_engine

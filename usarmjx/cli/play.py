@@ -62,7 +62,7 @@ def play(
     ] = False,
     view: ViewOption = False,
 ) -> None:
-    """Show one world of a policy at work: draw an episode from above, show it in a browser, or serve it."""
+    """Show a policy at work in one world: draw an episode, show it in a browser, or serve it."""
     with ErrorExit():
         if not (serve or view):
             _draw_episode(driver, engine, out, seconds, run.record)

@@ -105,7 +105,7 @@ def serve(
     log_json: Annotated[bool, typer.Option("--log-json", help="Log a JSON object per line.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log connections and spawns.")] = False,
 ) -> None:
-    """Serve worlds of a batch over the Gamebots protocol, their radio and their cameras.
+    """Serve worlds of a batch over the Gamebots protocol, with their radio and cameras.
 
     Several worlds have ports of their own: the first those of the options, the others count up from there.
     So robots have 3000, 3001, ..., pictures 5003, 5004, ...; what one kind has, another leaves out.

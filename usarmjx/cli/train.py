@@ -683,7 +683,7 @@ def curves(
     ],
     out: Annotated[Path, typer.Option(help="PNG file to write.")] = Path("curves.png"),
 ) -> None:
-    """Draw how scores rose in training, over agent steps and over time; of each seed the last run given."""
+    """Draw scores of training runs over agent steps and over time, the last run of each seed."""
     with ErrorExit():
         announce("drawing curves ...")
         from usarmjx.plots.training_plots import plot_curves
