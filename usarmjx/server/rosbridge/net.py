@@ -9,18 +9,19 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from http import HTTPStatus
-from typing import NamedTuple, TypeAlias
+from typing import Annotated, NamedTuple, TypeAlias
 
 from websockets.asyncio.server import Server, ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.settings import AT_LEAST_ONE, validate
 from usarmjx.server.gamebots.budget import INIT_COST, ClientBudget
 from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.network.access import EVERYBODY, AccessRules
 from usarmjx.server.network.gate import Gate
-from usarmjx.server.network.ports import bound_socket
+from usarmjx.server.network.ports import PORT, bound_socket
 from usarmjx.server.network.web_gate import FROM_ELSEWHERE, is_own_name, listen_for_websockets
 from usarmjx.server.pictures.render_thread import RenderThread
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
@@ -75,12 +76,16 @@ class RosSettings:
     """
 
     host: str = "127.0.0.1"
-    port: int = 9090
+    port: Annotated[int, PORT] = 9090
     version: RosVersion = RosVersion.ROS2
-    size: tuple[int, int] = (320, 240)
-    max_connections: int = 16
+    size: Annotated[tuple[int, int], AT_LEAST_ONE] = (320, 240)
+    max_connections: Annotated[int, AT_LEAST_ONE] = 16
     access: AccessRules = EVERYBODY
     names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        validate(self)
 
 
 @dataclass(eq=False)
