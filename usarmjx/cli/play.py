@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
-from usarmjx.cli.common import ErrorExit, WorldsOption, grouped
+from usarmjx.cli.common import ErrorExit, WorldsOption
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions
 from usarmjx.cli.recordings import recorded_episode
 from usarmjx.cli.serving_options import (
@@ -18,6 +18,7 @@ from usarmjx.cli.serving_options import (
     RunOptions,
     ViewerOptions,
 )
+from usarmjx.cli.setting_options import with_settings
 from usarmjx.cli.startup_messages import announce
 from usarmjx.cli.viewer_options import ViewOption
 from usarmjx.server.runtime.signals import StopSignals
@@ -42,7 +43,7 @@ class ServedOptions:
     ] = False
 
 
-@grouped
+@with_settings
 def play(
     driver: PolicyOptions,
     served: ServedOptions,
@@ -64,6 +65,9 @@ def play(
 ) -> None:
     """Show a policy at work in one world: draw an episode, show it in a browser, or serve it."""
     with ErrorExit():
+        if driver.print_config:
+            driver.print_fields()
+            return
         if not (serve or view):
             _draw_episode(driver, engine, out, seconds, run.record)
             return
@@ -112,7 +116,7 @@ def _policy_worlds(
     """
     from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
 
-    source = _followed(driver.policy) if served.follow else driver.source()
+    source = _followed(driver.policy, driver.task) if served.follow else driver.source()
     env, policy = driver.env(source, served.worlds, engine)
     shared = PolicyBatch(env, policy, seed=driver.seed)
     made = [PolicyWorld(shared, instance) for instance in instances]
@@ -124,11 +128,12 @@ def _policy_worlds(
     return made, [PolicyFollower(shared, Path(driver.policy or ""))]
 
 
-def _followed(run: str | None) -> "PolicySource":
+def _followed(run: str | None, task: str | None) -> "PolicySource":
     """Return the policy of a run that may not have begun yet, as soon as it has a checkpoint."""
     from usarmjx.base.errors import UsageError
     from usarmjx.server.worlds.policy_world import wait_for_run
 
     if run is None:
         raise UsageError("--follow needs the folder of a run")
-    return wait_for_run(Path(run))
+    found = wait_for_run(Path(run))
+    return found if task is None else found.for_task(task)

@@ -1,7 +1,6 @@
 """The options that name a policy, for commands that try one or show it."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
@@ -9,6 +8,13 @@ import typer
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.common import SeedOption
 from usarmjx.cli.completion import complete_engines, complete_policies, complete_tasks
+from usarmjx.cli.task_options import (
+    TaskConfigOption,
+    TaskPrintOption,
+    TaskSetOption,
+    print_task,
+    task_pairs,
+)
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env
@@ -63,10 +69,9 @@ class PolicyOptions:
     checkpoint: Annotated[str, typer.Option(help="Of a run: best, last, or the number of an iteration.")] = (
         "best"
     )
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", "-c", help="A field of the task as key=value; may be repeated."),
-    ] = None
+    settings: TaskSetOption = None
+    config: TaskConfigOption = None
+    print_config: TaskPrintOption = False
     seed: SeedOption = 0
 
     def source(self) -> "PolicySource":
@@ -75,7 +80,7 @@ class PolicyOptions:
         Raises:
             UsageError: None is named, or two are, or there is none of that name.
         """
-        from usarmjx.train.make import is_own, same_class
+        from usarmjx.train.make import is_own
         from usarmjx.train.policies.sources import baseline as by_hand
         from usarmjx.train.policies.sources import load_policy
 
@@ -91,11 +96,7 @@ class PolicyOptions:
         found = load_policy(named, self.checkpoint)
         if found.checkpoint:
             typer.echo(f"usarmjx: {found.checkpoint}", err=True)
-        if self.task is None:
-            return found
-        # Another task has other fields than those that were set in training.
-        same = same_class(self.task, found.task)
-        return replace(found, task=self.task, overrides=found.overrides if same else {})
+        return found if self.task is None else found.for_task(self.task)
 
     def amount(
         self, source: "PolicySource", split: str | None, worlds: int | None, episodes: int | None
@@ -104,7 +105,7 @@ class PolicyOptions:
 
         Of a split that is one in each; of the task's own so many that there are about `EPISODES` of them.
         """
-        there = source.count_arenas(self.settings or (), split)
+        there = source.count_arenas(self.pairs(source), split)
         usual = there if split is not None else there * round(EPISODES / max(there, 1))
         episodes = episodes or usual or EPISODES
         return min(worlds or there or WORLDS, episodes), episodes
@@ -114,13 +115,18 @@ class PolicyOptions:
     ) -> "tuple[Env, Policy]":
         """Return worlds of the policy's task, and the policy; report fields that could not be set."""
         env, driver, notes = source.env(
-            self.settings or (), worlds=worlds, engine=engine, seed=self.seed, split=split
+            self.pairs(source), worlds=worlds, engine=engine, seed=self.seed, split=split
         )
         for note in notes:
             typer.echo(f"usarmjx: note: {note}", err=True)
         return env, driver
 
-    @property
-    def set_by_hand(self) -> Sequence[str]:
-        """The fields that were set, as typed."""
-        return [*(self.settings or ())]
+    def pairs(self, source: "PolicySource") -> list[str]:
+        """Return the fields that are set, by file and `--set`, `name=value` each."""
+        source.check_task()
+        return task_pairs(source.task, self.settings or (), self.config)
+
+    def print_fields(self) -> None:
+        """Write the fields of the task as a file for `--config`."""
+        source = self.source()
+        print_task(source.task, source.overrides, self.pairs(source))

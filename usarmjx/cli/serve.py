@@ -16,7 +16,6 @@ from usarmjx.cli.common import (
     UnitOption,
     WorldsOption,
     configure_from,
-    grouped,
 )
 from usarmjx.cli.serving_options import (
     Host,
@@ -28,6 +27,7 @@ from usarmjx.cli.serving_options import (
     ViewerOptions,
     instances_of,
 )
+from usarmjx.cli.setting_options import with_settings
 from usarmjx.cli.startup_messages import announce
 from usarmjx.cli.viewer_options import ViewOption
 from usarmjx.server.runtime.logs import configure_log
@@ -92,7 +92,7 @@ class WorldsOptions:
         )
 
 
-@grouped
+@with_settings
 def serve(
     which: WorldsOptions,
     listen: ListenOptions,

@@ -9,17 +9,19 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from http import HTTPStatus
-from typing import NamedTuple, TypeAlias
+from typing import Annotated, NamedTuple, TypeAlias
 
 from websockets.asyncio.server import Server, ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.settings import AT_LEAST_ONE, validate
+from usarmjx.server.gamebots.budget import INIT_COST, ClientBudget
 from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.network.access import EVERYBODY, AccessRules
 from usarmjx.server.network.gate import Gate
-from usarmjx.server.network.ports import bound_socket
+from usarmjx.server.network.ports import PORT, bound_socket
 from usarmjx.server.network.web_gate import FROM_ELSEWHERE, is_own_name, listen_for_websockets
 from usarmjx.server.pictures.render_thread import RenderThread
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
@@ -74,12 +76,16 @@ class RosSettings:
     """
 
     host: str = "127.0.0.1"
-    port: int = 9090
+    port: Annotated[int, PORT] = 9090
     version: RosVersion = RosVersion.ROS2
-    size: tuple[int, int] = (320, 240)
-    max_connections: int = 16
+    size: Annotated[tuple[int, int], AT_LEAST_ONE] = (320, 240)
+    max_connections: Annotated[int, AT_LEAST_ONE] = 16
     access: AccessRules = EVERYBODY
     names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        validate(self)
 
 
 @dataclass(eq=False)
@@ -281,13 +287,21 @@ class RosbridgeServer:
             log.info("%s: disconnected", peer)
 
     async def _listen(self, client: RosClient) -> None:
-        count = 0
+        assert self.server is not None
+        count, budget = 0, ClientBudget(self.server.budgets)
         async for text in client.socket:
-            request = client.session.receive(text)
-            if isinstance(request, Published):
-                self._execute(client, request)
-            elif isinstance(request, ServiceCall):
-                await self._serve(client, request)
+            spawn = None
+            async with budget:  # a client that has spent its budget is not read
+                request = client.session.receive(text)
+                if isinstance(request, Published):
+                    self._execute(client, request)
+                elif isinstance(request, ServiceCall) and request.service == SPAWN:
+                    spawn = request
+                elif isinstance(request, ServiceCall):
+                    self._serve(client, request)
+            if spawn is not None:  # waits for others: a turn is work without waiting
+                budget.charge(INIT_COST)
+                await self._serve_spawn(client, spawn)
             client.wake.set()
             count += 1
             if count % MESSAGES_PER_STEP == 0:
@@ -305,11 +319,15 @@ class RosbridgeServer:
         except UsageError as error:
             client.session.status("error", str(error))
 
-    async def _serve(self, client: RosClient, call: ServiceCall) -> None:
+    async def _serve_spawn(self, client: RosClient, call: ServiceCall) -> None:
         try:
-            if call.service == SPAWN:
-                call.answer({"name": await self._spawn(client, call)})
-            elif call.service == REMOVE:
+            call.answer({"name": await self._spawn(client, call)})
+        except UsageError as error:
+            call.answer(str(error))
+
+    def _serve(self, client: RosClient, call: ServiceCall) -> None:
+        try:
+            if call.service == REMOVE:
                 client.robots.remove(str(call.args.get("name", "")))
                 call.answer({})
             elif call.service == REPUBLISH:
