@@ -161,7 +161,9 @@ def quantile_of_t(dof: np.ndarray | float) -> np.ndarray:
     dof = np.asarray(dof, float)
     normal = functions.ndtri((1 + CONFIDENCE) / 2)
     finite = np.where(np.isfinite(dof), dof, 1.0)
-    return np.asarray(np.where(np.isfinite(dof), functions.stdtrit(finite, (1 + CONFIDENCE) / 2), normal))
+    quantile: Any = functions.stdtrit(finite, (1 + CONFIDENCE) / 2)
+    found: Any = np.where(np.isfinite(dof), quantile, normal)
+    return np.asarray(found)
 
 
 def crossed_interval(

@@ -292,7 +292,11 @@ def prepare(spec: SweepSpec, folder: Path, retry: bool = False) -> Prepared:
             key = hashlib.sha256(repr(sorted(settings.items())).encode()).hexdigest()[:20]
             if key not in keys:
                 keys.append(key)
-                broken.append(failure(key, settings, str(error)))
+                before = None if retry else read_cell(folder, key)
+                if before is not None and before.failed == str(error):
+                    known += 1
+                else:
+                    broken.append(failure(key, settings, str(error)))
             continue
         if key in keys:
             continue
