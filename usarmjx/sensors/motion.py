@@ -40,8 +40,8 @@ class OdometrySettings(SensorSettings):
 
     Attributes:
         encoder_resolution: Smallest measurable wheel angle [rad].
-        left_tire: Wheel of the left side; empty: the left-most.
-        right_tire: Wheel of the right side; empty: the right-most.
+        left_tire: Wheel of the left side; empty, or the default on a robot without it: the left-most.
+        right_tire: Wheel of the right side; empty, or the default on a robot without it: the right-most.
         diameter_error: Relative error of the measured wheel diameter. Own key, like the next: the manual
             names both errors (10.4.1) without keys.
         separation_error: Relative error of the measured wheel separation.
@@ -80,6 +80,9 @@ class Odometry(Sensor):
 
     def _wheel(self, name: str, leftmost: bool) -> int:
         names = [wheel.name for wheel in self.plan.robot.wheels]
+        usual = OdometrySettings.left_tire if leftmost else OdometrySettings.right_tire
+        if name == usual and name not in names:
+            name = ""
         if name and name not in names:
             raise SpecError(f"Odometry {self.mounts[0].name}: no wheel {name!r}; wheels: {', '.join(names)}")
         joints = [self.plan.parts.index(wheel) - 1 for wheel in names]
