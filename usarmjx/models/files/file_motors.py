@@ -45,7 +45,7 @@ def motors_of(
             continue
         if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_JOINT:
             raise SpecError(
-                f"{_name(model, actuator)} does not drive a joint; motors do; four or more on sites are rotors"
+                f"{_name(model, actuator)} does not drive a joint; motors do, or four or more rotors on sites"
             )
         joint = int(model.actuator_trnid[actuator, 0])
         if joint in found:

@@ -31,18 +31,8 @@ def read_gazebo_elements(root: LinedElement, source: RobotSource, bodies: set[st
     left_out: dict[str, LinedElement] = {}
     for element in root.all("gazebo"):
         link = element.get("reference", "")
-        for child in element:
-            if not isinstance(child, LinedElement):
-                continue
-            if child.tag == "plugin":
-                read_plugin(child, source)
-            elif child.tag == "sensor" and link in bodies:
-                read_sensor(child, link, source)
-            elif child.tag in ("mu1", "mu2") and link in bodies:
-                if float(numbers_of(child, child.text, 1)[0]) <= SLIPPERY:
-                    source.slippery.add(link)
-            elif child.tag not in PLAIN_SETTINGS:
-                left_out.setdefault(child.tag, child)
+        for child in element.children():
+            _read_setting(child, link if link in bodies else "", source, left_out)
     if left_out:
         first = next(iter(left_out.values()))
         source.notes.append(f"{first.place}: settings of Gazebo are left out: {listed([*left_out], 12)}")
@@ -50,6 +40,21 @@ def read_gazebo_elements(root: LinedElement, source: RobotSource, bodies: set[st
     moved += [joint.get("name", "") for one in root.all("transmission") for joint in one.all("joint")]
     if moved:
         source.motors = (source.motors or set()) | set(moved)
+
+
+def _read_setting(
+    child: LinedElement, link: str, source: RobotSource, left_out: dict[str, LinedElement]
+) -> None:
+    """Add what an element of `<gazebo>` states about a link; empty: about none."""
+    if child.tag == "plugin":
+        read_plugin(child, source)
+    elif child.tag == "sensor" and link:
+        read_sensor(child, link, source)
+    elif child.tag in ("mu1", "mu2") and link:
+        if float(numbers_of(child, child.text, 1)[0]) <= SLIPPERY:
+            source.slippery.add(link)
+    elif child.tag not in PLAIN_SETTINGS:
+        left_out.setdefault(child.tag, child)
 
 
 def _commanded(control: LinedElement) -> Iterator[LinedElement]:
@@ -154,8 +159,8 @@ def _noise(ray: LinedElement, sensor: LinedElement, source: RobotSource, reach: 
         return (("Noise", 0.0),)
     share = deviation / (reach / 2)
     source.notes.append(
-        f"{sensor.place}: noise of {deviation:g} m at any distance becomes one of {share:.2g} of the distance, "
-        "equal at half the range"
+        f"{sensor.place}: noise of {deviation:g} m at any distance becomes {share:.2g} of the distance: "
+        "both are equal at half the range"
     )
     return (("Noise", 0.0), ("Sigma", share))
 

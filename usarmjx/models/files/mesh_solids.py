@@ -77,7 +77,7 @@ class RoundSolid(tuple[float, float, np.ndarray]):
 
 
 def round_about(vertices: np.ndarray, axis: np.ndarray, anchor: np.ndarray) -> RoundSolid | None:
-    """Return a mesh that is a wheel about an axis as a cylinder: radius, half length, middle; None: it is no wheel.
+    """Return a mesh that is round about an axis as a cylinder; None: it is not round.
 
     Args:
         vertices: Its vertices (n, 3).

@@ -14,7 +14,7 @@ from usarmjx.models.files.robot_source import RobotSource, StatedDrive, listed
 from usarmjx.models.types.shapes import Shape
 
 SIDEWAYS, UPRIGHT = 0.9, 0.9
-"""Smallest cosine between a wheel's axis and the lateral one, and between a steering axis and the vertical."""
+"""Smallest cosine of a wheel's axis to the lateral one, and of a steering axis to the vertical."""
 MIN_ROTORS = 4
 """Smallest number of thrusters of a robot that flies."""
 DEFAULT_SPIN = 6.2832

@@ -15,6 +15,9 @@ from usarmjx.models.files.xml_size import check_model_size
 CAMERA_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
 """Our camera's axes (x ahead, y left, z up) in MuJoCo's (looks along -z, x right, y up), as columns."""
 
+UNNAMED = "MuJoCo Model"
+"""MuJoCo's name of a model without one."""
+
 
 def read_mjcf_robot(path: Path) -> RobotSource:
     """Return an MJCF file's robot: the first body under the world and all below it.
@@ -39,7 +42,8 @@ def read_mjcf_robot(path: Path) -> RobotSource:
     if not root.joints:
         root.add_freejoint()
     root.name = root.name or "chassis of the file"
-    source = RobotSource(path=path, name=spec.modelname, spec=spec, root=root.name)
+    name = "" if spec.modelname == UNNAMED else spec.modelname
+    source = RobotSource(path=path, name=name, spec=spec, root=root.name)
     _read_cameras(spec, source)
     _read_inertial_sensors(spec, source)
     _note_left_out(path, spec, source)

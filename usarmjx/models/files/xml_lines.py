@@ -37,9 +37,13 @@ class LinedElement(Element):
         """Return an error about the element."""
         return ArenaFileError(f"{self.place}: {text}")
 
+    def children(self) -> "list[LinedElement]":
+        """Return all children."""
+        return [child for child in self if isinstance(child, LinedElement)]
+
     def all(self, tag: str) -> "list[LinedElement]":
         """Return the children with a tag."""
-        return [child for child in self if child.tag == tag and isinstance(child, LinedElement)]
+        return [child for child in self.children() if child.tag == tag]
 
     def first(self, path: str) -> "LinedElement | None":
         """Return the first element at a path of tags below it, None: none."""
