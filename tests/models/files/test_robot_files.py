@@ -183,7 +183,7 @@ def test_collada_meshes_have_their_unit_and_place(load, tmp_path):
     model = composed(robot)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    assert data.geom_xpos[0] == pytest.approx((1.0, 0.0, 0.1), abs=1e-6)
+    assert data.geom("chassis/0").xpos == pytest.approx((1.0, 0.0, 0.1), abs=1e-6)
 
 
 PLUGINS = """<gazebo reference="base"><mu1>0.05</mu1><kp>1e6</kp>
