@@ -15,9 +15,10 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
 from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rotation_vector, wrap_angle
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.base.transforms import angles_from_mat, flip_angles, mat_from_angles
 from usarmjx.models.types.robot import Mount
-from usarmjx.models.types.settings import ANGLE_STEP, NOT_NEGATIVE, POSITIVE, ManualKey, NumberLimits
+from usarmjx.models.types.settings import ANGLE_STEP
 from usarmjx.sensors.base import (
     SENSORS,
     NoisySensorSettings,
@@ -30,7 +31,7 @@ from usarmjx.sensors.base import (
     vectorized,
 )
 
-RELATIVE_ERROR = NumberLimits(low=-1.0, low_exclusive=True)
+RELATIVE_ERROR = Setting(gt=-1)
 """Relative error; above -1, so that the measured value stays positive."""
 
 
@@ -40,8 +41,8 @@ class OdometrySettings(SensorSettings):
 
     Attributes:
         encoder_resolution: Smallest measurable wheel angle [rad].
-        left_tire: Wheel of the left side; empty, or the default on a robot without it: the left-most.
-        right_tire: Wheel of the right side; empty, or the default on a robot without it: the right-most.
+        left_tire: Wheel of the left side; empty: the left-most.
+        right_tire: Wheel of the right side; empty: the right-most.
         diameter_error: Relative error of the measured wheel diameter. Own key, like the next: the manual
             names both errors (10.4.1) without keys.
         separation_error: Relative error of the measured wheel separation.
@@ -80,9 +81,6 @@ class Odometry(Sensor):
 
     def _wheel(self, name: str, leftmost: bool) -> int:
         names = [wheel.name for wheel in self.plan.robot.wheels]
-        usual = OdometrySettings.left_tire if leftmost else OdometrySettings.right_tire
-        if name == usual and name not in names:
-            name = ""
         if name and name not in names:
             raise SpecError(f"Odometry {self.mounts[0].name}: no wheel {name!r}; wheels: {', '.join(names)}")
         joints = [self.plan.parts.index(wheel) - 1 for wheel in names]
@@ -150,9 +148,9 @@ class InsSettings(SensorSettings):
     scan_interval: float = 0.2
     mean: float = 0.0
     sigma: Annotated[float, NOT_NEGATIVE] = 0.1
-    drifting: Annotated[bool, ManualKey("Drifting")] = False
+    drifting: Annotated[bool, Setting(manual_key="Drifting")] = False
     precision: Annotated[float, POSITIVE] = 1000.0
-    polar_step: Annotated[bool, ManualKey("PolarStep")] = False
+    polar_step: Annotated[bool, Setting(manual_key="PolarStep")] = False
 
 
 class InsMemory(struct.PyTreeNode, kw_only=True):

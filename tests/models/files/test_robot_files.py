@@ -1,4 +1,4 @@
-"""Robots from files as people have them: masses, sizes and wheels against the file and MuJoCo's own reader."""
+"""Robots from files as people have them, against the file and MuJoCo's own reader."""
 
 from pathlib import Path
 
@@ -16,7 +16,8 @@ MASS_ATOL = 1e-6  # kg, as of single precision
 SIZE_ATOL = 2e-6  # m: 1.5708 in the files is not quite a quarter turn
 WHEEL = """<link name="{0}"><inertial><mass value="1"/>
   <inertia ixx=".003" iyy=".005" izz=".003" ixy="0" ixz="0" iyz="0"/></inertial>
-  <collision><origin rpy="1.5707963 0 0"/><geometry><cylinder radius=".1" length=".05"/></geometry></collision></link>"""
+  <collision><origin rpy="1.5707963 0 0"/><geometry><cylinder radius=".1" length=".05"/></geometry>
+  </collision></link>"""
 BASE = """<link name="base"><inertial><mass value="10"/>
   <inertia ixx=".2" iyy=".3" izz=".4" ixy="0" ixz="0" iyz="0"/></inertial>
   <collision><origin xyz="0 0 .1"/><geometry><box size=".6 .4 .1"/></geometry></collision></link>"""
@@ -119,13 +120,14 @@ def test_unbalanced_inertias_are_mended_with_a_warning(load):
 
 
 def test_joints_follow_the_ones_they_mimic(load):
+    limit = '<limit lower="-1" upper="1" effort="2" velocity="1"/>'
+    mimic = '<mimic joint="one" multiplier="-.5" offset=".1"/>'
     more = (
         WHEEL.format("f1")
         + WHEEL.format("f2")
-        + hinge("one", "f1", ".3 0 0", kind="revolute", more='<limit lower="-1" upper="1" effort="2" velocity="1"/>')
-        + hinge("two", "f2", ".3 .1 0", kind="revolute",
-                more='<limit lower="-1" upper="1" effort="2" velocity="1"/><mimic joint="one" multiplier="-.5" offset=".1"/>')
-    )  # fmt: skip
+        + hinge("one", "f1", ".3 0 0", kind="revolute", more=limit)
+        + hinge("two", "f2", ".3 .1 0", kind="revolute", more=limit + mimic)
+    )
     robot = load(cart(more)).robot
     one, two = robot.parts[2:]
     assert (one.motor.torque, two.motor) == (2.0, None)
@@ -159,17 +161,19 @@ def test_xacro_files_are_expanded_without_ros(load, tmp_path):
         load(text.replace("find cart_description", "find lost"), "cart.urdf.xacro")
 
 
-COLLADA = """<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+COLLADA = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
 <asset><unit meter="0.01" name="centimetre"/><up_axis>Z_UP</up_axis></asset><library_geometries>
 <geometry id="g"><mesh><source id="p"><float_array id="a" count="24">
 -10 -10 -10 10 -10 -10 10 10 -10 -10 10 -10 -10 -10 10 10 -10 10 10 10 10 -10 10 10</float_array>
 <technique_common><accessor source="#a" count="8" stride="3"><param name="X" type="float"/>
 <param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
 <vertices id="v"><input semantic="POSITION" source="#p"/></vertices><triangles count="12">
-<input semantic="VERTEX" source="#v" offset="0"/><p>0 2 1 0 3 2 4 5 6 4 6 7 0 1 5 0 5 4 1 2 6 1 6 5 2 3 7 2 7 6 3 0 4
-3 4 7</p></triangles></mesh></geometry></library_geometries><library_visual_scenes><visual_scene id="s">
-<node><translate>100 0 0</translate><instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>
-<scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
+<input semantic="VERTEX" source="#v" offset="0"/><p>0 2 1 0 3 2 4 5 6 4 6 7 0 1 5 0 5 4 1 2 6 1 6 5 2 3 7
+2 7 6 3 0 4 3 4 7</p></triangles></mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="s">
+<node><translate>100 0 0</translate><instance_geometry url="#g"/></node></visual_scene>
+</library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
 
 
 def test_collada_meshes_have_their_unit_and_place(load, tmp_path):

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array, ArrayLike
+from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.base.transforms import Vec3
@@ -242,7 +242,7 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) 
 
     Solids are exact; other types, such as terrain, count as their bounding sphere.
     """
-    return float(-_reach(model, data, geoms, (0.0, 0.0, -1.0)))
+    return float(-_reach(model, data, geoms, np.array([0.0, 0.0, -1.0])))
 
 
 def bounding_corners(
@@ -254,9 +254,9 @@ def bounding_corners(
     return low, np.array([_reach(model, data, geoms, axis) for axis in axes])
 
 
-def _reach(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray, way: ArrayLike) -> float:
+def _reach(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray, way: np.ndarray) -> float:
     """Return the largest coordinate of the masked geoms along a direction (3,) [m]."""
-    local = data.geom_xmat.reshape(-1, 3, 3).swapaxes(1, 2) @ np.asarray(way)
+    local = data.geom_xmat.reshape(-1, 3, 3).swapaxes(1, 2) @ way
     up = np.abs(local)
     radius, length = model.geom_size[:, 0], model.geom_size[:, 1]
     kinds = mujoco.mjtGeom
@@ -281,7 +281,7 @@ def _reach(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray, way: A
         mesh = model.geom_dataid[geom]
         corners = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
         reach[geom] = (corners @ local[geom]).max()
-    return (data.geom_xpos @ np.asarray(way) + reach)[geoms].max()
+    return (data.geom_xpos @ way + reach)[geoms].max()
 
 
 def robot_state(index: RobotIndex, qpos: Array, qvel: Array) -> RobotState:

@@ -27,7 +27,7 @@ NO_STIFFNESS = 1e-9
 UNBOUNDED_TURN = 4 * np.pi
 """Range of a hinge from which on it is taken for a wheel's [rad]."""
 MESH = mujoco.mjtGeom.mjGEOM_MESH
-Solids = tuple[tuple[Shape, ...], BodyInertia | None]
+PartSolids = tuple[tuple[Shape, ...], BodyInertia | None]
 """Solids of a part; and its inertia, where the solids' masses do not account for it."""
 
 
@@ -150,7 +150,7 @@ class BodyTree:
             stiffness=stiffness or NO_STIFFNESS, damping=damping, load=-rest * (stiffness or NO_STIFFNESS)
         )
 
-    def solids(self, owner: int, surface: str) -> Solids:
+    def solids(self, owner: int, surface: str) -> PartSolids:
         """Return the solids of a part, with masses if these account for its inertia; else its inertia too.
 
         Raises:
@@ -249,7 +249,8 @@ class BodyTree:
 
 def frame_along(axis: np.ndarray) -> np.ndarray:
     """Return a rotation (3, 3) whose z axis is the given unit vector (3,)."""
-    quat, mat = np.zeros(4), np.zeros(9)
-    mujoco.mju_quatZ2Vec(quat, np.asarray(axis, float))
-    mujoco.mju_quat2Mat(mat, quat)
-    return mat.reshape(3, 3)
+    axis = np.asarray(axis, float)
+    aside = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    x = np.cross(aside, axis)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(axis, x), axis], -1)

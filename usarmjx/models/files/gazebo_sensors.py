@@ -7,6 +7,7 @@ import numpy as np
 
 from usarmjx.models.files.mjcf_solids import Pose
 from usarmjx.models.files.robot_source import RobotSource, SensorOnLink, StatedDrive, listed
+from usarmjx.models.files.urdf_robot import body_name
 from usarmjx.models.files.xml_lines import NO_POSE, LinedElement, numbers_of, pose_of
 from usarmjx.models.types.robot import Options
 
@@ -30,7 +31,7 @@ def read_gazebo_elements(root: LinedElement, source: RobotSource, bodies: set[st
     """
     left_out: dict[str, LinedElement] = {}
     for element in root.all("gazebo"):
-        link = element.get("reference", "")
+        link = body_name(element.get("reference", ""))
         for child in element.children():
             _read_setting(child, link if link in bodies else "", source, left_out)
     if left_out:

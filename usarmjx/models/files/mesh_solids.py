@@ -29,7 +29,7 @@ def hull_corners(vertices: np.ndarray) -> np.ndarray:
     """
     from scipy.spatial import ConvexHull, QhullError
 
-    vertices = np.unique(np.asarray(vertices, float), axis=0)
+    vertices = np.asarray(vertices, float)
     hull_of: Callable[[np.ndarray], Any] = ConvexHull
     try:
         hull = hull_of(vertices)
@@ -42,7 +42,6 @@ def hull_corners(vertices: np.ndarray) -> np.ndarray:
         return points
     ways = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z])
     chosen = set(np.argmax(points @ ways.T, axis=0).tolist())
-    chosen |= set(np.argmax(points @ -np.linalg.svd(points - points.mean(0))[2].T, axis=0).tolist())
     while len(chosen) < MAX_HULL_CORNERS:
         index = sorted(chosen)
         try:

@@ -11,6 +11,7 @@ import select
 import sys
 import time
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any, BinaryIO
 
 ALLOCATION_ERROR = "Caught an unknown exception"
@@ -94,8 +95,10 @@ def read_mesh(path: str) -> tuple[dict[str, object], list[Any]]:
     import numpy as np
     import trimesh
 
-    limit()
     kind = path[-3:].lower()
+    if kind == "dae":
+        pass  # pyright: ignore[reportUnusedImport] - trimesh reads with it, and says less without
+    limit()
     with open(path, "rb") as file:
         scene: Any = trimesh.load_scene(  # pyright: ignore[reportUnknownMemberType]
             _as_utf8(file, kind), file_type=kind, **LOADING[kind]
@@ -134,9 +137,9 @@ def _placed_objects(scene: Any) -> list[tuple[str, Any]]:  # noqa: ANN401 - trim
 
 def read_xacro(path: str, arguments: Any) -> tuple[dict[str, object], list[Any]]:  # noqa: ANN401 - JSON
     """Expand a xacro file without ROS; packages are the folders of the arguments, or found by their names."""
-    import xacro
-    from xacro import substitution_args
-
+    # The package has no types, and no public way to say where packages are.
+    xacro: Any = import_module("xacro")
+    substitutions: Any = import_module("xacro.substitution_args")
     limit()
     folders: dict[str, str] = arguments["folders"]
     missing: list[str] = []
@@ -147,8 +150,8 @@ def read_xacro(path: str, arguments: Any) -> tuple[dict[str, object], list[Any]]
             raise ValueError(f"no folder is found for package {package!r}")
         return folders[package]
 
-    substitution_args._eval_find = find
-    substitution_args._eval_dict["find"] = find
+    substitutions._eval_find = find
+    substitutions._eval_dict["find"] = find
     try:
         document = xacro.process_file(path, mappings=arguments["mappings"])
     except Exception as error:
@@ -182,6 +185,8 @@ def answer(line: bytes) -> tuple[dict[str, object], list[Any]]:
     kind, path, *arguments = json.loads(line)
     try:
         return READERS[kind](path, *arguments)
+    except ModuleNotFoundError as error:
+        return {"error": f"{error.name} is not installed: pip install 'usarmjx[robots]'"}, []
     except MemoryError:
         return {"error": f"reading it takes more than {MEMORY // 1_000_000} MB of memory"}, []
     except Exception as error:  # readers raise whatever they run into

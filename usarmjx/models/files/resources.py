@@ -41,7 +41,7 @@ class Resources:
         """
         for scheme in PACKAGE_SCHEMES:
             if name.startswith(scheme):
-                package, _, inside = unquote(name.removeprefix(scheme)).partition("/")
+                package, _, inside = unquote(name.removeprefix(scheme)).lstrip("/").partition("/")
                 found = (home / inside for home in self.packages(package, origin))
                 return next((path for path in found if path.exists()), None)
         plain = Path(unquote(name.removeprefix("file://")))

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from usarmjx.base.errors import ArenaFileError, SpecError
+from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import is_name
 from usarmjx.models.compile.measure import with_measurements
 from usarmjx.models.drives import Ackermann, Drive, SkidSteer
@@ -25,7 +25,7 @@ from usarmjx.models.files.robot_source import RobotSource, find_limit, listed
 from usarmjx.models.files.urdf_robot import read_urdf_robot
 from usarmjx.models.files.values import read_bytes
 from usarmjx.models.files.xml_lines import read_lined_xml
-from usarmjx.models.types.robot import CHASSIS, Motor, Mount, Part, RobotSpec
+from usarmjx.models.types.robot import CHASSIS, Motor, Mount, Part, RobotSpec, options
 from usarmjx.models.types.shapes import Shape
 
 logger = logging.getLogger(__name__)
@@ -40,8 +40,8 @@ CASTER_GAP = 0.01
 """Height above the ground within which a fixed solid beside wheels is a caster [m]."""
 MAX_PACKAGES = 50
 """Largest number of packages that a xacro file names."""
-ROBOT_SUFFIXES = (".urdf", ".xacro", ".xml", ".mjcf")
-"""Suffixes of robots' files."""
+OUTERMOST = options(LeftTire="", RightTire="")
+"""Settings of odometry that takes the outermost wheels."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,19 +123,16 @@ def open_robot_file(path: Path, resources: Resources, arguments: Mapping[str, st
     Raises:
         SpecError: An unreadable file, or content that a robot cannot have; names it.
     """
-    try:
-        data = read_bytes(path)
-        if path.suffix.lower() == ".xacro" or (b"<robot" in data and b"<xacro:" in data):
-            data = _expanded(path, resources, arguments)
-        if b"<robot" not in data:
-            return read_mjcf_robot(path)
-        root = read_lined_xml(path, data)
-        if root.tag != "robot":
-            raise SpecError(f"{path}: its root is <{root.tag}>; a URDF file's is <robot>")
-        source = read_urdf_robot(root, path, resources)
-        read_gazebo_elements(root, source, {body.name for body in source.spec.bodies})
-    except ArenaFileError as error:
-        raise SpecError(str(error)) from error
+    data = read_bytes(path)
+    if path.suffix.lower() == ".xacro" or (b"<robot" in data and b"<xacro:" in data):
+        data = _expanded(path, resources, arguments)
+    if b"<robot" not in data:
+        return read_mjcf_robot(path)
+    root = read_lined_xml(path, data)
+    if root.tag != "robot":
+        raise SpecError(f"{path}: its root is <{root.tag}>; a URDF file's is <robot>")
+    source = read_urdf_robot(root, path, resources)
+    read_gazebo_elements(root, source, {body.name for body in source.spec.bodies})
     return source
 
 
@@ -210,8 +207,8 @@ class _Builder:
             parts=parts,
             drive=drive,
             sources=(("all", "file"),),
-            **self._mounts(drive),
         )
+        robot = replace(robot, **self._mounts(drive))
         robot = with_measurements(robot)
         if wheels and not flies:
             robot = _with_casters(robot)
@@ -220,7 +217,10 @@ class _Builder:
             robot = replace(robot, drive=rotor_drive(self._model, root, rotors, size))
         torques = [part.motor.torque for part in robot.wheels if part.motor is not None]
         robot = replace(robot, max_torque=max(torques, default=robot.max_torque))
-        return LoadedRobot(robot=replace(robot, **fields), notes=tuple(dict.fromkeys(source.notes)))
+        given = {**fields}
+        if "sensors" in given:
+            given["sensors"] = tuple(map(_with_own_wheels, given["sensors"]))
+        return LoadedRobot(robot=replace(robot, **given), notes=tuple(dict.fromkeys(source.notes)))
 
     def _is_on_site(self, actuator: int) -> bool:
         return self._model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_SITE
@@ -300,7 +300,7 @@ class _Builder:
             )
         return tuple(done)
 
-    def _mounts(self, drive: Drive) -> dict[str, tuple[Mount, ...]]:
+    def _mounts(self, drive: Drive) -> dict[str, Any]:
         """Return sensors and cameras of the file, and pose sensors that it lacks."""
         mounts: dict[bool, list[Mount]] = {False: [], True: []}
         for one in self._source.sensors:
@@ -324,8 +324,13 @@ class _Builder:
         kinds = {mount.kind for mount in mounts[False]}
         usual = [Mount(kind=kind, name=kind) for kind in ("INS", "GroundTruth") if kind not in kinds]
         if isinstance(drive, SkidSteer | Ackermann) and "Odometry" not in kinds:
-            usual.insert(0, Mount(kind="Odometry", name="Odometry"))
+            usual.insert(0, Mount(kind="Odometry", name="Odometry", options=OUTERMOST))
         return {"sensors": (*mounts[False], *usual), "cameras": tuple(mounts[True])}
+
+
+def _with_own_wheels(mount: Mount) -> Mount:
+    """Return a mount; odometry that names no wheels takes the outermost, as the defaults are a P2AT's."""
+    return mount if mount.kind != "Odometry" or mount.all_options else replace(mount, options=OUTERMOST)
 
 
 def _class_name(name: str, source: RobotSource) -> str:

@@ -71,11 +71,12 @@ def _read_cameras(spec: mujoco.MjSpec, source: RobotSource) -> None:
 def _read_inertial_sensors(spec: mujoco.MjSpec, source: RobotSource) -> None:
     """Add an IMU for each site with an accelerometer or a gyro; other sensors become notes."""
     kinds = mujoco.mjtSensor
+    sites = {site.name: site for site in spec.sites}
     used: set[str] = set()
     left_out: list[str] = []
     for sensor in spec.sensors:
         inertial = sensor.type in (kinds.mjSENS_ACCELEROMETER, kinds.mjSENS_GYRO)
-        site = spec.site(sensor.objname) if inertial else None
+        site = sites.get(sensor.objname) if inertial else None
         if site is None:
             left_out.append(sensor.name or "without name")
         elif sensor.objname not in used:

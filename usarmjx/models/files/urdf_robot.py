@@ -10,7 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from usarmjx.base.errors import ArenaFileError, SpecError
+from usarmjx.base.errors import SpecError
 from usarmjx.models.files.mesh_files import mesh_vertices
 from usarmjx.models.files.mesh_solids import hull_corners
 from usarmjx.models.files.mjcf_solids import Pose
@@ -28,8 +28,10 @@ HELD = ("floating", "planar")
 """Types of joints that robots do not have; they are held."""
 BALANCE_TOLERANCE = 1e-6
 """Excess of a moment over the sum of the others that is taken for rounding, relative to it."""
-MIN_MASS = 1e-14
-"""Mass up to which MuJoCo takes a body for one without mass [kg]."""
+MIN_MASS = 1e-9
+"""Mass up to which a link counts as one without mass [kg]: MuJoCo does."""
+MIN_MOMENT = 1e-12
+"""Smallest moment of inertia [kg m2]: MuJoCo's is smaller."""
 
 
 def read_urdf_robot(root: LinedElement, path: Path, resources: Resources) -> RobotSource:
@@ -43,10 +45,7 @@ def read_urdf_robot(root: LinedElement, path: Path, resources: Resources) -> Rob
     Raises:
         SpecError: An element that does not read, or content that a robot cannot have; names file and line.
     """
-    try:
-        return _UrdfReader(root, path, resources).read()
-    except ArenaFileError as error:
-        raise SpecError(str(error)) from error
+    return _UrdfReader(root, path, resources).read()
 
 
 class _UrdfReader:
@@ -72,7 +71,7 @@ class _UrdfReader:
         joints = self._joints_by_parent()
         top = self._top(joints)
         self._source = RobotSource(
-            path=self._path, name=self._root.get("name", ""), spec=self._spec, root=top
+            path=self._path, name=self._root.get("name", ""), spec=self._spec, root=body_name(top)
         )
         if self._visual_only:
             self._source.notes.append(f"{self._path}: no link collides: visual solids collide in their place")
@@ -140,7 +139,7 @@ class _UrdfReader:
         """Add a link's body, its joint, inertia and solids; return it."""
         link = self._links[name]
         frame = NO_POSE if joint is None else _origin(joint)
-        body = parent.add_body(name=name, pos=frame.pos, quat=_quat(frame.mat))
+        body = parent.add_body(name=body_name(name), pos=frame.pos, quat=_quat(frame.mat))
         self._bodies[name] = body
         moves = joint is not None and self._add_joint(joint, body)
         self._add_inertia(link, body, moves=moves)
@@ -207,8 +206,9 @@ class _UrdfReader:
         """Give a body the link's mass and inertia, balanced."""
         inertial = link.first("inertial")
         mass, name = 0.0, link.get("name")
+        moments = None if inertial is None else inertial.first("inertia")
         if inertial is not None:
-            weight, moments = inertial.first("mass"), inertial.first("inertia")
+            weight = inertial.first("mass")
             mass = 0.0 if weight is None else float(attribute_numbers(weight, "value", 1)[0])
             if mass < 0:
                 raise inertial.error(f"link {name!r} has a mass of {mass:g} kg")
@@ -233,15 +233,15 @@ class _UrdfReader:
 
     def _balanced(self, values: np.ndarray, mass: float, where: LinedElement, name: str) -> np.ndarray:
         """Return moments of inertia (3,) ascending that a body can have."""
-        if values[0] <= 0:
-            least = max(1e-9 * mass, 1e-3 * float(np.abs(values).max()))
+        if values[0] < MIN_MOMENT:
+            least = max(MIN_MOMENT, 1e-9 * mass, 1e-3 * float(np.abs(values).max()))
             if np.abs(values).max() > 0:
                 shown = ", ".join(f"{value:.3g}" for value in values)
                 self._source.notes.append(
-                    f"{where.place}: link {name!r}: moments of inertia {shown} are not above 0: mended"
+                    f"{where.place}: link {name!r}: moments of inertia {shown} are mended: they are above 0"
                 )
             else:
-                least = mass * 1e-4  # a ball of 1.6 cm radius
+                least = max(MIN_MOMENT, mass * 1e-4)  # a ball of 1.6 cm radius
                 self._source.notes.append(f"{where.place}: link {name!r} has a mass and no inertia: mended")
             values = np.maximum(values, least)
         if values[2] > (values[0] + values[1]) * (1 + BALANCE_TOLERANCE):
@@ -290,6 +290,11 @@ class _UrdfReader:
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
             self._meshes[key] = name
         return self._meshes[key]
+
+
+def body_name(link: str) -> str:
+    """Return the name of a link's body: MuJoCo keeps `world` for its own."""
+    return "world of the file" if link == "world" else link
 
 
 def _end(joint: LinedElement, end: str) -> str:

@@ -142,4 +142,5 @@ def attribute_numbers(element: LinedElement, key: str, count: int, default: str 
 
 def pose_of(numbers: np.ndarray) -> Pose:
     """Return the frame of x, y, z, roll, pitch, yaw (6,)."""
-    return Pose(numbers[:3], mat_from_angles(*numbers[3:]))
+    roll, pitch, yaw = numbers[3:].tolist()
+    return Pose(numbers[:3], np.asarray(mat_from_angles(roll, pitch, yaw)))
