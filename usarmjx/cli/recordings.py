@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from usarmjx.train.envs.state import EnvState
 
 HOST = "127.0.0.1"
-"""Where the page of a recording is."""
+"""Host of the page of a recording."""
 PAUSE = 0.01
 """Between two looks at the clock [s]."""
 RecordOption = Annotated[
@@ -134,7 +134,7 @@ def replay(
         bool, typer.Option("--check/--no-check", help="Fail if anything differs; else only tell.")
     ] = True,
 ) -> None:
-    """Compute a recording again; tell the first number that is another in any bit, and fail then."""
+    """Compute a recording again, bit for bit; report the first number that differs, and fail then."""
     with ErrorExit():
         announce(f"reading {file} ...")
         from usarmjx.recording.reader import Recording

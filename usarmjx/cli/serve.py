@@ -18,7 +18,6 @@ from usarmjx.cli.common import (
     WorldsOption,
     add_robots,
     configure_from,
-    grouped,
 )
 from usarmjx.cli.serving_options import (
     Host,
@@ -30,6 +29,7 @@ from usarmjx.cli.serving_options import (
     ViewerOptions,
     instances_of,
 )
+from usarmjx.cli.setting_options import with_settings
 from usarmjx.cli.startup_messages import announce
 from usarmjx.cli.viewer_options import ViewOption
 from usarmjx.server.runtime.logs import configure_log
@@ -83,7 +83,7 @@ class WorldsOptions:
         return self.ini or ()
 
     def make(self, most_robots: int) -> "list[ServedWorld]":
-        """Build the worlds that are served, with room for so many robots each."""
+        """Build the worlds that are served, with room for the given number of robots each."""
         add_robots(self.robot)
         configure_from(self.ini, self.uu_per_metre)
         from usarmjx.server.worlds.make import make_worlds
@@ -99,7 +99,7 @@ class WorldsOptions:
         )
 
 
-@grouped
+@with_settings
 def serve(
     which: WorldsOptions,
     listen: ListenOptions,
@@ -112,7 +112,7 @@ def serve(
     log_json: Annotated[bool, typer.Option("--log-json", help="Log a JSON object per line.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log connections and spawns.")] = False,
 ) -> None:
-    """Serve worlds of a batch over the Gamebots protocol, their radio and their cameras.
+    """Serve worlds of a batch over the Gamebots protocol, with their radio and cameras.
 
     Several worlds have ports of their own: the first those of the options, the others count up from there.
     So robots have 3000, 3001, ..., pictures 5003, 5004, ...; what one kind has, another leaves out.

@@ -19,13 +19,14 @@ from usarmjx.base import random
 from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import on_numpy, xp
 from usarmjx.base.errors import SpecError
+from usarmjx.base.parameters import ANY_PARAMETERS, Parameters
 from usarmjx.base.registry import Registry
 from usarmjx.base.rotations import matmul, matvec
+from usarmjx.base.settings import NOT_NEGATIVE, Setting
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.models.compile.kinematic_tree import BodyPoses, KinematicTree
 from usarmjx.models.drives.base import RobotState
 from usarmjx.models.types.robot import Mount
-from usarmjx.models.types.settings import NOT_NEGATIVE, ManualKey
 from usarmjx.models.types.shapes import SKY
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.raycast import DEFAULT_BUNDLE_SIZE, Hits
@@ -153,13 +154,13 @@ class SensorSettings:
         scan_interval: Time between two measurements [s]; 0 measures at every request.
     """
 
-    hidden_sensor: Annotated[bool, ManualKey("HiddenSensor")] = True
+    hidden_sensor: Annotated[bool, Setting(manual_key="HiddenSensor")] = True
     with_time_stamp: bool = False
     weight: Annotated[float, NOT_NEGATIVE] = 0.4
     scan_interval: Annotated[float, NOT_NEGATIVE] = 0.0
 
     def problem(self) -> str:
-        """Return a conflict between settings, "" if there is none; single settings have `NumberLimits`."""
+        """Return a conflict between settings, "" if there is none; single settings have limits."""
         return ""
 
 
@@ -191,6 +192,8 @@ class Sensor(ABC):
         needs_victims: Whether it uses victims, not only tags.
         needs_battery: Whether it uses the battery time.
         settings_class: Class of its settings.
+        opcodes: Parameters of the operations of SET, by name in capitals; an operation that is not here may
+            have any number of them.
         quantities: Parts of its value, of one mount if it is grouped; empty: undeclared. Messages are made
             from it, except for the manual's sensors, whose messages follow captures.
         plan: Kinematic tree of the robot class.
@@ -206,6 +209,7 @@ class Sensor(ABC):
     needs_victims: ClassVar[bool] = True
     needs_battery: ClassVar[bool] = False
     settings_class: ClassVar[type[Any]] = SensorSettings
+    opcodes: ClassVar[dict[str, Parameters]] = {}
     quantities: ClassVar[tuple[Quantity, ...]] = ()
 
     plan: KinematicTree
@@ -243,6 +247,10 @@ class Sensor(ABC):
     @abstractmethod
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Return the new memory and the measured value; `inputs.hits` are those of this sensor's rays."""
+
+    def parameters_of(self, opcode: str) -> Parameters:
+        """Return the form of the parameters of an operation of SET."""
+        return self.opcodes.get(opcode.upper(), ANY_PARAMETERS)
 
     def handle_set(
         self,

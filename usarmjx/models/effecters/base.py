@@ -6,18 +6,22 @@ stock and drops it. `effect` returns these as plain arrays; `usarmjx.sim.operate
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
+from usarmjx.base.parameters import Parameters
 from usarmjx.base.registry import Registry
+from usarmjx.base.settings import NOT_NEGATIVE, Setting
 from usarmjx.base.transforms import Vec3, mat_from_angles
 from usarmjx.models.types.robot import Mount, Part, RobotSpec
 from usarmjx.models.types.shapes import Shape
 
+LIMIT_TOLERANCE = 1e-3
+"""A parameter may be this far outside of its limits: CONF tells them with 4 decimals, cut off."""
 MAX_DROPPED_TAGS = 64
 """Capacity of a world for dropped RFID tags (the manual's releasers have IDs for 1001)."""
 
@@ -63,6 +67,14 @@ class Opcode:
         """Whether its parameter has an effect."""
         return self.max_val > self.min_val
 
+    @property
+    def parameters(self) -> Parameters:
+        """Form of its parameters; clients also send a number to an operation that takes none (manual 9.4)."""
+        if not self.takes_value:
+            return Parameters()
+        limits = Setting(ge=self.min_val - LIMIT_TOLERANCE, le=self.max_val + LIMIT_TOLERANCE)
+        return Parameters(1 if self.default_val is None else 0, 1, limits)
+
 
 NOP = Opcode("NOP")
 RESET = Opcode("Reset")
@@ -99,7 +111,7 @@ class EffecterSettings:
         weight: Weight, part of the payload [kg] (manual 11.2.2).
     """
 
-    weight: float = 0.4
+    weight: Annotated[float, NOT_NEGATIVE] = 0.4
 
 
 @dataclass(frozen=True)

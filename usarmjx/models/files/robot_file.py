@@ -9,8 +9,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from usarmjx.base.errors import SpecError
+from usarmjx.base.errors import ArenaFileError, SpecError
 from usarmjx.base.registry import is_name
+from usarmjx.base.settings.files import read_bytes
 from usarmjx.models.compile.measure import with_measurements
 from usarmjx.models.drives import Ackermann, Drive, SkidSteer
 from usarmjx.models.files.body_tree import BodyTree
@@ -23,7 +24,6 @@ from usarmjx.models.files.robot_drive import DEFAULT_SPIN, MIN_ROTORS, find_driv
 from usarmjx.models.files.robot_mjcf import read_mjcf_robot
 from usarmjx.models.files.robot_source import RobotSource, find_limit, listed
 from usarmjx.models.files.urdf_robot import read_urdf_robot
-from usarmjx.models.files.values import read_bytes
 from usarmjx.models.files.xml_lines import read_lined_xml
 from usarmjx.models.types.robot import CHASSIS, Motor, Mount, Part, RobotSpec, options
 from usarmjx.models.types.shapes import Shape
@@ -123,7 +123,7 @@ def open_robot_file(path: Path, resources: Resources, arguments: Mapping[str, st
     Raises:
         SpecError: An unreadable file, or content that a robot cannot have; names it.
     """
-    data = read_bytes(path)
+    data = read_bytes(path, refusal=ArenaFileError)
     if path.suffix.lower() == ".xacro" or (b"<robot" in data and b"<xacro:" in data):
         data = _expanded(path, resources, arguments)
     if b"<robot" not in data:

@@ -8,9 +8,9 @@ from xml.parsers import expat
 import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
+from usarmjx.base.settings.files import read_bytes
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.files.mjcf_solids import Pose
-from usarmjx.models.files.values import read_bytes
 from usarmjx.models.files.xml_size import MAX_DEPTH, MAX_ELEMENTS
 
 NO_POSE = Pose(np.zeros(3), np.eye(3))
@@ -103,7 +103,7 @@ def read_lined_xml(path: Path, text: str | bytes | None = None) -> LinedElement:
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = builder.data, doctype
     try:
-        parser.Parse(read_bytes(path) if text is None else text, True)
+        parser.Parse(read_bytes(path, refusal=ArenaFileError) if text is None else text, True)
     except expat.ExpatError as error:
         raise ArenaFileError(f"{path}:{error.lineno}: is no XML: {expat.ErrorString(error.code)}") from error
     except (LookupError, ValueError) as error:  # an encoding that Python does not have
