@@ -13,7 +13,7 @@ from usarmjx.cli.startup_messages import announce
 if TYPE_CHECKING:
     from usarmjx.models.types.robot import RobotSpec
 
-app = typer.Typer(help="Check robots from files: URDF, xacro, MJCF, SDF.", no_args_is_help=True)
+app = typer.Typer(help="Check robots from files: URDF, xacro, MJCF.", no_args_is_help=True)
 
 PackagesOption = Annotated[
     list[Path] | None,
@@ -25,12 +25,12 @@ PackagesOption = Annotated[
 
 @app.callback()
 def robot_commands() -> None:
-    """Check robots from files: URDF, xacro, MJCF, SDF."""
+    """Check robots from files: URDF, xacro, MJCF."""
 
 
 @app.command()
 def check(
-    file: Annotated[Path, typer.Argument(help="URDF, xacro, MJCF or SDF file of a robot.")],
+    file: Annotated[Path, typer.Argument(help="URDF, xacro or MJCF file of a robot.")],
     packages: PackagesOption = None,
     argument: Annotated[
         list[str] | None, typer.Option("--argument", help="Argument of a xacro file, as name=value.")
