@@ -53,9 +53,10 @@ def recorded(
     if path is None:
         yield None
         return
+    from usarmjx.recording.file import MOST_LAG
     from usarmjx.server.worlds.recorded import record_worlds
 
-    file = record_worlds(worlds, path, radio)
+    file = record_worlds(worlds, path, radio, MOST_LAG)
     typer.echo(f"usarmjx: recording to {path}")
     try:
         yield file

@@ -1,14 +1,17 @@
 """Recordings, complete or truncated anywhere, as messages and as frames for the page."""
 
 import json
+import logging
 from bisect import bisect_right
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -18,8 +21,12 @@ from usarmjx.recording.file import CHANNELS, NANO, ChannelName
 from usarmjx.recording.inputs import WorldSetup
 from usarmjx.recording.values import unpack
 
+log = logging.getLogger(__name__)
+
 MOST_BYTES = 1 << 28
 """Largest chunk that is read [bytes]; the writer makes chunks of half a second."""
+USUAL_GAP = 100_000_000
+"""Longest time between two chunks without a loss [ns]."""
 CACHED_CHUNKS = 16
 """Number of decoded chunks that are kept in memory."""
 
@@ -60,6 +67,7 @@ class Recording:
         about: Metadata of the file, texts by name.
         start: Time of its first chunk [s].
         end: Time of its last chunk [s].
+        damaged: Number of chunks, of half a second or more, that are damaged and left out.
 
     Raises:
         UsageError: It cannot be read, or is no recording of ours.
@@ -74,6 +82,7 @@ class Recording:
         self._channels: dict[int, ChannelName] = {}
         self.about: dict[str, str] = {}
         self._parts: list[_Part] = []
+        self.damaged = 0
         self.is_complete = self._read_summary()
         if not self.is_complete:
             self._scan()
@@ -82,7 +91,16 @@ class Recording:
             raise UsageError(f"{path}: is no recording of usarmjx, or nothing is left of it")
         self.start = min(part.start for part in self._parts) / NANO
         self.end = max(part.end for part in self._parts) / NANO
+        if self.damaged:
+            log.warning("%s: %s", self.path, self._losses())
         self._records = lru_cache(maxsize=CACHED_CHUNKS)(self._read_part)
+
+    def _losses(self) -> str:
+        """Return the time that damaged chunks have left empty, in a line."""
+        spans = sorted((part.start, part.end) for part in self._parts)
+        gaps = [later[0] - earlier[1] for earlier, later in pairwise(spans)]
+        missing = sum(gap for gap in gaps if gap > USUAL_GAP) / NANO
+        return f"{self.damaged} parts are damaged and left out, {missing:.1f} s of what was recorded"
 
     def close(self) -> None:
         """Close the file."""
@@ -116,7 +134,7 @@ class Recording:
         """Read a file from its beginning, as far as it is intact."""
         self._stream.seek(0)
         self._parts, self._channels = [], {}
-        records = StreamReader(self._stream, emit_chunks=True, record_size_limit=MOST_BYTES).records
+        offset, records = 8, self._records_from_here(is_start=True)
         while True:
             try:
                 # The first record follows 8 magic bytes, which the reader consumes only with it.
@@ -134,8 +152,28 @@ class Recording:
                     used = frozenset(one.channel_id for one in inside if isinstance(one, Message))
                     times = record.message_start_time, record.message_end_time
                     self._parts.append(_Part(*times, offset, used))
-            except Exception:  # a cut record: the rest of the file is missing
-                return
+            except Exception:  # a damaged record, or a cut one, after which the rest of the file is missing
+                if not self._skip_record(offset):
+                    return
+                self.damaged += 1
+                records = self._records_from_here(is_start=False)
+
+    def _records_from_here(self, *, is_start: bool) -> Iterator[Any]:
+        return StreamReader(
+            self._stream, skip_magic=not is_start, emit_chunks=True, record_size_limit=MOST_BYTES
+        ).records
+
+    def _skip_record(self, offset: int) -> bool:
+        """Go to the end of a record that does not read; return whether it is a chunk with an end."""
+        self._stream.seek(offset)
+        head = self._stream.read(9)
+        if len(head) < 9 or head[0] != Opcode.CHUNK:
+            return False
+        end = offset + 9 + int.from_bytes(head[1:], "little")
+        if end > self.path.stat().st_size:
+            return False
+        self._stream.seek(end)
+        return True
 
     def _take_metadata(self, metadata: Metadata) -> None:
         if metadata.name == "usarmjx":
