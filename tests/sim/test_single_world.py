@@ -9,6 +9,7 @@ import pytest
 from tests.arenas import FLAT
 from tests.handy import GRABBER, LIFT, TAGGER
 from usarmjx.base.backend import numpy_backend
+from usarmjx.base.clock import Clock
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.engines.c.placement import SEARCH_RADIUS
 from usarmjx.models.arenas import ARENAS
@@ -159,7 +160,7 @@ def test_a_seat_is_taken_again_by_a_robot_that_knows_nothing_of_the_one_before()
     assert not state.command.light
     assert not state.command.setpoint.any()
     assert there[1].command.setpoint.any()
-    assert float(state.battery_start) == pytest.approx(world.time)
+    assert state.battery_start == world.steps
     np.testing.assert_allclose(physics["qpos"][:3], (0.0, 0.0, 0.3))
 
 
@@ -277,7 +278,9 @@ def test_what_moves_by_itself_is_where_its_time_has_it():
         if step == single_world.STEPS_AHEAD // 2:
             join(world, P2DX, 4.5, 1.9, world.scene.arena.floor + 0.3)
         with numpy_backend():
-            moved = moved_geom_poses(world.scene, None, np.float32(step) * world.scene.physics.period)
+            moved = moved_geom_poses(
+                world.scene, None, Clock(step=np.int32(step), period=world.scene.physics.period)
+            )
         world.step()
         places.append(world.engine.model.geom_pos[ids].copy())
         np.testing.assert_array_equal(places[-1], moved.pos)

@@ -120,7 +120,7 @@ class RobotCommand(struct.PyTreeNode, kw_only=True):
             (joints,).
         mode: `ControlMode` of each joint (joints,).
         setpoint: What each key of the robot's DRIVE was last set to [rad/s, m/s or rad] (keys,).
-        flip_until: Until when it is being righted [s] ().
+        flip_until: Control step until which it is being righted ().
         light: Whether the headlight is on ().
     """
 
@@ -135,7 +135,7 @@ class DriveConditions(struct.PyTreeNode, kw_only=True):
     """What decides what a robot's command does.
 
     Attributes:
-        time: Simulated time [s] ().
+        step: Control steps since the last reset ().
         powered: Whether its battery lasts ().
         depth: How far its origin is below the surface of water [m] (); `drives.DRY_DEPTH` outside.
         torque: Factor on what its motors can exert (); None: 1.
@@ -143,7 +143,7 @@ class DriveConditions(struct.PyTreeNode, kw_only=True):
         hold: Inputs that its holding actuators had in the step before (actuators,); None: 1.
     """
 
-    time: Array
+    step: Array
     powered: Array
     depth: Array
     torque: Array | None = None
@@ -178,7 +178,7 @@ def idle_command(robot: RobotSpec) -> RobotCommand:
         target=xp.zeros(len(parts)),
         mode=xp.array(modes, xp.int32).reshape(len(parts)),
         setpoint=xp.zeros(len(robot.drive.keys)),
-        flip_until=xp.zeros(()),
+        flip_until=xp.zeros((), xp.int32),
         light=xp.zeros((), bool),
     )
 
@@ -275,7 +275,7 @@ class CommandUpdate:
         joints: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N] (...,).
         mode: What the numbers of `joints` are.
         light: Whether the headlight shall be on (...,).
-        flip_until: Until when they shall be righted [s] (...,).
+        flip_until: Control step until which they shall be righted (...,).
     """
 
     drive: Mapping[str, ArrayLike] = field(default_factory=dict[str, ArrayLike])
@@ -314,7 +314,7 @@ def update_command(
     if update.light is not None:
         told = told.replace(light=xp.broadcast_to(xp.asarray(update.light, bool), shape))
     if update.flip_until is not None:
-        told = told.replace(flip_until=xp.broadcast_to(xp.asarray(update.flip_until, xp.float32), shape))
+        told = told.replace(flip_until=xp.broadcast_to(xp.asarray(update.flip_until, xp.int32), shape))
     if where is None:
         return told
 
@@ -381,7 +381,7 @@ def _wrench(
             setpoint = setpoint * conditions.speed[..., None]
         own = drive.wrench(setpoint, state, conditions.depth)
         wrench = drive.passive_wrench(state, conditions.depth) + xp.where(powered[..., None], own, 0.0)
-    flips = powered & (conditions.time < flip_until)
+    flips = powered & (conditions.step < flip_until)
     if drive.is_wheeled and not (on_numpy() and not flips.any()):
         wrench = wrench + xp.where(flips[..., None], righting_wrench(plan, state, period), 0.0)
     return xp.asarray(wrench, xp.float32)

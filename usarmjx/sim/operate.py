@@ -29,7 +29,7 @@ from usarmjx.sensors.rays.raycast import Hits, RayCaster, RayQuery, cast_rays
 from usarmjx.sim.control import CommandUpdate, ControlMode, RobotCommand, update_command
 from usarmjx.sim.ray_geometry import ray_geoms, visible_arena
 from usarmjx.sim.scene import RobotGroup, Scene
-from usarmjx.sim.world import World, powered, robot_states, time_of
+from usarmjx.sim.world import World, clock_of, powered, robot_states
 
 LIMIT_TOLERANCE = 1e-3
 """A parameter may be this far outside of its limits: CONF tells them with 4 decimals, cut off."""
@@ -177,7 +177,7 @@ def ground_below(point: Array, cast: RayCaster) -> Array:
 
 def _ground_caster(scene: Scene, world: World) -> RayCaster:
     """Return what casts rays at floor and arena on JAX, each for itself: they start far from each other."""
-    geoms = ray_geoms(visible_arena(scene, world.arena_state, time_of(scene, world)))
+    geoms = ray_geoms(visible_arena(scene, world.arena_state, clock_of(scene, world)))
 
     def cast(origin: Array, direction: Array, query: RayQuery, fans: Fans | None = None) -> Hits:
         del fans

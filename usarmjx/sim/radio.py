@@ -19,7 +19,7 @@ from usarmjx.models.compile.doors import door_boxes
 from usarmjx.models.types.shapes import SKY
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sim.scene import Scene
-from usarmjx.sim.world import Stream, World, episode_key, robot_states, time_of
+from usarmjx.sim.world import Stream, World, clock_of, episode_key, robot_states
 
 
 def radio_of(scene: Scene) -> RadioSettings:
@@ -166,7 +166,7 @@ def send(scene: Scene, world: World, messages: OutgoingMessages) -> Inboxes:
     """Return the boxes after everyone's message went to its receivers, as far as links hold."""
     mail = mailboxes(scene, world)
     key = random.fold_in(episode_key(world, Stream.MAIL), mail.sent.sum())
-    moment = (world.step, time_of(scene, world))
+    moment = (world.step, clock_of(scene, world).seconds)
     return deliver(mail_of(scene), mail, messages, _links(world), moment, key)
 
 

@@ -110,7 +110,7 @@ def _with_new_robots(scene: Scene, world: World, physics: PhysicsState) -> World
     groups: list[GroupState] = []
     for group in scene.groups:
         active = xp.array([not scene.roster[int(slot)].parked for slot in group.slots])
-        groups.append(new_group_state(scene, group, active, xp.zeros(len(group.slots))))
+        groups.append(new_group_state(scene, group, active, xp.zeros(len(group.slots), xp.int32)))
     world = world.replace(groups=tuple(groups))
     groups = [
         started(scene, world, physics, group, state)
@@ -126,7 +126,7 @@ def new_group_state(scene: Scene, group: RobotGroup, active: ArrayLike, since: A
         scene: The scene.
         group: Robots of one class.
         active: Which of them are in use, broadcast to (robots,).
-        since: Since when their batteries are full [s] (robots,).
+        since: Control step at which their batteries are full (robots,).
     """
     n = len(group.slots)
     command = jax.tree.map(lambda x: xp.broadcast_to(x, (n, *x.shape)), idle_command(group.robot))

@@ -226,7 +226,8 @@ class Client:
             self.session.add_fault(f"{robot.spec.name} has no DRIVE {{{'} {'.join(unknown)}}}")
         # The known keys of a DRIVE count even if others are wrong.
         known = {k: v * full[k] / 100 if command.normalized else v for k, v in values.items() if k in full}
-        flip_until = self._world.time + FLIP_TIME if command.flip else None
+        flip = round(FLIP_TIME / self._world.period)
+        flip_until = self._world.steps + flip if command.flip else None
         self._update_command(CommandUpdate(drive=known, light=command.light, flip_until=flip_until))
 
     def _update_command(self, update: CommandUpdate) -> None:
@@ -318,7 +319,7 @@ class Client:
 
     def _operate_camera(self, robot: Robot, camera: int, opcode: str, values: tuple[float, ...]) -> str:
         """Carry out the older form of zooming; the Status is the field of view [rad]."""
-        if opcode.lower() != "zoom" or not values:
+        if opcode.lower() != "zoom" or len(values) != 1:
             return STATUS_FAILED
         self._world.zoom(robot, camera, values[0])
         return four_decimals(robot.fovs[camera])
@@ -395,7 +396,8 @@ class Client:
         index = robot.effecter_index(command.type, command.name)
         opcode = None if index is None else robot.effecters[index].opcode(command.opcode)
         value = values[0] if values else opcode and opcode.default_val
-        if index is None or opcode is None or value is None:
+        # Two numbers are one with a decimal comma, whose tail must not be lost.
+        if index is None or opcode is None or value is None or len(values) > 1:
             return STATUS_FAILED
         return self._world.operate(robot, index, opcode, value)
 

@@ -1,13 +1,14 @@
 """Parsers of a client's messages (manual 9.4): one function per head, and their registry.
 
 `parse_command` has three outcomes: a command, `Ignored` with a reason for the log, or PeerError
-for a number that is not finite. The original answers neither of the last two and keeps the
+for a number that is not finite or has a decimal comma. The original answers neither of the last two and keeps the
 connection, so then nothing is sent and the robot keeps its present command.
 """
 
 from collections.abc import Callable
 from typing import TypeAlias
 
+from usarmjx.base.errors import PeerError
 from usarmjx.base.registry import Registry
 from usarmjx.server.protocol.commands import (
     DRIVE_KEYS,
@@ -52,6 +53,8 @@ _LINK_KEYS = ("link", "value", "order")
 _OPCODES = {"angle": 0, "velocity": 1, "torque": 2, "relangle": 10, "relvelocity": 11, "reltorque": 12}
 _JOINT_ORDERS = _OPCODES | {str(order): order for order in _OPCODES.values()}
 _VIEWPORTS = ("Viewport1", "Viewport2", "Viewport3", "Viewport4")
+MOST_COMPONENTS = 4
+"""Most numbers of a location or rotation; six are three with decimal commas."""
 _NOTHING_TO_DO = Ignored("DRIVE without anything to do")
 
 CommandParser: TypeAlias = Callable[[Message], Command | Ignored]
@@ -63,7 +66,7 @@ def parse_command(message: Message) -> Command | Ignored:
     """Return the command of a message.
 
     Raises:
-        PeerError: It holds a number that is not finite.
+        PeerError: It holds a number that is not finite or has a decimal comma, or a vector of more than 4.
     """
     if message.kind not in COMMANDS:
         return Ignored(f"{clip(message.kind)} is not supported")
@@ -82,7 +85,10 @@ def _init(message: Message) -> Command | Ignored:
 
 def _vector(text: str) -> Vector | None:
     # Missing components are 0 and a fourth is dropped; the manual itself prints one (5.3.3).
-    x, y, z, *_ = (*to_vector(text), 0.0, 0.0, 0.0)
+    numbers = to_vector(text)
+    if len(numbers) > MOST_COMPONENTS:
+        raise PeerError(f"{clip(text)} has {len(numbers)} numbers, expected 3")
+    x, y, z, *_ = (*numbers, 0.0, 0.0, 0.0)
     return (x, y, z) if text else None
 
 
