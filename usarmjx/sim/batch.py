@@ -13,8 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import set_at
+from usarmjx.base.entry import jax_entry_points
 from usarmjx.base.errors import EngineError, UnsupportedFeatureError, UsageError
 from usarmjx.base.program_cache import ProgramCache, compile_program
 from usarmjx.comms.links import Links
@@ -92,6 +94,7 @@ def engine_of(scene: Scene, name: str, worlds: int) -> Engine[Any]:
     return make_engine(kind, *built, robots=scene.robots)
 
 
+@jax_entry_points
 class Batch:
     """Copies of a scene that are stepped together.
 
@@ -151,7 +154,7 @@ class Batch:
             self._reset_program = self._compile(self._reset_where)
 
     def _keys_of(self, seed: int) -> jax.Array:
-        return jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(self._numbers)
+        return jax.vmap(partial(jax.random.fold_in, random.key(seed)))(self._numbers)
 
     def _compile(self, function: Callable[..., Any], static: tuple[int, ...] = ()) -> Callable[..., Any]:
         return self.engine.blocking(compile_program(function, self._program_cache, "Batch", static=static))

@@ -39,7 +39,7 @@ def init_world(
 ) -> tuple[World, Array]:
     """Return a new world and the qpos (nq,) it starts from; see `reset`."""
     zero = xp.zeros((), xp.int32)
-    faults = FaultCounts(not_finite=zero, overflow=zero, runaway=zero, refused=zero)
+    faults = FaultCounts(not_finite=zero, overflow=zero, runaway=zero, refused=zero, task=zero)
     world = World(
         key=key,
         number=number,

@@ -136,7 +136,7 @@ class SingleWorld:
                 step=zero,
                 groups=(),
                 tags=no_dropped_tags(),
-                faults=FaultCounts(not_finite=zero, overflow=zero, runaway=zero, refused=zero),
+                faults=FaultCounts(not_finite=zero, overflow=zero, runaway=zero, refused=zero, task=zero),
                 links=None if scene.radio is None else no_links(seats),
             )
         self._wraps = 0

@@ -127,12 +127,14 @@ class FaultCounts(struct.PyTreeNode, kw_only=True):
         overflow: Steps in which contact buffers were full.
         runaway: Steps in which a robot was faster than it can drive; see `RUNAWAY_SPEED`.
         refused: Commanded numbers that were not finite.
+        task: Steps after which the task's own reward, score or observation was not finite.
     """
 
     not_finite: Array
     overflow: Array
     runaway: Array
     refused: Array
+    task: Array
 
 
 class World(struct.PyTreeNode, kw_only=True):
