@@ -58,15 +58,15 @@ VERBS = {
         extras=frozenset(),
     ),
     "test": Verb(
-        "lint, format check, types, layers and all tests; --quick: what needs no compilation;"
-        " other arguments: pytest with them",
+        "lint, format check, types, layers and tests; --quick: what needs no compilation; --all: wheel,"
+        " site and Ray too; other arguments: pytest with them",
         checks.everything,
     ),
     "fuzz": Verb(
         "property tests with other examples each time (arguments go to pytest)",
         module("pytest", "-m", "hypothesis", "--hypothesis-profile", "fuzz"),
     ),
-    "check": Verb("the same as test without arguments: everything that CI runs", checks.everything),
+    "check": Verb("the same as test --all", lambda *args: checks.everything(*(args or ("--all",)))),
     "format": Verb("rewrite the code with ruff format", module("ruff", "format")),
     "lint": Verb("ruff check", module("ruff", "check")),
     "types": Verb("pyright", module("pyright")),

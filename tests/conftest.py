@@ -24,9 +24,9 @@ ASKED = pytest.StashKey[Path]()
 IN_ONE_PIECE = "--xla_cpu_parallel_codegen_split_count=1"
 """XLA flag of the tests, in addition to `fast_compilation_flags`."""
 
-# A run is the same on every machine; `dev.py fuzz` looks for what no run has met.
+# A run is the same on every machine and tries few examples; `dev.py fuzz` looks for what no run has met.
 # No deadlines: a loaded machine is no failure.
-hypothesis.settings.register_profile("same", derandomize=True, database=None, deadline=None)
+hypothesis.settings.register_profile("same", derandomize=True, database=None, deadline=None, max_examples=25)
 hypothesis.settings.register_profile(
     "fuzz", derandomize=False, max_examples=2000, print_blob=True, deadline=None
 )

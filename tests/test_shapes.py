@@ -170,7 +170,7 @@ def test_robot_state_bodies_and_sight(scene, built):
     check(bodies, (), {"bodies": BODIES})
     (sensor_input,) = jax.eval_shape(partial(sense, scene), world, physics)
     assert isinstance(sensor_input, SensorInput)
-    assert sensor_input.time.shape == ()
+    assert sensor_input.clock.step.shape == ()
     check(sensor_input.bodies, (ROBOTS,), {"bodies": BODIES})
     check(sensor_input.hits, (ROBOTS,), {"rays": sum(group.suite.ray_counts)})
 

@@ -16,6 +16,8 @@ import usarmjx
 from tests.test_public_names import FACES, names_of, origin
 from tools import documents
 
+pytestmark = pytest.mark.tools
+
 LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href", "video": "src"}
 """Elements that make a browser fetch what their attribute names."""
 

@@ -18,6 +18,8 @@ import usarmjx
 from tools import trial
 from usarmjx.server.network.ports import BOT_PORT, IMAGE_PORT, POSITION_PORT, WSS2_PORT, WSS_PORT
 
+pytestmark = pytest.mark.tools
+
 USE = """
 import os
 from pathlib import Path

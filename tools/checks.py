@@ -7,6 +7,8 @@ NO_HANGING = (
     "--max-worker-restart=0",
 )
 """A test that hangs, or ends its process, ends the run; xdist with a new worker may wait for ever."""
+SLOWEST = ("--durations=20", "--durations-min=5")
+"""The report of a full run ends with the tests to look at first when it takes too long."""
 QUICK = (
     "tests/base/test_registry.py",
     "tests/base/test_transforms.py",
@@ -78,10 +80,14 @@ def quick(*args: str) -> list[list[str]]:
 
 
 def everything(*args: str) -> list[list[str]]:
-    """All that CI runs; with arguments, only pytest with them."""
+    """All checks but those of wheel, site and Ray, which `--all` adds; other arguments: pytest with them."""
     if "--quick" in args:
         return quick(*(arg for arg in args if arg != "--quick"))
-    if args:
+    if args and args != ("--all",):
         return [pytest(*args)]
-    tests = [pytest(*WORKERS, *NO_HANGING), pytest("--optimised", *WORKERS, *NO_HANGING, *OPTIMISED)]
+    chosen = [] if args else ["-m", "not tools"]
+    tests = [
+        pytest(*WORKERS, *NO_HANGING, *SLOWEST, *chosen),
+        pytest("--optimised", *WORKERS, *NO_HANGING, *OPTIMISED),
+    ]
     return [lint(), formatter("--check"), types(), layers(), *tests]

@@ -124,6 +124,12 @@ def say(text: str) -> None:
     print(f"dev.py: {text}", file=sys.stderr, flush=True)
 
 
+def clock(seconds: float) -> str:
+    """Return a duration as minutes and seconds."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest:02d} s"
+
+
 def follow(command: Sequence[str], folder: Path) -> tuple[int, list[str]]:
     """Run a command, show its latest line when a terminal watches, return status and output."""
     terminal = sys.stderr.isatty()
@@ -149,15 +155,21 @@ def run_steps(environment: Environment, steps: Sequence[Sequence[str]]) -> int:
     # pyright looks for the packages of the first `python` on the path.
     settings["PATH"] = os.pathsep.join((str(environment.python.parent), os.environ.get("PATH", "")))
     failed: list[tuple[str, int]] = []
+    started = time.monotonic()
     for step in steps:
         words = [word for word in step[1:3] if not word.startswith("-")]
         name = " ".join(words) if step[0] == "-m" else "import-linter"
         if len(steps) > 1:
             say(name)
         command = [str(environment.python), *step]
+        step_started = time.monotonic()
         status = subprocess.run(command, cwd=environment.root, env=settings).returncode
+        if len(steps) > 1:
+            say(f"{name}: {clock(time.monotonic() - step_started)}")
         if status:
             failed.append((name, status if status > 0 else 128 - status))  # as a shell reports it
+    if len(steps) > 1:
+        say(f"all steps: {clock(time.monotonic() - started)}")
     if not failed:
         return 0
     if len(steps) > 1:

@@ -99,3 +99,4 @@ else:
 __version__ = "0.1.0"
 
 process.ensure_pool_size()
+process.check_inherited_cache()

@@ -40,7 +40,10 @@ def used():
     """Return every `mujoco.<name>` of the package, and the enumerators behind a name."""
     found = set()
     for path in (ROOT / "usarmjx").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
+        text = path.read_text()
+        if "mujoco." not in text:  # parsing is what takes time, and every worker collects
+            continue
+        for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
                 if node.value.id == "mujoco":
                     found.add((node.attr,))

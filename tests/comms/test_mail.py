@@ -143,7 +143,7 @@ tables = st.lists(st.booleans(), min_size=N * N, max_size=N * N).map(lambda t: n
 rounds = st.lists(st.tuples(tables, tables, st.integers(0, 400), st.booleans()), min_size=1, max_size=6)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None)
 @given(rounds)
 def test_every_message_is_in_a_box_or_counted_as_dropped(calls: list):
     """Against a plain loop over senders and receivers."""

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 import dev
 import usarmjx
 from tests.engines.eager import AT_ONCE, BLIND, EAGER
+from usarmjx.base.kept_json import kept_text
 from usarmjx.cli.app import app
 from usarmjx.engines.planar import responses
 from usarmjx.engines.planar.responses import (
@@ -22,7 +23,7 @@ from usarmjx.engines.planar.responses import (
 )
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server import make_worlds
-from usarmjx.sim.calibration import calibrate, drive_log, ensure_calibrated, random_orders
+from usarmjx.sim.calibration import calibrate, ensure_calibrated, measure_all, random_commands, record_drive
 from usarmjx.train import open_floor
 
 GEOM = mujoco.mjtGeom
@@ -41,8 +42,8 @@ def test_responses_were_measured_of_robots_as_they_are(name):
 
 def test_a_measurement_comes_again_to_what_is_published():
     robot = ROBOTS.get("Talon")
-    orders = random_orders(robot, 6, 150, seed=7)
-    real, planar = (drive_log(robot, orders, engine) for engine in ("c", "planar"))
+    orders = random_commands(robot, 6, 150, seed=7)
+    real, planar = (record_drive(robot, orders, engine) for engine in ("c", "planar"))
     apart = np.median(np.linalg.norm((planar.pose - real.pose)[-1, :, :2], axis=-1))
     assert apart <= 2.0 * packaged_responses()["Talon"]["errors"]["5 s"]["distance"], (
         "after 3 s, other orders"
@@ -54,8 +55,8 @@ def test_a_measurement_comes_again_to_what_is_published():
 def test_planar_is_as_far_from_c_as_is_published(name):
     """A class of each kind of drive (tracks, sides, Ackermann, wheels that all steer), by the same orders."""
     robot, published = ROBOTS.get(name), packaged_responses()[name]["errors"]
-    orders = random_orders(robot, 16, 1000, seed=1)[:250]
-    real, planar = (drive_log(robot, orders, engine) for engine in ("c", "planar"))
+    orders = random_commands(robot, 16, 1000, seed=1)[:250]
+    real, planar = (record_drive(robot, orders, engine) for engine in ("c", "planar"))
     apart = np.median(np.linalg.norm((planar.pose - real.pose)[..., :2], axis=-1), axis=1)
     way = np.linalg.norm(np.diff(real.pose[..., :2], axis=0), axis=-1)
     for horizon, step in (("1 s", 50), ("5 s", 250)):
@@ -143,3 +144,49 @@ def test_what_does_not_roll_is_refused():
     refused = CliRunner().invoke(app, ["calibrate", "AirRobot"])
     assert refused.exit_code == 2
     assert "AirRobot does not roll on wheels or tracks" in refused.output
+
+
+@pytest.mark.parametrize("fault", ["cut", "empty", "digit", "nan", "key", "other", "field", "list"])
+def test_a_kept_response_that_is_not_whole_is_measured_again_with_one_line(own, tmp_path, caplog, fault):
+    text = kept_text(response_entry(own, responses.Response(gain=1.0165)))
+    other = kept_text(response_entry(ROBOTS.get("Talon"), responses.Response(gain=1.0165)))
+    entry = {"key": description_key(own), "response": {"gain": 1.0}}
+    file = responses.response_file(own, tmp_path)
+    file.parent.mkdir()
+    file.write_text(
+        {
+            "cut": text[:60],
+            "empty": "",
+            "digit": text.replace("1.0165", "1.0166"),
+            "nan": text.replace("1.0165", "NaN"),
+            "key": text.replace(description_key(own), "0" * 16),
+            "other": other,
+            "field": kept_text(entry),
+            "list": "[]",
+        }[fault]
+    )
+    assert responses.find_response(own, tmp_path) is None
+    assert not file.exists()
+    (line,) = caplog.messages
+    assert line.startswith(f"{file}:")
+    assert line.endswith("; it is measured again")
+    ensure_calibrated([own], tmp_path)
+    assert file.exists()
+
+
+def test_a_whole_kept_response_is_used(own, tmp_path):
+    expected = responses.Response(gain=1.0165)
+    file = responses.response_file(own, tmp_path)
+    file.parent.mkdir()
+    file.write_text(kept_text(response_entry(own, expected)))
+    assert responses.find_response(own, tmp_path) == expected
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"P2AT": {}}', '{"P2AT": {"response": {"gain": NaN}}}'])
+def test_a_damaged_file_of_figures_is_one_line(tmp_path, text):
+    file = tmp_path / "figures.json"
+    file.write_text(text)
+    with pytest.raises(usarmjx.SpecError) as refused:
+        next(measure_all([ROBOTS.get("P2AT")], file))
+    assert str(refused.value).startswith(f"{file}:")
+    assert "\n" not in str(refused.value)

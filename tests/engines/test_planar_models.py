@@ -20,7 +20,7 @@ from usarmjx.engines.planar.solids import project_geoms
 from usarmjx.models.compile.physics import PHYSICS, Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.calibration import DriveLog, fit_response, random_orders
+from usarmjx.sim.calibration import DriveLog, fit_response, random_commands
 from usarmjx.sim.scene import build_scene
 from usarmjx.train.evaluation.engine_gap import place_of
 
@@ -51,7 +51,7 @@ def test_a_fit_tells_which_way_sides_answer():
     """What a model of either kind does is explained by the same kind."""
     robot = ROBOTS.get("P2DX")
     wheels = wheel_kinematics(robot)
-    orders = random_orders(robot, 4, 100, seed=3)
+    orders = random_commands(robot, 4, 100, seed=3)
     for apart in (False, True):
         truth = Response(
             forward_lag=0.08, turn_lag=0.08, acceleration=1.5, turn_acceleration=9.0, sides_apart=apart
@@ -112,7 +112,7 @@ def test_steps_of_50_ms_lead_to_where_those_of_20_ms_do(name):
 def test_what_flies_in_steps_of_50_ms_is_about_where_mujoco_has_it(name, within):
     """After 5 s of random orders: what holds it upright acts 30 ms later than in steps of 20 ms."""
     robot = replace(ROBOTS.get(name), sensors=(), cameras=())
-    orders = random_orders(robot, FLYERS, 50, 2)[np.repeat(np.arange(0, 50, 10), 10)]  # each stands for 1 s
+    orders = random_commands(robot, FLYERS, 50, 2)[np.repeat(np.arange(0, 50, 10), 10)]  # each stands for 1 s
     ways: list[np.ndarray] = []
     for engine, physics in (("c", Physics()), ("planar", Physics.coarse())):
         scene = build_scene(place_of("air", robot), [robot], physics)

@@ -91,7 +91,7 @@ def test_a_world_that_is_reset_or_redescribed_is_computed_again(tmp_path):
         if step == 12:
             world.reset()
         if step == 20:
-            world.redescribe(robot, replace(SCOUT, battery_life=1.0))
+            world.update_robot_spec(robot, replace(SCOUT, battery_life=1.0))
         world.step()
     file.close()
     recording = Recording(file.path)

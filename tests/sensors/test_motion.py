@@ -71,7 +71,7 @@ def test_odometry_follows_the_manuals_algorithm(bench):
     turned = farthest = 0.0
     for i, wheels in enumerate(path):
         inputs = inputs.replace(
-            time=np.float32(0.02 * i), state=inputs.state.replace(joint_pos=joints(wheels))
+            clock=clock_at(0.02 * i, 1e-3), state=inputs.state.replace(joint_pos=joints(wheels))
         )
         memory, readings = bench.read(inputs, memory)
         expected = front.move(wheels[LEFT_F], wheels[RIGHT_F])

@@ -174,7 +174,7 @@ def test_without_sigma_the_noise_is_the_uniform_one_alone_and_each_row_its_own()
     assert np.any(told[1] / 2 != told[0])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(deadline=None)
 @given(
     distances=st.lists(st.floats(0.0, 100.0, width=32) | st.just(math.inf), min_size=16, max_size=16),
     low=st.floats(0.0, 3.0),

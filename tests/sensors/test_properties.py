@@ -21,7 +21,7 @@ from usarmjx.sensors.victim import VictSensorSettings, shifted_grids
 
 UNIT = 1e-6  # of a float32 vector's length
 ANGLE = 1e-3  # rad: of an arc cosine of float32 near 1
-usual = settings(deadline=None, max_examples=50)
+usual = settings(deadline=None)
 positive = st.floats(1e-3, 1e3)
 
 

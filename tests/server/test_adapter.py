@@ -743,7 +743,7 @@ LINES = st.sampled_from(
 )
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.one_of(LINES, JUNK), max_size=6))
 def test_junk_never_raises_and_never_disturbs_a_neighbour(house, chunks):
     """The neighbour stands at the manual's start; what it reports does not depend on the junk."""

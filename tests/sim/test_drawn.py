@@ -21,7 +21,7 @@ from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.server.worlds.served_world import CameraRequest
 from usarmjx.sim.ray_geometry import visible_arena, visible_robots
 from usarmjx.sim.scene import build_scene
-from usarmjx.sim.views import looks_of
+from usarmjx.sim.views import geom_colors_of
 from usarmjx.sim.world import robot_states
 
 WAVE = SegmentMotion(name="LeftArm", final=(0.0, 1.2, 0.0), rates=(0.0, 2.0, 0.0))
@@ -148,12 +148,12 @@ def test_victims_that_are_data_are_drawn_as_those_of_the_arena_alone():
 def test_a_figure_is_built_once_for_all_robots_of_a_class_and_all_victims_of_a_size():
     """Joining robots would wait for it otherwise."""
     scene = build_scene(HOUSE, ["P2AT", "P2AT", "Kurt3D"])
-    figures = looks_of(scene).figures
+    figures = geom_colors_of(scene).figures
     assert len(figures) == 3 + 3
     robots = [one.figure for one in figures if one.slot >= 0]
     assert robots[0] is robots[1] is not robots[2]
     lies, waves = (one.figure for one in figures if one.label == VICTIM_LABEL)
     assert lies is waves
-    again = looks_of(build_scene(HOUSE, ["P2AT"])).figures
+    again = geom_colors_of(build_scene(HOUSE, ["P2AT"])).figures
     assert again[0].figure is robots[0]
     assert math.prod(robots[0].model.geom_rbound > 0) == 1

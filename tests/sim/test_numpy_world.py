@@ -27,7 +27,7 @@ from usarmjx.models.types.robot import Mount
 from usarmjx.sensors.rays.raycast import Hits
 from usarmjx.sim.actions import Actions, EffecterAction, JointAction, apply_actions
 from usarmjx.sim.batch import Batch
-from usarmjx.sim.operate import EffecterOrder, operate
+from usarmjx.sim.operate import EffecterCommand, operate
 from usarmjx.sim.radio import (
     last_links,
     outgoing_messages,
@@ -132,7 +132,7 @@ def test_all_types_of_effecters_are_among_them():
 def test_effecters_do_the_same_on_both_libraries(worlds, cast, place, opcode):
     scene, world = worlds
     physics = scattered(scene, 1)
-    order = EffecterOrder(group=0, effecter=place, opcode=opcode, value=VALUES, where=WHERE)
+    order = EffecterCommand(group=0, effecter=place, opcode=opcode, value=VALUES, where=WHERE)
     with nothing_compiled():
         ours, mine = operate(scene, world, physics, order, cast)
     theirs, outcome = operate(scene, on_jax(world), physics, order)

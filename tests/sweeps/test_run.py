@@ -61,7 +61,7 @@ def test_a_cell_is_the_same_alone_as_in_a_batch(whole):
     assert alone.steps.tolist() == list(record.steps)
 
 
-@pytest.mark.parametrize("place", ["processes", "ray"])
+@pytest.mark.parametrize("place", ["processes", pytest.param("ray", marks=pytest.mark.tools)])
 def test_other_processes_and_ray_play_the_same_to_the_bit(place, whole, rows, tmp_path):
     """Two batches of a cell each, on a worker."""
     file = write(tmp_path, list=rows[:1], worlds=2, product={"arena.level": [0.9], "seed": [0, 1]})

@@ -2,12 +2,17 @@
 
 import builtins
 import os
+import subprocess
 import sys
+import time
+from pathlib import Path
 
 import pytest
 
 from usarmjx.base.errors import UsageError
-from usarmjx.sweeps.workers import TRIES, Workers, gpus
+from usarmjx.sweeps.local_workers import TRIES
+from usarmjx.sweeps.ray_workers import children, end_with_this_process
+from usarmjx.sweeps.workers import Workers, gpus
 
 work = builtins.eval
 """What a worker can import without importing tests: a piece of work is an expression."""
@@ -34,7 +39,10 @@ def test_processes_do_everything_and_what_a_lost_worker_did_again(tmp_path):
         1: ("late", None),
         2: (6, None),
         3: (None, "division by zero"),
-        4: (None, f"its worker was lost {TRIES} times"),
+        4: (
+            None,
+            f"its worker was lost {TRIES} times, by SIGKILL, as the system does when memory runs out",
+        ),
         5: ("end", None),
     }
 
@@ -45,6 +53,72 @@ def test_workers_are_other_processes():
         for _, value, _ in Workers(place="processes", count=2).run(work, ["__import__('os').getpid()"] * 2)
     ]
     assert os.getpid() not in ids
+
+
+def test_what_ends_its_worker_fails_alone():
+    """Neighbours that were at work then are not even begun again."""
+    bad, slow = "__import__('os')._exit(9)", "(__import__('time').sleep(0.5), __import__('os').getpid())[1]"
+    found = outcomes(Workers(place="processes", count=2), [bad, slow, slow, slow])
+    assert found.pop(0) == (None, f"its worker was lost {TRIES} times, with exit status 9")
+    assert {why for _, why in found.values()} == {None}
+    assert len(found) == 3
+
+
+def test_what_a_worker_makes_of_odd_ends_is_a_line():
+    pieces = ["__import__('sys').exit(3)", "lambda: 0", "1 + 1"]
+    found = outcomes(Workers(place="processes", count=1), pieces)
+    assert found[0] == (None, "SystemExit")
+    assert "pickle" in found[1][1]
+    assert found[2] == (2, None)
+
+
+def test_a_worker_ends_with_its_parent(tmp_path):
+    """The parent is killed, and cannot tell its worker to end."""
+    said = tmp_path / "worker"
+    piece = f"(open({str(said)!r}, 'w').write(str(__import__('os').getpid())), __import__('time').sleep(60))"
+    code = (
+        "import builtins; from usarmjx.sweeps.workers import Workers\n"
+        f"list(Workers(place='processes', count=1).run(builtins.eval, [{piece!r}]))"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code])
+    try:
+        await_true(lambda: said.exists() and said.read_text())
+    finally:
+        parent.kill()
+        parent.wait()
+    await_true(lambda: not is_alive(int(said.read_text())))
+
+
+def await_true(condition):
+    for _ in range(600):
+        if condition():
+            return
+        time.sleep(0.05)
+    raise AssertionError("it did not become true in 30 s")
+
+
+def is_alive(process):
+    try:
+        return " Z " not in Path(f"/proc/{process}/stat").read_text()
+    except OSError:
+        return False
+
+
+def test_what_ray_starts_ends_with_the_process_that_started_it():
+    """A process in Ray's place: a child of a parent that is killed, and is not told to end."""
+    code = (
+        "import subprocess, sys; from usarmjx.sweeps.ray_workers import children, end_with_this_process\n"
+        "before = children(); child = subprocess.Popen(['sleep', '60'])\n"
+        "guard = end_with_this_process(children() - before); print(child.pid, flush=True); sys.stdin.read()"
+    )
+    pipe = subprocess.PIPE
+    parent = subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe)
+    child = int(parent.stdout.readline())
+    assert is_alive(child)
+    parent.kill()
+    parent.wait()
+    await_true(lambda: not is_alive(child))
+    assert end_with_this_process(children() - children()) is None
 
 
 def test_gpus_are_those_that_may_be_used(monkeypatch):
@@ -62,6 +136,7 @@ def test_without_ray_one_line_says_what_to_install(monkeypatch):
         list(Workers(place="ray").run(work, ["1"]))
 
 
+@pytest.mark.tools
 def test_ray_does_everything_and_what_a_lost_worker_did_again(tmp_path):
     flag = tmp_path / "was-here"
     once = (

@@ -53,8 +53,8 @@ Time = ArrayLike | Clock
 def cycle_share(time: Time, frequency: Array, dims: int, xp: ModuleType) -> Array:
     """Return which share of its cycle a periodic motion has done, in [0, 1).
 
-    The share at a clock is a 32-bit fixed-point number that wraps around. It moves evenly in a world of any age;
-    its frequency is right to 1e-7.
+    The share at a clock is a 32-bit fixed-point number that wraps around. It moves evenly in a world of any
+    age, and its frequency is right to 1e-7.
 
     Args:
         time: Simulated time [s] or clock (...,).

@@ -10,6 +10,7 @@ import os
 import platform
 import re
 import shutil
+import stat
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, MutableMapping
@@ -17,6 +18,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TypeVar
 
+from usarmjx.base.checked_cache import install_checks, remove_entries_of_crashes
 from usarmjx.base.process import pool_fits_cores
 
 T = TypeVar("T")
@@ -27,7 +29,11 @@ OFF_VALUES = ("off", "no", "0")
 JAX_FOLDER, WARP_FOLDER = "JAX_COMPILATION_CACHE_DIR", "WARP_CACHE_PATH"
 """Environment variables with the cache folders of JAX and of Warp."""
 PROGRAMS_FOLDER = "USARMJX_PROGRAMS"
-"""Environment variable with the folder of `program_cache`."""
+"""Environment variable with the folder of `program_cache`, set only by `enable_compilation_cache`."""
+CACHE_KINDS = ("jax", "programs", "warp", "planar")
+"""Folders of a cache."""
+OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+"""Permissions that let others change a folder."""
 MIN_COMPILE_TIME = ("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 """Environment variable with the shortest compilation that JAX caches [s]. Its default is 1 s, but a start has
 a hundred programs that take less."""
@@ -86,6 +92,36 @@ def cache_folder(environment: MutableMapping[str, str]) -> Path | None:
     return Path(environment.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "usarmjx"
 
 
+def own_cache_folder(environment: MutableMapping[str, str] = os.environ) -> Path | None:
+    """Return the cache folder; None: the cache is off, or others may write to it."""
+    folder = cache_folder(environment)
+    return None if folder is None or writable_by_others(folder) else folder
+
+
+def writable_by_others(folder: Path) -> str | None:
+    """Return why others may put files into a cache folder, in a line; None: only this user and root may.
+
+    Cached programs are machine code and pickled objects: a file from somebody else runs in this user's name.
+    """
+    if os.name != "posix":
+        return None
+    folder = Path(os.path.realpath(folder))
+    for path in (folder, *(folder / kind for kind in CACHE_KINDS)):
+        try:
+            found = path.stat()
+        except FileNotFoundError:
+            continue
+        if found.st_uid not in (os.geteuid(), 0):
+            return f"{path} belongs to another user"
+        if found.st_mode & OTHERS_WRITE:
+            return f"others may write to {path}: chmod -R go-w {path}"
+    for path in folder.parents:
+        mode = path.stat().st_mode if path.exists() else 0
+        if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
+            return f"anybody may rename what is in {path}: chmod o-w {path}"
+    return None
+
+
 def enable_compilation_cache(
     environment: MutableMapping[str, str] = os.environ, max_bytes: int = MAX_CACHE_SIZE
 ) -> str | None:
@@ -96,18 +132,24 @@ def enable_compilation_cache(
         max_bytes: Size to which the cache is pruned [bytes].
 
     Returns:
-        One line with the reason why nothing is cached; None if there is no error.
+        One line with the reason why nothing is cached, or with what a crash has made unusable; None if there
+        is nothing to say.
     """
     try:
         folder = cache_folder(environment)
         if folder is None:
             return None
+        if complaint := writable_by_others(folder):
+            return f"compilations are not kept, the next start will take as long: {complaint}"
         # XLA divides loops by the size of the thread pool, which is not part of JAX's cache key.
         programs = folder / "jax" / (processor() + ("-cores" if pool_fits_cores() else ""))
-        programs.mkdir(parents=True, exist_ok=True)
+        for place in (folder, folder / "jax", folder / "programs", folder / "warp", programs):
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.mkdir(mode=0o700, exist_ok=True)
         # Fails here, not at the first compilation, where the folder is read-only or the disk is full.
         with tempfile.TemporaryFile(dir=programs):
             pass
+        crashed = remove_entries_of_crashes(folder / "programs" / processor(), folder)
         prune_cache(folder, max_bytes)
     except (OSError, RuntimeError) as error:
         return f"compilations are not kept, the next start will take as long: {error}"
@@ -115,7 +157,20 @@ def enable_compilation_cache(
     environment.setdefault(PROGRAMS_FOLDER, str(folder / "programs" / processor()))
     environment.setdefault(*MIN_COMPILE_TIME)
     environment.setdefault(WARP_FOLDER, str(folder / "warp"))
+    if environment is os.environ:
+        install_cache_checks()
+    if crashed:
+        return f"the last start ended while it loaded {crashed[0][:100]}, which is compiled again"
     return None
+
+
+def install_cache_checks() -> None:
+    """Check what this process loads from the cache that it, or its parent, has set up; else do nothing."""
+    programs, warp = os.environ.get(PROGRAMS_FOLDER), os.environ.get(WARP_FOLDER)
+    if programs:
+        # A folder of Warp that the user has named himself is not ours to clean.
+        own = warp if warp == str(Path(programs).parents[1] / "warp") else None
+        install_checks(Path(programs), None if own is None else Path(own))
 
 
 def fast_compilation_flags(version: str | None = None) -> list[str]:

@@ -47,8 +47,8 @@ def check_not_forked() -> None:
 def jax_entry_points(cls: T) -> T:
     """Guard the constructor and all methods that a class defines; a decorator.
 
-    They compute in single precision whatever `jax_enable_x64` says, and raise a `UsageError` in a process that
-    was forked after JAX had started.
+    They compute in single precision whatever `jax_enable_x64` says, and raise a `UsageError` in a process
+    that was forked after JAX had started.
     """
     for name, method in list(vars(cls).items()):
         if isinstance(method, FunctionType) and (name == "__init__" or not name.startswith("__")):

@@ -5,6 +5,7 @@ A full disk leaves the old file intact and becomes a one-line error.
 
 import errno
 import os
+import secrets
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from io import FileIO
@@ -83,8 +84,7 @@ def atomic_write(path: Path) -> Generator[Path]:
             return
         target = Path(os.path.realpath(path))  # a link stays a link
         target.parent.mkdir(parents=True, exist_ok=True)
-        # The process id keeps two writers apart; the suffix stays last for writers that look at it.
-        fresh = target.with_name(f".{target.stem}{PARTIAL_MARK}-{os.getpid()}{target.suffix}")
+        fresh = _partial_file(target)
         try:
             yield fresh
             with fresh.open("rb+") as file:
@@ -93,6 +93,18 @@ def atomic_write(path: Path) -> Generator[Path]:
         finally:
             with suppress(OSError):
                 fresh.unlink(missing_ok=True)
+
+
+def _partial_file(target: Path) -> Path:
+    """Create an empty file beside a target, under a name that no other writer of any machine has."""
+    while True:
+        # Containers that share a folder share process ids. The suffix stays last for those that look at it.
+        fresh = target.with_name(f".{target.stem}{PARTIAL_MARK}-{secrets.token_hex(8)}{target.suffix}")
+        try:
+            os.close(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+        except FileExistsError:
+            continue
+        return fresh
 
 
 class AppendedFile:

@@ -59,6 +59,14 @@ def ensure_pool_size() -> None:
     os.environ["NPROC"] = str(MIN_THREADS)
 
 
+def check_inherited_cache() -> None:
+    """Check what this process loads from the cache of compilations that its parent has set up, if it has."""
+    if os.environ.get("USARMJX_PROGRAMS"):
+        from usarmjx.base.compilation import install_cache_checks
+
+        install_cache_checks()
+
+
 def fit_pool_to_cores() -> None:
     """Give the pool one thread per core, in this process and its children.
 

@@ -33,9 +33,9 @@ from jax.core import Tracer
 
 from usarmjx.base import warp_functions
 from usarmjx.base.backend import single_precision
+from usarmjx.base.checked_cache import LoadingEntries, discard, read_sealed, write_sealed
 from usarmjx.base.compilation import PROGRAMS_FOLDER, processor
 from usarmjx.base.errors import WriteError
-from usarmjx.base.files import atomic_write
 from usarmjx.base.process import PROCESS_START, cores
 
 MUJOCO = cast("Any", mujoco)
@@ -61,8 +61,6 @@ IGNORED_SETTINGS = ("jax_compilation_cache_dir",)
 """JAX settings that cannot change a program."""
 LAUNCH_ID = re.compile(r"launch_id = (\d+)")
 """Launch id in the text of a program with Warp kernels."""
-CHECKSUM_SIZE = 20
-"""Size of the digest at the start of a cache file [bytes]."""
 
 
 class FingerprintError(TypeError):
@@ -461,29 +459,25 @@ def _load(data: bytes) -> export.Exported:
 
 def read_entry(path: Path, load: Callable[[bytes], T]) -> T | None:
     """Return the content of an entry; None: missing, or broken, which warns and removes the file."""
-    try:
-        data = path.read_bytes()
-    except OSError:
+    data = read_sealed(path, path.name)
+    if data is None:
         return None
     try:
-        if _checksum(data[CHECKSUM_SIZE:]) != data[:CHECKSUM_SIZE]:
-            raise ValueError("it is not whole")
-        return load(zlib.decompress(data[CHECKSUM_SIZE:]))
+        with _loading_entries(path.parent).loading(path):
+            return load(zlib.decompress(data))
     except Exception as error:
-        path.unlink(missing_ok=True)
-        warnings.warn(f"Error reading the kept program {path.name}: {error}", stacklevel=2)
+        discard(path, str(error))
         return None
 
 
-def _checksum(data: bytes) -> bytes:
-    return hashlib.blake2b(data, digest_size=CHECKSUM_SIZE).digest()
+@cache
+def _loading_entries(folder: Path) -> LoadingEntries:
+    return LoadingEntries(folder)
 
 
 def write_entry(path: Path, data: bytes) -> None:
     """Write an entry; a write error is only a warning."""
-    data = zlib.compress(data, level=1)
     try:
-        with atomic_write(path) as fresh:
-            fresh.write_bytes(_checksum(data) + data)
+        write_sealed(path, zlib.compress(data, level=1), path.name)
     except WriteError as error:
         warnings.warn(f"Error writing the kept program {path.name}: {error}", stacklevel=2)

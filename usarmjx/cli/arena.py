@@ -85,12 +85,12 @@ def check(
         faults = check_arena(found, robot)
         if drive:
             from usarmjx.models.robots import ROBOTS
-            from usarmjx.sim.trials.ways import drive_arena
+            from usarmjx.sim.trials.routes import drive_arena
 
             announce(f"driving a {robot} ...")
             tour = drive_arena(found, ROBOTS.get(robot))
-            made = tour.legs - len(tour.faults)
-            typer.echo(f"driven: {made} of {tour.legs} ways, {tour.metres:.1f} m in {tour.seconds:.0f} s")
+            made = tour.segments - len(tour.faults)
+            typer.echo(f"driven: {made} of {tour.segments} ways, {tour.metres:.1f} m in {tour.seconds:.0f} s")
             faults += tour.faults
         _draw(found, png, perspective)
         for fault in faults:

@@ -53,7 +53,7 @@ from usarmjx.sensors.cameras.paint import (
 from usarmjx.sensors.cameras.picture import Viewpoint
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sim.scene import build_scene
-from usarmjx.sim.views import looks_of
+from usarmjx.sim.views import geom_colors_of
 
 PORTRAIT_ANGLES = (math.radians(-35.0), math.radians(22.0))
 """Azimuth and elevation from which robots are drawn: from their front right."""
@@ -84,7 +84,7 @@ def portrait(robot: RobotSpec, width: int = 480, height: int = 360) -> np.ndarra
         hidden_geoms=np.zeros(0, bool),
         lens="pinhole",
     )
-    looks = looks_of(scene)
+    looks = geom_colors_of(scene)
     light = lit_scene(Geoms(blocks=(), kinds=(), materials=()), looks.appearance, DEFAULT_LIGHTING)
     sight = CCameraRays(scene.model, data, looks)
     return downsample(np.asarray(sight.render(light, viewpoint, 2 * width, 2 * height).rgb) / 255)

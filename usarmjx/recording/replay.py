@@ -26,7 +26,7 @@ from usarmjx.recording.inputs import (
 from usarmjx.recording.reader import Recording
 from usarmjx.sim.batch import Batch, put_robot
 from usarmjx.sim.calibration import build_calibrated
-from usarmjx.sim.configure import redescribe
+from usarmjx.sim.configure import update_robot_spec
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.single_world import SingleWorld
 
@@ -87,7 +87,7 @@ class _ReplayedSingle:
             case RobotRemoved():
                 world.remove(given.slot)
             case RobotRedescribed():
-                redescribe(world, given.slot, given.robot)
+                update_robot_spec(world, given.slot, given.robot)
             case WorldReset():
                 world.reset()
             case OrdersGiven():

@@ -1,4 +1,4 @@
-"""What the robots of one world are told to do, as one value, and the function that tells them."""
+"""Commands to the robots of one world as one value, and the function that applies them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ from usarmjx.base.backend import named_scope, xp
 from usarmjx.comms.mail import OutgoingMessages
 from usarmjx.engines.base import PhysicsState
 from usarmjx.sim.control import CommandUpdate, ControlMode, update_command
-from usarmjx.sim.operate import EffecterOrder, find_operation, operate
+from usarmjx.sim.operate import EffecterCommand, find_operation, operate
 from usarmjx.sim.radio import send
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.world import World
@@ -22,7 +22,7 @@ class JointAction:
         group: Index into `scene.groups`.
         targets: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N],
             (robots,) each.
-        mode: What the numbers are.
+        mode: Control mode of the targets.
     """
 
     group: int
@@ -38,7 +38,7 @@ class EffecterAction:
         group: Index into `scene.groups`.
         name: Name of the effecter.
         opcode: Name of one of its operations.
-        where: Which robots shall do it (robots,).
+        where: Mask of the robots that carry it out (robots,).
         value: Its parameter (robots,); None: the usual one.
     """
 
@@ -51,7 +51,7 @@ class EffecterAction:
 
 @dataclass(frozen=True, kw_only=True)
 class Actions:
-    """What the robots of one world are told; what is not named stays as it was.
+    """Commands to the robots of one world; a setpoint that is not named keeps its value.
 
     Attributes:
         drive: Numbers for keys of DRIVE (robots,), by group [rad/s, m/s or rad].
@@ -76,8 +76,8 @@ def apply_actions(
         scene: The scene.
         world: One world.
         physics: Its physics.
-        actions: What its robots are told.
-        where: Which robots are told it, by slot (robots,); None: all.
+        actions: Commands to its robots.
+        where: Mask of the robots that receive them, by slot (robots,); None: all.
 
     Raises:
         UnknownNameError: A DRIVE key, joint, effecter or operation that the robots do not have.
@@ -110,7 +110,7 @@ def _operate(
     mask = xp.broadcast_to(action.where, shape)
     if where is not None:
         mask = mask & where[group.slots]
-    order = EffecterOrder(group=action.group, effecter=effecter, opcode=opcode, value=value, where=mask)
+    order = EffecterCommand(group=action.group, effecter=effecter, opcode=opcode, value=value, where=mask)
     return operate(scene, world, physics, order)[0]
 
 

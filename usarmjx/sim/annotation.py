@@ -1,4 +1,4 @@
-"""What cameras of a batch's robots see, pixel by pixel: instances, normals and optical flow."""
+"""Labels for the cameras of a batch's robots, pixel by pixel: instances, normals and optical flow."""
 
 from collections.abc import Callable
 from functools import partial
@@ -44,7 +44,7 @@ class Annotator:
         *,
         later: BatchState | None = None,
     ) -> Annotation:
-        """Return what a camera of each of a group's robots sees (worlds, robots, ...).
+        """Return the view of a camera of each of a group's robots (worlds, robots, ...).
 
         Args:
             state: The batch.
@@ -66,20 +66,20 @@ class Annotator:
 def _annotate_worlds(
     scene: Scene, now: Moment, then: Moment, group_camera: GroupCamera, size: tuple[int, int]
 ) -> Annotation:
-    group, camera, place = group_camera
+    group, camera, camera_index = group_camera
     slots = jnp.asarray(scene.groups[group].slots)
 
-    def looked_at(moment: Moment) -> tuple[RenderScene, Member]:
+    def build(moment: Moment) -> tuple[RenderScene, Member]:
         render_scene, bodies = build_render_scene(scene, *moment)
-        return render_scene, (bodies[group], slots, moment[0].groups[group].fov[:, place])
+        return render_scene, (bodies[group], slots, moment[0].groups[group].fov[:, camera_index])
 
     def of_world(now: Moment, then: Moment) -> Annotation:
-        (before, here), (after, there) = looked_at(now), looked_at(then)
+        (scene_now, members_now), (scene_later, members_later) = build(now), build(then)
 
-        def of_robot(here: Member, there: Member) -> Annotation:
-            views = [camera_viewpoint(camera, *member) for member in (here, there)]
-            return annotate(before, views[0], after, views[1], *size)
+        def of_robot(members_now: Member, members_later: Member) -> Annotation:
+            views = [camera_viewpoint(camera, *member) for member in (members_now, members_later)]
+            return annotate(scene_now, views[0], scene_later, views[1], *size)
 
-        return map_pictures(of_robot, here, there)
+        return map_pictures(of_robot, members_now, members_later)
 
     return map_pictures(of_world, now, then)

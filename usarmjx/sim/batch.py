@@ -1,6 +1,6 @@
 """Many worlds at once: the only place that maps over worlds and compiles.
 
-The same few lines drive all engines. Where the engine can be traced a step is one compiled function;
+The same few lines drive all engines. On a traceable engine a step is one compiled function;
 with C MuJoCo the parts around the engine are.
 """
 
@@ -66,7 +66,7 @@ def select_worlds(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
     return jnp.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
 
-LONGEST_SOLVED_STEP = 0.025
+MAX_SOLVER_TIMESTEP = 0.025
 """With longer steps a solver of contacts throws robots about [s]."""
 
 
@@ -75,8 +75,8 @@ def engine_of(scene: Scene, name: str, worlds: int) -> Engine[Any]:
 
     Args:
         scene: The scene.
-        name: Of the engine, or `auto`: the best to train with here.
-        worlds: How many copies.
+        name: Name of the engine, or `auto`: the best to train with here.
+        worlds: Number of copies.
 
     Raises:
         UnknownNameError: No such engine.
@@ -85,10 +85,10 @@ def engine_of(scene: Scene, name: str, worlds: int) -> Engine[Any]:
         EngineError: The engine cannot run here.
     """
     kind = choose_engine(name, "batch")
-    if kind != "planar" and scene.physics.timestep > LONGEST_SOLVED_STEP:
+    if kind != "planar" and scene.physics.timestep > MAX_SOLVER_TIMESTEP:
         raise UnsupportedFeatureError(
             f"engine {kind!r} cannot run this scene: physics steps of {scene.physics.timestep:g} s are for "
-            f"engine planar, others take up to {LONGEST_SOLVED_STEP:g} s"
+            f"engine planar, others take up to {MAX_SOLVER_TIMESTEP:g} s"
         )
     built = scene.spec, scene.physics, worlds, scene.moved_geoms, scene.varied_bodies
     return make_engine(kind, *built, robots=scene.robots)
@@ -99,15 +99,15 @@ class Batch:
     """Copies of a scene that are stepped together.
 
     Args:
-        scene: What every world is a copy of.
-        worlds: How many.
+        scene: The scene that every world copies.
+        worlds: Number of worlds.
         engine: `warp`, `jax`, `c`, `planar`, or `auto`.
-        seed: Of all random numbers.
+        seed: Seed of all random numbers.
         first: Number of the first world. World k draws the same numbers alone as in a batch.
         shuffle: Draw start poses at each reset instead of handing them out in the arena's order.
 
     Raises:
-        UsageError: No worlds asked for.
+        UsageError: Fewer than one world.
         UnsupportedFeatureError: The scene has a feature that the engine would ignore.
         UncalibratedRobotError: Engine `planar` has no figures of a robot, which
             `usarmjx.sim.ensure_calibrated` measures.
@@ -116,7 +116,7 @@ class Batch:
     """
 
     _program_cache: ProgramCache | None = None
-    """Of its programs; None: they are compiled at each start."""
+    """Cache of compiled programs; None: they are compiled at each start."""
 
     def __init__(
         self,
@@ -148,6 +148,8 @@ class Batch:
         self._render_scene = self._compile(partial(render_scene_of_world, scene))
         self._links = self._compile(partial(update_links_of_worlds, scene))
         self._send = self._compile(jax.vmap(partial(send, scene)))
+        # C MuJoCo steps outside of JAX, so with it the parts around it are compiled instead of the whole
+        # step.
         self._step_program, self._reset_program = self._step, self._reset_where
         if self.engine.traceable:
             self._step_program = self._compile(self._step)
@@ -163,7 +165,7 @@ class Batch:
         """Return all worlds at the start of their first episode.
 
         Args:
-            seed: Of all random numbers; None: the batch's own.
+            seed: Seed of all random numbers; None: the batch's own.
             arenas: Arenas to draw from instead of the scene's, of the same shapes.
         """
         if arenas is None and self.scene.arenas is not None:
@@ -197,7 +199,9 @@ class Batch:
         worlds, qpos = self._reset(state.worlds, state.arenas, mask)
         return state.replace(physics=self.engine.reset(state.physics, mask, qpos), worlds=worlds)
 
-    def _mend_where(self, state: BatchState, mask: jax.Array, before: Array, reset_bad: bool) -> BatchState:
+    def _recover_where(
+        self, state: BatchState, mask: jax.Array, before: Array, reset_bad: bool
+    ) -> BatchState:
         """Mend worlds that broke: they start their next episode, or go on from qpos (worlds, nq), at rest."""
         if reset_bad:
             return self._reset_where(state, mask)
@@ -210,15 +214,15 @@ class Batch:
         worlds, inputs = self._compute_inputs(state.worlds, before)
         with jax.named_scope("physics"):
             physics = self.engine.advance(state.physics, inputs)
-        lost = self.engine.overflow(physics, inputs)
-        worlds, finite = self._finish_step(worlds, self.engine.state(physics), lost)
+        overflow = self.engine.overflow(physics, inputs)
+        worlds, finite = self._finish_step(worlds, self.engine.state(physics), overflow)
         state = state.replace(physics=physics, worlds=worlds)
-        mend = partial(self._mend_where, mask=~finite, before=before.qpos, reset_bad=reset_bad)
+        recover = partial(self._recover_where, mask=~finite, before=before.qpos, reset_bad=reset_bad)
         if self.engine.traceable:
             if not (reset_bad or self.engine.has_solver):
-                return mend(state)  # takes less than a condition, for which the host of a GPU waits
-            return jax.lax.cond(finite.all(), lambda s: s, mend, state)
-        return state if bool(finite.all()) else mend(state)
+                return recover(state)  # takes less than a condition, for which the host of a GPU waits
+            return jax.lax.cond(finite.all(), lambda s: s, recover, state)
+        return state if bool(finite.all()) else recover(state)
 
     def run(self, state: BatchState, steps: int, *, reset_bad: bool = True) -> BatchState:
         """Advance every world by some control steps, as `step` does, in fewer calls.
@@ -227,7 +231,7 @@ class Batch:
 
         Args:
             state: The batch.
-            steps: How many.
+            steps: Number of control steps.
             reset_bad: Whether worlds whose physics is no longer finite start their next episode at once. If
                 not, they go on from where they were, at rest: for who resets them afterwards.
         """
@@ -240,17 +244,19 @@ class Batch:
             return state
         if steps < 1:
             return state
-        physics, now = state.physics, self.physics(state)
-        worlds, inputs = self._compute_inputs(state.worlds, now)
-        for left in reversed(range(steps)):
-            before, physics = now.qpos, self.engine.advance(physics, inputs)
-            lost, now = self.engine.overflow(physics, inputs), self.engine.state(physics)
-            finished, finite, (begun, inputs) = self._finish_and_compute_inputs(worlds, now, lost)
+        physics, current = state.physics, self.physics(state)
+        worlds, inputs = self._compute_inputs(state.worlds, current)
+        for remaining in reversed(range(steps)):
+            before, physics = current.qpos, self.engine.advance(physics, inputs)
+            overflow, current = self.engine.overflow(physics, inputs), self.engine.state(physics)
+            finished, finite, (next_worlds, inputs) = self._finish_and_compute_inputs(
+                worlds, current, overflow
+            )
             if not bool(finite.all()):
                 broken = state.replace(physics=physics, worlds=finished)
-                mended = self._mend_where(broken, ~finite, before, reset_bad)
-                return self.run(mended, left, reset_bad=reset_bad)
-            worlds = begun if left else finished
+                recovered = self._recover_where(broken, ~finite, before, reset_bad)
+                return self.run(recovered, remaining, reset_bad=reset_bad)
+            worlds = next_worlds if remaining else finished
         return state.replace(physics=physics, worlds=worlds)
 
     def arena_of(self, state: BatchState, world: int) -> ArenaSpec:
@@ -285,13 +291,13 @@ class Batch:
     ) -> BatchState:
         """Let each robot send a message to any of the others, over the links of `links`.
 
-        What arrives is in `state.worlds.mail` at once, and what did not is counted there.
+        Messages that arrive are in `state.worlds.mail` at once, which also counts those that were lost.
 
         Args:
             state: The batch.
             to: Receivers, sender by row, broadcast to (worlds, robots, robots).
-            payload: What is said, broadcast to (worlds, robots, numbers).
-            length: What each message stands for [bytes], broadcast to (worlds, robots); None: 4 a number.
+            payload: Numbers to send, broadcast to (worlds, robots, numbers).
+            length: Size of each message [bytes], broadcast to (worlds, robots); None: 4 a number.
 
         Raises:
             UsageError: The scene has no mail.
@@ -338,7 +344,7 @@ class Batch:
             group: Index into `scene.groups`.
             targets: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N],
                 broadcast to (worlds, robots).
-            mode: What the numbers are.
+            mode: Control mode of the targets.
 
         Raises:
             UnknownNameError: A joint that these robots do not have; lists those they have.
@@ -367,10 +373,10 @@ class Batch:
             name: Name of the effecter, case ignored.
             opcode: Name of one of its operations, case ignored.
             value: Its parameter, broadcast to (worlds, robots); None: the usual one.
-            where: Which robots shall do it, broadcast to (worlds, robots).
+            where: Mask of the robots that carry it out, broadcast to (worlds, robots).
 
         Returns:
-            The batch, and per world and robot what became of it.
+            The batch, and the result per world and robot.
 
         Raises:
             UnknownNameError: The robots have no such effecter, or it no such operation; lists those known.
@@ -378,8 +384,10 @@ class Batch:
         """
         effecter, operation, number = find_operation(self.scene.groups[group], name, opcode, value)
         shape = state.worlds.groups[group].active.shape
-        told = jnp.broadcast_to(jnp.asarray(number, jnp.float32), shape), jnp.broadcast_to(where, shape)
-        worlds, result = self._operate(state.worlds, self.physics(state), (group, effecter), operation, *told)
+        command = jnp.broadcast_to(jnp.asarray(number, jnp.float32), shape), jnp.broadcast_to(where, shape)
+        worlds, result = self._operate(
+            state.worlds, self.physics(state), (group, effecter), operation, *command
+        )
         return state.replace(worlds=worlds), result
 
     def render(
@@ -390,7 +398,7 @@ class Batch:
         width: int = 64,
         height: int = 64,
     ) -> Picture:
-        """Return what a camera of each of a group's robots sees (worlds, robots, ...).
+        """Return the view of a camera of each of a group's robots (worlds, robots, ...).
 
         Args:
             state: The batch.
@@ -415,10 +423,11 @@ class Batch:
         width: int = 320,
         height: int = 240,
     ) -> Picture:
-        """Return what a camera of the robot in one slot of one world sees; the others are as in `render`."""
+        """Return the view of a camera of the robot in one slot of one world; see `render`."""
         group, member = self.scene.group_of(slot)
         _, lens, index = find_camera(self.scene, group, camera, (width, height))
         render_scene, bodies = self._render_scene(state.worlds, self.physics(state), world)
+        # As `compile_program` does: TensorFloat-32 would move rays by a millimetre.
         with jax.default_matmul_precision("highest"):
             body = jax.tree.map(lambda x: x[member], bodies[group])
             fov = state.worlds.groups[group].fov[world, member, index]
@@ -428,7 +437,7 @@ class Batch:
     def render_view(
         self, state: BatchState, world: int, viewpoint: Viewpoint, width: int = 320, height: int = 240
     ) -> Picture:
-        """Return what there is to see of a world from any place."""
+        """Return the view of a world from any viewpoint."""
         render_scene, _ = self._render_scene(state.worlds, self.physics(state), world)
         with jax.default_matmul_precision("highest"):
             return render_picture_jit(render_scene, viewpoint, width, height)
@@ -443,14 +452,14 @@ class Batch:
             group: Index into `scene.groups`.
             camera: Name or index of a camera of the class; None: the main one.
             fov: Horizontal field of view [rad], broadcast to (worlds, robots).
-            where: Which robots shall do it, broadcast to (worlds, robots).
+            where: Mask of the robots that do it, broadcast to (worlds, robots).
 
         Raises:
             UnknownNameError: The robots have no such camera; lists those they have.
         """
         members, (_, lens, index) = state.worlds.groups[group], find_camera(self.scene, group, camera)
-        told = jnp.where(where, lens.clamp(jnp.asarray(fov), jnp), members.fov[..., index])
-        return self.with_group(state, group, members.replace(fov=set_at(members.fov, (..., index), told)))
+        zoomed = jnp.where(where, lens.clamp(jnp.asarray(fov), jnp), members.fov[..., index])
+        return self.with_group(state, group, members.replace(fov=set_at(members.fov, (..., index), zoomed)))
 
     @staticmethod
     def with_group(state: BatchState, group: int, group_state: GroupState) -> BatchState:
@@ -463,10 +472,10 @@ class Batch:
         Raises:
             EngineError: Says how many worlds lost contacts, and what to raise.
         """
-        lost = int((np.asarray(state.worlds.faults.overflow) > 0).sum())
-        if lost:
+        overflow = int((np.asarray(state.worlds.faults.overflow) > 0).sum())
+        if overflow:
             raise EngineError(
-                f"contact buffers overflowed in {lost} of {self.worlds} worlds; raise "
+                f"contact buffers overflowed in {overflow} of {self.worlds} worlds; raise "
                 f"Physics.contacts_per_robot (now {self.scene.physics.contacts_per_robot})"
             )
 
@@ -479,8 +488,8 @@ def put_robot(batch: Batch, state: BatchState, world: int, slot: int, pos: Array
         state: Its state.
         world: Index of the world.
         slot: Slot of the robot.
-        pos: Where its chassis' origin shall be [m] (3,).
-        quat: How it shall be turned (4,).
+        pos: Position of its chassis' origin [m] (3,).
+        quat: Orientation (4,).
     """
     scene = batch.scene
     group, member = scene.group_of(slot)
@@ -489,6 +498,7 @@ def put_robot(batch: Batch, state: BatchState, world: int, slot: int, pos: Array
     pinned, qpos = np.zeros(shape, bool), np.zeros(shape, np.float32)
     pinned_dof = np.zeros((batch.worlds, scene.model.nv), bool)
     root = slice(index.root_qposadr, index.root_qposadr + 7)
+    # All engines can pin coordinates, as they do for parked robots: so a robot is moved without stepping.
     pinned[world, root], qpos[world, root] = True, (*pos, *quat)
     pinned_dof[world, index.root_dofadr : index.root_dofadr + 6] = True
     return state.replace(physics=batch.engine.set_qpos(state.physics, pinned, pinned_dof, qpos))

@@ -1,4 +1,4 @@
-"""How robot classes answer their motors, measured on engine `c` for engine `planar`.
+"""Motor responses of robot classes, measured on engine `c` for engine `planar`.
 
 Many robots of a class drive by random commands on an open floor; the figures of `Response` are those with
 which the twists that `planar` makes of the same commands come nearest, by least squares.
@@ -17,9 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.files import atomic_write
+from usarmjx.base.kept_json import kept_text
 from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.settings.json_file import as_mapping, read_json
 from usarmjx.engines.planar.drives import SideWheels, limited_lag, wheel_kinematics
 from usarmjx.engines.planar.responses import (
     NUMERIC_FIELDS,
@@ -27,6 +29,7 @@ from usarmjx.engines.planar.responses import (
     UncalibratedRobotError,
     description_key,
     override_response,
+    read_response,
     response_entry,
     response_file,
     rolls,
@@ -42,70 +45,71 @@ log = logging.getLogger(__name__)
 
 START = StartPose(tag="S", at=(0.0, 0.0, 0.188), yaw=0.0)
 OPEN_FLOOR = ArenaSpec(name="open-floor", starts=(START,), extent=((-50.0, 50.0), (-50.0, 50.0)))
-SETTLING = 25
-"""Control steps in which robots come to rest before they are told anything."""
-ORDER_STEPS = (25, 100)
-"""An order lasts for so many control steps."""
-STRAIGHT, SPINNING = 0.25, 0.15
-"""Shares of orders that go straight on, and that turn on the spot."""
-FASTEST = 4.0
-"""Cars are told to go no faster [m/s]: beyond that they skid through any bend."""
-TIGHTEST = 12.0
-"""Unless they are to go straight on, two sides are told speeds that would turn a robot no faster on the
-spot, did nothing slip [rad/s]: a Kurt, which could be told 32, only slides then."""
+SETTLING_STEPS = 25
+"""Control steps in which robots come to rest before their first command."""
+COMMAND_STEPS = (25, 100)
+"""Shortest and longest duration of a command [control steps]."""
+STRAIGHT_SHARE, SPINNING_SHARE = 0.25, 0.15
+"""Shares of commands that go straight on, and that turn on the spot."""
+MAX_CAR_SPEED = 4.0
+"""Highest commanded speed of cars [m/s]: beyond that they skid through any bend."""
+MAX_TURN_RATE = 12.0
+"""Highest commanded rate of turn of skid-steered robots without slip, unless they go straight on [rad/s].
+
+A Kurt can be commanded 32 and only slides then."""
 HORIZONS = (1.0, 5.0, 20.0)
-"""After such times the error of the pose is stated [s]."""
-LOWEST = np.array([0.2, 0.05, 1e-3, 1e-3, 0.05, 0.05, 0.2, -0.3])
-HIGHEST = np.array([1.5, 1.5, 1.5, 1.5, 50.0, 200.0, 50.0, 0.3])
-"""Within which the figures are looked for, in the order of `NUMERIC_FIELDS`."""
-WORTH_ANOTHER_MODEL = 0.8
+"""Times after which the error of the pose is stated [s]."""
+LOWER_BOUNDS = np.array([0.2, 0.05, 1e-3, 1e-3, 0.05, 0.05, 0.2, -0.3])
+UPPER_BOUNDS = np.array([1.5, 1.5, 1.5, 1.5, 50.0, 200.0, 50.0, 0.3])
+"""Bounds of the fit, in the order of `NUMERIC_FIELDS`."""
+MAX_COST_RATIO = 0.8
 """Sides answer by themselves if that leaves no more than this share of the cost of the simpler model."""
 
 
 @dataclass(frozen=True, eq=False)
 class DriveLog:
-    """What robots of a class were told, and what became of it on engine `c`.
+    """Commands to robots of a class, and the motion that followed on engine `c`.
 
     Attributes:
-        period: Of a control step [s].
-        told: Speeds that their wheels were told [rad/s] (steps, robots, wheels).
+        period: Length of a control step [s].
+        wheel_speeds: Commanded speeds of their wheels [rad/s] (steps, robots, wheels).
         joints: Positions of their joints, before each step (steps, robots, joints).
         twist: Forward speed, sideways speed, rate of turn after each (steps, robots, 3).
         pose: Position on the plan [m] and heading [rad] after each (steps, robots, 3).
     """
 
     period: float
-    told: np.ndarray
+    wheel_speeds: np.ndarray
     joints: np.ndarray
     twist: np.ndarray
     pose: np.ndarray
 
 
-def random_orders(robot: RobotSpec, robots: int, steps: int, seed: int) -> np.ndarray:
-    """Return what robots of a class are told, by the keys of its drive (steps, robots, keys)."""
+def random_commands(robot: RobotSpec, robots: int, steps: int, seed: int) -> np.ndarray:
+    """Return random commands for robots of a class, by the keys of its drive (steps, robots, keys)."""
     rng, drive = np.random.default_rng(seed), robot.drive
-    limits, orders = drive.limits, np.zeros((steps, robots, len(drive.keys)), np.float32)
+    limits, commands = drive.limits, np.zeros((steps, robots, len(drive.keys)), np.float32)
     for number in range(robots):
         step = 0
         while step < steps:
-            end = step + int(rng.integers(*ORDER_STEPS))
-            orders[step:end, number] = _random_order(drive, limits, rng)
+            end = step + int(rng.integers(*COMMAND_STEPS))
+            commands[step:end, number] = _random_command(drive, limits, rng)
             step = end
     if isinstance(drive, SkidSteer):
-        bends = orders[..., :1] != orders[..., 1:2]
-        orders = np.where(bends, orders * min(1.0, TIGHTEST / _turns_at_most(robot)), orders)
-    return orders.astype(np.float32)
+        bends = commands[..., :1] != commands[..., 1:2]
+        commands = np.where(bends, commands * min(1.0, MAX_TURN_RATE / _max_turn_rate(robot)), commands)
+    return commands.astype(np.float32)
 
 
-def _turns_at_most(robot: RobotSpec) -> float:
-    """Return how fast a robot with wheels on two sides would turn on the spot, did nothing slip [rad/s]."""
+def _max_turn_rate(robot: RobotSpec) -> float:
+    """Return the top rate of turn on the spot of a robot with wheels on two sides, without slip [rad/s]."""
     wheels, drive = wheel_kinematics(robot), robot.drive
     assert isinstance(wheels, SideWheels)
     assert isinstance(drive, SkidSteer)
     return 2.0 * drive.max_spin * wheels.radius / wheels.track
 
 
-def _random_order(drive: Any, limits: np.ndarray, rng: np.random.Generator) -> np.ndarray:  # noqa: ANN401
+def _random_command(drive: Any, limits: np.ndarray, rng: np.random.Generator) -> np.ndarray:  # noqa: ANN401
     kind, values = rng.random(), rng.uniform(-1.0, 1.0, len(limits)) * limits
     if drive.applies_wrench:  # what flies or dives: anything
         return values.astype(np.float32)
@@ -116,50 +120,50 @@ def _random_order(drive: Any, limits: np.ndarray, rng: np.random.Generator) -> n
         angle = rng.uniform(-1.0, 1.0) * drive.max_steer * (sides if kind < 0.5 else 1.0)
         return np.where(speeds, rng.uniform(-1.0, 1.0) * drive.max_spin, angle).astype(np.float32)
     if drive.keys == ("Left", "Right"):
-        if kind < STRAIGHT:
+        if kind < STRAIGHT_SHARE:
             values[1] = values[0]
-        elif kind < STRAIGHT + SPINNING:
+        elif kind < STRAIGHT_SHARE + SPINNING_SHARE:
             values[1] = -values[0]
     else:
-        values[0] *= min(1.0, FASTEST / drive.top_speed)
-        values[1:] *= kind >= STRAIGHT
+        values[0] *= min(1.0, MAX_CAR_SPEED / drive.top_speed)
+        values[1:] *= kind >= STRAIGHT_SHARE
     return values.astype(np.float32)
 
 
-def drive_log(robot: RobotSpec, orders: np.ndarray, engine: str = "c") -> DriveLog:
-    """Return what becomes of orders (steps, robots, keys) on an open floor."""
+def record_drive(robot: RobotSpec, commands: np.ndarray, engine: str = "c") -> DriveLog:
+    """Return the motion that follows commands (steps, robots, keys) on an open floor."""
     scene = build_scene(OPEN_FLOOR, [robot])
-    batch, group = Batch(scene, worlds=orders.shape[1], engine=engine), scene.groups[0]
+    batch, group = Batch(scene, worlds=commands.shape[1], engine=engine), scene.groups[0]
     drive, names = robot.drive, group.plan.parts[1:]
-    wheels = wheel_kinematics(robot)
+    kinematics = wheel_kinematics(robot)
     state = batch.reset()
-    for _ in range(SETTLING):
+    for _ in range(SETTLING_STEPS):
         state = batch.step(state)
     joints: list[np.ndarray] = []
     twist: list[np.ndarray] = []
     pose: list[np.ndarray] = []
-    for number in range(len(orders)):
-        if not number or (orders[number] != orders[number - 1]).any():
-            told = {key: orders[number, :, None, i] for i, key in enumerate(drive.keys)}
-            state = batch.drive(state, 0, told)
+    for number in range(len(commands)):
+        if not number or (commands[number] != commands[number - 1]).any():
+            values = {key: commands[number, :, None, i] for i, key in enumerate(drive.keys)}
+            state = batch.drive(state, 0, values)
         joints.append(np.asarray(batch.physics(state).qpos)[:, group.qposadr[0]])
         state = batch.step(state)
-        now = batch.physics(state)
-        qpos = np.asarray(now.qpos)[:, group.root_qposadr[0]]
-        qvel = np.asarray(now.qvel)[:, group.root_dofadr[0]]
+        physics = batch.physics(state)
+        qpos = np.asarray(physics.qpos)[:, group.root_qposadr[0]]
+        qvel = np.asarray(physics.qvel)[:, group.root_dofadr[0]]
         mat = np.asarray(mat_from_quat(qpos[:, 3:]))
-        own = np.einsum("nji,nj->ni", mat, qvel[:, :3])
-        twist.append(np.column_stack([own[:, :2], qvel[:, 5]]))
+        body_velocity = np.einsum("nji,nj->ni", mat, qvel[:, :3])
+        twist.append(np.column_stack([body_velocity[:, :2], qvel[:, 5]]))
         pose.append(np.column_stack([qpos[:, :2], np.arctan2(mat[:, 1, 0], mat[:, 0, 0])]))
-    targets = np.asarray(drive.targets(orders))
+    targets = np.asarray(drive.targets(commands))
     lower = [name.lower() for name in names]
-    place = {lower.index(one.joint.lower()): i for i, one in enumerate(drive.joint_controls)}
+    row = {lower.index(one.joint.lower()): i for i, one in enumerate(drive.joint_controls)}
     speeds = [
-        targets[..., place[j]] if j in place else np.zeros(targets.shape[:2]) for j in wheels.spin.tolist()
+        targets[..., row[j]] if j in row else np.zeros(targets.shape[:2]) for j in kinematics.spin.tolist()
     ]
     return DriveLog(
         period=scene.physics.period,
-        told=np.stack(speeds, -1),
+        wheel_speeds=np.stack(speeds, -1),
         joints=np.array(joints),
         twist=np.array(twist),
         pose=np.array(pose),
@@ -168,12 +172,12 @@ def drive_log(robot: RobotSpec, orders: np.ndarray, engine: str = "c") -> DriveL
 
 def fit_response(robot: RobotSpec, log: DriveLog) -> tuple[Response, np.ndarray]:
     """Return the figures with which a log is explained best, and what is left of its twists (3,), rms."""
-    found, left, cost = _fit(robot, log, sides_apart=False)
+    best, residual_rms, cost = _fit(robot, log, sides_apart=False)
     if isinstance(robot.drive, SkidSteer):
         other = _fit(robot, log, sides_apart=True)
-        if other[2] < WORTH_ANOTHER_MODEL * cost:
-            found, left, _ = other
-    return found, left
+        if other[2] < MAX_COST_RATIO * cost:
+            best, residual_rms, _ = other
+    return best, residual_rms
 
 
 def _fit(robot: RobotSpec, log: DriveLog, *, sides_apart: bool) -> tuple[Response, np.ndarray, float]:
@@ -181,64 +185,64 @@ def _fit(robot: RobotSpec, log: DriveLog, *, sides_apart: bool) -> tuple[Respons
     from scipy.optimize import least_squares  # half a second, of which a calibrated robot has no need
 
     wheels = wheel_kinematics(robot)
-    told, joints = jnp.asarray(log.told, jnp.float32), jnp.asarray(log.joints, jnp.float32)
-    wanted = jax.vmap(wheels.twist)(joints, told)
-    real = jnp.asarray(log.twist, jnp.float32)
+    wheel_speeds, joints = jnp.asarray(log.wheel_speeds, jnp.float32), jnp.asarray(log.joints, jnp.float32)
+    commanded = jax.vmap(wheels.twist)(joints, wheel_speeds)
+    measured = jnp.asarray(log.twist, jnp.float32)
     # Rates of turn count as what they are at the rim of the robot, sideways motion as little as it matters.
     reach = max(np.hypot(*robot.dimensions[:2]) / 2, 0.1)
     weight = jnp.array([1.0, 0.3, reach])
 
-    def misfit(values: Array) -> Array:
-        return ((_twists(values, wanted, log.period, sides_apart) - real) * weight).reshape(-1)
+    def residuals(values: Array) -> Array:
+        return ((_twists(values, commanded, log.period, sides_apart) - measured) * weight).reshape(-1)
 
-    residual = jax.jit(misfit)
-    slope = jax.jit(partial(_columns, misfit))
+    residual = jax.jit(residuals)
+    jacobian = jax.jit(partial(_jacobian, residuals))
     first = np.array([1.0, 0.7, 0.05, 0.05, 3.0, 6.0, 8.0, 0.0])
 
-    def misfit_at(values: np.ndarray) -> np.ndarray:
+    def residuals_at(values: np.ndarray) -> np.ndarray:
         return np.asarray(residual(jnp.asarray(values, jnp.float32)), float)
 
-    def slope_at(values: np.ndarray) -> np.ndarray:
-        return np.asarray(slope(jnp.asarray(values, jnp.float32)), float)
+    def jacobian_at(values: np.ndarray) -> np.ndarray:
+        return np.asarray(jacobian(jnp.asarray(values, jnp.float32)), float)
 
-    found: Any = least_squares(
-        misfit_at,
+    solution: Any = least_squares(
+        residuals_at,
         first,
-        slope_at,
-        bounds=(LOWEST, HIGHEST),
+        jacobian_at,
+        bounds=(LOWER_BOUNDS, UPPER_BOUNDS),
         loss="soft_l1",
         f_scale=0.1,
         x_scale=np.maximum(np.abs(first), 0.05),
         max_nfev=60,
     )
-    twists = _twists(jnp.asarray(found.x, jnp.float32), wanted, log.period, sides_apart)
-    left = np.sqrt((np.asarray(twists - real) ** 2).mean((0, 1)))
-    figures = {name: float(f"{x:.5g}") for name, x in zip(NUMERIC_FIELDS, found.x.tolist(), strict=True)}
-    return Response(**figures, sides_apart=sides_apart), left, float(found.cost)
+    twists = _twists(jnp.asarray(solution.x, jnp.float32), commanded, log.period, sides_apart)
+    residual_rms = np.sqrt((np.asarray(twists - measured) ** 2).mean((0, 1)))
+    figures = {name: float(f"{x:.5g}") for name, x in zip(NUMERIC_FIELDS, solution.x.tolist(), strict=True)}
+    return Response(**figures, sides_apart=sides_apart), residual_rms, float(solution.cost)
 
 
-def _twists(values: Array, wanted: Array, period: float, sides_apart: bool) -> Array:
-    """Return the twists (steps, robots, 3) that figures make of those that wheels are told."""
+def _twists(values: Array, commanded: Array, period: float, sides_apart: bool) -> Array:
+    """Return the twists (steps, robots, 3) that a response makes of the commanded ones."""
     figures = dict(zip(NUMERIC_FIELDS, values, strict=True))
-    answer = Response(**figures, sides_apart=sides_apart)  # type: ignore - numbers that are traced
+    response = Response(**figures, sides_apart=sides_apart)  # type: ignore - numbers that are traced
 
-    def step(now: Array, asked: Array) -> tuple[Array, Array]:
-        now = limited_lag(answer, now, asked, period)
-        return now, now
+    def step(twist: Array, command: Array) -> tuple[Array, Array]:
+        twist = limited_lag(response, twist, command, period)
+        return twist, twist
 
-    rolling = jax.lax.scan(step, jnp.zeros_like(wanted[0]), wanted)[1]
-    ahead, turn = answer.gain * rolling[..., 0], answer.turn_gain * rolling[..., 2]
-    aside = answer.gain * rolling[..., 1] + answer.drift * ahead * turn
+    lagged = jax.lax.scan(step, jnp.zeros_like(commanded[0]), commanded)[1]
+    ahead, turn = response.gain * lagged[..., 0], response.turn_gain * lagged[..., 2]
+    aside = response.gain * lagged[..., 1] + response.drift * ahead * turn
     return jnp.stack([ahead, aside, turn], -1)
 
 
-def _columns(function: Callable[[Array], Array], values: Array) -> Array:
-    """Return how a function changes with each of its numbers (results, numbers)."""
+def _jacobian(function: Callable[[Array], Array], values: Array) -> Array:
+    """Return the Jacobian of a function (results, numbers)."""
 
-    def along(way: Array) -> Array:
-        return jax.jvp(function, (values,), (way,))[1]
+    def directional_derivative(direction: Array) -> Array:
+        return jax.jvp(function, (values,), (direction,))[1]
 
-    return jax.vmap(along, out_axes=-1)(jnp.eye(len(values)))
+    return jax.vmap(directional_derivative, out_axes=-1)(jnp.eye(len(values)))
 
 
 def calibrate(robot: RobotSpec, robots: int = 24, seconds: float = 12.0, seed: int = 0) -> dict[str, Any]:
@@ -246,12 +250,12 @@ def calibrate(robot: RobotSpec, robots: int = 24, seconds: float = 12.0, seed: i
 
     Args:
         robot: Its description.
-        robots: How many drive at once.
+        robots: Robots that drive at once.
         seconds: For how long [s].
-        seed: Of their orders.
+        seed: Seed of their commands.
 
     Returns:
-        What the file of measurements has of it: the key of the description, the response, and the rms of what
+        Entry for the file of measurements: the key of the description, the response, and the rms of what
         is left unexplained of forward speed [m/s], sideways speed [m/s] and rate of turn [rad/s].
 
     Raises:
@@ -259,32 +263,32 @@ def calibrate(robot: RobotSpec, robots: int = 24, seconds: float = 12.0, seed: i
     """
     if not rolls(robot.drive):
         raise UsageError(f"{robot.name} does not roll on wheels or tracks: there is nothing to calibrate")
-    orders = random_orders(robot, robots, round(seconds / 0.02), seed)
-    response, left = fit_response(robot, drive_log(robot, orders))
+    commands = random_commands(robot, robots, round(seconds / 0.02), seed)
+    response, residual_rms = fit_response(robot, record_drive(robot, commands))
     override_response(robot, response)
     names = ("forward_speed", "sideways_speed", "rate_of_turn")
     return response_entry(
-        robot, response, left={k: float(f"{x:.3g}") for k, x in zip(names, left, strict=True)}
+        robot, response, left={k: float(f"{x:.3g}") for k, x in zip(names, residual_rms, strict=True)}
     )
 
 
 def pose_errors(robot: RobotSpec, robots: int = 16, seed: int = 1) -> dict[str, dict[str, float]]:
-    """Return how far robots on `planar` are from those on `c` after some time of the same random orders.
+    """Return the distance of robots on `planar` from those on `c` under the same random commands.
 
     Medians over robots of the distance [m] and of the difference in heading [rad], by the time [s].
     """
-    orders = random_orders(robot, robots, round(HORIZONS[-1] / 0.02), seed)
-    real, planar = drive_log(robot, orders, "c"), drive_log(robot, orders, "planar")
+    commands = random_commands(robot, robots, round(HORIZONS[-1] / 0.02), seed)
+    measured, planar = record_drive(robot, commands, "c"), record_drive(robot, commands, "planar")
     errors: dict[str, dict[str, float]] = {}
     for horizon in HORIZONS:
-        step = round(horizon / real.period) - 1
-        apart = planar.pose[step] - real.pose[step]
-        turn = np.arctan2(np.sin(apart[:, 2]), np.cos(apart[:, 2]))
-        way = np.linalg.norm(np.diff(real.pose[: step + 1, :, :2], axis=0), axis=-1).sum(0)
+        step = round(horizon / measured.period) - 1
+        difference = planar.pose[step] - measured.pose[step]
+        turn = np.arctan2(np.sin(difference[:, 2]), np.cos(difference[:, 2]))
+        path_length = np.linalg.norm(np.diff(measured.pose[: step + 1, :, :2], axis=0), axis=-1).sum(0)
         errors[f"{horizon:g} s"] = {
-            "distance": float(f"{np.median(np.linalg.norm(apart[:, :2], axis=-1)):.3g}"),
+            "distance": float(f"{np.median(np.linalg.norm(difference[:, :2], axis=-1)):.3g}"),
             "heading": float(f"{np.median(np.abs(turn)):.3g}"),
-            "way": float(f"{np.median(way):.3g}"),
+            "way": float(f"{np.median(path_length):.3g}"),
         }
     return errors
 
@@ -304,14 +308,14 @@ def ensure_calibrated(robots: Scene | Iterable[RobotSpec], folder: Path | None =
         entry, file = calibrate(robot), response_file(robot, folder)
         if file is not None:
             with atomic_write(file) as fresh:
-                fresh.write_text(json.dumps(entry, indent=1), encoding="utf-8")
+                fresh.write_text(kept_text(entry), encoding="utf-8")
 
 
 Built = TypeVar("Built")
 
 
 def build_calibrated(build: Callable[[], Built]) -> Built:
-    """Return what a function builds, after measuring robots that engine `planar` refuses for want of figures.
+    """Return the result of a builder, after measuring robots that engine `planar` refuses as uncalibrated.
 
     Args:
         build: Builds a batch or an environment; called again after measuring.
@@ -339,22 +343,38 @@ def measure_all(
     """
     known: dict[str, dict[str, Any]] = {}
     if file is not None and file.exists():
-        known = json.loads(file.read_text(encoding="utf-8"))
+        known = _measured(file)
     for robot in robots:
         if everything and not rolls(robot.drive):
             continue
         entry = known.get(robot.name)
-        if entry is None or entry["key"] != description_key(robot):
+        if entry is None or entry.get("key") != description_key(robot):
             entry = calibrate(robot)
             entry["errors"] = pose_errors(robot)
         known[robot.name] = entry
         if file is not None:
             with atomic_write(file) as fresh:
                 fresh.write_text(json.dumps(dict(sorted(known.items())), indent=1) + "\n", encoding="utf-8")
-        yield _told(robot.name, entry)
+        yield _summary(robot.name, entry)
 
 
-def _told(name: str, entry: dict[str, Any]) -> str:
+def _measured(file: Path) -> dict[str, dict[str, Any]]:
+    """Return the entries of a file of measurements, by class.
+
+    Raises:
+        SpecError: It is no such file; names the entry.
+    """
+    content = as_mapping(read_json(file, finite=True))
+    if content is None:
+        raise SpecError(f"{file}: is no file of measured robots: expected a mapping of their names")
+    for name, entry in content.items():
+        read_response(entry, f"{file}: {name}")
+        if not isinstance(entry.get("errors"), dict):
+            raise SpecError(f"{file}: {name}: has no errors of poses; remove the entry to measure them")
+    return content
+
+
+def _summary(name: str, entry: dict[str, Any]) -> str:
     parts = [
         f"after {horizon} {error['distance']:.2f} m, {error['heading']:.2f} rad off, of {error['way']:.1f} m"
         for horizon, error in entry["errors"].items()

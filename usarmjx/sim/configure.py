@@ -24,8 +24,8 @@ from usarmjx.sim.scene import parking_position, prefix_of
 from usarmjx.sim.single_world import SingleWorld
 
 
-def redescribe(world: SingleWorld, slot: int, robot: RobotSpec) -> None:
-    """Give a robot another description; where it is, how it moves and what it was told stay.
+def update_robot_spec(world: SingleWorld, slot: int, robot: RobotSpec) -> None:
+    """Give a robot another description; its pose, motion and commands stay.
 
     Args:
         world: The world.
@@ -58,43 +58,44 @@ def _names(robot: RobotSpec) -> object:
 
 
 def _solids(robot: RobotSpec) -> object:
-    """Return what of a class is in the model, and a little more."""
+    """Return the parts of a class that are in the model, and a little more."""
     return chassis_shapes(robot), parts_of(robot)
 
 
 def _rebuild(world: SingleWorld, slot: int, before: RobotSpec, after: RobotSpec) -> None:
     """Build a robot's solids and motors anew where it is."""
     engine, prefix = world.engine, prefix_of(slot)
-    place = parking_position(world.scene.arena, slot)
+    parking = parking_position(world.scene.arena, slot)
 
-    def put(robot: RobotSpec, spec: mujoco.MjSpec) -> None:
+    def build(robot: RobotSpec, spec: mujoco.MjSpec) -> None:
         if spec.body(f"{prefix}chassis") is not None:
             remove_robot(spec, prefix)
-        add_robot(spec, robot, prefix, place)
+        add_robot(spec, robot, prefix, parking)
 
-    def rows(robot: RobotSpec) -> list[tuple[np.ndarray, list[int]]]:
-        """Return what of the robot's is in the engine's state now, with its places in there."""
+    def state_rows(robot: RobotSpec) -> list[tuple[np.ndarray, list[int]]]:
+        """Return the robot's arrays in the engine's state, with its indices in them."""
         index, data = index_robot(engine.model, robot, prefix), engine.data
-        dofs, pulls = _dofs(index), [*index.actuator_ids, *index.hold_actuator_ids]
+        dofs, actuators = _dofs(index), [*index.actuator_ids, *index.hold_actuator_ids]
         free = [*range(index.root_qposadr, index.root_qposadr + 7), *index.qposadr]
         return [
             (data.qpos, free),
             (data.qvel, dofs),
             (data.qacc_warmstart, dofs),
             (data.act, list(index.actadr)),
-            (data.ctrl, pulls),
+            (data.ctrl, actuators),
         ]
 
-    values = [array[places].copy() for array, places in rows(before)]
+    values = [array[indices].copy() for array, indices in state_rows(before)]
     present = before
     try:
-        engine.edit(lambda spec: put(after, spec), lambda spec: put(before, spec))
+        engine.edit(lambda spec: build(after, spec), lambda spec: build(before, spec))
         present = after
     except ValueError as error:  # of MuJoCo
         raise SpecError(f"a {before.name} cannot be built so: {error}") from error
+    # After a fault as well: `edit` has undone the change, and the values fit the model of before.
     finally:
-        for (array, places), value in zip(rows(present), values, strict=True):
-            array[places] = value
+        for (array, indices), value in zip(state_rows(present), values, strict=True):
+            array[indices] = value
         mujoco.mj_kinematics(engine.model, engine.data)
 
 
@@ -116,7 +117,7 @@ class ActiveFiles:
         files: All of them, in order.
         robots: The robots that were there when the last one came, as they are with the files, by name.
         originals: Those of them that the files change, as they would be without; None: there would be none.
-        warnings: What has been told about the files.
+        warnings: Warnings that were given about the files.
     """
 
     files: tuple[IniFile, ...] = ()
@@ -124,8 +125,8 @@ class ActiveFiles:
     originals: Mapping[str, RobotSpec | None] = field(default_factory=dict[str, RobotSpec | None])
     warnings: frozenset[str] = frozenset()
 
-    def hold_in(self, robots: Registry[RobotSpec]) -> bool:
-        """Whether nobody has replaced one of the robots since."""
+    def are_intact_in(self, robots: Registry[RobotSpec]) -> bool:
+        """Return whether all robots are still those that the files made."""
         return all(name in robots and robots.get(name) is robot for name, robot in self.robots.items())
 
     def without(self, robots: Registry[RobotSpec]) -> Registry[RobotSpec]:
@@ -139,7 +140,7 @@ class ActiveFiles:
         return others
 
 
-_in_force = [ActiveFiles()]
+_active_files = [ActiveFiles()]
 
 
 def configure(paths: Iterable[str | Path], uu_per_metre: float = UU_PER_METRE) -> LoadedRobots:
@@ -154,23 +155,23 @@ def configure(paths: Iterable[str | Path], uu_per_metre: float = UU_PER_METRE) -
         uu_per_metre: Length of a metre in Unreal units.
 
     Returns:
-        What was loaded, with a warning more for each robot that carries more than its payload, if it has a
-        section or did not carry too much before.
+        The robots that were loaded, with a warning more for each that carries more than its payload, if it
+        has a section or did not carry too much before.
 
     Raises:
         SpecError: A file or value that is wrong, or a robot that cannot be built; nothing has changed then.
     """
-    before = _in_force[0] if _in_force[0].hold_in(ROBOTS) else ActiveFiles()
+    before = _active_files[0] if _active_files[0].are_intact_in(ROBOTS) else ActiveFiles()
     stock, files = before.without(ROBOTS), (*before.files, *read_files(paths, uu_per_metre))
     loaded = build_robots(files, stock, settings_by_kind())
     warnings = [*loaded.warnings, *_check(loaded, stock, ", ".join(file.path for file in files))]
     new = {robot.name.lower(): robot for robot in loaded.robots}
-    again = (robot for name, robot in before.originals.items() if robot is not None and name not in new)
-    told = tuple(robot for robot in (*loaded.robots, *again) if ROBOTS.find(robot.name) != robot)
+    restored = (robot for name, robot in before.originals.items() if robot is not None and name not in new)
+    changed = tuple(robot for robot in (*loaded.robots, *restored) if ROBOTS.find(robot.name) != robot)
     fresh = tuple(text for text in warnings if text not in before.warnings)
-    loaded = replace(loaded, robots=told, warnings=fresh)
+    loaded = replace(loaded, robots=changed, warnings=fresh)
     loaded.apply(ROBOTS)
-    _in_force[0] = ActiveFiles(
+    _active_files[0] = ActiveFiles(
         files=files,
         robots=dict(ROBOTS),
         originals={name: stock.find(name) for name in new},

@@ -1,4 +1,4 @@
-"""From commands to actuators: what one robot's motors are told for one control step."""
+"""From commands to actuators: the motor inputs of one robot for one control step."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -33,12 +33,12 @@ def joint_efforts(plan: KinematicTree, state: RobotState, act: Array, hold: Arra
     """
     here, servos = actuated_servos(plan)
     pos, vel = state.joint_pos[..., here], state.joint_vel[..., here]
-    wanted = servos.stiffness * act - hold * (servos.stiffness * pos + servos.damping * vel)
-    most = servos.stiffness * np.maximum(servos.windup_limit, servos.brake_limit)
-    exerted = xp.clip(wanted, -most, most)
-    places = np.zeros((len(plan.actuated), len(plan.parts) - 1), np.float32)
-    places[np.arange(len(plan.actuated)), plan.actuated] = 1.0
-    return exerted @ places
+    unclipped = servos.stiffness * act - hold * (servos.stiffness * pos + servos.damping * vel)
+    limit = servos.stiffness * np.maximum(servos.windup_limit, servos.brake_limit)
+    effort = xp.clip(unclipped, -limit, limit)
+    scatter = np.zeros((len(plan.actuated), len(plan.parts) - 1), np.float32)
+    scatter[np.arange(len(plan.actuated)), plan.actuated] = 1.0
+    return effort @ scatter
 
 
 class Joints(NamedTuple):
@@ -64,10 +64,10 @@ def torque_inputs(
 
     Args:
         servos: Constants of the servos (actuators,).
-        torque: What each joint shall exert, no more than its motor can [N m or N] (..., actuators).
+        torque: Commanded torque of each joint, no more than its motor can [N m or N] (..., actuators).
         speed: Top speed of each joint [rad/s or m/s] (..., actuators).
         joints: The joints and what their servos did (..., actuators).
-        period: Of a control step [s].
+        period: Length of a control step [s].
 
     Returns:
         ctrl: Inputs of the pulling actuators.
@@ -75,29 +75,32 @@ def torque_inputs(
         act: Activations of the pulling ones.
     """
     sign, bound = xp.sign(torque), xp.abs(torque)
-    room = speed - sign * joints.vel
-    # Whatever hangs on a joint, it has the inertia of its motor at least.
-    exact = bound * period <= servos.armature * room
-    even = joints.pos + servos.lead * joints.vel
+    margin = speed - sign * joints.vel
+    # A joint has the inertia of its motor at least, whatever load hangs on it: a torque that cannot take the
+    # bare motor past its top speed within a step may act in full.
+    exact = bound * period <= servos.armature * margin
+    # At this target spring and damper of the servo cancel: stiffness (act - pos) - damping vel is 0.
+    equilibrium = joints.pos + servos.lead * joints.vel
     # This much takes a joint that carries nothing just to its top speed.
-    fit = servos.damping * room
-    now = sign * servos.stiffness * (joints.act - even)
+    settled_force = servos.damping * margin
+    present_force = sign * servos.stiffness * (joints.act - equilibrium)
     # More than this share of it per step would make a bare motor overshoot: so it is critically damped.
-    share = xp.minimum(0.25 * servos.damping * period / servos.armature, 1.0)
-    force = xp.where(joints.held, now + share * fit, fit)
-    # What is at rest need not begin with nothing; from half its top speed on a joint is on its way.
-    start = servos.damping * (2.0 * room - speed)
-    force = xp.maximum(force, xp.where(start > 0.0, start, -bound))
+    correction = xp.minimum(0.25 * servos.damping * period / servos.armature, 1.0)
+    force = xp.where(joints.held, present_force + correction * settled_force, settled_force)
+    # A joint at rest starts with some force at once; above half its top speed it counts as on its way.
+    initial_force = servos.damping * (2.0 * margin - speed)
+    force = xp.maximum(force, xp.where(initial_force > 0.0, initial_force, -bound))
     force = sign * xp.clip(force, -bound, bound)
+    # In full the holding actuators are off, and the activation alone exerts stiffness * act.
     ctrl = xp.where(exact, 0.0, xp.clip(joints.vel, -speed, speed))
-    act = xp.where(exact, torque, force) / servos.stiffness + xp.where(exact, 0.0, even)
+    act = xp.where(exact, torque, force) / servos.stiffness + xp.where(exact, 0.0, equilibrium)
     return ctrl, xp.where(exact, 0.0, 1.0), act
 
 
 SURGE_SHARE = 0.6
 """Chosen: a P2DX has four fifths of the acceleration of its plain torque, and its wheels grip at walls."""
 FLIP_TIME = 3.0
-"""How long DRIVE {Flip True} rights a robot [s] (KRobot.uc: FlipTime)."""
+"""Time that DRIVE {Flip True} takes to right a robot [s] (KRobot.uc: FlipTime)."""
 MIN_UPRIGHT_COS = np.cos(np.radians(10.0))
 """A robot that leans less than this needs no righting."""
 FLIP_RATE = 2.5
@@ -113,13 +116,13 @@ class ControlMode(IntEnum):
 
 
 class RobotCommand(struct.PyTreeNode, kw_only=True):
-    """What a robot is told to do until told otherwise.
+    """Command that a robot carries out until the next one.
 
     Attributes:
         target: Wanted position [rad or m], velocity [rad/s or m/s] or torque [N m or N] of each joint
             (joints,).
         mode: `ControlMode` of each joint (joints,).
-        setpoint: What each key of the robot's DRIVE was last set to [rad/s, m/s or rad] (keys,).
+        setpoint: Last value of each key of the robot's DRIVE [rad/s, m/s or rad] (keys,).
         flip_until: Control step until which it is being righted ().
         light: Whether the headlight is on ().
     """
@@ -132,12 +135,12 @@ class RobotCommand(struct.PyTreeNode, kw_only=True):
 
 
 class DriveConditions(struct.PyTreeNode, kw_only=True):
-    """What decides what a robot's command does.
+    """Conditions that decide on the effect of a robot's command.
 
     Attributes:
         step: Control steps since the last reset ().
         powered: Whether its battery lasts ().
-        depth: How far its origin is below the surface of water [m] (); `drives.DRY_DEPTH` outside.
+        depth: Depth of its origin below the surface of water [m] (); `drives.DRY_DEPTH` outside.
         torque: Factor on what its motors can exert (); None: 1.
         speed: Factor on how fast they turn (); None: 1.
         hold: Inputs that its holding actuators had in the step before (actuators,); None: 1.
@@ -152,15 +155,15 @@ class DriveConditions(struct.PyTreeNode, kw_only=True):
 
 
 class ActuatorInputs(struct.PyTreeNode, kw_only=True):
-    """What the engine needs for one robot.
+    """Inputs of the engine for one robot.
 
     Attributes:
         ctrl: Inputs of the pulling actuators: velocities of the servos' targets (actuators,).
-        hold: Inputs of the holding actuators: 1, or 0 where a joint exerts exactly the torque it was told
+        hold: Inputs of the holding actuators: 1, or 0 where a joint exerts exactly the commanded torque
             (actuators,).
         act: Activations of the pulling ones: the servos' targets (actuators,).
         wrench: Force [N] and torque [N m] on the chassis, world axes (6,).
-        refused: How many commanded numbers were not finite ().
+        refused: Number of commanded values that were not finite ().
     """
 
     ctrl: Array
@@ -171,7 +174,7 @@ class ActuatorInputs(struct.PyTreeNode, kw_only=True):
 
 
 def idle_command(robot: RobotSpec) -> RobotCommand:
-    """Return the command of a robot that has not been told anything: wheels braked, other joints held."""
+    """Return the command of a robot before its first one: wheels braked, other joints held."""
     parts = parts_of(robot)
     modes = [ControlMode.VELOCITY if part.is_wheel else ControlMode.POSITION for part in parts]
     return RobotCommand(
@@ -211,7 +214,7 @@ def set_drive(robot: RobotSpec, command: RobotCommand, values: Mapping[str, Arra
 
     Args:
         robot: The robot class.
-        command: What it was told so far; arrays may have leading axes.
+        command: Its command so far; arrays may have leading axes.
         values: Numbers for some of `robot.drive.keys`, or of its `other_keys` [rad/s, m/s or rad]; clipped to
             what it can do.
 
@@ -222,10 +225,10 @@ def set_drive(robot: RobotSpec, command: RobotCommand, values: Mapping[str, Arra
     values = drive.to_own_keys(values, setpoint)
     check_drive_keys(robot, values)
     for key, value in values.items():
-        place = drive.keys.index(key)
-        here = np.arange(len(drive.keys)) == place
+        index = drive.keys.index(key)
+        at_key = np.arange(len(drive.keys)) == index
         value = xp.asarray(value, xp.float32)[..., None]
-        setpoint = xp.where(here, xp.clip(value, -drive.limits, drive.limits), setpoint)
+        setpoint = xp.where(at_key, xp.clip(value, -drive.limits, drive.limits), setpoint)
     mask, row = _driven_joints(robot)
     command = command.replace(setpoint=setpoint)
     if not mask.any():
@@ -243,13 +246,13 @@ def move_joints(
     targets: Mapping[str, ArrayLike],
     mode: ControlMode,
 ) -> RobotCommand:
-    """Return a command with joints told where to go, how fast to move or what to exert.
+    """Return a command with other targets of joints: positions, velocities or torques.
 
     Args:
         plan: Body plan of the robot class.
-        command: What it was told so far; arrays may have leading axes.
+        command: Its command so far; arrays may have leading axes.
         targets: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N] (...).
-        mode: What the numbers are.
+        mode: Control mode of the targets.
 
     Raises:
         UnknownNameError: A joint that these robots do not have; lists those they have.
@@ -260,22 +263,22 @@ def move_joints(
         if joint is None:
             known = ", ".join(plan.parts[1:])
             raise UnknownNameError(f"{plan.robot.name} has no joint {name!r}; it has: {known}")
-        here = np.arange(len(plan.parts) - 1) == joint
-        target = xp.where(here, xp.asarray(value, xp.float32)[..., None], target)
-        modes = xp.where(here, int(mode), modes).astype(xp.int32)
+        at_joint = np.arange(len(plan.parts) - 1) == joint
+        target = xp.where(at_joint, xp.asarray(value, xp.float32)[..., None], target)
+        modes = xp.where(at_joint, int(mode), modes).astype(xp.int32)
     return command.replace(target=target, mode=modes)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CommandUpdate:
-    """What robots of one class are told anew; what is not named stays as it was. Numbers are broadcast.
+    """Changes of the command of robots of one class; other setpoints stay. Numbers are broadcast.
 
     Attributes:
         drive: Numbers for keys of DRIVE [rad/s, m/s or rad] (...,).
         joints: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N] (...,).
-        mode: What the numbers of `joints` are.
-        light: Whether the headlight shall be on (...,).
-        flip_until: Control step until which they shall be righted (...,).
+        mode: Control mode of `joints`.
+        light: Whether the headlight is to be on (...,).
+        flip_until: Control step until which they are righted (...,).
     """
 
     drive: Mapping[str, ArrayLike] = field(default_factory=dict[str, ArrayLike])
@@ -291,37 +294,37 @@ def update_command(
     update: CommandUpdate,
     where: Array | None = None,
 ) -> RobotCommand:
-    """Return the next command: the one way to tell a robot, whoever tells it.
+    """Return the next command. Every command to a robot, from any caller, passes through here.
 
     Args:
         plan: Body plan of the robot class.
-        command: What the robots were told so far; arrays may have leading axes (...,).
-        update: What they are told anew.
-        where: Which of them are told it (...,); None: all.
+        command: The robots' command so far; arrays may have leading axes (...,).
+        update: The changes.
+        where: Mask of the robots that receive them (...,); None: all.
 
     Raises:
         UnknownNameError: A key of DRIVE or a joint that they do not have; lists those they have.
     """
-    shape, told = command.target.shape[:-1], command
+    shape, updated = command.target.shape[:-1], command
 
-    def each(values: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    def broadcast(values: Mapping[str, ArrayLike]) -> dict[str, Array]:
         return {name: xp.broadcast_to(value, shape) for name, value in values.items()}
 
     if update.drive:
-        told = set_drive(plan.robot, told, each(update.drive))
+        updated = set_drive(plan.robot, updated, broadcast(update.drive))
     if update.joints:
-        told = move_joints(plan, told, each(update.joints), update.mode)
+        updated = move_joints(plan, updated, broadcast(update.joints), update.mode)
     if update.light is not None:
-        told = told.replace(light=xp.broadcast_to(xp.asarray(update.light, bool), shape))
+        updated = updated.replace(light=xp.broadcast_to(xp.asarray(update.light, bool), shape))
     if update.flip_until is not None:
-        told = told.replace(flip_until=xp.broadcast_to(xp.asarray(update.flip_until, xp.int32), shape))
+        updated = updated.replace(flip_until=xp.broadcast_to(xp.asarray(update.flip_until, xp.int32), shape))
     if where is None:
-        return told
+        return updated
 
-    def chosen(new: Array, old: Array) -> Array:
+    def select(new: Array, old: Array) -> Array:
         return xp.where(where.reshape(*shape, *[1] * (new.ndim - len(shape))), new, old)
 
-    return jax.tree.map(chosen, told, command)
+    return jax.tree.map(select, updated, command)
 
 
 @named_scope("actuation")
@@ -341,11 +344,11 @@ def compute_actuation(
 
     Args:
         plan: Body plan of the robot class.
-        command: What the robots are told; all arguments may have leading axes (...,), the same ones.
-        state: Where they are.
+        command: The robots' command; all arguments may have leading axes (...,), the same ones.
+        state: Their state.
         act: Activations of their pulling actuators (..., actuators).
-        conditions: What else decides.
-        period: Of a control step [s].
+        conditions: Battery, water and other conditions.
+        period: Length of a control step [s].
     """
     drive, powered = plan.robot.drive, conditions.powered[..., None]
     target = xp.where(powered, command.target, 0.0)
@@ -354,7 +357,7 @@ def compute_actuation(
     finite, sound = xp.isfinite(target), xp.isfinite(setpoint)
     target, setpoint = xp.where(finite, target, 0.0), xp.where(sound, setpoint, 0.0)
     ctrl, hold, new_act = _servo(plan, (target, mode), state, act, period, conditions)
-    # A key of a drive that aims joints has reached their targets already.
+    # Where the drive aims joints its setpoints are in their targets already, and would count twice.
     refused = (~finite).sum(-1) + (0 if drive.joint_controls else (~sound).sum(-1))
     return ActuatorInputs(
         ctrl=ctrl,
@@ -381,15 +384,21 @@ def _wrench(
             setpoint = setpoint * conditions.speed[..., None]
         own = drive.wrench(setpoint, state, conditions.depth)
         wrench = drive.passive_wrench(state, conditions.depth) + xp.where(powered[..., None], own, 0.0)
+    # A traced value decides no branch: on JAX every robot's wrench is computed and masked.
     flips = powered & (conditions.step < flip_until)
     if drive.is_wheeled and not (on_numpy() and not flips.any()):
         wrench = wrench + xp.where(flips[..., None], righting_wrench(plan, state, period), 0.0)
     return xp.asarray(wrench, xp.float32)
 
 
+def _scaled(values: Array, factor: Array | None) -> Array:
+    """Return values of a robot's joints (..., actuators) times a factor of the robot (...,)."""
+    return values if factor is None else values * factor[..., None]
+
+
 def _servo(
     plan: KinematicTree,
-    told: tuple[Array, Array],
+    targets: tuple[Array, Array],
     state: RobotState,
     act: Array,
     period: float,
@@ -399,53 +408,53 @@ def _servo(
 
     At the end of its range a joint in torque mode is held there for as long as the torque pushes outward.
     """
-    here, servos = actuated_servos(plan)
-    q, v, target, mode = (x[..., here] for x in (state.joint_pos, state.joint_vel, *told))
+    actuated, servos = actuated_servos(plan)
+    q, v, target, mode = (x[..., actuated] for x in (state.joint_pos, state.joint_vel, *targets))
     speed, torque, windup_limit = servos.speed, servos.torque, servos.windup_limit
-    stands = (mode == ControlMode.VELOCITY) & (target == 0.0) & servos.has_brake
+    brakes = (mode == ControlMode.VELOCITY) & (target == 0.0) & servos.has_brake
     if servos.stall_limit.any():
         slow = xp.clip(1.0 - xp.abs(v) / STALL_SPEED, 0.0, 1.0)
         windup_limit = windup_limit + slow * servos.stall_limit
     if servos.has_brake.any():
-        windup_limit = xp.where(stands, servos.brake_limit, windup_limit)
-    if conditions.torque is not None:
-        share = conditions.torque[..., None]
-        torque, windup_limit = torque * share, windup_limit * share
-    if conditions.speed is not None:
-        share = conditions.speed[..., None]
-        speed, target = speed * share, xp.where(mode == ControlMode.VELOCITY, target * share, target)
+        windup_limit = xp.where(brakes, servos.brake_limit, windup_limit)
+    torque, windup_limit = (_scaled(one, conditions.torque) for one in (torque, windup_limit))
+    speed = _scaled(speed, conditions.speed)
+    target = xp.where(mode == ControlMode.VELOCITY, _scaled(target, conditions.speed), target)
     low, high = servos.low, servos.high
-    even = q + servos.lead * v
+    # At this target spring and damper of the servo cancel at the present speed.
+    balance = q + servos.lead * v
     held = xp.ones_like(act, dtype=bool) if conditions.hold is None else conditions.hold > 0.0
     # A joint that nothing held has no target to go on from: it begins where it is.
-    aim = xp.clip(xp.where(held, act, even), even - windup_limit, even + windup_limit)
-    wanted = xp.where(mode == ControlMode.POSITION, (target - aim) / period, target)
-    rate = xp.clip(wanted, -speed, speed)
-    ctrl, hold = xp.clip(rate, (low - aim) / period, (high - aim) / period), xp.ones_like(aim)
+    ref = xp.clip(xp.where(held, act, balance), balance - windup_limit, balance + windup_limit)
+    rate = xp.where(mode == ControlMode.POSITION, (target - ref) / period, target)
+    rate = xp.clip(rate, -speed, speed)
+    # The activation integrates ctrl over the step: bounds of the target are bounds of ctrl, over the period.
+    ctrl = xp.clip(rate, (low - ref) / period, (high - ref) / period)
+    hold = xp.ones_like(ref)
     if servos.stall_limit.any():
         # Within a step a target gets no farther ahead than that either: the joint's own limit is higher.
         # It goes along with the wheel, or there would be little torque left; not all the way, or a wheel
         # against a wall would spin.
-        lag, ahead = windup_limit + (aim - even), windup_limit - (aim - even)
-        along = SURGE_SHARE * servos.surge * (servos.lead + period / 2)
-        bounded = xp.clip(ctrl, v - lag / period - along, v + ahead / period + along)
+        lag, ahead = windup_limit + (ref - balance), windup_limit - (ref - balance)
+        surge = SURGE_SHARE * servos.surge * (servos.lead + period / 2)
+        bounded = xp.clip(ctrl, v - lag / period - surge, v + ahead / period + surge)
         ctrl = xp.where(servos.stall_limit > 0.0, bounded, ctrl)
     if servos.has_brake.any():
         # As long as that cannot turn it back within the step, a brake exerts exactly what it can.
-        slips = stands & (xp.abs(v) * servos.armature > servos.brake_limit * servos.stiffness * period)
+        slips = brakes & (xp.abs(v) * servos.armature > servos.brake_limit * servos.stiffness * period)
         ctrl, hold = xp.where(slips, 0.0, ctrl), xp.where(slips, 0.0, hold)
-        aim = xp.where(slips, -xp.sign(v) * servos.brake_limit, aim)
-    forced = mode == ControlMode.TORQUE
-    if on_numpy() and not forced.any():
-        return ctrl, hold, aim
+        ref = xp.where(slips, -xp.sign(v) * servos.brake_limit, ref)
+    torque_mode = mode == ControlMode.TORQUE
+    if on_numpy() and not torque_mode.any():
+        return ctrl, hold, ref
     outward = ((q > high) & (target > 0)) | ((q < low) & (target < 0))
-    free = forced & ~outward
+    free = torque_mode & ~outward
     # Towards the end of its range it slows down, to get halfway there in every step.
-    way = xp.maximum(xp.where(target > 0.0, high - q, q - low), 0.0)
-    top, bounded = xp.minimum(speed, 0.5 * way / period), xp.clip(target, -torque, torque)
+    room = xp.maximum(xp.where(target > 0.0, high - q, q - low), 0.0)
+    top, bounded = xp.minimum(speed, 0.5 * room / period), xp.clip(target, -torque, torque)
     driven = torque_inputs(servos, bounded, top, Joints(q, v, act, held), period)
-    ctrl = xp.where(free, driven[0], xp.where(forced, 0.0, ctrl))
-    act = xp.where(free, driven[2], xp.where(forced, xp.clip(q, low, high), aim))
+    ctrl = xp.where(free, driven[0], xp.where(torque_mode, 0.0, ctrl))
+    act = xp.where(free, driven[2], xp.where(torque_mode, xp.clip(q, low, high), ref))
     return ctrl, xp.where(free, driven[1], hold), act
 
 
@@ -456,18 +465,19 @@ def righting_wrench(plan: KinematicTree, state: RobotState, period: float) -> Ar
     """
     mat = mat_from_quat(state.quat)
     up = mat[..., 2]
+    # The axis of the shortest rotation from the robot's own up to the world's.
     axis = xp.cross(up, np.array([0.0, 0.0, 1.0], np.float32))
     # Upside down every axis is as good: roll about the robot's own length.
     axis = xp.where(up[..., 2:] < -0.9, mat[..., 0], axis)
     axis = axis / xp.maximum(xp.linalg.norm(axis, axis=-1, keepdims=True), 1e-6)
     spin = matvec(mat, state.angular)
-    square = np.square(np.array(plan.robot.dimensions, np.float32))
-    across = ((1.0 - matvec(mat.mT, axis) ** 2) * square).sum(-1, keepdims=True)
-    strength = plan.mass * GRAVITY * xp.sqrt(across)
+    squared_size = np.square(np.array(plan.robot.dimensions, np.float32))
+    squared_width = ((1.0 - matvec(mat.mT, axis) ** 2) * squared_size).sum(-1, keepdims=True)
+    strength = plan.mass * GRAVITY * xp.sqrt(squared_width)
     # A torque is held for a control step, in which a small robot (a box of its dimensions) turns far: it is
     # never pushed back, and damped by no more than what takes a quarter of its spin in one step.
-    push = xp.clip(1.0 - (spin * axis).sum(-1, keepdims=True) / FLIP_RATE, 0.0, 1.0)
-    damping = xp.minimum(strength / FLIP_RATE, 0.25 * plan.mass * across / 12 / period)
-    torque = strength * push * axis - damping * spin
+    drive_share = xp.clip(1.0 - (spin * axis).sum(-1, keepdims=True) / FLIP_RATE, 0.0, 1.0)
+    damping = xp.minimum(strength / FLIP_RATE, 0.25 * plan.mass * squared_width / 12 / period)
+    torque = strength * drive_share * axis - damping * spin
     wrench = xp.concatenate([xp.zeros_like(torque), torque], -1)
     return xp.where(up[..., 2:] < MIN_UPRIGHT_COS, wrench, 0.0)

@@ -1,4 +1,4 @@
-"""What effecters do when they are told to: to their robot and to the world around it. Pure functions."""
+"""Effects of effecters on their robot and on the world around it. Pure functions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ from usarmjx.sim.scene import RobotGroup, Scene
 from usarmjx.sim.world import World, clock_of, powered, robot_states
 
 LIMIT_TOLERANCE = 1e-3
-"""A parameter may be this far outside of its limits: CONF tells them with 4 decimals, cut off."""
+"""Tolerance of a parameter's limits: CONF writes them with 4 decimals, cut off."""
 NO_NUMBER = -1
 """The number of a result that has none."""
 
@@ -47,11 +47,11 @@ class Operation:
 
 
 class OperationResult(struct.PyTreeNode, kw_only=True):
-    """What became of an operation, per robot.
+    """Result of an operation, per robot.
 
     Attributes:
         done: Whether it was carried out (...,).
-        number: What the answer says instead of OK, such as the tags that are left (...,);
+        number: Number that the answer gives instead of OK, such as the tags that are left (...,);
             `NO_NUMBER` without one.
     """
 
@@ -60,11 +60,11 @@ class OperationResult(struct.PyTreeNode, kw_only=True):
 
 
 class EffecterState(struct.PyTreeNode, kw_only=True):
-    """What an operation of one effecter can change; leading axis over the robots that are told.
+    """State that an operation of one effecter can change; leading axis over the robots.
 
     Attributes:
-        command: What the robots are told to do.
-        stock: What the effecter has left in stock (n,).
+        command: The robots' command.
+        stock: Items that the effecter has left (n,).
         tags: The tags in their world; no axis over robots.
     """
 
@@ -118,16 +118,17 @@ def apply_operation(
     Args:
         what: The operation.
         value: Its parameter (n,).
-        state: What it can change.
-        mask: Which robots shall do it (n,).
+        state: The state that it can change.
+        mask: Mask of the robots that do it (n,).
         ground: Returns the ground below the effecters [m] (n, 3), not finite where there is none.
 
     Returns:
-        What it changed, and what became of it: a parameter that is out of range, or no number, does nothing.
+        The new state and the result: a parameter that is out of range, or no number, does nothing.
     """
     value, opcode = xp.asarray(value, xp.float32), what.opcode
     low, high = (opcode.min_val, opcode.max_val) if opcode.takes_value else (-np.inf, np.inf)
     effect = what.effecter.effect(opcode, xp.clip(value, low, high), state.stock)
+    # Comparisons with NaN are false: a parameter that is no number does nothing.
     done = mask & (value >= low - LIMIT_TOLERANCE) & (value <= high + LIMIT_TOLERANCE) & effect.possible
     tags = state.tags
     if effect.drops:
@@ -150,19 +151,20 @@ def _update_command(what: Operation, effect: Effect, command: RobotCommand, done
     return update_command(kinematic_tree_of(what.robot), command, update, done)
 
 
-def _drop_tags(tags: DroppedTags, ground: Array, asked: Array) -> tuple[Array, DroppedTags]:
-    """Put one tag on the ground (n, 3) for each of those who asked for it, as long as there is room."""
-    asked = asked & xp.isfinite(ground).all(-1)
-    place = tags.count + xp.cumsum(asked) - 1
-    done = asked & (place < MAX_DROPPED_TAGS)
-    here = done[:, None] & (place[:, None] == np.arange(MAX_DROPPED_TAGS))
-    pos = (here[..., None] * xp.where(done[:, None], ground, 0.0)[:, None]).sum(0)
-    pos = xp.where(xp.any(here, 0)[:, None], pos, tags.pos).astype(xp.float32)
+def _drop_tags(tags: DroppedTags, ground: Array, requested: Array) -> tuple[Array, DroppedTags]:
+    """Put one tag on the ground (n, 3) for each robot of a mask, as long as there is room."""
+    requested = requested & xp.isfinite(ground).all(-1)
+    index = tags.count + xp.cumsum(requested) - 1
+    done = requested & (index < MAX_DROPPED_TAGS)
+    at_index = done[:, None] & (index[:, None] == np.arange(MAX_DROPPED_TAGS))
+    # 0 * inf is NaN: heights where there is no ground must not reach the sum.
+    pos = (at_index[..., None] * xp.where(done[:, None], ground, 0.0)[:, None]).sum(0)
+    pos = xp.where(xp.any(at_index, 0)[:, None], pos, tags.pos).astype(xp.float32)
     return done, DroppedTags(pos=pos, count=(tags.count + done.sum()).astype(xp.int32))
 
 
 def effecter_position(effecter: Effecter, plan: KinematicTree, bodies: BodyPoses) -> Array:
-    """Return where in the world an effecter of robots is [m] (..., 3)."""
+    """Return the position of robots' effecter in the world [m] (..., 3)."""
     body = plan.parts.index(effecter.mount.parent)
     at = np.array(flip_vector(effecter.mount.at), np.float32)
     return bodies.pos[..., body, :] + matvec(bodies.mat[..., body, :, :], at)
@@ -176,7 +178,7 @@ def ground_below(point: Array, cast: RayCaster) -> Array:
 
 
 def _ground_caster(scene: Scene, world: World) -> RayCaster:
-    """Return what casts rays at floor and arena on JAX, each for itself: they start far from each other."""
+    """Return a ray caster for floor and arena on JAX, each ray for itself: they start far from each other."""
     geoms = ray_geoms(visible_arena(scene, world.arena_state, clock_of(scene, world)))
 
     def cast(origin: Array, direction: Array, query: RayQuery, fans: Fans | None = None) -> Hits:
@@ -191,15 +193,15 @@ def _ground_caster(scene: Scene, world: World) -> RayCaster:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EffecterOrder:
-    """What robots of one group shall do with one of their effecters.
+class EffecterCommand:
+    """Command to one effecter of the robots of one group.
 
     Attributes:
         group: Index into `scene.groups`.
         effecter: Index into the group's `effecters`.
         opcode: One of its operations.
         value: The parameter (robots,).
-        where: Which robots shall do it (robots,).
+        where: Mask of the robots that carry it out (robots,).
     """
 
     group: int
@@ -211,7 +213,7 @@ class EffecterOrder:
 
 @named_scope("operate")
 def operate(
-    scene: Scene, world: World, physics: PhysicsState, order: EffecterOrder, cast: RayCaster | None = None
+    scene: Scene, world: World, physics: PhysicsState, order: EffecterCommand, cast: RayCaster | None = None
 ) -> tuple[World, OperationResult]:
     """Let a group's robots operate one of their effecters; those without power cannot.
 
@@ -219,7 +221,7 @@ def operate(
         scene: The scene.
         world: One world.
         physics: Its physics.
-        order: What they shall do.
+        order: The command.
         cast: Casts rays at what dropped things fall on, floor and arena; None: on JAX `cast_rays`.
     """
     group, state = scene.groups[order.group], world.groups[order.group]
@@ -253,7 +255,7 @@ def operate_in_worlds(
 
     def one(world: World, physics: PhysicsState, value: Array, where: Array) -> tuple[World, OperationResult]:
         group, effecter = effecter_index
-        order = EffecterOrder(group=group, effecter=effecter, opcode=opcode, value=value, where=where)
+        order = EffecterCommand(group=group, effecter=effecter, opcode=opcode, value=value, where=where)
         return operate(scene, world, physics, order)
 
     return vmap(one)(worlds, physics, value, where)

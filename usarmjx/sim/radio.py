@@ -62,7 +62,7 @@ def mail_of(scene: Scene) -> MessageSettings:
 
 
 def robot_antennas(scene: Scene, world: World, physics: PhysicsState) -> tuple[Array, Array]:
-    """Return where the robots' antennas are [m] (robots, 3), and which robots are in use (robots,), by slot.
+    """Return positions of the robots' antennas [m] (robots, 3) and the robots in use (robots,), by slot.
 
     A robot whose battery is empty still has its radio, as with the in-engine server; a parked one has not.
     """
@@ -77,7 +77,7 @@ def robot_antennas(scene: Scene, world: World, physics: PhysicsState) -> tuple[A
 
 
 def link_interval(scene: Scene) -> int:
-    """Return after how many control steps the links are evaluated again."""
+    """Return the number of control steps between two evaluations of the links."""
     return max(1, round(radio_of(scene).period / scene.physics.period))
 
 
@@ -92,7 +92,7 @@ def last_links(world: World) -> Links:
 
 
 def radio_obstacles(scene: Scene, world: World, physics: PhysicsState) -> Geoms:
-    """Return what weakens links now: the arena's solids, and doors where they stand."""
+    """Return the present obstacles of links: the arena's solids, and doors in their positions."""
     if world.arena_state is None:
         doors = door_boxes(scene.arena, physics.qpos[scene.door_qpos], xp)
         return add_boxes(arena_solids(scene.arena), *doors)
@@ -122,6 +122,7 @@ def update_links_of_worlds(scene: Scene, worlds: World, physics: PhysicsState) -
     update, keep = vmap(partial(update_links, scene)), vmap(last_links)
     if link_interval(scene) == 1:
         return update(worlds, physics)
+    # One condition for all worlds: within `vmap` a condition becomes a select, which evaluates both branches.
     due = vmap(partial(links_due, scene))(worlds).any()
     return jax.lax.cond(due, update, lambda worlds, _: keep(worlds), worlds, physics)
 
@@ -146,8 +147,8 @@ def outgoing_messages(
         scene: The scene.
         worlds: Leading axes.
         to: Receivers, sender by row, broadcast to (*worlds, robots, robots).
-        payload: What is said, broadcast to (*worlds, robots, numbers).
-        length: What each message stands for [bytes], broadcast to (*worlds, robots); None: 4 a number.
+        payload: Numbers to send, broadcast to (*worlds, robots, numbers).
+        length: Size of each message [bytes], broadcast to (*worlds, robots); None: 4 a number.
 
     Raises:
         UsageError: The scene has no mail.
@@ -165,6 +166,7 @@ def outgoing_messages(
 def send(scene: Scene, world: World, messages: OutgoingMessages) -> Inboxes:
     """Return the boxes after everyone's message went to its receivers, as far as links hold."""
     mail = mailboxes(scene, world)
+    # The count tells apart messages that are sent within one step.
     key = random.fold_in(episode_key(world, Stream.MAIL), mail.sent.sum())
     moment = (world.step, clock_of(scene, world).seconds)
     return deliver(mail_of(scene), mail, messages, _links(world), moment, key)

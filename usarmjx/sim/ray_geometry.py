@@ -1,4 +1,4 @@
-"""What rays can hit in a world: floor and arena, loose objects, doors, and the robots in use.
+"""Geoms that rays can hit in a world: floor and arena, loose objects, doors, and the robots in use.
 
 Pure functions of one world. What belongs to a robot carries its slot, all else -1. For cameras it has colours
 too, and the geoms of a robot can be told apart.
@@ -82,9 +82,9 @@ def start_poses(scene: Scene, arena_state: ArenaState | None) -> Array:
 
 
 def moved_geom_poses(scene: Scene, arena_state: ArenaState | None, time: Time) -> GeomPoses | None:
-    """Return where the geoms of `scene.moved` are at a time [s] or clock (); without an axis over worlds.
+    """Return the poses of `scene.moved_geoms` at a time [s] or clock (); without an axis over worlds.
 
-    Of a scene with one arena at several (...,) as well: (..., geoms, 3) and (..., geoms, 4).
+    With one arena in the scene, several (...,) work as well: (..., geoms, 3) and (..., geoms, 4).
     """
     if scene.moved_geoms is None:
         return None
@@ -112,13 +112,13 @@ class VisibleGeoms(NamedTuple):
         mat: Orientations (n, 3, 3).
         size: Size numbers [m] (n, 3).
         owner: Slots of the robots that they belong to; -1 for what is no robot's (n,).
-        material: What they are made of; members of `spec.MATERIALS` (n,).
+        material: Their materials; members of `spec.MATERIALS` (n,).
         rgb: Their colours (n, 3).
-        label: What they are to cameras, as in `cameras.paint` (n,).
+        label: Their labels for cameras, as in `cameras.paint` (n,).
         geom_index: Place of each in its robot's `KinematicTree`; 0 for what is no robot's (n,).
-        transparency: How much of the light they let through (n,).
+        transparency: Share of the light that passes (n,).
         compact: As in `targets.Geoms`, of all of them.
-        instance: What they are parts of, as `cameras.paint.instances` has it (n,); None: one thing for each
+        instance: Their instances, as `cameras.paint.instances` has them (n,); None: one instance for each
             label.
         texture: Codes of what is on them (n,); None: nothing is.
     """
@@ -141,19 +141,20 @@ class VisibleGeoms(NamedTuple):
 def ray_geoms(rows: Sequence[VisibleGeoms]) -> Geoms:
     """Return rows as what rays are cast at."""
     kind, material, compact = _sorting_keys(rows)
-    pos, mat, size, owner = _joined(rows, "pos", "mat", "size", "owner")
+    pos, mat, size, owner = _concatenated(rows, "pos", "mat", "size", "owner")
     return make_geoms(kind, pos, mat, size, owner, material, compact)
 
 
 def camera_geoms(rows: Sequence[VisibleGeoms]) -> tuple[Geoms, GeomAppearance]:
     """Return rows as what cameras look at: owners are those of `paint.robot_geom_owner`."""
     kind, material, compact = _sorting_keys(rows)
-    rows = [row if row.instance is not None else _one_of_each(row) for row in rows]
+    rows = [row if row.instance is not None else _with_instances(row) for row in rows]
     names = ("pos", "mat", "size", "owner", "rgb", "label", "instance")
-    pos, mat, size, owner, rgb, label, instance = _joined(rows, *names)
+    pos, mat, size, owner, rgb, label, instance = _concatenated(rows, *names)
     geom_index = np.concatenate([row.geom_index for row in rows])
     owner = xp.where(owner >= 0, robot_geom_owner(owner, geom_index), owner)
     geoms = make_geoms(kind, pos, mat, size, owner, material, compact)
+    # `make_geoms` sorts by kind, material and compactness: colors have to follow.
     order = np.concatenate(list(indices_by_key(kind, material, compact).values()))
     appearance = GeomAppearance(
         rgb=rgb[order],
@@ -167,21 +168,21 @@ def camera_geoms(rows: Sequence[VisibleGeoms]) -> tuple[Geoms, GeomAppearance]:
 
 
 def _texture(rows: Sequence[VisibleGeoms], order: np.ndarray) -> dict[str, Any]:
-    """Return what is on geoms, as fields of `GeomAppearance`; nothing where nothing is on any."""
+    """Return the textures of geoms, as fields of `GeomAppearance`; nothing if no geom has one."""
     codes = [np.zeros(len(row.kind), np.int32) if row.texture is None else row.texture for row in rows]
     code = np.concatenate(codes)
     return {"texture": code[order], "textures": texture_names(code)} if code.any() else {}
 
 
-def _one_of_each(row: VisibleGeoms) -> VisibleGeoms:
+def _with_instances(row: VisibleGeoms) -> VisibleGeoms:
     return row._replace(instance=instances(xp.asarray(row.label), 0))
 
 
-def _joined(rows: Sequence[VisibleGeoms], *names: str) -> Sequence[Array]:
+def _concatenated(rows: Sequence[VisibleGeoms], *names: str) -> Sequence[Array]:
     columns = [xp.concatenate([xp.asarray(getattr(row, name)) for row in rows]) for name in names]
     if on_numpy():
         return columns
-    # Kept as arrays: else XLA works out the poses of all geoms again for every ray, and compiles for minutes.
+    # Kept as arrays: else XLA computes the poses of all geoms again for every ray, and compiles for minutes.
     return jax.lax.optimization_barrier(columns)  # pyright: ignore[reportUnknownMemberType] - JAX has no type
 
 
@@ -201,7 +202,8 @@ def visible_arena(
         scene: The scene.
         arena_state: The world's own arena, where they differ.
         time: The time.
-        drawn: Whether victims are as pictures show them, in place of the boxes that rays of sensors meet.
+        drawn: Whether victims have their visuals, as in pictures, instead of the boxes that sensors' rays
+            meet.
     """
     rows = [_visible(scene.fixed_geoms)]
     here = moved_geom_poses(scene, arena_state, time)
@@ -217,23 +219,23 @@ def visible_arena(
                 rgb=xp.concatenate([arena_state.rgb, arena_state.victims.rgba[:, :3]]),
                 label=xp.concatenate([xp.asarray(look.label[:boxes]), bones]),
             )
-        rows.append(_some(moved, np.arange(max(boxes, 0))) if drawn else moved)
+        rows.append(_select_rows(moved, np.arange(max(boxes, 0))) if drawn else moved)
     if drawn:  # what of the victims does not move is among the rest
         is_bone = np.isin(scene.fixed_geoms.label, (VICTIM_LABEL, FALSE_ALARM_LABEL))
-        rows[0] = _some(rows[0], np.flatnonzero(~is_bone))
-        rows.append(_drawn_victims(scene, arena_state, time))
+        rows[0] = _select_rows(rows[0], np.flatnonzero(~is_bone))
+        rows.append(_victim_geoms(scene, arena_state, time))
     return rows
 
 
-def _some(rows: VisibleGeoms, which: np.ndarray) -> VisibleGeoms:
-    """Return the rows at some places (m,)."""
+def _select_rows(rows: VisibleGeoms, which: np.ndarray) -> VisibleGeoms:
+    """Return the rows with some indices (m,)."""
     fields = {name: column for name, column in rows._asdict().items() if column is not None}
     columns = {name: column[which] for name, column in fields.items() if name != "compact"}
     return rows._replace(**columns)
 
 
-def _drawn_victims(scene: Scene, arena_state: ArenaState | None, time: Time) -> VisibleGeoms:
-    """Return what is drawn of victims and false alarms."""
+def _victim_geoms(scene: Scene, arena_state: ArenaState | None, time: Time) -> VisibleGeoms:
+    """Return the visuals of victims and false alarms."""
     table = victims_of(scene, arena_state)
     drawn, boxes, slots = drawn_bones(table, xp), table.num_boxes, len(VISUAL_SLOTS)
     place, quat = segment_poses(table, time, xp)
@@ -253,12 +255,12 @@ def _drawn_victims(scene: Scene, arena_state: ArenaState | None, time: Time) -> 
         geom_index=np.zeros(len(which), int),
         transparency=np.zeros(len(which), np.float32),
         compact=True,
-        instance=xp.repeat(_people(table), slots)[which],
+        instance=xp.repeat(_victim_instances(table), slots)[which],
     )
 
 
-def _people(table: VictimTable) -> Array:
-    """Return whose each box of victims is, as instances (boxes,); a false alarm is one box."""
+def _victim_instances(table: VictimTable) -> Array:
+    """Return the victim of each box, as instances (boxes,); a false alarm is one box."""
     owner = xp.asarray(table.owner)
     alarm = xp.cumsum(owner < 0) - 1
     index = xp.where(owner >= 0, owner, alarm)
@@ -266,7 +268,7 @@ def _people(table: VictimTable) -> Array:
 
 
 def drawn_limbs(table: VictimTable, boxes: np.ndarray) -> list[VisibleGeoms]:
-    """Return what is drawn of some boxes of victims (n,), each in its own axes; the table is NumPy's."""
+    """Return the visuals of some boxes of victims (n,), each in its own axes; the table is NumPy's."""
     drawn, used, rows = drawn_bones(table), used_slots(table.part), list[VisibleGeoms]()
     for box in boxes:
         slots = np.flatnonzero(used[box])
@@ -331,9 +333,10 @@ def visible_robots(
 
     Args:
         scene: The scene.
-        bodies: Where their bodies are, by group.
+        bodies: Poses of their bodies, by group.
         active: Which are in use, by group.
-        drawn: Whether they are as pictures show them, in place of the solids that rays of sensors meet.
+        drawn: Whether robots have their visuals, as in pictures, instead of the solids that sensors' rays
+            meet.
     """
     rows: list[VisibleGeoms] = []
     for group, body, used in zip(scene.groups, bodies, active, strict=True):
@@ -344,6 +347,7 @@ def visible_robots(
         rows.append(
             VisibleGeoms(
                 kind=np.tile(own.kind, n),
+                # Far away instead of left out: arrays in a compiled step have fixed shapes.
                 pos=xp.where(used[:, None, None], pos, PADDING_DISTANCE).reshape(-1, 3),
                 mat=mat.reshape(-1, 3, 3),
                 size=xp.tile(own.size, (n, 1)),

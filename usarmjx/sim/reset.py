@@ -1,4 +1,4 @@
-"""How a world starts: its first episode and the next ones. Pure functions of one world."""
+"""The start of a world: its first episode and the next ones. Pure functions of one world."""
 
 import jax
 
@@ -85,16 +85,16 @@ def reset(
         world = world.replace(varied=drawn)
     qpos = _start_qpos(scene, world, shuffle)
     physics = PhysicsState(qpos=qpos, qvel=xp.zeros(scene.model.nv), act=xp.zeros(scene.model.na))
-    return _with_new_robots(scene, world, physics), qpos
+    return _with_idle_robots(scene, world, physics), qpos
 
 
-def restarted(scene: Scene, world: World, physics: PhysicsState) -> World:
+def restart_in_place(scene: Scene, world: World, physics: PhysicsState) -> World:
     """Return a world at the start of its next episode in the same arena, its robots where they are.
 
     Args:
         scene: The scene.
         world: The world as it was; its key, number and faults live on.
-        physics: Where everything is.
+        physics: State of the physics.
     """
     world = world.replace(
         episode=world.episode + 1,
@@ -102,25 +102,25 @@ def restarted(scene: Scene, world: World, physics: PhysicsState) -> World:
         tags=no_dropped_tags(),
         links=None if scene.radio is None else no_links(scene.num_robots),
     )
-    return _with_new_robots(scene, world, physics)
+    return _with_idle_robots(scene, world, physics)
 
 
-def _with_new_robots(scene: Scene, world: World, physics: PhysicsState) -> World:
-    """Return a world whose robots have not been told anything yet and whose sensors start now."""
+def _with_idle_robots(scene: Scene, world: World, physics: PhysicsState) -> World:
+    """Return a world whose robots have idle commands and whose sensors start now."""
     groups: list[GroupState] = []
     for group in scene.groups:
         active = xp.array([not scene.roster[int(slot)].parked for slot in group.slots])
         groups.append(new_group_state(scene, group, active, xp.zeros(len(group.slots), xp.int32)))
     world = world.replace(groups=tuple(groups))
     groups = [
-        started(scene, world, physics, group, state)
+        start_sensors(scene, world, physics, group, state)
         for group, state in zip(scene.groups, world.groups, strict=True)
     ]
     return world.replace(groups=tuple(groups))
 
 
 def new_group_state(scene: Scene, group: RobotGroup, active: ArrayLike, since: Array) -> GroupState:
-    """Return robots that nobody has told anything yet and whose sensors have not started.
+    """Return robots with idle commands whose sensors have not started.
 
     Args:
         scene: The scene.
@@ -143,7 +143,7 @@ def new_group_state(scene: Scene, group: RobotGroup, active: ArrayLike, since: A
     )
 
 
-def started(
+def start_sensors(
     scene: Scene, world: World, physics: PhysicsState, group: RobotGroup, state: GroupState
 ) -> GroupState:
     """Return the state of robots whose sensors start now, as those of all do at a reset.
@@ -151,7 +151,7 @@ def started(
     Args:
         scene: The scene.
         world: The world that they join.
-        physics: Where they are.
+        physics: State of the physics.
         group: Robots of one class, some of a group of the scene or others.
         state: As `new_group_state` returns it.
     """
@@ -163,7 +163,7 @@ def started(
 
 
 def _start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
-    """Active robots take start poses in the arena's (or a random) order, parked ones their places."""
+    """Return qpos: active robots on start poses in the arena's or a random order, the others parked."""
     starts = start_poses(scene, world.arena_state)
     order = xp.arange(len(starts))
     if shuffle:
@@ -179,7 +179,7 @@ def _start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
                 x, y, z, yaw = starts[order[active.index(slot)]]
                 height = origin_height(scene.arena, z, group.robot)
                 if world.varied is not None and world.varied.wheel is not None:
-                    # Larger wheels shall not start in the floor.
+                    # Larger wheels must not start in the floor.
                     height += xp.maximum(world.varied.wheel[slot] - 1.0, 0.0) * max_wheel_radius(group.robot)
                 root = [x, y, height, xp.cos(yaw / 2), 0.0, 0.0, xp.sin(yaw / 2)]
             else:
@@ -189,14 +189,14 @@ def _start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
 
 
 def _initial_history(scene: Scene, command: RobotCommand) -> CommandHistory | None:
-    """Return the history of robots that have not been told anything but the command."""
+    """Return a history that holds nothing but the present command."""
     latency = None if scene.vary is None else scene.vary.latency
     if latency is None:
         return None
 
-    def before(value: Array) -> Array:
+    def repeated(value: Array) -> Array:
         return xp.repeat(xp.asarray(value)[:, None], latency[1], 1)
 
     return CommandHistory(
-        target=before(command.target), mode=before(command.mode), setpoint=before(command.setpoint)
+        target=repeated(command.target), mode=repeated(command.mode), setpoint=repeated(command.setpoint)
     )

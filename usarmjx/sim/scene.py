@@ -56,7 +56,7 @@ class RobotGroup:
         plan: Body plan of the class.
         suite: Its sensors.
         slots: Roster slots of the robots (n,).
-        indices: Where each lies in the model.
+        indices: Indices of each in the model.
     """
 
     plan: KinematicTree
@@ -82,7 +82,7 @@ class RobotGroup:
 
     @property
     def releases(self) -> tuple[int, ...]:
-        """What each effecter carries to release."""
+        """Stock of each effecter at the start."""
         return tuple(effecter.initial_stock for effecter in self.effecters)
 
     @cached_property
@@ -157,9 +157,9 @@ class GeomTable:
         pos: Positions [m] (n, 3).
         mat: Orientations (n, 3, 3).
         size: Size numbers [m] (n, 3).
-        material: What they are made of; members of `spec.MATERIALS` (n,).
+        material: Their materials; members of `spec.MATERIALS` (n,).
         rgb: Their colours (n, 3).
-        label: What they are in a segmentation, see `cameras.paint` (n,).
+        label: Their labels in a segmentation, see `cameras.paint` (n,).
         texture: Codes of what is on them, see `models.spec.textures` (n,).
     """
 
@@ -208,7 +208,7 @@ def moved_geom_table(model: mujoco.MjModel, arena: ArenaSpec, moved: Sequence[st
 
 
 def loose_geoms(model: mujoco.MjModel, arena: ArenaSpec) -> LooseGeoms:
-    """Return what of the scene lies loose."""
+    """Return the geoms of the arena's loose objects."""
     names = [f"{LOOSE_PREFIX}{loose.name}" for loose in arena.loose]
     bodies = [model.body(name).id for name in names]
     mine = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
@@ -217,6 +217,7 @@ def loose_geoms(model: mujoco.MjModel, arena: ArenaSpec) -> LooseGeoms:
     return LooseGeoms(
         root_qposadr=np.array([j.qposadr[0] + np.arange(7) for j in joints], int).reshape(-1, 7),
         root_dof=np.array([j.dofadr[0] + np.arange(6) for j in joints], int).reshape(-1, 6),
+        # `bodies` rises: MuJoCo numbers bodies in the order in which the arena's objects are added.
         owner=np.searchsorted(bodies, model.geom_bodyid[local.geom]),
         local=local,
     )
@@ -279,7 +280,7 @@ class RosterEntry:
     """One robot of a roster.
 
     Attributes:
-        robot: Class name, or a description of one's own.
+        robot: Class name, or the caller's own description.
         name: Name on the wire; empty: the class name and the slot.
         parked: Whether the slot starts unused and waits for a client's INIT.
     """
@@ -298,6 +299,7 @@ class RosterEntry:
         return ROBOTS.get(self.robot) if isinstance(self.robot, str) else self.robot
 
 
+# Compared by identity: a scene's arrays have no truth value, and JAX hashes what programs close over.
 @dataclass(frozen=True, eq=False, repr=False)
 class Scene:
     """A composed scene.
@@ -312,7 +314,7 @@ class Scene:
         radio: Constants of the robots' radios; None: they have none.
         mail: Sizes of the messages over it; None: there are none.
         arenas: The arenas, of which each world has one; None: all have `arena`.
-        vary: What else differs between worlds and episodes; None: nothing.
+        vary: Domain randomization between worlds and episodes; None: none.
     """
 
     arena: ArenaSpec
@@ -347,7 +349,7 @@ class Scene:
 
     @cached_property
     def moving_victim_boxes(self) -> np.ndarray:
-        """The victims' boxes that move, as places in `victims`; where all worlds have the same arena."""
+        """The victims' boxes that move, as indices into `victims`; for scenes with one arena."""
         return np.flatnonzero(self.victims.swing > 0)
 
     @cached_property
@@ -397,7 +399,7 @@ class Scene:
 
     @cached_property
     def loose_geoms(self) -> LooseGeoms:
-        """What lies loose."""
+        """The geoms of loose objects."""
         return loose_geoms(self.model, self.arena)
 
     @cached_property
@@ -425,20 +427,20 @@ class Scene:
         return other
 
     def arena_of(self, arena_state: ArenaState | None) -> ArenaSpec:
-        """Return what a world's arena was made from."""
+        """Return the description that a world's arena was made from."""
         if self.arenas is None or arena_state is None:
             return self.arena
         return self.arenas.arena_of(int(np.asarray(arena_state.serial)))
 
     def group_of(self, slot: int) -> tuple[int, int]:
-        """Return (group, place in the group) of a roster slot."""
+        """Return (group, index in the group) of a roster slot."""
         if slot not in self._places:
             raise SpecError(f"slot {slot} is not in the roster of {self.num_robots} robots")
         return self._places[slot]
 
     @cached_property
     def _places(self) -> dict[int, tuple[int, int]]:
-        """Group and place in it of each robot, by slot."""
+        """Group and index in it of each robot, by slot."""
         return {
             slot: (t, place)
             for t, group in enumerate(self.groups)
@@ -447,7 +449,7 @@ class Scene:
 
 
 def parking_position(arena: ArenaSpec, slot: int) -> tuple[float, float, float]:
-    """Return where the robot of a slot waits while unused [m]."""
+    """Return the position in which the robot of a slot waits while unused [m]."""
     row, column = divmod(slot, 8)
     return (PARKING_STEP * column, PARKING_STEP * row, arena.floor + PARKING_HEIGHT)
 
@@ -494,8 +496,8 @@ def build_scene(
         physics: Solver and time settings.
         radio: Constants of the robots' radios; None: they have none, and it costs nothing.
         mail: Sizes of the messages that they send each other over it; None: none.
-        vary: What else differs between worlds and episodes: domain randomisation; None: nothing.
-        spare: Of several arenas: room for others that take their places later, see `arena_set`.
+        vary: Domain randomization between worlds and episodes; None: none.
+        spare: With several arenas: room for others that replace them later, see `arena_set`.
 
     Raises:
         UnknownNameError: Unknown arena, robot class, sensor or setting.

@@ -34,12 +34,12 @@ from usarmjx.sensors.base import Reading, SensorInput
 from usarmjx.sensors.cameras.shading import RenderScene
 from usarmjx.sensors.suite import migrate_memory, suite_of
 from usarmjx.sim.control import idle_command
-from usarmjx.sim.operate import EffecterOrder, OperationResult, operate
+from usarmjx.sim.operate import EffecterCommand, OperationResult, operate
 from usarmjx.sim.radio import update_links
 from usarmjx.sim.ray_geometry import moved_geom_poses
-from usarmjx.sim.reset import new_group_state, restarted, started
+from usarmjx.sim.reset import new_group_state, restart_in_place, start_sensors
 from usarmjx.sim.scene import RobotGroup, RosterEntry, Scene, parking_position, prefix_of, robot_groups
-from usarmjx.sim.views import build_render_scene, looks_of
+from usarmjx.sim.views import build_render_scene, geom_colors_of
 from usarmjx.sim.world import (
     FaultCounts,
     GroupState,
@@ -51,8 +51,8 @@ from usarmjx.sim.world import (
     sense_self,
 )
 
-MAX_FALL = 1000.0
-"""Whoever has fallen further below the highest place where it was [m] has left the world, and is put back."""
+MAX_FALL_HEIGHT = 1000.0
+"""Fall below the greatest height so far after which a robot has left the world and is recovered [m]."""
 
 
 class SpeedLimits:
@@ -60,13 +60,13 @@ class SpeedLimits:
 
     Args:
         groups: The robots.
-        tops: Highest place of some of them so far, by slot [m].
-        qpos: Where they are (nq,).
+        max_heights: Greatest height of some of them so far, by slot [m].
+        qpos: Present positions (nq,).
         period: Length of a control step [s].
     """
 
     def __init__(
-        self, groups: Iterable[RobotGroup], tops: Mapping[int, float], qpos: np.ndarray, period: float
+        self, groups: Iterable[RobotGroup], max_heights: Mapping[int, float], qpos: np.ndarray, period: float
     ) -> None:
         robots = [
             (int(slot), index.root_qposadr + 2, runaway_limit(group.robot))
@@ -75,36 +75,41 @@ class SpeedLimits:
         ]
         self._slots = [slot for slot, _, _ in robots]
         self._heights = np.array([address for _, address, _ in robots], int)
-        self._drives = np.array([limit for _, _, limit in robots])
+        self._drive_limits = np.array([limit for _, _, limit in robots])
         self._step = GRAVITY * period
-        self._tops = np.array([tops.get(slot, float(qpos[address])) for slot, address, _ in robots])
+        self._max_heights = np.array(
+            [max_heights.get(slot, float(qpos[address])) for slot, address, _ in robots]
+        )
 
     @property
-    def tops(self) -> dict[int, float]:
-        """Highest place of each robot so far, by slot [m]."""
-        return dict(zip(self._slots, self._tops.tolist(), strict=True))
+    def max_heights(self) -> dict[int, float]:
+        """Greatest height of each robot so far, by slot [m]."""
+        return dict(zip(self._slots, self._max_heights.tolist(), strict=True))
 
-    def begin_again(self, slots: Iterable[int], qpos: np.ndarray) -> None:
-        """Forget how high robots have been: they are somewhere else now."""
-        here = np.isin(self._slots, list(slots))
-        self._tops[here] = qpos[self._heights[here]]
+    def reset_robots(self, slots: Iterable[int], qpos: np.ndarray) -> None:
+        """Forget how high robots have been, because they are somewhere else now."""
+        selected = np.isin(self._slots, list(slots))
+        self._max_heights[selected] = qpos[self._heights[selected]]
 
     def update(self, qpos: np.ndarray) -> dict[int, float]:
         """Look where robots are; return how fast each may be after the next control step [m/s], by slot."""
         height = qpos[self._heights]
-        height = np.where(np.isfinite(height), height, self._tops)
-        self._tops = np.maximum(self._tops, height)
-        fallen = np.sqrt(2 * GRAVITY * np.minimum(self._tops - height, MAX_FALL)) + self._step
-        return dict(zip(self._slots, np.hypot(self._drives, fallen).tolist(), strict=True))
+        # The engine recovers such a robot; until then its greatest height stands in.
+        height = np.where(np.isfinite(height), height, self._max_heights)
+        self._max_heights = np.maximum(self._max_heights, height)
+        # Energy: a fall by h ends at sqrt(2 g h) at most; the last term is what one more step of free fall
+        # adds.
+        fallen = np.sqrt(2 * GRAVITY * np.minimum(self._max_heights - height, MAX_FALL_HEIGHT)) + self._step
+        return dict(zip(self._slots, np.hypot(self._drive_limits, fallen).tolist(), strict=True))
 
 
-EMPTY_SEAT = RosterEntry(robot="", parked=True)
+EMPTY_SLOT = RosterEntry(robot="", parked=True)
 """Stands in a roster where there is no robot."""
-STEPS_AHEAD = 10
-"""For so many control steps it is worked out at once where what moves by itself will be."""
-SomeRobots = tuple[Scene, list[tuple[int, np.ndarray]]]
+LOOKAHEAD_STEPS = 10
+"""Control steps for which the poses of moving geoms are computed at once."""
+SubScene = tuple[Scene, list[tuple[int, np.ndarray]]]
 """A scene with some of the robots, and of each of its groups the index and the members."""
-Rows = Mapping[int, GroupState]
+RobotStates = Mapping[int, GroupState]
 """States of single robots by slot, without an axis over robots."""
 
 
@@ -113,7 +118,7 @@ class SingleWorld:
 
     Args:
         scene: Its scene, without robots.
-        seed: Of the random numbers, as a batch's.
+        seed: Seed of the random numbers, as a batch's.
         number: Which world of a batch of that seed it is.
         seats: Most robots at once.
 
@@ -141,10 +146,10 @@ class SingleWorld:
             )
         self._wraps = 0
         self._homes: dict[int, np.ndarray] = {}
-        self._parts: dict[frozenset[int], SomeRobots] = {}
+        self._subscenes: dict[frozenset[int], SubScene] = {}
         self._speeds = SpeedLimits((), {}, self.engine.data.qpos, scene.physics.period)
-        self._looks: tuple[Scene, GeomColors] | None = None
-        self._moved_from: tuple[int, GeomPoses | None] = -STEPS_AHEAD, None
+        self._geom_colors: tuple[Scene, GeomColors] | None = None
+        self._moved_ahead: tuple[int, GeomPoses | None] = -LOOKAHEAD_STEPS, None
         self._regroup({}, {})
 
     @property
@@ -165,7 +170,7 @@ class SingleWorld:
     @property
     def roster(self) -> dict[int, RosterEntry]:
         """The robots by slot."""
-        return {slot: entry for slot, entry in enumerate(self.scene.roster) if entry is not EMPTY_SEAT}
+        return {slot: entry for slot, entry in enumerate(self.scene.roster) if entry is not EMPTY_SLOT}
 
     # Robots come and go
 
@@ -179,10 +184,10 @@ class SingleWorld:
                 else what is free within 1 m of the first.
 
         Raises:
-            UsageError: No seat is free, or no place.
+            UsageError: All slots are taken, or there is no room.
             SpecError: MuJoCo cannot build the robot. Nothing has changed after this or any other exception.
         """
-        roster, rows = self.roster, self._rows()
+        roster, rows = self.roster, self._robot_states()
         free = [slot for slot in range(self._seats) if slot not in roster]
         if not free:
             raise UsageError(f"no seat left for another robot: {self._seats} are taken")
@@ -197,9 +202,10 @@ class SingleWorld:
         except ValueError as error:  # of MuJoCo
             raise SpecError(f"a {robot.name} cannot be built: {error}") from error
         try:
+            # From here on the model has the robot: a fault takes it out again.
             (group,) = robot_groups(self.engine.model, {slot: robot})
-            self._place(group, poses)
-            state = self._started(group)
+            self._place_robot(group, poses)
+            state = self._initial_state(group)
             self._regroup(roster | {slot: RosterEntry(robot=robot, name=name)}, rows | {slot: _row(state, 0)})
         except Exception:
             self.engine.edit(remove, remove)
@@ -207,7 +213,7 @@ class SingleWorld:
             raise
         return slot
 
-    def _place(self, group: RobotGroup, poses: Sequence[tuple[Vec3, Array]]) -> None:
+    def _place_robot(self, group: RobotGroup, poses: Sequence[tuple[Vec3, Array]]) -> None:
         """Put the one robot of a group where there is room for it."""
         model, data, floor = self.engine.model, self.engine.data, self.scene.arena.floor
         (index,) = group.indices
@@ -221,15 +227,17 @@ class SingleWorld:
         raise UsageError(f"no room for a {group.robot.name} within {SEARCH_RADIUS:g} m of {where}")
 
     @numpy_backend()
-    def _started(self, group: RobotGroup) -> GroupState:
+    def _initial_state(self, group: RobotGroup) -> GroupState:
         """Return the state of the one robot of a group whose sensors start now, as they do at a reset."""
         since = np.full(1, self.world.step, np.int32)
         scene = self.scene.with_robots(self.engine.model, self.scene.roster, (group,))
-        return started(scene, self.world, self.physics, group, new_group_state(scene, group, True, since))
+        return start_sensors(
+            scene, self.world, self.physics, group, new_group_state(scene, group, True, since)
+        )
 
     def remove(self, slot: int) -> None:
         """Take a robot out of the world; the states of the others are kept to the bit."""
-        roster, rows = self.roster, self._rows()
+        roster, rows = self.roster, self._robot_states()
         self.engine.edit(lambda spec: remove_robot(spec, prefix_of(slot)), lambda spec: None)
         del roster[slot], rows[slot], self._homes[slot]
         self._regroup(roster, rows)
@@ -237,51 +245,51 @@ class SingleWorld:
     def replace_robot(self, slot: int, robot: RobotSpec) -> None:
         """Let a robot be of another class, which has the same parts and sensors; what it does goes on.
 
-        What of the class is in the model has to be there already, see `redescribe`.
+        The parts of the class have to be in the model already, see `update_robot_spec`.
         """
-        rows, entry = self._rows(), self.roster[slot]
+        rows, entry = self._robot_states(), self.roster[slot]
         (group,) = robot_groups(self.engine.model, {slot: robot})
-        before, fresh = rows[slot].memory, _row(self._started(group).memory, 0)
+        before, fresh = rows[slot].memory, _row(self._initial_state(group).memory, 0)
         memory = migrate_memory(suite_of(entry.spec), group.suite, before, fresh)
         rows[slot] = rows[slot].replace(memory=memory)
         self._regroup(self.roster | {slot: replace(entry, robot=robot)}, rows)
 
-    def _rows(self) -> dict[int, GroupState]:
+    def _robot_states(self) -> dict[int, GroupState]:
         return {
             int(slot): _row(state, i)
             for group, state in zip(self.scene.groups, self.world.groups, strict=True)
             for i, slot in enumerate(group.slots)
         }
 
-    def _regroup(self, roster: Mapping[int, RosterEntry], rows: Rows) -> None:
+    def _regroup(self, roster: Mapping[int, RosterEntry], rows: RobotStates) -> None:
         """Resolve the present model, with the robots by slot and their states."""
         groups = robot_groups(self.engine.model, {slot: entry.spec for slot, entry in roster.items()})
-        seats = tuple(roster.get(slot, EMPTY_SEAT) for slot in range(self._seats))
+        seats = tuple(roster.get(slot, EMPTY_SLOT) for slot in range(self._seats))
         self.scene = self.scene.with_robots(self.engine.model, seats, groups)
         states = [
             jax.tree.map(lambda *x: np.stack(x), *(rows[int(s)] for s in group.slots)) for group in groups
         ]
         self.world = self.world.replace(groups=tuple(states))
-        self._parts = {}
+        self._subscenes = {}
         self._indices = {int(s): i for g in groups for s, i in zip(g.slots, g.indices, strict=True)}
-        tops = {slot: top for slot, top in self._speeds.tops.items() if slot in self._homes}
-        self._speeds = SpeedLimits(groups, tops, self.engine.data.qpos, self.scene.physics.period)
+        max_heights = {slot: top for slot, top in self._speeds.max_heights.items() if slot in self._homes}
+        self._speeds = SpeedLimits(groups, max_heights, self.engine.data.qpos, self.scene.physics.period)
 
-    # What happens in a tick
+    # Control steps
 
     @numpy_backend()
     def step(self) -> RecoveryResult:
         """Advance by one control step under the commands in force.
 
         Returns:
-            What was put back because its physics had gone bad: robots where they appeared, or near there. It
-            is counted in `world.faults`, and what they were told is forgotten.
+            Objects whose physics was not finite, and which were recovered: robots at their start poses, or
+            near there. They count in `world.faults`, and the robots get idle commands.
         """
         self.world, inputs = compute_inputs(self.scene, self.world, self.physics, self._moved())
         self.engine.apply(inputs)
         limits = self._speeds.update(self.engine.data.qpos)
         lost, recovery = self.engine.advance(self._indices, limits, self._homes)
-        # The engine has looked already whether all is finite and nobody too fast, as `finish_step` does.
+        # The engine has checked already that all is finite and no robot too fast, as `finish_step` does.
         faults, step = self.world.faults, np.array(self.world.step, np.int32)
         step += 1
         self._wraps += int(step < self.world.step)
@@ -290,7 +298,7 @@ class SingleWorld:
             faults = faults.replace(overflow=faults.overflow + overflow, not_finite=faults.not_finite + bad)
         self.world = self.world.replace(step=step, faults=faults)
         if recovery:
-            self._speeds.begin_again(recovery.robots, self.engine.data.qpos)
+            self._speeds.reset_robots(recovery.robots, self.engine.data.qpos)
         for slot in recovery.robots:
             self.edit(slot, command=idle_command(self.roster[slot].spec))
         return recovery
@@ -298,27 +306,27 @@ class SingleWorld:
     @numpy_backend()
     def observe(self, slots: Iterable[int]) -> dict[int, tuple[Reading, ...]]:
         """Read the sensors that are due of some robots; by slot and sensor."""
-        scene, members = self._part(frozenset(slots))
+        scene, members = self._subscene(frozenset(slots))
         states = self.world.groups
-        # Of the robots' states sensing asks for the memories alone.
+        # Sensing reads only the memories of the robots' states.
         part = [states[i].replace(memory=_row(states[i].memory, some)) for i, some in members]
         world = self.world.replace(groups=tuple(part))
         world, readings = observe(scene, world, self.physics, self._caster())
         for (i, some), state in zip(members, world.groups, strict=True):
-            self._replace(i, some, memory=state.memory)
+            self._replace_members(i, some, memory=state.memory)
         return {
             int(slot): tuple(Reading(value=one.value[row], fresh=one.fresh[row]) for one in values)
             for group, values in zip(scene.groups, readings, strict=True)
             for row, slot in enumerate(group.slots)
         }
 
-    def _part(self, slots: frozenset[int]) -> SomeRobots:
+    def _subscene(self, slots: frozenset[int]) -> SubScene:
         """Return a scene with some of the robots, and of each of its groups the index and the members."""
-        if slots not in self._parts:
-            self._parts[slots] = self._make_part(slots)
-        return self._parts[slots]
+        if slots not in self._subscenes:
+            self._subscenes[slots] = self._build_subscene(slots)
+        return self._subscenes[slots]
 
-    def _make_part(self, slots: frozenset[int]) -> SomeRobots:
+    def _build_subscene(self, slots: frozenset[int]) -> SubScene:
         found: list[tuple[int, np.ndarray]] = []
         for i, group in enumerate(self.scene.groups):
             some = [member for member, slot in enumerate(group.slots.tolist()) if slot in slots]
@@ -327,7 +335,7 @@ class SingleWorld:
         groups = tuple(self.scene.groups[i].part(some) for i, some in found)
         return self.scene.with_robots(self.scene.model, self.scene.roster, groups), found
 
-    def _replace(self, group: int, members: Any, **fields: Any) -> None:  # noqa: ANN401 - what indexes, PyTrees
+    def _replace_members(self, group: int, members: Any, **fields: Any) -> None:  # noqa: ANN401 - what indexes, PyTrees
         """Replace fields of the states of some robots of a group."""
 
         def rows(old: Array, part: Array) -> np.ndarray:
@@ -342,14 +350,14 @@ class SingleWorld:
         self.world = self.world.with_group(group, state.replace(**new))
 
     def _moved(self) -> GeomPoses | None:
-        """Return where the arena's geoms that move are now."""
-        first, ahead = self._moved_from
-        late = int(self.world.step) - first
-        if not 0 <= late < STEPS_AHEAD:
-            steps = self.world.step + np.arange(STEPS_AHEAD, dtype=np.int32)
+        """Return the present poses of the arena's moving geoms."""
+        first, ahead = self._moved_ahead
+        offset = int(self.world.step) - first
+        if not 0 <= offset < LOOKAHEAD_STEPS:
+            steps = self.world.step + np.arange(LOOKAHEAD_STEPS, dtype=np.int32)
             ahead = moved_geom_poses(self.scene, None, clock_of(self.scene, self.world.replace(step=steps)))
-            late, self._moved_from = 0, (int(self.world.step), ahead)
-        return None if ahead is None else GeomPoses(pos=ahead.pos[late], quat=ahead.quat[late])
+            offset, self._moved_ahead = 0, (int(self.world.step), ahead)
+        return None if ahead is None else GeomPoses(pos=ahead.pos[offset], quat=ahead.quat[offset])
 
     def _caster(self) -> CRayCaster:
         return self.engine.caster(self._indices, self._moved())
@@ -364,12 +372,12 @@ class SingleWorld:
     def edit(self, slot: int, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
         """Replace fields of a robot's state."""
         group, member = self.scene.group_of(slot)
-        self._replace(group, member, **fields)
+        self._replace_members(group, member, **fields)
 
     @numpy_backend()
     def sensor_input(self, slot: int) -> SensorInput:
-        """Return what a robot senses of itself, no rays cast."""
-        scene, _ = self._part(frozenset([slot]))
+        """Return a robot's sensor input without rays."""
+        scene, _ = self._subscene(frozenset([slot]))
         inputs = sense_self(scene, self.world, self.physics, scene.groups[0])
         own = {name: _row(getattr(inputs, name), 0) for name in ("state", "bodies", "hits")}
         return inputs.replace(**own)
@@ -380,7 +388,7 @@ class SingleWorld:
         group, member = self.scene.group_of(slot)
         where = np.arange(len(self.scene.groups[group].slots)) == member
         values = np.full(len(where), value, np.float32)
-        order = EffecterOrder(group=group, effecter=effecter, opcode=opcode, value=values, where=where)
+        order = EffecterCommand(group=group, effecter=effecter, opcode=opcode, value=values, where=where)
         self.world, result = operate(self.scene, self.world, self.physics, order, self._ground)
         return _row(result, member)
 
@@ -399,13 +407,12 @@ class SingleWorld:
     def reset(self) -> None:
         """Begin the next episode: robots, loose objects and doors back where they began, and time at 0.
 
-        Robots have forgotten what they were told, and their batteries are full. Where two appeared at one
-        place, the second is put next to it.
+        Robots get idle commands and full batteries. A robot whose start pose is taken is put next to it.
         """
         self.engine.reset_all(self._indices, self._homes)
         self._wraps = 0
-        self.world = restarted(self.scene, self.world, self.physics)
-        self._speeds.begin_again(self._indices, self.engine.data.qpos)
+        self.world = restart_in_place(self.scene, self.world, self.physics)
+        self._speeds.reset_robots(self._indices, self.engine.data.qpos)
 
     @numpy_backend()
     def links(self) -> Links:
@@ -420,11 +427,11 @@ class SingleWorld:
 
     @numpy_backend()
     def sight(self) -> CCameraRays:
-        """Return what casts cameras' rays at the world as it is now, whatever becomes of it."""
+        """Return a caster of cameras' rays for the present state, which later steps do not change."""
         self.engine.move(self._moved())
-        if self._looks is None or self._looks[0] is not self.scene:
-            self._looks = self.scene, looks_of(self.scene)
-        return CCameraRays(self.engine.model, self.engine.data, self._looks[1])
+        if self._geom_colors is None or self._geom_colors[0] is not self.scene:
+            self._geom_colors = self.scene, geom_colors_of(self.scene)
+        return CCameraRays(self.engine.model, self.engine.data, self._geom_colors[1])
 
     @numpy_backend()
     def render_scene(self) -> RenderScene:

@@ -1,4 +1,4 @@
-"""What the cameras of a world's robots see. Pure functions of one world."""
+"""Pictures of the cameras of a world's robots. Pure functions of one world."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -40,36 +40,36 @@ from usarmjx.sim.scene import Scene
 from usarmjx.sim.world import Stream, World, clock_of, episode_key, powered, robot_states
 
 
-def looks_of(scene: Scene) -> GeomColors:
-    """Return how all geoms of a scene's model look, its water, and the figures of robots and victims."""
+def geom_colors_of(scene: Scene) -> GeomColors:
+    """Return the colors of all geoms and the water of a scene, and the visuals of robots and victims."""
     model, water = scene.model, visible_water(scene)
     materials, label = materials_of(model, scene.arena), labels_of(model, scene.arena)
-    figures = [*_robots(scene), *_victims(scene)]
-    rgb = np.concatenate([np.zeros((0, 3)), *(one.figure.model.geom_rgba[:, :3] for one in figures)])
-    worn = np.repeat([one.label for one in figures], [one.figure.model.ngeom for one in figures])
-    plain = np.zeros(len(rgb), np.float32)
-    made_of = np.array(materials, object)
+    visuals = [*_robot_visuals(scene), *_victim_visuals(scene)]
+    rgb = np.concatenate([np.zeros((0, 3)), *(one.figure.model.geom_rgba[:, :3] for one in visuals)])
+    visual_labels = np.repeat([one.label for one in visuals], [one.figure.model.ngeom for one in visuals])
+    opaque = np.zeros(len(rgb), np.float32)
+    material_array = np.array(materials, object)
     appearance = GeomAppearance(
         rgb=np.concatenate([model.geom_rgba[:, :3], np.asarray(water.rgb), rgb]).astype(np.float32),
-        transparency=np.concatenate([transparencies(made_of), water.transparency, plain]),
-        reflectance=np.concatenate([reflectances(np.concatenate([made_of, water.material])), plain]),
-        label=np.concatenate([label, np.asarray(water.label), worn]).astype(np.int32),
+        transparency=np.concatenate([transparencies(material_array), water.transparency, opaque]),
+        reflectance=np.concatenate([reflectances(np.concatenate([material_array, water.material])), opaque]),
+        label=np.concatenate([label, np.asarray(water.label), visual_labels]).astype(np.int32),
         **_textures(scene, len(water.rgb) + len(rgb)),
     )
     replaced = np.zeros(model.ngeom, bool)
-    for one in figures:
+    for one in visuals:
         replaced |= np.isin(np.arange(model.ngeom) if one.of_geoms else model.geom_bodyid, one.frames)
     boxes = GeomBlock(pos=water.pos, mat=water.mat, size=water.size, owner=water.owner)
-    return GeomColors(appearance, materials, boxes, figures, np.flatnonzero(replaced))
+    return GeomColors(appearance, materials, boxes, visuals, np.flatnonzero(replaced))
 
 
 def _textures(scene: Scene, others: int) -> dict[str, Any]:
-    """Return what is on the model's geoms, and nothing on so many others, as fields of `GeomAppearance`."""
+    """Return the textures of the model's geoms, and none for `others` more, as fields of `GeomAppearance`."""
     code = np.concatenate([textures_of(scene.model, scene.arena), np.zeros(others, np.int32)])
     return {"texture": code, "textures": texture_names(code)} if code.any() else {}
 
 
-def _robots(scene: Scene) -> list[AttachedVisual]:
+def _robot_visuals(scene: Scene) -> list[AttachedVisual]:
     return [
         AttachedVisual(
             group.plan.visuals, np.array(index.body_ids), False, ROBOT_LABEL + int(slot), int(slot)
@@ -79,7 +79,7 @@ def _robots(scene: Scene) -> list[AttachedVisual]:
     ]
 
 
-def _victims(scene: Scene) -> list[AttachedVisual]:
+def _victim_visuals(scene: Scene) -> list[AttachedVisual]:
     """Return the figures of the victims, and of the false alarms."""
     table, found = scene.victims, list[AttachedVisual]()
     for owner in np.unique(table.owner).tolist():
@@ -90,13 +90,13 @@ def _victims(scene: Scene) -> list[AttachedVisual]:
     return found
 
 
-Shown = TypeVar("Shown")
+Result = TypeVar("Result")
 GroupCamera = tuple[int, Camera, int]
 """Index of a group, one of its robots' cameras, and its index among them."""
 CHECKER_SIZE = 0.5
 """Side of the floor's checkers [m]."""
-PICTURES = 2**31 - 1
-"""In place of a robot's slot, for keys of what all cameras of a world share."""
+PICTURE_KEY = 2**31 - 1
+"""Number that stands for a robot's slot in keys that all cameras of a world share."""
 UNBOUNDED_EXTENT = ((-np.inf, np.inf), (-np.inf, np.inf))
 
 
@@ -109,7 +109,7 @@ def find_camera(
         scene: The scene.
         group: Index into `scene.groups`.
         camera: Name or index of a camera of the class; None: the main one.
-        size: Width and height of a picture that it shall take; None: any.
+        size: Width and height of the picture to take; None: any.
 
     Raises:
         UnknownNameError: The robots have no such camera; lists those they have.
@@ -159,7 +159,7 @@ def build_render_scene(
 def _picture_seed(world: World) -> Array:
     """Return the seed of the noise in pictures of this moment ()."""
     key = random.fold_in(episode_key(world, Stream.SENSOR_NOISE), world.step)
-    return random.randint(random.fold_in(key, PICTURES), 0, 2**31 - 1)
+    return random.randint(random.fold_in(key, PICTURE_KEY), 0, 2**31 - 1)
 
 
 def _headlights(scene: Scene, world: World, bodies: tuple[BodyPoses, ...]) -> Headlights:
@@ -190,13 +190,13 @@ def render_group(
     group_camera: GroupCamera,
     size: tuple[int, int],
 ) -> Picture:
-    """Return what a camera of all robots of a group sees; leading axis over robots.
+    """Return the picture of a camera of all robots of a group; leading axis over robots.
 
     Args:
         scene: The scene.
         world: The world.
-        physics: Where everything is.
-        group_camera: Group, camera, and the camera's place among those of its class; static.
+        physics: State of the physics.
+        group_camera: Group, camera, and the camera's index among those of its class; static.
         size: Width and height of a picture; static.
     """
     group, camera, place = group_camera
@@ -210,14 +210,14 @@ def render_group(
 def render_scene_of_world(
     scene: Scene, worlds: World, physics: PhysicsState, world: int
 ) -> tuple[RenderScene, tuple[BodyPoses, ...]]:
-    """Return what `build_render_scene` does, of one of many worlds."""
+    """Return `build_render_scene` of one of many worlds."""
     return build_render_scene(scene, *jax.tree.map(lambda x: x[world], (worlds, physics)))
 
 
 def render_groups(
     scene: Scene, worlds: World, physics: PhysicsState, group_camera: GroupCamera, size: tuple[int, int]
 ) -> Picture:
-    """Return what `render_group` does, of all worlds (worlds, robots, ...)."""
+    """Return `render_group` of all worlds (worlds, robots, ...)."""
 
     def one(world: World, physics: PhysicsState) -> Picture:
         return render_group(scene, world, physics, group_camera, size)
@@ -225,7 +225,7 @@ def render_groups(
     return map_pictures(one, worlds, physics)
 
 
-def map_pictures(function: Callable[..., Shown], *values: Any) -> Shown:  # noqa: ANN401 - PyTrees
+def map_pictures(function: Callable[..., Result], *values: Any) -> Result:  # noqa: ANN401 - PyTrees
     """Return a function's pictures, or what else it makes of them, for each row of some values.
 
     On a CPU one after the other: then what a picture does not need, as mirrors where none are in sight, is
@@ -233,7 +233,7 @@ def map_pictures(function: Callable[..., Shown], *values: Any) -> Shown:  # noqa
     """
     if jax.default_backend() == "cpu":
 
-        def one(row: tuple[Any, ...]) -> Shown:
+        def one(row: tuple[Any, ...]) -> Result:
             return function(*row)
 
         return jax.lax.map(one, values)

@@ -45,7 +45,7 @@ from usarmjx.sim.scene import RobotGroup, Scene
 
 
 class Stream(IntEnum):
-    """What a world draws random numbers for; see `world.episode_key`. A number that changes changes runs."""
+    """Streams of a world's random numbers; see `world.episode_key`. Other numbers change results of runs."""
 
     SENSOR_START = 0
     SENSOR_NOISE = 1
@@ -58,7 +58,7 @@ class Stream(IntEnum):
 
 
 def depth_in_water(arena: ArenaSpec, pos: Array) -> Array:
-    """Return how far points (..., 3) are below water, negative above it [m] (...,); else `DRY_DEPTH`."""
+    """Return the depth of points (..., 3) below water, negative above it [m] (...,); else `DRY_DEPTH`."""
     depth = xp.full(pos.shape[:-1], DRY_DEPTH)
     for water in arena.waters:
         low, high = np.array(water.low), np.array(water.high)
@@ -80,7 +80,7 @@ counted as a fault of the physics [m/s]."""
 
 
 class CommandHistory(struct.PyTreeNode, kw_only=True):
-    """What a robot was told in the control steps before, the last one first.
+    """Commands of a robot in the control steps before, the last one first.
 
     Attributes:
         target: `RobotCommand.target` (steps, joints).
@@ -97,15 +97,15 @@ class GroupState(struct.PyTreeNode, kw_only=True):
     """The robots of one class in one world; leading axis over them.
 
     Attributes:
-        command: What they are told to do (n, ...).
+        command: Their commands (n, ...).
         active: Whether the robot is in use; the others are parked (n,).
         battery_start: Control step at which its battery was full (n,).
         drowned: Whether water has killed its battery (n,).
         hold: Inputs that their holding actuators had in the last control step (n, actuators).
-        releases: What each of their effecters has left to release (n, effecters).
-        memory: What their sensors remember (n, ...).
+        releases: Stock of each of their effecters (n, effecters).
+        memory: Memory of their sensors (n, ...).
         fov: Horizontal field of view of each of their cameras [rad] (n, cameras).
-        command_history: What they were told and may not have heard yet (n, ...); None: they hear at once.
+        command_history: Commands that latency may still delay (n, ...); None: no latency.
     """
 
     command: RobotCommand
@@ -120,10 +120,10 @@ class GroupState(struct.PyTreeNode, kw_only=True):
 
 
 class FaultCounts(struct.PyTreeNode, kw_only=True):
-    """What went wrong in a world since the batch was made, as counts of control steps ().
+    """Faults in a world since the batch was made, as counts of control steps ().
 
     Attributes:
-        not_finite: Steps after which the physics was not finite, and the world was reset or put back.
+        not_finite: Steps after which the physics was not finite, and the world was reset or recovered.
         overflow: Steps in which contact buffers were full.
         runaway: Steps in which a robot was faster than it can drive; see `RUNAWAY_SPEED`.
         refused: Commanded numbers that were not finite.
@@ -148,10 +148,10 @@ class World(struct.PyTreeNode, kw_only=True):
         step: Control steps since the last reset ().
         groups: The robots by class.
         tags: RFID tags that robots have dropped.
-        faults: What went wrong.
+        faults: Counts of faults.
         links: The radio links as last evaluated; None without a radio.
         mail: The robots' boxes; None without mail.
-        varied: What this world and its robots have otherwise than others; None: nothing.
+        varied: Randomized values of this world and its robots; None: nothing varies.
         ranges: The ranges that this draws from, where they differ between worlds: lowest and highest of
             some quantities of `DomainRandomization` (2,); None: all have the scene's.
     """
@@ -183,13 +183,13 @@ def episode_key(world: World, stream: Stream) -> Array:
     """Return the key of a stream of random numbers in the present episode."""
     if on_numpy():
         return random.fold_in(random.fold_in(world.key, stream), world.episode)
-    # Those of all streams, so that XLA has them to work out once: a fold is over a hundred operations to it.
+    # All streams at once, so that XLA computes them once: a fold is over a hundred operations to it.
     streams = random.fold_in(world.key, np.arange(len(Stream)))
     return jax.vmap(random.fold_in, (0, None))(streams, world.episode)[stream]
 
 
 def robot_states(group: RobotGroup, physics: PhysicsState) -> RobotState:
-    """Return where a group's robots are; leading axis over them."""
+    """Return the states of a group's robots; leading axis over them."""
     root, dof = physics.qpos[group.root_qposadr], physics.qvel[group.root_dofadr]
     return RobotState(
         pos=root[:, :3],
@@ -205,7 +205,7 @@ def robot_keys(scene: Scene, group: RobotGroup, key: Array) -> Array:
     """Return a key for each of a group's robots (robots,), folded by its slot."""
     if on_numpy():
         return random.fold_in(key, group.slots)
-    # Those of all robots, so that XLA has them to work out once.
+    # Those of all robots, so that XLA computes them once.
     return random.fold_in(key, np.arange(scene.num_robots))[group.slots]
 
 
@@ -226,14 +226,14 @@ def sense_self(
     group: RobotGroup,
     around: Surroundings | None = None,
 ) -> SensorInput:
-    """Return what a group's robots sense of themselves, no rays cast; leading axis over robots.
+    """Return the sensor inputs of a group's robots without rays; leading axis over robots.
 
     Args:
         scene: The scene.
         world: The world.
-        physics: Where everything is.
+        physics: State of the physics.
         group: The robots.
-        around: What is around, if it is known already.
+        around: The surroundings, if they are known already.
     """
     states = robot_states(group, physics)
     bodies = forward_kinematics(group.plan, states)
@@ -247,7 +247,7 @@ def sense_self(
 
 
 def caster(scene: Scene, world: World, physics: PhysicsState) -> RayCaster:
-    """Return what casts rays at all that there is in a world, on JAX."""
+    """Return a caster of rays at everything in a world, on JAX."""
     bodies = [forward_kinematics(group.plan, robot_states(group, physics)) for group in scene.groups]
     geoms = ray_geoms(
         [
@@ -264,12 +264,12 @@ def caster(scene: Scene, world: World, physics: PhysicsState) -> RayCaster:
 def sense(
     scene: Scene, world: World, physics: PhysicsState, cast: RayCaster | None = None
 ) -> tuple[SensorInput, ...]:
-    """Return what each group's robots sense, rays cast; leading axis over robots, but for the time.
+    """Return the sensor inputs of each group's robots with rays; leading axis over robots, but for the time.
 
     Args:
         scene: The scene, or one with some of a world's robots only.
         world: The world, of these robots.
-        physics: Where everything is.
+        physics: State of the physics.
         cast: Casts rays; None: those of `caster`.
     """
     cast = caster(scene, world, physics) if cast is None else cast
@@ -285,7 +285,7 @@ def sense(
 
 
 def _hits(group: RobotGroup, inputs: SensorInput, memory: SensorMemory, cast: RayCaster) -> Hits:
-    """Return what the rays of a group's robots meet (robots, rays); those of sensors that are due."""
+    """Return the hits of the rays of a group's robots (robots, rays); those of sensors that are due."""
 
     def one(bodies: BodyPoses, slot: Array, due: Array) -> Hits:
         return group.suite.hits(cast, bodies, slot, due, inputs.surroundings_or_empty)
@@ -295,7 +295,7 @@ def _hits(group: RobotGroup, inputs: SensorInput, memory: SensorMemory, cast: Ra
 
 
 def battery_left(scene: Scene, world: World, group: RobotGroup, state: GroupState) -> Array:
-    """Return for how long the batteries of a group's robots last yet, 0 if drowned [s] (n,)."""
+    """Return the battery time left of a group's robots, 0 if drowned [s] (n,)."""
     age = clock_of(scene, world).since(state.battery_start)
     return xp.where(state.drowned, 0.0, xp.maximum(group.robot.battery_life - age, 0.0))
 
@@ -316,12 +316,13 @@ def compute_inputs(
     Args:
         scene: The scene.
         world: The world.
-        physics: Where everything is.
-        moved: Where the geoms that move are now, if it is known already.
+        physics: State of the physics.
+        moved: Present poses of the moving geoms, if they are known already.
     """
     clock = clock_of(scene, world)
     ctrl, act, wrenches, pinned, pinned_dof = (list[Part]() for _ in range(5))
     if world.arena_state is not None:
+        # All worlds share one model: loose objects that this world's arena lacks are held where they are.
         loose, missing = scene.loose_geoms, xp.asarray(~world.arena_state.present)[:, None]
         pinned.append((loose.root_qposadr, missing))
         pinned_dof.append((loose.root_dof, missing))
@@ -333,7 +334,7 @@ def compute_inputs(
         if scene.arena.waters:
             state = state.replace(drowned=state.drowned | (state.active & drowns(group.robot, depth)))
         awake = powered(scene, world, group, state)
-        torque, speed = (_of_group(world, group, name) for name in ("torque", "speed"))
+        torque, speed = (_group_values(world, group, name) for name in ("torque", "speed"))
         now = DriveConditions(
             step=xp.broadcast_to(clock.step, awake.shape),
             powered=awake,
@@ -369,34 +370,35 @@ def compute_inputs(
     return world.replace(groups=tuple(groups), faults=world.faults.replace(refused=refused)), inputs
 
 
-def _of_group(world: World, group: RobotGroup, name: str) -> Array | None:
+def _group_values(world: World, group: RobotGroup, name: str) -> Array | None:
     """Return a number of each of a group's robots (n,); None: it does not vary."""
     values = None if world.varied is None else getattr(world.varied, name)
     return None if values is None else values[group.slots]
 
 
 def _delayed_command(world: World, group: RobotGroup, state: GroupState) -> tuple[RobotCommand, GroupState]:
-    """Return what a group's motors have heard of by now, and the state that remembers what they have not."""
-    latency, command = _of_group(world, group, "latency"), state.command
+    """Return the command that has reached a group's motors by now, and the state with the delayed ones."""
+    latency, command = _group_values(world, group, "latency"), state.command
     if latency is None or state.command_history is None:
         return command, state
-    told = CommandHistory(target=command.target, mode=command.mode, setpoint=command.setpoint)
+    current = CommandHistory(target=command.target, mode=command.mode, setpoint=command.setpoint)
+    # Row 0 is the present command and row k that of k steps before, so a latency is an index.
     history = jax.tree.map(
-        lambda new, old: xp.concatenate([new[:, None], old], 1), told, state.command_history
+        lambda new, old: xp.concatenate([new[:, None], old], 1), current, state.command_history
     )
-    heard = jax.tree.map(lambda values: values[np.arange(len(group.slots)), latency], history)
-    command = command.replace(target=heard.target, mode=heard.mode, setpoint=heard.setpoint)
+    delayed = jax.tree.map(lambda values: values[np.arange(len(group.slots)), latency], history)
+    command = command.replace(target=delayed.target, mode=delayed.mode, setpoint=delayed.setpoint)
     return command, state.replace(command_history=jax.tree.map(lambda values: values[:, :-1], history))
 
 
 def runaway_limit(robot: RobotSpec) -> float:
-    """Return up to which speed of its chassis a robot is sound [m/s]."""
+    """Return the highest plausible speed of a robot's chassis [m/s]."""
     return max(RUNAWAY_SPEED, 1.5 * robot.drive.top_speed)
 
 
 @named_scope("finish_step")
 def finish_step(scene: Scene, world: World, physics: PhysicsState, overflow: Array) -> tuple[World, Array]:
-    """Count the step and what went wrong in it; return also whether the physics is still finite ()."""
+    """Count the step and its faults; return also whether the physics is still finite ()."""
     finite = (
         xp.isfinite(physics.qpos).all() & xp.isfinite(physics.qvel).all() & xp.isfinite(physics.act).all()
     )

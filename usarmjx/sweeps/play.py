@@ -95,7 +95,7 @@ def play_batch(work: BatchWork, watch: ShareWatch | None = None) -> list[CellRec
         _Kept.runner = None
         if len(work.chosen) == 1:
             return [failure(*work.cells[work.chosen[0]], _reason(error))]
-        return [record for half in _halves(work) for record in play_batch(half)]
+        return [record for half in halves(work) for record in play_batch(half)]
     compiling = clock.taken() / len(work.chosen)
     return [_record(work, place, one, compiling) for place, one in zip(work.chosen, found, strict=True)]
 
@@ -121,7 +121,8 @@ def _episodes(work: BatchWork, watch: ShareWatch | None) -> Sequence[CellEpisode
     return _Kept.runner.run(work.chosen, watch)
 
 
-def _halves(work: BatchWork) -> list[BatchWork]:
+def halves(work: BatchWork) -> list[BatchWork]:
+    """Return a batch as two, each a group of its own."""
     middle = len(work.chosen) // 2
     halves: list[BatchWork] = []
     for chosen in (work.chosen[:middle], work.chosen[middle:]):

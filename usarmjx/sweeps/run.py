@@ -13,7 +13,7 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError, quoted
 from usarmjx.engines import choose_engine
-from usarmjx.sweeps.play import BatchWork, failure, play_batch, resolved
+from usarmjx.sweeps.play import BatchWork, failure, halves, play_batch, resolved
 from usarmjx.sweeps.resolve import key_of, signature_of
 from usarmjx.sweeps.spec import SweepSpec, as_text, find_spec, load_spec, read_spec
 from usarmjx.sweeps.store import CellRecord, StoredSweep, read_cell, read_sweep, write_cell, write_sweep
@@ -406,8 +406,14 @@ def play_prepared(
     keep(prepared.broken)
     works = batches_of(prepared)
     try:
-        for number, records, lost in workers.run(_work(workers, progress), works):
-            keep(_lost(works[number], lost) if lost is not None else records)
+        while works:
+            suspects: list[BatchWork] = []
+            for number, records, lost in workers.run(_work(workers, progress), works):
+                if lost is not None and len(works[number].chosen) > 1:
+                    suspects += halves(works[number])  # one of its cells ends workers: the others do not
+                else:
+                    keep(_lost(works[number], lost) if lost is not None else records)
+            works = suspects
     finally:
         progress.close()
     return read_sweep(folder)

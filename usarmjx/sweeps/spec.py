@@ -1,6 +1,7 @@
 """A sweep as data: a YAML file, and the settings of the cells that it stands for."""
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -278,19 +279,22 @@ def read_spec(given: object, name: str = "sweep", common: Mapping[str, Any] | No
     """
     rows = given.data if isinstance(given, FileValue) else given
     file, found = default_reader().from_data(SweepFile, given), dict[str, Any](rows)  # type: ignore - a mapping
-    parts = [_rows(found.get("list")), _product(found.get("product")), _sample(found.get("sample"))]
-    count = int(np.prod([len(rows) for rows in parts]))
-    if count > MAX_CELLS:
-        raise UsageError(f"{count} cells, expected at most {MAX_CELLS}")
+    axes = _axes(found.get("product"))
+    parts = [_rows(found.get("list")), [{}], _sample(found.get("sample"))]
+    count = math.prod([*map(len, parts), *map(len, axes.values())])
+    if count > MAX_CELLS:  # before they are built: five axes of 40 values are 100 million
+        place = f"{given.path}: " if isinstance(given, FileValue) else ""
+        raise UsageError(f"{place}{count} cells, expected at most {MAX_CELLS}")
+    parts[1] = [dict(zip(axes, row, strict=True)) for row in itertools.product(*axes.values())]
     base = flatten(found["common"], "common") if file.common else {}
     over = flatten(common or {}, "the command line")
     where = f"{given.path}: a cell" if isinstance(given, FileValue) else "a cell"
     cells = [complete({**base, **_joined(rows), **over}, where) for rows in itertools.product(*parts)]
     unique = list({repr(cell): cell for cell in cells}.values())
     names = dict.fromkeys(key for rows in parts for row in rows for key in row)
-    axes = tuple(key for key in names if len({repr(cell.get(key)) for cell in unique}) > 1)
+    differing = tuple(key for key in names if len({repr(cell.get(key)) for cell in unique}) > 1)
     about = " ".join(file.about.split())
-    return SweepSpec(name=name, about=about, cells=tuple(unique), axes=axes, worlds=file.worlds)
+    return SweepSpec(name=name, about=about, cells=tuple(unique), axes=differing, worlds=file.worlds)
 
 
 def _joined(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -319,14 +323,15 @@ def _rows(given: object) -> list[dict[str, Any]]:
     return [flatten(row, f"list, row {i + 1}") for i, row in enumerate(rows)]
 
 
-def _product(given: object) -> list[dict[str, Any]]:
+def _axes(given: object) -> dict[str, Any]:
+    """Return the values of each axis of a product."""
     if _is_empty(given):
-        return [{}]
+        return {}
     axes = flatten(given, "product")
     for key, values in axes.items():
         if not isinstance(values, list) or not values:
             raise UsageError(f"product: {key} is {values!r}, expected a list of values")
-    return [dict(zip(axes, row, strict=True)) for row in itertools.product(*axes.values())]
+    return axes
 
 
 def _sample(given: object) -> list[dict[str, Any]]:

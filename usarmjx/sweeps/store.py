@@ -1,20 +1,29 @@
 """A sweep's folder: `sweep.json` says which cells it has, `cells/KEY.json` holds one finished or failed cell.
 
 A cell's file is written beside its place and renamed, so it is whole or not there; its name is a hash of its
-settings, so a changed sweep finds what it has in common with the one before.
+settings, so a changed sweep finds what it has in common with the one before. Both files carry a checksum; a
+cell that is damaged, or that stands in the place of another, counts as none.
 """
 
-import json
+import logging
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.files import atomic_write, writing
+from usarmjx.base.kept_json import NotWholeError, kept_text, read_kept
+from usarmjx.base.settings import default_reader
+
+log = logging.getLogger(__name__)
 
 FORMAT = 1
+MOST_CELL_BYTES = 64_000_000
+"""Largest file of a cell: a million episodes."""
+MOST_SWEEP_BYTES = 64_000_000
+"""Largest `sweep.json`: a million keys."""
 SWEEP_FILE, CELLS = "sweep.json", "cells"
 
 
@@ -80,6 +89,18 @@ class StoredSweep:
         return [record for record in self.records if record.failed is None]
 
 
+@dataclass(frozen=True, kw_only=True)
+class _SweepContent:
+    """Content of `sweep.json`."""
+
+    format: int
+    name: str
+    about: str
+    axes: tuple[str, ...]
+    cells: tuple[str, ...]
+    begun: str = ""
+
+
 def write_sweep(folder: Path, name: str, about: str, axes: Sequence[str], keys: Sequence[str]) -> None:
     """Say which cells the sweep in a folder has.
 
@@ -89,7 +110,7 @@ def write_sweep(folder: Path, name: str, about: str, axes: Sequence[str], keys: 
     content = {"format": FORMAT, "name": name, "about": about, "axes": [*axes], "cells": [*keys]}
     content["begun"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     with atomic_write(folder / SWEEP_FILE) as fresh:
-        fresh.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        fresh.write_text(kept_text(content), encoding="utf-8")
     with writing(folder / CELLS):
         (folder / CELLS).mkdir(exist_ok=True)
 
@@ -101,21 +122,45 @@ def write_cell(folder: Path, record: CellRecord) -> None:
         WriteError: It cannot be written.
     """
     with atomic_write(folder / CELLS / f"{record.key}.json") as fresh:
-        fresh.write_text(json.dumps(asdict(record), default=str) + "\n", encoding="utf-8")
+        fresh.write_text(kept_text(asdict(record), indent=None), encoding="utf-8")
 
 
 def read_cell(folder: Path, key: str) -> CellRecord | None:
-    """Return what is kept of a cell; None: nothing, or nothing that reads."""
-    try:
-        content = json.loads((folder / CELLS / f"{key}.json").read_text(encoding="utf-8"))
-        return CellRecord(**{**content, **_tuples(content)})
-    except (OSError, ValueError, TypeError, KeyError):
+    """Return the record of a cell; None: there is none, or, with a warning, none that is whole."""
+    file = folder / CELLS / f"{key}.json"
+    if not file.exists():
         return None
+    try:
+        record = _record(file, read_kept(file, needs_checksum=False, most=MOST_CELL_BYTES))
+        if record.key != key:
+            raise NotWholeError(f"{file}: is the result of another cell, {record.key[:40]}")
+    except SpecError as error:
+        log.warning("%s; the cell counts as not played", error)
+        return None
+    return record
 
 
-def _tuples(content: Mapping[str, Any]) -> dict[str, Any]:
-    rows = {name: tuple(content[name]) for name in ("scores", "steps", "bad")}
-    return {**rows, "metrics": {name: tuple(values) for name, values in content["metrics"].items()}}
+def _record(file: Path, content: Mapping[str, Any]) -> CellRecord:
+    """Return the record of a file's content.
+
+    Raises:
+        NotWholeError: Something is missing, unknown or of another type.
+    """
+    try:
+        numbers = {
+            "scores": tuple(map(float, content["scores"])),
+            "steps": tuple(map(int, content["steps"])),
+            "bad": tuple(map(bool, content["bad"])),
+            "metrics": {name: tuple(map(float, row)) for name, row in content["metrics"].items()},
+        }
+        record = CellRecord(**{**content, **numbers})
+        record.settings.keys()
+        rows = [record.steps, record.bad, *record.metrics.values()]
+    except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
+        raise NotWholeError(f"{file}: is no result of a cell: {error!r}"[:300]) from error
+    if any(len(row) != len(record.scores) for row in rows):
+        raise NotWholeError(f"{file}: its rows have different numbers of episodes")
+    return record
 
 
 def read_sweep(folder: Path) -> StoredSweep:
@@ -125,18 +170,16 @@ def read_sweep(folder: Path) -> StoredSweep:
         UsageError: There is none.
     """
     path = Path(folder) / SWEEP_FILE
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        keys = tuple(str(key) for key in content["cells"])
-        found = [read_cell(Path(folder), key) for key in keys]
-        return StoredSweep(
-            name=content["name"],
-            about=content["about"],
-            axes=tuple(content["axes"]),
-            keys=keys,
-            records=tuple(one for one in found if one is not None),
-        )
-    except OSError as error:
-        raise UsageError(f"{folder} holds no sweep: {SWEEP_FILE}: {error.strerror or error}") from error
-    except (ValueError, KeyError, TypeError) as error:
-        raise UsageError(f"{path} is broken: {error}") from error
+    if not path.is_file():
+        raise UsageError(f"{folder} holds no sweep: it has no {SWEEP_FILE}")
+    file = default_reader().from_data(
+        _SweepContent, read_kept(path, needs_checksum=False, most=MOST_SWEEP_BYTES), where=str(path)
+    )
+    found = [read_cell(Path(folder), key) for key in file.cells]
+    return StoredSweep(
+        name=file.name,
+        about=file.about,
+        axes=file.axes,
+        keys=file.cells,
+        records=tuple(one for one in found if one is not None),
+    )

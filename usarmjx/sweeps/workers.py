@@ -3,25 +3,17 @@
 A worker that is lost, by the system or with its machine, is replaced, and what it was doing is done again.
 """
 
-import logging
-import multiprocessing
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from usarmjx.base.errors import UsageError, quoted
+from usarmjx.base.errors import UsageError
+from usarmjx.sweeps.local_workers import PieceOutcome, PieceWork, work_in_processes
+from usarmjx.sweeps.ray_workers import work_on_ray
 
 PLACES = ("here", "processes", "ray")
-TRIES = 3
-"""So often a piece of work is begun before it counts as what kills its workers."""
-
-PieceWork = Callable[[Any], Any]
-PieceOutcome = tuple[int, Any, str | None]
-"""Number of a piece of work, what came of it, and else why nothing did."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,9 +53,10 @@ class Workers:
             UsageError: Ray is not installed, or its cluster is not there.
         """
         if self.place == "ray":
-            return _on_ray(work, pieces, self.count, self.address)
+            return work_on_ray(work, pieces, self.count, self.address)
         if self.place == "processes":
-            return _in_processes(work, pieces, self.count or max(1, gpus()))
+            count = max(1, min(self.count or max(1, gpus()), len(pieces)))
+            return work_in_processes(work, pieces, count, _devices(count))
         return _here(work, pieces)
 
 
@@ -82,110 +75,10 @@ def _here(work: PieceWork, pieces: Sequence[Any]) -> Iterator[PieceOutcome]:
         yield number, work(piece), None
 
 
-def _take_gpu(numbers: Any) -> None:  # noqa: ANN401 - a queue of another process
-    """Let this process see one GPU only."""
-    number = numbers.get()
-    if number is not None:
-        os.environ["CUDA_VISIBLE_DEVICES"] = str(number)
-
-
-def _in_processes(work: PieceWork, pieces: Sequence[Any], count: int) -> Iterator[PieceOutcome]:
-    left, tries = dict(enumerate(pieces)), dict.fromkeys(range(len(pieces)), 0)
-    while left:
-        lost = False
-        with _pool(min(count, len(left))) as pool:
-            waiting: dict[Future[Any], int] = {}
-            queue = list(left)
-            while queue or waiting:
-                # No more at work than there are workers: who is lost with one was at work.
-                while queue and len(waiting) < count and not lost:
-                    number = queue.pop(0)
-                    tries[number] += 1
-                    waiting[pool.submit(work, left[number])] = number
-                if not waiting:
-                    break
-                for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                    number = waiting.pop(future)
-                    try:
-                        yield number, future.result(), None
-                    except BrokenProcessPool:
-                        lost = True
-                        if tries[number] < TRIES:
-                            continue
-                        yield number, None, f"its worker was lost {TRIES} times"
-                    except Exception as error:
-                        yield number, None, quoted(error)
-                    del left[number]
-
-
-def _pool(count: int) -> ProcessPoolExecutor:
-    context = multiprocessing.get_context("spawn")  # JAX does not live on in a fork
-    said = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")
+def _devices(count: int) -> list[str | None]:
+    """Return the GPU of each of some workers, in turns; None: there is none to choose from."""
+    said = [one for one in os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",") if one]
     there = gpus()
-    numbers = context.Queue()
-    for worker in range(count):
-        own = None if not there else said[worker % there] if said != [""] else worker % there
-        numbers.put(own)
-    return ProcessPoolExecutor(count, mp_context=context, initializer=_take_gpu, initargs=(numbers,))
-
-
-def _on_ray(
-    work: PieceWork, pieces: Sequence[Any], count: int | None, address: str | None
-) -> Iterator[PieceOutcome]:
-    try:
-        import ray  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise UsageError(
-            "running on ray needs Ray: pip install usarmjx[sweep]; or run on processes"
-        ) from error
-    started = not ray.is_initialized()
-    if started:
-        try:
-            quiet = {"log_to_driver": False, "include_dashboard": False, "logging_level": logging.ERROR}
-            ray.init(address=address, **quiet)
-        except Exception as error:
-            raise UsageError(
-                f"Ray does not start{f' at {address}' if address else ''}: {quoted(error)}"
-            ) from error
-    try:
-        yield from _by_actors(ray, work, pieces, count)
-    finally:
-        if started:
-            ray.shutdown()
-
-
-def _by_actors(ray: Any, work: PieceWork, pieces: Sequence[Any], count: int | None) -> Iterator[PieceOutcome]:  # noqa: ANN401
-    """Have actors do the pieces: each has a GPU, where the cluster has some."""
-    devices = int(ray.cluster_resources().get("GPU", 0))
-    many = min(count or max(1, devices), max(1, len(pieces)))
-
-    class Actor:
-        def do(self, piece: Any) -> Any:  # noqa: ANN401
-            return work(piece)
-
-    kind = ray.remote(num_gpus=1 if devices else 0, max_restarts=0)(Actor)
-    queue, tries = list(range(len(pieces))), dict.fromkeys(range(len(pieces)), 0)
-    idle: list[Any] = [kind.remote() for _ in range(many)]
-    busy: dict[Any, tuple[int, Any]] = {}
-    while queue or busy:
-        while queue and idle:
-            number, actor = queue.pop(0), idle.pop()
-            tries[number] += 1
-            busy[actor.do.remote(pieces[number])] = number, actor
-        (done,), _ = ray.wait(list(busy), num_returns=1)
-        number, actor = busy.pop(done)
-        try:
-            found = ray.get(done)
-        except ray.exceptions.RayActorError:
-            idle.append(kind.remote())
-            if tries[number] < TRIES:
-                queue.append(number)
-            else:
-                yield number, None, f"its worker was lost {TRIES} times"
-            continue
-        except ray.exceptions.RayTaskError as error:
-            idle.append(actor)
-            yield number, None, quoted(error.cause if hasattr(error, "cause") else error)
-            continue
-        idle.append(actor)
-        yield number, found, None
+    if not there:
+        return [None] * count
+    return [said[worker % there] if said else str(worker % there) for worker in range(count)]

@@ -171,7 +171,7 @@ def test_a_hill_has_its_ridge_across_and_a_diagonal_one_from_corner_to_corner():
     assert np.array(posts_of(STEP_FIELDS["flat"])).max() - 1 == 1, "flat: by no more than a unit"
 
 
-@settings(max_examples=50, deadline=None)
+@settings(deadline=None)
 @given(
     st.integers(1, 6).flatmap(
         lambda width: st.lists(

@@ -93,7 +93,7 @@ def follow(arena, robot, row, columns=(1.6, 8.4)):
     """Drive a robot through a lane of a hall."""
     start = StartPose(tag="S", at=(*HALL.at(1, row), START_ELEVATION))
     trial = Trial(arena, ROBOTS.get(robot))
-    trial.put_back(start)
+    trial.reset_to(start)
     return trial.follow([HALL.at(column, row) for column in columns], 60.0)
 
 

@@ -34,7 +34,7 @@ from usarmjx.models.types.arena import FalseAlarm, HelpSound, SegmentMotion, Vic
 
 FLOAT32_ATOL = 2e-6  # m: some ten roundings of lengths of 3 m
 SIGNS = 2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1
-quick = settings(max_examples=60, deadline=None)
+quick = settings(deadline=None)
 WAVING = Victim(
     name="waving",
     at=(1.0, -2.0, 0.6),

@@ -150,9 +150,7 @@ arenas = st.builds(
 )
 
 
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large]
-)
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(arena=arenas)
 def test_any_arena_survives_being_saved(arena, tmp_path_factory):
     path = tmp_path_factory.mktemp("saved") / "arena.yaml"

@@ -65,7 +65,7 @@ def test_what_cannot_be_done_fails_and_changes_nothing(rest):
     assert texts == {118: "kept"}
 
 
-@settings(max_examples=200, deadline=None)
+@settings(deadline=None)
 @given(st.text(st.characters(codec="utf-8", exclude_characters="{}\r\n"), max_size=300))
 def test_any_text_that_a_line_can_carry_is_read_back_as_it_was_written(text):
     texts = {}

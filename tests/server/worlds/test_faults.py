@@ -194,7 +194,7 @@ def test_a_robot_that_falls_has_not_gone_bad(name):
 
 
 def test_who_falls_out_of_the_world_is_put_back(monkeypatch):
-    monkeypatch.setattr(single_world, "MAX_FALL", 30.0)
+    monkeypatch.setattr(single_world, "MAX_FALL_HEIGHT", 30.0)
     plate = Shape(kind="box", size=(1.0, 1.0, 0.1), at=(0.0, 0.0, -0.1), surface="ground")
     house = make_house(land(plate))
     client = house.connect(init("P2AT", 0, 0, -0.3))

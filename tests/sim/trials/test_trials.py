@@ -19,7 +19,7 @@ from usarmjx.models.robots import ROBOTS
 from usarmjx.sim.trials import obstacles
 from usarmjx.sim.trials.driver import LaneScore, Trial, run_lane
 from usarmjx.sim.trials.obstacles import measure_crossings
-from usarmjx.sim.trials.ways import drive_arena
+from usarmjx.sim.trials.routes import drive_arena
 
 P2AT, TALON = ROBOTS.get("P2AT"), ROBOTS.get("Talon")
 ATOL = 1e-6
@@ -66,14 +66,14 @@ def test_lanes_are_arenas_by_name_and_a_robot_stands_on_both_ends():
 
 
 def test_a_talon_crosses_hurdles_of_20_cm():
-    talon = run_lane(LANES.get("hurdles_20"), TALON, 0.5, most=1)
+    talon = run_lane(LANES.get("hurdles_20"), TALON, 0.5, max_repetitions=1)
     assert talon.repetitions == 1
     assert talon.faults == ()
 
 
 def test_a_lap_counts_there_and_back_where_the_method_says_so():
     lane = LANES.get("incline_15")
-    score = run_lane(lane, P2AT, 1.0, most=1)
+    score = run_lane(lane, P2AT, 1.0, max_repetitions=1)
     assert score.repetitions == 1
     assert score.metres_per_minute == pytest.approx(2 * lane.length * 60 / score.seconds)
     assert lane.length * 2 / score.seconds < P2AT.drive.top_speed
@@ -115,7 +115,7 @@ def test_a_robot_is_driven_to_all_starts_of_an_arena_with_obstacles():
     tour = drive_arena(arena, P2AT)
     assert tour.faults == ()
     assert tour.success == 1.0
-    assert tour.legs == len(arena.starts) - 1 + len(arena.victims)
+    assert tour.segments == len(arena.starts) - 1 + len(arena.victims)
     assert tour.metres / tour.seconds < P2AT.drive.top_speed
 
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import logging
 import math
 import os
 from collections.abc import Iterable
@@ -13,15 +14,19 @@ from typing import Any
 
 import mujoco
 
-from usarmjx.base.compilation import cache_folder
-from usarmjx.base.errors import UnsupportedFeatureError
+from usarmjx.base.compilation import own_cache_folder
+from usarmjx.base.errors import SpecError, UnsupportedFeatureError
+from usarmjx.base.kept_json import NotWholeError, read_kept
 from usarmjx.base.markdown import markdown_table
+from usarmjx.base.settings.json_file import as_mapping
 from usarmjx.models.compile.compose import add_robot
 from usarmjx.models.compile.parts import parts_of
 from usarmjx.models.drives.ackermann import Ackermann
 from usarmjx.models.drives.base import Drive
 from usarmjx.models.drives.ground import NoDrive, OmniDrive, SkidSteer
 from usarmjx.models.types.robot import RobotSpec
+
+log = logging.getLogger(__name__)
 
 RESPONSES_FILE = "responses.json"
 """Package resource with the measured responses."""
@@ -57,6 +62,26 @@ class Response:
 
 NUMERIC_FIELDS = tuple(field.name for field in fields(Response) if field.name != "sides_apart")
 """Numeric fields of a response."""
+
+
+def read_response(entry: Any, place: str) -> Response:  # noqa: ANN401 - any data
+    """Return the response of an entry of a file of measurements.
+
+    Raises:
+        NotWholeError: A field is missing, unknown, of another type, or not finite; names it.
+    """
+    held = as_mapping((as_mapping(entry) or {}).get("response"))
+    if held is None or held.keys() - {"sides_apart"} != set(NUMERIC_FIELDS):
+        raise NotWholeError(f"{place}: has no response with the fields of one")
+    for name in NUMERIC_FIELDS:
+        value = held[name]
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise NotWholeError(f"{place}: {name} is {str(value)[:40]}, expected a finite number")
+    if not isinstance(held.get("sides_apart", False), bool):
+        raise NotWholeError(
+            f"{place}: sides_apart is {str(held['sides_apart'])[:40]}, expected true or false"
+        )
+    return Response(**held)
 
 
 @cache
@@ -100,18 +125,23 @@ class UncalibratedRobotError(UnsupportedFeatureError):
 
 
 def response_file(robot: RobotSpec, folder: Path | None = None) -> Path | None:
-    """Return the file with the measured response of a robot that is not packaged; None: the cache is off.
+    """Return the file with the measured response of a robot that is not packaged.
+
+    None: the cache is off, or others may write to it.
 
     Args:
         robot: The robot.
         folder: Cache folder; None: this user's.
     """
-    cache = cache_folder(os.environ) if folder is None else folder
+    cache = own_cache_folder(os.environ) if folder is None else folder
     return None if cache is None else cache / "planar" / f"{robot.name}-{description_key(robot)}.json"
 
 
 def find_response(robot: RobotSpec, folder: Path | None = None) -> Response | None:
-    """Return a rolling class's response, if it was measured for its current description."""
+    """Return a rolling class's response, if it was measured for its current description.
+
+    A kept file that is damaged, or for another description, counts as none and is removed, with a warning.
+    """
     if robot in _overrides:
         return _overrides[robot]
     entry = packaged_responses().get(robot.name)
@@ -120,7 +150,15 @@ def find_response(robot: RobotSpec, folder: Path | None = None) -> Response | No
     file = response_file(robot, folder)
     if file is None or not file.is_file():
         return None
-    override_response(robot, Response(**json.loads(file.read_text(encoding="utf-8"))["response"]))
+    try:
+        content = read_kept(file)
+        if content.get("key") != description_key(robot):
+            raise NotWholeError(f"{file}: is the response of another robot")
+        override_response(robot, read_response(content, str(file)))
+    except SpecError as error:
+        log.warning("%s; it is measured again", error)
+        file.unlink(missing_ok=True)
+        return None
     return _overrides[robot]
 
 

@@ -310,11 +310,11 @@ def _redescribe(world: ServedWorld, specs: Mapping[Robot, RobotSpec]) -> None:
         for robot, spec in specs.items():
             before = robot.spec
             if spec != before:
-                world.redescribe(robot, spec)
+                world.update_robot_spec(robot, spec)
                 done.append((robot, before))
     except Exception:  # an engine may refuse the third robot after two have changed: undo those
         for robot, before in done:
-            world.redescribe(robot, before)
+            world.update_robot_spec(robot, before)
         raise
     for robot, before in done:
         _settle_cameras(world, robot, before)

@@ -1,8 +1,8 @@
 """Parsers of a client's messages (manual 9.4): one function per head, and their registry.
 
-`parse_command` has three outcomes: a command, `Ignored` with a reason for the log, or PeerError
-for a number that is not finite or has a decimal comma. The original answers neither of the last two and keeps the
-connection, so then nothing is sent and the robot keeps its present command.
+`parse_command` has three outcomes: a command, `Ignored` with a reason for the log, or PeerError for
+a number that is not finite or has a decimal comma. The original answers neither of the last two and
+keeps the connection, so then nothing is sent and the robot keeps its present command.
 """
 
 from collections.abc import Callable

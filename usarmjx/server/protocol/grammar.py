@@ -225,8 +225,8 @@ def clip(text: str, limit: int = 60) -> str:
 def to_float(text: str) -> float:
     """Return the number at the start of a text, as C's atof does; garbage is 0.
 
-    The original cut "2,5" to 2. Here a decimal comma is refused: a client on a machine with such a locale would
-    drive at another speed than it meant.
+    The original cut "2,5" to 2. Here a decimal comma is refused: a client on a machine with such a locale
+    would drive at another speed than it meant.
 
     Raises:
         PeerError: NaN, infinity, a number too large for a float, or one with a decimal comma.

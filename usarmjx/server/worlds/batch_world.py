@@ -32,7 +32,7 @@ from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
 from usarmjx.sim.batch import Batch, BatchState, Readings, put_robot
 from usarmjx.sim.control import RobotCommand, idle_command
-from usarmjx.sim.reset import new_group_state, started
+from usarmjx.sim.reset import new_group_state, start_sensors
 from usarmjx.sim.scene import PARKING_HEIGHT, Scene
 from usarmjx.sim.world import GroupState, World
 
@@ -218,7 +218,7 @@ class BatchWorld(ServedWorld):
         world, physics = self.one_world()
         with numpy_backend():
             since = np.full(1, world.step, np.int32)
-            state = started(
+            state = start_sensors(
                 self.scene, world, physics, group, new_group_state(self.scene, group, True, since)
             )
         robot.command = jax.tree.map(lambda x: x[0], state.command)

@@ -23,7 +23,7 @@ from usarmjx.sensors.suite import suite_of
 from usarmjx.server.worlds.recorded import record_step, single_setup, store_reading
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import CameraRequest, ServedWorld, ViewpointRequest, status_of
-from usarmjx.sim.configure import redescribe
+from usarmjx.sim.configure import update_robot_spec
 from usarmjx.sim.control import RobotCommand, idle_command
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.single_world import SingleWorld
@@ -124,10 +124,10 @@ class DynamicWorld(ServedWorld):
             log.info("%s: no room at %s: it stands at %s", name, _text(poses[0][0]), _text(pos))
         return new
 
-    def redescribe(self, robot: Robot, spec: RobotSpec) -> None:
+    def update_robot_spec(self, robot: Robot, spec: RobotSpec) -> None:
         """Replace the description of a robot while it runs; the states of all are kept."""
         self.prepare(spec)
-        redescribe(self._single, robot.slot, spec)
+        update_robot_spec(self._single, robot.slot, spec)
         if self.recorder is not None:
             self.recorder.redescribed(robot.slot, spec)
         robot.suite = suite_of(spec)

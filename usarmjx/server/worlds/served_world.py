@@ -317,8 +317,8 @@ class ServedWorld(ABC):
     def edit(self, robot: Robot, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
         """Replace fields of the robot's part of its `GroupState`."""
 
-    def redescribe(self, robot: Robot, spec: RobotSpec) -> None:
-        """Replace the description of a robot while it runs; see `sim.configure.redescribe`.
+    def update_robot_spec(self, robot: Robot, spec: RobotSpec) -> None:
+        """Replace the description of a robot while it runs; see `sim.configure.update_robot_spec`.
 
         Raises:
             UsageError: The world cannot do that, or not with this description.

@@ -22,42 +22,42 @@ from usarmjx.sim.single_world import SingleWorld
 Posture = Callable[[float], dict[str, float]]
 """From the pitch [rad], nose up positive, to angles of joints [rad]."""
 FRONT, REAR = ("FRFlipper", "FLFlipper"), ("RRFlipper", "RLFlipper")
-RAISED = -0.6
+FRONT_RAISED_ANGLE = -0.6
 """Front flippers on level ground: tips up, to get onto what is ahead [rad]."""
-STEEPEST = 0.6
+MAX_PITCH = 0.6
 """Pitch from which on flippers do not move further [rad]."""
 
 
-def crawl(pitch: float) -> dict[str, float]:
+def crawl_posture(pitch: float) -> dict[str, float]:
     """Return flippers that are up ahead on level ground, flat in front and pressed down behind in a climb."""
-    climb = min(max(pitch, 0.0), STEEPEST)
-    return dict.fromkeys(FRONT, RAISED + climb) | dict.fromkeys(REAR, -0.8 * climb)
+    climb = min(max(pitch, 0.0), MAX_PITCH)
+    return dict.fromkeys(FRONT, FRONT_RAISED_ANGLE + climb) | dict.fromkeys(REAR, -0.8 * climb)
 
 
-def posture_of(robot: RobotSpec) -> Posture | None:
-    """Return what a class does on the way; None: it has no flippers."""
-    return crawl if {*FRONT, *REAR} <= {part.name for part in robot.parts} else None
+def flipper_posture(robot: RobotSpec) -> Posture | None:
+    """Return the function that sets a class's flippers; None: it has none."""
+    return crawl_posture if {*FRONT, *REAR} <= {part.name for part in robot.parts} else None
 
 
-NEAR = 0.25
-"""How near to a point of its way a robot must get [m]."""
-GAIN = 2.0
+ARRIVAL_DISTANCE = 0.25
+"""Distance from a waypoint at which a robot has reached it [m]."""
+STEERING_GAIN = 2.0
 """Steering for each radian that its heading is off."""
-ORDER_TIME = 0.1
-"""How long an order lasts [s]."""
-PATIENCE = 10.0
-"""Who comes no nearer for so long is stuck [s]."""
-PROGRESS = 0.05
+COMMAND_DURATION = 0.1
+"""Duration of a command [s]."""
+STUCK_TIMEOUT = 10.0
+"""Time without progress after which a robot counts as stuck [s]."""
+MIN_PROGRESS = 0.05
 """Nearer than this is nearer [m]."""
-BACK_OFF = 1.5
-"""How long a stuck robot goes back before it tries once more [s]."""
-OVER = math.cos(math.radians(80))
-"""How upright a robot must stay."""
+BACK_OFF_TIME = 1.5
+"""Time for which a stuck robot drives back before it tries once more [s]."""
+TIP_OVER_COS = math.cos(math.radians(80))
+"""Least cosine of the tilt at which a robot is upright."""
 
 
 @dataclass(frozen=True)
 class DriveRun:
-    """How a robot got along its way.
+    """Result of a drive along a path.
 
     Attributes:
         reached: Points that it got to.
@@ -86,7 +86,7 @@ class Trial:
         if robot.drive.steering not in ("SkidSteered", "AckermanSteered", "OmniDrive"):
             raise UsageError(f"a {robot.name} is not steered on the ground: no lane is for it")
         self._arena, self._robot, self._share = arena, robot, share
-        self._posture = posture_of(robot)
+        self._posture = flipper_posture(robot)
         self._keys = robot.drive.full_scale
         self.world = SingleWorld(build_scene(arena, []), seats=1)
         self._period = self.world.scene.physics.period
@@ -97,7 +97,7 @@ class Trial:
         turned = np.array(quat_from_angles(0.0, 0.0, start.yaw))
         return (x, y, start_height(self._arena, start, self._robot)), turned
 
-    def put_back(self, start: StartPose) -> None:
+    def reset_to(self, start: StartPose) -> None:
         """Put the robot onto a start pose, at rest."""
         self.world.reset()
         pos, quat = self._pose_at(start)
@@ -108,81 +108,84 @@ class Trial:
         group, member = self.world.scene.group_of(self._slot)
         return self.world.scene.groups[group].indices[member]
 
-    def stands(self) -> tuple[np.ndarray, np.ndarray]:
+    def pose(self) -> tuple[np.ndarray, np.ndarray]:
         """Return position [m] (3,) and orientation (3, 3) of the robot."""
         pose, mat = self.world.engine.pose(self._index), np.zeros(9)
         mujoco.mju_quat2Mat(mat, pose[3:])
         return pose[:3], mat.reshape(3, 3)
 
-    def tell(self, ahead: float, left: float, pitch: float = 0.0) -> None:
+    def command(self, ahead: float, left: float, pitch: float = 0.0) -> None:
         """Tell the robot to drive, as shares of its speed, with its flippers as its pitch [rad] asks for."""
         scene = self.world.scene
         group, _ = scene.group_of(self._slot)
         drive = drive_values(self._keys, ahead, left, 0.0, self._share)
         update = CommandUpdate(drive=drive, joints=self._posture(pitch) if self._posture else {})
         with numpy_backend():
-            told = update_command(scene.groups[group].plan, idle_command(self._robot), update)
-        self.world.edit(self._slot, command=told)
+            robot_command = update_command(scene.groups[group].plan, idle_command(self._robot), update)
+        self.world.edit(self._slot, command=robot_command)
 
-    def run(self, seconds: float) -> bool:
+    def advance(self, seconds: float) -> bool:
         """Let time pass; return whether the physics stayed sound."""
+        # A list: on a generator `any` would stop stepping at the first fault.
         return not any([bool(self.world.step()) for _ in range(round(seconds / self._period))])
 
-    def follow(self, way: Sequence[Position2D], seconds: float, near: float = NEAR) -> DriveRun:
+    def follow(
+        self, path: Sequence[Position2D], seconds: float, arrival_distance: float = ARRIVAL_DISTANCE
+    ) -> DriveRun:
         """Drive along points for a time at most [s]; the driver backs off once where it is stuck."""
-        begun, reached, retried = self.world.time, 0, False
-        best, since = math.inf, begun
-        while reached < len(way):
-            pos, mat = self.stands()
+        began, reached, retried = self.world.time, 0, False
+        closest, progress_time = math.inf, began
+        while reached < len(path):
+            pos, mat = self.pose()
             now = self.world.time
-            if mat[2, 2] < OVER:
-                return DriveRun(reached, now - begun, f"turned over at {_place(pos)}")
-            away = np.subtract(way[reached], pos[:2])
-            distance = float(np.linalg.norm(away))
-            if distance < near:
-                reached, best, since, retried = reached + 1, math.inf, now, False
+            if mat[2, 2] < TIP_OVER_COS:
+                return DriveRun(reached, now - began, f"turned over at {_format_position(pos)}")
+            offset = np.subtract(path[reached], pos[:2])
+            distance = float(np.linalg.norm(offset))
+            if distance < arrival_distance:
+                reached, closest, progress_time, retried = reached + 1, math.inf, now, False
                 continue
-            if distance < best - PROGRESS:
-                best, since = distance, now
-            if now - begun >= seconds:
-                return DriveRun(reached, now - begun, f"out of time at {_place(pos)}")
-            if now - since > PATIENCE:
+            if distance < closest - MIN_PROGRESS:
+                closest, progress_time = distance, now
+            if now - began >= seconds:
+                return DriveRun(reached, now - began, f"out of time at {_format_position(pos)}")
+            if now - progress_time > STUCK_TIMEOUT:
                 if retried:
-                    return DriveRun(reached, now - begun, f"stuck at {_place(pos)}")
-                retried, since = True, now
-                self.tell(-1.0, 0.0)
-                self.run(BACK_OFF)
+                    return DriveRun(reached, now - began, f"stuck at {_format_position(pos)}")
+                retried, progress_time = True, now
+                self.command(-1.0, 0.0)
+                self.advance(BACK_OFF_TIME)
                 continue
-            self._steer(away, mat)
-            if not self.run(ORDER_TIME):
-                return DriveRun(reached, self.world.time - begun, f"was put back at {_place(pos)}")
-        return DriveRun(reached, self.world.time - begun)
+            self._steer(offset, mat)
+            if not self.advance(COMMAND_DURATION):
+                f"was recovered at {_format_position(pos)}"
+        return DriveRun(reached, self.world.time - began)
 
-    def _steer(self, away: np.ndarray, mat: np.ndarray) -> None:
-        """Head for a point that lies `away` [m] (2,), slower ahead the sharper the turn."""
+    def _steer(self, offset: np.ndarray, mat: np.ndarray) -> None:
+        """Head for a point that lies `offset` [m] (2,), slower ahead the sharper the turn."""
         forward = mat[:2, 0]
-        error = math.atan2(forward[0] * away[1] - forward[1] * away[0], float(forward @ away))
-        turn = max(-1.0, min(1.0, GAIN * error))
+        error = math.atan2(forward[0] * offset[1] - forward[1] * offset[0], float(forward @ offset))
+        turn = max(-1.0, min(1.0, STEERING_GAIN * error))
         ahead = max(0.0, 1.0 - abs(turn) / 2) if abs(error) < math.pi / 3 else 0.0
-        self.tell(ahead, turn, math.asin(max(-1.0, min(1.0, float(mat[2, 0])))))
+        self.command(ahead, turn, math.asin(max(-1.0, min(1.0, float(mat[2, 0])))))
 
     def stop(self) -> None:
         """Let the robot come to rest."""
-        self.tell(0.0, 0.0)
-        self.run(0.5)
+        self.command(0.0, 0.0)
+        self.advance(0.5)
 
 
-def _place(pos: np.ndarray) -> str:
+def _format_position(pos: np.ndarray) -> str:
     return f"{pos[0]:.2f}, {pos[1]:.2f}"
 
 
-MOST_FAULTS = 3
-"""After so many a test is over."""
+MAX_FAULTS = 3
+"""Faults after which a test ends."""
 
 
 @dataclass(frozen=True)
 class LaneScore:
-    """What a robot did in a lane.
+    """Result of a robot in a lane.
 
     Attributes:
         lane: The lane.
@@ -190,7 +193,7 @@ class LaneScore:
         seconds: Simulated time that counted [s].
         repetitions: Traverses with the whole robot from one end to the other; there and back in lanes where
             that is one.
-        faults: In words why traverses did not count; after each the robot is put back to its start.
+        faults: Reasons why traverses did not count; after each the robot starts again.
     """
 
     lane: MobilityLane
@@ -219,35 +222,43 @@ class LaneScore:
 
 
 def run_lane(
-    lane: MobilityLane, robot: RobotSpec, minutes: float = 5.0, share: float = 1.0, most: int | None = None
+    lane: MobilityLane,
+    robot: RobotSpec,
+    minutes: float = 5.0,
+    share: float = 1.0,
+    max_repetitions: int | None = None,
 ) -> LaneScore:
     """Drive a robot to and fro in a lane and return its score.
 
     Args:
         lane: The lane.
         robot: The robot's class.
-        minutes: How long [min].
+        minutes: Duration [min].
         share: Share of its top speed.
-        most: Repetitions after which the test is over; None: only time ends it.
+        max_repetitions: Repetitions after which the test is over; None: only time ends it.
 
     Raises:
         UsageError: The class does not drive on the ground.
     """
     trial, starts = Trial(lane.arena, robot, share), lane.arena.starts
     faults: list[str] = []
-    left, done, at = 60.0 * minutes, 0, 0
+    remaining, traverses, end = 60.0 * minutes, 0, 0
     legs = 2 if lane.round_trip else 1
-    while left > 0 and len(faults) < MOST_FAULTS and (most is None or done // legs < most):
-        ride = trial.follow(lane.way(back=bool(at)), left)
-        left -= ride.seconds
-        if not ride.fault:
-            done, at = done + 1, 1 - at
+    while (
+        remaining > 0
+        and len(faults) < MAX_FAULTS
+        and (max_repetitions is None or traverses // legs < max_repetitions)
+    ):
+        run = trial.follow(lane.way(back=bool(end)), remaining)
+        remaining -= run.seconds
+        if not run.fault:
+            traverses, end = traverses + 1, 1 - end
             continue
-        if left <= 0:
+        if remaining <= 0:
             break
-        faults.append(ride.fault)
-        done -= done % legs
-        at = 0 if lane.round_trip else at
-        trial.put_back(starts[at])
-    seconds = 60.0 * minutes - max(left, 0.0)
-    return LaneScore(lane, robot.name, seconds, done // legs, tuple(faults))
+        faults.append(run.fault)
+        traverses -= traverses % legs
+        end = 0 if lane.round_trip else end
+        trial.reset_to(starts[end])
+    seconds = 60.0 * minutes - max(remaining, 0.0)
+    return LaneScore(lane, robot.name, seconds, traverses // legs, tuple(faults))

@@ -1,4 +1,4 @@
-"""How difficult the obstacles of generated arenas are: how often a robot crosses them, and how fast."""
+"""Difficulty of the obstacles of generated arenas: share of drives that cross them, and their time."""
 
 import json
 import math
@@ -19,29 +19,29 @@ from usarmjx.models.generate.random_stream import RandomStream
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.trials.driver import Trial
 
-ROW = 3
+OBSTACLES_PER_LANE = 3
 """Obstacles one behind the other, a bare cell between two, as in rings."""
-TIME = 60.0
+TIME_LIMIT = 60.0
 """For one crossing of them [s]."""
 LEVELS = (0.3, 0.5, 0.7, 0.85, 0.95, 1.1, 1.3, 1.6, 2.0, 2.5, 3.0, 3.6)
 """Heights at which success is measured, over the robot's step."""
-HOPELESS = 0.2
+MIN_SUCCESS = 0.2
 """Once no more than this share of the drives succeeds, nothing higher is tried."""
-ASIDE, ASKEW = 0.12, 0.2
-"""Perturbed drives start up to so far beside the middle of the lane [m], turned by up to so much [rad]."""
-SLOWEST, SLICKEST = 0.6, 0.6
+MAX_LATERAL_OFFSET, MAX_YAW_OFFSET = 0.12, 0.2
+"""Largest offset of perturbed drives from the middle of the lane [m], and from its direction [rad]."""
+MIN_SPEED_SHARE, MIN_FRICTION_SHARE = 0.6, 0.6
 """They have at least this share of the top speed, and of everything's friction."""
 
 
 @dataclass(frozen=True)
 class Crossings:
-    """What a robot did at obstacles of one kind and roughness.
+    """Result of a robot at obstacles of one kind and roughness.
 
     Attributes:
         kind: A name of `generate.obstacles.OBSTACLES`.
         roughness: From 0 to 1.
         tries: Lanes with other draws that it was sent through once each.
-        crossed: How many it got through.
+        crossed: Number of lanes that it crossed.
         seconds: Mean simulated time of those [s].
     """
 
@@ -60,23 +60,23 @@ def measure_crossings(
     Args:
         kind: A name of `OBSTACLES`.
         robot: The robot's class, to which they are sized.
-        roughness: How high they are, from 0 to 1.
-        tries: How many lanes, each of other draws.
-        scale: On the step that the robot is said to climb.
+        roughness: Height, from 0 to 1.
+        tries: Number of lanes, each of other draws.
+        scale: Factor on the step that the robot is rated to climb.
 
     Raises:
         UnknownNameError: No such kind.
         UsageError: The class does not drive on the ground.
     """
     height = scale * obstacle_height(footprint_of(robot), roughness)
-    tried = lanes(kind, height, tries)
-    rides = [Trial(lane.arena, robot).follow([*lane.way(back=False)], TIME) for lane in tried]
-    times = [ride.seconds for ride in rides if not ride.fault]
+    lanes = obstacle_lanes(kind, height, tries)
+    runs = [Trial(lane.arena, robot).follow([*lane.way(back=False)], TIME_LIMIT) for lane in lanes]
+    times = [run.seconds for run in runs if not run.fault]
     mean = sum(times) / len(times) if times else 0.0
     return Crossings(kind, roughness, tries, len(times), mean)
 
 
-def lanes(kind: str, height: float, count: int) -> Iterator[MobilityLane]:
+def obstacle_lanes(kind: str, height: float, count: int) -> Iterator[MobilityLane]:
     """Yield lanes with three obstacles of a height [m] one behind the other, each of other draws.
 
     Raises:
@@ -85,8 +85,14 @@ def lanes(kind: str, height: float, count: int) -> Iterator[MobilityLane]:
     make = OBSTACLES.get(kind)
     for number in range(count):
         draw = RandomStream(number, f"{kind} to cross")
-        shapes = [shape for i in range(ROW) for shape in make(draw, ((2 * i + 0.5) * CELL, 0.0), height, 0)]
-        yield lane_of(kind, "not a test method", f"Obstacles: {kind}", (2 * ROW - 1) * CELL, *shapes)
+        shapes = [
+            shape
+            for i in range(OBSTACLES_PER_LANE)
+            for shape in make(draw, ((2 * i + 0.5) * CELL, 0.0), height, 0)
+        ]
+        yield lane_of(
+            kind, "not a test method", f"Obstacles: {kind}", (2 * OBSTACLES_PER_LANE - 1) * CELL, *shapes
+        )
 
 
 def measure_success(robot: RobotSpec, kind: str, drives: int) -> list[tuple[float, float]]:
@@ -95,7 +101,7 @@ def measure_success(robot: RobotSpec, kind: str, drives: int) -> list[tuple[floa
     Args:
         robot: The robot's class.
         kind: A name of `OBSTACLES`.
-        drives: How often at each height.
+        drives: Number of drives at each height.
 
     Returns:
         Heights over the robot's step, and the share of the drives that got over them; until hardly any does.
@@ -103,14 +109,14 @@ def measure_success(robot: RobotSpec, kind: str, drives: int) -> list[tuple[floa
     Raises:
         UsageError: The class does not drive on the ground.
     """
-    found: list[tuple[float, float]] = []
+    curve: list[tuple[float, float]] = []
     for level in LEVELS:
-        tried = lanes(kind, level * footprint_of(robot).step, drives)
-        crossed = sum(_drive_perturbed(lane, robot, number) for number, lane in enumerate(tried))
-        found.append((level, crossed / drives))
-        if found[-1][1] <= HOPELESS:
+        lanes = obstacle_lanes(kind, level * footprint_of(robot).step, drives)
+        crossed = sum(_crosses_perturbed(lane, robot, number) for number, lane in enumerate(lanes))
+        curve.append((level, crossed / drives))
+        if curve[-1][1] <= MIN_SUCCESS:
             break
-    return found
+    return curve
 
 
 def write_success(robot: RobotSpec, drives: int, path: Path) -> None:
@@ -141,14 +147,17 @@ def success_text(classes: Mapping[str, Mapping[str, SuccessCurve]], drives: int)
     return f'{{\n "command": {json.dumps(command)},\n "classes": {{\n{listed}\n }}\n}}\n'
 
 
-def _drive_perturbed(lane: MobilityLane, robot: RobotSpec, number: int) -> bool:
-    """Return whether a robot gets through a lane from where, how fast and on what ground a number tells."""
-    draw = np.random.default_rng(number)
-    trial = Trial(lane.arena, robot, draw.uniform(SLOWEST, 1.0))
-    trial.world.engine.model.geom_friction[:, 0] *= draw.uniform(SLICKEST, 1.0)
+def _crosses_perturbed(lane: MobilityLane, robot: RobotSpec, number: int) -> bool:
+    """Return whether a robot crosses a lane; a seed draws its start pose, speed and friction."""
+    rng = np.random.default_rng(number)
+    trial = Trial(lane.arena, robot, rng.uniform(MIN_SPEED_SHARE, 1.0))
+    trial.world.engine.model.geom_friction[:, 0] *= rng.uniform(MIN_FRICTION_SHARE, 1.0)
     start = lane.arena.starts[0]
     x, y, z = start.at
-    aside, askew = draw.uniform(-ASIDE, ASIDE), draw.uniform(-ASKEW, ASKEW)
-    beside = (x - aside * math.sin(start.yaw), y + aside * math.cos(start.yaw), z)
-    trial.put_back(replace(start, at=beside, yaw=start.yaw + askew))
-    return not trial.follow([*lane.way(back=False)], TIME).fault
+    lateral_offset, yaw_offset = (
+        rng.uniform(-MAX_LATERAL_OFFSET, MAX_LATERAL_OFFSET),
+        rng.uniform(-MAX_YAW_OFFSET, MAX_YAW_OFFSET),
+    )
+    position = (x - lateral_offset * math.sin(start.yaw), y + lateral_offset * math.cos(start.yaw), z)
+    trial.reset_to(replace(start, at=position, yaw=start.yaw + yaw_offset))
+    return not trial.follow([*lane.way(back=False)], TIME_LIMIT).fault

@@ -1,7 +1,7 @@
 """A task in a batch of worlds: functional reset and step, brax's way."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import partial
 from typing import Any, get_args

@@ -17,7 +17,7 @@ from usarmjx.models.generate import generate
 from usarmjx.models.types.arena import ArenaSpec, Water
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.batch import Batch, BatchState
-from usarmjx.sim.calibration import HORIZONS, build_calibrated, random_orders
+from usarmjx.sim.calibration import HORIZONS, build_calibrated, random_commands
 from usarmjx.sim.scene import build_scene
 from usarmjx.train.envs.recipe import open_floor
 from usarmjx.train.envs.task import TaskView
@@ -265,7 +265,7 @@ def drive_gap(
         UsageError: No such place.
     """
     arena = place_of(place, robot)
-    orders = random_orders(robot, robots, round(HORIZONS[-1] / 0.02) + 1, seed)
+    orders = random_commands(robot, robots, round(HORIZONS[-1] / 0.02) + 1, seed)
     real, other = (drive_around(robot, arena, engine, orders) for engine in engines)
     apart = real.distance(other, in_space=robot.drive.applies_wrench)
     looks = [min(round(horizon / real.period), len(apart) - 1) for horizon in HORIZONS]

@@ -1,4 +1,4 @@
-"""Whether a robot really gets where a plan of an arena says: it is driven to every start pose and victim."""
+"""Drives to every start pose and victim that a plan of an arena declares reachable."""
 
 import itertools
 import math
@@ -24,44 +24,44 @@ from usarmjx.sim.trials.driver import Trial
 
 FINE_CELL_SIZE = 0.02
 """Side of the squares of a plan where a robot fits narrowly [m]."""
-SPACING = 0.3
+WAYPOINT_SPACING = 0.3
 """Distance of the points that a robot is driven along [m]."""
-SLOWEST = 0.1
+MIN_SPEED_SHARE = 0.1
 """Share of its top speed at which a robot gets on at least, else it is out of time."""
-GRACE = 15.0
-"""What it may need besides, for turning and backing off [s]."""
-BORDER, BORDER_COST = 0.1, 3.0
+EXTRA_TIME = 15.0
+"""Time besides the drive itself, for turning and backing off [s]."""
+BORDER_DISTANCE, BORDER_COST = 0.1, 3.0
 """Ways keep away from where a robot does not fit: so far [m], and what they give for it."""
 
 
 class RouteSegment(NamedTuple):
-    """A way between two places.
+    """A path between two points of an arena.
 
     Attributes:
-        goal: What is there: "start 'B'".
-        way: Points [m].
+        goal: Name of its end: "start 'B'".
+        path: Points [m].
         length: Length [m].
-        home: Where the robot is put if it does not get there.
+        home: Start pose to continue from if the robot does not arrive.
     """
 
     goal: str
-    way: tuple[Position2D, ...]
+    path: tuple[Position2D, ...]
     length: float
     home: StartPose
 
 
 @dataclass(frozen=True)
 class ArenaRoute:
-    """How a robot got round an arena.
+    """Result of a drive round an arena.
 
     Attributes:
-        legs: Ways that it was sent.
+        segments: Ways that it was sent.
         metres: Length of those that it made [m].
         seconds: Simulated time of those [s].
         faults: A sentence for each way that it did not make.
     """
 
-    legs: int
+    segments: int
     metres: float
     seconds: float
     faults: tuple[str, ...]
@@ -69,7 +69,7 @@ class ArenaRoute:
     @property
     def success(self) -> float:
         """Share of the ways that it made."""
-        return 1.0 - len(self.faults) / self.legs if self.legs else 1.0
+        return 1.0 - len(self.faults) / self.segments if self.segments else 1.0
 
 
 def drive_arena(arena: ArenaSpec, robot: RobotSpec, share: float = 1.0) -> ArenaRoute:
@@ -86,52 +86,52 @@ def drive_arena(arena: ArenaSpec, robot: RobotSpec, share: float = 1.0) -> Arena
     Raises:
         UsageError: The class does not drive on the ground, or there is no start pose for it.
     """
-    dry = tuple(start for start in arena.starts if not in_water(arena, start))
-    arena = replace(arena, starts=dry or arena.starts)
-    trial, legs = Trial(arena, robot, share), plan_legs(arena, robot)
+    dry_starts = tuple(start for start in arena.starts if not in_water(arena, start))
+    arena = replace(arena, starts=dry_starts or arena.starts)
+    trial, segments = Trial(arena, robot, share), plan_segments(arena, robot)
     metres = seconds = 0.0
     faults: list[str] = []
-    for leg in legs:
-        limit = GRACE + leg.length / (SLOWEST * max(robot.drive.top_speed, 1e-3) * share)
-        ride = trial.follow(leg.way, limit)
-        if ride.fault:
-            faults.append(f"{leg.goal}: a driven {robot.name} {_verb(ride.fault)}")
-            trial.put_back(leg.home)
+    for segment in segments:
+        limit = EXTRA_TIME + segment.length / (MIN_SPEED_SHARE * max(robot.drive.top_speed, 1e-3) * share)
+        run = trial.follow(segment.path, limit)
+        if run.fault:
+            faults.append(f"{segment.goal}: a driven {robot.name} {_verb(run.fault)}")
+            trial.reset_to(segment.home)
             continue
-        metres, seconds = metres + leg.length, seconds + ride.seconds
-    return ArenaRoute(len(legs), metres, seconds, tuple(faults))
+        metres, seconds = metres + segment.length, seconds + run.seconds
+    return ArenaRoute(len(segments), metres, seconds, tuple(faults))
 
 
 def _verb(fault: str) -> str:
     return f"is {fault}" if fault.startswith(("stuck", "out of")) else fault
 
 
-def plan_legs(arena: ArenaSpec, robot: RobotSpec) -> list[RouteSegment]:
+def plan_segments(arena: ArenaSpec, robot: RobotSpec) -> list[RouteSegment]:
     """Return ways to all start poses and victims that a robot should reach, the nearest next."""
-    site = _WayFinder(arena, robot)
-    goals = {f"start {start.tag!r}": (site.node(start), start) for start in arena.starts[1:]}
-    goals |= {f"victim {victim.name!r}": (site.beside(victim), None) for victim in arena.victims}
-    left = {name: (node, start) for name, (node, start) in goals.items() if node >= 0}
-    legs: list[RouteSegment] = []
-    here, home = site.node(arena.starts[0]), arena.starts[0]
-    while left and here >= 0:
-        lengths, before = site.search(here)
-        name = min(left, key=lambda one: lengths[left[one][0]])
-        node, start = left.pop(name)
-        if not math.isfinite(lengths[node]):
+    finder = _PathFinder(arena, robot)
+    goals = {f"start {start.tag!r}": (finder.node(start), start) for start in arena.starts[1:]}
+    goals |= {f"victim {victim.name!r}": (finder.beside(victim), None) for victim in arena.victims}
+    remaining = {name: (target, start) for name, (target, start) in goals.items() if target >= 0}
+    segments: list[RouteSegment] = []
+    node, home = finder.node(arena.starts[0]), arena.starts[0]
+    while remaining and node >= 0:
+        lengths, predecessors = finder.shortest_paths(node)
+        name = min(remaining, key=lambda one: lengths[remaining[one][0]])
+        target, start = remaining.pop(name)
+        if not math.isfinite(lengths[target]):
             continue
         home = start or home
-        way = site.way(before, here, node)
-        legs.append(RouteSegment(name, way, _length(way), home))
-        here = node
-    return legs
+        path = finder.path(predecessors, node, target)
+        segments.append(RouteSegment(name, path, _length(path), home))
+        node = target
+    return segments
 
 
-def _length(way: Sequence[Position2D]) -> float:
-    return sum(math.dist(a, b) for a, b in itertools.pairwise(way))
+def _length(path: Sequence[Position2D]) -> float:
+    return sum(math.dist(a, b) for a, b in itertools.pairwise(path))
 
 
-class _WayFinder:
+class _PathFinder:
     """Shortest ways over the surfaces of an arena on which a robot has room to turn."""
 
     def __init__(self, arena: ArenaSpec, robot: RobotSpec) -> None:
@@ -157,18 +157,20 @@ class _WayFinder:
         )
 
         cell = self.map.grid.cell
-        room = [np.asarray(distance_transform_edt(np.pad(layer, 1)))[1:-1, 1:-1] for layer in self._free]
-        cost = 1.0 + BORDER_COST * np.exp(-np.stack(room) * cell / BORDER)
+        clearances = [
+            np.asarray(distance_transform_edt(np.pad(layer, 1)))[1:-1, 1:-1] for layer in self._free
+        ]
+        cost = 1.0 + BORDER_COST * np.exp(-np.stack(clearances) * cell / BORDER_DISTANCE)
         ends: list[np.ndarray] = []
         weights: list[np.ndarray] = []
         for link in self.map.links:
             for (lower, upper), joined in link.joined.items():
                 here = self._numbers[lower][link.here][joined]
                 there = self._numbers[upper][link.there][joined]
-                dear = (cost[lower][link.here][joined] + cost[upper][link.there][joined]) / 2
-                both = (here >= 0) & (there >= 0)
-                ends.append(np.stack([here[both], there[both]]))
-                weights.append(dear[both] * cell * (math.sqrt(2.0) if link.corner else 1.0))
+                edge_cost = (cost[lower][link.here][joined] + cost[upper][link.there][joined]) / 2
+                usable = (here >= 0) & (there >= 0)
+                ends.append(np.stack([here[usable], there[usable]]))
+                weights.append(edge_cost[usable] * cell * (math.sqrt(2.0) if link.corner else 1.0))
         count = len(self._points)
         if not ends:
             return csr_array((count, count))
@@ -188,30 +190,30 @@ class _WayFinder:
         at = np.array(victim.at[:2])
         return min(found, key=lambda node: float(np.linalg.norm(self._points[node] - at)))
 
-    def _near(self, x: float, y: float, z: float, most: float) -> int:
+    def _near(self, x: float, y: float, z: float, max_distance: float) -> int:
         if not len(self._points):
             return -1
         ground = self.map.ground[self._free]
-        away = np.hypot(*(self._points - (x, y)).T) + np.where(
+        distances = np.hypot(*(self._points - (x, y)).T) + np.where(
             np.abs(ground - z) < VICTIM_REACH, 0.0, 10.0 * VICTIM_REACH
         )
-        best = int(away.argmin())
-        return best if away[best] <= most else -1
+        best = int(distances.argmin())
+        return best if distances[best] <= max_distance else -1
 
-    def search(self, node: int) -> tuple[np.ndarray, np.ndarray]:
+    def shortest_paths(self, node: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the cost of ways from a square to all others, and the squares before them."""
         from scipy.sparse import csgraph  # pyright: ignore[reportMissingTypeStubs]
 
-        lengths, before = cast(Any, csgraph).dijkstra(
+        lengths, predecessors = cast(Any, csgraph).dijkstra(
             self._graph, directed=False, indices=node, return_predecessors=True
         )
-        return np.asarray(lengths), np.asarray(before)
+        return np.asarray(lengths), np.asarray(predecessors)
 
-    def way(self, before: np.ndarray, here: int, there: int) -> tuple[Position2D, ...]:
+    def path(self, predecessors: np.ndarray, here: int, there: int) -> tuple[Position2D, ...]:
         """Return points along a way."""
         squares = [there]
         while squares[-1] != here:
-            squares.append(int(before[squares[-1]]))
-        every = max(1, round(SPACING / self.map.grid.cell))
+            squares.append(int(predecessors[squares[-1]]))
+        every = max(1, round(WAYPOINT_SPACING / self.map.grid.cell))
         chosen = [*squares[::-1][every::every], there]
         return tuple((float(x), float(y)) for x, y in self._points[chosen])

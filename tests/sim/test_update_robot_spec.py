@@ -13,7 +13,7 @@ from usarmjx.models.compile import compose
 from usarmjx.models.ini.parameters import SETTERS
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import options
-from usarmjx.sim.configure import redescribe
+from usarmjx.sim.configure import update_robot_spec
 from usarmjx.sim.control import CommandUpdate, update_command
 from usarmjx.sim.scene import build_scene
 from usarmjx.sim.single_world import SingleWorld
@@ -75,7 +75,7 @@ def with_sensor(robot, name, **settings):
 def test_whose_figures_change_goes_on_as_it_was(world, key):
     before = state(world, FIRST), state(world, OTHER)
     changed = SETTERS[key][1](P2AT, 1.5)
-    redescribe(world, FIRST, changed)
+    update_robot_spec(world, FIRST, changed)
     assert world.roster[FIRST].spec == changed
     assert_same((state(world, FIRST), state(world, OTHER)), before)
     run(world, 10)
@@ -88,9 +88,9 @@ def test_mass_and_torque_are_the_models(world):
         return model.body_mass[index.body_ids[0]]
 
     before = mass()
-    redescribe(world, FIRST, SETTERS["ChassisMass"][1](P2AT, 2.0))
+    update_robot_spec(world, FIRST, SETTERS["ChassisMass"][1](P2AT, 2.0))
     assert mass() == pytest.approx(2 * before)
-    redescribe(world, FIRST, P2AT)
+    update_robot_spec(world, FIRST, P2AT)
     assert mass() == pytest.approx(before)
 
 
@@ -99,7 +99,7 @@ def test_a_setting_is_that_of_the_next_reading_and_the_others_remember(world):
     sonar, scanner, odometry = (suite.index(kind) for kind in ("Sonar", "RangeScanner", "Odometry"))
     changed = with_sensor(with_sensor(P2AT, "F1", MaxRange=0.5), "Scanner1", Resolution=0.1, ScanInterval=0.2)
     kept = state(world, FIRST)[1].memory
-    redescribe(world, FIRST, changed)
+    update_robot_spec(world, FIRST, changed)
     memory = world.state_of(FIRST).memory
     assert_same(memory.own[odometry], kept.own[odometry])
     assert memory.due[odometry] == kept.due[odometry]
@@ -113,9 +113,9 @@ def test_a_setting_is_that_of_the_next_reading_and_the_others_remember(world):
 def test_what_cannot_be_changes_nothing(world, monkeypatch):
     before = state(world, FIRST), state(world, OTHER)
     with pytest.raises(UsageError, match="a running P2AT keeps its parts and what it carries"):
-        redescribe(world, FIRST, replace(P2AT, sensors=P2AT.sensors[1:]))
+        update_robot_spec(world, FIRST, replace(P2AT, sensors=P2AT.sensors[1:]))
     with pytest.raises(SpecError, match="MaxRange"):
-        redescribe(world, FIRST, with_sensor(P2AT, "F1", MaxRange=-1.0))
+        update_robot_spec(world, FIRST, with_sensor(P2AT, "F1", MaxRange=-1.0))
 
     def broken(spec, robot, *rest):
         whole(spec, robot, *rest)
@@ -126,6 +126,6 @@ def test_what_cannot_be_changes_nothing(world, monkeypatch):
     heavy, whole = SETTERS["ChassisMass"][1](P2AT, 2.0), compose.add_robot
     monkeypatch.setattr("usarmjx.sim.configure.add_robot", broken)
     with pytest.raises(SpecError, match="a P2AT cannot be built so"):
-        redescribe(world, FIRST, heavy)
+        update_robot_spec(world, FIRST, heavy)
     assert world.roster[FIRST].spec == P2AT
     assert_same((state(world, FIRST), state(world, OTHER)), before)

@@ -1,0 +1,110 @@
+"""Results of sweeps that are damaged, or stand in the place of others, are not believed."""
+
+import json
+import math
+import shutil
+
+import pytest
+
+from usarmjx.base.errors import UsageError
+from usarmjx.base.settings import yaml_file
+from usarmjx.sweeps.spec import load_spec
+from usarmjx.sweeps.store import CellRecord, read_cell, read_sweep, write_cell, write_sweep
+
+RECORD = CellRecord(
+    key="1f",
+    settings={"task": "explore"},
+    engine="c",
+    scores=(0.25,),
+    steps=(10,),
+    bad=(True,),
+    metrics={"seen": (math.nan,)},
+)
+
+
+@pytest.fixture
+def cell(tmp_path):
+    write_cell(tmp_path, RECORD)
+    return tmp_path / "cells" / "1f.json"
+
+
+def test_no_flipped_bit_of_a_cell_changes_its_result(tmp_path, cell, caplog):
+    whole, refused = cell.read_bytes(), 0
+    expected = repr(RECORD)
+    assert repr(read_cell(tmp_path, "1f")) == expected
+    for bit in range(8 * len(whole)):
+        changed = bytearray(whole)
+        changed[bit // 8] ^= 1 << bit % 8
+        cell.write_bytes(changed)
+        found = read_cell(tmp_path, "1f")
+        assert found is None or repr(found) == expected
+        refused += found is None
+    assert refused == len(caplog.messages) > 7 * len(whole)
+    assert all(line.endswith("the cell counts as not played") for line in caplog.messages)
+
+
+def test_a_cell_that_was_copied_over_another_does_not_count(tmp_path, cell, caplog):
+    shutil.copy(cell, tmp_path / "cells" / "2e.json")
+    write_sweep(tmp_path, "mine", "", ("seed",), ("1f", "2e", "3d"))
+    assert [record.key for record in read_sweep(tmp_path).records] == ["1f"]
+    assert [line.split(": ", 1)[1] for line in caplog.messages] == [
+        "is the result of another cell, 1f; the cell counts as not played"
+    ]
+
+
+def test_results_of_earlier_versions_have_no_checksum(tmp_path, cell):
+    content = json.loads(cell.read_text())
+    del content["checksum"]
+    cell.write_text(json.dumps(content))
+    assert repr(read_cell(tmp_path, "1f")) == repr(RECORD)
+    for damage in ({"scores": "x"}, {"scores": [1, 2]}, {"metrics": [1]}, {"steps": [10**400]}, {"new": 1}):
+        cell.write_text(json.dumps({**content, **damage}))
+        assert read_cell(tmp_path, "1f") is None
+
+
+def test_a_damaged_list_of_cells_is_one_line(tmp_path):
+    write_sweep(tmp_path, "mine", "", (), ("1f",))
+    file = tmp_path / "sweep.json"
+    whole = file.read_text()
+    for text in (whole.replace("1f", "1e"), "", "[]", '{"format": 1}', "\udcff"):
+        file.write_bytes(text.encode(errors="surrogateescape"))
+        with pytest.raises(UsageError) as refused:
+            read_sweep(tmp_path)
+        assert str(refused.value).startswith(f"{file}:")
+        assert "\n" not in str(refused.value)
+    file.unlink()
+    with pytest.raises(UsageError, match="holds no sweep"):
+        read_sweep(tmp_path)
+
+
+PRODUCT = "common: {task: explore}\nproduct:\n" + "".join(
+    f"  {key}: {list(range(1, 41))}\n" for key in ("seed", "episodes", "fields.a", "fields.b", "fields.c")
+)
+BOMB = "a: &a [1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
+    f"{new}: &{new} [{', '.join([f'*{old}'] * 8)}]\n" for old, new in zip("abcdefgh", "bcdefghi", strict=True)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "refusal"),
+    [
+        (PRODUCT, ": 102400000 cells, expected at most 1000000"),
+        ("common: {task: explore}\nabout: 2001-99-99\n", ":2: about: '2001-99-99' is no tag"),
+        (
+            "common: {task: explore, seed: " + "9" * 5000 + "}\n",
+            ":1: common.seed: a number of 5000 characters",
+        ),
+        (BOMB, "more than 5000 values in one file"),
+    ],
+)
+def test_a_file_that_makes_much_of_little_is_refused_at_once_in_one_line(
+    tmp_path, monkeypatch, text, refusal
+):
+    monkeypatch.setattr(yaml_file, "MOST_VALUES", 5000)
+    file = tmp_path / "mine.yaml"
+    file.write_text(text)
+    with pytest.raises(UsageError) as refused:
+        load_spec(file)
+    assert str(refused.value).startswith(str(file))
+    assert refusal in str(refused.value)
+    assert "\n" not in str(refused.value)

@@ -1,0 +1,340 @@
+"""Checksums around the compiled programs that are cached, so that a damaged one is compiled again.
+
+XLA runs what it finds in its cache: one flipped bit computes other numbers or ends the process. JAX and Warp
+check nothing; neither has a public place for a check. For JAX the class of its cache is changed when it is
+imported; where another version of JAX has no such class, its cache is turned off. Warp's files are compared
+with a list of checksums when Warp is imported, and listed when the process ends.
+"""
+
+import atexit
+import hashlib
+import importlib.util
+import os
+import shutil
+import socket
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+from typing import Any
+
+from usarmjx.base.files import PARTIAL_MARK, WriteError, atomic_write
+
+JAX_MODULE, WARP_MODULE = "jax._src.compilation_cache", "warp"
+"""Modules after whose import the checks are installed."""
+MAGIC = b"usarmjx kept 1\n"
+"""Start of a sealed entry."""
+CHECKSUM_SIZE = 20
+"""Size of a digest [bytes]."""
+SUMS_FILE = "usarmjx-checksums"
+"""List of checksums in a folder of Warp's cache."""
+LOADING_FOLDER = "loading"
+"""Folder with a file for each process that loads entries."""
+WARNING = "Error reading the kept program {name}: {reason}"
+"""Warning about a broken entry; `compilation` turns the first one into a line."""
+
+
+def seal(data: bytes, key: str) -> bytes:
+    """Return the content of a file that keeps data for a key, and for no other."""
+    return MAGIC + _checksum(data, key) + data
+
+
+def unseal(content: bytes, key: str) -> bytes:
+    """Return the data of a sealed file.
+
+    Raises:
+        ValueError: It is not whole, or is kept for another key.
+    """
+    start = len(MAGIC)
+    data = content[start + CHECKSUM_SIZE :]
+    if content[:start] != MAGIC or content[start : start + CHECKSUM_SIZE] != _checksum(data, key):
+        raise ValueError("it is not whole")
+    return data
+
+
+def _checksum(data: bytes, key: str) -> bytes:
+    found = hashlib.blake2b(key.encode() + b"\0", digest_size=CHECKSUM_SIZE)
+    found.update(data)
+    return found.digest()
+
+
+def read_sealed(path: Path, key: str) -> bytes | None:
+    """Return the data of a sealed file; None: missing, or broken, which warns and removes the file."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    try:
+        return unseal(content, key)
+    except ValueError as error:
+        discard(path, str(error))
+        return None
+
+
+def discard(path: Path, reason: str) -> None:
+    """Remove a broken entry, with a warning."""
+    with suppress(OSError):
+        path.unlink(missing_ok=True)
+    warnings.warn(WARNING.format(name=path.name, reason=reason), stacklevel=3)
+
+
+def write_sealed(path: Path, data: bytes, key: str) -> None:
+    """Write a sealed file.
+
+    Raises:
+        WriteError: It cannot be written.
+    """
+    with atomic_write(path) as fresh:
+        fresh.write_bytes(seal(data, key))
+
+
+class LoadingEntries:
+    """Names of the entries that this process is loading, in a file that outlives a crash.
+
+    Args:
+        folder: Folder of the file.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / LOADING_FOLDER
+        self._lock, self._paths = threading.Lock(), list[str]()
+        self._file, self._process = -1, 0
+
+    @contextmanager
+    def loading(self, path: Path) -> Generator[None]:
+        """Note an entry while it is loaded."""
+        self._note(self._paths.append, path)
+        try:
+            yield
+        finally:
+            self._note(self._paths.remove, path)
+
+    def _note(self, change: Callable[[str], None], path: Path) -> None:
+        with self._lock, suppress(OSError):  # a full disk does not stop a start
+            change(str(path))
+            if self._process != os.getpid():
+                self._open()
+            text = "\n".join(self._paths).encode()
+            os.ftruncate(self._file, 0)
+            os.pwrite(self._file, text, 0)
+
+    def _open(self) -> None:
+        self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        path = self._folder / f"{socket.gethostname()}-{os.getpid()}"
+        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        self._process = os.getpid()
+        atexit.register(_remove_own, path, self._process)
+
+
+def _remove_own(path: Path, process: int) -> None:
+    if os.getpid() == process:  # a forked process runs the handlers of its parent
+        path.unlink(missing_ok=True)
+
+
+def remove_entries_of_crashes(folder: Path, cache: Path) -> list[str]:
+    """Remove the entries that processes of this machine were loading when they ended.
+
+    Args:
+        folder: See `LoadingEntries`.
+        cache: Folder of all entries.
+
+    Returns:
+        Names of the removed entries.
+    """
+    removed = list[str]()
+    for note in (folder / LOADING_FOLDER).glob(f"{socket.gethostname()}-*"):
+        number = note.name.rpartition("-")[2]
+        if not number.isdecimal() or _is_alive(int(number)):
+            continue
+        with suppress(OSError, ValueError):
+            for line in note.read_text(encoding="utf-8").splitlines():
+                path = Path(line)
+                # A note may be as damaged as an entry: only files of the cache are removed.
+                if cache.resolve() in path.resolve().parents and path.is_file():
+                    path.unlink(missing_ok=True)
+                    removed.append(path.name)
+        note.unlink(missing_ok=True)
+    return removed
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def check_warp_folder(folder: Path) -> list[str]:
+    """Compare Warp's compiled modules with their checksums; remove those that differ, with a warning.
+
+    Args:
+        folder: Warp's cache.
+
+    Returns:
+        Names of the removed modules.
+    """
+    removed = list[str]()
+    for sums in folder.glob(f"*/*/{SUMS_FILE}"):
+        try:
+            listed = _sums(unseal(sums.read_bytes(), sums.parent.name))
+            whole = all(_digest(sums.parent / name) == known for name, known in listed.items())
+        except (OSError, ValueError):
+            whole = False
+        if not whole:
+            shutil.rmtree(sums.parent, ignore_errors=True)
+            removed.append(sums.parent.name)
+            reason = "it is not whole"
+            warnings.warn(WARNING.format(name=sums.parent.name, reason=reason), stacklevel=2)
+    return removed
+
+
+def seal_warp_folder(folder: Path) -> None:
+    """List the checksums of Warp's compiled modules that have none; see `check_warp_folder`."""
+    for module in folder.glob("*/wp_*"):
+        with suppress(OSError, ValueError, WriteError):
+            sums = module / SUMS_FILE
+            listed = _sums(unseal(sums.read_bytes(), module.name)) if sums.exists() else {}
+            there = [
+                file
+                for file in module.iterdir()
+                if file.name != SUMS_FILE and PARTIAL_MARK not in file.name and file.is_file()
+            ]
+            fresh = {file.name: _digest(file) for file in there if file.name not in listed}
+            if fresh:
+                lines = [f"{known} {name}" for name, known in {**listed, **fresh}.items()]
+                write_sealed(sums, "\n".join(lines).encode(), module.name)
+
+
+def _sums(data: bytes) -> dict[str, str]:
+    rows = [line.partition(" ") for line in data.decode().splitlines()]
+    return {name: known for known, _, name in rows}
+
+
+def _digest(file: Path) -> str:
+    return hashlib.blake2b(file.read_bytes(), digest_size=CHECKSUM_SIZE).hexdigest()
+
+
+def guard_jax(module: Any, loading: LoadingEntries) -> None:  # noqa: ANN401 - JAX's module
+    """Make JAX seal the programs that it keeps, and check those that it loads.
+
+    Args:
+        module: JAX's `compilation_cache`.
+        loading: Record of what is loaded.
+    """
+    try:
+        usual, load = module.LRUCache, module.get_executable_and_time
+        checked = _checked_cache(usual)
+    except AttributeError:
+        module.config.config.update("jax_compilation_cache_dir", None)
+        warnings.warn("this version of JAX keeps no compilations: its cache has no checksums", stacklevel=2)
+        return
+
+    def get_executable_and_time(key: str, *rest: Any, **more: Any) -> Any:  # noqa: ANN401 - JAX's own
+        place = module.config.config.jax_compilation_cache_dir
+        if not place:
+            return load(key, *rest, **more)
+        with loading.loading(_entry(Path(place), key)):
+            return load(key, *rest, **more)
+
+    module.LRUCache, module.get_executable_and_time = checked, get_executable_and_time
+
+
+def _entry(folder: Path, key: str) -> Path:
+    return folder / f"{key}-cache"
+
+
+def _checked_cache(usual: Any) -> Any:  # noqa: ANN401 - JAX's class
+    """Return JAX's class of caches with checksums around the entries."""
+    usual_get, usual_put = usual.get, usual.put
+
+    class CheckedCache(usual):
+        """JAX's cache with a checksum around each entry."""
+
+        def get(self, key: str) -> bytes | None:
+            content = usual_get(self, key)
+            try:
+                return None if content is None else unseal(content, key)
+            except ValueError as error:
+                discard(_entry(Path(str(self.path)), key), str(error))
+                return None
+
+        def put(self, key: str, value: bytes) -> None:
+            if self.eviction_enabled or "://" in str(self.path):  # asked for by the user
+                usual_put(self, key, seal(value, key))
+                return
+            path = _entry(Path(str(self.path)), key)
+            if not path.exists():  # JAX writes in place: another process would read the first half
+                write_sealed(path, value, key)
+
+    return CheckedCache
+
+
+class _AfterImport(MetaPathFinder):
+    """Calls a function with a module once it is imported.
+
+    Args:
+        name: Name of the module.
+        call: The function.
+    """
+
+    def __init__(self, name: str, call: Callable[[Any], None]) -> None:
+        self._name, self._call, self._finding = name, call, False
+
+    def find_spec(self, fullname: str, path: object, target: object = None) -> ModuleSpec | None:
+        """Return the module's own spec, with a loader that calls the function in the end."""
+        del path, target
+        if fullname != self._name or self._finding:
+            return None
+        self._finding = True  # the search below comes here again
+        try:
+            spec = importlib.util.find_spec(fullname)
+        finally:
+            self._finding = False
+        if spec is None or spec.loader is None:
+            return None
+        run = spec.loader.exec_module
+
+        def run_and_call(module: Any) -> None:  # noqa: ANN401 - any module
+            run(module)
+            self._call(module)
+
+        spec.loader.exec_module = run_and_call  # pyright: ignore[reportAttributeAccessIssue]
+        return spec
+
+
+_installed = set[Path]()
+
+
+def install_checks(folder: Path, warp_folder: Path | None = None) -> None:
+    """Check what JAX and Warp load in this process from now on; without effect the second time.
+
+    Args:
+        folder: See `LoadingEntries`.
+        warp_folder: Warp's cache; None: as Warp has it.
+    """
+    if _installed:
+        return
+    _installed.add(folder)
+    loading = LoadingEntries(folder)
+    _after_import(JAX_MODULE, lambda module: guard_jax(module, loading))
+    if warp_folder is not None:
+        _after_import(WARP_MODULE, lambda _: _guard_warp(warp_folder))
+
+
+def _guard_warp(folder: Path) -> None:
+    check_warp_folder(folder)
+    atexit.register(seal_warp_folder, folder)
+
+
+def _after_import(name: str, call: Callable[[Any], None]) -> None:
+    if name in sys.modules:
+        call(sys.modules[name])
+    else:
+        sys.meta_path.insert(0, _AfterImport(name, call))

@@ -1,0 +1,99 @@
+"""JSON within limits, as plain data: results, records and caches, for which YAML's lines are too slow."""
+
+import json
+from pathlib import Path
+from typing import Any, NoReturn, cast
+
+from usarmjx.base.errors import SpecError, UsageError
+from usarmjx.base.settings.files import MOST_BYTES, first_line, read_bytes
+from usarmjx.base.settings.yaml_file import MOST_DIGITS
+
+MOST_LINES_BYTES = 256_000_000
+"""Largest file of JSON lines: hours of training write one."""
+
+
+def parse_json(
+    text: bytes | str,
+    place: str,
+    refusal: type[UsageError] = SpecError,
+    *,
+    line: int | None = None,
+    finite: bool = False,
+) -> Any:  # noqa: ANN401 - any data
+    """Return the data of a JSON text.
+
+    Args:
+        text: The text.
+        place: Its source, for messages.
+        refusal: Class of the errors.
+        line: Line of the source that the text is; None: the text is the whole source.
+        finite: Refuse NaN and infinities, which are not JSON but which Python writes.
+
+    Raises:
+        UsageError: It is not JSON, is nested too deeply, or has a number that is too long; names the line.
+    """
+    where = place if line is None else f"{place}:{line}"
+
+    def refuse(reason: str) -> NoReturn:
+        raise refusal(f"{where}: is no JSON: {reason}")
+
+    def whole(digits: str) -> int:
+        if len(digits) > MOST_DIGITS:
+            refuse(f"a number of {len(digits)} characters; at most {MOST_DIGITS}")
+        return int(digits)
+
+    def constant(name: str) -> float:
+        return refuse(f"{name} is no number") if finite else float(name)
+
+    try:
+        decoded = text if isinstance(text, str) else text.decode("utf-8")
+        return json.loads(decoded, parse_int=whole, parse_constant=constant)
+    except json.JSONDecodeError as error:
+        at = f"{place}:{error.lineno if line is None else line}"
+        raise refusal(f"{at}: is no JSON: {error.msg}, column {error.colno}") from error
+    except UnicodeDecodeError as error:
+        raise refusal(f"{where}: is no JSON: {first_line(error)}") from error
+    except RecursionError as error:
+        raise refusal(f"{where}: is nested too deeply") from error
+
+
+def read_json(
+    path: Path, refusal: type[UsageError] = SpecError, *, most: int = MOST_BYTES, finite: bool = False
+) -> Any:  # noqa: ANN401 - any data
+    """Return the data of a JSON file.
+
+    Raises:
+        UsageError: The file is missing, too large, or see `parse_json`.
+    """
+    return parse_json(read_bytes(path, most, refusal), str(path), refusal, finite=finite)
+
+
+def read_json_lines(
+    path: Path, refusal: type[UsageError] = SpecError, *, cut: bool = False
+) -> list[tuple[str, dict[str, Any]]]:
+    """Return the objects of a file of JSON lines, each after its file and line.
+
+    Args:
+        path: The file.
+        refusal: Class of the errors.
+        cut: Leave out a last line without an end, as a killed writer leaves it.
+
+    Raises:
+        UsageError: The file is missing or too large, or a line is no JSON object; names it.
+    """
+    found = list[tuple[str, dict[str, Any]]]()
+    lines = read_bytes(path, MOST_LINES_BYTES, refusal).split(b"\n")
+    last = lines.pop()  # empty, if the file is whole
+    for number, line in enumerate(lines if cut or not last.strip() else [*lines, last], 1):
+        if not line.strip():
+            continue
+        value = as_mapping(parse_json(line, str(path), refusal, line=number))
+        if value is None:
+            raise refusal(f"{path}:{number}: is no mapping of names to values")
+        found.append((f"{path}:{number}", value))
+    return found
+
+
+def as_mapping(value: object) -> dict[str, Any] | None:
+    """Return a value of JSON if it is a mapping, else None."""
+    return cast("dict[str, Any]", value) if isinstance(value, dict) else None
