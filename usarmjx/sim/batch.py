@@ -16,6 +16,7 @@ from flax import struct
 from usarmjx.base import random
 from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import set_at
+from usarmjx.base.compilation import enable_cache_after_import
 from usarmjx.base.entry import jax_entry_points
 from usarmjx.base.errors import EngineError, UnsupportedFeatureError, UsageError
 from usarmjx.base.program_cache import ProgramCache, compile_program
@@ -130,6 +131,7 @@ class Batch:
     ) -> None:
         if worlds < 1:
             raise UsageError(f"a batch needs at least one world, not {worlds}")
+        enable_cache_after_import()
         self.scene = scene
         self.worlds = worlds
         self.engine = engine_of(scene, engine, worlds)

@@ -12,6 +12,7 @@ import numpy as np
 
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
+from usarmjx.base.compilation import enable_cache_after_import
 from usarmjx.base.entry import jax_entry_points
 from usarmjx.base.errors import UnsupportedFeatureError, UsageError
 from usarmjx.base.program_cache import ProgramCache, compile_program, open_program_cache
@@ -251,6 +252,7 @@ class Env:
                 "engines c, jax and warp can"
             )
         self.scene = task.scene()
+        enable_cache_after_import()
         self.program_cache = program_cache_of(task, self.scene, worlds, engine, first)
         settings = {"engine": engine, "seed": seed, "first": first, "shuffle": task.shuffle}
         self.batch = EnvBatch(self.program_cache, self.scene, worlds, **settings)
