@@ -1,23 +1,35 @@
-"""Recordings, complete or truncated anywhere, as messages and as frames for the page."""
+"""Recordings as messages: complete, truncated anywhere, or with damaged chunks, which are left out."""
 
 import json
+import math
+import os
 from bisect import bisect_right
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, Message, Metadata
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.stream_reader import breakup_chunk
 
 from usarmjx.base.errors import UsageError
 from usarmjx.recording.file import CHANNELS, NANO, ChannelName
 from usarmjx.recording.inputs import WorldSetup
 from usarmjx.recording.values import unpack
 
+MAGIC_SIZE, HEAD_SIZE = 8, 9
+"""Sizes of a file's magic bytes, and of a record's opcode and length [bytes]."""
+MOST_OPCODE = 0x0F
+"""Largest opcode of MCAP."""
+CHUNK_FIELDS = 28
+"""Size of a chunk's times, size and checksum, before the name of its compression [bytes]."""
+COMPRESSION = b"\x04\x00\x00\x00zstd"
+"""Name of the compression of our chunks, after its length."""
 MOST_BYTES = 1 << 28
 """Largest chunk that is read [bytes]; the writer makes chunks of half a second."""
 CACHED_CHUNKS = 16
@@ -60,6 +72,7 @@ class Recording:
         about: Metadata of the file, texts by name.
         start: Time of its first chunk [s].
         end: Time of its last chunk [s].
+        damaged: From when to when [s] chunks are left out as damaged; of a complete file those read so far.
 
     Raises:
         UsageError: It cannot be read, or is no recording of ours.
@@ -73,6 +86,7 @@ class Recording:
             raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
         self._channels: dict[int, ChannelName] = {}
         self.about: dict[str, str] = {}
+        self.damaged: list[tuple[float, float]] = []
         self._parts: list[_Part] = []
         self.is_complete = self._read_summary()
         if not self.is_complete:
@@ -113,29 +127,74 @@ class Recording:
         return True
 
     def _scan(self) -> None:
-        """Read a file from its beginning, as far as it is intact."""
-        self._stream.seek(0)
+        """Read a file from its beginning; leave out what is damaged, and end where the rest is missing."""
         self._parts, self._channels = [], {}
-        records = StreamReader(self._stream, emit_chunks=True, record_size_limit=MOST_BYTES).records
-        while True:
-            try:
-                # The first record follows 8 magic bytes, which the reader consumes only with it.
-                offset = max(self._stream.tell(), 8)
-                record = next(records, None)
-                if record is None:
-                    return
-                if isinstance(record, Metadata):
-                    self._take_metadata(record)
-                elif isinstance(record, Chunk):
-                    inside = _records_of(record)
-                    for one in inside:
-                        if isinstance(one, Channel):
-                            self._take_channel(one)
-                    used = frozenset(one.channel_id for one in inside if isinstance(one, Message))
-                    times = record.message_start_time, record.message_end_time
-                    self._parts.append(_Part(*times, offset, used))
-            except Exception:  # a cut record: the rest of the file is missing
-                return
+        size = self._stream.seek(0, os.SEEK_END)
+        gaps: list[int] = []
+        offset = MAGIC_SIZE
+        while offset < size:
+            end = self._end_of_record(offset, size)
+            if end is not None and self._take_record(offset, end):
+                offset = end
+                continue
+            # A record whose content alone is damaged is followed by a sound one; else its length is wrong.
+            if end is not None and end < size and self._end_of_record(end, size) is not None:
+                following: int | None = end
+            else:
+                following = self._find_chunk(offset + 1)
+            if following is None:
+                break  # cut off: the rest of the file is missing
+            gaps.append(len(self._parts))
+            offset = following
+        for index in dict.fromkeys(gaps):
+            before = self._parts[index - 1].end / NANO if index else 0.0
+            after = self._parts[index].start / NANO if index < len(self._parts) else math.inf
+            self._note_damage(before, after)
+
+    def _end_of_record(self, offset: int, size: int) -> int | None:
+        """Return where a record ends, by its head; None: there is no record."""
+        self._stream.seek(offset)
+        head = self._stream.read(HEAD_SIZE)
+        end = offset + HEAD_SIZE + int.from_bytes(head[1:], "little")
+        sound = len(head) == HEAD_SIZE and 0 < head[0] <= MOST_OPCODE and end <= size
+        return end if sound else None
+
+    def _take_record(self, offset: int, end: int) -> bool:
+        """Note what is in a record; return whether it is intact."""
+        self._stream.seek(offset)
+        kind = self._stream.read(HEAD_SIZE)[0]
+        if kind not in (Opcode.CHUNK, Opcode.METADATA):
+            return True
+        try:
+            content = ReadDataStream(BytesIO(self._stream.read(end - offset - HEAD_SIZE)))
+            if kind == Opcode.METADATA:
+                self._take_metadata(Metadata.read(content))
+                return True
+            record = Chunk.read(content)
+            inside = _records_of(record)
+        except Exception:  # the MCAP library raises any error on damaged bytes
+            return False
+        for one in inside:
+            if isinstance(one, Channel):
+                self._take_channel(one)
+        used = frozenset(one.channel_id for one in inside if isinstance(one, Message))
+        self._parts.append(_Part(record.message_start_time, record.message_end_time, offset, used))
+        return True
+
+    def _find_chunk(self, offset: int) -> int | None:
+        """Return where the next chunk begins, by the name of its compression; None: there is none."""
+        self._stream.seek(offset)
+        rest = self._stream.read()
+        place = -1
+        while (place := rest.find(COMPRESSION, place + 1)) >= 0:
+            start = place - CHUNK_FIELDS - HEAD_SIZE
+            if start >= 0 and rest[start] == Opcode.CHUNK:
+                return offset + start
+        return None
+
+    def _note_damage(self, start: float, end: float) -> None:
+        if (start, end) not in self.damaged:
+            self.damaged.append((start, end))
 
     def _take_metadata(self, metadata: Metadata) -> None:
         if metadata.name == "usarmjx":
@@ -151,9 +210,19 @@ class Recording:
         try:
             self._stream.seek(part.offset + 9)  # behind the record's opcode (1 byte) and length (8 bytes)
             records = _records_of(Chunk.read(ReadDataStream(self._stream)))
-        except Exception as error:
-            raise UsageError(f"{self.path}: is broken at byte {part.offset}: {error}") from error
+        except Exception:  # the MCAP library raises any error on damaged bytes
+            self._note_damage(part.start / NANO, part.end / NANO)
+            return ()
         return tuple(record for record in records if isinstance(record, Message))
+
+    @property
+    def damage_report(self) -> str:
+        """Time spans that are left out as damaged, in a line; empty if there are none."""
+        spans = [
+            f"{start:.2f} to {end:.2f} s" if math.isfinite(end) else f"{start:.2f} s to the end"
+            for start, end in sorted(self.damaged)
+        ]
+        return f"damaged, left out: {', '.join(spans)}" if spans else ""
 
     @property
     def worlds(self) -> tuple[int, ...]:

@@ -12,8 +12,8 @@ from usarmjx.models.files.images import read_grey
 from usarmjx.models.files.values import YamlValue
 from usarmjx.models.types.shapes import Shape
 
-KEYS = ["image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode"]
-"""Keys of a map's YAML file."""
+KEYS = ["image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode", "min_blob"]
+"""Keys of a map's YAML file: those of map_server, and `min_blob`, which it ignores."""
 DEFAULT_WALL_HEIGHT = 1.2
 """Default height of walls [m]: the NIST arenas'."""
 MAX_MAP_BOXES = 2000
@@ -39,12 +39,14 @@ class OccupancyGrid:
         free: Whether each cell is certainly free (rows, columns).
         resolution: Side of a cell [m].
         origin: x, y and yaw of the outer corner of the first cell.
+        specks: Number of groups of wall cells that were too small for `min_blob`.
     """
 
     wall: np.ndarray
     free: np.ndarray
     resolution: float
     origin: Vec3
+    specks: int = 0
 
 
 def is_map(value: YamlValue) -> bool:
@@ -94,7 +96,39 @@ def read_occupancy_grid(value: YamlValue, unknown: Unknown = "free") -> Occupanc
             wall |= ~wall & ~free & ~lost & (graded >= GRADED_WALL_VALUE)
     if unknown == "occupied":
         wall = wall | lost
-    return OccupancyGrid(wall, free, resolution, option(Vec3, value, "origin", (0.0, 0.0, 0.0)))
+    smallest = option(float, value, "min_blob", 0.0)
+    if not 0 <= smallest < np.inf:
+        raise value.error(f"min_blob is {smallest:g}, expected a length of 0 or more [m]")
+    wall, specks = without_specks(wall, smallest / resolution)
+    return OccupancyGrid(wall, free, resolution, option(Vec3, value, "origin", (0.0, 0.0, 0.0)), specks)
+
+
+def without_specks(wall: np.ndarray, smallest: float) -> tuple[np.ndarray, int]:
+    """Remove connected groups of cells that are shorter than `smallest` cells in both directions.
+
+    Cells that touch at a corner belong together: a thin wall that runs askew is one group.
+
+    Args:
+        wall: The cells (rows, columns).
+        smallest: Length along an axis from which a group stays [cells].
+
+    Returns:
+        The cells that stay, and the number of groups removed.
+    """
+    from scipy import ndimage  # pyright: ignore[reportMissingTypeStubs]
+
+    if smallest <= 1:
+        return wall, 0
+    tools = cast("Any", ndimage)
+    label, count = tools.label(wall, np.ones((3, 3)))
+    small = [
+        number
+        for number, (rows, columns) in enumerate(tools.find_objects(label), 1)
+        if max(rows.stop - rows.start, columns.stop - columns.start) < smallest - 1e-9
+    ]
+    drop = np.zeros(count + 1, bool)
+    drop[small] = True
+    return wall & ~drop[label], len(small)
 
 
 def _truth(value: YamlValue) -> bool:
@@ -121,14 +155,15 @@ def occupancy_grid_content(
     )
     if len(boxes) > MAX_MAP_BOXES:
         raise value.error(
-            f"the map makes more than the {MAX_MAP_BOXES} boxes that are allowed: clear it of specks, or "
-            "halve its size and double its resolution"
+            f"the map makes more than the {MAX_MAP_BOXES} boxes that are allowed: set min_blob in it, the "
+            "length below which specks are left out [m], or halve its size and double its resolution"
         )
+    specks = (f"{value.path}: min_blob leaves out {plan.specks} specks",) if plan.specks else ()
     return Content(
         shapes=tuple(_box(plan, box, height) for box in boxes),
         extent=_extent(plan),
         free_position=_free_position(plan),
-        warnings=() if plan.free.any() else (_nowhere(value, plan),),
+        warnings=specks + (() if plan.free.any() else (_nowhere(value, plan),)),
     )
 
 
