@@ -334,15 +334,9 @@ def compute_inputs(
         if scene.arena.waters:
             state = state.replace(drowned=state.drowned | (state.active & drowns(group.robot, depth)))
         awake = powered(scene, world, group, state)
-        torque, speed = (_group_values(world, group, name) for name in ("torque", "speed"))
-        now = DriveConditions(
-            step=xp.broadcast_to(clock.step, awake.shape),
-            powered=awake,
-            depth=depth,
-            torque=torque,
-            speed=speed,
-            hold=state.hold,
-        )
+        factors = {name: _group_values(world, group, name) for name in ("torque", "speed")}
+        step = xp.broadcast_to(clock.step, awake.shape)
+        now = DriveConditions(step=step, powered=awake, depth=depth, hold=state.hold, **factors)
         command, state = _delayed_command(world, group, state)
 
         driven = compute_actuation(
