@@ -477,7 +477,7 @@ def _resolve_arena(
 
 
 def unique_entries(roster: Sequence[str | RobotSpec | RosterEntry]) -> tuple[RosterEntry, ...]:
-    """Return a roster's entries, whose names differ, case ignored: messages and agents are told apart by them.
+    """Return the entries of a roster, whose names differ, case ignored: messages tell robots apart by them.
 
     Raises:
         SpecError: Names the robot and its slots.
