@@ -24,13 +24,13 @@ USE = """
 import os
 from pathlib import Path
 import usarmjx, usarmjx.client.wander
-from usarmjx.cli import app, demo
+from usarmjx.cli import app, demo_run
 from usarmjx.models.arenas.arda import FILES
 from usarmjx.train.policies import POLICIES
 
 here = Path(usarmjx.__file__).parent
 assert here.parent == Path(os.environ["PYTHONPATH"]), here
-assert demo.CONTROLLER.is_relative_to(here) and demo.CONTROLLER.exists()
+assert demo_run.CONTROLLER.is_relative_to(here) and demo_run.CONTROLLER.exists()
 assert all(file.exists() for file in FILES)
 assert usarmjx.load_policy("drive-to-goal").learned
 assert len(POLICIES) == len(list(here.glob("train/policies/*.npz"))) >= 3

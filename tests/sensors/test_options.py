@@ -11,6 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from usarmjx.base.errors import SpecError
+from usarmjx.base.settings.declaration import SMALLEST
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
@@ -19,7 +20,7 @@ from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots.pioneer import ENCODER_AXIS, P2AT
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import Mount, options
-from usarmjx.models.types.settings import SMALLEST_NUMBER, resolve_settings
+from usarmjx.models.types.settings import resolve_settings
 from usarmjx.sensors.base import SENSORS, NoisySensorSettings, noisy
 from usarmjx.sensors.ranging import RangeSettings, range_readings
 from usarmjx.sensors.settings import carried_weight
@@ -186,8 +187,8 @@ def test_without_sigma_the_noise_is_the_uniform_one_alone_and_each_row_its_own()
 @example(distances=[0.0] * 16, low=6.3e-45, span=1.0, noise=0.0, sigma=0.0, seed=0)
 def test_ranges_stay_within_their_limits_whatever_the_noise(distances, low, span, noise, sigma, seed):
     keys = {"MinRange": low, "MaxRange": low + span, "Noise": noise, "Sigma": sigma}
-    if any(0 < value < SMALLEST_NUMBER for value in keys.values()):
-        with pytest.raises(SpecError, match=r"expected 0 or at least 1\.2e-38"):
+    if any(0 < value < SMALLEST for value in keys.values()):
+        with pytest.raises(SpecError, match=r"numbers that are not 0 have magnitudes from 1\.2e-38"):
             resolve_settings(RangeSettings, options(**keys), "Sonar S")
         return
     mine = RangeSettings(min_range=low, max_range=low + span, noise=noise, sigma=sigma)

@@ -252,7 +252,7 @@ def test_it_reports_every_fourth_tick(watch):
 
 def test_a_step_of_zero_is_refused():
     mount = Mount(kind="VictSensor", name="V", options=options(VerticalStep=0.0))
-    with pytest.raises(SpecError, match=r"VictSensor V: setting VerticalStep is 0\.0, expected a number"):
+    with pytest.raises(SpecError, match=r"VictSensor V: VerticalStep is 0\.0, expected a number"):
         Watch((mount,), "Stepless")
 
 

@@ -223,7 +223,7 @@ STAGES = {
     "a part": (compose, "_add_part", 3),
     "the layout": (single_world, "robot_groups", 0),
     "a free pose": (single_world, "free_pose", 0),
-    "the sensors' start": (single_world, "started", 0),
+    "the sensors' start": (single_world, "start_sensors", 0),
     "the new scene": (Scene, "with_robots", 1),
     "the new groups": (single_world, "robot_groups", 1),
 }
@@ -274,8 +274,8 @@ def test_what_moves_by_itself_is_where_its_time_has_it():
     """To the bit, in every control step, and when a robot joins; worked out one moment at a time here."""
     world, places = make_world(arena="yellow"), []
     ids = [world.engine.model.geom(name).id for name in world.scene.moved_geoms.names]
-    for step in range(2 * single_world.STEPS_AHEAD + 3):
-        if step == single_world.STEPS_AHEAD // 2:
+    for step in range(2 * single_world.LOOKAHEAD_STEPS + 3):
+        if step == single_world.LOOKAHEAD_STEPS // 2:
             join(world, P2DX, 4.5, 1.9, world.scene.arena.floor + 0.3)
         with numpy_backend():
             moved = moved_geom_poses(

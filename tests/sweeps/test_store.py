@@ -97,10 +97,8 @@ BOMB = "a: &a [1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
         (BOMB, "more than 5000 values in one file"),
     ],
 )
-def test_a_file_that_makes_much_of_little_is_refused_at_once_in_one_line(
-    tmp_path, monkeypatch, text, refusal
-):
-    monkeypatch.setattr(yaml_file, "MOST_VALUES", 5000)
+def test_a_file_that_expands_too_far_is_refused_at_once_in_one_line(tmp_path, monkeypatch, text, refusal):
+    monkeypatch.setattr(yaml_file, "MAX_VALUES", 5000)
     file = tmp_path / "mine.yaml"
     file.write_text(text)
     with pytest.raises(UsageError) as refused:

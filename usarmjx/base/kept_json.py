@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from usarmjx.base.errors import SpecError
-from usarmjx.base.settings.files import MOST_BYTES
+from usarmjx.base.settings.files import MAX_FILE_BYTES
 from usarmjx.base.settings.json_file import as_mapping, read_json
 
 CHECKSUM = "checksum"
@@ -27,7 +27,7 @@ def kept_text(content: Mapping[str, Any], indent: int | None = 1) -> str:
     return text + "\n"
 
 
-def read_kept(path: Path, *, needs_checksum: bool = True, most: int = MOST_BYTES) -> dict[str, Any]:
+def read_kept(path: Path, *, needs_checksum: bool = True, most: int = MAX_FILE_BYTES) -> dict[str, Any]:
     """Return the content of a kept file, without the checksum.
 
     Args:

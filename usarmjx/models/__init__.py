@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from usarmjx.base.backend import set_at as set_at
     from usarmjx.base.backend import vmap as vmap
     from usarmjx.base.backend import xp as xp
+    from usarmjx.base.settings import NOT_NEGATIVE as NOT_NEGATIVE
+    from usarmjx.base.settings import POSITIVE as POSITIVE
+    from usarmjx.base.settings import SHARE as SHARE
+    from usarmjx.base.settings import Setting as Setting
     from usarmjx.models.arenas import ARENAS as ARENAS
     from usarmjx.models.check.arena import check_arena as check_arena
     from usarmjx.models.compile.kinematic_tree import KinematicTree as KinematicTree
@@ -50,11 +54,6 @@ if TYPE_CHECKING:
     from usarmjx.models.types.robot import RobotSpec as RobotSpec
     from usarmjx.models.types.robot import Spring as Spring
     from usarmjx.models.types.robot import options as options
-    from usarmjx.models.types.settings import NOT_NEGATIVE as NOT_NEGATIVE
-    from usarmjx.models.types.settings import POSITIVE as POSITIVE
-    from usarmjx.models.types.settings import ManualKey as ManualKey
-    from usarmjx.models.types.settings import NumberLimits as NumberLimits
-    from usarmjx.models.types.settings import OneOf as OneOf
     from usarmjx.models.types.shapes import GLASS as GLASS
     from usarmjx.models.types.shapes import MATERIALS as MATERIALS
     from usarmjx.models.types.shapes import SKY as SKY
@@ -68,6 +67,7 @@ else:
         __name__,
         {
             "usarmjx.base.backend": ("fori_loop", "set_at", "vmap", "xp"),
+            "usarmjx.base.settings": ("NOT_NEGATIVE", "POSITIVE", "SHARE", "Setting"),
             "usarmjx.models.arenas": ("ARENAS",),
             "usarmjx.models.check.arena": ("check_arena",),
             "usarmjx.models.compile.physics": ("Physics",),
@@ -100,13 +100,6 @@ else:
                 "RobotSpec",
                 "Spring",
                 "options",
-            ),
-            "usarmjx.models.types.settings": (
-                "NOT_NEGATIVE",
-                "POSITIVE",
-                "ManualKey",
-                "NumberLimits",
-                "OneOf",
             ),
             "usarmjx.models.types.shapes": (
                 "GLASS",

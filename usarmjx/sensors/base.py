@@ -22,11 +22,11 @@ from usarmjx.base.clock import Clock
 from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import Registry
 from usarmjx.base.rotations import matmul, matvec
+from usarmjx.base.settings import NOT_NEGATIVE, Setting
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.models.compile.kinematic_tree import BodyPoses, KinematicTree
 from usarmjx.models.drives.base import RobotState
 from usarmjx.models.types.robot import Mount
-from usarmjx.models.types.settings import NOT_NEGATIVE, ManualKey
 from usarmjx.models.types.shapes import SKY
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.raycast import DEFAULT_BUNDLE_SIZE, Hits
@@ -159,13 +159,13 @@ class SensorSettings:
         scan_interval: Time between two measurements [s]; 0 measures at every request.
     """
 
-    hidden_sensor: Annotated[bool, ManualKey("HiddenSensor")] = True
+    hidden_sensor: Annotated[bool, Setting(manual_key="HiddenSensor")] = True
     with_time_stamp: bool = False
     weight: Annotated[float, NOT_NEGATIVE] = 0.4
     scan_interval: Annotated[float, NOT_NEGATIVE] = 0.0
 
     def problem(self) -> str:
-        """Return a conflict between settings, "" if there is none; single settings have `NumberLimits`."""
+        """Return a conflict between settings, "" if there is none; single settings have limits."""
         return ""
 
 

@@ -16,6 +16,7 @@ from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
+from usarmjx.base.settings import Setting
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.models.roads.network import (
     METRES_PER_LATITUDE_DEGREE,
@@ -24,7 +25,6 @@ from usarmjx.models.roads.network import (
     to_lat_lon,
 )
 from usarmjx.models.types.robot import Options, options
-from usarmjx.models.types.settings import NOT_NEGATIVE, ManualKey
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
 
 MAX_SATELLITES, MIN_FIX_SATELLITES = 12, 4
@@ -54,8 +54,8 @@ class GpsSettings(SensorSettings):
     """
 
     scan_interval: float = 0.2
-    max_noise: Annotated[float, NOT_NEGATIVE, ManualKey("maxNoise")] = 2.5
-    min_noise: Annotated[float, NOT_NEGATIVE, ManualKey("minNoise")] = 0.75
+    max_noise: Annotated[float, Setting(ge=0, manual_key="maxNoise")] = 2.5
+    min_noise: Annotated[float, Setting(ge=0, manual_key="minNoise")] = 0.75
     zero_zero_location: Options = DEFAULT_LOCATION
     latitude_scale: float = METRES_PER_LATITUDE_DEGREE
     longitude_scale: float = METRES_PER_LONGITUDE_DEGREE

@@ -9,8 +9,8 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
+from usarmjx.base.settings import POSITIVE, Setting
 from usarmjx.models.compile.kinematic_tree import BodyPoses
-from usarmjx.models.types.settings import POSITIVE, ManualKey, NumberLimits
 from usarmjx.models.types.shapes import GLASS, SKY
 from usarmjx.sensors.base import (
     SENSORS,
@@ -44,7 +44,7 @@ class HumanMotionSettings(NoisySensorSettings):
     """
 
     max_range: Annotated[float, POSITIVE] = 1000.0
-    fov: Annotated[float, NumberLimits(low=0.0, high=65535.0, low_exclusive=True), ManualKey("FOV")] = 60.0
+    fov: Annotated[float, Setting(gt=0, le=65535, manual_key="FOV")] = 60.0
     noise: float = 0.1
     output_curve: OutputCurve = ()
 

@@ -15,16 +15,16 @@ from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rotation_vector
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.base.transforms import GRAVITY, flip_vector
-from usarmjx.models.types.settings import NOT_NEGATIVE, POSITIVE, NumberLimits
 from usarmjx.sensors.base import SENSORS, Quantity, Sensor, SensorInput, SensorSettings, vectorized
 
 REST_FORCE = np.array([0.0, 0.0, GRAVITY], np.float32)
 """Specific force of a body at rest, world axes [m/s2]."""
 FIRST_INTERVAL = 0.02
 """Assumed duration of the first measurement: a control step [s]."""
-QUARTER_TURN_LIMITS = NumberLimits(low=-math.pi / 2 - 1e-5, high=math.pi / 2 + 1e-5)
-HALF_TURN_LIMITS = NumberLimits(low=-math.pi - 1e-5, high=math.pi + 1e-5)
+QUARTER_TURN_LIMITS = Setting(ge=-math.pi / 2 - 1e-5, le=math.pi / 2 + 1e-5)
+HALF_TURN_LIMITS = Setting(ge=-math.pi - 1e-5, le=math.pi + 1e-5)
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,10 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
 from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rotation_vector, wrap_angle
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.base.transforms import angles_from_mat, flip_angles, mat_from_angles
 from usarmjx.models.types.robot import Mount
-from usarmjx.models.types.settings import ANGLE_STEP, NOT_NEGATIVE, POSITIVE, ManualKey, NumberLimits
+from usarmjx.models.types.settings import ANGLE_STEP
 from usarmjx.sensors.base import (
     SENSORS,
     NoisySensorSettings,
@@ -30,7 +31,7 @@ from usarmjx.sensors.base import (
     vectorized,
 )
 
-RELATIVE_ERROR = NumberLimits(low=-1.0, low_exclusive=True)
+RELATIVE_ERROR = Setting(gt=-1)
 """Relative error; above -1, so that the measured value stays positive."""
 
 
@@ -147,9 +148,9 @@ class InsSettings(SensorSettings):
     scan_interval: float = 0.2
     mean: float = 0.0
     sigma: Annotated[float, NOT_NEGATIVE] = 0.1
-    drifting: Annotated[bool, ManualKey("Drifting")] = False
+    drifting: Annotated[bool, Setting(manual_key="Drifting")] = False
     precision: Annotated[float, POSITIVE] = 1000.0
-    polar_step: Annotated[bool, ManualKey("PolarStep")] = False
+    polar_step: Annotated[bool, Setting(manual_key="PolarStep")] = False
 
 
 class InsMemory(struct.PyTreeNode, kw_only=True):

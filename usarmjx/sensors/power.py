@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
-from usarmjx.models.types.settings import POSITIVE
+from usarmjx.base.settings import POSITIVE
 from usarmjx.sensors.base import (
     SENSORS,
     NoisySensorSettings,

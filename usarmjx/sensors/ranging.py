@@ -10,16 +10,9 @@ import numpy as np
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, SHARE, Setting
 from usarmjx.models.compile.kinematic_tree import BodyPoses
-from usarmjx.models.types.settings import (
-    ANGLE_STEP,
-    HALF_TURN,
-    NOT_NEGATIVE,
-    POSITIVE,
-    TURN,
-    ManualKey,
-    NumberLimits,
-)
+from usarmjx.models.types.settings import ANGLE_STEP, HALF_TURN, TURN
 from usarmjx.models.types.shapes import GLASS, SKY
 from usarmjx.sensors.base import (
     SENSORS,
@@ -43,7 +36,6 @@ BEAM_PATTERN = (
     (0.0, 0.0),
     *((share, math.radians(first + 90 * i)) for share, first in BEAM_RINGS for i in range(4)),
 )
-FRACTION = NumberLimits(low=0.0, high=1.0)
 """Limits of a fraction."""
 REFERENCE_DISTANCE = 1.0
 """Distance from which on the power of an echo falls with its square [m]."""
@@ -356,9 +348,9 @@ class Scanner3DSettings(RangeSettings):
     with_time_stamp: bool = True  # as the range scanner
     scan_interval: float = 0.4
     max_range: float = 1000.0
-    vertical_fov: Annotated[float, HALF_TURN, ManualKey("VerticalFOV")] = 0.4363
+    vertical_fov: Annotated[float, HALF_TURN, Setting(manual_key="VerticalFOV")] = 0.4363
     vertical_resolution: Annotated[float, ANGLE_STEP] = 0.0145
-    horizontal_fov: Annotated[float, TURN, ManualKey("HorizontalFOV")] = 1.0472
+    horizontal_fov: Annotated[float, TURN, Setting(manual_key="HorizontalFOV")] = 1.0472
     horizontal_resolution: Annotated[float, ANGLE_STEP] = 0.0209
 
     def problem(self) -> str:
@@ -433,13 +425,13 @@ class LidarSettings(Scanner3DSettings):
 
     scan_interval: float = 0.1
     max_range: float = 100.0
-    vertical_fov: Annotated[float, HALF_TURN, ManualKey("VerticalFOV")] = math.radians(30)
+    vertical_fov: Annotated[float, HALF_TURN, Setting(manual_key="VerticalFOV")] = math.radians(30)
     vertical_resolution: Annotated[float, ANGLE_STEP] = math.radians(2)
-    horizontal_fov: Annotated[float, TURN, ManualKey("HorizontalFOV")] = math.radians(358)
+    horizontal_fov: Annotated[float, TURN, Setting(manual_key="HorizontalFOV")] = math.radians(358)
     horizontal_resolution: Annotated[float, ANGLE_STEP] = math.radians(2)
-    reflectance: Annotated[float, FRACTION] = 0.5
+    reflectance: Annotated[float, SHARE] = 0.5
     min_power: Annotated[float, NOT_NEGATIVE] = 5e-5
-    dropout: Annotated[float, FRACTION] = 0.0
+    dropout: Annotated[float, SHARE] = 0.0
     intensity_noise: Annotated[float, NOT_NEGATIVE] = 0.0
 
 

@@ -9,8 +9,8 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import set_at, xp
+from usarmjx.base.settings import NOT_NEGATIVE, Setting
 from usarmjx.models.compile.kinematic_tree import BodyPoses
-from usarmjx.models.types.settings import NOT_NEGATIVE, ManualKey, OneOf
 from usarmjx.models.types.shapes import GLASS, SKY
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings, vectorized
 from usarmjx.sensors.sketch import OverlayLines, empty_overlay
@@ -19,7 +19,7 @@ from usarmjx.sensors.surroundings import Surroundings, nearest
 MAX_TAGS = 16
 """Number of tags that a sensor reads at once, nearest first, and of rays that test for obstacles."""
 RADIUS_MODE, OBSTACLE_MODE, ATTENUATION_MODE = "Radius", "Obstacle", "Attenuation"
-SENSING_MODES = OneOf((RADIUS_MODE, OBSTACLE_MODE, ATTENUATION_MODE))
+SENSING_MODES = (RADIUS_MODE, OBSTACLE_MODE, ATTENUATION_MODE)
 RAY_END_HEIGHT = 0.01
 """Height above a tag at which its ray ends [m]: the tag lies on the ground, which must not hide it."""
 OBSTACLE_MARGIN = 0.02
@@ -45,14 +45,14 @@ class RfidSettings(SensorSettings):
         always_read_rfid_mem: Whether each report contains the tags' memory.
     """
 
-    sensing_mode: Annotated[str, SENSING_MODES] = ATTENUATION_MODE
+    sensing_mode: Annotated[str, Setting(choices=SENSING_MODES)] = ATTENUATION_MODE
     max_range: Annotated[float, NOT_NEGATIVE] = 3.0
     max_single_shot_range: Annotated[float, NOT_NEGATIVE] = 6.0
-    tx_power_dbm: Annotated[float, ManualKey("dBmTXPower")] = 36.0
-    rx_sensitivity_dbm: Annotated[float, ManualKey("dBmRXSensibility")] = -88.0
-    obstacle_attenuation_db: Annotated[float, NOT_NEGATIVE, ManualKey("dBObstacleAttenuation")] = 3.5
-    trace_rfids: Annotated[bool, ManualKey("bTraceRFIDs")] = False
-    always_read_rfid_mem: Annotated[bool, ManualKey("bAlwaysReadRFIDmem")] = False
+    tx_power_dbm: Annotated[float, Setting(manual_key="dBmTXPower")] = 36.0
+    rx_sensitivity_dbm: Annotated[float, Setting(manual_key="dBmRXSensibility")] = -88.0
+    obstacle_attenuation_db: Annotated[float, Setting(ge=0, manual_key="dBObstacleAttenuation")] = 3.5
+    trace_rfids: Annotated[bool, Setting(manual_key="bTraceRFIDs")] = False
+    always_read_rfid_mem: Annotated[bool, Setting(manual_key="bAlwaysReadRFIDmem")] = False
 
     @property
     def mode(self) -> str:

@@ -5,14 +5,15 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 from usarmjx.base.errors import SpecError
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.models.effecters import effecters_of
 from usarmjx.models.types.robot import Mount, RobotSpec
-from usarmjx.models.types.settings import NOT_NEGATIVE, POSITIVE, NumberLimits, field_name, resolve_settings
+from usarmjx.models.types.settings import field_name, resolve_settings
 from usarmjx.sensors.base import SENSORS, SensorSettings
 
 __all__ = ["CameraSettings", "field_name", "resolve_camera", "resolve_settings"]
 
-DISTORTION_LIMITS = NumberLimits(low=-0.3, high=1.0)
+DISTORTION_LIMITS = Setting(ge=-0.3, le=1.0)
 """Limits of a distortion coefficient."""
 MAX_SUPERSAMPLING = 4
 """Largest number of rays along each side of a pixel."""
@@ -38,7 +39,7 @@ class CameraSettings:
         supersampling: Rays along each side of a pixel, for smooth edges.
     """
 
-    weight: float = 0.4
+    weight: Annotated[float, NOT_NEGATIVE] = 0.4
     camera_def_fov: float = 0.8727
     camera_min_fov: float = 0.3491
     camera_max_fov: float = 2.0944
@@ -49,7 +50,7 @@ class CameraSettings:
     distortion_k1: Annotated[float, DISTORTION_LIMITS] = 0.0
     distortion_k2: Annotated[float, DISTORTION_LIMITS] = 0.0
     image_noise: Annotated[float, NOT_NEGATIVE] = 0.0
-    supersampling: Annotated[int, NumberLimits(low=1, high=MAX_SUPERSAMPLING)] = 1
+    supersampling: Annotated[int, Setting(ge=1, le=MAX_SUPERSAMPLING)] = 1
 
 
 def resolve_camera(mount: Mount, owner: str) -> CameraSettings:
@@ -58,7 +59,7 @@ def resolve_camera(mount: Mount, owner: str) -> CameraSettings:
     So equal CameraMinFov and CameraMaxFov make a camera of that field of view (manual 10.14.2).
 
     Raises:
-        UsageError: See `models.types.settings.checked`.
+        UnknownNameError: See `models.types.settings.checked`.
         SpecError: Likewise; or fields of view in the wrong order or not between 0 and pi.
     """
     settings = resolve_settings(CameraSettings, mount.all_options, owner)

@@ -10,8 +10,8 @@ import numpy as np
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.rotations import matvec
+from usarmjx.base.settings import POSITIVE
 from usarmjx.models.compile.kinematic_tree import BodyPoses
-from usarmjx.models.types.settings import POSITIVE
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
 from usarmjx.sensors.ranging import BEAM_PATTERN
 

@@ -9,8 +9,9 @@ import numpy as np
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.models.compile.kinematic_tree import BodyPoses
-from usarmjx.models.types.settings import ANGLE_STEP, HALF_TURN, NOT_NEGATIVE, POSITIVE, TURN, ManualKey
+from usarmjx.models.types.settings import ANGLE_STEP, HALF_TURN, TURN
 from usarmjx.sensors.base import SENSORS, Sensor, SensorInput, SensorSettings
 from usarmjx.sensors.ranging import beam_count_problem, step_count
 from usarmjx.sensors.rays.bundles import Fans
@@ -44,9 +45,9 @@ class VictSensorSettings(SensorSettings):
     with_time_stamp: bool = True
     scan_interval: float = 0.8
     distance: Annotated[float, POSITIVE] = 6.0
-    horizontal_fov: Annotated[float, TURN, ManualKey("HorizontalFOV")] = 0.6981317
+    horizontal_fov: Annotated[float, TURN, Setting(manual_key="HorizontalFOV")] = 0.6981317
     horizontal_step: Annotated[float, ANGLE_STEP] = 0.0698131
-    vertical_fov: Annotated[float, HALF_TURN, ManualKey("VerticalFOV")] = 0.6981317
+    vertical_fov: Annotated[float, HALF_TURN, Setting(manual_key="VerticalFOV")] = 0.6981317
     vertical_step: Annotated[float, ANGLE_STEP] = 0.0698131
     show_results: bool = False
     mean: float = 0.0

@@ -163,17 +163,15 @@ def test_without_its_library_the_panes_say_what_to_install(monkeypatch):
     assert done.stderr == (f"usarmjx: the panes need {absent}: pip install {absent}; --script does without\n")
 
 
-def test_the_console_starts_without_jax_and_in_well_under_a_second():
-    code = "import sys, time, usarmjx.cli.console.app, usarmjx.cli.console.command\n"
-    code += (
-        "print(time.process_time(), 'jax' in sys.modules, 'mujoco' in sys.modules, 'numpy' in sys.modules)"
-    )
+def test_the_console_starts_without_jax_and_with_few_modules():
+    code = "import sys, usarmjx.cli.console.app, usarmjx.cli.console.command\n"
+    code += "print(len(sys.modules), *(name in sys.modules for name in ('jax', 'mujoco', 'numpy')))"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=PATIENCE
     )
-    spent, *loaded = done.stdout.split()
+    count, *loaded = done.stdout.split()
     assert loaded == ["False", "False", "False"]
-    assert float(spent) < 0.9
+    assert int(count) < 700  # 522 today; a library like jax or numpy brings hundreds
 
 
 @pytest.mark.parametrize(

@@ -136,13 +136,16 @@ def test_the_office_is_the_map():
     [
         ("image: gone.pgm\nresolution: 1", "gone.pgm: cannot be read"),
         ("image: a.yaml\nresolution: 1", "does not read as an image"),
-        ("image: a.yaml\nresolution: 0", r"a.yaml:2: resolution: is not above zero"),
+        ("image: a.yaml\nresolution: 0", r"a.yaml:2: resolution is 0, expected a number above 0"),
         (
             "image: a.yaml\nresolution: 1\nmode: odd",
-            r"a.yaml:3: mode: 'odd' is not one of trinary, scale, raw",
+            r"a.yaml:3: mode is 'odd', expected one of trinary, scale, raw",
         ),
-        ("image: a.yaml\nresolution: 1\nnegate: 2", r"a.yaml:3: negate: 2 is not 0 or 1"),
-        ("image: a.yaml\nresolution: 1\nscale: 2", r"a.yaml:3: scale: unknown key 'scale'"),
+        (
+            "image: a.yaml\nresolution: 1\nnegate: 2",
+            "a.yaml:3: negate is 2, expected a whole number from 0 to 1 or true",
+        ),
+        ("image: a.yaml\nresolution: 1\nscale: 2", r"a.yaml:3: MapDescription has no setting 'scale'"),
         ("image: a.yaml\nresolution: 1\nfree_thresh: 0.9", "free_thresh 0.9 is above occupied_thresh 0.65"),
     ],
 )

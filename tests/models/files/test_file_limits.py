@@ -13,8 +13,9 @@ from PIL import Image
 from scipy.spatial import ConvexHull
 
 from usarmjx.base.errors import ArenaFileError
+from usarmjx.base.settings import yaml_file
 from usarmjx.models.drives import NoDrive
-from usarmjx.models.files import mjcf, reader_child, values
+from usarmjx.models.files import mjcf, reader_child
 from usarmjx.models.files.load import load_arena
 from usarmjx.models.files.reader_process import ReaderProcess
 from usarmjx.models.files.robot_mjcf import robot_from_mjcf
@@ -283,15 +284,15 @@ def test_merges_and_values_and_keys_are_counted_while_they_are_read(tmp_path, mo
         "<<: *a39",
     ]
     refused(
-        write(tmp_path / "a.yaml", "\n".join(lines)), "x: unknown key 'x'"
+        write(tmp_path / "a.yaml", "\n".join(lines)), "ArenaFile has no setting 'x'"
     )  # which it has once, not 2^39 times
     refused(
         write(tmp_path / "b.yaml", f"? {'k' * 5000}\n: 1"),
         r"b\.yaml:1: a key of 5000 characters; at most 100",
     )
-    refused(write(tmp_path / "c.yaml", "floor: " + "x" * 9000), r"floor: 'x+\.\.\.' is not a number")
+    refused(write(tmp_path / "c.yaml", "floor: " + "x" * 9000), r"floor is 'x+\.\.\.', expected a number")
     refused(write(tmp_path / "d.yaml", "&a <<: *a"), "is no YAML|contains itself|empty")
-    monkeypatch.setattr(values, "MAX_VALUES", 1000)
+    monkeypatch.setattr(yaml_file, "MAX_VALUES", 1000)
     refused(write(tmp_path / "e.yaml", "floor: [" + "0, " * 5000 + "0]"), "more than 1000 values in one file")
 
 

@@ -15,7 +15,7 @@ from tests.mutations import edits, mutate
 from tests.train.handmade import policy_file
 from tests.valid_files import ARENA, BINARY_STL, INI, MAP, MISSION, MODEL, ROADS, TEXT_STL, picture
 from usarmjx.base.errors import UsageError
-from usarmjx.models.files.fields import hints_of
+from usarmjx.base.settings import describe
 from usarmjx.models.files.load import load_arena
 from usarmjx.models.files.meshes import load_convex_pieces
 from usarmjx.models.files.mjcf import mjcf_content
@@ -88,7 +88,9 @@ words = st.sampled_from(
     ["box", "mesh", "hfield", "wall", "mud", "glass", "90deg", "a", "fuzzed.obj", ".", "lying", "Head"]
 )
 KINDS = (ArenaSpec, Shape, LooseObject, Door, Victim, StartPose, HelpSound)
-KEYS = sorted({key for kind in KINDS for key in hints_of(kind)} | {"meshes", "file", "scale", "map", "urdf"})
+KEYS = sorted(
+    {one.name for kind in KINDS for one in describe(kind)} | {"meshes", "file", "scale", "map", "urdf"}
+)
 trees = st.recursive(
     scalars | words | st.lists(numbers, max_size=4),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(KEYS), inner, max_size=6),

@@ -110,7 +110,7 @@ Cameras=(ItemClass=class'USARBot.Wide',ItemName=Eye)
         ("[USARBot.A]\nBaseClass=B\n[USARBot.B]\nBaseClass=A", r"a\.ini:\d: [AB] is based on itself"),
         (
             MINE.replace("8.0", "-8.0"),
-            r"a\.ini:4: RangeScanner: setting MaxRange is -8\.0, expected a number",
+            r"a\.ini:4: RangeScanner: MaxRange is -8\.0, expected a number",
         ),
         (MOUNT.format(more=""), r"a\.ini:2: unknown ItemClass 'MyScanner'; expected one of SonarSensor"),
         (
@@ -126,7 +126,7 @@ def test_a_class_that_cannot_be_says_why(load, text, says):
 
 def test_a_key_that_the_base_does_not_have_is_a_warning(load):
     (warning,) = load(MINE + "Range=3\n" + MOUNT.format(more="")).warnings
-    assert "a.ini:8: unknown key: RangeScanner has no setting 'Range'" in warning
+    assert "a.ini:8: unknown key: RangeScanner: ScannerSettings has no setting 'Range'" in warning
 
 
 def test_an_ins_is_told_of_its_tire_in_vain_and_says_so(load):

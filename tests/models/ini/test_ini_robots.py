@@ -218,7 +218,7 @@ CacheSizeMegs=32
     assert loaded.robots == ()
     found = [warning.partition("a.ini:")[2] for warning in loaded.warnings]
     assert found[0].startswith("2: unknown key Wheight")
-    assert found[1].startswith("4: unknown key: Sonar has no setting 'MaxRnage'; known: ")
+    assert found[1].startswith("4: unknown key: Sonar: SonarSettings has no setting 'MaxRnage'; did you")
     assert found[2].startswith("8: section [Engine.GameEngine] is not about robots")
 
 
@@ -575,7 +575,7 @@ WRONG = [
     (f"Sensors=({INS},ItemName=A,Parent=Mast)", "2: A has an unknown Parent 'Mast'; expected one of HARD"),
     (f"Sensors=({INS},ItemName=A,Position=(X=1,W=2))", "2: Position has X, W; expected X, Y and Z"),
     (f"Sensors=({INS},ItemName=A,Position=3)", r"2: Position is '3'; expected \(X=number"),
-    (f"Sensors=({INS},ItemName=A,Sigma=low)", "2: INS: setting Sigma is 'low', expected a number"),
+    (f"Sensors=({INS},ItemName=A,Sigma=low)", "2: INS: Sigma is 'low', expected a number"),
     (f"Sensors=({INS},ItemName=A)\nAddSensors=({INS},ItemName=a)", "3: there is a INS a already; expected"),
     ("MisPkgs=(PkgName=A,PkgClass=class'USARMisPkg.Arm')", "2: unknown PkgClass 'Arm'; expected one of Cam"),
     ("MisPkgs=(PkgName=A,Place=(X=1))", "2: MisPkgs has no Place; expected some of PkgName, Loc"),

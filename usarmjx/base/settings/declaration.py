@@ -37,7 +37,7 @@ class RenamedSettingWarning(DeprecationWarning):
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """Limits and texts of a setting, a note of its annotation; several notes add up, the last one counts.
+    """Limits and texts of a setting, a note of its annotation; of several notes, later ones have priority.
 
     Limits of a list or a mapping hold for each of its numbers; its items may have notes of their own.
 
@@ -103,9 +103,13 @@ class Setting:
 
 NO_NOTE = Setting()
 POSITIVE = Setting(gt=0)
+"""Limits of numbers above 0."""
 NOT_NEGATIVE = Setting(ge=0)
+"""Limits of numbers that may be 0."""
 SHARE = Setting(ge=0, le=1)
+"""Limits of shares, from 0 to 1."""
 AT_LEAST_ONE = Setting(ge=1)
+"""Limits of counts from 1."""
 
 
 @dataclass(frozen=True, kw_only=True)

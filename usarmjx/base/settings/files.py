@@ -1,4 +1,4 @@
-"""YAML, JSON and TOML files as values that know where they stand, so that a refusal names file and line."""
+"""YAML, JSON and TOML files as values with their positions, so that errors name file and line."""
 
 import tomllib
 from dataclasses import dataclass
@@ -7,10 +7,10 @@ from typing import Any, cast
 
 from usarmjx.base.errors import SpecError, UsageError
 
-MOST_BYTES = 16_000_000
-"""Of a file."""
-MOST_SHOWN = 100
-"""Characters of a value that refusals quote, and of the names that lead to it."""
+MAX_FILE_BYTES = 16_000_000
+"""Largest size of a file [bytes]."""
+MAX_QUOTED = 100
+"""Largest length of a quoted value, and of the names that lead to it, in errors [characters]."""
 Plain = dict[str, "FileValue"] | list["FileValue"] | str | int | float | bool | None
 
 
@@ -81,12 +81,12 @@ def shown(data: object) -> str:
     if isinstance(data, list) and any(isinstance(item, FileValue) for item in data):  # type: ignore - of any type
         return f"a list of {len(data)}"  # type: ignore - of any type
     if isinstance(data, str):
-        return repr(str(data)) if len(data) <= MOST_SHOWN else repr(f"{data[:MOST_SHOWN]}...")
+        return repr(str(data)) if len(data) <= MAX_QUOTED else repr(f"{data[:MAX_QUOTED]}...")
     text = "nothing" if data is None else " ".join(repr(cast(object, data)).split())
-    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
+    return text if len(text) <= MAX_QUOTED else f"{text[:MAX_QUOTED]}..."
 
 
-def read_bytes(path: Path, most: int = MOST_BYTES, refusal: type[UsageError] = SpecError) -> bytes:
+def read_bytes(path: Path, most: int = MAX_FILE_BYTES, refusal: type[UsageError] = SpecError) -> bytes:
     """Return the content of a file.
 
     Raises:
@@ -135,11 +135,11 @@ def _of_toml(data: Any, place: FileValue) -> FileValue:  # noqa: ANN401 - as tom
 
 
 def first_line(error: Exception) -> str:
-    """Return the first line of somebody else's error."""
+    """Return the first line of a library's error."""
     return str(error).splitlines()[0]
 
 
 def joined(name: str, more: str) -> str:
     """Return the names that lead to a value, cut short: each value keeps its own."""
     whole = (name + more).lstrip(".")
-    return whole if len(whole) <= MOST_SHOWN else "..." + whole[3 - MOST_SHOWN :]
+    return whole if len(whole) <= MAX_QUOTED else "..." + whole[3 - MAX_QUOTED :]

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any, NoReturn, cast
 
 from usarmjx.base.errors import SpecError, UsageError
-from usarmjx.base.settings.files import MOST_BYTES, first_line, read_bytes
-from usarmjx.base.settings.yaml_file import MOST_DIGITS
+from usarmjx.base.settings.files import MAX_FILE_BYTES, first_line, read_bytes
+from usarmjx.base.settings.yaml_file import MAX_DIGITS
 
 MOST_LINES_BYTES = 256_000_000
 """Largest file of JSON lines: hours of training write one."""
@@ -38,8 +38,8 @@ def parse_json(
         raise refusal(f"{where}: is no JSON: {reason}")
 
     def whole(digits: str) -> int:
-        if len(digits) > MOST_DIGITS:
-            refuse(f"a number of {len(digits)} characters; at most {MOST_DIGITS}")
+        if len(digits) > MAX_DIGITS:
+            refuse(f"a number of {len(digits)} characters; at most {MAX_DIGITS}")
         return int(digits)
 
     def constant(name: str) -> float:
@@ -58,7 +58,7 @@ def parse_json(
 
 
 def read_json(
-    path: Path, refusal: type[UsageError] = SpecError, *, most: int = MOST_BYTES, finite: bool = False
+    path: Path, refusal: type[UsageError] = SpecError, *, most: int = MAX_FILE_BYTES, finite: bool = False
 ) -> Any:  # noqa: ANN401 - any data
     """Return the data of a JSON file.
 

@@ -6,7 +6,8 @@ says which schema stands for which type hint, reads texts by the grammar of `tex
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import is_dataclass
 from difflib import get_close_matches
 from enum import Enum
@@ -129,11 +130,13 @@ class Reader:
     """Reads and checks settings; the module-level functions of the package use one without options.
 
     Args:
-        special: How to read some types.
-        rules: What the values of some dataclasses must be to each other, beside their own `problem` method.
+        special: Readers of some types.
+        rules: Conditions between the fields of some dataclasses, beside their own `problem` method.
         refusal: Class of the errors; unknown names raise `UnknownNameError` if it is `SpecError`.
-        spelling: What becomes of a key before it is looked up, as `MaxRange` -> `max_range`; with it, the
-            manual's keys are accepted too.
+        spelling: Conversion of a key to a field's name, as `MaxRange` -> `max_range`; with it, the manual's
+            keys are accepted too.
+        single_precision: Whether to refuse numbers that are not normal in single precision, in which devices
+            compute; False where they are compiled in double precision.
     """
 
     def __init__(
@@ -143,11 +146,13 @@ class Reader:
         rules: Rules | None = None,
         refusal: type[UsageError] = SpecError,
         spelling: Callable[[str], str] | None = None,
+        single_precision: bool = True,
     ) -> None:
         self._special, self._rules = dict(special or {}), dict(rules or {})
-        self._refusal, self._spelling = refusal, spelling
+        self._refusal, self._spelling, self._single = refusal, spelling, single_precision
         self._unknown = UnknownNameError if refusal is SpecError else refusal
         self._records: dict[type, _Record] = {}
+        self._validators: dict[Any, SchemaValidator] = {}
 
     def from_data(
         self,
@@ -171,12 +176,24 @@ class Reader:
             UsageError: An unknown or missing name, or a value that is not allowed; names source, field,
                 value and what is allowed.
         """
-        try:
+        with self._refusals(data, where):
             return cast(T, self._read(kind, data, base, defaults or {}))
-        except ValidationError as error:
-            raise self._error(error, where) from None
-        except PydanticCustomError as error:
-            raise self._error_of(error.context or {}, (), where) from error.__cause__
+
+    def convert(self, hint: Any, data: object, *, where: str = "") -> Any:  # noqa: ANN401 - a type hint
+        """Return data as a value of any type hint, notes and all.
+
+        Args:
+            hint: The type hint.
+            data: See `from_data`; a `Text` is read by the grammar of texts.
+            where: Its source, for refusals.
+
+        Raises:
+            UsageError: See `from_data`.
+        """
+        if hint not in self._validators:
+            self._validators[hint] = SchemaValidator(self._schema(hint, Setting()))
+        with self._refusals(data, where):
+            return self._validators[hint].validate_python(data)
 
     def from_text(
         self, kind: type[T], texts: Mapping[str, str], *, where: str = "", base: T | None = None
@@ -206,15 +223,11 @@ class Reader:
         Raises:
             UsageError: See `from_data`; a missing name is none.
         """
-        try:
+        with self._refusals(data, where):
             given = self._named(kind, data)
             for name, item in given.items():
                 given[name] = _onto(getattr(base, name, None), item)
             return self._checked(kind, data, given)
-        except ValidationError as error:
-            raise self._error(error, where) from None
-        except PydanticCustomError as error:
-            raise self._error_of(error.context or {}, (), where) from error.__cause__
 
     def text_values(
         self, kind: type, texts: Mapping[str, str], *, where: str = "", base: object = None
@@ -233,10 +246,8 @@ class Reader:
         kind = type(instance)
         record = self._record(kind)
         given = {name: getattr(instance, name) for name in record.fields}
-        try:
+        with self._refusals(given, kind.__name__):
             values = record.validator.validate_python(given)
-        except ValidationError as error:
-            raise self._error(error, kind.__name__) from None
         for name, value in values.items():
             if value is not given[name]:
                 object.__setattr__(instance, name, value)  # the dataclass is frozen
@@ -310,8 +321,11 @@ class Reader:
     def _name_of(self, kind: type, key: object) -> str | None:
         """Return the field of a name or a key of the manual; None: there is none, now at least."""
         names = self._record(kind).names
-        spelt = self._spelling(key) if self._spelling is not None and isinstance(key, str) else key
-        return names.get(cast(str, key)) or names.get(cast(str, spelt))
+        return names.get(cast(str, key)) or names.get(self._spelt(key))
+
+    def _spelt(self, key: object) -> str:
+        """Return a key in the spelling of fields."""
+        return self._spelling(key) if self._spelling is not None and isinstance(key, str) else str(key)
 
     def _problem(self, instance: object) -> str:
         own = getattr(instance, "problem", None)
@@ -338,7 +352,7 @@ class Reader:
                 text = f"{start}{key} of {kind.__name__} is called {name} now; the old name goes next version"
                 warnings.warn(text, RenamedSettingWarning, stacklevel=2)
             if name is None:
-                raise _refusal(item, _unknown(str(key), kind, record), "name")
+                raise _refusal(item, _unknown(str(key), self._spelt(key), kind, record), "name")
             if name in found:
                 raise _refusal(item, f": {name} is given twice, as {shown(key)} too")
             found[name] = item
@@ -346,15 +360,26 @@ class Reader:
 
     # Refusals.
 
-    def _error(self, error: ValidationError, where: str) -> UsageError:
-        first = error.errors(include_url=False)[0]
-        context = first.get("ctx", {"problem": f": {first['msg']}"})
-        return self._error_of(context, first["loc"], where)
+    @contextmanager
+    def _refusals(self, data: object, where: str) -> Generator[None]:
+        """Turn refusals of data, of pydantic-core's kinds, into ours."""
+        start = data.name if isinstance(data, FileValue) else ""
+        try:
+            yield
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            context = first.get("ctx", {"problem": f": {first['msg']}"})
+            raise self._error_of(context, first["loc"], where, start) from None
+        except PydanticCustomError as error:
+            raise self._error_of(error.context or {}, (), where, start) from error.__cause__
 
-    def _error_of(self, context: Mapping[str, Any], names: Sequence[int | str], where: str) -> UsageError:
+    def _error_of(
+        self, context: Mapping[str, Any], names: Sequence[int | str], where: str, start: str
+    ) -> UsageError:
         kind = self._unknown if context.get("kind") == "name" else self._refusal
         place, problem = context.get("place") or where, str(context["problem"])
-        name = "".join(f"[{n}]" if isinstance(n, int) else f".{n}" for n in names).lstrip(".")
+        name = start + "".join(f"[{n}]" if isinstance(n, int) else f".{n}" for n in names)
+        name = name.lstrip(".")
         text = name + problem if problem.startswith(": ") else f"{name} {problem}"
         return kind(f"{place}: {text.strip(': ')}" if place else text.strip(": "))
 
@@ -366,7 +391,7 @@ class Reader:
         if members := members_of(hint):
             return self._union(members, note, expects)
         if hint in _SCALARS and not (hint is str and note.choices):
-            return _scalar(hint, note, expects)
+            return _scalar(hint, note, expects, single=self._single)
         if hint not in self._special:
             if origin in SEQUENCES:
                 return self._sequence(hint, note, expects)
@@ -518,12 +543,12 @@ PRECISION = f"numbers that are not 0 have magnitudes from {SMALLEST:.2g} to {LAR
 """Limits of single precision, in which the devices compute."""
 
 
-def _scalar(hint: type, note: Setting, expects: str) -> CoreSchema:
+def _scalar(hint: type, note: Setting, expects: str, *, single: bool) -> CoreSchema:
     """Return the schema of a number, a truth value or a text; all refusals are worded alike."""
     limits = {"gt": note.gt, "ge": note.ge, "lt": note.lt, "le": note.le}
     if hint is float:
         numbers: dict[str, Any] = limits
-        prepare, schema = _number_reader(note), float_schema(strict=True, **numbers)
+        prepare, schema = _number_reader(note, single=single), float_schema(strict=True, **numbers)
     elif hint is int:
         wholes: dict[str, Any] = _whole_limits(limits)
         prepare, schema = _whole_reader(note), int_schema(strict=True, **wholes)
@@ -555,7 +580,7 @@ def _whole_limits(limits: Mapping[str, float | None]) -> dict[str, int | None]:
     }
 
 
-def _number_reader(note: Setting) -> Callable[[object], object]:
+def _number_reader(note: Setting, *, single: bool) -> Callable[[object], object]:
     def read(value: object) -> object:
         if isinstance(value, str):
             value = parse_number(value, note.unit, unit_needed=not isinstance(value, Text))
@@ -564,7 +589,7 @@ def _number_reader(note: Setting) -> Callable[[object], object]:
         if isinstance(value, float):
             if math.isnan(value) or (note.finite and math.isinf(value)):
                 return None  # no schema of a number takes it
-            if not single_precision(value):
+            if single and not single_precision(value):
                 raise _PrecisionError
             return float(value)  # not one of a class derived from float, as NumPy's
         return value
@@ -660,8 +685,8 @@ def _deep_plain(value: object) -> object:
     return str(plain) if isinstance(plain, Text) else plain
 
 
-def _unknown(key: str, kind: type, record: _Record) -> str:
-    near = get_close_matches(key, [*record.names, *record.old_names], n=1)
+def _unknown(key: str, spelt: str, kind: type, record: _Record) -> str:
+    near = get_close_matches(spelt, [*record.names, *record.old_names], n=1)
     meant = f"did you mean {near[0]!r}? It" if near else "it"
     return f": {kind.__name__} has no setting {shown(key)}; {meant} has: {', '.join(record.fields)}"
 

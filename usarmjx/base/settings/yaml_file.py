@@ -8,21 +8,21 @@ from typing import Any, cast
 import yaml
 
 from usarmjx.base.errors import SpecError, UsageError
-from usarmjx.base.settings.files import MOST_SHOWN, FileValue, Plain, first_line, joined, read_bytes
+from usarmjx.base.settings.files import MAX_QUOTED, FileValue, Plain, first_line, joined, read_bytes
 
-MOST_VALUES = 500_000
-"""In a file, repeated ones counted each time."""
-MOST_DIGITS = 100
-"""Characters of a number; one in base 60 takes the square of its length to read."""
-MOST_KEY = 100
-"""Characters of a key."""
+MAX_VALUES = 500_000
+"""Largest number of values in a file, repetitions by aliases included."""
+MAX_DIGITS = 100
+"""Largest length of a number [characters]; YAML's base 60 takes quadratic time."""
+MAX_KEY_LENGTH = 100
+"""Largest length of a key [characters]."""
 FLOAT_TAG, MERGE_TAG = "tag:yaml.org,2002:float", "tag:yaml.org,2002:merge"
 FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$")
 """Numbers of YAML 1.2, as 1e-3, that PyYAML, which is for YAML 1.1, takes for words."""
 
 
 class _LimitedLoader(yaml.SafeLoader):
-    """Stops where a file has too many values to keep.
+    """A loader that refuses a file with too many values while it parses.
 
     Args:
         text: The file's text.
@@ -37,8 +37,8 @@ class _LimitedLoader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:  # noqa: ANN401 - PyYAML's
         """Return the next value; called for each."""
         self._count += 1
-        if self._count > 2 * MOST_VALUES:  # keys are among them
-            raise self._refusal(f"{self._path}: more than {MOST_VALUES} values in one file")
+        if self._count > 2 * MAX_VALUES:  # keys are among them
+            raise self._refusal(f"{self._path}: more than {MAX_VALUES} values in one file")
         return super().compose_node(parent, index)
 
 
@@ -54,7 +54,7 @@ def read_yaml(path: Path, refusal: type[UsageError] = SpecError) -> FileValue:
     """Return the content of a YAML file, or of a JSON file, which is one of YAML.
 
     Raises:
-        UsageError: A file that does not read, is no YAML, or says a key twice; names the line.
+        UsageError: A file that is unreadable, is no YAML, or repeats a key; names the line.
     """
     text = read_bytes(path, refusal=refusal)
     try:
@@ -74,7 +74,7 @@ def read_yaml(path: Path, refusal: type[UsageError] = SpecError) -> FileValue:
 
 
 class _NodeReader:
-    """Turns the nodes of a document into values, and counts them: aliases can make many of few."""
+    """Converter of a document's nodes to values; it counts them, as aliases can make many of few."""
 
     def __init__(self, path: Path, loader: yaml.SafeLoader, refusal: type[UsageError]) -> None:
         self._path, self._loader, self._refusal, self._count = path, loader, refusal, 0
@@ -94,8 +94,8 @@ class _NodeReader:
         """Count a value, or several; return its line."""
         self._count += more
         line = node.start_mark.line + 1
-        if self._count > MOST_VALUES:
-            raise self._refusal(f"{self._path}:{line}: more than {MOST_VALUES} values in one file")
+        if self._count > MAX_VALUES:
+            raise self._refusal(f"{self._path}:{line}: more than {MAX_VALUES} values in one file")
         return line
 
     def _data(self, node: yaml.Node, name: str) -> Plain:
@@ -105,27 +105,27 @@ class _NodeReader:
         if isinstance(node, yaml.SequenceNode):
             return [self.value(child, joined(name, f"[{i}]")) for i, child in enumerate(node.value)]
         where = f"{self._path}:{node.start_mark.line + 1}: {name}"
-        if len(node.value) > MOST_DIGITS and node.tag.endswith((":int", ":float")):
-            raise self._refusal(f"{where}: a number of {len(node.value)} characters; at most {MOST_DIGITS}")
+        if len(node.value) > MAX_DIGITS and node.tag.endswith((":int", ":float")):
+            raise self._refusal(f"{where}: a number of {len(node.value)} characters; at most {MAX_DIGITS}")
         try:
             data = cast(Any, self._loader).construct_object(node)
         except yaml.YAMLError:
             raise
         except Exception as error:  # PyYAML raises whatever a wrong date, number or tag makes it run into
-            tag = node.tag[-MOST_SHOWN:]
-            raise self._refusal(f"{where}: {node.value[:MOST_SHOWN]!r} is no {tag}: {error}") from error
+            tag = node.tag[-MAX_QUOTED:]
+            raise self._refusal(f"{where}: {node.value[:MAX_QUOTED]!r} is no {tag}: {error}") from error
         return data if isinstance(data, (str, int, float)) or data is None else str(node.value)
 
     def _pairs(self, node: yaml.MappingNode) -> dict[str, yaml.Node]:
         """Return keys and values, after those of a merge (<<), which they replace."""
-        if id(node) in self._flat:  # it stands here again, by an alias
+        if id(node) in self._flat:  # a repetition by an alias
             return self._flat[id(node)]
         self._check_keys(node)
-        self._flat[id(node)] = {}  # of a mapping that merges itself
+        self._flat[id(node)] = {}  # ends the recursion of a mapping that merges itself
         merged: dict[str, yaml.Node] = {}
         for key, child in node.value:
             if key.tag == MERGE_TAG:
-                for other in reversed(self._merged(child)):  # the first one counts
+                for other in reversed(self._merged(child)):  # the first one has priority
                     pairs = self._pairs(other)
                     self._counted(other, len(pairs))
                     merged |= pairs
@@ -134,7 +134,7 @@ class _NodeReader:
         return self._flat[id(node)]
 
     def _merged(self, node: yaml.Node) -> list[yaml.MappingNode]:
-        """Return the mappings that a merge names: one, or a list of them."""
+        """Return the mappings of a merge: one, or a list of them."""
         named: list[yaml.Node] = node.value if isinstance(node, yaml.SequenceNode) else [node]
         found = [one for one in named if isinstance(one, yaml.MappingNode)]
         if len(found) < len(named):
@@ -148,8 +148,8 @@ class _NodeReader:
             line = f"{self._path}:{key.start_mark.line + 1}"
             if not isinstance(key, yaml.ScalarNode):
                 raise self._refusal(f"{line}: a key is a word, not a list or mapping")
-            if len(key.value) > MOST_KEY:
-                raise self._refusal(f"{line}: a key of {len(key.value)} characters; at most {MOST_KEY}")
+            if len(key.value) > MAX_KEY_LENGTH:
+                raise self._refusal(f"{line}: a key of {len(key.value)} characters; at most {MAX_KEY_LENGTH}")
             if key.value in seen:
                 raise self._refusal(f"{line}: key {key.value!r} is there twice")
             seen.add(key.value)

@@ -6,7 +6,7 @@ stock and drops it. `effect` returns these as plain arrays; `usarmjx.sim.operate
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from flax import struct
@@ -14,6 +14,7 @@ from flax import struct
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.registry import Registry
+from usarmjx.base.settings import NOT_NEGATIVE
 from usarmjx.base.transforms import Vec3, mat_from_angles
 from usarmjx.models.types.robot import Mount, Part, RobotSpec
 from usarmjx.models.types.shapes import Shape
@@ -99,7 +100,7 @@ class EffecterSettings:
         weight: Weight, part of the payload [kg] (manual 11.2.2).
     """
 
-    weight: float = 0.4
+    weight: Annotated[float, NOT_NEGATIVE] = 0.4
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,11 @@
 """Effecters without moving parts: the RFID releaser and the headlight (manual 11.2, 11.5)."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
+from usarmjx.base.settings import NOT_NEGATIVE
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
 
 TAGS_REMAINING = Opcode("TagsRemaining")
@@ -21,7 +23,7 @@ class ReleaserSettings(EffecterSettings):
         num_tags: Number of tags at the start.
     """
 
-    num_tags: int = 10
+    num_tags: Annotated[int, NOT_NEGATIVE] = 10
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,11 @@
 """The roller table (manual 11.3): a row of driven rollers that convey objects along its x axis."""
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
+from usarmjx.base.settings import NOT_NEGATIVE
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
 from usarmjx.models.robots.kit import ACROSS
 from usarmjx.models.types.robot import Motor, Part
@@ -27,7 +29,7 @@ class RollerTableSettings(EffecterSettings):
         max_speed: Highest speed of the rollers in either direction [rad/s].
     """
 
-    max_speed: float = 6.0
+    max_speed: Annotated[float, NOT_NEGATIVE] = 6.0
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,8 @@ EXTENT_MARGIN = 1.0
 """Margin of an extent around the solids [m]."""
 EMPTY_EXTENT: Rectangle = ((-5.0, 5.0), (-5.0, 5.0))
 """Extent of an arena without solids."""
+MAX_COORDINATE = 1e7
+"""Largest distance from an arena's origin, and largest length [m]."""
 START_CLEARANCE = (0.45, 0.05)
 """Radius of the free circle that a start pose needs, and the highest step in it [m]."""
 PREFERRED_START_SLOPE, MAX_START_SLOPE = math.radians(2), math.radians(20)

@@ -6,7 +6,7 @@ import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.files import atomic_write
-from usarmjx.models.files.values import read_bytes
+from usarmjx.base.settings.files import read_bytes
 
 FORMATS = ("PNG", "PPM", "BMP", "JPEG", "GIF")
 """Image formats by Pillow's names (PPM: also PGM and PBM); decoders of others run external programs."""
@@ -99,7 +99,7 @@ def _read_image(path: Path, most: int) -> tuple[str, np.ndarray, str]:
     """Return an image's mode, its pixels (rows, columns[, channels]) and format; palettes become colours."""
     from PIL import Image
 
-    read_bytes(path, most=8 * most)
+    read_bytes(path, 8 * most, ArenaFileError)
     try:
         with Image.open(path, formats=FORMATS) as image:
             width, height = image.size

@@ -16,6 +16,9 @@ import yaml
 
 from usarmjx.base.errors import ArenaFileError, UnknownNameError
 from usarmjx.base.files import atomic_write
+from usarmjx.base.settings import FileValue
+from usarmjx.base.settings.files import read_bytes
+from usarmjx.base.settings.yaml_file import read_yaml
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.arenas.lanes import LANE_PREFIX, LANES
 from usarmjx.models.files.content import EMPTY_EXTENT, Content
@@ -24,7 +27,6 @@ from usarmjx.models.files.maps import is_map, occupancy_grid_content
 from usarmjx.models.files.mjcf import mjcf_content
 from usarmjx.models.files.sources import MeshFile, TerrainFile, mesh_content, terrain_content
 from usarmjx.models.files.urdf import urdf_content
-from usarmjx.models.files.values import YamlValue, read_bytes, read_yaml
 from usarmjx.models.files.yaml_file import arena_of_yaml, complete_arena
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import HeightField, Mesh
@@ -160,14 +162,16 @@ def read_arena(path: str | Path) -> tuple[ArenaSpec, tuple[str, ...]]:
     if not path.is_file():
         raise ArenaFileError(f"{path}: there is no such file")
     if path.suffix.lower() in YAML:
-        value = read_yaml(path)
+        value = read_yaml(path, ArenaFileError)
         if not is_map(value):
             return arena_of_yaml(value)
         content = occupancy_grid_content(value)
     else:
         content = READERS[path.suffix.lower()](path)
     arena = ArenaSpec(name=path.stem, starts=(), extent=EMPTY_EXTENT)
-    return complete_arena(arena, content, YamlValue(None, path, 1), set()), content.warnings
+    return complete_arena(
+        arena, content, FileValue(None, path, 1, refusal=ArenaFileError), set()
+    ), content.warnings
 
 
 def find_arena(arena: str | Path) -> ArenaSpec:
@@ -191,7 +195,7 @@ def find_arena(arena: str | Path) -> ArenaSpec:
 
 def _xml(path: Path) -> Content:
     """Read MJCF, or URDF with the suffix .xml."""
-    return urdf_content(path) if b"<robot" in read_bytes(path) else mjcf_content(path)
+    return urdf_content(path) if b"<robot" in read_bytes(path, refusal=ArenaFileError) else mjcf_content(path)
 
 
 def _mesh(path: Path) -> Content:

@@ -1,19 +1,19 @@
 """Maps of ROS' map_server as walls: an image of occupancy, and a YAML file that describes it."""
 
 from dataclasses import dataclass
-from typing import Any, Literal, cast
+from pathlib import Path
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 
+from usarmjx.base.errors import ArenaFileError
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, FileValue, Setting
+from usarmjx.base.settings.reader import Reader
 from usarmjx.base.transforms import Vec3, mat_from_angles
 from usarmjx.models.files.content import Content, Rectangle
-from usarmjx.models.files.fields import check_keys, option, read, required
 from usarmjx.models.files.images import read_grey
-from usarmjx.models.files.values import YamlValue
 from usarmjx.models.types.shapes import Shape
 
-KEYS = ["image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode", "min_blob"]
-"""Keys of a map's YAML file: those of map_server, and `min_blob`, which it ignores."""
 DEFAULT_WALL_HEIGHT = 1.2
 """Default height of walls [m]: the NIST arenas'."""
 MAX_MAP_BOXES = 2000
@@ -28,6 +28,40 @@ Unknown = Literal["free", "occupied"]
 
 Cells = tuple[int, int, int, int]
 """First row, row after the last, first column, column after the last."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapDescription:
+    """A YAML file of map_server, and `min_blob`.
+
+    Attributes:
+        image: Picture of the cells, from the file's folder.
+        resolution: Side of a cell [m].
+        origin: x and y of the outer corner of the lowest left cell, and yaw.
+        negate: Whether dark cells are free; map_server writes 0 or 1.
+        occupied_thresh: Darkness above which a cell is occupied, 1 being black.
+        free_thresh: Darkness below which a cell is free.
+        mode: Meaning of the picture's values; see `read_occupancy_grid`.
+        min_blob: Length below which groups of occupied cells are left out [m]; map_server ignores the key.
+    """
+
+    image: Path
+    resolution: Annotated[float, POSITIVE]
+    origin: tuple[float, float, Annotated[float, Setting(unit="rad")]] = (0.0, 0.0, 0.0)
+    negate: Annotated[int, Setting(ge=0, le=1)] | bool = 0
+    occupied_thresh: float = 0.65
+    free_thresh: float = 0.196
+    mode: Literal["trinary", "scale", "raw"] = "trinary"
+    min_blob: Annotated[float, NOT_NEGATIVE] = 0.0
+
+    def problem(self) -> str:
+        """Return the contradiction between the thresholds; empty: there is none."""
+        low, high = self.free_thresh, self.occupied_thresh
+        return f"free_thresh {low} is above occupied_thresh {high}" if low > high else ""
+
+
+READER = Reader(refusal=ArenaFileError, single_precision=False)
+"""Reader of map_server's files."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +83,12 @@ class OccupancyGrid:
     specks: int = 0
 
 
-def is_map(value: YamlValue) -> bool:
+def is_map(value: FileValue) -> bool:
     """Return whether a YAML file is one of map_server's."""
     return isinstance(value.data, dict) and {"image", "resolution"} <= set(value.data)
 
 
-def read_occupancy_grid(value: YamlValue, unknown: Unknown = "free") -> OccupancyGrid:
+def read_occupancy_grid(value: FileValue, unknown: Unknown = "free") -> OccupancyGrid:
     """Return the map that a YAML file of map_server describes.
 
     The modes are map_server's: `trinary` and `scale` compare the mean m of a pixel's channels as (255 - m) /
@@ -69,19 +103,10 @@ def read_occupancy_grid(value: YamlValue, unknown: Unknown = "free") -> Occupanc
     Raises:
         ArenaFileError: A wrong key or value, or an unreadable image.
     """
-    check_keys(value, KEYS)
-    image = value.path.parent / read(str, required(value, "image"), {})
-    resolution = read(float, required(value, "resolution"), {})
-    if resolution <= 0:
-        raise required(value, "resolution").error("is not above zero [m]")
-    high = option(float, value, "occupied_thresh", 0.65)
-    low = option(float, value, "free_thresh", 0.196)
-    if low > high:
-        raise value.error(f"free_thresh {low} is above occupied_thresh {high}")
-    mode = option(Literal["trinary", "scale", "raw"], value, "mode", "trinary")
-    negate = _truth(value)
-    mean, opaque = read_grey(image)
-    if negate:
+    given = READER.from_data(MapDescription, value)
+    low, high, mode = given.free_thresh, given.occupied_thresh, given.mode
+    mean, opaque = read_grey(given.image)
+    if given.negate:
         mean = 255 - mean
     if mode == "raw":
         wall, free = (mean >= 100 * high) & (mean <= LAST_RAW), mean < 100 * low
@@ -96,11 +121,8 @@ def read_occupancy_grid(value: YamlValue, unknown: Unknown = "free") -> Occupanc
             wall |= ~wall & ~free & ~lost & (graded >= GRADED_WALL_VALUE)
     if unknown == "occupied":
         wall = wall | lost
-    smallest = option(float, value, "min_blob", 0.0)
-    if not 0 <= smallest < np.inf:
-        raise value.error(f"min_blob is {smallest:g}, expected a length of 0 or more [m]")
-    wall, specks = without_specks(wall, smallest / resolution)
-    return OccupancyGrid(wall, free, resolution, option(Vec3, value, "origin", (0.0, 0.0, 0.0)), specks)
+    wall, specks = without_specks(wall, given.min_blob / given.resolution)
+    return OccupancyGrid(wall, free, given.resolution, given.origin, specks)
 
 
 def without_specks(wall: np.ndarray, smallest: float) -> tuple[np.ndarray, int]:
@@ -131,18 +153,8 @@ def without_specks(wall: np.ndarray, smallest: float) -> tuple[np.ndarray, int]:
     return wall & ~drop[label], len(small)
 
 
-def _truth(value: YamlValue) -> bool:
-    """Return `negate`, which is 0 or 1 in map_server's files."""
-    given = value.mapping().get("negate")
-    if given is None:
-        return False
-    if given.data in (0, 1):
-        return bool(given.data)
-    raise given.error(f"{given.shown} is not 0 or 1")
-
-
 def occupancy_grid_content(
-    value: YamlValue, height: float = DEFAULT_WALL_HEIGHT, unknown: Unknown = "free"
+    value: FileValue, height: float = DEFAULT_WALL_HEIGHT, unknown: Unknown = "free"
 ) -> Content:
     """Return a map as walls, `height` metres high, merged into few boxes.
 
@@ -167,7 +179,7 @@ def occupancy_grid_content(
     )
 
 
-def _nowhere(value: YamlValue, plan: OccupancyGrid) -> str:
+def _nowhere(value: FileValue, plan: OccupancyGrid) -> str:
     rows, columns = plan.wall.shape
     return (
         f"{value.path}: the map has no free cell: of {columns} x {rows}, {plan.wall.sum()} are walls and the "

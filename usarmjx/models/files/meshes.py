@@ -14,11 +14,11 @@ from typing import Any, Literal
 import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
+from usarmjx.base.settings.files import read_bytes
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.files.content import surface_of
+from usarmjx.models.files.content import MAX_COORDINATE, surface_of
 from usarmjx.models.files.mesh_check import MESH_CHECKS, check_mesh, find_corrupt_facet, mesh_error
 from usarmjx.models.files.reader_process import MeshArrays, read_mesh_objects
-from usarmjx.models.files.values import MAX_COORDINATE, read_bytes
 from usarmjx.models.types.shapes import Mesh, Shape
 
 MAX_MESH_BYTES = 64_000_000
@@ -89,7 +89,7 @@ def load_convex_pieces(
     try:
         return [*_pieces_of(path, digest, (x, y, z), hull, rays)]
     except ArenaFileError as error:
-        if suspect := find_corrupt_facet(path, read_bytes(path, MAX_MESH_BYTES)):
+        if suspect := find_corrupt_facet(path, read_bytes(path, MAX_MESH_BYTES, ArenaFileError)):
             raise ArenaFileError(f"{path} is corrupt: {suspect}") from error
         raise
 
@@ -239,7 +239,7 @@ def _checked(path: Path) -> bytes:
         raise ArenaFileError(f"{path}: meshes are {' or '.join(MESH_CHECKS)} files")
     if not path.is_file():
         raise ArenaFileError(f"{path}: there is no such mesh file")
-    data = read_bytes(path, MAX_MESH_BYTES)
+    data = read_bytes(path, MAX_MESH_BYTES, ArenaFileError)
     check_mesh(path, data)
     return hashlib.blake2b(data).digest()
 

@@ -4,9 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from usarmjx.base.errors import ArenaFileError
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
+from usarmjx.base.settings.yaml_file import read_yaml
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.files.content import Content, transform_content
 from usarmjx.models.files.images import read_heights
@@ -14,9 +16,8 @@ from usarmjx.models.files.maps import DEFAULT_WALL_HEIGHT, Unknown, occupancy_gr
 from usarmjx.models.files.meshes import NO_MESH, SeenBy, load_convex_pieces, shapes_of
 from usarmjx.models.files.mjcf import mjcf_content
 from usarmjx.models.files.urdf import urdf_content
-from usarmjx.models.files.values import read_yaml
 from usarmjx.models.types.arena import LooseObject
-from usarmjx.models.types.shapes import OPAQUE, ZERO, HeightField, Rgba, Shape
+from usarmjx.models.types.shapes import MATERIALS, OPAQUE, SURFACES, ZERO, HeightField, Rgba, Shape
 
 GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
 LOOSE_SURFACE = "loose"
@@ -33,7 +34,7 @@ class ModelFile:
     Attributes:
         file: The file, from the YAML file's folder.
         at: Position of its origin in the arena.
-        yaw: Rotation about the vertical.
+        yaw: Rotation about the vertical [rad].
         surface: Surface of its fixed solids; empty: by their form.
     """
 
@@ -50,7 +51,7 @@ class MeshFile:
     Attributes:
         file: OBJ or STL file.
         at: Position of its origin.
-        rotation: Roll, pitch, yaw.
+        rotation: Roll, pitch, yaw [rad].
         scale: Factors that convert its numbers to metres.
         surface: Surface; empty: by the form of each piece, or "loose".
         material: Material.
@@ -67,9 +68,9 @@ class MeshFile:
     rotation: Vec3 = ZERO
     scale: Scale = Scale((1.0, 1.0, 1.0))  # noqa: RUF009 - a tuple
     surface: str = ""
-    material: str = OPAQUE
+    material: Annotated[str, Setting(choices=MATERIALS)] = OPAQUE
     rgba: Rgba = GREY
-    mass: float = 0.0
+    mass: Annotated[float, NOT_NEGATIVE] = 0.0
     name: str = ""
     hull: bool = False
     rays: SeenBy = "faces"
@@ -85,19 +86,19 @@ class TerrainFile:
         size: Lengths along x and y [m].
         height: Height of white above black [m].
         at: Position of its middle, at the height of black.
-        yaw: Rotation about the vertical.
+        yaw: Rotation about the vertical [rad].
         base: Thickness of the ground below black [m].
         surface: Surface.
         rgba: Colour.
     """
 
     file: Path
-    size: tuple[float, float]
-    height: float
+    size: Annotated[tuple[float, float], POSITIVE]
+    height: Annotated[float, POSITIVE]
     at: Vec3 = ZERO
     yaw: float = 0.0
-    base: float = 0.1
-    surface: str = "ground"
+    base: Annotated[float, POSITIVE] = 0.1
+    surface: Annotated[str, Setting(choices=tuple(SURFACES))] = "ground"
     rgba: Rgba = (0.45, 0.5, 0.35, 1.0)
 
 
@@ -110,11 +111,11 @@ class MapFile:
         height: Height of the walls [m].
         unknown: Treatment of unknown cells.
         at: Position of the map's origin.
-        yaw: Rotation about the vertical.
+        yaw: Rotation about the vertical [rad].
     """
 
     file: Path
-    height: float = DEFAULT_WALL_HEIGHT
+    height: Annotated[float, POSITIVE] = DEFAULT_WALL_HEIGHT
     unknown: Unknown = "free"
     at: Vec3 = ZERO
     yaw: float = 0.0
@@ -137,8 +138,6 @@ def mesh_content(mesh: MeshFile) -> Content:
 
 def terrain_content(terrain: TerrainFile) -> Content:
     """Return a grey image as terrain."""
-    if min(*terrain.size, terrain.height, terrain.base) <= 0:
-        raise ArenaFileError(f"{terrain.file}: size, height and base of a terrain are above zero [m]")
     x, y = terrain.size
     shape = Shape(
         kind="hfield",
@@ -154,10 +153,10 @@ def terrain_content(terrain: TerrainFile) -> Content:
 
 def map_file_content(plan: MapFile) -> Content:
     """Return a map as walls."""
-    if plan.height <= 0:
-        raise ArenaFileError(f"{plan.file}: the height of its walls is above zero [m]")
     return transform_content(
-        occupancy_grid_content(read_yaml(plan.file), plan.height, plan.unknown), plan.at, plan.yaw
+        occupancy_grid_content(read_yaml(plan.file, ArenaFileError), plan.height, plan.unknown),
+        plan.at,
+        plan.yaw,
     )
 
 
@@ -166,11 +165,11 @@ def model_content(reader: Callable[[Path, str], Content], model: ModelFile) -> C
     return transform_content(reader(model.file, model.surface), model.at, model.yaw)
 
 
-SOLID_SOURCES: dict[str, tuple[type, Callable[[Any], Content]]] = {
-    "mjcf": (ModelFile, partial(model_content, mjcf_content)),
-    "urdf": (ModelFile, partial(model_content, urdf_content)),
-    "meshes": (MeshFile, mesh_content),
-    "heightfield": (TerrainFile, terrain_content),
-    "map": (MapFile, map_file_content),
+SOLID_SOURCES: dict[str, Callable[[Any], Content]] = {
+    "mjcf": partial(model_content, mjcf_content),
+    "urdf": partial(model_content, urdf_content),
+    "meshes": mesh_content,
+    "heightfield": terrain_content,
+    "map": map_file_content,
 }
-"""Keys of other files, with their dataclass and reader."""
+"""Keys of other files, with the readers of their content."""

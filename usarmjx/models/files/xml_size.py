@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from usarmjx.base.errors import ArenaFileError
+from usarmjx.base.settings.files import read_bytes
 from usarmjx.models.files.images import MAX_HEIGHTS
-from usarmjx.models.files.values import read_bytes
 
 MAX_ELEMENTS = 50_000
 """Largest number of elements in an XML file, and in a model including its repetitions and includes."""
@@ -59,7 +59,7 @@ def read_xml(path: Path, text: str | None = None) -> ElementTree.Element:
         ElementTree.ParseError: It is no XML.
     """
     parser = ElementTree.XMLParser(target=_BoundedTree(path))
-    parser.feed(read_bytes(path) if text is None else text)
+    parser.feed(read_bytes(path, refusal=ArenaFileError) if text is None else text)
     return parser.close()
 
 
@@ -138,7 +138,7 @@ class _Tally:
             if len(self._known) == MAX_FILES:
                 raise self._error(f"is made of more than {MAX_FILES} files")
             try:
-                text = _without_comments(read_bytes(path).decode("utf-8", "replace"))
+                text = _without_comments(read_bytes(path, refusal=ArenaFileError).decode("utf-8", "replace"))
                 self._known[path] = read_xml(path, text)
             except ElementTree.ParseError:
                 self._known[path] = None

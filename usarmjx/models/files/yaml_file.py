@@ -2,22 +2,33 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
-from usarmjx.base.errors import SpecError
+from usarmjx.base.errors import ArenaFileError, SpecError
+from usarmjx.base.settings import NOT_NEGATIVE, FileValue, Setting
+from usarmjx.base.settings.reader import Reader
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.files.content import EMPTY_EXTENT, Content, extent_of, free_start_pose, merge_contents
-from usarmjx.models.files.fields import check_keys, hints_of, problem, read, read_record, required
+from usarmjx.models.files.content import (
+    EMPTY_EXTENT,
+    Content,
+    Rectangle,
+    extent_of,
+    free_start_pose,
+    merge_contents,
+)
 from usarmjx.models.files.images import read_heights
-from usarmjx.models.files.meshes import checked_corners, faces_of_file, vertices_of_file
-from usarmjx.models.files.sources import SOLID_SOURCES, Scale
-from usarmjx.models.files.values import YamlValue
-from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.files.meshes import SeenBy, checked_corners, faces_of_file, vertices_of_file
+from usarmjx.models.files.rules import ARENA_RULES, arena_problem
+from usarmjx.models.files.sources import SOLID_SOURCES, MapFile, MeshFile, ModelFile, Scale, TerrainFile
+from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.shapes import HeightField, Mesh
+
+T = TypeVar("T")
 
 MAX_SOLIDS = 50_000
 """Largest number of solids and victims of an arena."""
@@ -29,25 +40,82 @@ MAX_OTHER_FILES = {
 """Largest number of files under each key that names other files."""
 
 
-def arena_of_yaml(value: YamlValue) -> tuple[ArenaSpec, tuple[str, ...]]:
+@dataclass(frozen=True, kw_only=True)
+class ArenaFile(ArenaSpec):
+    """A YAML file: an arena, and other files as sources of solids.
+
+    Attributes:
+        name: Level name; empty: the file's name.
+        starts: Start poses; without the key, one in the largest free area.
+        extent: x and y limits of the floor plan; without the key, 1 m around the solids.
+        mjcf: MJCF files.
+        urdf: URDF files.
+        meshes: OBJ and STL files.
+        heightfield: Grey images as terrain.
+        map: Maps of ROS' map_server.
+    """
+
+    name: str = ""
+    starts: tuple[StartPose, ...] = ()
+    extent: Rectangle = EMPTY_EXTENT
+    mjcf: tuple[ModelFile, ...] = ()
+    urdf: tuple[ModelFile, ...] = ()
+    meshes: tuple[MeshFile, ...] = ()
+    heightfield: tuple[TerrainFile, ...] = ()
+    map: tuple[MapFile, ...] = ()
+
+    @property
+    def arena(self) -> ArenaSpec:
+        """The arena without the content of the other files."""
+        return ArenaSpec(**{one.name: getattr(self, one.name) for one in fields(ArenaSpec)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileOfMesh:
+    """A solid's mesh with its geometry for rays.
+
+    Attributes:
+        file: OBJ or STL file.
+        rays: Its faces, or the hull.
+    """
+
+    file: Path
+    rays: SeenBy
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileOfHeights:
+    """A solid's terrain.
+
+    Attributes:
+        file: PNG file of 8 or 16 bits.
+        height: Height of white above black [m].
+    """
+
+    file: Path
+    height: Annotated[float, NOT_NEGATIVE]
+
+
+def arena_of_yaml(value: FileValue) -> tuple[ArenaSpec, tuple[str, ...]]:
     """Return the arena that a YAML file describes, and the content of its other files that is left out.
 
     Raises:
         ArenaFileError: An unknown, missing or invalid value; names file and line.
     """
-    given = value.mapping()
-    check_keys(value, [*hints_of(ArenaSpec), *SOLID_SOURCES])
     _check_number_of_files(value)
-    content = merge_contents(
-        [part for key in SOLID_SOURCES if key in given for part in _contents(key, given[key])]
-    )
-    own = replace(value, data={key: item for key, item in given.items() if key not in SOLID_SOURCES})
-    usual = {"name": value.path.stem, "starts": (), "extent": EMPTY_EXTENT}
-    arena = read_record(ArenaSpec, own, SPECIAL, **usual)
-    return complete_arena(arena, content, value, set(given)), content.warnings
+    given = value.mapping()
+    file = ARENA_READER.from_data(ArenaFile, value, defaults={"name": value.path.stem})
+    parts = [
+        _content(action, source, item)
+        for key, action in SOLID_SOURCES.items()
+        if key in given
+        for source, item in zip(getattr(file, key), _one_or_several(given[key]), strict=True)
+    ]
+    content = merge_contents(parts)
+    return complete_arena(file.arena, content, value, set(given)), content.warnings
 
 
-def _check_number_of_files(value: YamlValue) -> None:
+def _check_number_of_files(value: FileValue) -> None:
     """Refuse a file that names too many other files."""
     found: Counter[str] = Counter()
     waiting = [value]
@@ -63,7 +131,7 @@ def _check_number_of_files(value: YamlValue) -> None:
                     raise item.error(f"more than {MAX_OTHER_FILES[key]} files under {key!r} in one arena")
 
 
-def complete_arena(arena: ArenaSpec, content: Content, value: YamlValue, given: set[str]) -> ArenaSpec:
+def complete_arena(arena: ArenaSpec, content: Content, value: FileValue, given: set[str]) -> ArenaSpec:
     """Return an arena with the content of other files, and with defaults for missing fields.
 
     Args:
@@ -84,7 +152,7 @@ def complete_arena(arena: ArenaSpec, content: Content, value: YamlValue, given: 
     if "extent" not in given:
         arena = replace(arena, extent=content.extent or extent_of(shapes, loose))
     if "starts" not in given:
-        if wrong := problem(arena):
+        if wrong := arena_problem(arena):
             raise value.error(wrong)
         try:
             start = free_start_pose(arena, content.free_position)
@@ -93,75 +161,85 @@ def complete_arena(arena: ArenaSpec, content: Content, value: YamlValue, given: 
         if start is None:
             raise value.error("there is no free place for a robot to start from: give `starts`, or a floor")
         arena = replace(arena, starts=(start,))
-    if wrong := problem(arena):
+    if wrong := arena_problem(arena):
         raise value.error(wrong)
     return arena
 
 
-def _contents(key: str, value: YamlValue) -> list[Content]:
-    """Return the content of the files under a key: one, or a list of them."""
-    kind, action = SOLID_SOURCES[key]
-    contents: list[Content] = []
-    for item in value.data if isinstance(value.data, list) else [value]:
-        plain = replace(item, data={"file": item}) if isinstance(item.data, str) else item
-        content = action(read_record(kind, plain, SPECIAL))
-        for shape in (*content.shapes, *(s for loose in content.loose for s in loose.shapes)):
-            if wrong := problem(shape):
-                raise item.error(wrong)
-        contents.append(content)
-    return contents
+def _content(action: Callable[[Any], Content], source: object, value: FileValue) -> Content:
+    """Return the checked content of another file."""
+    content = action(source)
+    for shape in (*content.shapes, *(s for loose in content.loose for s in loose.shapes)):
+        try:
+            ARENA_READER.validate(shape)
+        except ArenaFileError as error:
+            raise value.error(str(error)) from None
+    return content
 
 
-def _file(value: YamlValue) -> Path:
-    path = value.path.parent / read(str, value, {})
+def _one_or_several(value: FileValue) -> list[FileValue]:
+    return value.data if isinstance(value.data, list) else [value]
+
+
+def _sources(kind: type[T], value: FileValue) -> tuple[T, ...]:
+    """Read one source of solids or a list of them, each a mapping or the name of its file alone."""
+    items = _one_or_several(value)
+    whole = [replace(one, data={"file": one}) if isinstance(one.data, str) else one for one in items]
+    return tuple(ARENA_READER.from_data(kind, one) for one in whole)
+
+
+def _file(value: FileValue) -> Path:
+    path = value.path.parent / ARENA_READER.convert(str, value)
     if not path.is_file():
         raise value.error(f"there is no file {path}")
     return path
 
 
-def _scale(value: YamlValue) -> Scale:
+def _scale(value: FileValue) -> Scale:
     if isinstance(value.data, list):
-        scale = Scale(read(Vec3, value, {}))
+        scale = Scale(ARENA_READER.convert(Vec3, value))
     else:
-        scale = Scale([read(float, value, {})] * 3)
+        scale = Scale([ARENA_READER.convert(float, value)] * 3)
     if 0.0 in scale:
         raise value.error("a scale is not zero")
     return scale
 
 
-def _mesh(value: YamlValue) -> Mesh:
+def _mesh(value: FileValue) -> Mesh:
     """Read a solid's mesh: the name of a file, a list of vertices, or a file with its faces for rays."""
     if isinstance(value.data, dict):
-        check_keys(value, ["file", "rays"])
-        if read(Literal["faces", "hull"], required(value, "rays"), {}) == "faces":
-            return faces_of_file(_file(required(value, "file")))
-        return Mesh(vertices_of_file(_file(required(value, "file"))))
+        given = ARENA_READER.from_data(FileOfMesh, value)
+        return faces_of_file(given.file) if given.rays == "faces" else Mesh(vertices_of_file(given.file))
     if isinstance(value.data, str):
         return Mesh(vertices_of_file(_file(value)))
-    corners = np.array(read(tuple[Vec3, ...], value, {})).reshape(-1, 3)
-    return Mesh(checked_corners(corners, f"{value.path}:{value.line}: {value.name}"))
+    corners = np.array(ARENA_READER.convert(tuple[Vec3, ...], value)).reshape(-1, 3)
+    return Mesh(checked_corners(corners, f"{value.place}: {value.name}"))
 
 
-def _heights(value: YamlValue) -> HeightField:
+def _heights(value: FileValue) -> HeightField:
     """Read a terrain: a file and its height, or a list of rows."""
     if isinstance(value.data, dict):
-        check_keys(value, ["file", "height"])
-        height = read(float, required(value, "height"), {})
-        if height < 0:
-            raise required(value, "height").error("is below zero [m]")
-        return HeightField(read_heights(_file(required(value, "file")), height))
-    rows = read(tuple[tuple[float, ...], ...], value, {})
+        given = ARENA_READER.from_data(FileOfHeights, value)
+        return HeightField(read_heights(given.file, given.height))
+    rows = ARENA_READER.convert(tuple[tuple[Annotated[float, HEIGHT], ...], ...], value)
     if len(rows) < 2 or len(rows[0]) < 2 or len({len(row) for row in rows}) > 1:
         raise value.error("is not a table of at least 2 x 2 heights, all rows of one length")
-    if min(map(min, rows)) < 0:
-        raise value.error("heights are not below zero [m]")
     return HeightField(np.array(rows))
 
 
-SPECIAL: Mapping[type, Callable[[YamlValue], Any]] = {
+HEIGHT = Setting(ge=0, unit="m")
+SPECIAL: Mapping[Any, Callable[[FileValue], Any]] = {
     Path: _file,
     Scale: _scale,
     Mesh: _mesh,
     HeightField: _heights,
+    **{tuple[kind, ...]: partial(_sources, kind) for kind in (ModelFile, MeshFile, TerrainFile, MapFile)},
 }
 """Readers of types with a YAML form of their own."""
+ARENA_READER = Reader(
+    special=SPECIAL,
+    rules={**ARENA_RULES, ArenaFile: arena_problem},
+    refusal=ArenaFileError,
+    single_precision=False,  # MuJoCo compiles arenas in double precision
+)
+"""Reader of arenas' files."""

@@ -2,5 +2,5 @@
 
 `robot` holds the parts and joints of a robot, `shapes` the solids of both, `arena` the contents of an arena,
 `settings` the overrides of a mount. YAML files read and write a new field without further code
-(`models.files.fields`); give it a default, or files written before it no longer load.
+(`models.files.yaml_file`); give it a default, or files written before it no longer load.
 """

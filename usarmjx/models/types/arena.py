@@ -6,7 +6,9 @@ kilograms. Solids are `types.shapes.Shape`, as robots' are.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.types.shapes import ZERO, Rgba, Shape
 
@@ -18,7 +20,7 @@ class LooseObject:
     Attributes:
         name: Unique within the arena.
         at: Initial position of its origin, in the arena's axes.
-        rotation: Roll, pitch, yaw.
+        rotation: Roll, pitch, yaw [rad].
         shapes: Its solids; together they need a mass.
     """
 
@@ -35,10 +37,10 @@ class Door:
     Attributes:
         name: Unique within the arena.
         at: Foot of the hinge, in the arena's axes.
-        yaw: Direction from the hinge along the closed door.
-        size: Width, thickness and height.
-        limits: Lowest and highest angle; 0 is closed, positive counter-clockwise seen from above.
-        mass: Mass.
+        yaw: Direction from the hinge along the closed door [rad].
+        size: Width, thickness and height [m].
+        limits: Lowest and highest angle [rad]; 0 is closed, positive counter-clockwise seen from above.
+        mass: Mass [kg].
         friction: Damping of the hinge [N m s/rad].
         rgba: Colour.
     """
@@ -46,10 +48,10 @@ class Door:
     name: str
     at: Vec3
     yaw: float = 0.0
-    size: Vec3 = (0.9, 0.04, 1.2)
+    size: Annotated[Vec3, POSITIVE] = (0.9, 0.04, 1.2)
     limits: tuple[float, float] = (-1.6, 1.6)
-    mass: float = 8.0
-    friction: float = 2.0
+    mass: Annotated[float, POSITIVE] = 8.0
+    friction: Annotated[float, NOT_NEGATIVE] = 2.0
     rgba: Rgba = (0.5, 0.35, 0.2, 1.0)
 
 
@@ -98,8 +100,8 @@ class SegmentMotion:
 
     Attributes:
         name: A bone of `victims.BONES`, as LeftArm.
-        initial: First pitch, yaw and roll on its parent bone.
-        final: Last pitch, yaw and roll.
+        initial: First pitch, yaw and roll on its parent bone [rad].
+        final: Last pitch, yaw and roll [rad].
         rates: Pitch, yaw and roll rate at `Victim.anim_timer` 1 [rad/s].
         scale: Size of the bone and of its descendants; 0 hides them.
     """
@@ -133,7 +135,7 @@ class Victim:
     Attributes:
         name: Unique within the arena.
         at: Centre of its pelvis, in the arena's axes.
-        rotation: Roll, pitch and yaw of its pelvis; all zero stands upright and looks along x.
+        rotation: Roll, pitch and yaw of its pelvis [rad]; all zero stands upright and looks along x.
         posture: A key of `victims.POSTURES`: the angles of segments without a pose of their own.
         segments: At most 8 segments with poses and motions of their own.
         anim_timer: Factor on the rates of the segments; 0 keeps them still.
@@ -160,7 +162,7 @@ class FalseAlarm:
     Attributes:
         part: A bone of `victims.BONES`.
         at: Its centre, in the arena's axes.
-        rotation: Roll, pitch, yaw.
+        rotation: Roll, pitch, yaw [rad].
         scale: Size relative to a victim's part.
     """
 
@@ -202,8 +204,12 @@ class Light:
     """
 
     at: Vec3
-    brightness: float = 1.0
+    brightness: Annotated[float, NOT_NEGATIVE] = 1.0
     rgb: Vec3 = (1.0, 1.0, 1.0)
+
+
+GpsOrigin = tuple[Annotated[float, Setting(ge=-90, le=90)], Annotated[float, Setting(ge=-180, le=180)]]
+"""Latitude and longitude [degrees]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,7 +220,7 @@ class ArenaSpec:
         name: Level name as the greeting reports it (DM-USAR_yellow).
         aliases: Short names.
         about: Description, in one sentence.
-        floor: Height of the floor in the world, z up.
+        floor: Height of the floor in the world, z up [m].
         has_floor: Whether an unbounded floor lies at height zero; without it, objects fall for ever.
         shapes: Fixed solids.
         starts: Start poses, in the order in which robots without a pose of their own take them.
@@ -245,5 +251,5 @@ class ArenaSpec:
     false_alarms: tuple[FalseAlarm, ...] = ()
     tags: tuple[Tag, ...] = ()
     lights: tuple[Light, ...] = ()
-    gps: tuple[float, float] | None = None
+    gps: GpsOrigin | None = None
     robots: tuple[str, ...] = ()

@@ -6,15 +6,16 @@ A shape lies in the axes of the description that holds it: USARSim's for robots 
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 
+from usarmjx.base.settings import NOT_NEGATIVE, SHARE, Setting
 from usarmjx.base.transforms import Vec3
 
 Position2D: TypeAlias = tuple[float, float]
 """x and y on the ground [m]."""
-Rgba: TypeAlias = tuple[float, float, float, float]
+Rgba: TypeAlias = Annotated[tuple[float, float, float, float], SHARE]
 """Red, green, blue and opacity, each from 0 to 1."""
 
 ZERO: Vec3 = (0.0, 0.0, 0.0)
@@ -191,8 +192,8 @@ class Shape:
         kind: MuJoCo geom type.
         size: MuJoCo's size numbers: half lengths of a box; radius; radius and half length.
         at: Centre, in the axes of the description that holds it.
-        rotation: Roll, pitch, yaw.
-        mass: Mass; 0 leaves the body's mass to its other shapes.
+        rotation: Roll, pitch, yaw [rad].
+        mass: Mass [kg]; 0 leaves the body's mass to its other shapes.
         surface: A key of `SURFACES`.
         tyre: Tyre parameters that modify its surface.
         material: Effect on rays; one of `MATERIALS`. Fenders are boxes.
@@ -206,10 +207,10 @@ class Shape:
     size: tuple[float, ...] = ()
     at: Vec3 = ZERO
     rotation: Vec3 = ZERO
-    mass: float = 0.0
-    surface: str = "hull"
+    mass: Annotated[float, NOT_NEGATIVE] = 0.0
+    surface: Annotated[str, Setting(choices=tuple(SURFACES))] = "hull"
     tyre: Tyre | None = None
-    material: str = OPAQUE
+    material: Annotated[str, Setting(choices=MATERIALS)] = OPAQUE
     mesh: Mesh | None = None
     heights: HeightField | None = None
     rgba: Rgba = (0.7, 0.7, 0.7, 1.0)
