@@ -168,8 +168,7 @@ def send(scene: Scene, world: World, messages: OutgoingMessages) -> Inboxes:
     mail = mailboxes(scene, world)
     # The count tells apart messages that are sent within one step.
     key = random.fold_in(episode_key(world, Stream.MAIL), mail.sent.sum())
-    moment = (world.step, clock_of(scene, world).seconds)
-    return deliver(mail_of(scene), mail, messages, _links(world), moment, key)
+    return deliver(mail_of(scene), mail, messages, _links(world), clock_of(scene, world), key)
 
 
 def _links(world: World) -> Links:

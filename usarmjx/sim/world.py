@@ -17,7 +17,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import Part, named_scope, on_numpy, set_rows, vmap, xp
 from usarmjx.base.clock import Clock
 from usarmjx.comms.links import Links
-from usarmjx.comms.mail import Inboxes
+from usarmjx.comms.mail import Inboxes, receive
 from usarmjx.engines.base import GeomPoses, Inputs, PhysicsState
 from usarmjx.models.compile.arena_set import ArenaState
 from usarmjx.models.compile.kinematic_tree import BodyPoses, forward_kinematics
@@ -422,6 +422,8 @@ def observe(
 ) -> tuple[World, tuple[tuple[Reading, ...], ...]]:
     """Read the sensors that are due; per group and sensor a reading with a leading axis over robots.
 
+    Messages under way that have arrived are in the robots' boxes afterwards.
+
     Arguments are those of `sense`.
     """
     sensor_inputs = sense(scene, world, physics, cast)
@@ -437,4 +439,6 @@ def observe(
                 memory, values = map_robots(group.suite.read, sensor_input, keys, state.memory)
         groups.append(state.replace(memory=memory))
         readings.append(values)
+    if world.mail is not None:
+        world = world.replace(mail=receive(world.mail, clock_of(scene, world)))
     return world.replace(groups=tuple(groups)), tuple(readings)
