@@ -22,7 +22,7 @@ print(sorted(names))
 
 
 def test_double_precision_of_others_changes_no_type_of_a_world():
-    """The point is a process that sets the flag first; its task has range sensors, whose rays failed to trace."""
+    """A process sets the flag first; the task has range sensors, whose rays failed to trace."""
     run = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True)
     assert run.returncode == 0, run.stderr[-2000:]
     assert "float32" in run.stdout
