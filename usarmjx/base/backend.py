@@ -70,7 +70,7 @@ def single_precision(function: Callable[Params, T]) -> Callable[Params, T]:
 
     @wraps(function)
     def run(*args: Params.args, **kwargs: Params.kwargs) -> T:
-        if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue] - defined at run time
+        if not cast(Any, jax.config).jax_enable_x64:
             return function(*args, **kwargs)
         with jax.enable_x64(False):
             return function(*args, **kwargs)

@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Callable, Iterator, MutableMapping
 from importlib import metadata
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 from usarmjx.base.checked_cache import install_checks, remove_entries_of_crashes
 from usarmjx.base.process import pool_fits_cores
@@ -181,11 +181,11 @@ def enable_cache_after_import() -> None:
 
     if complaint := enable_compilation_cache():
         logging.getLogger(__name__).warning("%s", complaint)
-    folder = os.environ.get(JAX_FOLDER)
-    if folder is None or not os.environ.get(PROGRAMS_FOLDER) or jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue] - defined at run time
+    folder, settings = os.environ.get(JAX_FOLDER), cast(Any, jax.config)
+    if folder is None or not os.environ.get(PROGRAMS_FOLDER) or settings.jax_compilation_cache_dir:
         return
-    jax.config.update("jax_compilation_cache_dir", folder)  # pyright: ignore[reportUnknownMemberType]
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # pyright: ignore[reportUnknownMemberType]
+    settings.update("jax_compilation_cache_dir", folder)
+    settings.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     compilation_cache.reset_cache()  # JAX decides at its first compilation whether there is a cache
 
 

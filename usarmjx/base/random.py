@@ -87,7 +87,8 @@ def key(seed: SupportsIndex | jax.Array) -> Any:  # noqa: ANN401 - a key of the 
     if on_numpy():
         return words
     # `jax.random.key` would cut the seed to its lower word.
-    return jax.random.wrap_key_data(words, impl="threefry2x32") if number >> 32 else jax.random.key(number)
+    wrap: Any = jax.random.wrap_key_data  # which JAX leaves half typed
+    return wrap(words, impl="threefry2x32") if number >> 32 else jax.random.key(number)
 
 
 def fold_in(of: Any, data: Any) -> Any:  # noqa: ANN401 - keys and whole numbers of the library in force

@@ -372,10 +372,13 @@ def migrate_memory(before: Suite, after: Suite, memory: SensorMemory, fresh: Sen
     own, last = (tuple(old if same_shape(old, new) else new for old, new in pair) for pair in pairs)
     both = zip(before.sensors, after.sensors, strict=True)
     changed = np.array([old.settings != new.settings for old, new in both], bool)
-    due, lead, armed = (
-        np.where(changed, getattr(fresh, name), getattr(memory, name)) for name in ("due", "lead", "armed")
+    return SensorMemory(
+        due=np.where(changed, fresh.due, memory.due),
+        lead=np.where(changed, fresh.lead, memory.lead),
+        armed=np.where(changed, fresh.armed, memory.armed),
+        own=own,
+        last=last,
     )
-    return SensorMemory(due=due, lead=lead, armed=armed, own=own, last=last)
 
 
 def _rays(sensor: Sensor, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, Array]:

@@ -62,7 +62,7 @@ class DynamicWorld(ServedWorld):
         scene = build_scene(arena, (), physics)
         self._single = SingleWorld(scene, seed, number, max_robots)
         self._origin = seed, number, max_robots
-        self._began = 0.0
+        self._began = 0
         self.arena, self.period, self.robots = scene.arena, scene.physics.period, {}
         self.programs = None if jax.default_backend() == "cpu" else PicturePrograms()
 
