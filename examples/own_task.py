@@ -52,7 +52,7 @@ class Meet(Task):
         )
 
     @staticmethod
-    def by_hand(env):
+    def baseline(env):
         """Return the baseline: `--baseline` plays it, `--set imitation_steps=200000` imitates it first."""
 
         def steer(carry, obs, key):

@@ -11,7 +11,7 @@ import pytest
 import dev
 from usarmjx.base.errors import MissingExtraError, UsageError, extra
 from usarmjx.train.envs.env import AgentGroup
-from usarmjx.train.learning.networks import LearnedPolicy, likeliest_action
+from usarmjx.train.learning.networks import LearnedPolicy, mode_action
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.policy_file import NumpyPolicy, export_run
 
@@ -127,7 +127,7 @@ def test_what_is_missing_of_ours_is_not_blamed_on_an_extra():
 def test_the_likeliest_action_is_the_mode_of_the_distribution_that_training_draws_from():
     logits = np.random.default_rng(1).normal(size=(5, 6)).astype(np.float32)
     kind = LearnedPolicy((AgentGroup("P2AT", ("R1",), 4, 3),), (8,)).distribution(0)
-    assert np.array_equal(likeliest_action(logits), kind.mode(logits))
+    assert np.array_equal(mode_action(logits), kind.mode(logits))
 
 
 def test_the_extras_that_are_named_exist():

@@ -11,7 +11,7 @@ from benchmarks.train import measure_training
 from tests.benchmarks.records import faults
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
-from usarmjx.train.learning.config import USUAL_ENGINE
+from usarmjx.train.learning.config import DEFAULT_ENGINE
 
 
 def test_a_task_is_trained_as_the_command_line_would(tmp_path):
@@ -31,7 +31,7 @@ def test_a_task_is_trained_on_the_engine_that_train_takes(task, monkeypatch, tmp
         CliRunner().invoke(app, words)
     measured, bare = (more["origin"] for more in taken)
     assert measured == bare
-    assert (measured.engine == "planar") == (task in USUAL_ENGINE)
+    assert (measured.engine == "planar") == (task in DEFAULT_ENGINE)
 
 
 def test_a_training_that_fails_says_why():

@@ -80,7 +80,7 @@ def test_a_task_of_an_installed_module_is_named_by_that(own, monkeypatch):
     [
         ("none.py:Meet", "", r"task none.py:Meet: there is no file /.*none\.py"),
         ("my_task.py:Nope", None, r"my_task.py has no 'Nope'; its tasks: Meet"),
-        ("my_task.py", None, r"say which, as my_task.py:Meet"),
+        ("my_task.py", None, r"name its class, as my_task.py:Meet"),
         ("half.py:helper", HALF, r"of type function, expected a class that extends usarmjx.*Task"),
         ("half.py:NUMBER", HALF, r"of type int, expected a class"),
         ("half.py:Half", HALF, r"cannot be made without arguments: .*abstract"),
@@ -120,8 +120,8 @@ def test_a_run_finds_its_task_again_or_says_what_is_missing(own):
         done = invoke(command, own / "run.npz")
         assert done.exit_code == 2
         assert done.stderr.splitlines()[-1] == (
-            f"usarmjx: {own}/run.npz is for the task Meet of {own}/my_task.py, which is not there; if it is "
-            "elsewhere, say so: --task FILE.py:Meet"
+            f"usarmjx: {own}/run.npz is for the task Meet of {own}/my_task.py, which does not exist; if it "
+            "has moved, add --task FILE.py:Meet"
         )
     from usarmjx.cli.policy_options import PolicyOptions
 
@@ -131,14 +131,17 @@ def test_a_run_finds_its_task_again_or_says_what_is_missing(own):
     assert (other.task, other.overrides) == ("wander", {})
 
 
-def test_what_an_own_task_has_by_hand_is_its_baseline(own):
+def test_an_own_task_brings_its_baseline(own):
     source = baseline("my_task.py:Meet")
     assert (source.name, source.task) == (full_name("my_task.py:Meet"),) * 2
     assert source.name in BASELINES
     elsewhere = own / "plain.py"
     elsewhere.write_text(EXAMPLE.read_text().partition("    @staticmethod")[0])
-    with pytest.raises(UsageError, match=r"plain.py:Meet has no policy by hand: .* by_hand\(env\)"):
+    with pytest.raises(UsageError, match=r"plain.py:Meet has no baseline: .* baseline\(env\)"):
         baseline("plain.py:Meet")
+    (own / "older.py").write_text(EXAMPLE.read_text().replace("def baseline(env)", "def by_hand(env)"))
+    with pytest.warns(DeprecationWarning, match="older.py:Meet: `by_hand` is called `baseline`"):
+        assert baseline("older.py:Meet").name in BASELINES
     done = invoke("play", "--task", "my_task.py:Meet")
     assert "no policy is packaged for my_task.py:Meet: name a run's folder" in done.stderr
 

@@ -75,13 +75,13 @@ def key(seed: SupportsIndex | jax.Array) -> Any:  # noqa: ANN401 - a key of the 
     """Return the key of a seed; different seeds have different keys.
 
     Args:
-        seed: From 0 to 2^64 - 1; an array, which may be traced, of 32 bits.
+        seed: From 0 to 2^64 - 1; an array, which may be traced, of 32 bits; or a key, which is returned.
 
     Raises:
         UsageError: Another number.
     """
     if isinstance(seed, jax.Array) and not on_numpy():
-        return jax.random.key(seed)
+        return seed if jnp.issubdtype(seed.dtype, jax.dtypes.prng_key) else jax.random.key(seed)
     number = checked_seed(seed)
     words = np.array([number >> 32, number & MASK], np.uint32)
     if on_numpy():

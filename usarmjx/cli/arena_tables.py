@@ -81,7 +81,7 @@ def obstacles_table(robot: str, tries: int) -> str:
 
 
 def _solids(arena: ArenaSpec) -> str:
-    """Return how many solids there are, and how many of them are special: 120 (2 glass, 1 terrain)."""
+    """Return the number of solids, and of the special ones: 120 (2 glass, 1 terrain)."""
     kinds: Sequence[tuple[str, int]] = [
         *((name, sum(s.material == name for s in arena.shapes)) for name in MATERIALS if name != OPAQUE),
         ("mesh", sum(shape.mesh is not None for shape in arena.shapes)),

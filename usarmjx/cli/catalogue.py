@@ -124,7 +124,7 @@ def catalogue() -> str:
 
 
 def availability(engine: str) -> str:
-    """Return where an engine runs, or why it does not here."""
+    """Return the devices of an engine here, or why it cannot run."""
     if engine == "warp" and importlib.util.find_spec("warp") is None:
         return "not installed: pip install usarmjx[cuda] (NVIDIA GPU) or usarmjx[warp] (CPU, slow)"
     where = {
@@ -218,7 +218,7 @@ def suite_with(kind: str, given: Options = ()) -> Suite:
 
 
 def describe(sensor: type[Sensor]) -> tuple[str, str]:
-    """Return what a type of sensor does, and what its value is, as its docstring tells."""
+    """Return the function of a type of sensor and its value, from its docstring."""
     first = inspect.cleandoc(sensor.__doc__ or "").split("\n\n")[0].replace("\n", " ")
     what, _, value = first.rstrip(".").partition("; value: ")
     return what, value

@@ -1,4 +1,4 @@
-"""What the commands of all sub-applications share."""
+"""Options and helpers that the commands of all sub-applications share."""
 
 import inspect
 import warnings
@@ -164,18 +164,18 @@ def read_size(text: str) -> tuple[int, int]:
 
 
 OldOutArgument = Annotated[Path | None, typer.Argument(hidden=True)]
-"""Where to write to, as it was once said: by its place."""
+"""Former positional argument of the output file."""
 
 
 def chosen_out(out: Path | None, old: Path | None) -> Path:
-    """Return where to write to.
+    """Return the path of the output.
 
     Args:
-        out: What `--out` says.
-        old: What stands at the place where it once stood; that is told.
+        out: Value of `--out`.
+        old: Value of the former positional argument, which is reported as deprecated.
 
     Raises:
-        UsageError: Neither says it, or both do.
+        UsageError: Neither or both are given.
     """
     if out is not None and old is not None:
         raise UsageError(f"{old} is too much: --out says where to write to")
@@ -188,7 +188,7 @@ def chosen_out(out: Path | None, old: Path | None) -> Path:
 
 
 def configure_from(files: list[Path] | None, uu_per_metre: float) -> None:
-    """Put the robots of ini files in force; what they say in vain goes to the standard error stream."""
+    """Apply ini files to the robots; warnings go to the standard error stream."""
     if not files:
         return
     from usarmjx.sim.configure import configure

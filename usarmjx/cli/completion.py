@@ -83,7 +83,7 @@ def _fingerprint() -> str:
 
 
 def complete_listings(incomplete: str) -> list[str]:
-    """Return what can be listed whose names begin so."""
+    """Return the listings whose names begin so."""
     return [name for name in LISTING_NAMES if name.startswith(incomplete)]
 
 

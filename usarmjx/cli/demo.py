@@ -41,9 +41,9 @@ EPISODE_STEPS = 600
 CUTOFF = -70.0
 """Signals weaker than this are not heard [dBm]; with the task's own cutoff links hold for 3 m at most."""
 LAYERS = ("Radio links",)
-"""What the page shows beside what it always does."""
+"""Layers that the page shows beside the default ones."""
 SAY_EVERY = 5.0
-"""While it compiles a line says so as often [s]."""
+"""Interval of the line about a running compilation [s]."""
 TITLE = "usarmjx demo"
 
 
@@ -62,7 +62,7 @@ class DemoGuide:
         self._told = False
 
     async def start(self) -> list[str]:
-        """Begin; there is nothing to say before robots move."""
+        """Begin; there is nothing to report before robots move."""
         return []
 
     def tick(self) -> None:
@@ -80,7 +80,7 @@ class DemoGuide:
 
 
 def guide_text(page: str, port: int, robots: Sequence[str]) -> str:
-    """Return what to do at the page, and what to try next."""
+    """Return a guide to the page, and further commands to try."""
     last = robots[-1]
     return f"""
 {len(robots)} robots explore {ARENA}, driven by the shipped policy for the task `{TASK}`: {page}
@@ -107,7 +107,7 @@ def has_display(environment: Mapping[str, str] = os.environ, platform: str = sys
 
 
 def open_page(address: str) -> None:
-    """Open a page in the user's browser; where none can be opened the address was told anyway."""
+    """Open a page in the user's browser; its address is printed already if none can be opened."""
     try:
         webbrowser.open(address)
     except (webbrowser.Error, OSError) as error:
@@ -185,7 +185,7 @@ def _free(port: int) -> int:
 
 JOB = "With --headless"
 FOLDER = Path("out")
-"""Where the headless demonstration writes to."""
+"""Folder of the headless demonstration's output."""
 SECONDS = 20.0
 """So long it drives [s]."""
 

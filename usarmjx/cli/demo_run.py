@@ -32,13 +32,13 @@ ROOT = Path(__file__).resolve().parents[2]
 CONTROLLER = ROOT / "usarmjx" / "client" / "wander.py"
 WORLDS = 4
 START_LIMIT = 120.0
-"""How long the server may take to start [s]: the first time it compiles."""
+"""Time for the server to start [s]: the first time it compiles."""
 STOP_LIMIT = 15.0
-"""How long it may take to stop [s]."""
+"""Time for it to stop [s]."""
 MIN_SPEED = 0.15
 """Average speed that a run must reach [m/s]: 3 m in 20 s."""
 OBSTACLE_MIN_HEIGHT = 0.1
-"""What is lower than this is for driving over, as ramps are [m]; a P2AT's wheel has 0.13."""
+"""Height up to which shapes are driven over, as ramps are [m]; a P2AT's wheel has 0.13."""
 TOUCH_CLEARANCE = 0.01
 """Clearance below which the hull counts as touching: the last place of GroundTruth's numbers [m]."""
 POSES_PER_REPORT = 4
@@ -48,12 +48,12 @@ SIMULATED = re.compile(r"\s*([\d.]+) s")
 
 
 class DemoError(UsarmjxError):
-    """The demonstration cannot run here; the message says why."""
+    """Reason why the demonstration cannot run here."""
 
 
 @dataclass(frozen=True)
 class RunReport:
-    """What came out of a run.
+    """Result of a run.
 
     Attributes:
         distance: Way driven [m].
@@ -279,7 +279,7 @@ def run_demo(out: Path, seconds: float = 20.0) -> int:
         Exit status: 0, or 1 when the robot touched something or hardly moved.
 
     Raises:
-        DemoError: The chain could not run; the message says why.
+        DemoError: The chain could not run; the message has the reason.
     """
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)

@@ -58,12 +58,12 @@ REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+)(?:\[[^\]]*\])?([^;]*)(?:;(.*))?")
 EXTRA = re.compile(r"extra\s*==\s*['\"]([^'\"]+)")
 USERS_EXTRAS = ("cuda", "rl", "train", "warp")
 SHOWN = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "viser")
-"""Packages whose versions are told."""
+"""Packages whose versions are listed."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found of one thing.
+    """Finding about one thing.
 
     Attributes:
         about: Which thing.
@@ -220,7 +220,7 @@ def is_free(port: int) -> bool:
 
 
 def run_checks(checks: Sequence[Check]) -> list[Finding]:
-    """Return what checks have found; one that fails is a finding itself."""
+    """Return the findings of checks; a check that fails is a finding itself."""
     found: list[Finding] = []
     for check in checks:
         try:
@@ -243,7 +243,7 @@ CHECKS: tuple[Check, ...] = (
 
 ROBOT, WORLDS, STEPS = "P2AT", 2, 60
 REPORT_LIMIT = 30.0
-"""How long a robot may take to report [s]."""
+"""Time for a robot to report [s]."""
 REINSTALL = "`pip check` may tell which packages do not fit; install usarmjx in an environment of its own"
 RADIUS, HEIGHT = 0.2, 0.1
 """Of the ball, and how far it falls [m]; in `STEPS` control steps of 10 ms it has come to rest."""
@@ -254,7 +254,7 @@ WALL_DISTANCE, SCANNER_REACH = 3.0, 0.4
 SPEED_WORLDS, SPEED_ROBOTS, SPEED_SECONDS = 4, 4, 1.0
 """Batch whose speed is measured, and for how long [s]."""
 WHEEL_SPEED, DISTANCE = 2.0, 0.05
-"""How fast the client turns the wheels [rad/s], and how far its robot goes [m]."""
+"""Commanded speed of the wheels [rad/s], and the distance that the robot covers [m]."""
 
 
 def try_c() -> Iterator[Finding]:

@@ -58,7 +58,7 @@ def teams(
 
         set_by_hand, _ = task_settings(task, {}, settings or [])
         played, seen = yardsticks.team_task(task, **set_by_hand), TeamWays()
-        chosen = list(dict.fromkeys(names or yardsticks.usual_teams(task)))
+        chosen = list(dict.fromkeys(names or yardsticks.default_teams(task)))
         watch = yardsticks.ignore if out is None else seen
         how = (seed, choose_engine(engine, "train"), chosen, _tell, watch, split)
         rows = yardsticks.measure_teams(task, worlds, *how, **set_by_hand)

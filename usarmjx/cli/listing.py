@@ -83,7 +83,7 @@ def _plain(text: str) -> str:
 
 
 def _default(parameter: Any) -> str:  # noqa: ANN401 - click's, or typer's own copy
-    """Return what a parameter is unless given, as one would type it."""
+    """Return the default of a parameter, as one would type it."""
     value = parameter.default
     if parameter.required:
         return "needed"
@@ -161,7 +161,7 @@ def show_listing(what: str, json: bool, markdown: bool) -> None:
 
 
 def _page(what: str) -> str:
-    """Return what the documents have of a listing: of some more than its table."""
+    """Return the page of a listing in the documents: of some more than its table."""
     from usarmjx.cli.arena_tables import arenas_table
     from usarmjx.cli.catalogue import robots_table, sensors_table
     from usarmjx.cli.tables import LISTINGS

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from usarmjx.train.policies.sources import PolicySource
 
 EPISODES, WORLDS = 100, 20
-"""How many episodes a policy is tried in, and in how many worlds at once, where nothing is asked for."""
+"""Default numbers of episodes and of worlds at once in an evaluation."""
 PolicyEngineOption = Annotated[
     str,
     typer.Option(
@@ -97,7 +97,7 @@ class PolicyOptions:
     def amount(
         self, source: "PolicySource", split: str | None, worlds: int | None, episodes: int | None
     ) -> tuple[int, int]:
-        """Return how many worlds, and episodes in all: those asked for, or as many in each generated arena.
+        """Return the numbers of worlds and of episodes: as given, or one share for each generated arena.
 
         Of a split that is one in each; of others so many that there are about `EPISODES` of them.
         """
@@ -109,7 +109,7 @@ class PolicyOptions:
     def env(
         self, source: "PolicySource", worlds: int, engine: str, split: str | None = None
     ) -> "tuple[Env, Policy]":
-        """Return so many worlds of the policy's task, and the policy; tell what could not be set."""
+        """Return worlds of the policy's task, and the policy; report fields that could not be set."""
         env, driver, notes = source.env(
             self.settings or (), worlds=worlds, engine=engine, seed=self.seed, split=split
         )

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from usarmjx.train.envs.state import EnvState
 
 HOST = "127.0.0.1"
-"""Where the page of a recording is."""
+"""Host of the page of a recording."""
 PAUSE = 0.01
 """Between two looks at the clock [s]."""
 RecordOption = Annotated[

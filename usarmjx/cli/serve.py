@@ -77,7 +77,7 @@ class WorldsOptions:
         return self.ini or ()
 
     def make(self, most_robots: int) -> "list[ServedWorld]":
-        """Build the worlds that are served, with room for so many robots each."""
+        """Build the worlds that are served, with room for the given number of robots each."""
         configure_from(self.ini, self.uu_per_metre)
         from usarmjx.server.worlds.make import make_worlds
 

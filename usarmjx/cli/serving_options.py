@@ -1,4 +1,4 @@
-"""What commands share that let clients and browsers into worlds: options, and what comes of them."""
+"""Options that let clients and browsers into worlds, and the servers that they make."""
 
 import contextlib
 import ipaddress
@@ -193,7 +193,7 @@ class RadioOptions:
         }
 
     def prepare(self, listen: "ListenOptions", ini: Sequence[Path]) -> ServiceMaker:
-        """Return what makes the wireless servers of a world."""
+        """Return the maker of the wireless servers of a world."""
         from usarmjx.server.wireless.comserver import check_addresses
         from usarmjx.server.wireless.net import WirelessSettings, make_wireless
 
@@ -247,7 +247,7 @@ class ImageOptions:
         return {"--image-port": self.image_port}
 
     def prepare(self, listen: "ListenOptions", ini: Sequence[Path]) -> ServiceMaker:
-        """Return what makes the image server of a world."""
+        """Return the maker of the image server of a world."""
         from usarmjx.server.pictures.image_server import SIZE, ImageServer, ImageSettings
         from usarmjx.server.protocol.images import format_number, parse_size
         from usarmjx.server.protocol.viewports import read_multi_view
@@ -312,7 +312,7 @@ class RosOptions:
         return {"--rosbridge-port": self.rosbridge_port or 0}
 
     def prepare(self, listen: "ListenOptions", ini: Sequence[Path]) -> ServiceMaker:
-        """Return what makes the service of a world."""
+        """Return the maker of the service of a world."""
         from usarmjx.server.network.web_gate import check_names
         from usarmjx.server.rosbridge.definitions import RosVersion
         from usarmjx.server.rosbridge.net import RosbridgeServer, RosSettings
@@ -372,9 +372,9 @@ def bot_settings(
     rules: "AccessRules",
     dialect: str,
 ) -> "BotServerSettings":
-    """Return how to serve a world; an option overrides what BotAPI.ini among the ini files says.
+    """Return the settings of a world's server; an option overrides BotAPI.ini among the ini files.
 
-    As a robot takes a connection, there are as many as seats at least, unless an option says otherwise.
+    As a robot takes a connection, there is at least one for each seat, unless an option sets fewer.
 
     Raises:
         UsageError: There is no such dialect.
@@ -448,7 +448,7 @@ def add_metrics(
 
 @dataclass(frozen=True, kw_only=True)
 class ListenOptions:
-    """Where clients connect, how many, and who may; each field is an option."""
+    """Options of the clients' port, their number and their addresses; each field is an option."""
 
     panel: ClassVar[str] = "Connections"
 
@@ -484,7 +484,7 @@ class ListenOptions:
 
     @cached_property
     def rules(self) -> "AccessRules":
-        """Who may connect.
+        """Access rules of clients.
 
         Raises:
             UsageError: An option is wrong, or the token is given twice.
@@ -492,7 +492,7 @@ class ListenOptions:
         return access_rules(self.allow, self.token, self.token_file, self.connections_per_address)
 
     def settings(self, ini: Sequence[Path], seats: int | None) -> "BotServerSettings":
-        """Return how to serve a world.
+        """Return the settings of a world's server.
 
         Args:
             ini: Ini files, of which BotAPI.ini says what no option says.
@@ -523,7 +523,7 @@ class ViewerOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
-    """How fast worlds run, and what is told and kept of them; each field is an option."""
+    """Options of a run: pace, limits, metrics and recording; each field is an option."""
 
     panel: ClassVar[str] = "Time, figures, recording"
 
@@ -552,7 +552,7 @@ class OpenPorts(NamedTuple):
 
 
 class Services(NamedTuple):
-    """What is served beside robots.
+    """Services beside the robots' ports.
 
     Attributes:
         makers: What makes the services of a world.

@@ -1,4 +1,4 @@
-"""What a command says while it starts and compiles, on the standard error stream, terminal or not."""
+"""Messages of a command while it starts and compiles, on the standard error stream, terminal or not."""
 
 import os
 import sys
@@ -20,9 +20,9 @@ from usarmjx.base.compilation import (
 from usarmjx.base.process import fit_pool_to_cores
 
 FIRST, INTERVAL = 3.0, 10.0
-"""After so long something is said of a compilation, and then again and again [s]."""
+"""Time after which a compilation is reported, and interval of further reports [s]."""
 GAP = 5.0
-"""What comes so soon after another compilation belongs to it [s]."""
+"""Longest pause between compilations that belong together [s]."""
 NEEDS_POOL = {"jax", "auto"}
 """The engine that deadlocks in a small pool of threads, and what stands for it in a batch on a CPU."""
 LOWERED, COMPILED = "jaxpr_to_mlir_module_duration", "backend_compile_duration"
@@ -37,7 +37,7 @@ class CompilationWatch:
     Args:
         say: Takes a line.
         at_work: Whether a thread, by number, compiles just now: what is lowered need not be compiled.
-        interval: How often it is said [s].
+        interval: Interval of reports [s]
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class CompilationWatch:
         return any(map(self._at_work, self._compiling))
 
     def look(self, now: float) -> None:
-        """Say what there is to say at a time [s]."""
+        """Report compilations that are due at a time [s]."""
         with self._lock:
             busy = self._busy()
             length = (now if busy else self._last) - self._begun
@@ -107,9 +107,9 @@ def announce(
     Args:
         text: What is begun.
         keep: Whether compilations are kept, and those of before used.
-        aloud: Whether anything is said; of several processes that do the same, one is enough.
+        aloud: Whether to report; of several processes that do the same, one is enough.
         quickly: Whether to compile without optimisation.
-        interval: How often it is said that it compiles [s].
+        interval: Interval of reports about compilation [s].
         engines: Those that may be built; without `NEEDS_POOL` JAX's pool has a thread for each core.
     """
     if "jax" in sys.modules:

@@ -1,6 +1,6 @@
-"""What there is, as tables: one form for people, pipes, documents and programs.
+"""Listings as tables: one form for people, pipes, documents and programs.
 
-`listing` says which of them is asked for.
+`listing` selects one of them.
 """
 
 import json
@@ -122,7 +122,7 @@ def tasks() -> Listing:
 
 
 def policies() -> Listing:
-    """Return the policies that come with the package: trained ones, and those written by hand."""
+    """Return the policies that come with the package: trained ones, and baselines."""
     from usarmjx.train.baselines import BASELINES
     from usarmjx.train.policies import POLICIES
     from usarmjx.train.policies.policy_file import NumpyPolicy

@@ -241,7 +241,7 @@ def _as_usual(task: str, engine: str, asked: RunSettings) -> tuple[str, RunSetti
 
 
 HOST = "127.0.0.1"
-"""Where the live page of a training is."""
+"""Host of the live page of a training."""
 app = typer.Typer()
 
 TrainSetOption = Annotated[
@@ -398,7 +398,7 @@ def train(
 
 @dataclass(frozen=True)
 class _Shown:
-    """Where a training shows itself: the options of `train` of the same names."""
+    """Views of a training: the options of `train` of the same names."""
 
     serve: bool
     port: int
@@ -526,7 +526,7 @@ def _train(
         bar: Show one.
 
     Returns:
-        What came of it, in a line.
+        The result in a line.
     """
     from usarmjx.train.learning.trainer import train as run
     from usarmjx.train.make import make
@@ -617,7 +617,7 @@ class _RecordedTraining:
 
     Args:
         path: The file.
-        every: Of so many iterations one is kept.
+        every: Interval of recorded iterations.
     """
 
     def __init__(self, path: Path, every: int) -> None:

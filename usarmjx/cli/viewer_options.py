@@ -175,7 +175,7 @@ def add_viewer(
 def viewer_settings(
     host: str, rules: "AccessRules", names: Sequence[str], control: bool = False
 ) -> "ViewerSettings":
-    """Return how to serve the live page.
+    """Return the settings of the live page's server.
 
     Args:
         host: Address to listen on.

@@ -38,7 +38,7 @@ MAX_HEIGHT = 12.0
 MARGIN = 0.04
 """Around the plan, in shares of its longer side."""
 MAX_NAMED_STARTS = 14
-"""Up to so many start poses are named in the picture; of more, only the first."""
+"""Most start poses with names in the picture; of more, only the first has one."""
 WATER, LOOSE, VICTIM, ALARM = "#9cc7dd", "#e07b39", "#c4122f", "#e58fa0"
 TAG, LAMP, DOOR, START = "#1b7f5a", "#e0b000", "#7a4a1e", "#1f5fa8"
 TITLE_COLUMNS = 96

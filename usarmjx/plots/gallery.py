@@ -176,7 +176,7 @@ def without_roof(arena: ArenaSpec) -> tuple[Shape, ...]:
 
 
 def arena_render_geoms(arena: ArenaSpec) -> RenderGeoms:
-    """Return what is seen of an arena as it is at the start.
+    """Return the view of an arena at the start.
 
     Raises:
         SpecError: The arena cannot be built.

@@ -79,7 +79,7 @@ def _radii(shape: Shape) -> np.ndarray:
 
 
 def _shadow(shape: Shape, mat: np.ndarray) -> np.ndarray:
-    """Return what such an ellipsoid, or the disc of a cylinder, covers around its centre (n, 2)."""
+    """Return the outline of such an ellipsoid, or the disc of a cylinder, around its centre (n, 2)."""
     if shape.kind == "cylinder":
         return shape.size[0] * CIRCLE @ mat[:2, :2].T
     spread = mat[:2] * _radii(shape)
@@ -99,7 +99,7 @@ def save_small(figure: Figure, path: Path, colours: int = COLOURS) -> None:
     Args:
         figure: What is drawn.
         path: Where to.
-        colours: At most so many; lines of a few colours and their edges need 16.
+        colours: Most colours; lines of a few colours and their edges need 16.
 
     Raises:
         WriteError: It cannot be written.
@@ -114,7 +114,7 @@ def save_small(figure: Figure, path: Path, colours: int = COLOURS) -> None:
 DPI = 120
 WIDTH = 11.0  # inches; the height follows from the arena's shape
 SCANNER_RANGE = 20.0
-"""What the P2AT's scanner reads where it hits nothing (captured CONF: MaxRange) [m]."""
+"""Reading of the P2AT's scanner without a hit (captured CONF: MaxRange) [m]."""
 
 ARROW = np.array([(1.0, 0.0), (-0.8, 0.7), (-0.4, 0.0), (-0.8, -0.7)])
 """Marker of the last pose, pointing forward (corners, 2)."""
@@ -136,7 +136,7 @@ STYLES: dict[str, dict[str, Any]] = {
     FENDER: {"facecolor": "#ffffff", "edgecolor": "#4c7a3f", "lw": 0.8, "hatch": "xxxx", "zorder": 2.2},
     SKY: {"visible": False},
 }
-"""How solids are drawn: ground, walls, what is overhead, and materials that are not opaque."""
+"""Styles of solids: ground, walls, overhead, and materials that are not opaque."""
 TRUTH, ODOMETRY, INS, SCAN = "#1f5fa8", "#d1622b", "#2c8a4f", "#b5179e"
 
 
@@ -164,7 +164,7 @@ def _aligned(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def scan_points(scan: Mapping[str, Any]) -> np.ndarray:
-    """Return where the beams of a logged laser scan ended, in our axes [m] (hits, 2).
+    """Return the end points of the beams of a logged laser scan, in our axes [m] (hits, 2).
 
     The first beam is the rightmost (wire yaw +fov/2), the others follow counter-clockwise. Beams
     that met nothing are left out.

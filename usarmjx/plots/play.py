@@ -34,9 +34,9 @@ PANEL_WIDTH = 3.6
 """Width of a moment's picture [inches]."""
 DPI = 90
 MAX_FRAMES = 150
-"""Of longer films, moments are left out."""
+"""Most frames of a film; of longer ones, moments are left out."""
 GIF_SPEEDUP = 2.0
-"""How much faster than in the simulation time passes in a GIF."""
+"""Speed of a GIF relative to simulated time."""
 COLOURS = ("#1f5fa8", "#d1622b", "#2c8a4f", "#b5179e", "#7a4a1e", "#0f8b8d", "#8f6bd1", "#5c5c5c")
 GOAL, LOOSE = "#c4122f", "#f2730a"
 
@@ -129,7 +129,7 @@ def record_episode(
 
 
 def positions_of(env: Env, state: EnvState) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the robots of world 0 truly are, by slot, and what lies loose there.
+    """Return the true positions of the robots of world 0, by slot, and of its loose objects.
 
     Returns:
         x, y [m] and yaw [rad] (robots, 3), and x, y [m] (objects, 2).

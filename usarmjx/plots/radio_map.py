@@ -18,13 +18,13 @@ from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.plots.picture import DPI, PAPER, WIDTH, draw_shapes
 
 ANTENNA_HEIGHT = 0.5
-"""Antennas are this high above the floor unless said otherwise [m]: about a P2AT's."""
+"""Default height of antennas above the floor [m]: about a P2AT's."""
 MARGIN = 0.5
 """The map goes this far beyond the arena's plan [m]."""
 MIN_STEP = 0.02
 """Grids have at least this between their points [m]."""
 GRID_POINTS = 300
-"""Points along the longer side of an arena, unless said otherwise."""
+"""Default number of points along the longer side of an arena."""
 COLOUR_MIN_DISTANCE = 0.5
 """Nearer to the sender than this colours change no more [m]."""
 COLOURS, CUTOFF_LINE = "viridis", "#d1622b"
@@ -123,7 +123,7 @@ def radio_picture(
         height: Height of the receiving antennas.
 
     Returns:
-        What was drawn.
+        The power map.
     """
     settings = settings or RadioSettings()
     drawn = power_map(arena, source, settings, height=height)

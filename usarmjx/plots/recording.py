@@ -31,13 +31,13 @@ from usarmjx.view.drawing import Drawing, DrawnMount, Frame
 MOST_SCANS = 400
 """So many scans are drawn at most, spread over the time."""
 NEARLY = 0.995
-"""What is nearly as far as a scanner sees has met nothing."""
+"""Share of a scanner's range beyond which a reading is no hit."""
 VICTIM_SENSOR = "VictSensor"
 
 
 @dataclass
 class RobotWay:
-    """Where a robot was, and what it had left.
+    """Track of a robot, and its remaining battery.
 
     Attributes:
         name: Its name.
@@ -76,7 +76,7 @@ class RecordedMission:
 
 
 def read_mission(recording: Recording, world: int, span: tuple[float, float]) -> RecordedMission:
-    """Return what a recording has of a world in a span of time [s].
+    """Return a world of a recording in a span of time [s].
 
     Raises:
         UsageError: There is no such world, or the file does not say where it was.
@@ -147,7 +147,7 @@ class _Reader:
 def _scan_points(
     recording: Recording, world: int, scans: list[tuple[float, int, int, np.ndarray]]
 ) -> np.ndarray:
-    """Return where beams ended, seen from above (points, 2)."""
+    """Return the end points of beams, seen from above (points, 2)."""
     source = RecordingSource(recording)
     points = [np.zeros((0, 2))]
     place = recording.worlds.index(world)
@@ -160,7 +160,7 @@ def _scan_points(
 
 
 def _ends(mount: DrawnMount, frame: Frame, value: np.ndarray) -> np.ndarray:
-    """Return where the beams of a scan ended that met something (points, 2)."""
+    """Return the end points of the beams of a scan that hit something (points, 2)."""
     settings, body = mount.settings[0], int(mount.body[0])
     ranges = np.asarray(value, float).reshape(-1)
     angle = -float(settings["scan_fov"]) / 2 + np.arange(len(ranges)) * float(settings["resolution"])
@@ -268,11 +268,11 @@ def _ffmpeg() -> str:
 
 
 FILMS: dict[str, Callable[[EpisodeRecording, Path, float], None]] = {".gif": _save_gif, ".mp4": _save_mp4}
-"""What films are written as, by the ends of files' names."""
+"""Writers of films, by the suffixes of files."""
 
 
 WIDTH = 11.0
-"""Of the figure [inches]."""
+"""Size of the figure [inches]."""
 DPI = 150
 SCAN, FOUND = "#0f8b8d", "#c4122f"
 STATION = "ComStation"
@@ -391,7 +391,7 @@ def _draw_power(figure: Figure, axes: Axes, mission: RecordedMission) -> None:
 
 
 def _travelled(way: RobotWay) -> np.ndarray:
-    """Return how far a robot had gone at each of its times [m]."""
+    """Return the distance that a robot has covered at each of its times [m]."""
     steps = np.linalg.norm(np.diff(np.array(way.poses)[:, :2], axis=0), axis=-1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 

@@ -59,7 +59,7 @@ BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 
 @dataclass(frozen=True, eq=False)
 class RenderGeoms:
-    """What can be seen.
+    """Visible geoms.
 
     Attributes:
         kind: MuJoCo types, or those of `models.build.pieces` (n,).
@@ -82,7 +82,7 @@ class RenderGeoms:
     label: np.ndarray
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of geoms."""
         return len(self.kind)
 
     def select(self, which: np.ndarray) -> "RenderGeoms":
@@ -101,7 +101,7 @@ def render_geoms_of(
     materials: Sequence[str] | None = None,
     labels: np.ndarray | None = None,
 ) -> RenderGeoms:
-    """Return what rays see of a model's geoms in their present poses; kinematics must be current.
+    """Return a model's geoms for rays in their present poses; kinematics must be current.
 
     Args:
         model: The model.
@@ -128,7 +128,7 @@ def render_geoms_of(
 
 
 def victim_geoms(table: VictimTable, floor: float) -> RenderGeoms:
-    """Return what is drawn of victims and false alarms at the start, with the floor at a height [m]."""
+    """Return the visuals of victims and false alarms at the start, with the floor at a height [m]."""
     drawn, used = drawn_bones(table), used_slots(table.part)
     place, quat = segment_poses(table, 0.0)
     turn = np.asarray(orientations(quat))[:, None]
@@ -166,7 +166,7 @@ def box_geoms(low: np.ndarray, high: np.ndarray, rgb: np.ndarray, clear: float =
 FOV_Y = math.radians(32.0)
 """Field of view across a picture's height."""
 FRAMING_MARGIN = 1.03
-"""How much farther away the eye is than where the arena fills the picture."""
+"""Factor on the distance at which the arena fills the picture."""
 
 
 def camera_rays(eye: np.ndarray, target: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -220,7 +220,7 @@ CHUNK = 65_536
 
 @dataclass(frozen=True, kw_only=True)
 class Lighting:
-    """What lights a picture, and the floor in it.
+    """Lighting of a picture, and the floor in it.
 
     Attributes:
         sun: Direction to the sun; need not be a unit vector.
@@ -240,7 +240,7 @@ DEFAULT_LIGHTING = Lighting()
 
 
 def _render_scene(solids: RenderGeoms, setting: Lighting) -> RenderScene:
-    """Return what a picture shows.
+    """Return a rendered picture.
 
     Raises:
         UnsupportedGeomError: A kind that no kernel can hit.
@@ -263,7 +263,7 @@ def _render_scene(solids: RenderGeoms, setting: Lighting) -> RenderScene:
 
 
 def lit_scene(geoms: Geoms, appearance: GeomAppearance, setting: Lighting) -> RenderScene:
-    """Return what there is to see in some light, without lamps."""
+    """Return a scene in some light, without lamps."""
     return RenderScene(
         geoms=geoms,
         appearance=appearance,

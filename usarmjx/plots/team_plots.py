@@ -16,12 +16,12 @@ from usarmjx.train.evaluation.yardsticks import QUARTERS, TeamResult
 
 COLUMNS = 3
 TEAM_WIDTH, TOP_HEIGHT, PANEL_WIDTH = 9.6, 3.2, 3.2
-"""Of the figure, of its upper panel, and of a plan [inches]."""
+"""Sizes of the figure, of its upper panel, and of a plan [inches]."""
 TEAM_DPI = 90
 
 
 class TeamWays:
-    """Where the robots of each team go in world 0: a `watch` of `measure_teams`.
+    """Tracks of each team's robots in world 0: a `watch` of `measure_teams`.
 
     Attributes:
         arena: Where world 0 is.

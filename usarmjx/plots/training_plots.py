@@ -1,4 +1,4 @@
-"""How scores rise in training, over agent steps and over time: from benchmark records and folders of runs."""
+"""Learning curves over agent steps and over time: from benchmark records and folders of runs."""
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from usarmjx.base.errors import UsageError
 from usarmjx.plots.picture import save_small
-from usarmjx.train.learning.config import fields_by_hand
+from usarmjx.train.learning.config import overridden_fields
 from usarmjx.train.learning.metrics import read_lines
 from usarmjx.train.learning.run_record import load_record
 from usarmjx.train.policies import VERSIONS
@@ -23,7 +23,7 @@ ROW_HEIGHT, WIDTH = 2.4, 9.0
 """Height of a task's panels, and the figure's width [inches]."""
 LINE_COLOURS = 4
 SHARP: dict[str, Any] = {"antialiased": False}
-"""Of lines: seeds whose edges are smoothed make a file half as large again."""
+"""Resolution of lines: seeds whose edges are smoothed make a file half as large again."""
 MILLION = 1e6
 MOST_POINTS = 100
 """More would be noise: where few worlds are, few episodes end in an iteration."""
@@ -31,7 +31,7 @@ MOST_POINTS = 100
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """How the score of one run rose.
+    """Learning curve of one run.
 
     Attributes:
         task: What was learned.
@@ -39,9 +39,9 @@ class Curve:
         steps: Agent steps so far (points,).
         seconds: Time so far [s] (points,).
         score: Mean score of the episodes that ended since the point before (points,).
-        baseline: Score of the policy written by hand; None: not known.
-        engine: Of the physics, as the run was told; empty: not known.
-        fields: What was set of the task by hand, as `advice=false`.
+        baseline: Score of the baseline; None: not known.
+        engine: Engine of the run as named; empty: not known.
+        fields: Overridden fields of the task, as `advice=false`.
         worlds: How many were in the batch.
         device: That trained; empty: not known.
     """
@@ -59,7 +59,7 @@ class Curve:
 
     @property
     def title(self) -> str:
-        """What was learned, where and how, in a few words."""
+        """Task, engine and device, in a few words."""
         task = ", ".join(filter(None, [self.task, self.fields]))
         engine = f" on {self.engine}" if self.engine else ""
         about = ", ".join(filter(None, [f"{self.worlds} worlds", self.device]))
@@ -67,14 +67,14 @@ class Curve:
 
 
 Axis = Callable[[Curve], np.ndarray]
-"""What of a curve is drawn along x (points,)."""
+"""Values of a curve along x (points,)."""
 
 
 def fields_of_record(record: Mapping[str, Any]) -> str:
-    """Return what a benchmark record says was set of the task by hand; the oldest have words for it."""
+    """Return the overridden fields of the task in a benchmark record; the oldest have words for them."""
     settings = record.get("settings", {})
     fields = settings.get("task", {}) if isinstance(settings, dict) else {}
-    return fields_by_hand(record["task"], record.get("engine", ""), fields)
+    return overridden_fields(record["task"], record.get("engine", ""), fields)
 
 
 def curve_of_record(record: dict[str, Any]) -> Curve:
@@ -124,7 +124,7 @@ def curve_of_run(folder: Path) -> Curve:
         seconds=seconds[there],
         score=score[there],
         engine=settings.engine,
-        fields=fields_by_hand(settings.task, settings.engine, settings.overrides),
+        fields=overridden_fields(settings.task, settings.engine, settings.overrides),
     )
 
 
@@ -151,7 +151,7 @@ def read_curves(source: Path) -> list[Curve]:
 def curves_by_task(curves: Iterable[Curve]) -> dict[str, list[Curve]]:
     """Return the curves that belong together, by the title of the last; of several of a seed the last one.
 
-    These are of one task, with the same fields set by hand, on one engine in as many worlds.
+    These are of one task, with the same overrides, on one engine in as many worlds.
     """
     last = {(one.task, one.fields, one.engine, one.worlds, one.seed): one for one in curves}
     found: dict[str, list[Curve]] = {}

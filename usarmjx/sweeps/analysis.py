@@ -1,4 +1,4 @@
-"""What a sweep says beside scores over its axes: differences between policies, score against connectivity."""
+"""Results of a sweep beside scores over axes: differences between policies, score against connectivity."""
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ UNLINKED = "unlinked"
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """How much better one policy is than another in the same episodes.
+    """Gain of one policy over another in the same episodes.
 
     Attributes:
         task: The task.
@@ -88,7 +88,7 @@ def paired(first: CellRecord, second: CellRecord) -> np.ndarray:
 
 
 def policy_differences(found: StoredSweep) -> list[Difference]:
-    """Return how much better policies are than each other, in episodes that begin alike."""
+    """Return the gains of policies over each other, in episodes that begin alike."""
     rows: list[Difference] = []
     for task in tasks_of(found):
         by_policy: dict[str, dict[str, CellRecord]] = {}
@@ -114,7 +114,7 @@ def policy_differences(found: StoredSweep) -> list[Difference]:
 
 
 def front_points(found: StoredSweep) -> list[FrontPoint]:
-    """Return where cells are between score and connectivity; none where the task has no radio."""
+    """Return points of cells between score and connectivity; none for tasks without radio."""
     rows: list[FrontPoint] = []
     for task in tasks_of(found):
         mine = [
@@ -201,7 +201,7 @@ def other_versions(found: StoredSweep, now: dict[str, str]) -> dict[str, Any]:
 
 
 MOST_VALUES, BINS = 12, 8
-"""A numeric axis with more values than the first is told in so many ranges, with as many cells in each."""
+"""Most values of a numeric axis before it is cut into ranges, and the number of ranges of equal counts."""
 USUAL = "as usual"
 
 
@@ -210,7 +210,7 @@ class AxisValue:
     """A value on an axis, or a range of values.
 
     Attributes:
-        text: As it is told.
+        text: Text of the value.
         place: The number, or the middle of the range; None: no number.
     """
 
@@ -242,7 +242,7 @@ class AxisRow:
 
     @property
     def cells(self) -> int:
-        """How many there are."""
+        """Number of cells."""
         return len(self.records)
 
     @cached_property

@@ -25,7 +25,7 @@ from usarmjx.train.envs.task import Policy
 from usarmjx.train.make import build_env
 
 Tick = Callable[[float], None]
-"""Is told what share of a batch is done."""
+"""Receives the share of a batch that is done."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +79,7 @@ class GroupRunner:
 
         Args:
             chosen: Which, at most as many as are played at once.
-            tick: Is told how far it is.
+            tick: Receives the progress.
 
         Raises:
             UsageError: A policy that does not fit.

@@ -1,6 +1,6 @@
 """Cells whose robots clients drive over TCP: the task's worlds are served, and a program is started for each.
 
-The clock stands until each world has a client, then it goes as fast as the cell says; so this takes as long
+The clock stands until each world has a client, then it runs at the cell's speed; so this takes as long
 as the episodes last, and no two runs are alike to the bit. Robots that no client has stand still.
 """
 

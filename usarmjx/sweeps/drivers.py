@@ -1,4 +1,4 @@
-"""What drives the robots of a cell: by hand, trained, a function of one's own, or a client over TCP."""
+"""Drivers of a cell's robots: baselines, trained policies, a user's own functions, or clients over TCP."""
 
 import hashlib
 import importlib
@@ -25,7 +25,7 @@ KINDS = ("by-hand", "run", "file", "python", "client")
 
 @dataclass(frozen=True, kw_only=True)
 class CellDriver:
-    """What drives the robots of a cell.
+    """Driver of the robots of a cell.
 
     Attributes:
         shape: What must be alike in a batch: all but the weights.
@@ -43,7 +43,7 @@ class CellDriver:
 
 
 def _said(policy: object) -> tuple[str, str, Mapping[str, Any]]:
-    """Return kind and argument of a setting `policy`, and what else it says.
+    """Return kind and argument of a setting `policy`, and its further entries.
 
     Raises:
         UsageError: It is none.
@@ -66,7 +66,7 @@ def _said(policy: object) -> tuple[str, str, Mapping[str, Any]]:
 
 
 def find_driver(policy: object, task: str) -> CellDriver:
-    """Return what a setting `policy` stands for.
+    """Return the driver that a setting `policy` names.
 
     Args:
         policy: The setting.
@@ -143,7 +143,7 @@ def _module(place: str) -> ModuleType:
 
 
 def contents(policy: object, task: str) -> str:
-    """Return what tells a policy from what was under its name before: of files a hash, else nothing.
+    """Return the hash of a policy's file, which tells it from an earlier one of that name; else nothing.
 
     Raises:
         UsageError: See `find_driver`.

@@ -21,7 +21,7 @@ CompileSpan = tuple[float, float]
 
 
 def covered(spans: Iterable[CompileSpan]) -> float:
-    """Return how long at least one of the spans lasts [s]: what is traced within a trace counts once."""
+    """Return the time covered by at least one span [s]: a trace within a trace counts once."""
     whole, until = 0.0, -float("inf")
     for begin, end in sorted(spans):
         whole += max(0.0, end - max(begin, until))
@@ -42,7 +42,7 @@ class CompileClock:
             self._spans.append((now - duration_secs, now))
 
     def taken(self) -> float:
-        """Return how long was compiled since the last call [s]."""
+        """Return the time of compilation since the last call [s]."""
         spans, self._spans = self._spans, []
         return covered(spans)
 
@@ -75,7 +75,7 @@ class BatchWork:
 
 
 ShareWatch = Callable[[float], None]
-"""Is told what share of a batch is done."""
+"""Receives the share of a batch that is done."""
 
 
 class _Kept:
@@ -157,7 +157,7 @@ def _record(work: BatchWork, place: int, one: CellEpisodes, compiling: float) ->
 
 
 def resolved(settings: CellSettings) -> Resolved:
-    """Return what settings stand for; what was asked before is known.
+    """Return resolved settings; repeated ones come from a cache.
 
     Raises:
         UsageError: See `resolve`.

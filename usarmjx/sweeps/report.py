@@ -44,7 +44,7 @@ def as_words(found: Estimate) -> str:
 
 
 def report(found: StoredSweep) -> str:
-    """Return what a sweep says, in tables."""
+    """Return the results of a sweep, in tables."""
     lines = [f"{found.name}: {found.about}" if found.about else found.name]
     failed = sum(record.failed is not None for record in found.records)
     missing = len(found.keys) - len(found.records)
@@ -123,7 +123,7 @@ def _front(found: StoredSweep) -> list[str]:
 
 
 def compare(first: StoredSweep, second: StoredSweep) -> str:
-    """Return what is different in the cells that two sweeps have in common, the largest changes first."""
+    """Return the differences in the cells that two sweeps share, the largest changes first."""
     rows, only_first, only_second = changes(first, second)
     lines = [
         f"{len(rows)} cells in both, {only_first} in the first only, {only_second} in the second only",

@@ -1,4 +1,4 @@
-"""What a cell's settings stand for: task, arenas of its episodes, ranges, driver; what of that is data."""
+"""Resolved settings of a cell: task, arenas of its episodes, ranges, driver; and which of them are data."""
 
 import hashlib
 import json
@@ -38,7 +38,7 @@ TEAMS = {"wheeled": "on wheels", "tracked": "with flippers", "flying": "that fly
 
 @dataclass(frozen=True, kw_only=True)
 class Resolved:
-    """What a cell's settings stand for.
+    """Resolved settings of a cell.
 
     Attributes:
         settings: The cell's settings.
@@ -56,7 +56,7 @@ class Resolved:
 
     @property
     def episodes(self) -> int:
-        """How many episodes it has, each in a world of its own."""
+        """Number of episodes, each in a world of its own."""
         return int(self.settings["episodes"])
 
     def arena_of(self, episode: int) -> ArenaSpec | None:
@@ -87,10 +87,10 @@ def parts_of(settings: CellSettings, name: str) -> dict[str, Any]:
 
 
 def resolve(settings: CellSettings) -> Resolved:
-    """Return what a cell's settings stand for.
+    """Return the resolved settings of a cell.
 
     Raises:
-        UsageError: Something that there is not, or that does not go together; says what does.
+        UsageError: A name that is unknown, or settings that do not go together; names them.
     """
     task = _with_fields(make_task(settings["task"]), settings)
     if "roster" in settings:
@@ -125,7 +125,7 @@ def with_roster(task: Task, roster: object) -> Task:
         roster: Robot classes and how many of each, or a list of classes.
 
     Raises:
-        UsageError: No roster, or the task has no room for such a team; says for which it has.
+        UsageError: No roster, or the task has no room for such a team; lists those it has.
     """
     if isinstance(roster, list) and all(isinstance(one, str) for one in roster):
         team = [str(one) for one in roster]
@@ -231,7 +231,7 @@ def _generated(recipe: GeneratedArenas, episodes: int, counted: bool) -> tuple[A
 
 
 def signature_of(cell: Resolved, engine: str) -> dict[str, Hashable]:
-    """Return what must be alike in a batch, by what people call it.
+    """Return the settings that all cells of a batch share, by their names.
 
     Args:
         cell: The cell.
@@ -268,7 +268,7 @@ def signature_of(cell: Resolved, engine: str) -> dict[str, Hashable]:
 
 @lru_cache(maxsize=256)
 def arena_shape(arenas: tuple[ArenaSpec, ...]) -> Hashable:
-    """Return what arenas must have in common to be data, beside the number of their boxes."""
+    """Return the facts that arenas must share to be data, beside the number of their boxes."""
     found = arena_set(arenas)
     states, template = found.states, found.template
     counts = tuple(

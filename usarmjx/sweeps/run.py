@@ -23,10 +23,10 @@ from usarmjx.train.learning.config import on_gpu
 from usarmjx.train.learning.metrics import find_wandb
 
 WORLDS_OF_C, WORLDS_ON_CPU, WORLDS_ON_GPU = 256, 1024, 8192
-"""Worlds of a batch at most if nobody says otherwise: engine `c`, and the others by what JAX runs on."""
+"""Default limit of worlds in a batch: engine `c`, and the others by JAX's device."""
 
 Signature = Mapping[str, Hashable]
-"""What must be alike in a batch, by what people call it."""
+"""Settings that all cells of a batch share, by their names."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class CellGroup:
 
 @dataclass(frozen=True, kw_only=True)
 class SweepPlan:
-    """What is played together.
+    """Cells that are played together.
 
     Attributes:
         groups: The groups.
@@ -58,11 +58,11 @@ class SweepPlan:
 
     @property
     def batches(self) -> int:
-        """How many batches there are."""
+        """Number of batches."""
         return sum(len(group.batches) for group in self.groups)
 
     def as_text(self) -> str:
-        """Return how many batches of how many cells there are, and why, in a line."""
+        """Return the numbers of batches and cells and the reason for them, in a line."""
         cells = sum(len(group.cells) for group in self.groups)
         if not self.groups:
             return "no cells to play"
@@ -113,7 +113,7 @@ def plan_batches(
 
 
 INTERVAL = 10.0
-"""So often a line is said where there is no terminal [s]."""
+"""Interval of progress lines without a terminal [s]."""
 TERMINAL_INTERVAL = 0.2
 CLEAR = "\r\033[K"
 
@@ -123,7 +123,7 @@ class SweepProgress:
 
     Args:
         cells: How many are to be played.
-        stream: Where it is said; None: nowhere.
+        stream: Stream to write to; None: none.
     """
 
     def __init__(self, cells: int, stream: TextIO | None = None) -> None:
@@ -134,7 +134,7 @@ class SweepProgress:
         self._shown = False
 
     def within(self, batch: int, share: float) -> None:
-        """Tell that a share of a batch of so many cells is played."""
+        """Report that a share of a batch of cells is played."""
         self._say(self.done + batch * min(share, 1.0))
 
     def add(self, done: int, failed: int) -> None:
@@ -153,7 +153,7 @@ class SweepProgress:
         self._shown = True
 
     def line(self, done: float, seconds: float) -> str:
-        """Return what is said after so many cells and so long [s]."""
+        """Return the line after a number of cells and seconds."""
         failed = f", {self.failed} failed" if self.failed else ""
         left = f", about {_long((self.cells - done) * seconds / done)} left" if done > 0 else ""
         return f"usarmjx: {self.done} of {self.cells} cells{failed}, {_long(seconds)}{left}"
@@ -173,16 +173,16 @@ def _long(seconds: float) -> str:
 
 
 def usual_stream() -> TextIO:
-    """Return where progress is said: the error stream, so that output stays what was asked for."""
+    """Return the stream of progress: the error stream, so that output holds the results only."""
     return sys.stderr
 
 
 Sink = Callable[[CellRecord], None]
-"""Is told of each cell that is finished or has failed."""
+"""Receives each cell that is finished or has failed."""
 
 
 def numbers_of(record: CellRecord) -> dict[str, float]:
-    """Return what is shown of a cell: mean score, means of the metrics, numbers among its settings."""
+    """Return the numbers shown of a cell: mean score, means of the metrics, numbers among its settings."""
     good = record.good
     shown = {"score": float(scores_of(record).mean())} if good else {}
     for name, values in record.metrics.items():
@@ -192,7 +192,7 @@ def numbers_of(record: CellRecord) -> dict[str, float]:
 
 
 def tensorboard_sink(folder: Path) -> Sink:
-    """Return what writes cells to TensorBoard: step k is the k-th cell that was played.
+    """Return a sink that writes cells to TensorBoard: step k is the k-th cell that was played.
 
     Raises:
         UsageError: tensorboardX is missing.
@@ -216,7 +216,7 @@ def tensorboard_sink(folder: Path) -> Sink:
 
 
 def wandb_sink(project: str, name: str) -> Sink:
-    """Return what sends cells to Weights & Biases, each as a run of one group.
+    """Return a sink that sends cells to Weights & Biases, each as a run of one group.
 
     Raises:
         UsageError: wandb is missing, or cannot begin.
@@ -243,7 +243,7 @@ KeyedSettings = tuple[str, dict[str, Any]]
 
 @dataclass(frozen=True, kw_only=True)
 class Prepared:
-    """What is to be done.
+    """Cells to play.
 
     Attributes:
         cells: Those that have no result yet.
@@ -263,7 +263,7 @@ class Prepared:
 
 
 def prepare(spec: SweepSpec, folder: Path, retry: bool = False) -> Prepared:
-    """Return what of a sweep is to be done: what is kept in its folder is not done again.
+    """Return the cells of a sweep that its folder has no results of.
 
     Args:
         spec: The sweep.
@@ -359,9 +359,9 @@ def run_sweep(
         folder: Where results are kept.
         workers: Where it is played; None: here.
         retry: Whether what has failed is done again.
-        say: Is told the plan, in lines.
-        stream: Where progress is said; None: nowhere.
-        sinks: Are told of each cell that is finished or has failed.
+        say: Receives the plan, in lines.
+        stream: Stream of progress; None: none.
+        sinks: Receive each cell that is finished or has failed.
 
     Raises:
         UsageError: No such engine or place.
@@ -420,7 +420,7 @@ def play_prepared(
 
 
 def _work(workers: Workers, progress: SweepProgress) -> Callable[[BatchWork], list[CellRecord]]:
-    """Return what plays a batch; here it tells how far it is."""
+    """Return the function that plays a batch and reports its progress."""
     if workers.place != "here":
         return play_batch
 
@@ -452,7 +452,7 @@ def sweep(
         common: CellSettings that replace those of all cells, as `engine="c"`, `episodes=5`.
 
     Raises:
-        UsageError: Something that is not allowed; says what is.
+        UsageError: A setting that is not allowed; names those that are.
         WriteError: The folder cannot be written to.
     """
     from usarmjx.sweeps.table import as_frame

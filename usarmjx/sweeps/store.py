@@ -1,4 +1,4 @@
-"""A sweep's folder: `sweep.json` says which cells it has, `cells/KEY.json` holds one finished or failed cell.
+"""A sweep's folder: `sweep.json` lists its cells, `cells/KEY.json` holds one finished or failed cell.
 
 A cell's file is written beside its place and renamed, so it is whole or not there; its name is a hash of its
 settings, so a changed sweep finds what it has in common with the one before. Both files carry a checksum; a
@@ -29,7 +29,7 @@ SWEEP_FILE, CELLS = "sweep.json", "cells"
 
 @dataclass(frozen=True, kw_only=True)
 class CellRecord:
-    """What is kept of a cell.
+    """Record of a cell.
 
     Attributes:
         key: Hash of its settings.

@@ -1,4 +1,4 @@
-"""Where batches are played: in this process, in others of this machine, or on a cluster by Ray.
+"""Workers that play batches: this process, others of this machine, or a cluster by Ray.
 
 A worker that is lost, by the system or with its machine, is replaced, and what it was doing is done again.
 """
@@ -18,7 +18,7 @@ PLACES = ("here", "processes", "ray")
 
 @dataclass(frozen=True, kw_only=True)
 class Workers:
-    """Where batches are played.
+    """Workers that play batches.
 
     Attributes:
         place: One of `PLACES`.
@@ -61,7 +61,7 @@ class Workers:
 
 
 def gpus() -> int:
-    """Return how many NVIDIA GPUs this process may use."""
+    """Return the number of NVIDIA GPUs that this process may use."""
     said = os.environ.get("CUDA_VISIBLE_DEVICES")
     if said is not None:
         return len([one for one in said.split(",") if one.strip() and one.strip() != "-1"])

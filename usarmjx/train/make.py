@@ -6,6 +6,7 @@ import importlib.util
 import math
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
@@ -28,7 +29,7 @@ def is_own(name: str) -> bool:
 
 
 def full_name(name: str) -> str:
-    """Return a task's name as it is kept: of an own one with the whole path of its file."""
+    """Return a task's name as records have it: of a user's own task with the whole path of its file."""
     place, _, found = name.rpartition(":")
     return f"{_path(place)}:{found}" if place.endswith(".py") else name
 
@@ -43,12 +44,12 @@ def same_class(one: str, other: str) -> bool:
 def find_task(name: str) -> Task:
     """Return the task of a name, with its usual settings.
 
-    An own one is made by its class without arguments. If that has a function `by_hand` that takes an `Env`
-    and returns a `Policy`, this is the task's baseline from now on.
+    A user's own one is made by its class without arguments. If that has a function `baseline` that takes an
+    `Env` and returns a `Policy`, this is the baseline from now on; so is one of the old name `by_hand`.
 
     Raises:
         UnknownNameError: No such task of the package; lists those there are.
-        UsageError: An own one without file, class or sense; says what is missing, and where its code failed.
+        UsageError: A user's own one without file or class, or with a fault; names it and its line.
     """
     if not is_own(name):
         return TASKS.get(name)
@@ -57,24 +58,30 @@ def find_task(name: str) -> Task:
         place, wanted = name, ""
     module = _module(name, place)
     if not wanted:
-        raise UsageError(f"task {name}: say which, as {name}:{next(iter(_tasks_in(module)), 'CLASS')}")
+        raise UsageError(f"task {name}: name its class, as {name}:{next(iter(_tasks_in(module)), 'CLASS')}")
     found = getattr(module, wanted, None)
     if found is None:
         tasks = ", ".join(_tasks_in(module)) or "none"
         raise UsageError(f"task {name}: {place} has no {wanted!r}; its tasks: {tasks}")
     task = _made(name, found)
-    by_hand: Callable[[Env], Policy] | None = getattr(task, "by_hand", None)
-    if by_hand is not None:
-        BASELINES.replace(full_name(name), by_hand)
+    make_baseline: Callable[[Env], Policy] | None = getattr(task, "baseline", None)
+    if make_baseline is None and (make_baseline := getattr(task, "by_hand", None)) is not None:
+        warnings.warn(
+            f"task {name}: `by_hand` is called `baseline` since 0.1; the old name goes with 0.2",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+    if make_baseline is not None:
+        BASELINES.replace(full_name(name), make_baseline)
     return task
 
 
 def find_baseline(name: str, task: str | None = None) -> str:
-    """Return the full name of a policy by hand, after importing the files of own tasks, which may have it.
+    """Return the full name of a baseline, after importing the files of users' own tasks, which may have it.
 
     Args:
-        name: Of the baseline, or of an own task that has one.
-        task: Of the task that it is tried on; None: of its own.
+        name: Name of the baseline, or of a user's own task that has one.
+        task: Name of the task to evaluate it on; None: its own.
 
     Raises:
         UnknownNameError: No such baseline; lists those there are.
@@ -84,7 +91,7 @@ def find_baseline(name: str, task: str | None = None) -> str:
         if one is not None and is_own(one):
             find_task(one)
     if is_own(name) and full_name(name) not in BASELINES:
-        raise UsageError(f"task {name} has no policy by hand: give its class a function by_hand(env)")
+        raise UsageError(f"task {name} has no baseline: give its class a function baseline(env)")
     BASELINES.get(full_name(name))
     return full_name(name)
 
@@ -93,16 +100,16 @@ def check_there(name: str, whose: str) -> None:
     """Refuse what needs a task whose file has gone.
 
     Args:
-        name: Of the task, as it was kept.
-        whose: What needs it: a run, a policy's file.
+        name: Recorded name of the task.
+        whose: Owner of the name: a run, a policy's file.
 
     Raises:
-        UsageError: Says which file is missing, and how to say where it is.
+        UsageError: Names the missing file, and the option that replaces it.
     """
     place, _, wanted = name.rpartition(":")
     if place.endswith(".py") and not _path(place).is_file():
         raise UsageError(
-            f"{whose} is for the task {wanted} of {place}, which is not there; if it is elsewhere, say so: "
+            f"{whose} is for the task {wanted} of {place}, which does not exist; if it has moved, add "
             f"--task FILE.py:{wanted}"
         )
 
@@ -145,7 +152,7 @@ def _module(name: str, place: str) -> ModuleType:
     """Return a module, imported once for each content that its file had.
 
     Raises:
-        UsageError: There is none, or importing it fails; says at which line.
+        UsageError: There is none, or importing it fails; names the line.
     """
     in_file = place.endswith(".py")
     if in_file and not _path(place).is_file():
@@ -187,18 +194,18 @@ def _fault(error: BaseException, place: str) -> str:
 
 
 def make_task(name: str, **overrides: object) -> Task:
-    """Return a task with some of its fields set otherwise.
+    """Return a task with overrides of its fields.
 
     Under other physics an action lasts as long as before, unless `repeat` is set too.
 
     Args:
-        name: Of a registered one, or of one's own: `FILE.py:CLASS`, `MODULE:CLASS`.
-        overrides: Fields of the task.
+        name: Name of a registered task, or of a user's own: `FILE.py:CLASS`, `MODULE:CLASS`.
+        overrides: Overrides of the task's fields; see `Task` and the task's own.
 
     Raises:
         UnknownNameError: No such task, or a field that it does not have; lists those there are.
-        UsageError: An own one that cannot be imported, or physics of which no number of control steps lasts
-            as long as an action; says why.
+        UsageError: A user's own one that cannot be imported, or physics with no whole number of steps
+            in an action; gives the reason.
     """
     task = find_task(name)
     known = sorted(field.name for field in fields(task))
@@ -212,7 +219,7 @@ def make_task(name: str, **overrides: object) -> Task:
 
 
 def task_values(task: Task, texts: Mapping[str, str], where: str = "--set") -> dict[str, Any]:
-    """Return fields of a task to set otherwise, for `make_task`, from texts by name.
+    """Return overrides of a task's fields, for `make_task`, from texts by name.
 
     Args:
         task: The task.
@@ -234,7 +241,7 @@ def task_values(task: Task, texts: Mapping[str, str], where: str = "--set") -> d
 
 
 def _steps_per_action(name: str, task: Task, physics: Physics) -> int:
-    """Return how many control steps of some physics last as long as an action of a task does."""
+    """Return the number of control steps of some physics that last as long as an action of a task."""
     lasts = task.repeat * task.physics_settings.period
     steps = round(lasts / physics.period)
     if not math.isclose(steps * physics.period, lasts, rel_tol=1e-6):
@@ -269,12 +276,12 @@ def make(
     """Return the environment of a task, as `make("drive-to-goal", worlds=64, engine="c", arena="maze")`.
 
     Args:
-        name: Of the task, case ignored; or of one's own, as `my_task.py:MyTask`.
-        worlds: How many.
+        name: Name of the task, case ignored; or of a user's own, as `my_task.py:MyTask`.
+        worlds: Number of worlds.
         engine: `warp`, `jax`, `c`, or `auto`.
-        seed: Of all random numbers, unless `reset` is given another.
+        seed: Seed of all random numbers, unless `reset` gets another.
         first: Number of the first world. World k is the same alone as in a batch.
-        overrides: Fields of the task to set otherwise; see `Task` and the task's own.
+        overrides: Overrides of the task's fields; see `Task` and the task's own.
 
     Raises:
         UnknownNameError: No such task, or a field that it does not have; lists those there are.

@@ -13,7 +13,7 @@ from usarmjx.base.compilation import PROGRAMS_FOLDER
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import DomainRandomization
 from usarmjx.models.robots import ROBOTS
-from usarmjx.train.envs.env import Env, program_cache_of
+from usarmjx.train.envs.env import Env, env_program_cache
 from usarmjx.train.envs.recipe import open_floor
 from usarmjx.train.make import make_task
 from usarmjx.train.tasks import TASKS
@@ -31,7 +31,7 @@ def kept(tmp_path, monkeypatch):
 
 
 def digest(task, worlds=1, engine="c", first=0):
-    return program_cache_of(task, task.scene(), worlds, engine, first).path("", "").name
+    return env_program_cache(task, task.scene(), worlds, engine, first).path("", "").name
 
 
 def play(task):
@@ -99,11 +99,11 @@ class Own(DriveToGoal):
 
 
 def test_programs_of_own_tasks_are_not_kept(kept):
-    assert program_cache_of(Own(**LIGHT), TASK.scene(), 1, "c", 0) is None
+    assert env_program_cache(Own(**LIGHT), TASK.scene(), 1, "c", 0) is None
 
 
 @pytest.mark.parametrize("name", TASKS.names())
 def test_all_that_our_tasks_are_made_of_has_a_digest(kept, name):
     small = {"arena": open_floor(starts=16)} if name in ("wander", "drive-to-goal") else {}
     task = make_task(name, **small)
-    assert program_cache_of(task, TASK.scene(), 1, "c", 0) is not None
+    assert env_program_cache(task, TASK.scene(), 1, "c", 0) is not None

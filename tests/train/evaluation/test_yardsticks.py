@@ -16,13 +16,13 @@ from usarmjx.train.evaluation.yardsticks import (
     TEAMS,
     alone,
     arenas_to_play,
+    default_teams,
     find_team,
     measure_teams,
     packaged_policy,
     random_policy,
     table,
     team_result,
-    usual_teams,
     with_perfect_radio,
 )
 from usarmjx.train.make import make_task
@@ -74,9 +74,9 @@ def test_teams_are_the_task_with_a_robot_or_a_radio_of_another_kind():
 
 
 def test_teams_without_a_policy_of_ones_own_are_those_that_can_play():
-    assert usual_teams("explore-v2") == tuple(TEAMS)
-    assert usual_teams("victim-search-v2") == tuple(TEAMS)
-    assert usual_teams("soccer") == tuple(name for name in TEAMS if name != "packaged")
+    assert default_teams("explore-v2") == tuple(TEAMS)
+    assert default_teams("victim-search-v2") == tuple(TEAMS)
+    assert default_teams("soccer") == tuple(name for name in TEAMS if name != "packaged")
     assert find_team("one") is TEAMS["one"]
     change, _ = find_team("explore")  # a packaged policy, by its own name
     task = make_task("explore-v2")

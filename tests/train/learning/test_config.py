@@ -13,10 +13,10 @@ from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.settings import RenamedSettingWarning, default_reader, describe
 from usarmjx.engines import ENGINES, choose_engine, engine_class
 from usarmjx.train.learning.config import (
+    DEFAULT_ENGINE,
+    DEFAULT_PHYSICS,
+    GPU_SETTINGS,
     HYPERPARAMETERS,
-    ON_GPU,
-    USUAL_ENGINE,
-    USUAL_PHYSICS,
     Config,
     from_record,
     on_gpu,
@@ -97,11 +97,11 @@ def test_settings_that_make_no_sense_are_refused(settings, words):
 def test_the_table_of_hyper_parameters_is_of_tasks_and_settings_that_there_are():
     for task in HYPERPARAMETERS:
         assert task in TASKS
-        for gpu, more in ((False, {}), (True, ON_GPU[task])):
+        for gpu, more in ((False, {}), (True, GPU_SETTINGS[task])):
             found, given = asdict(task_config(task, gpu=gpu)), {**HYPERPARAMETERS[task], **more}
             assert {name: found[name] for name in given} == given
     ours = {name.lower() for name, task in TASKS if type(task).__module__.startswith("usarmjx.")}
-    assert set(HYPERPARAMETERS) == ours == set(ON_GPU)
+    assert set(HYPERPARAMETERS) == ours == set(GPU_SETTINGS)
     assert task_config("Drive-To-Goal", gamma=0.5).gamma == 0.5
     assert task_config("trek") == Config()
 
@@ -183,13 +183,13 @@ def test_the_runs_of_small_tasks_that_are_told_of_were_bare_commands(task, engin
 
 
 def test_tasks_have_a_usual_engine_that_can_run_them_and_others_may_be_named():
-    for task, engine in USUAL_ENGINE.items():
+    for task, engine in DEFAULT_ENGINE.items():
         assert training_engine(task.upper(), "auto") == engine
         assert training_engine(task, "c") == "c"
         assert training_fields(task, "c") == {}
         assert task in TASKS
         assert not TASKS.get(task).needs_solver
-    assert set(USUAL_PHYSICS) <= set(USUAL_ENGINE)
+    assert set(DEFAULT_PHYSICS) <= set(DEFAULT_ENGINE)
     assert training_fields("Explore-V2", "planar") == {"physics": "coarse"}
     assert (
         training_engine("stairs", "auto") == training_engine("trek", "auto") == choose_engine("auto", "train")

@@ -17,7 +17,7 @@ from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.evaluation.evaluate import run_episodes
 from usarmjx.train.learning.checkpoint import FORMAT, Checkpoints, read_part
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.learner import JUDGING_SEED, Trainer
+from usarmjx.train.learning.learner import SCORING_SEED, Trainer
 from usarmjx.train.learning.processes import ProcessGroup
 from usarmjx.train.learning.train_state import make_networks, policy_params
 from usarmjx.train.learning.trainer import train
@@ -104,9 +104,9 @@ def test_the_best_under_a_curriculum_is_best_in_all_arenas(env, trained):
     path = checkpoints.find("1")
     learner = read_part(path, "learner", learner)
     before = jax.tree.leaves(worlds.env_state.obs)[0].copy()
-    expected = run_episodes(env, policy.as_policy(policy_params(learner)), env.worlds, JUDGING_SEED)
+    expected = run_episodes(env, policy.as_policy(policy_params(learner)), env.worlds, SCORING_SEED)
     assert checkpoints.meta(path)["score"] == pytest.approx(expected.scores.mean())
-    assert trainer.full_score(learner) == pytest.approx(expected.scores.mean())
+    assert trainer.full_difficulty_score(learner) == pytest.approx(expected.scores.mean())
     assert checkpoints.meta(path)["kind"] == "at full difficulty"
     assert_array_equal(jax.tree.leaves(worlds.env_state.obs)[0], before)
 

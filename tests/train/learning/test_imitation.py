@@ -196,7 +196,7 @@ def test_after_the_lessons_only_ppo_counts(since):
 
 def test_what_cannot_be_imitated_is_said():
     BASELINES._entries.pop("drive-toy")
-    with pytest.raises(UsageError, match=r"drive-toy has no policy by hand.*set imitate to 0.*explore"):
+    with pytest.raises(UsageError, match=r"drive-toy has no baseline.*set imitation_steps to 0.*explore"):
         trainer_of(imitation_steps=1)
     with pytest.raises(UsageError, match="imitation_steps is -1, expected a whole number from 0"):
         Config(imitation_steps=-1)

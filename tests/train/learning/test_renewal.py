@@ -81,7 +81,7 @@ def test_what_does_not_fit_is_passed_over(env):
 
 def test_worlds_have_the_later_arenas_at_their_next_reset(env):
     """With what the task knows of them, and without another compilation."""
-    library = env.renewed_arenas(3)
+    library = env.redrawn_arenas(3)
     specs = ARENAS.renewed(3)
     state = env.at_level(env.reset(), 1.0, library)
     before = env._restart_some._cache_size()
@@ -105,22 +105,29 @@ def test_worlds_have_the_later_arenas_at_their_next_reset(env):
 def test_arenas_that_are_not_renewable_stay(env):
     other = usarmjx.make("explore-v1", 4, "c", count=2, arena=replace(ARENAS, renewable=False))
     with pytest.raises(UsageError, match="explore-v1 cannot be replaced"):
-        other.renewed_arenas(1)
+        other.redrawn_arenas(1)
     for stream in (ArenaStream(other, 2, 6), ArenaStream(env, 0, 6)):
-        assert not any(stream.begins(iteration) for iteration in range(5))
+        assert not any(stream.is_refresh(iteration) for iteration in range(5))
         assert stream.arenas(4) is None
 
 
 def test_a_stream_begins_with_the_first_arenas_and_goes_on(env):
     stream = ArenaStream(env, 2, 6)
-    assert [stream.begins(iteration) for iteration in range(6)] == [False, False, True, False, True, False]
+    assert [stream.is_refresh(iteration) for iteration in range(6)] == [
+        False,
+        False,
+        True,
+        False,
+        True,
+        False,
+    ]
     assert stream.arenas(1) is None
-    assert_array_equal(stream.arenas(4).pos, env.renewed_arenas(2).pos)
-    assert_array_equal(ArenaStream(env, 2, 6).arenas(5).pos, env.renewed_arenas(2).pos)
+    assert_array_equal(stream.arenas(4).pos, env.redrawn_arenas(2).pos)
+    assert_array_equal(ArenaStream(env, 2, 6).arenas(5).pos, env.redrawn_arenas(2).pos)
 
 
 def test_other_processes_generate_the_same_arenas(env, monkeypatch):
-    expected = env.renewed_arenas(2)
+    expected = env.redrawn_arenas(2)
     stream = ArenaStream(env, 2, 6, workers=2)
 
     def nobody(arena, number, seed):
@@ -135,8 +142,8 @@ def test_other_processes_generate_the_same_arenas(env, monkeypatch):
 def test_processes_are_asked_for_two_generations_ahead(env, workers, asked):
     stream = ArenaStream(env, 2, 8, workers)
     assert stream.arenas(0) is None
-    assert set(stream._made) == asked
-    for made in stream._made.values():
+    assert set(stream._requests) == asked
+    for made in stream._requests.values():
         made.result()
 
 
@@ -150,17 +157,17 @@ def test_there_are_workers_where_cores_are_left_for_them(monkeypatch, cores, pro
 
 def test_no_arenas_are_generated_that_no_iteration_would_meet(env, monkeypatch):
     asked = []
-    monkeypatch.setattr(env, "renewed_arenas", asked.append)
+    monkeypatch.setattr(env, "redrawn_arenas", asked.append)
     stream = ArenaStream(env, 2, 5)
     for iteration in range(5):
         stream.arenas(iteration)
-    stream._maker.shutdown()
+    stream._pool.shutdown()
     assert asked == [1, 2]
 
 
 def test_a_run_trains_on_each_generation_for_its_iterations(env, trained):
     _, template = Trainer(env, CONFIG, ProcessGroup()).start()
-    expected = [env.scene.arenas.states, env.renewed_arenas(1), env.renewed_arenas(2)]
+    expected = [env.scene.arenas.states, env.redrawn_arenas(1), env.redrawn_arenas(2)]
     for iteration, path in enumerate(Checkpoints(trained).all()):
         state = read_part(path, "worlds", template).env_state
         assert_array_equal(state.batch.arenas.serial, expected[iteration // 2].serial)

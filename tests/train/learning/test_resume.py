@@ -84,7 +84,7 @@ def test_a_run_that_is_over_is_over(copy):
 def test_a_run_is_not_resumed_to_fewer_steps_than_it_has_done(copy):
     """It says so, and changes nothing, not even what is written down of its settings."""
     before = lines(copy), (copy / "config.json").read_text()
-    with pytest.raises(UsageError, match="has 24,000 agent steps behind it, more than the 12,000 that"):
+    with pytest.raises(UsageError, match="has 24,000 agent steps behind it, more than the requested 12,000"):
         run(copy, replace(CONFIG, total_steps=12_000), resume=True)
     assert (lines(copy), (copy / "config.json").read_text()) == before
 
@@ -151,7 +151,7 @@ def test_a_checkpoint_of_something_else_is_refused(copy, reference):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"gamma": 0.95}, r"started otherwise: gamma: 0.9 -> 0.95"),
+        ({"gamma": 0.95}, r"started with other settings: gamma: 0.9 -> 0.95"),
         ({"hidden_sizes": (16,)}, r"hidden_sizes: \(32, 32\) -> \(16,\)"),
     ],
 )

@@ -52,8 +52,8 @@ def test_a_teacher_acts_as_the_baseline_does_that_is_advised(name):
     view, memory, _ = list(play(hidden, way))[-1]
     loud = view.links.replace(power=jnp.full_like(view.links.power, -40.0))  # else a relay waits
     view = view.replace(world=view.world.replace(links=loud))
-    advised, seen = shown.observe(view, memory), hidden.observe(view, memory)
-    assert all(np.abs(one[:, :ADVICE]).max() > 0.1 for one in advised)
+    with_advice, seen = shown.observe(view, memory), hidden.observe(view, memory)
+    assert all(np.abs(one[:, :ADVICE]).max() > 0.1 for one in with_advice)
     assert not any(np.asarray(one[:, :ADVICE]).any() for one in seen)
 
     def batch(tree):
@@ -61,16 +61,16 @@ def test_a_teacher_acts_as_the_baseline_does_that_is_advised(name):
 
     env, open_ = worlds_of(name, hidden, 1), worlds_of(name, shown, 1)
     given = teacher_obs(env, batch(memory), batch(seen))
-    for one, other in zip(given, batch(advised), strict=True):
+    for one, other in zip(given, batch(with_advice), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-7)
     key, teacher, baseline = jax.random.key(0), teacher_of(env), BASELINES.get(name)(open_)
     _, taught = teacher.act(teacher.initial_carry(1), given, key)
-    _, expected = baseline.act(baseline.initial_carry(1), batch(advised), key)
+    _, expected = baseline.act(baseline.initial_carry(1), batch(with_advice), key)
     for one, other in zip(taught, expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6)
         assert np.abs(other).max() > 0.1
     # Where nothing is hidden it sees the arrays that the policy sees.
-    assert shown.baseline_obs(view.scene, memory, advised) is advised
+    assert shown.baseline_obs(view.scene, memory, with_advice) is with_advice
     with pytest.raises(UsageError, match=f"{name} with advice=false: its baseline drives the way"):
         BASELINES.get(name)(env)
 

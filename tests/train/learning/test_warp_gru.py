@@ -72,13 +72,15 @@ def test_threads_of_a_gpu_do_what_the_twin_does():
 
     before = np.concatenate([carry[None], after[:-1]]) * ~is_first[..., None, None]
     own, _, update = map(
-        np.asarray, networks._slopes_of_a_step(gates, jnp.asarray(before), before @ weights, bias)
+        np.asarray, networks._step_derivatives(gates, jnp.asarray(before), before @ weights, bias)
     )
     flat = [x.reshape(-1) for x in (slopes, own, update, weights, is_first.astype(np.int32))]
     blank = np.full((STEPS + 1) * rows * UNITS, np.nan, np.float32)
     back = run(native_code(BACKWARD, UNITS), warp_gru.backward_kernel(UNITS), [*flat, *sizes, blank])
     found = back[-1].reshape(STEPS + 1, WORLDS, ROBOTS, UNITS)
-    start, all_slopes = networks._slopes_in_turn(*map(jnp.asarray, (slopes, own, update, weights, is_first)))
+    start, all_slopes = networks._gradients_sequentially(
+        *map(jnp.asarray, (slopes, own, update, weights, is_first))
+    )
     close(found[0], start)
     close(found[1:], all_slopes)
 

@@ -31,7 +31,7 @@ BUTTONS = (
     ),
     (("zoom_in", "Zoom+"), ("zoom_out", "Zoom-"), ("light", "Light"), ("trace", "Trace"), ("view", "View")),
 )
-"""What stands on the buttons, row by row: SimpleUI's wheels, camera and light (manual 5.2.5.1)."""
+"""Labels of the buttons, row by row: SimpleUI's wheels, camera and light (manual 5.2.5.1)."""
 VIEW = "view"
 """The button, and the key, that show the next camera in the picture."""
 GONE = "the server has hung up; F3 connects anew"
@@ -40,7 +40,7 @@ PAD_TEXT = "F2: drive by arrows, Space, + -, I J K L, U O, H, T; Esc or the righ
 
 @dataclass
 class ConsoleOptions:
-    """What a console has beside its connection.
+    """Options of a console beside its connection.
 
     Attributes:
         load_classes: Returns the robot classes, in a thread as it may take a while; None: they are not known.
@@ -223,11 +223,11 @@ class ConsoleApp(App[str]):
         self._command.focus()
 
     async def on_key_pad_pressed(self, event: KeyPad.Pressed) -> None:
-        """Do what a key says."""
+        """Carry out the action of a key."""
         await self._press(event.action)
 
     async def on_button_pressed(self, event: Button.Pressed) -> None:
-        """Do what a button says."""
+        """Carry out the action of a button."""
         await self._press((event.button.id or "").removeprefix("do-"))
 
     async def _press(self, action: str) -> None:

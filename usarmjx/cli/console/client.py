@@ -99,10 +99,10 @@ class ConsoleClient:
         host: The server.
         port: Its port for robots.
         token: What it wants to hear first; nothing: it does not.
-        transcript: Takes all that is said; None: nobody does.
+        transcript: Record of all lines; None: none.
 
     Attributes:
-        knowledge: What its messages have told.
+        knowledge: Facts from its messages.
     """
 
     def __init__(self, host: str, port: int, token: str = "", transcript: Transcript | None = None) -> None:
@@ -138,7 +138,7 @@ class ConsoleClient:
         """Send a line.
 
         Returns:
-            What of it may be shown.
+            The line without secrets.
 
         Raises:
             UsageError: There is no connection, or a line end in the line.
@@ -161,7 +161,7 @@ class ConsoleClient:
         return shown
 
     async def messages(self) -> AsyncIterator[Received]:
-        """Yield what the server says until it hangs up."""
+        """Yield the server's lines until it hangs up."""
         lines = LineBuffer(LONGEST_LINE)
         while self._reader is not None:
             try:

@@ -77,7 +77,7 @@ def console(
 def _pictures(
     video: str | None, folder: Path | None, host: str, fps: float, token: str
 ) -> tuple[PictureStream | None, PictureFiles | None]:
-    """Return whose pictures are shown, and where they are put.
+    """Return the source of pictures and their folder.
 
     Raises:
         UsageError: No such port, or a folder without pictures.

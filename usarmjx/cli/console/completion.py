@@ -108,7 +108,7 @@ class Completer:
 
 
 def common_beginning(lines: Sequence[str]) -> str:
-    """Return what all lines begin with, case ignored and as in the first."""
+    """Return the common beginning of all lines, case ignored and as in the first."""
     count = 0
     for letters in zip(*(line.lower() for line in lines), strict=False):
         if len(set(letters)) > 1:

@@ -14,7 +14,7 @@ from usarmjx.cli.console.knowledge import Knowledge, PackageLink
 ANGLE_STEP_DEGREES = 10.0
 """So far a key turns the camera (manual 5.2.5.1) [degrees]."""
 ZOOM_FACTOR = 0.8
-"""Zooming in makes the field of view so many times as wide."""
+"""Factor on the field of view of one step of zooming in."""
 STEEP = 0.7
 """An axis counts as upright, or as lying across, if so much of it is."""
 
@@ -37,12 +37,12 @@ class CameraAim:
         self.targets: dict[tuple[str, int], float] = {}
 
     def pan(self, left: float) -> list[str]:
-        """Turn the camera so many steps to the left."""
+        """Turn the camera to the left by a number of steps."""
         # About an axis that points down (z of the wire) a positive angle turns to the right.
         return self._turn(axis=2, steps=-left)
 
     def tilt(self, up: float) -> list[str]:
-        """Turn it so many steps up."""
+        """Turn it up by a number of steps."""
         # About the wire's y, to the right, a positive angle lifts.
         return self._turn(axis=1, steps=up)
 
@@ -106,7 +106,7 @@ SLOWEST, FASTEST, SPEED_STEP = 10.0, 100.0, 10.0
 STEER_STEP = 20.0
 """By so much a key steers further [percent]."""
 TRACE_INTERVAL, TRACE_COLOR = 0.5, "Green"
-"""How often a trace has a point [s], and its colour: SimpleUI's (manual 5.2.5.1)."""
+"""Interval of a trace's points [s], and its colour: SimpleUI's (manual 5.2.5.1)."""
 BLIMPS = ("Passarola",)
 """Classes that call themselves RotaryWing and have keys of their own (manual 12.21.3)."""
 OMNI_WHEELS = (0, 1)
@@ -152,12 +152,12 @@ class KeyDriver:
         return "" if self._keys() else NO_DRIVE
 
     def steer(self, ahead: float, left: float, up: float = 0.0) -> list[str]:
-        """Drive as a stick says, each from -1 to 1 of the robot's best."""
+        """Drive by the deflections of a stick, each from -1 to 1 of the robot's best."""
         self.ahead, self.left, self.up = ahead, left, up
         return self._drive(FASTEST)
 
     def go(self, ahead: float, left: float) -> list[str]:
-        """Drive as an arrow says; a robot that steers by its wheels goes on and steers further."""
+        """Drive by an arrow key; a robot that steers by its wheels goes on and steers further."""
         if self._steers():
             self.ahead = ahead or self.ahead
             self.left = max(-1.0, min(1.0, self.left + left * STEER_STEP / 100)) if left else self.left
@@ -263,7 +263,7 @@ ACTIONS = {
     "trace": KeyDriver.toggle_trace,
     "flip": KeyDriver.flip,
 }
-"""What keys and buttons do."""
+"""Actions of keys and buttons."""
 
 
 FOLDER = Path("/dev/input")
@@ -276,11 +276,11 @@ FULL = 32767
 DEAD_ZONE = 0.15
 """A stick that is out of its middle by less rests there."""
 ROUNDED = 20
-"""Deflections are sent in so many steps: a stick that trembles sends nothing."""
+"""Steps to which deflections are rounded, so that a trembling stick sends nothing."""
 TURN_AXIS, DRIVE_AXIS, CLIMB_AXIS, PAN_AXIS, TILT_AXIS = 0, 1, 3, 6, 7
 """Numbers of the axes: the stick, the second one up and down, and the POV button."""
 BUTTONS = {0: "stop", 1: "light", 2: "zoom_in", 3: "zoom_out"}
-"""What buttons do."""
+"""Actions of a joystick's buttons."""
 
 
 def find_joystick(folder: Path = FOLDER) -> Path | None:
@@ -325,7 +325,7 @@ class JoystickDriver:
         return []
 
     def _deflection(self) -> tuple[float, float, float]:
-        """Return how far to go ahead, to the left and up, -1 to 1; axes are positive right and back."""
+        """Return the deflections ahead, to the left and up, -1 to 1; axes are positive right and back."""
         ahead, left, up = (self._axis(number) for number in (DRIVE_AXIS, TURN_AXIS, CLIMB_AXIS))
         return -ahead, -left, -up
 

@@ -1,4 +1,4 @@
-"""What the messages of a server have told of the arena and of the client's robot."""
+"""Facts about the arena and the client's robot, from the messages of a server."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -22,7 +22,7 @@ class PackageLink:
     Attributes:
         parent: Number of the link that it hangs on; -1: the chassis.
         orientation: Roll, pitch, yaw on its parent [rad].
-        limits: Lowest and highest position; None: not told, or there are none.
+        limits: Lowest and highest position; None: unknown, or there are none.
         value: Where it is [rad or m].
     """
 
@@ -34,14 +34,14 @@ class PackageLink:
 
 @dataclass
 class Knowledge:
-    """What is known so far.
+    """Facts that the server has reported.
 
     Attributes:
         level: The arena.
         starts: Start poses: location and rotation as texts, by tag.
         class_name: The robot's class.
-        robot: The robot's name, as it was said in INIT.
-        steering: How it steers, as CONF says.
+        robot: The robot's name in INIT.
+        steering: Type of its steering from CONF.
         max_rear_steer: How far its rear wheels steer [rad].
         has_robot: Whether it has reported.
         light: Whether its headlight is on.
@@ -91,7 +91,7 @@ class Knowledge:
             self.robot = message.get("Name") or self.robot
 
     def questions(self) -> list[str]:
-        """Return what to ask the server now to know more; each question once."""
+        """Return the queries that would tell more now; each only once."""
         wanted = ["GETSTARTPOSES"] if self.level else []
         if self.has_robot:
             wanted += [f"GETGEO {{Type {kind}}}" for kind in (*ASKED_TYPES, *SENSOR_TYPES, *self.items)]

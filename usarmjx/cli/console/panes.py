@@ -34,7 +34,7 @@ DRIVING_KEYS = {
     **{"i": "tilt_up", "k": "tilt_down", "j": "pan_left", "l": "pan_right", "o": "zoom_in", "u": "zoom_out"},
     **{"h": "light", "t": "trace", "f": "flip"},
 }
-"""What keys do while the pad is in use."""
+"""Actions of keys while the pad is in use."""
 
 
 class CommandLine(Input):
@@ -75,7 +75,7 @@ class CommandLine(Input):
             self._put(common)
 
     def on_input_changed(self) -> None:
-        """What was offered is for another line."""
+        """Clear the completions that were offered for another line."""
         if self.value not in (*self._offered, self._begun):
             self._offered, self._begun = [], ""
             self._offer(())
@@ -132,7 +132,7 @@ class KeyPad(Static, can_focus=True):
             self.post_message(self.Left())
 
     def on_mouse_move(self, event: events.MouseMove) -> None:
-        """Turn the camera by a step for so many characters."""
+        """Drag distance that turns the camera by a step [characters]."""
         if not self.has_focus:
             return
         if self._mouse is None:
@@ -165,7 +165,7 @@ Bar = tuple[str, str, str]
 
 
 def title(message: Message) -> str:
-    """Return what stands over a message's values: the type of sensor, or the mission package."""
+    """Return the title of a message's values: the type of sensor, or the mission package."""
     if message.kind == "SEN":
         return message.get("Type")
     return f"{message.kind} {message.get('Name')}".strip() if message.kind == "MISSTA" else message.kind
@@ -188,7 +188,7 @@ def branch(message: Message) -> Branch:
 
 
 def _free(fields: dict[str, str], key: str) -> str:
-    """Return a key that may come several times, told apart by numbers."""
+    """Return a unique key for a segment that may come several times, by numbering it."""
     count = sum(known.split(" ")[0] == key for known in fields)
     return f"{key} {count + 1}" if count else key
 
@@ -256,7 +256,7 @@ MAX_LINES = 500
 SHORT = 300
 """So much of a line is shown among all the others [characters]."""
 DIRECTIONS = {"<": "", ">": "bold cyan", "#": "yellow"}
-"""How lines look: messages, commands, remarks."""
+"""Styles of lines: messages, commands, remarks."""
 
 
 class MessagePanes(Vertical):
@@ -345,7 +345,7 @@ class SensorTree(Tree[None]):
 
 
 COLUMNS, NAME_WIDTH, NUMBER_WIDTH = 2, 6, 6
-"""Bars stand in so many columns; of names and numbers beside them so much is shown [characters]."""
+"""Number of columns of bars, and widths of their names and numbers [characters]."""
 
 
 class RangeBars(Static):

@@ -13,7 +13,7 @@ from usarmjx.cli.console.client import READ_SIZE, ConsoleClient
 
 LONGEST_SLEEP = 86400.0
 SLEEP, UNTIL = "@sleep", "@until"
-"""Lines of a script that are not sent: wait for so many seconds, or until a message begins so."""
+"""Lines of a script that are not sent: wait for seconds, or until a message begins so."""
 
 
 async def run_script(
@@ -78,7 +78,7 @@ class _Talk:
             self._news.set()
 
     async def carry_out(self, line: str, patience: float) -> None:
-        """Send a line, or do what it says."""
+        """Send a line, or carry out its wait."""
         if not line or line.startswith("#"):
             return
         word, _, rest = line.partition(" ")

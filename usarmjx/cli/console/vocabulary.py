@@ -38,7 +38,7 @@ SENSOR_TYPES = (
     *("Touch", "CO2Sensor", "HumanMotion", "Sound", "RFID", "VictSensor"),
     *("IMU", "Magnetometer", "Battery", "Lidar"),
 )
-"""Types of sensors: some of them say nothing until there is something to say."""
+"""Types of sensors; some of them report only on events."""
 JOINT_OPCODES = ("Angle", "Velocity", "Torque", "RelAngle", "RelVelocity", "RelTorque")
 SENSOR_OPCODES: dict[str, tuple[str, ...]] = {
     "odometry": ("RESET",),
@@ -51,7 +51,7 @@ SENSOR_OPCODES: dict[str, tuple[str, ...]] = {
     "camera": ("Zoom",),
     "joint": JOINT_OPCODES,
 }
-"""What SET asks of sensors and cameras, by type in lower case; of effecters CONF tells."""
+"""Opcodes of SET for sensors and cameras, by type in lower case; CONF has those of effecters."""
 ASKED_TYPES = ("Robot", "Camera", "MisPkg", "Effecter")
 """Types of GETGEO and GETCONF that are no sensors'."""
 VALUES: dict[str, tuple[str, ...]] = {
@@ -63,7 +63,7 @@ VALUES: dict[str, tuple[str, ...]] = {
     "config": ("SingleView", "QuadView"),
     "order": ("0", "1", "2"),
 }
-"""What values a key takes, in whatever command."""
+"""Values that a key takes, in any command."""
 
 
 def heads() -> list[str]:

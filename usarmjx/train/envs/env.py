@@ -29,8 +29,8 @@ from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.state import AgentGroup, EnvState, EpisodeStart, Memory, Restart, TaskState
 from usarmjx.train.envs.task import StepResult, Task, TaskView, TimeLimit
 
-WRITTEN_ALONE = 1024
-"""Of what is larger than so many numbers a world, rows are written. Of anything smaller all worlds' are
+SCATTER_MIN_SIZE = 1024
+"""Least size of a leaf per world [numbers] whose rows are scattered. Of smaller leaves all worlds' are
 written again: a GPU has one kernel for many such, and for each that writes rows one of its own."""
 
 
@@ -45,7 +45,7 @@ def make_view(scene: Scene, world: World, physics: PhysicsState) -> tuple[World,
 
 @jax.named_scope("task.observe")
 def _observe(task: Task, view: TaskView, memory: Memory) -> tuple[tuple[jax.Array, ...], jax.Array]:
-    """Return what agents and critics observe."""
+    """Return the observations of agents and critics."""
     obs = tuple(jnp.asarray(one, jnp.float32) for one in task.observe(view, memory))
     return obs, jnp.asarray(task.privileged(view, memory), jnp.float32)
 
@@ -103,10 +103,10 @@ def evaluate_step(
     Args:
         scene: The scene.
         task: The task.
-        state: How the task stood before it.
+        state: State of the task before the step.
         worlds: The worlds after it.
         physics: Their physics.
-        before: What had gone wrong until then.
+        before: Counts of faults before the step.
     """
     now = worlds.faults
     bad = (now.not_finite > before.not_finite) | (now.overflow > before.overflow)
@@ -141,16 +141,19 @@ def evaluate_step(
 
 
 @jax.named_scope("restart")
-def restart_some(scene: Scene, task: Task, together: int, now: Restart, arenas: ArenaState | None) -> Restart:
+def restart_subset(
+    scene: Scene, task: Task, together: int, now: Restart, arenas: ArenaState | None
+) -> Restart:
     """Begin an episode in the first worlds of those that are left; only they are computed.
 
     Args:
         scene: The scene.
         task: The task.
-        together: How many worlds; where fewer are left, some of the others are computed for nothing.
+        together: Number of worlds; where fewer are left, some of the others are computed for nothing.
         now: All worlds, and which are left.
         arenas: See `sim.reset.reset`.
     """
+    # Of fixed size, as compiled shapes are. Surplus rows get the index len(left): reads clip, writes drop it.
     rows = jnp.nonzero(now.left, size=together, fill_value=len(now.left))[0]
     some = jax.tree.map(lambda old: old.at[rows].get(mode="clip"), now.worlds)
     fresh, qpos = jax.vmap(partial(reset, scene, shuffle=task.shuffle), in_axes=(0, None))(some, arenas)
@@ -161,7 +164,7 @@ def restart_some(scene: Scene, task: Task, together: int, now: Restart, arenas: 
     place = jnp.full(now.left.shape, together).at[rows].set(jnp.arange(together), mode="drop")
 
     def put(old: jax.Array, new: jax.Array) -> jax.Array:
-        if old[0].size > WRITTEN_ALONE:
+        if old[0].size > SCATTER_MIN_SIZE:
             return old.at[rows].set(new, mode="drop")
         return select_worlds(place < together, new.at[place].get(mode="clip"), old)
 
@@ -174,7 +177,7 @@ def restart_some(scene: Scene, task: Task, together: int, now: Restart, arenas: 
 
 
 def restart_batch_size(worlds: int, episode_steps: int) -> int:
-    """Return how many worlds begin an episode at once; where more are done, one such batch follows another.
+    """Return the number of worlds that begin an episode at once; further ones follow in another such batch.
 
     As many as end with a step if their ends are spread and episodes last half their time, and three standard
     deviations more (Poisson's).
@@ -187,7 +190,7 @@ def restart_batch_size(worlds: int, episode_steps: int) -> int:
     return min(worlds, math.ceil(ends + 3 * math.sqrt(ends)))
 
 
-def program_cache_of(task: Task, scene: Scene, worlds: int, engine: str, first: int) -> ProgramCache | None:
+def env_program_cache(task: Task, scene: Scene, worlds: int, engine: str, first: int) -> ProgramCache | None:
     """Return an environment's program cache, see `open_program_cache`; arguments as for `Env`."""
     if choose_engine(engine, "batch") == "warp":
         return None  # MuJoCo Warp's launches mean nothing to another process
@@ -200,7 +203,7 @@ class EnvBatch(Batch):
     """A batch whose programs are kept with those of its environment; arguments are those of `Batch`.
 
     Args:
-        program_cache: Of programs; its digest covers all that the batch is made from.
+        program_cache: Cache of programs; its digest covers all arguments of the batch.
     """
 
     def __init__(self, program_cache: ProgramCache | None, *args: Any, **settings: Any) -> None:  # noqa: ANN401
@@ -214,20 +217,20 @@ class Env:
 
     Args:
         task: The task.
-        worlds: How many.
+        worlds: Number of worlds.
         engine: `warp`, `jax`, `c`, or `auto`.
-        seed: Of all random numbers, unless `reset` is given another.
+        seed: Seed of all random numbers, unless `reset` gets another.
         first: Number of the first world. World k is the same alone as in a batch.
 
     Attributes:
-        name: Of the task.
+        name: Name of the task.
         groups: The agents.
         privileged_size: Numbers that only critics see.
         episode_steps: Steps after which the time is up.
         period: Simulated time of a step [s].
         levels: Difficulties of its generated arenas, from easy to hard; empty: they are not generated.
-        program_cache: Of its programs, where such are kept from one start to the next.
-        renewable: Whether its arenas can be replaced by other generated ones, see `renewed_arenas`.
+        program_cache: Cache of its programs, if they are kept from one start to the next.
+        renewable: Whether its arenas can be replaced by other generated ones, see `redrawn_arenas`.
         traceable: Whether `step` may be traced (jit, scan); else it is called step by step, its inner
             parts compiled.
 
@@ -253,7 +256,7 @@ class Env:
             )
         self.scene = task.scene()
         enable_cache_after_import()
-        self.program_cache = program_cache_of(task, self.scene, worlds, engine, first)
+        self.program_cache = env_program_cache(task, self.scene, worlds, engine, first)
         settings = {"engine": engine, "seed": seed, "first": first, "shuffle": task.shuffle}
         self.batch = EnvBatch(self.program_cache, self.scene, worlds, **settings)
         self.worlds, self.traceable = worlds, self.batch.engine.traceable
@@ -268,7 +271,7 @@ class Env:
         self._evaluate = self._compile(partial(evaluate_step, self.scene, task))
         self._blank = self._compile(self._blank_state)
         together = restart_batch_size(worlds, task.episode_steps)
-        self._restart_some = self._compile(partial(restart_some, self.scene, task, together))
+        self._restart_some = self._compile(partial(restart_subset, self.scene, task, together))
         self._library = self._compile(self._library_at)
         self._step_program, self._restart = self._step, self._restart_where
         if self.traceable:
@@ -330,8 +333,8 @@ class Env:
         """Return all worlds at the start of their first episode.
 
         Args:
-            seed: Of all random numbers; None: the environment's own.
-            level: How difficult the generated arenas in play are, from 0 to 1; see `at_level`.
+            seed: Seed of all random numbers; None: the environment's own.
+            level: Difficulty of the generated arenas in play, from 0 to 1; see `at_level`.
             mixed: Whether worlds go through generated arenas with one of each level in turn, until they are
                 replaced; else they meet all easy ones first.
 
@@ -350,8 +353,8 @@ class Env:
         return self._begin(self._blank(key, level_now, arenas))
 
     @property
-    def has_whole_rounds(self) -> bool:
-        """Whether as many worlds begin in each of its generated arenas."""
+    def is_evenly_spread(self) -> bool:
+        """Whether equal numbers of worlds begin in each of its generated arenas."""
         return self._generated is None or self.worlds % self._generated.total == 0
 
     def reset_each(
@@ -366,9 +369,10 @@ class Env:
         arenas.
 
         Args:
-            keys: Of all random numbers, one for each world (worlds,).
+            keys: Random keys of the worlds (worlds,).
             arenas: Theirs, of the shapes of the scene's (worlds, ...); None: the scene's, in turn.
-            ranges: What the worlds draw from, by names of quantities that the task varies (worlds, 2).
+            ranges: Ranges of the worlds' random values, by names of quantities that the task varies (worlds,
+                2).
         """
         level = jnp.float32(1.0)
         arenas = self._arenas(level) if arenas is None else arenas
@@ -417,13 +421,13 @@ class Env:
             level=level,
         )
 
-    def renewed_arenas(self, generation: int) -> ArenaState:
-        """Return other generated arenas in place of all, for `at_level` (arenas, ...); NumPy arrays.
+    def redrawn_arenas(self, generation: int) -> ArenaState:
+        """Return newly generated arenas in place of all, for `at_level` (arenas, ...); NumPy arrays.
 
-        They are the same whenever the same generation is asked for.
+        A generation always has the same ones.
 
         Args:
-            generation: How often they are replaced then, from 1.
+            generation: Number of the replacement, from 1.
 
         Raises:
             UsageError: Its arenas cannot be replaced, or nothing fits into their places.
@@ -446,7 +450,7 @@ class Env:
         Args:
             state: The state.
             level: From 0 to 1.
-            library: What `renewed_arenas` returned; None: the arenas of the beginning.
+            library: Result of `redrawn_arenas`; None: the arenas of the beginning.
         """
         level = jnp.asarray(level, jnp.float32)
         if self._generated is None:

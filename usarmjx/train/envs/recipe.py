@@ -1,4 +1,4 @@
-"""What a task's scene is made from: its arenas, and robots with only the sensors that the task reads."""
+"""Parts of a task's scene: its arenas, and robots with only the sensors that the task reads."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -21,7 +21,7 @@ from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.types.robot import Mount, RobotSpec
 
 GENERATED = "DM-"
-"""How names of generated arenas begin."""
+"""Prefix of names of generated arenas."""
 HELD_OUT_START, TEST_START, HELD_OUT_END = 4_000_000_000, 4_000_001_000, 4_000_010_000
 """Nobody trains on seeds from the first to the last; from the second on they are for tests."""
 
@@ -67,7 +67,7 @@ SPLITS.add("test", Split(start=TEST_START, end=HELD_OUT_END, arenas=200))
 
 
 def held_out(arenas: Iterable[ArenaSpec]) -> str | None:
-    """Return the name of the split of the first of some arenas that nobody may train on; None: all may be."""
+    """Return the name of the held-out split that one of some arenas is of; None: all may be trained on."""
     for arena in arenas:
         seed = arena.name.rpartition("-")[2]
         if not (arena.name.startswith(GENERATED) and seed.isdecimal()):
@@ -83,13 +83,13 @@ MIN_START_DISTANCE = 1.0
 SPARE_ROOM = 0.05
 """Share of further slots in a model whose arenas are renewed."""
 RENEWAL_TRIES = 50
-"""Arenas that are generated for one place, at most, before there is nothing that fits."""
+"""Most arenas that are generated to replace one before it counts as impossible."""
 LEVEL_ATOL = 1e-6
 """Levels that rise in single precision are this far off at most."""
 FLOOR_SIDE, FLOOR_STARTS = 8.0, 64
-"""Of the empty floor: its side [m], and how many start poses it has."""
+"""Side of the empty floor [m] and number of its start poses."""
 FLOOR_ROOM = 2.0
-"""Where each start pose has so much of the floor, they are `MIN_START_DISTANCE` apart [m^2]."""
+"""Share of the floor for each start pose with which they are `MIN_START_DISTANCE` apart [m^2]."""
 TRIES = 100
 """Positions that are drawn for a start pose, at most, before the floor counts as full."""
 
@@ -107,7 +107,7 @@ class GeneratedArenas:
         robot: Robot that passes: a class, or its footprint.
         reachable: Share of the victims that the robot reaches.
         victims: Victims in each arena; None: one for 12 cells.
-        starts: Start poses of each, if it has as many free cells; a task asks for as many as it has robots.
+        starts: Start poses of each, if it has that many free cells; a task needs one for each of its robots.
         split: Use of the arenas, a name of `SPLITS`; only those of `train` may be trained on.
         renewable: Let a training go on to other arenas, see `Config.arena_refresh_interval`: there are more
             of them than anybody can train on, and the model has `SPARE_ROOM` for what they have more of.
@@ -135,14 +135,14 @@ class GeneratedArenas:
         return "" if rising else f"levels are {self.levels}, expected numbers that rise"
 
     def of_split(self, split: str) -> "GeneratedArenas":
-        """Return the same arenas of a split, as many of each level as that one is tried on."""
+        """Return the same arenas of a split, in the number that the split is evaluated on."""
         wanted = SPLITS.get(split).arenas
         count = -(-wanted // len(self.levels)) if wanted else self.count
         return replace(self, split=split, count=count, renewable=False)
 
     @property
     def total(self) -> int:
-        """How many arenas there are, of all levels."""
+        """Number of arenas, of all levels."""
         return self.count * len(self.levels)
 
     def seeds(self) -> np.ndarray:
@@ -150,7 +150,7 @@ class GeneratedArenas:
         return SPLITS.get(self.split).seeds(self.seed, self.total)
 
     def arena(self, number: int, seed: int) -> ArenaSpec:
-        """Return the arena of a place in the library, the easy ones first, that a seed makes."""
+        """Return the arena of an index in the library, the easy ones first, generated from a seed."""
         difficulty = Difficulty.of(self.levels[number // self.count])
         needs = self.robot, self.reachable, self.victims, self.starts
         return generate(self.kind, self.size, seed, difficulty, *needs)
@@ -166,16 +166,16 @@ class GeneratedArenas:
     def renewed(
         self, generation: int, check: Callable[[ArenaSpec], None] = lambda arena: None
     ) -> tuple[ArenaSpec, ...]:
-        """Return other arenas in place of all, always the same ones of a generation.
+        """Return newly generated arenas in place of all; a generation always has the same ones.
 
         Args:
-            generation: How often they are replaced then, from 1.
-            check: Raises SpecError for an arena that cannot be taken; another seed's takes its place.
+            generation: Number of the replacement, from 1.
+            check: Raises SpecError for an arena that does not fit; another seed's is tried then.
 
         Raises:
-            UsageError: `RENEWAL_TRIES` arenas could not be taken one after the other; says why the last.
+            UsageError: None of `RENEWAL_TRIES` arenas fits; gives the reason of the last.
         """
-        # The first that is drawn for each place mostly fits.
+        # The first seed mostly fits: those of all arenas are generated in parallel.
         drawn = [self._drawn(generation, number) for number in range(self.total)]
         first = spread(self._arena_of, [(number, seeds[0]) for number, seeds in enumerate(drawn)])
         return tuple(
@@ -184,7 +184,7 @@ class GeneratedArenas:
         )
 
     def _drawn(self, generation: int, number: int) -> list[int]:
-        """Return the seeds that are tried for a place."""
+        """Return the seeds that are tried for an arena."""
         return SPLITS.get(self.split).seeds((self.seed, generation, number), RENEWAL_TRIES).tolist()
 
     def _arena_of(self, place: tuple[int, int]) -> ArenaSpec:
@@ -222,7 +222,7 @@ class GeneratedArenas:
 
 
 Arenas = str | ArenaSpec | Sequence[ArenaSpec] | GeneratedArenas
-"""What a task's arenas may be given as: a name, a description, several, or what generates them."""
+"""Arenas of a task: a name, a description, several, or the recipe of generated ones."""
 
 
 def open_floor(side: float = FLOOR_SIDE, starts: int = FLOOR_STARTS, seed: int = 0) -> ArenaSpec:
@@ -231,7 +231,7 @@ def open_floor(side: float = FLOOR_SIDE, starts: int = FLOOR_STARTS, seed: int =
     Args:
         side: Side of the square in which they are [m].
         starts: How many.
-        seed: Of positions and yaws.
+        seed: Seed of positions and yaws.
     """
     draw, positions = np.random.default_rng(seed), list[np.ndarray]()
     for _ in range(starts):
@@ -259,7 +259,7 @@ def resolve_arenas(arenas: Arenas, robot: str, robots: int = 1) -> Arenas:
     Args:
         arenas: As they were given.
         robot: The class that passes those that are generated.
-        robots: How many robots need start poses where the arenas are made here.
+        robots: Number of robots that need start poses in arenas that are made here.
     """
     if isinstance(arenas, str):
         if arenas.lower() == "floor":
@@ -271,7 +271,7 @@ def resolve_arenas(arenas: Arenas, robot: str, robots: int = 1) -> Arenas:
 
 
 def floor_for(robots: int) -> ArenaSpec:
-    """Return the empty floor, or a larger one where robots are so many that some would start in others."""
+    """Return the empty floor, or a larger one if so many robots would overlap."""
     if robots * FLOOR_ROOM <= FLOOR_SIDE**2:
         return open_floor()
     return open_floor(side=round(math.sqrt(robots * FLOOR_ROOM), 3), starts=robots)

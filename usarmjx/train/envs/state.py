@@ -1,4 +1,4 @@
-"""What an environment hands out: who acts in it, and how all worlds are after a step."""
+"""State that an environment returns: its agents, and all worlds after a step."""
 
 from dataclasses import dataclass
 from dataclasses import fields as fields_of
@@ -32,13 +32,13 @@ class AgentGroup:
 
 
 class TaskState(struct.PyTreeNode, kw_only=True):
-    """How a task stands in a batch of worlds: all of an `EnvState` but the worlds.
+    """State of a task in a batch of worlds: all of an `EnvState` but the worlds.
 
     Attributes:
         memory: The task's own (worlds, ...).
-        obs: What the agents observe, per group (worlds, robots, obs_size).
-        privileged: What only critics observe (worlds, privileged_size).
-        reward: Of the step, per group (worlds, robots); 0 in bad worlds.
+        obs: Observations of the agents, per group (worlds, robots, obs_size).
+        privileged: Observations of critics only (worlds, privileged_size).
+        reward: Reward of the step, per group (worlds, robots); 0 in bad worlds.
         done: Whether the episode ended with this step; the world has started the next one (worlds,).
         truncated: Whether it was only cut off: the time was up, for no other reason, in a task whose
             `time_limit` is no end (worlds,).
@@ -51,7 +51,7 @@ class TaskState(struct.PyTreeNode, kw_only=True):
         bad: Whether the physics was not finite or lost contacts in this step, or a number of the task was not
             finite (worlds,); such an episode is done, and its last transition is not to be trained on.
         metrics: As evaluated in this step, before any reset (worlds,).
-        level: How difficult the arenas in play are, from 0 to 1 (); see `Env.at_level`.
+        level: Difficulty of the arenas in play, from 0 to 1 (); see `Env.at_level`.
     """
 
     memory: Memory
@@ -81,7 +81,7 @@ class EnvState(TaskState, kw_only=True):
 
     @property
     def task_state(self) -> TaskState:
-        """How the task stands, without the worlds."""
+        """State of the task, without the worlds."""
         return TaskState(**{field.name: getattr(self, field.name) for field in fields_of(TaskState)})
 
     def with_task(self, batch: BatchState, task: TaskState) -> "EnvState":
@@ -99,12 +99,12 @@ class EnvState(TaskState, kw_only=True):
 
 
 class EpisodeStart(struct.PyTreeNode, kw_only=True):
-    """What an episode begins with, in one world; `TaskState` has fields of the same names for all worlds.
+    """State at the start of an episode in one world; `TaskState` has the same fields for all worlds.
 
     Attributes:
         memory: The task's own.
-        obs: What the agents observe, per group (robots, obs_size).
-        privileged: What only critics observe (privileged_size,).
+        obs: Observations of the agents, per group (robots, obs_size).
+        privileged: Observations of critics only (privileged_size,).
         score: 0 ().
         length: 0 ().
     """
@@ -121,8 +121,8 @@ class Restart(struct.PyTreeNode, kw_only=True):
 
     Attributes:
         worlds: All worlds (worlds, ...).
-        begun: What their episodes began with (worlds, ...).
-        qpos: Where those start that have begun it by now (worlds, nq).
+        begun: State at the start of their episodes (worlds, ...).
+        qpos: Start positions of those that have begun theirs (worlds, nq).
         left: Which are still to begin it (worlds,).
     """
 

@@ -1,4 +1,4 @@
-"""What a task is: data, and small pure functions of one world, which `env.Env` maps over a batch.
+"""Base class of tasks: data and small pure functions of one world, which `env.Env` maps over a batch.
 
 `observe` sees what real sensors and the radio give; `evaluate` and `privileged` may see where everything
 truly is.
@@ -65,7 +65,7 @@ class Policy:
 
 
 TimeLimit = Literal["end", "truncation"]
-"""What the time limit is to an episode: its end, or where it is only cut off."""
+"""Meaning of the time limit: the end of an episode, or a mere cut."""
 
 
 class TeamMaps(NamedTuple):
@@ -74,7 +74,7 @@ class TeamMaps(NamedTuple):
     Attributes:
         low: x and y of the middle of their first square [m].
         cell: Side of a square [m].
-        squares: What each robot believes of squares, as `mapping.maps` has it (robots, i, j).
+        squares: State of each square in the robots' maps, as in `mapping.maps` (robots, i, j).
     """
 
     low: tuple[float, float]
@@ -83,13 +83,13 @@ class TeamMaps(NamedTuple):
 
 
 class TaskView(struct.PyTreeNode, kw_only=True):
-    """What one world offers to a task's functions at one moment. Groups are numbered as `scene.groups`.
+    """View of one world for a task's functions at one moment. Groups are numbered as `scene.groups`.
 
     Attributes:
         world: Everything but the physics: arena, commands, sensors' memory, links, mail, status.
         physics: Positions and velocities.
         readings: Per group and sensor what it last reported (robots, ...).
-        scene: What the world is made from.
+        scene: The scene of the world.
     """
 
     world: World
@@ -108,7 +108,7 @@ class TaskView(struct.PyTreeNode, kw_only=True):
         return jax.random.fold_in(episode_key(self.world, Stream.TASK_STEP), self.world.step)
 
     def sensor(self, group: int, kind: str) -> jax.Array:
-        """Return what the first sensor of a type last reported (robots, ...), as `sensors` says.
+        """Return the last reading of the first sensor of a type (robots, ...), as in `sensors`.
 
         Raises:
             UnknownNameError: The robots have none, or the task does not ask for it; lists those there are.
@@ -120,7 +120,7 @@ class TaskView(struct.PyTreeNode, kw_only=True):
         return jnp.asarray(self.readings[group][self.scene.groups[group].suite.index(kind)].fresh)
 
     def robots(self, group: int) -> RobotState:
-        """Return where a group's robots truly are; leading axis over them. Not for `observe`."""
+        """Return the true states of a group's robots; leading axis over them. Not for `observe`."""
         return robot_states(self.scene.groups[group], self.physics)
 
     @property
@@ -136,7 +136,7 @@ class TaskView(struct.PyTreeNode, kw_only=True):
 
     @property
     def mail(self) -> Inboxes:
-        """What came since the last observation, by slot.
+        """Messages received since the last observation, by slot.
 
         Raises:
             UsageError: The task has no mail.
@@ -155,7 +155,7 @@ class TaskView(struct.PyTreeNode, kw_only=True):
 
 
 class StepResult(NamedTuple):
-    """What a step came to, as the task evaluates it.
+    """Evaluation of a step by the task.
 
     Attributes:
         memory: The task's memory from now on.
@@ -179,8 +179,8 @@ class Task(ABC):
     Agent groups are those of `scene.groups` whose robots are agents, in that order.
 
     Attributes:
-        about: What it is, in a sentence.
-        needs_solver: What in it only an engine with a solver of contacts does, `planar` does not.
+        about: Description in a sentence.
+        needs_solver: The part of it that needs an engine with a contact solver, which `planar` lacks.
         arena: Arenas: a name or description of one, several of them, `GeneratedArenas`, the name of a kind of
             generated arenas (`maze`), or `floor`, which is empty.
         sensors: Types of sensors that the robots keep, and mounts that each is given; None: all their own.
@@ -194,7 +194,7 @@ class Task(ABC):
         radio: Constants of the robots' radios; None: they have none.
         mail: Sizes of the messages over the radio; None: there are none.
         shuffle: Draw start poses at each reset instead of taking them in the arena's order.
-        vary: Domain randomisation: what else differs between worlds and episodes; None: nothing.
+        vary: Domain randomization between worlds and episodes; None: none.
     """
 
     about: ClassVar[str] = ""
@@ -264,13 +264,13 @@ class Task(ABC):
         return replace(scene, arenas=replace(scene.arenas, states=scene.arenas.states.replace(notes=notes)))
 
     def arena_notes(self, scene: Scene, arenas: Sequence[ArenaSpec]) -> dict[str, np.ndarray]:
-        """Return what the task knows of arenas beside what is in their worlds, by name (arenas, ...).
+        """Return the task's notes on arenas beside their state in the worlds, by name (arenas, ...).
 
         Worlds have it as `arena_state.notes`; by default it is nothing.
 
         Args:
             scene: The scene, so far.
-            arenas: Those that worlds have in turn; or, later, those that take their places.
+            arenas: The arenas of the worlds, or those that replace them later.
         """
         del scene, arenas
         return {}
@@ -281,11 +281,11 @@ class Task(ABC):
         return tuple(g for g, group in enumerate(scene.groups) if group.robot.name.lower() not in idle)
 
     def action_sizes(self, scene: Scene) -> tuple[int, ...]:
-        """Return how many numbers from -1 to 1 an action of each agent group has."""
+        """Return the action size of each agent group; actions are numbers from -1 to 1."""
         return tuple(len(drive_keys(scene.groups[group].robot)) for group in self.agent_groups(scene))
 
     def act(self, view: TaskView, memory: Memory, actions: tuple[jax.Array, ...]) -> Actions:
-        """Return what the robots are commanded until the next action.
+        """Return the commands of the robots until the next action.
 
         By default each action is a share of what a key of DRIVE can do.
 
@@ -301,7 +301,7 @@ class Task(ABC):
         )
 
     def privileged(self, view: TaskView, memory: Memory) -> jax.Array:
-        """Return what only critics see (privileged_size,); by default nothing."""
+        """Return the critics' privileged observations (privileged_size,); by default none."""
         del view, memory
         return jnp.zeros(0)
 
@@ -311,14 +311,14 @@ class Task(ABC):
         return self
 
     def baseline_obs(self, scene: Scene, memory: Memory, obs: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-        """Return what the agents would see in `for_baseline`, per group (robots, obs_size).
+        """Return the agents' observations in `for_baseline`, per group (robots, obs_size).
 
-        Who teaches a policy sees that, the policy does not. By default it is what all see.
+        A teacher sees them, the policy does not. By default they are those of all agents.
 
         Args:
             scene: The scene.
             memory: The task's memory.
-            obs: What they see in this task, per group (robots, obs_size).
+            obs: Observations in this task, per group (robots, obs_size).
         """
         del scene, memory
         return obs
@@ -334,11 +334,11 @@ class Task(ABC):
 
     @abstractmethod
     def observe(self, view: TaskView, memory: Memory) -> tuple[jax.Array, ...]:
-        """Return what the agents see: per group (robots, obs_size)."""
+        """Return the observations of the agents, per group (robots, obs_size)."""
 
     @abstractmethod
     def evaluate(self, view: TaskView, memory: Memory) -> StepResult:
-        """Return what the step that ended with this view was worth."""
+        """Return the evaluation of the step that ended with this view."""
 
 
 def drive_keys(robot: RobotSpec) -> tuple[str, ...]:

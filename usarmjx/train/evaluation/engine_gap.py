@@ -1,4 +1,4 @@
-"""How far engine `planar` is from another along random drives: poses, ranges, odometry, contacts."""
+"""Gap between engine `planar` and another along random drives: poses, ranges, odometry, contacts."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -113,14 +113,14 @@ def told(found: Sequence[Evaluation]) -> str:
 PLACES = ("floor", "maze", "air", "water")
 """An open floor; a generated maze that the robot gets through; air and water without anything in them."""
 HIGH_UP, DEEP_DOWN = 200.0, 200.0
-"""What flies or dives begins so high above the ground, and what dives so deep in water [m]."""
+"""Start height of flying robots above the ground, and depth of diving ones in water [m]."""
 LOOK_EVERY = 10
-"""Sensors and contacts are looked at once in so many control steps: five times a second."""
+"""Control steps between two samples of sensors and contacts: five samples a second."""
 TOUCH = 0.01
-"""What is so near is touched, as in tasks [m]."""
+"""Distance that counts as touching, as in tasks [m]."""
 RANGE_KINDS = ("RangeScanner", "Sonar", "IR")
 MOST_RANGE = 5.0
-"""Ranges beyond this count as this [m]: what is far says nothing of where the robot is."""
+"""Ranges beyond this count as this [m]: far ones tell little about the robot's position."""
 COLUMNS = (
     "class, place", "after 1 s", "after 5 s", "after 20 s", "ranges after these",
     "odometry off by, c / planar", "contacts a minute, c / planar",
@@ -129,12 +129,12 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class DriveTrace:
-    """What robots of a class met on a drive, one in each world.
+    """Samples of robots of a class on a drive, one robot in each world.
 
     Attributes:
         pose: Positions on the plan [m] and headings [rad] (looks, robots, 3).
-        height: How high they are [m] (looks, robots).
-        ranges: What their range sensors said [m] (looks, robots, readings); no readings: they have none.
+        height: Their heights [m] (looks, robots).
+        ranges: Readings of their range sensors [m] (looks, robots, readings); no readings: they have none.
         odometry: Where their odometry has them since the start, likewise; NaN: they have none.
         touching: Whether they touched what stands around them, as tasks count it (looks, robots).
         period: Time between looks [s].
@@ -149,23 +149,23 @@ class DriveTrace:
 
     @property
     def contacts_per_minute(self) -> float:
-        """How often a robot began to touch something."""
+        """Number of times that a robot began to touch something."""
         begun = self.touching[1:] & ~self.touching[:-1]
         return float(begun.sum() / begun.size * 60.0 / self.period)
 
     @property
     def slip(self) -> np.ndarray:
-        """How far odometry is from where the robot got to since the start [m] (looks, robots)."""
+        """Distance of odometry from the true motion since the start [m] (looks, robots)."""
         way = self.pose[..., :2] - self.pose[0, :, :2]
         c, s = np.cos(self.pose[0, :, 2]), np.sin(self.pose[0, :, 2])
         own = np.stack([c * way[..., 0] + s * way[..., 1], c * way[..., 1] - s * way[..., 0]], -1)
         return np.linalg.norm(own - self.odometry[..., :2], axis=-1)
 
     def distance(self, other: "DriveTrace", in_space: bool) -> np.ndarray:
-        """Return how far robots are from where they are on another drive [m] (looks, robots).
+        """Return the distances between robots on two drives [m] (looks, robots).
 
         Args:
-            other: Of as many looks and robots.
+            other: Drive of equal numbers of looks and robots.
             in_space: Heights count, too; else on the plan.
         """
         apart = (other.pose - self.pose)[..., :2]
@@ -202,7 +202,7 @@ def place_of(name: str, robot: RobotSpec) -> ArenaSpec:
 
 
 def drive_around(robot: RobotSpec, arena: ArenaSpec, engine: str, orders: np.ndarray) -> DriveTrace:
-    """Return what robots meet that are told orders (steps, robots, keys), one in each world."""
+    """Return the samples of robots under commands (steps, robots, keys), one robot in each world."""
     ranging = first_kind(robot, RANGE_KINDS)
     kept = tuple(one for one in robot.sensors if one.kind in (ranging, "Odometry"))
     scene = build_scene(arena, [replace(robot, sensors=kept, cameras=(), battery_life=1e6)])
@@ -249,7 +249,7 @@ def _look(
 def drive_gap(
     robot: RobotSpec, place: str, engines: tuple[str, str] = ("c", "planar"), robots: int = 16, seed: int = 1
 ) -> list[str]:
-    """Return how far two engines come apart by the same random orders, as a row of `COLUMNS`.
+    """Return the gap between two engines under the same random commands, as a row of `COLUMNS`.
 
     Medians over robots: the distance of poses after each of `HORIZONS`, in space of what flies or dives, the
     difference of a range at each, how far odometry is from where the robot got to, and contacts.
@@ -258,8 +258,8 @@ def drive_gap(
         robot: The class.
         place: Where it drives, one of `PLACES`.
         engines: Which; the first is the truth.
-        robots: How many drive, each in a world of its own.
-        seed: Of their orders.
+        robots: Number of robots, each in a world of its own.
+        seed: Seed of their commands.
 
     Raises:
         UsageError: No such place.

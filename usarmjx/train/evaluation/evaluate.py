@@ -21,7 +21,7 @@ class Episodes:
     """Whole episodes of one seed, those whose physics went wrong left out.
 
     Attributes:
-        seed: Of the environment.
+        seed: Seed of the environment.
         scores: Their final scores (episodes,).
         lengths: Their steps (episodes,).
         worlds: Where they took place (episodes,).
@@ -39,7 +39,7 @@ class Episodes:
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """What came of an evaluation.
+    """Result of an evaluation.
 
     Attributes:
         score: Mean score of all episodes; where each is 0 or 1 a share, with Wilson's interval.
@@ -90,7 +90,7 @@ def play_episodes(
 ) -> Episodes:
     """Return the same as `run_episodes`, of a policy that is compiled already."""
     each, act, begin = -(-episodes // env.worlds), policy.act, policy.initial_carry(env.worlds)
-    if level is None and not getattr(env, "has_whole_rounds", True):  # environments of one's own need it not
+    if level is None and not getattr(env, "is_evenly_spread", True):  # environments of one's own need it not
         state = env.reset(seed, mixed=True)  # else few worlds would meet the easy arenas only
     else:
         state = env.reset(seed) if level is None else env.reset(seed, level)

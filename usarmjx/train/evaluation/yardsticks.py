@@ -1,4 +1,4 @@
-"""What scores of a team task mean: what its parts can come to, and what simple teams get.
+"""Scores of a team task in context: the most that its parts can reach, and the scores of simple teams.
 
     usarmjx teams explore-v2 --worlds 24 --engine c
 
@@ -38,7 +38,7 @@ QUARTERS = (0.25, 0.5, 0.75)
 WORLDS = 24
 """Episodes unless told otherwise."""
 HELD_STEPS = 10
-"""Robots that act at random draw another action after so many steps: 2 s."""
+"""Steps for which robots that act at random keep an action: 2 s."""
 
 
 def random_policy(env: Env) -> Policy:
@@ -82,12 +82,12 @@ def packaged_policy(env: Env) -> Policy:
 
 
 def packaged_name(task: str) -> str:
-    """Return under which name a policy would be packaged for a task, or for another version of it."""
+    """Return the name of the packaged policy for a task, or for another version of it."""
     return task if task in POLICIES else re.sub(r"-v\d+$", "", task)
 
 
 def baseline_policy(env: Env) -> Policy:
-    """Return the policy written by hand for an environment's task."""
+    """Return the baseline of an environment's task."""
     return BASELINES.get(env.name)(env)
 
 
@@ -96,12 +96,12 @@ def unchanged(task: TeamTask) -> TeamTask:
     return task
 
 
-def advised(task: TeamTask) -> TeamTask:
+def with_advice(task: TeamTask) -> TeamTask:
     """Return a task as its baseline has to see it."""
     return task.for_baseline
 
 
-def advised_alone(task: TeamTask) -> TeamTask:
+def single_with_advice(task: TeamTask) -> TeamTask:
     """Return the task of `alone` as its baseline has to see it."""
     return alone(task.for_baseline)
 
@@ -111,7 +111,7 @@ def with_perfect_radio(task: TeamTask) -> TeamTask:
     return replace(task.for_baseline, radio=PERFECT_RADIO)
 
 
-def seen_as_in_training(source: PolicySource, task: TeamTask) -> TeamTask:
+def with_training_advice(source: PolicySource, task: TeamTask) -> TeamTask:
     """Return a task that shows the planner's advice if a policy was trained with it, and else hides it."""
     if "advice" not in source.overrides:
         return task
@@ -120,19 +120,19 @@ def seen_as_in_training(source: PolicySource, task: TeamTask) -> TeamTask:
 
 
 Team = tuple[Callable[[TeamTask], TeamTask], Callable[[Env], Policy]]
-"""How the task is changed for a team, and what drives it."""
+"""Change of the task for a team, and its driver."""
 
 TEAMS: dict[str, Team] = {
     "random": (unchanged, random_policy),
-    "one": (advised_alone, baseline_policy),
-    "baseline": (advised, baseline_policy),
+    "one": (single_with_advice, baseline_policy),
+    "baseline": (with_advice, baseline_policy),
     "perfect-radio": (with_perfect_radio, baseline_policy),
     "packaged": (unchanged, packaged_policy),
 }
-"""Those that need no policy of one's own, by name."""
+"""Teams that need no policy of the user's own, by name."""
 
 
-def usual_teams(task: str) -> tuple[str, ...]:
+def default_teams(task: str) -> tuple[str, ...]:
     """Return the names of `TEAMS` that can play a task: no policy is packaged for some."""
     return tuple(name for name in TEAMS if name != "packaged" or packaged_name(task) in POLICIES)
 
@@ -149,12 +149,12 @@ def find_team(name: str) -> Team:
         source = load_policy(name)
     except UnknownNameError as error:
         raise UnknownNameError(f"{name} is none of the teams {', '.join(TEAMS)}; {error}") from error
-    return partial(seen_as_in_training, source), source.policy
+    return partial(with_training_advice, source), source.policy
 
 
 @dataclass(frozen=True, kw_only=True)
 class TeamResult:
-    """What a team got.
+    """Result of a team.
 
     Attributes:
         name: As `find_team` takes it.
@@ -190,7 +190,7 @@ def ignore(name: str, env: Env, state: EnvState) -> None:
 def play_team(
     env: Env, task: TeamTask, policy: Policy, name: str, seed: int, watch: TeamWatch = ignore
 ) -> TeamResult:
-    """Return what a policy gets in the first episode of each world; `watch` sees all states but the last."""
+    """Return a policy's result in the first episode of each world; `watch` sees all states but the last."""
     act, carry, state = jax.jit(policy.act), policy.initial_carry(env.worlds), env.reset(seed)
     good, rows, score = np.ones(env.worlds, bool), list[dict[str, np.ndarray]](), np.zeros(env.worlds)
     for step in range(env.episode_steps):
@@ -227,7 +227,7 @@ def team_result(
 
 
 def team_task(name: str, **overrides: object) -> TeamTask:
-    """Return a task of a team with some of its fields set otherwise.
+    """Return a team's task with overrides of its fields.
 
     Raises:
         UnknownNameError: No such task, or a field that it does not have.
@@ -243,7 +243,7 @@ def arenas_to_play(name: str, worlds: int | None, split: str, **overrides: objec
     """Return arenas of a split, which training leaves out: one for each world.
 
     Args:
-        name: Of a team task.
+        name: Name of a team task.
         worlds: How many, at most as many as the split has; fewer are spread over its levels and sizes. None:
             as many.
         split: A name of `SPLITS`.
@@ -271,18 +271,18 @@ def measure_teams(  # noqa: PLR0913 - all but the first may be left out
     split: str | None = None,
     **overrides: object,
 ) -> tuple[TeamResult, ...]:
-    """Return what each team gets.
+    """Return the result of each team.
 
     Args:
-        name: Of a team task.
+        name: Name of a team task.
         worlds: Episodes, each in a building of its own, the same for all teams; None: `WORLDS`, or with a
             split as many as that has, which is also the most.
-        seed: Of the environments.
+        seed: Seed of the environments.
         engine: See `make`.
         teams: Names, see `find_team`.
-        tell: Is given each row as soon as it is known.
+        tell: Receives each row as soon as it is known.
         watch: Sees every state of every team but the last one.
-        split: Of generated arenas, a name of `SPLITS`; None: the task's own, which may be trained on.
+        split: Split of generated arenas, a name of `SPLITS`; None: the task's own, which may be trained on.
         overrides: Fields of the task to set otherwise. Without `advice` among them, policies of runs and
             files see the planner's advice if they did in training.
 

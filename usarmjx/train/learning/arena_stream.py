@@ -1,4 +1,4 @@
-"""An endless stream of generated arenas: others take the place of those that were trained on for a while.
+"""An endless stream of generated arenas that replace those of earlier iterations.
 
 48 large buildings are two to three seconds of work for a processor, and a GPU may need others every second:
 where there are cores for it, processes beside this one make them.
@@ -13,10 +13,10 @@ from usarmjx.models.compile.arena_set import ArenaState
 from usarmjx.train.envs.env import Env
 from usarmjx.train.tasks.buildings import Buildings
 
-MOST_WORKERS, CORES_A_WORKER, LEAST_CORES = 6, 2, 8
+MAX_WORKERS, CORES_PER_WORKER, MIN_CORES = 6, 2, 8
 """Processes that generate arenas, at most, for how many cores there is one, and from how many on."""
-AHEAD = 2
-"""Generations of arenas that processes are asked for before the first of them is met: one may take longer."""
+GENERATIONS_AHEAD = 2
+"""Generations that are requested before they are due: one may take longer than its interval."""
 
 
 class ArenaStream:
@@ -25,49 +25,51 @@ class ArenaStream:
     Which they are depends on the iteration alone, so that a run that is resumed meets the same ones.
 
     Args:
-        env: The environment; other than renewable arenas stay as they are.
-        every: Iterations after which others take their places; 0: they stay.
-        iterations: Of the whole run: no arenas are generated for later ones.
+        env: The environment; arenas that are not renewable stay.
+        interval: Iterations between two replacements; 0: the arenas stay.
+        iterations: Iterations of the run: no arenas are generated for later ones.
         workers: Processes that generate them; 0: a thread of this one does.
     """
 
-    def __init__(self, env: Env, every: int, iterations: int, workers: int = 0) -> None:
+    def __init__(self, env: Env, interval: int, iterations: int, workers: int = 0) -> None:
         self._env = env
-        self.every = every if getattr(env, "renewable", False) else 0  # environments of one's own need it not
-        self._last = (iterations - 1) // self.every if self.every else 0
-        self._made: dict[int, Future[ArenaState]] = {}
+        self.interval = (
+            interval if getattr(env, "renewable", False) else 0
+        )  # environments of one's own need it not
+        self._last = (iterations - 1) // self.interval if self.interval else 0
+        self._requests: dict[int, Future[ArenaState]] = {}
         self._workers = WorkerProcesses(workers, [Buildings.__module__]) if workers and self._last else None
-        self._maker = ThreadPoolExecutor(1, "arenas")
-        finalize(self, self._maker.shutdown, wait=False, cancel_futures=True)
+        self._pool = ThreadPoolExecutor(1, "arenas")
+        finalize(self, self._pool.shutdown, wait=False, cancel_futures=True)
 
-    def begins(self, iteration: int) -> bool:
-        """Return whether others take their places before an iteration, counted from 0."""
-        return bool(self.every) and iteration > 0 and iteration % self.every == 0
+    def is_refresh(self, iteration: int) -> bool:
+        """Return whether arenas are replaced before an iteration, counted from 0."""
+        return bool(self.interval) and iteration > 0 and iteration % self.interval == 0
 
     def arenas(self, iteration: int) -> ArenaState | None:
         """Return the arenas of an iteration (arenas, ...); None: those of the beginning."""
-        if not self.every:
+        if not self.interval:
             return None
-        generation = iteration // self.every
-        self._made = {number: made for number, made in self._made.items() if number >= generation}
-        wanted = self._ask(generation) if generation else None
-        ahead = AHEAD if self._workers else 1
+        generation = iteration // self.interval
+        self._requests = {number: made for number, made in self._requests.items() if number >= generation}
+        present = self._request(generation) if generation else None
+        ahead = GENERATIONS_AHEAD if self._workers else 1
         for later in range(generation + 1, min(generation + ahead, self._last) + 1):
-            self._ask(later)
-        return wanted.result() if wanted else None
+            self._request(later)
+        return present.result() if present else None
 
-    def _ask(self, generation: int) -> "Future[ArenaState]":
-        if generation not in self._made:
-            self._made[generation] = self._maker.submit(_generated, self._env, generation, self._workers)
-        return self._made[generation]
+    def _request(self, generation: int) -> "Future[ArenaState]":
+        if generation not in self._requests:
+            self._requests[generation] = self._pool.submit(_generated, self._env, generation, self._workers)
+        return self._requests[generation]
 
 
 def _generated(env: Env, generation: int, workers: WorkerProcesses | None) -> ArenaState:
     with use_workers(workers):
-        return env.renewed_arenas(generation)
+        return env.redrawn_arenas(generation)
 
 
 def workers_for(processes: int) -> int:
-    """Return how many processes generate arenas for each of some trainers on this host."""
+    """Return the number of processes that generate arenas for each of some trainers on this host."""
     mine = cores() // processes
-    return min(MOST_WORKERS, mine // CORES_A_WORKER) if mine >= LEAST_CORES else 0
+    return min(MAX_WORKERS, mine // CORES_PER_WORKER) if mine >= MIN_CORES else 0

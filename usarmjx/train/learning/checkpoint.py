@@ -53,7 +53,7 @@ def _arrays(tree: object) -> dict[str, np.ndarray]:
     return {"".join(map(str, path)): np.asarray(leaf, order="C") for path, leaf in plain}
 
 
-def _like(leaf: object, array: np.ndarray) -> Array:
+def _as_leaf(leaf: object, array: np.ndarray) -> Array:
     """Return an array as the kind of array that the leaf is."""
     if _is_key(leaf):
         random: Any = jax.random  # jax leaves the result of this without a type
@@ -62,17 +62,18 @@ def _like(leaf: object, array: np.ndarray) -> Array:
 
 
 @contextmanager
-def _flushed(path: Path) -> Generator[BufferedWriter]:
+def _synced_file(path: Path) -> Generator[BufferedWriter]:
     """Open a file to write to; at the end it is on the disk, not only in the system's buffers."""
     with path.open("wb") as file:
         yield file
         file.flush()
+        # A rename orders no writes: after a crash the renamed folder could hold empty files.
         os.fsync(file.fileno())
 
 
 def write_part(folder: Path, name: str, tree: object, index: int = 0) -> None:
     """Write a part of a checkpoint, `learner` or `worlds`, of the process with this index."""
-    with _flushed(folder / f"{name}_{index}.npz") as file:
+    with _synced_file(folder / f"{name}_{index}.npz") as file:
         np.savez(file, allow_pickle=False, **_arrays(tree))
 
 
@@ -83,7 +84,7 @@ def read_part(folder: Path, name: str, template: Tree, index: int = 0) -> Tree:
         folder: The checkpoint.
         name: `learner` or `worlds`.
         template: A tree of the same shapes; each leaf decides between NumPy's and JAX's arrays.
-        index: Of the process whose part it is.
+        index: Index of the process whose part it is.
 
     Raises:
         UsageError: The checkpoint is broken, or of another run.
@@ -96,19 +97,19 @@ def read_part(folder: Path, name: str, template: Tree, index: int = 0) -> Tree:
         raise UsageError(
             f"checkpoint {folder} is broken: {path.name} does not read; delete it: {error}"
         ) from error
-    there, wanted = _described(found), _described(_arrays(template))
+    there, wanted = _specs(found), _specs(_arrays(template))
     if there != wanted:
-        raise UsageError(f"checkpoint {folder} is of another run: {_misfit(there, wanted)}")
+        raise UsageError(f"checkpoint {folder} is of another run: {_first_difference(there, wanted)}")
     leaves, shape = jax.tree.flatten(template)
     pairs = zip(leaves, found.values(), strict=True)
-    return jax.tree.unflatten(shape, [_like(leaf, array) for leaf, array in pairs])
+    return jax.tree.unflatten(shape, [_as_leaf(leaf, array) for leaf, array in pairs])
 
 
-def _described(arrays: dict[str, np.ndarray]) -> list[tuple[str, tuple[int, ...], str]]:
+def _specs(arrays: dict[str, np.ndarray]) -> list[tuple[str, tuple[int, ...], str]]:
     return [(path, array.shape, str(array.dtype)) for path, array in arrays.items()]
 
 
-def _misfit(there: list[Any], wanted: list[Any]) -> str:
+def _first_difference(there: list[Any], wanted: list[Any]) -> str:
     for one, other in zip(there, wanted, strict=False):
         if one != other:
             return f"it holds {one}, expected {other}"
@@ -138,17 +139,17 @@ class Checkpoints:
         Raises:
             UsageError: No such one; lists those there are.
         """
-        there = self.all()
-        known = ", ".join(str(int(path.name)) for path in there) or "none"
-        if which == "last" and there:
-            return there[-1]
-        if which == "best" and there:
-            return max(there, key=self._rank)
-        for path in there:
+        paths = self.all()
+        numbers = ", ".join(str(int(path.name)) for path in paths) or "none"
+        if which == "last" and paths:
+            return paths[-1]
+        if which == "best" and paths:
+            return max(paths, key=self._rank)
+        for path in paths:
             if which.isdecimal() and int(path.name) == int(which):
                 return path
         raise UsageError(
-            f"no checkpoint {which!r} in {self.folder}; there are: {known}, besides last and best"
+            f"no checkpoint {which!r} in {self.folder}; there are: {numbers}, besides last and best"
         )
 
     def meta(self, path: Path) -> dict[str, Any]:
@@ -183,14 +184,14 @@ class Checkpoints:
         Raises:
             UsageError: See `find` and `meta`.
         """
-        path, there = self.find(which), self.all()
+        path, paths = self.find(which), self.all()
         meta = self.meta(path)
         score = "none" if meta["score"] is None else f"{meta['score']:.4g}"
         kind = meta.get("kind", "in training")
-        why = {"best": f"the best by score {kind}", "last": "the last"}.get(which, "as asked for")
-        others = ", ".join(str(int(one.name)) for one in there if one != path) or "no others"
+        reason = {"best": f"the best by score {kind}", "last": "the last"}.get(which, "as asked for")
+        others = ", ".join(str(int(one.name)) for one in paths if one != path) or "no others"
         return (
-            f"checkpoint {meta['iteration']} of {self.run}, {why}: {score} after {meta['agent_steps']:,} "
+            f"checkpoint {meta['iteration']} of {self.run}, {reason}: {score} after {meta['agent_steps']:,} "
             f"agent steps (there are: {others})"
         )
 
@@ -202,7 +203,7 @@ class Checkpoints:
         Args:
             iteration: After which.
             train_state: The same in all processes.
-            worlds: Of this process.
+            worlds: State of this process's worlds.
             note: For `meta`; must have `score`, a number or None, and may have `kind`, the kind of the score.
 
         Raises:
@@ -221,7 +222,7 @@ class Checkpoints:
         )
         try:
             for step in steps:
-                self._together(path, step, process_group)
+                self._in_all_processes(path, step, process_group)
         except WriteError:
             if process_group.index == 0:
                 shutil.rmtree(fresh, ignore_errors=True)
@@ -238,13 +239,13 @@ class Checkpoints:
 
     def _finish(self, fresh: Path, meta: Mapping[str, Any], process_group: ProcessGroup) -> None:
         if process_group.index == 0:
-            with _flushed(fresh / "meta.json") as file:
+            with _synced_file(fresh / "meta.json") as file:
                 file.write(json.dumps(meta).encode())
             fresh.rename(fresh.with_name(fresh.name.removesuffix(PARTIAL_MARK)))
-            self._drop_old()
+            self._delete_old()
 
     @staticmethod
-    def _together(path: Path, step: Callable[[], None], process_group: ProcessGroup) -> None:
+    def _in_all_processes(path: Path, step: Callable[[], None], process_group: ProcessGroup) -> None:
         """Do something in each process; where it fails in one, it has failed in all."""
         fault = None
         try:
@@ -252,18 +253,19 @@ class Checkpoints:
                 step()
         except WriteError as error:
             fault = error
+        # A process that raised by itself would leave the others waiting in their next collective.
         if not process_group.everywhere(fault is None):
             raise fault or WriteError(f"cannot write {path}: another process could not")
 
-    def _drop_old(self) -> None:
-        there = self.all()
-        kept = {*there[-self.keep :], max(there, key=self._rank)}
-        for path in (*(p for p in there if p not in kept), *self.folder.glob(f"*{PARTIAL_MARK}")):
-            gone = path.with_name(path.name + PARTIAL_MARK) if path.name.isdecimal() else path
-            if gone != path:
+    def _delete_old(self) -> None:
+        paths = self.all()
+        kept = {*paths[-self.keep :], max(paths, key=self._rank)}
+        for path in (*(p for p in paths if p not in kept), *self.folder.glob(f"*{PARTIAL_MARK}")):
+            doomed = path.with_name(path.name + PARTIAL_MARK) if path.name.isdecimal() else path
+            if doomed != path:
                 with suppress(OSError):  # the next time will do
-                    path.rename(gone)  # a half deleted folder must not pass for a checkpoint
-            shutil.rmtree(gone, ignore_errors=True)
+                    path.rename(doomed)  # a half deleted folder must not pass for a checkpoint
+            shutil.rmtree(doomed, ignore_errors=True)
 
 
 def load_train_state(run: Path, which: str = "best") -> tuple[Networks, TrainState, RunRecord]:

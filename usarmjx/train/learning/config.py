@@ -12,7 +12,7 @@ from usarmjx.train.tasks import TASKS
 
 HOST_ENGINES = ("c",)
 """Engines whose worlds are in the memory of processors whatever JAX runs on."""
-MEASURED: dict[str, Any] = {
+MAZE_SETTINGS: dict[str, Any] = {
     "entropy_coef": 0.0,
     "target_kl": 0.02,
     "hidden_sizes": (256, 128),
@@ -20,9 +20,9 @@ MEASURED: dict[str, Any] = {
     "imitation_steps": 1_000_000,
     "checkpoint_interval": 10,
 }
-"""What the runs of `explore` and `victim-search` were made with that docs/training.md tells of."""
-SMALL: dict[str, Any] = {
-    **MEASURED,
+"""Settings of the runs of `explore` and `victim-search` in docs/training.md."""
+SMALL_SETTINGS: dict[str, Any] = {
+    **MAZE_SETTINGS,
     "learning_rate": 1e-3,
     "hidden_sizes": (128, 64),
     "critic_hidden_sizes": (128, 64),
@@ -30,34 +30,42 @@ SMALL: dict[str, Any] = {
     "imitation_std": 0.1,
     "total_steps": 900_000,
 }
-"""What runs of `hover-inspect` were made with on two cores; those of `convoy` and `stairs` only imitate."""
-SHORT_SIGHT = {"gamma": 0.97, "gae_lambda": 0.9}
-# What each task is trained with, where it differs from `Config`. Keys are task names in lower case.
+"""Settings of runs of `hover-inspect` on two cores; `convoy` and `stairs` only imitate with them."""
+SHORT_HORIZON = {"gamma": 0.97, "gae_lambda": 0.9}
+# Settings of each task, as far as they differ from `Config`. Keys are task names in lower case.
 HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     "drive-to-goal": {"gamma": 0.98, "learning_rate": 1e-3, "entropy_coef": 0.002, "total_steps": 2_000_000},
-    **{f"explore{old}": {**MEASURED, **SHORT_SIGHT, "total_steps": 21_000_000} for old in ("", "-v1")},
-    **{f"victim-search{old}": {**MEASURED, **SHORT_SIGHT, "total_steps": 16_000_000} for old in ("", "-v1")},
-    "explore-v2": {**MEASURED, **SHORT_SIGHT, "imitation_steps": 5_000_000, "total_steps": 24_000_000},
+    **{f"explore{old}": {**MAZE_SETTINGS, **SHORT_HORIZON, "total_steps": 21_000_000} for old in ("", "-v1")},
+    **{
+        f"victim-search{old}": {**MAZE_SETTINGS, **SHORT_HORIZON, "total_steps": 16_000_000}
+        for old in ("", "-v1")
+    },
+    "explore-v2": {**MAZE_SETTINGS, **SHORT_HORIZON, "imitation_steps": 5_000_000, "total_steps": 24_000_000},
     "victim-search-v2": {
-        **MEASURED,
+        **MAZE_SETTINGS,
         **{"gamma": 0.99, "gae_lambda": 0.95, "gru_size": 64},
         **{"imitation_steps": 6_000_000, "imitation_std": 0.1, "total_steps": 36_000_000},
     },
     "relay-chain": {
-        **MEASURED,
+        **MAZE_SETTINGS,
         "gamma": 0.99,
         "gae_lambda": 0.95,
         "imitation_steps": 6_000_000,
         "total_steps": 40_000_000,
     },
-    "soccer": {**MEASURED, "total_steps": 20_000_000},
-    "stairs": {**SMALL, "imitation_steps": 160_000, "imitation_std": 0.03, "total_steps": 160_000},
-    "hover-inspect": SMALL,
-    "wander": {**SMALL, "imitation_steps": 400_000, "imitation_std": 0.2, "total_steps": 800_000},
-    "convoy": {**SMALL, "imitation_steps": 1_000_000, "imitation_std": 0.05, "total_steps": 1_000_000},
+    "soccer": {**MAZE_SETTINGS, "total_steps": 20_000_000},
+    "stairs": {**SMALL_SETTINGS, "imitation_steps": 160_000, "imitation_std": 0.03, "total_steps": 160_000},
+    "hover-inspect": SMALL_SETTINGS,
+    "wander": {**SMALL_SETTINGS, "imitation_steps": 400_000, "imitation_std": 0.2, "total_steps": 800_000},
+    "convoy": {
+        **SMALL_SETTINGS,
+        "imitation_steps": 1_000_000,
+        "imitation_std": 0.05,
+        "total_steps": 1_000_000,
+    },
 }
-# What else, where the worlds are on a GPU.
-ON_GPU: dict[str, dict[str, Any]] = {
+# Further settings for worlds on a GPU.
+GPU_SETTINGS: dict[str, dict[str, Any]] = {
     "drive-to-goal": {"num_worlds": 1024},
     **{
         f"victim-search{version}": {"num_worlds": 1024, "num_minibatches": 16}
@@ -70,11 +78,13 @@ ON_GPU: dict[str, dict[str, Any]] = {
     },
 }
 for task in ("hover-inspect", "wander"):
-    ON_GPU[task] |= {"total_steps": 10_000_000, "imitation_steps": 1_000_000, "learning_rate": 3e-4}
-ON_GPU["stairs"] |= {"total_steps": 1_000_000, "imitation_steps": 1_000_000}
-ON_GPU["convoy"] = {}  # 20 million steps in 2048 worlds, with actions that stray, came to half the score
+    GPU_SETTINGS[task] |= {"total_steps": 10_000_000, "imitation_steps": 1_000_000, "learning_rate": 3e-4}
+GPU_SETTINGS["stairs"] |= {"total_steps": 1_000_000, "imitation_steps": 1_000_000}
+GPU_SETTINGS[
+    "convoy"
+] = {}  # 20 million steps in 2048 worlds, with actions that stray, came to half the score
 
-USUAL_ENGINE: dict[str, str] = dict.fromkeys(
+DEFAULT_ENGINE: dict[str, str] = dict.fromkeys(
     (
         "drive-to-goal",
         *("explore", "explore-v1", "explore-v2"),
@@ -86,8 +96,8 @@ USUAL_ENGINE: dict[str, str] = dict.fromkeys(
     ),
     "planar",
 )
-"""What `auto` is in trainings of these tasks on any machine; their scores are those of C MuJoCo."""
-USUAL_PHYSICS: dict[str, str] = dict.fromkeys(
+"""Engine that `auto` stands for in training, on any machine; scores are those of C MuJoCo."""
+DEFAULT_PHYSICS: dict[str, str] = dict.fromkeys(
     (
         *("explore", "explore-v1", "explore-v2"),
         *("victim-search", "victim-search-v1", "victim-search-v2"),
@@ -95,29 +105,29 @@ USUAL_PHYSICS: dict[str, str] = dict.fromkeys(
     ),
     "coarse",
 )
-"""... and the settings of that engine's physics, where they are not the task's."""
+"""Physics settings on that engine, for tasks that do not train with their own."""
 
 
 def training_engine(task: str, engine: str) -> str:
-    """Return the engine that a task is trained on: what is meant by `auto`, or the one that is named.
+    """Return the engine that a task is trained on: the named one, or the task's default for `auto`.
 
     Raises:
         UnknownNameError: No such engine; lists those there are.
     """
-    usual = USUAL_ENGINE.get(task.lower())
-    return usual if usual and engine.lower() == "auto" else choose_engine(engine, "train")
+    default = DEFAULT_ENGINE.get(task.lower())
+    return default if default and engine.lower() == "auto" else choose_engine(engine, "train")
 
 
 def training_fields(task: str, engine: str) -> dict[str, str]:
-    """Return the fields of a task that a training sets otherwise, on an engine that `auto` is."""
-    physics, usual = USUAL_PHYSICS.get(task.lower()), USUAL_ENGINE.get(task.lower())
-    return {"physics": physics} if physics and engine == usual else {}
+    """Return the fields of a task that training on the default engine changes."""
+    physics, default = DEFAULT_PHYSICS.get(task.lower()), DEFAULT_ENGINE.get(task.lower())
+    return {"physics": physics} if physics and engine == default else {}
 
 
-def fields_by_hand(task: str, engine: str, fields: Mapping[str, Any]) -> str:
-    """Return the fields of a task that a run has and a bare command would not set, as `advice=false`."""
-    usual = training_fields(task, engine)
-    return ", ".join(f"{name}={value}" for name, value in fields.items() if usual.get(name) != value)
+def overridden_fields(task: str, engine: str, fields: Mapping[str, Any]) -> str:
+    """Return the fields of a task that a run sets beyond those of a bare command, as `advice=false`."""
+    default = training_fields(task, engine)
+    return ", ".join(f"{name}={value}" for name, value in fields.items() if default.get(name) != value)
 
 
 def horizon_of(episode_steps: int) -> dict[str, float]:
@@ -233,7 +243,7 @@ class Config:
 
     @property
     def shuffled_blocks(self) -> int:
-        """Blocks that the worlds are shuffled in: each minibatch takes as many worlds of each of them."""
+        """Blocks that the worlds are shuffled in; each minibatch takes equal shares of them."""
         share = self.num_worlds // self.num_minibatches
         return max(n for n in range(1, min(self.shuffle_blocks, share) + 1) if share % n == 0)
 
@@ -256,18 +266,18 @@ class Config:
         return -(-self.total_steps // (self.rollout_length * self.num_worlds * agents))
 
     def imitations(self, agents: int) -> int:
-        """Return in how many of them the policy imitates the baseline."""
+        """Return the number of them in which the policy imitates the baseline."""
         return -(-self.imitation_steps // (self.rollout_length * self.num_worlds * agents))
 
 
 def task_config(task: str, *, gpu: bool = False, **settings: Any) -> Config:  # noqa: ANN401 - values of any field
-    """Return the settings for a task, some of them set otherwise.
+    """Return the settings for a task, with overrides.
 
     Args:
         task: Name of the task; a task without settings of its own gets the defaults of `Config`.
         gpu: Whether the worlds are on a GPU.
         settings: Values by field of `Config`; names of the version before are accepted with a warning.
-            Minibatches that are not set are as many as the worlds allow.
+            Without a setting there are as many minibatches as divide the worlds.
 
     Raises:
         UnknownNameError: No such setting; lists those there are.
@@ -275,7 +285,7 @@ def task_config(task: str, *, gpu: bool = False, **settings: Any) -> Config:  # 
     """
     given = default_reader().values(Config, settings)
     name = task.lower()
-    own = {**HYPERPARAMETERS.get(name, {}), **(ON_GPU.get(name, {}) if gpu else {})}
+    own = {**HYPERPARAMETERS.get(name, {}), **(GPU_SETTINGS.get(name, {}) if gpu else {})}
     if own and "gamma" not in own:
         own |= horizon_of(TASKS.get(task).episode_steps)
     chosen: dict[str, Any] = {**own, **given}
@@ -292,7 +302,7 @@ def from_record(record: Mapping[str, Any]) -> Config:
 
 
 def differences(old: Config, new: Config, but: tuple[str, ...] = ()) -> list[str]:
-    """Return in words which settings differ, but for some."""
+    """Return the settings that differ, as text, but for some."""
     before, after = asdict(old), asdict(new)
     return [
         f"{key}: {before[key]} -> {after[key]}"

@@ -1,7 +1,7 @@
-"""Fine-tuning: a new run that begins with the networks of another one, on whatever engine.
+"""Fine-tuning: a new run that begins with the networks of another one, on any engine.
 
-What is taken over: weights of policies and critics, and the statistics that observations and returns are
-normalised by. What is not: the optimiser's moments, the learning rate, the worlds, and how far the run was.
+It takes over the weights of policies and critics, and the statistics that observations and returns are
+normalised by; not the optimiser's moments, the learning rate, the worlds, and the number of steps.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.checkpoint import Checkpoints, load_train_state
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.ppo import careful_rate
+from usarmjx.train.learning.ppo import initial_adaptive_rate
 from usarmjx.train.learning.run_record import RunRecord
 from usarmjx.train.learning.train_state import Networks, TrainState
 
@@ -20,8 +20,10 @@ SHAPE_SETTINGS = (
     *("hidden_sizes", "critic_hidden_sizes", "gru_size", "shared_policy"),
     *("normalize_obs", "normalize_values"),
 )
-"""Settings that networks cannot do without: those of the source hold, unless other ones are asked for."""
-EXPORTED = "an exported policy has neither critic nor statistics that could go on: name the folder of a run"
+"""Settings that shape networks: those of the source are the defaults of the new run."""
+EXPORTED_NOTE = (
+    "an exported policy has neither critic nor statistics that could go on: name the folder of a run"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,10 +32,10 @@ class TrainedNetworks:
 
     Attributes:
         run: Folder of the run.
-        record: What it was started with.
+        record: Record of the run.
         networks: Their shapes.
         train_state: Their weights and statistics, beside what is not taken over.
-        meta: What is said of the checkpoint, see `Checkpoints.meta`.
+        meta: Facts of the checkpoint, see `Checkpoints.meta`.
     """
 
     run: Path
@@ -44,12 +46,12 @@ class TrainedNetworks:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Settings of a run that begins with these, unless others are asked for; it imitates nobody."""
+        """Default settings of a run that begins with these; it imitates no teacher."""
         return {**{name: getattr(self.record.config, name) for name in SHAPE_SETTINGS}, "imitation_steps": 0}
 
     @property
     def origin(self) -> dict[str, Any]:
-        """What is written down of them in the record of the new run, as JSON has it."""
+        """Origin of the networks for the record of the new run, as JSON has it."""
         return {
             "run": str(self.run),
             "checkpoint": self.meta["iteration"],
@@ -87,14 +89,14 @@ class TrainedNetworks:
         """Return a train state before its first update, with these networks in it.
 
         Args:
-            fresh: Of networks that `check` has let pass.
-            config: Settings of the new run. Its learning rate begins as `careful_rate` says: that of a random
-                network would change one that has learned by more than is wanted. Imitation, which comes
-                first where it is asked for, keeps its own.
+            fresh: Train state of networks that passed `check`.
+            config: Settings of the new run. An adaptive learning rate begins low, see
+                `initial_adaptive_rate`: that of a random network would change a trained one by more than is
+                wanted.
         """
         own, rate = self.train_state, fresh.learning_rate
         return fresh.replace(
-            learning_rate=rate if config.imitation_steps else careful_rate(rate, config),
+            learning_rate=rate if config.imitation_steps else initial_adaptive_rate(rate, config),
             params=own.params,
             obs_statistics=own.obs_statistics,
             privileged_statistics=own.privileged_statistics,
@@ -103,7 +105,7 @@ class TrainedNetworks:
 
 
 def _agents(groups: tuple[AgentGroup, ...]) -> str:
-    """Return in words how many robots of each class there are, and how much they see and do."""
+    """Return the number of robots of each class and their sizes of observations and actions, as text."""
     return ", ".join(
         f"{len(one.agents)} {one.name} that see {one.obs_size} and do {one.action_size}" for one in groups
     )
@@ -121,7 +123,7 @@ def load_trained(run: str | Path, which: str = "best") -> TrainedNetworks:
     """
     run = Path(run)
     if not run.is_dir():
-        raise UsageError(f"{run} is no folder of a run; {EXPORTED}")
+        raise UsageError(f"{run} is no folder of a run; {EXPORTED_NOTE}")
     networks, train_state, record = load_train_state(run, which)
     checkpoints = Checkpoints(run)
     return TrainedNetworks(
@@ -133,8 +135,8 @@ def load_trained(run: str | Path, which: str = "best") -> TrainedNetworks:
     )
 
 
-def check_begun(checkpoints: Checkpoints, record: RunRecord, source: TrainedNetworks | None) -> None:
-    """Check that a run has checkpoints if it has begun with the networks of another one, and none before.
+def check_source(checkpoints: Checkpoints, record: RunRecord, source: TrainedNetworks | None) -> None:
+    """Check that a run that began with other networks has checkpoints, and that a new one has none.
 
     Raises:
         UsageError: Says what to do.

@@ -19,8 +19,8 @@ COORDINATOR, COUNT, INDEX, PARENT = (
 )
 
 
-# Variables that say how many processes there are, which this is, and which of them its host's first device
-# is for; the first launcher is ours. The last two name the coordinator: host, and port.
+# Launchers with their variables for the number of processes, the index of this one, and its index on its
+# host. The first launcher is ours; torchrun's MASTER_ADDR and MASTER_PORT name the coordinator.
 LAUNCHERS = (
     ("usarmjx", COUNT, INDEX, INDEX),
     ("torchrun", "WORLD_SIZE", "RANK", "LOCAL_RANK"),
@@ -31,12 +31,12 @@ LAUNCHERS = (
 
 @dataclass(frozen=True)
 class ProcessInfo:
-    """Which of several processes this is.
+    """One of several processes.
 
     Attributes:
-        count: How many there are.
-        index: Which this is, from 0.
-        local_index: Which it is on its host.
+        count: Number of processes.
+        index: Index of this one.
+        local_index: Index on its host.
         coordinator: Address of the first one, as host:port; empty: jax finds it from the launcher.
     """
 
@@ -47,7 +47,7 @@ class ProcessInfo:
 
 
 def process_info(environment: Mapping[str, str]) -> ProcessInfo | None:
-    """Return which of several processes this is, by the environment variables; None: the only one."""
+    """Return this process among several, by the environment variables; None: the only one."""
     for name, count, index, local in LAUNCHERS:
         number = environment.get(count, "")
         if index in environment and number.isdecimal() and int(number) > 1:
@@ -68,7 +68,7 @@ def spawn(processes: int, command: Sequence[str]) -> int:
     Each sees one GPU, if there are any. If one ends with a fault, the others are ended.
 
     Args:
-        processes: How many.
+        processes: Number of processes.
         command: Program and arguments, the same for all.
     """
     address = f"127.0.0.1:{_free_port()}"
@@ -96,11 +96,11 @@ def _wait(running: list[subprocess.Popen[bytes]]) -> int:
         time.sleep(0.1)
 
 
-def _end(running: list[subprocess.Popen[bytes]], patience: float = 5.0) -> None:
+def _end(running: list[subprocess.Popen[bytes]], timeout: float = 5.0) -> None:
     for process in running:
         if process.poll() is None:
             process.send_signal(signal.SIGTERM)
-    until = time.monotonic() + patience
+    until = time.monotonic() + timeout
     for process in running:
         try:
             process.wait(max(0.1, until - time.monotonic()))
@@ -111,12 +111,14 @@ def _end(running: list[subprocess.Popen[bytes]], patience: float = 5.0) -> None:
 
 def _free_port() -> int:
     with socket.socket() as probe:
+        # Another program may take the port before the coordinator does: then the start fails with its
+        # message.
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def check_parent() -> None:
-    """End this process if `spawn` started it and is there no more: nobody would ever stop it."""
+    """End this process if `spawn` started it and has died: nothing else would stop it."""
     parent = os.environ.get(PARENT)
     if parent is not None and os.getppid() != int(parent):
         sys.exit("usarmjx: the process that started this one is gone")

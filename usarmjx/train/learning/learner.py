@@ -1,4 +1,4 @@
-"""What a run does in this process, together with the others: rollout and update, over and over."""
+"""A run in this process, together with the others: rollout and update in turn."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -32,8 +32,8 @@ from usarmjx.train.learning.train_state import (
 )
 from usarmjx.train.learning.trajectory import RolloutState
 
-JUDGING_SEED = 2**31 - 1
-"""Of the episodes in which policies are compared under a curriculum."""
+SCORING_SEED = 2**31 - 1
+"""Seed of the episodes in which policies are compared under a curriculum."""
 EnvFactory = Callable[[int, int], Env]
 """From a number of worlds, and the number of the first of them, to an environment."""
 
@@ -71,7 +71,7 @@ class Trainer:
         self.stream = ArenaStream(env, config.arena_refresh_interval, self.iterations, workers)
         teacher = teacher_of(env) if config.imitation_steps else None
         known: ProgramCache | None = getattr(env, "program_cache", None)
-        # Of each seed they are the same.
+        # Programs are the same for all seeds and checkpoint settings.
         general = replace(config, seed=0, checkpoint_interval=1, keep_checkpoints=1)
         self._program_cache = known and known.of(
             general, self.networks, process_group.index, process_group.count
@@ -88,7 +88,7 @@ class Trainer:
             check_vma=False,
         )
         self._update = PrecompiledProgram(
-            compile_program(self._updated, self._program_cache, "Trainer", precise=False)
+            compile_program(self._update_shards, self._program_cache, "Trainer", precise=False)
         )
         keys = [jax.random.fold_in(random.key(config.seed), s) for s in (ROLLOUT_STREAM, UPDATE_STREAM)]
         self._key, updates = process_group.device_put((keys[0], jax.random.key_data(keys[1])))
@@ -102,7 +102,7 @@ class Trainer:
         return self.process_group.device_put(self.starts()[:2])
 
     def starts(self) -> tuple[TrainState, RolloutState, jax.Array]:
-        """Return what the first rollout is given, but for where it is."""
+        """Return the arguments of the first rollout, on any device."""
         learner = self._begin(random.key(self.config.seed))
         return learner, self.rollout.start(self.level(0)), self._key
 
@@ -124,7 +124,7 @@ class Trainer:
         experience = (shapes(trajectory, 1), shapes(ends, 0), shapes(jax.eval_shape(_with_axis, sums), 0))
         self._update.compile(shapes(train_state, None), experience, self._stream)
 
-    def full_score(self, train_state: TrainState) -> float | None:
+    def full_difficulty_score(self, train_state: TrainState) -> float | None:
         """Return the mean score of one episode of each world of this process, with all arenas in play.
 
         The policy takes its most probable actions, and the seed is always the same: so what was trained on
@@ -140,15 +140,15 @@ class Trainer:
             return carry, actions
 
         params, start = policy_params(train_state), self.networks.policy.initial_carry
-        scores = play_episodes(self.env, Policy(start, act), self.env.worlds, JUDGING_SEED).scores
+        scores = play_episodes(self.env, Policy(start, act), self.env.worlds, SCORING_SEED).scores
         return float(scores.mean()) if len(scores) else None
 
-    def _updated(self, *args: Any) -> tuple[TrainState, dict[str, jax.Array]]:  # noqa: ANN401 - PyTrees
+    def _update_shards(self, *args: Any) -> tuple[TrainState, dict[str, jax.Array]]:  # noqa: ANN401 - PyTrees
         """Return the train state after an update, and numbers for the log."""
         return self._everywhere(*args)
 
     def level(self, iteration: int) -> float:
-        """Return how difficult the arenas in play are before an iteration, counted from 0."""
+        """Return the difficulty of the arenas in play before an iteration, counted from 0."""
         share = self.config.curriculum * self.iterations
         return min(1.0, iteration / share) if share else 1.0
 
@@ -159,14 +159,14 @@ class Trainer:
 
         Args:
             train_state: So far.
-            worlds: Of this process.
+            worlds: State of this process's worlds.
             iteration: Number of this one, from 0.
 
         Returns:
             Train state and rollout state, and numbers for the log.
         """
         arenas = self.stream.arenas(iteration)
-        if self.config.curriculum or self.stream.begins(iteration):
+        if self.config.curriculum or self.stream.is_refresh(iteration):
             state = self.env.at_level(worlds.env_state, self.level(iteration), arenas)
             worlds = worlds.replace(env_state=self.process_group.device_put(state))
         key = self._fold(self._key, iteration)

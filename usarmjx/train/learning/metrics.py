@@ -1,4 +1,4 @@
-"""What a run tells of itself: a line of JSON per iteration, TensorBoard, a bar in the terminal."""
+"""Reports of a run: a line of JSON per iteration, TensorBoard, a bar in the terminal."""
 
 import json
 import math
@@ -16,7 +16,7 @@ from usarmjx.base.files import AppendedFile, atomic_write
 from usarmjx.base.progress import RateLimitedLog
 
 IterationWatch = Callable[[dict[str, Any]], None]
-"""Is told what is written of each iteration."""
+"""Receives the record of each iteration."""
 
 
 def find_wandb() -> Any:  # noqa: ANN401 - a package that may be missing
@@ -35,12 +35,12 @@ def find_wandb() -> Any:  # noqa: ANN401 - a package that may be missing
 def wandb_watch(
     project: str, name: str, settings: Mapping[str, Any], say: Callable[[str], None]
 ) -> IterationWatch:
-    """Return what sends iterations to a project. What the service refuses later is told of once.
+    """Return a watch that sends iterations to a project. A later failure is reported once.
 
     Args:
-        project: Of Weights & Biases.
-        name: Of the run; one that is resumed is gone on with, by this name.
-        settings: Of the run.
+        project: Project of Weights & Biases.
+        name: Name of the run; a resumed run continues under it.
+        settings: Settings of the run.
         say: Takes a line.
 
     Raises:
@@ -109,14 +109,14 @@ def read_lines(file: Path) -> list[dict[str, Any]]:
 
 
 class MetricsLog:
-    """Writes down each iteration. What the disk refuses waits for the next one, and is told of once.
+    """Log of iterations. Lines that the disk refuses wait for the next one; the failure is reported once.
 
     Args:
-        folder: Of the run.
-        iterations: In all.
-        after: Iterations that are behind already; what was written of later ones is dropped.
+        folder: Folder of the run.
+        iterations: Iterations of the run.
+        after: Iterations that are done already; records of later ones are dropped.
         bar: Show a bar in the terminal; where there is none, a line now and then.
-        console: Where; None: the standard error stream.
+        console: Console to write to; None: the standard error stream.
 
     Raises:
         WriteError: The folder cannot be written to.
@@ -143,15 +143,15 @@ class MetricsLog:
             console=console or Console(stderr=True),
             disable=not bar,
         )
-        # A file or a pipe gets a line now and then in its place.
+        # A file or a pipe gets a line now and then instead: a bar would fill it with control characters.
         shown = bar and not self._bar.console.is_terminal
-        self._far, self._total = RateLimitedLog(self.say) if shown else None, iterations
+        self._line_log, self._total = RateLimitedLog(self.say) if shown else None, iterations
         self._task: TaskID = self._bar.add_task("compiling", total=iterations, completed=after)
 
     def __enter__(self) -> "MetricsLog":
         """Begin."""
         self._bar.start()
-        if self._far is not None:
+        if self._line_log is not None:
             self.say(f"{self._bar.tasks[self._task].completed:.0f}/{self._total} iterations, compiling")
         return self
 
@@ -179,8 +179,8 @@ class MetricsLog:
         text = "{steps_per_s:,.0f} steps/s  return {return:.3g}  score {score:.3g}  bad worlds {bad:.2%}"
         with suppress(OSError):
             self._bar.update(self._task, completed=iteration, description=text.format(**shown))
-        if self._far is not None:
-            self._far(f"{iteration}/{self._total} iterations  {text.format(**shown)}")
+        if self._line_log is not None:
+            self._line_log(f"{iteration}/{self._total} iterations  {text.format(**shown)}")
 
     def _try(self, file: AppendedFile, write: Callable[[], None]) -> None:
         try:
@@ -194,7 +194,7 @@ class MetricsLog:
                 self.say(f"{file.path} is written to again, and whole")
 
     def say(self, text: str) -> None:
-        """Tell whoever is at the terminal in a line."""
+        """Print a line on the terminal."""
         with suppress(OSError):
             self._bar.console.print(f"usarmjx: {text}", markup=False, highlight=False, soft_wrap=True)
 

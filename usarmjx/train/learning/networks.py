@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 
 Residuals: TypeAlias = tuple[jax.Array, ...]
-"""What `recur` was given, and what came out."""
+"""Arguments of `recur` and its result."""
 GPU_STEPS = 8
-"""So many steps are in a round of a loop over them on a GPU."""
+"""Steps in one round of a loop over them on a GPU."""
 
 
 def recur(
@@ -35,16 +35,16 @@ def recur(
     It has a gradient of its own, and so cannot be differentiated in forward mode.
 
     Args:
-        gates: What comes into reset, update and new gates, in this order (steps, worlds, robots, 3 memory).
+        gates: Inputs of the reset, update and new gates, in this order (steps, worlds, robots, 3 memory).
         weights: From the carry to the gates (memory, 3 memory).
-        bias: Of the new gate's product (memory,).
+        bias: Bias of the new gate's product (memory,).
         carry: That before the first step (worlds, robots, memory).
         is_first: Whether the carry is reset before the step (steps, worlds).
     """
     return _recur(gates, weights, bias, carry, is_first)
 
 
-def _in_turn(
+def _recur_sequentially(
     gates: jax.Array, weights: jax.Array, bias: jax.Array, carry: jax.Array, is_first: jax.Array
 ) -> jax.Array:
     if _on_warp(gates, carry):
@@ -78,44 +78,45 @@ def _reset(where: jax.Array, carry: jax.Array) -> jax.Array:
     return jnp.where(where[..., None, None], 0.0, carry)
 
 
-def _forward(*given: jax.Array) -> tuple[jax.Array, Residuals]:
-    after = _in_turn(*given)
-    return after, (*given, after)
+def _forward(*inputs: jax.Array) -> tuple[jax.Array, Residuals]:
+    after = _recur_sequentially(*inputs)
+    return after, (*inputs, after)
 
 
-def _slopes_in_turn(
-    slopes: jax.Array, own: jax.Array, update: jax.Array, weights: jax.Array, is_first: jax.Array
+def _gradients_sequentially(
+    gradients: jax.Array, own: jax.Array, update: jax.Array, weights: jax.Array, is_first: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return the slopes of the first carry and of that after each step; arguments as of `slopes_on_warp`."""
-    if _on_warp(slopes, update):
-        from usarmjx.train.learning.warp_gru import slopes_on_warp
+    """Return gradients by the first carry and by that after each step; see `gradients_on_warp`."""
+    if _on_warp(gradients, update):
+        from usarmjx.train.learning.warp_gru import gradients_on_warp
 
-        return slopes_on_warp(slopes, own, update, weights, is_first)
+        return gradients_on_warp(gradients, own, update, weights, is_first)
 
-    def step(later: jax.Array, now: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
-        slope, own, update, is_first = now
-        slope = slope + later
-        return _reset(is_first, (jnp.tile(slope, 3) * own) @ weights.T + slope * update), slope
+    def step(next_gradient: jax.Array, now: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+        gradient, own, update, is_first = now
+        gradient = gradient + next_gradient
+        return _reset(is_first, (jnp.tile(gradient, 3) * own) @ weights.T + gradient * update), gradient
 
     return jax.lax.scan(
         step,
         jnp.zeros_like(update[0]),
-        (slopes, own, update, is_first),
+        (gradients, own, update, is_first),
         reverse=True,
         unroll=unroll_on_gpu(GPU_STEPS),
     )
 
 
-def _backward(kept: Residuals, slopes: jax.Array) -> tuple[Any, ...]:
+def _backward(residuals: Residuals, gradients: jax.Array) -> tuple[Any, ...]:
     """Return the gradient by what `recur` was given, from that by what came out."""
-    gates, weights, bias, carry, is_first, after = kept
+    gates, weights, bias, carry, is_first, after = residuals
     before = _reset(is_first, jnp.concatenate([carry[None], after[:-1]]))
-    own, new, update = _slopes_of_a_step(gates, before, before @ weights, bias)
-    start, slopes = _slopes_in_turn(slopes, own, update, weights, is_first)
-    by_own = jnp.tile(slopes, 3) * own
+    own, new, update = _step_derivatives(gates, before, before @ weights, bias)
+    start, gradients = _gradients_sequentially(gradients, own, update, weights, is_first)
+    # Products with weights are made once over all steps; the gradient of a scan makes them in each.
+    by_own = jnp.tile(gradients, 3) * own
     by_reset, by_update, by_new = jnp.split(by_own, 3, axis=-1)
     return (
-        jnp.concatenate([by_reset, by_update, slopes * new], axis=-1),
+        jnp.concatenate([by_reset, by_update, gradients * new], axis=-1),
         jnp.tensordot(before, by_own, ((0, 1, 2), (0, 1, 2))),
         by_new.sum((0, 1, 2)),
         start,
@@ -123,12 +124,12 @@ def _backward(kept: Residuals, slopes: jax.Array) -> tuple[Any, ...]:
     )
 
 
-def _slopes_of_a_step(
+def _step_derivatives(
     gates: jax.Array, before: jax.Array, own: jax.Array, bias: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return how the carry after each step changes with what it is made of, number by number.
+    """Return the derivatives of the carry after each step, number by number.
 
-    With the three parts of own (..., 3 memory), with what comes into the new gate (..., memory), and with
+    By the three parts of own (..., 3 memory), by the new gate's input (..., memory), and by
     the carry before it, own left as it is (..., memory).
     """
     own_reset, own_update, own_new = jnp.split(own, 3, axis=-1)
@@ -142,7 +143,7 @@ def _slopes_of_a_step(
     return jnp.concatenate([by_reset, by_update, by_new * reset], axis=-1), by_new, update
 
 
-_recur = cast(Any, jax.custom_vjp)(_in_turn)  # jax leaves its types open
+_recur = cast(Any, jax.custom_vjp)(_recur_sequentially)  # jax leaves its types open
 _recur.defvjp(_forward, _backward)
 
 
@@ -163,8 +164,8 @@ class Network(nn.Module):
         layers: Widths of the hidden layers.
         memory: Units of the GRU; 0: none.
         outputs: Numbers that come out.
-        scale: Of the last layer's weights at the start.
-        robots: Robots that are told apart, as a critic does; 0: all are alike.
+        scale: Scale of the last layer's initial weights.
+        robots: Robots with a bias of their own, as in a critic; 0: all are alike.
     """
 
     layers: tuple[int, ...]
@@ -177,11 +178,11 @@ class Network(nn.Module):
     def __call__(
         self, seen: jax.Array, shared: jax.Array | None, carry: jax.Array, is_first: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """Return what comes out for a sequence of steps, and the carry after it.
+        """Return the outputs for a sequence of steps, and the carry after it.
 
         Args:
-            seen: Of each robot (steps, worlds, robots, n).
-            shared: What all robots of a world have in common (steps, worlds, m); None: nothing.
+            seen: Observations of each robot (steps, worlds, robots, n).
+            shared: Numbers that the robots of a world share (steps, worlds, m); None: none.
             carry: That before the first step (worlds, robots, memory).
             is_first: Whether the carry is reset before the step (steps, worlds).
         """
@@ -221,7 +222,7 @@ def apply_network(
     carry: jax.Array,
     is_first: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Return what comes out with these parameters, and the carry; see `Network.__call__`."""
+    """Return the outputs with these parameters, and the carry; see `Network.__call__`."""
     module: Any = network  # flax types neither arguments nor results
     return module.apply(params, seen, shared, carry, is_first)
 
@@ -231,7 +232,7 @@ class PolicyParams(struct.PyTreeNode, kw_only=True):
 
     Attributes:
         weights: Per group a tree of weights.
-        mean: Of the observations so far, per group (obs_size,).
+        mean: Running mean of the observations, per group (obs_size,).
         std: Their deviation, per group (obs_size,).
     """
 
@@ -242,7 +243,7 @@ class PolicyParams(struct.PyTreeNode, kw_only=True):
 
 @dataclass(frozen=True)
 class LearnedPolicy:
-    """What robots do: from observations and a carry to actions.
+    """Policy from observations and a carry to actions.
 
     Attributes:
         groups: The agents.
@@ -288,8 +289,8 @@ class LearnedPolicy:
         found: list[tuple[jax.Array, jax.Array]] = []
         for g, seen in enumerate(obs):
             x = normalise(params.mean[g], params.std[g], seen)[None]
-            no = jnp.zeros((1, len(seen)), bool)
-            out, after = apply_network(self.network(g), params.weights[g], x, None, carry[g], no)
+            is_first = jnp.zeros((1, len(seen)), bool)
+            out, after = apply_network(self.network(g), params.weights[g], x, None, carry[g], is_first)
             found.append((out[0], after))
         return tuple(out for out, _ in found), tuple(after for _, after in found)
 
@@ -307,7 +308,7 @@ class LearnedPolicy:
             params: Weights and statistics.
             obs: Per group (worlds, robots, obs_size).
             carry: That before them, per group (worlds, robots, memory).
-            key: Of the random numbers; worlds fold in their index. Not needed if deterministic.
+            key: Key of the random numbers; worlds fold in their index. Not needed if deterministic.
             deterministic: Take the most probable actions instead of drawing them.
 
         Returns:
@@ -320,7 +321,7 @@ class LearnedPolicy:
             raise UsageError("actions are drawn with a key: give one, or ask for deterministic ones")
         logits, carry = self.distribution_params(params, obs, carry)
         if key is None or deterministic:
-            return tuple(map(likeliest_action, logits)), carry
+            return tuple(map(mode_action, logits)), carry
         kinds = [self.distribution(g) for g in range(len(self.groups))]
         keys = fold_each(key, jnp.arange(len(obs[0])))
         raw = sample_actions(self, logits, keys)
@@ -338,7 +339,7 @@ class LearnedPolicy:
         return Policy(initial_carry=self.initial_carry, act=act)
 
 
-def likeliest_action(logits: jax.Array) -> jax.Array:
+def mode_action(logits: jax.Array) -> jax.Array:
     """Return the mode of `LearnedPolicy.distribution` (..., action_size), of its parameters."""
     return jnp.tanh(jnp.split(logits, 2, axis=-1)[0])
 

@@ -39,30 +39,31 @@ def advantages(
     discount: float,
     gae_lambda: float,
 ) -> jax.Array:
-    """Return how much better than expected each action turned out.
+    """Return the advantage of each action, by generalized advantage estimation (Schulman et al. 2016).
 
     Args:
-        reward: Of each step (steps, ...).
+        reward: Reward of each step (steps, ...).
         value: The critic's value of the state that each step began in (steps, ...).
         bootstrap: That of the state before the reset, used where truncated (steps, ...).
         last_value: That of the state after the last step (...).
         ends: Whether the episode ended with the step, whether that was by time-out, and whether the
             transition is bad, each (steps, ...).
-        discount: Of the next step's value.
-        gae_lambda: Lambda: weight of what lies further ahead.
+        discount: Discount factor of the next step's value.
+        gae_lambda: Lambda: weight of later temporal-difference errors.
     """
     done, truncated, bad = ends
-    following = jnp.concatenate([value[1:], last_value[None]])
-    following = jnp.where(done, jnp.where(truncated, bootstrap, 0.0), following)
-    td_error = jnp.where(bad, 0.0, reward + discount * following - value)
-    keep = jnp.where(done | bad, 0.0, discount * gae_lambda)
+    next_value = jnp.concatenate([value[1:], last_value[None]])
+    next_value = jnp.where(done, jnp.where(truncated, bootstrap, 0.0), next_value)
+    # A bad step teaches nothing: its error is 0, and no later error flows back across it.
+    td_error = jnp.where(bad, 0.0, reward + discount * next_value - value)
+    decay = jnp.where(done | bad, 0.0, discount * gae_lambda)
 
-    def back(later: jax.Array, step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        now = step[0] + step[1] * later
-        return now, now
+    def backward(next_advantage: jax.Array, step: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        current = step[0] + step[1] * next_advantage
+        return current, current
 
-    _, found = jax.lax.scan(back, jnp.zeros_like(last_value), (td_error, keep), reverse=True)
-    return found
+    _, advantage = jax.lax.scan(backward, jnp.zeros_like(last_value), (td_error, decay), reverse=True)
+    return advantage
 
 
 with extra("train"):
@@ -74,13 +75,13 @@ MAX_LEARNING_RATE, MIN_LEARNING_RATE = 1e-2, 1e-5
 
 
 class Minibatch(struct.PyTreeNode, kw_only=True):
-    """What an update is computed from: steps of some worlds, and what became of them.
+    """Batch that an update is computed from: steps of some worlds and their targets.
 
     Attributes:
         trajectory: The steps (steps, worlds, ...).
         ends: The rollout's ends (worlds, ...).
         advantage: Normalised, per group (steps, worlds, robots).
-        target: What the critics' values should have been, in their own scale, per group (steps, worlds,
+        target: Targets of the critics' values, in the critics' scale, per group (steps, worlds,
             robots).
     """
 
@@ -90,7 +91,7 @@ class Minibatch(struct.PyTreeNode, kw_only=True):
     target: tuple[jax.Array, ...]
 
     def select_worlds(self, worlds: jax.Array) -> "Minibatch":
-        """Return that of some worlds only, by index (worlds,)."""
+        """Return the batch of some worlds, by index (worlds,)."""
         timed = (self.trajectory, self.advantage, self.target)
         trajectory, advantage, target = jax.tree.map(lambda leaf: leaf[:, worlds], timed)
         ends = jax.tree.map(lambda leaf: leaf[worlds], self.ends)
@@ -102,7 +103,7 @@ def _total(values: jax.Array) -> jax.Array:
 
 
 def surrogate(log_prob: jax.Array, old: jax.Array, advantage: jax.Array, clip: float) -> jax.Array:
-    """Return the clipped surrogate objective of actions: what is to be made large."""
+    """Return the clipped surrogate objective of actions, which an update maximises."""
     ratio = jnp.exp(jnp.clip(log_prob - old, -MAX_LOG_RATIO, MAX_LOG_RATIO))
     return jnp.minimum(ratio * advantage, jnp.clip(ratio, 1.0 - clip, 1.0 + clip) * advantage)
 
@@ -121,7 +122,7 @@ def compute_targets(
     targets: list[jax.Array] = []
     returns: list[jax.Array] = []
     for g in range(len(networks.groups)):
-        found = advantages(
+        advantage = advantages(
             trajectory.reward[g],
             trajectory.value[g],
             trajectory.bootstrap_value[g],
@@ -130,12 +131,13 @@ def compute_targets(
             config.gamma,
             config.gae_lambda,
         )
-        valid = jnp.broadcast_to(~ends[2], found.shape)
+        valid = jnp.broadcast_to(~ends[2], advantage.shape)
         count = jnp.maximum(_total(valid), 1)
-        mean = _total(jnp.where(valid, found, 0.0)) / count
-        deviation = jnp.sqrt(_total(jnp.where(valid, (found - mean) ** 2, 0.0)) / count)
-        normal.append(jnp.where(valid, (found - mean) / (deviation + 1e-8), 0.0))
-        returns.append(found + trajectory.value[g])
+        # Over the whole batch of all processes: neither minibatches nor processes change the advantages.
+        mean = _total(jnp.where(valid, advantage, 0.0)) / count
+        deviation = jnp.sqrt(_total(jnp.where(valid, (advantage - mean) ** 2, 0.0)) / count)
+        normal.append(jnp.where(valid, (advantage - mean) / (deviation + 1e-8), 0.0))
+        returns.append(advantage + trajectory.value[g])
         scale = train_state.return_statistics[g]
         targets.append((returns[g] - scale.mean) / scale.std)
     batch = Minibatch(
@@ -153,16 +155,16 @@ def loss(
     key: jax.Array,
     config: Config,
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """Return the sum of the losses of a minibatch's steps, and of what is worth knowing of them.
+    """Return the sum of the losses of a minibatch's steps, and sums for the log.
 
     Bad steps count as 0. To be divided by `weight` of all processes.
 
     Args:
-        weights: What the loss is a function of.
+        weights: Parameters to differentiate by.
         networks: Shapes.
         train_state: Statistics that observations are normalised by; its weights are not used.
         minibatch: Some worlds.
-        key: Of the random numbers that the entropy is estimated with.
+        key: Key of the random numbers for the entropy estimate.
         config: Settings.
     """
     steps, ends = minibatch.trajectory, minibatch.ends
@@ -174,43 +176,45 @@ def loss(
     sums: dict[str, Any] = {}
     imitating, policies = networks.is_imitating(train_state, config), weights.group_policies
     for g, raw in enumerate(steps.raw_action):
-        seen = normalise(train_state.obs_statistics[g].mean, train_state.obs_statistics[g].std, steps.obs[g])
+        obs = normalise(train_state.obs_statistics[g].mean, train_state.obs_statistics[g].std, steps.obs[g])
         logits, _ = apply_network(
-            networks.policy.network(g), policies[g], seen, None, ends.policy_carry[g], steps.is_first
+            networks.policy.network(g), policies[g], obs, None, ends.policy_carry[g], steps.is_first
         )
         kind = networks.policy.distribution(g)
         log_prob = kind.log_prob(logits, raw)
         # Entropy of a squashed action has no closed form: it is estimated from one drawn per step.
         entropy = jax.vmap(kind.entropy, in_axes=(1, 0), out_axes=1)(logits, fold_all(keys, g))
-        change = jnp.clip(log_prob - steps.log_prob[g], -MAX_LOG_RATIO, MAX_LOG_RATIO)
-        ratio = jnp.exp(change)
-        found = {
+        log_ratio = jnp.clip(log_prob - steps.log_prob[g], -MAX_LOG_RATIO, MAX_LOG_RATIO)
+        ratio = jnp.exp(log_ratio)
+        terms = {
             "policy": -surrogate(log_prob, steps.log_prob[g], minibatch.advantage[g], config.clip_epsilon),
             "value": 0.5 * (values[g] - minibatch.target[g]) ** 2,
             "entropy": entropy,
-            "divergence": ratio - 1.0 - change,  # an estimate of the Kullback-Leibler divergence
+            "divergence": ratio
+            - 1.0
+            - log_ratio,  # estimate k3 of the KL divergence: unbiased, never negative
             "clipped": (jnp.abs(ratio - 1.0) > config.clip_epsilon).astype(jnp.float32),
             "weight": jnp.ones_like(ratio),
         }
         if steps.teacher_action:
-            found["imitation"] = imitation_loss(kind, logits, steps.teacher_action[g], config.imitation_std)
-            found["policy"] = jnp.where(imitating, found["imitation"], found["policy"])
+            terms["imitation"] = imitation_loss(kind, logits, steps.teacher_action[g], config.imitation_std)
+            terms["policy"] = jnp.where(imitating, terms["imitation"], terms["policy"])
         valid = ~steps.bad[..., None]
-        for name, one in found.items():
+        for name, one in terms.items():
             sums[name] = sums.get(name, jnp.float32(0)) + jnp.where(valid, one, 0.0).sum()
-    whole = sums["policy"] + config.value_coef * sums["value"] - config.entropy_coef * sums["entropy"]
-    return whole, sums
+    total = sums["policy"] + config.value_coef * sums["value"] - config.entropy_coef * sums["entropy"]
+    return total, sums
 
 
 def _shuffle(key: jax.Array, worlds: int, blocks: int, first: jax.Array, minibatches: int) -> jax.Array:
     """Return which of this process's worlds are in which minibatch (minibatches, worlds / minibatches).
 
     Args:
-        key: Of the epoch.
-        worlds: Of this process.
-        blocks: Of this process.
+        key: Key of the epoch.
+        worlds: Worlds of this process.
+        blocks: Blocks of this process.
         first: Number of its first block.
-        minibatches: How many.
+        minibatches: Number of minibatches.
     """
     size = worlds // blocks
     keys = fold_each(key, first + jnp.arange(blocks))
@@ -219,11 +223,12 @@ def _shuffle(key: jax.Array, worlds: int, blocks: int, first: jax.Array, minibat
         return jax.random.permutation(key, size)
 
     order = jax.vmap(permutation)(keys)
+    # A minibatch takes the same share of every block, so that no world moves between processes.
     order = order + size * jnp.arange(blocks)[:, None]
     return order.reshape(blocks, minibatches, -1).swapaxes(0, 1).reshape(minibatches, -1)
 
 
-def careful_rate(rate: jax.Array, config: Config) -> jax.Array:
+def initial_adaptive_rate(rate: jax.Array, config: Config) -> jax.Array:
     """Return the learning rate with which PPO begins on a policy that has learned: an adaptive one grows."""
     return jnp.full_like(rate, MIN_LEARNING_RATE) if config.lr_schedule == "adaptive" else rate
 
@@ -231,18 +236,20 @@ def careful_rate(rate: jax.Array, config: Config) -> jax.Array:
 def begin_update(networks: Networks, config: Config, train_state: TrainState) -> TrainState:
     """Return the train state with the learning rate, and Adam's moments, that an update begins with."""
     if config.lr_schedule == "linear":
-        left = 1.0 - train_state.iteration / config.iterations(networks.agent_count)
-        rate = config.learning_rate * jnp.maximum(left, 0.0).astype(jnp.float32)
+        remaining = 1.0 - train_state.iteration / config.iterations(networks.agent_count)
+        rate = config.learning_rate * jnp.maximum(remaining, 0.0).astype(jnp.float32)
         train_state = train_state.replace(learning_rate=rate)
-    lessons = config.imitations(networks.agent_count)
-    if not lessons:
+    imitation_iterations = config.imitations(networks.agent_count)
+    if not imitation_iterations:
         return train_state
     # Imitation ends with small gradients: steps by its moments would be many times as long as PPO's own.
-    own = train_state.replace(
-        learning_rate=careful_rate(train_state.learning_rate, config),
+    restarted = train_state.replace(
+        learning_rate=initial_adaptive_rate(train_state.learning_rate, config),
         opt_state=make_optimiser(config).init(train_state.params),
     )
-    return jax.tree.map(partial(jnp.where, train_state.iteration == lessons), own, train_state)
+    return jax.tree.map(
+        partial(jnp.where, train_state.iteration == imitation_iterations), restarted, train_state
+    )
 
 
 def run_epochs(
@@ -259,41 +266,44 @@ def run_epochs(
     train_state = begin_update(networks, config, train_state)
 
     def update_once(
-        state: TrainState, now: tuple[jax.Array, jax.Array]
+        state: TrainState, epoch_key: tuple[jax.Array, jax.Array]
     ) -> tuple[TrainState, dict[str, jax.Array]]:
-        index, key = now
+        index, key = epoch_key
         gradient, sums = jax.grad(loss, has_aux=True)(
             state.params, networks, state, batch.select_worlds(index), key, config
         )
         gradient, sums = jax.lax.psum((gradient, sums), PROCESS_AXIS)
         weight = jnp.maximum(sums.pop("weight"), 1.0)
-        gradient, known = jax.tree.map(lambda one: one / weight, (gradient, sums))
-        length = optax.tree.norm(gradient)
-        sound = jnp.isfinite(length)
+        gradient, stats = jax.tree.map(lambda one: one / weight, (gradient, sums))
+        norm = optax.tree.norm(gradient)
+        # An update whose gradient is not finite is skipped and counted, or it would ruin all weights.
+        finite = jnp.isfinite(norm)
         steps, moments = optimiser.update(gradient, state.opt_state)
+        # Not by optax: the rate is part of the train state, which `adaptive` changes between minibatches.
         params = jax.tree.map(lambda old, step: old - state.learning_rate * step, state.params, steps)
-        new = state.replace(params=params, opt_state=moments)
-        new = jax.tree.map(lambda after, before: jnp.where(sound, after, before), new, state)
+        updated = state.replace(params=params, opt_state=moments)
+        updated = jax.tree.map(lambda after, before: jnp.where(finite, after, before), updated, state)
         if config.lr_schedule == "adaptive":
-            rate = _adapt(state.learning_rate, known["divergence"], config)
-            new = new.replace(
+            rate = _adapt(state.learning_rate, stats["divergence"], config)
+            updated = updated.replace(
                 learning_rate=jnp.where(networks.is_imitating(state, config), state.learning_rate, rate)
             )
-        return new, {**known, "gradient": jnp.where(sound, length, 0.0), "skipped": 1.0 - sound}
+        return updated, {**stats, "gradient": jnp.where(finite, norm, 0.0), "skipped": 1.0 - finite}
 
     def epoch(state: TrainState, number: jax.Array) -> tuple[TrainState, dict[str, jax.Array]]:
-        now = jax.random.fold_in(key, number)
-        first = jax.lax.axis_index(PROCESS_AXIS) * blocks
-        index = _shuffle(now, worlds, blocks, first, config.num_minibatches)
-        keys = fold_each(now, config.shuffled_blocks + jnp.arange(config.num_minibatches))
+        epoch_key = jax.random.fold_in(key, number)
+        first_block = jax.lax.axis_index(PROCESS_AXIS) * blocks
+        index = _shuffle(epoch_key, worlds, blocks, first_block, config.num_minibatches)
+        keys = fold_each(epoch_key, config.shuffled_blocks + jnp.arange(config.num_minibatches))
         return jax.lax.scan(update_once, state, (index, keys))
 
-    train_state, known = jax.lax.scan(epoch, train_state, jnp.arange(config.num_epochs))
-    return train_state, jax.tree.map(jnp.mean, known)
+    train_state, stats = jax.lax.scan(epoch, train_state, jnp.arange(config.num_epochs))
+    return train_state, jax.tree.map(jnp.mean, stats)
 
 
 def _adapt(rate: jax.Array, divergence: jax.Array, config: Config) -> jax.Array:
     """Return a slower rate if the policy changed by much more than wanted, a faster one if by much less."""
+    # The rule of RSL-RL (Rudin et al. 2022): factor 1.5 outside of half to twice the target.
     slower = jnp.where(divergence > 2.0 * config.target_kl, rate / 1.5, rate)
     faster = jnp.where(divergence < 0.5 * config.target_kl, rate * 1.5, slower)
     return jnp.clip(jnp.where(jnp.isfinite(divergence), faster, rate), MIN_LEARNING_RATE, MAX_LEARNING_RATE)
@@ -313,10 +323,10 @@ def update(
     Args:
         networks: Shapes.
         config: Settings.
-        processes: How many share the worlds.
+        processes: Number of processes that share the worlds.
         train_state: The same in all.
-        experience: Of this process: trajectory (steps, worlds, ...), its ends (worlds, ...), and sums for the
-            log (1,).
+        experience: Rollout of this process: trajectory (steps, worlds, ...), ends (worlds, ...), and sums
+            for the log (1,).
         stream: Data of the key of all updates, see `Trainer`.
     """
     steps, ends, sums = experience
@@ -325,41 +335,43 @@ def update(
     batch, returns = compute_targets(networks, train_state, steps, ends, config)
     # Statistics follow the update: log-probabilities and values of the rollout were taken with the old ones.
     old = train_state
-    train_state, known = run_epochs(networks, config, processes, train_state, batch, key)
-    good = ~steps.bad
-    everyone: list[jax.Array] = [jnp.broadcast_to(good[..., None], one.shape) for one in returns]
+    train_state, stats = run_epochs(networks, config, processes, train_state, batch, key)
+    valid = ~steps.bad
+    valid_robots: list[jax.Array] = [jnp.broadcast_to(valid[..., None], one.shape) for one in returns]
     if config.normalize_obs:
         obs = tuple(
-            update_statistics(one, seen, who, PROCESS_AXIS)
-            for one, seen, who in zip(old.obs_statistics, steps.obs, everyone, strict=True)
+            update_statistics(one, seen, mask, PROCESS_AXIS)
+            for one, seen, mask in zip(old.obs_statistics, steps.obs, valid_robots, strict=True)
         )
         train_state = train_state.replace(
             obs_statistics=obs,
             privileged_statistics=update_statistics(
-                old.privileged_statistics, steps.privileged, good, PROCESS_AXIS
+                old.privileged_statistics, steps.privileged, valid, PROCESS_AXIS
             ),
         )
     if config.normalize_values:
         value = tuple(
             update_statistics(one, v, w, PROCESS_AXIS)
-            for one, v, w in zip(old.return_statistics, returns, everyone, strict=True)
+            for one, v, w in zip(old.return_statistics, returns, valid_robots, strict=True)
         )
         train_state = train_state.replace(return_statistics=value)
-    known = {f"loss/{name}": one for name, one in known.items()}
-    known["loss/explained"] = _explained(steps, returns, everyone)
-    known["loss/rate"] = train_state.learning_rate
+    stats = {f"loss/{name}": one for name, one in stats.items()}
+    stats["loss/explained"] = _explained_variance(steps, returns, valid_robots)
+    stats["loss/rate"] = train_state.learning_rate
     totals = {name: jax.lax.psum(one.sum(), PROCESS_AXIS) for name, one in sums.items()}
-    return train_state.replace(iteration=train_state.iteration + 1), {**known, **totals}
+    return train_state.replace(iteration=train_state.iteration + 1), {**stats, **totals}
 
 
-def _explained(steps: Trajectory, returns: tuple[jax.Array, ...], valid: list[jax.Array]) -> jax.Array:
-    """Return the share of the returns' variance that the critics foresaw."""
+def _explained_variance(
+    steps: Trajectory, returns: tuple[jax.Array, ...], valid: list[jax.Array]
+) -> jax.Array:
+    """Return the share of the returns' variance that the critics explain."""
     count = jnp.maximum(sum(_total(one) for one in valid), 1)
 
     def variance(values: list[jax.Array]) -> jax.Array:
         pairs = list(zip(values, valid, strict=True))
-        mean = sum(_total(jnp.where(who, one, 0.0)) for one, who in pairs) / count
-        return sum(_total(jnp.where(who, (one - mean) ** 2, 0.0)) for one, who in pairs) / count
+        mean = sum(_total(jnp.where(mask, one, 0.0)) for one, mask in pairs) / count
+        return sum(_total(jnp.where(mask, (one - mean) ** 2, 0.0)) for one, mask in pairs) / count
 
-    missed = [now - then for now, then in zip(returns, steps.value, strict=True)]
-    return 1.0 - variance(missed) / jnp.maximum(variance(list(returns)), 1e-8)
+    errors = [now - then for now, then in zip(returns, steps.value, strict=True)]
+    return 1.0 - variance(errors) / jnp.maximum(variance(list(returns)), 1e-8)

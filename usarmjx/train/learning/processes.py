@@ -38,7 +38,7 @@ def run_lock(run: Path) -> Generator[None]:
     The system holds the lock for this process, so none is left behind, however the process ends.
 
     Raises:
-        UsageError: Another process trains there; says which.
+        UsageError: Another process trains there; names it.
         WriteError: The folder cannot be written to.
     """
     path = run / LOCK_FILE
@@ -57,7 +57,7 @@ def run_lock(run: Path) -> Generator[None]:
 
 
 def _lock(descriptor: int) -> bool:
-    """Return whether nobody else holds the lock; true also where the system has none, which is told."""
+    """Return whether this process holds the lock; true with a warning on systems without locks."""
     reason = "this system has no fcntl"
     if fcntl is not None:
         try:
@@ -90,12 +90,15 @@ def initialize(environment: Mapping[str, str] | None = None) -> ProcessInfo:
         return ProcessInfo(1, 0, 0)
     if jax.distributed.is_initialized():
         return info
+    # JAX has no collectives between CPU processes unless it is given an implementation.
     cast(Any, jax.config).update("jax_cpu_collectives_implementation", "gloo")
     arguments: dict[str, Any] = {"num_processes": info.count, "process_id": info.index}
     if info.coordinator:
         arguments["coordinator_address"] = info.coordinator
     try:
-        jax.distributed.initialize(**arguments, local_device_ids=None if _chosen() else [info.local_index])
+        jax.distributed.initialize(
+            **arguments, local_device_ids=None if _device_is_chosen() else [info.local_index]
+        )
     except (RuntimeError, ValueError) as error:
         raise UsageError(f"process {info.index} of {info.count} cannot join the others: {error}") from error
     return info
@@ -130,13 +133,13 @@ def distributed_run() -> Generator[ProcessInfo, None, None]:
 def _start_devices() -> None:
     """Let JAX start its devices while modules are imported and worlds built: a GPU takes seconds.
 
-    What is wrong with them is for the first who needs them to tell, as JAX tries again.
+    Faults are left to the first caller that needs devices, as JAX tries again.
     """
     with suppress(Exception):
         jax.devices()
 
 
-def _chosen() -> bool:
+def _device_is_chosen() -> bool:
     """Return whether the device has been chosen already: a CPU, or the only GPU that is shown."""
     shown = os.environ.get("CUDA_VISIBLE_DEVICES")
     return os.environ.get("JAX_PLATFORMS") == "cpu" or (shown is not None and "," not in shown)
@@ -146,9 +149,9 @@ class ProcessGroup:
     """All processes, as the update sees them.
 
     Attributes:
-        count: How many there are.
-        index: Which this is.
-        device: What this one computes on.
+        count: Number of processes.
+        index: Index of this one.
+        device: Device that this one computes on.
         mesh: One device of each.
     """
 
@@ -164,7 +167,9 @@ class ProcessGroup:
         """Return a tree with its JAX arrays placed on this process's device; others stay as they are."""
         # Without weak types, so that the second iteration finds what the first one compiled.
         return jax.tree.map(
-            lambda leaf: jax.device_put(_strong(leaf), self.device) if isinstance(leaf, jax.Array) else leaf,
+            lambda leaf: (
+                jax.device_put(_without_weak_type(leaf), self.device) if isinstance(leaf, jax.Array) else leaf
+            ),
             tree,
         )
 
@@ -173,24 +178,24 @@ class ProcessGroup:
 
         Args:
             tree: Arrays of this process.
-            axis: Which the local parts are joined along; None: all processes have the same.
+            axis: Axis along which the local parts are joined; None: all processes have the same.
         """
 
-        def join_up(leaf: jax.Array, whole: jax.ShapeDtypeStruct) -> jax.Array:
-            return jax.make_array_from_single_device_arrays(whole.shape, whole.sharding, [leaf])
+        def global_array(leaf: jax.Array, spec: jax.ShapeDtypeStruct) -> jax.Array:
+            return jax.make_array_from_single_device_arrays(spec.shape, spec.sharding, [leaf])
 
-        return jax.tree.map(join_up, tree, self.global_shapes(tree, axis))
+        return jax.tree.map(global_array, tree, self.global_shapes(tree, axis))
 
     def global_shapes(self, tree: Tree, axis: int | None) -> Tree:
-        """Return the shapes of what `to_global` returns; of the tree only shapes are looked at."""
+        """Return the shapes of `to_global`'s result; only shapes of the tree are read."""
         spec = PartitionSpec() if axis is None else PartitionSpec(*[None] * axis, PROCESS_AXIS)
         sharding = NamedSharding(self.mesh, spec)
 
-        def joined(leaf: jax.Array) -> jax.ShapeDtypeStruct:
+        def global_shape(leaf: jax.Array) -> jax.ShapeDtypeStruct:
             shape = [n * self.count if i == axis else n for i, n in enumerate(leaf.shape)]
             return jax.ShapeDtypeStruct(tuple(shape), leaf.dtype, sharding=sharding)
 
-        return jax.tree.map(joined, tree)
+        return jax.tree.map(global_shape, tree)
 
     @staticmethod
     def to_local(tree: Tree) -> Tree:
@@ -210,5 +215,5 @@ class ProcessGroup:
         return bool(np.all(found))
 
 
-def _strong(leaf: jax.Array) -> jax.Array:
+def _without_weak_type(leaf: jax.Array) -> jax.Array:
     return leaf.astype(leaf.dtype) if getattr(leaf, "weak_type", False) else leaf

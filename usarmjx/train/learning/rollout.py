@@ -1,4 +1,4 @@
-"""Robots act for a while under the present policy; what they observe and get is kept."""
+"""Rollouts: robots act under the present policy, and their trajectories are recorded."""
 
 from collections.abc import Callable
 from functools import partial
@@ -38,20 +38,22 @@ Collected: TypeAlias = tuple[RolloutState, Trajectory, RolloutEnds, dict[str, ja
 """Worlds after a rollout, its steps, its ends, and sums over it for the log."""
 
 
-def _stacked(rows: list[tuple[Trajectory, dict[str, jax.Array]]]) -> tuple[Trajectory, dict[str, jax.Array]]:
+def _stack_steps(
+    rows: list[tuple[Trajectory, dict[str, jax.Array]]],
+) -> tuple[Trajectory, dict[str, jax.Array]]:
     """Return steps with a leading axis over them, and the sums over them."""
     steps, sums = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
     return steps, jax.tree.map(lambda one: one.sum(0), sums)
 
 
-def _summed(rows: dict[str, jax.Array]) -> dict[str, jax.Array]:
-    """Return sums over worlds (worlds,), all in one: a GPU takes a kernel for each that is by itself."""
+def _sum_worlds(rows: dict[str, jax.Array]) -> dict[str, jax.Array]:
+    """Return sums over worlds (worlds,) in one reduction: a GPU starts a kernel for each separate one."""
     single = [jnp.asarray(row, jnp.float32) for row in rows.values()]
     return dict(zip(rows, jnp.stack(single).sum(1), strict=True))
 
 
-def _look_away(state: EnvState) -> None:
-    """Do nothing: nobody looks."""
+def _no_watcher(state: EnvState) -> None:
+    """Ignore the state: the default without a watcher."""
     del state
 
 
@@ -67,7 +69,7 @@ def _step_sums(after: StepView, ended: jax.Array, bad: jax.Array) -> dict[str, j
 
 
 class Rollout:
-    """Lets robots act.
+    """Rollouts in the worlds of this process.
 
     Args:
         env: The worlds of this process.
@@ -75,7 +77,7 @@ class Rollout:
         config: Settings.
         first: Number of the first world.
         teacher: Baseline to imitate for the first `config.imitation_steps` agent steps.
-        program_cache: Of its programs.
+        program_cache: Cache of its programs.
     """
 
     def __init__(
@@ -89,13 +91,14 @@ class Rollout:
     ) -> None:
         self.env, self.networks, self.config, self.first = env, networks, config, first
         self.teacher = teacher
-        self.look: Callable[[EnvState], None] = _look_away
-        """Gets to see the worlds: after every action, or where a whole rollout is compiled, after that."""
-        kept = partial(compile_program, program_cache=program_cache, owner="Rollout", precise=False)
-        self._decide, self._account = kept(self._decided), kept(self._accounted)
-        self._stack, self._bound = kept(_stacked), kept(self._bounded)
-        self._begin = kept(self._initial)
-        self._collect_at_once = PrecompiledProgram(kept(self._scan))
+        self.look: Callable[[EnvState], None] = _no_watcher
+        """Receives the worlds: after every action, or where a whole rollout is compiled, after that."""
+        # Networks bear TensorFloat-32, which physics and sensors do not.
+        compiled = partial(compile_program, program_cache=program_cache, owner="Rollout", precise=False)
+        self._decide, self._account = compiled(self._choose_actions), compiled(self._record_step)
+        self._stack, self._bound = compiled(_stack_steps), compiled(self._rollout_ends)
+        self._begin = compiled(self._initial_carry)
+        self._collect_at_once = PrecompiledProgram(compiled(self._scan))
 
     def collect(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Collected:
         """Return the next rollout state, trajectory, ends, and sums for the log."""
@@ -109,8 +112,8 @@ class Rollout:
         """Compile `collect` for arguments of such shapes, on their devices; worlds are traceable.
 
         Args:
-            shapes: Of its arguments.
-            tell: Is given the shapes of what it returns, as soon as they are known.
+            shapes: Shapes of its arguments.
+            tell: Receives the shapes of the result as soon as they are known.
         """
         self._collect_at_once.compile(*shapes, tell=tell)
 
@@ -118,11 +121,12 @@ class Rollout:
         """Return the worlds at the start of their first episodes, some of which will be short."""
         config = self.config
         # A seed on the device puts all worlds there from their first step on: nothing is compiled twice.
-        seed = jax.device_put(np.uint32(config.seed % 2**32), jax.local_devices()[0])
+        given = random.key(config.seed) if config.seed >> 32 else np.uint32(config.seed)
+        seed = jax.device_put(given, jax.local_devices()[0])
         env = self.env.reset(seed, level) if config.curriculum else self.env.reset(seed)
-        number, late, carry = self._begin(jax.random.fold_in(random.key(config.seed), STAGGER_STREAM))
+        number, offset, carry = self._begin(jax.random.fold_in(random.key(config.seed), STAGGER_STREAM))
         if config.stagger_resets:  # by counting steps that never were, so nothing else of an episode changes
-            env = env.replace(length=late.astype(env.length.dtype))
+            env = env.replace(length=offset.astype(env.length.dtype))
         return RolloutState(
             env_state=env,
             world_index=number,
@@ -133,19 +137,19 @@ class Rollout:
             is_first=jnp.ones(self.env.worlds, bool),
         )
 
-    def _initial(self, key: jax.Array) -> tuple[jax.Array, jax.Array, GroupArrays]:
-        """Return the worlds' numbers, how late their first episodes are, and the carry."""
+    def _initial_carry(self, key: jax.Array) -> tuple[jax.Array, jax.Array, GroupArrays]:
+        """Return the worlds' numbers, the offsets of their first episodes, and the carry."""
         number = self.first + jnp.arange(self.env.worlds)
         keys = fold_each(key, number)
 
         def draw(key: jax.Array) -> jax.Array:
             return jax.random.randint(key, (), 0, self.env.episode_steps)
 
-        late = jax.vmap(draw)(keys)
-        return number, late, self.networks.policy.initial_carry(self.env.worlds)
+        offset = jax.vmap(draw)(keys)
+        return number, offset, self.networks.policy.initial_carry(self.env.worlds)
 
     @jax.named_scope("policy")
-    def _decided(
+    def _choose_actions(
         self,
         train_state: TrainState,
         view: StepView,
@@ -154,7 +158,7 @@ class Rollout:
         key: tuple[jax.Array, jax.Array | np.int32],
         memory: Memory,
     ) -> tuple[GroupArrays, Decision]:
-        """Return actions, and how they came about.
+        """Return actions, and the decision behind them.
 
         `key` is the rollout's and the number of the step; `memory`, of the task, is for the teacher alone.
         """
@@ -164,7 +168,7 @@ class Rollout:
         kinds = [policy.distribution(g) for g in range(len(raw))]
         value, critic = self._value(train_state, view.obs, view.privileged, carry[1])
         seen = (view.obs, memory)
-        teacher, teacher_action = self._taught(train_state, seen, carry[2], jax.random.fold_in(*key))
+        teacher, teacher_action = self._teacher_action(train_state, seen, carry[2], jax.random.fold_in(*key))
         return tuple(kind.postprocess(action) for kind, action in zip(kinds, raw, strict=True)), Decision(
             raw_action=raw,
             log_prob=tuple(k.log_prob(p, a) for k, p, a in zip(kinds, logits, raw, strict=True)),
@@ -175,30 +179,32 @@ class Rollout:
             teacher_carry=teacher,
         )
 
-    def _taught(
+    def _teacher_action(
         self, train_state: TrainState, seen: tuple[GroupArrays, Memory], carry: Carry, key: jax.Array
     ) -> tuple[Carry, GroupArrays]:
-        """Return the teacher's carry and actions; zeros when nobody imitates him any more."""
+        """Return the teacher's carry and actions; zeros once imitation is over."""
         teacher, groups = self.teacher, self.networks.groups
         if teacher is None:
             return carry, ()
         obs, memory = seen
-        nothing = tuple(jnp.zeros((*o.shape[:2], g.action_size)) for o, g in zip(obs, groups, strict=True))
+        zeros = tuple(jnp.zeros((*o.shape[:2], g.action_size)) for o, g in zip(obs, groups, strict=True))
         return jax.lax.cond(
             self.networks.is_imitating(train_state, self.config),
             lambda: teacher.act(carry, teacher_obs(self.env, memory, obs), key),
-            lambda: (carry, nothing),
+            lambda: (carry, zeros),
         )
 
     def _value(
         self, train_state: TrainState, obs: GroupArrays, privileged: jax.Array, carry: GroupArrays
     ) -> tuple[GroupArrays, GroupArrays]:
-        seen = tuple(one[None] for one in obs)
-        no = jnp.zeros((1, len(privileged)), bool)
-        value, after = critic_values(self.networks, train_state, (seen, privileged[None]), carry, no)
+        obs_sequence = tuple(one[None] for one in obs)
+        is_first = jnp.zeros((1, len(privileged)), bool)
+        value, after = critic_values(
+            self.networks, train_state, (obs_sequence, privileged[None]), carry, is_first
+        )
         return unscaled_values(train_state, tuple(one[0] for one in value)), after
 
-    def _accounted(
+    def _record_step(
         self,
         train_state: TrainState,
         episode: tuple[jax.Array, jax.Array],
@@ -211,13 +217,14 @@ class Rollout:
         `episode` is the return of the running episode, and whether it began with the step.
         """
         episode_return, is_first = episode
-        seen = (*before.obs, before.privileged[:, None], *(reward[..., None] for reward in after.reward))
-        sound = jnp.stack([jnp.isfinite(one).all((1, 2)) for one in seen]).all(0)
+        numbers = (*before.obs, before.privileged[:, None], *(reward[..., None] for reward in after.reward))
+        finite = jnp.stack([jnp.isfinite(one).all((1, 2)) for one in numbers]).all(0)
         # A world whose numbers are not finite is as bad as one whose physics failed: neither is trained on.
-        bad = after.bad | ~sound
+        bad = after.bad | ~finite
         done = after.done | bad
         truncated = after.truncated & ~bad
         zeros = tuple(jnp.zeros_like(value) for value in decision.value)
+        # Few steps truncate an episode: only then the critic runs a second time.
         bootstrap = jax.lax.cond(
             truncated.any(),
             lambda: self._value(train_state, after.final_obs, after.final_privileged, decision.critic_carry)[
@@ -244,12 +251,12 @@ class Rollout:
             bad=bad,
             teacher_action=decision.teacher_action,
         )
-        of_episodes = {
+        episode_sums = {
             "return": jnp.where(ended, episode_return, 0.0),
             "length": jnp.where(ended, before.length + 1, 0),
             "timeouts": truncated,
         }
-        sums = _summed({**of_episodes, **_step_sums(after, ended, bad)})
+        sums = _sum_worlds({**episode_sums, **_step_sums(after, ended, bad)})
         teacher = (
             decision.teacher_carry
             if self.teacher is None
@@ -258,7 +265,7 @@ class Rollout:
         carry = (reset(decision.policy_carry, done), reset(decision.critic_carry, done), teacher)
         return step, carry, jnp.where(done, 0.0, episode_return), sums
 
-    def _bounded(
+    def _rollout_ends(
         self,
         train_state: TrainState,
         before: tuple[GroupArrays, GroupArrays],
@@ -274,19 +281,19 @@ class Rollout:
     def _step(
         self,
         train_state: TrainState,
-        now: RolloutState,
+        state: RolloutState,
         key: jax.Array,
         step: jax.Array | np.int32,
     ) -> tuple[RolloutState, tuple[Trajectory, dict[str, jax.Array]]]:
-        before = step_view(now.env_state)
-        carry = (now.policy_carry, now.critic_carry, now.teacher_carry)
-        memory = () if self.teacher is None else now.env_state.memory
-        actions, decision = self._decide(train_state, before, carry, now.world_index, (key, step), memory)
-        env = self.env.step(now.env_state, actions)
+        before = step_view(state.env_state)
+        carry = (state.policy_carry, state.critic_carry, state.teacher_carry)
+        memory = () if self.teacher is None else state.env_state.memory
+        actions, decision = self._decide(train_state, before, carry, state.world_index, (key, step), memory)
+        env = self.env.step(state.env_state, actions)
         row, (policy, critic, teacher), episode_return, sums = self._account(
-            train_state, (now.episode_return, now.is_first), decision, before, step_view(env)
+            train_state, (state.episode_return, state.is_first), decision, before, step_view(env)
         )
-        now = now.replace(
+        state = state.replace(
             env_state=env,
             policy_carry=policy,
             critic_carry=critic,
@@ -294,28 +301,29 @@ class Rollout:
             episode_return=episode_return,
             is_first=row.done,
         )
-        return now, (row, sums)
+        return state, (row, sums)
 
     def _scan(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Collected:
         names: list[str] = []
 
-        def step(now: RolloutState, number: jax.Array) -> tuple[RolloutState, tuple[Trajectory, jax.Array]]:
-            now, (row, sums) = self._step(train_state, now, key, number)
+        def step(state: RolloutState, number: jax.Array) -> tuple[RolloutState, tuple[Trajectory, jax.Array]]:
+            state, (row, sums) = self._step(train_state, state, key, number)
+            # Filled while JAX traces this function; the sums leave the scan as one array.
             names[:] = sums
-            return now, (row, jnp.stack([*sums.values()]))
+            return state, (row, jnp.stack([*sums.values()]))
 
-        now, (steps, sums) = jax.lax.scan(step, start, jnp.arange(self.config.rollout_length))
-        return now, steps, self._ends(train_state, start, now), dict(zip(names, sums.sum(0), strict=True))
+        state, (steps, sums) = jax.lax.scan(step, start, jnp.arange(self.config.rollout_length))
+        return state, steps, self._ends(train_state, start, state), dict(zip(names, sums.sum(0), strict=True))
 
     def _loop(self, train_state: TrainState, start: RolloutState, key: jax.Array) -> Collected:
-        now = start
+        state = start
         rows: list[tuple[Trajectory, dict[str, jax.Array]]] = []
         for step in range(self.config.rollout_length):
-            now, row = self._step(train_state, now, key, np.int32(step))
+            state, row = self._step(train_state, state, key, np.int32(step))
             rows.append(row)
-            self.look(now.env_state)
+            self.look(state.env_state)
         steps, sums = self._stack(rows)
-        return now, steps, self._ends(train_state, start, now), sums
+        return state, steps, self._ends(train_state, start, state), sums
 
     def _ends(self, train_state: TrainState, start: RolloutState, end: RolloutState) -> RolloutEnds:
         after = (end.world_index, end.critic_carry)

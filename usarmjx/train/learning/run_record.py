@@ -27,8 +27,8 @@ class EnvArguments:
     """The arguments that an environment was made with; see `make`.
 
     Attributes:
-        engine: As asked for.
-        overrides: Fields of the task that were set otherwise, as typed: `make.task_values` reads them.
+        engine: Engine as named, also `auto`.
+        overrides: Overridden fields of the task, as typed: `make.task_values` reads them.
     """
 
     engine: str = "auto"
@@ -44,15 +44,15 @@ class RunRecord:
 
     Attributes:
         task: Name of the environment.
-        engine: As asked for.
-        overrides: Fields of the task that were set otherwise, as typed.
+        engine: Engine as named, also `auto`.
+        overrides: Overridden fields of the task, as typed.
         groups: The agents.
         privileged_size: Numbers that only critics see.
         episode_steps: Steps of an episode at most.
         period: Simulated time of a step [s].
-        processes: How many trained together.
+        processes: Number of processes that trained together.
         config: All settings.
-        versions: Of the packages that results depend on.
+        versions: Versions of the packages that results depend on.
         began_with: Run and checkpoint whose networks it began with, see `TrainedNetworks.origin`; None: with
             random ones.
     """
@@ -91,7 +91,7 @@ class RunRecord:
             if before != now:
                 changed.append(f"{name}: {before} -> {now}")
         if changed:
-            raise UsageError(f"the run in {folder} was started otherwise: {'; '.join(changed)}")
+            raise UsageError(f"the run in {folder} was started with other settings: {'; '.join(changed)}")
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - anything that JSON can hold

@@ -10,15 +10,15 @@ from usarmjx.base.errors import extra
 
 MAX_NORMALISED = 10.0
 """Normalised observations are cut to +- this many deviations."""
-LEAST_DEVIATION = 1e-2
-"""A quantity that has hardly changed so far is not blown up beyond this."""
+MIN_DEVIATION = 1e-2
+"""Least deviation by which a quantity is divided: one that hardly changes is not blown up."""
 
 
 class Count(struct.PyTreeNode, kw_only=True):
-    """How many there were, in halves: JAX has no integers of 64 bits unless told to.
+    """Number of values, in halves: JAX has no integers of 64 bits by default.
 
     Attributes:
-        hi: Of 2^32 ().
+        hi: Multiples of 2^32 ().
         lo: The rest ().
     """
 
@@ -31,16 +31,16 @@ class Count(struct.PyTreeNode, kw_only=True):
 
 
 class RunningStatistics(struct.PyTreeNode, kw_only=True):
-    """Brax's running statistics, field by field: whoever imports Brax imports MJX and Warp, too.
+    """Brax's running statistics, field by field, because importing Brax imports MJX and Warp, too.
 
-    That takes two seconds of a start, of which only what is not traced yet has need.
+    That takes two seconds of a start, and only tracing needs it.
 
     Attributes:
         mean: Mean so far (...).
         std: Deviation so far (...).
-        count: How many values these are of.
+        count: Number of values.
         summed_variance: Sum of the squared differences from the mean (...).
-        std_eps: What Brax adds to variances ().
+        std_eps: Constant that Brax adds to variances ().
     """
 
     mean: jax.Array
@@ -54,7 +54,7 @@ class Statistics(struct.PyTreeNode, kw_only=True):
     """Mean and deviation of a quantity so far.
 
     Attributes:
-        running: As Brax goes on from.
+        running: Statistics that Brax continues.
     """
 
     running: RunningStatistics
@@ -66,54 +66,54 @@ class Statistics(struct.PyTreeNode, kw_only=True):
 
     @property
     def std(self) -> jax.Array:
-        """Return the deviation (*shape), at least `LEAST_DEVIATION`."""
+        """Return the deviation (*shape), at least `MIN_DEVIATION`."""
         return self.running.std
 
 
 def init_statistics(*shape: int) -> Statistics:
     """Return statistics of nothing yet: mean 0, deviation 1."""
-    none, no = jnp.zeros(shape), jnp.uint32(0)
+    zeros, zero = jnp.zeros(shape), jnp.uint32(0)
     return Statistics(
         running=RunningStatistics(
-            mean=none,
+            mean=zeros,
             std=jnp.ones(shape),
-            count=Count(hi=no, lo=no),
-            summed_variance=none,
+            count=Count(hi=zero, lo=zero),
+            summed_variance=zeros,
             std_eps=jnp.float32(0.0),
         )
     )
 
 
 def update_statistics(statistics: Statistics, values: jax.Array, valid: jax.Array, axis: str) -> Statistics:
-    """Take in values (..., *shape) where valid (...), of all processes along a mesh axis."""
+    """Include values (..., *shape) where valid (...), of all processes along a mesh axis."""
     with extra("train"):
         from brax.training.acme import running_statistics
     before, library = statistics.running, cast(Any, running_statistics)
-    none = library.init_state(before.mean)
-    state = none.replace(
+    fresh = library.init_state(before.mean)
+    state = fresh.replace(
         mean=before.mean,
         std=before.std,
-        count=none.count.replace(hi=before.count.hi, lo=before.count.lo),
+        count=fresh.count.replace(hi=before.count.hi, lo=before.count.lo),
         summed_variance=before.summed_variance,
         std_eps=before.std_eps,
     )
-    here = valid.reshape(*valid.shape, *[1] * (values.ndim - valid.ndim))
+    mask = valid.reshape(*valid.shape, *[1] * (values.ndim - valid.ndim))
     weights = valid.astype(jnp.float32)
-    new = library.update(
+    updated = library.update(
         state,
-        jnp.where(here & jnp.isfinite(values), values, statistics.mean),
+        jnp.where(mask & jnp.isfinite(values), values, statistics.mean),
         weights=weights,
-        std_min_value=LEAST_DEVIATION,
+        std_min_value=MIN_DEVIATION,
         pmap_axis_name=axis,
     )
     after = before.replace(
-        mean=new.mean,
-        std=new.std,
-        count=Count(hi=new.count.hi, lo=new.count.lo),
-        summed_variance=new.summed_variance,
+        mean=updated.mean,
+        std=updated.std,
+        count=Count(hi=updated.count.hi, lo=updated.count.lo),
+        summed_variance=updated.summed_variance,
     )
-    some = jax.lax.psum(weights.sum(), axis) > 0  # none at all would be a division by zero
-    return Statistics(running=jax.tree.map(lambda one, old: jnp.where(some, one, old), after, before))
+    any_valid = jax.lax.psum(weights.sum(), axis) > 0  # none at all would be a division by zero
+    return Statistics(running=jax.tree.map(lambda one, old: jnp.where(any_valid, one, old), after, before))
 
 
 def normalise(mean: jax.Array, std: jax.Array, values: jax.Array) -> jax.Array:

@@ -21,11 +21,11 @@ class TensorBoardLog(AppendedFile):
     """Numbers for TensorBoard, over agent steps.
 
     They are written at once: tensorboardX's own writer has a thread for that, which ends when the disk is
-    full, and then whoever hands it more waits for ever.
+    full, and then further writes block for ever.
 
     Args:
         folder: For the file.
-        after: Agent steps that are behind already; TensorBoard forgets what it was shown of later ones.
+        after: Agent steps that are done already; TensorBoard drops records of later ones.
     """
 
     def __init__(self, folder: Path, after: int) -> None:
@@ -36,7 +36,7 @@ class TensorBoardLog(AppendedFile):
         self._waiting = [_framed(first), _framed(Event(step=after + 1, session_log=start))]
 
     def show(self, agent_steps: int, numbers: Mapping[str, float]) -> None:
-        """Write down the numbers of an iteration, after so many agent steps in all.
+        """Write the numbers of an iteration, at a count of agent steps.
 
         Raises:
             WriteError: Nothing was written; they wait.

@@ -1,4 +1,4 @@
-"""What training changes: the networks' parameters, the optimiser's state, running statistics."""
+"""State that training changes: the networks' parameters, the optimiser's state, running statistics."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ class ActorCriticParams(PyTreeNode, kw_only=True):
     Attributes:
         policy: Per group; of a policy that all share only one.
         critic: Per group.
-        group_bias: What a shared policy adds to its first layer for each group (width,); else nothing.
+        group_bias: Bias that a shared policy adds to its first layer for each group (width,); else empty.
     """
 
     policy: tuple[Params, ...]
@@ -62,10 +62,10 @@ class TrainState(PyTreeNode, kw_only=True):
     """All that an update changes; the same in every process.
 
     Attributes:
-        params: Of all networks.
+        params: Parameters of all networks.
         opt_state: Adam's moments.
         obs_statistics: Statistics of the observations, per group (obs_size,).
-        privileged_statistics: Those of what critics see besides (privileged_size,).
+        privileged_statistics: Those of the critics' privileged inputs (privileged_size,).
         return_statistics: Those of the returns, per group ().
         learning_rate: Learning rate ().
         iteration: Updates so far ().
@@ -156,12 +156,12 @@ def make_train_state(networks: Networks, config: Config) -> TrainState:
 def train_state_maker(
     networks: Networks, config: Config, program_cache: ProgramCache | None
 ) -> Callable[[jax.Array], TrainState]:
-    """Return what makes the train state before the first update of a key, compiled in one.
+    """Return the compiled function from a key to the train state before the first update.
 
     Args:
         networks: Shapes.
         config: Settings, whose seed does not matter.
-        program_cache: Of programs for such networks and settings.
+        program_cache: Cache of programs for such networks and settings.
     """
     return compile_program(partial(_initial, networks, config), program_cache, "TrainState", precise=False)
 
@@ -200,7 +200,7 @@ def critic_values(
     Args:
         networks: Shapes.
         train_state: Weights and statistics.
-        seen: Observations, per group (steps, worlds, robots, obs_size), and what critics see besides
+        seen: Observations, per group (steps, worlds, robots, obs_size), and privileged inputs
             (steps, worlds, privileged_size).
         carry: The critics' before the first step, per group (worlds, robots, memory).
         is_first: Whether it is reset before the step (steps, worlds).

@@ -18,7 +18,7 @@ from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState
 from usarmjx.train.learning.checkpoint import FULL, Checkpoints, read_part
 from usarmjx.train.learning.config import Config
-from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_begun
+from usarmjx.train.learning.fine_tuning import TrainedNetworks, check_source
 from usarmjx.train.learning.launch import check_parent
 from usarmjx.train.learning.learner import EnvFactory, Trainer
 from usarmjx.train.learning.metrics import MetricsLog, read_lines, summary
@@ -40,12 +40,12 @@ if TYPE_CHECKING:
 
 @contextmanager
 def compiling(trainer: "Trainer") -> Generator[None]:
-    """Compile rollout and update beside what is done meanwhile, and wait for both.
+    """Compile rollout and update in threads while the caller prepares, and wait for both.
 
-    That begins once the rollout is with XLA, which takes longest for it: two programs that Python traces at
-    once take turns.
+    The update starts once the rollout is with XLA, which takes longest for it: two programs that Python
+    traces at once take turns.
 
-    What is wrong with one is for its first call to tell, which compiles it again. Worlds that cannot be
+    A fault is left to the first call, which compiles again. Worlds that cannot be
     traced have no rollout to compile, and nothing is done.
     """
     if not trainer.env.traceable:
@@ -58,11 +58,11 @@ def compiling(trainer: "Trainer") -> Generator[None]:
     lowered = Event()
     with ThreadPoolExecutor(2, "compiling") as pool:
 
-        def update_too(collected: tuple[object, ...]) -> None:
+        def compile_update(collected: tuple[object, ...]) -> None:
             lowered.set()
             pool.submit(trainer.compile_update, shapes[0], collected)
 
-        done = pool.submit(trainer.rollout.compile_ahead, *shapes, tell=update_too)
+        done = pool.submit(trainer.rollout.compile_ahead, *shapes, tell=compile_update)
         done.add_done_callback(lambda _: lowered.set())
         lowered.wait()
         yield
@@ -76,13 +76,13 @@ with extra("train"):  # said before anything is built, although it is needed onl
 
 @dataclass(frozen=True)
 class TrainResult:
-    """What became of a run.
+    """Result of a run.
 
     Attributes:
         run: Its folder.
         iterations: Updates in all.
         agent_steps: Steps of all robots in all.
-        last_metrics: What was written of the last iteration.
+        last_metrics: Record of the last iteration.
     """
 
     run: Path
@@ -111,16 +111,16 @@ def train(  # noqa: PLR0913 - all but three may be left out
         config: Settings.
         out: Folder of the run.
         resume: Go on where the run in that folder was left; from the start if it had no checkpoint yet.
-        origin: For the record: what the environment was made with.
+        origin: Arguments that the environment was made with, for the record.
         source: Networks to begin with; None: random ones. A run that is resumed has its own.
         progress: Show a bar in the terminal.
-        watch: Called with what is written of each iteration.
-        look: Gets to see the worlds of this process: as they are before the first action, and then again
+        watch: Receives the record of each iteration.
+        look: Receives the worlds of this process: as they are before the first action, and then again
             and again, see `Rollout.look`.
 
     Raises:
-        UsageError: The folder has a run already, or none to resume, or one that was started otherwise, went
-            further than is asked for, or is being trained; a broken checkpoint; numbers of worlds,
+        UsageError: The folder has a run already, or none to resume, or one with other settings, more
+            iterations than requested, or another trainer; a broken checkpoint; numbers of worlds,
             minibatches and processes, or networks to begin with, that do not fit.
         WriteError: The folder cannot be written to, or something is missing there at the end.
     """
@@ -167,7 +167,7 @@ def _checked_record(
     if source is not None:
         source.check(trainer.networks)
         record = replace(record, began_with=source.origin)
-    check_begun(checkpoints, record, source)
+    check_source(checkpoints, record, source)
     return record
 
 
@@ -185,13 +185,13 @@ def _check_new(out: Path, process_group: ProcessGroup) -> None:
 
 
 def _check_ahead(trainer: Trainer, checkpoints: Checkpoints) -> None:
-    """Refuse to resume a run that has more behind it than is asked for."""
+    """Refuse to resume a run that has more agent steps than requested."""
     if checkpoints.all():
         done = checkpoints.meta(checkpoints.find("last"))
         if done["iteration"] > trainer.iterations:
             raise UsageError(
                 f"the run in {checkpoints.run} has {done['agent_steps']:,} agent steps behind it, more than "
-                f"the {trainer.config.total_steps:,} that are asked for: ask for as many at least"
+                f"the requested {trainer.config.total_steps:,}: request at least as many"
             )
 
 
@@ -209,7 +209,7 @@ def _restore(
     train_state, worlds = trainer.start()
     if source is not None:
         train_state = trainer.process_group.device_put(source.begin(train_state, trainer.config))
-        # Whoever resumes the run before its next checkpoint needs no source.
+        # A run that is resumed before its next checkpoint needs no source.
         checkpoints.save(0, train_state, worlds, {"agent_steps": 0, "score": None})
         return train_state, worlds, 0
     if not checkpoints.all():
@@ -232,16 +232,16 @@ def _mean_score(lines: list[dict[str, Any]]) -> float | None:
     return sum(episodes * score for episodes, score in rows) / count if count else None
 
 
-def _judged(trainer: Trainer, train_state: TrainState, lines: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return a checkpoint's score and what kind of one it is: under a curriculum not that of easy arenas."""
+def _scored(trainer: Trainer, train_state: TrainState, lines: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return a checkpoint's score and its kind: under a curriculum not that of easy arenas."""
     if not trainer.config.curriculum:
         return {"score": _mean_score(lines), "kind": "in training"}
     first = trainer.process_group.index == 0  # who writes the note
-    return {"score": trainer.full_score(train_state) if first else None, "kind": FULL}
+    return {"score": trainer.full_difficulty_score(train_state) if first else None, "kind": FULL}
 
 
 class _CheckpointWriter:
-    """Checkpoints written beside the training, one at a time.
+    """Writer of checkpoints in a thread beside the training, one at a time.
 
     A checkpoint of a GPU's worlds takes longer than an iteration to fetch and write, and the device would
     wait for it. Several processes write together, which takes collectives that must not meet those of an
@@ -250,8 +250,8 @@ class _CheckpointWriter:
     Args:
         checkpoints: Those of the run.
         beside: Whether a thread writes.
-        say: Takes a line about a checkpoint that could not be written.
-        watch: Takes the lines of iterations, each after the checkpoints before it are written.
+        say: Receives a line about a checkpoint that could not be written.
+        watch: Receives the records of iterations, each after the checkpoints before it are written.
     """
 
     def __init__(
@@ -283,17 +283,17 @@ class _CheckpointWriter:
 
     def settle(self) -> None:
         """Wait for the checkpoint that is being written, and hand on the lines that waited for it."""
-        if missing := self.finish():
-            self._say(f"{missing}; training goes on, and the next checkpoint is tried")
+        if fault := self.finish():
+            self._say(f"{fault}; training goes on, and the next checkpoint is tried")
 
     def finish(self) -> WriteError | None:
         """Do as `settle` does; return why the checkpoint could not be written, or None."""
-        missing = self._written.result()
+        fault = self._written.result()
         self._written = Future()
         self._written.set_result(None)
         while self._lines:
             self._watch(self._lines.pop(0))
-        return missing
+        return fault
 
     def _write(
         self, iteration: int, state: tuple[TrainState, RolloutState], note: dict[str, Any]
@@ -310,7 +310,7 @@ class _CheckpointWriter:
             self._pool.shutdown()
 
 
-def _silent(text: str) -> None:
+def _ignore(text: str) -> None:
     del text
 
 
@@ -320,7 +320,7 @@ class _Iteration(NamedTuple):
     Attributes:
         number: From 1.
         known: Numbers for the log.
-        state: What it left, if a checkpoint of it is due; else None.
+        state: The state after it, if a checkpoint of it is due; else None.
     """
 
     number: int
@@ -328,26 +328,28 @@ class _Iteration(NamedTuple):
     state: tuple[TrainState, RolloutState] | None
 
 
-def _iterated(trainer: Trainer, left: tuple[TrainState, RolloutState, int]) -> Iterator[list[_Iteration]]:
+def _iterations(
+    trainer: Trainer, restored: tuple[TrainState, RolloutState, int]
+) -> Iterator[list[_Iteration]]:
     """Iterate to the end, from where it was left.
 
     Yields:
         Iterations whose numbers can be read: the one before, while the next one is at work, so that the
         device does not wait for the host; at the end the last one, too.
     """
-    train_state, worlds, before = left
-    unread: list[_Iteration] = []
-    for number in range(before + 1, trainer.iterations + 1):
+    train_state, worlds, done = restored
+    pending: list[_Iteration] = []
+    for number in range(done + 1, trainer.iterations + 1):
         train_state, worlds, known = trainer.iterate(train_state, worlds, number - 1)
         last = number == trainer.iterations
         due = last or number % trainer.config.checkpoint_interval == 0
-        unread.append(_Iteration(number, known, (train_state, worlds) if due else None))
-        ready, unread = (unread, []) if last else (unread[:-1], unread[-1:])
+        pending.append(_Iteration(number, known, (train_state, worlds) if due else None))
+        ready, pending = (pending, []) if last else (pending[:-1], pending[-1:])
         yield ready
 
 
 def _line(trainer: Trainer, iteration: int, sums: dict[str, float], rate: float) -> dict[str, Any]:
-    """Return what is written of an iteration."""
+    """Return the record of an iteration."""
     world_steps = trainer.config.rollout_length * trainer.config.num_worlds
     return {
         "iteration": iteration,
@@ -361,7 +363,7 @@ def _line(trainer: Trainer, iteration: int, sums: dict[str, float], rate: float)
 def _run(
     trainer: Trainer,
     checkpoints: Checkpoints,
-    left: tuple[TrainState, RolloutState, int],
+    restored: tuple[TrainState, RolloutState, int],
     log: MetricsLog | None,
     watch: Callable[[dict[str, Any]], None],
     began: float,
@@ -371,27 +373,32 @@ def _run(
     steps = trainer.config.rollout_length * trainer.config.num_worlds * trainer.agents
     lines: list[dict[str, Any]] = []  # of the iterations since the last checkpoint
     line: dict[str, Any] = {}
-    say: Callable[[str], None] = log.say if log else _silent
+    say: Callable[[str], None] = log.say if log else _ignore
     writer = _CheckpointWriter(checkpoints, trainer.process_group.count == 1, say, watch)
     with log or nullcontext(), closing(writer):
-        for ready in _iterated(trainer, left):
-            for one in ready:
-                sums = {name: float(value) for name, value in jax.device_get(one.known).items()}
+        for ready in _iterations(trainer, restored):
+            for finished_iteration in ready:
+                sums = {
+                    name: float(value) for name, value in jax.device_get(finished_iteration.known).items()
+                }
                 began, seconds = (now := time.perf_counter()), now - began
-                line = _line(trainer, one.number, sums, steps / seconds)
+                line = _line(trainer, finished_iteration.number, sums, steps / seconds)
                 lines.append(line)
-                if one.state is not None:
+                if finished_iteration.state is not None:
                     writer.settle()
                 if log:
                     log.write(line)
-                if one.state is not None:
-                    note = {"agent_steps": one.number * steps, **_judged(trainer, one.state[0], lines)}
-                    writer.save(one.number, one.state, note)
+                if finished_iteration.state is not None:
+                    note = {
+                        "agent_steps": finished_iteration.number * steps,
+                        **_scored(trainer, finished_iteration.state[0], lines),
+                    }
+                    writer.save(finished_iteration.number, finished_iteration.state, note)
                     lines.clear()
-                writer.show(line, last=one.number == iterations)
+                writer.show(line, last=finished_iteration.number == iterations)
             check_parent()
-        if missing := writer.finish():
-            raise WriteError(f"{missing}; the last checkpoint is missing: resume the run from the one before")
+        if fault := writer.finish():
+            raise WriteError(f"{fault}; the last checkpoint is missing: resume the run from the one before")
         if log:
             log.check_whole()
     if not line:  # the run was over already

@@ -1,4 +1,4 @@
-"""What robots do, see and get in a rollout, as data."""
+"""Data of a rollout: observations, actions, rewards and carries."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ GroupArrays = tuple[jax.Array, ...]
 
 
 class Trajectory(PyTreeNode, kw_only=True):
-    """What happened, step by step.
+    """Steps of a rollout.
 
     Attributes:
         obs: Per group (steps, worlds, robots, obs_size).
@@ -26,7 +26,7 @@ class Trajectory(PyTreeNode, kw_only=True):
         done: Whether one ended with it (steps, worlds).
         truncated: Whether that was by time-out (steps, worlds).
         bad: Whether the step is not to be trained on (steps, worlds).
-        teacher_action: What the teacher would have done, squashed, per group (steps, worlds, robots,
+        teacher_action: The teacher's action, squashed, per group (steps, worlds, robots,
             action_size); empty without a teacher.
     """
 
@@ -45,10 +45,10 @@ class Trajectory(PyTreeNode, kw_only=True):
 
 
 class RolloutEnds(PyTreeNode, kw_only=True):
-    """What is known of the worlds before the first step and after the last.
+    """State of the worlds before the first step and after the last.
 
     Attributes:
-        world_index: Of each world, among those of all processes (worlds,).
+        world_index: Index of each world among those of all processes (worlds,).
         policy_carry: That of the policies before the first step, per group (worlds, robots, memory).
         critic_carry: That of the critics, as `policy_carry`, per group (worlds, robots, memory).
         last_value: The critics' values of the state after the last step, per group (worlds, robots).
@@ -61,11 +61,11 @@ class RolloutEnds(PyTreeNode, kw_only=True):
 
 
 class RolloutState(PyTreeNode, kw_only=True):
-    """The worlds of this process, and what goes on in them from one rollout to the next.
+    """State of this process's worlds from one rollout to the next.
 
     Attributes:
         env_state: The worlds.
-        world_index: Of each of them, among those of all processes (worlds,).
+        world_index: Index of each world among those of all processes (worlds,).
         policy_carry: That of the policies, per group (worlds, robots, memory).
         critic_carry: That of the critics, per group (worlds, robots, memory).
         teacher_carry: That of the teacher, if there is one (worlds, ...).
@@ -83,7 +83,7 @@ class RolloutState(PyTreeNode, kw_only=True):
 
 
 class StepView(PyTreeNode, kw_only=True):
-    """What of an environment's state the trainer needs.
+    """Fields of an environment's state that the trainer reads.
 
     Attributes:
         obs: Per group (worlds, robots, obs_size).
@@ -113,12 +113,12 @@ class StepView(PyTreeNode, kw_only=True):
 
 
 def step_view(env: EnvState) -> StepView:
-    """Return what the trainer needs of a state."""
+    """Return the fields that the trainer reads."""
     return StepView(**{name: getattr(env, name) for name in StepView.__dataclass_fields__})
 
 
 class Decision(PyTreeNode, kw_only=True):
-    """What is decided in a step, and the carries after it.
+    """Decision of a step, and the carries after it.
 
     Attributes:
         raw_action: Actions before they are squashed, per group (worlds, robots, action_size).

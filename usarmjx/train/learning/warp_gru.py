@@ -273,15 +273,17 @@ def recur_on_warp(
     return after[0].reshape(steps, worlds, robots, units)
 
 
-def slopes_on_warp(
+def gradients_on_warp(
     slopes: jax.Array, by_own: jax.Array, update: jax.Array, weights: jax.Array, is_first: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Return the slopes of the first carry (worlds, robots, units) and of that after each step (steps, ...).
 
     Args:
-        slopes: Of the loss by what comes out of each step (steps, worlds, robots, units).
-        by_own: Of a step's carry by its products with the weights (steps, worlds, robots, 3 units).
-        update: Of a step's carry by the one before it, those products held (steps, worlds, robots, units).
+        slopes: Gradient of the loss by the output of each step (steps, worlds, robots, units).
+        by_own: Derivative of a step's carry by its products with the weights (steps, worlds, robots, 3
+            units).
+        update: Derivative of a step's carry by the one before it, those products held (steps, worlds,
+            robots, units).
         weights: From the carry to the gates (units, 3 units).
         is_first: Whether the carry is reset before the step (steps, worlds).
     """

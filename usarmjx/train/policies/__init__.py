@@ -2,7 +2,7 @@
 
 `export` writes and runs them with NumPy alone, `sources` finds policies by folder, file or name. Keys of the
 files are for good: robots elsewhere read them. A policy fits only the observation that it was trained on, so
-whoever changes a task's observation trains its policy again. Begin with `export.NumpyPolicy`.
+a task whose observation changes needs a new policy. Begin with `policy_file.NumpyPolicy`.
 """
 
 from pathlib import Path

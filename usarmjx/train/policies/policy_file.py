@@ -27,18 +27,18 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 MOST_BYTES = 64_000_000
-"""Of a policy's arrays, unpacked."""
+"""Most bytes of a policy's arrays, unpacked."""
 USUAL_BYTES, MOST_RATIO = 8_000_000, 100
-"""Of arrays that may be packed as small as they are, and how much larger than their file others may be."""
+"""Bytes that arrays may take however small their file is, and their largest ratio to the file beyond."""
 MOST_ARRAYS = 1000
 HEADER = 4096
 """Bytes at the start of an array that have its shape; ours have 128."""
 
 
 def read_arrays(file: Path) -> tuple[Any, dict[str, np.ndarray]]:
-    """Return what is said under `about` in a policy's file, and its other arrays.
+    """Return the facts under `about` in a policy's file, and its other arrays.
 
-    No array is read before all shapes are known to be as large as the file says, and no larger than may be.
+    No array is read before all headers agree with the file, and with the limits.
 
     Raises:
         UsageError: The file is too large, or no policy.
@@ -47,6 +47,7 @@ def read_arrays(file: Path) -> tuple[Any, dict[str, np.ndarray]]:
         with zipfile.ZipFile(file) as held:
             members = {one.filename.removesuffix(".npy"): one for one in held.infolist()}
             _check_sizes(file, list(members.values()))
+            # Headers before arrays: a shape can ask for more memory than the file has bytes.
             for name, member in members.items():
                 _check_header(held, member, name)
             found = {name: _read(held, member) for name, member in members.items()}
@@ -69,7 +70,7 @@ def _check_sizes(file: Path, members: Sequence[zipfile.ZipInfo]) -> None:
 
 
 def _check_header(held: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> None:
-    """Check that an array is of numbers or a text, and as large as its member is said to be."""
+    """Check that an array is of numbers or a text, and its shape agrees with the size of its member."""
     with held.open(member) as stream:
         head = io.BytesIO(stream.read(HEADER))
     read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}[npy.read_magic(head)]
@@ -90,7 +91,7 @@ def _read(held: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
 
 
 def check_about(about: Any) -> None:  # noqa: ANN401 - whatever the file has
-    """Check that a policy's file says what a policy needs.
+    """Check that a policy's file has all facts that a policy needs.
 
     Raises:
         ValueError: Something is missing, or of another kind; names it.
@@ -171,10 +172,12 @@ ParamTree = Mapping[str, Any]
 
 
 def _sigmoid(x: Vector) -> Vector:
+    # By tanh, because exp(-x) overflows for large negative x.
     return 0.5 * (1.0 + np.tanh(0.5 * x))
 
 
 def _elu(x: Vector) -> Vector:
+    # `where` computes both branches: expm1 of a large x would overflow.
     return np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0)))
 
 
@@ -183,10 +186,10 @@ def _dense(layer: ParamTree, x: Vector) -> Vector:
 
 
 def forward(weights: ParamTree, layers: int, x: Vector, carry: Vector) -> tuple[Vector, Vector]:
-    """Return what a policy's network says (..., outputs), and the carry after it (..., memory).
+    """Return the outputs of a policy's network (..., outputs), and the carry after it (..., memory).
 
     Args:
-        weights: Of the network, by layer.
+        weights: Weights of the network, by layer.
         layers: Number of hidden layers.
         x: Normalised observations (..., n).
         carry: That before it (..., memory).
@@ -211,12 +214,12 @@ class NumpyPolicy:
     Attributes:
         task: Name of the task that it was trained for.
         period: Simulated time between two actions [s].
-        groups: Of each group `name`, `agents`, `obs_size`, `action_size`.
+        groups: For each group `name`, `agents`, `obs_size`, `action_size`.
         memory: Units of memory of each robot; 0: none.
-        overrides: Fields of the task that were set otherwise in training, as typed.
+        overrides: Overridden fields of the task in training, as typed.
         layers: Number of hidden layers.
         weights: Per group a tree of weights.
-        mean: Of the observations in training, per group (obs_size,).
+        mean: Mean of the observations in training, per group (obs_size,).
         std: Their deviation, per group (obs_size,).
 
     Raises:
@@ -263,9 +266,9 @@ class NumpyPolicy:
 
         Args:
             group: Number of the group.
-            obs: What they observe (..., obs_size).
+            obs: Their observations (..., obs_size).
             carry: That before them (..., memory).
-            draw: Where random numbers come from; None: the most probable actions are taken.
+            draw: Generator of random numbers; None: the most probable actions are taken.
 
         Raises:
             UsageError: Observations of another size.
@@ -318,7 +321,7 @@ def save_policy(
         file: To write.
         policy: Its network.
         params: Weights and statistics.
-        record: What it was trained for.
+        record: Record of its training.
         half: Write weights as numbers of 16 bits, rounded by up to 2^-11 of themselves.
 
     Raises:

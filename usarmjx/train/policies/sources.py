@@ -1,4 +1,4 @@
-"""Policies from wherever they are: the folder of a run, an exported file, the package, or written by hand."""
+"""Policies from any source: the folder of a run, an exported file, the package, or a baseline."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,11 +24,11 @@ class PolicySource:
     """A policy that was found.
 
     Attributes:
-        name: What it is called in reports.
+        name: Name in reports.
         task: Name of the task that it is for.
-        overrides: Fields of the task that were set otherwise when it was trained, as text.
+        overrides: Overridden fields of the task in training, as text.
         learned: Its network and weights; None: the baseline of `name`.
-        checkpoint: Of a run: which of its checkpoints, and why, in a line; else empty.
+        checkpoint: Line about the checkpoint of a run and its choice; else empty.
     """
 
     name: str
@@ -66,11 +66,11 @@ class PolicySource:
         """Return its task as it was trained on, the policy for it, and notes on what could not be set so.
 
         Args:
-            settings: Fields of the task to set otherwise, `key=value` each.
-            worlds: How many.
+            settings: Overrides of the task's fields, `key=value` each.
+            worlds: Number of worlds.
             engine: `warp`, `jax`, `c`, or `auto`.
-            seed: Of all random numbers.
-            split: Of generated arenas, a name of `SPLITS`; None: the task's own, which were trained on.
+            seed: Seed of all random numbers.
+            split: Split of generated arenas, a name of `SPLITS`; None: the task's own, used in training.
 
         Raises:
             UsageError: A setting that does not read, a scene that cannot be built, or that the policy is
@@ -85,7 +85,7 @@ class PolicySource:
         return env, self.policy(env), notes
 
     def count_arenas(self, settings: Sequence[str], split: str | None) -> int:
-        """Return how many arenas of a split its task has; None: of its own, 0 if they are not generated.
+        """Return the number of arenas of a split; None: of the task's own, 0 if they are not generated.
 
         Raises:
             UsageError: See `env`.
@@ -118,15 +118,15 @@ def _shapes(groups: Sequence[AgentGroup]) -> list[tuple[str, int, int]]:
 def task_settings(
     task: str, trained: Mapping[str, str], settings: Sequence[str]
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return fields of a task as a policy was trained and as asked for, and notes on those left out.
+    """Return the fields of a task from training and overrides, and notes on those left out.
 
     Descriptions that were set from Python, as `radio=RadioSettings(...)`, cannot be read back. Whatever the
-    physics was in training, it is the reference's here unless asked for: scores are compared.
+    physics was in training, the reference's is used here by default: scores are compared.
 
     Args:
         task: Name of the task.
         trained: Fields as the policy was trained, texts by name.
-        settings: Fields to set otherwise, `name=value` each.
+        settings: Overrides of fields, `name=value` each.
 
     Raises:
         UsageError: A value that is not allowed; names its limits.
@@ -160,10 +160,10 @@ def load_policy(what: str, checkpoint: str = "best") -> PolicySource:
 
     Args:
         what: Folder, file, or task.
-        checkpoint: Of a run: `best`, `last`, or the number of an iteration.
+        checkpoint: Checkpoint of a run: `best`, `last`, or the number of an iteration.
 
     Raises:
-        UsageError: What is there is no run or policy, or broken.
+        UsageError: The file or folder holds no run or policy, or is broken.
         UnknownNameError: Nothing is there, and no packaged policy has that name; lists those there are.
     """
     path = Path(what)
@@ -206,7 +206,7 @@ def load_exported(file: Path) -> PolicySource:
 
 
 def baseline(name: str, task: str | None = None) -> PolicySource:
-    """Return the policy written by hand for a task, to be tried on that task or another one.
+    """Return the baseline of a task, to evaluate on that task or another one.
 
     Raises:
         UnknownNameError: No such baseline; lists those there are.
