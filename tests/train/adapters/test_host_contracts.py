@@ -106,9 +106,7 @@ def test_critics_get_their_state():
 
 
 def test_options_of_a_reset_are_refused_by_name():
-    from usarmjx.train.adapters.pettingzoo import ParallelWorld
-
-    for world in (TeamWorld(LineToy(worlds=1)), VectorWorlds(LineToy()), ParallelWorld(LineToy(worlds=1))):
+    for world in (TeamWorld(LineToy(worlds=1)), VectorWorlds(LineToy())):
         with pytest.raises(UsageError, match="unknown options of reset: gravity"):
             world.reset(options={"gravity": 3})
 

@@ -9,7 +9,6 @@ from usarmjx.base.errors import UsageError, extra
 from usarmjx.train.adapters.agents import (
     agents_of,
     by_agent,
-    check_no_options,
     check_one_world,
     compiled_step,
     draw_seed,
@@ -77,15 +76,12 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         return self.action_spaces[agent]
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Values, Values]:
-        """Start an episode.
+        """Start an episode; no options are known, and any are ignored, as PettingZoo's own checker wants it.
 
         Returns:
             Observations (obs_size,) and infos, by agent.
-
-        Raises:
-            UsageError: Any options: none are known.
         """
-        check_no_options(options)
+        del options
         if seed is not None:
             self._generator = np.random.default_rng(seed)
         elif self._state is None:
