@@ -24,14 +24,15 @@ from benchmarks.cases import (
     ViewerCase,
 )
 from usarmjx.base.errors import UsageError
-from usarmjx.cli.common import ErrorExit, IniOption, UnitOption, configure_from, grouped
+from usarmjx.cli.common import ErrorExit, IniOption, UnitOption, configure_from
+from usarmjx.cli.setting_options import with_settings
 from usarmjx.cli.startup_messages import announce
 
-app = typer.Typer(help="Measure how fast things go on this machine.", no_args_is_help=True)
+app = typer.Typer(help="Measure the speed of this machine.", no_args_is_help=True)
 
 
 @app.command("radio")
-@grouped
+@with_settings
 def bench_radio(case: RadioCase, record: AllBaselineOptions) -> None:
     """Measure the links of all pairs of robots, walls counted."""
     with ErrorExit():
@@ -42,7 +43,7 @@ def bench_radio(case: RadioCase, record: AllBaselineOptions) -> None:
 
 
 @app.command("rays")
-@grouped
+@with_settings
 def bench_rays(case: RayCase, record: AllBaselineOptions) -> None:
     """Measure laser scans of all robots, and the same by brute force."""
     with ErrorExit():
@@ -53,7 +54,7 @@ def bench_rays(case: RayCase, record: AllBaselineOptions) -> None:
 
 
 @app.command("camera")
-@grouped
+@with_settings
 def bench_camera(case: CameraCase, record: AllBaselineOptions) -> None:
     """Measure pictures of all robots' main cameras: colours, depth and segmentation."""
     with ErrorExit():
@@ -64,7 +65,7 @@ def bench_camera(case: CameraCase, record: AllBaselineOptions) -> None:
 
 
 @app.command("step")
-@grouped
+@with_settings
 def bench_step(
     case: StepCase, record: AllBaselineOptions, ini: IniOption = None, uu_per_metre: UnitOption = 250.0
 ) -> None:
@@ -79,7 +80,7 @@ def bench_step(
 
 
 @app.command("viewer")
-@grouped
+@with_settings
 def bench_viewer(case: ViewerCase, record: BaselineOptions) -> None:
     """Measure what the live page costs, and what a server with a page open keeps up with."""
     with ErrorExit():
@@ -90,7 +91,7 @@ def bench_viewer(case: ViewerCase, record: BaselineOptions) -> None:
 
 
 @app.command("serve")
-@grouped
+@with_settings
 def bench_serve(
     case: ServeCase,
     record: BaselineOptions,
@@ -108,7 +109,7 @@ def bench_serve(
 
 
 @app.command("train")
-@grouped
+@with_settings
 def bench_train(
     case: TrainCase,
     record: BaselineOptions,
@@ -131,7 +132,7 @@ def bench_train(
 
 
 @app.command("physics")
-@grouped
+@with_settings
 def bench_physics(case: ScorecardCase, record: RecordOptions) -> None:
     """Drive every class through manoeuvres under settings of the physics and under the reference's."""
     with ErrorExit():
@@ -142,7 +143,7 @@ def bench_physics(case: ScorecardCase, record: RecordOptions) -> None:
 
 
 @app.command("compile")
-@grouped
+@with_settings
 def bench_compile(case: CompileCase, record: BaselineOptions) -> None:
     """Measure how long the first step takes: imports, scene, tracing, XLA; cold and with a filled cache."""
     with ErrorExit():
@@ -153,7 +154,7 @@ def bench_compile(case: CompileCase, record: BaselineOptions) -> None:
 
 
 @app.command("memory")
-@grouped
+@with_settings
 def bench_memory(case: MemoryCase, record: BaselineOptions) -> None:
     """Measure the memory of worlds, by part, and what a compiled step needs."""
     with ErrorExit():
@@ -164,7 +165,7 @@ def bench_memory(case: MemoryCase, record: BaselineOptions) -> None:
 
 
 @app.command("peers")
-@grouped
+@with_settings
 def bench_peers(case: ContestCase, folders: PeerFolders, record: RecordOptions) -> None:
     """Run other simulators and ours in turn, each in a process of its own, and list what is in whose step."""
     with ErrorExit():

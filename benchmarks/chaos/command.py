@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import typer
 
 from usarmjx.base.errors import UsageError
-from usarmjx.cli.common import ErrorExit, SeedOption, grouped
+from usarmjx.cli.common import ErrorExit, SeedOption
 from usarmjx.cli.completion import complete_arenas
+from usarmjx.cli.setting_options import with_settings
 from usarmjx.server.network.ports import LAST_PORT
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ class SoakOptions:
     every: Annotated[float, typer.Option(min=0.1, help="With --soak: seconds between two samples.")] = 30.0
 
 
-@grouped
+@with_settings
 def chaos(
     server: TargetOptions,
     what: AttackOptions,
@@ -90,7 +91,7 @@ def chaos(
         Path | None, typer.Option(help="Append a line for each attack or sample to this file.")
     ] = None,
 ) -> None:
-    """Attack a server of your own, within bounds, and tell what a well-behaved neighbour noticed of it.
+    """Attack a server of your own, within bounds, and report how far a well-behaved neighbour notices.
 
     Its columns: the neighbour's longest wait for a report, the most processor time that the server's main
     thread used between two of its reports, reports at a wrong time of the world, lines that are none; what

@@ -59,7 +59,8 @@ def test_what_ships_is_registered():
     assert ROBOTS.get("P2dx") is P2DX
     assert ARENAS.get("dm-usar_YELLOW") is ARENAS.get("yellow") is YELLOW
     with pytest.raises(
-        UnknownNameError, match=r"unknown robot 'R2D2'; known: AirRobot, .*, P2AT, P2DX, .*, Zerg"
+        UnknownNameError,
+        match=r"unknown robot 'R2D2'; did you mean 'Kurt2D'[?] known: AirRobot, .*, P2AT, P2DX, .*, Zerg",
     ):
         ROBOTS.get("R2D2")
     with pytest.raises(UnknownNameError, match=r"unknown arena 'blue'; known: .*DM-USAR_yellow"):

@@ -2,6 +2,7 @@ import json
 import math
 import subprocess
 import sys
+import types
 import warnings
 from dataclasses import MISSING, dataclass, field, fields, replace
 from enum import Enum
@@ -34,6 +35,7 @@ from usarmjx.base.settings import (
     to_yaml,
     validate,
 )
+from usarmjx.base.settings.declaration import UncheckedSettingWarning
 from usarmjx.base.settings.reader import Reader
 from usarmjx.base.settings.text import parse_list, parse_mapping, parse_number
 
@@ -713,3 +715,33 @@ def test_declaring_settings_imports_no_reader():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_type_for_type_checkers_only_leaves_one_field_unchecked():
+    module = types.ModuleType("tests_of_hints")
+    code = """
+from __future__ import annotations
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+from usarmjx.base.settings import POSITIVE
+if TYPE_CHECKING:
+    from elsewhere import Route
+
+@dataclass(frozen=True)
+class Patrol:
+    route: Route | None = None
+    speed: Annotated[float, POSITIVE] = 1.0
+"""
+    sys.modules["tests_of_hints"] = module
+    try:
+        exec(code, module.__dict__)
+        with pytest.warns(
+            UncheckedSettingWarning, match=r"Patrol\.route is not checked: its type 'Route \| None'"
+        ):
+            route, speed = describe(module.Patrol)
+        assert (route.expects, speed.expects) == ("a value of type Route | None", "a number above 0")
+        assert from_data(module.Patrol, {"route": [1], "speed": 2}) == module.Patrol([1], 2.0)
+        with pytest.raises(SpecError, match="speed is -1, expected a number above 0"):
+            from_data(module.Patrol, {"speed": -1})
+    finally:
+        del sys.modules["tests_of_hints"]

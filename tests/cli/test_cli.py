@@ -8,9 +8,10 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from tests.test_docs import command_problem
 from usarmjx.base.errors import UsageError
 from usarmjx.cli import checkout
-from usarmjx.cli.app import COMMANDS, app
+from usarmjx.cli.app import COMMANDS, EXAMPLES, GROUPS, app
 from usarmjx.engines import ENGINES
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots import ROBOTS
@@ -51,6 +52,22 @@ def test_the_summary_of_a_command_is_the_first_paragraph_of_its_help(name):
     command = typer.main.get_command(app).commands[name]
     assert command.name == name
     assert " ".join(command.help.split("\n\n")[0].split()) == COMMANDS[name][1]
+
+
+def test_the_help_has_every_command_under_a_heading_and_an_example_for_each():
+    grouped = [name for names in GROUPS.values() for name in names]
+    assert sorted(grouped) == sorted(COMMANDS)
+    assert sorted(EXAMPLES) == sorted(COMMANDS)
+    shown = " ".join(invoke("--help").output.split())
+    assert all(f"─ {heading} ─" in shown for heading in GROUPS)
+    assert EXAMPLES["eval"] in " ".join(invoke("eval", "--help").output.split())
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_example_of_a_command_is_one_that_it_understands(name):
+    words = EXAMPLES[name].split()
+    assert words[:2] == ["usarmjx", name]
+    assert command_problem(words) == ""
 
 
 def test_a_wheel_alone_says_where_the_benchmarks_are(monkeypatch, tmp_path):

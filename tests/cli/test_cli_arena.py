@@ -127,7 +127,7 @@ def test_radio_map_takes_a_file(tmp_path: Path, room: Path):
         (["generate", "--kind", "swamp"], "unknown kind of arena 'swamp'; known: .*maze"),
         (["generate", "--size", "big"], "size 'big' is not of the form 12x8"),
         (["generate", "--size", "2x2"], "size 2x2, expected 3 to"),
-        (["generate", "--difficulty", "3"], "difficulty wall_density is 3.0, expected from 0 to 1"),
+        (["generate", "--difficulty", "3"], "Difficulty: wall_density is 3.0, expected a number from 0 to 1"),
         (["generate", "--seed", "-1"], "seed -1, expected 0 or more"),
     ],
 )

@@ -116,3 +116,34 @@ def test_getconf_tells_the_diameter(bench):
         bench.robot, bench.suite.sensors, (1.0,) * len(bench.robot.cameras), "Touch", "Wide"
     )
     assert format_message(message) == "CONF {Type Touch} {Name Wide} {Diameter 0.0400}"
+
+
+PROUD = (0.280, 0.290, 0.300, 0.330)
+"""How far ahead of the origin buttons stand out [m]; the hull meets walls at `HULL_X`."""
+
+
+@pytest.fixture(scope="module")
+def proud(make_bench):
+    ahead = [Mount(kind="Touch", name=f"T{1000 * x:.0f}", at=(x, 0.0, z)) for x in PROUD for z in (LOW,)]
+    above = [Mount(kind="Touch", name=f"A{1000 * x:.0f}", at=(x, 0.0, -0.4)) for x in PROUD]
+    behind = [Mount(kind="Touch", name="Back", at=(-0.31, 0.0, LOW), direction=(0.0, 0.0, math.pi))]
+    return make_bench(replace(P2AT, name="ProudBench", sensors=(*ahead, *above, *behind)))
+
+
+@pytest.mark.parametrize("sunk_mm", [-2.0, 0.0, 2.0])
+def test_buttons_that_stand_out_are_pressed_while_the_hull_is_pushed(proud, make_arena, sunk_mm):
+    """Manual 10.8.1: nearer than 4.7 mm is touching, however far a button stands out, above the hull too."""
+    geoms = make_arena(boxes=[ahead(-sunk_mm / 1000)])
+    for x in PROUD:
+        for row in "TA":
+            assert proud.once("Touch", f"{row}{1000 * x:.0f}", geoms=geoms) == 1.0
+    assert proud.once("Touch", "Back", geoms=geoms) == 0.0
+
+
+def test_buttons_that_stand_out_keep_their_trigger_distance(proud, make_arena):
+    for x in PROUD:
+        for gap, touched in ((0.0046, 1.0), (0.0048, 0.0)):
+            geoms = make_arena(boxes=[ahead(x + gap - HULL_X)])
+            assert proud.once("Touch", f"T{1000 * x:.0f}", geoms=geoms) == touched
+    geoms = make_arena(boxes=[((-HULL_X - 0.1, 0.0, 0.5), (0.1, 2.0, 0.5), 0.0)])
+    assert proud.once("Touch", "Back", geoms=geoms) == 1.0

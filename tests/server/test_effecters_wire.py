@@ -300,7 +300,10 @@ def test_the_limit_that_conf_told_is_accepted(spotter):
             rf"{{Name Gripper {POSE} Mount Lift_Link1}}",
         ),
         ("GETGEO {Type Gripper} {Name Hand}", r"GEO {Type Gripper} {Name Hand}"),
-        ("GETCONF {Type Gripper}", r"CONF {Type Gripper} {Name Gripper}"),
+        (
+            "GETCONF {Type Gripper}",
+            r"CONF {Type Gripper} {Name Gripper} {Opcode Open} {MaxVal 1\.5700} {MinVal 0\.0000} .*",
+        ),
         (
             "GETCONF {Type Effecter}",
             r"CONF {Type Effecter} {Name Gun} {Opcode Release} {MaxVal 0\.0000} {MinVal 0\.0000} "

@@ -132,7 +132,7 @@ def test_gpus_are_those_that_may_be_used(monkeypatch):
 
 def test_without_ray_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(UsageError, match=r"needs Ray: pip install usarmjx\[sweep\]"):
+    with pytest.raises(UsageError, match=r"needs Ray: pip install .*\[sweep\]"):
         list(Workers(place="ray").run(work, ["1"]))
 
 

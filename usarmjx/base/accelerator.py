@@ -6,6 +6,8 @@ from importlib.util import find_spec
 
 import jax
 
+from usarmjx.base.installation import install_command
+
 log = logging.getLogger(__name__)
 
 
@@ -20,8 +22,8 @@ def warp_in_use() -> bool:
         return False
     if find_spec("warp") is None:
         log.warning(
-            "Warp is not installed: plain JAX casts rays on this GPU, which is slow;"
-            ' pip install "usarmjx[cuda]" installs it'
+            "Warp is not installed: plain JAX casts rays on this GPU, which is slow; %s installs it",
+            install_command("cuda"),
         )
         return False
     return True

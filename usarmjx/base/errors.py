@@ -15,6 +15,8 @@ UsarmjxError
 from importlib.util import find_spec
 from types import TracebackType
 
+from usarmjx.base.installation import install_command
+
 MAX_QUOTATION = 200
 """Longest quotation of a foreign exception's message [characters]."""
 
@@ -96,7 +98,7 @@ class extra:
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
         if missing and missing.partition(".")[0] != "usarmjx":
             raise MissingExtraError(
-                f'this needs {missing.partition(".")[0]}: pip install "usarmjx[{self._name}]"'
+                f"this needs {missing.partition('.')[0]}: {install_command(self._name)}"
             ) from error
 
 

@@ -1,7 +1,8 @@
 """Registry of named entries: explicit `add`, names matched without case as in USARSim."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from difflib import get_close_matches
 from typing import Generic, TypeVar
 
 from usarmjx.base.errors import UnknownNameError, UsageError
@@ -13,6 +14,14 @@ T = TypeVar("T")
 def is_name(text: str) -> bool:
     """Return whether a text is one word of ASCII 33 to 126 without braces, which end a message segment."""
     return _NAME.fullmatch(text) is not None
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
+    """Return a refusal of a name: the closest one that is known, if one is close, and all of them."""
+    names = list(known)
+    near = get_close_matches(name.lower(), [one.lower() for one in names], n=1)
+    hint = next((f"; did you mean {one!r}?" for one in names if [one.lower()] == near), "")
+    return f"unknown {kind} {name!r}{hint or ';'} known: {', '.join(names) or 'none'}"
 
 
 class Registry(Generic[T]):
@@ -57,8 +66,7 @@ class Registry(Generic[T]):
         key = name.lower()
         key = self._aliases.get(key, key)
         if key not in self._entries:
-            known = ", ".join(self.names()) or "none"
-            raise UnknownNameError(f"unknown {self.kind} {name!r}; known: {known}")
+            raise UnknownNameError(unknown_name(self.kind, name, self.names()))
         return self._entries[key][1]
 
     def find(self, name: str) -> T | None:

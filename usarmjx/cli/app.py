@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import typer
 
@@ -86,43 +86,47 @@ def _with_roster(
 COMMANDS = {
     "demo": (
         "usarmjx.cli.demo:demo",
-        "Show four robots that explore an arena, in a browser: look on, or take one over.",
-    ),
-    "serve": (
-        "usarmjx.cli.serve:serve",
-        "Serve worlds of a batch over the Gamebots protocol, their radio and their cameras.",
+        "Show four robots that explore an arena, in a browser; take one over if you like.",
     ),
     "list": (
         "usarmjx.cli.listing:list_everything",
-        "List robots, sensors, arenas, tasks, policies, engines: a table on a terminal, lines in a pipe.",
+        "List robots, sensors, arenas, tasks, policies and engines.",
     ),
-    "play": (
-        "usarmjx.cli.play:play",
-        "Show one world of a policy at work: draw an episode from above, show it in a browser, or serve it.",
-    ),
-    "eval": (
-        "usarmjx.cli.evaluation:evaluate_policy",
-        "Tell a policy's mean final score and the 95 % interval of that mean.",
-    ),
-    "teams": (
-        "usarmjx.cli.evaluation:teams",
-        "Tell what teams get for each part of a score in the same buildings, and how early they find.",
+    "doctor": (
+        "usarmjx.cli.doctor:doctor",
+        "Check versions, devices, caches, ports, engines and small worlds; exit code 1 if one is wrong.",
     ),
     "train": ("usarmjx.cli.train:app", "Train a policy for a task."),
+    "curves": (
+        "usarmjx.cli.train:app",
+        "Draw scores of training runs over agent steps and over time, the last run of each seed.",
+    ),
     "export": (
         "usarmjx.cli.train:app",
         "Write a policy to a file that NumPy alone can run; or a recording as tables or as a film.",
     ),
-    "curves": (
-        "usarmjx.cli.train:app",
-        "Draw how scores rose in training, over agent steps and over time; of each seed the last run given.",
+    "eval": (
+        "usarmjx.cli.evaluation:evaluate_policy",
+        "Report a policy's mean final score with its 95 % interval.",
+    ),
+    "teams": (
+        "usarmjx.cli.evaluation:teams",
+        "Compare teams in the same buildings: each part of their scores, and how early they find.",
     ),
     "sweep": ("usarmjx.cli.sweep:app", "Play many configurations of tasks, and compare them."),
-    "calibrate": (
-        "usarmjx.cli.calibrate:calibrate",
-        "Measure how robots answer their motors, for engine planar, and how far off it is with that.",
+    "serve": (
+        "usarmjx.cli.serve:serve",
+        "Serve worlds of a batch over the Gamebots protocol, with their radio and cameras.",
     ),
-    "arena": ("usarmjx.cli.arena:app", "List, draw, check and generate arenas."),
+    "console": (
+        "usarmjx.cli.console.command:console",
+        "Talk to a server in a terminal: send commands, see messages and pictures, drive by keys or "
+        "joystick.",
+    ),
+    "play": (
+        "usarmjx.cli.play:play",
+        "Show a policy at work in one world: draw an episode, show it in a browser, or serve it.",
+    ),
     "view": ("usarmjx.cli.recordings:view", "Show a recording in a browser, at any speed."),
     "plot": (
         "usarmjx.cli.recordings:plot",
@@ -130,29 +134,59 @@ COMMANDS = {
     ),
     "replay": (
         "usarmjx.cli.recordings:replay",
-        "Compute a recording again; tell the first number that is another in any bit, and fail then.",
+        "Compute a recording again, bit for bit; report the first number that differs, and fail then.",
     ),
+    "arena": ("usarmjx.cli.arena:app", "List, draw, check and generate arenas."),
     "portraits": ("usarmjx.cli.pictures:portraits", "Draw robots with the sensors' raycaster."),
     "radio-map": (
         "usarmjx.cli.pictures:radio_map",
-        "Draw a map of the power that a radio's signal has all over an arena.",
+        "Draw the power of a radio's signal all over an arena.",
     ),
-    "console": (
-        "usarmjx.cli.console.command:console",
-        "Talk to a server in a terminal: send commands, see messages and pictures, drive by keys or "
-        "joystick.",
+    "calibrate": (
+        "usarmjx.cli.calibrate:calibrate",
+        "Measure how robots answer their motors, for engine planar, and how far off it is with that.",
     ),
-    "doctor": (
-        "usarmjx.cli.doctor:doctor",
-        "Check versions, devices, cache, ports, engines and small worlds; exit code 1 if one is wrong.",
-    ),
-    "bench": ("benchmarks.commands:app", "Measure how fast things go on this machine."),
+    "bench": ("benchmarks.commands:app", "Measure the speed of this machine."),
     "chaos": (
         "benchmarks.chaos.command:chaos",
-        "Attack a server of your own, within bounds, and tell what a well-behaved neighbour noticed of it.",
+        "Attack a server of your own, within bounds, and report how far a well-behaved neighbour notices.",
     ),
 }
-"""All commands: the place of each and its summary, which is the first paragraph of its help."""
+"""All commands: the module of each and its summary, which is the first paragraph of its help."""
+GROUPS: Mapping[str, tuple[str, ...]] = {
+    "Start here": ("demo", "list", "doctor"),
+    "Train": ("train", "curves", "export"),
+    "Compare": ("eval", "teams", "sweep"),
+    "Serve": ("serve", "console"),
+    "Look": ("play", "view", "plot", "replay"),
+    "Arenas and robots": ("arena", "portraits", "radio-map", "calibrate"),
+    "Maintenance": ("bench", "chaos"),
+}
+"""Headings of the help, each with its commands."""
+EXAMPLES: Mapping[str, str] = {
+    "demo": "usarmjx demo",
+    "list": "usarmjx list tasks",
+    "doctor": "usarmjx doctor",
+    "train": "usarmjx train drive-to-goal --worlds 64 --steps 1000000 --out runs/drive",
+    "curves": "usarmjx curves runs/drive --out curves.png",
+    "export": "usarmjx export runs/drive --out drive.npz",
+    "eval": "usarmjx eval runs/drive",
+    "teams": "usarmjx teams victim-search --out teams.png",
+    "sweep": "usarmjx sweep thousand --plan",
+    "serve": "usarmjx serve --arena yellow",
+    "console": "usarmjx console 127.0.0.1:3000",
+    "play": "usarmjx play drive-to-goal --out drive.gif",
+    "view": "usarmjx view mission.mcap",
+    "plot": "usarmjx plot mission.mcap --out mission.png",
+    "replay": "usarmjx replay mission.mcap",
+    "arena": "usarmjx arena check my_arena.yaml",
+    "portraits": "usarmjx portraits --out robots.png",
+    "radio-map": "usarmjx radio-map yellow --out map.png",
+    "calibrate": "usarmjx calibrate P2AT",
+    "bench": "usarmjx bench step --help",
+    "chaos": "usarmjx chaos --help",
+}
+"""A command line of each command, at the end of its help."""
 HELP = {"help_option_names": ["-h", "--help"]}
 
 
@@ -160,6 +194,8 @@ class RootCommand(LazyGroup):
     """All of the command line; old spellings of options become the present ones here."""
 
     table = COMMANDS
+    examples = EXAMPLES
+    headings: ClassVar = {name: heading for heading, names in GROUPS.items() for name in names}
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - click's, or typer's own copy
         """Parse what was typed."""
@@ -172,6 +208,7 @@ class RootCommand(LazyGroup):
 app = typer.Typer(
     cls=RootCommand,
     help="USARSim rebuilt as a GPU-batched simulator of multi-robot swarms.",
+    epilog="Begin with `usarmjx demo`. `usarmjx COMMAND --help` has the options and an example.",
     no_args_is_help=True,
     context_settings=HELP,
     pretty_exceptions_enable=False,

@@ -12,6 +12,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 
+from usarmjx.base.installation import install_command
 from usarmjx.base.markdown import markdown_table
 from usarmjx.engines import ENGINES, choose_engine
 from usarmjx.models.arenas import ARENAS
@@ -126,7 +127,7 @@ def catalogue() -> str:
 def availability(engine: str) -> str:
     """Return the devices of an engine here, or why it cannot run."""
     if engine == "warp" and importlib.util.find_spec("warp") is None:
-        return "not installed: pip install usarmjx[cuda] (NVIDIA GPU) or usarmjx[warp] (CPU, slow)"
+        return f"not installed: {install_command('cuda')} (NVIDIA GPU), or extra warp (CPU, slow)"
     where = {
         "c": "CPU, one world after the other",
         "jax": "JAX's default device",

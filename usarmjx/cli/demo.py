@@ -214,7 +214,7 @@ def demo(
         float | None, typer.Option(min=1.0, help="Simulated seconds; else 20.", rich_help_panel=JOB)
     ] = None,
 ) -> None:
-    """Show four robots that explore an arena, in a browser: look on, or take one over.
+    """Show four robots that explore an arena, in a browser; take one over if you like.
 
     With --headless, or where --out says where to, the main job runs instead, once, and ends: exit code 0,
     or 1 if the robot touched something or hardly moved.

@@ -24,6 +24,7 @@ import usarmjx
 from usarmjx.base import process
 from usarmjx.base.compilation import CACHE_VARIABLE, cache_folder, enable_compilation_cache
 from usarmjx.base.errors import UsarmjxError, quoted
+from usarmjx.base.installation import install_command
 from usarmjx.cli.common import ErrorExit, JsonFlag
 from usarmjx.cli.startup_messages import announce, say
 from usarmjx.server.network.ports import (
@@ -145,7 +146,7 @@ def check_devices() -> Iterator[Finding]:
     kinds = ", ".join(sorted({f"{one.platform} ({one.device_kind})" for one in devices}))
     yield Finding("devices", "ok", f"JAX computes on {len(devices)}: {kinds}; {process.cores()} cores")
     if has_nvidia() and all(one.platform != "gpu" for one in devices):
-        advice = "pip install 'usarmjx[cuda]', or unset JAX_PLATFORMS if that says cpu"
+        advice = f"{install_command('cuda')}, or unset JAX_PLATFORMS if that says cpu"
         yield Finding("devices", "note", "there is an NVIDIA GPU that JAX does not use", advice)
 
 
@@ -417,7 +418,7 @@ def doctor(
         bool, typer.Option(help="Step small worlds and serve a client, too: ten seconds.")
     ] = True,
 ) -> None:
-    """Check versions, devices, cache, ports, engines and small worlds; exit code 1 if one is wrong."""
+    """Check versions, devices, caches, ports, engines and small worlds; exit code 1 if one is wrong."""
     with ErrorExit():
         announce("looking at packages, cache, ports and devices ...", quickly=True)
         found = run_checks(CHECKS)

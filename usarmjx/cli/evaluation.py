@@ -9,10 +9,18 @@ import typer
 
 from usarmjx.base.files import atomic_write
 from usarmjx.base.progress import RateLimitedLog
-from usarmjx.cli.common import ErrorExit, SeedOption, grouped
+from usarmjx.cli.common import ErrorExit, SeedOption
 from usarmjx.cli.completion import complete_policies, complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions, SplitOption
+from usarmjx.cli.setting_options import with_settings
 from usarmjx.cli.startup_messages import announce, say, tried_on
+from usarmjx.cli.task_options import (
+    TaskConfigOption,
+    TaskPrintOption,
+    TaskSetOption,
+    print_task,
+    task_pairs,
+)
 
 if TYPE_CHECKING:
     from usarmjx.base.estimates import Estimate
@@ -38,25 +46,28 @@ def teams(
     seed: SeedOption = 0,
     engine: PolicyEngineOption = "auto",
     split: SplitOption = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", "-c", help="A field of the task as key=value; may be repeated."),
-    ] = None,
+    settings: TaskSetOption = None,
+    config: TaskConfigOption = None,
+    print_config: TaskPrintOption = False,
     out: Annotated[
         Path | None,
         typer.Option(help="Draw finds over time, and the ways of world 0's robots, to this PNG file."),
     ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the rows to this file.")] = None,
 ) -> None:
-    """Tell what teams get for each part of a score in the same buildings, and how early they find."""
+    """Compare teams in the same buildings: each part of their scores, and how early they find."""
     with ErrorExit():
+        pairs = task_pairs(task, settings or (), config)
+        if print_config:
+            print_task(task, {}, pairs)
+            return
         announce("building the worlds that teams play in ...", engines=[tried_on(engine)])
         from usarmjx.engines import choose_engine
         from usarmjx.plots.team_plots import TeamWays, plot_teams
         from usarmjx.train.evaluation import yardsticks
         from usarmjx.train.policies.sources import task_settings
 
-        set_by_hand, _ = task_settings(task, {}, settings or [])
+        set_by_hand, _ = task_settings(task, {}, pairs)
         played, seen = yardsticks.team_task(task, **set_by_hand), TeamWays()
         chosen = list(dict.fromkeys(names or yardsticks.default_teams(task)))
         watch = yardsticks.ignore if out is None else seen
@@ -64,7 +75,7 @@ def teams(
         rows = yardsticks.measure_teams(task, worlds, *how, **set_by_hand)
         typer.echo(yardsticks.table(played, rows))
         if json is not None:
-            _keep(json, {"task": task, "split": split, "engine": how[1], "settings": settings or []}, rows)
+            _keep(json, {"task": task, "split": split, "engine": how[1], "settings": pairs}, rows)
         if out is not None:
             plot_teams(task, rows, seen, out)
             typer.echo(f"wrote {out}")
@@ -89,7 +100,7 @@ def _told(one: "Estimate", what: str) -> str:
     return f"{what} {one.value:.3f}, 95 % interval {interval}"
 
 
-@grouped
+@with_settings
 def evaluate_policy(
     driver: PolicyOptions,
     episodes: Annotated[
@@ -110,8 +121,11 @@ def evaluate_policy(
         Path | None, typer.Option(help="Write the result with every episode to this file.")
     ] = None,
 ) -> None:
-    """Tell a policy's mean final score and the 95 % interval of that mean."""
+    """Report a policy's mean final score with its 95 % interval."""
     with ErrorExit():
+        if driver.print_config:
+            driver.print_fields()
+            return
         announce("building the worlds that the policy is tried in ...", engines=[tried_on(engine)])
         from usarmjx.engines import choose_engine
         from usarmjx.train.evaluation.evaluate import as_record, evaluate_episodes
@@ -137,7 +151,7 @@ def evaluate_policy(
                 "worlds": many,
                 "level": level,
                 "split": split,
-                "settings": driver.set_by_hand,
+                "settings": driver.pairs(found),
             }
             with atomic_write(json) as fresh:
                 fresh.write_text(json_format.dumps({**what, **setup, **as_record(result)}, indent=1) + "\n")

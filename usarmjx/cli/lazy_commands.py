@@ -65,9 +65,13 @@ class LazyGroup(TyperGroup):
 
     Attributes:
         table: The commands, of a subclass.
+        headings: Heading in the help for each command that has one.
+        examples: A command line for each command that has one, shown at the end of its help.
     """
 
     table: ClassVar[CommandTable] = {}
+    headings: ClassVar[Mapping[str, str]] = {}
+    examples: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self, **settings: Any) -> None:  # noqa: ANN401 - typer's
         super().__init__(**{**settings, "commands": {}})
@@ -89,8 +93,13 @@ class LazyGroup(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401 - click's, or typer's own copy
         """Return a command, or None; while help is written, one that has its summary only."""
         if self._summaries_only and cmd_name in self.table:
-            return TyperCommand(cmd_name, help=self.table[cmd_name][1])
-        return self.commands.get(cmd_name)
+            summary, heading = self.table[cmd_name][1], self.headings.get(cmd_name)
+            return TyperCommand(cmd_name, help=summary, rich_help_panel=heading)
+        command = self.commands.get(cmd_name)
+        example = f"Example: `{self.examples.get(cmd_name)}`"
+        if command is not None and cmd_name in self.examples and example not in (command.epilog or ""):
+            command.epilog = " ".join(filter(None, (command.epilog, example)))
+        return command
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - click's, or typer's own copy
         """Write the help of the group."""

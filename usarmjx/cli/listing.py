@@ -111,7 +111,7 @@ def list_everything(
     ini: IniOption = None,
     uu_per_metre: UnitOption = 250.0,
 ) -> None:
-    """List robots, sensors, arenas, tasks, policies, engines: a table on a terminal, lines in a pipe."""
+    """List robots, sensors, arenas, tasks, policies and engines."""
     with ErrorExit():
         check_form(json, markdown)
         announce("reading what there is ...")

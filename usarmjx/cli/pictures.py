@@ -44,7 +44,7 @@ def radio_map(
     out: OutOption = None,
     old_out: OldOutArgument = None,
 ) -> None:
-    """Draw a map of the power that a radio's signal has all over an arena."""
+    """Draw the power of a radio's signal all over an arena."""
     with ErrorExit():
         where = chosen_out(out, old_out)
         announce(f"drawing the radio in arena {arena} ...")

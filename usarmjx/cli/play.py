@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
-from usarmjx.cli.common import ErrorExit, WorldsOption, grouped
+from usarmjx.cli.common import ErrorExit, WorldsOption
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions
 from usarmjx.cli.recordings import recorded_episode
 from usarmjx.cli.serving_options import (
@@ -18,6 +18,7 @@ from usarmjx.cli.serving_options import (
     RunOptions,
     ViewerOptions,
 )
+from usarmjx.cli.setting_options import with_settings
 from usarmjx.cli.startup_messages import announce
 from usarmjx.cli.viewer_options import ViewOption
 from usarmjx.server.runtime.signals import StopSignals
@@ -42,7 +43,7 @@ class ServedOptions:
     ] = False
 
 
-@grouped
+@with_settings
 def play(
     driver: PolicyOptions,
     served: ServedOptions,
@@ -62,8 +63,11 @@ def play(
     ] = False,
     view: ViewOption = False,
 ) -> None:
-    """Show one world of a policy at work: draw an episode from above, show it in a browser, or serve it."""
+    """Show a policy at work in one world: draw an episode, show it in a browser, or serve it."""
     with ErrorExit():
+        if driver.print_config:
+            driver.print_fields()
+            return
         if not (serve or view):
             _draw_episode(driver, engine, out, seconds, run.record)
             return

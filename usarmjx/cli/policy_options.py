@@ -1,6 +1,5 @@
 """The options that name a policy, for commands that try one or show it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
@@ -9,6 +8,13 @@ import typer
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.common import SeedOption
 from usarmjx.cli.completion import complete_engines, complete_policies, complete_tasks
+from usarmjx.cli.task_options import (
+    TaskConfigOption,
+    TaskPrintOption,
+    TaskSetOption,
+    print_task,
+    task_pairs,
+)
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env
@@ -60,10 +66,9 @@ class PolicyOptions:
     checkpoint: Annotated[str, typer.Option(help="Of a run: best, last, or the number of an iteration.")] = (
         "best"
     )
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", "-c", help="A field of the task as key=value; may be repeated."),
-    ] = None
+    settings: TaskSetOption = None
+    config: TaskConfigOption = None
+    print_config: TaskPrintOption = False
     seed: SeedOption = 0
 
     def source(self) -> "PolicySource":
@@ -101,7 +106,7 @@ class PolicyOptions:
 
         Of a split that is one in each; of others so many that there are about `EPISODES` of them.
         """
-        there = source.count_arenas(self.settings or (), split)
+        there = source.count_arenas(self.pairs(source), split)
         usual = there if split is not None else there * round(EPISODES / max(there, 1))
         episodes = episodes or usual or EPISODES
         return min(worlds or there or WORLDS, episodes), episodes
@@ -111,13 +116,17 @@ class PolicyOptions:
     ) -> "tuple[Env, Policy]":
         """Return worlds of the policy's task, and the policy; report fields that could not be set."""
         env, driver, notes = source.env(
-            self.settings or (), worlds=worlds, engine=engine, seed=self.seed, split=split
+            self.pairs(source), worlds=worlds, engine=engine, seed=self.seed, split=split
         )
         for note in notes:
             typer.echo(f"usarmjx: note: {note}", err=True)
         return env, driver
 
-    @property
-    def set_by_hand(self) -> Sequence[str]:
-        """The fields that were set, as typed."""
-        return [*(self.settings or ())]
+    def pairs(self, source: "PolicySource") -> list[str]:
+        """Return the fields that are set, by file and `--set`, `name=value` each."""
+        return task_pairs(source.task, self.settings or (), self.config)
+
+    def print_fields(self) -> None:
+        """Write the fields of the task as a file for `--config`."""
+        source = self.source()
+        print_task(source.task, source.overrides, self.pairs(source))

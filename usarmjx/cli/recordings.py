@@ -142,7 +142,7 @@ def replay(
         bool, typer.Option("--check/--no-check", help="Fail if anything differs; else only tell.")
     ] = True,
 ) -> None:
-    """Compute a recording again; tell the first number that is another in any bit, and fail then."""
+    """Compute a recording again, bit for bit; report the first number that differs, and fail then."""
     with ErrorExit():
         announce(f"reading {file} ...")
         from usarmjx.recording.reader import Recording

@@ -16,7 +16,6 @@ from usarmjx.cli.common import (
     UnitOption,
     WorldsOption,
     configure_from,
-    grouped,
 )
 from usarmjx.cli.serving_options import (
     Host,
@@ -28,6 +27,7 @@ from usarmjx.cli.serving_options import (
     ViewerOptions,
     instances_of,
 )
+from usarmjx.cli.setting_options import with_settings
 from usarmjx.cli.startup_messages import announce
 from usarmjx.cli.viewer_options import ViewOption
 from usarmjx.server.runtime.logs import configure_log
@@ -92,7 +92,7 @@ class WorldsOptions:
         )
 
 
-@grouped
+@with_settings
 def serve(
     which: WorldsOptions,
     listen: ListenOptions,
@@ -105,7 +105,7 @@ def serve(
     log_json: Annotated[bool, typer.Option("--log-json", help="Log a JSON object per line.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log connections and spawns.")] = False,
 ) -> None:
-    """Serve worlds of a batch over the Gamebots protocol, their radio and their cameras.
+    """Serve worlds of a batch over the Gamebots protocol, with their radio and cameras.
 
     Several worlds have ports of their own: the first those of the options, the others count up from there.
     So robots have 3000, 3001, ..., pictures 5003, 5004, ...; what one kind has, another leaves out.

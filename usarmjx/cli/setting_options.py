@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast, get_args, get_type_hints
 
 import typer
-from typer.models import ParameterInfo
+from typer.models import OptionInfo, ParameterInfo
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import (
@@ -162,8 +162,8 @@ def _options_of(kind: type, base: object) -> list[inspect.Parameter]:
 
 
 def _in_panel(hint: Any, note: ParameterInfo, panel: str | None) -> Any:  # noqa: ANN401 - annotations
-    if panel is None or note.rich_help_panel is not None:
-        return hint
+    if panel is None or note.rich_help_panel is not None or not isinstance(note, OptionInfo):
+        return hint  # arguments have a panel of their own
     moved = copy(note)
     moved.rich_help_panel = panel
     return Annotated[get_args(hint)[0], moved]

@@ -5,11 +5,11 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, cast
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 from typer.core import TyperCommand
@@ -19,12 +19,8 @@ from usarmjx.base.settings import (
     FileValue,
     Text,
     default_reader,
-    describe,
     parse_assignments,
     read_file,
-    summary,
-    to_data,
-    to_text,
     to_yaml,
 )
 from usarmjx.cli.common import ErrorExit, OldOutArgument, chosen_out
@@ -33,6 +29,7 @@ from usarmjx.cli.policy_options import PolicyEngineOption
 from usarmjx.cli.recordings import RecordOption, export_recording
 from usarmjx.cli.setting_options import ConfigOption, PrintConfigOption, help_table, option_name
 from usarmjx.cli.startup_messages import announce, say, tried_on
+from usarmjx.cli.task_options import field_texts, fields_over, task_text
 from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
 from usarmjx.server.runtime.signals import PARENT_PIPE
 
@@ -84,13 +81,8 @@ class RunSettings:
 
     def over(self, training: dict[str, Any], fields: dict[str, str]) -> "RunSettings":
         """Return these over settings and fields that hold where nothing else is asked for."""
-        kept = {name: text for name, text in fields.items() if not self._replaces(name)}
-        return RunSettings(training={**training, **self.training}, fields={**kept, **self.fields})
-
-    def _replaces(self, name: str) -> bool:
-        """Return whether these replace a field; parts of physics change the named one instead."""
-        parts = name != "physics" and any(own.startswith(f"{name}.") for own in self.fields)
-        return parts or name.partition(".")[0] in self.fields
+        training = {**training, **self.training}
+        return RunSettings(training=training, fields=fields_over(self.fields, fields))
 
     def beyond(self, other: "RunSettings") -> list[str]:
         """Return the fields that the other settings do not have, `name=text` each."""
@@ -170,24 +162,13 @@ def read_settings(task: "Task", options: TrainOptions) -> RunSettings:
     typed = reader.values(Config, {name: text for name, text in texts.items() if name in known})
     if twice := sorted(options.given.keys() & typed.keys()):
         raise UsageError(f"{twice[0]} is given twice, by {option_name(twice[0])} and by --set")
-    mine = {name: value for name, value in data.items() if name not in known}
-    reader.values(type(task), mine, base=task)
-    fields = {name: text for key, value in mine.items() for name, text in _as_texts(key, value)}
+    fields = field_texts(task, {name: value for name, value in data.items() if name not in known})
     asked = RunSettings(training={}, fields={name: text for name, text in texts.items() if name not in known})
     return replace(asked.over({}, fields), training={**first, **typed, **options.given})
 
 
 def _config_file(path: Path | None) -> dict[str, Any]:
     return {} if path is None else dict(read_file(path).mapping())
-
-
-def _as_texts(name: str, value: FileValue) -> Iterator[tuple[str, str]]:
-    """Yield a field of a file as texts that `--set` reads, those of nested settings by names with dots."""
-    if isinstance(value.data, dict):
-        for key, item in value.data.items():
-            yield from _as_texts(f"{name}.{key}", item)
-    else:
-        yield name, to_text(value.plain())
 
 
 def _as_before(options: TrainOptions, asked: RunSettings) -> tuple[str, RunSettings]:
@@ -448,30 +429,8 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
 
 def config_text(task: str, options: TrainOptions) -> str:
     """Return the settings of a run and of its task as a file for `--config`."""
-    from usarmjx.base.settings.yaml_file import dump_yaml
-    from usarmjx.train.make import make_task
-
     plan = plan_run(task, options)
-    chosen = make_task(task, **plan.overrides)
-    names = {one.name for one in describe(type(plan.config))}
-    rows = {one.name: one for one in describe(type(chosen)) if one.name not in names}
-    data = {name: to_data(value) for name in rows if _is_data(value := getattr(chosen, name))}
-    if "repeat" not in plan.overrides:  # it follows from the physics
-        data.pop("repeat")
-    comments = {name: summary(rows[name]) for name in data}
-    return to_yaml(plan.config) + dump_yaml(data, comments)
-
-
-def _is_data(value: object) -> bool:
-    """Return whether a field of a task reads back from a file: it is no description that Python built."""
-    from usarmjx.comms.attenuation import RadioSettings
-    from usarmjx.comms.mail import MessageSettings
-    from usarmjx.models.compile.physics import Physics
-    from usarmjx.models.compile.randomization import DomainRandomization
-
-    settings = (Physics, RadioSettings, MessageSettings, DomainRandomization)
-    plain = value is None or isinstance(value, (str, bool, int, float, *settings))
-    return plain or (isinstance(value, tuple) and all(map(_is_data, cast(tuple[object, ...], value))))
+    return to_yaml(plan.config) + task_text(task, plan.overrides)
 
 
 def _task_of(named: str | None, task: str | None) -> str:
@@ -679,7 +638,7 @@ def curves(
     ],
     out: Annotated[Path, typer.Option(help="PNG file to write.")] = Path("curves.png"),
 ) -> None:
-    """Draw how scores rose in training, over agent steps and over time; of each seed the last run given."""
+    """Draw scores of training runs over agent steps and over time, the last run of each seed."""
     with ErrorExit():
         announce("drawing curves ...")
         from usarmjx.plots.training_plots import plot_curves

@@ -20,6 +20,7 @@ from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import on_numpy, xp
 from usarmjx.base.clock import Clock
 from usarmjx.base.errors import SpecError
+from usarmjx.base.parameters import ANY_PARAMETERS, Parameters
 from usarmjx.base.registry import Registry
 from usarmjx.base.rotations import matmul, matvec
 from usarmjx.base.settings import NOT_NEGATIVE, Setting
@@ -197,6 +198,8 @@ class Sensor(ABC):
         needs_victims: Whether it uses victims, not only tags.
         needs_battery: Whether it uses the battery time.
         settings_class: Class of its settings.
+        opcodes: Parameters of the operations of SET, by name in capitals; an operation that is not here may
+            have any number of them.
         quantities: Parts of its value, of one mount if it is grouped; empty: undeclared. Messages are made
             from it, except for the manual's sensors, whose messages follow captures.
         plan: Kinematic tree of the robot class.
@@ -212,6 +215,7 @@ class Sensor(ABC):
     needs_victims: ClassVar[bool] = True
     needs_battery: ClassVar[bool] = False
     settings_class: ClassVar[type[Any]] = SensorSettings
+    opcodes: ClassVar[dict[str, Parameters]] = {}
     quantities: ClassVar[tuple[Quantity, ...]] = ()
 
     plan: KinematicTree
@@ -249,6 +253,10 @@ class Sensor(ABC):
     @abstractmethod
     def read(self, inputs: SensorInput, memory: Any, key: Array) -> tuple[Any, Array]:  # noqa: ANN401
         """Return the new memory and the measured value; `inputs.hits` are those of this sensor's rays."""
+
+    def parameters_of(self, opcode: str) -> Parameters:
+        """Return the form of the parameters of an operation of SET."""
+        return self.opcodes.get(opcode.upper(), ANY_PARAMETERS)
 
     def handle_set(
         self,

@@ -5,7 +5,7 @@ Values are in MuJoCo's axes; the server converts them to USARSim's.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from flax import struct
@@ -14,6 +14,7 @@ from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.errors import SpecError
+from usarmjx.base.parameters import Parameters
 from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rotation_vector, wrap_angle
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.base.transforms import angles_from_mat, flip_angles, mat_from_angles
@@ -77,6 +78,7 @@ class Odometry(Sensor):
     """Dead reckoning from two wheel encoders; value: x, y [m], heading [rad] since the start (3,)."""
 
     kind = "Odometry"
+    opcodes: ClassVar[dict[str, Parameters]] = {"RESET": Parameters()}
     settings_class = OdometrySettings
 
     def _wheel(self, name: str, leftmost: bool) -> int:
@@ -178,6 +180,7 @@ class Ins(Sensor):
     """Inertial navigation; value: estimated position [m] and roll, pitch, yaw [rad] (6,)."""
 
     kind = "INS"
+    opcodes: ClassVar[dict[str, Parameters]] = {"POSE": Parameters(6, 6)}
     settings_class = InsSettings
 
     def init_memory(self, inputs: SensorInput, key: Array) -> InsMemory:
@@ -263,6 +266,7 @@ class Encoder(Sensor):
     """
 
     kind = "Encoder"
+    opcodes: ClassVar[dict[str, Parameters]] = {"RESET": Parameters()}
     grouped = True
     settings_class = EncoderSettings
 

@@ -3,13 +3,14 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
+from usarmjx.base.parameters import Parameters
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, SHARE, Setting
 from usarmjx.models.compile.kinematic_tree import BodyPoses
 from usarmjx.models.types.settings import ANGLE_STEP, HALF_TURN, TURN
@@ -268,6 +269,7 @@ class RangeScanner(Sensor):
     """Scanner with one ray per angular step; value: ranges [m] (beams,)."""
 
     kind = "RangeScanner"
+    opcodes: ClassVar[dict[str, Parameters]] = {"SCAN": Parameters()}
     settings_class = ScannerSettings
 
     @property

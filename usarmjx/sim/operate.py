@@ -21,7 +21,14 @@ from usarmjx.models.compile.kinematic_tree import (
     kinematic_tree_of,
 )
 from usarmjx.models.compile.parts import parts_of
-from usarmjx.models.effecters import MAX_DROPPED_TAGS, DroppedTags, Effect, Effecter, Opcode
+from usarmjx.models.effecters import (
+    MAX_DROPPED_TAGS,
+    DroppedTags,
+    Effect,
+    Effecter,
+    Opcode,
+)
+from usarmjx.models.effecters.base import LIMIT_TOLERANCE
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.models.types.shapes import SKY
 from usarmjx.sensors.rays.bundles import Fans
@@ -31,8 +38,6 @@ from usarmjx.sim.ray_geometry import ray_geoms, visible_arena
 from usarmjx.sim.scene import RobotGroup, Scene
 from usarmjx.sim.world import World, clock_of, powered, robot_states
 
-LIMIT_TOLERANCE = 1e-3
-"""Tolerance of a parameter's limits: CONF writes them with 4 decimals, cut off."""
 NO_NUMBER = -1
 """The number of a result that has none."""
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from usarmjx.base.errors import UsageError, quoted
+from usarmjx.base.installation import install_command
 from usarmjx.sweeps.local_workers import TRIES, PieceOutcome, PieceWork
 
 GUARD = """
@@ -43,7 +44,7 @@ def work_on_ray(
         import ray  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise UsageError(
-            "running on ray needs Ray: pip install usarmjx[sweep]; or run on processes"
+            f"running on ray needs Ray: {install_command('sweep')}; or run on processes"
         ) from error
     started, guard = not ray.is_initialized(), None
     if started:

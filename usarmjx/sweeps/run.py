@@ -12,6 +12,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from usarmjx.base.errors import UsageError, quoted
+from usarmjx.base.installation import install_command
 from usarmjx.engines import choose_engine
 from usarmjx.sweeps.play import BatchWork, failure, halves, play_batch, resolved
 from usarmjx.sweeps.resolve import key_of, signature_of
@@ -200,7 +201,7 @@ def tensorboard_sink(folder: Path) -> Sink:
     try:
         from usarmjx.train.learning.tensorboard import TensorBoardLog
     except ImportError as error:
-        raise UsageError("TensorBoard needs tensorboardX: pip install usarmjx[train]") from error
+        raise UsageError(f"TensorBoard needs tensorboardX: {install_command('train')}") from error
     board, count = TensorBoardLog(Path(folder), 0), [0]
 
     def show(record: CellRecord) -> None:

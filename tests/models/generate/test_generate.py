@@ -393,5 +393,5 @@ def test_what_cannot_be_made_is_refused(error, keys, message):
 
 @pytest.mark.parametrize("value", [-0.1, 1.1, math.nan])
 def test_difficulties_are_from_0_to_1(value):
-    with pytest.raises(SpecError, match=r"difficulty clutter is .*, expected from 0 to 1"):
+    with pytest.raises(SpecError, match=r"Difficulty: clutter is .*, expected a number from 0 to 1"):
         Difficulty(clutter=value)

@@ -273,6 +273,25 @@ def test_passarola_keeps_what_an_aerial_command_leaves_out():
         assert rig.commands[0].setpoint.tolist() == pytest.approx(setpoint, abs=1e-6), command
 
 
+def test_passarola_limits_each_key_by_itself():
+    """Manual 9.4, 12.21: 2 m/s ahead and 2 m/s up, each for itself, as of an AirRobot."""
+    commands = [
+        ({"LinearVelocity": 100.0, "AltitudeVelocity": 0.3}, (2.0, 0.3, 0.0)),
+        ({"LinearVelocity": -0.5, "AltitudeVelocity": -100.0}, (-0.5, -2.0, 0.0)),
+        ({"LinearVelocity": 100.0, "AltitudeVelocity": 100.0}, (2.0, 2.0, 0.0)),
+        ({"ThrustPropeller": 100.0, "XZAngle": 0.5}, (2 * math.cos(0.5), 2 * math.sin(0.5), 0.0)),
+        ({"LinearVelocity": 1.0, "RotationalVelocity": 100.0}, (None, 0.0, 1.0)),
+    ]
+    rig = Rig("Passarola", places=row(len(commands)), height=HIGH)
+    for i, (command, _) in enumerate(commands):
+        rig.tell(robot=i, **command)
+    rig.run(15.0)
+    for i, (command, (forward, up, right)) in enumerate(commands):
+        ahead, _, rise, turn = motion(rig, i)
+        assert (rise, turn) == pytest.approx((up, right), rel=0.02, abs=0.02), command
+        assert forward is None or ahead == pytest.approx(forward, rel=0.02, abs=0.02), command
+
+
 def test_passarola_gets_the_speeds_that_it_is_asked_for_and_stops():
     """Manual 12.21: 2 m/s forward and up, 1 rad/s; positive angles of the thrusters send it up."""
     rig = Rig("Passarola", places=row(len(BLIMP_COMMANDS)), height=HIGH)

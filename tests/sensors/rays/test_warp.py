@@ -8,6 +8,7 @@ import pytest
 from tests.sensors.rays.test_raycast import KINDS, make_rays, make_room
 from usarmjx.base import accelerator
 from usarmjx.base.errors import UsageError
+from usarmjx.base.installation import install_command
 from usarmjx.models.compile.ray_geoms import FENDER_KIND, TRIANGLE_KIND
 from usarmjx.sensors.rays.bundles import Fans
 from usarmjx.sensors.rays.kernels import RAY_KERNELS
@@ -132,7 +133,7 @@ def test_a_gpu_takes_warp_and_says_where_it_is_missing(monkeypatch, caplog):
     assert used("gpu", True) == (True, [])
     in_use, (line,) = used("gpu", False)
     assert not in_use
-    assert 'plain JAX casts rays on this GPU, which is slow; pip install "usarmjx[cuda]"' in line
+    assert f"plain JAX casts rays on this GPU, which is slow; {install_command('cuda')}" in line
 
 
 def test_rays_are_cast_by_what_is_in_use(monkeypatch):

@@ -15,6 +15,7 @@ from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.control import idle_command
 
 SIZE = (320, 240)
+NAMES = ("Ahead", "Right", "Behind")
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +76,8 @@ def test_zoom_is_held_within_its_limits_and_every_camera_is_listed(house, asked,
         "{CameraDefFov 1.0000} {CameraMinFov 1.0000} {CameraMaxFov 1.0000} {CameraFov 1.0000}",
         "{CameraDefFov 1.0000} {CameraMinFov 0.5000} {CameraMaxFov 2.0000} {CameraFov 1.0000}",
     ]
-    assert house.say(client, "GETCONF {Type Camera}") == [f"CONF {{Type Camera}} {' '.join(configurations)}"]
+    named = [f"{{Name {name}}} {one}" for name, one in zip(NAMES, configurations, strict=True)]
+    assert house.say(client, "GETCONF {Type Camera}") == [f"CONF {{Type Camera}} {' '.join(named)}"]
     assert house.say(client, "GETCONF {Type Camera} {Name Ahead}") == [
         f"CONF {{Type Camera}} {configurations[0]}"
     ]
@@ -87,7 +89,7 @@ def test_several_cameras_zoom_at_once_and_one_that_cannot_fails(house):
     line = "SET {Type Camera} {Name Behind} {FOV 0.75} {Name Right} {FOV 0.75} {Name Nobody} {FOV 1}"
     assert ask(house, client, line) == [
         "RES {Type Camera} {Name Ahead} {FOV 1.0000} {Status OK} {Name Right} {FOV 1.0000} {Status Failed} "
-        "{Name Behind} {FOV 0.7500} {Status OK}"
+        "{Name Behind} {FOV 0.7500} {Status OK} {Name Nobody} {Status Failed}"
     ]
 
 
@@ -113,7 +115,9 @@ def test_the_older_form_of_zooming_answers_with_the_field_of_view(house):
 
 def test_a_robot_without_cameras_lists_none(house):
     client = join(house, "Mole")
-    assert ask(house, client, "SET {Type Camera} {Name C} {FOV 1}") == ["RES {Type Camera}"]
+    assert ask(house, client, "SET {Type Camera} {Name C} {FOV 1}") == [
+        "RES {Type Camera} {Name C} {Status Failed}"
+    ]
 
 
 def test_an_empty_battery_answers_nothing(house, monkeypatch):

@@ -34,22 +34,35 @@ TOLD = [  # the manual's line, and what is heard instead
         " Orientation 0.0000,0.0000,-0.8727 Mount HARD}",
         [
             "GEO {Type Sonar} {Name F2} {Location 0.1850,-0.1150,0.0000}"
-            " {Orientation 0.0000,0.0000,-0.8727} {Mount HARD}"
+            " {Orientation 0.0000,0.0000,-0.8727} {Mount P3AT}"
         ],
     ),
     (
-        "GEO {Type MisPkg} {Name Cam} {Link 1} {ParentLink -1} {Location 0.1,0,0} {Orientation 3.1,0,0}"
+        "GEO {Type Camera} {Name Camera Location 0.1,0,0 Orientation 0,0,0 Mount CameraPanTilt_Link2}",
+        [
+            "GEO {Type Camera} {Name Camera} {Location 0.1,0,0} {Orientation 0,0,0}"
+            " {Mount CameraPanTilt} {MountLink 2}"
+        ],
+    ),
+    (
+        "GEO {Type Camera} {Name Camera Location 0.1,0,0 Orientation 0,0,0 Mount kenafCameraTilt}",
+        ["GEO {Type Camera} {Name Camera} {Location 0.1,0,0} {Orientation 0,0,0} {Mount kenafCameraTilt}"],
+    ),
+    (
+        "GEO {Type Actuator} {Name Cam} {Link 1} {ParentLink -1} {Location 0.1,0,0} {Orientation 3.1,0,0}"
         " {Link 2} {ParentLink 1} {Location 0,0,0.05} {Orientation 1.5,0,0}",
         [
             "GEO {Type Actuator} {Name Cam} {Location 0.0000,0.0000,0.0000}"
-            " {Orientation 0.0000,0.0000,0.0000} {Mount HARD}"
+            " {Orientation 0.0000,0.0000,0.0000} {Mount P3AT}"
             " {Link 1} {Parent 0} {Location 0.1,0,0} {Orientation 3.1,0,0}"
             " {Link 2} {Parent 1} {Location 0,0,0.05} {Orientation 1.5,0,0}"
+            " {Tip 0.0000,0.0000,0.0000}"
         ],
     ),
-    ("GEO {Type MisPkg} {Name Nothing}", ["GEO {Type Actuator} {Name Nothing}"]),
+    ("GEO {Type Actuator} {Name Nothing}", ["GEO {Type Actuator} {Name Nothing}"]),
+    ("CONF {Type MisPkg} {Name Cam} {Link 1}", ["CONF {Type MisPkg} {Name Cam} {Link 1}"]),
     (
-        "CONF {Type MisPkg} {Name Cam} {Link 1} {JointType Revolute} {MaxSpeed 0.17} {MaxTorque 20.00}"
+        "CONF {Type Actuator} {Name Cam} {Link 1} {JointType Revolute} {MaxSpeed 0.17} {MaxTorque 20.00}"
         " {MinRange 1.00} {MaxRange 0.00}",
         [
             "CONF {Type Actuator} {Name Cam} {Link 1} {JointType Revolute} {MaxSpeed 0.17}"
@@ -69,8 +82,8 @@ TOLD = [  # the manual's line, and what is heard instead
 @pytest.mark.parametrize(("line", "heard"), TOLD, ids=[line.split("} {Name")[0] for line, _ in TOLD])
 def test_what_udk_says(line, heard):
     message = parse_message(line)
-    assert [format_message(one) for one in UDK.translate(message)] == heard
-    assert list(MANUAL.translate(message)) == [message]
+    assert [format_message(one) for one in UDK.translate(message, "P3AT")] == heard
+    assert list(MANUAL.translate(message, "P3AT")) == [message]
 
 
 ASKED = [
@@ -79,7 +92,7 @@ ASKED = [
         MisPkg("Cam", (LinkCommand(1, 0.2), LinkCommand(2, -0.1))),
     ),
     ("MISPKG {Name Cam} {Link 1} {Value 0.2} {Order 0}", MisPkg("Cam", (LinkCommand(1, 0.2),))),
-    ("GETCONF {Type actuator} {Name Cam}", GetConf("MisPkg", "Cam")),
+    ("GETCONF {Type actuator} {Name Cam}", GetConf("actuator", "Cam")),
     ("GETCONF {Type Gripper}", GetConf("Gripper")),
     ("Drive {Left 1.0} {Right 1.0}", DriveRobot((("Left", 1.0), ("Right", 1.0)))),
 ]

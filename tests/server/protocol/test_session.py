@@ -18,6 +18,7 @@ from usarmjx.server.protocol.commands import (
     GetGeo,
     GetStartPoses,
     Init,
+    InvalidSet,
     LinkCommand,
     MisPkg,
     MultiDrive,
@@ -32,7 +33,6 @@ from usarmjx.server.protocol.commands import (
     TurnCamera,
     WheelCommand,
 )
-from usarmjx.server.protocol.descriptions import geo_nothing
 from usarmjx.server.protocol.grammar import Message
 from usarmjx.server.protocol.reports import nfo_greeting, nfo_start_poses, res
 from usarmjx.server.protocol.session import (
@@ -131,7 +131,35 @@ def test_the_table_covers_every_phase():
 
 
 def test_every_command_has_its_line_here():
-    assert {type(command) for command in LINES} == set(get_args(Command)) - {OwnCommand}, "it has no head"
+    assert {type(command) for command in LINES} == set(get_args(Command)) - {OwnCommand, InvalidSet}, (
+        "without a head"
+    )
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "SET {Type Camera} {Name C} {FOV 1} {Name D}",
+        "SET {Type Joint} {Name C} {Opcode Spin} {Params 1}",
+        "SET {Type Joint} {Name C} {Opcode Angle} {Params x}",
+        "SET {Type Joint} {Name C} {Opcode Angle} {Params nan}",
+    ],
+)
+def test_a_set_that_makes_no_sense_can_be_answered_once_there_is_a_robot(line):
+    greeted, active = session_in(SessionPhase.GREETED), session_in(SessionPhase.ACTIVE)
+    assert greeted.receive_data(line.encode() + b"\r\n") == []
+    (command,) = active.receive_data(line.encode() + b"\r\n")
+    assert isinstance(command, InvalidSet)
+    assert command.name == "C"
+    assert [one.fault_count for one in (greeted, active)] == [1, 1]
+
+
+def test_what_has_no_value_is_not_sent():
+    """Manual 9.2: a segment is pairs."""
+    session = session_in(SessionPhase.ACTIVE)
+    session.data_to_send()
+    session.send(Message("RES", (("Type", "Gripper"), ("Name", ""), ("Status", "Failed"))))
+    assert session.data_to_send() == b"RES {Type Gripper} {Status Failed}\r\n"
 
 
 def test_a_refused_init_sends_nothing_and_may_be_tried_again():
@@ -296,7 +324,7 @@ def test_text_of_a_client_is_echoed_in_the_bytes_it_came_in():
     session.data_to_send()
     (command,) = session.receive_data(b"GETGEO {Type S\xf6nar}\r\n")
     assert isinstance(command, GetGeo)
-    session.send(geo_nothing(command.type, command.name))
+    session.send(Message("GEO", (("Type", command.type),)))
     assert session.data_to_send() == b"GEO {Type S\xf6nar}\r\n"
 
 

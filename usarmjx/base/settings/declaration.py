@@ -13,6 +13,7 @@ import inspect
 import math
 import re
 import types
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass
 from enum import Enum
@@ -33,6 +34,26 @@ _ENTRY = re.compile(r"(\w+(?:, \w+)*): *(.*)")
 
 class RenamedSettingWarning(DeprecationWarning):
     """Use of a setting's name of the version before."""
+
+
+class UncheckedSettingWarning(UserWarning):
+    """Field whose type is imported for type checkers only, so that its values are taken unchecked."""
+
+
+@dataclass(frozen=True)
+class Unresolved:
+    """Type hint with a name that does not exist at run time.
+
+    Attributes:
+        source: The hint as written.
+    """
+
+    source: str
+
+    @property
+    def __name__(self) -> str:
+        """The hint as written, for texts."""
+        return self.source
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,7 +171,7 @@ class SettingField:
 @cache
 def describe(kind: type) -> tuple[SettingField, ...]:
     """Return the settings of a dataclass, in order, for `--help`, tables, schemas and completion."""
-    hints, notes, texts = get_type_hints(kind, include_extras=True), notes_of(kind), docstring_entries(kind)
+    hints, notes, texts = type_hints(kind), notes_of(kind), docstring_entries(kind)
     found: list[SettingField] = []
     for field in dataclasses.fields(kind):
         if not field.init:
@@ -162,8 +183,31 @@ def describe(kind: type) -> tuple[SettingField, ...]:
         hint = bare(hints[field.name])
         default = field.default if field.default_factory is MISSING else field.default_factory()
         expects = expectation(hint, note)
+        if isinstance(hint, Unresolved):
+            text = f"{kind.__name__}.{field.name} is not checked: its type {hint.source!r} is not imported"
+            warnings.warn(text, UncheckedSettingWarning, stacklevel=2)
+            hint = Any
         found.append(SettingField(name=field.name, hint=hint, note=note, default=default, expects=expects))
     return tuple(found)
+
+
+@cache
+def type_hints(kind: type) -> dict[str, Any]:
+    """Return the type hints of a class, notes and all; `Unresolved` where a name is missing at run time."""
+    try:
+        return get_type_hints(kind, include_extras=True)
+    except NameError:  # a type that the module imports for type checkers only
+        found: dict[str, Any] = {}
+        for base in reversed(kind.__mro__):
+            for name, source in inspect.get_annotations(base).items():
+                alone = type(
+                    base.__name__, (), {"__annotations__": {name: source}, "__module__": base.__module__}
+                )
+                try:
+                    found |= get_type_hints(alone, include_extras=True)
+                except NameError:
+                    found[name] = Unresolved(str(source))
+        return found
 
 
 def bare(hint: Any) -> Any:  # noqa: ANN401 - a type hint
@@ -188,7 +232,7 @@ def notes_of(kind: type) -> dict[str, Setting]:
     found: dict[str, Setting] = {}
     for base in reversed(kind.__mro__):
         names = inspect.get_annotations(base)
-        hints = get_type_hints(base, include_extras=True) if names else {}
+        hints = type_hints(base) if names else {}
         for name in names:
             note = note_of(hints[name], found.get(name, NO_NOTE))
             if note != NO_NOTE:

@@ -313,6 +313,7 @@ STARTS: tuple[tuple[str, Point, float], ...] = (
         (f"Spot{i + 1}", (FIRST_SPOT + i * SPOT_WIDTH * METRES_PER_FOOT, SPOT_MIDDLE), 90.0)
         for i in range(SPOTS)
     ),
+    ("PlayerStart", (20.0, -LANE_OFFSET), _SOUTH),
 )
 
 ARDA = ArenaSpec(

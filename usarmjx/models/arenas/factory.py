@@ -277,6 +277,7 @@ STARTS = (
     ("Office", 3.0, 12.4, math.pi / 2),
     ("Control", 13.5, 13.2, -math.pi / 2),
     ("Workshop", 20.8, 13.4, -math.pi / 2),
+    ("PlayerStart", 19.0, 5.5, math.pi),
 )
 
 FACTORY = ArenaSpec(

@@ -28,13 +28,16 @@ FIELD = ArenaSpec(
         _wall(0.0, HALF, along_y=False),
         _wall(0.0, -HALF, along_y=False),
     ),
-    starts=tuple(
-        StartPose(
-            tag=f"Start{1 + 5 * row + column}",
-            at=((row - 2) * SPACING, (2 - column) * SPACING, START_ELEVATION),
-        )
-        for row in range(5)
-        for column in range(5)
+    starts=(
+        *(
+            StartPose(
+                tag=f"Start{1 + 5 * row + column}",
+                at=((row - 2) * SPACING, (2 - column) * SPACING, START_ELEVATION),
+            )
+            for row in range(5)
+            for column in range(5)
+        ),
+        StartPose(tag="PlayerStart", at=(-3 * SPACING, 0.0, START_ELEVATION)),
     ),
     extent=((-HALF, HALF), (-HALF, HALF)),
     robots=("Hummer", "SnowStorm", "Sedan", "Cooper", "AirRobot", "Passarola"),

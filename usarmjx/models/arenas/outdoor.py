@@ -216,6 +216,7 @@ STARTS = (
     ("Site1", -0.5, 7.0, 0.0),
     ("Site2", 15.6, 0.0, math.pi / 2),
     ("Site3", 9.0, -0.6, math.pi),
+    ("PlayerStart", -11.0, -1.6, 0.0),
 )
 
 OUTDOOR = ArenaSpec(

@@ -55,6 +55,7 @@ POOL = ArenaSpec(
             StartPose(tag=f"Quay{i}", at=(x, -Y - QUAY / 2, DECK + START_ELEVATION))
             for i, x in enumerate(QUAY_COLUMNS, start=1)
         ),
+        StartPose(tag="PlayerStart", at=(WATER_X, 8.0, KEEL + START_ELEVATION)),
     ),
     extent=((-X, X), (SHORE, Y)),
     victims=(

@@ -124,6 +124,7 @@ SOCCER = ArenaSpec(
         StartPose(tag="Blue2", at=(-1.3, 0.9, START_ELEVATION)),
         StartPose(tag="Yellow1", at=(1.3, 0.9, START_ELEVATION), yaw=math.pi),
         StartPose(tag="Yellow2", at=(1.3, -0.9, START_ELEVATION), yaw=math.pi),
+        StartPose(tag="PlayerStart", at=(-0.6, 1.2, START_ELEVATION)),
     ),
     extent=((-CARPET[0] / 2 - 0.3, CARPET[0] / 2 + 0.3), (-CARPET[1] / 2 - 0.3, CARPET[1] / 2 + 0.3)),
     loose=(BALL,),

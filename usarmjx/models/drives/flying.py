@@ -224,7 +224,12 @@ class Blimp(Drive):
 
     def to_own_keys(self, values: Mapping[str, ArrayLike], setpoint: Array) -> Mapping[str, ArrayLike]:
         """Return speeds up and ahead as the bar's angle and the speed along it, and turns with its sign."""
-        given = {key: xp.asarray(value, xp.float32) for key, value in values.items()}
+        most = {**self.full_scale, **self.other_keys}
+        # Each key is limited by itself: one that is too large leaves the others what they are.
+        given = {
+            key: xp.clip(xp.asarray(value, xp.float32), -most[key], most[key])
+            for key, value in values.items()
+        }
         own: dict[str, ArrayLike] = {key: value for key, value in given.items() if key not in self.other_keys}
         if "RotationalVelocity" in given:
             own["TailPropeller"] = -given["RotationalVelocity"]
@@ -241,9 +246,15 @@ class Blimp(Drive):
         return own
 
     @property
+    def limits(self) -> np.ndarray:
+        """Largest absolute value of each key (keys,): both speeds of the other keys at once add up."""
+        own = super().limits
+        return own * np.array([1.0, math.sqrt(2.0), 1.0], np.float32)
+
+    @property
     def top_speed(self) -> float:
-        """Highest speed, in any direction [m/s]."""
-        return self.max_thrust_speed
+        """Highest speed, ahead and up at once [m/s]."""
+        return math.sqrt(2.0) * self.max_thrust_speed
 
     def passive_wrench(self, state: RobotState, depth: Array) -> Array:
         """Return lift and drag (..., 6)."""

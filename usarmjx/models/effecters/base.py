@@ -13,12 +13,15 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
+from usarmjx.base.parameters import Parameters
 from usarmjx.base.registry import Registry
-from usarmjx.base.settings import NOT_NEGATIVE
+from usarmjx.base.settings import NOT_NEGATIVE, Setting
 from usarmjx.base.transforms import Vec3, mat_from_angles
 from usarmjx.models.types.robot import Mount, Part, RobotSpec
 from usarmjx.models.types.shapes import Shape
 
+LIMIT_TOLERANCE = 1e-3
+"""A parameter may be this far outside of its limits: CONF tells them with 4 decimals, cut off."""
 MAX_DROPPED_TAGS = 64
 """Capacity of a world for dropped RFID tags (the manual's releasers have IDs for 1001)."""
 
@@ -63,6 +66,14 @@ class Opcode:
     def takes_value(self) -> bool:
         """Whether its parameter has an effect."""
         return self.max_val > self.min_val
+
+    @property
+    def parameters(self) -> Parameters:
+        """Form of its parameters; clients also send a number to an operation that takes none (manual 9.4)."""
+        if not self.takes_value:
+            return Parameters()
+        limits = Setting(ge=self.min_val - LIMIT_TOLERANCE, le=self.max_val + LIMIT_TOLERANCE)
+        return Parameters(1 if self.default_val is None else 0, 1, limits)
 
 
 NOP = Opcode("NOP")

@@ -16,6 +16,7 @@ import yaml
 
 from usarmjx.base.errors import ArenaFileError, UnknownNameError
 from usarmjx.base.files import atomic_write
+from usarmjx.base.registry import unknown_name
 from usarmjx.base.settings import FileValue
 from usarmjx.base.settings.files import read_bytes
 from usarmjx.base.settings.yaml_file import read_yaml
@@ -189,8 +190,8 @@ def find_arena(arena: str | Path) -> ArenaSpec:
     path = Path(name)
     if path.suffix.lower() in SUFFIXES or path.is_file():
         return load_arena(path)
-    known = ", ".join(ARENAS.names())
-    raise UnknownNameError(f"unknown arena {name!r}; known: {known}; or a file: {', '.join(SUFFIXES)}")
+    refusal = unknown_name("arena", name, ARENAS.names())
+    raise UnknownNameError(f"{refusal}; or a file: {', '.join(SUFFIXES)}")
 
 
 def _xml(path: Path) -> Content:

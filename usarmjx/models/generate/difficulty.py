@@ -1,8 +1,9 @@
 """Difficulty of a generated arena."""
 
 from dataclasses import dataclass, fields
+from typing import Annotated
 
-from usarmjx.base.errors import SpecError
+from usarmjx.base.settings import SHARE, validate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,20 +25,17 @@ class Difficulty:
             0 every drive crosses them. Explicit only, too.
     """
 
-    wall_density: float = 0.5
-    roughness: float = 0.5
-    clutter: float = 0.5
-    dead_ends: float = 0.5
-    radio_shadow: float = 0.5
-    obstacles: float = 0.0
-    risk: float = 0.0
+    wall_density: Annotated[float, SHARE] = 0.5
+    roughness: Annotated[float, SHARE] = 0.5
+    clutter: Annotated[float, SHARE] = 0.5
+    dead_ends: Annotated[float, SHARE] = 0.5
+    radio_shadow: Annotated[float, SHARE] = 0.5
+    obstacles: Annotated[float, SHARE] = 0.0
+    risk: Annotated[float, SHARE] = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse numbers out of range."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not 0.0 <= value <= 1.0:  # also refuses NaN
-                raise SpecError(f"difficulty {field.name} is {value}, expected from 0 to 1")
+        """Check the settings."""
+        validate(self)
 
     @classmethod
     def of(cls, level: float) -> "Difficulty":

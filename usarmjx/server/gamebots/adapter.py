@@ -6,6 +6,8 @@ from collections.abc import Callable
 
 from usarmjx.base.arrays import ArrayLike
 from usarmjx.base.errors import PeerError, UsageError
+from usarmjx.base.parameters import Parameters
+from usarmjx.base.registry import is_name
 from usarmjx.models.compile.parts import part_name
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import STEER_SUFFIX, MissionPackage, RobotSpec
@@ -16,10 +18,11 @@ from usarmjx.server.gamebots.spawning import spawn_from_init
 from usarmjx.server.gamebots.victims import access_tag
 from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol import reports
+from usarmjx.server.protocol.arguments import read_parameters
 from usarmjx.server.protocol.commands import LinkCommand, MisPkg, TurnCamera
 from usarmjx.server.protocol.dialects import MANUAL, Dialect
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
-from usarmjx.server.protocol.grammar import Message, clip, four_decimals, to_vector
+from usarmjx.server.protocol.grammar import Message, clip, four_decimals
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 from usarmjx.server.protocol.session import MAX_FAULTS, RobotSession
 from usarmjx.server.runtime.logs import INTERVAL, FaultLog, summary
@@ -98,13 +101,14 @@ class Client:
         self._next_log, self._logged = 0.0, 0
         self._world = world
         self._peer = peer
-        self._handlers: dict[type, Callable[..., None]] = {
+        self._handlers: dict[type, Callable[..., object]] = {
             wire.GetStartPoses: self._start_poses,
             wire.DriveRobot: self._drive,
             wire.DriveWheels: self._drive_wheels,
             wire.DriveJoint: self._drive_joint,
             wire.MultiDrive: self._drive_joints,
             wire.SetJoint: self._set_joint,
+            wire.InvalidSet: self._refuse_set,
             wire.MisPkg: self._move_package,
             wire.Set: self._set,
             wire.SetFov: self._zoom,
@@ -253,22 +257,30 @@ class Client:
         self._update_command(CommandUpdate(joints={robot.plan.parts[1 + joint]: goal}, mode=mode))
         return True
 
-    def _set_named_joint(self, name: str, order: int, value: float) -> None:
+    def _set_named_joint(self, name: str, order: int, value: float) -> bool:
         joint = self._present.plan.joint_index(name)
         if joint is None:
             self.session.add_fault(f"{self._present.spec.name} has no joint {clip(name)}")
         elif not self._set_joint_mode(joint, order, value):
             self.session.add_fault(f"no such order as {order} for joint {clip(name)}")
+        else:
+            return True
+        return False
 
-    def _drive_joint(self, command: wire.DriveJoint | wire.SetJoint) -> None:
+    def _drive_joint(self, command: wire.DriveJoint | wire.SetJoint) -> bool:
+        """Order a joint to move and a wheel to steer; return whether the robot could be told all of it."""
+        done = True
         if command.value is not None:
-            self._set_named_joint(command.name, command.order, command.value)
+            done = self._set_named_joint(command.name, command.order, command.value)
         if command.steer is not None:
-            self._set_named_joint(command.name + STEER_SUFFIX, ControlMode.POSITION, command.steer)
+            steer = command.name + STEER_SUFFIX
+            done = self._set_named_joint(steer, ControlMode.POSITION, command.steer) and done
+        return done
 
     def _set_joint(self, command: wire.SetJoint) -> None:
-        if not self.battery_empty:
-            self._drive_joint(command)
+        # A joint that moves is not answered (KRobot.uc); without an answer to what failed none could tell.
+        if not self.battery_empty and not self._drive_joint(command):
+            self.session.send(reports.res(self._world.time, "Joint", command.name, STATUS_FAILED))
 
     def _drive_joints(self, command: wire.MultiDrive) -> None:
         # One update for all joints: a gait sends a dozen in each control step, and a client's time is short.
@@ -298,46 +310,58 @@ class Client:
         if sensor is not None and robot.suite.sensors[sensor].kind == Rfid.kind:
             self.session.send(self._access_tag(robot, sensor, command))
             return
-        values = self._numbers(command.params)
-        status = STATUS_FAILED
-        if values is not None:
-            camera = robot.camera_index(command.name) if command.type.lower() == "camera" else None
+        camera = robot.camera_index(command.name) if command.type.lower() == "camera" else None
+        try:
             if sensor is not None:
-                status = self._operate_sensor(robot, sensor, command.opcode, values)
+                status = self._operate_sensor(robot, sensor, command)
             elif camera is not None:
-                status = self._operate_camera(robot, camera, command.opcode, values)
+                status = self._operate_camera(robot, camera, command)
             else:
-                status = self._operate(robot, command, values)
+                status = self._operate(robot, command)
+        except PeerError as error:
+            self.session.add_fault(f"SET {clip(command.name)} {clip(command.opcode)}: {error}")
+            status = STATUS_FAILED
         self.session.send(reports.res(self._world.time, command.type, command.name, status))
 
-    def _operate_sensor(self, robot: Robot, sensor: int, opcode: str, values: tuple[float, ...]) -> str:
+    def _refuse_set(self, command: wire.InvalidSet) -> None:
+        if not self.battery_empty:
+            self.session.send(reports.res(self._world.time, command.type, command.name, STATUS_FAILED))
+
+    def _operate_sensor(self, robot: Robot, index: int, command: wire.Set) -> str:
         """Carry out a SET on a sensor; return the Status to answer."""
-        if opcode.upper() == "POSE" and len(values) == 6:
+        form = robot.suite.sensors[index].parameters_of(command.opcode)
+        values = read_parameters(command.params, form)
+        if command.opcode.upper() == "POSE" and len(values) == 6:
             values = (*flip_wire_vector(values[:3]), *flip_wire_angles(values[3:]))
-        done = self._world.operate_sensor(robot, sensor, opcode, values)
+        done = self._world.operate_sensor(robot, index, command.opcode, values)
         return STATUS_OK if done else STATUS_FAILED
 
-    def _operate_camera(self, robot: Robot, camera: int, opcode: str, values: tuple[float, ...]) -> str:
+    def _operate_camera(self, robot: Robot, camera: int, command: wire.Set) -> str:
         """Carry out the older form of zooming; the Status is the field of view [rad]."""
-        if opcode.lower() != "zoom" or len(values) != 1:
+        if command.opcode.lower() != "zoom":
             return STATUS_FAILED
-        self._world.zoom(robot, camera, values[0])
+        (fov,) = read_parameters(command.params, Parameters(1, 1))
+        self._world.zoom(robot, camera, fov)
         return four_decimals(robot.fovs[camera])
 
     def _zoom(self, command: wire.SetFov) -> None:
         robot = self._present
         if self.battery_empty:
             return
-        statuses = [STATUS_OK] * len(robot.cameras)
+        statuses, unknown = [STATUS_OK] * len(robot.cameras), list[str]()
         for name, fov in command.cameras:
             camera = robot.camera_index(name)
             if camera is None:
                 self.session.add_fault(f"{robot.spec.name} has no camera {clip(name)}")
+                unknown += [name] if is_name(name) else []
+            elif fov is None:
+                self.session.add_fault(f"camera {clip(name)}: its FOV is no number")
+                statuses[camera] = STATUS_FAILED
             else:
                 statuses[camera] = STATUS_OK if self._world.zoom(robot, camera, fov) else STATUS_FAILED
         names = [camera.mount.name for camera in robot.cameras]
         lines = zip(names, robot.fovs, statuses, strict=True)
-        self.session.send(reports.res_camera(self._world.time, lines))
+        self.session.send(reports.res_camera(self._world.time, lines, unknown))
 
     def _turn_camera(self, command: wire.TurnCamera) -> None:
         """Carry out a CAMERA; the original sends no answer."""
@@ -391,34 +415,28 @@ class Client:
 
         return access_tag(command, self._world.time, self._world.tag_texts, reaches)
 
-    def _operate(self, robot: Robot, command: wire.Set, values: tuple[float, ...]) -> str:
+    def _operate(self, robot: Robot, command: wire.Set) -> str:
         """Carry out a SET on the first effecter of that type and name; return the Status to answer."""
         index = robot.effecter_index(command.type, command.name)
         opcode = None if index is None else robot.effecters[index].opcode(command.opcode)
-        value = values[0] if values else opcode and opcode.default_val
-        # Two numbers are one with a decimal comma, whose tail must not be lost.
-        if index is None or opcode is None or value is None or len(values) > 1:
+        if index is None or opcode is None:
             return STATUS_FAILED
-        return self._world.operate(robot, index, opcode, value)
-
-    def _numbers(self, params: str) -> tuple[float, ...] | None:
-        """Return the numbers of a SET; None, logged, when one is not finite: the client stays."""
-        try:
-            return to_vector(params)
-        except PeerError as error:
-            self.session.add_fault(str(error))
-            return None
+        values = read_parameters(command.params, opcode.parameters)
+        value = values[0] if values else opcode.default_val
+        return STATUS_FAILED if value is None else self._world.operate(robot, index, opcode, value)
 
     def _geometry(self, command: wire.GetGeo) -> None:
+        types = self.session.dialect.package_types
         if not self.battery_empty:
-            for message in geometry(self._present.plan, command.type, command.name):
+            for message in geometry(self._present.plan, command.type, command.name, types):
                 self.session.send(message)
 
     def _configuration(self, command: wire.GetConf) -> None:
         if not self.battery_empty:
             robot = self._present
             known = (robot.spec, robot.suite.sensors, robot.fovs)
-            for message in configuration(*known, command.type, command.name):
+            types = self.session.dialect.package_types
+            for message in configuration(*known, command.type, command.name, types):
                 self.session.send(message)
 
     def _own_command(self, command: wire.OwnCommand) -> None:

@@ -1,7 +1,7 @@
 """Messages of sensors and robots: SEN, STA and MISSTA of their state, GEO and CONF of their parts."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from functools import partial
 from typing import Any, TypeVar, cast
 
@@ -35,11 +35,15 @@ from usarmjx.server.protocol.descriptions import (
     geo_nothing,
     geo_robot,
 )
+from usarmjx.server.protocol.dialects import ACTUATOR_TYPE, MANUAL, PACKAGE_TYPE
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector, wrap_angles
 from usarmjx.server.protocol.grammar import Message, Segment, check_word, four_decimals, four_decimals_list
 from usarmjx.sim.control import RobotCommand
 
 T = TypeVar("T")
+
+PACKAGE_TYPES = MANUAL.package_types
+"""Types that ask for mission packages, lower case."""
 
 _COMMON = frozenset(field.name for field in dataclasses.fields(NoisySensorSettings))
 """Settings of every sensor, which CONF leaves out."""
@@ -279,22 +283,30 @@ def _mounts(mounts: Sequence[Mount], kind: str, name: str) -> list[Mount]:
     return [mount for mount in mounts if _asked(kind, name, mount.kind, mount.name)]
 
 
+def _package_type(kind: str) -> str:
+    """Return the type of the answer about mission packages: MisPkg, or Actuator if that was asked for."""
+    return next((known for known in (PACKAGE_TYPE, ACTUATOR_TYPE) if known.lower() == kind.lower()), kind)
+
+
 def _effecters(robot: RobotSpec, kind: str, name: str) -> list[Effecter]:
     own = (effecter for effecter in effecters_of(robot) if effecter.is_type(kind))
     return [effecter for effecter in own if not name or effecter.mount.name.lower() == name.lower()]
 
 
-def _packages(robot: RobotSpec, kind: str, name: str) -> list[MissionPackage]:
-    return [package for package in robot.packages if _asked(kind, name, "MisPkg", package.name)]
+def _packages(robot: RobotSpec, name: str) -> list[MissionPackage]:
+    return [package for package in robot.packages if not name or package.name.lower() == name.lower()]
 
 
-def geometry(plan: KinematicTree, kind: str, name: str) -> list[Message]:
+def geometry(
+    plan: KinematicTree, kind: str, name: str, package_types: Set[str] = PACKAGE_TYPES
+) -> list[Message]:
     """Return the answers to GETGEO, one line per category that matches (KRobot.uc); an echo without any.
 
     Args:
         plan: The robot's class.
         kind: Type asked for.
         name: Name asked for, "" for all of the type.
+        package_types: Types that ask for mission packages, lower case.
     """
     robot = plan.robot
     if kind.lower() == "robot":
@@ -316,13 +328,13 @@ def geometry(plan: KinematicTree, kind: str, name: str) -> list[Message]:
     for matching in (_mounts(robot.sensors, kind, name), effecters, _mounts(robot.cameras, kind, name)):
         if matching:
             answers.append(geo_items(kind, [(m.name, m.at, m.direction, m.parent) for m in matching]))
-    packages = _packages(robot, kind, name)
+    packages = _packages(robot, name) if kind.lower() in package_types else []
     if packages:
         links = [
             (p.name, [LinkGeometry(k.number, k.parent, k.location, k.orientation) for k in p.links])
             for p in packages
         ]
-        answers.append(geo_mispkg(links))
+        answers.append(geo_mispkg(links, _package_type(kind)))
     return answers or [geo_nothing(kind, name)]
 
 
@@ -331,12 +343,13 @@ def _sensor_fields(sensor: Sensor, index: int) -> list[ConfField]:
     fields: list[ConfField] = [("Name", sensor.mounts[index].name)]
     known = lookup_by_type(sensor, CONFIGURATION)
     if known is None:
-        return [*fields, *generic_fields(settings)]
-    for key, field in known:
+        fields += generic_fields(settings)
+    for key, field in known or ():
         value = getattr(settings, field)
         pair = isinstance(value, tuple)  # vertical and horizontal
         fields.append((key, four_decimals_list(cast(tuple[float, ...], value)) if pair else value))
-    return fields
+    # Without any option it would read as the echo of a name that is not there.
+    return fields if len(fields) > 1 else [*fields, ("ScanInterval", settings.scan_interval)]
 
 
 def _camera_fields(camera: Camera, fov: float) -> list[ConfField]:
@@ -348,8 +361,21 @@ def _camera_fields(camera: Camera, fov: float) -> list[ConfField]:
     ]
 
 
+def _camera_configuration(kind: str, cameras: Sequence[tuple[Camera, float]]) -> Message:
+    """Return the CONF of cameras: the manual's has no names, so they are there only where it has several."""
+    several = len(cameras) > 1
+    names: list[list[ConfField]] = [[("Name", one.mount.name)] if several else [] for one, _ in cameras]
+    options = [_camera_fields(*one) for one in cameras]
+    return conf_items(kind, [[*name, *option] for name, option in zip(names, options, strict=True)])
+
+
 def configuration(
-    robot: RobotSpec, sensors: Sequence[Sensor], fovs: Sequence[float], kind: str, name: str
+    robot: RobotSpec,
+    sensors: Sequence[Sensor],
+    fovs: Sequence[float],
+    kind: str,
+    name: str,
+    package_types: Set[str] = PACKAGE_TYPES,
 ) -> list[Message]:
     """Return the answers to GETCONF, as `geometry` does for GETGEO.
 
@@ -359,6 +385,7 @@ def configuration(
         fovs: Field of view in force of each of its cameras [rad].
         kind: Type asked for.
         name: Name asked for, "" for all of the type.
+        package_types: Types that ask for mission packages, lower case.
     """
     if kind.lower() == "robot":
         return [
@@ -384,21 +411,20 @@ def configuration(
     ]
     if fields:
         answers.append(conf_items(kind, fields))
-    fields = [
-        _camera_fields(camera, fov)
+    cameras = [
+        (camera, fov)
         for camera, fov in zip(cameras_of(robot), fovs, strict=True)
         if _asked(kind, name, camera.mount.kind, camera.mount.name)
     ]
-    if fields:
-        answers.append(conf_items(kind, fields))
+    if cameras:
+        answers.append(_camera_configuration(kind, cameras))
     effecters = _effecters(robot, kind, name)
-    if effecters and kind.lower() == "effecter":
-        answers.append(conf_effecters([(e.mount.name, _operations(e)) for e in effecters]))
-    elif effecters:
-        answers.append(conf_items(kind, [[("Name", e.mount.name)] for e in effecters]))
-    packages = _packages(robot, kind, name)
+    if effecters:
+        answers.append(conf_effecters([(e.mount.name, _operations(e)) for e in effecters], kind))
+    packages = _packages(robot, name) if kind.lower() in package_types else []
     if packages:
-        answers.append(conf_mispkg([(p.name, [_link_configuration(k) for k in p.links]) for p in packages]))
+        links = [(p.name, [_link_configuration(k) for k in p.links]) for p in packages]
+        answers.append(conf_mispkg(links, _package_type(kind)))
     return answers or [conf_nothing(kind, name)]
 
 

@@ -3,11 +3,13 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
+from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, validate
 from usarmjx.models.ini.parse import read_ini
 from usarmjx.models.ini.read import as_whole, fail
 from usarmjx.server.network.access import EVERYBODY, AccessRules
-from usarmjx.server.network.ports import BOT_PORT
+from usarmjx.server.network.ports import BOT_PORT, PORT
 from usarmjx.server.protocol.dialects import MANUAL, Dialect
 
 SECTION = "BotAPI.BotServer"
@@ -33,13 +35,17 @@ class BotServerSettings:
     """
 
     host: str = "127.0.0.1"
-    port: int = BOT_PORT
-    max_connections: int = 16
-    init_timeout: float = 60.0
-    max_faults: int = 1000
+    port: Annotated[int, PORT] = BOT_PORT
+    max_connections: Annotated[int, AT_LEAST_ONE] = 16
+    init_timeout: Annotated[float, NOT_NEGATIVE] = 60.0
+    max_faults: Annotated[int, NOT_NEGATIVE] = 1000
     access: AccessRules = EVERYBODY
     dialect: Dialect = MANUAL
-    time_limit: int = 0
+    time_limit: Annotated[int, NOT_NEGATIVE] = 0
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        validate(self)
 
 
 def read_bot_server(paths: Iterable[str | Path]) -> dict[str, int]:

@@ -121,8 +121,8 @@ def access_tag(
 ) -> Message:
     """Read, write or erase the memory of an RFID tag (manual 10.9.5 to 10.9.7); return the RES.
 
-    It fails for tags out of range, unknown IDs, other opcodes, and texts that are too long or that
-    no line can carry.
+    It fails for tags out of range, unknown IDs, other opcodes, a Read with more than an ID, and texts that
+    are too long or that no line can carry.
 
     Args:
         command: SET of an RFID sensor; its parameters are an ID and, of Write, a text. A missing space
@@ -137,7 +137,7 @@ def access_tag(
     if found is None or opcode not in ("read", "write"):
         return failed
     number, text = int(found.group(1)), found.group(2).strip()
-    if not reaches(number):
+    if not reaches(number) or (opcode == "read" and text):
         return failed
     if opcode == "read":
         memory = texts.get(number, "") or EMPTY_MEMORY

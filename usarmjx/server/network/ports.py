@@ -7,6 +7,7 @@ from collections.abc import Generator, Mapping, Sequence
 from weakref import WeakSet
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.settings import Setting
 
 BOT_PORT = 3000
 """Default port of the Gamebots server (BotAPI.ini: ListenPort; manual 9.1)."""
@@ -17,6 +18,8 @@ IMAGE_PORT = 5003
 VIEWER_PORT = 8100
 """Default port of the live page."""
 LAST_PORT = 65535
+PORT = Setting(ge=0, le=LAST_PORT)
+"""Limits of the number of a port."""
 FIRST_DIALLED = 1024
 """Lowest port that is dialled for a client: those below are the system's."""
 WRONG_PORT = (errno.EADDRINUSE, errno.EACCES)

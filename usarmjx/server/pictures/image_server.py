@@ -11,12 +11,14 @@ import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
+from typing import Annotated
 
 import numpy as np
 
+from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE, Setting, validate
 from usarmjx.server.network.access import EVERYBODY, AccessRules
 from usarmjx.server.network.gate import Gate, peer_address
-from usarmjx.server.network.ports import IMAGE_PORT
+from usarmjx.server.network.ports import IMAGE_PORT, PORT
 from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
 from usarmjx.server.pictures.views import CompositeView, client_view
 from usarmjx.server.protocol.grammar import HttpRequestError
@@ -54,14 +56,18 @@ class ImageSettings:
     """
 
     host: str = "127.0.0.1"
-    port: int = IMAGE_PORT
-    size: tuple[int, int] = SIZE
-    fps: float = 10.0
-    format: int = 3
-    max_connections: int = 16
-    patience: float = 0.3
+    port: Annotated[int, PORT] = IMAGE_PORT
+    size: Annotated[tuple[int, int], AT_LEAST_ONE] = SIZE
+    fps: Annotated[float, POSITIVE] = 10.0
+    format: Annotated[int, Setting(ge=0, le=5)] = 3
+    max_connections: Annotated[int, AT_LEAST_ONE] = 16
+    patience: Annotated[float, NOT_NEGATIVE] = 0.3
     multi_view: MultiView | None = None
     access: AccessRules = EVERYBODY
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        validate(self)
 
 
 @dataclass(eq=False)

@@ -1,15 +1,18 @@
 """Parsers of a client's messages (manual 9.4): one function per head, and their registry.
 
-`parse_command` has three outcomes: a command, `Ignored` with a reason for the log, or PeerError for
-a number that is not finite or has a decimal comma. The original answers neither of the last two and
-keeps the connection, so then nothing is sent and the robot keeps its present command.
+`parse_command` has three outcomes: a command, `Ignored` with a reason for the log, or PeerError
+for an argument that has not its form (`arguments`) or is not finite. The original answers neither of the
+last two and keeps the connection, so then the robot keeps its present command, and nothing is sent but the
+`Failed` of a SET.
 """
 
 from collections.abc import Callable
 from typing import TypeAlias
 
 from usarmjx.base.errors import PeerError
+from usarmjx.base.parameters import Parameters
 from usarmjx.base.registry import Registry
+from usarmjx.server.protocol.arguments import check_arguments, is_number, read_parameters
 from usarmjx.server.protocol.commands import (
     DRIVE_KEYS,
     TRACE_COLORS,
@@ -52,6 +55,7 @@ _LINK_KEYS = ("link", "value", "order")
 # The relative ones are not in the manual; all six are in KRobot.uc, each also as its number.
 _OPCODES = {"angle": 0, "velocity": 1, "torque": 2, "relangle": 10, "relvelocity": 11, "reltorque": 12}
 _JOINT_ORDERS = _OPCODES | {str(order): order for order in _OPCODES.values()}
+_JOINT_PARAMETERS = Parameters(0, 2)
 _VIEWPORTS = ("Viewport1", "Viewport2", "Viewport3", "Viewport4")
 MOST_COMPONENTS = 4
 """Most numbers of a location or rotation; six are three with decimal commas."""
@@ -66,10 +70,11 @@ def parse_command(message: Message) -> Command | Ignored:
     """Return the command of a message.
 
     Raises:
-        PeerError: It holds a number that is not finite or has a decimal comma, or a vector of more than 4.
+        PeerError: An argument has not its form, or is a number that is not finite.
     """
     if message.kind not in COMMANDS:
         return Ignored(f"{clip(message.kind)} is not supported")
+    check_arguments(message)
     return COMMANDS.get(message.kind)(message)
 
 
@@ -239,7 +244,15 @@ def _set_fov(message: Message) -> Command | Ignored:
     groups = _groups(message, ("name", "fov"))
     if not all(group.get("name") and group.get("fov") for group in groups):
         return Ignored("SET of a camera with a Name or a FOV that lacks the other")
-    return SetFov(tuple((group["name"], to_float(group["fov"])) for group in groups))
+    return SetFov(tuple((group["name"], _fov(group["fov"])) for group in groups))
+
+
+def _fov(text: str) -> float | None:
+    """Return a field of view; None for what is none: the other cameras of the line zoom all the same."""
+    try:
+        return to_float(text) if is_number(text) else None
+    except PeerError:
+        return None
 
 
 def _trace(message: Message) -> Command:
@@ -258,7 +271,7 @@ def _set_joint(message: Message) -> Command | Ignored:
     order = _JOINT_ORDERS.get(opcode.lower())
     if order is None:
         return Ignored(f"SET of a joint with the opcode {clip(opcode)}; known: {', '.join(_JOINT_ORDERS)}")
-    value, *more = to_vector(message.get("Params")) or (0.0,)
+    value, *more = read_parameters(message.get("Params"), _JOINT_PARAMETERS) or (0.0,)
     return SetJoint(name, order, value, more[0] if more else None)
 
 

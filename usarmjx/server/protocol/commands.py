@@ -172,9 +172,25 @@ class SetJoint:
 
 @dataclass(frozen=True, slots=True)
 class SetFov:
-    """Zoom cameras: (name as spelled, field of view [rad], 0 for the default one) in the client's order."""
+    """Zoom cameras: (name as spelled, field of view [rad]) in the client's order.
 
-    cameras: tuple[tuple[str, float], ...]
+    A field of view of 0 is the default one, None is what was no number.
+    """
+
+    cameras: tuple[tuple[str, float | None], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class InvalidSet:
+    """SET that cannot be carried out as it stands; its answer is `Failed`, and its reason is a fault.
+
+    Attributes:
+        type: Type as sent.
+        name: Name as sent, "" when absent.
+    """
+
+    type: str
+    name: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,6 +297,7 @@ Command: TypeAlias = (
     | MisPkg
     | Set
     | SetJoint
+    | InvalidSet
     | SetFov
     | SetViewports
     | SetView

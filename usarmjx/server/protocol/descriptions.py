@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.registry import is_name
 from usarmjx.server.protocol.grammar import (
     Message,
     Segment,
@@ -156,13 +157,16 @@ def conf_items(type_name: str, items: Iterable[Sequence[ConfField]]) -> Message:
     return Message("CONF", (("Type", type_name), *segments))
 
 
-def conf_effecters(effecters: Iterable[tuple[str, Sequence[tuple[str, float, float]]]]) -> Message:
+def conf_effecters(
+    effecters: Iterable[tuple[str, Sequence[tuple[str, float, float]]]], type_name: str = "Effecter"
+) -> Message:
     """Return the operations of effecters, all in one line (manual 9.3).
 
     Args:
         effecters: Name of each, and per operation its opcode, largest and smallest value.
+        type_name: The type asked for.
     """
-    segments: list[Segment] = [("Type", "Effecter")]
+    segments: list[Segment] = [("Type", type_name)]
     for name, operations in effecters:
         segments.append(("Name", name))
         for opcode, largest, smallest in operations:
@@ -198,9 +202,9 @@ class LinkGeometry:
     orientation: Vector
 
 
-def geo_mispkg(packages: Iterable[tuple[str, Sequence[LinkGeometry]]]) -> Message:
-    """Return the geometry of mission packages, (name, links) of each, all in one line."""
-    segments: list[Segment] = [("Type", "MisPkg")]
+def geo_mispkg(packages: Iterable[tuple[str, Sequence[LinkGeometry]]], type_name: str = "MisPkg") -> Message:
+    """Return the geometry of mission packages, (name, links) of each, all in one line of that type."""
+    segments: list[Segment] = [("Type", type_name)]
     for name, links in packages:
         segments.append(("Name", name))
         for link in links:
@@ -234,9 +238,11 @@ class LinkConfiguration:
     max_range: float
 
 
-def conf_mispkg(packages: Iterable[tuple[str, Sequence[LinkConfiguration]]]) -> Message:
-    """Return the joints of mission packages, (name, links) of each, all in one line."""
-    segments: list[Segment] = [("Type", "MisPkg")]
+def conf_mispkg(
+    packages: Iterable[tuple[str, Sequence[LinkConfiguration]]], type_name: str = "MisPkg"
+) -> Message:
+    """Return the joints of mission packages, (name, links) of each, all in one line of that type."""
+    segments: list[Segment] = [("Type", type_name)]
     for name, links in packages:
         segments.append(("Name", name))
         for link in links:
@@ -262,4 +268,8 @@ def conf_nothing(type_name: str, name: str = "") -> Message:
 
 
 def _echo(type_name: str, name: str) -> tuple[Segment, ...]:
-    return (("Type", type_name), ("Name", name)) if name else (("Type", type_name),)
+    """Return type and name as asked, and nothing else: what exists tells more of itself.
+
+    What is no single word is left out: it would shift the pairs behind it.
+    """
+    return tuple((key, word) for key, word in (("Type", type_name), ("Name", name)) if is_name(word))

@@ -5,16 +5,19 @@ A dialect stands between lines and commands. `understand` converts a client's me
 
     ASTA {Time 62.01} {Name CameraPanTilt} {Link 1} {Value 0.2000}     MISSTA, without Torque
     ACT {Name CameraPanTilt} {Link 0} {Value 0.2}                      MISPKG; links count from 0 in it alone
-    GETCONF {Type Actuator}, GETGEO {Type Actuator}                    {Type MisPkg}
+    GETCONF {Type Actuator}, GETGEO {Type Actuator}                    beside MisPkg, with other keys
+    GEO ... {Mount CameraPanTilt} {MountLink 2}, {Mount P3AT}          Mount CameraPanTilt_Link2, Mount HARD
     SEN {Time 62.0100} {Type Sonar} {Name F1} {Range 2.5098}           a line for each sonar, not one for all
     INIT {ClassName USARBot.P3AT} {Start Start1}                       its Pioneer, which is our P2AT
 """
 
+import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from usarmjx.base.errors import UsageError
+from usarmjx.server.protocol.arguments import is_number
 from usarmjx.server.protocol.grammar import Message, Segment, to_int
 
 PACKAGE_TYPE, ACTUATOR_TYPE = "MisPkg", "Actuator"
@@ -25,6 +28,9 @@ LATER_CLASSES = {"usarbot.p3at": "USARBot.P2AT", "p3at": "P2AT"}
 """Robot classes of the later versions, lower case, and their names here."""
 LINK_KEYS = {"ParentLink": "Parent", "MinRange": "MinValue", "MaxRange": "MaxValue"}
 """Keys of GEO and CONF of packages, and their names in UDK's version."""
+CHASSIS_MOUNT = "HARD"
+"""Mount of items on the chassis in the manual's version."""
+_LINK_PART = re.compile(r"(.+)_Link([0-9]+)")
 _ORIGIN = "0.0000,0.0000,0.0000"
 
 
@@ -35,21 +41,22 @@ class Dialect:
     Attributes:
         name: Its name.
         understand: Converts a client's message to the manual's.
-        translate: Converts a message of the manual to those that the client receives.
+        translate: Converts a message of the manual to those that the client receives, given the class of its
+            robot as the client spells it.
         is_stamped: Whether every reading has its time, regardless of the sensor's setting.
+        package_types: Types that ask for mission packages, lower case.
     """
 
     name: str
     understand: Callable[[Message], Message]
-    translate: Callable[[Message], Iterable[Message]]
+    translate: Callable[[Message, str], Iterable[Message]]
     is_stamped: bool = False
+    package_types: frozenset[str] = frozenset({PACKAGE_TYPE.lower()})
 
 
 def _understand_udk(message: Message) -> Message:
     if message.kind == "ACT":
         return Message("MISPKG", tuple(_count_from_one(segment) for segment in message.segments))
-    if message.kind in ("GETGEO", "GETCONF"):
-        return _with_values(message, "type", {ACTUATOR_TYPE.lower(): PACKAGE_TYPE})
     if message.kind == "INIT":
         return _with_values(message, "classname", LATER_CLASSES)
     return message
@@ -57,7 +64,8 @@ def _understand_udk(message: Message) -> Message:
 
 def _count_from_one(segment: Segment) -> Segment:
     key, value = segment
-    return (key, str(to_int(value) + 1)) if key.lower() == "link" and value else segment
+    is_link = key.lower() == "link" and is_number(value)
+    return (key, str(to_int(value) + 1)) if is_link else segment  # a word stays what it is, to be refused
 
 
 def _with_values(message: Message, key: str, replacements: dict[str, str]) -> Message:
@@ -68,15 +76,17 @@ def _with_values(message: Message, key: str, replacements: dict[str, str]) -> Me
     return replace(message, segments=segments)
 
 
-def _translate_udk(message: Message) -> Iterator[Message]:
+def _translate_udk(message: Message, robot_class: str = "") -> Iterator[Message]:
     if message.kind == "MISSTA":
         yield Message("ASTA", tuple(segment for segment in message.segments if segment[0] != "Torque"))
-    elif message.kind in ("GEO", "CONF") and message.get("Type").lower() == PACKAGE_TYPE.lower():
-        yield Message(message.kind, tuple(_actuator(message)))
+    elif message.kind in ("GEO", "CONF") and message.get("Type").lower() == ACTUATOR_TYPE.lower():
+        yield Message(message.kind, tuple(_actuator(message, robot_class)))
     elif message.kind == "SEN" and message.get("Type") in GROUPED_TYPES:
         yield from _one_by_one(message)
-    elif message.kind in ("SEN", "GEO"):
+    elif message.kind == "SEN":
         yield replace(message, segments=tuple(_split(message.segments)))
+    elif message.kind == "GEO":
+        yield replace(message, segments=tuple(_mounted(_split(message.segments), robot_class)))
     else:
         yield message
 
@@ -92,6 +102,19 @@ def _split(segments: Iterable[Segment]) -> Iterator[Segment]:
             yield (key, value)
 
 
+def _mounted(segments: Iterable[Segment], robot_class: str) -> Iterator[Segment]:
+    """Name the package and its link that carry an item, or the class of the robot that does."""
+    for key, value in segments:
+        link = _LINK_PART.fullmatch(value) if key == "Mount" else None
+        if link is not None:
+            yield (key, link[1])
+            yield ("MountLink", link[2])
+        elif (key, value) == ("Mount", CHASSIS_MOUNT) and robot_class:
+            yield (key, robot_class)
+        else:
+            yield (key, value)
+
+
 def _one_by_one(message: Message) -> Iterator[Message]:
     """Return one message per item of a message about several."""
     segments = list(_split(message.segments))
@@ -100,23 +123,34 @@ def _one_by_one(message: Message) -> Iterator[Message]:
         yield Message(message.kind, (*segments[: names[0]], *segments[start:end]))
 
 
-def _actuator(message: Message) -> Iterator[Segment]:
-    """Return UDK's form of packages: the pose of each, and its links from the base, link 0."""
+def _actuator(message: Message, robot_class: str) -> Iterator[Segment]:
+    """Return UDK's form of packages: the pose and the tip of each, and its links from the base, link 0."""
     has_pose = message.kind == "GEO" and bool(message.all("Link"))
+    tip = [("Tip", _ORIGIN)] if has_pose else []
+    names = 0
     for key, value in message.segments:
-        if key == "Type":
-            yield (key, ACTUATOR_TYPE)
-        elif key == "ParentLink":
+        if key == "Name":
+            yield from tip if names else ()
+            names += 1
+        if key == "ParentLink":
             yield (LINK_KEYS[key], str(max(to_int(value), 0)))
         else:
             yield (LINK_KEYS.get(key, key), value)
         if key == "Name" and has_pose:
-            yield from (("Location", _ORIGIN), ("Orientation", _ORIGIN), ("Mount", "HARD"))
+            mount = robot_class or CHASSIS_MOUNT
+            yield from (("Location", _ORIGIN), ("Orientation", _ORIGIN), ("Mount", mount))
+    yield from tip
 
 
-MANUAL = Dialect("manual", lambda message: message, lambda message: (message,))
+MANUAL = Dialect("manual", lambda message: message, lambda message, robot_class="": (message,))
 """Version 3.1.3, on Unreal Tournament 2004: the manual's own."""
-UDK = Dialect("udk", _understand_udk, _translate_udk, is_stamped=True)
+UDK = Dialect(
+    "udk",
+    _understand_udk,
+    _translate_udk,
+    is_stamped=True,
+    package_types=frozenset({PACKAGE_TYPE.lower(), ACTUATOR_TYPE.lower()}),
+)
 """The versions on the Unreal Development Kit, which most ROS nodes support."""
 DIALECTS = {dialect.name: dialect for dialect in (MANUAL, UDK)}
 

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.registry import is_name
 from usarmjx.server.protocol.grammar import (
     Message,
     Segment,
@@ -297,22 +298,29 @@ def sen_touch(time: float | None, touched: Iterable[tuple[str, bool]]) -> Messag
 
 
 def res(time: float, type_name: str, name: str, status: str) -> Message:
-    """Return the answer to a SET; type and name echo the request, status is mostly `STATUS_OK`."""
-    return Message(
-        "RES", (("Time", two_decimals(time)), ("Type", type_name), ("Name", name), ("Status", status))
-    )
+    """Return the answer to a SET; type and name echo the request, status is mostly `STATUS_OK`.
+
+    What is absent or no single word is left out: it would shift the pairs behind it.
+    """
+    echo = tuple((key, word) for key, word in (("Type", type_name), ("Name", name)) if is_name(word))
+    return Message("RES", (("Time", two_decimals(time)), *echo, ("Status", status)))
 
 
-def res_camera(time: float, cameras: Iterable[tuple[str, float, str]]) -> Message:
+def res_camera(
+    time: float, cameras: Iterable[tuple[str, float, str]], unknown: Iterable[str] = ()
+) -> Message:
     """Return the answer to a SET of fields of view, which lists every camera (KRobot.uc).
 
     Args:
         time: Simulated time [s].
         cameras: Name, field of view [rad] and status of each.
+        unknown: Names that were asked for and that no camera has; they follow as failed.
     """
     segments: list[Segment] = [("Time", two_decimals(time)), ("Type", "Camera")]
     for name, fov, status in cameras:
         segments += [("Name", name), ("FOV", four_decimals(fov)), ("Status", status)]
+    for name in unknown:
+        segments += [("Name", name), ("Status", STATUS_FAILED)]
     return Message("RES", tuple(segments))
 
 

@@ -13,8 +13,16 @@ A server feeds it as follows, where only the last command of a list can be an In
 from collections import deque
 
 from usarmjx.base.errors import PeerError
+from usarmjx.base.registry import is_name
 from usarmjx.server.protocol.command_parsers import parse_command
-from usarmjx.server.protocol.commands import LEGAL_COMMANDS, Command, Ignored, Init, SessionPhase
+from usarmjx.server.protocol.commands import (
+    LEGAL_COMMANDS,
+    Command,
+    Ignored,
+    Init,
+    InvalidSet,
+    SessionPhase,
+)
 from usarmjx.server.protocol.dialects import MANUAL, Dialect
 from usarmjx.server.protocol.grammar import (
     DEFAULT_LIMIT,
@@ -74,7 +82,7 @@ class RobotSession:
         self._faults: list[str] = []
         self._more_faults = self.fault_count = self.faults_in_a_row = 0
         self._awaits_answer = False
-        self._refusal = ""
+        self._refusal = self._robot_class = ""
         self._waiting: deque[str] = deque()
         self.send(greeting)
 
@@ -145,12 +153,16 @@ class RobotSession:
     def send(self, message: Message) -> None:
         r"""Append a message and its end "\r\n" to the bytes that wait to be sent; nothing if closed.
 
+        Segments without a value are left out: a segment is a pair (manual 9.2).
+
         Raises:
             PeerError: The peer does not read, more than the limit would wait. Drop it.
         """
         if self.phase is SessionPhase.CLOSED:  # a tick cannot know that its reader has just left
             return
-        translated = [format_message(one) for one in self.dialect.translate(message)]
+        translated = [
+            format_message(_in_pairs(one)) for one in self.dialect.translate(message, self._robot_class)
+        ]
         line = "".join(f"{one}\r\n" for one in translated).encode("latin-1", "replace")
         if len(self._outgoing) + len(line) > self._send_limit:
             raise PeerError(f"the peer does not read: {len(self._outgoing)} bytes wait for it")
@@ -186,21 +198,40 @@ class RobotSession:
 
     def _parse(self, line: str) -> Command | None:
         """Return the line's command if it is legal now; otherwise note the fault."""
+        message = None
         try:
-            command = parse_command(self.dialect.understand(parse_message(line)))
+            said = parse_message(line)
+            message = self.dialect.understand(said)
+            command = parse_command(message)
         except PeerError as error:
             self._fault(f"{error}: {clip(line)}")
-            return None
+            return self._invalid_set(message)
         if isinstance(command, Ignored):
             self._fault(f"{command.reason}: {clip(line)}")
-            return None
+            return self._invalid_set(message)
         if type(command) not in LEGAL_COMMANDS[self.phase]:
             self._fault(f"{type(command).__name__} is ignored when {self.phase.value}")
             return None
-        if not isinstance(command, Init):  # the answer to an Init decides whether it was of any use
+        if isinstance(command, Init):  # its answer decides whether it was of any use
+            self._robot_class = said.get("ClassName").rpartition(".")[2]
+        else:
             self.faults_in_a_row = 0
         return command
+
+    def _invalid_set(self, message: Message | None) -> InvalidSet | None:
+        """Return the answer to an unusable line, if it is a robot's SET that names a type."""
+        is_set = message is not None and message.kind == "SET" and self.phase is SessionPhase.ACTIVE
+        if message is None or not is_set or not is_name(message.get("Type")):
+            return None
+        return InvalidSet(message.get("Type"), message.get("Name"))
 
     def _fault(self, reason: str) -> None:
         self.faults_in_a_row += 1
         self.add_fault(reason)
+
+
+def _in_pairs(message: Message) -> Message:
+    """Return a message without the segments that have no value."""
+    if all(value for _, value in message.segments):
+        return message
+    return Message(message.kind, tuple(segment for segment in message.segments if segment[1]))

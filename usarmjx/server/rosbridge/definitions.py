@@ -87,6 +87,15 @@ SHARED: dict[str, MessageFields] = {
         "transform": "geometry_msgs/Transform",
     },
     "tf2_msgs/TFMessage": {"transforms": "geometry_msgs/TransformStamped[]"},
+    "tf2_web_republisher/TFArray": {"transforms": "geometry_msgs/TransformStamped[]"},
+    "tf2_web_republisher/TFSubscriptionFeedback": {"transforms": "geometry_msgs/TransformStamped[]"},
+    "tf2_web_republisher/TFSubscriptionActionFeedback": {
+        "header": "std_msgs/Header",
+        "status": "actionlib_msgs/GoalStatus",
+        "feedback": "tf2_web_republisher/TFSubscriptionFeedback",
+    },
+    "actionlib_msgs/GoalID": {"stamp": TIME, "id": "string"},
+    "actionlib_msgs/GoalStatus": {"goal_id": "actionlib_msgs/GoalID", "status": "uint8", "text": "string"},
     "rosgraph_msgs/Clock": {"clock": TIME},
     "nav_msgs/Odometry": {
         "header": "std_msgs/Header",

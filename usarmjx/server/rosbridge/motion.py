@@ -164,7 +164,7 @@ def optical_name(camera: str) -> str:
 
 
 def frames_of(robot: Robot) -> list[SensorFrame]:
-    """Return the frames of a robot's sensors and cameras; of mounts with one name the first."""
+    """Return the frames of a robot's sensors, cameras and parts; of those with one name the first."""
     found: dict[str, SensorFrame] = {}
     for sensor in robot.suite.sensors:
         settings = sensor.settings[0]
@@ -179,6 +179,8 @@ def frames_of(robot: Robot) -> list[SensorFrame]:
         found.setdefault(name, SensorFrame(name, camera.body, camera.pos, camera.mat))
         picture = optical_name(name)
         found.setdefault(picture, SensorFrame(picture, camera.body, camera.pos, camera.mat @ AHEAD_IS_Z))
+    for body, part in enumerate(robot.plan.parts[1:], 1):  # the links of `robot_description`
+        found.setdefault(part, SensorFrame(part, body, np.zeros(3), np.eye(3)))
     return list(found.values())
 
 
@@ -231,6 +233,25 @@ def joint_states(version: RosVersion, time: float, robot: Robot, state: RobotSta
 def base_transform(version: RosVersion, time: float, name: str, state: RobotState) -> RosMessage:
     """Return the transform of a robot from its odom frame, which is the map's."""
     return _stamped(version, time, f"{name}/odom", f"{name}/base_link", (state.pos, state.quat))
+
+
+def footprint_transform(
+    version: RosVersion, time: float, name: str, robot: RobotSpec, state: RobotState, floor: float
+) -> RosMessage:
+    """Return the transform of `base_footprint` from `base_link`: on the ground below a robot, and level.
+
+    The ground is where a robot of its class stands on it; below one that flies or dives it is the floor [m].
+    """
+    with numpy_backend():
+        mat = np.asarray(mat_from_quat(np.asarray(state.quat)), float)
+    below = np.array([0.0, 0.0, -robot.origin_height])
+    if not robot.drive.is_wheeled:
+        below = mat.T @ np.array([0.0, 0.0, floor - float(state.pos[2])])
+    yaw = math.atan2(mat[1, 0], mat[0, 0])
+    level = mat.T @ mat_from_angles(0.0, 0.0, yaw)
+    with numpy_backend():
+        turn = np.asarray(quat_from_mat(level))
+    return _stamped(version, time, f"{name}/base_link", f"{name}/base_footprint", (below, turn))
 
 
 def odom_transform(version: RosVersion, time: float, name: str) -> RosMessage:

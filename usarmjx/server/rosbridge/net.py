@@ -9,23 +9,36 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from http import HTTPStatus
-from typing import NamedTuple, TypeAlias
+from typing import Annotated, NamedTuple, TypeAlias
 
 from websockets.asyncio.server import Server, ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.settings import AT_LEAST_ONE, validate
 from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.network.access import EVERYBODY, AccessRules
 from usarmjx.server.network.gate import Gate
-from usarmjx.server.network.ports import bound_socket
+from usarmjx.server.network.ports import PORT, bound_socket
 from usarmjx.server.network.web_gate import FROM_ELSEWHERE, is_own_name, listen_for_websockets
 from usarmjx.server.pictures.render_thread import RenderThread
-from usarmjx.server.rosbridge.definitions import RosVersion
+from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
 from usarmjx.server.rosbridge.encodings import BridgeFrame, Compression, publication
 from usarmjx.server.rosbridge.images import PictureRequest, image_view, picture_messages
-from usarmjx.server.rosbridge.services import REMOVE, SPAWN, RosRobots, TopicServices, read_spawn
+from usarmjx.server.rosbridge.republisher import (
+    ARRAY_TYPE,
+    FEEDBACK,
+    FEEDBACK_TYPE,
+    LISTENED,
+    REPUBLISH,
+    TransformRequests,
+    feedback,
+    revision_of,
+    transform_array,
+)
+from usarmjx.server.rosbridge.rosapi import RosApi
+from usarmjx.server.rosbridge.services import REMOVE, SPAWN, RosRobots, read_spawn
 from usarmjx.server.rosbridge.session import BridgeSession, Published, ServiceCall, TopicSubscription
 from usarmjx.server.rosbridge.topics import RosTopic, WorldTopics
 from usarmjx.server.runtime.logs import FaultLog
@@ -37,6 +50,8 @@ MAX_MESSAGE_SIZE = 256 * 1024
 """Longest message of a client [bytes]."""
 MESSAGES_PER_STEP = 32
 """Messages of a client after which it waits for the next control step: no client may delay the world."""
+REPUBLISHED = "/tf_repub/"
+"""Start of the names of topics with transforms that clients asked for."""
 IMAGE_PERIOD = 0.1
 """Least interval between two pictures of a topic [s]."""
 
@@ -60,12 +75,16 @@ class RosSettings:
     """
 
     host: str = "127.0.0.1"
-    port: int = 9090
+    port: Annotated[int, PORT] = 9090
     version: RosVersion = RosVersion.ROS2
-    size: tuple[int, int] = (320, 240)
-    max_connections: int = 16
+    size: Annotated[tuple[int, int], AT_LEAST_ONE] = (320, 240)
+    max_connections: Annotated[int, AT_LEAST_ONE] = 16
     access: AccessRules = EVERYBODY
     names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        validate(self)
 
 
 @dataclass(eq=False)
@@ -76,12 +95,14 @@ class RosClient:
         socket: Its websocket.
         session: Its dialogue.
         robots: Its robots.
+        transforms: The transforms that it asked for.
         wake: Set when there may be something to send.
     """
 
     socket: ServerConnection
     session: BridgeSession
     robots: RosRobots
+    transforms: TransformRequests = field(default_factory=TransformRequests)
     wake: asyncio.Event = field(default_factory=asyncio.Event)
 
     async def send(self) -> None:
@@ -122,8 +143,9 @@ class RosbridgeServer:
         self.port = settings.port
         self.server: BotServer | None = None
         self._topics = WorldTopics(world, settings.size)
-        self._services = TopicServices(self._topics, settings.version, lambda: world.time)
+        self._services = RosApi(self._topics, settings.version, lambda: world.time)
         self._clients: list[RosClient] = []
+        self._republished = 0
         self._left: deque[RosRobots] = deque()
         self._gate = Gate(settings.access, settings.max_connections, "rosbridge")
         self._render_thread = RenderThread(world)
@@ -169,6 +191,7 @@ class RosbridgeServer:
                 elif frame := self._publication(topic, subscription, made):
                     subscription.put(frame, revision, self._world.time)
                     client.wake.set()
+        self._tell_transforms()
         if pictures and self._render_thread.is_ready(time.monotonic()):
             self._render_thread.begin(self._show(pictures))
         self._fault_log.flush()
@@ -194,6 +217,29 @@ class RosbridgeServer:
                 self._fault_log.warning("%s is not told: %s", topic.name, error)
         return made[key]
 
+    def _tell_transforms(self) -> None:
+        """Publish the transforms that clients asked for, those that are due."""
+        now, known = self._world.time, dict[RosVersion, list[RosMessage]]()
+        for client in self._clients:
+            requests = client.transforms
+            wanted = [(FEEDBACK, one) for one in requests.goals.values()]
+            wanted += [(name, one) for name, one in requests.topics.items()]
+            for topic, request in wanted:
+                subscription = client.session.subscriptions.get(topic)
+                if subscription is None or now < request.due - 1e-6:
+                    continue
+                version, how = subscription.version, subscription.compression
+                if version not in known:
+                    known[version] = self._topics.transforms(version)
+                array = transform_array(version, now, known[version], request)
+                kind = ARRAY_TYPE
+                if topic == FEEDBACK:
+                    kind, array = FEEDBACK_TYPE, feedback(version, now, request.name, array)
+                frame = publication(topic, kind, array, version, how, now)
+                subscription.put(frame, revision_of(request, now), now)
+                request.due = now + request.pause
+                client.wake.set()
+
     async def _show(self, subscriptions: Sequence[PictureSubscription]) -> None:
         now, size = self._world.time, self._settings.size
         views = {one.topic: image_view(one.topic, size) for one in subscriptions}
@@ -214,7 +260,9 @@ class RosbridgeServer:
 
     def _type_of(self, topic: str) -> str | None:
         found = self._topics.all().get(topic)
-        return found.type if found else None
+        if found is None and topic.startswith(REPUBLISHED):
+            return ARRAY_TYPE
+        return found.type if found else (LISTENED | {FEEDBACK: FEEDBACK_TYPE}).get(topic)
 
     async def _accept(self, connection: ServerConnection) -> None:
         peer = "rosbridge {}:{}".format(*connection.remote_address[:2])
@@ -253,6 +301,9 @@ class RosbridgeServer:
     def _execute(self, client: RosClient, said: Published) -> None:
         topic = self._topics.all().get(said.topic)
         try:
+            if said.topic in LISTENED:
+                client.transforms.take(said.topic, said.message)
+                return
             if topic is None or topic.robot is None or topic.camera >= 0:
                 raise UsageError(f"nobody here listens to {said.topic[:80]}")
             client.robots.drive(topic.robot, said.message)
@@ -266,6 +317,11 @@ class RosbridgeServer:
             elif call.service == REMOVE:
                 client.robots.remove(str(call.args.get("name", "")))
                 call.answer({})
+            elif call.service == REPUBLISH:
+                self._republished += 1
+                name = f"{REPUBLISHED}{self._republished}"
+                client.transforms.add_topic(name, call.args)
+                call.answer({"topic_name": name})
             else:
                 call.answer(self._services.call(call.service, call.args))
         except UsageError as error:

@@ -1,8 +1,8 @@
-"""Services of a served world: lists of topics, and robots that come and go."""
+"""Robots of a client, which come and go by services."""
 
 import logging
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -20,9 +20,8 @@ from usarmjx.server.gamebots.spawning import spawn_from_init
 from usarmjx.server.protocol.commands import Init
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import clip
-from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion, json_object
+from usarmjx.server.rosbridge.definitions import json_object
 from usarmjx.server.rosbridge.motion import drive_keys, read_twist
-from usarmjx.server.rosbridge.topics import WorldTopics
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.control import CommandUpdate
 
@@ -123,62 +122,6 @@ class RosRobots:
     def _detach(self, own: Client) -> None:
         if own in self._server.guests:
             self._server.guests.remove(own)
-
-
-class TopicServices:
-    """The services about topics, as rosapi has them.
-
-    Args:
-        topics: The topics.
-        version: Version of the types' names.
-        now: Returns the simulated time [s].
-    """
-
-    def __init__(self, topics: WorldTopics, version: RosVersion, now: Callable[[], float]) -> None:
-        self._topics, self._version, self._now = topics, version, now
-        self._services: dict[str, Callable[[Mapping[str, Any]], RosMessage]] = {
-            "/rosapi/topics": self._list,
-            "/rosapi/topics_and_raw_types": self._list_raw,
-            "/rosapi/topics_for_type": self._of_type,
-            "/rosapi/topic_type": self._type,
-            "/rosapi/services": lambda args: {"services": self.names()},
-            "/rosapi/get_time": lambda args: {"time": self._version.stamp(self._now())},
-        }
-
-    def names(self) -> list[str]:
-        """Return the names of all services."""
-        return [*self._services, SPAWN, REMOVE]
-
-    def call(self, service: str, args: Mapping[str, Any]) -> RosMessage:
-        """Return the values of a service's answer.
-
-        Raises:
-            UsageError: There is no such service.
-        """
-        found = self._services.get(service)
-        if found is None:
-            raise UsageError(f"no service {clip(service)}; there is: {', '.join(self.names())}")
-        return found(args)
-
-    def _list(self, args: Mapping[str, Any]) -> RosMessage:
-        del args
-        topics = self._topics.all().values()
-        return {
-            "topics": [topic.name for topic in topics],
-            "types": [self._version.type_name(topic.type) for topic in topics],
-        }
-
-    def _list_raw(self, args: Mapping[str, Any]) -> RosMessage:
-        texts = [self._version.text(topic.type) for topic in self._topics.all().values()]
-        return {**self._list(args), "typedefs_full_text": texts}
-
-    def _of_type(self, args: Mapping[str, Any]) -> RosMessage:
-        wanted = str(args.get("type", "")).replace("/msg/", "/")
-        return {"topics": [topic.name for topic in self._topics.all().values() if topic.type == wanted]}
-
-    def _type(self, args: Mapping[str, Any]) -> RosMessage:
-        topic = self._topics.all().get(str(args.get("topic", "")))
-        return {"type": self._version.type_name(topic.type) if topic else ""}
 
 
 def read_spawn(args: Mapping[str, Any]) -> tuple[Init, RobotSpec]:

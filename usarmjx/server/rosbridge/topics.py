@@ -118,6 +118,17 @@ class WorldTopics:
         self.all()
         return self._names[robot.slot]
 
+    def robots(self) -> dict[str, Robot]:
+        """Return the robots by their names in topics and frames."""
+        self.all()
+        return {self._names[robot.slot]: robot for robot in self._world.present.values()}
+
+    def transforms(self, version: RosVersion) -> list[RosMessage]:
+        """Return the transforms of all frames."""
+        self.all()
+        moving, fixed = self._moving_frames(version), self._fixed_frames(version)
+        return [*moving["transforms"], *fixed["transforms"]]
+
     @staticmethod
     def _named(robots: Iterable[Robot]) -> dict[int, str]:
         names: dict[int, str] = {}
@@ -209,7 +220,10 @@ class WorldTopics:
         world, transforms = self._world, list[RosMessage]()
         for robot in world.present.values():
             name = self._names[robot.slot]
-            transforms.append(motion.base_transform(version, world.time, name, world.state(robot)))
+            state = world.state(robot)
+            transforms.append(motion.base_transform(version, world.time, name, state))
+            floor = world.arena.floor
+            transforms.append(motion.footprint_transform(version, world.time, name, robot.spec, state, floor))
             transforms += self._frames(version, robot, moving=True)
         return {"transforms": transforms}
 

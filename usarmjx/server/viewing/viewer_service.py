@@ -6,11 +6,12 @@ import socket
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+from usarmjx.base.settings import AT_LEAST_ONE, validate
 from usarmjx.server.network.access import EVERYBODY, AccessRules
 from usarmjx.server.network.gate import Gate
-from usarmjx.server.network.ports import bound_socket
+from usarmjx.server.network.ports import PORT, bound_socket
 
 if TYPE_CHECKING:
     import viser
@@ -35,11 +36,15 @@ class ViewerSettings:
     """
 
     host: str = "127.0.0.1"
-    port: int = 0
-    max_connections: int = 16
+    port: Annotated[int, PORT] = 0
+    max_connections: Annotated[int, AT_LEAST_ONE] = 16
     access: AccessRules = EVERYBODY
     names: tuple[str, ...] = ()
     control: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        validate(self)
 
 
 class ViewerService:

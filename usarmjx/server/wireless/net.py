@@ -11,13 +11,14 @@ import socket
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Annotated, Protocol
 
 from usarmjx.base.errors import PeerError
+from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, validate
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.server.network.access import EVERYBODY, AccessRules
 from usarmjx.server.network.gate import LINE_ENDS, Gate, peer_address
-from usarmjx.server.network.ports import POSITION_PORT, WSS2_PORT, WSS_PORT
+from usarmjx.server.network.ports import PORT, POSITION_PORT, WSS2_PORT, WSS_PORT
 from usarmjx.server.protocol.grammar import HttpRequestError
 from usarmjx.server.wireless.dialect_a import MESSAGE_END
 from usarmjx.server.wireless.net_a import DataLinkServer
@@ -56,13 +57,17 @@ class WirelessSettings:
     """
 
     host: str = "127.0.0.1"
-    wss_port: int = WSS_PORT
-    wss2_port: int = WSS2_PORT
-    position_port: int = POSITION_PORT
+    wss_port: Annotated[int, PORT] = WSS_PORT
+    wss2_port: Annotated[int, PORT] = WSS2_PORT
+    position_port: Annotated[int, PORT] = POSITION_PORT
     allow: tuple[str, ...] = ()
-    max_connections: int = 64
-    idle_timeout: float = 60.0
+    max_connections: Annotated[int, AT_LEAST_ONE] = 64
+    idle_timeout: Annotated[float, NOT_NEGATIVE] = 60.0
     access: AccessRules = EVERYBODY
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        validate(self)
 
 
 class ConnectionHandler(Protocol):

@@ -363,8 +363,11 @@ def export_run(run: str | Path, file: str | Path, which: str = "best", half: boo
         half: See `save_policy`.
 
     Raises:
-        UsageError: No run, no such checkpoint, a broken one, or a file that cannot be written.
+        UsageError: No run, no such checkpoint, a broken one, a file of another kind, or one that cannot be
+            written.
     """
+    if Path(file).suffix.lower() != ".npz":
+        raise UsageError(f"{file}: a policy is written as .npz, not as {Path(file).suffix or 'a bare name'}")
     if str(run) in POLICIES and not Path(run).exists():
         about, arrays = read_arrays(POLICIES.get(str(run)))
         _write_arrays(file, {"about": np.array(json.dumps(about)), **arrays}, half)

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar
 import typer
 from typer.testing import CliRunner
 
-from usarmjx.cli.common import grouped
+from usarmjx.cli.setting_options import with_settings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,7 @@ app = typer.Typer()
 
 
 @app.command()
-@grouped
+@with_settings
 def visit(where: Where, how: Bare, times: Annotated[int, typer.Option(help="So often.")] = 1) -> None:
     """Go there."""
     got.append((where, how, times))

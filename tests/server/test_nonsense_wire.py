@@ -1,0 +1,146 @@
+"""SET, GETGEO and GETCONF with nonsense, of the absent and of several: every type of one robot, one table.
+
+Nothing changes, and the answer names what failed. Manual 8 (tables 6 and 8), 9.2, 9.3, 10.6.
+"""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from tests.arenas import FLAT
+from tests.handy import GRIPPER, TAGGER, known
+from usarmjx.models.compile.physics import Physics
+from usarmjx.models.robots.pioneer import P2AT
+from usarmjx.models.types.robot import Mount
+from usarmjx.server.gamebots.adapter import Client
+from usarmjx.server.protocol import commands as wire
+from usarmjx.server.protocol.grammar import parse_message
+from usarmjx.server.worlds.dynamic_world import DynamicWorld
+
+CAMERA = P2AT.cameras[0]
+KINDS = (
+    "Odometry",
+    "INS",
+    "Encoder",
+    "RangeScanner",
+    "IRScanner",
+    "RFID",
+    "Sound",
+    "CO2Sensor",
+    "VictSensor",
+)
+EVERYTHING = replace(
+    TAGGER,
+    name="Everything",
+    sensors=(
+        *(
+            Mount(kind=kind, name=f"{kind}1", parent="LeftFWheel" if kind == "Encoder" else "HARD")
+            for kind in KINDS
+        ),
+        *(Mount(kind="Sonar", name=f"F{i}", at=(0.2, 0.1 * i, 0.0)) for i in range(2)),
+    ),
+    cameras=(CAMERA, replace(CAMERA, name="Second")),
+    effecters=(*TAGGER.effecters[:2], Mount(kind="RollerTable", name="Roller", at=(0.0, 0.0, -0.2)), GRIPPER),
+)
+ANIMATED = {"Gripper": "Open", "RollerTable": "Animate", "Headlight": "Activate", "RFIDReleaser": "Release"}
+OPCODES = {
+    **{"Odometry": "RESET", "INS": "POSE", "Encoder": "RESET", "RangeScanner": "SCAN", "IRScanner": "SCAN"},
+    **{"RFID": "Read", "Camera": "Zoom", "Joint": "Angle"},
+    **ANIMATED,
+}
+NONSENSE = ("abc", "1abc", "1 2 3 4 5 6 7", "a,b,c,d,e,f", "0.1 x", "nan", "inf", "1;2", "0.1,0.2,0.3")
+TYPES = (*KINDS, "Sonar", "Camera", *ANIMATED)
+
+
+@pytest.fixture(scope="module")
+def client():
+    with known(EVERYTHING):
+        world = DynamicWorld(FLAT, Physics(), 1, max_robots=1)
+        client = Client(world, "peer")
+        say(client, "INIT {ClassName Everything} {Name R}")
+        for _ in range(20):
+            world.step()
+        client.session.data_to_send()
+        yield client
+        client.leave()
+
+
+def say(client, line):
+    """Let a client say a line; return the lines that it hears at once."""
+    for command in client.session.receive_data(line.encode() + b"\r\n"):
+        if isinstance(command, wire.Init):
+            spec = client.robot_class(command)
+            client.session.answer_init(spec is not None and client.spawn(command, spec))
+        else:
+            client.handle(command)
+    lines = client.session.data_to_send().decode().split("\r\n")[:-1]
+    for message in map(parse_message, lines):
+        assert all(value for _, value in message.segments), f"a segment without a value: {message}"
+    return lines
+
+
+def name_of(kind):
+    """The name of the robot's first item of a type."""
+    mounts = (*EVERYTHING.sensors, *EVERYTHING.effecters, *EVERYTHING.cameras)
+    return "LeftFWheel" if kind == "Joint" else next(m.name for m in mounts if m.kind == kind)
+
+
+def state_of(client):
+    """All that a SET could change."""
+    world = client.robot and client._world
+    parts = (
+        client.robot.command,
+        world.memory(client.robot).own,
+        world.one_world()[0].tags,
+        client.robot.fovs,
+    )
+    return [np.array(leaf) for leaf in jax.tree.leaves(parts)]
+
+
+@pytest.mark.parametrize("kind", OPCODES)
+def test_every_opcode_refuses_every_nonsense_and_nothing_changes(client, kind):
+    before, name = state_of(client), name_of(kind)
+    for params in NONSENSE:
+        (line,) = say(
+            client, f"SET {{Type {kind}}} {{Name {name}}} {{Opcode {OPCODES[kind]}}} {{Params {params}}}"
+        )
+        assert line.startswith("RES {Time ")
+        assert line.endswith(f"{{Type {kind}}} {{Name {name}}} {{Status Failed}}"), params
+    for one, other in zip(before, state_of(client), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("kind", [*TYPES, "Joint", "Nonsense"])
+def test_a_set_of_the_absent_fails_under_its_name(client, kind):
+    for opcode in ("RESET", "Open", "Angle"):
+        (line,) = say(client, f"SET {{Type {kind}}} {{Name Nobody}} {{Opcode {opcode}}} {{Params 0.1}}")
+        assert line.endswith(f"{{Type {kind}}} {{Name Nobody}} {{Status Failed}}")
+
+
+def test_a_set_without_a_name_fails_without_one(client):
+    """Manual 9.2: a segment is a pair; a strict reader takes two words at a time."""
+    (line,) = say(client, "SET {Type Gripper} {Opcode Open} {Params 0.2}")
+    assert line.endswith("{Type Gripper} {Status Failed}")
+    (line,) = say(client, "SET {Type Gripper} {Name two words} {Opcode Open} {Params 0.2}")
+    assert line.endswith("{Type Gripper} {Status Failed}")
+
+
+@pytest.mark.parametrize("ask", ["GETGEO", "GETCONF"])
+@pytest.mark.parametrize("kind", TYPES)
+def test_what_is_there_tells_more_than_an_echo_and_what_is_not_does_not(client, kind, ask):
+    answer, name = ask[3:], name_of(kind)
+    assert say(client, f"{ask} {{Type {kind}}} {{Name Nobody}}") == [
+        f"{answer} {{Type {kind}}} {{Name Nobody}}"
+    ]
+    (line,) = say(client, f"{ask} {{Type {kind}}} {{Name {name}}}")
+    assert line.startswith(f"{answer} {{Type {kind}}} {{")
+    assert line != f"{answer} {{Type {kind}}} {{Name {name}}}"
+
+
+@pytest.mark.parametrize("ask", ["GETGEO", "GETCONF"])
+@pytest.mark.parametrize(("kind", "names"), [("Sonar", ("F0", "F1")), ("Camera", (CAMERA.name, "Second"))])
+def test_of_several_each_is_named(client, kind, names, ask):
+    (line,) = say(client, f"{ask} {{Type {kind}}}")
+    assert [value.split()[0] for value in parse_message(line).all("Name")] == list(names)

@@ -1,0 +1,34 @@
+"""The pip command that adds extras to this installation.
+
+The project owns no name on a package index: `pip install usarmjx[...]` fails, or installs a stranger's code.
+"""
+
+import json
+from importlib import metadata
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+PACKAGE = Path(__file__).resolve().parents[1]
+"""Folder of the package."""
+
+
+def install_command(*extras: str) -> str:
+    """Return the command that installs extras beside what is there."""
+    names = f"[{','.join(extras)}]" if extras else ""
+    root = PACKAGE.parent
+    if (root / "pyproject.toml").is_file() and (root / "constraints.txt").is_file():
+        if Path.cwd() == root:
+            return f'pip install -c constraints.txt -e ".{names}"'
+        return f'pip install -c "{root / "constraints.txt"}" -e "{root}{names}"'
+    return f'pip install "{_wheel()}{names}"'
+
+
+def _wheel() -> str:
+    """Return the path of the wheel that was installed, else the name that it has."""
+    try:
+        distribution = metadata.distribution("usarmjx")
+        record = json.loads(distribution.read_text("direct_url.json") or "{}")
+        path = unquote(urlsplit(str(record.get("url", ""))).path)
+    except (metadata.PackageNotFoundError, ValueError, AttributeError):
+        return "usarmjx.whl"
+    return path if path.endswith(".whl") else f"usarmjx-{distribution.version}-py3-none-any.whl"

@@ -1,0 +1,161 @@
+"""Arguments of a client's commands: one table and one validator.
+
+A word where a number belongs, too few numbers, too many, or a number out of range makes a line or a SET
+invalid as a whole: nothing changes. Numbers keep the forms that real controllers send: `.4`, `1,00` with a
+decimal comma where one number belongs, vectors with commas or spaces.
+"""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+from usarmjx.base.errors import PeerError
+from usarmjx.base.parameters import Parameters
+from usarmjx.base.settings import Setting
+from usarmjx.server.protocol.commands import DRIVE_KEYS
+from usarmjx.server.protocol.grammar import Message, clip, to_float
+
+ANY_KEY = "*"
+"""Key of the table that stands for each key of a message without an entry of its own."""
+_GAP = re.compile(r"[ \t]+")
+_DECIMAL = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+# NaN and infinity pass here: `to_float` refuses them with a reason of their own.
+_SPECIAL = r"[+-]?(?:nan|inf)\S*"
+_PLAIN = re.compile(rf"{_DECIMAL}|{_SPECIAL}", re.IGNORECASE)
+_WITH_COMMA = re.compile(rf"(?:{_DECIMAL})(?:,[0-9]*)?|{_SPECIAL}", re.IGNORECASE)
+_NO_LIMITS = Setting()
+_TRUTHS = ("true", "false")
+
+
+class ArgumentKind(Enum):
+    """Form of an argument, in words."""
+
+    NUMBER = "a number"
+    TRUTH = "True, False or a number"
+    VECTOR = "numbers"
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """One argument of a command.
+
+    Attributes:
+        kind: Its form.
+        note: Its unit; limits belong to the robot, which holds its orders within them.
+    """
+
+    kind: ArgumentKind = ArgumentKind.NUMBER
+    note: Setting = _NO_LIMITS
+
+    @property
+    def expects(self) -> str:
+        """The form in words, with limits and unit."""
+        unit = f" [{self.note.unit}]" if self.note.unit else ""
+        return f"{self.kind.value}{self.note.limits}{unit}"
+
+
+_NUMBER, _TRUTH = Argument(), Argument(ArgumentKind.TRUTH)
+_ANGLE, _SPIN = Argument(note=Setting(unit="rad")), Argument(note=Setting(unit="rad/s"))
+_SPEED, _SECONDS = Argument(note=Setting(unit="m/s")), Argument(note=Setting(unit="s"))
+_DRIVE_UNITS = {
+    **dict.fromkeys(("FrontSteer", "RearSteer", "Rudder", "SternPlane", "XZAngle"), _ANGLE),
+    **dict.fromkeys(("AltitudeVelocity", "LinearVelocity", "LateralVelocity", "ThrustPropeller"), _SPEED),
+}
+ARGUMENTS: dict[str, dict[str, Argument]] = {
+    "INIT": {
+        "Location": Argument(ArgumentKind.VECTOR, Setting(unit="m")),
+        "Rotation": Argument(ArgumentKind.VECTOR, Setting(unit="rad")),
+    },
+    "DRIVE": {
+        **{key: _DRIVE_UNITS.get(key, _SPIN) for key in DRIVE_KEYS},
+        **{"Normalized": _TRUTH, "Light": _TRUTH, "Flip": _TRUTH},
+        **{"WheelNumber": _NUMBER, "WheelSpeed": _SPIN, "WheelSteer": _ANGLE},
+        **{"Order": _NUMBER, "Value": _NUMBER, "Steer": _ANGLE},
+    },
+    "MULTIDRIVE": {ANY_KEY: _ANGLE},
+    "MISPKG": {
+        **{"Link": _NUMBER, "Value": _NUMBER, "Order": _NUMBER},
+        "Rotation": Argument(ArgumentKind.VECTOR, Setting(unit="rad")),
+    },
+    "SET": {},  # those of its opcodes: see `read_parameters`
+    "TRACE": {"On": _TRUTH, "Interval": _SECONDS},
+    "CAMERA": {
+        "Rotation": Argument(ArgumentKind.VECTOR, Setting(unit="rad")),
+        **{"Order": _NUMBER, "Zoom": _ANGLE},
+    },
+}
+"""Arguments that are no words, by head and key. A head without an entry has none."""
+_BY_LOWER_CASE = {
+    head: {key.lower(): argument for key, argument in arguments.items()}
+    for head, arguments in ARGUMENTS.items()
+}
+_REPEATED = {
+    "DRIVE": frozenset({"wheelnumber", "wheelspeed", "wheelsteer"}),
+    "MISPKG": frozenset({"link", "value", "order"}),
+}
+"""Keys that stand for one item each time; of others the first counts."""
+
+
+def check_arguments(message: Message) -> None:
+    """Do nothing if every argument of a message has its form; a key without a value has.
+
+    Raises:
+        PeerError: Names the argument, and what it may be.
+    """
+    known = _BY_LOWER_CASE.get(message.kind)
+    if not known:
+        return
+    repeated, seen = _REPEATED.get(message.kind, frozenset[str]()), set[str]()
+    for key, value in message.segments:
+        field = key.lower()
+        argument = known.get(field) or known.get(ANY_KEY)
+        if value and argument is not None and field not in seen and not _MATCHES[argument.kind](value):
+            raise PeerError(f"{clip(key)} is {clip(value)}; expected {argument.expects}")
+        if field not in repeated:
+            seen.add(field)
+
+
+def is_number(text: str) -> bool:
+    """Return whether a text is one number, with a decimal comma perhaps."""
+    return _WITH_COMMA.fullmatch(text.strip()) is not None
+
+
+def _is_truth(text: str) -> bool:
+    return text.strip().lower() in _TRUTHS or is_number(text)
+
+
+def _is_vector(text: str) -> bool:
+    text = text.strip()
+    if not _GAP.search(text):
+        return all(_PLAIN.fullmatch(part) for part in text.split(","))
+    # With spaces a comma inside a number is its decimal comma, one at its end or alone separates.
+    parts = (part.strip(",") for part in _GAP.split(text))
+    return all(_WITH_COMMA.fullmatch(part) for part in parts if part)
+
+
+_MATCHES: dict[ArgumentKind, Callable[[str], bool]] = {
+    ArgumentKind.NUMBER: is_number,
+    ArgumentKind.TRUTH: _is_truth,
+    ArgumentKind.VECTOR: _is_vector,
+}
+
+
+def read_parameters(text: str, form: Parameters) -> tuple[float, ...]:
+    """Return the numbers of the `Params` of a SET.
+
+    Raises:
+        PeerError: A word stands among them, there are too few or too many, or one is out of range; names
+            the text, and what it may be.
+    """
+    text = text.strip()
+    if _GAP.search(text):
+        parts = [part for part in (part.strip(",") for part in _GAP.split(text)) if part]
+    else:
+        parts = text.split(",") if text else []
+    fits = form.fewest <= len(parts) <= form.most and all(_PLAIN.fullmatch(part) for part in parts)
+    values = tuple(to_float(part) for part in parts) if fits else ()
+    low, high = form.note.ge, form.note.le
+    if not fits or not all((low is None or v >= low) and (high is None or v <= high) for v in values):
+        raise PeerError(f"Params is {clip(text)}; expected {form.expects}")
+    return values
