@@ -420,10 +420,10 @@ def test_numbers_that_are_not_finite_are_refused(line, number):
 @pytest.mark.parametrize(
     ("line", "why"),
     [
-        ("INIT {ClassName P2AT} {Location 4,5 1,9 1,8}", "'4,5' has a decimal comma"),
+        ("INIT {ClassName P2AT} {Location 4,5 1,9 1,8}", "'4,5 1,9 1,8'; expected numbers"),
         ("INIT {ClassName P2AT} {Location 4,5,1,9,1,8}", "has 6 numbers, expected 3"),
-        ("DRIVE {Left 2,5} {Right 2,5}", "'2,5' has a decimal comma"),
-        ("CAMERA {Zoom 0,5}", "'0,5' has a decimal comma"),
+        ("DRIVE {Left 2,5} {Right 2,5}", "'2,5'; expected a number"),
+        ("CAMERA {Zoom 0,5}", "'0,5'; expected a number"),
     ],
 )
 def test_decimal_commas_are_refused_not_cut(line, why):
