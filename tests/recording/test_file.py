@@ -2,15 +2,12 @@
 
 import json
 import logging
-import math
 import resource
 import signal
 import subprocess
 import sys
 import time
 from contextlib import contextmanager
-from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +18,6 @@ from usarmjx.base.errors import UsageError
 from usarmjx.recording.file import CHANNELS, FLUSH, WAKE, ChannelName, RecordingFile
 from usarmjx.recording.inputs import StepState
 from usarmjx.recording.reader import Recording
-from usarmjx.recording.replay import _damage_before
 
 STATES = ChannelName(0, "states")
 STEP = 0.02
@@ -193,44 +189,3 @@ def test_what_is_no_recording_is_named(tmp_path, content):
 def test_a_file_that_is_missing_is_named(tmp_path):
     with pytest.raises(UsageError, match="No such file"):
         Recording(tmp_path / "none.mcap")
-
-
-def steps_file(path, steps=60, chunk=10):
-    """A recording of some steps, in chunks of ten, with the states' channel in a chunk of its own before."""
-    file = RecordingFile(path)
-    for step in range(steps + 1):
-        state = StepState(step=step, time=0.02 * step, qpos=np.ones(9), qvel=np.ones(9), act=np.ones(3))
-        file.put(partial(RecordingFile.write, channel=STATES, at=state.time, value=state))
-        if step % chunk == 0:
-            file.put(RecordingFile._flush)
-    file.close()
-    return path.read_bytes()
-
-
-@pytest.mark.parametrize("is_complete", [True, False])
-@pytest.mark.parametrize("where", ["content", "head"])
-def test_a_damaged_chunk_costs_that_chunk_and_is_named(tmp_path, is_complete, where):
-    whole = bytearray(steps_file(tmp_path / "whole.mcap"))
-    chunks = [part.offset for part in Recording(tmp_path / "whole.mcap")._parts]
-    assert len(chunks) == 7
-    place = chunks[3] + (60 if where == "content" else 1)
-    whole[place : place + 4] = b"\xff\xfe\xfd\xfc"
-    damaged = tmp_path / "damaged.mcap"
-    damaged.write_bytes(whole if is_complete else whole[: chunks[6] + 20])
-    recording = Recording(damaged)
-    steps = [one.value.step for one in recording.messages(("states",), 0)]
-    if is_complete and where == "head":  # the index has the place, and the content is intact
-        assert steps == [*range(61)]
-        return
-    assert steps == [*range(21), *range(31, 61 if is_complete else 51)]
-    ((start, end),) = recording.damaged
-    assert start == pytest.approx(0.42 if is_complete else 0.40)
-    assert end == pytest.approx(0.60 if is_complete else 0.62)
-    assert recording.damage_report.startswith("damaged, left out: 0.4")
-
-
-def test_a_replay_fails_at_the_damage_but_not_before():
-    recording = SimpleNamespace(damaged=[(0.4, 0.62)], damage_report="damaged, left out: 0.40 to 0.62 s")
-    assert _damage_before(recording, 0.4) == ""
-    assert "0.40 to 0.62 s" in _damage_before(recording, 0.64)
-    assert _damage_before(SimpleNamespace(damaged=[]), math.inf) == ""

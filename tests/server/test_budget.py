@@ -197,7 +197,7 @@ def world():
 def ticking(world, **settings):
     """A server on which each turn takes a millisecond: (port, server)."""
     with serving(world, realtime_factor=PACE, **settings) as (port, server):
-        server._budgets.clock = Ticking()
+        server.budgets.clock = Ticking()
         yield port, server
 
 

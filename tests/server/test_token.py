@@ -150,3 +150,48 @@ def test_a_browser_says_the_token_once_and_has_a_cookie_then(locked):
             connect(view, additional_headers=wrong, **how)
     with connect(view, additional_headers={"Cookie": cookie}, **how) as watcher:
         assert watcher.recv(timeout=PATIENCE)
+
+
+def test_a_token_that_is_said_again_has_no_effect_and_stays_out_of_the_log(caplog):
+    with all_ports(token=TOKEN) as fresh:
+        for kind in TCP_KINDS:
+            said, question, answer = KINDS[kind]
+            assert begins(fresh.connect(kind), said + said + question, answer), kind
+    assert TOKEN not in caplog.text
+
+
+def test_a_server_without_a_token_takes_one_without_effect(caplog):
+    with all_ports() as open_to_all:
+        for kind in TCP_KINDS:
+            said, question, answer = KINDS[kind]
+            for whole in (said + question, question):
+                assert begins(open_to_all.connect(kind), whole, answer), kind
+    assert TOKEN not in caplog.text
+    assert "fault" not in caplog.text
+
+
+@pytest.mark.parametrize("kind", ["page", "figures"])
+@pytest.mark.parametrize("pieces", [1, 1000])
+def test_a_proxy_may_speak_http_1_0(locked, kind, pieces, log):
+    """As `ab` and proxies in their usual settings do. The log has neither token nor traceback."""
+    request = KINDS[kind][0].replace(b"HTTP/1.1", b"HTTP/1.0")
+    connection = locked.connect(kind)
+    for start in range(0, len(request), -(-len(request) // pieces)):
+        connection.sendall(request[start : start + -(-len(request) // pieces)])
+    assert hear(connection, 17) == b"HTTP/1.1 200 OK\r\n"
+    assert hear(connection, 10**6)
+    assert log.text == ""
+
+
+@pytest.mark.parametrize("kind", ["page", "figures"])
+def test_browsers_that_never_finish_their_request_keep_nobody_out(locked, monkeypatch, kind):
+    """The oldest of too many yields, so that they do not take all file descriptors."""
+    monkeypatch.setattr(gate, "MAX_STRANGERS", 3)
+    held = [locked.connect(kind) for _ in range(3)]
+    for one in held:
+        one.sendall(b"GET /?slow HTTP/1.1\r\nHost: ")
+    assert locked.connect(kind)  # one more
+    held[0].settimeout(PATIENCE)
+    assert hear(held[0], 1) == b""
+    said, _, answer = KINDS[kind]
+    assert begins(locked.connect(kind), said, answer)

@@ -3,6 +3,7 @@
 import importlib
 import json
 import shutil
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -112,7 +113,11 @@ def test_a_run_finds_its_task_again_or_says_what_is_missing(own):
     policy_file(own / "run.npz", task=kept, overrides={"near": "0.6"})
     source = load_policy("run.npz")
     assert source.task == kept
+    for find in (source.env, lambda: source.count_arenas((), None)):
+        with pytest.raises(UsageError, match=r"whose code it does not run by itself; .*--task '.*py:Meet'$"):
+            find()
     env = SimpleNamespace(name=kept, groups=usarmjx.make(kept, engine="c").groups)
+    assert source.count_arenas((), None) == 0, "the task is imported, as the user has named it"
     with pytest.raises(UsageError, match=r"is for robots .*P2AT.*P2DX"):
         source.policy(env)  # found, and compared
     (own / "my_task.py").rename(own / "moved.py")
@@ -129,6 +134,25 @@ def test_a_run_finds_its_task_again_or_says_what_is_missing(own):
     assert (moved.task, moved.overrides) == ("moved.py:Meet", {"near": "0.6"}), "as it was trained"
     other = PolicyOptions(policy="run.npz", task="wander").source()
     assert (other.task, other.overrides) == ("wander", {})
+
+
+@pytest.mark.parametrize("command", ["eval", "play"])
+@pytest.mark.parametrize("task", ["helpers.py:Task", "helpers:Task"])
+def test_a_policy_runs_no_code_that_only_it_names(own, monkeypatch, command, task):
+    """Neither of a file nor of a module that Python would find in the folder."""
+    monkeypatch.syspath_prepend(str(own))
+    monkeypatch.delitem(sys.modules, "helpers", raising=False)
+    (own / "helpers.py").write_text("open('RAN', 'w').close()\n")
+    policy_file(own / "evil.npz", task=task)
+    done = invoke(command, "evil.npz")
+    assert done.exit_code == 2
+    assert done.stderr.splitlines()[-1] == (
+        f"usarmjx: evil.npz names the task '{task}', whose code it does not run by itself; if you trust that "
+        f"code, name it: --task '{task}'"
+    )
+    assert not (own / "RAN").exists()
+    done = invoke(command, "evil.npz", "--task", task)
+    assert (own / "RAN").exists(), "it was named"
 
 
 def test_an_own_task_brings_its_baseline(own):

@@ -116,7 +116,7 @@ def _policy_worlds(
     """
     from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
 
-    source = _followed(driver.policy) if served.follow else driver.source()
+    source = _followed(driver.policy, driver.task) if served.follow else driver.source()
     env, policy = driver.env(source, served.worlds, engine)
     shared = PolicyBatch(env, policy, seed=driver.seed)
     made = [PolicyWorld(shared, instance) for instance in instances]
@@ -128,11 +128,12 @@ def _policy_worlds(
     return made, [PolicyFollower(shared, Path(driver.policy or ""))]
 
 
-def _followed(run: str | None) -> "PolicySource":
+def _followed(run: str | None, task: str | None) -> "PolicySource":
     """Return the policy of a run that may not have begun yet, as soon as it has a checkpoint."""
     from usarmjx.base.errors import UsageError
     from usarmjx.server.worlds.policy_world import wait_for_run
 
     if run is None:
         raise UsageError("--follow needs the folder of a run")
-    return wait_for_run(Path(run))
+    found = wait_for_run(Path(run))
+    return found if task is None else found.for_task(task)

@@ -1,6 +1,6 @@
 """The options that name a policy, for commands that try one or show it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
@@ -77,7 +77,7 @@ class PolicyOptions:
         Raises:
             UsageError: None is named, or two are, or there is none of that name.
         """
-        from usarmjx.train.make import is_own, same_class
+        from usarmjx.train.make import is_own
         from usarmjx.train.policies.sources import baseline as by_hand
         from usarmjx.train.policies.sources import load_policy
 
@@ -93,11 +93,7 @@ class PolicyOptions:
         found = load_policy(named, self.checkpoint)
         if found.checkpoint:
             typer.echo(f"usarmjx: {found.checkpoint}", err=True)
-        if self.task is None:
-            return found
-        # Another task has other fields than those that were set in training.
-        same = same_class(self.task, found.task)
-        return replace(found, task=self.task, overrides=found.overrides if same else {})
+        return found if self.task is None else found.for_task(self.task)
 
     def amount(
         self, source: "PolicySource", split: str | None, worlds: int | None, episodes: int | None

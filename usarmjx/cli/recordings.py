@@ -16,7 +16,6 @@ from usarmjx.cli.viewer_options import ViewerPortOption, viewer_server, viewer_s
 if TYPE_CHECKING:
     from usarmjx.comms.attenuation import RadioSettings
     from usarmjx.recording.file import RecordingFile
-    from usarmjx.recording.reader import Recording
     from usarmjx.server.worlds.served_world import ServedWorld
     from usarmjx.train.envs.env import Env
     from usarmjx.train.envs.state import EnvState
@@ -54,9 +53,10 @@ def recorded(
     if path is None:
         yield None
         return
+    from usarmjx.recording.file import MOST_LAG
     from usarmjx.server.worlds.recorded import record_worlds
 
-    file = record_worlds(worlds, path, radio)
+    file = record_worlds(worlds, path, radio, MOST_LAG)
     typer.echo(f"usarmjx: recording to {path}")
     try:
         yield file
@@ -112,7 +112,6 @@ def view(
         if html is not None:
             write_html(source, html, period, world)
             typer.echo(f"wrote {html}, {html.stat().st_size / 1e6:.1f} MB")
-            _tell_damage(recording)
             return
         with viewer_socket(HOST, viewer_port, 0, True) as bound:
             assert bound is not None
@@ -128,12 +127,6 @@ def view(
 def _tell_if_broken_off(is_complete: bool, file: Path) -> None:
     if not is_complete:
         typer.echo(f"usarmjx: note: {file} was broken off; what there is of it is used", err=True)
-
-
-def _tell_damage(recording: "Recording") -> None:
-    """Tell which seconds are left out; call it after reading: of a complete file only then all are known."""
-    if recording.damaged:
-        typer.echo(f"usarmjx: note: {recording.path}: {recording.damage_report}", err=True)
 
 
 def replay(
@@ -184,7 +177,6 @@ def plot(
         _tell_if_broken_off(recording.is_complete, file)
         for path in plot_recording(recording, wanted, world, (since, until)):
             typer.echo(f"wrote {path}")
-        _tell_damage(recording)
 
 
 def export_recording(file: Path, out: Path, world: int = 0, speed: float = 2.0) -> None:
@@ -203,10 +195,8 @@ def export_recording(file: Path, out: Path, world: int = 0, speed: float = 2.0) 
         written = export_tables(recording, out)
         for path in written:
             typer.echo(f"wrote {path}")
-        _tell_damage(recording)
         if not written:
             raise UsageError(f"{file}: nothing is left of it that makes a table; nothing is written")
     else:
         save_film(recording, out, world, speed)
         typer.echo(f"wrote {out}")
-        _tell_damage(recording)

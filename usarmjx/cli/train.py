@@ -413,7 +413,7 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
 
     with (
         distributed_run() as process,
-        _served(options.out, shown.port, shown.serve and process.index == 0),
+        _served(options.out, task, shown.port, shown.serve and process.index == 0),
         viewer_socket(HOST, shown.viewer_port, 0, shown.view and process.index == 0) as page,
     ):
         watchers: list[_TrainingWatcher] = []
@@ -446,16 +446,20 @@ def _task_of(named: str | None, task: str | None) -> str:
 
 
 @contextmanager
-def _served(run: Path, port: int, wanted: bool) -> Generator[None]:
+def _served(run: Path, task: str, port: int, wanted: bool) -> Generator[None]:
     """Serve a world of a run in a process of its own, on the CPU, until the training ends."""
     if not wanted:
         yield
         return
+    from usarmjx.train.make import is_own
+
     if os.name == "nt":
         from usarmjx.base.errors import UsageError
 
         raise UsageError(f"train --serve needs POSIX: run `usarmjx play {run} --serve --follow` beside it")
     command = [sys.executable, "-m", "usarmjx", "play", str(run), "--serve", "--follow", "--port", str(port)]
+    if is_own(task):
+        command += ["--task", task]
     # The child ends with this process, however that ends: then nobody holds the other end of its pipe.
     theirs, ours = os.pipe()
     settings = {**os.environ, "JAX_PLATFORMS": "cpu", PARENT_PIPE: str(theirs)}

@@ -1,6 +1,5 @@
 """Learning curves over agent steps and over time: from benchmark records and folders of runs."""
 
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.settings.json_file import read_json_lines
 from usarmjx.plots.picture import save_small
 from usarmjx.train.learning.config import overridden_fields
 from usarmjx.train.learning.metrics import read_lines
@@ -139,10 +139,11 @@ def read_curves(source: Path) -> list[Curve]:
     if not source.is_file():
         raise UsageError(f"{source} is neither a file of benchmark records nor the folder of a run")
     try:
-        records = [json.loads(line) for line in source.read_text().splitlines()]
-        found = [curve_of_record(record) for record in records if record["benchmark"] == "train"]
-    except (ValueError, KeyError, TypeError, IndexError) as error:
-        raise UsageError(f"{source} is no file of benchmark records: {error!r}") from error
+        records = read_json_lines(source, UsageError)
+        found = [curve_of_record(record) for _, record in records if record["benchmark"] == "train"]
+    except (UsageError, ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+        reason = str(error) if isinstance(error, UsageError) else repr(error)
+        raise UsageError(f"{source} is no file of benchmark records: {reason}") from error
     if not found:
         raise UsageError(f"{source} has no records of training")
     return found

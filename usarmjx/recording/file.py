@@ -1,10 +1,15 @@
-"""An MCAP file that a thread writes, so that a recorded world does not wait for the disk."""
+"""An MCAP file that a thread writes, so that a recorded world does not wait for the disk.
+
+What a replay needs is always written. Frames, which only show a world, are left out while the thread is
+behind, and the shapes for Foxglove are written in pieces when nothing else waits. So a process that is killed
+loses about a second.
+"""
 
 import json
 import logging
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any, NamedTuple
@@ -20,6 +25,10 @@ log = logging.getLogger(__name__)
 
 WAKE, FLUSH = 0.1, 0.5
 """Interval at which the thread looks for jobs, and interval between two flushes to the disk [s]."""
+MOST_LAG = 0.3
+"""Age from which a frame of a served world is left out [s]."""
+LOG_INTERVAL = 10.0
+"""Interval between two log lines about frames that were left out [s]."""
 MOST_WAITING = 50_000
 """Most waiting jobs; with more, `put` blocks."""
 PATIENCE = 5.0
@@ -57,6 +66,14 @@ Job = Callable[["RecordingFile"], None]
 """A write operation, carried out in the file's thread."""
 
 
+class _Waiting(NamedTuple):
+    """A job that waits, since when [s], and whether it is a frame."""
+
+    since: float
+    job: Job
+    is_frame: bool
+
+
 class RecordingFile:
     """A recording being written.
 
@@ -64,14 +81,22 @@ class RecordingFile:
         path: The file, which must not exist yet.
         about: Metadata of the file, texts by name.
         several: Whether there are several worlds: then topics begin with a world's number.
+        max_lag: Age from which frames are left out [s]; None: all are written.
 
     Raises:
         WriteError: It cannot be written.
         UsageError: It exists already.
     """
 
-    def __init__(self, path: Path, about: dict[str, str] | None = None, *, several: bool = False) -> None:
-        self.path, self._several = Path(path), several
+    def __init__(
+        self,
+        path: Path,
+        about: dict[str, str] | None = None,
+        *,
+        several: bool = False,
+        max_lag: float | None = None,
+    ) -> None:
+        self.path, self._several, self._max_lag = Path(path), several, max_lag
         with writing(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             try:
@@ -81,10 +106,14 @@ class RecordingFile:
         self._writer = Writer(self._stream, compression=CompressionType.ZSTD)
         self._channels: dict[ChannelName, int] = {}
         self._schemas: dict[str, int] = {}
-        self._jobs: deque[Job] = deque()
+        self._jobs: deque[_Waiting] = deque()
+        self._pieces: dict[ChannelName, Iterator[None]] = {}
+        self._told = -LOG_INTERVAL
         self._stop, self._flushed, self._written = Event(), time.monotonic(), 0
         self.ended = False
         """Whether writing has ended."""
+        self.left_out = 0
+        """Number of frames that were left out."""
         with writing(self.path):
             self._writer.start(library="usarmjx")
             self._writer.add_metadata("usarmjx", about or {})
@@ -92,11 +121,24 @@ class RecordingFile:
         self._thread = Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
 
-    def put(self, job: Job) -> None:
-        """Queue a write operation, after all that were queued before."""
+    @property
+    def lag(self) -> float:
+        """Age of the oldest job that waits [s]."""
+        try:
+            return max(0.0, time.monotonic() - self._jobs[0].since)
+        except IndexError:  # the thread has just taken it
+            return 0.0
+
+    def put(self, job: Job, *, is_frame: bool = False) -> None:
+        """Queue a write operation, after all that were queued before.
+
+        Args:
+            job: The operation.
+            is_frame: Leave it out if it has to wait for too long.
+        """
         if self.ended:
             return
-        self._jobs.append(job)
+        self._jobs.append(_Waiting(time.monotonic(), job, is_frame))
         if len(self._jobs) > MOST_WAITING:
             self._wait()
 
@@ -117,16 +159,26 @@ class RecordingFile:
 
     # The methods below run in the thread.
 
+    def write_in_pieces(self, channel: ChannelName, pieces: Iterator[None]) -> None:
+        """Run an operation piece by piece when nothing else waits, in place of the one before.
+
+        For jobs only; all pieces are run before the file ends.
+        """
+        self._pieces[channel] = pieces
+
     def write(self, channel: ChannelName, at: float, value: Any) -> None:  # noqa: ANN401 - as the channel has
         """Add a message to a channel; for jobs only.
 
         Args:
             channel: The channel.
             at: Simulated time [s].
-            value: The message: a value of `pack` or JSON, by the channel's schema.
+            value: The message: a value of `pack` or JSON, by the channel's schema; bytes are JSON already.
         """
         number = self._channels.get(channel) or self._register(channel)
-        data = json.dumps(value).encode() if CHANNELS[channel.kind] else pack(value)
+        if isinstance(value, bytes):
+            data = value
+        else:
+            data = json.dumps(value).encode() if CHANNELS[channel.kind] else pack(value)
         # MCAP's log time is the simulated time, its publish time that of the recording.
         self._writer.add_message(number, round(at * NANO), data, time.time_ns())
 
@@ -152,6 +204,8 @@ class RecordingFile:
             while not self._stop.wait(WAKE):
                 self._drain()
             self._drain()
+            while self._pieces and not self.ended:
+                self._run_piece()
             if not self.ended:
                 self._writer.finish()
         except Exception as error:  # a full or failed disk must not stop the world that is recorded
@@ -166,15 +220,43 @@ class RecordingFile:
                 log.debug("%s: %s", self.path, error)
 
     def _drain(self) -> None:
-        while self._jobs and not self.ended:
-            self._jobs.popleft()(self)
-            self._written += 1
+        while (self._jobs or self._pieces) and not self.ended:
+            if self._jobs:
+                since, job, is_frame = self._jobs.popleft()
+                if is_frame and self._is_late(since):
+                    self.left_out += 1
+                else:
+                    job(self)
+                self._written += 1
+            elif self._stop.is_set():
+                break
+            else:
+                self._run_piece()
             if time.monotonic() > self._flushed + FLUSH:
                 self._flush()
         if time.monotonic() > self._flushed + FLUSH:
             self._flush()
 
+    def _is_late(self, since: float) -> bool:
+        """Return whether a frame that has waited since then [s] is left out."""
+        return (
+            self._max_lag is not None and time.monotonic() > since + self._max_lag and not self._stop.is_set()
+        )
+
+    def _run_piece(self) -> None:
+        channel, pieces = next(iter(self._pieces.items()))
+        try:
+            next(pieces)
+        except StopIteration:
+            if self._pieces.get(channel) is pieces:
+                del self._pieces[channel]
+
     def _flush(self) -> None:
+        if self.left_out and time.monotonic() > self._told + LOG_INTERVAL:
+            self._told = time.monotonic()
+            log.warning(
+                "%s: %d frames so far are left out: writing them takes too long", self.path, self.left_out
+            )
         self._writer.flush()
         self._flushed = time.monotonic()
 

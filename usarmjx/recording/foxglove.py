@@ -1,7 +1,9 @@
 """Drawings and frames as messages for Foxglove and similar viewers."""
 
+import hashlib
 import json
 import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -189,25 +191,76 @@ class Transforms:
         }
 
 
-def scene_update(drawing: Drawing, time: float) -> dict[str, Any]:
-    """Return the shapes of all bodies, each in its own frame, as `foxglove.SceneUpdate`."""
-    now = stamp(time)
-    solids = {key: _primitives(shape) for key, shape in drawing.shapes.items()}
-    entities = [
-        {
-            "timestamp": now,
-            "frame_id": frame_id(drawing, body),
-            "id": drawn.name,
-            "lifetime": {"sec": 0, "nsec": 0},
-            "frame_locked": True,
-            "metadata": [],
-            **{kind: [] for kind in ("arrows", "spheres", "cylinders", "lines", "models")},
-            **solids[drawn.shape],
-            "texts": _labels(drawing, body),
-        }
-        for body, drawn in enumerate(drawing.bodies)
-    ]
-    return {"deletions": [{"timestamp": now, "type": DELETE_ALL, "id": ""}], "entities": entities}
+KEPT_SHAPES = 256
+"""Most shapes whose texts are kept."""
+
+
+class SceneTexts:
+    """Shapes of bodies, each in its own frame, as texts of `foxglove.SceneUpdate`.
+
+    The text of a shape is kept: a body of triangles has a megabyte, and most have not changed when a robot
+    joins.
+    """
+
+    def __init__(self) -> None:
+        self._digests: dict[int, tuple[DrawnShape, bytes]] = {}
+        self._texts: dict[bytes, str] = {}
+
+    def key(self, drawing: Drawing, bodies: Sequence[int]) -> bytes:
+        """Return a digest of bodies: their names, frames, labels and shapes."""
+        found = hashlib.blake2b(digest_size=16)
+        for body in bodies:
+            about = _entity(drawing, body, {})
+            found.update(json.dumps(about, sort_keys=True).encode())
+            found.update(self._digest(drawing.shapes[drawing.bodies[body].shape]))
+        return found.digest()
+
+    def writing(
+        self, drawing: Drawing, bodies: Sequence[int], time: float, write: Callable[[bytes], None]
+    ) -> Iterator[None]:
+        """Write the message in the end; yield after each body, as each may take a tenth of a second."""
+        now, entities = stamp(time), list[str]()
+        for body in bodies:
+            about = json.dumps(_entity(drawing, body, now))
+            solids = self._solids(drawing.shapes[drawing.bodies[body].shape])
+            entities.append(f"{about[:-1]}, {solids[1:]}")
+            yield
+        deletions = json.dumps([{"timestamp": now, "type": DELETE_ALL, "id": ""}])
+        write(f'{{"deletions": {deletions}, "entities": [{", ".join(entities)}]}}'.encode())
+
+    def _digest(self, shape: DrawnShape) -> bytes:
+        known = self._digests.get(id(shape))
+        if known is None:
+            found = hashlib.blake2b(digest_size=16)
+            for values in vars(shape).values():
+                found.update(str((values.shape, values.dtype)).encode())
+                found.update(np.ascontiguousarray(values).tobytes())
+            if len(self._digests) >= KEPT_SHAPES:
+                self._digests.clear()
+            known = self._digests[id(shape)] = shape, found.digest()
+        return known[1]
+
+    def _solids(self, shape: DrawnShape) -> str:
+        digest = self._digest(shape)
+        if digest not in self._texts:
+            if len(self._texts) >= KEPT_SHAPES:
+                self._texts.clear()
+            self._texts[digest] = json.dumps(_primitives(shape))
+        return self._texts[digest]
+
+
+def _entity(drawing: Drawing, body: int, now: dict[str, int]) -> dict[str, Any]:
+    """Return a body without its solids."""
+    return {
+        "timestamp": now,
+        "frame_id": frame_id(drawing, body),
+        "id": drawing.bodies[body].name,
+        "lifetime": {"sec": 0, "nsec": 0},
+        "frame_locked": True,
+        "metadata": [],
+        **{kind: [] for kind in ("arrows", "spheres", "cylinders", "lines", "models")},
+        "texts": _labels(drawing, body),
+    }
 
 
 def _labels(drawing: Drawing, body: int) -> list[dict[str, Any]]:

@@ -1,13 +1,12 @@
-"""Recordings as messages: complete, truncated anywhere, or with damaged chunks, which are left out."""
+"""Recordings, complete or truncated anywhere, as messages and as frames for the page."""
 
 import json
-import math
-import os
+import logging
 from bisect import bisect_right
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -15,23 +14,19 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, Message, Metadata
-from mcap.stream_reader import breakup_chunk
+from mcap.stream_reader import StreamReader, breakup_chunk
 
 from usarmjx.base.errors import UsageError
 from usarmjx.recording.file import CHANNELS, NANO, ChannelName
 from usarmjx.recording.inputs import WorldSetup
 from usarmjx.recording.values import unpack
 
-MAGIC_SIZE, HEAD_SIZE = 8, 9
-"""Sizes of a file's magic bytes, and of a record's opcode and length [bytes]."""
-MOST_OPCODE = 0x0F
-"""Largest opcode of MCAP."""
-CHUNK_FIELDS = 28
-"""Size of a chunk's times, size and checksum, before the name of its compression [bytes]."""
-COMPRESSION = b"\x04\x00\x00\x00zstd"
-"""Name of the compression of our chunks, after its length."""
+log = logging.getLogger(__name__)
+
 MOST_BYTES = 1 << 28
 """Largest chunk that is read [bytes]; the writer makes chunks of half a second."""
+USUAL_GAP = 100_000_000
+"""Longest time between two chunks without a loss [ns]."""
 CACHED_CHUNKS = 16
 """Number of decoded chunks that are kept in memory."""
 
@@ -72,7 +67,7 @@ class Recording:
         about: Metadata of the file, texts by name.
         start: Time of its first chunk [s].
         end: Time of its last chunk [s].
-        damaged: From when to when [s] chunks are left out as damaged; of a complete file those read so far.
+        damaged: Number of chunks, of half a second or more, that are damaged and left out.
 
     Raises:
         UsageError: It cannot be read, or is no recording of ours.
@@ -86,8 +81,8 @@ class Recording:
             raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
         self._channels: dict[int, ChannelName] = {}
         self.about: dict[str, str] = {}
-        self.damaged: list[tuple[float, float]] = []
         self._parts: list[_Part] = []
+        self.damaged = 0
         self.is_complete = self._read_summary()
         if not self.is_complete:
             self._scan()
@@ -96,7 +91,16 @@ class Recording:
             raise UsageError(f"{path}: is no recording of usarmjx, or nothing is left of it")
         self.start = min(part.start for part in self._parts) / NANO
         self.end = max(part.end for part in self._parts) / NANO
+        if self.damaged:
+            log.warning("%s: %s", self.path, self._losses())
         self._records = lru_cache(maxsize=CACHED_CHUNKS)(self._read_part)
+
+    def _losses(self) -> str:
+        """Return the time that damaged chunks have left empty, in a line."""
+        spans = sorted((part.start, part.end) for part in self._parts)
+        gaps = [later[0] - earlier[1] for earlier, later in pairwise(spans)]
+        missing = sum(gap for gap in gaps if gap > USUAL_GAP) / NANO
+        return f"{self.damaged} parts are damaged and left out, {missing:.1f} s of what was recorded"
 
     def close(self) -> None:
         """Close the file."""
@@ -127,74 +131,49 @@ class Recording:
         return True
 
     def _scan(self) -> None:
-        """Read a file from its beginning; leave out what is damaged, and end where the rest is missing."""
+        """Read a file from its beginning, as far as it is intact."""
+        self._stream.seek(0)
         self._parts, self._channels = [], {}
-        size = self._stream.seek(0, os.SEEK_END)
-        gaps: list[int] = []
-        offset = MAGIC_SIZE
-        while offset < size:
-            end = self._end_of_record(offset, size)
-            if end is not None and self._take_record(offset, end):
-                offset = end
-                continue
-            # A record whose content alone is damaged is followed by a sound one; else its length is wrong.
-            if end is not None and end < size and self._end_of_record(end, size) is not None:
-                following: int | None = end
-            else:
-                following = self._find_chunk(offset + 1)
-            if following is None:
-                break  # cut off: the rest of the file is missing
-            gaps.append(len(self._parts))
-            offset = following
-        for index in dict.fromkeys(gaps):
-            before = self._parts[index - 1].end / NANO if index else 0.0
-            after = self._parts[index].start / NANO if index < len(self._parts) else math.inf
-            self._note_damage(before, after)
+        offset, records = 8, self._records_from_here(is_start=True)
+        while True:
+            try:
+                # The first record follows 8 magic bytes, which the reader consumes only with it.
+                offset = max(self._stream.tell(), 8)
+                record = next(records, None)
+                if record is None:
+                    return
+                if isinstance(record, Metadata):
+                    self._take_metadata(record)
+                elif isinstance(record, Chunk):
+                    inside = _records_of(record)
+                    for one in inside:
+                        if isinstance(one, Channel):
+                            self._take_channel(one)
+                    used = frozenset(one.channel_id for one in inside if isinstance(one, Message))
+                    times = record.message_start_time, record.message_end_time
+                    self._parts.append(_Part(*times, offset, used))
+            except Exception:  # a damaged record, or a cut one, after which the rest of the file is missing
+                if not self._skip_record(offset):
+                    return
+                self.damaged += 1
+                records = self._records_from_here(is_start=False)
 
-    def _end_of_record(self, offset: int, size: int) -> int | None:
-        """Return where a record ends, by its head; None: there is no record."""
-        self._stream.seek(offset)
-        head = self._stream.read(HEAD_SIZE)
-        end = offset + HEAD_SIZE + int.from_bytes(head[1:], "little")
-        sound = len(head) == HEAD_SIZE and 0 < head[0] <= MOST_OPCODE and end <= size
-        return end if sound else None
+    def _records_from_here(self, *, is_start: bool) -> Iterator[Any]:
+        return StreamReader(
+            self._stream, skip_magic=not is_start, emit_chunks=True, record_size_limit=MOST_BYTES
+        ).records
 
-    def _take_record(self, offset: int, end: int) -> bool:
-        """Note what is in a record; return whether it is intact."""
+    def _skip_record(self, offset: int) -> bool:
+        """Go to the end of a record that does not read; return whether it is a chunk with an end."""
         self._stream.seek(offset)
-        kind = self._stream.read(HEAD_SIZE)[0]
-        if kind not in (Opcode.CHUNK, Opcode.METADATA):
-            return True
-        try:
-            content = ReadDataStream(BytesIO(self._stream.read(end - offset - HEAD_SIZE)))
-            if kind == Opcode.METADATA:
-                self._take_metadata(Metadata.read(content))
-                return True
-            record = Chunk.read(content)
-            inside = _records_of(record)
-        except Exception:  # the MCAP library raises any error on damaged bytes
+        head = self._stream.read(9)
+        if len(head) < 9 or head[0] != Opcode.CHUNK:
             return False
-        for one in inside:
-            if isinstance(one, Channel):
-                self._take_channel(one)
-        used = frozenset(one.channel_id for one in inside if isinstance(one, Message))
-        self._parts.append(_Part(record.message_start_time, record.message_end_time, offset, used))
+        end = offset + 9 + int.from_bytes(head[1:], "little")
+        if end > self.path.stat().st_size:
+            return False
+        self._stream.seek(end)
         return True
-
-    def _find_chunk(self, offset: int) -> int | None:
-        """Return where the next chunk begins, by the name of its compression; None: there is none."""
-        self._stream.seek(offset)
-        rest = self._stream.read()
-        place = -1
-        while (place := rest.find(COMPRESSION, place + 1)) >= 0:
-            start = place - CHUNK_FIELDS - HEAD_SIZE
-            if start >= 0 and rest[start] == Opcode.CHUNK:
-                return offset + start
-        return None
-
-    def _note_damage(self, start: float, end: float) -> None:
-        if (start, end) not in self.damaged:
-            self.damaged.append((start, end))
 
     def _take_metadata(self, metadata: Metadata) -> None:
         if metadata.name == "usarmjx":
@@ -210,19 +189,9 @@ class Recording:
         try:
             self._stream.seek(part.offset + 9)  # behind the record's opcode (1 byte) and length (8 bytes)
             records = _records_of(Chunk.read(ReadDataStream(self._stream)))
-        except Exception:  # the MCAP library raises any error on damaged bytes
-            self._note_damage(part.start / NANO, part.end / NANO)
-            return ()
+        except Exception as error:
+            raise UsageError(f"{self.path}: is broken at byte {part.offset}: {error}") from error
         return tuple(record for record in records if isinstance(record, Message))
-
-    @property
-    def damage_report(self) -> str:
-        """Time spans that are left out as damaged, in a line; empty if there are none."""
-        spans = [
-            f"{start:.2f} to {end:.2f} s" if math.isfinite(end) else f"{start:.2f} s to the end"
-            for start, end in sorted(self.damaged)
-        ]
-        return f"damaged, left out: {', '.join(spans)}" if spans else ""
 
     @property
     def worlds(self) -> tuple[int, ...]:

@@ -32,7 +32,7 @@ from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.world import World
 from usarmjx.view.capture import Capture
-from usarmjx.view.drawing import Drawing, Frame
+from usarmjx.view.drawing import NOBODY, Drawing, Frame
 
 FRAME_PERIOD = 0.2
 """Interval between two recorded frames [s of the world's time]; physics is recorded in every step."""
@@ -54,6 +54,7 @@ class WorldMessages:
         self._drawing: Drawing | None = None
         self._trails, self._transforms = foxglove.Trails(), foxglove.Transforms()
         self._score: float | None = None
+        self._scenes, self._scene_keys = foxglove.SceneTexts(), dict[str, bytes]()
 
     def _channel(self, kind: str, about: str = "") -> ChannelName:
         return ChannelName(self._number, kind, about)
@@ -111,11 +112,27 @@ class WorldMessages:
             self._key = key
             self._drawing = self._capture.drawing(world, snapshot.physics, snapshot.names)
             file.write(self._channel("drawings"), at, self._drawing)
-            file.write(self._channel("scene"), at, foxglove.scene_update(self._drawing, at))
+            self._write_scene(self._drawing, at, file)
         seen = self._capture.frame(world, snapshot.physics)
         links = seen.links if snapshot.links is None else snapshot.links
         frame = replace(seen, time=at, trace=snapshot.trace, score=snapshot.score, links=links)
         self._write_frame(self._drawing, frame, file)
+
+    def _write_scene(self, drawing: Drawing, at: float, file: RecordingFile) -> None:
+        """Write the shapes of robots, and those of all else where they have changed."""
+        parts = {
+            "": [body for body, drawn in enumerate(drawing.bodies) if drawn.slot == NOBODY],
+            "robots": [body for body, drawn in enumerate(drawing.bodies) if drawn.slot != NOBODY],
+        }
+        for about, bodies in parts.items():
+            key = self._scenes.key(drawing, bodies)
+            if self._scene_keys.get(about) == key:
+                continue
+            self._scene_keys[about] = key
+            channel = self._channel("scene", about)
+            file.write_in_pieces(
+                channel, self._scenes.writing(drawing, bodies, at, partial(file.write, channel, at))
+            )
 
     def _write_frame(self, drawing: Drawing, frame: Frame, file: RecordingFile) -> None:
         at = frame.time
@@ -283,7 +300,8 @@ class WorldRecorder:
     def record_frame(self, snapshot: WorldSnapshot) -> None:
         """Record a frame of the world."""
         self._next_frame = self._time + FRAME_PERIOD
-        self.file.put(partial(self._messages.record_frame, snapshot, self.since + self._time))
+        job = partial(self._messages.record_frame, snapshot, self.since + self._time)
+        self.file.put(job, is_frame=True)
 
     def read(self, slot: int, sensor: int, value: np.ndarray) -> None:
         """Record the reading of a sensor; the value must not change any more."""

@@ -15,12 +15,16 @@ from typing import Any
 
 from usarmjx.base.errors import UnknownNameError, UsageError, quoted
 from usarmjx.base.settings import default_reader, validate
+from usarmjx.base.settings.files import shown
 from usarmjx.models.compile.physics import PHYSICS, Physics
 from usarmjx.sim.calibration import build_calibrated
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy, Task
 from usarmjx.train.tasks import TASKS
+
+MAX_NAME = 500
+"""Longest name of a task that a file may give [characters]."""
 
 
 def is_own(name: str) -> bool:
@@ -96,21 +100,33 @@ def find_baseline(name: str, task: str | None = None) -> str:
     return full_name(name)
 
 
-def check_there(name: str, whose: str) -> None:
-    """Refuse what needs a task whose file has gone.
+def check_named(name: str, source: str) -> None:
+    """Refuse a task that only a file names, if its code does not run in this process already.
+
+    Policies and runs come from other people; importing the task that one names would run their code.
 
     Args:
         name: Recorded name of the task.
-        whose: Owner of the name: a run, a policy's file.
+        source: Run or policy that needs the task.
 
     Raises:
-        UsageError: Names the missing file, and the option that replaces it.
+        UsageError: Names the missing file, or the option that names the task.
     """
+    if not is_own(name):
+        return
+    if len(name) > MAX_NAME or not name.isprintable():
+        raise UsageError(f"{source} names the task {shown(name)}, which no file or module has")
     place, _, wanted = name.rpartition(":")
-    if place.endswith(".py") and not _path(place).is_file():
+    in_file = place.endswith(".py")
+    if in_file and not _path(place).is_file():
         raise UsageError(
-            f"{whose} is for the task {wanted} of {place}, which does not exist; if it has moved, add "
+            f"{source} is for the task {wanted} of {place}, which does not exist; if it has moved, add "
             f"--task FILE.py:{wanted}"
+        )
+    if (_module_name(_path(place)) if in_file else place) not in sys.modules:
+        raise UsageError(
+            f"{source} names the task {shown(name)}, whose code it does not run by itself; if you trust that "
+            f"code, name it: --task {shown(name)}"
         )
 
 
@@ -163,8 +179,13 @@ def _module(name: str, place: str) -> ModuleType:
         raise UsageError(f"task {name}: {_fault(error, place)}") from error
 
 
+def _module_name(path: Path) -> str:
+    """Return the name of the module that a file with its content is imported as."""
+    return f"usarmjx_own_{hashlib.sha256(bytes(path) + path.read_bytes()).hexdigest()[:16]}"
+
+
 def _from_file(path: Path) -> ModuleType:
-    known = f"usarmjx_own_{hashlib.sha256(bytes(path) + path.read_bytes()).hexdigest()[:16]}"
+    known = _module_name(path)
     if known in sys.modules:
         return sys.modules[known]
     spec = importlib.util.spec_from_file_location(known, path)

@@ -289,5 +289,5 @@ def test_the_log_drops_what_is_done_again_and_shows_a_bar(tmp_path):
 
 def test_a_log_with_a_broken_line_in_the_middle_is_refused(tmp_path):
     (tmp_path / "metrics.jsonl").write_text('{"iteration": 1}\n{"iter\n{"iteration": 3}\n')
-    with pytest.raises(UsageError, match="line 2 is no JSON"):
+    with pytest.raises(UsageError, match=r"metrics\.jsonl:2: is no JSON"):
         read_lines(tmp_path / "metrics.jsonl")

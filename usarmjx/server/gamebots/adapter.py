@@ -22,7 +22,7 @@ from usarmjx.server.protocol.arguments import read_parameters
 from usarmjx.server.protocol.commands import LinkCommand, MisPkg, TurnCamera
 from usarmjx.server.protocol.dialects import MANUAL, Dialect
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
-from usarmjx.server.protocol.grammar import Message, clip, four_decimals
+from usarmjx.server.protocol.grammar import AUTH, Message, clip, four_decimals, redact
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
 from usarmjx.server.protocol.session import MAX_FAULTS, RobotSession
 from usarmjx.server.runtime.logs import INTERVAL, FaultLog, summary
@@ -170,6 +170,8 @@ class Client:
     def record_lines(self, peer: str, data: bytes, *, sent: bool) -> None:
         """Record bytes sent to the client or received from it, if the world is recorded."""
         if data and self._world.recorder is not None:
+            if not sent and AUTH.encode() in data.upper():
+                data = redact(data.decode("latin-1")).encode("latin-1")
             self._world.recorder.lines(peer, self.robot.name if self.robot else "", data, sent=sent)
 
     def leave(self) -> None:

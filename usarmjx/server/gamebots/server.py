@@ -134,6 +134,7 @@ class BotServer:
         title: Name of the world in the log.
         tally: Counters of the server.
         port: The port in use, once started.
+        budgets: Processing time of the clients, those of rosbridge too.
         guests: Dialogues of robots without a connection: their reports are thrown away.
     """
 
@@ -154,7 +155,7 @@ class BotServer:
         )
         self._listener: asyncio.Server | None = None
         self._connections: dict[Client, RobotConnection] = {}
-        self._budgets, self._joins = BudgetPool(world.period), BudgetPool(world.period, JOIN_SHARE)
+        self.budgets, self._joins = BudgetPool(world.period), BudgetPool(world.period, JOIN_SHARE)
         self._fault_log = FaultLog(log)
         self._stepped = asyncio.Event()
         self._joining = asyncio.Lock()
@@ -206,7 +207,7 @@ class BotServer:
             service.tick()
         # Faults that were only counted get their line here, even if no further fault follows.
         self._fault_log.flush()
-        self._budgets.refill()
+        self.budgets.refill()
         self._joins.refill()
         self._remove_next()
         self._stepped.set()
@@ -272,7 +273,7 @@ class BotServer:
         limit_receive_buffer(writer, RECEIVE_BUFFER)
         settings = self.settings
         client = Client(self.world, peer, self._fault_log, settings.dialect, settings.time_limit)
-        budget = ClientBudget(self._budgets)
+        budget = ClientBudget(self.budgets)
         connection = self._connections[client] = RobotConnection(client, reader, writer, peer, budget)
         self.counts.connections += 1
         log.info("%s: connected", peer)

@@ -11,13 +11,11 @@ from pathlib import Path
 from typing import TypeAlias
 
 from usarmjx.base.errors import PeerError, UsageError
-from usarmjx.server.protocol.grammar import clip, parse_message
+from usarmjx.server.protocol.grammar import AUTH, clip, parse_message
 
 IPAddress: TypeAlias = ipaddress.IPv4Address | ipaddress.IPv6Address
 IPNetwork: TypeAlias = ipaddress.IPv4Network | ipaddress.IPv6Network
 
-AUTH = "AUTH"
-"""Head of the first line where a token is required."""
 MAX_TOKEN_SIZE = 128
 """Longest token [bytes]."""
 _TOKEN = re.compile(rf"[A-Za-z0-9._~+/=-]{{1,{MAX_TOKEN_SIZE}}}")

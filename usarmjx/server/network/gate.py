@@ -23,7 +23,7 @@ AUTH_TIMEOUT = 10.0
 MAX_AUTH_SIZE = 192
 """Longest line with a token [bytes]."""
 MAX_STRANGERS = 64
-"""Most connections to one kind of port without a token yet; for one more the oldest is closed."""
+"""Most connections to one kind of port without a token or handshake yet; for one more the oldest closes."""
 LOG_INTERVAL = 10.0
 """Interval between two log lines about refusals, each with the number of those in between [s]."""
 KEEPALIVE_IDLE, KEEPALIVE_INTERVAL, KEEPALIVE_COUNT = 60, 10, 6
@@ -83,14 +83,25 @@ class Gate:
             more = f" ({count} more since the last such line)" if count else ""
             log.warning("%s: %s is refused: %s%s", self._name, peer, reason, more)
 
+    def add_stranger(self, transport: asyncio.WriteTransport) -> None:
+        """Record a connection without a token or a handshake yet; the oldest of too many is closed.
+
+        Peers that never send either must neither keep others from it nor take all file descriptors.
+        """
+        if len(self._strangers) >= MAX_STRANGERS:
+            self._strangers.pop(0).abort()
+        self._strangers.append(transport)
+
+    def remove_stranger(self, transport: asyncio.WriteTransport) -> None:
+        """Record that a connection has sent it, or has ended."""
+        if transport in self._strangers:
+            self._strangers.remove(transport)
+
     async def is_known(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, ends: bytes) -> bool:
         """Return whether a peer sends the token, if one is required; later bytes stay unread."""
         if not self.rules.token:
             return True
-        # Peers that never send a token must not keep others from sending theirs.
-        if len(self._strangers) >= MAX_STRANGERS:
-            self._strangers.pop(0).abort()
-        self._strangers.append(writer.transport)
+        self.add_stranger(writer.transport)
         try:
             async with asyncio.timeout(AUTH_TIMEOUT):
                 line = await _read_line(reader, ends)
@@ -102,8 +113,7 @@ class Gate:
         except (OSError, PeerError) as error:
             reason = f"no token: {error}"
         finally:
-            if writer.transport in self._strangers:
-                self._strangers.remove(writer.transport)
+            self.remove_stranger(writer.transport)
         self.refuse(peer_address(writer)[0], reason)
         return False
 

@@ -6,7 +6,7 @@ import socket
 from collections.abc import Awaitable, Callable, Collection
 from dataclasses import replace
 from http import HTTPStatus
-from typing import TypeAlias
+from typing import Any, TypeAlias
 from urllib.parse import unquote
 
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -16,14 +16,19 @@ from usarmjx.base.errors import UsageError
 from usarmjx.server.network.access import parse_address
 from usarmjx.server.network.gate import Gate, keep_alive
 from usarmjx.server.protocol.grammar import clip
+from usarmjx.server.runtime.logs import limit_libraries
 
 RequestAnswer: TypeAlias = Callable[[ServerConnection, Request], Response | None]
 """Answers a request over HTTP; None lets a websocket begin."""
 
+MAX_REQUEST_LINE = 8192
+"""Bytes within which the first line of a request ends."""
 COOKIE = "usarmjx"
 """Name of the cookie."""
 TOKEN_QUERY = "token="
 """Text before the token in an address."""
+MAX_QUEUE = 4
+"""Messages of a client that are read ahead of its turn."""
 NO_TOKEN = "this server asks for its token: open /?token=...\n"
 FROM_ELSEWHERE = "this page is from elsewhere\n"
 LOCALHOST = re.compile(r"(?:.+\.)?localhost")
@@ -32,10 +37,24 @@ _HOST = re.compile(r"(?:\[([0-9a-f:.]+)\]|([a-z0-9._-]+))(?::[0-9]+)?", re.IGNOR
 _NAME = re.compile(r"[a-z0-9._-]+|[0-9a-f:.]+", re.IGNORECASE)
 
 
+class _CurrentHttpConnection(ServerConnection):
+    """Connection that takes requests of HTTP/1.0, too."""
+
+    _head: bytes | None = b""
+
+    def data_received(self, data: bytes) -> None:
+        if self._head is not None:  # the request line has not come yet
+            self._head += data
+            if b"\n" not in self._head and len(self._head) < MAX_REQUEST_LINE:
+                return
+            data, self._head = as_current_http(self._head), None
+        super().data_received(data)
+
+
 def gated_connection(gate: Gate) -> type[ServerConnection]:
     """Return the class of connections that a gate admits: others are closed before anything is read."""
 
-    class GatedConnection(ServerConnection):
+    class GatedConnection(_CurrentHttpConnection):
         _entered = ""
 
         def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -44,16 +63,37 @@ def gated_connection(gate: Gate) -> type[ServerConnection]:
             if gate.enter(address):
                 self._entered = address
                 keep_alive(transport.get_extra_info("socket"))
+                if isinstance(transport, asyncio.WriteTransport):
+                    gate.add_stranger(transport)
                 super().connection_made(transport)
             elif isinstance(transport, asyncio.Transport):
                 transport.abort()
 
+        async def handshake(self, *options: Any, **more: Any) -> None:  # noqa: ANN401 - websockets' own
+            try:
+                await super().handshake(*options, **more)
+            finally:
+                gate.remove_stranger(self.transport)
+
         def connection_lost(self, exc: Exception | None) -> None:
             if self._entered:
                 gate.leave(self._entered)
+                gate.remove_stranger(self.transport)
                 super().connection_lost(exc)
 
     return GatedConnection
+
+
+def as_current_http(head: bytes) -> bytes:
+    """Return the beginning of a request with HTTP/1.1 in place of HTTP/1.0.
+
+    Proxies and `ab` send HTTP/1.0, which websockets refuses with a traceback. The answers close the
+    connection, as clients of HTTP/1.0 expect.
+    """
+    line, end, rest = head.partition(b"\n")
+    if line.rstrip(b"\r").endswith(b" HTTP/1.0"):
+        line = line.replace(b" HTTP/1.0", b" HTTP/1.1")
+    return line + end + rest
 
 
 def asking_token(gate: Gate, answer: RequestAnswer) -> RequestAnswer:
@@ -181,6 +221,7 @@ async def listen_for_websockets(
     Raises:
         UsageError: The port is taken or the address is not ours.
     """
+    limit_libraries()
     try:
         return await serve(
             accept,
@@ -189,6 +230,7 @@ async def listen_for_websockets(
             create_connection=gated_connection(gate),
             max_size=max_size,
             compression=None,
+            max_queue=MAX_QUEUE,
         )
     except OSError as error:
         host, port = bound.getsockname()[:2]

@@ -217,6 +217,21 @@ def _check_message(message: Message) -> None:
             raise UsageError(f"{message.kind}: {value!r} cannot be the value of {key!r}")
 
 
+AUTH = "AUTH"
+"""Head of the line with the token that a server may require."""
+_SECRET = re.compile(rf"(\b{AUTH}\b[\s{{]*(?:Token\b\s*)?|\btoken=)[^\s{{}};&'\"\\]+", re.IGNORECASE)
+
+
+def is_auth(line: str) -> bool:
+    """Return whether a line says a token."""
+    return line.lstrip()[: len(AUTH) + 1].rstrip(" {\t").upper() == AUTH
+
+
+def redact(text: str) -> str:
+    """Return a text without the tokens in it, of lines `AUTH ...` and of addresses `?token=...`."""
+    return _SECRET.sub(r"\1...", text)
+
+
 def clip(text: str, limit: int = 60) -> str:
     """Return text of a peer fit for a log line: quoted, control characters escaped, cut short."""
     return repr(text if len(text) <= limit else text[:limit] + "...")

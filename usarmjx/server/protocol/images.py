@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 from usarmjx.base.errors import UsageError
-from usarmjx.server.protocol.grammar import LineBuffer
+from usarmjx.server.protocol.grammar import AUTH, LineBuffer
 
 FORMATS = ("raw", "super", "good", "normal", "average", "bad")
 """Names of the picture types, in the order of their numbers."""
@@ -23,6 +23,8 @@ JPEG_QUALITY = (100, 75, 50, 25, 10)
 """JPEG quality of types 1 to 5: the meaning of their names in FreeImage, the original's library."""
 MAX_IMAGE_SIDE = 4096
 """Largest side of a picture [pixels]."""
+MAX_AUTH_LINE = 192
+"""Longest line with a token that is skipped [bytes]."""
 FIRST_FRAME_DELAY = 0.1
 """Delay of the first picture when no client request comes [s].
 
@@ -117,8 +119,7 @@ class ImageSession:
             HttpRequestError: The peer speaks HTTP; hang up.
         """
         self._text.feed(data)  # only for its refusal of HTTP: acknowledgements have no lines
-        data = self._pending + data
-        self._pending = b""
+        data = self._after_auth(self._pending + data)
         at = 0
         while at < len(data):
             head = data[at : at + 1]
@@ -135,6 +136,23 @@ class ImageSession:
             elif head == b"U":
                 self._ask(self._overlap(*RECTANGLE.unpack(piece[1:])))
             at += length
+
+    def _after_auth(self, data: bytes) -> bytes:
+        """Return bytes without a line AUTH at their beginning, which may not be complete yet.
+
+        No request begins as it does; the `U` in it would be the beginning of one.
+        """
+        self._pending = b""
+        head = data.lstrip(b"\r\n")
+        if head[: len(AUTH)].upper() != AUTH.encode()[: len(head)] or not head:
+            return data
+        ends = [place for place in map(head.find, (b"\r", b"\n")) if place >= 0]
+        if ends:
+            return head[min(ends) :]
+        if len(head) > MAX_AUTH_LINE:
+            return b""
+        self._pending = head
+        return b""
 
     def wants(self, now: float) -> bool:
         """Whether a picture is due."""

@@ -30,6 +30,7 @@ from usarmjx.server.protocol.grammar import (
     Message,
     clip,
     format_message,
+    is_auth,
     parse_message,
 )
 
@@ -198,6 +199,8 @@ class RobotSession:
 
     def _parse(self, line: str) -> Command | None:
         """Return the line's command if it is legal now; otherwise note the fault."""
+        if is_auth(line):  # said twice, or to a server without a token; its text must not get into a log
+            return None
         message = None
         try:
             said = parse_message(line)

@@ -17,6 +17,7 @@ from websockets.http11 import Request, Response
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import AT_LEAST_ONE, validate
+from usarmjx.server.gamebots.budget import INIT_COST, ClientBudget
 from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.network.access import EVERYBODY, AccessRules
 from usarmjx.server.network.gate import Gate
@@ -286,13 +287,21 @@ class RosbridgeServer:
             log.info("%s: disconnected", peer)
 
     async def _listen(self, client: RosClient) -> None:
-        count = 0
+        assert self.server is not None
+        count, budget = 0, ClientBudget(self.server.budgets)
         async for text in client.socket:
-            request = client.session.receive(text)
-            if isinstance(request, Published):
-                self._execute(client, request)
-            elif isinstance(request, ServiceCall):
-                await self._serve(client, request)
+            spawn = None
+            async with budget:  # a client that has spent its budget is not read
+                request = client.session.receive(text)
+                if isinstance(request, Published):
+                    self._execute(client, request)
+                elif isinstance(request, ServiceCall) and request.service == SPAWN:
+                    spawn = request
+                elif isinstance(request, ServiceCall):
+                    self._serve(client, request)
+            if spawn is not None:  # waits for others: a turn is work without waiting
+                budget.charge(INIT_COST)
+                await self._serve_spawn(client, spawn)
             client.wake.set()
             count += 1
             if count % MESSAGES_PER_STEP == 0:
@@ -310,11 +319,15 @@ class RosbridgeServer:
         except UsageError as error:
             client.session.status("error", str(error))
 
-    async def _serve(self, client: RosClient, call: ServiceCall) -> None:
+    async def _serve_spawn(self, client: RosClient, call: ServiceCall) -> None:
         try:
-            if call.service == SPAWN:
-                call.answer({"name": await self._spawn(client, call)})
-            elif call.service == REMOVE:
+            call.answer({"name": await self._spawn(client, call)})
+        except UsageError as error:
+            call.answer(str(error))
+
+    def _serve(self, client: RosClient, call: ServiceCall) -> None:
+        try:
+            if call.service == REMOVE:
                 client.robots.remove(str(call.args.get("name", "")))
                 call.answer({})
             elif call.service == REPUBLISH:

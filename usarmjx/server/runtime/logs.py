@@ -8,6 +8,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 
+from usarmjx.server.protocol.grammar import redact
+
 PEER = re.compile(r"(?:world (?P<world>\d+), )?(?P<peer>[\d.]+:\d+|[0-9a-f:]*:[0-9a-f:]*:\d+): ")
 """Start of a line about a client: the world, if there are several, and the client's address."""
 PACKAGE = "usarmjx"
@@ -18,6 +20,12 @@ MAX_LINES = 20
 """Most lines about all clients together in that time; the number of the others is logged after it."""
 MAX_SHOWN = 3
 """Most different faults in one line."""
+LIBRARIES = ("asyncio", "websockets.server", "websockets")
+"""Loggers of the libraries that serve connections."""
+LIBRARY_INTERVAL = 10.0
+"""Interval between two lines of a library that are alike [s]."""
+MAX_KINDS, MAX_KIND = 64, 80
+"""Kinds of messages that are told apart, and the characters that tell them apart."""
 MAX_KEPT_LINES = 500
 """Lines that `LogTail` keeps."""
 MAX_LOG_LINE = 400
@@ -50,10 +58,75 @@ class JsonFormatter(logging.Formatter):
         return json.dumps(line)
 
 
+class SecretFilter(logging.Filter):
+    """Takes tokens out of messages and tracebacks, whoever logs them."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Redact a record; return True."""
+        message = record.getMessage()
+        if (shown := redact(message)) != message:
+            record.msg, record.args = shown, ()
+        if record.exc_info and not record.exc_text:
+            record.exc_text = logging.Formatter().formatException(record.exc_info)
+        if record.exc_text:
+            record.exc_text = redact(record.exc_text)
+        return True
+
+
+class LibraryLimit(logging.Filter):
+    """Passes one line in an interval of each kind of message of a library, in one line without a traceback.
+
+    A stranger's connection that ends before its handshake is an error with a traceback for websockets, and
+    each connection beyond the system's limit one for asyncio.
+
+    Args:
+        interval: The interval [s].
+        clock: Returns the time [s].
+    """
+
+    def __init__(
+        self, interval: float = LIBRARY_INTERVAL, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        super().__init__()
+        self._interval, self._clock = interval, clock
+        self._limits: dict[str, LineLimit] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether a record is logged, after shortening it."""
+        if record.levelno < logging.WARNING:
+            return True
+        kind = str(record.msg).partition("\n")[0][:MAX_KIND]
+        if kind not in self._limits and len(self._limits) >= MAX_KINDS:
+            kind = ""
+        limit = self._limits.setdefault(kind, LineLimit(1, self._interval, self._clock))
+        count = limit.take_left_out()
+        if not limit.admits():
+            return False
+        reason = record.exc_info[1] if record.exc_info else None
+        told = f": {type(reason).__name__}" if reason is not None else ""
+        more = f" ({count} more since the last such line)" if count else ""
+        first = (record.getMessage().splitlines() or [""])[0]
+        record.msg, record.args = f"{first[:MAX_LOG_LINE]}{told}{more}", ()
+        record.exc_info = record.exc_text = None
+        return True
+
+
+def limit_libraries() -> None:
+    """Limit what the libraries that serve connections log; without effect the second time."""
+    for name in LIBRARIES:
+        library = logging.getLogger(name)
+        if not any(isinstance(one, LibraryLimit) for one in library.filters):
+            library.addFilter(LibraryLimit())
+
+
 def configure_log(*, verbose: bool = False, as_json: bool = False) -> None:
     """Log warnings to the standard error stream, and this package's information if verbose."""
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
     logging.getLogger(PACKAGE).setLevel(logging.INFO if verbose else logging.WARNING)
+    limit_libraries()
+    for handler in logging.getLogger().handlers:
+        if not any(isinstance(one, SecretFilter) for one in handler.filters):
+            handler.addFilter(SecretFilter())
     # JSON is for collectors of logs: warnings of libraries must have that form, too.
     if as_json:
         logging.captureWarnings(True)
@@ -75,7 +148,7 @@ class LogTail(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Keep a line: time of day, level and message."""
-        message = " ".join(record.getMessage().splitlines())
+        message = redact(" ".join(record.getMessage().splitlines()))
         when = self._times.formatTime(record, self._times.datefmt)
         self.lines.append(f"{when} {record.levelname} {message}"[:MAX_LOG_LINE])
 

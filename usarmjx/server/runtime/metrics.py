@@ -29,6 +29,22 @@ MAX_CONNECTIONS = 16
 """Capacity of the port; an address may have three quarters of it by default."""
 IN_TIME = 0.9
 """Share of the wanted simulated time below which a world counts as behind."""
+MAX_RECORDING_LAG = 1.0
+"""Lag of a recording above which the server's health is a fault [s]."""
+
+
+def recording_lag(meter: StepMeter) -> float:
+    """Return how far a world's recording is behind [s]; 0 without one."""
+    recorder = meter.server.world.recorder
+    return 0.0 if recorder is None else recorder.file.lag
+
+
+def frames_left_out(meter: StepMeter) -> float:
+    """Return the number of frames that a world's recording has left out."""
+    recorder = meter.server.world.recorder
+    return 0.0 if recorder is None else float(recorder.file.left_out)
+
+
 GAUGES: tuple[tuple[str, str, Callable[[StepMeter], float]], ...] = (
     (
         "realtime_factor",
@@ -36,6 +52,11 @@ GAUGES: tuple[tuple[str, str, Callable[[StepMeter], float]], ...] = (
         lambda meter: meter.realtime_factor(time.perf_counter()),
     ),
     ("clients", "Connections to the Gamebots port.", lambda meter: len(meter.server.clients)),
+    (
+        "recording_lag_seconds",
+        "Age of the oldest state that is not written to the recording; 0 without one.",
+        recording_lag,
+    ),
     ("robots", "Robots that clients have.", lambda meter: len(meter.server.world.robots)),
 )
 """Name, meaning and value of a world's gauges; all names begin with usarmjx_."""
@@ -47,6 +68,7 @@ COUNTERS: tuple[tuple[str, str, Callable[[StepMeter], float]], ...] = (
         lambda meter: meter.server.counts.connections,
     ),
     ("faults", "Lines that could not be used.", lambda meter: meter.server.faults),
+    ("recording_frames_left_out", "Frames that the recording has left out.", frames_left_out),
     (
         "robots_put_back",
         "Robots whose physics went bad and that were put back.",
@@ -150,12 +172,16 @@ class MetricsServer:
             self._server.close()
 
     def health(self) -> dict[str, object]:
-        """Return the server's state: `status` is ok, or behind if a world makes too little simulated time."""
+        """Return the server's state.
+
+        `status` is ok, behind if a world makes too little simulated time, or recording behind.
+        """
         now = time.perf_counter()
         factors = [meter.realtime_factor(now) for meter in self._meters]
         behind = min(factors) < IN_TIME * self._factor
+        late = max(map(recording_lag, self._meters)) > MAX_RECORDING_LAG
         return {
-            "status": "behind" if behind else "ok",
+            "status": "behind" if behind else "recording behind" if late else "ok",
             "realtime_factor": round(min(factors), 3),
             "clients": sum(len(meter.server.clients) for meter in self._meters),
             "worlds": len(self._meters),

@@ -22,7 +22,7 @@ from collections.abc import Callable
 from enum import Enum
 
 from usarmjx.base.errors import PeerError
-from usarmjx.server.protocol.grammar import LineBuffer, two_decimals
+from usarmjx.server.protocol.grammar import LineBuffer, is_auth, two_decimals
 from usarmjx.server.wireless.comserver import (
     INCORRECT,
     NO_CONNECTION,
@@ -287,6 +287,8 @@ class DialectASession:
             try:
                 if text is None:
                     raise Refusal(INCORRECT)
+                if is_auth(text):  # said twice, or to a server without a token
+                    continue
                 self._answer(parse_request(text))
             except Refusal as refusal:
                 self._reply(f"Fail: {refusal}")

@@ -16,7 +16,7 @@ between segments, one word as a value.
 import re
 from enum import Enum
 
-from usarmjx.server.protocol.grammar import LineBuffer, Message, format_message
+from usarmjx.server.protocol.grammar import LineBuffer, Message, format_message, is_auth
 from usarmjx.server.wireless.switchboard import Route, Switchboard
 
 MAX_LINE_SIZE = 1024
@@ -106,6 +106,8 @@ class DialectBSession:
         return b"".join(self._answer(line) for line in self._lines.feed(data))
 
     def _answer(self, line: str) -> bytes:
+        if is_auth(line):  # said twice, or to a server without a token
+            return b""
         verb, values = parse_strict(line)
         try:
             if verb not in TRANSITIONS[self.phase]:

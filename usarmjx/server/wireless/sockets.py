@@ -13,6 +13,7 @@ from types import TracebackType
 from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.server.network.gate import LINE_ENDS, Gate, Handler, guarded, keep_alive
 from usarmjx.server.network.ports import FIRST_DIALLED, bound_socket, may_dial
+from usarmjx.server.runtime.logs import limit_libraries
 
 log = logging.getLogger("usarmjx.server.wireless")
 """Logger of all wireless modules: USARComServer.ini's bDebug enables it."""
@@ -101,6 +102,7 @@ async def listen(
     Raises:
         UsageError: The port is taken or the address is not ours.
     """
+    limit_libraries()
     host, port = where
     bound = bound or bound_socket(host, port)
     port = bound.getsockname()[1]

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 
 
 def record_worlds(
-    worlds: "Sequence[ServedWorld]", path: Path, radio: RadioSettings | None = None
+    worlds: "Sequence[ServedWorld]",
+    path: Path,
+    radio: RadioSettings | None = None,
+    max_lag: float | None = None,
 ) -> RecordingFile:
     """Record served worlds, from now on, in a file that the caller closes at the end.
 
@@ -30,13 +33,15 @@ def record_worlds(
         path: The file.
         radio: Constants of the server's radio; None: links are recorded only of worlds with a radio of
             their own.
+        max_lag: Age from which frames are left out [s], for worlds that keep up with a clock; None: all are
+            written.
 
     Raises:
         UsageError: The file exists already.
         WriteError: It cannot be written.
     """
     about = {**versions(), "arenas": ", ".join(dict.fromkeys(world.arena.name for world in worlds))}
-    file = RecordingFile(path, about, several=len(worlds) > 1)
+    file = RecordingFile(path, about, several=len(worlds) > 1, max_lag=max_lag)
     for number, world in enumerate(worlds):
         world.recorder = WorldRecorder(file, world.setup(), number, radio=radio)
     return file

@@ -5,7 +5,6 @@
 written under another name and renamed when it is complete, so a folder of that name is whole.
 """
 
-import json
 import os
 import shutil
 from collections.abc import Callable, Generator, Mapping
@@ -20,8 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.errors import UsageError, WriteError
+from usarmjx.base.errors import SpecError, UsageError, WriteError
 from usarmjx.base.files import PARTIAL_MARK, writing
+from usarmjx.base.kept_json import kept_text, read_kept
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.learning.processes import ProcessGroup, Tree
 from usarmjx.train.learning.run_record import RunRecord, load_record
@@ -158,8 +158,9 @@ class Checkpoints:
         Raises:
             UsageError: It is broken, or was written by another version.
         """
+        file = path / "meta.json"
         try:
-            meta = json.loads((path / "meta.json").read_text())
+            meta = read_kept(file, needs_checksum=False)
             if meta["format"] != FORMAT:
                 raise UsageError(
                     f"checkpoint {path} was written by another version of usarmjx (format {meta['format']}, "
@@ -167,7 +168,11 @@ class Checkpoints:
                 )
             if meta["iteration"] != int(path.name):
                 raise UsageError(f"checkpoint {path} is of iteration {meta['iteration']}: it was renamed")
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            score = meta["score"]
+            known = score is None or (isinstance(score, int | float) and not isinstance(score, bool))
+            if not known or not isinstance(meta["agent_steps"], int):
+                raise TypeError("score and agent_steps are numbers")
+        except (SpecError, KeyError, TypeError) as error:
             raise UsageError(f"checkpoint {path} is broken: meta.json does not read: {error}") from error
         return meta
 
@@ -240,7 +245,7 @@ class Checkpoints:
     def _finish(self, fresh: Path, meta: Mapping[str, Any], process_group: ProcessGroup) -> None:
         if process_group.index == 0:
             with _synced_file(fresh / "meta.json") as file:
-                file.write(json.dumps(meta).encode())
+                file.write(kept_text(meta, indent=None).encode())
             fresh.rename(fresh.with_name(fresh.name.removesuffix(PARTIAL_MARK)))
             self._delete_old()
 

@@ -14,6 +14,8 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from usarmjx.base.errors import UsageError, WriteError, quoted
 from usarmjx.base.files import AppendedFile, atomic_write
 from usarmjx.base.progress import RateLimitedLog
+from usarmjx.base.settings.files import shown
+from usarmjx.base.settings.json_file import read_json_lines
 
 IterationWatch = Callable[[dict[str, Any]], None]
 """Receives the record of each iteration."""
@@ -68,6 +70,10 @@ def wandb_watch(
 PER_EPISODE = ("return", "score", "length")
 
 
+REQUIRED = ("iteration", "agent_steps", "steps_per_s")
+"""Numbers above 0 that each record has; `score` is a number or None."""
+
+
 def summary(sums: dict[str, float], world_steps: int) -> dict[str, float | None]:
     """Return means from sums over an iteration; None where no episode ended.
 
@@ -96,16 +102,21 @@ def summary(sums: dict[str, float], world_steps: int) -> dict[str, float | None]
 
 
 def read_lines(file: Path) -> list[dict[str, Any]]:
-    """Return the records of a run, without a last line that was cut off."""
-    records: list[dict[str, Any]] = []
-    for line in file.read_text().splitlines(keepends=True) if file.exists() else []:
-        if not line.endswith("\n"):
-            break
-        try:
-            records.append(json.loads(line))
-        except json.JSONDecodeError as error:
-            raise UsageError(f"{file}: line {len(records) + 1} is no JSON: {error}") from error
-    return records
+    """Return the records of a run, without a last line that was cut off; none, if there is no file.
+
+    Raises:
+        UsageError: A line is no record of an iteration; names file and line.
+    """
+    records = read_json_lines(file, UsageError, cut=True) if file.exists() else []
+    for place, record in records:
+        for name in REQUIRED:
+            value = record.get(name)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+                raise UsageError(f"{place}: {name} is {shown(value)}, expected a number above 0")
+        score = record.get("score", "missing")
+        if score is not None and (isinstance(score, bool) or not isinstance(score, int | float)):
+            raise UsageError(f"{place}: score is {shown(score)}, expected a number or null")
+    return [record for _, record in records]
 
 
 class MetricsLog:

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
+from usarmjx.base.kept_json import kept_text, read_kept
 from usarmjx.base.settings import default_reader
 from usarmjx.train.envs.env import AgentGroup, Env
 from usarmjx.train.learning.config import Config, differences, from_record
@@ -75,9 +76,8 @@ class RunRecord:
         Raises:
             WriteError: It cannot be written to.
         """
-        text = json.dumps({"format": FORMAT, **asdict(self)}, indent=1)
         with atomic_write(folder / RECORD_FILE) as fresh:
-            fresh.write_text(text + "\n")
+            fresh.write_text(kept_text({"format": FORMAT, **asdict(self)}), encoding="utf-8")
 
     def check_resumes(self, old: "RunRecord", folder: Path) -> None:
         """Refuse to go on with a run that was started as another one.
@@ -130,10 +130,10 @@ def load_record(folder: Path) -> RunRecord:
     if not file.is_file():
         raise UsageError(f"{folder} is no run: it has no {RECORD_FILE}")
     try:
-        values = json.loads(file.read_text())
+        values = read_kept(file, needs_checksum=False)
         if values.pop("format") != FORMAT:
             raise UsageError(f"{file} was written by another version of usarmjx")
         values["config"] = from_record(values["config"])
         return default_reader().from_data(RunRecord, values, where=str(file))
-    except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, AttributeError) as error:
         raise UsageError(f"{file} does not read: {error}") from error

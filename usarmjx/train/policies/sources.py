@@ -1,7 +1,7 @@
 """Policies from any source: the folder of a run, an exported file, the package, or a baseline."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from usarmjx.train.envs.env import AgentGroup, Env
 from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.task import Policy, Task
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
-from usarmjx.train.make import check_there, find_baseline, make, make_task, task_values
+from usarmjx.train.make import check_named, find_baseline, make, make_task, same_class, task_values
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.policy_file import NumpyPolicy
 
@@ -29,6 +29,7 @@ class PolicySource:
         overrides: Overridden fields of the task in training, as text.
         learned: Its network and weights; None: the baseline of `name`.
         checkpoint: Line about the checkpoint of a run and its choice; else empty.
+        named: Whether the user has named the task, so that the code of an own one may be imported.
     """
 
     name: str
@@ -36,6 +37,19 @@ class PolicySource:
     overrides: Mapping[str, str] = field(default_factory=dict[str, str])
     learned: tuple[LearnedPolicy, PolicyParams] | None = None
     checkpoint: str = ""
+    named: bool = False
+
+    def for_task(self, task: str) -> "PolicySource":
+        """Return the policy for a task that the user has named, an own one in a file or module too.
+
+        Another task has other fields than those that were set in training.
+        """
+        same = same_class(task, self.task)
+        return replace(self, task=task, overrides=self.overrides if same else {}, named=True)
+
+    def _check_task(self) -> None:
+        if not self.named:
+            check_named(self.task, self.name)
 
     def policy(self, env: Env) -> Policy:
         """Return the policy for an environment: the most probable actions.
@@ -74,10 +88,11 @@ class PolicySource:
 
         Raises:
             UsageError: A setting that does not read, a scene that cannot be built, or that the policy is
-                not for; a split of arenas that are not generated.
+                not for; a split of arenas that are not generated; an own task that only the policy's file
+                names, see `for_task`.
             UnknownNameError: No such task, or field of it; lists those there are.
         """
-        check_there(self.task, self.name)
+        self._check_task()
         overrides, notes = task_settings(self.task, self.overrides, settings)
         if split is not None:
             overrides["arena"] = arenas_of(self.task, overrides, split)
@@ -90,7 +105,7 @@ class PolicySource:
         Raises:
             UsageError: See `env`.
         """
-        check_there(self.task, self.name)
+        self._check_task()
         overrides, _ = task_settings(self.task, self.overrides, settings)
         if split is not None:
             return arenas_of(self.task, overrides, split).total
@@ -213,4 +228,4 @@ def baseline(name: str, task: str | None = None) -> PolicySource:
         UsageError: An own task that has none, or cannot be imported.
     """
     found = find_baseline(name, task)
-    return PolicySource(name=found, task=task or found)
+    return PolicySource(name=found, task=task or found, named=True)
