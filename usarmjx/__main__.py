@@ -1,5 +1,5 @@
 """`python -m usarmjx`."""
 
-from usarmjx.cli.app import app
+from usarmjx.cli.entry import main
 
-app()
+main()

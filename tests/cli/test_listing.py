@@ -117,7 +117,7 @@ def test_names_that_are_completed_are_those_of_the_registries(tmp_path, monkeypa
     assert completion.complete_robots("Zer") == ["Zerglet"], "the file is read"
     monkeypatch.setattr(completion, "_fingerprint", lambda: "other")
     assert completion.complete_robots("Zer") == ["Zerg"]
-    assert {*completion.LISTING_NAMES} == {"everything", "commands", *LISTINGS}
+    assert {*completion.LISTING_NAMES} == {"everything", "commands", "settings", *LISTINGS}
 
 
 CASES = {

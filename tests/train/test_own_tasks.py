@@ -144,13 +144,14 @@ def test_a_policy_runs_no_code_that_only_it_names(own, monkeypatch, command, tas
     monkeypatch.delitem(sys.modules, "helpers", raising=False)
     (own / "helpers.py").write_text("open('RAN', 'w').close()\n")
     policy_file(own / "evil.npz", task=task)
-    done = invoke(command, "evil.npz")
-    assert done.exit_code == 2
-    assert done.stderr.splitlines()[-1] == (
-        f"usarmjx: evil.npz names the task '{task}', whose code it does not run by itself; if you trust that "
-        f"code, name it: --task '{task}'"
-    )
-    assert not (own / "RAN").exists()
+    for more in ((), ("--set", "repeat=2"), ("--print-config",)):
+        done = invoke(command, "evil.npz", *more)
+        assert done.exit_code == 2
+        assert done.stderr.splitlines()[-1] == (
+            f"usarmjx: evil.npz names the task '{task}', whose code it does not run by itself; if you trust "
+            f"that code, name it: --task '{task}'"
+        )
+        assert not (own / "RAN").exists()
     done = invoke(command, "evil.npz", "--task", task)
     assert (own / "RAN").exists(), "it was named"
 

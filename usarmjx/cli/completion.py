@@ -19,7 +19,17 @@ FOLDERS = ("models/robots", "models/arenas", "models/generate", "engines", "trai
 """Folders whose files define the names."""
 MOST_SECONDS = 60
 """Longest that a shell waits for the registries [s]."""
-LISTING_NAMES = ("arenas", "commands", "engines", "everything", "policies", "robots", "sensors", "tasks")
+LISTING_NAMES = (
+    "arenas",
+    "commands",
+    "engines",
+    "everything",
+    "policies",
+    "robots",
+    "sensors",
+    "settings",
+    "tasks",
+)
 """Words after `usarmjx list`."""
 
 

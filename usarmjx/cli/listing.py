@@ -14,7 +14,7 @@ from usarmjx.cli.common import ErrorExit, IniOption, JsonFlag, UnitOption, confi
 from usarmjx.cli.completion import complete_listings
 from usarmjx.cli.startup_messages import announce
 
-EVERYTHING, COMMANDS = "everything", "commands"
+EVERYTHING, COMMANDS, SETTINGS = "everything", "commands", "settings"
 MarkdownFlag = Annotated[bool, typer.Option("--markdown", help="Print Markdown, as the documents have it.")]
 COMMANDS_HEAD = """## All options
 
@@ -102,7 +102,7 @@ def list_everything(
     what: Annotated[
         str,
         typer.Argument(
-            help="robots, sensors, arenas, tasks, policies, engines, commands, or everything in brief.",
+            help="robots, sensors, arenas, tasks, policies, engines, commands, settings, or everything.",
             autocompletion=complete_listings,
         ),
     ] = EVERYTHING,
@@ -118,8 +118,8 @@ def list_everything(
         configure_from(ini, uu_per_metre)
         from usarmjx.cli.tables import LISTINGS
 
-        if what not in (EVERYTHING, COMMANDS, *LISTINGS):
-            known = ", ".join((EVERYTHING, *LISTINGS, COMMANDS))
+        if what not in (EVERYTHING, COMMANDS, SETTINGS, *LISTINGS):
+            known = ", ".join((EVERYTHING, *LISTINGS, COMMANDS, SETTINGS))
             raise UsageError(f"cannot list {what!r}; there is: {known}")
         if what == EVERYTHING:
             _list_all(json, markdown)
@@ -145,6 +145,13 @@ def show_listing(what: str, json: bool, markdown: bool) -> None:
         from usarmjx.cli.app import app
 
         typer.echo(commands_json(app) if json else commands_page(app))
+        return
+    if what == SETTINGS:
+        from usarmjx.cli.settings_page import settings_page
+
+        if json:
+            raise UsageError("settings are listed as Markdown only; `--print-config` writes them as YAML")
+        typer.echo(settings_page())
         return
     if markdown:
         typer.echo(_page(what))

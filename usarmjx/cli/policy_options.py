@@ -120,6 +120,7 @@ class PolicyOptions:
 
     def pairs(self, source: "PolicySource") -> list[str]:
         """Return the fields that are set, by file and `--set`, `name=value` each."""
+        source.check_task()
         return task_pairs(source.task, self.settings or (), self.config)
 
     def print_fields(self) -> None:

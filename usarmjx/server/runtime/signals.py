@@ -31,8 +31,9 @@ class StopSignals:
     A thread in which JAX compiles a picture cannot be stopped, and Python would wait for it for minutes; nor
     does a signal's handler run while the main thread compiles. So a thread of its own watches for signals.
 
-    A context for the main thread; in others it does nothing. Before `on_stop` is called a signal raises
-    SystemExit in the main thread, with the exit code that shells give for it.
+    A context for the main thread; in others it does nothing. Before `on_stop` is called a signal ends
+    the process with the exit code that shells give for it, or, with files to complete, raises SystemExit in
+    the main thread.
 
     Attributes:
         number: The signal that came, 0 before.
@@ -76,8 +77,12 @@ class StopSignals:
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         del frame
-        if self._stop is None:
+        if self._stop is not None:
+            return
+        if self._finish is not None:
             raise SystemExit(128 + number)
+        # An exception would be printed, and lost, wherever a library calls Python: in a compilation, for one.
+        exit_now(128 + number)
 
     def _watch(self, heard: socket.socket) -> None:
         """Wait for a signal, whose number Python writes into the socket; then end the process."""

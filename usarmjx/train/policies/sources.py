@@ -47,7 +47,12 @@ class PolicySource:
         same = same_class(task, self.task)
         return replace(self, task=task, overrides=self.overrides if same else {}, named=True)
 
-    def _check_task(self) -> None:
+    def check_task(self) -> None:
+        """Refuse an own task that only the policy's file names; see `make.check_named`.
+
+        Raises:
+            UsageError: Says how to name the task.
+        """
         if not self.named:
             check_named(self.task, self.name)
 
@@ -92,7 +97,7 @@ class PolicySource:
                 names, see `for_task`.
             UnknownNameError: No such task, or field of it; lists those there are.
         """
-        self._check_task()
+        self.check_task()
         overrides, notes = task_settings(self.task, self.overrides, settings)
         if split is not None:
             overrides["arena"] = arenas_of(self.task, overrides, split)
@@ -105,7 +110,7 @@ class PolicySource:
         Raises:
             UsageError: See `env`.
         """
-        self._check_task()
+        self.check_task()
         overrides, _ = task_settings(self.task, self.overrides, settings)
         if split is not None:
             return arenas_of(self.task, overrides, split).total
