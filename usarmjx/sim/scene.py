@@ -39,8 +39,8 @@ from usarmjx.models.compile.ray_geoms import ray_primitives_of
 from usarmjx.models.compile.tags import TagTable, tag_table
 from usarmjx.models.compile.victims import VictimTable, victim_table
 from usarmjx.models.effecters import Effecter, effecters_of
+from usarmjx.models.files.find_robot import find_robot
 from usarmjx.models.files.load import find_arena
-from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.cameras.paint import labels_of
@@ -296,7 +296,7 @@ class RosterEntry:
         Raises:
             UnknownNameError: No such class.
         """
-        return ROBOTS.get(self.robot) if isinstance(self.robot, str) else self.robot
+        return find_robot(self.robot)
 
 
 # Compared by identity: a scene's arrays have no truth value, and JAX hashes what programs close over.
