@@ -154,6 +154,12 @@ def test_camera_stops_at_the_end_of_its_range(camera):
     assert joints[1] == pytest.approx(TILT_MAX, abs=SERVO_ATOL)
 
 
+def heading(rig):
+    """Where the nose of the first robot points [rad]."""
+    w, x, y, z = rig.data.qpos[3:7]
+    return math.atan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
+
+
 @pytest.mark.parametrize("roll", [math.pi, math.pi / 2])
 @pytest.mark.parametrize("name", [name for name, robot in ROBOTS if robot.drive.is_wheeled])
 def test_flip_puts_every_wheeled_or_tracked_robot_back_on_its_feet(name, roll):
@@ -161,6 +167,7 @@ def test_flip_puts_every_wheeled_or_tracked_robot_back_on_its_feet(name, roll):
     rig = Rig(name, roll=roll)
     rig.run(1.0)
     assert rig.up[0] < 0.3
+    place, nose = rig.data.qpos[:2].copy(), heading(rig)
     rig.tell(flip_until=rig.data.time + FLIP_TIME)
     rig.run(FLIP_TIME)
     assert rig.up[0] > math.cos(math.radians(10))
@@ -168,6 +175,9 @@ def test_flip_puts_every_wheeled_or_tracked_robot_back_on_its_feet(name, roll):
     assert rig.up[0] > 0.999
     assert rig.data.qpos[2] == pytest.approx(rig.plan.clearance, abs=0.01)
     assert np.linalg.norm(rig.data.qpos[:2]) < 2 * max(rig.robot.dimensions), "over its edge, no farther"
+    assert np.linalg.norm(rig.data.qpos[:2] - place) < 0.5 * max(rig.robot.dimensions), "it keeps its place"
+    # What it lies on twists it a little: a Rugbot by 0.46 rad, others by no more than 0.15.
+    assert abs(math.remainder(heading(rig) - nose, 2 * math.pi)) < 0.5, "and its heading"
     assert not any(warning.number for warning in rig.data.warning), "MuJoCo did not have to start again"
 
 
@@ -256,7 +266,13 @@ def test_an_empty_battery_brakes(flat):
     members = state.worlds.groups[0]
     life = batch.scene.groups[0].robot.battery_life
     state = batch.with_group(
-        state, 0, members.replace(battery_start=jnp.full_like(members.battery_start, 1.0 - life))
+        state,
+        0,
+        members.replace(
+            battery_start=jnp.full_like(
+                members.battery_start, round((1.0 - life) / batch.scene.physics.period)
+            )
+        ),
     )
     dof, speeds = batch.scene.groups[0].root_dofadr[0], []
     for _ in range(100):

@@ -23,7 +23,7 @@ from usarmjx.base.settings import (
     read_file,
     to_yaml,
 )
-from usarmjx.cli.common import ErrorExit, OldOutArgument, chosen_out
+from usarmjx.cli.common import ErrorExit, OldOutArgument, PortOffsetOption, chosen_out
 from usarmjx.cli.completion import complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption
 from usarmjx.cli.recordings import RecordOption, export_recording
@@ -341,6 +341,7 @@ def train(
     quiet: QuietOption = False,
     serve: ServeOption = False,
     port: ServePortOption = 3000,
+    port_offset: PortOffsetOption = 0,
     wandb: WandbOption = None,
     view: ViewOption = False,
     viewer_port: ViewerPortOption = None,
@@ -373,7 +374,7 @@ def train(
             from usarmjx.train.learning.launch import spawn
 
             raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))
-        shown = _Shown(serve, port, view, viewer_port, record, record_every, wandb, quiet)
+        shown = _Shown(serve, port, port_offset, view, viewer_port, record, record_every, wandb, quiet)
         _run_training(task, options, shown)
 
 
@@ -383,6 +384,7 @@ class _Shown:
 
     serve: bool
     port: int
+    port_offset: int
     view: bool
     viewer_port: int | None
     record: Path | None
@@ -413,8 +415,8 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
 
     with (
         distributed_run() as process,
-        _served(options.out, task, shown.port, shown.serve and process.index == 0),
-        viewer_socket(HOST, shown.viewer_port, 0, shown.view and process.index == 0) as page,
+        _served(options.out, task, shown.port, shown.serve and process.index == 0, shown.port_offset),
+        viewer_socket(HOST, shown.viewer_port, shown.port_offset, shown.view and process.index == 0) as page,
     ):
         watchers: list[_TrainingWatcher] = []
         if page is not None:
@@ -446,7 +448,7 @@ def _task_of(named: str | None, task: str | None) -> str:
 
 
 @contextmanager
-def _served(run: Path, task: str, port: int, wanted: bool) -> Generator[None]:
+def _served(run: Path, task: str, port: int, wanted: bool, offset: int = 0) -> Generator[None]:
     """Serve a world of a run in a process of its own, on the CPU, until the training ends."""
     if not wanted:
         yield
@@ -458,6 +460,7 @@ def _served(run: Path, task: str, port: int, wanted: bool) -> Generator[None]:
 
         raise UsageError(f"train --serve needs POSIX: run `usarmjx play {run} --serve --follow` beside it")
     command = [sys.executable, "-m", "usarmjx", "play", str(run), "--serve", "--follow", "--port", str(port)]
+    command += ["--port-offset", str(offset)] if offset else []
     if is_own(task):
         command += ["--task", task]
     # The child ends with this process, however that ends: then nobody holds the other end of its pipe.

@@ -105,6 +105,14 @@ MIN_UPRIGHT_COS = np.cos(np.radians(10.0))
 """A robot that leans less than this needs no righting."""
 FLIP_RATE = 2.5
 """About how fast a robot is righted [rad/s]."""
+NEAREST_SIDE = 0.05
+"""Sine of the roll from which an overturned robot rolls back over the side that it leans to."""
+STEEP_NOSE = 0.9
+"""Sine of the pitch from which a robot stands on its nose or tail: then it is pitched down."""
+CARRIED_SHARE, CARRIED_RATE = 0.9, 0.5
+"""Share of a robot's weight that is carried while it is righted, and from which spin on [rad/s]."""
+DRIFT_DAMPING = 0.5
+"""Share of a robot's drift that is taken away in a control step while it is righted."""
 
 
 class ControlMode(IntEnum):
@@ -123,7 +131,7 @@ class RobotCommand(struct.PyTreeNode, kw_only=True):
             (joints,).
         mode: `ControlMode` of each joint (joints,).
         setpoint: Last value of each key of the robot's DRIVE [rad/s, m/s or rad] (keys,).
-        flip_until: Until when it is being righted [s] ().
+        flip_until: Control step until which it is being righted ().
         light: Whether the headlight is on ().
     """
 
@@ -138,7 +146,7 @@ class DriveConditions(struct.PyTreeNode, kw_only=True):
     """Conditions that decide on the effect of a robot's command.
 
     Attributes:
-        time: Simulated time [s] ().
+        step: Control steps since the last reset ().
         powered: Whether its battery lasts ().
         depth: Depth of its origin below the surface of water [m] (); `drives.DRY_DEPTH` outside.
         torque: Factor on what its motors can exert (); None: 1.
@@ -146,7 +154,7 @@ class DriveConditions(struct.PyTreeNode, kw_only=True):
         hold: Inputs that its holding actuators had in the step before (actuators,); None: 1.
     """
 
-    time: Array
+    step: Array
     powered: Array
     depth: Array
     torque: Array | None = None
@@ -181,7 +189,7 @@ def idle_command(robot: RobotSpec) -> RobotCommand:
         target=xp.zeros(len(parts)),
         mode=xp.array(modes, xp.int32).reshape(len(parts)),
         setpoint=xp.zeros(len(robot.drive.keys)),
-        flip_until=xp.zeros(()),
+        flip_until=xp.zeros((), xp.int32),
         light=xp.zeros((), bool),
     )
 
@@ -278,7 +286,7 @@ class CommandUpdate:
         joints: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N] (...,).
         mode: Control mode of `joints`.
         light: Whether the headlight is to be on (...,).
-        flip_until: Time until which they are righted [s] (...,).
+        flip_until: Control step until which they are righted (...,).
     """
 
     drive: Mapping[str, ArrayLike] = field(default_factory=dict[str, ArrayLike])
@@ -317,9 +325,7 @@ def update_command(
     if update.light is not None:
         updated = updated.replace(light=xp.broadcast_to(xp.asarray(update.light, bool), shape))
     if update.flip_until is not None:
-        updated = updated.replace(
-            flip_until=xp.broadcast_to(xp.asarray(update.flip_until, xp.float32), shape)
-        )
+        updated = updated.replace(flip_until=xp.broadcast_to(xp.asarray(update.flip_until, xp.int32), shape))
     if where is None:
         return updated
 
@@ -387,7 +393,7 @@ def _wrench(
         own = drive.wrench(setpoint, state, conditions.depth)
         wrench = drive.passive_wrench(state, conditions.depth) + xp.where(powered[..., None], own, 0.0)
     # A traced value decides no branch: on JAX every robot's wrench is computed and masked.
-    flips = powered & (conditions.time < flip_until)
+    flips = powered & (conditions.step < flip_until)
     if drive.is_wheeled and not (on_numpy() and not flips.any()):
         wrench = wrench + xp.where(flips[..., None], righting_wrench(plan, state, period), 0.0)
     return xp.asarray(wrench, xp.float32)
@@ -461,16 +467,21 @@ def _servo(
 
 
 def righting_wrench(plan: KinematicTree, state: RobotState, period: float) -> Array:
-    """Return the wrench (..., 6) that turns robots' wheels down again: a damped torque about the tilt axis.
+    """Return the wrench (..., 6) that turns robots' wheels down again, so that heading and place stay.
 
-    The torque is twice what tips a box of the robot's dimensions over its edge, so it rolls over its own.
+    A damped torque takes away the roll and then the pitch, so that the nose points where it did. It is twice
+    what tips a box of the robot's dimensions over its edge. While it turns, a force carries most of its
+    weight and damps its drift, or the robot would roll away over its edge.
     """
     mat = mat_from_quat(state.quat)
     up = mat[..., 2]
     # The axis of the shortest rotation from the robot's own up to the world's.
     axis = xp.cross(up, np.array([0.0, 0.0, 1.0], np.float32))
-    # Upside down every axis is as good: roll about the robot's own length.
-    axis = xp.where(up[..., 2:] < -0.9, mat[..., 0], axis)
+    nose = mat[..., 0]
+    side = xp.where((axis * nose).sum(-1, keepdims=True) < -NEAREST_SIDE, -1.0, 1.0)
+    # First the roll, then the pitch: about an axis in between the nose would turn aside.
+    rolled = (up[..., 2:] < 0.0) | (xp.abs(mat[..., 2:, 1]) > xp.abs(nose[..., 2:]))
+    axis = xp.where(rolled & (xp.abs(nose[..., 2:]) < STEEP_NOSE), side * nose, axis)
     axis = axis / xp.maximum(xp.linalg.norm(axis, axis=-1, keepdims=True), 1e-6)
     spin = matvec(mat, state.angular)
     squared_size = np.square(np.array(plan.robot.dimensions, np.float32))
@@ -480,6 +491,13 @@ def righting_wrench(plan: KinematicTree, state: RobotState, period: float) -> Ar
     # never pushed back, and damped by no more than what takes a quarter of its spin in one step.
     drive_share = xp.clip(1.0 - (spin * axis).sum(-1, keepdims=True) / FLIP_RATE, 0.0, 1.0)
     damping = xp.minimum(strength / FLIP_RATE, 0.25 * plan.mass * squared_width / 12 / period)
-    torque = strength * drive_share * axis - damping * spin
-    wrench = xp.concatenate([xp.zeros_like(torque), torque], -1)
+    # Spin about other axes, which the ground causes, would turn the nose: most of it is taken away.
+    aside = spin - (spin * axis).sum(-1, keepdims=True) * axis
+    torque = strength * drive_share * axis - damping * (spin + 2.0 * aside)
+    # Its drift is damped as fast as a force that is held for a control step can do it.
+    drift = state.linear * np.array([1.0, 1.0, 0.0], np.float32)
+    turns = xp.clip(xp.linalg.norm(spin, axis=-1, keepdims=True) / CARRIED_RATE, 0.0, 1.0)
+    carried = turns * np.array([0.0, 0.0, CARRIED_SHARE * GRAVITY], np.float32)
+    force = plan.mass * (carried - DRIFT_DAMPING / period * drift)
+    wrench = xp.concatenate([force, torque], -1)
     return xp.where(up[..., 2:] < MIN_UPRIGHT_COS, wrench, 0.0)
