@@ -9,7 +9,7 @@ from usarmjx.sim.control import CommandUpdate, update_command
 from usarmjx.sim.radio import update_links
 from usarmjx.sim.ray_geometry import moved_geom_poses
 from usarmjx.sim.reset import init_world
-from usarmjx.sim.world import compute_inputs, finish_step, observe, time_of
+from usarmjx.sim.world import clock_of, compute_inputs, finish_step, observe
 
 
 class LoneWorld:
@@ -55,7 +55,7 @@ class LoneWorld:
     def observe(self):
         """Read the sensors that are due, by group and sensor."""
         with numpy_backend():
-            moved = moved_geom_poses(self.scene, None, time_of(self.scene, self.world))
+            moved = moved_geom_poses(self.scene, None, clock_of(self.scene, self.world))
             caster = self._engine.caster(self._indices, moved)
             self.world, readings = observe(self.scene, self.world, self.physics, caster)
         return readings

@@ -74,7 +74,7 @@ class Rig:
         with numpy_backend():
             told = set_drive(self.robot, self.commands[robot], values)
         if flip_until is not None:
-            told = told.replace(flip_until=np.float32(flip_until))
+            told = told.replace(flip_until=np.int32(round(flip_until / PERIOD)))
         self.commands[robot] = told
         return self
 
@@ -102,7 +102,7 @@ class Rig:
             holding = list(index.hold_actuator_ids)
             depth = depth_in_water(self.arena, state.pos) if self.arena.waters else np.float32(-1e3)
             now = DriveConditions(
-                time=np.float32(data.time),
+                step=np.int32(round(data.time / PERIOD)),
                 powered=np.bool_(self.powered),
                 depth=np.float32(depth),
                 hold=data.ctrl[holding].astype(np.float32),

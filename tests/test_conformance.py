@@ -186,3 +186,18 @@ def test_a_row_with_a_missing_cell_is_refused() -> None:
     """A broken table line is an error, not a skipped row."""
     with pytest.raises(ValueError, match="line 2: 4 cells"):
         parse("## 9 Messages\n| 9.3 | STA | yes | |")
+
+
+def test_the_table_of_the_later_versions_names_tests_that_exist():
+    lines = (ROOT / "docs" / "conformance-udk.md").read_text(encoding="utf-8").splitlines()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")][
+        2:
+    ]
+    assert rows
+    for _, item, status, where, note in rows:
+        tests = NAMED_TEST.findall(where)
+        assert status in STATUSES, item
+        assert bool(tests) == (status in ("yes", "partly")), item
+        assert all(name in functions_in(ROOT / file) for file, name in tests), item
+        assert note or status != "partly", item
+    assert len({(row[0], row[1]) for row in rows}) == len(rows)

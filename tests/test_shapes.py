@@ -27,7 +27,7 @@ from usarmjx.sensors.rays.targets import GeomBlock, make_geoms
 from usarmjx.sim.batch import Batch, BatchState
 from usarmjx.sim.control import ActuatorInputs, DriveConditions, compute_actuation, idle_command
 from usarmjx.sim.scene import build_scene
-from usarmjx.sim.world import compute_inputs, observe, robot_states, sense, time_of
+from usarmjx.sim.world import compute_inputs, observe, robot_states, sense
 
 ROBOTS, WORLDS = 2, 3
 JOINTS, BODIES, SENSORS = 6, 7, 6  # of a P2AT: four wheels, two links; plus the chassis
@@ -170,7 +170,7 @@ def test_robot_state_bodies_and_sight(scene, built):
     check(bodies, (), {"bodies": BODIES})
     (sensor_input,) = jax.eval_shape(partial(sense, scene), world, physics)
     assert isinstance(sensor_input, SensorInput)
-    assert sensor_input.time.shape == jax.eval_shape(partial(time_of, scene), world).shape == ()
+    assert sensor_input.clock.step.shape == ()
     check(sensor_input.bodies, (ROBOTS,), {"bodies": BODIES})
     check(sensor_input.hits, (ROBOTS,), {"rays": sum(group.suite.ray_counts)})
 
@@ -211,7 +211,7 @@ def test_a_robots_drive():
         joint_pos=jnp.zeros(JOINTS),
         joint_vel=jnp.zeros(JOINTS),
     )
-    now = DriveConditions(time=jnp.zeros(()), powered=jnp.ones((), bool), depth=jnp.zeros(()))
+    now = DriveConditions(step=jnp.zeros((), jnp.int32), powered=jnp.ones((), bool), depth=jnp.zeros(()))
     told = jax.eval_shape(
         lambda s: compute_actuation(plan, idle_command(P2AT), s, jnp.zeros(JOINTS), now, 0.02), state
     )

@@ -6,6 +6,7 @@ import pytest
 
 from usarmjx.base import random
 from usarmjx.base.backend import numpy_backend
+from usarmjx.base.errors import UsageError
 
 # Near its bounds the inverse error function makes 200 times as much of the last place of what it is given.
 NEAR_BOUNDS = 1e-4
@@ -78,3 +79,21 @@ def test_orders_are_jaxs(count):
         ours = random.permutation(random.key(3), values)
     np.testing.assert_array_equal(ours, random.permutation(jax.random.key(3), values))
     assert sorted(ours) == values.tolist()
+
+
+SEEDS = (0, 1, 2**32 - 1, 2**32, 2**32 + 1, 2**33, 2**63, 2**64 - 1, np.int64(2**40), np.uint64(2**50))
+
+
+def test_every_seed_has_a_key_of_its_own_on_both_libraries():
+    with numpy_backend():
+        ours = [tuple(random.key(seed).tolist()) for seed in SEEDS]
+    theirs = [tuple(jax.random.key_data(random.key(seed)).tolist()) for seed in SEEDS]
+    assert ours == theirs
+    assert len(set(ours)) == len(SEEDS)
+    np.testing.assert_array_equal(theirs[1], jax.random.key_data(jax.random.key(1)), err_msg="as ever")
+
+
+@pytest.mark.parametrize("seed", [-1, 2**64, 1.5, "3", None])
+def test_other_seeds_are_refused_with_the_range(seed):
+    with pytest.raises(UsageError, match=r"expected a whole number from 0 to 2\^64 - 1"):
+        random.key(seed)

@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from usarmjx.base.backend import numpy_backend
+from usarmjx.base.clock import Clock
 from usarmjx.base.errors import SpecError
 from usarmjx.comms.links import Links, no_links
 from usarmjx.comms.mail import (
@@ -16,6 +18,7 @@ from usarmjx.comms.mail import (
     clear_inboxes,
     deliver,
     empty_inboxes,
+    receive,
 )
 
 N = 4
@@ -40,7 +43,7 @@ def post(mail, to, *, length=8, links=None, sizes=SIZES, step=0, key=KEY) -> Inb
         payload=jnp.asarray(payload, jnp.float32),
         size_bytes=jnp.broadcast_to(jnp.asarray(length, jnp.int32), (N,)),
     )
-    moment = (jnp.int32(step), jnp.float32(0.02 * step))
+    moment = Clock(step=jnp.int32(step), period=0.02)
     return DELIVER(sizes, mail, letters, links_of(EVERYONE) if links is None else links, moment, key)
 
 
@@ -183,3 +186,50 @@ def test_every_message_is_in_a_box_or_counted_as_dropped(calls: list):
 def test_sizes_that_make_no_sense_are_refused(name: str):
     with pytest.raises(SpecError, match=f"{name} is 0, expected a whole number from 1"):
         MessageSettings(**{name: 0})
+
+
+SLOW = MessageSettings(numbers=2, capacity=3, bytes_per_step=1000, latency=0.05, bandwidth=100.0)
+
+
+def read(mail, step):
+    with numpy_backend():
+        return receive(mail, Clock(step=np.int32(step), period=0.02))
+
+
+def senders(mail, receiver):
+    return np.asarray(mail.sender)[receiver][: int(mail.count[receiver])].tolist()
+
+
+@pytest.mark.parametrize("age", [0, 1_800_000_000])
+def test_messages_take_the_time_of_their_bytes_and_the_latency(age):
+    """8 bytes at 100 bytes/s and 0.05 s are 0.13 s, 6.5 steps of 0.02 s; the next one is 4 steps later."""
+    mail = post(empty_inboxes(SLOW, N), only((0, 1), (2, 1)), sizes=SLOW, step=age)
+    mail = post(mail, only((0, 1)), sizes=SLOW, step=age)
+    assert not np.asarray(mail.count).any()
+    mail = jax.device_get(mail)
+    counts = [int(read(mail, age + step).count[1]) for step in (0, 6, 7, 10, 11)]
+    assert counts == [0, 0, 2, 2, 3], "0.21 s are 10.5 steps"
+    assert senders(read(mail, age + 7), 1) == [0, 2]
+    later = read(read(mail, age + 7), age + 11)
+    assert senders(later, 1) == [0, 2, 0]
+    np.testing.assert_array_equal(later.payload[1], [[0, 0], [2, 20], [0, 0]])
+    assert dropped(later) == NOTHING
+    assert not later.transit.count.any()
+
+
+def test_a_links_queue_is_as_long_as_a_box_and_is_free_when_it_has_sent_all():
+    mail = empty_inboxes(SLOW, N)
+    for _ in range(4):
+        mail = post(mail, only((0, 1)), sizes=SLOW)
+    assert dropped(mail)["inbox_full"] == [1, 0, 0, 0]
+    mail = read(jax.device_get(mail), 100)
+    assert senders(mail, 1) == [0, 0, 0]
+    late = jax.device_get(post(mail, only((0, 1), (0, 2)), sizes=SLOW, step=100))
+    assert int(read(late, 107).count[2]) == 1
+    assert dropped(read(late, 107))["inbox_full"] == [2, 0, 0, 0], "box 1 is still full"
+
+
+def test_latency_alone_holds_any_number_of_bytes():
+    sizes = MessageSettings(numbers=2, capacity=3, bytes_per_step=1000, latency=0.04)
+    mail = jax.device_get(post(empty_inboxes(sizes, N), only((0, 1)), sizes=sizes, length=900))
+    assert [int(read(mail, step).count[1]) for step in (0, 1, 2)] == [0, 0, 1]

@@ -15,7 +15,7 @@ from usarmjx.sensors.rays.raycast import RayQuery, cast_rays
 from usarmjx.sim.ray_geometry import moved_geom_poses
 from usarmjx.sim.scene import build_scene
 from usarmjx.sim.single_world import SingleWorld
-from usarmjx.sim.world import caster
+from usarmjx.sim.world import caster, clock_of
 
 DISTANCE = 1e-4
 """How far apart distances may be [m]: a range scanner's, and single precision of tens of metres."""
@@ -87,7 +87,9 @@ def casters(world):
     """Our caster of a world, and what batches cast rays at."""
     indices = {int(s): i for g in world.scene.groups for s, i in zip(g.slots, g.indices, strict=True)}
     with numpy_backend():
-        ours = world.engine.caster(indices, moved_geom_poses(world.scene, None, np.float32(world.time)))
+        ours = world.engine.caster(
+            indices, moved_geom_poses(world.scene, None, clock_of(world.scene, world.world))
+        )
         return ours, caster(world.scene, world.world, world.physics).args[0]
 
 

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from usarmjx.base.clock import clock_at
 from usarmjx.base.transforms import mat_from_angles, quat_from_angles
 from usarmjx.models.compile.kinematic_tree import forward_kinematics, kinematic_tree_of
 from usarmjx.models.drives.base import RobotState
@@ -143,7 +144,7 @@ class Bench:
         )
         bodies = self._bodies(state)
         hits = self._cast(self.open if geoms is None else geoms, bodies, jnp.int32(0))
-        return SensorInput(time=jnp.float32(time), state=state, bodies=bodies, hits=hits)
+        return SensorInput(clock=clock_at(time, 1e-3), state=state, bodies=bodies, hits=hits)
 
     def start(self, inputs: SensorInput, seed: int = 0) -> SensorMemory:
         return self._start(inputs, jax.random.key(seed))

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from usarmjx.base.clock import clock_at
 from usarmjx.base.transforms import mat_from_angles, quat_from_angles
 from usarmjx.models.compile.kinematic_tree import forward_kinematics, kinematic_tree_of
 from usarmjx.models.compile.tags import tag_table
@@ -118,7 +119,9 @@ class Watch:
         )
         bodies, around = self._bodies(state), room.around(time)
         hits = self._cast(room.geoms(around), bodies, jnp.int32(0), surroundings=around)
-        return SensorInput(time=jnp.float32(time), state=state, bodies=bodies, hits=hits, surroundings=around)
+        return SensorInput(
+            clock=clock_at(time, 1e-3), state=state, bodies=bodies, hits=hits, surroundings=around
+        )
 
     def start(self, inputs: SensorInput) -> SensorMemory:
         return self._start(inputs, jax.random.key(0))

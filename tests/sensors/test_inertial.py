@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from usarmjx.base import random
 from usarmjx.base.backend import numpy_backend
+from usarmjx.base.clock import clock_at
 from usarmjx.base.errors import UsarmjxError
 from usarmjx.base.transforms import flip_angles, flip_vector, quat_from_angles
 from usarmjx.models.arenas import ARENAS
@@ -48,7 +49,7 @@ def moving(sensor, time=0.0, pos=(0, 0, 0.3), angles=(0, 0, 0), linear=(0, 0, 0)
     numbers = {"pos": pos, "quat": quat_from_angles(*angles), "linear": linear, "angular": angular} | given
     state = RobotState(**{name: np.asarray(value, np.float32) for name, value in numbers.items()})
     bodies = forward_kinematics(sensor.plan, state)
-    return SensorInput(time=np.float32(time), state=state, bodies=bodies, hits=NO_HITS)
+    return SensorInput(clock=clock_at(time, 1e-3), state=state, bodies=bodies, hits=NO_HITS)
 
 
 def measure(sensor, *moments, seed=0):
@@ -161,7 +162,7 @@ def many(sensor, steps, dt, draws=DRAWS):
         memories = [sensor.init_memory(one, key) for key in keys]
         memory, told = jax.tree.map(lambda *rows: np.stack(rows), *memories), []
         for i in range(steps):
-            team = team.replace(time=np.float32(dt * i))
+            team = team.replace(clock=clock_at(dt * i, 1e-3))
             memory, value = sensor.read(team, memory, random.fold_in(keys, np.array([i]))[:, 0])
             told.append(value)
     return np.array(told), memory

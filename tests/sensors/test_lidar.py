@@ -8,6 +8,7 @@ import pytest
 
 from usarmjx.base import random
 from usarmjx.base.backend import numpy_backend
+from usarmjx.base.clock import clock_at
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.robot import Mount, options
 from usarmjx.sensors.base import SensorInput
@@ -29,7 +30,7 @@ def scan(suite, distance, cosine, seed=0):
     """What it makes of hits (beams,)."""
     hits = Hits(distance=np.asarray(distance, np.float32), cosine=np.asarray(cosine, np.float32))
     with numpy_backend():
-        inputs = SensorInput(time=np.float32(0), state=None, bodies=None, hits=hits)
+        inputs = SensorInput(clock=clock_at(0.0, 0.02), state=None, bodies=None, hits=hits)
         return suite.sensors[0].read(inputs, (), random.key(seed))[1]
 
 

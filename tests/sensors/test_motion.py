@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from usarmjx.base.clock import clock_at
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import flip_angles, flip_vector
 from usarmjx.models.compile.compose import add_robot, new_spec
@@ -70,7 +71,7 @@ def test_odometry_follows_the_manuals_algorithm(bench):
     turned = farthest = 0.0
     for i, wheels in enumerate(path):
         inputs = inputs.replace(
-            time=np.float32(0.02 * i), state=inputs.state.replace(joint_pos=joints(wheels))
+            clock=clock_at(0.02 * i, 1e-3), state=inputs.state.replace(joint_pos=joints(wheels))
         )
         memory, readings = bench.read(inputs, memory)
         expected = front.move(wheels[LEFT_F], wheels[RIGHT_F])
@@ -248,7 +249,7 @@ def test_ins_at_rest_has_no_noise(bench):
     inputs = bench.inputs(at=(1, 2, 0.26), angles=(0.1, -0.2, 3.0))
     memory = bench.start(inputs)
     for i in range(5):
-        memory, readings = bench.read(inputs.replace(time=np.float32(i)), memory, seed=i)
+        memory, readings = bench.read(inputs.replace(clock=clock_at(i, 1e-3)), memory, seed=i)
     ours = bench.value(readings, "INS", "Loud")
     np.testing.assert_allclose(ours, [1, 2, 0.26, 0.1, -0.2, 3.0], atol=POSE_ATOL)
 
@@ -278,7 +279,7 @@ def test_drifting_ins_drifts_evenly_and_at_most_by_its_precision(bench):
     def drift(seed: int, until: float) -> np.ndarray:
         memory = bench.start(inputs, seed)
         for time in (0.0, until / 2, until):
-            memory, readings = bench.read(inputs.replace(time=np.float32(time)), memory)
+            memory, readings = bench.read(inputs.replace(clock=clock_at(time, 1e-3)), memory)
         value = bench.value(readings, "INS", "Drifter")
         turned = Rotation.from_euler("ZYX", value[:2:-1]).as_rotvec()
         return np.array([*(value[:3] - (0, 0, 0.26)), *turned])
@@ -293,7 +294,7 @@ def test_drifting_ins_drifts_evenly_and_at_most_by_its_precision(bench):
     memory = bench.start(inputs, 3)
     place = bench.suite.find("INS", "Drifter")
     memory = bench.suite.handle_set(place, "POSE", (0.0,) * 6, inputs, memory)
-    _, readings = bench.read(inputs.replace(time=np.float32(4.0)), memory)
+    _, readings = bench.read(inputs.replace(clock=clock_at(4.0, 1e-3)), memory)
     assert np.abs(bench.value(readings, "INS", "Drifter")).max() < POSE_ATOL
 
 

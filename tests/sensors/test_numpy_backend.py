@@ -12,7 +12,8 @@ import pytest
 from tests.listening import compilations
 from tests.sensors.people import Room
 from usarmjx.base import random
-from usarmjx.base.backend import numpy_backend
+from usarmjx.base.backend import numpy_backend, xp
+from usarmjx.base.clock import Clock
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.compile.kinematic_tree import forward_kinematics
 from usarmjx.models.compile.tags import tag_table
@@ -156,8 +157,9 @@ def course_of(suite: Suite) -> Moment:
 
 def sensed(suite: Suite, moment: Moment) -> SensorInput:
     bodies = forward_kinematics(suite.plan, moment.state)
-    given = dict(zip(("time", "state", "hits", "surroundings", "noise_factor"), moment, strict=True))
-    return SensorInput(bodies=bodies, **given)
+    given = dict(zip(("state", "hits", "surroundings", "noise_factor"), moment[1:], strict=True))
+    clock = Clock(step=xp.round(moment.time / 0.02).astype(xp.int32), period=0.02)
+    return SensorInput(clock=clock, bodies=bodies, **given)
 
 
 def start(suite: Suite, moment: Moment):

@@ -10,7 +10,13 @@ from usarmjx.base.errors import SpecError
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT, P2AT_SCANNER
 from usarmjx.models.types.robot import Mount, options
-from usarmjx.sensors.ranging import ScannerSettings, SonarSettings, beam_directions, fan_directions
+from usarmjx.sensors.ranging import (
+    Scanner3DSettings,
+    ScannerSettings,
+    SonarSettings,
+    beam_directions,
+    fan_directions,
+)
 from usarmjx.sensors.suite import suite_of
 from usarmjx.sim.configure import configure
 
@@ -208,6 +214,22 @@ def test_fan_of_the_manuals_default_scanner():
 )
 def test_both_ends_of_the_field_of_view_have_a_beam(resolution, fov, beams):
     assert ScannerSettings(resolution=resolution, scan_fov=fov).beams == beams
+
+
+@pytest.mark.parametrize("resolution", [math.pi / 180, 2 * math.pi / 7, 0.0174533, math.pi / 2])
+def test_a_full_turn_has_every_direction_once(resolution):
+    settings = ScannerSettings(resolution=resolution, scan_fov=2 * math.pi)
+    lines = fan_directions(settings)
+    assert len(lines) == round(2 * math.pi / resolution)
+    apart = lines @ lines.T - 2 * np.eye(len(lines))
+    assert apart.max() < math.cos(resolution) + 1e-4, "no two beams have one direction"
+    rows, columns = Scanner3DSettings(
+        vertical_fov=0.4,
+        vertical_resolution=0.2,
+        horizontal_fov=2 * math.pi,
+        horizontal_resolution=resolution,
+    ).shape
+    assert (rows, columns) == (3, len(lines))
 
 
 @pytest.mark.parametrize("both", [True, False])

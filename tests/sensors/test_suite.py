@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from usarmjx.base.clock import clock_at
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.robot import Mount, options
@@ -53,7 +54,7 @@ def test_a_late_scan_is_not_made_up_for(bench):
     place = bench.suite.find("Odometry", "Timed")
     fresh = []
     for time in (0.0, 5.0, 5.1, 5.2, 5.3, 5.4):  # nobody read for five seconds
-        memory, readings = bench.read(inputs.replace(time=np.float32(time)), memory)
+        memory, readings = bench.read(inputs.replace(clock=clock_at(time, 1e-3)), memory)
         fresh.append(bool(readings[place].fresh))
     assert fresh == [True, True, False, True, False, True]
 
@@ -96,7 +97,7 @@ def test_scan_in_automatic_mode_scans_out_of_turn(bench):
     place = bench.suite.find("RangeScanner", "Clean")
     inputs = bench.inputs()
     memory, _ = bench.read(inputs, bench.start(inputs))
-    inputs = inputs.replace(time=np.float32(0.1))
+    inputs = inputs.replace(clock=clock_at(0.1, 1e-3))
     memory, readings = bench.read(inputs, memory)
     assert not readings[place].fresh
     memory = bench.suite.handle_set(place, "SCAN", (), inputs, memory)

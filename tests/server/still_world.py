@@ -25,8 +25,8 @@ class StillWorld(ServedWorld):
         """Is called in every control step."""
 
     @property
-    def time(self):
-        return self._steps * self.period
+    def steps(self):
+        return self._steps
 
     @property
     def scene(self):

@@ -353,7 +353,7 @@ def test_an_empty_battery_leaves_only_sta_and_brakes(house, robot):
     house.say(robot, "DRIVE {Left 2} {Right 2}")
     house.run(5 * TICK)
     heard(robot)
-    house.world.edit(robot.robot, battery_start=-robot.robot.spec.battery_life)
+    house.world.edit(robot.robot, battery_start=round(-robot.robot.spec.battery_life / house.world.period))
     assert house.say(robot, "GETGEO {Type Robot}") == []
     assert house.say(robot, "GETCONF {Type Robot}") == []
     assert house.say(robot, "SET {Type Odometry} {Name Odometry} {Opcode RESET}") == []

@@ -255,7 +255,7 @@ def test_the_headlight_shows_in_sta_and_obeys_drive_too(world, client):
 def test_an_empty_battery_answers_nothing_and_does_nothing(live):
     client = connect(live)
     before = len(tags_of(live))
-    live.edit(client.robot, battery_start=-TAGGER.battery_life)
+    live.edit(client.robot, battery_start=round(-TAGGER.battery_life / live.period))
     assert say(client, "SET {Type RFIDReleaser} {Name Gun} {Opcode Release}") == []
     assert len(tags_of(live)) == before
     client.leave()

@@ -53,7 +53,7 @@ def run():
         command = idle_command(P2AT).replace(
             target=jnp.asarray(target, jnp.float32),
             mode=jnp.asarray(order, jnp.int32),
-            flip_until=jnp.float32(lying.get("until", 0.0)),
+            flip_until=jnp.int32(round(lying.get("until", 0.0) / PERIOD)),
         )
         state = RobotState(
             pos=jnp.zeros(3),
@@ -64,7 +64,7 @@ def run():
             joint_vel=jnp.asarray(joint_vel, jnp.float32),
         )
         now = DriveConditions(
-            time=jnp.float32(1.0),
+            step=jnp.int32(round(1.0 / PERIOD)),
             powered=jnp.asarray(lying.get("powered", True)),
             depth=jnp.float32(DRY_DEPTH),
         )

@@ -266,7 +266,13 @@ def test_an_empty_battery_brakes(flat):
     members = state.worlds.groups[0]
     life = batch.scene.groups[0].robot.battery_life
     state = batch.with_group(
-        state, 0, members.replace(battery_start=jnp.full_like(members.battery_start, 1.0 - life))
+        state,
+        0,
+        members.replace(
+            battery_start=jnp.full_like(
+                members.battery_start, round((1.0 - life) / batch.scene.physics.period)
+            )
+        ),
     )
     dof, speeds = batch.scene.groups[0].root_dofadr[0], []
     for _ in range(100):

@@ -127,7 +127,7 @@ def test_robots_without_power_and_parked_ones_fail(batch, fresh):
     group = members(fresh)
     dead = group.replace(
         active=group.active.at[0, 0].set(False),
-        battery_start=group.battery_start.at[1, 1].set(-2 * TAGGER.battery_life),
+        battery_start=group.battery_start.at[1, 1].set(round(-2 * TAGGER.battery_life / 0.02)),
         drowned=group.drowned.at[2, 0].set(True),
     )
     state, outcome = batch.operate(batch.with_group(fresh, 0, dead), 0, "Gun", "Release")

@@ -70,11 +70,11 @@ def drawn(name, rows=ROWS):
         target=with_bad(numbers(joints, scale=3.0)).astype(np.float32),
         mode=rng.integers(0, 3, (rows, joints)).astype(np.int32),
         setpoint=with_bad(setpoint).astype(np.float32),
-        flip_until=rng.choice([0.0, 2.0], rows).astype(np.float32),
+        flip_until=rng.choice([0, 100], rows).astype(np.int32),
         light=rng.random(rows) < 0.5,
     )
     conditions = DriveConditions(
-        time=np.full(rows, 1.0, np.float32),
+        step=np.full(rows, 50, np.int32),
         powered=rng.random(rows) < 0.8,
         depth=numbers(),
         torque=rng.uniform(0.5, 1.5, rows).astype(np.float32),
@@ -120,7 +120,7 @@ def test_robots_at_once_are_told_what_each_is_told_alone(name):
 def test_without_anyone_to_right_the_group_is_told_the_same():
     """On NumPy nothing is computed for robots that need no righting, if there are no others."""
     plan, (command, *rest) = drawn("P2AT")
-    still = command.replace(flip_until=np.zeros(ROWS, np.float32))
+    still = command.replace(flip_until=np.zeros(ROWS, np.int32))
     with numpy_backend():
         ours = compute_actuation(plan, still, *rest, PERIOD)
     assert not ours.wrench.any()
@@ -141,7 +141,7 @@ def test_robots_are_told_the_same_on_both_libraries(name):
         joints={joint: numbers[joint] for joint in plan.parts[1:3]},
         mode=ControlMode.TORQUE,
         light=True,
-        flip_until=3.0,
+        flip_until=150,
     )
     for where in (None, rng.random(ROWS) < 0.5):
         with numpy_backend():

@@ -9,6 +9,7 @@ import pytest
 from tests.arenas import FLAT
 from tests.handy import GRABBER, LIFT, TAGGER
 from usarmjx.base.backend import numpy_backend
+from usarmjx.base.clock import Clock
 from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.engines.c.placement import SEARCH_RADIUS
 from usarmjx.models.arenas import ARENAS
@@ -159,7 +160,7 @@ def test_a_seat_is_taken_again_by_a_robot_that_knows_nothing_of_the_one_before()
     assert not state.command.light
     assert not state.command.setpoint.any()
     assert there[1].command.setpoint.any()
-    assert float(state.battery_start) == pytest.approx(world.time)
+    assert state.battery_start == world.steps
     np.testing.assert_allclose(physics["qpos"][:3], (0.0, 0.0, 0.3))
 
 
@@ -222,7 +223,7 @@ STAGES = {
     "a part": (compose, "_add_part", 3),
     "the layout": (single_world, "robot_groups", 0),
     "a free pose": (single_world, "free_pose", 0),
-    "the sensors' start": (single_world, "started", 0),
+    "the sensors' start": (single_world, "start_sensors", 0),
     "the new scene": (Scene, "with_robots", 1),
     "the new groups": (single_world, "robot_groups", 1),
 }
@@ -273,11 +274,13 @@ def test_what_moves_by_itself_is_where_its_time_has_it():
     """To the bit, in every control step, and when a robot joins; worked out one moment at a time here."""
     world, places = make_world(arena="yellow"), []
     ids = [world.engine.model.geom(name).id for name in world.scene.moved_geoms.names]
-    for step in range(2 * single_world.STEPS_AHEAD + 3):
-        if step == single_world.STEPS_AHEAD // 2:
+    for step in range(2 * single_world.LOOKAHEAD_STEPS + 3):
+        if step == single_world.LOOKAHEAD_STEPS // 2:
             join(world, P2DX, 4.5, 1.9, world.scene.arena.floor + 0.3)
         with numpy_backend():
-            moved = moved_geom_poses(world.scene, None, np.float32(step) * world.scene.physics.period)
+            moved = moved_geom_poses(
+                world.scene, None, Clock(step=np.int32(step), period=world.scene.physics.period)
+            )
         world.step()
         places.append(world.engine.model.geom_pos[ids].copy())
         np.testing.assert_array_equal(places[-1], moved.pos)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.arenas import FLAT, STARTS
+from usarmjx.base.clock import clock_at
 from usarmjx.base.errors import SpecError
 from usarmjx.comms.attenuation import RadioSettings, received_power
 from usarmjx.engines.base import VariedModel
@@ -309,7 +310,7 @@ def test_noise_is_multiplied_and_nothing_else():
     @jax.jit
     def read(noise):
         sensor_input = SensorInput(
-            time=jnp.float32(0), state=state, bodies=forward_kinematics(plan, state), hits=hits
+            clock=clock_at(0.0, 0.02), state=state, bodies=forward_kinematics(plan, state), hits=hits
         )
         sensor_input = sensor_input.replace(noise_factor=noise)
         _, readings = suite.read(

@@ -254,6 +254,11 @@ class MjSpec:
 class MjsBody:
     bodies: list[MjsBody]
     cameras: list[MjsCamera]
+    explicitinertial: bool
+    gravcomp: float
+    inertia = _Vector()
+    ipos = _Vector()
+    iquat = _Vector()
     geoms: list[MjsGeom]
     id: int
     info: str
@@ -314,6 +319,7 @@ class MjsJoint:
     armature: float
     axis = _Vector()
     damping = _Vector()
+    frictionloss: float
     id: int
     info: str
     limited: int
@@ -338,6 +344,7 @@ class MjsActuator:
     type: int
 
 class MjsCamera:
+    fovy: float
     id: int
     info: str
     mode: int
@@ -467,8 +474,16 @@ class mjtState(_Enum):
     mjSTATE_FULLPHYSICS: ClassVar[mjtState]
     mjSTATE_INTEGRATION: ClassVar[mjtState]
 
+class mjtCamLight(_Enum):
+    mjCAMLIGHT_FIXED: ClassVar[mjtCamLight]
+
+class mjtSensor(_Enum):
+    mjSENS_ACCELEROMETER: ClassVar[mjtSensor]
+    mjSENS_GYRO: ClassVar[mjtSensor]
+
 class mjtTrn(_Enum):
     mjTRN_JOINT: ClassVar[mjtTrn]
+    mjTRN_SITE: ClassVar[mjtTrn]
 
 class mjtWarning(_Enum):
     mjWARN_CONTACTFULL: ClassVar[mjtWarning]

@@ -62,6 +62,22 @@ def named_scope(name: str) -> "_NamedScope":
     return _NamedScope(name)
 
 
+def single_precision(function: Callable[Params, T]) -> Callable[Params, T]:
+    """Make a function compute in single precision, also where `jax_enable_x64` asks for double precision.
+
+    Worlds are the same whatever precision other libraries in the process want.
+    """
+
+    @wraps(function)
+    def run(*args: Params.args, **kwargs: Params.kwargs) -> T:
+        if not cast(Any, jax.config).jax_enable_x64:
+            return function(*args, **kwargs)
+        with jax.enable_x64(False):
+            return function(*args, **kwargs)
+
+    return run
+
+
 class _NamedScope(AbstractContextManager[None]):
     """Result of `named_scope`."""
 

@@ -6,6 +6,7 @@ folder.
 """
 
 import hashlib
+import logging
 import os
 import platform
 import re
@@ -16,7 +17,7 @@ import warnings
 from collections.abc import Callable, Iterator, MutableMapping
 from importlib import metadata
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 from usarmjx.base.checked_cache import install_checks, remove_entries_of_crashes
 from usarmjx.base.process import pool_fits_cores
@@ -40,6 +41,7 @@ a hundred programs that take less."""
 MAX_CACHE_SIZE = 2_000_000_000
 """Cache size above which a start removes the least recently used entries [bytes]. JAX can prune, too, but a
 process killed while it writes then leaves a cache that is never written again."""
+_asked = False
 COMPILE_EVENT_PREFIX = "/jax/core/compile/"
 """Prefix of the names of JAX's events that report durations of compilation stages."""
 NO_OPTIMIZATION, NO_FUSION_EMITTERS = (
@@ -162,6 +164,29 @@ def enable_compilation_cache(
     if crashed:
         return f"the last start ended while it loaded {crashed[0][:100]}, which is compiled again"
     return None
+
+
+def enable_cache_after_import() -> None:
+    """Make JAX cache what it compiles in a program that has imported it already; the second time do nothing.
+
+    Commands enable the cache before they import JAX. A cache folder that the program has set stays. Children
+    inherit the variables.
+    """
+    global _asked
+    if _asked or os.environ.get(PROGRAMS_FOLDER):
+        return
+    _asked = True
+    import jax
+    from jax.experimental.compilation_cache import compilation_cache
+
+    if complaint := enable_compilation_cache():
+        logging.getLogger(__name__).warning("%s", complaint)
+    folder, settings = os.environ.get(JAX_FOLDER), cast(Any, jax.config)
+    if folder is None or not os.environ.get(PROGRAMS_FOLDER) or settings.jax_compilation_cache_dir:
+        return
+    settings.update("jax_compilation_cache_dir", folder)
+    settings.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    compilation_cache.reset_cache()  # JAX decides at its first compilation whether there is a cache
 
 
 def install_cache_checks() -> None:

@@ -32,6 +32,7 @@ from jax import export
 from jax.core import Tracer
 
 from usarmjx.base import warp_functions
+from usarmjx.base.backend import single_precision
 from usarmjx.base.checked_cache import LoadingEntries, discard, read_sealed, write_sealed
 from usarmjx.base.compilation import PROGRAMS_FOLDER, processor
 from usarmjx.base.errors import WriteError
@@ -280,6 +281,7 @@ def compile_program(
         named = named.func
     # `named` keeps the function's own name for the cache: the wrapper and partials have none.
     exact = jax.default_matmul_precision("highest")(function) if precise else function
+    exact = single_precision(exact)
     compiled = jax.jit(exact, static_argnums=static)
     return (
         compiled

@@ -6,9 +6,10 @@ bit, normal numbers within a few units in the last place because the logarithm d
 """
 
 import math
+import operator
 from collections.abc import Sequence
 from functools import cache, partial
-from typing import Any
+from typing import Any, SupportsIndex
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array, Key
 from usarmjx.base.backend import on_numpy
+from usarmjx.base.errors import UsageError
 
 THREEFRY_PARITY = 0x1BD11BDA
 """Key schedule constant of Threefry-2x32."""
@@ -54,11 +56,39 @@ SQRT_2 = np.float32(math.sqrt(2))
 INFINITY = np.float32(math.inf)
 
 
-def key(seed: int) -> Any:  # noqa: ANN401 - a key of the library in force
-    """Return the key of a seed."""
-    if not on_numpy():
-        return jax.random.key(seed)
-    return np.array([(seed >> 32) & MASK, seed & MASK], np.uint32)
+def checked_seed(seed: SupportsIndex) -> int:
+    """Return a seed as an integer.
+
+    Raises:
+        UsageError: It is no whole number from 0 to 2^64 - 1: a key has no place for more.
+    """
+    try:
+        number = operator.index(seed)
+    except TypeError:
+        number = -1
+    if not 0 <= number < 2**64:
+        raise UsageError(f"seed {seed!r}, expected a whole number from 0 to 2^64 - 1")
+    return number
+
+
+def key(seed: SupportsIndex | jax.Array) -> Any:  # noqa: ANN401 - a key of the library in force
+    """Return the key of a seed; different seeds have different keys.
+
+    Args:
+        seed: From 0 to 2^64 - 1; an array, which may be traced, of 32 bits; or a key, which is returned.
+
+    Raises:
+        UsageError: Another number.
+    """
+    if isinstance(seed, jax.Array) and not on_numpy():
+        return seed if jnp.issubdtype(seed.dtype, jax.dtypes.prng_key) else jax.random.key(seed)
+    number = checked_seed(seed)
+    words = np.array([number >> 32, number & MASK], np.uint32)
+    if on_numpy():
+        return words
+    # `jax.random.key` would cut the seed to its lower word.
+    wrap: Any = jax.random.wrap_key_data  # which JAX leaves half typed
+    return wrap(words, impl="threefry2x32") if number >> 32 else jax.random.key(number)
 
 
 def fold_in(of: Any, data: Any) -> Any:  # noqa: ANN401 - keys and whole numbers of the library in force

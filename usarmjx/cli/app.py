@@ -127,6 +127,7 @@ COMMANDS = {
         "usarmjx.cli.play:play",
         "Show a policy at work in one world: draw an episode, show it in a browser, or serve it.",
     ),
+    "robot": ("usarmjx.cli.robot:app", "Check robots from files: URDF, xacro, MJCF."),
     "view": ("usarmjx.cli.recordings:view", "Show a recording in a browser, at any speed."),
     "plot": (
         "usarmjx.cli.recordings:plot",
@@ -159,7 +160,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "Compare": ("eval", "teams", "sweep"),
     "Serve": ("serve", "console"),
     "Look": ("play", "view", "plot", "replay"),
-    "Arenas and robots": ("arena", "portraits", "radio-map", "calibrate"),
+    "Arenas and robots": ("arena", "robot", "portraits", "radio-map", "calibrate"),
     "Maintenance": ("bench", "chaos"),
 }
 """Headings of the help, each with its commands."""
@@ -180,6 +181,7 @@ EXAMPLES: Mapping[str, str] = {
     "plot": "usarmjx plot mission.mcap --out mission.png",
     "replay": "usarmjx replay mission.mcap",
     "arena": "usarmjx arena check my_arena.yaml",
+    "robot": "usarmjx robot check my_robot.urdf",
     "portraits": "usarmjx portraits --out robots.png",
     "radio-map": "usarmjx radio-map yellow --out map.png",
     "calibrate": "usarmjx calibrate P2AT",

@@ -67,7 +67,9 @@ def check(
     arena: ArenaArgument,
     robot: Annotated[
         str,
-        typer.Option(help="Robot class that shall start and drive there.", autocompletion=complete_robots),
+        typer.Option(
+            help="Robot class, or a file, that shall start and drive there.", autocompletion=complete_robots
+        ),
     ] = "P2AT",
     drive: Annotated[
         bool, typer.Option("--drive", help="Also drive the robot to every start pose and victim it reaches.")
@@ -84,11 +86,11 @@ def check(
         found = find_arena(arena)
         faults = check_arena(found, robot)
         if drive:
-            from usarmjx.models.robots import ROBOTS
+            from usarmjx.models.files.find_robot import find_robot
             from usarmjx.sim.trials.routes import drive_arena
 
             announce(f"driving a {robot} ...")
-            tour = drive_arena(found, ROBOTS.get(robot))
+            tour = drive_arena(found, find_robot(robot))
             made = tour.segments - len(tour.faults)
             typer.echo(f"driven: {made} of {tour.segments} ways, {tour.metres:.1f} m in {tour.seconds:.0f} s")
             faults += tour.faults
@@ -123,7 +125,7 @@ def generate(
         float, typer.Option(help="Share of drives that fail at the highest of them; 0: all get over them.")
     ] = 0.0,
     robot: Annotated[
-        str, typer.Option(help="Robot class that can pass.", autocompletion=complete_robots)
+        str, typer.Option(help="Robot class, or a file, that can pass.", autocompletion=complete_robots)
     ] = "P2AT",
     reachable: Annotated[float, typer.Option(help="Share of the victims that it reaches.")] = 1.0,
     victims: Annotated[int | None, typer.Option(help="How many; one for 12 cells, if not given.")] = None,
@@ -173,7 +175,8 @@ def _write_mjcf(arena: "ArenaSpec", path: Path) -> None:
 
 
 LaneRobotOption = Annotated[
-    str, typer.Option("--robot", help="Robot class that is driven.", autocompletion=complete_robots)
+    str,
+    typer.Option("--robot", help="Robot class, or a file, that is driven.", autocompletion=complete_robots),
 ]
 SpeedOption = Annotated[float, typer.Option(help="Share of its top speed, above 0 and up to 1.")]
 
@@ -189,12 +192,12 @@ def lane(
     with ErrorExit():
         announce(f"driving a {robot} in lane {name} ...")
         from usarmjx.models.arenas.lanes import LANES
-        from usarmjx.models.robots import ROBOTS
+        from usarmjx.models.files.find_robot import find_robot
         from usarmjx.sim.trials.driver import run_lane
 
         if not (0.0 < speed <= 1.0 and 0.0 < minutes <= MOST_MINUTES):
             raise UsageError(f"speed is above 0 and up to 1, minutes above 0 and up to {MOST_MINUTES:g}")
-        score = run_lane(LANES.get(name), ROBOTS.get(robot), minutes, speed)
+        score = run_lane(LANES.get(name), find_robot(robot), minutes, speed)
         typer.echo(score)
         for fault in score.faults:
             typer.echo(f"fault: {fault}")
@@ -229,10 +232,10 @@ def obstacles(
 
             typer.echo(obstacles_table(robot, tries))
             return
-        from usarmjx.models.robots import ROBOTS
+        from usarmjx.models.files.find_robot import find_robot
         from usarmjx.sim.trials.obstacles import write_success
 
-        write_success(ROBOTS.get(robot), tries, write)
+        write_success(find_robot(robot), tries, write)
         typer.echo(f"wrote {write}")
 
 

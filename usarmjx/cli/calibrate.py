@@ -77,19 +77,21 @@ def _print(lines: Iterator[str]) -> None:
 
 def _figures(names: list[str] | None, out: Path | None) -> Iterator[str]:
     announce("driving robots by random orders on engines c and planar ...", engines=COMPARED)
+    from usarmjx.models.files.find_robot import find_robot
     from usarmjx.models.robots import ROBOTS
     from usarmjx.sim.calibration import measure_all
 
-    chosen = [ROBOTS.get(name) for name in names] if names else [robot for _, robot in ROBOTS]
+    chosen = [find_robot(name) for name in names] if names else [robot for _, robot in ROBOTS]
     yield from measure_all(chosen, out, everything=not names)
 
 
 def _drive_rows(names: list[str] | None) -> Iterator[str]:
     announce("driving robots on a floor and in a maze, on engines c and planar ...", engines=COMPARED)
+    from usarmjx.models.files.find_robot import find_robot
     from usarmjx.models.robots import ROBOTS
     from usarmjx.train.evaluation.engine_gap import drive_table
 
-    return drive_table([ROBOTS.get(name) for name in names or ROBOTS.names()], everything=not names)
+    return drive_table([find_robot(name) for name in names or ROBOTS.names()], everything=not names)
 
 
 def _task_rows(

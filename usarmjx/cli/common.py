@@ -67,7 +67,11 @@ ArenaOption = Annotated[
     typer.Option(help="Arena name, as `usarmjx list` shows them, or a file.", autocompletion=complete_arenas),
 ]
 ArenaArgument = Annotated[str, typer.Argument(help="Arena name, or a file.", autocompletion=complete_arenas)]
-RobotOption = Annotated[str, typer.Option(help="Robot class.", autocompletion=complete_robots)]
+RobotOption = Annotated[str, typer.Option(help="Robot class, or a file.", autocompletion=complete_robots)]
+RobotFilesOption = Annotated[
+    list[Path] | None,
+    typer.Option("--robot", help="URDF, xacro or MJCF file of a robot to add; may be given several times."),
+]
 IniOption = Annotated[
     list[Path] | None,
     typer.Option("--ini", help="USARBot.ini or USARMisPkg.ini with robots; may be given several times."),
@@ -117,6 +121,16 @@ def chosen_out(out: Path | None, old: Path | None) -> Path:
     if where is None:
         raise UsageError("say where to write to: --out PATH")
     return where
+
+
+def add_robots(files: list[Path] | None) -> None:
+    """Register the robots of files; what is left out of them goes to the standard error stream."""
+    if not files:
+        return
+    from usarmjx.models.files.find_robot import register_robot_file
+
+    for path in files:
+        register_robot_file(path)
 
 
 def configure_from(files: list[Path] | None, uu_per_metre: float) -> None:

@@ -10,7 +10,15 @@ import typer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.markdown import markdown_table
-from usarmjx.cli.common import ErrorExit, IniOption, JsonFlag, UnitOption, configure_from
+from usarmjx.cli.common import (
+    ErrorExit,
+    IniOption,
+    JsonFlag,
+    RobotFilesOption,
+    UnitOption,
+    add_robots,
+    configure_from,
+)
 from usarmjx.cli.completion import complete_listings
 from usarmjx.cli.startup_messages import announce
 
@@ -108,6 +116,7 @@ def list_everything(
     ] = EVERYTHING,
     json: JsonFlag = False,
     markdown: MarkdownFlag = False,
+    robot: RobotFilesOption = None,
     ini: IniOption = None,
     uu_per_metre: UnitOption = 250.0,
 ) -> None:
@@ -115,6 +124,7 @@ def list_everything(
     with ErrorExit():
         check_form(json, markdown)
         announce("reading what there is ...")
+        add_robots(robot)
         configure_from(ini, uu_per_metre)
         from usarmjx.cli.tables import LISTINGS
 

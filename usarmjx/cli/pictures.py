@@ -13,7 +13,7 @@ from usarmjx.cli.startup_messages import announce
 def portraits(
     robots: Annotated[
         list[str] | None,
-        typer.Argument(help="Robot classes; all without any.", autocompletion=complete_robots),
+        typer.Argument(help="Robot classes or files; all without any.", autocompletion=complete_robots),
     ] = None,
     out: OutOption = None,
 ) -> None:

@@ -192,8 +192,11 @@ def export_recording(file: Path, out: Path, world: int = 0, speed: float = 2.0) 
     recording = Recording(file)
     _tell_if_broken_off(recording.is_complete, file)
     if suffix in SUFFIXES:
-        for path in export_tables(recording, out):
+        written = export_tables(recording, out)
+        for path in written:
             typer.echo(f"wrote {path}")
+        if not written:
+            raise UsageError(f"{file}: nothing is left of it that makes a table; nothing is written")
     else:
         save_film(recording, out, world, speed)
         typer.echo(f"wrote {out}")

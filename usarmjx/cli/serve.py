@@ -12,9 +12,11 @@ from usarmjx.cli.common import (
     EngineOption,
     ErrorExit,
     IniOption,
+    RobotFilesOption,
     SeedOption,
     UnitOption,
     WorldsOption,
+    add_robots,
     configure_from,
 )
 from usarmjx.cli.serving_options import (
@@ -52,13 +54,17 @@ class WorldsOptions:
         str | None, typer.Option(help="Which of them to serve, if several: all, or numbers as 0,2-5.")
     ] = None
     roster: Annotated[
-        str, typer.Option(help="Robots that wait for clients, as P2AT:4,P2DX:2; engine c takes others too.")
+        str,
+        typer.Option(
+            help="Robots that wait for clients, as P2AT:4,P2DX:2 or cart.urdf:2; engine c takes others too."
+        ),
     ] = "P2AT:4,P2DX:4"
     seats: Annotated[
         int | None, typer.Option(min=1, help="Most robots in one world; else as many as connections.")
     ] = None
     engine: EngineOption = "auto"
     seed: SeedOption = 0
+    robot: RobotFilesOption = None
     ini: IniOption = None
     uu_per_metre: UnitOption = 250.0
 
@@ -78,6 +84,7 @@ class WorldsOptions:
 
     def make(self, most_robots: int) -> "list[ServedWorld]":
         """Build the worlds that are served, with room for the given number of robots each."""
+        add_robots(self.robot)
         configure_from(self.ini, self.uu_per_metre)
         from usarmjx.server.worlds.make import make_worlds
 

@@ -1,9 +1,11 @@
 """Messages between the robots of a world, for policies and tasks: fixed-size inboxes, pure functions.
 
-A message is a vector of numbers with a declared size in bytes. `deliver` delivers at once over links that
-hold; undelivered messages are counted by sender and cause.
+A message is a vector of numbers with a declared size in bytes. `deliver` delivers over links that hold, at
+once or with a latency and bandwidth, after which `receive` puts it into the box; undelivered messages are
+counted by sender and cause.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -13,8 +15,10 @@ from flax import struct
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import set_at, xp
-from usarmjx.base.settings import AT_LEAST_ONE, validate
+from usarmjx.base.clock import Clock
+from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, POSITIVE, validate
 from usarmjx.comms.links import Links
+from usarmjx.comms.transit import Transit, dequeue, enqueue, no_transit
 
 BYTES_PER_NUMBER = 4
 """Default size of a number of a message: single precision [bytes]."""
@@ -28,18 +32,27 @@ class MessageSettings:
         numbers: Numbers in a message.
         capacity: Messages that a robot's inbox holds until it is emptied.
         bytes_per_step: Bytes that a robot may send in a control step, each receiver counted [bytes].
+        latency: Time between the last byte of a message and its arrival [s].
+        bandwidth: Bytes that each link carries in a second [bytes/s]; None: any number at once.
 
     Raises:
-        SpecError: A size is below 1.
+        SpecError: A size is below 1, or a time or bandwidth makes no sense.
     """
 
     numbers: Annotated[int, AT_LEAST_ONE] = 8
     capacity: Annotated[int, AT_LEAST_ONE] = 8
     bytes_per_step: Annotated[int, AT_LEAST_ONE] = 1500
+    latency: Annotated[float, NOT_NEGATIVE] = 0.0
+    bandwidth: Annotated[float, POSITIVE] | None = None
 
     def __post_init__(self) -> None:
         """Check the sizes."""
         validate(self)
+
+    @property
+    def takes_time(self) -> bool:
+        """Whether messages are under way for a time."""
+        return self.latency > 0 or self.bandwidth is not None
 
 
 class DropCounts(struct.PyTreeNode, kw_only=True):
@@ -49,7 +62,7 @@ class DropCounts(struct.PyTreeNode, kw_only=True):
         over_budget: The sender's bytes of the control step were spent (robots,).
         no_link: No link holds (robots,).
         lost: Lost at random near the cutoff (robots,).
-        inbox_full: The receiver's inbox was full (robots,).
+        inbox_full: The receiver's inbox was full, or the link's queue (robots,).
     """
 
     over_budget: Array
@@ -71,6 +84,7 @@ class Inboxes(struct.PyTreeNode, kw_only=True):
         step: Control step of the last delivery ().
         sent: Messages sent since the episode began, delivered or not (robots,).
         dropped: Undelivered ones among them.
+        transit: Messages under way; None: they arrive at once.
     """
 
     count: Array
@@ -82,6 +96,7 @@ class Inboxes(struct.PyTreeNode, kw_only=True):
     step: Array
     sent: Array
     dropped: DropCounts
+    transit: Transit | None = None
 
     @property
     def valid(self) -> Array:
@@ -116,6 +131,7 @@ def empty_inboxes(settings: MessageSettings, robots: int) -> Inboxes:
         step=xp.zeros((), xp.int32),
         sent=none,
         dropped=DropCounts(over_budget=none, no_link=none, lost=none, inbox_full=none),
+        transit=no_transit(settings, robots) if settings.takes_time else None,
     )
 
 
@@ -134,10 +150,10 @@ def deliver(
     inboxes: Inboxes,
     messages: OutgoingMessages,
     links: Links,
-    moment: tuple[Array, Array],
+    clock: Clock,
     key: Array,
 ) -> Inboxes:
-    """Return the inboxes after the delivery of all messages.
+    """Return the inboxes after all messages were sent; those that take time are under way then.
 
     A sender's bytes are spent in the order of the receivers' slots, also on messages that do not arrive: a
     sender cannot know. Inboxes fill in the order of the senders' slots. A message to oneself has no link.
@@ -147,13 +163,12 @@ def deliver(
         inboxes: Inboxes before.
         messages: The messages.
         links: Current links.
-        moment: Control step and simulated time [s] (), ().
+        clock: The present.
         key: Key of random losses near the cutoff; a new one for every delivery.
     """
-    step, time = moment
-    to, capacity = messages.receivers, settings.capacity
+    to = messages.receivers
     # Several deliveries in one control step share the budget.
-    spent = xp.where(inboxes.step == step, inboxes.spent, 0)
+    spent = xp.where(inboxes.step == clock.step, inboxes.spent, 0)
     length = xp.maximum(messages.size_bytes, 0).astype(xp.int32)
     # Counted in messages: a sum of bytes over many receivers could overflow int32.
     left = xp.maximum(settings.bytes_per_step - spent, 0)
@@ -161,26 +176,19 @@ def deliver(
     paid = to & (xp.cumsum(to, -1) <= affordable[:, None])
     linked = paid & links.in_range
     arrived = linked & _through(links, key)
+    if inboxes.transit is not None:
+        transit, fits = enqueue(settings, inboxes.transit, arrived, (length, messages.payload), clock)
+        boxes = inboxes.replace(transit=transit)
+    else:
 
-    index = inboxes.count[None, :] + xp.cumsum(arrived, 0) - 1  # in the receiver's inbox
-    fits = arrived & (index < capacity)
-    # One scatter of the senders' slots; all other fields are gathered by it.
-    robots = len(to)
-    sender, receiver = np.indices((robots, robots), np.int32)
-    # A message that does not fit is written to an extra column, which is cut off.
-    where = (receiver, xp.where(fits, index, capacity))
-    new_sender = set_at(xp.full((robots, capacity + 1), -1), where, sender)[:, :capacity]
-    fresh, source = new_sender >= 0, xp.maximum(new_sender, 0)
+        def contents(source: Array) -> tuple[Array, Array, Array]:
+            return clock.seconds, length[source], messages.payload[source]
 
+        boxes, fits = _put(inboxes, arrived, contents)
     before = inboxes.dropped
-    return inboxes.replace(
-        count=inboxes.count + fits.sum(0, dtype=xp.int32),
-        sender=xp.where(fresh, source, inboxes.sender),
-        time=xp.where(fresh, time, inboxes.time),
-        size_bytes=xp.where(fresh, length[source], inboxes.size_bytes),
-        payload=xp.where(fresh[..., None], messages.payload[source], inboxes.payload),
+    return boxes.replace(
         spent=spent + length * _count(paid),
-        step=xp.asarray(step, xp.int32),
+        step=xp.asarray(clock.step, xp.int32),
         sent=inboxes.sent + _count(to),
         dropped=DropCounts(
             over_budget=before.over_budget + _count(to & ~paid),
@@ -189,6 +197,60 @@ def deliver(
             inbox_full=before.inbox_full + _count(arrived & ~fits),
         ),
     )
+
+
+def _put(
+    inboxes: Inboxes, arrived: Array, contents: Callable[[Array], tuple[Array, Array, Array]]
+) -> tuple[Inboxes, Array]:
+    """Put messages into the inboxes, in the order of the senders' slots.
+
+    Args:
+        inboxes: Inboxes before.
+        arrived: Which sender's message has reached which receiver (robots, robots).
+        contents: Function of senders (robots, capacity), a row for each receiver, that returns the times of
+            sending [s], sizes [bytes] and payloads of their messages.
+
+    Returns:
+        The inboxes, and which messages found room (robots, robots).
+    """
+    robots, capacity = inboxes.sender.shape
+    index = inboxes.count[None, :] + xp.cumsum(arrived, 0) - 1  # in the receiver's inbox
+    fits = arrived & (index < capacity)
+    # One scatter of the senders' slots; all other fields are gathered by it.
+    sender, receiver = np.indices((robots, robots), np.int32)
+    # A message that does not fit is written to an extra column, which is cut off.
+    where = (receiver, xp.where(fits, index, capacity))
+    new_sender = set_at(xp.full((robots, capacity + 1), -1), where, sender)[:, :capacity]
+    fresh, source = new_sender >= 0, xp.maximum(new_sender, 0)
+    time, size_bytes, payload = contents(source)
+    boxes = inboxes.replace(
+        count=inboxes.count + fits.sum(0, dtype=xp.int32),
+        sender=xp.where(fresh, source, inboxes.sender),
+        time=xp.where(fresh, time, inboxes.time),
+        size_bytes=xp.where(fresh, size_bytes, inboxes.size_bytes),
+        payload=xp.where(fresh[..., None], payload, inboxes.payload),
+    )
+    return boxes, fits
+
+
+def receive(inboxes: Inboxes, clock: Clock) -> Inboxes:
+    """Return the inboxes with the messages that have arrived by now, the first of each link first."""
+    before = inboxes.transit
+    if before is None:
+        return inboxes
+    transit, arrived = dequeue(before, clock)
+    boxes, to = inboxes.replace(transit=transit), np.arange(len(arrived))[:, None]
+    for place in range(before.arrival.shape[-1]):
+        here = place < arrived
+
+        def contents(source: Array, place: int = place) -> tuple[Array, Array, Array]:
+            at = source, to, place
+            return before.time[at], before.size_bytes[at], before.payload[at]
+
+        boxes, fits = _put(boxes, here, contents)
+        dropped = boxes.dropped
+        boxes = boxes.replace(dropped=dropped.replace(inbox_full=dropped.inbox_full + _count(here & ~fits)))
+    return boxes
 
 
 def clear_inboxes(inboxes: Inboxes, mask: Array | bool = True) -> Inboxes:

@@ -31,7 +31,9 @@ if TYPE_CHECKING:
     from usarmjx.models.files.load import find_arena as find_arena
     from usarmjx.models.files.load import load_arena as load_arena
     from usarmjx.models.files.load import save_arena as save_arena
-    from usarmjx.models.files.robot_mjcf import robot_from_mjcf as robot_from_mjcf
+    from usarmjx.models.files.robot_file import LoadedRobot as LoadedRobot
+    from usarmjx.models.files.robot_file import load_robot as load_robot
+    from usarmjx.models.files.robot_file import robot_from_mjcf as robot_from_mjcf
     from usarmjx.models.ini.robots import LoadedRobots as LoadedRobots
     from usarmjx.models.ini.robots import load_robots as load_robots
     from usarmjx.models.robots import ROBOTS as ROBOTS
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
     from usarmjx.models.types.arena import Tag as Tag
     from usarmjx.models.types.arena import Victim as Victim
     from usarmjx.models.types.arena import Water as Water
+    from usarmjx.models.types.robot import BodyInertia as BodyInertia
     from usarmjx.models.types.robot import Link as Link
     from usarmjx.models.types.robot import MissionPackage as MissionPackage
     from usarmjx.models.types.robot import Motor as Motor
@@ -75,7 +78,7 @@ else:
             "usarmjx.models.compile.measure": ("with_measurements",),
             "usarmjx.models.compile.randomization": ("DomainRandomization",),
             "usarmjx.models.files.load": ("find_arena", "load_arena", "save_arena"),
-            "usarmjx.models.files.robot_mjcf": ("robot_from_mjcf",),
+            "usarmjx.models.files.robot_file": ("LoadedRobot", "load_robot", "robot_from_mjcf"),
             "usarmjx.models.ini.robots": ("LoadedRobots", "load_robots"),
             "usarmjx.models.robots": ("ROBOTS",),
             "usarmjx.models.types.arena": (
@@ -92,6 +95,7 @@ else:
                 "Water",
             ),
             "usarmjx.models.types.robot": (
+                "BodyInertia",
                 "Link",
                 "MissionPackage",
                 "Motor",

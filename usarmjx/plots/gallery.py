@@ -23,7 +23,7 @@ from usarmjx.models.compile.materials import materials_of
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.victims import victim_table
 from usarmjx.models.compile.visuals import solid_extents
-from usarmjx.models.robots import ROBOTS
+from usarmjx.models.files.find_robot import find_robot
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.models.types.shapes import SKY, Shape
@@ -101,13 +101,13 @@ def _corners(plan: KinematicTree) -> np.ndarray:
     return middle + FRAME_FACTOR * (corners - middle)
 
 
-def portraits(names: Sequence[str], path: Path, columns: int = 4) -> None:
+def portraits(names: Sequence[str | RobotSpec], path: Path, columns: int = 4) -> None:
     """Write a PNG with a picture of each robot and its name and size below.
 
     Raises:
         UnknownNameError: No such robot class.
     """
-    robots = [ROBOTS.get(name) for name in names]
+    robots = [find_robot(name) for name in names]
     rows = -(-len(robots) // columns)
     figure = Figure(figsize=(3.2 * columns, 2.75 * rows), dpi=80, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)

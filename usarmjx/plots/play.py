@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from usarmjx.base import random
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
@@ -91,7 +92,7 @@ def record_episode(
     """
     if not seconds > 0:
         raise UsageError(f"{seconds} seconds, expected more than 0")
-    act, carry, key = jax.jit(policy.act), policy.initial_carry(env.worlds), jax.random.key(seed)
+    act, carry, key = jax.jit(policy.act), policy.initial_carry(env.worlds), random.key(seed)
     state, step, end = env.reset(seed), 0, ""
     arena, goal = env.batch.arena_of(state.batch, WORLD), getattr(state.memory, "goal", None)
     moments = [(0.0, float(np.asarray(state.score)[WORLD]), *positions_of(env, state))]

@@ -185,7 +185,8 @@ def check_recording(recording: Recording, number: int) -> ReplayResult:
         found = first_difference(replayed.scene, message.value, replayed.state())
         if found:
             return ReplayResult(steps - setup.repeat, difference=found, note=_other_versions(setup))
-    return ReplayResult(steps)
+    damaged = recording.damaged
+    return ReplayResult(steps, difference=f"{damaged} damaged parts cannot be compared" if damaged else "")
 
 
 def _other_versions(setup: WorldSetup) -> str:

@@ -18,6 +18,7 @@ from flax import struct
 from usarmjx.base import random
 from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import on_numpy, xp
+from usarmjx.base.clock import Clock
 from usarmjx.base.errors import SpecError
 from usarmjx.base.parameters import ANY_PARAMETERS, Parameters
 from usarmjx.base.registry import Registry
@@ -103,7 +104,7 @@ class SensorInput(struct.PyTreeNode, kw_only=True):
     """Inputs of one robot's sensors at one moment.
 
     Attributes:
-        time: Simulated time [s] ().
+        clock: Simulated time, as a count of control steps ().
         state: State of the robot.
         bodies: Poses of its bodies.
         hits: Hits of the sensors' rays (rays,).
@@ -112,13 +113,18 @@ class SensorInput(struct.PyTreeNode, kw_only=True):
         battery: Remaining battery time [s] (); None: not needed.
     """
 
-    time: Array
+    clock: Clock
     state: RobotState
     bodies: BodyPoses
     hits: Hits
     surroundings: Surroundings | None = None
     noise_factor: Array | None = None
     battery: Array | None = None
+
+    @property
+    def time(self) -> Array:
+        """Simulated time in single precision [s] (); for durations use `clock.since`."""
+        return self.clock.seconds
 
     @property
     def surroundings_or_empty(self) -> Surroundings:

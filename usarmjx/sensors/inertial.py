@@ -59,13 +59,13 @@ class ImuMemory(struct.PyTreeNode, kw_only=True):
     Attributes:
         velocity: Velocity of its mount at the last measurement, world axes [m/s] (3,).
         mat: Orientation of its mount at the last measurement (3, 3).
-        time: Time of the last measurement [s] ().
+        step: Control step of the last measurement ().
         bias: Bias of angular velocities [rad/s] and accelerations [m/s2] (6,).
     """
 
     velocity: Array
     mat: Array
-    time: Array
+    step: Array
     bias: Array
 
 
@@ -116,7 +116,9 @@ class Imu(Sensor):
         pos, mat = self.mount_poses(inputs.bodies)
         velocity, _ = self._motion(inputs, pos[0])
         bias = self._by_kind("bias") * random.normal(key, (6,))
-        return ImuMemory(velocity=velocity, mat=mat[0], time=inputs.time, bias=bias)
+        return ImuMemory(
+            velocity=velocity, mat=mat[0], step=xp.asarray(inputs.clock.step, xp.int32), bias=bias
+        )
 
     @vectorized
     def read(self, inputs: SensorInput, memory: ImuMemory, key: Array) -> tuple[ImuMemory, Array]:
@@ -126,7 +128,7 @@ class Imu(Sensor):
         velocity, turn = self._motion(inputs, pos)
         # A second reading at the same time has no interval: it reports the momentary rate without
         # acceleration.
-        elapsed = (inputs.time - memory.time)[..., None]
+        elapsed = inputs.clock.since(memory.step)[..., None]
         again, span = elapsed > 0, xp.where(elapsed > 0, elapsed, FIRST_INTERVAL)
         turned = rotation_vector(matmul(memory.mat.mT, mat))
         rate = xp.where(again, turned / span, matvec(mat.mT, turn))
@@ -134,13 +136,13 @@ class Imu(Sensor):
         half_turned = matmul(memory.mat, mat_from_rotation_vector(turned / 2))
         half_way = xp.where(again[..., None], half_turned, mat)
         force = matvec(half_way.mT, change + REST_FORCE)
-        drawn = random.normal(key, (*memory.time.shape, 12))
+        drawn = random.normal(key, (*memory.step.shape, 12))
         bias = memory.bias + self._by_kind("bias_walk") * xp.sqrt(elapsed) * drawn[..., :6]
         noise = self._by_kind("noise") / xp.sqrt(span) * drawn[..., 6:]
         limit = self._by_kind("range")
         measured = xp.clip(xp.concatenate([rate, force], -1) + bias + noise, -limit, limit)
-        now = xp.broadcast_to(inputs.time, memory.time.shape)
-        return ImuMemory(velocity=velocity, mat=mat, time=now, bias=bias), measured
+        now = xp.broadcast_to(inputs.clock.step, memory.step.shape)
+        return ImuMemory(velocity=velocity, mat=mat, step=now, bias=bias), measured
 
 
 @dataclass(frozen=True)

@@ -163,7 +163,7 @@ class InsMemory(struct.PyTreeNode, kw_only=True):
         mat: Estimated orientation (3, 3).
         true_pos: True position at the last step [m] (3,).
         true_mat: True orientation at the last step (3, 3).
-        time: Time of the last step [s] ().
+        step: Control step of the last estimate ().
         drift_rate: Drift of x, y, z [m/s] and about x, y, z [rad/s] (6,).
     """
 
@@ -171,7 +171,7 @@ class InsMemory(struct.PyTreeNode, kw_only=True):
     mat: Array
     true_pos: Array
     true_mat: Array
-    time: Array
+    step: Array
     drift_rate: Array
 
 
@@ -196,7 +196,7 @@ class Ins(Sensor):
             mat=mat[0],
             true_pos=pos[0],
             true_mat=mat[0],
-            time=inputs.time,
+            step=xp.asarray(inputs.clock.step, xp.int32),
             drift_rate=rate * float(self.settings[0].drifting),
         )
 
@@ -211,7 +211,7 @@ class Ins(Sensor):
         settings = self.settings[0]
         pos, mat = self.mount_poses(inputs.bodies)
         pos, mat = pos[..., 0, :], mat[..., 0, :, :]
-        elapsed = inputs.time - memory.time[..., None]
+        elapsed = inputs.clock.since(memory.step)[..., None]
         span = xp.maximum(elapsed, 1e-6)
         rate = rotation_vector(matmul(memory.true_mat.mT, mat)) / span  # 1
         factor = normal_factor(key, (*rate.shape[:-1], 4), settings.mean, settings.sigma)
@@ -224,8 +224,8 @@ class Ins(Sensor):
             path = distance[..., None] * np.array([1.0, 0.0, 0.0], np.float32)
         position = memory.pos + matvec(estimate, factor[..., 3:] * path) + drift[..., :3]  # 5, 6, 7
         angles = angles_from_mat(estimate, xp)
-        now = xp.broadcast_to(inputs.time, memory.time.shape)
-        memory = memory.replace(pos=position, mat=estimate, true_pos=pos, true_mat=mat, time=now)
+        now = xp.broadcast_to(inputs.clock.step, memory.step.shape)
+        memory = memory.replace(pos=position, mat=estimate, true_pos=pos, true_mat=mat, step=now)
         return memory, xp.concatenate([position, angles], -1)
 
     def handle_set(

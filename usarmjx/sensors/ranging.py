@@ -223,13 +223,29 @@ class ScannerSettings(RangeSettings):
 
     @property
     def beams(self) -> int:
-        """Number of beams, both ends included."""
-        return step_count(self.scan_fov, self.resolution) + 1
+        """Number of beams, both ends included; of a full turn, whose ends are one direction, once."""
+        return beam_count(self.scan_fov, self.resolution)
+
+    @property
+    def is_full_turn(self) -> bool:
+        """Whether the beam after the last one is the first."""
+        return is_full_turn(self.scan_fov, self.resolution)
 
 
 def step_count(fov: float, resolution: float) -> int:
     """Return the number of whole steps in a field of view, tolerating a rounding error of 1e-3 steps."""
     return int(fov / resolution + 1e-3)
+
+
+def is_full_turn(fov: float, resolution: float) -> bool:
+    """Return whether whole steps go once around, so that both ends of a field of view are one direction."""
+    steps = step_count(fov, resolution)
+    return steps > 1 and abs(steps * resolution - 2 * math.pi) < 1e-2 * resolution
+
+
+def beam_count(fov: float, resolution: float) -> int:
+    """Return the number of beams in a field of view, each direction once."""
+    return step_count(fov, resolution) + (0 if is_full_turn(fov, resolution) else 1)
 
 
 def beam_count_problem(beams: int) -> str:
@@ -355,8 +371,8 @@ class Scanner3DSettings(RangeSettings):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Number of rows and of beams in a row, both ends included."""
-        rows, columns = (step_count(f, r) + 1 for f, r in zip(self.fov, self.resolution, strict=True))
+        """Number of rows and of beams in a row, both ends included; of a full turn once."""
+        rows, columns = (beam_count(f, r) for f, r in zip(self.fov, self.resolution, strict=True))
         return rows, columns
 
 

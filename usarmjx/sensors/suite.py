@@ -18,6 +18,7 @@ from flax import struct
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import named_scope, numpy_backend, on_numpy, set_at, vmap, xp
+from usarmjx.base.clock import Clock, intervals_in_steps, next_due
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.compile.kinematic_tree import BodyPoses, KinematicTree, kinematic_tree_of
 from usarmjx.models.types.robot import RobotSpec
@@ -49,25 +50,27 @@ SENSOR_MODULES = (
 """Module of each family of sensors."""
 
 
-CLOCK_SLACK = 1e-3
-"""Time within which a scan counts as due [s]: sums of float32 steps are not exact."""
-
-
 class SensorMemory(struct.PyTreeNode, kw_only=True):
     """Memory of one robot's sensors.
 
     Attributes:
-        due: Time of each sensor's next measurement [s] (sensors,).
+        due: Control step of each sensor's next measurement (sensors,).
+        lead: By how much that is after its exact time, see `base.clock.next_due` (sensors,).
+        armed: Whether each sensor measures when it is due; manual scanners only after a SCAN (sensors,).
         own: Each sensor's own memory.
         last: Each sensor's last value.
     """
 
     due: Array
+    lead: Array
+    armed: Array
     own: tuple[Any, ...]
     last: tuple[Array, ...]
 
 
-NO_MEMORY = SensorMemory(due=np.zeros(0, np.float32), own=(), last=())
+NO_MEMORY = SensorMemory(
+    due=np.zeros(0, np.int32), lead=np.zeros(0, np.int32), armed=np.zeros(0, bool), own=(), last=()
+)
 """Memory of a robot whose sensors have not started."""
 
 
@@ -107,19 +110,23 @@ class Suite:
         return tuple(accumulate(self.ray_counts))
 
     @cached_property
-    def _intervals(self) -> tuple[np.ndarray, np.ndarray]:
-        """Time between two measurements [s] (sensors,), and which sensors measure only on command."""
-        interval = np.array([sensor.settings[0].scan_interval for sensor in self.sensors], np.float32)
-        return interval, np.array([sensor.on_command for sensor in self.sensors], bool)
+    def _intervals(self) -> tuple[float, ...]:
+        """Time between two measurements of each sensor [s]."""
+        return tuple(float(sensor.settings[0].scan_interval) for sensor in self.sensors)
+
+    @cached_property
+    def _automatic(self) -> np.ndarray:
+        """Which sensors measure without a command (sensors,)."""
+        return np.array([not sensor.on_command for sensor in self.sensors], bool)
 
     def rays(self, bodies: BodyPoses, surroundings: Surroundings = NO_SURROUNDINGS) -> tuple[Array, Array]:
         """Return origins [m] and unit directions (rays, 3) of all sensors' rays, sensor by sensor."""
         pairs = [sensor.aimed_rays(bodies, surroundings) for sensor in self.sensors]
         return xp.concatenate([origin for origin, _ in pairs]), xp.concatenate([along for _, along in pairs])
 
-    def due(self, time: Array, memory: SensorMemory) -> Array:
-        """Return which sensors are due at a time [s] () (sensors,)."""
-        return time >= memory.due - CLOCK_SLACK
+    def due(self, clock: Clock, memory: SensorMemory) -> Array:
+        """Return which sensors are due at a moment () (sensors,)."""
+        return memory.armed & (clock.step - memory.due >= 0)
 
     def _rays_of(self, i: int) -> slice:
         """Return the slice of sensor `i` in all rays."""
@@ -230,8 +237,14 @@ class Suite:
         blank = read_all() if on_numpy() else jax.eval_shape(read_all)
         for sensor, value in zip(self.sensors, blank, strict=True):
             sensor.check_value(value.shape)
-        due = xp.where(self._intervals[1], xp.inf, 0.0) + inputs.time
-        return SensorMemory(due=due, own=own, last=tuple(xp.zeros(v.shape, v.dtype) for v in blank))
+        now = xp.broadcast_to(xp.asarray(inputs.clock.step, xp.int32), self._automatic.shape)
+        return SensorMemory(
+            due=now,
+            lead=xp.zeros(now.shape, xp.int32),
+            armed=xp.asarray(self._automatic),
+            own=own,
+            last=tuple(xp.zeros(v.shape, v.dtype) for v in blank),
+        )
 
     def _with_noise(self, inputs: SensorInput) -> tuple[Sensor, ...]:
         """Return the sensors with the noise factor of a robot."""
@@ -275,21 +288,18 @@ class Suite:
         self, inputs: SensorInput, memory: SensorMemory, key: Array
     ) -> tuple[SensorMemory, tuple[Reading, ...]]:
         """Read the due sensors; the others keep their last value, marked as not fresh."""
-        interval, manual = self._intervals
-        fresh, keys = self.due(inputs.time, memory), self._keys(key)
+        fresh, keys = self.due(inputs.clock, memory), self._keys(key)
         kept = [
             self._read_if(i, sensor, fresh[..., i], inputs, memory, keys[i])
             for i, sensor in enumerate(self._with_noise(inputs))
         ]
-        # The next scan follows the schedule, not the time of reading, so that the mean rate is exact.
-        # A sensor that missed a whole interval restarts its schedule, instead of measuring repeatedly to
-        # catch up.
-        late = inputs.time - memory.due >= interval
-        following = xp.where(manual, xp.inf, xp.where(late, inputs.time, memory.due) + interval)
-        due = xp.where(fresh, following, memory.due)
+        intervals = intervals_in_steps(self._intervals, inputs.clock.period)
+        due, lead = next_due(inputs.clock.step, memory.due, memory.lead, intervals)
+        due, lead = xp.where(fresh, due, memory.due), xp.where(fresh, lead, memory.lead)
+        armed = xp.where(fresh, self._automatic, memory.armed)
         own, last = tuple(own for own, _ in kept), tuple(value for _, value in kept)
         readings = tuple(Reading(value=value, fresh=fresh[..., i]) for i, value in enumerate(last))
-        return SensorMemory(due=due, own=own, last=last), readings
+        return SensorMemory(due=due, lead=lead, armed=armed, own=own, last=last), readings
 
     def _read_if(
         self, i: int, sensor: Sensor, fresh: Array, inputs: SensorInput, memory: SensorMemory, key: Array
@@ -334,8 +344,14 @@ class Suite:
         own = self.sensors[i].handle_set(opcode, params, inputs, memory.own[i])
         if own is None:
             return None
-        due = set_at(memory.due, i, inputs.time) if opcode.upper() == "SCAN" else memory.due
-        return memory.replace(own=(*memory.own[:i], own, *memory.own[i + 1 :]), due=due)
+        memory = memory.replace(own=(*memory.own[:i], own, *memory.own[i + 1 :]))
+        if opcode.upper() != "SCAN":
+            return memory
+        return memory.replace(
+            due=set_at(memory.due, i, inputs.clock.step),
+            lead=set_at(memory.lead, i, 0),
+            armed=set_at(memory.armed, i, True),
+        )
 
 
 def migrate_memory(before: Suite, after: Suite, memory: SensorMemory, fresh: SensorMemory) -> SensorMemory:
@@ -356,7 +372,13 @@ def migrate_memory(before: Suite, after: Suite, memory: SensorMemory, fresh: Sen
     own, last = (tuple(old if same_shape(old, new) else new for old, new in pair) for pair in pairs)
     both = zip(before.sensors, after.sensors, strict=True)
     changed = np.array([old.settings != new.settings for old, new in both], bool)
-    return SensorMemory(due=np.where(changed, fresh.due, memory.due), own=own, last=last)
+    return SensorMemory(
+        due=np.where(changed, fresh.due, memory.due),
+        lead=np.where(changed, fresh.lead, memory.lead),
+        armed=np.where(changed, fresh.armed, memory.armed),
+        own=own,
+        last=last,
+    )
 
 
 def _rays(sensor: Sensor, bodies: BodyPoses, surroundings: Surroundings) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ from flax import struct
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend, on_numpy, xp
+from usarmjx.base.clock import Time
 from usarmjx.models.compile.tags import TagTable, tag_table
 from usarmjx.models.compile.victims import (
     VictimTable,
@@ -71,7 +72,7 @@ def surroundings_at(
     victims: VictimTable,
     arena_tags: TagTable,
     dropped_tags: DroppedTags,
-    time: Array,
+    time: Time,
     floor: Array,
     xp: ModuleType = xp,
 ) -> Surroundings:
@@ -81,7 +82,7 @@ def surroundings_at(
         victims: Victims and false alarms, in the arena's axes.
         arena_tags: The arena's own tags, in the arena's axes.
         dropped_tags: Tags dropped by robots, in world axes.
-        time: Simulated time, on which victims' motion and cries depend [s] ().
+        time: Simulated time [s] or clock, on which victims' motion and cries depend ().
         floor: Height of the arena's floor in the world [m] ().
         xp: Array module of all arguments.
     """

@@ -13,8 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array, ArrayLike
 from usarmjx.base.backend import set_at
+from usarmjx.base.compilation import enable_cache_after_import
+from usarmjx.base.entry import jax_entry_points
 from usarmjx.base.errors import EngineError, UnsupportedFeatureError, UsageError
 from usarmjx.base.program_cache import ProgramCache, compile_program
 from usarmjx.comms.links import Links
@@ -92,6 +95,7 @@ def engine_of(scene: Scene, name: str, worlds: int) -> Engine[Any]:
     return make_engine(kind, *built, robots=scene.robots)
 
 
+@jax_entry_points
 class Batch:
     """Copies of a scene that are stepped together.
 
@@ -127,6 +131,7 @@ class Batch:
     ) -> None:
         if worlds < 1:
             raise UsageError(f"a batch needs at least one world, not {worlds}")
+        enable_cache_after_import()
         self.scene = scene
         self.worlds = worlds
         self.engine = engine_of(scene, engine, worlds)
@@ -153,7 +158,7 @@ class Batch:
             self._reset_program = self._compile(self._reset_where)
 
     def _keys_of(self, seed: int) -> jax.Array:
-        return jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(self._numbers)
+        return jax.vmap(partial(jax.random.fold_in, random.key(seed)))(self._numbers)
 
     def _compile(self, function: Callable[..., Any], static: tuple[int, ...] = ()) -> Callable[..., Any]:
         return self.engine.blocking(compile_program(function, self._program_cache, "Batch", static=static))

@@ -131,7 +131,7 @@ class RobotCommand(struct.PyTreeNode, kw_only=True):
             (joints,).
         mode: `ControlMode` of each joint (joints,).
         setpoint: Last value of each key of the robot's DRIVE [rad/s, m/s or rad] (keys,).
-        flip_until: Until when it is being righted [s] ().
+        flip_until: Control step until which it is being righted ().
         light: Whether the headlight is on ().
     """
 
@@ -146,7 +146,7 @@ class DriveConditions(struct.PyTreeNode, kw_only=True):
     """Conditions that decide on the effect of a robot's command.
 
     Attributes:
-        time: Simulated time [s] ().
+        step: Control steps since the last reset ().
         powered: Whether its battery lasts ().
         depth: Depth of its origin below the surface of water [m] (); `drives.DRY_DEPTH` outside.
         torque: Factor on what its motors can exert (); None: 1.
@@ -154,7 +154,7 @@ class DriveConditions(struct.PyTreeNode, kw_only=True):
         hold: Inputs that its holding actuators had in the step before (actuators,); None: 1.
     """
 
-    time: Array
+    step: Array
     powered: Array
     depth: Array
     torque: Array | None = None
@@ -189,7 +189,7 @@ def idle_command(robot: RobotSpec) -> RobotCommand:
         target=xp.zeros(len(parts)),
         mode=xp.array(modes, xp.int32).reshape(len(parts)),
         setpoint=xp.zeros(len(robot.drive.keys)),
-        flip_until=xp.zeros(()),
+        flip_until=xp.zeros((), xp.int32),
         light=xp.zeros((), bool),
     )
 
@@ -286,7 +286,7 @@ class CommandUpdate:
         joints: Joint names and positions [rad or m], velocities [rad/s or m/s] or torques [N m or N] (...,).
         mode: Control mode of `joints`.
         light: Whether the headlight is to be on (...,).
-        flip_until: Time until which they are righted [s] (...,).
+        flip_until: Control step until which they are righted (...,).
     """
 
     drive: Mapping[str, ArrayLike] = field(default_factory=dict[str, ArrayLike])
@@ -325,9 +325,7 @@ def update_command(
     if update.light is not None:
         updated = updated.replace(light=xp.broadcast_to(xp.asarray(update.light, bool), shape))
     if update.flip_until is not None:
-        updated = updated.replace(
-            flip_until=xp.broadcast_to(xp.asarray(update.flip_until, xp.float32), shape)
-        )
+        updated = updated.replace(flip_until=xp.broadcast_to(xp.asarray(update.flip_until, xp.int32), shape))
     if where is None:
         return updated
 
@@ -395,7 +393,7 @@ def _wrench(
         own = drive.wrench(setpoint, state, conditions.depth)
         wrench = drive.passive_wrench(state, conditions.depth) + xp.where(powered[..., None], own, 0.0)
     # A traced value decides no branch: on JAX every robot's wrench is computed and masked.
-    flips = powered & (conditions.time < flip_until)
+    flips = powered & (conditions.step < flip_until)
     if drive.is_wheeled and not (on_numpy() and not flips.any()):
         wrench = wrench + xp.where(flips[..., None], righting_wrench(plan, state, period), 0.0)
     return xp.asarray(wrench, xp.float32)

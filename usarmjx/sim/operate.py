@@ -36,7 +36,7 @@ from usarmjx.sensors.rays.raycast import Hits, RayCaster, RayQuery, cast_rays
 from usarmjx.sim.control import CommandUpdate, ControlMode, RobotCommand, update_command
 from usarmjx.sim.ray_geometry import ray_geoms, visible_arena
 from usarmjx.sim.scene import RobotGroup, Scene
-from usarmjx.sim.world import World, powered, robot_states, time_of
+from usarmjx.sim.world import World, clock_of, powered, robot_states
 
 NO_NUMBER = -1
 """The number of a result that has none."""
@@ -184,7 +184,7 @@ def ground_below(point: Array, cast: RayCaster) -> Array:
 
 def _ground_caster(scene: Scene, world: World) -> RayCaster:
     """Return a ray caster for floor and arena on JAX, each ray for itself: they start far from each other."""
-    geoms = ray_geoms(visible_arena(scene, world.arena_state, time_of(scene, world)))
+    geoms = ray_geoms(visible_arena(scene, world.arena_state, clock_of(scene, world)))
 
     def cast(origin: Array, direction: Array, query: RayQuery, fans: Fans | None = None) -> Hits:
         del fans

@@ -19,7 +19,7 @@ from usarmjx.models.compile.doors import door_boxes
 from usarmjx.models.types.shapes import SKY
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sim.scene import Scene
-from usarmjx.sim.world import Stream, World, episode_key, robot_states, time_of
+from usarmjx.sim.world import Stream, World, clock_of, episode_key, robot_states
 
 
 def radio_of(scene: Scene) -> RadioSettings:
@@ -168,8 +168,7 @@ def send(scene: Scene, world: World, messages: OutgoingMessages) -> Inboxes:
     mail = mailboxes(scene, world)
     # The count tells apart messages that are sent within one step.
     key = random.fold_in(episode_key(world, Stream.MAIL), mail.sent.sum())
-    moment = (world.step, time_of(scene, world))
-    return deliver(mail_of(scene), mail, messages, _links(world), moment, key)
+    return deliver(mail_of(scene), mail, messages, _links(world), clock_of(scene, world), key)
 
 
 def _links(world: World) -> Links:

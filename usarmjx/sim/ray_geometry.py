@@ -13,6 +13,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import on_numpy, xp
+from usarmjx.base.clock import Time
 from usarmjx.base.rotations import mat_from_quat, matmul, matvec
 from usarmjx.engines.base import GeomPoses, PhysicsState
 from usarmjx.models.compile.arena_set import ArenaState, arena_index_of
@@ -58,9 +59,9 @@ def victims_of(scene: Scene, arena_state: ArenaState | None) -> VictimTable:
 
 
 def surroundings(
-    scene: Scene, arena_state: ArenaState | None, dropped: DroppedTags, time: Array
+    scene: Scene, arena_state: ArenaState | None, dropped: DroppedTags, time: Time
 ) -> Surroundings | None:
-    """Return the victims and tags of a world at a time [s] (); None if no robot has a sensor for them.
+    """Return the victims and tags of a world at a time [s] or clock (); None if no robot senses them.
 
     Without the victims if no robot has a sensor for those.
     """
@@ -80,10 +81,10 @@ def start_poses(scene: Scene, arena_state: ArenaState | None) -> Array:
     return xp.array([(*start.at, start.yaw) for start in scene.arena.starts])
 
 
-def moved_geom_poses(scene: Scene, arena_state: ArenaState | None, time: Array) -> GeomPoses | None:
-    """Return the poses of the geoms of `scene.moved_geoms` at a time [s] (); without an axis over worlds.
+def moved_geom_poses(scene: Scene, arena_state: ArenaState | None, time: Time) -> GeomPoses | None:
+    """Return the poses of `scene.moved_geoms` at a time [s] or clock (); without an axis over worlds.
 
-    With one arena in the scene, times (...,) work as well: (..., geoms, 3) and (..., geoms, 4).
+    With one arena in the scene, several (...,) work as well: (..., geoms, 3) and (..., geoms, 4).
     """
     if scene.moved_geoms is None:
         return None
@@ -193,9 +194,9 @@ def _sorting_keys(rows: Sequence[VisibleGeoms]) -> tuple[np.ndarray, list[str], 
 
 
 def visible_arena(
-    scene: Scene, arena_state: ArenaState | None, time: Array, *, drawn: bool = False
+    scene: Scene, arena_state: ArenaState | None, time: Time, *, drawn: bool = False
 ) -> list[VisibleGeoms]:
-    """Return floor and arena, victims included, at a time [s] ().
+    """Return floor and arena, victims included, at a time [s] or clock ().
 
     Args:
         scene: The scene.
@@ -233,7 +234,7 @@ def _select_rows(rows: VisibleGeoms, which: np.ndarray) -> VisibleGeoms:
     return rows._replace(**columns)
 
 
-def _victim_geoms(scene: Scene, arena_state: ArenaState | None, time: Array) -> VisibleGeoms:
+def _victim_geoms(scene: Scene, arena_state: ArenaState | None, time: Time) -> VisibleGeoms:
     """Return the visuals of victims and false alarms."""
     table = victims_of(scene, arena_state)
     drawn, boxes, slots = drawn_bones(table, xp), table.num_boxes, len(VISUAL_SLOTS)

@@ -39,7 +39,7 @@ def init_world(
 ) -> tuple[World, Array]:
     """Return a new world and the qpos (nq,) it starts from; see `reset`."""
     zero = xp.zeros((), xp.int32)
-    faults = FaultCounts(not_finite=zero, overflow=zero, runaway=zero, refused=zero)
+    faults = FaultCounts(not_finite=zero, overflow=zero, runaway=zero, refused=zero, task=zero)
     world = World(
         key=key,
         number=number,
@@ -110,7 +110,7 @@ def _with_idle_robots(scene: Scene, world: World, physics: PhysicsState) -> Worl
     groups: list[GroupState] = []
     for group in scene.groups:
         active = xp.array([not scene.roster[int(slot)].parked for slot in group.slots])
-        groups.append(new_group_state(scene, group, active, xp.zeros(len(group.slots))))
+        groups.append(new_group_state(scene, group, active, xp.zeros(len(group.slots), xp.int32)))
     world = world.replace(groups=tuple(groups))
     groups = [
         start_sensors(scene, world, physics, group, state)
@@ -126,7 +126,7 @@ def new_group_state(scene: Scene, group: RobotGroup, active: ArrayLike, since: A
         scene: The scene.
         group: Robots of one class.
         active: Which of them are in use, broadcast to (robots,).
-        since: Since when their batteries are full [s] (robots,).
+        since: Control step at which their batteries are full (robots,).
     """
     n = len(group.slots)
     command = jax.tree.map(lambda x: xp.broadcast_to(x, (n, *x.shape)), idle_command(group.robot))

@@ -39,8 +39,8 @@ from usarmjx.models.compile.ray_geoms import ray_primitives_of
 from usarmjx.models.compile.tags import TagTable, tag_table
 from usarmjx.models.compile.victims import VictimTable, victim_table
 from usarmjx.models.effecters import Effecter, effecters_of
+from usarmjx.models.files.find_robot import find_robot
 from usarmjx.models.files.load import find_arena
-from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.cameras.paint import labels_of
@@ -296,7 +296,7 @@ class RosterEntry:
         Raises:
             UnknownNameError: No such class.
         """
-        return ROBOTS.get(self.robot) if isinstance(self.robot, str) else self.robot
+        return find_robot(self.robot)
 
 
 # Compared by identity: a scene's arrays have no truth value, and JAX hashes what programs close over.
@@ -476,6 +476,21 @@ def _resolve_arena(
     return arenas.template, arenas
 
 
+def unique_entries(roster: Sequence[str | RobotSpec | RosterEntry]) -> tuple[RosterEntry, ...]:
+    """Return the entries of a roster, whose names differ, case ignored: messages tell robots apart by them.
+
+    Raises:
+        SpecError: Names the robot and its slots.
+    """
+    entries = tuple(e if isinstance(e, RosterEntry) else RosterEntry(robot=e) for e in roster)
+    slots: dict[str, int] = {}
+    for slot, entry in enumerate(entries):
+        name = entry.name or f"{entry.spec.name}{slot}"
+        if (first := slots.setdefault(name.lower(), slot)) != slot:
+            raise SpecError(f"robots {first} and {slot} are both named {name}, expected names of their own")
+    return entries
+
+
 def build_scene(
     arena: str | Path | ArenaSpec | Sequence[ArenaSpec] = "yellow",
     roster: Sequence[str | RobotSpec | RosterEntry] = ("P2AT",),
@@ -501,13 +516,13 @@ def build_scene(
 
     Raises:
         UnknownNameError: Unknown arena, robot class, sensor or setting.
-        SpecError: More robots than the arena has start poses; mail without a radio; arenas that cannot be
-            together in a batch, see `models.build.arena_set`; a variation that does not go with a robot.
+        SpecError: Two robots of one name, more robots than start poses, mail without a radio, arenas that
+            cannot be together in a batch, or a variation that does not go with a robot.
         UnsupportedGeomError: A geom that rays cannot hit, or that the radio cannot count as a wall.
     """
     physics = physics or Physics()
     arena, arenas = _resolve_arena(arena, spare)
-    entries = tuple(e if isinstance(e, RosterEntry) else RosterEntry(robot=e) for e in roster)
+    entries = unique_entries(roster)
     if mail is not None and radio is None:
         raise SpecError("mail needs a radio: give build_scene a radio=RadioSettings(...) too")
     if radio is not None:

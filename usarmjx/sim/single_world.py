@@ -44,11 +44,11 @@ from usarmjx.sim.world import (
     FaultCounts,
     GroupState,
     World,
+    clock_of,
     compute_inputs,
     observe,
     runaway_limit,
     sense_self,
-    time_of,
 )
 
 MAX_FALL_HEIGHT = 1000.0
@@ -141,9 +141,10 @@ class SingleWorld:
                 step=zero,
                 groups=(),
                 tags=no_dropped_tags(),
-                faults=FaultCounts(not_finite=zero, overflow=zero, runaway=zero, refused=zero),
+                faults=FaultCounts(not_finite=zero, overflow=zero, runaway=zero, refused=zero, task=zero),
                 links=None if scene.radio is None else no_links(seats),
             )
+        self._wraps = 0
         self._homes: dict[int, np.ndarray] = {}
         self._subscenes: dict[frozenset[int], SubScene] = {}
         self._speeds = SpeedLimits((), {}, self.engine.data.qpos, scene.physics.period)
@@ -157,9 +158,14 @@ class SingleWorld:
         return self.engine.state()
 
     @property
+    def steps(self) -> int:
+        """Control steps since the world began; unlike `world.step` it does not wrap around."""
+        return self._wraps * 2**32 + int(self.world.step)
+
+    @property
     def time(self) -> float:
         """Simulated time since the world began [s]."""
-        return int(self.world.step) * self.scene.physics.period
+        return self.steps * self.scene.physics.period
 
     @property
     def roster(self) -> dict[int, RosterEntry]:
@@ -223,7 +229,7 @@ class SingleWorld:
     @numpy_backend()
     def _initial_state(self, group: RobotGroup) -> GroupState:
         """Return the state of the one robot of a group whose sensors start now, as they do at a reset."""
-        since = np.full(1, time_of(self.scene, self.world), np.float32)
+        since = np.full(1, self.world.step, np.int32)
         scene = self.scene.with_robots(self.engine.model, self.scene.roster, (group,))
         return start_sensors(
             scene, self.world, self.physics, group, new_group_state(scene, group, True, since)
@@ -284,7 +290,9 @@ class SingleWorld:
         limits = self._speeds.update(self.engine.data.qpos)
         lost, recovery = self.engine.advance(self._indices, limits, self._homes)
         # The engine has checked already that all is finite and no robot too fast, as `finish_step` does.
-        faults, step = self.world.faults, np.asarray(self.world.step + 1, np.int32)
+        faults, step = self.world.faults, np.array(self.world.step, np.int32)
+        step += 1
+        self._wraps += int(step < self.world.step)
         if lost or recovery:
             overflow, bad = (np.asarray(count, np.int32) for count in (lost != 0, bool(recovery)))
             faults = faults.replace(overflow=faults.overflow + overflow, not_finite=faults.not_finite + bad)
@@ -347,7 +355,7 @@ class SingleWorld:
         offset = int(self.world.step) - first
         if not 0 <= offset < LOOKAHEAD_STEPS:
             steps = self.world.step + np.arange(LOOKAHEAD_STEPS, dtype=np.int32)
-            ahead = moved_geom_poses(self.scene, None, time_of(self.scene, self.world.replace(step=steps)))
+            ahead = moved_geom_poses(self.scene, None, clock_of(self.scene, self.world.replace(step=steps)))
             offset, self._moved_ahead = 0, (int(self.world.step), ahead)
         return None if ahead is None else GeomPoses(pos=ahead.pos[offset], quat=ahead.quat[offset])
 
@@ -402,6 +410,7 @@ class SingleWorld:
         Robots get idle commands and full batteries. A robot whose start pose is taken is put next to it.
         """
         self.engine.reset_all(self._indices, self._homes)
+        self._wraps = 0
         self.world = restart_in_place(self.scene, self.world, self.physics)
         self._speeds.reset_robots(self._indices, self.engine.data.qpos)
 

@@ -37,7 +37,7 @@ from usarmjx.sim.ray_geometry import (
     visible_water,
 )
 from usarmjx.sim.scene import Scene
-from usarmjx.sim.world import Stream, World, episode_key, powered, robot_states, time_of
+from usarmjx.sim.world import Stream, World, clock_of, episode_key, powered, robot_states
 
 
 def geom_colors_of(scene: Scene) -> GeomColors:
@@ -131,7 +131,7 @@ def build_render_scene(
     bodies = tuple(forward_kinematics(group.plan, robot_states(group, physics)) for group in scene.groups)
     geoms, paint = camera_geoms(
         [
-            *visible_arena(scene, world.arena_state, time_of(scene, world), drawn=True),
+            *visible_arena(scene, world.arena_state, clock_of(scene, world), drawn=True),
             visible_loose(scene, physics),
             visible_doors(scene, physics),
             visible_water(scene),

@@ -15,8 +15,9 @@ from flax import struct
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import Part, named_scope, on_numpy, set_rows, vmap, xp
+from usarmjx.base.clock import Clock
 from usarmjx.comms.links import Links
-from usarmjx.comms.mail import Inboxes
+from usarmjx.comms.mail import Inboxes, receive
 from usarmjx.engines.base import GeomPoses, Inputs, PhysicsState
 from usarmjx.models.compile.arena_set import ArenaState
 from usarmjx.models.compile.kinematic_tree import BodyPoses, forward_kinematics
@@ -98,7 +99,7 @@ class GroupState(struct.PyTreeNode, kw_only=True):
     Attributes:
         command: Their commands (n, ...).
         active: Whether the robot is in use; the others are parked (n,).
-        battery_start: When its battery was full [s] (n,).
+        battery_start: Control step at which its battery was full (n,).
         drowned: Whether water has killed its battery (n,).
         hold: Inputs that their holding actuators had in the last control step (n, actuators).
         releases: Stock of each of their effecters (n, effecters).
@@ -126,12 +127,14 @@ class FaultCounts(struct.PyTreeNode, kw_only=True):
         overflow: Steps in which contact buffers were full.
         runaway: Steps in which a robot was faster than it can drive; see `RUNAWAY_SPEED`.
         refused: Commanded numbers that were not finite.
+        task: Steps after which the task's own reward, score or observation was not finite.
     """
 
     not_finite: Array
     overflow: Array
     runaway: Array
     refused: Array
+    task: Array
 
 
 class World(struct.PyTreeNode, kw_only=True):
@@ -171,9 +174,9 @@ class World(struct.PyTreeNode, kw_only=True):
         return self.replace(groups=(*self.groups[:index], group, *self.groups[index + 1 :]))
 
 
-def time_of(scene: Scene, world: World) -> Array:
-    """Return the simulated time since the last reset [s] ()."""
-    return xp.asarray(world.step, xp.float32) * scene.physics.period
+def clock_of(scene: Scene, world: World) -> Clock:
+    """Return the simulated time since the last reset ()."""
+    return Clock(step=xp.asarray(world.step, xp.int32), period=scene.physics.period)
 
 
 def episode_key(world: World, stream: Stream) -> Array:
@@ -235,11 +238,11 @@ def sense_self(
     states = robot_states(group, physics)
     bodies = forward_kinematics(group.plan, states)
     blind = jax.tree.map(lambda x: xp.zeros((len(group.slots), *x.shape)), NO_HITS)
-    time = time_of(scene, world)
-    around = surroundings(scene, world.arena_state, world.tags, time) if around is None else around
+    clock = clock_of(scene, world)
+    around = surroundings(scene, world.arena_state, world.tags, clock) if around is None else around
     noise = None if world.varied is None or world.varied.noise is None else world.varied.noise[group.slots]
     return SensorInput(
-        time=time, state=states, bodies=bodies, hits=blind, surroundings=around, noise_factor=noise
+        clock=clock, state=states, bodies=bodies, hits=blind, surroundings=around, noise_factor=noise
     )
 
 
@@ -248,7 +251,7 @@ def caster(scene: Scene, world: World, physics: PhysicsState) -> RayCaster:
     bodies = [forward_kinematics(group.plan, robot_states(group, physics)) for group in scene.groups]
     geoms = ray_geoms(
         [
-            *visible_arena(scene, world.arena_state, time_of(scene, world)),
+            *visible_arena(scene, world.arena_state, clock_of(scene, world)),
             visible_loose(scene, physics),
             visible_doors(scene, physics),
             *visible_robots(scene, bodies, [state.active for state in world.groups]),
@@ -270,7 +273,7 @@ def sense(
         cast: Casts rays; None: those of `caster`.
     """
     cast = caster(scene, world, physics) if cast is None else cast
-    around = surroundings(scene, world.arena_state, world.tags, time_of(scene, world))
+    around = surroundings(scene, world.arena_state, world.tags, clock_of(scene, world))
     inputs = [sense_self(scene, world, physics, group, around) for group in scene.groups]
     return tuple(
         one.replace(
@@ -288,12 +291,12 @@ def _hits(group: RobotGroup, inputs: SensorInput, memory: SensorMemory, cast: Ra
         return group.suite.hits(cast, bodies, slot, due, inputs.surroundings_or_empty)
 
     together = one if on_numpy() else vmap(one)
-    return together(inputs.bodies, xp.asarray(group.slots), group.suite.due(inputs.time, memory))
+    return together(inputs.bodies, xp.asarray(group.slots), group.suite.due(inputs.clock, memory))
 
 
 def battery_left(scene: Scene, world: World, group: RobotGroup, state: GroupState) -> Array:
     """Return the battery time left of a group's robots, 0 if drowned [s] (n,)."""
-    age = time_of(scene, world) - state.battery_start
+    age = clock_of(scene, world).since(state.battery_start)
     return xp.where(state.drowned, 0.0, xp.maximum(group.robot.battery_life - age, 0.0))
 
 
@@ -316,7 +319,7 @@ def compute_inputs(
         physics: State of the physics.
         moved: Present poses of the moving geoms, if they are known already.
     """
-    time = time_of(scene, world)
+    clock = clock_of(scene, world)
     ctrl, act, wrenches, pinned, pinned_dof = (list[Part]() for _ in range(5))
     if world.arena_state is not None:
         # All worlds share one model: loose objects that this world's arena lacks are held where they are.
@@ -331,11 +334,9 @@ def compute_inputs(
         if scene.arena.waters:
             state = state.replace(drowned=state.drowned | (state.active & drowns(group.robot, depth)))
         awake = powered(scene, world, group, state)
-        torque, speed = (_group_values(world, group, name) for name in ("torque", "speed"))
-        clock = xp.broadcast_to(time, awake.shape)
-        now = DriveConditions(
-            time=clock, powered=awake, depth=depth, torque=torque, speed=speed, hold=state.hold
-        )
+        factors = {name: _group_values(world, group, name) for name in ("torque", "speed")}
+        step = xp.broadcast_to(clock.step, awake.shape)
+        now = DriveConditions(step=step, powered=awake, depth=depth, hold=state.hold, **factors)
         command, state = _delayed_command(world, group, state)
 
         driven = compute_actuation(
@@ -357,7 +358,7 @@ def compute_inputs(
         pinned=set_rows(xp.zeros(scene.model.nq, bool), *pinned),
         pinned_dof=set_rows(xp.zeros(scene.model.nv, bool), *pinned_dof),
         qpos=xp.asarray(scene.model.qpos0, xp.float32),
-        geom_poses=moved_geom_poses(scene, world.arena_state, time) if moved is None else moved,
+        geom_poses=moved_geom_poses(scene, world.arena_state, clock) if moved is None else moved,
         varied=world.varied,
     )
     return world.replace(groups=tuple(groups), faults=world.faults.replace(refused=refused)), inputs
@@ -421,6 +422,8 @@ def observe(
 ) -> tuple[World, tuple[tuple[Reading, ...], ...]]:
     """Read the sensors that are due; per group and sensor a reading with a leading axis over robots.
 
+    Messages under way that have arrived are in the robots' boxes afterwards.
+
     Arguments are those of `sense`.
     """
     sensor_inputs = sense(scene, world, physics, cast)
@@ -436,4 +439,6 @@ def observe(
                 memory, values = map_robots(group.suite.read, sensor_input, keys, state.memory)
         groups.append(state.replace(memory=memory))
         readings.append(values)
+    if world.mail is not None:
+        world = world.replace(mail=receive(world.mail, clock_of(scene, world)))
     return world.replace(groups=tuple(groups)), tuple(readings)

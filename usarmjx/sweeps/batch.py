@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base import random
 from usarmjx.base.errors import UsageError
 from usarmjx.models.compile.arena_set import ArenaState
 from usarmjx.models.types.arena import ArenaSpec
@@ -145,7 +146,7 @@ class GroupRunner:
         numbers = jnp.arange(self._episodes)
         keys = jnp.concatenate(
             [
-                jax.vmap(partial(jax.random.fold_in, jax.random.key(cell.settings["seed"])))(numbers)
+                jax.vmap(partial(jax.random.fold_in, random.key(cell.settings["seed"])))(numbers)
                 for cell in cells
             ]
         )
@@ -169,7 +170,7 @@ class GroupRunner:
         """Return the first episode of each world."""
         env = self.env
         begin = carry = self._begin(weights)
-        keys = jnp.stack([jax.random.key(cell.settings["seed"]) for cell in cells])
+        keys = jnp.stack([random.key(cell.settings["seed"]) for cell in cells])
         fold = jax.jit(jax.vmap(jax.random.fold_in, (0, None)))
         state, step = self._starts(cells), 0
         over, bad = np.zeros(env.worlds, bool), np.zeros(env.worlds, bool)

@@ -13,8 +13,8 @@ from usarmjx.models.compile.arena_set import arena_set
 from usarmjx.models.compile.parts import parts_of as robot_parts
 from usarmjx.models.compile.physics import PHYSICS
 from usarmjx.models.compile.randomization import QUANTITY_RULES, DomainRandomization
+from usarmjx.models.files.find_robot import find_robot
 from usarmjx.models.generate import KINDS
-from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.sweeps.drivers import CellDriver, find_driver
 from usarmjx.sweeps.spec import FIELDS, ArenaLevel, CellSettings
@@ -139,7 +139,7 @@ def with_roster(task: Task, roster: object) -> Task:
     if not team:
         raise UsageError("roster is empty, expected at least one robot")
     names = {field.name for field in fields(task)}
-    kinds = list(dict.fromkeys(ROBOTS.get(name).name for name in team))
+    kinds = list(dict.fromkeys(find_robot(name).name for name in team))
     if {"robot", "count"} <= names:
         if len(kinds) > 1:
             raise UsageError(f"roster has {', '.join(kinds)}: the task takes robots of one class")
@@ -155,7 +155,7 @@ def with_roster(task: Task, roster: object) -> Task:
 
 
 def _side(name: str) -> str:
-    robot = ROBOTS.get(name)
+    robot = find_robot(name)
     if flies(robot):
         return "flying"
     return "tracked" if set(FLIPPERS) <= {part.name for part in robot_parts(robot)} else "wheeled"

@@ -9,6 +9,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
+from usarmjx.base.clock import Clock, Time
 from usarmjx.base.rotations import mat_from_quat, quat_from_mat
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.engines.base import PhysicsState
@@ -35,7 +36,7 @@ from usarmjx.sim.ray_geometry import (
     visible_water,
 )
 from usarmjx.sim.scene import RobotGroup, Scene
-from usarmjx.sim.world import GroupState, World, robot_states, time_of
+from usarmjx.sim.world import GroupState, World, clock_of, robot_states
 from usarmjx.view.drawing import (
     NOBODY,
     Drawing,
@@ -130,7 +131,7 @@ class Capture:
         """
         scene, robots, overlays = self._scene, dict[int, RobotFrame](), list[OverlayLines]()
         with numpy_backend():
-            time = float(time_of(scene, world))
+            clock = clock_of(scene, world)
             arena_pos, arena_mat, arena_shown = self._arena_poses(world, physics)
             pos, mat, shown = [arena_pos], [arena_mat], [arena_shown]
             for group, state in zip(scene.groups, world.groups, strict=True):
@@ -140,11 +141,11 @@ class Capture:
                 shown.append(np.repeat(np.asarray(state.active), len(group.plan.parts)))
                 body = robot_states(group, physics)
                 for member in np.flatnonzero(np.asarray(state.active)).tolist():
-                    robots[int(group.slots[member])] = _robot_frame(group, member, body, state, time)
+                    robots[int(group.slots[member])] = _robot_frame(group, member, body, state, clock)
                     overlays += _overlays(group, member, state)
             turns = quat_from_mat(np.concatenate(mat))
         return Frame(
-            time=time,
+            time=int(world.step) * scene.physics.period,
             pos=np.concatenate(pos).astype(np.float32),
             quat=np.asarray(turns, np.float32),
             shown=np.concatenate(shown),
@@ -179,13 +180,13 @@ class Capture:
 
     def _fixed(self, world: World) -> VisibleGeoms:
         """Return all geoms of this world's arena that never move, at their poses."""
-        time = time_of(self._scene, world)
-        fixed, *data = visible_arena(self._scene, world.arena_state, time)
+        clock = clock_of(self._scene, world)
+        fixed, *data = visible_arena(self._scene, world.arena_state, clock)
         rows = [_picked(fixed, ~np.isin(fixed.label, BONES))]
         if data:
             here = ~self._moving(world) & (np.abs(np.asarray(data[0].pos)) < FARTHEST).all(-1)
             rows.append(_picked(data[0], here & ~np.isin(data[0].label, BONES)))
-        rows += _still_limbs(_victims(self._scene, world), time, self._scene.arena.floor)
+        rows += _still_limbs(_victims(self._scene, world), clock, self._scene.arena.floor)
         return fixed._replace(
             **{
                 field: np.concatenate([np.asarray(getattr(row, field)) for row in rows])
@@ -217,7 +218,7 @@ class Capture:
         pos, mat = [np.zeros((still, 3))], [np.tile(np.eye(3), (still, 1, 1))]
         moving = self._moving(world)
         if moving.any():
-            here = moved_geom_poses(scene, state, time_of(scene, world))
+            here = moved_geom_poses(scene, state, clock_of(scene, world))
             assert here is not None
             pos.append(np.asarray(here.pos)[moving] + np.array([0.0, 0.0, scene.arena.floor]))
             mat.append(np.asarray(mat_from_quat(here.quat[moving])))
@@ -236,7 +237,7 @@ def _victims(scene: Scene, world: World) -> VictimTable:
     return jax.tree.map(np.asarray, victims_of(scene, world.arena_state))
 
 
-def _still_limbs(table: VictimTable, time: Array, floor: float) -> list[VisibleGeoms]:
+def _still_limbs(table: VictimTable, time: Time, floor: float) -> list[VisibleGeoms]:
     """Return the drawn limbs of victims that never move, at their poses."""
     boxes = np.flatnonzero((table.swing == 0) & (table.owner != PADDING_OWNER))
     positions, turns = (np.asarray(x)[boxes] for x in segment_poses(table, time))
@@ -351,12 +352,12 @@ def _plain(settings: Mapping[str, Any]) -> dict[str, Setting]:
 
 
 def _robot_frame(
-    group: RobotGroup, member: int, body: RobotState, state: GroupState, time: float
+    group: RobotGroup, member: int, body: RobotState, state: GroupState, clock: Clock
 ) -> RobotFrame:
     def own(values: Array) -> np.ndarray:
         return np.array(values[member])
 
-    age = time - float(state.battery_start[member])
+    age = float(clock.since(state.battery_start[member]))
     return RobotFrame(
         pos=own(body.pos),
         quat=own(body.quat),

@@ -12,7 +12,7 @@ from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.check.arena import check_arena
 from usarmjx.models.files.images import read_heights, write_heights
 from usarmjx.models.files.load import load_arena
-from usarmjx.models.files.maps import rectangles
+from usarmjx.models.files.maps import rectangles, without_specks
 
 EXAMPLES = dev.ROOT / "examples" / "arenas"
 EXACT = 1e-9  # m
@@ -165,3 +165,34 @@ def test_a_map_without_a_free_cell_is_told_and_found_by_the_check(tmp_path, capl
     (tmp_path / "b.yaml").write_text(text + "negate: 1\n")
     assert check_arena(load_arena(tmp_path / "b.yaml")) == []
     assert not caplog.text
+
+
+def test_specks_of_a_map_made_by_slam_are_left_out_and_counted(tmp_path):
+    """Walls all 5 m of 50 x 50 m and 0.4 % of single cells: without a `min_blob` there are too many boxes."""
+    cells = np.full((1000, 1000), 254, np.uint8)
+    cells[::100] = 0
+    clean = len(np.unique(np.nonzero(cells == 0)[0]))
+    cells[np.random.default_rng(0).random(cells.shape) < 0.004] = 0
+    Image.fromarray(cells).save(tmp_path / "noisy.png")
+    text = "image: noisy.png\nresolution: 0.05\norigin: [0, 0, 0]\n"
+    write(tmp_path / "noisy.yaml", text)
+    arena = write(tmp_path / "arena.yaml", "name: DM-Noisy\nmap: noisy.yaml\n")
+    with pytest.raises(ArenaFileError, match="set min_blob in it"):
+        load_arena(arena)
+    write(tmp_path / "noisy.yaml", text + "min_blob: 0.3\n")
+    walls = load_arena(arena).shapes
+    assert clean <= len(walls) < 150
+    assert sum(shape.size[0] > 24 for shape in walls) == clean
+    write(tmp_path / "noisy.yaml", text + "min_blob: -1\n")
+    with pytest.raises(ArenaFileError, match="min_blob is -1"):
+        load_arena(arena)
+
+
+def test_a_group_of_cells_is_as_long_as_its_longer_side():
+    wall = np.zeros((6, 9), bool)
+    wall[0, 0] = wall[2:4, 2] = wall[3, 3] = True  # a speck, and a group two cells high and wide
+    wall[5, 5:9] = True
+    left, dropped = without_specks(wall, 3)
+    assert dropped == 2
+    assert left.sum() == 4
+    assert without_specks(wall, 1)[1] == 0

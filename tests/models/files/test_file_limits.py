@@ -18,7 +18,7 @@ from usarmjx.models.drives import NoDrive
 from usarmjx.models.files import mjcf, reader_child
 from usarmjx.models.files.load import load_arena
 from usarmjx.models.files.reader_process import ReaderProcess
-from usarmjx.models.files.robot_mjcf import robot_from_mjcf
+from usarmjx.models.files.robot_file import robot_from_mjcf
 from usarmjx.models.files.xml_size import check_model_size
 
 BRIEFLY = 10.0

@@ -6,6 +6,7 @@ import pytest
 
 from usarmjx.base.registry import Registry
 from usarmjx.models.ini.robots import load_robots
+from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.sensors.human_motion import HumanMotionSettings
 from usarmjx.sensors.rfid import RfidSettings
@@ -118,3 +119,15 @@ def test_the_full_suite_example_has_every_sensor_of_the_benchmark():
     assert not loaded.warnings
     kinds = {sensor.kind for sensor in suite_of(loaded.robots[0]).sensors}
     assert {"Sonar", "RangeScanner", "Odometry", "INS", "Encoder", "Touch", "RFID", "VictSensor"} <= kinds
+
+
+def test_plus_adds_to_the_sensors_of_the_class(tmp_path):
+    path = tmp_path / "signs.ini"
+    zero = "(X=0,Y=0,Z=0)"
+    item = f"(ItemClass=class'USARBot.SonarSensor',ItemName=\"Z1\",Position={zero},Direction={zero})"
+    path.write_text(f"[USARBot.P2AT]\n+Sensors={item}\n")
+    (robot,) = load_robots([path], ROBOTS).robots
+    assert [mount.name for mount in robot.sensors] == [*(m.name for m in ROBOTS.get("P2AT").sensors), "Z1"]
+    path.write_text(f"[USARBot.P2AT]\nSensors={item}\n")
+    (robot,) = load_robots([path], ROBOTS).robots
+    assert [mount.name for mount in robot.sensors] == ["Z1"]

@@ -206,7 +206,7 @@ def test_a_soryu_turns_on_the_flat():
 def test_a_soryu_is_righted_from_its_side_and_its_back(roll):
     course = Course("Soryu", at=(0.0, 0.0, 0.1), turn=(math.radians(roll), 0.0, 0.0))
     assert upright(course.run(0.5))[-1] < 0.1
-    assert upright(course.tell(flip_until=3.6).run(3.0))[-1] > 0.99
+    assert upright(course.tell(flip_until=round(3.6 / PERIOD)).run(3.0))[-1] > 0.99
 
 
 def test_a_passarola_loses_its_drift_to_the_side():

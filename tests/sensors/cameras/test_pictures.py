@@ -344,7 +344,7 @@ def test_the_headlight_of_a_robot_lights_what_is_before_it_until_its_battery_is_
     other = picture_of(batch, lit_state, 0, 1, 0)
     np.testing.assert_array_equal(other.rgb, picture_of(batch, moved, 0, 1, 0).rgb)
     members = lit_state.worlds.groups[0]
-    empty = batch.with_group(lit_state, 0, members.replace(battery_start=members.battery_start - 1e5))
+    empty = batch.with_group(lit_state, 0, members.replace(battery_start=members.battery_start - 5_000_000))
     np.testing.assert_array_equal(picture_of(batch, empty, 0, 0, 0).rgb, dark.rgb)
     assert headlight_of(ROBOT_SPEC).pos.tolist() == pytest.approx([0.3, 0.0, 0.1])
     assert headlight_of(P2DX).pos.tolist() == pytest.approx([P2DX.dimensions[0] / 2, 0.0, 0.0])

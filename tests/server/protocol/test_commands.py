@@ -167,7 +167,6 @@ UNDERSTOOD = [
         Set("Odometry", "Odometry", "RESET"),
         id="Player's reset without Params",
     ),
-    pytest.param("DRIVE {Left 1,00} {Right -2,50}", skid(1.0, -2.0), id="decimal comma of LCM's proxy"),
     pytest.param(
         "DRIVE {Left 50.0} {Right 50.0} {Normalized True} {Light False} {Flip False}",
         skid(50.0, 50.0, normalized=True, light=False),
@@ -416,6 +415,20 @@ def test_ignored_with_a_reason(line, reason):
 def test_numbers_that_are_not_finite_are_refused(line, number):
     with pytest.raises(PeerError, match="not a finite number"):
         parse_command(parse_message(line.replace("@", number)))
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ("INIT {ClassName P2AT} {Location 4,5 1,9 1,8}", "'4,5 1,9 1,8'; expected numbers"),
+        ("INIT {ClassName P2AT} {Location 4,5,1,9,1,8}", "has 6 numbers, expected 3"),
+        ("DRIVE {Left 2,5} {Right 2,5}", "'2,5'; expected a number"),
+        ("CAMERA {Zoom 0,5}", "'0,5'; expected a number"),
+    ],
+)
+def test_decimal_commas_are_refused_not_cut(line, why):
+    with pytest.raises(PeerError, match=why):
+        parse_command(parse_message(line))
 
 
 @pytest.mark.parametrize(

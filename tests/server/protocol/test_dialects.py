@@ -34,7 +34,7 @@ TOLD = [  # the manual's line, and what is heard instead
         " Orientation 0.0000,0.0000,-0.8727 Mount HARD}",
         [
             "GEO {Type Sonar} {Name F2} {Location 0.1850,-0.1150,0.0000}"
-            " {Orientation 0.0000,0.0000,-0.8727} {Mount P3AT}"
+            " {Orientation 0.0000,0.0000,-0.8727} {Mount HARD}"
         ],
     ),
     (
@@ -53,7 +53,7 @@ TOLD = [  # the manual's line, and what is heard instead
         " {Link 2} {ParentLink 1} {Location 0,0,0.05} {Orientation 1.5,0,0}",
         [
             "GEO {Type Actuator} {Name Cam} {Location 0.0000,0.0000,0.0000}"
-            " {Orientation 0.0000,0.0000,0.0000} {Mount P3AT}"
+            " {Orientation 0.0000,0.0000,0.0000} {Mount HARD}"
             " {Link 1} {Parent 0} {Location 0.1,0,0} {Orientation 3.1,0,0}"
             " {Link 2} {Parent 1} {Location 0,0,0.05} {Orientation 1.5,0,0}"
             " {Tip 0.0000,0.0000,0.0000}"
@@ -82,8 +82,8 @@ TOLD = [  # the manual's line, and what is heard instead
 @pytest.mark.parametrize(("line", "heard"), TOLD, ids=[line.split("} {Name")[0] for line, _ in TOLD])
 def test_what_udk_says(line, heard):
     message = parse_message(line)
-    assert [format_message(one) for one in UDK.translate(message, "P3AT")] == heard
-    assert list(MANUAL.translate(message, "P3AT")) == [message]
+    assert [format_message(one) for one in UDK.translate(message)] == heard
+    assert list(MANUAL.translate(message)) == [message]
 
 
 ASKED = [

@@ -95,3 +95,9 @@ def test_lines_are_those_of_a_plain_split(case):
     lines = feed_all(buffer, chunks) + buffer.end()
     assert lines == [text for text in texts if text.strip() and len(text) <= 7]
     assert buffer.take_too_long() == len(long)
+
+
+def test_a_byte_order_mark_before_the_first_line_is_skipped():
+    mark = "\ufeff".encode()
+    chunks = [mark[:1], mark[1:] + b"INIT {ClassName P2AT}", b"\r\n" + mark + b"DRIVE\n"]
+    assert feed_all(LineBuffer(), chunks) == ["INIT {ClassName P2AT}", mark.decode("latin-1") + "DRIVE"]

@@ -216,7 +216,7 @@ def refused_by_its_sensors(monkeypatch):
     def fails(*args):
         raise SpecError("Sonar: a value of shape (2,) was read")
 
-    monkeypatch.setattr(single_world, "started", fails)
+    monkeypatch.setattr(single_world, "start_sensors", fails)
     return "P2AT", "a value of shape"
 
 

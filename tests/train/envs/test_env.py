@@ -221,6 +221,19 @@ def test_full_contact_buffers_are_bad_too(begun):
     np.testing.assert_array_equal(after.done, [False, False, True])
 
 
+def test_a_tasks_own_nan_is_its_fault_is_counted_and_reaches_no_learner(begun):
+    env, state, _ = begun
+    worlds, task = state.batch.worlds, state.task_state
+    rotten = task.replace(memory=task.memory.replace(goal=task.memory.goal.at[1].set(jnp.nan)))
+    after_worlds, after = env._evaluate(rotten, worlds, env.batch.physics(state.batch), worlds.faults)
+    np.testing.assert_array_equal(after.bad, [False, True, False])
+    np.testing.assert_array_equal(after.done, [False, True, False])
+    np.testing.assert_array_equal(after_worlds.faults.task - worlds.faults.task, [0, 1, 0])
+    np.testing.assert_array_equal(after_worlds.faults.not_finite, worlds.faults.not_finite)
+    seen = (*after.obs, after.privileged, *after.reward, after.score)
+    assert all(bool(jnp.isfinite(one).all()) for one in seen)
+
+
 def test_a_world_is_the_same_alone_as_in_a_batch(begun):
     together, _, told = begun
     if together.traceable:

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from usarmjx.base.clock import Clock
 from usarmjx.comms.links import no_links
 from usarmjx.comms.mail import MessageSettings, clear_inboxes, deliver, empty_inboxes
 from usarmjx.sensors.ranging import ScannerSettings
@@ -43,7 +44,7 @@ def exchange(belief, linked, time):
     """One step of mail over links that hold."""
     links = no_links(ROBOTS).replace(in_range=linked, delivery_probability=linked.astype(jnp.float32))
     boxes = clear_inboxes(empty_inboxes(SETTINGS, ROBOTS))
-    moment = (jnp.int32(0), time)
+    moment = Clock(step=jnp.round(time * 1000).astype(jnp.int32), period=1e-3)
     mail = deliver(SETTINGS, boxes, compose_messages(belief, EVERYONE), links, moment, jax.random.key(0))
     return update_from_mail(GRID, belief, mail, PERIOD)
 

@@ -116,8 +116,9 @@ class PlanarServos:
         lag: Time by which a moving joint trails its target: damping over stiffness [s] (n,).
         low: Lower joint limits (n,).
         high: Upper joint limits (n,).
-        geared_qpos: Pairs of joints of which the first copies the second, indices in qpos (pairs, 2).
+        geared_qpos: Pairs of joints of which the first follows the second, indices in qpos (pairs, 2).
         geared_qvel: The same, indices in qvel (pairs, 2).
+        gears: Offset and ratio of each pair's first position to its second (pairs, 2).
     """
 
     pull: np.ndarray
@@ -130,6 +131,7 @@ class PlanarServos:
     high: np.ndarray
     geared_qpos: np.ndarray
     geared_qvel: np.ndarray
+    gears: np.ndarray
 
 
 def servos_of(model: mujoco.MjModel) -> PlanarServos:
@@ -154,6 +156,7 @@ def servos_of(model: mujoco.MjModel) -> PlanarServos:
         high=np.where(limited, model.jnt_range[joints, 1], np.inf),
         geared_qpos=model.jnt_qposadr[pairs].astype(int),
         geared_qvel=model.jnt_dofadr[pairs].astype(int),
+        gears=model.eq_data[gears, :2].astype(np.float32).reshape(-1, 2),
     )
 
 
@@ -181,10 +184,11 @@ def move_joints(servos: PlanarServos, state: Any, ctrl: Array, act: Array, dt: f
     rate = jnp.where(held, later / lag, 0.0)
     qpos, qvel = set_rows(state.qpos, (servos.qpos, after)), set_rows(state.qvel, (servos.qvel, rate))
     if len(servos.geared_qpos):
+        offset, ratio = servos.gears.T
         first, second = servos.geared_qpos.T
-        qpos = set_rows(qpos, (first, qpos[second]))
+        qpos = set_rows(qpos, (first, offset + ratio * qpos[second]))
         first, second = servos.geared_qvel.T
-        qvel = set_rows(qvel, (first, qvel[second]))
+        qvel = set_rows(qvel, (first, ratio * qvel[second]))
     return state.replace(qpos=qpos, qvel=qvel, act=set_rows(act, (servos.act, aim + speed * dt)))
 
 

@@ -11,6 +11,7 @@ from usarmjx.models.compile.compose import ARENA_PREFIX
 from usarmjx.models.compile.reachability import footprint_of, reach_map, victims_reached
 from usarmjx.models.compile.tags import MAX_RELEASED_ID
 from usarmjx.models.files.content import corners_of
+from usarmjx.models.files.find_robot import find_robot
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import AUTOMATIC_TAG_ID, ArenaSpec, StartPose
 from usarmjx.models.types.robot import RobotSpec
@@ -34,7 +35,7 @@ def check_arena(arena: ArenaSpec, robot: str = "P2AT") -> list[str]:
     Raises:
         UnknownNameError: No such robot class.
     """
-    spec = ROBOTS.get(robot)
+    spec = find_robot(robot)
     found = [*_plan(arena), *_names(arena), *_tags(arena)]
     try:
         probe = ArenaProbe(arena, spec)

@@ -13,6 +13,7 @@ import numpy as np
 from usarmjx.base.transforms import Vec3, flip_angles, flip_vector, quat_from_angles
 from usarmjx.models.compile.doors import door_panel
 from usarmjx.models.compile.geoms import add_geom
+from usarmjx.models.compile.inertia import set_inertia
 from usarmjx.models.compile.parts import chassis_shapes, parts_of
 from usarmjx.models.compile.physics import CONES, SOLVERS, Physics
 from usarmjx.models.compile.victims import segment_poses, victim_table
@@ -170,15 +171,18 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw
     """Add a robot of that class whose chassis origin starts at `pos`, with prefixed names."""
     chassis = spec.worldbody.add_body(name=f"{prefix}chassis", pos=pos, quat=quat_from_angles(0, 0, yaw))
     chassis.add_freejoint(name=f"{prefix}root")
-    for i, shape in enumerate(chassis_shapes(robot)):
-        add_geom(spec, chassis, f"{prefix}chassis/{i}", flipped(shape))
+    solids = [flipped(shape) for shape in chassis_shapes(robot)]
+    for i, shape in enumerate(solids):
+        add_geom(spec, chassis, f"{prefix}chassis/{i}", shape)
+    if robot.inertia is not None:
+        set_inertia(chassis, robot.inertia, solids)
     bodies = {CHASSIS: chassis}
     for part in parts_of(robot):
         bodies[part.name] = _add_part(spec, bodies[part.parent], part, prefix)
         if part.geared is not None:
             gear = spec.add_equality(name=prefix + part.name, type=mujoco.mjtEq.mjEQ_JOINT)
             gear.name1, gear.name2 = prefix + part.name, prefix + part.geared
-            gear.data[:2] = 0.0, 1.0
+            gear.data[:2] = part.gear_offset, part.gear_ratio
     names = [body.name for body in bodies.values()]
     # Parts may overlap at rest, as the wheels of a track do.
     for i, first in enumerate(names):
@@ -207,8 +211,11 @@ def _add_part(spec: mujoco.MjSpec, parent: mujoco.MjsBody, part: Part, prefix: s
     body = parent.add_body(name=name, pos=flip_vector(part.at), quat=turn)
     kind = mujoco.mjtJoint.mjJNT_HINGE if part.joint == "hinge" else mujoco.mjtJoint.mjJNT_SLIDE
     joint = body.add_joint(name=name, type=kind, axis=flip_vector(part.axis))
-    for i, shape in enumerate(part.shapes):
-        add_geom(spec, body, f"{name}/{i}", flipped(shape))
+    solids = [flipped(shape) for shape in part.shapes]
+    for i, shape in enumerate(solids):
+        add_geom(spec, body, f"{name}/{i}", shape)
+    if part.inertia is not None:
+        set_inertia(body, part.inertia, solids)
     if part.motor is not None:
         joint.armature = part.motor.armature
         _add_servo(spec, joint, part.motor)

@@ -240,9 +240,24 @@ def kinematic_tree_of(robot: RobotSpec) -> KinematicTree:
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> float:
     """Return the height of the lowest point of the masked geoms (ngeom,) [m]; kinematics must be current.
 
-    Boxes, spheres, capsules, cylinders and ellipsoids are exact; other types count as their bounding sphere.
+    Solids are exact; other types, such as terrain, count as their bounding sphere.
     """
-    up = np.abs(data.geom_xmat.reshape(-1, 3, 3)[:, 2, :])
+    return float(-_reach(model, data, geoms, np.array([0.0, 0.0, -1.0])))
+
+
+def bounding_corners(
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest and highest corner (3,) of the box around the masked geoms; see `lowest_point`."""
+    axes = np.eye(3)
+    low = np.array([-_reach(model, data, geoms, -axis) for axis in axes])
+    return low, np.array([_reach(model, data, geoms, axis) for axis in axes])
+
+
+def _reach(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray, way: np.ndarray) -> float:
+    """Return the largest coordinate of the masked geoms along a direction (3,) [m]."""
+    local = data.geom_xmat.reshape(-1, 3, 3).swapaxes(1, 2) @ way
+    up = np.abs(local)
     radius, length = model.geom_size[:, 0], model.geom_size[:, 1]
     kinds = mujoco.mjtGeom
     reach = np.select(
@@ -262,7 +277,11 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) 
             model.geom_rbound,
         ),
     )
-    return float((data.geom_xpos[:, 2] - reach)[geoms].min())
+    for geom in np.nonzero(geoms & (model.geom_type == kinds.mjGEOM_MESH))[0]:
+        mesh = model.geom_dataid[geom]
+        corners = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
+        reach[geom] = (corners @ local[geom]).max()
+    return (data.geom_xpos @ way + reach)[geoms].max()
 
 
 def robot_state(index: RobotIndex, qpos: Array, qvel: Array) -> RobotState:

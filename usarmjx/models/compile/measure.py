@@ -6,13 +6,16 @@ import mujoco
 import numpy as np
 
 from usarmjx.models.compile.compose import add_robot, new_spec
-from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.kinematic_tree import bounding_corners, kinematic_tree_of
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import RobotSpec
 
 MEASUREMENT_DECIMALS = 6
 """Decimals of the measurements, micrometres and milligrams: kinematic trees are in single precision."""
+
+ROUND = ("sphere", "capsule", "cylinder", "ellipsoid")
+"""Kinds of shapes whose first size is the radius of a wheel."""
 
 
 def with_measurements(robot: RobotSpec) -> RobotSpec:
@@ -28,7 +31,7 @@ def with_measurements(robot: RobotSpec) -> RobotSpec:
     low, high = bounding_box(robot)
     wheels = [i for i, part in enumerate(tree.parts) if part in {wheel.name for wheel in robot.wheels}]
     spread = np.ptp(tree.rest_pos[wheels], axis=0) if wheels else np.zeros(3)
-    radii = [shape.size[0] for part in robot.wheels for shape in part.shapes if shape.kind != "box"]
+    radii = [shape.size[0] for part in robot.wheels for shape in part.shapes if shape.kind in ROUND]
     length, width, height = (high - low).round(MEASUREMENT_DECIMALS).tolist()
     return replace(
         robot,
@@ -49,8 +52,4 @@ def bounding_box(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     own = model.geom_bodyid >= 2  # bodies 0 and 1 are the world and the arena
-    mat = data.geom_xmat[own].reshape(-1, 3, 3)
-    middle, half = model.geom_aabb[own, :3], model.geom_aabb[own, 3:]
-    centre = data.geom_xpos[own] + np.einsum("gij,gj->gi", mat, middle)
-    reach = np.einsum("gij,gj->gi", np.abs(mat), half)
-    return (centre - reach).min(0), (centre + reach).max(0)
+    return bounding_corners(model, data, own)

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from flax import struct
 
-from usarmjx.base.arrays import Array, ArrayLike
+from usarmjx.base.arrays import Array
+from usarmjx.base.clock import Time, cycle_share
 from usarmjx.base.errors import SpecError
 from usarmjx.base.rotations import Components, parts, plus, quat_times, rotated
 from usarmjx.base.transforms import Vec3, quat_from_angles
@@ -438,14 +439,14 @@ def victim_table(victims: Sequence[Victim], false_alarms: Sequence[FalseAlarm] =
     return table.replace(swing=swing.astype(np.float32))
 
 
-def segment_angles(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> tuple[Array, Array]:
+def segment_angles(table: VictimTable, time: Time, xp: ModuleType = np) -> tuple[Array, Array]:
     """Return the joints' angles [rad] and their rates [rad/s] at a time [s].
 
     Each angle goes from its initial value to its final one and back again, without end, at its rate.
 
     Args:
         table: The victims.
-        time: Simulated time [s] (...,).
+        time: Simulated time [s] or clock (...,).
         xp: Array module of both.
 
     Returns:
@@ -454,18 +455,18 @@ def segment_angles(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> 
     span = xp.abs(table.final - table.initial)
     way = xp.sign(table.final - table.initial)
     turn = 2 * xp.where(span > 0, span, 1.0)
-    gone = xp.mod(xp.asarray(time)[..., None, None] * table.rate, turn)
+    gone = turn * cycle_share(time, table.rate / turn, 2, xp)
     back = gone > span
     angle = table.initial + way * xp.where(back, turn - gone, gone)
     return angle, way * table.rate * xp.where(back, -1.0, 1.0)
 
 
-def segment_poses(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> tuple[Array, Array]:
+def segment_poses(table: VictimTable, time: Time, xp: ModuleType = np) -> tuple[Array, Array]:
     """Return the poses of the boxes at a time.
 
     Args:
         table: The victims; numpy or JAX arrays, of one world (map over worlds by `jax.vmap`).
-        time: Simulated time [s] (...,).
+        time: Simulated time [s] or clock (...,).
         xp: Array module of both.
 
     Returns:
@@ -475,7 +476,7 @@ def segment_poses(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> t
     return _poses(table, angles, xp)
 
 
-def segment_speeds(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> Array:
+def segment_speeds(table: VictimTable, time: Time, xp: ModuleType = np) -> Array:
     """Return the speeds of the boxes at a time (...,), each of its fastest corner [m/s] (..., boxes).
 
     Central differences over `SPEED_STEP` either way along the present direction of motion, which are exact at
@@ -487,13 +488,14 @@ def segment_speeds(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> 
     return xp.sqrt(((ahead - behind) ** 2).sum(-1).max(-1)) / (2 * SPEED_STEP)
 
 
-def loudness(table: VictimTable, time: ArrayLike, xp: ModuleType = np) -> Array:
+def loudness(table: VictimTable, time: Time, xp: ModuleType = np) -> Array:
     """Return the loudness of victims' cries at a time (...,), at 1 m; 0 while silent (..., victims).
 
     The first cry begins at time 0.
     """
     cycle = table.duration + table.pause
-    since = xp.mod(xp.asarray(time)[..., None], xp.where(cycle > 0, cycle, 1.0))
+    cycle = xp.where(cycle > 0, cycle, 1.0)
+    since = cycle * cycle_share(time, 1.0 / cycle, 1, xp)
     return xp.where(since < table.duration, table.loudness, 0.0)
 
 
@@ -516,7 +518,7 @@ def rest_height(posture: str) -> float:
     return -float(lowest_points(table, 0.0).min())
 
 
-def lowest_points(table: VictimTable, time: ArrayLike) -> np.ndarray:
+def lowest_points(table: VictimTable, time: Time) -> np.ndarray:
     """Return the height of every box's lowest point at a time (...,) [m] (..., boxes)."""
     pos, quat = segment_poses(table, time)
     return pos[..., 2] - (np.abs(orientations(quat)[..., 2, :]) * table.size).sum(-1)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, cast
 import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
-from usarmjx.base.settings import POSITIVE, FileValue, Setting
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, FileValue, Setting
 from usarmjx.base.settings.reader import Reader
 from usarmjx.base.transforms import Vec3, mat_from_angles
 from usarmjx.models.files.content import Content, Rectangle
@@ -32,7 +32,7 @@ Cells = tuple[int, int, int, int]
 
 @dataclass(frozen=True, kw_only=True)
 class MapDescription:
-    """A YAML file of map_server.
+    """A YAML file of map_server, and `min_blob`.
 
     Attributes:
         image: Picture of the cells, from the file's folder.
@@ -42,6 +42,7 @@ class MapDescription:
         occupied_thresh: Darkness above which a cell is occupied, 1 being black.
         free_thresh: Darkness below which a cell is free.
         mode: Meaning of the picture's values; see `read_occupancy_grid`.
+        min_blob: Length below which groups of occupied cells are left out [m]; map_server ignores the key.
     """
 
     image: Path
@@ -51,6 +52,7 @@ class MapDescription:
     occupied_thresh: float = 0.65
     free_thresh: float = 0.196
     mode: Literal["trinary", "scale", "raw"] = "trinary"
+    min_blob: Annotated[float, NOT_NEGATIVE] = 0.0
 
     def problem(self) -> str:
         """Return the contradiction between the thresholds; empty: there is none."""
@@ -71,12 +73,14 @@ class OccupancyGrid:
         free: Whether each cell is certainly free (rows, columns).
         resolution: Side of a cell [m].
         origin: x, y and yaw of the outer corner of the first cell.
+        specks: Number of groups of wall cells that were too small for `min_blob`.
     """
 
     wall: np.ndarray
     free: np.ndarray
     resolution: float
     origin: Vec3
+    specks: int = 0
 
 
 def is_map(value: FileValue) -> bool:
@@ -117,7 +121,36 @@ def read_occupancy_grid(value: FileValue, unknown: Unknown = "free") -> Occupanc
             wall |= ~wall & ~free & ~lost & (graded >= GRADED_WALL_VALUE)
     if unknown == "occupied":
         wall = wall | lost
-    return OccupancyGrid(wall, free, given.resolution, given.origin)
+    wall, specks = without_specks(wall, given.min_blob / given.resolution)
+    return OccupancyGrid(wall, free, given.resolution, given.origin, specks)
+
+
+def without_specks(wall: np.ndarray, smallest: float) -> tuple[np.ndarray, int]:
+    """Remove connected groups of cells that are shorter than `smallest` cells in both directions.
+
+    Cells that touch at a corner belong together: a thin wall that runs askew is one group.
+
+    Args:
+        wall: The cells (rows, columns).
+        smallest: Length along an axis from which a group stays [cells].
+
+    Returns:
+        The cells that stay, and the number of groups removed.
+    """
+    from scipy import ndimage  # pyright: ignore[reportMissingTypeStubs]
+
+    if smallest <= 1:
+        return wall, 0
+    tools = cast("Any", ndimage)
+    label, count = tools.label(wall, np.ones((3, 3)))
+    small = [
+        number
+        for number, (rows, columns) in enumerate(tools.find_objects(label), 1)
+        if max(rows.stop - rows.start, columns.stop - columns.start) < smallest - 1e-9
+    ]
+    drop = np.zeros(count + 1, bool)
+    drop[small] = True
+    return wall & ~drop[label], len(small)
 
 
 def occupancy_grid_content(
@@ -134,14 +167,15 @@ def occupancy_grid_content(
     )
     if len(boxes) > MAX_MAP_BOXES:
         raise value.error(
-            f"the map makes more than the {MAX_MAP_BOXES} boxes that are allowed: clear it of specks, or "
-            "halve its size and double its resolution"
+            f"the map makes more than the {MAX_MAP_BOXES} boxes that are allowed: set min_blob in it, the "
+            "length below which specks are left out [m], or halve its size and double its resolution"
         )
+    specks = (f"{value.path}: min_blob leaves out {plan.specks} specks",) if plan.specks else ()
     return Content(
         shapes=tuple(_box(plan, box, height) for box in boxes),
         extent=_extent(plan),
         free_position=_free_position(plan),
-        warnings=() if plan.free.any() else (_nowhere(value, plan),),
+        warnings=specks + (() if plan.free.any() else (_nowhere(value, plan),)),
     )
 
 

@@ -1,4 +1,4 @@
-"""Checks of the bytes of mesh files (OBJ, STL), so that errors name line or facet.
+"""Checks of the bytes of mesh files (OBJ, STL, COLLADA), so that errors name line or facet.
 
 Readers of meshes skip or repair much of what is wrong: a file that is cut off would become another solid.
 """
@@ -200,5 +200,18 @@ def _words(data: bytes) -> Iterator[tuple[int, bytes]]:
             yield number, word
 
 
-MESH_CHECKS: dict[str, Callable[[Path, bytes], None]] = {".obj": _check_obj, ".stl": _check_stl}
+def _check_dae(path: Path, data: bytes) -> None:
+    """Refuse what is no COLLADA; a document type's entities could expand exponentially."""
+    head = data[:4096].lower()
+    if b"<collada" not in head:
+        raise mesh_error(path, "it is no COLLADA: its root is not <COLLADA>")
+    if b"<!doctype" in data.lower():
+        raise mesh_error(path, "it defines a document type (<!DOCTYPE>); meshes have none")
+
+
+MESH_CHECKS: dict[str, Callable[[Path, bytes], None]] = {
+    ".obj": _check_obj,
+    ".stl": _check_stl,
+    ".dae": _check_dae,
+}
 """Check of each kind of mesh files, by their suffix."""

@@ -11,14 +11,13 @@ from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import Vec3, flip_angles, flip_vector
 from usarmjx.models.compile.doors import DOOR_GAP
 from usarmjx.models.compile.geoms import add_geom
+from usarmjx.models.compile.inertia import Inertia, combine_inertias
 from usarmjx.models.files.content import Content, surface_of
 from usarmjx.models.files.meshes import ConvexPiece, convex_pieces
 from usarmjx.models.files.mjcf_solids import (
     KINDS,
     SIZES,
-    Inertia,
     Pose,
-    combine_inertias,
     inertia_box,
     mat_of,
     usarsim_angles,

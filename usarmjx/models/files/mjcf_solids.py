@@ -1,6 +1,5 @@
 """Solids and masses of a body from an MJCF or URDF file."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -8,6 +7,7 @@ import numpy as np
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import angles_from_mat, flip_angles, flip_vector
+from usarmjx.models.compile.inertia import Inertia
 from usarmjx.models.types.robot import Vec3
 from usarmjx.models.types.shapes import Shape
 
@@ -61,28 +61,6 @@ def usarsim_angles(mat: np.ndarray) -> Vec3:
         angles = np.array([0.0, angles[1], np.arctan2(-mat[0, 1], mat[1, 1])])
     roll, pitch, yaw = (np.array(flip_angles(angles.tolist())) + 0.0).tolist()
     return (roll, pitch, yaw)
-
-
-@dataclass(frozen=True, eq=False)
-class Inertia:
-    """Mass [kg], its centre [m] (3,), and inertia about that centre [kg m2] (3, 3)."""
-
-    mass: float
-    centre: np.ndarray
-    tensor: np.ndarray
-
-
-def combine_inertias(parts: Sequence[Inertia]) -> Inertia:
-    """Return the inertia of several rigidly joined bodies."""
-    mass = sum(part.mass for part in parts)
-    if mass <= 0:
-        return Inertia(0.0, np.zeros(3), np.zeros((3, 3)))
-    centre = sum((part.mass * part.centre for part in parts), np.zeros(3)) / mass
-    tensor = np.zeros((3, 3))
-    for part in parts:
-        arm = part.centre - centre
-        tensor += part.tensor + part.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    return Inertia(mass, centre, tensor)
 
 
 def inertia_box(inertia: Inertia) -> Shape:

@@ -11,6 +11,7 @@ import select
 import sys
 import time
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any, BinaryIO
 
 ALLOCATION_ERROR = "Caught an unknown exception"
@@ -33,6 +34,7 @@ MAX_MODEL_VALUES = {
 LOADING: dict[str, dict[str, Any]] = {
     "obj": {"process": False, "maintain_order": True, "skip_materials": True, "split_objects": True},
     "stl": {"process": False},
+    "dae": {"process": False, "resolver": None},
 }
 """Options of trimesh by kind of mesh file, which keep the file's order and vertices."""
 
@@ -93,13 +95,18 @@ def read_mesh(path: str) -> tuple[dict[str, object], list[Any]]:
     import numpy as np
     import trimesh
 
-    limit()
     kind = path[-3:].lower()
+    if kind == "dae":
+        pass  # pyright: ignore[reportUnusedImport] - trimesh reads with it, and says less without
+    limit()
     with open(path, "rb") as file:
         scene: Any = trimesh.load_scene(  # pyright: ignore[reportUnknownMemberType]
             _as_utf8(file, kind), file_type=kind, **LOADING[kind]
         )
-    found = [(str(name), scene.geometry[name]) for name in sorted(scene.geometry)]
+    if kind == "dae":
+        found = _placed_objects(scene)
+    else:
+        found = [(str(name), scene.geometry[name]) for name in sorted(scene.geometry)]
     arrays = [
         np.ascontiguousarray(array, kind)
         for _, mesh in found
@@ -109,28 +116,77 @@ def read_mesh(path: str) -> tuple[dict[str, object], list[Any]]:
     return {"names": names, "shapes": [array.shape for array in arrays]}, arrays
 
 
+def _placed_objects(scene: Any) -> list[tuple[str, Any]]:  # noqa: ANN401 - trimesh.Scene
+    """Return the meshes of a COLLADA scene in metres, each where its nodes put it.
+
+    As ROS and Gazebo do, the scene's unit counts and its upward axis does not.
+    """
+    found: list[tuple[str, Any]] = []
+    for node in sorted(scene.graph.nodes_geometry):
+        transform, name = scene.graph[node]
+        mesh = scene.geometry[name].copy()
+        if not hasattr(mesh, "faces"):
+            continue
+        unit = str(mesh.metadata.get("units") or "").partition(" * ")
+        mesh.apply_transform(transform)
+        if unit[1]:
+            mesh.apply_scale(float(unit[0]))
+        found.append((str(node), mesh))
+    return found
+
+
+def read_xacro(path: str, arguments: Any) -> tuple[dict[str, object], list[Any]]:  # noqa: ANN401 - JSON
+    """Expand a xacro file without ROS; packages are the folders of the arguments, or found by their names."""
+    # The package has no types, and no public way to say where packages are.
+    xacro: Any = import_module("xacro")
+    substitutions: Any = import_module("xacro.substitution_args")
+    limit()
+    folders: dict[str, str] = arguments["folders"]
+    missing: list[str] = []
+
+    def find(package: str) -> str:
+        if package not in folders:
+            missing.append(package)
+            raise ValueError(f"no folder is found for package {package!r}")
+        return folders[package]
+
+    substitutions._eval_find = find
+    substitutions._eval_dict["find"] = find
+    try:
+        document = xacro.process_file(path, mappings=arguments["mappings"])
+    except Exception as error:
+        if missing:
+            return {"package": missing[0]}, []
+        raise ValueError(f"{type(error).__name__}: {error}") from error
+    text = document.toprettyxml(indent=" ").encode()
+    return {}, [text]
+
+
 def _as_utf8(file: BinaryIO, kind: str) -> BinaryIO:
     """Return a text file with invalid UTF-8 replaced; trimesh would need another module for that."""
     import io
 
     data = file.read()
-    if kind == "stl" and b"\0" in data:
+    if kind == "dae" or (kind == "stl" and b"\0" in data):
         return io.BytesIO(data)
     return io.BytesIO(data.decode("utf-8", "replace").encode())
 
 
-READERS: dict[str, Callable[[str], tuple[dict[str, object], list[Any]]]] = {
+READERS: dict[str, Callable[..., tuple[dict[str, object], list[Any]]]] = {
     "model": try_model,
     "mesh": read_mesh,
+    "xacro": read_xacro,
 }
 """Reader of each kind of file."""
 
 
 def answer(line: bytes) -> tuple[dict[str, object], list[Any]]:
     """Return the result of reading a file: its values, or under "error" the reason of failure."""
-    kind, path = json.loads(line)
+    kind, path, *arguments = json.loads(line)
     try:
-        return READERS[kind](path)
+        return READERS[kind](path, *arguments)
+    except ModuleNotFoundError as error:
+        return {"error": f"{error.name} is not installed: pip install 'usarmjx[robots]'"}, []
     except MemoryError:
         return {"error": f"reading it takes more than {MEMORY // 1_000_000} MB of memory"}, []
     except Exception as error:  # readers raise whatever they run into
@@ -151,7 +207,7 @@ def main() -> None:
         if not line:
             return
         values, arrays = answer(line)
-        body = [array.tobytes() for array in arrays]
+        body = [array if isinstance(array, bytes) else array.tobytes() for array in arrays]
         head = {**values, "bytes": sum(map(len, body))}
         out.write(json.dumps(head).encode() + b"\n" + b"".join(body))
         out.flush()

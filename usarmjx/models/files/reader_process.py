@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,23 @@ def read_mesh_objects(path: Path) -> list[MeshArrays]:
     return list(zip(head["names"], found[::2], found[1::2], strict=True))
 
 
+def expand_xacro(path: Path, folders: Mapping[str, str], mappings: Mapping[str, str]) -> bytes | str:
+    """Return a xacro file's XML; or the name of a package for which a folder is needed.
+
+    Args:
+        path: The file.
+        folders: Folders of packages.
+        mappings: Arguments of the file, by name.
+
+    Raises:
+        ArenaFileError: Names the defect, in one line.
+    """
+    head, body = _READER.read("xacro", path, {"folders": dict(folders), "mappings": dict(mappings)})
+    if "error" in head:
+        raise ArenaFileError(f"{path}: does not expand as xacro: {head['error']}")
+    return head.get("package") or body
+
+
 class ReaderProcess:
     """The other process, which is started on demand.
 
@@ -81,17 +99,18 @@ class ReaderProcess:
         self._child: subprocess.Popen[bytes] | None = None
         self._owner = 0  # process id: after a fork the child belongs to the parent process
 
-    def read(self, kind: str, path: Path) -> tuple[dict[str, Any], bytes]:
+    def read(self, kind: str, path: Path, *arguments: object) -> tuple[dict[str, Any], bytes]:
         """Return the other process's answer about a file, and the bytes behind it.
 
         Args:
             kind: One of `reader_child.READERS`.
             path: The file.
+            arguments: Further arguments of that reader, as JSON has them.
 
         Returns:
             Values; under "error" the defect of the file, or the reason why the process ended.
         """
-        request = json.dumps([kind, str(path.absolute())]).encode() + b"\n"
+        request = json.dumps([kind, str(path.absolute()), *arguments]).encode() + b"\n"
         with self._lock:
             found = self._ask(request) or self._ask(request)  # it may end by itself just before the request
         return found or ({"error": "the process that reads it does not start"}, b"")

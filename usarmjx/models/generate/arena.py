@@ -13,6 +13,7 @@ from usarmjx.models.compile.reachability import (
     reach_map,
     victims_reached,
 )
+from usarmjx.models.files.find_robot import find_robot
 from usarmjx.models.generate import contents
 from usarmjx.models.generate.contents import ArenaBuilder, add_victim, place_obstacles, ring_height
 from usarmjx.models.generate.difficulty import Difficulty
@@ -27,7 +28,6 @@ from usarmjx.models.generate.plan import (
     edge,
 )
 from usarmjx.models.generate.structures import MIN_TWO_RAMP_COLUMNS, STOREY, STOREY_CELLS, second_floor
-from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import Shape
 
@@ -74,7 +74,7 @@ def generate(  # noqa: PLR0913 - all but the kind may be left out
     """
     made, difficulty = KINDS.get(kind), difficulty or Difficulty()
     name = robot if isinstance(robot, str) else ""
-    needs = footprint_of(ROBOTS.get(robot)) if isinstance(robot, str) else robot
+    needs = footprint_of(find_robot(robot)) if isinstance(robot, str) else robot
     _check(size, seed, needs, reachable)
     if starts < 1:
         raise SpecError(f"{starts} start poses, expected at least 1")

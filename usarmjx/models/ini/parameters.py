@@ -174,7 +174,12 @@ def set_weight(robot: RobotSpec, value: float) -> RobotSpec:
 def set_chassis_mass(robot: RobotSpec, value: float) -> RobotSpec:
     """Set ChassisMass: Karma's unit has no kilograms; its default 1 is the chassis as described."""
     solids = tuple(replace(shape, mass=shape.mass * value) for shape in robot.chassis)
-    return replace(robot, chassis=solids)
+    inertia = robot.inertia and replace(
+        robot.inertia,
+        mass=robot.inertia.mass * value,
+        moments=tuple(moment * value for moment in robot.inertia.moments),
+    )
+    return replace(robot, chassis=solids, inertia=inertia)
 
 
 def set_max_torque(robot: RobotSpec, value: float) -> RobotSpec:
@@ -263,11 +268,11 @@ def set_low(robot: RobotSpec, value: float, uu_per_metre: float) -> RobotSpec:
 
 def set_centre(robot: RobotSpec, at: Vec3) -> RobotSpec:
     """Set CenterOfMass (ours): gather the chassis' mass in a box of half the robot's size around a point."""
-    mass = sum(shape.mass for shape in robot.chassis)
+    mass = sum(shape.mass for shape in robot.chassis) if robot.inertia is None else robot.inertia.mass
     x, y, z = (edge / 4 for edge in robot.dimensions)
     ballast = Shape(kind="box", size=(x, y, z), at=at, mass=mass, surface="fixture", rgba=(0, 0, 0, 0))
     light = tuple(replace(shape, mass=0.0) for shape in robot.chassis)
-    return replace(robot, chassis=(*light, ballast))
+    return replace(robot, chassis=(*light, ballast), inertia=None)
 
 
 SETTERS: dict[str, tuple[float, Callable[[RobotSpec, float], RobotSpec]]] = {

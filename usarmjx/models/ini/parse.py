@@ -15,7 +15,8 @@ matched without case and keys may repeat, in order. A value is one of:
     `"F 1"`, `'F 1'`                str without the quotes; a backslash is no escape
     anything else                   str without the spaces around it; "" if nothing is there
 
-Unreal's array prefixes act within one section of one file: `+key=` and `.key=` add as a bare `key=` does,
+Unreal's array prefixes: `+key=` and `.key=` add a line, also to a list of another file or of the class itself
+if the section has no bare `key=`. The others act within one section of one file:
 `-key=` removes every earlier line with that key, index and value (of the same type: 1 is not 1.0), and
 `!key=` every earlier line with that key and, if it has an index, with that index.
 """
@@ -34,7 +35,7 @@ __all__ = ["IniFile", "IniValue", "Line", "Reference", "Section", "Struct", "par
 _HEADER = re.compile(r"\[([^\[\]]*)\]")
 _KEY = re.compile(r"([+.!-]?)\s*([^\W\d][\w.]*)\s*(?:\(\s*([0-9]{1,9})\s*\)|\[\s*([0-9]{1,9})\s*\])?")
 _LINE_END = re.compile(r"\r\n|\r|\n")
-_REMOVES = ("-", "!")
+_ADDS, _REMOVES = ("+", "."), ("-", "!")
 UU_PER_METRE = 250.0
 """Unreal units per metre (manual 6.2). The excerpt of manual 12.1.2 has an older length, 52.5."""
 MAX_INI_BYTES = 4_000_000
@@ -53,6 +54,7 @@ class Line:
         file: The file, for messages.
         line: The line number in the file, from 1.
         index: 2 for `Wheels(2)=...` or `Wheels[2]=...`, None for `Wheels=...`.
+        adds: Whether it is written with `+` or `.`: it adds to a list that stands elsewhere.
     """
 
     key: str
@@ -60,6 +62,7 @@ class Line:
     file: str
     line: int
     index: int | None
+    adds: bool = False
 
 
 @dataclass(frozen=True)
@@ -159,7 +162,7 @@ def parse_ini(text: str, path: str = "<text>") -> IniFile:
         if not blocks.begun:
             cursor.fail(f"{quote_short(bare)} stands before the first section", "a [Section] above it")
         prefix, key, index = _key(cursor)
-        line = Line(key, cursor.value(), path, number, index)
+        line = Line(key, cursor.value(), path, number, index, adds=prefix in _ADDS)
         if prefix in _REMOVES:
             blocks.remove(line, everything=prefix == "!")
         else:

@@ -2,6 +2,7 @@
 
 Files are read in order; the last value of a key counts. A list (Sensors, Effecters, Cameras, MisPkgs,
 JointParts, Wheels) of one file replaces the class's own or an earlier file's, as Unreal's arrays do;
+lines that all have a `+`, and
 AddSensors, AddEffecters, AddCameras and AddMisPkgs (ours) add to it instead.
 """
 
@@ -149,11 +150,7 @@ def _take_orders(found: SortedSections, name: str, section: Section, units: Unit
     orders.units = replace(orders.units, uu_per_metre=units.uu_per_metre)
     if (by_uu := section.last("bMountByUU")) is not None:
         orders.units = replace(orders.units, by_uu=as_bool(by_uu, by_uu.value, "bMountByUU"))
-    for key in LISTS:
-        if lines := section.get_all(key):
-            orders.lists[key] = [(line, orders.units) for line in lines]
-    for key in ADDS:
-        orders.lists.setdefault(key, []).extend((line, orders.units) for line in section.get_all(key))
+    _take_lists(orders, section)
     joints = [line for line in section.lines if line.key.lower() in map(str.lower, JOINT_KEYS)]
     if joints:
         orders.joints = _numbered(joints, orders.units)
@@ -168,6 +165,18 @@ def _take_orders(found: SortedSections, name: str, section: Section, units: Unit
             notes.add(line, f"{line.key} is ignored: {ignored[key]}")
         elif key not in listed:
             notes.add(line, f"unknown key {line.key}")
+
+
+def _take_lists(orders: RobotSection, section: Section) -> None:
+    """Add one file's lists; a list whose lines all have `+` adds to the present one."""
+    for key in LISTS:
+        lines = section.get_all(key)
+        if lines and f"Add{key}" in ADDS and all(line.adds for line in lines):
+            orders.lists.setdefault(f"Add{key}", []).extend((line, orders.units) for line in lines)
+        elif lines:
+            orders.lists[key] = [(line, orders.units) for line in lines]
+    for key in ADDS:
+        orders.lists.setdefault(key, []).extend((line, orders.units) for line in section.get_all(key))
 
 
 def _numbered(lines: Sequence[Line], units: Units) -> dict[int, tuple[Line, Units]]:

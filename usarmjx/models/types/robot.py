@@ -84,6 +84,21 @@ class Spring:
 
 
 @dataclass(frozen=True, kw_only=True)
+class BodyInertia:
+    """Mass and inertia of a chassis or part that a file states, in place of those of its solids.
+
+    Attributes:
+        mass: Mass [kg].
+        at: Centre of mass, in the axes of the chassis or part [m].
+        moments: Inertia about that centre, in the same axes: xx, yy, zz, xy, xz, yz [kg m2].
+    """
+
+    mass: float
+    at: Vec3
+    moments: tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Part:
     """A part and the one joint that connects it to its parent: the manual's part-joint pair (14.4.2.4).
 
@@ -98,8 +113,11 @@ class Part:
         limits: Lowest and highest position; None: no limits. Servos keep their targets within; MuJoCo stops
             joints without a motor.
         spring: Spring and damper.
-        geared: Part to whose joint this one is geared: both have the same position.
-        shapes: Its solids; together they need a mass.
+        geared: Part to whose joint this one is geared: its position follows that one's.
+        gear_ratio: Its position over the other one's.
+        gear_offset: Its position where the other one's is 0 [rad or m].
+        shapes: Its solids; together they need a mass, unless it has an `inertia`.
+        inertia: Its mass and inertia; None: those of its solids.
         looks: Visuals: the solids of pictures, instead of `shapes`, which contacts and range sensors use;
             empty: as `shapes`. In the same axes, opaque; mass and surface have no effect.
         is_wheel: Whether DRIVE stops it by speed 0 instead of holding an angle.
@@ -115,7 +133,10 @@ class Part:
     limits: tuple[float, float] | None = None
     spring: Spring | None = None
     geared: str | None = None
+    gear_ratio: float = 1.0
+    gear_offset: float = 0.0
     shapes: tuple[Shape, ...] = ()
+    inertia: BodyInertia | None = None
     looks: tuple[Shape, ...] = ()
     is_wheel: bool = False
 
@@ -194,6 +215,7 @@ class RobotSpec:
         payload: Largest load.
         origin_height: Chassis origin above flat ground (manual 5.3.6).
         chassis: Solids of the chassis.
+        inertia: Mass and inertia of the chassis; None: those of its solids.
         looks: Visuals of the chassis; see `Part`.
         parts: Parts with joints, parents first.
         drive: Locomotion: the keys of DRIVE and their effect.
@@ -219,6 +241,7 @@ class RobotSpec:
     payload: float = 0.0
     origin_height: float
     chassis: tuple[Shape, ...]
+    inertia: BodyInertia | None = None
     looks: tuple[Shape, ...] = ()
     parts: tuple[Part, ...] = ()
     drive: Drive

@@ -232,7 +232,8 @@ class Client:
             self.session.add_fault(f"{robot.spec.name} has no DRIVE {{{'} {'.join(unknown)}}}")
         # The known keys of a DRIVE count even if others are wrong.
         known = {k: v * full[k] / 100 if command.normalized else v for k, v in values.items() if k in full}
-        flip_until = self._world.time + FLIP_TIME if command.flip else None
+        flip = round(FLIP_TIME / self._world.period)
+        flip_until = self._world.steps + flip if command.flip else None
         self._update_command(CommandUpdate(drive=known, light=command.light, flip_until=flip_until))
 
     def _update_command(self, update: CommandUpdate) -> None:

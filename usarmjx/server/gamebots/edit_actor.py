@@ -11,6 +11,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.models.ini.parameters import SETTERS
 from usarmjx.models.types.robot import Mount, RobotSpec
@@ -45,6 +47,8 @@ FIXED = frozenset({"weight", "is_stereo", "omni"})
 FLAGS = {"true": True, "false": False}
 LARGEST = 1e6
 """Largest magnitude of a setting: readings in its unit still fit single precision."""
+MOST_STEPS = 2**30
+"""Most control steps by which the use of a battery is set back."""
 MAX_SHOWN = 30
 """Longest part of a refused number that the answer repeats [characters]."""
 SELECTORS = ("class", "name", "sensor")
@@ -188,8 +192,9 @@ def _has_effect(spec: RobotSpec, key: str) -> bool:
 
 def _charge(world: ServedWorld, robot: Robot, left: float) -> None:
     """Set the remaining time of a robot's battery [s]; a robot that water has stopped works again."""
-    now = int(world.one_world()[0].step) * world.period
-    world.edit(robot, battery_start=now + left - robot.spec.battery_life, drowned=False)
+    now = int(world.one_world()[0].step)
+    used = round(min((robot.spec.battery_life - left) / world.period, MOST_STEPS))
+    world.edit(robot, battery_start=np.int32(now - used), drowned=False)
     robot.drowned = False
 
 

@@ -1,8 +1,8 @@
 """Arguments of a client's commands: one table and one validator.
 
 A word where a number belongs, too few numbers, too many, or a number out of range makes a line or a SET
-invalid as a whole: nothing changes. Numbers keep the forms that real controllers send: `.4`, `1,00` with a
-decimal comma where one number belongs, vectors with commas or spaces.
+invalid as a whole: nothing changes. Numbers keep the forms that real controllers send: `.4`, vectors with
+commas or spaces. A decimal comma is refused: cut as the original cut it, `2,5` would be another number.
 """
 
 import re
@@ -23,7 +23,6 @@ _DECIMAL = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 # NaN and infinity pass here: `to_float` refuses them with a reason of their own.
 _SPECIAL = r"[+-]?(?:nan|inf)\S*"
 _PLAIN = re.compile(rf"{_DECIMAL}|{_SPECIAL}", re.IGNORECASE)
-_WITH_COMMA = re.compile(rf"(?:{_DECIMAL})(?:,[0-9]*)?|{_SPECIAL}", re.IGNORECASE)
 _NO_LIMITS = Setting()
 _TRUTHS = ("true", "false")
 
@@ -117,8 +116,8 @@ def check_arguments(message: Message) -> None:
 
 
 def is_number(text: str) -> bool:
-    """Return whether a text is one number, with a decimal comma perhaps."""
-    return _WITH_COMMA.fullmatch(text.strip()) is not None
+    """Return whether a text is one number."""
+    return _PLAIN.fullmatch(text.strip()) is not None
 
 
 def _is_truth(text: str) -> bool:
@@ -129,9 +128,10 @@ def _is_vector(text: str) -> bool:
     text = text.strip()
     if not _GAP.search(text):
         return all(_PLAIN.fullmatch(part) for part in text.split(","))
-    # With spaces a comma inside a number is its decimal comma, one at its end or alone separates.
+    # With spaces a comma inside a number is its decimal comma, one at its end or alone separates. The first
+    # is refused, as its tail would be lost.
     parts = (part.strip(",") for part in _GAP.split(text))
-    return all(_WITH_COMMA.fullmatch(part) for part in parts if part)
+    return all(_PLAIN.fullmatch(part) for part in parts if part)
 
 
 _MATCHES: dict[ArgumentKind, Callable[[str], bool]] = {

@@ -57,6 +57,8 @@ _OPCODES = {"angle": 0, "velocity": 1, "torque": 2, "relangle": 10, "relvelocity
 _JOINT_ORDERS = _OPCODES | {str(order): order for order in _OPCODES.values()}
 _JOINT_PARAMETERS = Parameters(0, 2)
 _VIEWPORTS = ("Viewport1", "Viewport2", "Viewport3", "Viewport4")
+MOST_COMPONENTS = 4
+"""Most numbers of a location or rotation; six are three with decimal commas."""
 _NOTHING_TO_DO = Ignored("DRIVE without anything to do")
 
 CommandParser: TypeAlias = Callable[[Message], Command | Ignored]
@@ -88,7 +90,10 @@ def _init(message: Message) -> Command | Ignored:
 
 def _vector(text: str) -> Vector | None:
     # Missing components are 0 and a fourth is dropped; the manual itself prints one (5.3.3).
-    x, y, z, *_ = (*to_vector(text), 0.0, 0.0, 0.0)
+    numbers = to_vector(text)
+    if len(numbers) > MOST_COMPONENTS:
+        raise PeerError(f"{clip(text)} has {len(numbers)} numbers, expected 3")
+    x, y, z, *_ = (*numbers, 0.0, 0.0, 0.0)
     return (x, y, z) if text else None
 
 

@@ -6,7 +6,7 @@ A dialect stands between lines and commands. `understand` converts a client's me
     ASTA {Time 62.01} {Name CameraPanTilt} {Link 1} {Value 0.2000}     MISSTA, without Torque
     ACT {Name CameraPanTilt} {Link 0} {Value 0.2}                      MISPKG; links count from 0 in it alone
     GETCONF {Type Actuator}, GETGEO {Type Actuator}                    beside MisPkg, with other keys
-    GEO ... {Mount CameraPanTilt} {MountLink 2}, {Mount P3AT}          Mount CameraPanTilt_Link2, Mount HARD
+    GEO ... {Mount CameraPanTilt} {MountLink 2}                        Mount CameraPanTilt_Link2
     SEN {Time 62.0100} {Type Sonar} {Name F1} {Range 2.5098}           a line for each sonar, not one for all
     INIT {ClassName USARBot.P3AT} {Start Start1}                       its Pioneer, which is our P2AT
 """
@@ -41,15 +41,14 @@ class Dialect:
     Attributes:
         name: Its name.
         understand: Converts a client's message to the manual's.
-        translate: Converts a message of the manual to those that the client receives, given the class of its
-            robot as the client spells it.
+        translate: Converts a message of the manual to those that the client receives.
         is_stamped: Whether every reading has its time, regardless of the sensor's setting.
         package_types: Types that ask for mission packages, lower case.
     """
 
     name: str
     understand: Callable[[Message], Message]
-    translate: Callable[[Message, str], Iterable[Message]]
+    translate: Callable[[Message], Iterable[Message]]
     is_stamped: bool = False
     package_types: frozenset[str] = frozenset({PACKAGE_TYPE.lower()})
 
@@ -76,17 +75,17 @@ def _with_values(message: Message, key: str, replacements: dict[str, str]) -> Me
     return replace(message, segments=segments)
 
 
-def _translate_udk(message: Message, robot_class: str = "") -> Iterator[Message]:
+def _translate_udk(message: Message) -> Iterator[Message]:
     if message.kind == "MISSTA":
         yield Message("ASTA", tuple(segment for segment in message.segments if segment[0] != "Torque"))
     elif message.kind in ("GEO", "CONF") and message.get("Type").lower() == ACTUATOR_TYPE.lower():
-        yield Message(message.kind, tuple(_actuator(message, robot_class)))
+        yield Message(message.kind, tuple(_actuator(message)))
     elif message.kind == "SEN" and message.get("Type") in GROUPED_TYPES:
         yield from _one_by_one(message)
     elif message.kind == "SEN":
         yield replace(message, segments=tuple(_split(message.segments)))
     elif message.kind == "GEO":
-        yield replace(message, segments=tuple(_mounted(_split(message.segments), robot_class)))
+        yield replace(message, segments=tuple(_mounted(_split(message.segments))))
     else:
         yield message
 
@@ -102,15 +101,13 @@ def _split(segments: Iterable[Segment]) -> Iterator[Segment]:
             yield (key, value)
 
 
-def _mounted(segments: Iterable[Segment], robot_class: str) -> Iterator[Segment]:
-    """Name the package and its link that carry an item, or the class of the robot that does."""
+def _mounted(segments: Iterable[Segment]) -> Iterator[Segment]:
+    """Name the package and its link that carry an item."""
     for key, value in segments:
         link = _LINK_PART.fullmatch(value) if key == "Mount" else None
         if link is not None:
             yield (key, link[1])
             yield ("MountLink", link[2])
-        elif (key, value) == ("Mount", CHASSIS_MOUNT) and robot_class:
-            yield (key, robot_class)
         else:
             yield (key, value)
 
@@ -123,7 +120,7 @@ def _one_by_one(message: Message) -> Iterator[Message]:
         yield Message(message.kind, (*segments[: names[0]], *segments[start:end]))
 
 
-def _actuator(message: Message, robot_class: str) -> Iterator[Segment]:
+def _actuator(message: Message) -> Iterator[Segment]:
     """Return UDK's form of packages: the pose and the tip of each, and its links from the base, link 0."""
     has_pose = message.kind == "GEO" and bool(message.all("Link"))
     tip = [("Tip", _ORIGIN)] if has_pose else []
@@ -137,12 +134,11 @@ def _actuator(message: Message, robot_class: str) -> Iterator[Segment]:
         else:
             yield (LINK_KEYS.get(key, key), value)
         if key == "Name" and has_pose:
-            mount = robot_class or CHASSIS_MOUNT
-            yield from (("Location", _ORIGIN), ("Orientation", _ORIGIN), ("Mount", mount))
+            yield from (("Location", _ORIGIN), ("Orientation", _ORIGIN), ("Mount", CHASSIS_MOUNT))
     yield from tip
 
 
-MANUAL = Dialect("manual", lambda message: message, lambda message, robot_class="": (message,))
+MANUAL = Dialect("manual", lambda message: message, lambda message: (message,))
 """Version 3.1.3, on Unreal Tournament 2004: the manual's own."""
 UDK = Dialect(
     "udk",

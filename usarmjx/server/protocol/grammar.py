@@ -46,6 +46,9 @@ _LINE = re.compile(
 # original's Windows servers did not know them either.
 _NUMBER = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)")
 _NOT_FINITE = re.compile(r"\s*[+-]?(?:nan|inf)", re.IGNORECASE)
+# Cut at its comma as atof does, 2,5 would be another number.
+_DECIMAL_COMMA = re.compile(r"\s*[+-]?[0-9]*,[0-9]")
+_BYTE_ORDER_MARK = "\u00ef\u00bb\u00bf"  # of UTF-8, read as latin-1
 # The original's floats were of single precision, and so are the simulation's.
 _LARGEST = 3.4e38
 # A number less than a hundredth of the last place short of a printable one is taken as that one.
@@ -74,7 +77,8 @@ class LineBuffer:
 
     A line over the limit is counted and skipped up to its end instead of ending the connection:
     the original servers ignore unusable lines and stay connected, and a skipped line costs
-    no memory however long it is. Bytes are read as latin-1, in which every byte is a character.
+    no memory however long it is. Bytes are read as latin-1, in which every byte is a character. A byte-order
+    mark before the first line is skipped.
 
     Args:
         limit: Longest line accepted, its end not counted [bytes].
@@ -85,6 +89,7 @@ class LineBuffer:
         self._pending = bytearray()
         self._skipping = False
         self._too_long = 0
+        self._is_first = True
 
     def feed(self, data: bytes) -> list[str]:
         """Return the lines that `data` completes, without their ends; blank ones are left out.
@@ -109,6 +114,9 @@ class LineBuffer:
             The line, or nothing if it is blank or was skipped.
         """
         text = "" if self._skipping else self._pending.decode("latin-1")
+        if self._is_first:
+            text = text.removeprefix(_BYTE_ORDER_MARK)
+        self._is_first = False
         self._pending.clear()
         self._skipping = False
         return [text] if text.strip() else []
@@ -232,11 +240,14 @@ def clip(text: str, limit: int = 60) -> str:
 def to_float(text: str) -> float:
     """Return the number at the start of a text, as C's atof does; garbage is 0.
 
-    So "1,00", which clients with a decimal comma send, is 1.
+    The original cut "2,5" to 2. Here a decimal comma is refused: a client on a machine with such a locale
+    would drive at another speed than it meant.
 
     Raises:
-        PeerError: NaN, infinity, or a number too large for a float.
+        PeerError: NaN, infinity, a number too large for a float, or one with a decimal comma.
     """
+    if _DECIMAL_COMMA.match(text):
+        raise PeerError(f"{clip(text)} has a decimal comma, expected a point")
     found = _NUMBER.match(text)
     value = float(found.group(1)) if found else 0.0
     if _NOT_FINITE.match(text) or not abs(value) <= _LARGEST:
@@ -267,10 +278,10 @@ def to_vector(text: str) -> tuple[float, ...]:
 
     They are split at spaces if the text contains one and at commas otherwise, as GameBots does:
     "4.5,1.9,1.8", "4.5, 1.9, 1.8" and "4.5 1.9 1.8" are the same, and "1,50 2,00 0,00" has three
-    numbers, not six.
+    numbers with decimal commas, which are refused.
 
     Raises:
-        PeerError: One of them is not finite.
+        PeerError: One of them is not finite or has a decimal comma.
     """
     text = text.strip(_SPACE)
     parts = _GAP.split(text)

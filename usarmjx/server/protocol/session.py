@@ -83,7 +83,7 @@ class RobotSession:
         self._faults: list[str] = []
         self._more_faults = self.fault_count = self.faults_in_a_row = 0
         self._awaits_answer = False
-        self._refusal = self._robot_class = ""
+        self._refusal = ""
         self._waiting: deque[str] = deque()
         self.send(greeting)
 
@@ -161,9 +161,7 @@ class RobotSession:
         """
         if self.phase is SessionPhase.CLOSED:  # a tick cannot know that its reader has just left
             return
-        translated = [
-            format_message(_in_pairs(one)) for one in self.dialect.translate(message, self._robot_class)
-        ]
+        translated = [format_message(_in_pairs(one)) for one in self.dialect.translate(message)]
         line = "".join(f"{one}\r\n" for one in translated).encode("latin-1", "replace")
         if len(self._outgoing) + len(line) > self._send_limit:
             raise PeerError(f"the peer does not read: {len(self._outgoing)} bytes wait for it")
@@ -203,8 +201,7 @@ class RobotSession:
             return None
         message = None
         try:
-            said = parse_message(line)
-            message = self.dialect.understand(said)
+            message = self.dialect.understand(parse_message(line))
             command = parse_command(message)
         except PeerError as error:
             self._fault(f"{error}: {clip(line)}")
@@ -215,9 +212,7 @@ class RobotSession:
         if type(command) not in LEGAL_COMMANDS[self.phase]:
             self._fault(f"{type(command).__name__} is ignored when {self.phase.value}")
             return None
-        if isinstance(command, Init):  # its answer decides whether it was of any use
-            self._robot_class = said.get("ClassName").rpartition(".")[2]
-        else:
+        if not isinstance(command, Init):  # the answer to an Init decides whether it was of any use
             self.faults_in_a_row = 0
         return command
 

@@ -34,7 +34,7 @@ from usarmjx.sim.batch import Batch, BatchState, Readings, put_robot
 from usarmjx.sim.control import RobotCommand, idle_command
 from usarmjx.sim.reset import new_group_state, start_sensors
 from usarmjx.sim.scene import PARKING_HEIGHT, Scene
-from usarmjx.sim.world import GroupState, World, time_of
+from usarmjx.sim.world import GroupState, World
 
 log = logging.getLogger(__name__)
 
@@ -164,9 +164,9 @@ class BatchWorld(ServedWorld):
         self._state = before
 
     @property
-    def time(self) -> float:
-        """Simulated time since the world began [s]; it goes on when a world that diverged is reset."""
-        return self._steps * self.period
+    def steps(self) -> int:
+        """Control steps since the world began; the count goes on when a world that diverged is reset."""
+        return self._steps
 
     def one_world(self) -> tuple[World, PhysicsState]:
         """Return the world and its physics as they are now, without an axis over worlds; NumPy arrays."""
@@ -217,7 +217,7 @@ class BatchWorld(ServedWorld):
         group = self.scene.groups[number].part(np.array([member]))
         world, physics = self.one_world()
         with numpy_backend():
-            since = np.full(1, time_of(self.scene, world), np.float32)
+            since = np.full(1, world.step, np.int32)
             state = start_sensors(
                 self.scene, world, physics, group, new_group_state(self.scene, group, True, since)
             )
@@ -276,12 +276,9 @@ class BatchWorld(ServedWorld):
     def set_command(self, robot: Robot, command: RobotCommand) -> None:
         """Replace the robot's command."""
         # The world's step counter begins at 0 again after a reset, while the clients' time goes on.
-        shift = jnp.asarray(self._world_time() - self.time)
+        shift = int(self._state.worlds.step[self._instance]) - self._steps
         robot.command = command
         self.edit(robot, command=command.replace(flip_until=command.flip_until + shift))
-
-    def _world_time(self) -> float:
-        return float(self._state.worlds.step[self._instance]) * self.period
 
     def step(self) -> None:
         """Advance all worlds of the batch by one control step."""

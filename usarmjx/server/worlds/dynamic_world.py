@@ -62,7 +62,7 @@ class DynamicWorld(ServedWorld):
         scene = build_scene(arena, (), physics)
         self._single = SingleWorld(scene, seed, number, max_robots)
         self._origin = seed, number, max_robots
-        self._began = 0.0
+        self._began = 0
         self.arena, self.period, self.robots = scene.arena, scene.physics.period, {}
         self.programs = None if jax.default_backend() == "cpu" else PicturePrograms()
 
@@ -76,9 +76,9 @@ class DynamicWorld(ServedWorld):
         return self._single.scene
 
     @property
-    def time(self) -> float:
-        """Simulated time since the world began [s]."""
-        return self._began + self._single.time
+    def steps(self) -> int:
+        """Control steps since the world began."""
+        return self._began + self._single.steps
 
     def one_world(self) -> tuple[World, PhysicsState]:
         """Return the world and its physics as they are now."""
@@ -92,13 +92,13 @@ class DynamicWorld(ServedWorld):
         """Replace the robot's command."""
         # The world's step counter begins at 0 again after a reset, while the clients' time goes on.
         robot.command = command
-        self.edit(robot, command=command.replace(flip_until=command.flip_until - np.float32(self._began)))
+        self.edit(robot, command=command.replace(flip_until=command.flip_until - self._began))
 
     def reset(self) -> None:
         """Return robots to their spawn poses and all else to its beginning, with full batteries."""
         if self.recorder is not None:
             self.recorder.reset()
-        self._began = self.time
+        self._began = self.steps
         self._single.reset()
         for slot, robot in self.robots.items():
             robot.restart(self._single.state_of(slot).command)

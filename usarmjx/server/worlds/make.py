@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from usarmjx.base.errors import UsageError
 from usarmjx.engines import choose_engine
+from usarmjx.models.files.find_robot import find_robot
 from usarmjx.models.files.load import find_arena
-from usarmjx.models.robots import ROBOTS
 from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch, check_instances
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.server.worlds.served_world import ServedWorld
@@ -26,7 +26,7 @@ def parse_roster(text: str) -> list[str]:
         name, _, count = part.partition(":")
         if count and not count.isdecimal():
             raise UsageError(f"roster entry {part!r} is not of the form CLASS:COUNT, as P2AT:4")
-        names += [ROBOTS.get(name).name] * int(count or 1)
+        names += [find_robot(name).name] * int(count or 1)
     return names
 
 
@@ -62,7 +62,7 @@ def make_worlds(
         spec, classes = find_arena(arena), dict.fromkeys(parse_roster(roster))
         made = [DynamicWorld(spec, seed=seed, number=i, max_robots=max_robots) for i in instances]
         for name in classes:
-            made[0].prepare(ROBOTS.get(name))
+            made[0].prepare(find_robot(name))
         return [*made]
     entries = [RosterEntry(robot=name, parked=True) for name in parse_roster(roster)]
     if not entries:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
 from usarmjx.base.program_cache import compile_program
@@ -85,7 +86,7 @@ class PolicyBatch(SharedBatch):
         super().__init__(env.batch)
         self.env, self._policy = env, policy
         self.claimed = np.zeros((env.worlds, env.scene.num_robots), bool)
-        self._key = jax.random.key(seed)
+        self._key = random.key(seed)
         self._sense_all = compile_program(jax.vmap(self._sense), env.program_cache, "PolicyBatch")
         self._begin_all = self._of_views(self._begin, precise=False)
         self._evaluate_all = self._of_views(env.task.evaluate, precise=False)

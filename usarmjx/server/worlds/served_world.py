@@ -155,8 +155,13 @@ class ServedWorld(ABC):
 
     @property
     @abstractmethod
+    def steps(self) -> int:
+        """Control steps since the world began."""
+
+    @property
     def time(self) -> float:
         """Simulated time since the world began [s]."""
+        return self.steps * self.period
 
     def warm_up(self) -> None:  # noqa: B027 - nothing to compile is fine
         """Compile all programs that need no client, before the first one comes; the world stays as it is."""
@@ -223,8 +228,8 @@ class ServedWorld(ABC):
             return 0.0
         group, member = self.scene.group_of(robot.slot)
         world, _ = self.one_world()
-        age = int(world.step) * self.period - float(world.groups[group].battery_start[member])
-        return max(0.0, robot.spec.battery_life - age)
+        age = int(world.step) - int(world.groups[group].battery_start[member])
+        return max(0.0, robot.spec.battery_life - age * self.period)
 
     def forget(self) -> None:
         """Remove the robots' marks: traces, and texts on tags."""

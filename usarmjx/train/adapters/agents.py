@@ -64,6 +64,16 @@ def check_one_group(env: "Env", purpose: str) -> None:
         raise UsageError(f"{purpose} needs robots of one class, but {env.name} has {names}")
 
 
+def check_no_options(options: "Mapping[str, Any] | None") -> None:
+    """Refuse options of a reset.
+
+    Raises:
+        UsageError: There are any; names them.
+    """
+    if options:
+        raise UsageError(f"unknown options of reset: {', '.join(sorted(map(str, options)))}; there are none")
+
+
 def compiled_step(env: "Env") -> "Callable[[EnvState, tuple[Array, ...]], EnvState]":
     """Return the environment's step, compiled where it can be."""
     return jax.jit(env.step) if env.traceable else env.step

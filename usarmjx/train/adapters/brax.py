@@ -20,26 +20,31 @@ class BatchedRobots(BraxEnv):
     """An environment whose robots, of all worlds, are the batch of a Brax environment.
 
     It is batched and resets its worlds by itself, so none of Brax's `VmapWrapper`, `EpisodeWrapper` and
-    `AutoResetWrapper` goes around it. Infos have `truncation`, by which Brax's learners tell time-outs from
-    ends, `steps` of the running episode, `final_obs` before a reset, and `bad`: whether physics failed.
-    Where its engine is not traceable, so is `step`.
+    `AutoResetWrapper` goes around it. Infos have `truncation`, by which Brax's learners tell time-outs and
+    faults from ends, `steps` of the running episode, `final_obs` before a reset, and `bad`: whether physics
+    failed or a number of the task was not finite. Where its engine is not traceable, so is `step`.
 
     Args:
         env: The environment.
+        privileged: Whether observations are a dictionary of `state` and, for Brax's `value_obs_key`,
+            `privileged_state`: what only critics may know.
 
     Raises:
         UsageError: Its robots are of several classes.
     """
 
-    def __init__(self, env: "Env") -> None:
+    def __init__(self, env: "Env", privileged: bool = False) -> None:
         check_one_group(env, "Brax")
-        self.env = env
+        self.env, self._privileged = env, privileged
         self._robots = len(env.groups[0].agents)
 
     @property
-    def observation_size(self) -> int:
-        """Numbers that a robot observes."""
-        return self.env.groups[0].obs_size
+    def observation_size(self) -> Any:  # noqa: ANN401 - a number, or shapes by name as Brax takes them
+        """Numbers that a robot observes; with `privileged` the shapes by name."""
+        size = self.env.groups[0].obs_size
+        if not self._privileged:
+            return size
+        return {"state": (size,), "privileged_state": (self.env.privileged_size,)}
 
     @property
     def action_size(self) -> int:
@@ -73,6 +78,12 @@ class BatchedRobots(BraxEnv):
         """Return values by world (worlds,) by robot (worlds * robots,), as Brax's floats."""
         return jnp.repeat(jnp.asarray(values, jnp.float32), self._robots)
 
+    def _observed(self, now: "EnvState") -> Any:  # noqa: ANN401 - an array, or arrays by name
+        state = self._rows(now.obs[0])
+        if not self._privileged:
+            return state
+        return {"state": state, "privileged_state": jnp.repeat(now.privileged, self._robots, 0)}
+
     def _rows(self, values: jax.Array) -> jax.Array:
         return values.reshape(-1, values.shape[-1])
 
@@ -80,12 +91,12 @@ class BatchedRobots(BraxEnv):
         whole: Any = now
         return State(
             pipeline_state=whole,
-            obs=self._rows(now.obs[0]),
+            obs=self._observed(now),
             reward=now.reward[0].reshape(-1),
             done=self._spread(now.done),
             metrics={name: self._spread(value) for name, value in now.metrics.items()},
             info={
-                "truncation": self._spread(now.truncated),
+                "truncation": self._spread(now.truncated | now.bad),
                 "steps": self._spread(now.length),
                 "final_obs": self._rows(now.final_obs[0]),
                 "bad": self._spread(now.bad),

@@ -11,7 +11,14 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError, extra
-from usarmjx.train.adapters.agents import check_one_group, compiled_step, draw_seed, with_held
+from usarmjx.train.adapters.agents import (
+    check_no_options,
+    check_one_group,
+    compiled_step,
+    draw_seed,
+    with_held,
+)
+from usarmjx.train.adapters.pictures import RENDER_MODES, check_render_mode, picture_of
 from usarmjx.train.envs.recipe import spec_of
 from usarmjx.train.tasks import TASKS
 
@@ -61,17 +68,19 @@ class TeamWorld(gymnasium.Env[np.ndarray, np.ndarray]):
     Args:
         env: An environment of one world.
         seed: Of a first `reset` without one.
+        render_mode: None, or `rgb_array`: `render` returns a picture from above.
 
     Raises:
-        UsageError: It has several worlds.
+        UsageError: It has several worlds, or an unknown render mode.
     """
 
-    def __init__(self, env: "Env", seed: int = 0) -> None:
+    def __init__(self, env: "Env", seed: int = 0, render_mode: str | None = None) -> None:
         from usarmjx.train.adapters.agents import check_one_world
 
         check_one_world(env, "a gymnasium.Env")
-        self.metadata = {"render_modes": []}
-        self.worlds: Any = VectorWorlds(env, seed=seed)
+        self.metadata = {"render_modes": list(RENDER_MODES), "render_fps": max(1, round(1 / env.period))}
+        self.render_mode = render_mode
+        self.worlds: Any = VectorWorlds(env, seed=seed, render_mode=render_mode)
         self.observation_space = self.worlds.single_observation_space
         self.action_space = self.worlds.single_action_space
         self._next: np.ndarray | None = None
@@ -79,11 +88,15 @@ class TeamWorld(gymnasium.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode; no options are known, and any are ignored.
+        """Start an episode.
 
         Returns:
             Observation (size,), and infos.
+
+        Raises:
+            UsageError: Any options: none are known.
         """
+        check_no_options(options)
         super().reset(seed=seed)
         following, self._next = self._next, None
         if seed is None and following is not None:
@@ -94,8 +107,9 @@ class TeamWorld(gymnasium.Env[np.ndarray, np.ndarray]):
         """Let the team act (size,).
 
         Returns:
-            Observation (size,), reward, whether the task has ended the episode, whether time has, and infos:
-            the task's metrics, its `score`, and `bad`: whether physics failed.
+            Observation (size,), reward, whether the task has ended the episode, whether it was cut off, and
+            infos: the task's metrics, its `score`, and `bad`: whether the step is a fault, which cuts the
+            episode off; then there is also `fault`.
 
         Raises:
             UsageError: The episode is over, the action has another shape, or no `reset` yet.
@@ -110,20 +124,36 @@ class TeamWorld(gymnasium.Env[np.ndarray, np.ndarray]):
         info = {name: told[name][0] for name in told if not name.startswith(("_", "final_"))}
         return obs[0], float(reward[0]), bool(ended[0]), bool(late[0]), info
 
+    def render(self) -> Any:  # noqa: ANN401 - an array, or None without a render mode
+        """Return a picture of the world from above (height, width, 3); after an end, of the next start."""
+        pictures = self.worlds.render()
+        return None if pictures is None else pictures[0]
 
-def make_world(task: str, seed: int = 0, engine: str = "auto", **fields: Any) -> TeamWorld:  # noqa: ANN401
+    def state(self) -> np.ndarray:
+        """Return what only critics may know (privileged_size,)."""
+        return self.worlds.state()[0]
+
+
+def make_world(
+    task: str,
+    seed: int = 0,
+    engine: str = "auto",
+    render_mode: str | None = None,
+    **fields: Any,  # noqa: ANN401 - of a task
+) -> TeamWorld:
     """Return what `gymnasium.make` returns.
 
     Args:
         task: Its name.
         seed: Of a first `reset` without one.
         engine: `warp`, `jax`, `c`, or `auto`.
+        render_mode: None or `rgb_array`.
         fields: Of the task, set otherwise.
     """
     from usarmjx.train.make import make
 
-    fields.pop("render_mode", None)  # which Gymnasium hands over; there are none
-    return TeamWorld(make(task, engine=engine, **fields), seed)
+    check_render_mode(render_mode)
+    return TeamWorld(make(task, engine=engine, **fields), seed, render_mode)
 
 
 def make_worlds(
@@ -144,13 +174,20 @@ def make_worlds(
         autoreset: See `VectorWorlds`; as Gymnasium's own by default.
         seed: Of a first `reset` without one.
         engine: `warp`, `jax`, `c`, or `auto`.
-        fields: Of the task, set otherwise.
+        fields: `render_mode`, None or `rgb_array`; `max_episode_steps`, after which an episode is truncated;
+            and fields of the task, set otherwise.
 
     Raises:
-        UsageError: Robots of no whole number of worlds.
+        UsageError: Robots of no whole number of worlds, an unknown render mode, or two time limits.
     """
     from usarmjx.train.make import make, make_task
 
+    render_mode, max_episode_steps = (fields.pop(name, None) for name in ("render_mode", "max_episode_steps"))
+    check_render_mode(render_mode)
+    if max_episode_steps is not None:
+        if "episode_steps" in fields:
+            raise UsageError("max_episode_steps and episode_steps are the same limit, expected one of them")
+        fields |= {"episode_steps": max_episode_steps, "time_limit": "truncation"}
     chosen = make_task(task, **fields)
     idle = {name.lower() for name in chosen.scripted}
     share = sum(spec_of(robot).name.lower() not in idle for robot in chosen.robots) if robots == "each" else 1
@@ -159,7 +196,8 @@ def make_worlds(
             f"num_envs is {num_envs}: {task} has {share} robots in a world, each an environment; ask for a "
             f"multiple of {share}"
         )
-    return VectorWorlds(make(task, num_envs // share, engine, **fields), robots, seed, autoreset)
+    env = make(task, num_envs // share, engine, **fields)
+    return VectorWorlds(env, robots, seed, autoreset, render_mode)
 
 
 with extra("rl"):
@@ -187,28 +225,41 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     those of the next start, and `final_obs` and `final_info` of the infos have the end, as Gymnasium's own
     vector environments give them. With `AutoresetMode.NEXT_STEP` they are those of the end, and the step
     after gives those of the next start: it leaves the world as it is, whatever the action, and is worth 0.
-    Infos have the task's metrics and `score`, and `bad`: whether physics failed, so that the transition is
-    worth nothing.
+    Infos have the task's metrics and `score`, and `bad`: whether physics failed or a number of the task was
+    not finite, so that the transition is worth nothing. Such an episode is truncated, not terminated, and its
+    infos have `fault`, too.
 
     Args:
         env: The environment.
         robots: What an agent is.
         seed: Of a first `reset` without one.
         autoreset: When worlds are reset; Gymnasium's NormalizeObservation and others want `next_step`.
+        render_mode: None, or `rgb_array`: `render` returns pictures from above.
 
     Raises:
         UsageError: `each` with robots of several classes; something else than the modes that there are.
     """
 
     def __init__(
-        self, env: "Env", robots: Robots = "joined", seed: int = 0, autoreset: Autoreset = "same_step"
+        self,
+        env: "Env",
+        robots: Robots = "joined",
+        seed: int = 0,
+        autoreset: Autoreset = "same_step",
+        render_mode: str | None = None,
     ) -> None:
         if robots not in ("joined", "each"):
             raise UsageError(f"robots is {robots!r}, allowed are 'joined' and 'each'")
         if autoreset not in MODES:
             raise UsageError(f"autoreset is {autoreset!r}, allowed are 'same_step' and 'next_step'")
-        self.env = env
-        self.metadata = {"render_modes": [], "autoreset_mode": MODES[autoreset]}
+        check_render_mode(render_mode)
+        self.env, self.render_mode = env, render_mode
+        self.metadata = {
+            "render_modes": list(RENDER_MODES),
+            "render_fps": max(1, round(1 / env.period)),
+            "autoreset_mode": MODES[autoreset],
+        }
+        self.state_space = spaces.Box(-np.inf, np.inf, (env.privileged_size,), np.float32)
         self._next_step = autoreset == "next_step"
         self._over = np.zeros(env.worlds, bool)
         self._hold = jax.jit(with_held) if env.traceable else with_held
@@ -237,13 +288,14 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
         Args:
             seed: Of all random numbers; None: one that follows from the seed before.
-            options: None are known, and others are ignored.
+            options: None are known.
 
         Raises:
-            UsageError: A `reset_mask` among the options: worlds restart by themselves.
+            UsageError: Any options; a `reset_mask` among them, as worlds restart by themselves.
         """
         if options and "reset_mask" in options:
             raise UsageError("reset_mask is for AutoresetMode.DISABLED; these worlds restart by themselves")
+        check_no_options(options)
         if seed is None and self._np_random is None:
             seed = self._seed
         super().reset(seed=seed)
@@ -262,7 +314,7 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
         Returns:
             Observations (num_envs, size), rewards (num_envs,), whether the task has ended the episode,
-            whether time has, and infos.
+            whether it was cut off, by time or a fault, and infos.
 
         Raises:
             UsageError: Actions of another shape, or no `reset` yet.
@@ -274,7 +326,7 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if held.any():
             self._state = self._hold(before, self._state, held)
         s = jax.device_get(self._state.task_state.replace(memory=()))
-        done, late = s.done & ~held, s.truncated & ~held
+        done, late = s.done & ~held, (s.truncated | s.bad) & ~held
         reward = s.reward[0].reshape(-1) if self._each else np.concatenate(s.reward, -1).mean(-1)
         if self._next_step:
             self._over = np.array(done)
@@ -285,6 +337,28 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._spread(late),
             self._infos(s, self._spread(done), self._spread(held)),
         )
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Return a picture of each world from above (height, width, 3); None without a render mode.
+
+        Raises:
+            UsageError: No `reset` yet.
+        """
+        if self.render_mode is None:
+            return None
+        if self._state is None:
+            raise UsageError(f"{self.env.name}: call reset first")
+        return tuple(picture_of(self.env, self._state, world) for world in range(self.env.worlds))
+
+    def state(self) -> np.ndarray:
+        """Return what only critics may know, by world (worlds, privileged_size).
+
+        Raises:
+            UsageError: No `reset` yet.
+        """
+        if self._state is None:
+            raise UsageError(f"{self.env.name}: call reset first")
+        return np.array(self._state.privileged)
 
     def _groups(self, actions: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return actions by group (worlds, robots, action_size)."""
@@ -317,8 +391,9 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         metrics = {name: self._spread(value) for name, value in s.metrics.items()}
         if self._next_step:
             score = np.where(done, self._spread(s.final_score), score)
-            return _masked({"score": score, "bad": bad}, np.ones_like(done)) | _masked(metrics, ~held)
-        infos = _masked({"score": score, "bad": bad}, np.ones_like(done))
+            found = _masked({"score": score, "bad": bad}, np.ones_like(done)) | _faults(bad)
+            return found | _masked(metrics, ~held)
+        infos = _masked({"score": score, "bad": bad}, np.ones_like(done)) | _faults(bad)
         infos |= _masked(metrics, ~done)
         if done.any():
             ends = np.full(self.num_envs, None, object)
@@ -329,6 +404,11 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             ends_info["score"] = self._spread(s.final_score)
             infos |= _masked({"final_obs": ends, "final_info": _masked(ends_info, done)}, done)
         return infos
+
+
+def _faults(bad: np.ndarray) -> dict[str, Any]:
+    """Return infos of the environments whose step is a fault (num_envs,); empty if there is none."""
+    return _masked({"fault": bad.copy()}, bad) if bad.any() else {}
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

@@ -26,8 +26,9 @@ class MultiAgentWorld(MultiAgentEnv):
     by itself, in its next arena, and draws what it needs from its own key, so the key of `step` is not used.
 
     Infos have a row for each agent, as JaxMARL's wrappers and baselines expect: the task's metrics, its
-    `score`, `truncated`, and `bad`: whether physics failed. What agents observed at an episode's end is
-    `state.final_obs`.
+    `score`, `truncated`, and `bad`: whether physics failed or a number of the task was not finite, which is
+    truncated, too. What agents observed at an episode's end is `state.final_obs`. `world_state` is what
+    MAPPO's critics may know.
 
     Args:
         env: The environment.
@@ -76,7 +77,7 @@ class MultiAgentWorld(MultiAgentEnv):
         done = state.done[0]
         dones = {**dict.fromkeys(self.agents, done), "__all__": done}
         score = jnp.where(state.done, state.final_score, state.score)
-        infos = {**state.metrics, "score": score, "truncated": state.truncated, "bad": state.bad}
+        infos = {**state.metrics, "score": score, "truncated": state.truncated | state.bad, "bad": state.bad}
         infos = {name: jnp.broadcast_to(value, (self.num_agents,)) for name, value in infos.items()}
         return by_agent(self.env, state.final_obs), state, by_agent(self.env, state.reward), dones, infos
 
@@ -97,6 +98,14 @@ class MultiAgentWorld(MultiAgentEnv):
     def get_obs(self, state: "EnvState") -> Values:
         """Return what each agent observes now (obs_size,)."""
         return by_agent(self.env, state.obs)
+
+    def world_state(self, state: "EnvState") -> jax.Array:
+        """Return what only critics may know (privileged_size,)."""
+        return state.privileged[0]
+
+    def world_state_size(self) -> int:
+        """Return the size of `world_state`."""
+        return self.env.privileged_size
 
     @partial(jax.jit, static_argnums=0)
     def get_avail_actions(self, state: "EnvState") -> Values:

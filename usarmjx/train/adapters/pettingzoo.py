@@ -14,6 +14,7 @@ from usarmjx.train.adapters.agents import (
     draw_seed,
     stack_actions,
 )
+from usarmjx.train.adapters.pictures import RENDER_MODES, check_render_mode, picture_of
 
 with extra("rl"):
     from gymnasium import spaces
@@ -35,16 +36,24 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
     Args:
         env: The environment.
         seed: Of the first episode, and of the seeds that are drawn.
+        render_mode: None, or `rgb_array`: `render` returns a picture from above.
 
     Raises:
-        UsageError: It has several worlds.
+        UsageError: It has several worlds, or an unknown render mode.
     """
 
-    def __init__(self, env: "Env", seed: int = 0) -> None:
+    def __init__(self, env: "Env", seed: int = 0, render_mode: str | None = None) -> None:
         check_one_world(env, "PettingZoo's ParallelEnv")
         self.env = env
-        self.metadata = {"name": env.name, "render_modes": [], "is_parallelizable": True}
-        self.render_mode = None
+        check_render_mode(render_mode)
+        self.metadata = {
+            "name": env.name,
+            "render_modes": list(RENDER_MODES),
+            "render_fps": max(1, round(1 / env.period)),
+            "is_parallelizable": True,
+        }
+        self.render_mode = render_mode
+        self.state_space = spaces.Box(-np.inf, np.inf, (env.privileged_size,), np.float32)
         self.possible_agents = [agent.name for agent in agents_of(env)]
         self.agents: list[str] = []
         self.observation_spaces: dict[str, spaces.Space[np.ndarray]] = {}
@@ -67,7 +76,7 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         return self.action_spaces[agent]
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Values, Values]:
-        """Start an episode; no options are known, and any are ignored.
+        """Start an episode; no options are known, and any are ignored, as PettingZoo's own checker wants it.
 
         Returns:
             Observations (obs_size,) and infos, by agent.
@@ -95,8 +104,9 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         """Let all robots act.
 
         Returns:
-            Observations, rewards, whether the task has ended the episode, whether time has, and infos, by
-            agent. Infos have the task's metrics, its `score`, and `bad`: whether physics failed.
+            Observations, rewards, whether the task has ended the episode, whether it was cut off, by time or
+            a fault, and infos, by agent. Infos have the task's metrics, its `score`, and `bad`: whether the
+            step is a fault; then there is also `fault`.
 
         Raises:
             UsageError: The episode is over, or not each robot has an action of its size.
@@ -106,9 +116,11 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
             raise UsageError(f"{self.env.name}: the episode is over; call reset")
         self._state = self._step(before, stack_actions(self.env, actions))
         s = jax.device_get(self._state.task_state.replace(memory=()))
-        done, truncated = bool(s.done[0]), bool(s.truncated[0])
+        done, bad = bool(s.done[0]), bool(s.bad[0])
+        truncated = bool(s.truncated[0]) or bad
         info = {name: float(value[0]) for name, value in s.metrics.items()}
-        info |= {"score": float((s.final_score if done else s.score)[0]), "bad": bool(s.bad[0])}
+        info |= {"score": float((s.final_score if done else s.score)[0]), "bad": bad}
+        info |= {"fault": True} if bad else {}
         agents = list(self.agents)
         rewards = {name: float(value) for name, value in by_agent(self.env, s.reward).items()}
         if done:
@@ -127,8 +139,9 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         now = self._running
         return np.array((now.final_privileged if done else now.privileged)[0])
 
-    def render(self) -> None:
-        """Return nothing: there are no render modes."""
+    def render(self) -> np.ndarray | None:
+        """Return a picture from above (height, width, 3); None without a render mode."""
+        return None if self.render_mode is None else picture_of(self.env, self._running)
 
     def close(self) -> None:
         """Do nothing: there is nothing to close."""

@@ -20,21 +20,25 @@ Indices = int | Iterable[int] | None
 class BaselinesWorlds(VecEnv):
     """An environment as a VecEnv of Stable-Baselines3; agents are as in `VectorWorlds`.
 
-    Infos are a dictionary for each agent: the task's metrics, `score`, and `bad`, whether physics failed.
-    Where an episode ended they have `terminal_observation`, and `TimeLimit.truncated` where its time was up.
+    Infos are a dictionary for each agent: the task's metrics, `score`, and `bad`, whether physics failed or a
+    number of the task was not finite. Where an episode ended they have `terminal_observation`, and
+    `TimeLimit.truncated` where its time was up or the step was a fault, then also `fault`.
 
     Args:
         env: The environment.
         robots: What an agent is.
         seed: Of a first `reset` without one.
+        render_mode: None, or `rgb_array`: pictures from above for VecVideoRecorder.
 
     Raises:
-        UsageError: `each` with robots of several classes.
+        UsageError: `each` with robots of several classes, or an unknown render mode.
     """
 
-    def __init__(self, env: "Env", robots: Robots = "joined", seed: int = 0) -> None:
-        self.worlds: Any = VectorWorlds(env, robots, seed)
-        self.render_mode = None
+    def __init__(
+        self, env: "Env", robots: Robots = "joined", seed: int = 0, render_mode: str | None = None
+    ) -> None:
+        self.worlds: Any = VectorWorlds(env, robots, seed, render_mode=render_mode)
+        self.render_mode = render_mode
         self._actions = np.zeros(self.worlds.action_space.shape, np.float32)
         spaces = self.worlds.single_observation_space, self.worlds.single_action_space
         super().__init__(self.worlds.num_envs, *spaces)
@@ -72,8 +76,16 @@ class BaselinesWorlds(VecEnv):
         over = "final_obs" in infos and infos["final_obs"][i] is not None
         found = {**infos, **infos["final_info"]} if over else infos
         info = {name: found[name][i] for name in found if not name.startswith(("_", "final_"))}
+        if not info.get("fault", True):
+            del info["fault"]  # of another one
         info["TimeLimit.truncated"] = bool(late[i])
         return info | ({"terminal_observation": infos["final_obs"][i]} if over else {})
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """Return a picture of each agent's world from above (height, width, 3)."""
+        pictures = self.worlds.render() or (None,) * self.worlds.env.worlds
+        share = self.num_envs // len(pictures)
+        return [picture for picture in pictures for _ in range(share)]
 
     def close(self) -> None:
         """Do nothing: there is nothing to close."""

@@ -1,7 +1,7 @@
 """A task in a batch of worlds: functional reset and step, brax's way."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import partial
 from typing import Any, get_args
@@ -10,7 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base import random
 from usarmjx.base.arrays import Array
+from usarmjx.base.compilation import enable_cache_after_import
+from usarmjx.base.entry import jax_entry_points
 from usarmjx.base.errors import UnsupportedFeatureError, UsageError
 from usarmjx.base.program_cache import ProgramCache, compile_program, open_program_cache
 from usarmjx.engines import PhysicsState, choose_engine, engine_class
@@ -47,6 +50,16 @@ def _observe(task: Task, view: TaskView, memory: Memory) -> tuple[tuple[jax.Arra
     return obs, jnp.asarray(task.privileged(view, memory), jnp.float32)
 
 
+def all_finite(values: Sequence[Array]) -> jax.Array:
+    """Return in which worlds all numbers are finite (worlds,), of arrays (worlds, ...)."""
+    return jnp.stack([jnp.isfinite(one).reshape(len(one), -1).all(1) for one in values]).all(0)
+
+
+def finite_or_zero(values: jax.Array) -> jax.Array:
+    """Return the values, with 0 where one is not finite."""
+    return jnp.where(jnp.isfinite(values), values, 0.0)
+
+
 def start_episode(
     scene: Scene, task: Task, world: World, physics: PhysicsState
 ) -> tuple[World, EpisodeStart]:
@@ -54,6 +67,9 @@ def start_episode(
     world, view = make_view(scene, world, physics)
     memory = task.start(view, jnp.asarray(episode_key(world, Stream.TASK_START)))
     obs, privileged = _observe(task, view, memory)
+    unsound = jnp.stack([~jnp.isfinite(one).all() for one in (*obs, privileged)]).any()
+    world = world.replace(faults=world.faults.replace(task=world.faults.task + unsound))
+    obs, privileged = jax.tree.map(finite_or_zero, (obs, privileged))
     zero = jnp.zeros((), jnp.int32)
     return world, EpisodeStart(
         memory=memory, obs=obs, privileged=privileged, score=jnp.zeros(()), length=zero
@@ -98,6 +114,11 @@ def evaluate_step(
     with jax.named_scope("task.evaluate"):
         result = jax.vmap(task.evaluate)(views, state.memory)
     obs, privileged = jax.vmap(partial(_observe, task))(views, result.memory)
+    # A task's own NaN would spread from a learner's weights to everything.
+    unsound = ~all_finite((*result.reward, result.score, *obs, privileged))
+    worlds = worlds.replace(faults=worlds.faults.replace(task=worlds.faults.task + (unsound & ~bad)))
+    bad |= unsound
+    obs, privileged = jax.tree.map(finite_or_zero, (obs, privileged))
     length = state.length + 1
     terminated, late = result.terminated & ~bad, length >= task.episode_steps
     done = terminated | late | bad
@@ -190,6 +211,7 @@ class EnvBatch(Batch):
         super().__init__(*args, **settings)
 
 
+@jax_entry_points
 class Env:
     """A task in many worlds. Its functions are pure where the engine can be traced.
 
@@ -233,6 +255,7 @@ class Env:
                 "engines c, jax and warp can"
             )
         self.scene = task.scene()
+        enable_cache_after_import()
         self.program_cache = env_program_cache(task, self.scene, worlds, engine, first)
         settings = {"engine": engine, "seed": seed, "first": first, "shuffle": task.shuffle}
         self.batch = EnvBatch(self.program_cache, self.scene, worlds, **settings)
@@ -323,7 +346,7 @@ class Env:
         if mixed and level < 1.0:
             raise UsageError(f"mixed levels are those of all arenas, not of level {level} and below")
         level_now = jnp.float32(level)
-        key, arenas = jax.random.key(self.seed if seed is None else seed), self._arenas(level_now)
+        key, arenas = random.key(self.seed if seed is None else seed), self._arenas(level_now)
         if mixed and self._generated is not None:
             order = self._generated.mixed_order()
             arenas = jax.tree.map(lambda rows: rows[order], arenas)

@@ -14,9 +14,9 @@ from usarmjx.base.registry import Registry
 from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, SHARE, Setting, validate
 from usarmjx.base.worker_processes import spread
 from usarmjx.models.compile.reachability import RobotFootprint
+from usarmjx.models.files.find_robot import find_robot
 from usarmjx.models.generate import KINDS, Difficulty, generate
 from usarmjx.models.generate.kinds import DEFAULT_STARTS
-from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, StartPose
 from usarmjx.models.types.robot import Mount, RobotSpec
 
@@ -301,7 +301,7 @@ def spec_of(robot: str | RobotSpec) -> RobotSpec:
     Raises:
         UnknownNameError: No such class.
     """
-    return ROBOTS.get(robot) if isinstance(robot, str) else robot
+    return find_robot(robot)
 
 
 def with_sensors(robots: Sequence[str | RobotSpec], keep: Sequence[str | Mount] | None) -> list[RobotSpec]:

@@ -48,8 +48,8 @@ class TaskState(struct.PyTreeNode, kw_only=True):
         final_score: The score of the last episode that ended; where done, of the one that ended now
             (worlds,).
         length: Steps of the running episode (worlds,).
-        bad: Whether the physics was not finite or lost contacts in this step (worlds,); such an episode is
-            done, and its last transition is not to be trained on.
+        bad: Whether the physics was not finite or lost contacts in this step, or a number of the task was not
+            finite (worlds,); such an episode is done, and its last transition is not to be trained on.
         metrics: As evaluated in this step, before any reset (worlds,).
         level: Difficulty of the arenas in play, from 0 to 1 (); see `Env.at_level`.
     """

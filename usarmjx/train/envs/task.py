@@ -32,7 +32,7 @@ from usarmjx.sim.actions import Actions
 from usarmjx.sim.radio import mailboxes
 from usarmjx.sim.ray_geometry import start_poses, victims_of
 from usarmjx.sim.scene import Scene, build_scene
-from usarmjx.sim.world import Stream, World, episode_key, robot_states, time_of
+from usarmjx.sim.world import Stream, World, clock_of, episode_key, robot_states
 from usarmjx.train.envs.recipe import (
     SPARE_ROOM,
     Arenas,
@@ -100,7 +100,7 @@ class TaskView(struct.PyTreeNode, kw_only=True):
     @property
     def time(self) -> jax.Array:
         """Simulated time since the episode began [s] ()."""
-        return jnp.asarray(time_of(self.scene, self.world))
+        return jnp.asarray(clock_of(self.scene, self.world).seconds)
 
     @property
     def key(self) -> jax.Array:

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from usarmjx.base import random
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import Estimate, estimate_groups, estimate_middle
 from usarmjx.sim.batch import select_worlds
@@ -99,7 +100,7 @@ def play_episodes(
         state = env.reset(seed, mixed=True)  # else few worlds would meet the easy arenas only
     else:
         state = env.reset(seed) if level is None else env.reset(seed, level)
-    carry, key = begin, jax.random.key(seed)
+    carry, key = begin, random.key(seed)
     ended, length, step, bad = np.zeros(env.worlds, int), np.zeros(env.worlds, int), 0, 0
     rows: list[tuple[Any, ...]] = []  # of each episode: score, length, world, index, building
     serials = _serials(state)

@@ -18,6 +18,7 @@ import jax
 import numpy as np
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
+from usarmjx.base import random
 from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import CONFIDENCE
 from usarmjx.base.files import atomic_write
@@ -104,7 +105,7 @@ def run_variant(env: Env, name: str, seed: int) -> tuple[np.ndarray, dict[str, n
     act, carry, state = jax.jit(policy.act), policy.initial_carry(env.worlds), env.reset(seed)
     good, score, metrics = np.ones(env.worlds, bool), np.zeros(env.worlds), {}
     for step in range(env.episode_steps):
-        carry, actions = act(carry, state.obs, jax.random.fold_in(jax.random.key(seed), step))
+        carry, actions = act(carry, state.obs, jax.random.fold_in(random.key(seed), step))
         state = env.step(state, actions)
         good &= ~np.asarray(state.bad)
         score = np.asarray(state.final_score)

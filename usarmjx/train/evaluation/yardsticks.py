@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base import random
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.base.estimates import Estimate, estimate_groups
 from usarmjx.base.markdown import markdown_table
@@ -223,7 +224,7 @@ def play_team(
     good, rows, score = np.ones(env.worlds, bool), list[dict[str, np.ndarray]](), np.zeros(env.worlds)
     for step in range(env.episode_steps):
         watch(name, env, state)
-        carry, actions = act(carry, state.obs, jax.random.fold_in(jax.random.key(seed), step))
+        carry, actions = act(carry, state.obs, jax.random.fold_in(random.key(seed), step))
         state = env.step(state, actions)
         good &= ~np.asarray(state.bad)
         score = np.asarray(state.final_score)

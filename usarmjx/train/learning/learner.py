@@ -8,6 +8,7 @@ from typing import Any
 import jax
 from jax.sharding import PartitionSpec
 
+from usarmjx.base import random
 from usarmjx.base.errors import UsageError
 from usarmjx.base.program_cache import PrecompiledProgram, ProgramCache, compile_program
 from usarmjx.sim.scene import Scene
@@ -89,7 +90,7 @@ class Trainer:
         self._update = PrecompiledProgram(
             compile_program(self._update_shards, self._program_cache, "Trainer", precise=False)
         )
-        keys = [jax.random.fold_in(jax.random.key(config.seed), s) for s in (ROLLOUT_STREAM, UPDATE_STREAM)]
+        keys = [jax.random.fold_in(random.key(config.seed), s) for s in (ROLLOUT_STREAM, UPDATE_STREAM)]
         self._key, updates = process_group.device_put((keys[0], jax.random.key_data(keys[1])))
         self._stream = process_group.to_global(updates, None)
         self._fold = jax.jit(jax.random.fold_in)
@@ -102,7 +103,7 @@ class Trainer:
 
     def starts(self) -> tuple[TrainState, RolloutState, jax.Array]:
         """Return the arguments of the first rollout, on any device."""
-        learner = self._begin(jax.random.key(self.config.seed))
+        learner = self._begin(random.key(self.config.seed))
         return learner, self.rollout.start(self.level(0)), self._key
 
     def start_shapes(self) -> tuple[TrainState, RolloutState, jax.Array]:

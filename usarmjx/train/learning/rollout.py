@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base import random
 from usarmjx.base.program_cache import PrecompiledProgram, ProgramCache, compile_program
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.state import EnvState, Memory
@@ -120,9 +121,10 @@ class Rollout:
         """Return the worlds at the start of their first episodes, some of which will be short."""
         config = self.config
         # A seed on the device puts all worlds there from their first step on: nothing is compiled twice.
-        seed = jax.device_put(np.uint32(config.seed % 2**32), jax.local_devices()[0])
+        given = random.key(config.seed) if config.seed >> 32 else np.uint32(config.seed)
+        seed = jax.device_put(given, jax.local_devices()[0])
         env = self.env.reset(seed, level) if config.curriculum else self.env.reset(seed)
-        number, offset, carry = self._begin(jax.random.fold_in(jax.random.key(config.seed), STAGGER_STREAM))
+        number, offset, carry = self._begin(jax.random.fold_in(random.key(config.seed), STAGGER_STREAM))
         if config.stagger_resets:  # by counting steps that never were, so nothing else of an episode changes
             env = env.replace(length=offset.astype(env.length.dtype))
             if (task := getattr(self.env, "task", None)) is not None:

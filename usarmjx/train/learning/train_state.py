@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from flax.struct import PyTreeNode
 
+from usarmjx.base import random
 from usarmjx.base.errors import UsageError, extra
 from usarmjx.base.program_cache import ProgramCache, compile_program
 from usarmjx.train.envs.env import AgentGroup
@@ -149,7 +150,7 @@ def make_optimiser(config: Config) -> optax.GradientTransformation:
 
 def make_train_state(networks: Networks, config: Config) -> TrainState:
     """Return the train state before the first update."""
-    return train_state_maker(networks, config, None)(jax.random.key(config.seed))
+    return train_state_maker(networks, config, None)(random.key(config.seed))
 
 
 def train_state_maker(

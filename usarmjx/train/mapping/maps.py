@@ -138,9 +138,14 @@ def _classify_squares(
     bearing = jnp.mod(bearing + jnp.pi, 2 * jnp.pi) - jnp.pi
     step, beams = scanner.resolution, scanner.beams
     place = (bearing + scanner.scan_fov / 2) / step
-    first = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, max(beams - 2, 0))
-    seen = (place > -0.5) & (place < beams - 0.5)
-    one, two = ranges[first], ranges[jnp.minimum(first + 1, beams - 1)]
+    if scanner.is_full_turn:  # the first beam follows the last
+        place = jnp.mod(place, beams)
+        first = jnp.minimum(jnp.floor(place).astype(jnp.int32), beams - 1)
+        seen, second = jnp.ones(place.shape, bool), jnp.mod(first + 1, beams)
+    else:
+        first = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, max(beams - 2, 0))
+        seen, second = (place > -0.5) & (place < beams - 0.5), jnp.minimum(first + 1, beams - 1)
+    one, two = ranges[first], ranges[second]
     share = jnp.clip(place - first, 0.0, 1.0) * step
     # The polar equation of the straight line through the ends of both beams.
     flat = math.sin(step) / (

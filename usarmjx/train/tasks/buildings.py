@@ -12,9 +12,9 @@ import numpy as np
 from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, SHARE
 from usarmjx.base.worker_processes import spread
 from usarmjx.models.compile.reachability import footprint_of
+from usarmjx.models.files.find_robot import find_robot
 from usarmjx.models.generate import Difficulty, generate
 from usarmjx.models.generate.kinds import budget
-from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.task import TaskView
@@ -118,7 +118,7 @@ def arena_notes(arenas: Sequence[ArenaSpec], grid: MapGrid, robot: str) -> dict[
         `reachable`: which squares a robot of the class gets to (arenas, i, j); `extent`: from where to where
         an arena reaches, x and y [m] (arenas, 2, low or high).
     """
-    size = footprint_of(ROBOTS.get(robot))
+    size = footprint_of(find_robot(robot))
     return {
         "reachable": np.stack(spread(partial(reachable_squares, grid=grid, size=size), arenas)),
         "extent": np.array([arena.extent for arena in arenas], np.float32),

@@ -7,6 +7,7 @@ from dataclasses import replace
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.drives import RotaryWing
+from usarmjx.models.files.find_robot import find_robot
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import Mount, RobotSpec, options
 
@@ -39,7 +40,7 @@ def mapping_robot(robot: str | RobotSpec, extra: Sequence[Mount] = ()) -> RobotS
     Raises:
         UnknownNameError: No such robot.
     """
-    spec = ROBOTS.get(robot) if isinstance(robot, str) else robot
+    spec = find_robot(robot)
     own = next((mount.at for mount in spec.sensors if mount.kind == "RangeScanner"), None)
     top = (0.0, 0.0, kinematic_tree_of(spec).clearance - spec.dimensions[2] - 0.1)
     scanner = Mount(kind="RangeScanner", name="Mapper", at=own or top, options=HOKUYO)
@@ -54,7 +55,7 @@ def victim_search_robot(robot: str | RobotSpec) -> RobotSpec:
     Raises:
         UnknownNameError: No such robot.
     """
-    spec = ROBOTS.get(robot) if isinstance(robot, str) else robot
+    spec = find_robot(robot)
     if flies(spec):
         down = (0.0, -math.pi / 2, 0.0)
         sensor = Mount(

@@ -1,0 +1,292 @@
+"""Robots from files as people have them, against the file and MuJoCo's own reader."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from tests.models.files.test_import_mjcf import compare, composed
+from usarmjx.base.errors import SpecError
+from usarmjx.models import load_robot
+from usarmjx.models.drives import Ackermann, NoDrive, RotaryWing, SkidSteer
+
+CASES = Path(__file__).parent / "cases"
+MASS_ATOL = 1e-6  # kg, as of single precision
+SIZE_ATOL = 2e-6  # m: 1.5708 in the files is not quite a quarter turn
+WHEEL = """<link name="{0}"><inertial><mass value="1"/>
+  <inertia ixx=".003" iyy=".005" izz=".003" ixy="0" ixz="0" iyz="0"/></inertial>
+  <collision><origin rpy="1.5707963 0 0"/><geometry><cylinder radius=".1" length=".05"/></geometry>
+  </collision></link>"""
+BASE = """<link name="base"><inertial><mass value="10"/>
+  <inertia ixx=".2" iyy=".3" izz=".4" ixy="0" ixz="0" iyz="0"/></inertial>
+  <collision><origin xyz="0 0 .1"/><geometry><box size=".6 .4 .1"/></geometry></collision></link>"""
+
+
+def hinge(name, child, at, axis="0 1 0", parent="base", kind="continuous", more=""):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{at}"/><axis xyz="{axis}"/>{more}</joint>'
+    )
+
+
+def cart(more="", axis="0 1 0", limit=""):
+    wheels = WHEEL.format("wl") + WHEEL.format("wr")
+    joints = hinge("L", "wl", "0 .25 0", axis, more=limit) + hinge("R", "wr", "0 -.25 0", axis, more=limit)
+    return f'<robot name="cart">{BASE}{wheels}{joints}{more}</robot>'
+
+
+@pytest.fixture
+def load(tmp_path):
+    def from_text(text, name="robot.urdf", **options):
+        (tmp_path / name).write_text(text)
+        return load_robot(tmp_path / name, **options)
+
+    return from_text
+
+
+def test_stated_inertia_makes_no_solid():
+    robot = load_robot(CASES / "placeholder_inertia.urdf").robot
+    assert robot.mass == pytest.approx(8 + 2 * 0.5, abs=MASS_ATOL)
+    assert robot.dimensions == pytest.approx((0.4, 0.44, 0.205), abs=SIZE_ATOL)
+    assert robot.origin_height == pytest.approx(0.08 - 0.05, abs=SIZE_ATOL)
+    assert [shape.kind for shape in robot.chassis] == ["box"]
+    compare(CASES / "placeholder_inertia.urdf", robot)
+
+
+def test_a_solid_without_inertial_weighs_nothing():
+    robot = load_robot(CASES / "collision_without_inertial.urdf").robot
+    assert robot.mass == pytest.approx(12 + 2 * 1, abs=MASS_ATOL)
+    model = composed(robot)
+    assert model.body("chassis").inertia == pytest.approx((0.3, 0.6, 0.8))
+
+
+def test_round_meshes_on_wheels_become_cylinders():
+    robot = load_robot(CASES / "mesh_wheels.urdf").robot
+    assert isinstance(robot.drive, SkidSteer)
+    assert (robot.drive.left, robot.drive.right) == (("FL", "RL"), ("FR", "RR"))
+    assert [shape.kind for part in robot.parts for shape in part.shapes] == ["cylinder"] * 4
+    assert robot.wheel_radius == pytest.approx(0.1, rel=0.02)
+    assert robot.origin_height == pytest.approx(0.1, rel=0.02)
+    assert robot.mass == pytest.approx(14, abs=MASS_ATOL)
+
+
+def test_speeds_of_a_file_win():
+    robot = load_robot(CASES / "fast_wheels.xml").robot
+    assert [part.motor.max_speed for part in robot.parts] == [24.0, 24.0]
+    assert robot.drive.max_spin == 24.0
+    assert robot.chassis[1].surface == "caster"
+
+
+def test_meshes_of_packages_are_found_above_and_in_named_folders(load, tmp_path, monkeypatch):
+    near = CASES / "pack_description" / "urdf" / "mesh_of_a_package.urdf"
+    hull = load_robot(near).robot.chassis[0]
+    assert (hull.kind, np.ptp(hull.mesh.vertices, 0)) == ("mesh", pytest.approx([0.2, 0.2, 0.2]))
+    text = near.read_text()
+    with pytest.raises(SpecError, match=r"robot.urdf:2: mesh 'package://pack_desc.*--packages DIR"):
+        load(text)
+    assert load(text, packages=[CASES]).robot.chassis[0] == hull
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(CASES.parent))
+    assert load(text).robot.chassis[0] == hull
+
+
+def test_limits_of_effort_and_speed_reach_the_motors(load):
+    loaded = load(cart(limit='<limit effort="3" velocity="12"/>'))
+    assert [(p.motor.torque, p.motor.max_speed) for p in loaded.robot.parts] == [(3.0, 12.0)] * 2
+    assert loaded.robot.drive.max_spin == 12.0
+    assert loaded.robot.max_torque == 3.0
+    assert loaded.notes == ()
+
+
+def test_wheels_roll_ahead_whichever_way_their_axes_point(load):
+    robot = load(cart(axis="0 -1 0")).robot
+    assert [part.axis for part in robot.parts] == [(0.0, -1.0, 0.0)] * 2
+
+
+def test_an_axis_left_out_is_x_as_mujoco_has_it(load, tmp_path):
+    text = cart(WHEEL.format("arm") + hinge("swing", "arm", "0 0 .2").replace('<axis xyz="0 1 0"/>', ""))
+    robot = load(text).robot
+    assert robot.parts[-1].axis == (1.0, 0.0, 0.0)
+    theirs = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.urdf"))
+    assert theirs.joint("swing").axis.tolist() == [1.0, 0.0, 0.0]
+    compare(tmp_path / "robot.urdf", robot)
+
+
+def test_unbalanced_inertias_are_mended_with_a_warning(load):
+    loaded = load(cart().replace('izz=".4"', 'izz=".9"'))
+    (note,) = loaded.notes
+    assert "robot.urdf:1: link 'base': no body has the moments of inertia 0.2, 0.3, 0.9" in note
+    assert composed(loaded.robot).body("chassis").inertia == pytest.approx((0.2, 0.3, 0.5))
+
+
+def test_joints_follow_the_ones_they_mimic(load):
+    limit = '<limit lower="-1" upper="1" effort="2" velocity="1"/>'
+    mimic = '<mimic joint="one" multiplier="-.5" offset=".1"/>'
+    more = (
+        WHEEL.format("f1")
+        + WHEEL.format("f2")
+        + hinge("one", "f1", ".3 0 0", kind="revolute", more=limit)
+        + hinge("two", "f2", ".3 .1 0", kind="revolute", more=limit + mimic)
+    )
+    robot = load(cart(more)).robot
+    one, two = robot.parts[2:]
+    assert (one.motor.torque, two.motor) == (2.0, None)
+    model = composed(robot)
+    assert model.eq_data[0, :2] == pytest.approx((0.1, -0.5))
+    with pytest.raises(SpecError, match="joint 'two' follows 'three', which is no joint that moves"):
+        load(cart(more.replace('mimic joint="one"', 'mimic joint="three"')))
+
+
+def test_xacro_files_are_expanded_without_ros(load, tmp_path):
+    package = tmp_path / "cart_description"
+    package.mkdir()
+    (package / "wheel.xacro").write_text(
+        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="wheel" params="name y">'
+        + WHEEL.format("${name}")
+        + hinge("${name}_joint", "${name}", "0 ${y * 0.5} 0")
+        + "</xacro:macro></robot>"
+    )
+    text = (
+        '<robot name="cart" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="half" default=".5"/>'
+        '<xacro:include filename="$(find cart_description)/wheel.xacro"/>'
+        f'{BASE}<xacro:wheel name="wl" y="$(arg half)"/><xacro:wheel name="wr" y="-$(arg half)"/></robot>'
+    )
+    robot = load(text, "cart.urdf.xacro").robot
+    assert robot.wheel_separation == pytest.approx(0.5)
+    wide = load(text, "cart.urdf.xacro", arguments={"half": "0.8"}).robot
+    assert wide.wheel_separation == pytest.approx(0.8)
+    with pytest.raises(
+        SpecError, match=r"no folder 'lost' is above it, in --packages, or in ROS_PACKAGE_PATH"
+    ):
+        load(text.replace("find cart_description", "find lost"), "cart.urdf.xacro")
+
+
+COLLADA = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit meter="0.01" name="centimetre"/><up_axis>Z_UP</up_axis></asset><library_geometries>
+<geometry id="g"><mesh><source id="p"><float_array id="a" count="24">
+-10 -10 -10 10 -10 -10 10 10 -10 -10 10 -10 -10 -10 10 10 -10 10 10 10 10 -10 10 10</float_array>
+<technique_common><accessor source="#a" count="8" stride="3"><param name="X" type="float"/>
+<param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices><triangles count="12">
+<input semantic="VERTEX" source="#v" offset="0"/><p>0 2 1 0 3 2 4 5 6 4 6 7 0 1 5 0 5 4 1 2 6 1 6 5 2 3 7
+2 7 6 3 0 4 3 4 7</p></triangles></mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="s">
+<node><translate>100 0 0</translate><instance_geometry url="#g"/></node></visual_scene>
+</library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
+
+
+def test_collada_meshes_have_their_unit_and_place(load, tmp_path):
+    (tmp_path / "box.dae").write_text(COLLADA)
+    text = cart().replace('<box size=".6 .4 .1"/>', '<mesh filename="box.dae" scale="1 2 1"/>')
+    robot = load(text).robot
+    hull = robot.chassis[0]
+    assert np.sort(np.ptp(hull.mesh.vertices, 0)) == pytest.approx([0.2, 0.2, 0.4])
+    # From the box, 1 m ahead, to the wheels' rear; the box is 0.4 m wide, less than the wheels.
+    assert robot.dimensions == pytest.approx((1.2, 0.55, 0.3), abs=1e-6)
+    model = composed(robot)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    assert data.geom("chassis/0").xpos == pytest.approx((1.0, 0.0, 0.1), abs=1e-6)
+
+
+PLUGINS = """<gazebo reference="base"><mu1>0.05</mu1><kp>1e6</kp>
+<sensor type="gpu_ray" name="front laser"><pose>.3 0 .2 0 0 0</pose><update_rate>20</update_rate>
+<ray><scan><horizontal><samples>181</samples><min_angle>-1.5707963</min_angle><max_angle>1.5707963</max_angle>
+</horizontal></scan><range><min>.2</min><max>8</max></range></ray></sensor>
+<sensor type="camera" name="cam"><camera><horizontal_fov>1.2</horizontal_fov></camera></sensor>
+<sensor type="imu" name="imu"/><sensor type="thermometer" name="hot"/></gazebo>
+<gazebo><plugin name="drive" filename="libgazebo_ros_diff_drive.so"><leftJoint>L</leftJoint>
+<rightJoint>R</rightJoint><wheelSeparation>.5</wheelSeparation><wheelDiameter>.2</wheelDiameter></plugin>
+<plugin name="other" filename="libother.so"/></gazebo>"""
+
+
+def test_gazebo_plugins_become_drive_and_mounts(load):
+    loaded = load(cart(PLUGINS))
+    robot = loaded.robot
+    assert (robot.drive.left, robot.drive.right, robot.drive.radius) == (("L",), ("R",), 0.1)
+    scanner, imu = robot.sensors[:2]
+    assert (scanner.kind, scanner.name, scanner.at) == ("RangeScanner", "front_laser", (0.3, 0.0, -0.2))
+    options = dict(scanner.options)
+    assert (options["MinRange"], options["MaxRange"], options["ScanInterval"]) == (0.2, 8.0, 0.05)
+    assert options["ScanFov"] / options["Resolution"] == pytest.approx(180)
+    assert imu.kind == "IMU"
+    assert dict(robot.cameras[0].options)["CameraDefFov"] == 1.2
+    said = "\n".join(loaded.notes)
+    for words in (
+        "'hot' of type 'thermometer' is left out",
+        "plugin other (libother.so) is left out",
+        ": kp",
+    ):
+        assert words in said
+    assert "robot.urdf:" in loaded.notes[0]
+    assert robot.chassis[0].surface == "caster"
+
+
+def test_wheels_on_steering_joints_make_a_car(load):
+    limit = '<limit lower="-.5" upper=".5" effort="4" velocity="2"/>'
+    more = "".join(
+        f'<link name="k{side}"><inertial><mass value=".2"/><inertia ixx=".001" iyy=".001" izz=".001" ixy="0" '
+        f'ixz="0" iyz="0"/></inertial></link>{WHEEL.format("f" + side)}'
+        + hinge(f"steer{side}", f"k{side}", f".4 {y} 0", "0 0 1", kind="revolute", more=limit)
+        + hinge(f"F{side}", f"f{side}", "0 0 0", parent=f"k{side}")
+        for side, y in (("l", 0.25), ("r", -0.25))
+    )
+    drive = load(cart(more)).robot.drive
+    assert isinstance(drive, Ackermann)
+    assert drive.max_front_steer == 0.5
+    assert {wheel.joint: wheel.steer for wheel in drive.wheels} == {
+        "L": "",
+        "R": "",
+        "Fl": "steerl",
+        "Fr": "steerr",
+    }
+
+
+def test_rotors_on_sites_make_it_fly(load):
+    rotors = "".join(
+        f'<site name="s{i}" pos="{x} {y} 0"/>'
+        for i, (x, y) in enumerate([(1, 1), (1, -1), (-1, 1), (-1, -1)])
+    )
+    motors = "".join(f'<motor site="s{i}" gear="0 0 1 0 0 .1" ctrlrange="0 6"/>' for i in range(4))
+    text = (
+        f'<mujoco><worldbody><body name="q"><freejoint/><geom type="box" size=".2 .2 .05" mass="1"/>{rotors}'
+        f"</body></worldbody><actuator>{motors}</actuator></mujoco>"
+    )
+    drive = load(text, "quad.xml").robot.drive
+    assert isinstance(drive, RotaryWing)
+    assert (drive.mass, drive.max_thrust) == (pytest.approx(1.0), pytest.approx(24.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("<robot name='r'>", r"robot.urdf:1: is no XML"),
+        ("<robot name='r'/>", "no link is the root"),
+        (
+            cart().replace('child link="wr"', 'child link="wl"'),
+            "robot.urdf:.*'R': link 'wl' hangs on 'L' too",
+        ),
+        (
+            cart().replace('child link="wr"', 'child link="x"'),
+            "its child 'x' is no link; there is: base, wl, wr",
+        ),
+        (
+            cart().replace('type="continuous"', 'type="rolling"'),
+            "'L' has the type 'rolling'; known: revolute",
+        ),
+        (cart().replace('axis xyz="0 1 0"', 'axis xyz="0 0 0"'), "'L' has an axis of length 0"),
+        (cart().replace('radius=".1"', 'radius="-1"'), "expected lengths above zero"),
+        (cart().replace("<box", "<torus"), "a solid is a <torus>; allowed: box"),
+        (cart().replace('mass value="10"', 'mass value="nan"'), "expected 1 numbers"),
+    ],
+)
+def test_faults_are_refused_with_file_and_line(load, text, says):
+    with pytest.raises(SpecError, match=says):
+        load(text)
+
+
+def test_what_does_not_drive_stands(load):
+    robot = load(f'<robot name="stone">{BASE}</robot>').robot
+    assert isinstance(robot.drive, NoDrive)
+    assert robot.mass == pytest.approx(10)

@@ -1,0 +1,150 @@
+"""What other libraries hand over and expect: keywords, pictures, faults, critics' state, processes."""
+
+import os
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.train.toys import DriveToy, LineToy
+from usarmjx.base.errors import UnknownNameError, UsageError
+
+pytest.importorskip("gymnasium", reason="needs the extra rl")
+import gymnasium
+
+from usarmjx.train.adapters.gymnasium import TeamWorld, VectorWorlds
+
+ID = "usarmjx.train.adapters.gymnasium:usarmjx/drive-to-goal-v1"
+TINY = {"engine": "c", "ranges": (), "arena": "field"}
+
+
+def rotten(worlds):
+    """A toy whose worlds go bad when its robots drive to the right."""
+    return DriveToy(worlds, rotten=True)
+
+
+def run_until_bad(step, limit=12):
+    for _ in range(limit):
+        found = step()
+        if found is not None:
+            return found
+    raise AssertionError("no fault came")
+
+
+def right(worlds):
+    return np.tile(np.float32([1, 0, 1, 0, 0, 0]), (worlds, 1))
+
+
+def test_a_fault_is_truncated_not_terminated_in_gymnasium():
+    worlds = VectorWorlds(rotten(4))
+    worlds.reset(seed=0)
+
+    def step():
+        _, _, terminated, truncated, infos = worlds.step(right(4))
+        return (terminated, truncated, infos) if infos["bad"].any() else None
+
+    terminated, truncated, infos = run_until_bad(step)
+    bad = infos["bad"]
+    assert not terminated[bad].any()
+    assert truncated[bad].all()
+    np.testing.assert_array_equal(infos["fault"], bad)
+    np.testing.assert_array_equal(infos["_fault"], bad)
+
+
+def test_a_fault_is_truncated_in_a_single_world_and_in_pettingzoo():
+    from usarmjx.train.adapters.pettingzoo import ParallelWorld
+
+    world = TeamWorld(rotten(1))
+    world.reset(seed=0)
+
+    def step():
+        _, _, terminated, truncated, info = world.step(right(1)[0])
+        return (terminated, truncated, info) if info["bad"] else None
+
+    terminated, truncated, info = run_until_bad(step)
+    assert (terminated, truncated, bool(info["fault"])) == (False, True, True)
+    zoo = ParallelWorld(rotten(1))
+    zoo.reset(seed=0)
+    actions = {"A0": np.float32([1, 0]), "A1": np.float32([1, 0]), "B0": np.zeros(2, np.float32)}
+
+    def turn():
+        _, _, terminated, truncated, infos = zoo.step(actions)
+        return (terminated, truncated, infos) if infos["A0"]["bad"] else None
+
+    terminated, truncated, infos = run_until_bad(turn)
+    assert not any(terminated.values())
+    assert all(truncated.values())
+    assert infos["B0"]["fault"]
+
+
+def test_a_fault_is_a_truncation_in_brax():
+    pytest.importorskip("brax")
+    from usarmjx.train.adapters.brax import BatchedRobots
+
+    toy = LineToy()
+    toy.groups = toy.groups[:1]
+    robots = BatchedRobots(toy)
+    state = toy.reset(0)
+    state = state.replace(bad=jnp.ones(toy.worlds, bool), obs=state.obs[:1], final_obs=state.final_obs[:1])
+    assert np.asarray(robots._state(state).info["truncation"]).all()
+    seen = BatchedRobots(toy, privileged=True)._state(state).obs
+    assert {name: value.shape[-1] for name, value in seen.items()} == {
+        "state": toy.groups[0].obs_size,
+        "privileged_state": toy.privileged_size,
+    }
+
+
+def test_critics_get_their_state():
+    from usarmjx.train.adapters.pettingzoo import ParallelWorld
+
+    zoo = ParallelWorld(LineToy(worlds=1))
+    zoo.reset(seed=0)
+    assert zoo.state_space.contains(zoo.state())
+    worlds = VectorWorlds(LineToy(worlds=3))
+    worlds.reset(seed=0)
+    assert worlds.state().shape == (3, *worlds.state_space.shape)
+
+
+def test_options_of_a_reset_are_refused_by_name():
+    for world in (TeamWorld(LineToy(worlds=1)), VectorWorlds(LineToy())):
+        with pytest.raises(UsageError, match="unknown options of reset: gravity"):
+            world.reset(options={"gravity": 3})
+
+
+def test_gymnasium_own_keywords_are_known_and_others_refused():
+    world = gymnasium.make(ID, episode_steps=5, render_mode="rgb_array", **TINY)
+    assert world.render_mode == "rgb_array"
+    world.reset(seed=0)
+    picture = world.render()
+    assert picture.dtype == np.uint8
+    assert picture.shape == (240, 320, 3)
+    assert picture.std() > 1, "there is something to see"
+    worlds = gymnasium.make_vec(ID, num_envs=2, max_episode_steps=3, **TINY)
+    worlds.reset(seed=0)
+    still = np.zeros(worlds.action_space.shape, np.float32)
+    for _ in range(3):
+        _, _, terminated, truncated, _ = worlds.step(still)
+    assert truncated.all()
+    assert not terminated.any()
+    with pytest.raises(UnknownNameError, match="speling"):
+        gymnasium.make_vec(ID, num_envs=2, speling=1, **TINY)
+    with pytest.raises(UsageError, match="render_mode 'human'"):
+        VectorWorlds(LineToy(), render_mode="human")
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+@pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore::DeprecationWarning")
+def test_a_fork_of_a_process_with_jax_is_refused_instead_of_hanging():
+    import usarmjx
+
+    jnp.zeros(1).block_until_ready()  # JAX has started
+    pid = os.fork()
+    if not pid:
+        try:
+            usarmjx.make("drive-to-goal", **TINY)
+        except UsageError as error:
+            os._exit(0 if "'spawn'" in str(error) else 2)
+        except BaseException:
+            os._exit(3)
+        os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0

@@ -1,0 +1,28 @@
+"""Worlds beside libraries that set `jax_enable_x64`, as control and SLAM codes do."""
+
+import subprocess
+import sys
+
+CODE = """
+import jax
+jax.config.update("jax_enable_x64", True)
+import jax.numpy as jnp
+import numpy as np
+import usarmjx
+
+env = usarmjx.make("drive-to-goal", worlds=2, engine="planar", episode_steps=4, arena="field")
+state = env.reset(0)
+for actions in (np.full((2, 1, 2), 0.3), jnp.full((2, 1, 2), 0.3)):
+    state = env.step(state, (actions,))
+names = {str(leaf.dtype) for leaf in jax.tree.leaves(state)}
+assert not names & {"float64", "int64", "uint64"}, names
+assert jnp.zeros(1).dtype == "float64", "the program keeps its own precision"
+print(sorted(names))
+"""
+
+
+def test_double_precision_of_others_changes_no_type_of_a_world():
+    """A process sets the flag first; the task has range sensors, whose rays failed to trace."""
+    run = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr[-2000:]
+    assert "float32" in run.stdout

@@ -1,0 +1,105 @@
+"""`usarmjx robot`: look at robots from files."""
+
+import json as json_format
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from usarmjx.cli.common import ErrorExit, JsonFlag
+from usarmjx.cli.startup_messages import announce
+
+if TYPE_CHECKING:
+    from usarmjx.models.types.robot import RobotSpec
+
+app = typer.Typer(help="Check robots from files: URDF, xacro, MJCF.", no_args_is_help=True)
+
+PackagesOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--packages", help="Folder with packages or models that the file names; may be given several times."
+    ),
+]
+
+
+@app.callback()
+def robot_commands() -> None:
+    """Check robots from files: URDF, xacro, MJCF."""
+
+
+@app.command()
+def check(
+    file: Annotated[Path, typer.Argument(help="URDF, xacro or MJCF file of a robot.")],
+    packages: PackagesOption = None,
+    argument: Annotated[
+        list[str] | None, typer.Option("--argument", help="Argument of a xacro file, as name=value.")
+    ] = None,
+    png: Annotated[Path | None, typer.Option(help="Write a picture of the robot to this PNG file.")] = None,
+    json: JsonFlag = False,
+) -> None:
+    """Say what a robot's file makes, and what of it is left out; exit code 1 if the robot does not stand."""
+    with ErrorExit():
+        announce(f"reading {file} ...")
+        from usarmjx.models.check.robot import robot_faults
+        from usarmjx.models.files.find_robot import check_robot_file
+        from usarmjx.models.files.robot_file import load_robot
+
+        check_robot_file(file)
+        given = dict(_pair(text) for text in argument or ())
+        loaded = load_robot(file, packages=packages or (), arguments=given)
+        faults = robot_faults(loaded.robot)
+        rows = robot_figures(loaded.robot)
+        if json:
+            whole = {**rows, "left out or mended": list(loaded.notes), "faults": faults}
+            typer.echo(json_format.dumps(whole, indent=1))
+        else:
+            for name, value in rows.items():
+                typer.echo(f"{name:<12} {_shown(value)}")
+            for note in loaded.notes:
+                typer.echo(f"note         {note}")
+            for fault in faults:
+                typer.echo(f"fault        {fault}")
+        if png is not None:
+            from usarmjx.plots.gallery import portraits
+
+            portraits([loaded.robot], png)
+            typer.echo(f"wrote {png}", err=json)
+        if faults:
+            raise typer.Exit(1)
+
+
+def _pair(text: str) -> tuple[str, str]:
+    from usarmjx.base.errors import UsageError
+
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise UsageError(f"argument {text!r} is not of the form name=value")
+    return name, value
+
+
+def robot_figures(robot: "RobotSpec") -> dict[str, Any]:
+    """Return the figures of a robot by their names, with units."""
+    length, width, height = robot.dimensions
+    motors = {part.name: part.motor for part in robot.parts if part.motor is not None}
+    figures: dict[str, Any] = {
+        "class": robot.name,
+        "mass": f"{robot.mass:.4g} kg",
+        "size": f"{length:.3f} x {width:.3f} x {height:.3f} m",
+        "origin": f"{robot.origin_height:.3f} m above the ground",
+        "drive": f"{type(robot.drive).__name__}, up to {robot.drive.top_speed:.3g} m/s",
+    }
+    if robot.wheels:
+        names = ", ".join(part.name for part in robot.wheels)
+        figures["wheels"] = (
+            f"{names}; radius {robot.wheel_radius:.4f} m, {robot.wheel_separation:.3f} m apart, "
+            f"wheel base {robot.wheel_base:.3f} m"
+        )
+    figures["motors"] = [f"{name} {m.torque:.3g} N m, {m.max_speed:.3g} rad/s" for name, m in motors.items()]
+    figures["joints"] = [part.name for part in robot.parts if part.name not in motors]
+    figures["sensors"] = [f"{mount.kind} {mount.name}" for mount in (*robot.sensors, *robot.cameras)]
+    return figures
+
+
+def _shown(value: str | list[str] | Mapping[str, str]) -> str:
+    return value if isinstance(value, str) else ("; ".join(value) or "none")

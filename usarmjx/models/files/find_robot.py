@@ -1,0 +1,79 @@
+"""Robots by name, or from the file that a name is."""
+
+import logging
+from collections.abc import Iterable
+from pathlib import Path
+
+from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.models.robots import ROBOTS
+from usarmjx.models.types.robot import RobotSpec
+
+logger = logging.getLogger(__name__)
+
+ROBOT_SUFFIXES = (".urdf", ".xacro", ".xml", ".mjcf")
+"""Suffixes of robots' files."""
+_loaded: dict[tuple[Path, int], RobotSpec] = {}
+
+
+def find_robot(robot: str | RobotSpec) -> RobotSpec:
+    """Return a registered robot class by its name, or the one in a file; a `RobotSpec` is itself.
+
+    A robot from a file is registered under its class name. Names that come over a network are not for this
+    function: it reads files.
+
+    Raises:
+        UnknownNameError: Neither a known name nor the name of a file.
+        SpecError: An unreadable file.
+        UsageError: A file whose robot has the name of another robot.
+    """
+    if isinstance(robot, RobotSpec):
+        return robot
+    if robot in ROBOTS:
+        return ROBOTS.get(robot)
+    path = Path(robot)
+    if path.suffix.lower() in ROBOT_SUFFIXES or path.is_file():
+        return register_robot_file(path)
+    known = ", ".join(ROBOTS.names())
+    raise UnknownNameError(f"unknown robot {robot!r}; known: {known}; or a file: {', '.join(ROBOT_SUFFIXES)}")
+
+
+def register_robot_file(path: Path, packages: Iterable[str | Path] = ()) -> RobotSpec:
+    """Return the robot in a file, and register it; what is left out is logged as warnings.
+
+    Args:
+        path: The file.
+        packages: Folders in which packages and models are searched first.
+
+    Raises:
+        UnknownNameError: There is no such file.
+        SpecError: An unreadable file.
+        UsageError: Its robot has the name of another robot.
+    """
+    from usarmjx.models.files.robot_file import load_robot
+
+    check_robot_file(path)
+    key = path.resolve(), path.stat().st_mtime_ns
+    known = _loaded.get(key)
+    if known is not None and ROBOTS.find(known.name) is known:
+        return known
+    loaded = load_robot(path, packages=packages)
+    robot, before = loaded.robot, ROBOTS.find(loaded.robot.name)
+    if before is not None and before != robot and before not in _loaded.values():
+        raise UsageError(
+            f"{path}: its robot is called {robot.name}, as one of usarmjx's; rename it in the file"
+        )
+    for note in loaded.notes:
+        logger.warning("%s", note)
+    ROBOTS.replace(robot.name, robot)
+    _loaded[key] = robot
+    return robot
+
+
+def check_robot_file(path: Path) -> None:
+    """Refuse a name that is no file.
+
+    Raises:
+        UnknownNameError: There is no such file.
+    """
+    if not path.is_file():
+        raise UnknownNameError(f"{path}: there is no such file")

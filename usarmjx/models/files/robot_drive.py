@@ -1,0 +1,246 @@
+"""Drives of robots from files: those that plugins state, else those that wheels or rotors suggest."""
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from usarmjx.base.transforms import GRAVITY
+from usarmjx.models.drives import Ackermann, Drive, NoDrive, RotaryWing, SkidSteer
+from usarmjx.models.drives.ackermann import Wheel
+from usarmjx.models.files.body_tree import BodyTree
+from usarmjx.models.files.robot_source import RobotSource, StatedDrive, listed
+from usarmjx.models.types.shapes import Shape
+
+SIDEWAYS, UPRIGHT = 0.9, 0.9
+"""Smallest cosine of a wheel's axis to the lateral one, and of a steering axis to the vertical."""
+MIN_ROTORS = 4
+"""Smallest number of thrusters of a robot that flies."""
+DEFAULT_SPIN = 6.2832
+"""Default of the highest speed of a wheel [rad/s]: the wheel joint's in the UDK version."""
+MIDDLE = 0.01
+"""Distance from the middle plane within which a wheel is on neither side [m]."""
+FLIGHT_SPEED, FLIGHT_TURN, FLIGHT_TILT = 5.0, 2.0, math.radians(25)
+"""Highest speed, turning rate and tilt of a robot with rotors [m/s], [rad/s], [rad] (chosen)."""
+FLIGHT_DRAG = 1.0
+"""Drag coefficient of its box (chosen)."""
+THRUST_RATIO = 2.0
+"""Thrust over weight of rotors without a limit (chosen)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RollingPart:
+    """A part on a hinge that turns without end, as a candidate for a wheel.
+
+    Attributes:
+        owner: Its body.
+        joint: Name of its joint.
+        at: Position of the joint in the chassis, MuJoCo's axes [m] (3,).
+        axis: Axis of the joint in the chassis (3,).
+        radius: Radius of its round solid about the axis [m]; 0: none is round.
+    """
+
+    owner: int
+    joint: str
+    at: np.ndarray
+    axis: np.ndarray
+    radius: float
+
+
+def rolling_parts(tree: BodyTree) -> list[RollingPart]:
+    """Return all parts that may be wheels, in the file's order."""
+    data = mujoco.MjData(tree.model)
+    mujoco.mj_kinematics(tree.model, data)
+    root = tree.owners[0]
+    mat, pos = data.xmat[root].reshape(3, 3), data.xpos[root]
+    found: list[RollingPart] = []
+    for owner in tree.owners[1:]:
+        if tree.turns_freely(owner):
+            joint = tree.joint_of(owner)
+            solids, _ = tree.solids(owner, "wheel")
+            found.append(
+                RollingPart(
+                    owner=owner,
+                    joint=tree.name(owner),
+                    at=mat.T @ (data.xanchor[joint] - pos),
+                    axis=mat.T @ data.xaxis[joint],
+                    radius=max((_radius(solid) for solid in solids), default=0.0),
+                )
+            )
+    return found
+
+
+def _radius(solid: Shape) -> float:
+    return solid.size[0] if solid.kind in ("cylinder", "sphere", "capsule") else 0.0
+
+
+def find_drive(
+    tree: BodyTree, source: RobotSource, speeds: dict[str, float], driven: set[str] | None
+) -> Drive:
+    """Return a robot's drive.
+
+    Args:
+        tree: Its bodies.
+        source: Its file; notes say what is left out.
+        speeds: Highest speed of joints that state one [rad/s].
+        driven: Joints with a motor in the file; None: it names none.
+    """
+    parts = {part.joint: part for part in rolling_parts(tree)}
+    for stated in source.drives:
+        drive = _stated_drive(stated, tree, parts, speeds, source)
+        if drive is not None:
+            return drive
+    wheels = [part for part in parts.values() if abs(part.axis[1]) >= SIDEWAYS and part.radius > 0]
+    moved = [part for part in wheels if driven is None or part.joint in driven]
+    left = [part.joint for part in moved if part.at[1] > MIDDLE]
+    right = [part.joint for part in moved if part.at[1] < -MIDDLE]
+    steering = _steering_joints(tree, {part.owner: part for part in wheels})
+    if left and right and steering:
+        return _car(tree, wheels, set(left + right), steering, speeds, math.inf)
+    if left and right:
+        return _skid(left, right, parts, speeds, StatedDrive(kind="skid"))
+    sideways = [p.joint for p in parts.values() if abs(p.axis[0]) >= SIDEWAYS and p.radius > 0]
+    if sideways:
+        source.notes.append(
+            f"{source.path}: wheels {listed(sideways)} roll along y: no drive; a robot's x axis points ahead"
+        )
+    return NoDrive()
+
+
+def _stated_drive(
+    stated: StatedDrive,
+    tree: BodyTree,
+    parts: dict[str, RollingPart],
+    speeds: dict[str, float],
+    source: RobotSource,
+) -> Drive | None:
+    """Return the drive that a plugin states; None, with a note, if the robot has not its joints."""
+    lost = [name for name in (*stated.left, *stated.right) if name not in parts]
+    if lost or not (stated.left and stated.right):
+        said = f"joints {listed(lost)} are no wheels" if lost else "it names no wheels on both sides"
+        source.notes.append(f"{stated.place}: drive is left out: {said}")
+        return None
+    if stated.kind == "ackermann":
+        wheels = [part for part in parts.values() if abs(part.axis[1]) >= SIDEWAYS]
+        steering = _steering_joints(tree, {part.owner: part for part in wheels})
+        if steering:
+            return _car(tree, wheels, {*stated.left, *stated.right}, steering, speeds, stated.max_speed)
+        source.notes.append(f"{stated.place}: no wheel hangs on a steering joint: the drive skids")
+    return _skid([*stated.left], [*stated.right], parts, speeds, stated)
+
+
+def _skid(
+    left: list[str],
+    right: list[str],
+    parts: dict[str, RollingPart],
+    speeds: dict[str, float],
+    stated: StatedDrive,
+) -> SkidSteer:
+    wheels = [*left, *right]
+    radius = next((parts[name].radius for name in wheels if parts[name].radius > 0), stated.radius)
+    spins = [speeds[name] for name in wheels if name in speeds]
+    if math.isfinite(stated.max_speed) and radius > 0:
+        spins.append(stated.max_speed / radius)
+    lateral = [parts[name].at[1] for name in wheels]
+    return SkidSteer(
+        left=tuple(left),
+        right=tuple(right),
+        max_spin=min(spins, default=DEFAULT_SPIN),
+        radius=radius or stated.radius,
+        max_turn=stated.max_turn,
+        lever=float(np.ptp(lateral)) if math.isfinite(stated.max_turn) else 0.0,
+    )
+
+
+def _steering_joints(tree: BodyTree, wheels: dict[int, RollingPart]) -> dict[str, tuple[str, float]]:
+    """Return joints that steer a wheel: their name and largest angle, by the wheel's joint."""
+    found: dict[str, tuple[str, float]] = {}
+    for owner, wheel in wheels.items():
+        holder = tree.locate(int(tree.model.body_parentid[owner]))
+        if holder is None:
+            continue
+        steer = next((one for one in tree.owners[1:] if tree.name(one) == holder[0]), None)
+        if steer is None or tree.turns_freely(steer):
+            continue
+        joint = tree.joint_of(steer)
+        if abs(tree.model.jnt_axis[joint][2]) >= UPRIGHT and tree.model.jnt_limited[joint]:
+            found[wheel.joint] = (holder[0], float(np.abs(tree.model.jnt_range[joint]).min()))
+    return found
+
+
+def _car(
+    tree: BodyTree,
+    wheels: list[RollingPart],
+    powered: set[str],
+    steering: dict[str, tuple[str, float]],
+    speeds: dict[str, float],
+    max_speed: float,
+) -> Ackermann:
+    del tree
+    fore = max(part.at[0] for part in wheels)
+    angles = {
+        ahead: [angle for part in wheels if part.joint in steering and (part.at[0] > fore - MIDDLE) == ahead
+                for _, angle in [steering[part.joint]]]
+        for ahead in (True, False)
+    }  # fmt: skip
+    radius = next((part.radius for part in wheels if part.joint in powered and part.radius > 0), 0.0)
+    spins = [speeds[name] for name in powered if name in speeds]
+    if math.isfinite(max_speed) and radius > 0:
+        spins.append(max_speed / radius)
+    return Ackermann(
+        wheels=tuple(
+            Wheel(
+                joint=part.joint,
+                steer=steering[part.joint][0] if part.joint in steering else "",
+                x=float(part.at[0]),
+                y=-float(part.at[1]),
+                powered=part.joint in powered,
+            )
+            for part in wheels
+        ),
+        max_spin=min(spins, default=DEFAULT_SPIN),
+        radius=radius,
+        max_front_steer=min(angles[True], default=0.0),
+        max_rear_steer=min(angles[False], default=0.0),
+    )
+
+
+def wheel_torque(mass: float, radius: float, wheels: int, grip: float = 0.8) -> float:
+    """Return the torque at which a robot's wheels begin to slip [N m], for motors without a limit."""
+    return mass * GRAVITY * grip * radius / max(wheels, 1)
+
+
+def rotor_drive(model: mujoco.MjModel, root: int, rotors: list[int], size: np.ndarray) -> RotaryWing:
+    """Return the drive of a robot with thrusters on sites.
+
+    Args:
+        model: The compiled file.
+        root: The chassis' body.
+        rotors: Its actuators.
+        size: Lengths of the robot's box [m] (3,).
+    """
+    mass = float(model.body_subtreemass[root])
+    lift = 0.0
+    for rotor in rotors:
+        most = (
+            float(np.abs(model.actuator_ctrlrange[rotor]).max())
+            if model.actuator_ctrllimited[rotor]
+            else np.inf
+        )
+        lift += abs(float(model.actuator_gear[rotor, 2])) * float(model.actuator_gainprm[rotor, 0]) * most
+    if not np.isfinite(lift) or lift <= mass * GRAVITY:
+        lift = THRUST_RATIO * mass * GRAVITY
+    x, y, z = size.tolist()
+    inertia = np.maximum(model.body_inertia[root], 1e-9).tolist()
+    arm = float(np.hypot(x, y)) / 4
+    return RotaryWing(
+        max_speeds=(FLIGHT_SPEED / 2, FLIGHT_SPEED, FLIGHT_SPEED),
+        max_turn=FLIGHT_TURN,
+        mass=mass,
+        inertia=(inertia[0], inertia[1], inertia[2]),
+        drag_areas=(FLIGHT_DRAG * y * z, FLIGHT_DRAG * x * z, FLIGHT_DRAG * x * y),
+        max_thrust=lift,
+        max_torque=(lift * arm / 2, lift * arm / 2, lift * arm / 10),
+        acceleration_tilt=FLIGHT_TILT,
+    )

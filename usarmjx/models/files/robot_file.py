@@ -1,0 +1,376 @@
+"""Robots from files of other tools: MJCF, URDF, xacro."""
+
+import logging
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from usarmjx.base.errors import ArenaFileError, SpecError
+from usarmjx.base.registry import is_name
+from usarmjx.base.settings.files import read_bytes
+from usarmjx.models.compile.measure import with_measurements
+from usarmjx.models.drives import Ackermann, Drive, SkidSteer
+from usarmjx.models.files.body_tree import BodyTree
+from usarmjx.models.files.file_motors import motor_with_limits, motors_of
+from usarmjx.models.files.gazebo_sensors import read_gazebo_elements
+from usarmjx.models.files.mjcf_solids import usarsim_angles, usarsim_vector
+from usarmjx.models.files.reader_process import expand_xacro
+from usarmjx.models.files.resources import Resources
+from usarmjx.models.files.robot_drive import DEFAULT_SPIN, MIN_ROTORS, find_drive, rotor_drive, wheel_torque
+from usarmjx.models.files.robot_mjcf import read_mjcf_robot
+from usarmjx.models.files.robot_source import RobotSource, find_limit, listed
+from usarmjx.models.files.urdf_robot import read_urdf_robot
+from usarmjx.models.files.xml_lines import read_lined_xml
+from usarmjx.models.types.robot import CHASSIS, Motor, Mount, Part, RobotSpec, options
+from usarmjx.models.types.shapes import Shape
+
+logger = logging.getLogger(__name__)
+
+DEFAULT_TRAVEL = np.pi
+"""Error at which a servo without a limit has its full torque [rad] (chosen)."""
+VELOCITY_MODE = 1
+"""Control mode of joints with a speed (`JointControl`)."""
+RESERVED_NAMES = ("chassis", "root")
+"""Names in use in the composed model."""
+CASTER_GAP = 0.01
+"""Height above the ground within which a fixed solid beside wheels is a caster [m]."""
+MAX_PACKAGES = 50
+"""Largest number of packages that a xacro file names."""
+OUTERMOST = options(LeftTire="", RightTire="")
+"""Settings of odometry that takes the outermost wheels."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadedRobot:
+    """A robot from a file.
+
+    Attributes:
+        robot: The robot.
+        notes: Content of the file that is left out or mended, in words, with file and line.
+    """
+
+    robot: RobotSpec
+    notes: tuple[str, ...]
+
+
+def load_robot(
+    path: str | Path,
+    *,
+    name: str = "",
+    drive: Drive | None = None,
+    motors: Mapping[str, Motor] | None = None,
+    packages: Iterable[str | Path] = (),
+    arguments: Mapping[str, str] | None = None,
+    max_speed: float = DEFAULT_SPIN,
+    **fields: Any,  # noqa: ANN401 - those of RobotSpec
+) -> LoadedRobot:
+    """Return the robot of an MJCF, URDF or xacro file, whose x axis points to the head and z up.
+
+    The root link, or the first body under the world, is the chassis. Every body with one hinge or slide is a
+    part with that joint's name. Mass, centre and inertia are the file's; a solid without them weighs nothing.
+    A mesh on a hinge that turns without end and that is round about it becomes a cylinder, any other its
+    convex hull. A plugin of the file states the drive; else wheels on both sides make one, or thrusters on
+    sites. Sensors of the file become mounts.
+
+    Args:
+        path: The file.
+        name: Class name; empty: the file's name for it.
+        drive: Drive, with the file's joint names; None: the file's.
+        motors: Motors of joints, which replace those of the file.
+        packages: Folders in which packages and models are searched first.
+        arguments: Arguments of a xacro file.
+        max_speed: Highest speed of motors for which the file states none [rad/s or m/s].
+        fields: Other fields of RobotSpec, which replace those of the file.
+
+    Raises:
+        SpecError: An unreadable file, or content that a robot cannot have; names it.
+    """
+    resources = Resources(folders=tuple(Path(folder) for folder in packages))
+    source = open_robot_file(Path(path), resources, arguments or {})
+    return _Builder(source, drive, motors or {}, max_speed).build(name, fields)
+
+
+def robot_from_mjcf(
+    path: str | Path,
+    *,
+    name: str,
+    drive: Drive,
+    motors: Mapping[str, Motor] | None = None,
+    max_speed: float = DEFAULT_SPIN,
+    **fields: Any,  # noqa: ANN401 - those of RobotSpec
+) -> RobotSpec:
+    """Return a robot class from a file with a drive of one's own; see `load_robot`.
+
+    What the file has and the robot has not is logged as warnings. Sensors and cameras are those of `fields`.
+
+    Raises:
+        SpecError: An unreadable file, or content that a robot cannot have; names it.
+    """
+    own: dict[str, Any] = {"sensors": (), "cameras": (), **fields}
+    loaded = load_robot(path, name=name, drive=drive, motors=motors, max_speed=max_speed, **own)
+    for note in loaded.notes:
+        logger.warning("%s", note)
+    return loaded.robot
+
+
+def open_robot_file(path: Path, resources: Resources, arguments: Mapping[str, str]) -> RobotSource:
+    """Return the content of a robot's file.
+
+    Raises:
+        SpecError: An unreadable file, or content that a robot cannot have; names it.
+    """
+    data = read_bytes(path, refusal=ArenaFileError)
+    if path.suffix.lower() == ".xacro" or (b"<robot" in data and b"<xacro:" in data):
+        data = _expanded(path, resources, arguments)
+    if b"<robot" not in data:
+        return read_mjcf_robot(path)
+    root = read_lined_xml(path, data)
+    if root.tag != "robot":
+        raise SpecError(f"{path}: its root is <{root.tag}>; a URDF file's is <robot>")
+    source = read_urdf_robot(root, path, resources)
+    read_gazebo_elements(root, source, {body.name for body in source.spec.bodies})
+    return source
+
+
+def _expanded(path: Path, resources: Resources, arguments: Mapping[str, str]) -> bytes:
+    """Return the XML of a xacro file; folders of packages are found as it names them."""
+    folders: dict[str, str] = {}
+    for _ in range(MAX_PACKAGES):
+        found = expand_xacro(path, folders, arguments)
+        if isinstance(found, bytes):
+            return found
+        folder = next(resources.packages(found, path), None)
+        if folder is None:
+            raise SpecError(f"{path}: no folder {found!r} is above it, in --packages, or in ROS_PACKAGE_PATH")
+        folders[found] = str(folder)
+    raise SpecError(f"{path}: names more than {MAX_PACKAGES} packages")
+
+
+class _Builder:
+    """Builder of a robot class of a file's content.
+
+    Args:
+        source: The content.
+        drive: Drive; None: the file's.
+        motors: Motors that replace those of the file, by joint.
+        max_speed: Highest speed of motors for which the file states none [rad/s or m/s].
+    """
+
+    def __init__(
+        self, source: RobotSource, drive: Drive | None, motors: Mapping[str, Motor], max_speed: float
+    ) -> None:
+        self._source, self._given, self._max_speed = source, motors, max_speed
+        self._drive = drive
+        try:
+            self._model = source.spec.compile()
+        except ValueError as error:
+            raise SpecError(f"{source.path}: does not compile: {error}") from error
+        root = self._model.body(source.root).id
+        self._tree = BodyTree(self._model, source.spec, root, frozenset(source.slippery))
+
+    def build(self, name: str, fields: Mapping[str, Any]) -> LoadedRobot:
+        """Return the robot, with some fields replaced."""
+        tree, source = self._tree, self._source
+        rotors = [i for i in range(self._model.nu) if self._is_on_site(i)]
+        flies = self._drive is None and len(rotors) >= MIN_ROTORS
+        servos = motors_of(self._model, self._given, self._max_speed, skip=rotors if flies else ())
+        drive = self._find_drive(servos)
+        urdf_motors = self._stated_motors(drive)
+        servos = urdf_motors | servos
+        rolling = {aim.joint for aim in drive.joint_controls if aim.mode == VELOCITY_MODE}
+        wheels = rolling | self._passive_wheels()
+        parts = tuple(tree.part(owner, servos.get(tree.joint_of(owner)), wheels) for owner in tree.owners[1:])
+        if self._drive is None:
+            parts = _rolling_ahead(tree, parts, rolling)
+        parts = self._geared(parts)
+        taken = [part.name for part in parts if part.name in (*RESERVED_NAMES, CHASSIS)]
+        if taken:
+            raise SpecError(
+                f"{source.path}: a joint is called {', '.join(taken)}: rename it, that name is taken"
+            )
+        shapes, inertia = tree.solids(tree.owners[0], "hull")
+        looks = tree.looks(tree.owners[0])
+        if not (shapes or any(part.shapes for part in parts)):
+            raise SpecError(f"{source.path}: has no solid: nothing of it touches the ground")
+        robot = RobotSpec(
+            name=_class_name(name, source),
+            dimensions=(0.0, 0.0, 0.0),
+            mass=0.0,
+            origin_height=0.0,
+            chassis=shapes,
+            inertia=inertia,
+            looks=looks,
+            parts=parts,
+            drive=drive,
+            sources=(("all", "file"),),
+        )
+        robot = replace(robot, **self._mounts(drive))
+        robot = with_measurements(robot)
+        if wheels and not flies:
+            robot = _with_casters(robot)
+        if flies:
+            root, size = tree.owners[0], np.array(robot.dimensions)
+            robot = replace(robot, drive=rotor_drive(self._model, root, rotors, size))
+        torques = [part.motor.torque for part in robot.wheels if part.motor is not None]
+        robot = replace(robot, max_torque=max(torques, default=robot.max_torque))
+        given = {**fields}
+        if "sensors" in given:
+            given["sensors"] = tuple(map(_with_own_wheels, given["sensors"]))
+        return LoadedRobot(robot=replace(robot, **given), notes=tuple(dict.fromkeys(source.notes)))
+
+    def _is_on_site(self, actuator: int) -> bool:
+        return self._model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_SITE
+
+    def _find_drive(self, servos: Mapping[int, Motor]) -> Drive:
+        if self._drive is not None:
+            return self._drive
+        names = {joint: self._model.joint(joint).name for joint in servos}
+        speeds = {names[joint]: motor.max_speed for joint, motor in servos.items()}
+        for joint, limit in self._source.limits.items():
+            if np.isfinite(limit.speed):
+                speeds.setdefault(joint, limit.speed)
+        driven = {*names.values(), *(self._source.motors or ())} or None
+        return find_drive(self._tree, self._source, speeds, driven)
+
+    def _passive_wheels(self) -> set[str]:
+        """Return parts that turn without end and are round: they roll, driven or not."""
+        tree = self._tree
+        return {
+            tree.name(owner)
+            for owner in tree.owners[1:]
+            if tree.turns_freely(owner) and any(s.kind != "mesh" for s in tree.solids(owner, "wheel")[0])
+        }
+
+    def _stated_motors(self, drive: Drive) -> dict[int, Motor]:
+        """Return motors of joints for which the file has limits but no actuator, by joint id."""
+        tree, source, model = self._tree, self._source, self._model
+        aims = {aim.joint for aim in drive.joint_controls}
+        wheels = max(1, sum(aim.mode == VELOCITY_MODE for aim in drive.joint_controls))
+        radius = drive.radius if isinstance(drive, SkidSteer | Ackermann) else 0.0
+        weight = float(model.body_subtreemass[tree.owners[0]])
+        found: dict[int, Motor] = {}
+        for owner in tree.owners[1:]:
+            joint, name = tree.joint_of(owner), tree.name(owner)
+            limit = find_limit(source.limits, name)
+            free = tree.turns_freely(owner)
+            wanted = name in aims or (
+                name not in source.mimics
+                and name in source.limits
+                and (name in source.motors if source.motors is not None else not free)
+            )
+            if not wanted:
+                continue
+            inertia = 1.0 / float(model.dof_invweight0[model.jnt_dofadr[joint]])
+            speed = limit.speed if np.isfinite(limit.speed) else self._max_speed
+            motor = motor_with_limits(inertia, limit.effort, speed)
+            if not np.isfinite(motor.torque):
+                usual = motor.stiffness * DEFAULT_TRAVEL
+                rolls = free and radius > 0
+                motor = replace(motor, torque=wheel_torque(weight, radius, wheels) if rolls else usual)
+            found[joint] = motor
+        return found
+
+    def _geared(self, parts: tuple[Part, ...]) -> tuple[Part, ...]:
+        """Return parts with the joints that follow others geared to them."""
+        mimics, names = self._source.mimics, {part.name: part for part in parts}
+        done: list[Part] = []
+        for part in parts:
+            mimic = mimics.get(part.name)
+            if mimic is None:
+                done.append(part)
+                continue
+            if mimic.leader not in names or mimic.leader == part.name:
+                raise SpecError(
+                    f"{self._source.path}: joint {part.name!r} follows {mimic.leader!r}, which is no joint "
+                    f"that moves; there is: {listed([*names], 20)}"
+                )
+            done.append(
+                replace(
+                    part,
+                    geared=mimic.leader,
+                    gear_ratio=mimic.ratio,
+                    gear_offset=mimic.offset,
+                    motor=None,
+                    is_wheel=False,
+                )
+            )
+        return tuple(done)
+
+    def _mounts(self, drive: Drive) -> dict[str, Any]:
+        """Return sensors and cameras of the file, and pose sensors that it lacks."""
+        mounts: dict[bool, list[Mount]] = {False: [], True: []}
+        for one in self._source.sensors:
+            place = self._tree.locate(self._model.body(one.body).id)
+            if place is None:
+                self._source.notes.append(
+                    f"{self._source.path}: {one.kind} {one.name} is on no part: left out"
+                )
+                continue
+            parent, frame = place
+            mounts[one.kind == "Camera"].append(
+                Mount(
+                    kind=one.kind,
+                    name=one.name,
+                    at=usarsim_vector(frame.pos + frame.mat @ one.pose.pos),
+                    direction=usarsim_angles(frame.mat @ one.pose.mat),
+                    parent=parent,
+                    options=one.options,
+                )
+            )
+        kinds = {mount.kind for mount in mounts[False]}
+        usual = [Mount(kind=kind, name=kind) for kind in ("INS", "GroundTruth") if kind not in kinds]
+        if isinstance(drive, SkidSteer | Ackermann) and "Odometry" not in kinds:
+            usual.insert(0, Mount(kind="Odometry", name="Odometry", options=OUTERMOST))
+        return {"sensors": (*mounts[False], *usual), "cameras": tuple(mounts[True])}
+
+
+def _with_own_wheels(mount: Mount) -> Mount:
+    """Return a mount; odometry that names no wheels takes the outermost, as the defaults are a P2AT's."""
+    return mount if mount.kind != "Odometry" or mount.all_options else replace(mount, options=OUTERMOST)
+
+
+def _class_name(name: str, source: RobotSource) -> str:
+    """Return a class name that the wire takes: the given one, else the file's."""
+    plain = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in source.name)
+    found = name or plain or "".join(c if c.isascii() and c.isalnum() else "_" for c in source.path.stem)
+    if not is_name(found):
+        raise SpecError(f"{source.path}: {found!r} is no name of a robot: one word of ASCII letters")
+    return found
+
+
+def _rolling_ahead(tree: BodyTree, parts: tuple[Part, ...], rolling: set[str]) -> tuple[Part, ...]:
+    """Return parts whose driven wheels roll ahead at positive speed."""
+    data = mujoco.MjData(tree.model)
+    mujoco.mj_kinematics(tree.model, data)
+    left = data.xmat[tree.owners[0]].reshape(3, 3)[:, 1]
+    axes = {tree.name(owner): data.xaxis[tree.joint_of(owner)] for owner in tree.owners[1:]}
+    return tuple(
+        replace(part, axis=_opposite(part.axis))
+        if part.name in rolling and axes[part.name] @ left < 0
+        else part
+        for part in parts
+    )
+
+
+def _opposite(axis: tuple[float, float, float]) -> tuple[float, float, float]:
+    x, y, z = axis
+    return (0.0 - x, 0.0 - y, 0.0 - z)
+
+
+def _with_casters(robot: RobotSpec) -> RobotSpec:
+    """Return a robot on wheels whose round fixed solids that reach the ground slide on it."""
+    ground = robot.origin_height
+
+    def on_ground(shape: Shape) -> bool:
+        touches = shape.kind in ("sphere", "ellipsoid", "capsule", "cylinder")
+        reach = shape.size[0] if shape.size else 0.0
+        return touches and shape.surface == "hull" and shape.at[2] + reach > ground - CASTER_GAP
+
+    chassis = tuple(
+        replace(shape, surface="caster") if on_ground(shape) else shape for shape in robot.chassis
+    )
+    return replace(robot, chassis=chassis)

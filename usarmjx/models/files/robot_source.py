@@ -1,0 +1,131 @@
+"""A robot's file as MuJoCo's description, with the statements for which MuJoCo has no place."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from usarmjx.models.files.mjcf_solids import Pose
+from usarmjx.models.types.robot import Options
+
+DriveKind = str
+"""Kind of a drive: one of `DRIVE_KINDS`."""
+DRIVE_KINDS = ("skid", "ackermann", "none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointLimit:
+    """Limits of a joint's motor.
+
+    Attributes:
+        effort: Largest torque or force [N m or N]; infinite: not stated.
+        speed: Highest speed [rad/s or m/s]; infinite: not stated.
+    """
+
+    effort: float = np.inf
+    speed: float = np.inf
+
+
+@dataclass(frozen=True, kw_only=True)
+class MimicJoint:
+    """A joint that follows another one.
+
+    Attributes:
+        leader: The other joint.
+        ratio: Its position over the leader's.
+        offset: Its position where the leader's is 0.
+    """
+
+    leader: str
+    ratio: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatedDrive:
+    """The drive that a plugin states.
+
+    Attributes:
+        kind: Kind of the drive.
+        left: Wheel joints on the left.
+        right: Wheel joints on the right.
+        steering: Steering joints.
+        separation: Distance of left and right wheels [m]; 0: not stated.
+        radius: Radius of the wheels [m]; 0: not stated.
+        max_speed: Highest speed of the robot [m/s]; infinite: not stated.
+        max_turn: Highest turning rate [rad/s]; infinite: not stated.
+        place: File and line of the plugin.
+    """
+
+    kind: DriveKind
+    left: tuple[str, ...] = ()
+    right: tuple[str, ...] = ()
+    steering: tuple[str, ...] = ()
+    separation: float = 0.0
+    radius: float = 0.0
+    max_speed: float = np.inf
+    max_turn: float = np.inf
+    place: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SensorOnLink:
+    """A sensor or camera on a body of the file.
+
+    Attributes:
+        kind: Type as on the wire; `Camera` is a camera.
+        name: Name of the item.
+        body: Body that holds it.
+        pose: Pose in the body.
+        options: Settings, by the manual's ini keys.
+    """
+
+    kind: str
+    name: str
+    body: str
+    pose: Pose
+    options: Options = ()
+
+
+@dataclass(kw_only=True, eq=False)
+class RobotSource:
+    """The content of a robot's file.
+
+    Attributes:
+        path: The file.
+        name: Name that the file gives the robot.
+        spec: Bodies, joints, solids, actuators.
+        root: Name of the chassis' body.
+        limits: Limits of joints' motors, by joint.
+        motors: Joints that a controller or a transmission moves; None: the file names none.
+        mimics: Joints that follow another one.
+        drives: Drives that plugins state.
+        sensors: Sensors and cameras.
+        slippery: Bodies whose surface has no friction.
+        notes: Content that is left out or mended, in words, with file and line.
+    """
+
+    path: Path
+    name: str
+    spec: mujoco.MjSpec
+    root: str
+    limits: dict[str, JointLimit] = field(default_factory=dict[str, JointLimit])
+    motors: set[str] | None = None
+    mimics: dict[str, MimicJoint] = field(default_factory=dict[str, MimicJoint])
+    drives: list[StatedDrive] = field(default_factory=list[StatedDrive])
+    sensors: list[SensorOnLink] = field(default_factory=list[SensorOnLink])
+    slippery: set[str] = field(default_factory=set[str])
+    notes: list[str] = field(default_factory=list[str])
+
+
+def listed(names: Sequence[str], most: int = 5) -> str:
+    """Return names as a text, at most some of them."""
+    shown = ", ".join(map(str, names[:most]))
+    return f"{shown}, ..." if len(names) > most else shown
+
+
+def find_limit(limits: Mapping[str, JointLimit], joint: str) -> JointLimit:
+    """Return the limits of a joint's motor."""
+    return limits.get(joint, JointLimit())

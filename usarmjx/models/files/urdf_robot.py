@@ -1,0 +1,324 @@
+"""URDF files as robots: links and joints as bodies of MuJoCo's description.
+
+MuJoCo's own reader is not used here: it takes no COLLADA meshes, weighs what has no mass, refuses inertias
+that are out of balance, and drops limits of effort and speed. Tests compare both where it reads a file.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from usarmjx.base.errors import SpecError
+from usarmjx.models.files.mesh_files import mesh_vertices
+from usarmjx.models.files.mesh_solids import hull_corners
+from usarmjx.models.files.mjcf_solids import Pose
+from usarmjx.models.files.resources import Resources
+from usarmjx.models.files.robot_source import JointLimit, MimicJoint, RobotSource, listed
+from usarmjx.models.files.xml_lines import NO_POSE, LinedElement, attribute_numbers, pose_of
+
+LIGHT = 1e-3
+"""Mass of a link with a joint of its own for which the file has none [kg]: MuJoCo needs some."""
+LIGHT_INERTIA = 1e-6
+"""Its moments of inertia [kg m2]."""
+HINGES, SLIDES = ("revolute", "continuous"), ("prismatic",)
+"""Types of joints that move."""
+HELD = ("floating", "planar")
+"""Types of joints that robots do not have; they are held."""
+BALANCE_TOLERANCE = 1e-6
+"""Excess of a moment over the sum of the others that is taken for rounding, relative to it."""
+MIN_MASS = 1e-9
+"""Mass up to which a link counts as one without mass [kg]: MuJoCo does."""
+MIN_MOMENT = 1e-12
+"""Smallest moment of inertia [kg m2]: MuJoCo's is smaller."""
+
+
+def read_urdf_robot(root: LinedElement, path: Path, resources: Resources) -> RobotSource:
+    """Return a URDF file's robot.
+
+    Args:
+        root: Its `<robot>` element.
+        path: The file, for messages and relative names.
+        resources: Finder of the files that it names.
+
+    Raises:
+        SpecError: An element that does not read, or content that a robot cannot have; names file and line.
+    """
+    return _UrdfReader(root, path, resources).read()
+
+
+class _UrdfReader:
+    """Reader of one file.
+
+    Args:
+        root: The `<robot>` element.
+        path: The file.
+        resources: Finder of the files that it names.
+    """
+
+    def __init__(self, root: LinedElement, path: Path, resources: Resources) -> None:
+        self._root, self._path, self._resources = root, path, resources
+        self._links = {link.get("name", ""): link for link in root.all("link")}
+        self._spec = mujoco.MjSpec()
+        self._spec.compiler.degree = False
+        self._visual_only = not any(link.first("collision/geometry") for link in self._links.values())
+        self._meshes: dict[tuple[str, tuple[float, ...]], str] = {}
+        self._bodies: dict[str, mujoco.MjsBody] = {}
+
+    def read(self) -> RobotSource:
+        """Return the file's robot."""
+        joints = self._joints_by_parent()
+        top = self._top(joints)
+        self._source = RobotSource(
+            path=self._path, name=self._root.get("name", ""), spec=self._spec, root=body_name(top)
+        )
+        if self._visual_only:
+            self._source.notes.append(f"{self._path}: no link collides: visual solids collide in their place")
+        waiting: list[tuple[str, LinedElement | None, mujoco.MjsBody]] = [(top, None, self._spec.worldbody)]
+        while waiting:
+            name, joint, parent = waiting.pop(0)
+            body = self._add_link(name, joint, parent)
+            waiting += [(_end(child, "child"), child, body) for child in joints.get(name, ())]
+        self._note_left_out(joints)
+        return self._source
+
+    def _joints_by_parent(self) -> dict[str, list[LinedElement]]:
+        found: dict[str, list[LinedElement]] = {}
+        owners: dict[str, LinedElement] = {}
+        for joint in self._root.all("joint"):
+            name = joint.get("name")
+            if name is None:
+                raise joint.error("a joint has no name")
+            for end in ("parent", "child"):
+                if _end(joint, end) not in self._links:
+                    raise joint.error(
+                        f"joint {name!r}: its {end} {_end(joint, end)!r} is no link; "
+                        f"there is: {listed([*self._links], 20)}"
+                    )
+            child = _end(joint, "child")
+            if child in owners:
+                raise joint.error(
+                    f"joint {name!r}: link {child!r} hangs on {owners[child].get('name')!r} too"
+                )
+            owners[child] = joint
+            found.setdefault(_end(joint, "parent"), []).append(joint)
+        return found
+
+    def _top(self, joints: Mapping[str, list[LinedElement]]) -> str:
+        """Return the root link with the most links below it."""
+        children = {_end(joint, "child") for some in joints.values() for joint in some}
+        tops = [name for name in self._links if name not in children]
+        if not tops:
+            raise SpecError(f"{self._path}: no link is the root: links hang on each other, or there are none")
+
+        def below(name: str) -> int:
+            return 1 + sum(below(_end(joint, "child")) for joint in joints.get(name, ()))
+
+        return max(tops, key=below)
+
+    def _note_left_out(self, joints: Mapping[str, list[LinedElement]]) -> None:
+        lost = [name for name in self._links if name not in self._bodies]
+        if lost:
+            self._source.notes.append(
+                f"{self._links[lost[0]].place}: links {listed(lost)} are not joined to "
+                f"{self._source.root!r}: left out"
+            )
+        for some in joints.values():
+            for joint in some:
+                for tag in ("dynamics", "safety_controller", "calibration"):
+                    if (
+                        tag in ("safety_controller", "calibration")
+                        and (found := joint.first(tag)) is not None
+                    ):
+                        self._source.notes.append(
+                            f"{found.place}: <{tag}> of {joint.get('name')} is left out"
+                        )
+
+    def _add_link(self, name: str, joint: LinedElement | None, parent: mujoco.MjsBody) -> mujoco.MjsBody:
+        """Add a link's body, its joint, inertia and solids; return it."""
+        link = self._links[name]
+        frame = NO_POSE if joint is None else _origin(joint)
+        body = parent.add_body(name=body_name(name), pos=frame.pos, quat=_quat(frame.mat))
+        self._bodies[name] = body
+        moves = joint is not None and self._add_joint(joint, body)
+        self._add_inertia(link, body, moves=moves)
+        for number, solid in enumerate(link.all("visual" if self._visual_only else "collision")):
+            self._add_solid(solid, body, f"{name}/{number}")
+        return body
+
+    def _add_joint(self, joint: LinedElement, body: mujoco.MjsBody) -> bool:
+        """Add a link's joint; return whether it moves."""
+        name, kind = joint.get("name", ""), joint.get("type", "")
+        if kind == "fixed":
+            return False
+        if kind in HELD:
+            self._source.notes.append(f"{joint.place}: joint {name!r} is {kind}: it is held")
+            return False
+        if kind not in (*HINGES, *SLIDES):
+            known = ", ".join((*HINGES, *SLIDES, "fixed", *HELD))
+            raise joint.error(f"joint {name!r} has the type {kind!r}; known: {known}")
+        axis = np.array([1.0, 0.0, 0.0])  # the format's default
+        given = joint.first("axis")
+        if given is not None:
+            axis = attribute_numbers(given, "xyz", 3, "1 0 0")
+        length = float(np.linalg.norm(axis))
+        if length < 1e-9:
+            raise joint.error(f"joint {name!r} has an axis of length 0")
+        made = body.add_joint(
+            name=name,
+            type=mujoco.mjtJoint.mjJNT_HINGE if kind in HINGES else mujoco.mjtJoint.mjJNT_SLIDE,
+            axis=axis / length,
+        )
+        self._limit(joint, made, kind)
+        dynamics = joint.first("dynamics")
+        if dynamics is not None:
+            damping = float(attribute_numbers(dynamics, "damping", 1, "0")[0])
+            made.damping = [max(damping, 0.0), 0.0, 0.0]
+            if float(attribute_numbers(dynamics, "friction", 1, "0")[0]) > 0:
+                self._source.notes.append(f"{dynamics.place}: friction of joint {name!r} is left out")
+        mimic = joint.first("mimic")
+        if mimic is not None:
+            ratio, offset = (
+                float(attribute_numbers(mimic, key, 1, usual)[0])
+                for key, usual in (("multiplier", "1"), ("offset", "0"))
+            )
+            self._source.mimics[name] = MimicJoint(leader=mimic.get("joint", ""), ratio=ratio, offset=offset)
+        return True
+
+    def _limit(self, joint: LinedElement, made: mujoco.MjsJoint, kind: str) -> None:
+        limit = joint.first("limit")
+        if limit is None:
+            if kind == "prismatic":
+                self._source.notes.append(f"{joint.place}: joint {joint.get('name')!r} has no limit")
+            return
+        low, high, effort, speed = (
+            float(attribute_numbers(limit, key, 1, "0")[0])
+            for key in ("lower", "upper", "effort", "velocity")
+        )
+        if kind != "continuous" and high > low:
+            made.limited, made.range = True, (low, high)
+        self._source.limits[made.name] = JointLimit(
+            effort=effort if effort > 0 else np.inf, speed=speed if speed > 0 else np.inf
+        )
+
+    def _add_inertia(self, link: LinedElement, body: mujoco.MjsBody, *, moves: bool) -> None:
+        """Give a body the link's mass and inertia, balanced."""
+        inertial = link.first("inertial")
+        mass, name = 0.0, link.get("name")
+        moments = None if inertial is None else inertial.first("inertia")
+        if inertial is not None:
+            weight = inertial.first("mass")
+            mass = 0.0 if weight is None else float(attribute_numbers(weight, "value", 1)[0])
+            if mass < 0:
+                raise inertial.error(f"link {name!r} has a mass of {mass:g} kg")
+        body.explicitinertial = True
+        if inertial is None or mass <= MIN_MASS:
+            body.mass = LIGHT if moves else 0.0
+            body.inertia = [LIGHT_INERTIA] * 3 if moves else [0.0] * 3
+            if moves:
+                self._source.notes.append(f"{link.place}: link {name!r} has a joint and no mass: it gets 1 g")
+            return
+        frame = _origin(inertial)
+        keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        numbers = [
+            0.0 if moments is None else float(attribute_numbers(moments, key, 1, "0")[0]) for key in keys
+        ]
+        xx, yy, zz, xy, xz, yz = numbers
+        tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        values, axes = np.linalg.eigh(frame.mat @ tensor @ frame.mat.T)
+        axes[:, 2] *= np.sign(np.linalg.det(axes))
+        body.mass, body.ipos, body.iquat = mass, frame.pos, _quat(axes)
+        body.inertia = self._balanced(values, mass, inertial, str(name))
+
+    def _balanced(self, values: np.ndarray, mass: float, where: LinedElement, name: str) -> np.ndarray:
+        """Return moments of inertia (3,) ascending that a body can have."""
+        if values[0] < MIN_MOMENT:
+            least = max(MIN_MOMENT, 1e-9 * mass, 1e-3 * float(np.abs(values).max()))
+            if np.abs(values).max() > 0:
+                shown = ", ".join(f"{value:.3g}" for value in values)
+                self._source.notes.append(
+                    f"{where.place}: link {name!r}: moments of inertia {shown} are mended: they are above 0"
+                )
+            else:
+                least = max(MIN_MOMENT, mass * 1e-4)  # a ball of 1.6 cm radius
+                self._source.notes.append(f"{where.place}: link {name!r} has a mass and no inertia: mended")
+            values = np.maximum(values, least)
+        if values[2] > (values[0] + values[1]) * (1 + BALANCE_TOLERANCE):
+            shown = ", ".join(f"{value:.4g}" for value in values)
+            self._source.notes.append(
+                f"{where.place}: link {name!r}: no body has the moments of inertia {shown}; the largest one "
+                "becomes the sum of the others"
+            )
+        values[2] = min(values[2], (values[0] + values[1]) * (1 - 1e-9))
+        return values
+
+    def _add_solid(self, element: LinedElement, body: mujoco.MjsBody, name: str) -> None:
+        """Add a collision element's solid, without mass."""
+        geometry = element.first("geometry")
+        form = next(iter(geometry), None) if geometry is not None else None
+        if not isinstance(form, LinedElement):
+            raise element.error(f"link {body.name!r} has a <{element.tag}> without geometry")
+        frame = _origin(element)
+        like = {"name": name, "pos": frame.pos, "quat": _quat(frame.mat), "mass": 0.0}
+        kinds = mujoco.mjtGeom
+        if form.tag == "box":
+            body.add_geom(type=kinds.mjGEOM_BOX, size=_sizes(form, "size", 3) / 2, **like)
+        elif form.tag == "sphere":
+            body.add_geom(type=kinds.mjGEOM_SPHERE, size=[*_sizes(form, "radius", 1), 0, 0], **like)
+        elif form.tag in ("cylinder", "capsule"):
+            radius, length = _sizes(form, "radius", 1)[0], _sizes(form, "length", 1)[0]
+            kind = kinds.mjGEOM_CYLINDER if form.tag == "cylinder" else kinds.mjGEOM_CAPSULE
+            body.add_geom(type=kind, size=[radius, length / 2, 0], **like)
+        elif form.tag == "mesh":
+            body.add_geom(type=kinds.mjGEOM_MESH, meshname=self._mesh(form), **like)
+        else:
+            raise form.error(f"a solid is a <{form.tag}>; allowed: box, sphere, cylinder, capsule, mesh")
+
+    def _mesh(self, form: LinedElement) -> str:
+        """Return the name of a mesh's hull in the description."""
+        file = form.get("filename", "")
+        scale = attribute_numbers(form, "scale", 3, "1 1 1")
+        key = (file, tuple(scale.tolist()))
+        if key not in self._meshes:
+            found = self._resources.file(file, form.path) if file else None
+            if found is None:
+                raise form.error(f"mesh {file!r} is not there; --packages DIR names folders to search")
+            corners = hull_corners(mesh_vertices(found) * scale)
+            name = f"mesh {len(self._meshes)}"
+            mesh = self._spec.add_mesh(name=name, uservert=corners.ravel())
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+            self._meshes[key] = name
+        return self._meshes[key]
+
+
+def body_name(link: str) -> str:
+    """Return the name of a link's body: MuJoCo keeps `world` for its own."""
+    return "world of the file" if link == "world" else link
+
+
+def _end(joint: LinedElement, end: str) -> str:
+    found = joint.first(end)
+    return "" if found is None else found.get("link", "")
+
+
+def _sizes(form: LinedElement, key: str, count: int) -> np.ndarray:
+    sizes = attribute_numbers(form, key, count)
+    if sizes.min() <= 0:
+        raise form.error(f"<{form.tag} {key}> has {sizes.tolist()}, expected lengths above zero [m]")
+    return sizes
+
+
+def _origin(element: LinedElement) -> Pose:
+    """Return the frame of an element's `<origin>`."""
+    origin = element.first("origin")
+    if origin is None:
+        return NO_POSE
+    xyz, rpy = (attribute_numbers(origin, key, 3, "0 0 0") for key in ("xyz", "rpy"))
+    return pose_of(np.concatenate([xyz, rpy]))
+
+
+def _quat(mat: np.ndarray) -> np.ndarray:
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(mat).ravel())
+    return quat
