@@ -19,6 +19,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Polygon, Wedge
 
+from usarmjx.base.clock import Clock, clock_at
 from usarmjx.base.registry import Registry
 from usarmjx.base.transforms import angles_from_mat
 from usarmjx.cli.common import ErrorExit
@@ -150,13 +151,13 @@ def single_sensor(kind: str, **settings: object) -> Sensor:
 
 
 def sensor_input_at(
-    sensor: Sensor, pos: jax.Array, yaw: jax.Array, time: jax.Array, hits: Hits = NO_HITS
+    sensor: Sensor, pos: jax.Array, yaw: jax.Array, clock: Clock, hits: Hits = NO_HITS
 ) -> SensorInput:
     """Return what a sensor draws on at a position (3,) and with a heading (), the robot's wheels at rest."""
     joints = jnp.zeros(len(sensor.plan.parts) - 1)
     zero, turn = jnp.zeros(3), jnp.stack([jnp.cos(yaw / 2), 0.0 * yaw, 0.0 * yaw, jnp.sin(yaw / 2)])
     state = RobotState(pos=pos, quat=turn, linear=zero, angular=zero, joint_pos=joints, joint_vel=joints)
-    return SensorInput(time=time, state=state, bodies=forward_kinematics(sensor.plan, state), hits=hits)
+    return SensorInput(clock=clock, state=state, bodies=forward_kinematics(sensor.plan, state), hits=hits)
 
 
 def winding_path(step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -176,11 +177,13 @@ def ins_paths(runs: int, seed: int = 0, **settings: object) -> np.ndarray:
         **settings: Of the sensors.
     """
     sensor = single_sensor("INS", **settings)
-    times, poses = (jnp.asarray(v, jnp.float32) for v in winding_path(sensor.settings[0].scan_interval))
+    interval = float(sensor.settings[0].scan_interval)
+    times, poses = (jnp.asarray(v, jnp.float32) for v in winding_path(interval))
 
     def run(key: jax.Array) -> jax.Array:
         def at(i: jax.Array) -> SensorInput:
-            return sensor_input_at(sensor, jnp.append(poses[i, :2], 0.0), poses[i, 2], times[i])
+            clock = Clock(step=jnp.asarray(i), period=interval)
+            return sensor_input_at(sensor, jnp.append(poses[i, :2], 0.0), poses[i, 2], clock)
 
         def step(memory: object, i: jax.Array) -> tuple[object, jax.Array]:
             memory, value = sensor.read(at(i), memory, jax.random.fold_in(key, i))
@@ -198,7 +201,7 @@ def gps_errors(satellites: int, readings: int, seed: int = 0, **settings: object
     sensor = single_sensor("GPS", **settings)
     seen = jnp.where(jnp.arange(MAX_SATELLITES) < satellites, jnp.inf, 1.0)
     hits = Hits(distance=seen, cosine=jnp.zeros(MAX_SATELLITES))
-    inputs = sensor_input_at(sensor, jnp.zeros(3), jnp.float32(0.0), jnp.float32(0.0), hits)
+    inputs = sensor_input_at(sensor, jnp.zeros(3), jnp.float32(0.0), clock_at(0.0, 0.02), hits)
     keys = jax.random.split(jax.random.key(seed), readings)
     return np.asarray(jax.jit(jax.vmap(lambda key: sensor.read(inputs, (), key)[1][:2]))(keys))
 

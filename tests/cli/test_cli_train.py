@@ -203,5 +203,5 @@ def test_a_system_without_posix_pipes_is_told_how_to_serve_a_run(monkeypatch):
     with monkeypatch.context() as there:
         there.setattr(os, "name", "nt")
         refused = pytest.raises(UsageError, match=r"run `usarmjx play runs/x --serve --follow` beside it")
-        with refused, _served("runs/x", 3000, True):
+        with refused, _served("runs/x", "drive-to-goal", 3000, True):
             pass

@@ -64,7 +64,9 @@ def test_a_fit_tells_which_way_sides_answer():
             return now, now
 
         twist = np.asarray(jax.lax.scan(step, jnp.zeros((4, 3)), wanted)[1])
-        log = DriveLog(period=0.02, told=orders, joints=joints, twist=twist, pose=np.zeros_like(twist))
+        log = DriveLog(
+            period=0.02, wheel_speeds=orders, joints=joints, twist=twist, pose=np.zeros_like(twist)
+        )
         found, left = fit_response(robot, log)
         assert found.sides_apart is apart
         assert found.acceleration == pytest.approx(1.5, rel=0.1)

@@ -56,7 +56,8 @@ def test_a_mount_overrides_what_it_names():
 
 def test_unknown_key_names_the_owner_and_lists_the_known_ones():
     with pytest.raises(
-        UnknownNameError, match=r"Sonar F1: SonarSettings has no setting 'Range'; it has: .*beam_angle, "
+        UnknownNameError,
+        match=r"Sonar F1: SonarSettings has no setting 'Range'; did you mean 'min_range'[?] It has: .*angle",
     ) as caught:
         resolve_settings(SonarSettings, options(Range=3.0), "Sonar F1")
     assert "max_range" in str(caught.value)

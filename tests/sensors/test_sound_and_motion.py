@@ -248,8 +248,8 @@ def test_getconf(watch):
         )
         return format_message(message)
 
-    assert conf("Sound", "Noisy") == "CONF {Type Sound} {Name Noisy}"
+    assert conf("Sound", "Noisy") == "CONF {Type Sound} {Name Noisy} {ScanInterval 0.0000}"
     assert conf("HumanMotion", "Motion") == (
         "CONF {Type HumanMotion} {Name Motion} {MaxRange 1000.0000} {FOV 1.0471}"
     )
-    assert conf("CO2Sensor", "CO2") == "CONF {Type CO2Sensor} {Name CO2}"
+    assert conf("CO2Sensor", "CO2") == "CONF {Type CO2Sensor} {Name CO2} {ScanInterval 0.0000}"

@@ -15,8 +15,6 @@ UsarmjxError
 from importlib.util import find_spec
 from types import TracebackType
 
-from usarmjx.base.installation import install_command
-
 MAX_QUOTATION = 200
 """Longest quotation of a foreign exception's message [characters]."""
 
@@ -97,6 +95,8 @@ class extra:
         """
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
         if missing and missing.partition(".")[0] != "usarmjx":
+            from usarmjx.base.installation import install_command
+
             raise MissingExtraError(
                 f"this needs {missing.partition('.')[0]}: {install_command(self._name)}"
             ) from error

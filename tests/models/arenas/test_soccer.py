@@ -52,7 +52,7 @@ def test_start_poses_are_told_as_the_manual_has_them():
     (command,) = client.session.receive_data(b"GETSTARTPOSES\r\n")
     client.handle(command)
     line = client.session.data_to_send().decode()
-    words = line.removeprefix("NFO {StartPoses 7} {").split()
+    words = line.removeprefix("NFO {StartPoses 8} {").split()
     told = dict(zip(words[::3], words[1::3], strict=False))
     assert list(told)[:3] == ["BlueGoal", "MiddleField", "YellowGoal"]
     assert told["BlueGoal"] == "-2.55,-0.00,-0.19"
@@ -63,8 +63,9 @@ def test_start_poses_are_told_as_the_manual_has_them():
 
 
 def test_two_against_two_face_each_other():
-    sides = {start.tag[:-1]: [] for start in SOCCER.starts[3:]}
-    for start in SOCCER.starts[3:]:
+    players = [start for start in SOCCER.starts[3:] if start.tag != "PlayerStart"]
+    sides = {start.tag[:-1]: [] for start in players}
+    for start in players:
         sides[start.tag[:-1]].append((start.at[0], math.cos(start.yaw)))
     assert set(sides) == {"Blue", "Yellow"}
     assert all(x < 0 and ahead > 0.99 for x, ahead in sides["Blue"])

@@ -147,7 +147,10 @@ def test_all_teams_play_in_the_same_held_out_buildings(games):
     assert held_out(games[0][1].arena) == "test"
     games.clear()
     measure_teams("explore-v2", 4, arena=SMALL)
-    assert held_out(games[0][1].arena.arenas()) is None
+    assert held_out(games[0][1].arena) == "test"
+    games.clear()
+    measure_teams("explore-v2", 4, split="train", arena=SMALL)
+    assert held_out(games[0][1].arena) is None
 
 
 def test_policies_see_advice_as_in_training_and_by_hand_always(games):

@@ -109,11 +109,11 @@ def test_a_disk_that_fills_up_while_a_checkpoint_is_written(tmp_path, caplog):
     """Somewhere in the middle of an array."""
     checkpoints = Checkpoints(tmp_path)
     tree = {"some": jax.numpy.arange(10_000.0)}
-    checkpoints.save(1, tree, tree, {"score": None})
+    checkpoints.save(1, tree, tree, {"score": None, "agent_steps": 0})
     with (
         largest_file(1000),
         pytest.raises(WriteError, match=r"^cannot write .*/00000002: File too large$"),
     ):
-        checkpoints.save(2, tree, tree, {"score": None})
+        checkpoints.save(2, tree, tree, {"score": None, "agent_steps": 0})
     assert [path.name for path in (tmp_path / "checkpoints").iterdir()] == ["00000001"]
     assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
