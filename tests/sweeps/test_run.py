@@ -143,5 +143,5 @@ def test_engine_auto_is_c_where_there_is_only_a_cpu(tmp_path):
 
 
 def test_a_folder_without_a_sweep_is_named(tmp_path):
-    with pytest.raises(usarmjx.UsageError, match=r"holds no sweep: sweep.json"):
+    with pytest.raises(usarmjx.UsageError, match=r"holds no sweep: it has no sweep.json"):
         read_sweep(tmp_path)

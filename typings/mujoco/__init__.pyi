@@ -64,6 +64,7 @@ class MjModel:
     eq_type: np.ndarray
     eq_obj1id: np.ndarray
     eq_obj2id: np.ndarray
+    eq_data: np.ndarray
     body_ipos: np.ndarray
     body_iquat: np.ndarray
     body_jntadr: np.ndarray

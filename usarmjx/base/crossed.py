@@ -161,9 +161,8 @@ def quantile_of_t(dof: np.ndarray | float) -> np.ndarray:
     dof = np.asarray(dof, float)
     normal = functions.ndtri((1 + CONFIDENCE) / 2)
     finite = np.where(np.isfinite(dof), dof, 1.0)
-    quantile: Any = functions.stdtrit(finite, (1 + CONFIDENCE) / 2)
-    found: Any = np.where(np.isfinite(dof), quantile, normal)
-    return np.asarray(found)
+    quantile = np.asarray(functions.stdtrit(finite, (1 + CONFIDENCE) / 2), float)
+    return np.where(np.isfinite(dof), quantile, np.float64(normal))
 
 
 def crossed_interval(
