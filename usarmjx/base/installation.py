@@ -8,6 +8,8 @@ from importlib import metadata
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+import usarmjx
+
 PACKAGE = Path(__file__).resolve().parents[1]
 """Folder of the package."""
 
@@ -24,11 +26,10 @@ def install_command(*extras: str) -> str:
 
 
 def _wheel() -> str:
-    """Return the path of the wheel that was installed, else the name that it has."""
+    """Return the path of the wheel that was installed, else the name of the wheel of this version."""
     try:
-        distribution = metadata.distribution("usarmjx")
-        record = json.loads(distribution.read_text("direct_url.json") or "{}")
+        record = json.loads(metadata.distribution("usarmjx").read_text("direct_url.json") or "{}")
         path = unquote(urlsplit(str(record.get("url", ""))).path)
     except (metadata.PackageNotFoundError, ValueError, AttributeError):
-        return "usarmjx.whl"
-    return path if path.endswith(".whl") else f"usarmjx-{distribution.version}-py3-none-any.whl"
+        path = ""
+    return path if path.endswith(".whl") else f"usarmjx-{usarmjx.__version__}-py3-none-any.whl"
