@@ -1,5 +1,7 @@
 """Robots from files as people have them, against the file and MuJoCo's own reader."""
 
+import json
+import sys
 from pathlib import Path
 
 import mujoco
@@ -10,6 +12,7 @@ from tests.models.files.test_import_mjcf import compare, composed
 from usarmjx.base.errors import SpecError
 from usarmjx.models import load_robot
 from usarmjx.models.drives import Ackermann, NoDrive, RotaryWing, SkidSteer
+from usarmjx.models.files import reader_child
 
 CASES = Path(__file__).parent / "cases"
 MASS_ATOL = 1e-6  # kg, as of single precision
@@ -284,6 +287,19 @@ def test_rotors_on_sites_make_it_fly(load):
 def test_faults_are_refused_with_file_and_line(load, text, says):
     with pytest.raises(SpecError, match=says):
         load(text)
+
+
+def test_long_chains_of_links_are_no_recursion(load):
+    joints = "".join(hinge(f"j{i}", f"l{i + 1}", "0 0 1", parent=f"l{i}", kind="fixed") for i in range(3000))
+    links = "".join(f'<link name="l{i}"/>' for i in range(3001))
+    with pytest.raises(SpecError, match=r"robot.urdf:1: link 'l201' hangs on a chain of 201 joints"):
+        load(f'<robot name="chain">{links}{joints}</robot>')
+
+
+def test_a_missing_library_is_named_with_its_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "collada", None)
+    said, _ = reader_child.answer(json.dumps(["mesh", "box.dae"]).encode())
+    assert said["error"] == "collada is not installed: pip install 'usarmjx[robots]'"
 
 
 def test_what_does_not_drive_stands(load):

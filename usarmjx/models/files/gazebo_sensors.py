@@ -83,7 +83,7 @@ def read_sensor(sensor: LinedElement, body: str, source: RobotSource, frame: Pos
     ours, options, turn = found
     given = sensor.first("pose")
     own = NO_POSE if given is None else pose_of(numbers_of(given, given.text, 6))
-    pose = Pose(frame.pos + frame.mat @ own.pos, frame.mat @ own.mat @ turn)
+    pose = frame.then(own).then(Pose(np.zeros(3), turn))
     rate = sensor.number("update_rate", 0.0)
     if rate > 0 and ours in ("RangeScanner", "RangeScanner3D"):
         options = (*options, ("ScanInterval", 1.0 / rate))

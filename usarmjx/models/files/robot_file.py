@@ -24,7 +24,7 @@ from usarmjx.models.files.robot_drive import DEFAULT_SPIN, MIN_ROTORS, find_driv
 from usarmjx.models.files.robot_mjcf import read_mjcf_robot
 from usarmjx.models.files.robot_source import RobotSource, find_limit, listed
 from usarmjx.models.files.urdf_robot import read_urdf_robot
-from usarmjx.models.files.xml_lines import read_lined_xml
+from usarmjx.models.files.urdf_tree import read_urdf
 from usarmjx.models.types.robot import CHASSIS, Motor, Mount, Part, RobotSpec, options
 from usarmjx.models.types.shapes import Shape
 
@@ -128,9 +128,7 @@ def open_robot_file(path: Path, resources: Resources, arguments: Mapping[str, st
         data = _expanded(path, resources, arguments)
     if b"<robot" not in data:
         return read_mjcf_robot(path)
-    root = read_lined_xml(path, data)
-    if root.tag != "robot":
-        raise SpecError(f"{path}: its root is <{root.tag}>; a URDF file's is <robot>")
+    root = read_urdf(path, data)
     source = read_urdf_robot(root, path, resources)
     read_gazebo_elements(root, source, {body.name for body in source.spec.bodies})
     return source
@@ -311,12 +309,13 @@ class _Builder:
                 )
                 continue
             parent, frame = place
+            pose = frame.then(one.pose)
             mounts[one.kind == "Camera"].append(
                 Mount(
                     kind=one.kind,
                     name=one.name,
-                    at=usarsim_vector(frame.pos + frame.mat @ one.pose.pos),
-                    direction=usarsim_angles(frame.mat @ one.pose.mat),
+                    at=usarsim_vector(pose.pos),
+                    direction=usarsim_angles(pose.mat),
                     parent=parent,
                     options=one.options,
                 )
