@@ -1,4 +1,4 @@
-"""Mesh files (OBJ, STL) as convex solids, one for each connected piece.
+"""Mesh files (OBJ, STL, COLLADA) as convex solids, one for each connected piece.
 
 Contacts and the radio treat a solid of kind mesh as the convex hull of its vertices. A piece that is not
 convex is therefore refused, unless its hull is requested; rays and pictures then use its faces.
@@ -74,7 +74,7 @@ def load_convex_pieces(
     """Return the convex pieces of a mesh file: one for each object, and each connected part of it.
 
     Args:
-        path: OBJ or STL file; its axes are used unchanged, z up.
+        path: OBJ, STL or COLLADA file; its axes are used unchanged, z up.
         scale: Factors of x, y and z.
         hull: Whether to replace pieces that are not convex by their hulls.
         rays: Geometry of such pieces for rays.
