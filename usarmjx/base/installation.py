@@ -4,11 +4,10 @@ The project owns no name on a package index: `pip install usarmjx[...]` fails, o
 """
 
 import json
+import sys
 from importlib import metadata
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
-
-import usarmjx
 
 PACKAGE = Path(__file__).resolve().parents[1]
 """Folder of the package."""
@@ -32,4 +31,6 @@ def _wheel() -> str:
         path = unquote(urlsplit(str(record.get("url", ""))).path)
     except (metadata.PackageNotFoundError, ValueError, AttributeError):
         path = ""
-    return path if path.endswith(".whl") else f"usarmjx-{usarmjx.__version__}-py3-none-any.whl"
+    # An import of the package above would make everything that needs errors depend on all of it.
+    version = sys.modules["usarmjx"].__version__
+    return path if path.endswith(".whl") else f"usarmjx-{version}-py3-none-any.whl"
