@@ -175,7 +175,7 @@ def test_a_sweep_plays_own_tasks_and_tells_their_versions_apart(own):
     settings = complete({"task": "my_task.py:Meet", "fields.near": 1.0, "roster": ["P2AT"]}, "cell")
     found = resolve(settings)
     assert (found.task.near, found.task.robot) == (1.0, "P2AT")
-    assert find_driver("by-hand", "my_task.py:Meet").make is not None
+    assert find_driver("baseline", "my_task.py:Meet").make is not None
     before = key_of(settings)
     file = own / "my_task.py"
     file.write_text(file.read_text().replace("2.0 * met", "3.0 * met"))
