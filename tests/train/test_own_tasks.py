@@ -14,8 +14,9 @@ import usarmjx
 from tests.train.handmade import policy_file
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
+from usarmjx.sweeps.contents import key_of
 from usarmjx.sweeps.drivers import find_driver
-from usarmjx.sweeps.resolve import key_of, resolve
+from usarmjx.sweeps.resolve import resolve
 from usarmjx.sweeps.spec import complete
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.task import Policy
