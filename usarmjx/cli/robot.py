@@ -11,7 +11,7 @@ from usarmjx.cli.common import ErrorExit, JsonFlag
 from usarmjx.cli.startup_messages import announce
 
 if TYPE_CHECKING:
-    from usarmjx.models.types.robot import RobotSpec
+    from usarmjx.models.types.robot import Motor, Part, RobotSpec
 
 app = typer.Typer(help="Check robots from files: URDF, xacro, MJCF.", no_args_is_help=True)
 
@@ -81,7 +81,7 @@ def _pair(text: str) -> tuple[str, str]:
 def robot_figures(robot: "RobotSpec") -> dict[str, Any]:
     """Return the figures of a robot by their names, with units."""
     length, width, height = robot.dimensions
-    motors = {part.name: part.motor for part in robot.parts if part.motor is not None}
+    motors = {part.name: _motor(part, part.motor) for part in robot.parts if part.motor is not None}
     figures: dict[str, Any] = {
         "class": robot.name,
         "mass": f"{robot.mass:.4g} kg",
@@ -95,10 +95,15 @@ def robot_figures(robot: "RobotSpec") -> dict[str, Any]:
             f"{names}; radius {robot.wheel_radius:.4f} m, {robot.wheel_separation:.3f} m apart, "
             f"wheel base {robot.wheel_base:.3f} m"
         )
-    figures["motors"] = [f"{name} {m.torque:.3g} N m, {m.max_speed:.3g} rad/s" for name, m in motors.items()]
+    figures["motors"] = [*motors.values()]
     figures["joints"] = [part.name for part in robot.parts if part.name not in motors]
     figures["sensors"] = [f"{mount.kind} {mount.name}" for mount in (*robot.sensors, *robot.cameras)]
     return figures
+
+
+def _motor(part: "Part", motor: "Motor") -> str:
+    effort, speed = ("N m", "rad/s") if part.joint == "hinge" else ("N", "m/s")
+    return f"{part.name} {motor.torque:.3g} {effort}, {motor.max_speed:.3g} {speed}"
 
 
 def _shown(value: str | list[str] | Mapping[str, str]) -> str:

@@ -37,7 +37,6 @@ BEAM_PATTERN = (
     (0.0, 0.0),
     *((share, math.radians(first + 90 * i)) for share, first in BEAM_RINGS for i in range(4)),
 )
-"""Limits of a fraction."""
 REFERENCE_DISTANCE = 1.0
 """Distance from which on the power of an echo falls with its square [m]."""
 

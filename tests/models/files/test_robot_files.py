@@ -1,5 +1,7 @@
 """Robots from files as people have them, against the file and MuJoCo's own reader."""
 
+import json
+import sys
 from pathlib import Path
 
 import mujoco
@@ -10,6 +12,9 @@ from tests.models.files.test_import_mjcf import compare, composed
 from usarmjx.base.errors import SpecError
 from usarmjx.models import load_robot
 from usarmjx.models.drives import Ackermann, NoDrive, RotaryWing, SkidSteer
+from usarmjx.models.files import reader_child
+from usarmjx.models.files.load import load_arena
+from usarmjx.models.types.robot import CHASSIS
 
 CASES = Path(__file__).parent / "cases"
 MASS_ATOL = 1e-6  # kg, as of single precision
@@ -190,6 +195,14 @@ def test_collada_meshes_have_their_unit_and_place(load, tmp_path):
     assert data.geom("chassis/0").xpos == pytest.approx((1.0, 0.0, 0.1), abs=1e-6)
 
 
+def test_collada_is_a_solid_of_arenas_too(tmp_path):
+    (tmp_path / "box.dae").write_text(COLLADA)
+    (tmp_path / "a.yaml").write_text("meshes: {file: box.dae}\nstarts: []\n")
+    (box,) = load_arena(tmp_path / "a.yaml").shapes
+    assert np.ptp(box.mesh.vertices, 0) == pytest.approx([0.2, 0.2, 0.2])
+    assert box.at + box.mesh.vertices.mean(0) == pytest.approx([1.0, 0.0, 0.0])
+
+
 PLUGINS = """<gazebo reference="base"><mu1>0.05</mu1><kp>1e6</kp>
 <sensor type="gpu_ray" name="front laser"><pose>.3 0 .2 0 0 0</pose><update_rate>20</update_rate>
 <ray><scan><horizontal><samples>181</samples><min_angle>-1.5707963</min_angle><max_angle>1.5707963</max_angle>
@@ -258,6 +271,30 @@ def test_rotors_on_sites_make_it_fly(load):
     assert (drive.mass, drive.max_thrust) == (pytest.approx(1.0), pytest.approx(24.0))
 
 
+def test_cameras_and_sensors_of_mjcf_are_mounts_and_the_rest_is_named_with_its_line(load, tmp_path):
+    loaded = load(
+        """<mujoco><worldbody><light name="sun"/>
+<body name="q"><freejoint/><geom type="box" size=".2 .2 .05" mass="1"/>
+<site name="a-b" pos=".1 0 0"/><site name="a_b"/><site name="tip"/>
+<body pos="0 0 .3"><geom size=".1" mass="1"/><camera name="mast" fovy="45"/></body></body></worldbody>
+<sensor><gyro site="a-b"/><accelerometer site="a-b"/><gyro site="a_b"/>
+<touch site="a_b" name="feel"/></sensor>
+<keyframe><key name="up"/></keyframe></mujoco>""",
+        "mast.xml",
+    )
+    robot, file = loaded.robot, tmp_path / "mast.xml"
+    (camera,) = robot.cameras
+    assert (camera.name, camera.parent, camera.at) == ("mast", CHASSIS, (0.0, 0.0, -0.3))
+    imus = [(one.name, one.at) for one in robot.sensors if one.kind == "IMU"]
+    assert imus == [("a_b", (0.1, 0.0, 0.0)), ("a_b2", (0.0, 0.0, 0.0))]
+    assert loaded.notes == (
+        f"{file}:6: 1 sensors are left out: feel",
+        f"{file}:3: 1 sites are left out: tip",
+        f"{file}: 1 keyframes are left out: up",
+        f"{file}:1: 1 lights are left out: sun",
+    )
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -284,6 +321,19 @@ def test_rotors_on_sites_make_it_fly(load):
 def test_faults_are_refused_with_file_and_line(load, text, says):
     with pytest.raises(SpecError, match=says):
         load(text)
+
+
+def test_long_chains_of_links_are_no_recursion(load):
+    joints = "".join(hinge(f"j{i}", f"l{i + 1}", "0 0 1", parent=f"l{i}", kind="fixed") for i in range(3000))
+    links = "".join(f'<link name="l{i}"/>' for i in range(3001))
+    with pytest.raises(SpecError, match=r"robot.urdf:1: link 'l201' hangs on a chain of 201 joints"):
+        load(f'<robot name="chain">{links}{joints}</robot>')
+
+
+def test_a_missing_library_is_named_with_its_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "collada", None)
+    said, _ = reader_child.answer(json.dumps(["mesh", "box.dae"]).encode())
+    assert said["error"] == "collada is not installed: pip install 'usarmjx[robots]'"
 
 
 def test_what_does_not_drive_stands(load):

@@ -21,7 +21,7 @@ from usarmjx.models.types.robot import Mount, Part, RobotSpec
 from usarmjx.models.types.shapes import Shape
 
 LIMIT_TOLERANCE = 1e-3
-"""A parameter may be this far outside of its limits: CONF tells them with 4 decimals, cut off."""
+"""A parameter may be this far outside of its limits: CONF has them with 4 decimals, cut off."""
 MAX_DROPPED_TAGS = 64
 """Capacity of a world for dropped RFID tags (the manual's releasers have IDs for 1001)."""
 

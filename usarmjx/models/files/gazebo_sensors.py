@@ -83,26 +83,15 @@ def read_sensor(sensor: LinedElement, body: str, source: RobotSource, frame: Pos
     ours, options, turn = found
     given = sensor.first("pose")
     own = NO_POSE if given is None else pose_of(numbers_of(given, given.text, 6))
-    pose = Pose(frame.pos + frame.mat @ own.pos, frame.mat @ own.mat @ turn)
+    pose = frame.then(own).then(Pose(np.zeros(3), turn))
     rate = sensor.number("update_rate", 0.0)
     if rate > 0 and ours in ("RangeScanner", "RangeScanner3D"):
         options = (*options, ("ScanInterval", 1.0 / rate))
     source.sensors.append(
-        SensorOnLink(kind=ours, name=_free_name(name, source), body=body, pose=pose, options=options)
+        SensorOnLink(kind=ours, name=source.free_name(name), body=body, pose=pose, options=options)
     )
     for plugin in sensor.all("plugin"):
         source.notes.append(f"{plugin.place}: plugin {_called(plugin)} of sensor {name!r} is left out")
-
-
-def _free_name(name: str, source: RobotSource) -> str:
-    """Return a name that the wire takes and no other sensor of the robot has."""
-    plain = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name) or "Sensor"
-    taken = {one.name for one in source.sensors}
-    number = 2
-    free = plain
-    while free in taken:
-        free, number = f"{plain}{number}", number + 1
-    return free
 
 
 Found = tuple[str, Options, np.ndarray] | None
@@ -110,7 +99,7 @@ Found = tuple[str, Options, np.ndarray] | None
 
 
 def _scanner(sensor: LinedElement, source: RobotSource) -> Found:
-    ray = sensor.first("ray") or sensor.first("lidar")
+    ray = next((found for tag in ("ray", "lidar") if (found := sensor.first(tag)) is not None), None)
     if ray is None:
         return None
     beams, low, high = (
@@ -190,7 +179,7 @@ def _camera(sensor: LinedElement, source: RobotSource) -> Found:
 
 def _plain_sensor(kind: str) -> Callable[[LinedElement, RobotSource], Found]:
     def read(sensor: LinedElement, source: RobotSource) -> Found:
-        noise = sensor.first(f"{sensor.get('type')}//noise") or sensor.first("imu//noise")
+        noise = sensor.first(f"{sensor.get('type')}//noise")
         if noise is not None:
             source.notes.append(f"{noise.place}: noise of sensor {sensor.get('name')!r} is left out")
         return kind, (), np.eye(3)

@@ -137,10 +137,10 @@ def without_specks(wall: np.ndarray, smallest: float) -> tuple[np.ndarray, int]:
     Returns:
         The cells that stay, and the number of groups removed.
     """
-    from scipy import ndimage  # pyright: ignore[reportMissingTypeStubs]
-
     if smallest <= 1:
         return wall, 0
+    from scipy import ndimage  # pyright: ignore[reportMissingTypeStubs]
+
     tools = cast("Any", ndimage)
     label, count = tools.label(wall, np.ones((3, 3)))
     small = [

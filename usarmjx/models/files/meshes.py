@@ -1,4 +1,4 @@
-"""Mesh files (OBJ, STL) as convex solids, one for each connected piece.
+"""Mesh files (OBJ, STL, COLLADA) as convex solids, one for each connected piece.
 
 Contacts and the radio treat a solid of kind mesh as the convex hull of its vertices. A piece that is not
 convex is therefore refused, unless its hull is requested; rays and pictures then use its faces.
@@ -74,7 +74,7 @@ def load_convex_pieces(
     """Return the convex pieces of a mesh file: one for each object, and each connected part of it.
 
     Args:
-        path: OBJ or STL file; its axes are used unchanged, z up.
+        path: OBJ, STL or COLLADA file; its axes are used unchanged, z up.
         scale: Factors of x, y and z.
         hull: Whether to replace pieces that are not convex by their hulls.
         rays: Geometry of such pieces for rays.
@@ -85,7 +85,7 @@ def load_convex_pieces(
             that has too many vertices; names it.
     """
     x, y, z = scale
-    digest = checked_mesh_file(path)
+    digest = _checked_file(path)
     try:
         return [*_pieces_of(path, digest, (x, y, z), hull, rays)]
     except ArenaFileError as error:
@@ -98,7 +98,7 @@ def load_convex_pieces(
 def _pieces_of(path: Path, digest: bytes, scale: Vec3, hull: bool, rays: SeenBy) -> tuple[ConvexPiece, ...]:
     """Return the pieces of a file, cached by its content: a building has a hundred doors of one file."""
     found: list[ConvexPiece] = []
-    for name, vertices, faces in mesh_objects(path):
+    for name, vertices, faces in _objects(path):
         called = f"{path}: {name}".rstrip(": ")
         found += convex_pieces(vertices * np.asarray(scale), faces, called, hull=hull, rays=rays)
         if len(found) > MAX_MESH_PIECES:
@@ -112,9 +112,17 @@ def vertices_of_file(path: Path) -> np.ndarray:
     Raises:
         ArenaFileError: A file that is unreadable, or has too many vertices.
     """
-    checked_mesh_file(path)
-    vertices = np.concatenate([vertices for _, vertices, _ in mesh_objects(path)])
-    return checked_corners(vertices, str(path))
+    return checked_corners(mesh_vertices(path), str(path))
+
+
+def mesh_vertices(path: Path) -> np.ndarray:
+    """Return all vertices of a mesh file's faces (n, 3), z up, in the file's metres, as many as there are.
+
+    Raises:
+        ArenaFileError: A file that is missing, unreadable, too large or corrupt.
+    """
+    _checked_file(path)
+    return np.concatenate([vertices for _, vertices, _ in _objects(path)])
 
 
 def faces_of_file(path: Path) -> Mesh:
@@ -123,9 +131,9 @@ def faces_of_file(path: Path) -> Mesh:
     Raises:
         ArenaFileError: A file that is unreadable, or has too many faces or vertices of its hull.
     """
-    checked_mesh_file(path)
+    _checked_file(path)
     vertices, faces, before = list[np.ndarray](), list[np.ndarray](), 0
-    for _, own, found in mesh_objects(path):
+    for _, own, found in _objects(path):
         vertices.append(own)
         faces.append(found + before)
         before += len(own)
@@ -233,7 +241,7 @@ def _hull(vertices: np.ndarray, name: str) -> tuple[np.ndarray, float]:
     return vertices[np.sort(hull.vertices)], float(hull.volume)
 
 
-def checked_mesh_file(path: Path) -> bytes:
+def _checked_file(path: Path) -> bytes:
     """Check a mesh file for defects; return a digest of its content."""
     if path.suffix.lower() not in MESH_CHECKS:
         raise ArenaFileError(f"{path}: meshes are {' or '.join(MESH_CHECKS)} files")
@@ -244,7 +252,7 @@ def checked_mesh_file(path: Path) -> bytes:
     return hashlib.blake2b(data).digest()
 
 
-def mesh_objects(path: Path) -> Iterator[MeshArrays]:
+def _objects(path: Path) -> Iterator[MeshArrays]:
     """Yield name, vertices and faces of a file's objects."""
     found = [one for one in read_mesh_objects(path) if len(one[2])]
     if not found:

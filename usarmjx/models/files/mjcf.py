@@ -25,6 +25,7 @@ from usarmjx.models.files.mjcf_solids import (
     volume,
 )
 from usarmjx.models.files.reader_process import try_model
+from usarmjx.models.files.robot_source import left_out
 from usarmjx.models.files.xml_size import check_model_size
 from usarmjx.models.types.arena import Door, LooseObject
 from usarmjx.models.types.shapes import HeightField, Shape
@@ -466,9 +467,4 @@ def _ignored(path: Path, spec: mujoco.MjSpec) -> list[str]:
         "contact pairs": spec.pairs,
         "contact exclusions": spec.excludes,
     }
-    said: list[str] = []
-    for kind, found in kinds.items():
-        if found:
-            names = ", ".join(one.name or "without name" for one in found[:5])
-            said.append(f"{path}: {len(found)} {kind} left out: {names}{', ...' if len(found) > 5 else ''}")
-    return said
+    return [left_out(path, kind, found) for kind, found in kinds.items() if found]

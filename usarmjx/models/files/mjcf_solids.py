@@ -38,7 +38,11 @@ class Pose:
 
     def compose(self, pos: np.ndarray, quat: np.ndarray) -> "Pose":
         """Return a frame that is given relative to this one, by position (3,) and quaternion (4,)."""
-        return Pose(self.pos + self.mat @ pos, self.mat @ mat_of(quat))
+        return self.then(Pose(pos, mat_of(quat)))
+
+    def then(self, offset: "Pose") -> "Pose":
+        """Return a frame that is given relative to this one."""
+        return Pose(self.pos + self.mat @ offset.pos, self.mat @ offset.mat)
 
 
 def mat_of(quat: np.ndarray) -> np.ndarray:

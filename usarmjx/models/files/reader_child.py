@@ -97,7 +97,7 @@ def read_mesh(path: str) -> tuple[dict[str, object], list[Any]]:
 
     kind = path[-3:].lower()
     if kind == "dae":
-        pass  # pyright: ignore[reportUnusedImport] - trimesh reads with it, and says less without
+        import_module("collada")  # trimesh reads with it, and without it reports another error
     limit()
     with open(path, "rb") as file:
         scene: Any = trimesh.load_scene(  # pyright: ignore[reportUnknownMemberType]

@@ -97,7 +97,7 @@ def find_drive(
     right = [part.joint for part in moved if part.at[1] < -MIDDLE]
     steering = _steering_joints(tree, {part.owner: part for part in wheels})
     if left and right and steering:
-        return _car(tree, wheels, set(left + right), steering, speeds, math.inf)
+        return _car(wheels, set(left + right), steering, speeds, math.inf)
     if left and right:
         return _skid(left, right, parts, speeds, StatedDrive(kind="skid"))
     sideways = [p.joint for p in parts.values() if abs(p.axis[0]) >= SIDEWAYS and p.radius > 0]
@@ -125,7 +125,7 @@ def _stated_drive(
         wheels = [part for part in parts.values() if abs(part.axis[1]) >= SIDEWAYS]
         steering = _steering_joints(tree, {part.owner: part for part in wheels})
         if steering:
-            return _car(tree, wheels, {*stated.left, *stated.right}, steering, speeds, stated.max_speed)
+            return _car(wheels, {*stated.left, *stated.right}, steering, speeds, stated.max_speed)
         source.notes.append(f"{stated.place}: no wheel hangs on a steering joint: the drive skids")
     return _skid([*stated.left], [*stated.right], parts, speeds, stated)
 
@@ -170,14 +170,12 @@ def _steering_joints(tree: BodyTree, wheels: dict[int, RollingPart]) -> dict[str
 
 
 def _car(
-    tree: BodyTree,
     wheels: list[RollingPart],
     powered: set[str],
     steering: dict[str, tuple[str, float]],
     speeds: dict[str, float],
     max_speed: float,
 ) -> Ackermann:
-    del tree
     fore = max(part.at[0] for part in wheels)
     angles = {
         ahead: [angle for part in wheels if part.joint in steering and (part.at[0] > fore - MIDDLE) == ahead

@@ -15,23 +15,21 @@ from usarmjx.base.settings.files import read_bytes
 from usarmjx.models.compile.measure import with_measurements
 from usarmjx.models.drives import Ackermann, Drive, SkidSteer
 from usarmjx.models.files.body_tree import BodyTree
-from usarmjx.models.files.file_motors import motor_with_limits, motors_of
+from usarmjx.models.files.file_motors import DEFAULT_TRAVEL, motor_with_limits, motors_of
 from usarmjx.models.files.gazebo_sensors import read_gazebo_elements
 from usarmjx.models.files.mjcf_solids import usarsim_angles, usarsim_vector
 from usarmjx.models.files.reader_process import expand_xacro
 from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.robot_drive import DEFAULT_SPIN, MIN_ROTORS, find_drive, rotor_drive, wheel_torque
 from usarmjx.models.files.robot_mjcf import read_mjcf_robot
-from usarmjx.models.files.robot_source import RobotSource, find_limit, listed
+from usarmjx.models.files.robot_source import JointLimit, RobotSource, listed, plain_name
 from usarmjx.models.files.urdf_robot import read_urdf_robot
-from usarmjx.models.files.xml_lines import read_lined_xml
+from usarmjx.models.files.urdf_tree import read_urdf
 from usarmjx.models.types.robot import CHASSIS, Motor, Mount, Part, RobotSpec, options
 from usarmjx.models.types.shapes import Shape
 
 logger = logging.getLogger(__name__)
 
-DEFAULT_TRAVEL = np.pi
-"""Error at which a servo without a limit has its full torque [rad] (chosen)."""
 VELOCITY_MODE = 1
 """Control mode of joints with a speed (`JointControl`)."""
 RESERVED_NAMES = ("chassis", "root")
@@ -128,9 +126,7 @@ def open_robot_file(path: Path, resources: Resources, arguments: Mapping[str, st
         data = _expanded(path, resources, arguments)
     if b"<robot" not in data:
         return read_mjcf_robot(path)
-    root = read_lined_xml(path, data)
-    if root.tag != "robot":
-        raise SpecError(f"{path}: its root is <{root.tag}>; a URDF file's is <robot>")
+    root = read_urdf(path, data)
     source = read_urdf_robot(root, path, resources)
     read_gazebo_elements(root, source, {body.name for body in source.spec.bodies})
     return source
@@ -255,7 +251,7 @@ class _Builder:
         found: dict[int, Motor] = {}
         for owner in tree.owners[1:]:
             joint, name = tree.joint_of(owner), tree.name(owner)
-            limit = find_limit(source.limits, name)
+            limit = source.limits.get(name, JointLimit())
             free = tree.turns_freely(owner)
             wanted = name in aims or (
                 name not in source.mimics
@@ -311,12 +307,13 @@ class _Builder:
                 )
                 continue
             parent, frame = place
+            pose = frame.then(one.pose)
             mounts[one.kind == "Camera"].append(
                 Mount(
                     kind=one.kind,
                     name=one.name,
-                    at=usarsim_vector(frame.pos + frame.mat @ one.pose.pos),
-                    direction=usarsim_angles(frame.mat @ one.pose.mat),
+                    at=usarsim_vector(pose.pos),
+                    direction=usarsim_angles(pose.mat),
                     parent=parent,
                     options=one.options,
                 )
@@ -335,8 +332,7 @@ def _with_own_wheels(mount: Mount) -> Mount:
 
 def _class_name(name: str, source: RobotSource) -> str:
     """Return a class name that the wire takes: the given one, else the file's."""
-    plain = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in source.name)
-    found = name or plain or "".join(c if c.isascii() and c.isalnum() else "_" for c in source.path.stem)
+    found = name or plain_name(source.name or source.path.stem)
     if not is_name(found):
         raise SpecError(f"{source.path}: {found!r} is no name of a robot: one word of ASCII letters")
     return found

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -9,11 +10,14 @@ import numpy as np
 from usarmjx.base.errors import SpecError
 from usarmjx.models.files.mjcf_solids import Pose, mat_of
 from usarmjx.models.files.reader_process import try_model
-from usarmjx.models.files.robot_source import RobotSource, SensorOnLink, listed
+from usarmjx.models.files.robot_source import RobotSource, SensorOnLink, left_out
 from usarmjx.models.files.xml_size import check_model_size
 
 CAMERA_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
 """Our camera's axes (x ahead, y left, z up) in MuJoCo's (looks along -z, x right, y up), as columns."""
+
+INERTIAL = (mujoco.mjtSensor.mjSENS_ACCELEROMETER, mujoco.mjtSensor.mjSENS_GYRO)
+"""Types of MuJoCo's sensors that an IMU stands for."""
 
 UNNAMED = "MuJoCo Model"
 """MuJoCo's name of a model without one."""
@@ -44,10 +48,18 @@ def read_mjcf_robot(path: Path) -> RobotSource:
     root.name = root.name or "chassis of the file"
     name = "" if spec.modelname == UNNAMED else spec.modelname
     source = RobotSource(path=path, name=name, spec=spec, root=root.name)
+    _name_fixed_bodies(spec)
     _read_cameras(spec, source)
     _read_inertial_sensors(spec, source)
     _note_left_out(path, spec, source)
     return source
+
+
+def _name_fixed_bodies(spec: mujoco.MjSpec) -> None:
+    """Name the bodies without joint and name: sensors refer to bodies by name, parts take a joint's."""
+    for number, body in enumerate(spec.bodies):
+        if not body.name and not body.joints:
+            body.name = f"body {number} of the file"
 
 
 def _read_cameras(spec: mujoco.MjSpec, source: RobotSource) -> None:
@@ -60,7 +72,7 @@ def _read_cameras(spec: mujoco.MjSpec, source: RobotSource) -> None:
         source.sensors.append(
             SensorOnLink(
                 kind="Camera",
-                name=_plain(camera.name) or f"Camera{number + 1}",
+                name=source.free_name(camera.name or f"Camera{number + 1}"),
                 body=camera.parent.name,
                 pose=Pose(np.array(camera.pos), mat_of(np.array(camera.quat)) @ CAMERA_AXES),
                 options=(("CameraDefFov", field), ("CameraMinFov", field), ("CameraMaxFov", field)),
@@ -70,41 +82,36 @@ def _read_cameras(spec: mujoco.MjSpec, source: RobotSource) -> None:
 
 def _read_inertial_sensors(spec: mujoco.MjSpec, source: RobotSource) -> None:
     """Add an IMU for each site with an accelerometer or a gyro; other sensors become notes."""
-    kinds = mujoco.mjtSensor
     sites = {site.name: site for site in spec.sites}
     used: set[str] = set()
-    left_out: list[str] = []
+    others: list[Any] = []
     for sensor in spec.sensors:
-        inertial = sensor.type in (kinds.mjSENS_ACCELEROMETER, kinds.mjSENS_GYRO)
-        site = sites.get(sensor.objname) if inertial else None
+        site = sites.get(sensor.objname) if sensor.type in INERTIAL else None
         if site is None:
-            left_out.append(sensor.name or "without name")
+            others.append(sensor)
         elif sensor.objname not in used:
             used.add(sensor.objname)
             source.sensors.append(
                 SensorOnLink(
                     kind="IMU",
-                    name=_plain(sensor.objname),
+                    name=source.free_name(sensor.objname),
                     body=site.parent.name,
                     pose=Pose(np.array(site.pos), mat_of(np.array(site.quat))),
                 )
             )
-    if left_out:
-        source.notes.append(f"{source.path}: {len(left_out)} sensors are left out: {listed(left_out)}")
-
-
-def _plain(name: str) -> str:
-    """Return a name that the wire takes."""
-    return "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name)
+    if others:
+        source.notes.append(left_out(source.path, "sensors", others))
 
 
 def _note_left_out(path: Path, spec: mujoco.MjSpec, source: RobotSource) -> None:
     """Add a note for each kind of content that robots do not have."""
     some: Callable[[object], bool] = lambda value: bool(np.any(np.asarray(value, float)))  # noqa: E731
+    used = {one.objname for one in spec.sensors if one.type in INERTIAL}
+    used |= {one.target for one in spec.actuators}
     kinds = {
         "bodies beside the robot": [body for body in spec.worldbody.bodies if body.name != source.root],
         "fixed solids of the world": list(spec.worldbody.geoms),
-        "sites": [site for site in spec.sites if site.parent != spec.worldbody],
+        "sites": [one for one in spec.sites if one.parent != spec.worldbody and one.name not in used],
         "keyframes": list(spec.keys),
         "contact pairs": list(spec.pairs),
         "contact exclusions (parts of a robot never touch each other)": list(spec.excludes),
@@ -114,5 +121,4 @@ def _note_left_out(path: Path, spec: mujoco.MjSpec, source: RobotSource) -> None
     }
     for kind, found in kinds.items():
         if found:
-            names = [getattr(one, "name", "") or "without name" for one in found]
-            source.notes.append(f"{path}: {len(found)} {kind} are left out: {listed(names)}")
+            source.notes.append(left_out(path, kind, found))

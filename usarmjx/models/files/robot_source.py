@@ -1,8 +1,10 @@
 """A robot's file as MuJoCo's description, with the statements for which MuJoCo has no place."""
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -119,13 +121,32 @@ class RobotSource:
     slippery: set[str] = field(default_factory=set[str])
     notes: list[str] = field(default_factory=list[str])
 
+    def free_name(self, name: str) -> str:
+        """Return a name that the wire takes and no other sensor of the robot has."""
+        plain = plain_name(name) or "Sensor"
+        taken = {one.name for one in self.sensors}
+        number = 2
+        free = plain
+        while free in taken:
+            free, number = f"{plain}{number}", number + 1
+        return free
+
+
+def plain_name(name: str) -> str:
+    """Return a name with `_` in place of letters that the wire does not take in names."""
+    return "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name)
+
+
+def left_out(path: Path, kind: str, found: Sequence[Any]) -> str:
+    """Return a note about elements of MuJoCo's description that are left out, with the line of the first."""
+    # Elements of included files have line 0, keyframes none.
+    line = re.fullmatch(r"line ([1-9]\d*)", found[0].info)
+    place = str(path) if line is None else f"{path}:{line[1]}"
+    names = listed([one.name or "without name" for one in found])
+    return f"{place}: {len(found)} {kind} are left out: {names}"
+
 
 def listed(names: Sequence[str], most: int = 5) -> str:
     """Return names as a text, at most some of them."""
     shown = ", ".join(map(str, names[:most]))
     return f"{shown}, ..." if len(names) > most else shown
-
-
-def find_limit(limits: Mapping[str, JointLimit], joint: str) -> JointLimit:
-    """Return the limits of a joint's motor."""
-    return limits.get(joint, JointLimit())

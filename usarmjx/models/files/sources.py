@@ -49,7 +49,7 @@ class MeshFile:
     """A mesh file: see `meshes`.
 
     Attributes:
-        file: OBJ or STL file.
+        file: OBJ, STL or COLLADA file.
         at: Position of its origin.
         rotation: Roll, pitch, yaw [rad].
         scale: Factors that convert its numbers to metres.

@@ -11,12 +11,12 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.errors import SpecError
-from usarmjx.models.files.mesh_files import mesh_vertices
 from usarmjx.models.files.mesh_solids import hull_corners
-from usarmjx.models.files.mjcf_solids import Pose
+from usarmjx.models.files.meshes import mesh_vertices
 from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.robot_source import JointLimit, MimicJoint, RobotSource, listed
-from usarmjx.models.files.xml_lines import NO_POSE, LinedElement, attribute_numbers, pose_of
+from usarmjx.models.files.urdf_tree import form_of, frame_of, joints_by_parent, lengths_of, link_at
+from usarmjx.models.files.xml_lines import MAX_DEPTH, NO_POSE, LinedElement, attribute_numbers
 
 LIGHT = 1e-3
 """Mass of a link with a joint of its own for which the file has none [kg]: MuJoCo needs some."""
@@ -62,13 +62,13 @@ class _UrdfReader:
         self._links = {link.get("name", ""): link for link in root.all("link")}
         self._spec = mujoco.MjSpec()
         self._spec.compiler.degree = False
-        self._visual_only = not any(link.first("collision/geometry") for link in self._links.values())
+        self._visual_only = all(link.first("collision/geometry") is None for link in self._links.values())
         self._meshes: dict[tuple[str, tuple[float, ...]], str] = {}
         self._bodies: dict[str, mujoco.MjsBody] = {}
 
     def read(self) -> RobotSource:
         """Return the file's robot."""
-        joints = self._joints_by_parent()
+        joints = joints_by_parent(self._root, self._links)
         top = self._top(joints)
         self._source = RobotSource(
             path=self._path, name=self._root.get("name", ""), spec=self._spec, root=body_name(top)
@@ -76,46 +76,34 @@ class _UrdfReader:
         if self._visual_only:
             self._source.notes.append(f"{self._path}: no link collides: visual solids collide in their place")
         waiting: list[tuple[str, LinedElement | None, mujoco.MjsBody]] = [(top, None, self._spec.worldbody)]
-        while waiting:
-            name, joint, parent = waiting.pop(0)
+        for name, joint, parent in waiting:
             body = self._add_link(name, joint, parent)
-            waiting += [(_end(child, "child"), child, body) for child in joints.get(name, ())]
+            waiting += [(link_at(child, "child"), child, body) for child in joints.get(name, ())]
         self._note_left_out(joints)
         return self._source
 
-    def _joints_by_parent(self) -> dict[str, list[LinedElement]]:
-        found: dict[str, list[LinedElement]] = {}
-        owners: dict[str, LinedElement] = {}
-        for joint in self._root.all("joint"):
-            name = joint.get("name")
-            if name is None:
-                raise joint.error("a joint has no name")
-            for end in ("parent", "child"):
-                if _end(joint, end) not in self._links:
-                    raise joint.error(
-                        f"joint {name!r}: its {end} {_end(joint, end)!r} is no link; "
-                        f"there is: {listed([*self._links], 20)}"
-                    )
-            child = _end(joint, "child")
-            if child in owners:
-                raise joint.error(
-                    f"joint {name!r}: link {child!r} hangs on {owners[child].get('name')!r} too"
-                )
-            owners[child] = joint
-            found.setdefault(_end(joint, "parent"), []).append(joint)
-        return found
-
     def _top(self, joints: Mapping[str, list[LinedElement]]) -> str:
         """Return the root link with the most links below it."""
-        children = {_end(joint, "child") for some in joints.values() for joint in some}
+        children = {link_at(joint, "child") for some in joints.values() for joint in some}
         tops = [name for name in self._links if name not in children]
         if not tops:
             raise SpecError(f"{self._path}: no link is the root: links hang on each other, or there are none")
 
-        def below(name: str) -> int:
-            return 1 + sum(below(_end(joint, "child")) for joint in joints.get(name, ()))
+        return max(tops, key=lambda name: len(self._links_below(name, joints)))
 
-        return max(tops, key=below)
+    def _links_below(self, top: str, joints: Mapping[str, list[LinedElement]]) -> list[str]:
+        """Return a link and all links below it, parents first."""
+        found, depth = [top], {top: 0}
+        for name in found:
+            for joint in joints.get(name, ()):
+                child = link_at(joint, "child")
+                depth[child] = depth[name] + 1
+                if depth[child] > MAX_DEPTH:
+                    raise joint.error(
+                        f"link {child!r} hangs on a chain of {depth[child]} joints; at most {MAX_DEPTH}"
+                    )
+                found.append(child)
+        return found
 
     def _note_left_out(self, joints: Mapping[str, list[LinedElement]]) -> None:
         lost = [name for name in self._links if name not in self._bodies]
@@ -126,11 +114,8 @@ class _UrdfReader:
             )
         for some in joints.values():
             for joint in some:
-                for tag in ("dynamics", "safety_controller", "calibration"):
-                    if (
-                        tag in ("safety_controller", "calibration")
-                        and (found := joint.first(tag)) is not None
-                    ):
+                for tag in ("safety_controller", "calibration"):
+                    if (found := joint.first(tag)) is not None:
                         self._source.notes.append(
                             f"{found.place}: <{tag}> of {joint.get('name')} is left out"
                         )
@@ -138,7 +123,7 @@ class _UrdfReader:
     def _add_link(self, name: str, joint: LinedElement | None, parent: mujoco.MjsBody) -> mujoco.MjsBody:
         """Add a link's body, its joint, inertia and solids; return it."""
         link = self._links[name]
-        frame = NO_POSE if joint is None else _origin(joint)
+        frame = NO_POSE if joint is None else frame_of(joint)
         body = parent.add_body(name=body_name(name), pos=frame.pos, quat=_quat(frame.mat))
         self._bodies[name] = body
         moves = joint is not None and self._add_joint(joint, body)
@@ -219,7 +204,7 @@ class _UrdfReader:
             if moves:
                 self._source.notes.append(f"{link.place}: link {name!r} has a joint and no mass: it gets 1 g")
             return
-        frame = _origin(inertial)
+        frame = frame_of(inertial)
         keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
         numbers = [
             0.0 if moments is None else float(attribute_numbers(moments, key, 1, "0")[0]) for key in keys
@@ -255,19 +240,18 @@ class _UrdfReader:
 
     def _add_solid(self, element: LinedElement, body: mujoco.MjsBody, name: str) -> None:
         """Add a collision element's solid, without mass."""
-        geometry = element.first("geometry")
-        form = next(iter(geometry), None) if geometry is not None else None
-        if not isinstance(form, LinedElement):
+        form = form_of(element)
+        if form is None:
             raise element.error(f"link {body.name!r} has a <{element.tag}> without geometry")
-        frame = _origin(element)
+        frame = frame_of(element)
         like = {"name": name, "pos": frame.pos, "quat": _quat(frame.mat), "mass": 0.0}
         kinds = mujoco.mjtGeom
         if form.tag == "box":
-            body.add_geom(type=kinds.mjGEOM_BOX, size=_sizes(form, "size", 3) / 2, **like)
+            body.add_geom(type=kinds.mjGEOM_BOX, size=lengths_of(form, "size", 3) / 2, **like)
         elif form.tag == "sphere":
-            body.add_geom(type=kinds.mjGEOM_SPHERE, size=[*_sizes(form, "radius", 1), 0, 0], **like)
+            body.add_geom(type=kinds.mjGEOM_SPHERE, size=[*lengths_of(form, "radius", 1), 0, 0], **like)
         elif form.tag in ("cylinder", "capsule"):
-            radius, length = _sizes(form, "radius", 1)[0], _sizes(form, "length", 1)[0]
+            radius, length = lengths_of(form, "radius", 1)[0], lengths_of(form, "length", 1)[0]
             kind = kinds.mjGEOM_CYLINDER if form.tag == "cylinder" else kinds.mjGEOM_CAPSULE
             body.add_geom(type=kind, size=[radius, length / 2, 0], **like)
         elif form.tag == "mesh":
@@ -295,27 +279,6 @@ class _UrdfReader:
 def body_name(link: str) -> str:
     """Return the name of a link's body: MuJoCo keeps `world` for its own."""
     return "world of the file" if link == "world" else link
-
-
-def _end(joint: LinedElement, end: str) -> str:
-    found = joint.first(end)
-    return "" if found is None else found.get("link", "")
-
-
-def _sizes(form: LinedElement, key: str, count: int) -> np.ndarray:
-    sizes = attribute_numbers(form, key, count)
-    if sizes.min() <= 0:
-        raise form.error(f"<{form.tag} {key}> has {sizes.tolist()}, expected lengths above zero [m]")
-    return sizes
-
-
-def _origin(element: LinedElement) -> Pose:
-    """Return the frame of an element's `<origin>`."""
-    origin = element.first("origin")
-    if origin is None:
-        return NO_POSE
-    xyz, rpy = (attribute_numbers(origin, key, 3, "0 0 0") for key in ("xyz", "rpy"))
-    return pose_of(np.concatenate([xyz, rpy]))
 
 
 def _quat(mat: np.ndarray) -> np.ndarray:

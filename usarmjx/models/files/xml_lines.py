@@ -11,10 +11,17 @@ from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.settings.files import read_bytes
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.files.mjcf_solids import Pose
-from usarmjx.models.files.xml_size import MAX_DEPTH, MAX_ELEMENTS
 
+MAX_ELEMENTS = 50_000
+"""Largest number of elements in an XML file, and in a model including its repetitions and includes."""
+MAX_DEPTH = 200
+"""Largest depth of elements."""
 NO_POSE = Pose(np.zeros(3), np.eye(3))
 """Frame of an element without a pose."""
+
+
+class XmlSyntaxError(ArenaFileError):
+    """A file that is no XML."""
 
 
 class LinedElement(Element):
@@ -73,8 +80,8 @@ def read_lined_xml(path: Path, text: str | bytes | None = None) -> LinedElement:
         text: Text to read instead of the file's content.
 
     Raises:
-        ArenaFileError: A file that is missing, is no XML, is too large or too deeply nested, or defines a
-            document type.
+        XmlSyntaxError: It is no XML.
+        ArenaFileError: A file that is missing, is too large or too deeply nested, or defines a document type.
     """
     parser = expat.ParserCreate()
     builder = TreeBuilder(element_factory=LinedElement)
@@ -105,16 +112,22 @@ def read_lined_xml(path: Path, text: str | bytes | None = None) -> LinedElement:
     try:
         parser.Parse(read_bytes(path, refusal=ArenaFileError) if text is None else text, True)
     except expat.ExpatError as error:
-        raise ArenaFileError(f"{path}:{error.lineno}: is no XML: {expat.ErrorString(error.code)}") from error
+        raise XmlSyntaxError(f"{path}:{error.lineno}: is no XML: {expat.ErrorString(error.code)}") from error
     except (LookupError, ValueError) as error:  # an encoding that Python does not have
-        raise ArenaFileError(f"{path}: is no XML: {error}") from error
+        raise XmlSyntaxError(f"{path}: is no XML: {error}") from error
     root = builder.close()
     assert isinstance(root, LinedElement)
     return root
 
 
-def numbers_of(element: LinedElement, text: str | None, count: int) -> np.ndarray:
+def numbers_of(element: LinedElement, text: str | None, count: int, key: str = "") -> np.ndarray:
     """Return the numbers of an element's text or attribute (count,).
+
+    Args:
+        element: The element.
+        text: The text.
+        count: Number of numbers.
+        key: The attribute; empty: the text is the element's own.
 
     Raises:
         ArenaFileError: It has others, or another number of them.
@@ -124,7 +137,7 @@ def numbers_of(element: LinedElement, text: str | None, count: int) -> np.ndarra
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise element.error(f"<{element.tag}> has {text!r}, expected {count} numbers")
+        raise element.error(f"<{f'{element.tag} {key}'.strip()}> has {text!r}, expected {count} numbers")
     return np.array(numbers)
 
 
@@ -137,7 +150,7 @@ def attribute_numbers(element: LinedElement, key: str, count: int, default: str 
     text = element.get(key, default)
     if text is None:
         raise element.error(f"<{element.tag}> has no {key}, expected {count} numbers")
-    return numbers_of(element, text, count)
+    return numbers_of(element, text, count, key)
 
 
 def pose_of(numbers: np.ndarray) -> Pose:

@@ -1,18 +1,19 @@
 """Size of an MJCF or URDF model, counted on its XML before anything is built."""
 
 import math
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
 
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.settings.files import read_bytes
 from usarmjx.models.files.images import MAX_HEIGHTS
-
-MAX_ELEMENTS = 50_000
-"""Largest number of elements in an XML file, and in a model including its repetitions and includes."""
-MAX_DEPTH = 200
-"""Largest depth of elements."""
+from usarmjx.models.files.xml_lines import (
+    MAX_DEPTH,
+    MAX_ELEMENTS,
+    LinedElement,
+    XmlSyntaxError,
+    read_lined_xml,
+)
 
 MAX_TEXELS = 64_000_000
 """Largest number of pixels of a model's textures."""
@@ -46,53 +47,6 @@ CUBE_SIDES = {"cube": 6, "skybox": 6, "2d": 1}
 """Number of faces of a texture type."""
 
 
-def read_xml(path: Path, text: str | None = None) -> ElementTree.Element:
-    """Return the root of an XML file.
-
-    Args:
-        path: The file.
-        text: Text to read instead of the file's content.
-
-    Raises:
-        ArenaFileError: A file that is missing, is too large, or is nested too deeply, or defines a document
-            type; names the finding and the limit.
-        ElementTree.ParseError: It is no XML.
-    """
-    parser = ElementTree.XMLParser(target=_BoundedTree(path))
-    parser.feed(read_bytes(path, refusal=ArenaFileError) if text is None else text)
-    return parser.close()
-
-
-class _BoundedTree(ElementTree.TreeBuilder):
-    """A tree builder with limits of size and depth.
-
-    Args:
-        path: The file, for messages.
-    """
-
-    def __init__(self, path: Path) -> None:
-        super().__init__()
-        self._path, self._depth, self._count = path, 0, 0
-
-    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
-        """Refuse a document type: its entities can expand exponentially."""
-        raise ArenaFileError(f"{self._path}: defines a document type (<!DOCTYPE {name}>); models have none")
-
-    def start(self, tag: str, attrs: dict[str, str], /) -> ElementTree.Element:
-        """Begin an element."""
-        self._depth, self._count = self._depth + 1, self._count + 1
-        if self._depth > MAX_DEPTH:
-            raise ArenaFileError(f"{self._path}: <{tag}> is nested {self._depth} deep; at most {MAX_DEPTH}")
-        if self._count > MAX_ELEMENTS:
-            raise ArenaFileError(f"{self._path}: more than {MAX_ELEMENTS} elements, <{tag}> is the next one")
-        return super().start(tag, attrs)
-
-    def end(self, tag: str, /) -> ElementTree.Element:
-        """End an element."""
-        self._depth -= 1
-        return super().end(tag)
-
-
 def check_model_size(path: Path) -> None:
     """Refuse an MJCF or URDF file that exceeds the limits of a model.
 
@@ -114,7 +68,7 @@ class _Tally:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._known: dict[Path, ElementTree.Element | None] = {}
+        self._known: dict[Path, LinedElement | None] = {}
         self._elements = self._heights = self._texels = 0.0
 
     def add_file(self, path: Path, times: float, within: tuple[Path, ...]) -> None:
@@ -133,20 +87,20 @@ class _Tally:
             models = {one.get("name"): one.get("file", "") for one in root.iter("model")}
             self._add(root, times, (*within, path), len(within), models)
 
-    def _root(self, path: Path) -> ElementTree.Element | None:
+    def _root(self, path: Path) -> LinedElement | None:
         if path not in self._known:
             if len(self._known) == MAX_FILES:
                 raise self._error(f"is made of more than {MAX_FILES} files")
             try:
                 text = _without_comments(read_bytes(path, refusal=ArenaFileError).decode("utf-8", "replace"))
-                self._known[path] = read_xml(path, text)
-            except ElementTree.ParseError:
+                self._known[path] = read_lined_xml(path, text)
+            except XmlSyntaxError:
                 self._known[path] = None
         return self._known[path]
 
     def _add(
         self,
-        element: ElementTree.Element,
+        element: LinedElement,
         times: float,
         within: tuple[Path, ...],
         depth: int,
@@ -163,10 +117,10 @@ class _Tally:
             self._add_other(models.get(element.get("model"), ""), times, within)
         if element.tag == "replicate":
             times *= _product(element, "count")
-        for child in element:
+        for child in element.children():
             self._add(child, times, within, depth + 1, models)
 
-    def _add_amounts(self, element: ElementTree.Element, times: float) -> None:
+    def _add_amounts(self, element: LinedElement, times: float) -> None:
         """Add the amounts of an element itself."""
         made = times * (
             _product(element, "count") * _product(element, "cellcount")
@@ -189,14 +143,14 @@ class _Tally:
                 self.add_file(folder / name, times, within)
                 return
 
-    def _within(self, found: float, most: float, element: ElementTree.Element, what: str) -> float:
+    def _within(self, found: float, most: float, element: LinedElement, what: str) -> float:
         if not found <= most:
             name = element.get("name") or element.get("prefix")
             called = f"<{element.tag}>" if name is None else f"<{element.tag}> {name!r}"
             raise self._error(f"{called} brings its {what} to {found:.15g}; at most {most:.15g}")
         return found
 
-    def _check_bounds(self, element: ElementTree.Element) -> None:
+    def _check_bounds(self, element: LinedElement) -> None:
         for key, text in element.attrib.items():
             most = BOUNDS.get((element.tag, key), BOUNDS_ANYWHERE.get(key))
             if most is not None and not max(_numbers(text), default=0.0) <= most:
@@ -219,7 +173,7 @@ def _without_comments(text: str) -> str:
     return "".join([*parts, text[at:]])
 
 
-def _product(element: ElementTree.Element, key: str) -> float:
+def _product(element: LinedElement, key: str) -> float:
     """Return the product of an attribute's numbers, each at least 1; 1 if it has none."""
     return math.prod(max(number, 1.0) for number in _numbers(element.get(key, "")))
 

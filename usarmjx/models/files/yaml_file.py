@@ -50,7 +50,7 @@ class ArenaFile(ArenaSpec):
         extent: x and y limits of the floor plan; without the key, 1 m around the solids.
         mjcf: MJCF files.
         urdf: URDF files.
-        meshes: OBJ and STL files.
+        meshes: OBJ, STL and COLLADA files.
         heightfield: Grey images as terrain.
         map: Maps of ROS' map_server.
     """
@@ -75,7 +75,7 @@ class FileOfMesh:
     """A solid's mesh with its geometry for rays.
 
     Attributes:
-        file: OBJ or STL file.
+        file: OBJ, STL or COLLADA file.
         rays: Its faces, or the hull.
     """
 

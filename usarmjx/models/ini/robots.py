@@ -1,9 +1,9 @@
 """Robots from USARBot.ini and USARMisPkg.ini (manual 12.1.2, 14.4.2): changed and new classes.
 
 Files are read in order; the last value of a key counts. A list (Sensors, Effecters, Cameras, MisPkgs,
-JointParts, Wheels) of one file replaces the class's own or an earlier file's, as Unreal's arrays do;
-lines that all have a `+`, and
-AddSensors, AddEffecters, AddCameras and AddMisPkgs (ours) add to it instead.
+JointParts, Wheels) of one file replaces the class's own or an earlier file's, as Unreal's arrays do.
+AddSensors, AddEffecters, AddCameras and AddMisPkgs (ours) add to it instead, and so do Sensors, Effecters,
+Cameras and MisPkgs whose lines in that file all have a `+`.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
