@@ -409,8 +409,8 @@ def test_a_robot_pushes_the_ball_into_the_goal(env):
 def test_the_baseline_scores_against_robots_that_stand(env):
     """Games of 13 s, yellow does nothing: goals for blue, and none against it.
 
-    A third of such games ends with a goal (5 of 16 measured); a rounding decides which. Fewer than 4 of 32
-    have a probability of 0.3 %.
+    About a third of such games ends with a goal, and a rounding decides which: at 5 of 16, fewer than two
+    goals have a probability of 2 %.
     """
     policy = BASELINES.get("soccer")(env)
     blue = jnp.array([1.0, 1.0, 0.0, 0.0])[:, None]
@@ -418,10 +418,10 @@ def test_the_baseline_scores_against_robots_that_stand(env):
         initial_carry=policy.initial_carry,
         act=lambda memory, obs, key: ((), (blue * policy.act((), obs, key)[1][0],)),
     )
-    played = run_episodes(env, alone, 32)
+    played = run_episodes(env, alone, 16)
     assert played.bad == 0
     assert played.scores.min() >= 0.0
-    assert played.scores.sum() >= 4.0
+    assert played.scores.sum() >= 2.0
 
 
 def test_yellow_plays_by_hand_or_stands_if_asked_to():
