@@ -6,10 +6,12 @@ import os
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import typer
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from usarmjx.base.errors import UsageError, WriteError
@@ -197,6 +199,29 @@ def test_several_processes_run_the_same_command(monkeypatch):
     assert result.exit_code == 3
     assert called == [(2, [sys.executable, "-m", "usarmjx", "train", "--processes", "2"])]
     assert "USARMJX_PROCESS" not in os.environ
+
+
+def test_the_world_of_a_run_is_served_at_the_ports_that_were_asked_for(monkeypatch, tmp_path):
+    """By `play`, whose own options these are."""
+    started = []
+
+    def train(*_, **__):
+        raise WriteError("enough")
+
+    def start(command, **_):
+        started.append(command)
+        return SimpleNamespace(wait=lambda: 0)
+
+    monkeypatch.setattr("usarmjx.train.learning.trainer.train", train)
+    monkeypatch.setattr("usarmjx.cli.train.subprocess.Popen", start)
+    own = ("--set", "num_minibatches=1", "--out", tmp_path / "x")
+    invoke("train", *SMALL, *own, "--serve", "--port", "3001", "--port-offset", "100")
+    ((*_, name, run, serve, follow, port, number, offset, ports),) = started
+    assert (name, run, serve, follow) == ("play", str(tmp_path / "x"), "--serve", "--follow")
+    assert (port, number, offset, ports) == ("--port", "3001", "--port-offset", "100")
+    play = get_command(app).commands["play"]
+    read = play.make_context("play", [run, serve, follow, port, number, offset, ports]).params
+    assert (read["serve"], read["follow"], read["port"], read["port_offset"]) == (True, True, 3001, 100)
 
 
 def test_a_system_without_posix_pipes_is_told_how_to_serve_a_run(monkeypatch):

@@ -242,14 +242,16 @@ def test_lines_are_those_of_the_manual_and_of_captures(watch):
 
 
 def test_getconf(watch):
+    """Manual 9.3 and 10.11.2: what the sensor's section configures, but for looks and weight."""
+
     def conf(kind, name):
         (message,) = configuration(
             watch.robot, watch.suite.sensors, (1.0,) * len(watch.robot.cameras), kind, name
         )
         return format_message(message)
 
-    assert conf("Sound", "Noisy") == "CONF {Type Sound} {Name Noisy} {ScanInterval 0.0000}"
+    assert conf("Sound", "Noisy") == "CONF {Type Sound} {Name Noisy} {Noise 0.3000}"
     assert conf("HumanMotion", "Motion") == (
         "CONF {Type HumanMotion} {Name Motion} {MaxRange 1000.0000} {FOV 1.0471}"
     )
-    assert conf("CO2Sensor", "CO2") == "CONF {Type CO2Sensor} {Name CO2} {ScanInterval 0.0000}"
+    assert conf("CO2Sensor", "CO2") == "CONF {Type CO2Sensor} {Name CO2} {Noise 0.0000}"

@@ -10,6 +10,7 @@ import threading
 from tests.server.lockstep import LOCKSTEP, lockstep
 from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.gamebots.settings import BotServerSettings
+from usarmjx.server.protocol import commands as wire
 from usarmjx.server.runtime.loop import ServerLoop
 
 PATIENCE = 60.0  # s: how long to wait for what takes well under a second on an idle machine
@@ -76,6 +77,18 @@ class Peer:
         """Break the connection off instead of closing it."""
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         self.socket.close()
+
+
+def say(client, line):
+    """Let an adapter's client send a line, without a socket; return the lines that it receives at once."""
+    for command in client.session.receive_data(line.encode() + b"\r\n"):
+        if isinstance(command, wire.Init):
+            spec = client.robot_class(command)
+            client.session.answer_init(spec is not None and client.spawn(command, spec))
+            client.session.data_to_send()
+        else:
+            client.handle(command)
+    return client.session.data_to_send().decode().split("\r\n")[:-1]
 
 
 @contextlib.contextmanager

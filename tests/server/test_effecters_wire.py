@@ -12,13 +12,13 @@ import pytest
 
 from tests.arenas import FLAT, RAMP
 from tests.handy import GRIPPER, TAGGER, known
+from tests.server.peers import say
 from usarmjx.models.compile.parts import joint_names
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.effecters import EFFECTERS, Effect, Effecter, Opcode
 from usarmjx.models.effecters.gripper import LEVER
 from usarmjx.models.types.robot import Mount, options
 from usarmjx.server.gamebots.adapter import Client
-from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol.grammar import parse_message
 from usarmjx.server.worlds.batch_world import BatchWorld
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
@@ -70,18 +70,6 @@ def connect(world, name="Tagger", start="S0"):
     client = Client(world, "peer")
     say(client, f"INIT {{ClassName {name}}} {{Start {start}}}")
     return client
-
-
-def say(client, line):
-    """Let a client say a line; return the lines that it hears at once."""
-    for command in client.session.receive_data(line.encode() + b"\r\n"):
-        if isinstance(command, wire.Init):
-            spec = client.robot_class(command)
-            client.session.answer_init(spec is not None and client.spawn(command, spec))
-            client.session.data_to_send()
-        else:
-            client.handle(command)
-    return client.session.data_to_send().decode().split("\r\n")[:-1]
 
 
 def status(client, kind, name, opcode, params=None):

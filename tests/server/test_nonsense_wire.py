@@ -11,11 +11,11 @@ import pytest
 
 from tests.arenas import FLAT
 from tests.handy import GRIPPER, TAGGER, known
+from tests.server import peers
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.robot import Mount
 from usarmjx.server.gamebots.adapter import Client
-from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol.grammar import parse_message
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 
@@ -68,14 +68,8 @@ def client():
 
 
 def say(client, line):
-    """Let a client say a line; return the lines that it hears at once."""
-    for command in client.session.receive_data(line.encode() + b"\r\n"):
-        if isinstance(command, wire.Init):
-            spec = client.robot_class(command)
-            client.session.answer_init(spec is not None and client.spawn(command, spec))
-        else:
-            client.handle(command)
-    lines = client.session.data_to_send().decode().split("\r\n")[:-1]
+    """Let a client send a line; return the lines that it receives at once, which have no empty segment."""
+    lines = peers.say(client, line)
     for message in map(parse_message, lines):
         assert all(value for _, value in message.segments), f"a segment without a value: {message}"
     return lines

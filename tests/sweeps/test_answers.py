@@ -20,7 +20,7 @@ from usarmjx.sweeps.table import export_rows
 
 
 def record(key, scores, bad=(), failed=None, unlinked=0.5, **settings):
-    settings = {"task": "explore", "policy": "by-hand", "seed": 0, "episodes": len(scores), **settings}
+    settings = {"task": "explore", "policy": "baseline", "seed": 0, "episodes": len(scores), **settings}
     flags = [number in bad for number in range(len(scores))]
     return CellRecord(
         key=key,
@@ -37,11 +37,11 @@ def record(key, scores, bad=(), failed=None, unlinked=0.5, **settings):
 
 
 RECORDS = (
-    record("a", [10, 20, 30], **{"radio.cutoff": -60, "policy": "by-hand"}),
-    record("b", [40, 50, 60], **{"radio.cutoff": -40, "policy": "by-hand"}, unlinked=0.9),
-    record("c", [11, 22, 33], **{"radio.cutoff": -60, "policy": "shipped"}, unlinked=0.2),
-    record("d", [41, 0, 61], bad=(1,), **{"radio.cutoff": -40, "policy": "shipped"}, unlinked=0.95),
-    record("e", [], failed="out of luck", **{"radio.cutoff": -20, "policy": "shipped"}),
+    record("a", [10, 20, 30], **{"radio.cutoff": -60, "policy": "baseline"}),
+    record("b", [40, 50, 60], **{"radio.cutoff": -40, "policy": "baseline"}, unlinked=0.9),
+    record("c", [11, 22, 33], **{"radio.cutoff": -60, "policy": "packaged"}, unlinked=0.2),
+    record("d", [41, 0, 61], bad=(1,), **{"radio.cutoff": -40, "policy": "packaged"}, unlinked=0.95),
+    record("e", [], failed="out of luck", **{"radio.cutoff": -20, "policy": "packaged"}),
 )
 
 
@@ -65,16 +65,16 @@ def test_what_is_kept_comes_back(found):
 
 def test_scores_over_an_axis_are_those_of_its_cells(found):
     rows = {(row.axis, row.value.text, row.policy): row for row in overall_rows(found) + axis_rows(found)}
-    assert rows["", "all", "by-hand"].mean.value == 35.0
-    assert rows["radio.cutoff", "-60", "by-hand"].mean.value == 20.0
-    last = rows["radio.cutoff", "-40", "shipped"].mean
+    assert rows["", "all", "baseline"].mean.value == 35.0
+    assert rows["radio.cutoff", "-60", "baseline"].mean.value == 20.0
+    last = rows["radio.cutoff", "-40", "packaged"].mean
     assert (last.value, last.count) == (51.0, 2), "an episode that went wrong does not count"
     assert last.low <= 51.0 <= last.high
 
 
 def test_policies_are_compared_in_the_same_episodes(found):
     (row,) = policy_differences(found)
-    assert (row.first, row.second) == ("by-hand", "shipped")
+    assert (row.first, row.second) == ("baseline", "packaged")
     # Less 1, 2 and 3 in one cell; less 1 and 1 in the other, whose second episode went wrong.
     assert row.gain.value == pytest.approx(-(1 + 2 + 3 + 1 + 1) / 5)
     assert row.gain.count == 5
@@ -84,9 +84,9 @@ def test_policies_are_compared_in_the_same_episodes(found):
 def test_the_front_is_between_score_and_connectivity(found):
     best = {point.label for point in front_points(found) if point.best}
     assert best == {
-        "radio.cutoff -60, policy shipped",  # the best linked
-        "radio.cutoff -40, policy shipped",  # the best score
-        "radio.cutoff -40, policy by-hand",
+        "radio.cutoff -60, policy packaged",  # the best linked
+        "radio.cutoff -40, policy packaged",  # the best score
+        "radio.cutoff -40, policy baseline",
     }
 
 
@@ -94,9 +94,9 @@ def test_the_report_says_what_there_is_and_what_is_not(found):
     said = report(found)
     assert said.startswith("some: What is asked.\n4 of 6 cells, 1 failed, 1 not played yet\n")
     assert "1 episodes left out: physics failed" in said
-    assert "failed: out of luck (1 cells, as radio.cutoff -20, policy shipped)" in said
+    assert "failed: out of luck (1 cells, as radio.cutoff -20, policy packaged)" in said
     assert "computed with another usarmjx: 0.0.1" in said
-    assert "| explore | -60          | by-hand | 20 (" in said
+    assert "| explore | -60          | baseline | 20 (" in said
     assert "-1.6 (" in said
 
 
@@ -105,7 +105,7 @@ def test_two_sweeps_are_compared_cell_by_cell(found, tmp_path):
     said = compare(found, stored(tmp_path / "other", other))
     assert "2 cells in both, 2 in the first only, 0 in the second only" in said
     assert "the same score in 1 of them" in said
-    assert "| explore | radio.cutoff -60, policy by-hand | 20    | 21     | 1 (-3.3 to 5.3) " in said, (
+    assert "| explore | radio.cutoff -60, policy baseline | 20    | 21     | 1 (-3.3 to 5.3) " in said, (
         "Student's of 0, 0, 3"
     )
 

@@ -14,7 +14,7 @@ from usarmjx.sweeps.store import CellRecord, StoredSweep
 EPISODES = 6
 
 
-def cell(number, policy="by-hand", scores=None, **settings):
+def cell(number, policy="baseline", scores=None, **settings):
     scores = np.random.default_rng(number).uniform(0, 10, EPISODES) if scores is None else scores
     return CellRecord(
         key=f"{number} {policy}",
@@ -94,49 +94,52 @@ def test_most_cells_may_have_the_same_number():
 
 @pytest.fixture
 def uneven():
-    """By hand with teams of 2 and 4 at two levels; the shipped policy with teams of 4 alone."""
-    by_hand = [
+    """The baseline with teams of 2 and 4 at two levels; the packaged policy with teams of 4 alone."""
+    baseline = [
         cell(n, scores=[score] * 3, roster={"P2AT": size}, **{"arena.level": level})
         for n, (size, level, score) in enumerate([(2, 0.4, 10), (2, 0.8, 5), (4, 0.4, 30), (4, 0.8, 20)])
     ]
-    shipped = [
-        cell(n, "shipped", [score] * 3, roster={"P2AT": 4}, **{"arena.level": level})
+    packaged = [
+        cell(n, "packaged", [score] * 3, roster={"P2AT": 4}, **{"arena.level": level})
         for n, (level, score) in enumerate([(0.4, 32), (0.8, 21)])
     ]
-    return sweep_of([*by_hand, *shipped], "roster", "arena.level")
+    return sweep_of([*baseline, *packaged], "roster", "arena.level")
 
 
 def test_policies_are_compared_over_the_cells_that_all_of_them_have(uneven):
     rows = {(row.axis, row.value.text, row.policy): row for row in axis_rows(uneven)}
-    assert rows["arena.level", "0.4", "by-hand"].mean.value == 30, "not 20, with the small team"
-    assert rows["arena.level", "0.8", "shipped"].mean.value == 21
-    assert [rows["arena.level", "0.4", policy].left_out for policy in ("by-hand", "shipped")] == [1, 0]
-    assert rows["roster", "P2AT x 2", "by-hand"].mean.value == 7.5, "who is alone there has all its cells"
-    assert rows["roster", "P2AT x 4", "by-hand"].mean.value == 25
-    assert ("roster", "P2AT x 2", "shipped") not in rows
-    assert {row.policy: row.mean.value for row in overall_rows(uneven)} == {"by-hand": 16.25, "shipped": 26.5}
-    assert "explore: 2 cells of by-hand are left out, which not all policies have" in report(uneven)
+    assert rows["arena.level", "0.4", "baseline"].mean.value == 30, "not 20, with the small team"
+    assert rows["arena.level", "0.8", "packaged"].mean.value == 21
+    assert [rows["arena.level", "0.4", policy].left_out for policy in ("baseline", "packaged")] == [1, 0]
+    assert rows["roster", "P2AT x 2", "baseline"].mean.value == 7.5, "who is alone there has all its cells"
+    assert rows["roster", "P2AT x 4", "baseline"].mean.value == 25
+    assert ("roster", "P2AT x 2", "packaged") not in rows
+    assert {row.policy: row.mean.value for row in overall_rows(uneven)} == {
+        "baseline": 16.25,
+        "packaged": 26.5,
+    }
+    assert "explore: 2 cells of baseline are left out, which not all policies have" in report(uneven)
 
 
 def test_a_cell_that_one_policy_lacks_is_left_out_of_the_others_value(uneven):
-    some = [record for record in uneven.records if record.key != "0 shipped"]
+    some = [record for record in uneven.records if record.key != "0 packaged"]
     rows = {(row.axis, row.value.text, row.policy): row for row in axis_rows(sweep_of(some, *uneven.axes))}
-    assert rows["roster", "P2AT x 4", "by-hand"].mean.value == 20, "at the level of shipped"
-    assert rows["roster", "P2AT x 4", "by-hand"].left_out == 1
+    assert rows["roster", "P2AT x 4", "baseline"].mean.value == 20, "at the level of packaged"
+    assert rows["roster", "P2AT x 4", "baseline"].left_out == 1
 
 
 def test_policies_without_a_cell_in_common_stand_for_their_own():
     records = [
-        cell(1, "by-hand", roster={"P2AT": 2}, seed=0),
-        cell(2, "by-hand", roster={"P2AT": 2}, seed=1),
-        cell(3, "shipped", roster={"P2AT": 4}, seed=0),
-        cell(4, "shipped", roster={"P2AT": 4}, seed=1),
+        cell(1, "baseline", roster={"P2AT": 2}, seed=0),
+        cell(2, "baseline", roster={"P2AT": 2}, seed=1),
+        cell(3, "packaged", roster={"P2AT": 4}, seed=0),
+        cell(4, "packaged", roster={"P2AT": 4}, seed=1),
     ]
     found = sweep_of(records, "seed", "roster")
     rows = [row for row in axis_rows(found) if row.axis == "seed"]
     assert [(row.policy, row.own, row.left_out) for row in rows[:2]] == [
-        ("by-hand", True, 0),
-        ("shipped", True, 0),
+        ("baseline", True, 0),
+        ("packaged", True, 0),
     ]
     assert shared_cells(records)[1]
     assert not shared_cells(records[:2])[1], "one policy has all cells in common with itself"
@@ -154,25 +157,25 @@ def texts(panel):
 
 def test_a_legend_says_over_which_cells(uneven):
     panels = panels_of(uneven)
-    assert texts(panels["arena.level"]) == ["by-hand, 2 of 4 cells", "shipped"]
-    assert texts(panels["profile"]) == ["by-hand, 2 of 4 cells", "shipped"]
+    assert texts(panels["arena.level"]) == ["baseline, 2 of 4 cells", "packaged"]
+    assert texts(panels["profile"]) == ["baseline, 2 of 4 cells", "packaged"]
     assert texts(panels["roster"]) == [], "all of their cells are there"
-    assert cells_told("by-hand", 3, 0, True) == "by-hand, its own 3 cells"
+    assert cells_told("baseline", 3, 0, True) == "baseline, its own 3 cells"
 
 
 def test_points_have_their_intervals_and_no_line_joins_two(uneven):
     spread = [
         cell(1, scores=[1, 3, 5], **{"radio.n": 1}),
         cell(2, scores=[2, 3, 4], **{"radio.n": 2}),
-        cell(2, "shipped", [3, 6, 9], **{"radio.n": 2}),
+        cell(2, "packaged", [3, 6, 9], **{"radio.n": 2}),
     ]
     found = sweep_of(spread, "radio.n")
     panel = panels_of(found)["radio.n"]
     assert panel.get_xlabel() == "path loss exponent of the radio"
     bars = {one.get_label(): one for one in panel.containers}
     assert [one.lines[0].get_linestyle() for one in bars.values()] == ["None", "None"]
-    (line,) = bars["shipped"].lines[2]
-    (row,) = [row for row in axis_rows(found) if row.policy == "shipped"]
+    (line,) = bars["packaged"].lines[2]
+    (row,) = [row for row in axis_rows(found) if row.policy == "packaged"]
     (segment,) = line.get_segments()
     np.testing.assert_allclose(segment[:, 1], [row.mean.low, row.mean.high])
     assert row.mean.low < 6 < row.mean.high

@@ -38,6 +38,13 @@ def test_the_order_of_settings_and_the_name_of_a_method_are_no_part_of_a_key():
     assert key_of({**cell, "seed": 1}) != key_of(cell)
 
 
+def test_policies_have_one_key_under_their_earlier_names():
+    for name, earlier in (("baseline", "by-hand"), ({"baseline": "convoy"}, {"by-hand": "convoy"})):
+        assert cell_of(policy=earlier) == cell_of(policy=name)
+        # Results are kept under the key of the earlier name.
+        assert key_of({**cell_of(), "policy": earlier}) == key_of(cell_of(policy=name))
+
+
 def test_a_script_and_what_it_imports_from_beside_it(tmp_path):
     file, beside, other = tmp_path / "own.py", tmp_path / "beside.py", tmp_path / "other.py"
     file.write_text("from beside import turn\n\ndef policy(env): ...\n")

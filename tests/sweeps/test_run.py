@@ -100,7 +100,7 @@ def test_of_a_changed_file_only_what_changed_is_played_and_broken_cells_stop_nob
     before = times(folder)
     (tmp_path / "broken.py").write_text(BROKEN)
     own = [f"{tmp_path}/broken.py:{name}" for name in ("raises", "none")]
-    policies = [*own, "lost.npz", "shipped", rows[1]["policy"]]
+    policies = [*own, "lost.npz", "packaged", rows[1]["policy"]]
     cells = [{"policy": policy, "seed": 7} for policy in policies]
     cells += [{"policy": rows[1]["policy"], "seed": seed} for seed in (1, 2)]
     product = {"arena.level": [0.9], "vary.friction": [1.0]}

@@ -16,12 +16,12 @@ def cells(**given):
 
 def test_lists_products_and_samples_are_all_combined():
     found = cells(
-        list=[{"roster": {"P2AT": 2}}, {"roster": {"P2AT": 4}, "policy": "shipped"}],
+        list=[{"roster": {"P2AT": 2}}, {"roster": {"P2AT": 4}, "policy": "packaged"}],
         product={"arena": {"level": [0.4, 0.8]}, "seed": [0, 1, 2]},
         sample={"count": 5, "ranges": {"radio.cutoff": [-60.0, -40.0]}},
     )
     assert len(found) == 2 * 2 * 3 * 5
-    assert {(cell["policy"], cell["roster"]["P2AT"]) for cell in found} == {("by-hand", 2), ("shipped", 4)}
+    assert {(cell["policy"], cell["roster"]["P2AT"]) for cell in found} == {("baseline", 2), ("packaged", 4)}
     assert {cell["arena.level"] for cell in found} == {0.4, 0.8}
     assert len({cell["radio.cutoff"] for cell in found}) == 5
 
@@ -91,10 +91,10 @@ def test_a_file_that_does_not_read_is_one_line(tmp_path):
         ({"roster": {"P2AT": 0}}, "expected classes and how many"),
         ({"fields.velocity": 3}, "has no setting 'velocity'; it has"),
         ({"fields.price": "dear"}, "fields: price is 'dear', expected a number"),
-        ({"policy": {"runs": "x"}}, "expected by-hand, shipped, random, a run's folder"),
+        ({"policy": {"runs": "x"}}, "expected baseline, packaged, random, a run's folder"),
         ({"policy": "nowhere.npz"}, "nowhere.npz is no folder of a run"),
         ({"policy": {"client": "x", "speed": 0}}, "speed is 0"),
-        ({"task": "convoy", "policy": "shipped"}, "no policy for convoy comes with the package"),
+        ({"task": "convoy", "policy": "packaged"}, "no policy for convoy comes with the package"),
     ],
 )
 def test_settings_that_stand_for_nothing_are_named(settings, said):
@@ -141,7 +141,7 @@ def test_data_share_a_signature_and_what_is_compiled_in_does_not():
     assert differs(**{"arena.level": 0.9, "arena.seed": 4, "seed": 3}) == set()
     assert differs(roster={"P2AT": 3}) == {"team and fields of the task"}
     assert differs(physics="fast") == {"physics"}
-    assert differs(policy="shipped") == {"policy"}
+    assert differs(policy="packaged") == {"policy"}
     assert differs(**{"arena.size": [9, 8]}) == {"arena"}
     said = {"radio.cutoff": -49.0, "vary.friction": [0.5, 1.5]}
     one, two = resolved(**said), resolved(**{"radio.cutoff": -60.0, "vary.friction": 1.0})

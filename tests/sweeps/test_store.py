@@ -3,6 +3,7 @@
 import json
 import math
 import shutil
+from dataclasses import replace
 
 import pytest
 
@@ -50,6 +51,13 @@ def test_a_cell_that_was_copied_over_another_does_not_count(tmp_path, cell, capl
     assert [line.split(": ", 1)[1] for line in caplog.messages] == [
         "is the result of another cell, 1f; the cell counts as not played"
     ]
+
+
+def test_policies_of_earlier_results_have_their_names_of_now(tmp_path):
+    for number, (earlier, name) in enumerate((("by-hand", "baseline"), ("shipped", "packaged"))):
+        record = replace(RECORD, key=str(number), settings={"task": "explore", "policy": earlier})
+        write_cell(tmp_path, record)
+        assert read_cell(tmp_path, str(number)).settings["policy"] == name
 
 
 def test_results_of_earlier_versions_have_no_checksum(tmp_path, cell):

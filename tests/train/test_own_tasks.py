@@ -14,8 +14,9 @@ import usarmjx
 from tests.train.handmade import policy_file
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
+from usarmjx.sweeps.contents import key_of
 from usarmjx.sweeps.drivers import find_driver
-from usarmjx.sweeps.resolve import key_of, resolve
+from usarmjx.sweeps.resolve import resolve
 from usarmjx.sweeps.spec import complete
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.task import Policy
@@ -175,7 +176,7 @@ def test_a_sweep_plays_own_tasks_and_tells_their_versions_apart(own):
     settings = complete({"task": "my_task.py:Meet", "fields.near": 1.0, "roster": ["P2AT"]}, "cell")
     found = resolve(settings)
     assert (found.task.near, found.task.robot) == (1.0, "P2AT")
-    assert find_driver("by-hand", "my_task.py:Meet").make is not None
+    assert find_driver("baseline", "my_task.py:Meet").make is not None
     before = key_of(settings)
     file = own / "my_task.py"
     file.write_text(file.read_text().replace("2.0 * met", "3.0 * met"))

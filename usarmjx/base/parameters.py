@@ -24,11 +24,10 @@ class Parameters:
     @property
     def expects(self) -> str:
         """The form in words."""
-        unit = f" [{self.note.unit}]" if self.note.unit else ""
         if self.most == 1:
-            return f"{'a' if self.fewest else 'at most one'} number{self.note.limits}{unit}"
+            return f"{'a' if self.fewest else 'at most one'} number{self.note.limits_and_unit}"
         counts = str(self.most) if self.fewest == self.most else f"{self.fewest} to {self.most}"
-        return f"{counts} numbers{self.note.limits}{unit}"
+        return f"{counts} numbers{self.note.limits_and_unit}"
 
 
 ANY_PARAMETERS = Parameters(0, 64)

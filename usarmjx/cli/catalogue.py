@@ -35,6 +35,8 @@ TABLE_HEAD = """# All robots
 This page is the output of `usarmjx list robots --markdown`; a test keeps it so. The last column says where
 each figure is from: the manual's section, lines captured from a real server, the machine's data sheet, or
 chosen by us because nothing was found. What was measured on the built robots is in [robots.md](robots.md).
+The top speed of a flying robot is that of all its speeds at once: 2 m/s ahead and 2 m/s up (manual 12.21)
+make 2.83 m/s for a Passarola.
 
 ![All robots, drawn by `usarmjx portraits`](robots.png)
 """

@@ -29,6 +29,8 @@ MOST_LAG = 0.3
 """Age from which a frame of a served world is left out [s]."""
 LOG_INTERVAL = 10.0
 """Interval between two log lines about frames that were left out [s]."""
+CHANNEL_METADATA = "usarmjx channel"
+"""Name of metadata that repeats a channel's number and fields outside of the parts."""
 MOST_WAITING = 50_000
 """Most waiting jobs; with more, `put` blocks."""
 PATIENCE = 5.0
@@ -191,13 +193,13 @@ class RecordingFile:
         where = f"/world{channel.world}" if self._several else ""
         own = "" if schema.startswith("foxglove.") else "/usarmjx"
         parts = "/".join(part.replace("/", "_") for part in (channel.kind, channel.about) if part)
-        self._channels[channel] = self._writer.register_channel(
-            f"{where}{own}/{parts}",
-            "json" if schema else "msgpack",
-            self._schemas[name],
-            {"world": str(channel.world), "kind": channel.kind, "about": channel.about},
+        fields = {"world": str(channel.world), "kind": channel.kind, "about": channel.about}
+        number = self._channels[channel] = self._writer.register_channel(
+            f"{where}{own}/{parts}", "json" if schema else "msgpack", self._schemas[name], fields
         )
-        return self._channels[channel]
+        # A file without its end has a channel only in the part that uses it first, which may be damaged.
+        self._writer.add_metadata(CHANNEL_METADATA, {"id": str(number), **fields})
+        return number
 
     def _run(self) -> None:
         try:

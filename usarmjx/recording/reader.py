@@ -3,7 +3,7 @@
 import json
 import logging
 from bisect import bisect_right
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -17,7 +17,7 @@ from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from usarmjx.base.errors import UsageError
-from usarmjx.recording.file import CHANNELS, NANO, ChannelName
+from usarmjx.recording.file import CHANNEL_METADATA, CHANNELS, NANO, ChannelName
 from usarmjx.recording.inputs import WorldSetup
 from usarmjx.recording.values import unpack
 
@@ -67,7 +67,6 @@ class Recording:
         about: Metadata of the file, texts by name.
         start: Time of its first chunk [s].
         end: Time of its last chunk [s].
-        damaged: Number of chunks, of half a second or more, that are damaged and left out.
 
     Raises:
         UsageError: It cannot be read, or is no recording of ours.
@@ -82,7 +81,7 @@ class Recording:
         self._channels: dict[int, ChannelName] = {}
         self.about: dict[str, str] = {}
         self._parts: list[_Part] = []
-        self.damaged = 0
+        self._skipped, self._unread = 0, set[int]()
         self.is_complete = self._read_summary()
         if not self.is_complete:
             self._scan()
@@ -91,16 +90,25 @@ class Recording:
             raise UsageError(f"{path}: is no recording of usarmjx, or nothing is left of it")
         self.start = min(part.start for part in self._parts) / NANO
         self.end = max(part.end for part in self._parts) / NANO
-        if self.damaged:
+        if self._skipped:
             log.warning("%s: %s", self.path, self._losses())
         self._records = lru_cache(maxsize=CACHED_CHUNKS)(self._read_part)
+
+    @property
+    def damaged(self) -> int:
+        """Number of chunks, of half a second or more, that are damaged and left out.
+
+        Those of a complete file are found when they are read.
+        """
+        return self._skipped + len(self._unread)
 
     def _losses(self) -> str:
         """Return the time that damaged chunks have left empty, in a line."""
         spans = sorted((part.start, part.end) for part in self._parts)
         gaps = [later[0] - earlier[1] for earlier, later in pairwise(spans)]
         missing = sum(gap for gap in gaps if gap > USUAL_GAP) / NANO
-        return f"{self.damaged} parts are damaged and left out, {missing:.1f} s of what was recorded"
+        lost = f", {missing:.1f} s of what was recorded" if missing else ""  # none at beginning and end
+        return f"{self._skipped} parts are damaged and left out{lost}"
 
     def close(self) -> None:
         """Close the file."""
@@ -118,7 +126,7 @@ class Recording:
         except Exception:  # the MCAP library raises any error on the cut end of a file
             return False
         for channel in summary.channels.values():
-            self._take_channel(channel)
+            self._take_channel(channel.id, channel.metadata)
         self._parts = [
             _Part(
                 index.message_start_time,
@@ -148,14 +156,14 @@ class Recording:
                     inside = _records_of(record)
                     for one in inside:
                         if isinstance(one, Channel):
-                            self._take_channel(one)
+                            self._take_channel(one.id, one.metadata)
                     used = frozenset(one.channel_id for one in inside if isinstance(one, Message))
                     times = record.message_start_time, record.message_end_time
                     self._parts.append(_Part(*times, offset, used))
             except Exception:  # a damaged record, or a cut one, after which the rest of the file is missing
                 if not self._skip_record(offset):
                     return
-                self.damaged += 1
+                self._skipped += 1
                 records = self._records_from_here(is_start=False)
 
     def _records_from_here(self, *, is_start: bool) -> Iterator[Any]:
@@ -178,19 +186,24 @@ class Recording:
     def _take_metadata(self, metadata: Metadata) -> None:
         if metadata.name == "usarmjx":
             self.about |= metadata.metadata
+        elif metadata.name == CHANNEL_METADATA and metadata.metadata.get("id", "").isdecimal():
+            self._take_channel(int(metadata.metadata["id"]), metadata.metadata)
 
-    def _take_channel(self, channel: Channel) -> None:
-        fields = channel.metadata
+    def _take_channel(self, number: int, fields: Mapping[str, str]) -> None:
         if fields.get("kind") in CHANNELS and fields.get("world", "").isdecimal():
             name = ChannelName(int(fields["world"]), fields["kind"], fields.get("about", ""))
-            self._channels[channel.id] = name
+            self._channels[number] = name
 
     def _read_part(self, part: _Part) -> tuple[Message, ...]:
         try:
             self._stream.seek(part.offset + 9)  # behind the record's opcode (1 byte) and length (8 bytes)
             records = _records_of(Chunk.read(ReadDataStream(self._stream)))
-        except Exception as error:
-            raise UsageError(f"{self.path}: is broken at byte {part.offset}: {error}") from error
+        except Exception as error:  # as in `_scan`: a damaged part costs that part only
+            if part.offset not in self._unread:
+                self._unread.add(part.offset)
+                span = part.start / NANO, part.end / NANO
+                log.warning("%s: %.2f to %.2f s are damaged and left out: %s", self.path, *span, error)
+            return ()
         return tuple(record for record in records if isinstance(record, Message))
 
     @property
@@ -214,7 +227,7 @@ class Recording:
             since: Time before which messages are left out [s].
 
         Raises:
-            UsageError: The file is broken.
+            UsageError: A message does not read.
         """
         first = 0 if since is None else round(since * NANO)
         wanted = self._wanted(kinds, world)

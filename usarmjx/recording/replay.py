@@ -173,9 +173,8 @@ def check_recording(recording: Recording, number: int) -> ReplayResult:
     steps = 0
     for message in recording.messages(("inputs", "states"), number):
         if isinstance(message.value, Interrupted):
-            return ReplayResult(
-                steps, note=f"from {message.time:.2f} s on nothing is: {message.value.reason}"
-            )
+            why = f"from {message.time:.2f} s on nothing is: {message.value.reason}"
+            return ReplayResult(steps, _damage(recording), why)
         if not isinstance(message.value, StepState):
             replayed.apply(message.value)
             continue
@@ -185,8 +184,13 @@ def check_recording(recording: Recording, number: int) -> ReplayResult:
         found = first_difference(replayed.scene, message.value, replayed.state())
         if found:
             return ReplayResult(steps - setup.repeat, difference=found, note=_other_versions(setup))
+    return ReplayResult(steps, _damage(recording))
+
+
+def _damage(recording: Recording) -> str:
+    """Return what cannot be compared, in words; empty if all can be."""
     damaged = recording.damaged
-    return ReplayResult(steps, difference=f"{damaged} damaged parts cannot be compared" if damaged else "")
+    return f"{damaged} damaged parts cannot be compared" if damaged else ""
 
 
 def _other_versions(setup: WorldSetup) -> str:

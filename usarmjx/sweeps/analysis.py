@@ -26,7 +26,7 @@ from usarmjx.sweeps.design import (
     policy_of,
     range_scores,
 )
-from usarmjx.sweeps.spec import as_text
+from usarmjx.sweeps.spec import as_text, rename_policy
 from usarmjx.sweeps.store import CellRecord, StoredSweep
 from usarmjx.sweeps.table import scores_of
 
@@ -184,6 +184,7 @@ def _normalised(
     for name in ("zero", "one"):
         given = found.normalise[name]
         if isinstance(given, str):
+            given = given if given in records else rename_policy(given)
             if given not in records:
                 raise UsageError(f"normalise: {name} is {given}, which has no cells of {task}")
             theirs = episodes_of(records[given], found.sampled)

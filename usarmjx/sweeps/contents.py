@@ -20,13 +20,15 @@ from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.recording.inputs import PACKAGES, versions
 from usarmjx.sweeps.drivers import script_of
 from usarmjx.sweeps.resolve import Resolved, resolve
-from usarmjx.sweeps.spec import CellSettings
+from usarmjx.sweeps.spec import EARLIER_POLICIES, CellSettings, rename_policy
 from usarmjx.train.envs.recipe import resolve_arenas, spec_of
 from usarmjx.train.make import file_of
 
 KEY_FORMAT = 2
 """Another number stands for other rules of what a cell plays: no result of earlier rules is found."""
 KEY_LENGTH = 20
+KEY_POLICIES = {name: earlier for earlier, name in EARLIER_POLICIES.items()}
+"""Names of policies in keys, which are the earlier ones: results keep their keys."""
 
 
 def key_of(settings: CellSettings, cell: Resolved | None = None, known: dict[str, str] | None = None) -> str:
@@ -42,6 +44,7 @@ def key_of(settings: CellSettings, cell: Resolved | None = None, known: dict[str
     """
     cell = resolve(settings) if cell is None else cell
     own = {name: value for name, value in settings.items() if name != "method"}
+    own["policy"] = rename_policy(own["policy"], KEY_POLICIES)
     contents = cell_contents(cell, {} if known is None else known)
     text = json.dumps([KEY_FORMAT, own, contents], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:KEY_LENGTH]

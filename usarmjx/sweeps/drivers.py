@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import Any
 
 from usarmjx.base.errors import UsageError
+from usarmjx.sweeps.spec import rename_policy
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import Policy
@@ -19,8 +20,8 @@ from usarmjx.train.make import find_baseline
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.sources import PolicySource, load_policy
 
-BY_HAND, SHIPPED, RANDOM = "by-hand", "shipped", "random"
-KINDS = ("by-hand", "run", "file", "python", "client")
+BASELINE, PACKAGED, RANDOM = "baseline", "packaged", "random"
+KINDS = ("baseline", "run", "file", "python", "client")
 """Keys of a policy that is a mapping."""
 
 
@@ -51,8 +52,9 @@ def _said(policy: object) -> tuple[str, str, Mapping[str, Any]]:
     Raises:
         UsageError: It is none.
     """
+    policy = rename_policy(policy)
     if isinstance(policy, str):
-        if policy in (BY_HAND, SHIPPED, RANDOM):
+        if policy in (BASELINE, PACKAGED, RANDOM):
             return policy, "", {}
         if ".py:" in policy:
             return "python", policy, {}
@@ -63,7 +65,7 @@ def _said(policy: object) -> tuple[str, str, Mapping[str, Any]]:
         if isinstance(policy[kind], str) and set(more) <= set(allowed):
             return kind, policy[kind], more
     raise UsageError(
-        f"policy is {policy!r}, expected {BY_HAND}, {SHIPPED}, {RANDOM}, a run's folder, an exported file, "
+        f"policy is {policy!r}, expected {BASELINE}, {PACKAGED}, {RANDOM}, a run's folder, an exported file, "
         f"file.py:function, or one of {', '.join(KINDS)} as {{kind: which}}"
     )
 
@@ -89,19 +91,19 @@ def find_driver(policy: object, task: str) -> CellDriver:
         return CellDriver(shape=("python", what), make=lambda env, _: _own(what, env))
     if kind == RANDOM:
         return CellDriver(shape=RANDOM, make=lambda env, _: random_policy(env))
-    if kind == BY_HAND:
+    if kind == BASELINE:
         name = find_baseline(what or task)
-        by_hand = BASELINES.get(name)
-        return CellDriver(shape=("by hand", name.lower()), make=lambda env, _: by_hand(env))
-    if kind == SHIPPED and task not in POLICIES:
+        baseline = BASELINES.get(name)
+        return CellDriver(shape=("baseline", name.lower()), make=lambda env, _: baseline(env))
+    if kind == PACKAGED and task not in POLICIES:
         raise UsageError(
             f"no policy for {task} comes with the package; there are: {', '.join(POLICIES.names())}"
         )
     checkpoint = str(more.get("checkpoint", "best"))
-    source = load_policy(str(POLICIES.get(task)) if kind == SHIPPED else what, checkpoint)
-    if kind == SHIPPED:
+    source = load_policy(str(POLICIES.get(task)) if kind == PACKAGED else what, checkpoint)
+    if kind == PACKAGED:
         source = replace(source, name=f"packaged policy of {task}")
-    assert source.learned is not None  # as neither of them is by hand
+    assert source.learned is not None  # as neither of them is a baseline
     learned, weights = source.learned
 
     def make(env: Env, weights: Any) -> Policy:  # noqa: ANN401 - a tree of arrays

@@ -15,7 +15,7 @@ from usarmjx.plots.style import figure_style
 from usarmjx.sweeps.analysis import aggregates, overall_rows, policy_differences, tasks_of
 from usarmjx.sweeps.figures import draw_sweep
 from usarmjx.sweeps.report import report
-from usarmjx.sweeps.spec import as_text
+from usarmjx.sweeps.spec import BUNDLED, as_text
 from usarmjx.sweeps.store import StoredSweep
 
 PAGE_FILE, TABLE_FILE = "report.html", "report.tex"
@@ -70,7 +70,7 @@ def html_page(found: StoredSweep, folder: Path) -> str:
         "<h2>Versions</h2>",
         _table(("package", "version"), _versions(found)),
         "<h2>Repeat it</h2>",
-        f"<pre>usarmjx sweep run {escape(found.name)}.yaml --out {escape(str(folder))}\n"
+        f"<pre>usarmjx sweep run {escape(_source(found))} --out {escape(str(folder))}\n"
         f"usarmjx sweep show {escape(str(folder))}\nusarmjx sweep report {escape(str(folder))}</pre>",
         f"<p>{len(found.keys)} cells; keys of their results are hashes of all that they read:</p>",
         f"<pre>{escape(' '.join(found.keys[:MOST_BUILDINGS]))}</pre>",
@@ -81,6 +81,11 @@ def html_page(found: StoredSweep, folder: Path) -> str:
         + "\n".join(parts)
         + "\n</body></html>\n"
     )
+
+
+def _source(found: StoredSweep) -> str:
+    """Return the sweep as the command line names it: a bundled one, or its file."""
+    return found.name if (BUNDLED / f"{found.name}.yaml").is_file() else f"{found.name}.yaml"
 
 
 def _design(found: StoredSweep) -> list[tuple[str, str]]:

@@ -37,7 +37,7 @@ class Cell:
 
     Attributes:
         task: Name of the task, or FILE.py:CLASS.
-        policy: Policy that drives: `by-hand`, `shipped`, `random`, a run's folder, an exported file,
+        policy: Policy that drives: `baseline`, `packaged`, `random`, a run's folder, an exported file,
             FILE.py:FUNCTION, or a kind with its name.
         method: Policies that are runs of one method, as {name: NAME, runs: [POLICY, ...]}: each is a cell.
         episodes: Episodes of the cell, each in a world of its own.
@@ -54,7 +54,7 @@ class Cell:
     """
 
     task: str
-    policy: Named = "by-hand"
+    policy: Named = "baseline"
     episodes: Annotated[int, AT_LEAST_ONE] = 20
     seed: Annotated[int, NOT_NEGATIVE] = 0
     method: Named | None = None
@@ -81,6 +81,20 @@ DEFAULTS: dict[str, Any] = {
     one.name: one.default for one in describe(Cell) if one.name in ("policy", "episodes", "seed", "engine")
 }
 """Settings that every cell has, and their values if they are not given."""
+EARLIER_POLICIES = {"by-hand": "baseline", "shipped": "packaged"}
+"""Names of policies by their earlier ones, which files of sweeps and results may have."""
+
+
+def rename_policy(policy: Any, names: Mapping[str, str] = EARLIER_POLICIES) -> Any:  # noqa: ANN401 - any data
+    """Return a setting `policy`, or its kind if it is a mapping, under another name.
+
+    Args:
+        policy: The setting.
+        names: Names by those that they replace.
+    """
+    if isinstance(policy, Mapping):
+        return {names.get(key, key): value for key, value in policy.items()}
+    return names.get(policy, policy) if isinstance(policy, str) else policy
 
 
 @cache
@@ -171,6 +185,7 @@ def complete(settings: CellSettings, where: str) -> dict[str, Any]:
     full = {"task": None, **DEFAULTS, **settings}
     whole = {name: value for name, value in full.items() if name in NAMES}
     default_reader().values(Cell, whole, where=where)
+    full["policy"] = rename_policy(full["policy"])
     return dict(sorted(full.items()))
 
 

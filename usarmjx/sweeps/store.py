@@ -16,6 +16,7 @@ from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.files import atomic_write, writing
 from usarmjx.base.kept_json import NotWholeError, kept_text, read_kept
 from usarmjx.base.settings import default_reader
+from usarmjx.sweeps.spec import rename_policy
 
 log = logging.getLogger(__name__)
 
@@ -178,7 +179,8 @@ def _record(file: Path, content: Mapping[str, Any]) -> CellRecord:
             "metrics": {name: tuple(map(float, row)) for name, row in content["metrics"].items()},
         }
         record = CellRecord(**{**content, **numbers})
-        record.settings.keys()
+        if "policy" in record.settings.keys():  # noqa: SIM118 - a mapping, or none that is whole
+            record.settings["policy"] = rename_policy(record.settings["policy"])
         rows = [record.steps, record.bad, *record.metrics.values()]
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
         raise NotWholeError(f"{file}: is no result of a cell: {error!r}"[:300]) from error

@@ -9,13 +9,13 @@ import pytest
 
 from tests.arenas import FLAT
 from tests.handy import TAGGER, known
+from tests.server.peers import say
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.types.arena import HelpSound, SegmentMotion, Tag, Victim
 from usarmjx.models.types.robot import Mount, options
 from usarmjx.models.types.shapes import Shape
 from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.pictures.views import snapshot
-from usarmjx.server.protocol import commands as wire
 from usarmjx.server.worlds.batch_world import BatchWorld
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.server.worlds.served_world import CameraRequest
@@ -79,18 +79,6 @@ def client(request):
     say(client, "INIT {ClassName Finder} {Location 0,0,0.14} {Rotation 0,0,0}")
     yield client
     client.leave()
-
-
-def say(client, line):
-    """Let a client say a line; return the lines that it hears at once."""
-    for command in client.session.receive_data(line.encode() + b"\r\n"):
-        if isinstance(command, wire.Init):
-            spec = client.robot_class(command)
-            client.session.answer_init(spec is not None and client.spawn(command, spec))
-            client.session.data_to_send()
-        else:
-            client.handle(command)
-    return heard(client)
 
 
 def heard(client):

@@ -9,7 +9,7 @@ import pytest
 from tests.arenas import FLAT
 from tests.server.rosbridge.test_net import Ros, serving_ros, spawn
 from usarmjx.base.backend import numpy_backend
-from usarmjx.base.rotations import mat_from_quat
+from usarmjx.base.rotations import mat_from_quat, mat_from_rotation_vector
 from usarmjx.base.transforms import mat_from_angles, quat_from_angles
 from usarmjx.models.compile.kinematic_tree import forward_kinematics, kinematic_tree_of
 from usarmjx.models.drives.base import RobotState
@@ -119,7 +119,14 @@ def test_transforms_come_by_the_action_as_roslibs_tf_client_asks(ros):
     on_floor, level = axes(foot["transform"])
     assert on_floor[:2] == pytest.approx(place[:2], abs=0.02)
     assert level[2, 2] == pytest.approx(1.0, abs=1e-6)
-    ros.say("publish", topic="/tf2_web_republisher/cancel", msg={"id": "goal_1"})
+    ros.say("publish", topic="/tf2_web_republisher/goal", msg={**message, "goal_id": {"id": "goal_2"}})
+    for name in ("goal_1", "goal_2"):  # both are due in the same steps
+        while (
+            ros.hear("publish", topic="/tf2_web_republisher/feedback")["msg"]["status"]["goal_id"]["id"]
+            != name
+        ):
+            pass
+    ros.say("publish", topic="/tf2_web_republisher/cancel", msg={"id": ""})
     ros.say("unsubscribe", topic="/tf2_web_republisher/feedback", id="tf")
 
 
@@ -185,9 +192,10 @@ def test_a_description_has_the_joints_and_the_frames_of_its_robot(name):
     plan, root = kinematic_tree_of(spec), fromstring(urdf(spec))
     joints = {one.get("name"): one for one in root.findall("joint")}
     assert list(joints) == list(plan.parts[1:])
+    joint_pos = np.linspace(-0.9, 0.8, len(joints))
     state = RobotState(
         pos=np.zeros(3), quat=np.eye(4)[0], linear=np.zeros(3), angular=np.zeros(3),
-        joint_pos=np.zeros(len(joints)), joint_vel=np.zeros(len(joints)),
+        joint_pos=joint_pos, joint_vel=np.zeros(len(joints)),
     )  # fmt: skip
     with numpy_backend():
         bodies = forward_kinematics(plan, state)
@@ -196,10 +204,15 @@ def test_a_description_has_the_joints_and_the_frames_of_its_robot(name):
         mat, pos = poses[joint.find("parent").get("link")]
         origin = joint.find("origin")
         xyz, rpy = (np.array(origin.get(key).split(), float) for key in ("xyz", "rpy"))
-        poses[frame_name(part)] = (mat @ mat_from_angles(*rpy), pos + mat @ xyz)
+        axis = np.array(joint.find("axis").get("xyz").split(), float)
+        assert np.linalg.norm(axis) == pytest.approx(1.0, abs=CLOSE)
+        turn, shift = np.eye(3), joint_pos[index - 1] * axis
+        if joint.get("type") != "prismatic":
+            with numpy_backend():
+                turn, shift = np.asarray(mat_from_rotation_vector(shift)), np.zeros(3)
+        own = mat @ mat_from_angles(*rpy)
+        poses[frame_name(part)] = (own @ turn, pos + mat @ xyz + own @ shift)
         assert poses[frame_name(part)][1] == pytest.approx(np.asarray(bodies.pos)[index], abs=CLOSE)
         assert poses[frame_name(part)][0] == pytest.approx(np.asarray(bodies.mat)[index], abs=CLOSE)
         assert joint.get("type") in ("continuous", "revolute", "prismatic")
-        axis = np.array(joint.find("axis").get("xyz").split(), float)
-        assert np.linalg.norm(axis) == pytest.approx(1.0, abs=CLOSE)
     assert len(root.findall("link")) == 1 + len(joints)

@@ -74,7 +74,7 @@ def trained():
 def test_cells_of_a_sweep_play_held_out_buildings_unless_told(split, identical, trained):
     """At level 0.4 with seed 0, 16 of the 20 buildings of split train are those of the training."""
     given = {} if split is None else {"split": split}
-    common = {"task": "explore", "policy": "shipped", "arena.level": 0.4, **given}
+    common = {"task": "explore", "policy": "packaged", "arena.level": 0.4, **given}
     (cell,) = read_spec({"common": common}).cells
     found = resolve(cell)
     assert found.split == (split or "test")

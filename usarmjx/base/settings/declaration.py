@@ -121,6 +121,20 @@ class Setting:
             low + ("," if low and self.lt is not None else "") + high + (" or inf" if not self.finite else "")
         )
 
+    @property
+    def limits_and_unit(self) -> str:
+        """The limits of a number in words and its unit in brackets, each with a blank before."""
+        return self.limits + (f" [{self.unit}]" if self.unit else "")
+
+    def admits(self, number: float) -> bool:
+        """Return whether a number is within the limits."""
+        return (
+            (self.gt is None or number > self.gt)
+            and (self.ge is None or number >= self.ge)
+            and (self.lt is None or number < self.lt)
+            and (self.le is None or number <= self.le)
+        )
+
 
 NO_NOTE = Setting()
 POSITIVE = Setting(gt=0)
@@ -293,9 +307,8 @@ def choices_of(hint: Any, note: Setting) -> tuple[str, ...]:  # noqa: ANN401 - a
 def expectation(hint: Any, note: Setting, *, plural: bool = False) -> str:  # noqa: ANN401 - a type hint
     """Return in words which values a type hint and a note allow, as `a number above 0 [m]`."""
     hint, note = bare(hint), note_of(hint, note)
-    unit = f" [{note.unit}]" if note.unit else ""
     if hint in _NUMBERS:
-        return _NUMBERS[hint][plural] + note.limits + unit
+        return _NUMBERS[hint][plural] + note.limits_and_unit
     if plural:
         one = expectation(hint, note)
         return "texts" if one == "a text" else f"items, each {one}"

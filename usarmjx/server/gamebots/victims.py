@@ -104,9 +104,9 @@ CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
         ("VerticalFOV", "vertical_fov"),
     ),
     "RFID": (("MaxRange", "max_range"),),
-    "Sound": (),
+    "Sound": (("Noise", "noise"),),
     "HumanMotion": (("MaxRange", "max_range"), ("FOV", "fov_radians")),
-    "CO2Sensor": (),
+    "CO2Sensor": (("Noise", "noise"),),
 }
 """CONF of these sensors, as `sensors.CONFIGURATION`; that of VictSensor is the original's."""
 

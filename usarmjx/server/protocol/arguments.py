@@ -2,10 +2,10 @@
 
 A word where a number belongs, too few numbers, too many, or a number out of range makes a line or a SET
 invalid as a whole: nothing changes. Numbers keep the forms that real controllers send: `.4`, vectors with
-commas or spaces. A decimal comma is refused: cut as the original cut it, `2,5` would be another number.
+commas or spaces. A decimal comma is refused: cut as the original cut it, `2,5` would be another number. In a
+vector without spaces a comma always separates.
 """
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -14,15 +14,10 @@ from usarmjx.base.errors import PeerError
 from usarmjx.base.parameters import Parameters
 from usarmjx.base.settings import Setting
 from usarmjx.server.protocol.commands import DRIVE_KEYS
-from usarmjx.server.protocol.grammar import Message, clip, to_float
+from usarmjx.server.protocol.grammar import Message, clip, is_number, split_vector, to_float
 
 ANY_KEY = "*"
 """Key of the table that stands for each key of a message without an entry of its own."""
-_GAP = re.compile(r"[ \t]+")
-_DECIMAL = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
-# NaN and infinity pass here: `to_float` refuses them with a reason of their own.
-_SPECIAL = r"[+-]?(?:nan|inf)\S*"
-_PLAIN = re.compile(rf"{_DECIMAL}|{_SPECIAL}", re.IGNORECASE)
 _NO_LIMITS = Setting()
 _TRUTHS = ("true", "false")
 
@@ -50,8 +45,7 @@ class Argument:
     @property
     def expects(self) -> str:
         """The form in words, with limits and unit."""
-        unit = f" [{self.note.unit}]" if self.note.unit else ""
-        return f"{self.kind.value}{self.note.limits}{unit}"
+        return f"{self.kind.value}{self.note.limits_and_unit}"
 
 
 _NUMBER, _TRUTH = Argument(), Argument(ArgumentKind.TRUTH)
@@ -115,23 +109,13 @@ def check_arguments(message: Message) -> None:
             seen.add(field)
 
 
-def is_number(text: str) -> bool:
-    """Return whether a text is one number."""
-    return _PLAIN.fullmatch(text.strip()) is not None
-
-
 def _is_truth(text: str) -> bool:
     return text.strip().lower() in _TRUTHS or is_number(text)
 
 
 def _is_vector(text: str) -> bool:
-    text = text.strip()
-    if not _GAP.search(text):
-        return all(_PLAIN.fullmatch(part) for part in text.split(","))
-    # With spaces a comma inside a number is its decimal comma, one at its end or alone separates. The first
-    # is refused, as its tail would be lost.
-    parts = (part.strip(",") for part in _GAP.split(text))
-    return all(_PLAIN.fullmatch(part) for part in parts if part)
+    # With spaces a comma inside a part is its decimal comma, which is refused: its tail would be lost.
+    return all(map(is_number, split_vector(text)))
 
 
 _MATCHES: dict[ArgumentKind, Callable[[str], bool]] = {
@@ -148,14 +132,9 @@ def read_parameters(text: str, form: Parameters) -> tuple[float, ...]:
         PeerError: A word stands among them, there are too few or too many, or one is out of range; names
             the text, and what it may be.
     """
-    text = text.strip()
-    if _GAP.search(text):
-        parts = [part for part in (part.strip(",") for part in _GAP.split(text)) if part]
-    else:
-        parts = text.split(",") if text else []
-    fits = form.fewest <= len(parts) <= form.most and all(_PLAIN.fullmatch(part) for part in parts)
-    values = tuple(to_float(part) for part in parts) if fits else ()
-    low, high = form.note.ge, form.note.le
-    if not fits or not all((low is None or v >= low) and (high is None or v <= high) for v in values):
+    parts = split_vector(text)
+    fits = form.fewest <= len(parts) <= form.most and all(map(is_number, parts))
+    values = tuple(map(to_float, parts)) if fits else ()
+    if not fits or not all(map(form.note.admits, values)):
         raise PeerError(f"Params is {clip(text)}; expected {form.expects}")
     return values

@@ -12,7 +12,7 @@ from typing import TypeAlias
 from usarmjx.base.errors import PeerError
 from usarmjx.base.parameters import Parameters
 from usarmjx.base.registry import Registry
-from usarmjx.server.protocol.arguments import check_arguments, is_number, read_parameters
+from usarmjx.server.protocol.arguments import check_arguments, read_parameters
 from usarmjx.server.protocol.commands import (
     DRIVE_KEYS,
     TRACE_COLORS,
@@ -42,6 +42,7 @@ from usarmjx.server.protocol.grammar import (
     Segment,
     Vector,
     clip,
+    is_number,
     to_bool,
     to_float,
     to_int,

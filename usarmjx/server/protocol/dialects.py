@@ -17,8 +17,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from usarmjx.base.errors import UsageError
-from usarmjx.server.protocol.arguments import is_number
-from usarmjx.server.protocol.grammar import Message, Segment, to_int
+from usarmjx.server.protocol.grammar import Message, Segment, is_number, to_int
 
 PACKAGE_TYPE, ACTUATOR_TYPE = "MisPkg", "Actuator"
 """Type of mission packages in the manual and in UDK's version."""

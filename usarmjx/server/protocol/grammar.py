@@ -44,7 +44,10 @@ _LINE = re.compile(
 )
 # The longest prefix that C's atof reads. Hexadecimal numbers are left out: the C library of the
 # original's Windows servers did not know them either.
-_NUMBER = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)")
+_NUMBER_FORM = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+_NUMBER = re.compile(rf"\s*({_NUMBER_FORM})")
+# NaN and infinity count as numbers: `to_float` refuses them with a reason of their own.
+_WHOLE_NUMBER = re.compile(rf"{_NUMBER_FORM}|[+-]?(?:nan|inf)\S*", re.IGNORECASE)
 _NOT_FINITE = re.compile(r"\s*[+-]?(?:nan|inf)", re.IGNORECASE)
 # Cut at its comma as atof does, 2,5 would be another number.
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?[0-9]*,[0-9]")
@@ -237,6 +240,11 @@ def clip(text: str, limit: int = 60) -> str:
     return repr(text if len(text) <= limit else text[:limit] + "...")
 
 
+def is_number(text: str) -> bool:
+    """Return whether a text is one number and nothing else."""
+    return _WHOLE_NUMBER.fullmatch(text.strip(_SPACE)) is not None
+
+
 def to_float(text: str) -> float:
     """Return the number at the start of a text, as C's atof does; garbage is 0.
 
@@ -273,22 +281,28 @@ def to_bool(text: str) -> bool:
     return text.strip(_SPACE).lower() == "true" or to_float(text) != 0.0
 
 
-def to_vector(text: str) -> tuple[float, ...]:
-    """Return the numbers of a vector, as many as there are.
+def split_vector(text: str) -> list[str]:
+    """Return the parts of a vector, as many as there are.
 
     They are split at spaces if the text contains one and at commas otherwise, as GameBots does:
-    "4.5,1.9,1.8", "4.5, 1.9, 1.8" and "4.5 1.9 1.8" are the same, and "1,50 2,00 0,00" has three
-    numbers with decimal commas, which are refused.
-
-    Raises:
-        PeerError: One of them is not finite or has a decimal comma.
+    "4.5,1.9,1.8", "4.5, 1.9, 1.8" and "4.5 1.9 1.8" are the same, and "1,50 2,00 0,00" has three parts
+    with decimal commas.
     """
     text = text.strip(_SPACE)
     parts = _GAP.split(text)
     if len(parts) == 1:
-        return tuple(to_float(part) for part in text.split(",")) if text else ()
+        return text.split(",") if text else []
     bare = (part.strip(",") for part in parts)  # "4.5 , 1.9 , 1.8" leaves commas of their own
-    return tuple(to_float(part) for part in bare if part)
+    return [part for part in bare if part]
+
+
+def to_vector(text: str) -> tuple[float, ...]:
+    """Return the numbers of a vector, split by `split_vector`.
+
+    Raises:
+        PeerError: One of them is not finite or has a decimal comma.
+    """
+    return tuple(map(to_float, split_vector(text)))
 
 
 def four_decimals(value: float) -> str:

@@ -35,7 +35,6 @@ from usarmjx.server.rosbridge.republisher import (
     REPUBLISH,
     TransformRequests,
     feedback,
-    revision_of,
     transform_array,
 )
 from usarmjx.server.rosbridge.rosapi import RosApi
@@ -237,7 +236,8 @@ class RosbridgeServer:
                 if topic == FEEDBACK:
                     kind, array = FEEDBACK_TYPE, feedback(version, now, request.name, array)
                 frame = publication(topic, kind, array, version, how, now)
-                subscription.put(frame, revision_of(request, now), now)
+                sources = len(requests.goals) if topic == FEEDBACK else 1
+                subscription.put(frame, (request.name, now), now, sources)
                 request.due = now + request.pause
                 client.wake.set()
 

@@ -4,7 +4,7 @@ A client names a fixed frame and those that it wants to see from there. It hears
 action (`/tf2_web_republisher/goal`), or at a topic of its own that the service `/republish_tfs` names.
 """
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -38,7 +38,7 @@ class TransformRequest:
     Attributes:
         name: ID of the goal, or name of the topic.
         sources: The frames.
-        target: The frame in which they are told.
+        target: The frame in which they are expressed.
         pause: Least time between two messages [s].
         due: Earliest time of the next message [s].
     """
@@ -159,26 +159,21 @@ def transform_array(
     version: RosVersion, time: float, transforms: Sequence[RosMessage], request: TransformRequest
 ) -> RosMessage:
     """Return the TFArray of a request."""
-    told: list[RosMessage] = []
+    seen: list[RosMessage] = []
     for source, (mat, pos) in resolve(transforms, request):
         with numpy_backend():
             quat = np.asarray(quat_from_mat(mat))
-        told.append(
+        seen.append(
             {
                 "header": version.header(time, request.target),
                 "child_frame_id": source,
                 "transform": {"translation": vector(pos), "rotation": quaternion(quat)},
             }
         )
-    return {"transforms": told}
+    return {"transforms": seen}
 
 
 def feedback(version: RosVersion, time: float, name: str, array: RosMessage) -> RosMessage:
     """Return the feedback of a goal."""
     status = {"goal_id": {"stamp": version.stamp(time), "id": name}, "status": ACTIVE, "text": ""}
     return {"header": version.header(time, ""), "status": status, "feedback": array}
-
-
-def revision_of(request: TransformRequest, time: float) -> Hashable:
-    """Return a value that no other message of the request has."""
-    return (request.name, time)

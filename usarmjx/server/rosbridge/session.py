@@ -153,11 +153,18 @@ class TopicSubscription:
         """Encoding of its messages."""
         return list(self.requests.values())[-1].compression if self.requests else Compression.NONE
 
-    def put(self, text: BridgeFrame, revision: Hashable, now: float) -> None:
-        """Queue a message, and drop the oldest ones beyond the queue's length."""
+    def put(self, text: BridgeFrame, revision: Hashable, now: float, sources: int = 1) -> None:
+        """Queue a message, and drop the oldest ones beyond the queue's length.
+
+        Args:
+            text: The message.
+            revision: Value that changes with it.
+            now: Simulated time [s].
+            sources: Number of sources on the topic, none of which takes the room of another.
+        """
         self.last_revision = revision
         self.due = now + min(request.pause for request in self.requests.values())
-        room = max(1, max(request.length for request in self.requests.values()))
+        room = max(sources, max(request.length for request in self.requests.values()))
         while len(self.waiting) >= min(room, MAX_QUEUE):
             self.waiting.popleft()
         self.waiting.append(text)

@@ -188,9 +188,9 @@ class Task(ABC):
         repeat: Control steps per action. `make` changes it where it sets other physics, so that an action
             lasts as long.
         episode_steps: Actions until the time is up.
-        time_limit: Meaning of the time limit: `end`, the score is over so many steps, the agents see the time
-            that is left and nothing follows; `truncation`, the episode would go on, and learners add a value
-            for what follows.
+        time_limit: Effect of the time limit on learners. `end`: the limit is part of the task; agents observe
+            the time that is left, and learners count no reward after it. `truncation`: the limit only cuts
+            the episode; learners add the estimated value of its last state.
         radio: Constants of the robots' radios; None: they have none.
         mail: Sizes of the messages over the radio; None: there are none.
         shuffle: Draw start poses at each reset instead of taking them in the arena's order.
