@@ -7,8 +7,10 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from prometheus_client import CollectorRegistry, ProcessCollector
 
 import dev
+from usarmjx.server.runtime.metrics import WorldCollector
 
 PACKAGE = dev.ROOT / "usarmjx"
 PAGES = ("architecture.md", "glossary.md")
@@ -98,9 +100,17 @@ def test_paths_of_modules_in_all_documents_exist():
     assert gone == {}
 
 
+def metric_names() -> set[str]:
+    """Names of the figures of a server, as Prometheus reads them."""
+    registry = CollectorRegistry()
+    registry.register(WorldCollector({}))
+    ProcessCollector(namespace="usarmjx", registry=registry)
+    return {family.name + "_total" * (family.type == "counter") for family in registry.collect()}
+
+
 def documented_names() -> frozenset[str]:
     """What code and documents may mean by a word in ticks: any name, parameter or text of the package."""
-    found = set(names()) | {*dev.VERBS, *vars(dev)}
+    found = {*names(), *metric_names(), *dev.VERBS, *vars(dev)}
     checkout = [path for folder in ("benchmarks", "tools") for path in (dev.ROOT / folder).rglob("*.py")]
     for path in [*PACKAGE.rglob("*.py"), *checkout]:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -116,7 +126,7 @@ def documented_names() -> frozenset[str]:
 FOREIGN = re.compile(
     r"(mj|mjt|mjx|jax|jnp|lax|gymnasium|vmas|geom|Auto|Episode|Vmap|Vector|Wireless|Tarantula)\w*(\..*)?"
     r"|DiameterError|SeparationError|MaxIncidence|OmniCam|RearTrack|Generator|Union|asdict|end_|nW|rl|U|USARBot"
-    r"|nohup|ab|value_obs_key|usarmjx_\w+_(seconds|total)"
+    r"|nohup|ab|value_obs_key"
 )
 """Names of other libraries and of USARSim's files."""
 FILE = re.compile(r".*\.(py|md|ini|yaml|toml|npz|png|json|jsonl|txt|html|uc|c|MTL)")

@@ -21,7 +21,13 @@ from usarmjx.base.checked_cache import (
     unseal,
     write_sealed,
 )
-from usarmjx.base.compilation import CACHE_VARIABLE, JAX_FOLDER, enable_compilation_cache, own_cache_folder
+from usarmjx.base.compilation import (
+    CACHE_VARIABLE,
+    JAX_FOLDER,
+    PROGRAMS_FOLDER,
+    enable_compilation_cache,
+    own_cache_folder,
+)
 
 
 def flips(content):
@@ -64,19 +70,21 @@ def guarded(tmp_path):
     loads = []
     module = SimpleNamespace(
         LRUCache=LRUCache,
-        config=SimpleNamespace(config=SimpleNamespace(jax_compilation_cache_dir=str(tmp_path / "jax"))),
+        config=SimpleNamespace(
+            config=SimpleNamespace(jax_compilation_cache_dir=str(tmp_path / "jax" / "cpu"))
+        ),
         get_executable_and_time=lambda key, *_: loads.append(list((tmp_path / LOADING_FOLDER).iterdir())),
         loads=loads,
     )
     assert {"LRUCache", "get_executable_and_time", "config"} <= vars(compilation_cache).keys()
-    guard_jax(module, LoadingEntries(tmp_path))
+    guard_jax(module, LoadingEntries(tmp_path), tmp_path / "jax")
     return module
 
 
 def test_each_flipped_bit_of_an_entry_of_jax_is_a_miss_that_is_written_again(guarded, tmp_path):
-    kept = guarded.LRUCache(str(tmp_path / "jax"), max_size=-1)
+    kept = guarded.LRUCache(str(tmp_path / "jax" / "cpu"), max_size=-1)
     kept.put("jit_f-1", b"machine code")
-    (file,) = (tmp_path / "jax").iterdir()
+    (file,) = (tmp_path / "jax" / "cpu").iterdir()
     assert kept.get("jit_f-1") == b"machine code"
     assert kept.get("jit_f-2") is None
     whole = file.read_bytes()
@@ -91,6 +99,17 @@ def test_each_flipped_bit_of_an_entry_of_jax_is_a_miss_that_is_written_again(gua
     assert file.read_bytes() == whole
 
 
+def test_a_folder_that_the_user_has_named_stays_as_jax_writes_it(guarded, tmp_path):
+    """Programs without usarmjx read it, and what they have written is neither refused nor removed."""
+    theirs = tmp_path / "theirs"
+    kept = guarded.LRUCache(str(theirs), max_size=-1)
+    kept.put("jit_f-1", b"machine code")
+    (file,) = theirs.glob("*-cache")
+    assert file.read_bytes() == kept.get("jit_f-1") == b"machine code"
+    file.write_bytes(b"other code")
+    assert kept.get("jit_f-1") == b"other code"
+
+
 def test_a_program_that_is_being_loaded_is_noted(guarded, tmp_path):
     guarded.get_executable_and_time("jit_f-1")
     ((note,),) = guarded.loads
@@ -102,7 +121,7 @@ def test_another_jax_without_such_a_cache_keeps_nothing(tmp_path):
     updates = {}
     config = SimpleNamespace(config=SimpleNamespace(update=updates.__setitem__))
     with pytest.warns(UserWarning, match="keeps no compilations"):
-        guard_jax(SimpleNamespace(config=config), LoadingEntries(tmp_path))
+        guard_jax(SimpleNamespace(config=config), LoadingEntries(tmp_path), tmp_path)
     assert updates == {"jax_compilation_cache_dir": None}
 
 
@@ -210,3 +229,29 @@ def test_a_cache_of_another_user_is_not_used(tmp_path, monkeypatch):
     else:
         assert own_cache_folder(said) is None
         assert "belongs to another user" in str(enable_compilation_cache(dict(said)))
+
+
+def test_scripts_keep_what_they_compile_unless_told_not_to(tmp_path):
+    """From the first batch on, though they have imported JAX already; importing usarmjx sets nothing."""
+    code = """if True:
+        import os, sys, jax, usarmjx
+        from usarmjx.base import compilation
+
+        print(jax.config.jax_compilation_cache_dir)
+        scene = usarmjx.build_scene("yellow", ["P2AT"])
+        for folder in ("off", sys.argv[1]):
+            os.environ["USARMJX_CACHE"], compilation._asked = folder, False
+            usarmjx.Batch(scene, worlds=1, engine="c")
+            print(jax.config.jax_compilation_cache_dir)
+    """
+    rest = {name: text for name, text in os.environ.items() if name not in (JAX_FOLDER, PROGRAMS_FOLDER)}
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "kept")],
+        env=rest,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    imported, off, on = done.stdout.split()
+    assert (imported, off) == ("None", "None")
+    assert on.startswith(str(tmp_path / "kept" / "jax"))

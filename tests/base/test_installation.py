@@ -5,13 +5,15 @@ from importlib import metadata
 
 import pytest
 
+import usarmjx
 from usarmjx.base import installation
+
+WHEEL = f"usarmjx-{usarmjx.__version__}-py3-none-any.whl"
+"""Name of the wheel, which pip refuses under any other."""
 
 
 class Installed:
     """Metadata of an installation from an address."""
-
-    version = "1.2.3"
 
     def __init__(self, address: str) -> None:
         self._address = address
@@ -38,7 +40,7 @@ def test_a_clone_is_installed_again_with_its_pins(monkeypatch, tmp_path):
             "file:///tmp/my%20files/usarmjx-1.2.3-py3-none-any.whl",
             "/tmp/my files/usarmjx-1.2.3-py3-none-any.whl",
         ),
-        ("", "usarmjx-1.2.3-py3-none-any.whl"),  # from somewhere that pip did not write down
+        ("", WHEEL),  # from somewhere that pip did not write down
     ],
 )
 def test_a_wheel_is_named_by_its_file(address, wheel, monkeypatch, tmp_path):
@@ -47,10 +49,10 @@ def test_a_wheel_is_named_by_its_file(address, wheel, monkeypatch, tmp_path):
     assert installation.install_command("train") == f'pip install "{wheel}[train]"'
 
 
-def test_without_metadata_a_wheel_is_asked_for(monkeypatch, tmp_path):
+def test_without_metadata_the_wheel_of_the_version_is_asked_for(monkeypatch, tmp_path):
     def missing(name):
         raise metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(installation, "PACKAGE", tmp_path / "usarmjx")
     monkeypatch.setattr(metadata, "distribution", missing)
-    assert installation.install_command() == 'pip install "usarmjx.whl"'
+    assert installation.install_command() == f'pip install "{WHEEL}"'

@@ -221,16 +221,19 @@ def _digest(file: Path) -> str:
     return hashlib.blake2b(file.read_bytes(), digest_size=CHECKSUM_SIZE).hexdigest()
 
 
-def guard_jax(module: Any, loading: LoadingEntries) -> None:  # noqa: ANN401 - JAX's module
-    """Make JAX seal the programs that it keeps, and check those that it loads.
+def guard_jax(module: Any, loading: LoadingEntries, own: Path) -> None:  # noqa: ANN401 - JAX's module
+    """Make JAX seal the programs that it keeps in our folder, and check those that it loads from there.
+
+    A folder that the user has named stays as JAX writes it: programs without usarmjx may share it.
 
     Args:
         module: JAX's `compilation_cache`.
         loading: Record of what is loaded.
+        own: Folder below which our caches of JAX's are.
     """
     try:
         usual, load = module.LRUCache, module.get_executable_and_time
-        checked = _checked_cache(usual)
+        checked = _checked_cache(usual, own)
     except AttributeError:
         module.config.config.update("jax_compilation_cache_dir", None)
         warnings.warn("this version of JAX keeps no compilations: its cache has no checksums", stacklevel=2)
@@ -250,26 +253,33 @@ def _entry(folder: Path, key: str) -> Path:
     return folder / f"{key}-cache"
 
 
-def _checked_cache(usual: Any) -> Any:  # noqa: ANN401 - JAX's class
-    """Return JAX's class of caches with checksums around the entries."""
+def _checked_cache(usual: Any, own: Path) -> Any:  # noqa: ANN401 - JAX's class
+    """Return JAX's class of caches with checksums around the entries of caches below a folder."""
     usual_get, usual_put = usual.get, usual.put
 
+    def is_ours(folder: Path) -> bool:
+        return own in folder.parents
+
     class CheckedCache(usual):
-        """JAX's cache with a checksum around each entry."""
+        """JAX's cache with a checksum around each entry, if it is ours."""
 
         def get(self, key: str) -> bytes | None:
-            content = usual_get(self, key)
+            content, folder = usual_get(self, key), Path(str(self.path))
             try:
-                return None if content is None else unseal(content, key)
+                return content if content is None or not is_ours(folder) else unseal(content, key)
             except ValueError as error:
-                discard(_entry(Path(str(self.path)), key), str(error))
+                discard(_entry(folder, key), str(error))
                 return None
 
         def put(self, key: str, value: bytes) -> None:
-            if self.eviction_enabled or "://" in str(self.path):  # asked for by the user
+            folder = Path(str(self.path))
+            if not is_ours(folder):
+                usual_put(self, key, value)
+                return
+            if self.eviction_enabled:  # asked for by the user
                 usual_put(self, key, seal(value, key))
                 return
-            path = _entry(Path(str(self.path)), key)
+            path = _entry(folder, key)
             if not path.exists():  # JAX writes in place: another process would read the first half
                 write_sealed(path, value, key)
 
@@ -312,18 +322,19 @@ class _AfterImport(MetaPathFinder):
 _installed = set[Path]()
 
 
-def install_checks(folder: Path, warp_folder: Path | None = None) -> None:
+def install_checks(folder: Path, jax_folder: Path, warp_folder: Path | None = None) -> None:
     """Check what JAX and Warp load in this process from now on; without effect the second time.
 
     Args:
         folder: See `LoadingEntries`.
+        jax_folder: See `guard_jax`.
         warp_folder: Warp's cache; None: as Warp has it.
     """
     if _installed:
         return
     _installed.add(folder)
     loading = LoadingEntries(folder)
-    _after_import(JAX_MODULE, lambda module: guard_jax(module, loading))
+    _after_import(JAX_MODULE, lambda module: guard_jax(module, loading, jax_folder))
     if warp_folder is not None:
         _after_import(WARP_MODULE, lambda _: _guard_warp(warp_folder))
 

@@ -193,9 +193,10 @@ def install_cache_checks() -> None:
     """Check what this process loads from the cache that it, or its parent, has set up; else do nothing."""
     programs, warp = os.environ.get(PROGRAMS_FOLDER), os.environ.get(WARP_FOLDER)
     if programs:
-        # A folder of Warp that the user has named himself is not ours to clean.
-        own = warp if warp == str(Path(programs).parents[1] / "warp") else None
-        install_checks(Path(programs), None if own is None else Path(own))
+        cache = Path(programs).parents[1]
+        # Folders that the user has named are not ours to clean.
+        own_warp = cache / "warp" if warp == str(cache / "warp") else None
+        install_checks(Path(programs), cache / "jax", own_warp)
 
 
 def fast_compilation_flags(version: str | None = None) -> list[str]:

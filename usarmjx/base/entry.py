@@ -4,7 +4,9 @@ import os
 import sys
 from functools import wraps
 from types import FunctionType
-from typing import TypeVar
+from typing import Any, TypeVar, cast
+
+import jax
 
 from usarmjx.base.backend import single_precision
 from usarmjx.base.errors import UsageError
@@ -57,12 +59,12 @@ def jax_entry_points(cls: T) -> T:
 
 
 def _guarded(method: FunctionType) -> FunctionType:
-    precise = single_precision(method)
+    precise, settings = single_precision(method), cast(Any, jax.config)
 
     @wraps(method)
     def run(*args: object, **kwargs: object) -> object:
-        if _Process.is_forked:
-            check_not_forked()
-        return precise(*args, **kwargs)
+        check_not_forked()
+        # Every step comes here: another call would be a third of what the guard costs.
+        return (precise if settings.jax_enable_x64 else method)(*args, **kwargs)
 
     return run  # type: ignore[return-value] - of the same signature

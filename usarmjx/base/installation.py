@@ -4,6 +4,7 @@ The project owns no name on a package index: `pip install usarmjx[...]` fails, o
 """
 
 import json
+import sys
 from importlib import metadata
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -24,11 +25,12 @@ def install_command(*extras: str) -> str:
 
 
 def _wheel() -> str:
-    """Return the path of the wheel that was installed, else the name that it has."""
+    """Return the path of the wheel that was installed, else the name of the wheel of this version."""
     try:
-        distribution = metadata.distribution("usarmjx")
-        record = json.loads(distribution.read_text("direct_url.json") or "{}")
+        record = json.loads(metadata.distribution("usarmjx").read_text("direct_url.json") or "{}")
         path = unquote(urlsplit(str(record.get("url", ""))).path)
     except (metadata.PackageNotFoundError, ValueError, AttributeError):
-        return "usarmjx.whl"
-    return path if path.endswith(".whl") else f"usarmjx-{distribution.version}-py3-none-any.whl"
+        path = ""
+    # An import of the package above would make everything that needs errors depend on all of it.
+    version = sys.modules["usarmjx"].__version__
+    return path if path.endswith(".whl") else f"usarmjx-{version}-py3-none-any.whl"

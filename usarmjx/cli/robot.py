@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from usarmjx.base.settings import parse_assignments
 from usarmjx.cli.common import ErrorExit, JsonFlag
 from usarmjx.cli.startup_messages import announce
 
@@ -46,7 +47,7 @@ def check(
         from usarmjx.models.files.robot_file import load_robot
 
         check_robot_file(file)
-        given = dict(_pair(text) for text in argument or ())
+        given = parse_assignments(argument or (), "--argument")
         loaded = load_robot(file, packages=packages or (), arguments=given)
         faults = robot_faults(loaded.robot)
         rows = robot_figures(loaded.robot)
@@ -67,15 +68,6 @@ def check(
             typer.echo(f"wrote {png}", err=json)
         if faults:
             raise typer.Exit(1)
-
-
-def _pair(text: str) -> tuple[str, str]:
-    from usarmjx.base.errors import UsageError
-
-    name, equals, value = text.partition("=")
-    if not equals:
-        raise UsageError(f"argument {text!r} is not of the form name=value")
-    return name, value
 
 
 def robot_figures(robot: "RobotSpec") -> dict[str, Any]:

@@ -87,6 +87,13 @@ def test_a_score_is_repetitions_and_metres_per_minute():
     )
 
 
+def test_a_drive_ends_where_the_physics_breaks(monkeypatch):
+    trial, sound = Trial(LANES.get("flat").arena, P2AT), iter([True, False])
+    monkeypatch.setattr(trial, "advance", lambda seconds: next(sound))
+    run = trial.follow([(100.0, 0.0)], 60.0)
+    assert (run.reached, run.fault.split(" at ")[0]) == (0, "was recovered")
+
+
 def test_who_flies_is_in_no_lane():
     with pytest.raises(UsageError, match="AirRobot is not steered on the ground"):
         Trial(LANES.get("flat").arena, ROBOTS.get("AirRobot"))

@@ -132,7 +132,7 @@ class KeyPad(Static, can_focus=True):
             self.post_message(self.Left())
 
     def on_mouse_move(self, event: events.MouseMove) -> None:
-        """Drag distance that turns the camera by a step [characters]."""
+        """Turn the camera by a step when the mouse has moved by `COLUMNS_PER_STEP` or `ROWS_PER_STEP`."""
         if not self.has_focus:
             return
         if self._mouse is None:

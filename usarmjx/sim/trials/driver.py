@@ -158,7 +158,7 @@ class Trial:
                 continue
             self._steer(offset, mat)
             if not self.advance(COMMAND_DURATION):
-                f"was recovered at {_format_position(pos)}"
+                return DriveRun(reached, self.world.time - began, f"was recovered at {_format_position(pos)}")
         return DriveRun(reached, self.world.time - began)
 
     def _steer(self, offset: np.ndarray, mat: np.ndarray) -> None:
