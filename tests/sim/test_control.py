@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.rig import Rig
+from usarmjx.base.clock import wrapped_step
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.compile.parts import LINK_STIFFNESS
@@ -64,7 +65,7 @@ def run():
             joint_vel=jnp.asarray(joint_vel, jnp.float32),
         )
         now = DriveConditions(
-            step=jnp.int32(round(1.0 / PERIOD)),
+            step=jnp.int32(lying.get("step", round(1.0 / PERIOD))),
             powered=jnp.asarray(lying.get("powered", True)),
             depth=jnp.float32(DRY_DEPTH),
         )
@@ -154,6 +155,14 @@ def test_only_a_tilted_robot_is_righted_and_only_for_its_time(run):
     # Back about the axis that it fell over (its length), with twice what tips its cross-section over an edge.
     twice = 2 * P2AT.mass * 9.81 * math.hypot(*P2AT.dimensions[1:]) / 2
     np.testing.assert_allclose(wrench[3:], [-twice, 0, 0], atol=1e-3)
+
+
+def test_a_count_that_has_wrapped_around_rights_nobody(run):
+    """After 2^31 steps the count is negative, and the idle command's 0 lies ahead of it."""
+    on_its_side = (np.cos(np.pi / 4), np.sin(np.pi / 4), 0.0, 0.0)
+    for step in (-(2**31) + 5, -1000):
+        assert not run([0.0] * 6, WHEELS_TURN, quat=on_its_side, step=step).wrench.any()
+    assert wrapped_step(2**31 + 5) == -(2**31) + 5
 
 
 @pytest.mark.parametrize("roll", [np.pi, np.pi / 2])

@@ -40,10 +40,14 @@ class Clock(struct.PyTreeNode, kw_only=True):
         return (self.step - xp.asarray(step)).astype(xp.float32) * self.period
 
 
+def wrapped_step(count: ArrayLike) -> np.ndarray:
+    """Return a count of control steps as the 32-bit count that a clock has then."""
+    return np.asarray(np.asarray(count, np.int64).astype(np.int32))
+
+
 def clock_at(seconds: ArrayLike, period: float) -> Clock:
     """Return the clock of the control step nearest to a time [s]."""
-    step = np.rint(np.asarray(seconds, np.float64) / period).astype(np.int64)
-    return Clock(step=np.asarray(step.astype(np.int32)), period=period)
+    return Clock(step=wrapped_step(np.rint(np.asarray(seconds, np.float64) / period)), period=period)
 
 
 Time = ArrayLike | Clock

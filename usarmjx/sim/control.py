@@ -393,7 +393,9 @@ def _wrench(
         own = drive.wrench(setpoint, state, conditions.depth)
         wrench = drive.passive_wrench(state, conditions.depth) + xp.where(powered[..., None], own, 0.0)
     # A traced value decides no branch: on JAX every robot's wrench is computed and masked.
-    flips = powered & (conditions.step < flip_until)
+    # Counts wrap around, so an idle 0 comes to lie ahead again: only the time of one righting counts.
+    remaining = xp.asarray(flip_until) - conditions.step
+    flips = powered & (remaining > 0) & (remaining <= round(FLIP_TIME / period))
     if drive.is_wheeled and not (on_numpy() and not flips.any()):
         wrench = wrench + xp.where(flips[..., None], righting_wrench(plan, state, period), 0.0)
     return xp.asarray(wrench, xp.float32)

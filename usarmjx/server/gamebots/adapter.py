@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 
 from usarmjx.base.arrays import ArrayLike
+from usarmjx.base.clock import wrapped_step
 from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.base.parameters import Parameters
 from usarmjx.base.registry import is_name
@@ -233,7 +234,7 @@ class Client:
         # The known keys of a DRIVE count even if others are wrong.
         known = {k: v * full[k] / 100 if command.normalized else v for k, v in values.items() if k in full}
         flip = round(FLIP_TIME / self._world.period)
-        flip_until = self._world.steps + flip if command.flip else None
+        flip_until = wrapped_step(self._world.steps + flip) if command.flip else None
         self._update_command(CommandUpdate(drive=known, light=command.light, flip_until=flip_until))
 
     def _update_command(self, update: CommandUpdate) -> None:
