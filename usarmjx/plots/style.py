@@ -116,13 +116,6 @@ def series(panel: Axes, x: Any, y: Any, number: int, label: str | None = None, *
     panel.plot(x, y, label=label, **{**shown, **style})
 
 
-def legend_below(figure: Figure, panel: Axes, columns: int = 4) -> None:
-    """Draw a legend of a panel's series below all panels, so that it covers no data."""
-    handles, labels = panel.get_legend_handles_labels()
-    if handles:
-        figure.legend(handles, labels, loc="outside lower center", ncols=columns)
-
-
 def save_figure(figure: Figure, path: Path, **metadata: str) -> None:
     """Write a figure: PNG with few colours, or vectors as PDF, SVG or EPS.
 
