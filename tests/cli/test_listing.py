@@ -36,16 +36,16 @@ def test_a_listing_has_a_row_for_each_thing(what):
     assert all(len(row) == len(listing.columns) for row in listing.rows)
 
 
-def test_policies_are_those_trained_and_those_by_hand():
+def test_policies_are_the_packaged_ones_and_the_baselines():
     names = [row[0] for row in LISTINGS["policies"]().rows]
     assert names == [*POLICIES.names(), *BASELINES.names()]
 
 
 def test_tasks_say_which_policies_come_for_them():
     told = {row[0]: row[-1] for row in LISTINGS["tasks"]().rows}
-    assert told["stairs"].endswith("by hand")
+    assert told["stairs"].endswith("baseline")
     for name in ("explore", "victim-search"):
-        assert told[name] == told[f"{name}-v1"] == "trained, by hand"
+        assert told[name] == told[f"{name}-v1"] == "packaged, baseline"
         assert load_policy(f"{name}-v1").name == load_policy(name).name
 
 

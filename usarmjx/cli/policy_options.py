@@ -54,7 +54,7 @@ class PolicyOptions:
     baseline: Annotated[
         str | None,
         typer.Option(
-            help="Instead of a trained policy the one written by hand for a task.",
+            help="Baseline of a task, in place of a trained policy.",
             autocompletion=complete_tasks,
         ),
     ] = None

@@ -109,7 +109,7 @@ def tasks() -> Listing:
     from usarmjx.train.policies import POLICIES
     from usarmjx.train.tasks import TASKS
 
-    made = {"trained": POLICIES, "by hand": BASELINES}
+    made = {"packaged": POLICIES, "baseline": BASELINES}
     rows = [
         (name, task.about, task.episode_steps, ", ".join(how for how in made if name in made[how]) or "none")
         for name, task in TASKS
@@ -130,8 +130,8 @@ def policies() -> Listing:
     rows: list[Sequence[object]] = []
     for name, file in POLICIES:
         groups = ", ".join(f"{one['name']} ({len(one['agents'])})" for one in NumpyPolicy(file).groups)
-        rows.append((name, "trained", groups, f"usarmjx play {name} --view"))
-    rows += [(name, "by hand", "", f"usarmjx play --baseline {name} --view") for name in BASELINES.names()]
+        rows.append((name, "packaged", groups, f"usarmjx play {name} --view"))
+    rows += [(name, "baseline", "", f"usarmjx play --baseline {name} --view") for name in BASELINES.names()]
     return Listing(columns=("policy", "made", "robots", "to see it"), rows=rows, title="Policies")
 
 

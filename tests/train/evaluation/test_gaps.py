@@ -76,7 +76,7 @@ def test_what_needs_a_solver_is_refused_by_name():
         make("soccer", engine="planar")
     heard = []
     rows = list(task_gap(("planar",), sources_of(["soccer"]), 1, (0,), 1, tell=heard.append))
-    assert rows[-1] == "| soccer, by hand | refused |"
+    assert rows[-1] == "| soccer, baseline | refused |"
     assert "a ball that is pushed" in heard[0]
 
 
@@ -93,7 +93,7 @@ def test_scores_are_told_with_their_intervals():
     assert told([shares]) == f"0.5 ({shares.score.low:.3g} to {shares.score.high:.3g})"
     assert told([evaluation_of([episodes(0.5)])]) == "0.5"
     names = [name for name, _ in sources_of(["drive-to-goal", "convoy"])]
-    assert names == ["drive-to-goal, packaged policy", "drive-to-goal, by hand", "convoy, by hand"]
+    assert names == ["drive-to-goal, packaged policy", "drive-to-goal, baseline", "convoy, baseline"]
 
 
 def test_runs_that_differ_by_their_seeds_share_a_row_and_are_told_each(tmp_path, monkeypatch):

@@ -61,7 +61,7 @@ def sources_of(named: Sequence[str]) -> Iterator[Tried]:
             continue
         if name in POLICIES:
             yield f"{name}, packaged policy", (load_policy(name),)
-        yield f"{name}, by hand", (baseline(name),)
+        yield f"{name}, baseline", (baseline(name),)
     for (task, how), found in runs.items():
         yield f"{task}, {how}{f', {len(found)} runs' if len(found) > 1 else ''}", tuple(found)
 
