@@ -72,7 +72,7 @@ class Physics:
     def fast(cls) -> "Physics":
         """Return settings for training and sweeps: several times as fast, and less exact.
 
-        Found by a search over settings; docs/performance.md tables the behaviour of every robot class under
+        Found by a search over settings; docs/evidence/physics-settings.md tables the behaviour of every robot class under
         them, beside the reference settings, and their limits.
         """
         return cls(timestep=0.01, substeps=2, iterations=8, ls_iterations=5)
