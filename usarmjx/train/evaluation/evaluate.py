@@ -222,6 +222,8 @@ def as_record(found: Evaluation) -> dict[str, Any]:
 
 def _rows(run: Episodes) -> list[dict[str, Any]]:
     columns = {"world": run.worlds, "episode": run.episode_index, "score": run.scores, "steps": run.lengths}
+    if run.buildings is not None:
+        columns["building"] = np.maximum(run.buildings, -1)
     values = zip(*(column.tolist() for column in columns.values()), strict=True)
     return [{"seed": run.seed, **dict(zip(columns, row, strict=True))} for row in values]
 
