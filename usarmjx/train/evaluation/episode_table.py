@@ -65,7 +65,7 @@ def evaluate(  # noqa: PLR0913 - all but the first may be left out
     same = {"policy": source.name, "task": source.task, "split": split or "", "engine": engine}
     rows: list[dict[str, Any]] = [{**same, **row} for row in record["episodes"]]
     try:
-        import pandas as pd
+        import pandas as pd  # pyright: ignore[reportMissingTypeStubs]
     except ImportError:
         return rows
     frame = pd.DataFrame(rows)
