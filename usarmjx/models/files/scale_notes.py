@@ -10,10 +10,10 @@ from usarmjx.models.types.arena import ArenaSpec
 
 MAX_SPAN, MIN_SPAN = 200.0, 0.05
 """Lengths of an arena outside which its scale is doubted [m]."""
-SCALES = (0.3048, 0.0254, 0.01, 0.001)
-"""Factors to metres that are proposed: feet, inches, centimetres, millimetres."""
-GOOD_SPAN = 100.0
-"""Largest length of an arena for which a factor is proposed [m]."""
+SCALES = (0.001, 0.01, 0.0254, 0.3048)
+"""Factors to metres that are proposed: of millimetres, centimetres, inches, feet."""
+LEAST_SPAN, GOOD_SPAN = 0.3, 100.0
+"""Lengths of an arena between which a factor is proposed [m]."""
 LARGEST_SCALE = 1000.0
 """Factor that is proposed for an arena that is too small: it was scaled to metres twice."""
 REMEDIES = {
@@ -43,7 +43,11 @@ def scale_notes(arena: ArenaSpec, path: Path) -> tuple[str, ...]:
     remedy = REMEDIES.get(
         path.suffix.lower(), "mind the units of its file; meshes have a `scale`, as {scale:g}"
     )
-    scale = LARGEST_SCALE if span < MIN_SPAN else next((s for s in SCALES if s * span <= GOOD_SPAN), 0.001)
+    scale = (
+        LARGEST_SCALE
+        if span < MIN_SPAN
+        else next((s for s in SCALES if LEAST_SPAN <= s * span <= GOOD_SPAN), 0.001)
+    )
     said = remedy.format(name=path.name, scale=scale, cell=GOOD_SPAN / span)
     if not said:
         return ()
