@@ -86,6 +86,16 @@ def test_blocks_are_scaled_to_the_size_and_cut_into_convex_ones(tmp_path):
     assert area == pytest.approx(12)
 
 
+def test_blocks_of_older_versions_are_properties_of_their_model(tmp_path):
+    corners = " ".join(f"block[0].point[{i}] [{x} {y}]" for i, (x, y) in enumerate([(0, 0), (1, 0), (0, 1)]))
+    text = (
+        f'model ( size [2 2 1] blocks 1 block[0].points 3 {corners} block[0].z [0 1] block[0].color "blue" )'
+    )
+    (shape,) = stage_content(write(tmp_path / "a.world", text)).shapes
+    assert shape.rgba == (0, 0, 1, 1)
+    np.testing.assert_allclose(shape.mesh.vertices[:3, :2] + shape.at[:2], [[-1, -1], [1, -1], [-1, 1]])
+
+
 def test_a_boundary_is_four_walls_within_the_size(tmp_path):
     walls = stage_content(write(tmp_path / "a.world", "model ( size [6 4 1] boundary 1 )")).shapes
     corners = np.array([np.abs(wall.at[:2]) + wall.size[:2] for wall in walls])

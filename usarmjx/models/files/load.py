@@ -211,13 +211,16 @@ def _xml(path: Path, resources: Resources) -> Content:
     data = read_bytes(path, refusal=ArenaFileError)
     if b"<robot" in data:
         return urdf_content(path, resources=resources)
-    return sdf_content(path, resources=resources) if b"<sdf" in data else mjcf_content(path)
+    is_sdf = b"<sdf" in data or (path.suffix.lower() == ".world" and b"<mujoco" not in data)
+    return sdf_content(path, resources=resources) if is_sdf else mjcf_content(path)
 
 
 def _world(path: Path, resources: Resources) -> Content:
     """Read a world of Gazebo, which is XML, or of Stage."""
-    is_xml = read_bytes(path, refusal=ArenaFileError).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
-    return sdf_content(path, resources=resources) if is_xml else stage_content(path)
+    data = read_bytes(path, refusal=ArenaFileError).lstrip(b"\xef\xbb\xbf \t\r\n")
+    if data.startswith(b"#usda"):
+        return _usd(path)
+    return _xml(path, resources) if data.startswith(b"<") else stage_content(path)
 
 
 def _mesh(path: Path) -> Content:

@@ -33,6 +33,19 @@ FREE_TURN = 1e15
 MODEL_CHILDREN = ("model", "include", "link", "joint", "frame", "pose", "static", "plugin", "name", "uri")
 LINK_CHILDREN = ("pose", "inertial", "collision", "visual", "light")
 SOLID_CHILDREN = ("pose", "geometry", "material", "transparency", "laser_retro", "cast_shadows")
+SETTINGS = (
+    *("scene", "physics", "gui", "gravity", "magnetic_field", "atmosphere", "wind", "audio"),
+    *(
+        "self_collide",
+        "enable_wind",
+        "kinematic",
+        "allow_auto_disable",
+        "velocity_decay",
+        "must_be_base_link",
+    ),
+    *("surface", "max_contacts", "meta", "visibility_flags"),
+)
+"""Elements about the physics and pictures of Gazebo, which are ours here."""
 WORLD_CHILDREN = ("model", "include", "light", "frame", "state", "plugin", "name", "spherical_coordinates")
 
 
@@ -125,7 +138,13 @@ class _SdfReader:
 
     def _dropped_notes(self) -> Iterator[str]:
         """Yield what is left out, a line for each kind, with the place of the first one."""
+        settings = [found[0] for (_, tag), found in self._dropped.items() if tag in SETTINGS]
+        if settings:
+            tags = listed([*dict.fromkeys(one.tag for one in settings)], len(SETTINGS))
+            yield f"{settings[0].place}: settings of Gazebo are left out: {tags}"
         for (where, tag), found in self._dropped.items():
+            if tag in SETTINGS:
+                continue
             names = [name for one in found if (name := one.get("name") or one.get("filename"))]
             said = f": {listed(names)}" if names else ""
             yield f"{found[0].place}: {len(found)} <{tag}> ({where}) left out{said}"

@@ -1,6 +1,7 @@
 """World files of the Stage simulator as arenas: floor plans, boxes and blocks; robots become start poses."""
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,8 @@ QUIET_KINDS = ("window",)
 """Types that have nothing to do with an arena."""
 RED: Rgba = (1.0, 0.0, 0.0, 1.0)
 """Colour of a model without one: Stage's."""
+FLAT_BLOCK = re.compile(r"(?:block|polygon)\[(\d+)\]\.(points|point\[\d+\]|z|color)")
+"""Name of a property that is one of a block."""
 LENGTH_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 ANGLE_UNITS = {"degrees": math.pi / 180, "radians": 1.0}
 MAX_STAGE_STARTS = 256
@@ -199,16 +202,10 @@ class _StageReader:
     def _solids(self, model: StageModel, size: tuple[float, float, float], like: Shape) -> Iterator[Shape]:
         """Yield the solids of a model in its own axes, its foot at height 0."""
         bitmap = model.properties.get("bitmap")
-        blocks = [child for child in model.children if child.word == "block"]
+        blocks = [child for child in model.children if child.word == "block"] or _flat_blocks(model)
         if bitmap is not None and bitmap.values[0]:
             yield from self._bitmap(bitmap, size, like)
-        elif blocks or "blocks" in model.properties or "polygons" in model.properties:
-            if not blocks:
-                found = model.properties.get("blocks") or model.properties["polygons"]
-                self._notes.append(
-                    f"{found.place}: {found.name} in Stage 2's form are left out: a box of its size is there"
-                )
-                yield _box(like, -size[0] / 2, size[0] / 2, -size[1] / 2, size[1] / 2, size[2])
+        elif blocks:
             yield from self._blocks(blocks, size, like)
         elif not model.number("boundary", 0):
             yield _box(like, -size[0] / 2, size[0] / 2, -size[1] / 2, size[1] / 2, size[2])
@@ -286,6 +283,17 @@ class _StageReader:
         if any(point is None for point in found):
             raise block.error(f"has no point[{found.index(None)}]; points is {count:g}")
         return np.array(found, float)
+
+
+def _flat_blocks(model: StageModel) -> list[StageModel]:
+    """Return blocks in Stage 2's and 3.0's form: properties of the model as block[0].points."""
+    blocks: dict[str, StageModel] = {}
+    for name, found in model.properties.items():
+        split = FLAT_BLOCK.fullmatch(name)
+        if split is not None:
+            block = blocks.setdefault(split[1], StageModel(kind="block", word="block", place=found.place))
+            block.properties[split[2]] = found
+    return list(blocks.values())
 
 
 def _plain_colour(name: str) -> str:
