@@ -10,7 +10,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy as np
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsarmjxError
 from usarmjx.base.transforms import quat_from_angles
+from usarmjx.models.check.arena import check_arena
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.files.load import read_arena
 from usarmjx.models.robots import ROBOTS
@@ -131,6 +132,12 @@ def survey(package: Path, file: Path) -> Row:
 def drive(arena: ArenaSpec) -> str:
     """Return whether a P2AT stands at the first start pose and drives from there, in words."""
     robot = ROBOTS.get("P2AT")
+    mine = f"start {arena.starts[0].tag!r}"
+    faults = [
+        fault for fault in check_arena(replace(arena, starts=arena.starts[:1])) if fault.startswith(mine)
+    ]
+    if faults:
+        return f"no: {faults[0]}"
     try:
         world = SingleWorld(build_scene(arena, ()), seed=0, seats=1)
         start = arena.starts[0]

@@ -72,13 +72,25 @@ RobotFilesOption = Annotated[
     list[Path] | None,
     typer.Option("--robot", help="URDF, xacro or MJCF file of a robot to add; may be given several times."),
 ]
+PackagesOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--packages", help="Folder with packages or models that the file names; may be given several times."
+    ),
+]
 IniOption = Annotated[
     list[Path] | None,
     typer.Option("--ini", help="USARBot.ini or USARMisPkg.ini with robots; may be given several times."),
 ]
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 WorldsOption = Annotated[int, typer.Option(min=1, help="Worlds in the batch.")]
-RadioIniOption = Annotated[
+RadioPackagesOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--packages", help="Folder with packages or models that the file names; may be given several times."
+    ),
+]
+IniOption = Annotated[
     Path | None, typer.Option("--radio-ini", help="USARComServer.ini with the radio's constants.")
 ]
 PortOffsetOption = Annotated[

@@ -187,8 +187,12 @@ def read_arena(path: str | Path, *, packages: Iterable[str | Path] = ()) -> tupl
     return arena, content.warnings + scale_notes(arena, path)
 
 
-def find_arena(arena: str | Path) -> ArenaSpec:
+def find_arena(arena: str | Path, *, packages: Iterable[str | Path] = ()) -> ArenaSpec:
     """Return a registered arena or lane by its name, as lane_stairs, or the one in a file.
+
+    Args:
+        arena: The name, or the file.
+        packages: Folders in which a file's packages and models are searched first.
 
     Raises:
         UnknownNameError: Neither a known name nor the name of a file.
@@ -201,7 +205,7 @@ def find_arena(arena: str | Path) -> ArenaSpec:
         return LANES.get(name).arena
     path = Path(name)
     if path.suffix.lower() in (*YAML, *READERS) or path.is_file():
-        return load_arena(path)
+        return load_arena(path, packages=packages)
     refusal = unknown_name("arena", name, ARENAS.names())
     raise UnknownNameError(f"{refusal}; or a file: {', '.join(SUFFIXES)}")
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from usarmjx.models.types.shapes import Mesh, Shape
 
-MAX_CORNERS = 500
+MAX_CORNERS = 200
 """Largest number of corners of a polygon."""
 FLAT = 1e-12
 """Twice the area below which three corners are on a line [m2]."""
@@ -80,29 +80,30 @@ def _is_ear(ring: np.ndarray, left: list[int], place: int) -> bool:
     a, b, c = ring[before], ring[here], ring[after]
     if _cross(a, b, c) <= 0:
         return False
-    others = [i for i in left if i not in (before, here, after)]
-    return not any(
-        _cross(a, b, ring[i]) >= 0 and _cross(b, c, ring[i]) >= 0 and _cross(c, a, ring[i]) >= 0
-        for i in others
-    )
+    others = ring[[i for i in left if i not in (before, here, after)]]
+    inside = np.ones(len(others), bool)
+    for start, end in ((a, b), (b, c), (c, a)):
+        side = (end[0] - start[0]) * (others[:, 1] - start[1]) - (end[1] - start[1]) * (
+            others[:, 0] - start[0]
+        )
+        inside &= side >= 0
+    return not inside.any()
 
 
 def _merged(ring: np.ndarray, parts: list[list[int]]) -> list[list[int]]:
-    """Join convex polygons that share an edge while the joined one is convex."""
-    done = False
-    while not done:
-        done = True
-        for i, one in enumerate(parts):
-            for j in range(i + 1, len(parts)):
-                joined = _joined(one, parts[j])
-                if joined is not None and _is_convex(ring[joined]):
-                    parts[i] = joined
-                    del parts[j]
-                    done = False
-                    break
-            if not done:
-                break
-    return parts
+    """Join convex polygons over an edge that they share, edge by edge, where the joined one is convex."""
+    owner = {edge: number for number, part in enumerate(parts) for edge in _edges(part)}
+    for a, b in [edge for edge in owner if edge[0] < edge[1] and edge[::-1] in owner]:
+        one, other = owner[a, b], owner[b, a]
+        joined = _joined(parts[one], parts[other])
+        if joined is not None and _is_convex(ring[joined]):
+            parts[one], parts[other] = joined, []
+            owner |= dict.fromkeys(_edges(joined), one)
+    return [part for part in parts if part]
+
+
+def _edges(part: list[int]) -> list[tuple[int, int]]:
+    return [(part[k - 1], part[k]) for k in range(len(part))]
 
 
 def _joined(one: list[int], other: list[int]) -> list[int] | None:

@@ -43,7 +43,7 @@ SETTINGS = (
         "velocity_decay",
         "must_be_base_link",
     ),
-    *("surface", "max_contacts", "meta", "visibility_flags"),
+    *("must_be_base_link", "surface", "max_contacts", "meta", "visibility_flags"),
 )
 """Elements about the physics and pictures of Gazebo, which are ours here."""
 WORLD_CHILDREN = ("model", "include", "light", "frame", "state", "plugin", "name", "spherical_coordinates")

@@ -41,10 +41,11 @@ class WorldPiece:
     normal: np.ndarray | None = None
 
 
-@lru_cache(maxsize=256)
-def world_pieces(
-    path: Path, scale: Vec3, submesh: str, centred: bool, use: Use
-) -> tuple[tuple[WorldPiece, ...], tuple[str, ...]]:
+Found = tuple[tuple[WorldPiece, ...], tuple[str, ...]]
+"""The solids of a mesh, and notes."""
+
+
+def world_pieces(path: Path, scale: Vec3, submesh: str, centred: bool, use: Use) -> Found:
     """Return the solids of a mesh file, and what of it is left out or coarser than it, in words.
 
     Args:
@@ -57,6 +58,19 @@ def world_pieces(
     Raises:
         ArenaFileError: An unreadable file.
     """
+    try:
+        stat = path.stat()
+    except OSError as error:
+        raise ArenaFileError(f"{path}: cannot be read: {error.strerror}") from error
+    return _kept_pieces(path, (stat.st_mtime_ns, stat.st_size), scale, submesh, centred, use)
+
+
+@lru_cache(maxsize=256)
+def _kept_pieces(
+    path: Path, state: tuple[int, int], scale: Vec3, submesh: str, centred: bool, use: Use
+) -> Found:
+    """Return the pieces of a file in a state, its time and size: a world has a hundred chairs of one file."""
+    del state
     objects = mesh_objects(path)
     if submesh:
         objects = [one for one in objects if one[0] in (submesh, "")] or [
