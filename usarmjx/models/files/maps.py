@@ -205,8 +205,8 @@ def _nowhere(value: FileValue, plan: OccupancyGrid) -> str:
     rows, columns = plan.wall.shape
     return (
         f"{value.path}: the map has no free cell: of {columns} x {rows}, {plan.wall.sum()} are walls and the "
-        "others unknown; mind `negate`, `occupied_thresh` and `free_thresh`, and transparent pixels, which count "
-        "by their colour"
+        "others unknown; mind `negate`, `occupied_thresh` and `free_thresh`; transparent pixels count by "
+        "their colour"
     )
 
 

@@ -83,10 +83,8 @@ def _is_ear(ring: np.ndarray, left: list[int], place: int) -> bool:
     others = ring[[i for i in left if i not in (before, here, after)]]
     inside = np.ones(len(others), bool)
     for start, end in ((a, b), (b, c), (c, a)):
-        side = (end[0] - start[0]) * (others[:, 1] - start[1]) - (end[1] - start[1]) * (
-            others[:, 0] - start[0]
-        )
-        inside &= side >= 0
+        (dx, dy), away = end - start, others - start
+        inside &= dx * away[:, 1] - dy * away[:, 0] >= 0
     return not inside.any()
 
 

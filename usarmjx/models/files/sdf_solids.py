@@ -116,7 +116,7 @@ def _lengths(form: LinedElement, tag: str, count: int) -> np.ndarray:
     return lengths
 
 
-def _plain(kind: str, tags: tuple[tuple[str, int, float], ...]) -> "Maker":
+def _plain(kind: str, tags: tuple[tuple[str, int, float], ...]) -> "SolidMaker":
     """Return a maker of a kind of shape, from children with a number of lengths and a factor each."""
 
     def make(own: SdfSolids, form: LinedElement, pose: Pose, like: Shape, use: Use) -> Iterator[Shape]:
@@ -248,8 +248,8 @@ def _area(ring: np.ndarray) -> float:
     return abs(float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())) / 2
 
 
-Maker = Callable[[SdfSolids, LinedElement, Pose, Shape, Use], Iterator[Shape]]
-MAKERS: dict[str, Maker] = {
+SolidMaker = Callable[[SdfSolids, LinedElement, Pose, Shape, Use], Iterator[Shape]]
+MAKERS: dict[str, SolidMaker] = {
     "box": _plain("box", (("size", 3, 0.5),)),
     "sphere": _plain("sphere", (("radius", 1, 1.0),)),
     "cylinder": _plain("cylinder", (("radius", 1, 1.0), ("length", 1, 0.5))),
