@@ -84,13 +84,7 @@ IniOption = Annotated[
 ]
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 WorldsOption = Annotated[int, typer.Option(min=1, help="Worlds in the batch.")]
-RadioPackagesOption = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--packages", help="Folder with packages or models that the file names; may be given several times."
-    ),
-]
-IniOption = Annotated[
+RadioIniOption = Annotated[
     Path | None, typer.Option("--radio-ini", help="USARComServer.ini with the radio's constants.")
 ]
 PortOffsetOption = Annotated[

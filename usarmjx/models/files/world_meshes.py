@@ -41,11 +41,11 @@ class WorldPiece:
     normal: np.ndarray | None = None
 
 
-Found = tuple[tuple[WorldPiece, ...], tuple[str, ...]]
+PiecesAndNotes = tuple[tuple[WorldPiece, ...], tuple[str, ...]]
 """The solids of a mesh, and notes."""
 
 
-def world_pieces(path: Path, scale: Vec3, submesh: str, centred: bool, use: Use) -> Found:
+def world_pieces(path: Path, scale: Vec3, submesh: str, centred: bool, use: Use) -> PiecesAndNotes:
     """Return the solids of a mesh file, and what of it is left out or coarser than it, in words.
 
     Args:
@@ -68,7 +68,7 @@ def world_pieces(path: Path, scale: Vec3, submesh: str, centred: bool, use: Use)
 @lru_cache(maxsize=256)
 def _kept_pieces(
     path: Path, state: tuple[int, int], scale: Vec3, submesh: str, centred: bool, use: Use
-) -> Found:
+) -> PiecesAndNotes:
     """Return the pieces of a file in a state, its time and size: a world has a hundred chairs of one file."""
     del state
     objects = mesh_objects(path)
