@@ -87,6 +87,10 @@ class Registry(Generic[T]):
         other._entries, other._aliases = dict(self._entries), dict(self._aliases)
         return other
 
+    def __repr__(self) -> str:
+        """Return the names."""
+        return f"Registry of {self.kind}s: {', '.join(self.names())}"
+
     def __contains__(self, name: str) -> bool:
         """Return whether a name or alias is registered, case ignored."""
         return name.lower() in self._entries or name.lower() in self._aliases

@@ -103,7 +103,7 @@ COMMANDS = {
     ),
     "export": (
         "usarmjx.cli.train:app",
-        "Write a policy to a file that NumPy alone can run; or a recording as tables or as a film.",
+        "Write a policy to a file for NumPy or ONNX Runtime; or a recording as tables or as a film.",
     ),
     "eval": (
         "usarmjx.cli.evaluation:evaluate_policy",

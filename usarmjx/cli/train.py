@@ -624,7 +624,7 @@ def export(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="File to write, .npz; of a recording .csv, .parquet, .gif or .mp4; needed.",
+            help="File to write, .npz or .onnx; of a recording .csv, .parquet, .gif or .mp4; needed.",
             show_default=False,
         ),
     ] = None,
@@ -634,7 +634,7 @@ def export(
     world: Annotated[int, typer.Option(min=0, help="Of a recording: which world films show.")] = 0,
     speed: Annotated[float, typer.Option(min=0.01, help="Of a recording: how fast films are.")] = 2.0,
 ) -> None:
-    """Write a policy to a file that NumPy alone can run; or a recording as tables or as a film."""
+    """Write a policy to a file for NumPy or ONNX Runtime; or a recording as tables or as a film."""
     with ErrorExit():
         where = chosen_out(out, old_out)
         announce(f"reading {run} ...")

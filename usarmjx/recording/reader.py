@@ -17,6 +17,7 @@ from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.facts import facts_line, facts_table
 from usarmjx.recording.file import CHANNEL_METADATA, CHANNELS, NANO, ChannelName
 from usarmjx.recording.inputs import WorldSetup
 from usarmjx.recording.values import unpack
@@ -71,6 +72,19 @@ class Recording:
     Raises:
         UsageError: It cannot be read, or is no recording of ours.
     """
+
+    def __repr__(self) -> str:
+        """Return a short line: the file and how long it lasts."""
+        return facts_line("Recording", self.facts)
+
+    def _repr_html_(self) -> str:
+        return facts_table("Recording", self.facts)
+
+    @property
+    def facts(self) -> dict[str, object]:
+        """What it is, by name, for people."""
+        length = f"{self.end - self.start:.1f} s" + ("" if self.is_complete else ", its end is missing")
+        return {"file": self.path, "length": length, **self.about}
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)

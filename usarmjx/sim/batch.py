@@ -6,6 +6,7 @@ with C MuJoCo the parts around the engine are.
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -19,6 +20,7 @@ from usarmjx.base.backend import set_at
 from usarmjx.base.compilation import enable_cache_after_import
 from usarmjx.base.entry import jax_entry_points
 from usarmjx.base.errors import EngineError, UnsupportedFeatureError, UsageError
+from usarmjx.base.facts import facts_table
 from usarmjx.base.program_cache import ProgramCache, compile_program
 from usarmjx.comms.links import Links
 from usarmjx.comms.mail import clear_inboxes
@@ -32,7 +34,7 @@ from usarmjx.sim.control import CommandUpdate, ControlMode, update_command
 from usarmjx.sim.operate import OperationResult, find_operation, operate_in_worlds
 from usarmjx.sim.radio import mailboxes, outgoing_messages, radio_of, send, update_links_of_worlds
 from usarmjx.sim.reset import init_world, reset
-from usarmjx.sim.scene import Scene
+from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.views import find_camera, render_groups, render_scene_of_world
 from usarmjx.sim.world import (
     GroupState,
@@ -100,7 +102,7 @@ class Batch:
     """Copies of a scene that are stepped together.
 
     Args:
-        scene: The scene that every world copies.
+        scene: The scene that every world copies, or the arena of one with a P2AT.
         worlds: Number of worlds.
         engine: `warp`, `jax`, `c`, `planar`, or `auto`.
         seed: Seed of all random numbers.
@@ -119,9 +121,17 @@ class Batch:
     _program_cache: ProgramCache | None = None
     """Cache of compiled programs; None: they are compiled at each start."""
 
+    def __repr__(self) -> str:
+        """Return a short line: what is stepped, by which engine."""
+        return f"Batch({self.scene!r}, worlds={self.worlds}, engine={type(self.engine).__name__})"
+
+    def _repr_html_(self) -> str:
+        facts = {"worlds": self.worlds, "engine": type(self.engine).__name__, **self.scene.facts}
+        return facts_table("Batch", facts)
+
     def __init__(
         self,
-        scene: Scene,
+        scene: Scene | str | Path,
         worlds: int = 1,
         *,
         engine: str = "auto",
@@ -132,6 +142,7 @@ class Batch:
         if worlds < 1:
             raise UsageError(f"a batch needs at least one world, not {worlds}")
         enable_cache_after_import()
+        scene = build_scene(scene) if isinstance(scene, str | Path) else scene
         self.scene = scene
         self.worlds = worlds
         self.engine = engine_of(scene, engine, worlds)

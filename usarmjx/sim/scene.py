@@ -1,5 +1,6 @@
 """A scene: an arena with a roster of robots, composed and resolved. Static; every world is a copy of it."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -9,7 +10,8 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.arrays import ArrayLike
-from usarmjx.base.errors import SpecError
+from usarmjx.base.errors import SpecError, UsageError
+from usarmjx.base.facts import facts_table
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.mail import MessageSettings
 from usarmjx.comms.walls import arena_solids
@@ -332,6 +334,22 @@ class Scene:
         """Return a short line: JAX asks for it whenever it compiles a function that closes over a scene."""
         return f"Scene({self.arena.name!r}, {self.num_robots} robots)"
 
+    @property
+    def facts(self) -> dict[str, object]:
+        """What is in it, by name, for people."""
+        counts = Counter(entry.spec.name for entry in self.roster)
+        return {
+            "arena": self.arena.name if self.arenas is None else "one of several in each world",
+            "robots": ", ".join(f"{count} {name}" for name, count in counts.items()) or "none",
+            "victims": len(self.arena.victims),
+            "solids": self.model.ngeom,
+            "radio": "yes" if self.radio else "no",
+            "control step [s]": self.physics.period,
+        }
+
+    def _repr_html_(self) -> str:
+        return facts_table("Scene", self.facts)
+
     @cached_property
     def victims(self) -> VictimTable:
         """The victims, where all worlds have the same arena."""
@@ -476,12 +494,29 @@ def _resolve_arena(
     return arenas.template, arenas
 
 
-def unique_entries(roster: Sequence[str | RobotSpec | RosterEntry]) -> tuple[RosterEntry, ...]:
+def parse_roster(text: str) -> list[str]:
+    """Return the class names of a roster written as `P2AT:4,P2DX:2`.
+
+    Raises:
+        UsageError: Not of that form.
+        UnknownNameError: No such robot class.
+    """
+    names: list[str] = []
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        name, _, count = part.partition(":")
+        if count and not count.isdecimal():
+            raise UsageError(f"roster entry {part!r} is not of the form CLASS:COUNT, as P2AT:4")
+        names += [find_robot(name).name] * int(count or 1)
+    return names
+
+
+def unique_entries(roster: str | Sequence[str | RobotSpec | RosterEntry]) -> tuple[RosterEntry, ...]:
     """Return the entries of a roster, whose names differ, case ignored: messages tell robots apart by them.
 
     Raises:
         SpecError: Names the robot and its slots.
     """
+    roster = parse_roster(roster) if isinstance(roster, str) else roster
     entries = tuple(e if isinstance(e, RosterEntry) else RosterEntry(robot=e) for e in roster)
     slots: dict[str, int] = {}
     for slot, entry in enumerate(entries):
@@ -493,7 +528,7 @@ def unique_entries(roster: Sequence[str | RobotSpec | RosterEntry]) -> tuple[Ros
 
 def build_scene(
     arena: str | Path | ArenaSpec | Sequence[ArenaSpec] = "yellow",
-    roster: Sequence[str | RobotSpec | RosterEntry] = ("P2AT",),
+    roster: str | Sequence[str | RobotSpec | RosterEntry] = ("P2AT",),
     physics: Physics | None = None,
     *,
     radio: RadioSettings | None = None,
@@ -506,8 +541,8 @@ def build_scene(
     Args:
         arena: Name, file (see `models.files.load`) or description; or several descriptions, of which each
             world gets one at every reset.
-        roster: Class names, descriptions or entries, in slot order; robots that are not parked need a start
-            pose each.
+        roster: Class names, descriptions or entries, in slot order, or a text as `P2AT:2,P2DX`; robots that
+            are not parked need a start pose each.
         physics: Solver and time settings.
         radio: Constants of the robots' radios; None: they have none, and it costs nothing.
         mail: Sizes of the messages that they send each other over it; None: none.

@@ -286,6 +286,10 @@ def build_env(
     return build_calibrated(lambda: Env(task, worlds, name=name, engine=engine, seed=seed, first=first))
 
 
+GUESSES = {"num_envs", "num_worlds", "n_envs", "batch_size"}
+"""Names of the number of worlds in other libraries."""
+
+
 def make(
     name: str,
     worlds: int = 1,
@@ -308,5 +312,7 @@ def make(
         UnknownNameError: No such task, or a field that it does not have; lists those there are.
         UsageError: A scene that cannot be built, or not run on this engine.
     """
+    if guessed := sorted(GUESSES & overrides.keys()):
+        raise UsageError(f"{guessed[0]}: the argument is called worlds, as worlds=4")
     task = make_task(name, **overrides)
     return build_env(task, worlds, name=full_name(name), engine=engine, seed=seed, first=first)

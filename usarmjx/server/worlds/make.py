@@ -11,23 +11,7 @@ from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.server.worlds.served_world import ServedWorld
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.calibration import build_calibrated
-from usarmjx.sim.scene import RosterEntry, build_scene
-
-
-def parse_roster(text: str) -> list[str]:
-    """Return the class names of a roster written as `P2AT:4,P2DX:2`.
-
-    Raises:
-        UsageError: Not of that form.
-        UnknownNameError: No such robot class.
-    """
-    names: list[str] = []
-    for part in filter(None, (part.strip() for part in text.split(","))):
-        name, _, count = part.partition(":")
-        if count and not count.isdecimal():
-            raise UsageError(f"roster entry {part!r} is not of the form CLASS:COUNT, as P2AT:4")
-        names += [find_robot(name).name] * int(count or 1)
-    return names
+from usarmjx.sim.scene import RosterEntry, build_scene, parse_roster
 
 
 def make_worlds(

@@ -15,6 +15,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.compilation import enable_cache_after_import
 from usarmjx.base.entry import jax_entry_points
 from usarmjx.base.errors import UnsupportedFeatureError, UsageError
+from usarmjx.base.facts import facts_line, facts_table
 from usarmjx.base.program_cache import ProgramCache, compile_program, open_program_cache
 from usarmjx.engines import PhysicsState, choose_engine, engine_class
 from usarmjx.models.compile.arena_set import ArenaState
@@ -283,6 +284,30 @@ class Env:
             else self.program_cache.value("Env._shapes", self._shapes)
         )
         self.groups, self.privileged_size = self._agents(), self._blanks[1].privileged.shape[-1]
+
+    @property
+    def facts(self) -> dict[str, object]:
+        """What it is, by name, for people."""
+        agents = ", ".join(
+            f"{len(group.agents)} {group.name} ({group.obs_size} numbers, {group.action_size} actions)"
+            for group in self.groups
+        )
+        length = f"{self.episode_steps} steps of {self.period:g} s"
+        engine = type(self.batch.engine).__name__
+        return {
+            "task": self.name,
+            "worlds": self.worlds,
+            "engine": engine,
+            "agents": agents,
+            "episode": length,
+        }
+
+    def __repr__(self) -> str:
+        """Return a short line: the task, the worlds, the agents."""
+        return facts_line("Env", self.facts)
+
+    def _repr_html_(self) -> str:
+        return facts_table("Env", self.facts)
 
     def _compile(self, function: Callable[..., Any]) -> Callable[..., Any]:
         return compile_program(function, self.program_cache, "Env")

@@ -11,6 +11,7 @@ import math
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -366,8 +367,18 @@ def export_run(run: str | Path, file: str | Path, which: str = "best", half: boo
         UsageError: No run, no such checkpoint, a broken one, a file of another kind, or one that cannot be
             written.
     """
-    if Path(file).suffix.lower() != ".npz":
-        raise UsageError(f"{file}: a policy is written as .npz, not as {Path(file).suffix or 'a bare name'}")
+    suffix = Path(file).suffix.lower()
+    if suffix == ".onnx":
+        from usarmjx.train.policies.onnx_file import write_onnx
+
+        with TemporaryDirectory() as folder:
+            export_run(run, Path(folder) / "policy.npz", which, half)
+            write_onnx(NumpyPolicy(Path(folder) / "policy.npz"), Path(file))
+        return
+    if suffix != ".npz":
+        raise UsageError(
+            f"{file}: a policy is written as .npz or .onnx, not as {Path(file).suffix or 'a bare name'}"
+        )
     if str(run) in POLICIES and not Path(run).exists():
         about, arrays = read_arrays(POLICIES.get(str(run)))
         _write_arrays(file, {"about": np.array(json.dumps(about)), **arrays}, half)
