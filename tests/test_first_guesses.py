@@ -1,6 +1,7 @@
 """First guesses of a user in Python: they work, or a line says what to write; objects say what they are."""
 
 from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -29,12 +30,12 @@ def test_a_batch_may_be_of_an_arena():
 @pytest.mark.parametrize("name", ["num_envs", "n_envs", "num_worlds", "batch_size"])
 def test_other_libraries_names_of_the_worlds_are_answered(name):
     with pytest.raises(UsageError, match=f"{name}: the argument is called worlds, as worlds=4"):
-        usarmjx.make("explore", **{name: 4})
+        usarmjx.make("explore", **cast(Any, {name: 4}))
 
 
 def test_environments_and_registries_say_what_they_are():
     group = SimpleNamespace(name="P2AT", agents=("P2AT0",), obs_size=20, action_size=2)
-    env = Env.__new__(Env)
+    env: Any = Env.__new__(Env)
     env.name, env.worlds, env.episode_steps, env.period = "drive-to-goal", 4, 100, 0.2
     env.groups, env.batch = (group,), SimpleNamespace(engine=0)
     assert repr(env) == (

@@ -132,7 +132,7 @@ def test_ini_files_add_robots_and_warn_on_the_error_stream(monkeypatch, tmp_path
     ("words", "says"),
     [
         (["--arena", "atlantis"], "unknown arena 'atlantis'; known: .*yellow"),
-        (["--engine", "karma"], "unknown engine 'karma'; known: c, jax, planar, warp"),
+        (["--engine", "karma"], "unknown engine 'karma'; known: auto, c, jax, planar, warp"),
         (["--engine", "jax", "--roster", "P2AT:many"], "'P2AT:many' is not of the form CLASS:COUNT"),
         (["--engine", "jax", "--roster", "Dalek:2"], "unknown robot 'Dalek'; known: .*P2AT"),
         (["--engine", "jax", "--roster", ""], "needs a roster"),

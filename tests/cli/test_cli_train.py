@@ -138,7 +138,10 @@ def test_some_tasks_have_an_engine_of_their_own(words, engine, fields, tmp_path,
             "--set: num_epochs is 'a', expected a whole number from 1",
         ),
         (["train", "--task", "drive-to-goal", "--out", "x", "--resume"], "nothing to resume in x"),
-        (["export", "nowhere", "--out", "x.npz"], "nowhere is no run"),
+        (
+            ["export", "nowhere", "--out", "x.npz"],
+            "unknown run or packaged policy 'nowhere'; known: drive-to-goal",
+        ),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(words, message, tmp_path, monkeypatch):

@@ -16,11 +16,12 @@ def is_name(text: str) -> bool:
     return _NAME.fullmatch(text) is not None
 
 
-def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
-    """Return a refusal of a name: the closest one that is known, if one is close, and all of them."""
+def unknown_name(kind: str, name: str, known: Iterable[str], aliases: Iterable[str] = ()) -> str:
+    """Return a refusal of a name: the closest one or alias that is known, if one is close, and all names."""
     names = list(known)
-    near = get_close_matches(name.lower(), [one.lower() for one in names], n=1)
-    hint = next((f"; did you mean {one!r}?" for one in names if [one.lower()] == near), "")
+    candidates = [*names, *aliases]
+    near = get_close_matches(name.lower(), [one.lower() for one in candidates], n=1)
+    hint = next((f"; did you mean {one!r}?" for one in candidates if [one.lower()] == near), "")
     return f"unknown {kind} {name!r}{hint or ';'} known: {', '.join(names) or 'none'}"
 
 
@@ -66,7 +67,7 @@ class Registry(Generic[T]):
         key = name.lower()
         key = self._aliases.get(key, key)
         if key not in self._entries:
-            raise UnknownNameError(unknown_name(self.kind, name, self.names()))
+            raise UnknownNameError(unknown_name(self.kind, name, self.names(), self._aliases))
         return self._entries[key][1]
 
     def find(self, name: str) -> T | None:
@@ -76,6 +77,10 @@ class Registry(Generic[T]):
     def names(self) -> list[str]:
         """Return the registered names in their original spelling, sorted without case."""
         return sorted((name for name, _ in self._entries.values()), key=str.lower)
+
+    def aliases(self) -> list[str]:
+        """Return the aliases, in lower case."""
+        return list(self._aliases)
 
     def discard(self, name: str) -> None:
         """Remove the entry of a name, case ignored, if there is one."""

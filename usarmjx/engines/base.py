@@ -14,8 +14,8 @@ import numpy as np
 from flax import struct
 
 from usarmjx.base.arrays import Array
-from usarmjx.base.errors import UnsupportedFeatureError
-from usarmjx.base.registry import Registry
+from usarmjx.base.errors import UnknownNameError, UnsupportedFeatureError
+from usarmjx.base.registry import Registry, unknown_name
 from usarmjx.models.compile.geoms import MovedGeoms
 from usarmjx.models.compile.layout import RobotIndex
 from usarmjx.models.compile.physics import Physics
@@ -382,7 +382,8 @@ def choose_engine(name: str, purpose: Literal["serve", "train", "batch"]) -> str
         UnknownNameError: No such engine; lists the known ones.
     """
     if name.lower() != "auto":
-        ENGINES.get(name)
+        if name not in ENGINES:
+            raise UnknownNameError(unknown_name("engine", name, ["auto", *ENGINES.names()]))
         return name.lower()
     kinds = {device.platform for device in jax.devices()}
     if "gpu" in kinds and importlib.util.find_spec("warp") is not None:

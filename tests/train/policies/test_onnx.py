@@ -1,6 +1,7 @@
 """Policies as ONNX models: ONNX Runtime acts as NumPy does."""
 
 import json
+from typing import Any
 
 import numpy as np
 import onnxruntime
@@ -32,7 +33,7 @@ def test_onnx_runtime_acts_as_numpy_does(task, tmp_path):
         seen[0][0, 0], seen[0][1, 0], seen[0][2, 0] = np.nan, np.inf, 1e6
         fed |= {f"{group['name']}.obs": obs for group, obs in zip(policy.groups, seen, strict=True)}
         names = [one.name for one in session.get_outputs()]
-        found = dict(zip(names, session.run(None, fed), strict=True))
+        found: dict[str, Any] = dict(zip(names, session.run(None, fed), strict=True))
         for index, group in enumerate(policy.groups):
             action, carries[index] = policy.act(index, seen[index], carries[index])
             assert_allclose(found[f"{group['name']}.action"], action, atol=TOLERANCE)

@@ -206,7 +206,7 @@ def find_arena(arena: str | Path, *, packages: Iterable[str | Path] = ()) -> Are
     path = Path(name)
     if path.suffix.lower() in (*YAML, *READERS) or path.is_file():
         return load_arena(path, packages=packages)
-    refusal = unknown_name("arena", name, ARENAS.names())
+    refusal = unknown_name("arena", name, ARENAS.names(), ARENAS.aliases())
     raise UnknownNameError(f"{refusal}; or a file: {', '.join(SUFFIXES)}")
 
 

@@ -19,6 +19,7 @@ from numpy.lib import format as npy
 
 from usarmjx.base.errors import UsageError, quoted
 from usarmjx.base.files import atomic_write
+from usarmjx.base.registry import unknown_name
 from usarmjx.train.policies import POLICIES
 
 if TYPE_CHECKING:
@@ -383,6 +384,8 @@ def export_run(run: str | Path, file: str | Path, which: str = "best", half: boo
         about, arrays = read_arrays(POLICIES.get(str(run)))
         _write_arrays(file, {"about": np.array(json.dumps(about)), **arrays}, half)
         return
+    if not Path(run).exists():
+        raise UsageError(unknown_name("run or packaged policy", str(run), POLICIES.names()))
     from usarmjx.train.learning.checkpoint import read_policy
 
     save_policy(file, *read_policy(Path(run), which), half=half)

@@ -1,0 +1,100 @@
+"""Wrong inputs over all commands: status 2, no standard output, and the cure in the message."""
+
+import pytest
+from typer.testing import CliRunner
+
+from usarmjx.cli.app import app
+
+ONE_LINE = {
+    "serve --arena yelow": "did you mean 'yellow'?",
+    "serve --roster P2AT:x": "not of the form CLASS:COUNT, as P2AT:4",
+    "serve --roster P3DZ:1 --engine jax": "P2AT",
+    "serve --engine cuda": "known: auto, c, jax, planar, warp",
+    "serve --allow 10.0.0.0/99 --host 0.0.0.0": "as 10.0.0.0/8",
+    "serve --dialect ros": "known: manual, udk",
+    "serve --instances 5 --worlds 2": "worlds 0 to 1",
+    "serve --ini nowhere.ini": "nowhere.ini: cannot be read",
+    "train": "usarmjx train explore",
+    "train drive-to-gaol": "did you mean 'drive-to-goal'?",
+    "train drive-to-goal --set lr=1": "learning_rate",
+    "train drive-to-goal --set radius=-1": "expected a number above 0 [m]",
+    "train drive-to-goal --set radius": "name=value",
+    "train drive-to-goal --engine cuda": "known: auto, c, jax, planar, warp",
+    "train drive-to-goal --resume --out nowhere": "nothing to resume in nowhere",
+    "train drive-to-goal --from nowhere": "name the folder of a run",
+    "train drive-to-goal --config nowhere.yaml": "nowhere.yaml: cannot be read",
+    "train nowhere.py:Task": "there is no file",
+    "eval": "a run, file or packaged policy, or a --baseline",
+    "eval nowhere": "drive-to-goal, explore",
+    "eval drive-to-gaol": "drive-to-goal, explore",
+    "eval drive-to-goal --engine cuda": "known: auto, c, jax, planar, warp",
+    "eval drive-to-goal --set radius=x": "expected a number above 0 [m]",
+    "eval --baseline nobody": "known: convoy",
+    "eval explore --split tset": "did you mean 'test'?",
+    "play nowhere": "drive-to-goal, explore",
+    "play drive-to-goal --engine cuda": "known: auto, c, jax, planar, warp",
+    "play drive-to-goal --out x.txt": "end in .png, .gif",
+    "play --baseline nobody": "known: convoy",
+    "teams drive-to-goal": "no task for a team",
+    "teams explor": "did you mean 'explore'?",
+    "teams explore nobody": "drive-to-goal, explore",
+    "sweep nowhere.yaml": "robustness, teams, thousand",
+    "sweep thousand --set episodes=x": "expected a whole number from 1",
+    "sweep thousand --set nosuch=1 --plan": "episode_steps",
+    "sweep show nowhere": "it has no sweep.json",
+    "export drive-to-goal --out goal.pt": "as .npz or .onnx",
+    "export drive-to-gaol --out goal.npz": "did you mean 'drive-to-goal'?",
+    "export drive-to-goal": "--out PATH",
+    "curves nowhere": "neither a file of benchmark records nor the folder of a run",
+    "portraits Dalek --out x.png": "P2AT",
+    "arena draw yelow --png x.png": "did you mean 'yellow'?",
+    "arena check nowhere.yaml": "there is no such file",
+    "arena generate --kind castle --yaml x.yaml": "known: building, collapsed, maze",
+    "arena generate --kind maze --size 12 --yaml x.yaml": "12x8",
+    "list robotss": "there is: everything, robots",
+    "view nowhere.mcap": "cannot be read",
+    "plot nowhere.mcap": "--png FILE, --pdf FILE",
+    "replay nowhere.mcap": "cannot be read",
+    "bench step --engine cuda": "known: auto, c, jax, planar, warp",
+    "bench step --physics slow": "known: coarse, fast, reference, sleeping",
+    "calibrate Dalek": "P2AT",
+    "chaos": "HOST:PORT of a server that runs, or --self",
+}
+"""Our own messages: a line each."""
+USAGE = {
+    "serv": "serve",
+    "serve --port 70000": "--port",
+    "serve --port x": "--port",
+    "serve --worlds 0": "--worlds",
+    "serve --realtime-factor -1": "--realtime-factor",
+    "serve --bogus": "--bogus",
+    "train drive-to-goal explore": "unexpected extra argument",
+    "train drive-to-goal --steps 0": "--steps",
+    "train drive-to-goal --worlds 0": "--worlds",
+    "train drive-to-goal --processes 0": "--processes",
+    "eval drive-to-goal --episodes 0": "--episodes",
+    "radio-map --arena atlantis --out x.png": "--arena",
+}
+"""Those of the parser of command lines, in its frame."""
+
+
+def refused(words, tmp_path, monkeypatch):
+    """What a command writes to the error stream, without the line on what it begins."""
+    monkeypatch.chdir(tmp_path)
+    plain = {"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"}
+    result = CliRunner().invoke(app, words.split(), env=plain)
+    assert (result.exit_code, result.stdout) == (2, ""), result.output
+    assert not list(tmp_path.iterdir()), "nothing is written"
+    return [line for line in result.stderr.splitlines() if not line.endswith(" ...")]
+
+
+@pytest.mark.parametrize("words", ONE_LINE)
+def test_a_wrong_input_is_answered_in_one_line_with_its_cure(words, tmp_path, monkeypatch):
+    (line,) = refused(words, tmp_path, monkeypatch)
+    assert line.startswith("usarmjx: ")
+    assert ONE_LINE[words] in line
+
+
+@pytest.mark.parametrize("words", USAGE)
+def test_a_wrong_word_is_named(words, tmp_path, monkeypatch):
+    assert USAGE[words] in "".join(refused(words, tmp_path, monkeypatch))
