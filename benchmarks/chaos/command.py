@@ -79,6 +79,12 @@ class SoakOptions:
     ] = None
     clients: Annotated[int, typer.Option(min=1, max=64, help="With --soak: how many robots.")] = 12
     every: Annotated[float, typer.Option(min=0.1, help="With --soak: seconds between two samples.")] = 30.0
+    onlookers: Annotated[
+        int, typer.Option(min=0, max=12, help="With --soak: websocket clients at the page and at rosbridge.")
+    ] = 0
+    records: Annotated[bool, typer.Option("--record", help="With --self: the server records its world.")] = (
+        False
+    )
 
 
 @with_settings
@@ -97,7 +103,7 @@ def chaos(
     thread used between two of its reports, reports at a wrong time of the world, lines that are none; what
     was sent, how often attackers came and were hung up on; and whether all seats were free again.
     """
-    with ErrorExit(), _target(server) as target:
+    with ErrorExit(), _target(server, hours.records) as target:
         say = partial(typer.echo, err=True)
         if hours.soak is None:
             _attack(target, what, json, say)
@@ -106,7 +112,12 @@ def chaos(
         from benchmarks.chaos.soak import soak as run
 
         case = SoakCase(
-            target=target, seconds=hours.soak, clients=hours.clients, every=hours.every, seed=seed
+            target=target,
+            seconds=hours.soak,
+            clients=hours.clients,
+            every=hours.every,
+            seed=seed,
+            onlookers=hours.onlookers,
         )
         typer.echo(json_format.dumps(run(case, json, say), indent=1))
 
@@ -138,14 +149,14 @@ def _attack(target: "Target", what: AttackOptions, json: Path | None, say: Calla
 
 
 @contextlib.contextmanager
-def _target(options: TargetOptions) -> "Iterator[Target]":
+def _target(options: TargetOptions, records: bool = False) -> "Iterator[Target]":
     """Yield whom the options name."""
     from benchmarks.chaos.target import Target, check_loopback, local_process, parse_host_port, started
 
     if options.own == (options.address is not None):
         raise UsageError("name either HOST:PORT of a server that runs, or --self")
     if options.address is None:
-        with started(options.arena, 16) as target:
+        with started(options.arena, 16, records=records) as target:
             yield target
         return
     host, port = parse_host_port(options.address)
