@@ -39,6 +39,12 @@ class TargetOptions:
     metrics_port: Annotated[
         int | None, typer.Option(min=1, max=LAST_PORT, help="Port of its metrics, which a soak needs.")
     ] = None
+    rosbridge_port: Annotated[
+        int | None, typer.Option(min=1, max=LAST_PORT, help="Port of its rosbridge; else that is spared.")
+    ] = None
+    image_port: Annotated[
+        int | None, typer.Option(min=1, max=LAST_PORT, help="Port of its pictures; else that is spared.")
+    ] = None
     pid: Annotated[
         int | None, typer.Option(min=1, help="Its process; else who listens there, if that is yours.")
     ] = None
@@ -60,7 +66,7 @@ class AttackOptions:
     attack: Annotated[list[str] | None, typer.Option(help="Only this attack; may be repeated. Else all.")] = (
         None
     )
-    attackers: Annotated[int, typer.Option(min=1, max=15, help="Attackers at once.")] = 15
+    attackers: Annotated[int, typer.Option(min=1, max=200, help="Attackers at once.")] = 15
     seconds: Annotated[float, typer.Option(min=0.1, max=600.0, help="Length of each attack.")] = 8.0
     volume: Annotated[
         float, typer.Option(min=0.001, max=100.0, help="Most that one attacker sends in an attack, in MB.")
@@ -130,12 +136,13 @@ def _attack(target: "Target", what: AttackOptions, json: Path | None, say: Calla
     from benchmarks.tools import append_record
 
     chosen = [find_attack(name) for name in what.attack] if what.attack else ATTACKS
-    if target.page_port is None:
-        chosen = [one for one in chosen if not one.page]
     case = ChaosCase(
         host=target.host,
         port=target.port,
         page_port=target.page_port,
+        rosbridge_port=target.rosbridge_port,
+        metrics_port=target.metrics_port,
+        image_port=target.image_port,
         attacks=tuple(chosen),
         attackers=what.attackers,
         seconds=what.seconds,
@@ -163,4 +170,12 @@ def _target(options: TargetOptions, records: bool = False) -> "Iterator[Target]"
     if not options.own_server:
         check_loopback(host)
     process = options.pid or (None if options.own_server else local_process(port))
-    yield Target(host, port, options.viewer_port, options.metrics_port, process)
+    yield Target(
+        host,
+        port,
+        options.viewer_port,
+        options.metrics_port,
+        process,
+        options.rosbridge_port,
+        options.image_port,
+    )

@@ -98,6 +98,7 @@ class Target:
         page_port: Port of its page; None: it has none, or nobody knows.
         metrics_port: Port of its metrics; None likewise.
         rosbridge_port: Port of its rosbridge; None likewise.
+        image_port: Port of its pictures; None likewise.
         process: Its process; None: it is on another machine, or another user's.
     """
 
@@ -107,6 +108,7 @@ class Target:
     metrics_port: int | None = None
     process: int | None = None
     rosbridge_port: int | None = None
+    image_port: int | None = None
 
 
 def parse_host_port(text: str) -> tuple[str, int]:
@@ -162,4 +164,6 @@ def started(arena: str, seats: int, *, records: bool = False) -> Iterator[Target
         ) as server:
             # In the order of its lines.
             rosbridge, metrics, page = map(server.port_said, (ROSBRIDGE, METRICS, VIEWER))
-            yield Target(HOST, server.port, page, metrics, server.process, rosbridge)
+            yield Target(
+                HOST, server.port, page, metrics, server.process, rosbridge, image_port=server.image_port
+            )
