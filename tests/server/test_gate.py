@@ -272,9 +272,11 @@ def test_the_page_on_security_has_the_limits_that_are_in_force():
     )
     told = {what: [int(number) for number in re.findall(r"\d+", rows[what])] for what in rows}
     bots, air, calls = BotServerSettings(), WirelessSettings(), switchboard.MAX_CONNECTIONS
-    images, page, ros = ImageSettings(), ViewerSettings(), RosSettings().max_connections
+    images, page = ImageSettings(), ViewerSettings()
     held = (bots.max_connections, air.max_connections, images.max_connections, page.max_connections)
-    quarters = [3 * room // 4 for room in (*held, calls, ros, metrics.MAX_CONNECTIONS)]
+    quarters = [
+        3 * room // 4 for room in (*held, calls, RosSettings().max_connections, metrics.MAX_CONNECTIONS)
+    ]
     found_out = KEEPALIVE_IDLE + KEEPALIVE_INTERVAL * KEEPALIVE_COUNT
     expected = {
         "connections for robots": [held[0]],
