@@ -147,6 +147,8 @@ def carry_out(
 
 
 GREETING = b"NFO"
+SEATS = 15
+"""Most seats that are asked for afterwards: a server has 16, of which the neighbour has one."""
 PAUSE = 0.05
 """Who found no seat asks again after so long [s]."""
 HEADINGS = ("attack", "gap s", "CPU s", "irregular", "bad lines", "MB", "came", "hung up", "seats")
@@ -275,7 +277,7 @@ def play_attack(case: ChaosCase, attack: Attack, watch: Watch) -> Outcome:
         gaps = watch.during(act)
     except UsageError as error:
         trouble = str(error)
-    return Outcome(attack.name, gaps, damage, has_seats(case, case.attackers), trouble)
+    return Outcome(attack.name, gaps, damage, has_seats(case, min(case.attackers, SEATS)), trouble)
 
 
 def has_seats(case: ChaosCase, seats: int) -> bool:

@@ -44,7 +44,7 @@ def read_npz(file: Path, limits: NpzLimits, kinds: Callable[[str], str]) -> dict
     Args:
         file: The file.
         limits: Its limits.
-        kinds: Returns NumPy's letters of the kinds that an array of a name may have, as `iuf`.
+        kinds: Returns NumPy's letters of the kinds that an array of a name may have: i, u, f and so on.
 
     Raises:
         UsageError: It is larger than its limits.

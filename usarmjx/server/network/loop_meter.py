@@ -115,7 +115,7 @@ class MeteredSelector(selectors.BaseSelector):
         self._own, self._holds = -1, False
 
     def register(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:  # noqa: ANN401
-        """Register a file, as `BaseSelector` has it."""
+        """Register a file, as the base class has it."""
         key = selectors.SelectorKey(fileobj, _descriptor(fileobj), events, data)
         if key.fd in self._keys:
             raise KeyError(f"{fileobj!r} (FD {key.fd}) is already registered")
