@@ -3,8 +3,8 @@
     python3.12 -m pip install --dry-run --ignore-installed --report report.json -c constraints.txt .
     python3 -m tools.lock report.json
 
-The file has no address of an index; pip compares the hash of each package that it downloads. Hashes are of the wheels
-for one Python and one machine, which the name of the file says.
+The file has no address of an index; pip compares the hash of each package that it downloads. Hashes are of
+the wheels for one Python and one machine, which the name of the file says.
 """
 
 import json
