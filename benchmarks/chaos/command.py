@@ -133,7 +133,7 @@ def _attack(target: "Target", what: AttackOptions, json: Path | None, say: Calla
     from benchmarks.chaos.attacks import ATTACKS, find_attack
     from benchmarks.chaos.play import ChaosCase, play_attacks, table
     from benchmarks.chaos.target import main_thread_clock
-    from benchmarks.tools import append_record
+    from benchmarks.tools import append_record, record_header
 
     chosen = [find_attack(name) for name in what.attack] if what.attack else ATTACKS
     case = ChaosCase(
@@ -151,8 +151,10 @@ def _attack(target: "Target", what: AttackOptions, json: Path | None, say: Calla
     clock = None if target.process is None else main_thread_clock(target.process, say)
     outcomes = play_attacks(case, clock, say)
     typer.echo(table(outcomes))
+    header = record_header("chaos", host=True) if json is not None else {}
+    header["case"] = {"attackers": case.attackers, "seconds": case.seconds, "volume": case.volume}
     for outcome in outcomes:
-        append_record(outcome.as_record(), json)
+        append_record(header | outcome.as_record(), json)
 
 
 @contextlib.contextmanager

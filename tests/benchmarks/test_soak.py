@@ -32,11 +32,11 @@ def served(monkeypatch):
 
 
 def test_robots_come_drive_and_go(served, monkeypatch, tmp_path):
-    monkeypatch.setattr(module, "VISIT", (0.6, 0.9))
+    monkeypatch.setattr(module, "VISIT", (2.0, 2.5))
     monkeypatch.setattr(module, "OUT", (0.05, 0.1))
     server, target = served
     file = tmp_path / "soak.jsonl"
-    result = soak(SoakCase(target=target, seconds=2.0, clients=3, every=0.4), file)
+    result = soak(SoakCase(target=target, seconds=7.0, clients=3, every=2.0), file)
     lines = [json.loads(line) for line in file.read_text().splitlines()]
     *samples, last = lines
     assert last.keys() == result.keys()
