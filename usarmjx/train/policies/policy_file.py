@@ -45,7 +45,7 @@ def read_arrays(file: Path) -> tuple[Any, dict[str, np.ndarray]]:
     limits = NpzLimits("policy", MOST_BYTES, USUAL_BYTES, MOST_RATIO, MOST_ARRAYS)
     try:
         found = read_npz(file, limits, lambda name: "U" if name == ABOUT else "f")
-        about = parse_json(str(found.pop(ABOUT)), f"{file}: {ABOUT}", UsageError)
+        about = parse_json(str(found.pop(ABOUT)), f"{file} is no policy of usarmjx: {ABOUT}", UsageError)
         return about, {name: array.astype(np.float32) for name, array in found.items()}
     except UsageError:
         raise
