@@ -14,7 +14,7 @@ GENERATED = ("all-robots", "all-sensors", "all-settings", "api", "commands", "tr
 CONTRACTS = ("conformance", "conformance-udk")
 MAX_WORDS = 45_000
 """Of all hand-written pages together, with README and CONTRIBUTING."""
-PAGE_WORDS = {"training": 2_000, "tasks": 2_000, "fidelity": 2_000, "design": 2_000, "serving": 2_700}
+PAGE_WORDS = {"training": 2_000, "tasks": 2_000, "fidelity": 2_000, "design": 2_000, "serving": 3_000}
 MAX_MEAN = 25.0
 """Words of a sentence, in the mean of a page."""
 PLAIN = ("README", "training", "tasks", "tasks-teams", "fidelity", "design", "performance", "sweeps")
