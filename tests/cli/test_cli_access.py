@@ -42,8 +42,8 @@ def serve(monkeypatch):
 
 
 COMMANDS = {
-    "serve": (("serve", *PORTS, *MORE_PORTS), 5),
-    "play": (("play", "wander", "--serve", *PORTS, *MORE_PORTS), 5),
+    "serve": (("serve", *PORTS, *MORE_PORTS), 4),
+    "play": (("play", "wander", "--serve", *PORTS, *MORE_PORTS), 4),
 }
 """Each command that serves, and how many servers a world of it has."""
 

@@ -140,7 +140,7 @@ ATRV_RING = tuple(
     for i, (x, y, yaw) in enumerate(ATRV_SONARS, start=1)
 )
 
-ATRV_EASE = 2.5  # fitted here to the turning rate: what its wide tyres lose where they hop
+ATRV_EASE = 1.2  # fitted here to the turning rate: what its wide tyres lose where they hop
 
 ATRVJR = RobotSpec(
     name="ATRVJr",
