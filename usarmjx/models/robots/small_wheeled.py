@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from usarmjx.models.drives import SkidSteer, YieldingSkidSteer
+from usarmjx.models.drives import SkidSteer
 from usarmjx.models.robots.kit import (
     ACROSS,
     BLACK,
@@ -140,8 +140,6 @@ ATRV_RING = tuple(
     for i, (x, y, yaw) in enumerate(ATRV_SONARS, start=1)
 )
 
-ATRV_EASE = 1.2  # fitted here to the turning rate: what its wide tyres lose where they hop
-
 ATRVJR = RobotSpec(
     name="ATRVJr",
     dimensions=(ATRV_LENGTH, ATRV_WIDTH, ATRV_HEIGHT),
@@ -176,14 +174,13 @@ ATRVJR = RobotSpec(
         mass=ATRV_WHEEL_MASS,
         motor=ATRV_MOTOR,
     ),
-    drive=YieldingSkidSteer(
+    drive=SkidSteer(
         left=LEFT_WHEELS,
         right=RIGHT_WHEELS,
         max_spin=ATRV_MOTOR.max_speed,
         radius=ATRV_WHEEL,
         max_turn=math.radians(120),  # manual 12.4
-        lever=2 * 1.0 / math.radians(120),  # manual 12.4: 1 m/s, too
-        ease=ATRV_EASE,
+        lever=0.98,  # measured here: it turns at 117 deg/s at full speed
     ),
     packages=(pan_tilt((0.23, 0.0, ATRV_SCANNER[2] - 0.11)),),  # chosen: on the scanner, as on the P2AT
     sensors=(
