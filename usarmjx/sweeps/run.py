@@ -157,7 +157,7 @@ class SweepProgress:
     def line(self, done: float, seconds: float) -> str:
         """Return the line after a number of cells and seconds."""
         failed = f", {self.failed} failed" if self.failed else ""
-        left = f", about {_long((self.cells - done) * seconds / done)} left" if done > 0 else ""
+        left = f", about {_long((self.cells - done) * seconds / done)} left" if self.done > 0 else ""
         return f"usarmjx: {self.done} of {self.cells} cells{failed}, {_long(seconds)}{left}"
 
     def close(self) -> None:
