@@ -405,8 +405,9 @@ class PolicyWorld(BatchWorld):
         for robot in self.robots.values():
             number, member = self.scene.group_of(robot.slot)
             for sensor, reading in enumerate(readings, first) if number == group else ():
-                if reading.fresh[member]:
-                    store_reading(self, robot, sensor, np.asarray(reading.value[member]))
+                if reading.fresh[member]:  # a recording has the scene's sensors alone
+                    robot.pending[sensor] = value = np.asarray(reading.value[member])
+                    robot.latest[sensor] = self.time, value
 
 
 def newest(run: Path) -> str | None:
