@@ -112,6 +112,11 @@ class ClassSensors:
             state = new_group_state(self._scene, further, True, since)
             return start_sensors(self._scene_of(group), world, physics, further, state).memory
 
+    def restart(self, group: int, member: int, now: tuple[World, PhysicsState], world: int) -> None:
+        """Let a robot's further sensors start now, for the client that takes it over."""
+        fresh = self.start(group, *now)
+        self.store(group, member, jax.tree.map(lambda x: np.asarray(x)[member], fresh), now, world)
+
     def memory(self, group: int, member: int, now: tuple[World, PhysicsState], world: int) -> SensorMemory:
         """Return the memory of a robot's further sensors; NumPy arrays."""
         held = self._held(group, now, world).held

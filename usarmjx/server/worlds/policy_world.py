@@ -334,6 +334,9 @@ class PolicyWorld(BatchWorld):
             self._put_first(robot, name, pos, angles) if slot is None else self._take_over(slot, robot, name)
         )
         self.policy_batch.claimed[self._instance, new.slot] = True
+        group, member = self.scene.group_of(new.slot)
+        if self._class_sensors.has(group):
+            self._class_sensors.restart(group, member, self.one_world(), self._instance)
         # Sensors are read once per action: the first report comes right after a reading, not before.
         new.spawn_time = self.policy_batch.measured * self.period
         return new
