@@ -6,8 +6,9 @@ import numpy as np
 from usarmjx.base.transforms import quat_from_angles
 from usarmjx.engines.c.placement import free_pose
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.standing import START_GAP
 from usarmjx.models.robots import ROBOTS
-from usarmjx.sim.scene import START_GAP, build_scene
+from usarmjx.sim.scene import build_scene
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 

@@ -13,10 +13,11 @@ from usarmjx.base.transforms import quat_from_angles
 from usarmjx.engines.c.batch import INTEGRATION_STATE
 from usarmjx.engines.c.placement import HALVINGS, MAX_PENETRATION, RAISE_STEP, SEARCH_RADIUS, SEARCH_RINGS
 from usarmjx.models.arenas import ARENAS
+from usarmjx.models.compile.standing import START_GAP
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import Door, LooseObject
 from usarmjx.models.types.shapes import Shape
-from usarmjx.sim.scene import START_GAP, start_height
+from usarmjx.sim.scene import start_height
 
 SETTLED = 0.03
 """How far a robot moves in the second after it was put somewhere [m]: it falls by the gap at most, sinks into
