@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from usarmjx.train.envs.task import Task
     from usarmjx.train.learning.config import Config
     from usarmjx.train.learning.fine_tuning import TrainedNetworks
+    from usarmjx.train.learning.rollout_inputs import RolloutInputs
     from usarmjx.train.learning.run_record import EnvArguments
 
 
@@ -423,6 +424,7 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
             watchers.append(_ShownTraining(page, f"{task}, in training"))
         if shown.record is not None and process.index == 0:
             watchers.append(_RecordedTraining(shown.record, shown.record_every))
+        watchers.append(_RecordedFaults(options.out / "faults"))
         bar = not shown.quiet and not process.index
         score = _train(task, options, watchers, None if process.index else shown.wandb, bar)
         if process.index == 0:
@@ -510,6 +512,10 @@ def _train(
         for watcher in watchers:
             watcher.look(state)
 
+    def inspect(inputs: "RolloutInputs") -> None:
+        for watcher in watchers:
+            watcher.inspect(inputs)
+
     watch = None
     if project is not None:
         from usarmjx.train.learning.metrics import wandb_watch
@@ -526,6 +532,7 @@ def _train(
             progress=bar,
             watch=watch,
             look=look if watchers else None,
+            inspect=inspect,
         )
     finally:
         for watcher in watchers:
@@ -542,6 +549,9 @@ class _TrainingWatcher(Protocol):
 
     def look(self, state: "EnvState") -> None:
         """Look at the worlds as they are."""
+
+    def inspect(self, inputs: "RolloutInputs") -> None:
+        """Look at what went into a rollout."""
 
     def close(self) -> None:
         """The training is over."""
@@ -574,8 +584,42 @@ class _ShownTraining:
         """Show the worlds as they are."""
         self._page.show(state.batch)
 
+    def inspect(self, inputs: "RolloutInputs") -> None:
+        """Ignore it."""
+
     def close(self) -> None:
         """Leave the page as it is: it goes with the process."""
+
+
+class _RecordedFaults:
+    """Worlds that go bad, recorded.
+
+    Args:
+        folder: For the recordings.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._box = folder, None
+
+    def begin(self, env: "Env", config: "Config") -> None:
+        """Take the training's worlds and its settings."""
+        if config.black_box:
+            from usarmjx.recording.black_box import BlackBox
+
+            self._box = BlackBox(env, self._folder, config.black_box, say)
+
+    def look(self, state: "EnvState") -> None:
+        """Ignore it."""
+
+    def inspect(self, inputs: "RolloutInputs") -> None:
+        """Record the worlds that went bad."""
+        if self._box is not None:
+            self._box.inspect(inputs)
+
+    def close(self) -> None:
+        """Record those of the last rollout."""
+        if self._box is not None:
+            self._box.close()
 
 
 class _RecordedTraining:
@@ -601,6 +645,9 @@ class _RecordedTraining:
     def look(self, state: "EnvState") -> None:
         """Keep the worlds as they are."""
         self._recorder.look(state)
+
+    def inspect(self, inputs: "RolloutInputs") -> None:
+        """Ignore it."""
 
     def close(self) -> None:
         """Complete the file."""

@@ -264,6 +264,7 @@ class Env:
 
     Attributes:
         name: Name of the task.
+        first: Number of the first world.
         groups: The agents.
         privileged_size: Numbers that only critics see.
         episode_steps: Steps after which the time is up.
@@ -306,7 +307,7 @@ class Env:
         self._generated = arenas if isinstance(arenas, GeneratedArenas) else None
         self.levels = arenas.levels if isinstance(arenas, GeneratedArenas) else ()
         self.renewable = self._generated is not None and self._generated.renewable
-        self._first = first
+        self.first = first
         self._act = self._compile(jax.vmap(partial(apply_policy_actions, self.scene, task)))
         self._evaluate = self._compile(partial(evaluate_step, self.scene, task))
         self._blank = self._compile(self._blank_state)
@@ -439,7 +440,7 @@ class Env:
             return jnp.zeros((self.worlds, *one.shape), one.dtype)
 
         world, begun = self._blanks
-        numbers = self._first + jnp.arange(self.worlds)
+        numbers = self.first + jnp.arange(self.worlds)
         worlds = jax.tree.map(zeros, world.replace(key=None)).replace(
             key=jax.vmap(partial(jax.random.fold_in, key))(numbers),
             number=numbers,
@@ -517,10 +518,15 @@ class Env:
         """
         return self._step_program(state, actions)
 
+    def commanded(self, state: EnvState, actions: tuple[Array, ...]) -> World:
+        """Return the worlds as they are before the first control step of an action: with its commands."""
+        physics = self.batch.physics(state.batch)
+        return self._act(state.batch.worlds, physics, state.memory, actions, state.alive)
+
     def _step(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
         self._check(actions)
         batch, before = state.batch, state.batch.worlds.faults  # a world in which they grow goes bad
-        worlds = self._act(batch.worlds, self.batch.physics(batch), state.memory, actions, state.alive)
+        worlds = self.commanded(state, actions)
         batch = self.batch.run(batch.replace(worlds=worlds), self.task.repeat, reset_bad=False)
         worlds, task, present = self._evaluate(
             state.task_state, batch.worlds, self.batch.physics(batch), before

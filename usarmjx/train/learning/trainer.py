@@ -23,6 +23,7 @@ from usarmjx.train.learning.launch import check_parent
 from usarmjx.train.learning.learner import EnvFactory, Trainer
 from usarmjx.train.learning.metrics import MetricsLog, read_lines, summary
 from usarmjx.train.learning.processes import ProcessGroup, run_lock
+from usarmjx.train.learning.rollout_inputs import Inspector
 from usarmjx.train.learning.run_record import (
     DEFAULT_ENV_ARGUMENTS,
     RECORD_FILE,
@@ -102,6 +103,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
     progress: bool = True,
     watch: Callable[[dict[str, Any]], None] | None = None,
     look: Callable[[EnvState], None] | None = None,
+    inspect: Inspector | None = None,
 ) -> TrainResult:
     """Train a policy; in every process at once, if there are several (see `processes.group`).
 
@@ -117,6 +119,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
         watch: Receives the record of each iteration.
         look: Receives the worlds of this process: as they are before the first action, and then again
             and again, see `Rollout.look`.
+        inspect: Receives the inputs of each rollout of this process.
 
     Raises:
         UsageError: The folder has a run already, or none to resume, or one with other settings, more
@@ -135,6 +138,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
         process_group.barrier("look for a run")  # before anyone writes one
         trainer = Trainer(env, config, process_group)
         trainer.rollout.look = look or trainer.rollout.look
+        trainer.inspect = inspect
         checkpoints = Checkpoints(out, process_group, config.keep_checkpoints)
         if not resume:
             _lock(held, out, process_group)
