@@ -13,7 +13,8 @@ from usarmjx.base.transforms import quat_from_angles
 from usarmjx.engines.c.batch import INTEGRATION_STATE
 from usarmjx.engines.c.placement import HALVINGS, MAX_PENETRATION, RAISE_STEP, SEARCH_RADIUS, SEARCH_RINGS
 from usarmjx.models.arenas import ARENAS
-from usarmjx.models.compile.standing import START_GAP
+from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
+from usarmjx.models.compile.standing import START_GAP, standing_height
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import Door, LooseObject
 from usarmjx.models.types.shapes import Shape
@@ -109,10 +110,11 @@ def test_a_car_that_does_not_fit_between_the_walls_is_refused(name):
 @pytest.mark.parametrize("arena", ARENAS.names())
 def test_the_starts_of_every_arena_are_free(arena):
     spec = ARENAS.get(arena)
-    crowd = Crowd(spec, "P2AT")
+    crowd, robot = Crowd(spec, "P2AT"), ROBOTS.get("P2AT")
+    sinking = kinematic_tree_of(robot).clearance - standing_height(robot)
     for start in spec.starts:
         asked = np.array([*start.at[:2], start_height(spec, start, ROBOTS.get("P2AT"))])
-        pos, _ = crowd.ask(0, asked, start.yaw)
+        pos, _ = crowd.ask(0, asked, start.yaw, sinking)
         np.testing.assert_array_equal(pos, asked, err_msg=start.tag)
 
 

@@ -1,8 +1,8 @@
 """The last seconds of worlds that go bad in a training, each as a recording of its own.
 
-A training keeps the worlds before a rollout and its actions. Where a world goes bad, its environment plays the
-rollout again, and a batch of this one world repeats its last seconds from a snapshot of all its arrays, under
-the same commands. That batch is recorded, so that `replay --check` repeats it to the bit on any engine.
+A training keeps the worlds before a rollout and its actions. Where a world goes bad, its environment plays
+the rollout again, and a batch of this one world repeats its last seconds from a snapshot of all its arrays,
+under the same commands. That batch is recorded, so that `replay --check` repeats it to the bit on any engine.
 """
 
 import math
@@ -129,9 +129,8 @@ class BlackBox:
             path = self._folder / f"iteration-{last.iteration:06d}-world-{env.first + box.world:06d}.mcap"
             self._record(box, path)
             found = box.fault or "the fault did not come again"
-            self._say(
-                f"world {env.first + box.world} went bad in iteration {last.iteration} ({found}): {path}"
-            )
+            which = f"world {env.first + box.world} went bad in iteration {last.iteration}"
+            self._say(f"{which} ({found}): {path}")
 
     def _play(self, inputs: RolloutInputs, boxes: list[_Box], shift: int, steps: int) -> None:
         """Play a rollout again, and fill the boxes; `shift` is the number of its first action."""
@@ -189,9 +188,7 @@ class BlackBox:
                     recorder.stepped(time, **replayed.state())
                     if recorder.frame_is_due:
                         recorder.record_frame(self._snapshot())
-            recorder.event(
-                "fault", box.fault or "the world went bad in training; the fault did not come again"
-            )
+            recorder.event("fault", box.fault or "the fault did not come again")
         finally:
             file.close()
 

@@ -66,8 +66,8 @@ class WorldSetup:
         steps_before: Control steps made before the recording began.
         repeat: Control steps per call.
         start: Initial positions (nq,); None: those of a reset.
-        snapshot: Arrays of the state of a batch of this one world that the recording begins with, physics first,
-            see `replay.state_arrays`; empty: it begins with a reset.
+        snapshot: Arrays of the state of a batch of this one world that the recording begins with, see
+            `replay.state_arrays`; empty: it begins with a reset.
         reset_bad: Whether a world whose physics is not finite begins its next episode at once.
         spare: Room for other arenas in those of the batch, see `build_scene`.
         versions: Versions of the packages that computed it, by name.

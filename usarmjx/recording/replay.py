@@ -170,6 +170,7 @@ class ReplayedBatch:
         self._state = state.replace(physics=physics, worlds=worlds)
 
     def apply(self, given: Input) -> None:
+        """Apply an input."""
         match given:
             case RobotPlaced():
                 where = self._number, given.slot, given.pos, given.quat
@@ -193,6 +194,7 @@ class ReplayedBatch:
         self._state = self._batch.with_group(self._state, group, state.replace(**new))
 
     def step(self) -> None:
+        """Make the control steps of a call."""
         batch = self._batch
         if not self._reset_bad:
             self._state = batch.run(self._state, self._repeat, reset_bad=False)
@@ -200,6 +202,7 @@ class ReplayedBatch:
         self._state = batch.step(self._state) if self._repeat == 1 else batch.run(self._state, self._repeat)
 
     def state(self) -> Mapping[str, np.ndarray]:
+        """Return the physics of the world: `PARTS` by name."""
         physics = self._batch.physics(self._state)
         return {part: np.asarray(getattr(physics, part))[self._number] for part in PARTS}
 
