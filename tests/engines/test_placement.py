@@ -123,10 +123,11 @@ def test_all_may_start_at_once(arena):
     """Nobody at a start is in the way of the next one."""
     spec = ARENAS.get(arena)
     starts = spec.starts[:8]
-    crowd = Crowd(spec, *["P2AT"] * len(starts))
+    crowd, p2at = Crowd(spec, *["P2AT"] * len(starts)), ROBOTS.get("P2AT")
+    sinking = kinematic_tree_of(p2at).clearance - standing_height(p2at)
     for robot, start in enumerate(starts):
-        asked = np.array([*start.at[:2], start_height(spec, start, ROBOTS.get("P2AT"))])
-        pos, quat = crowd.ask(robot, asked, start.yaw)
+        asked = np.array([*start.at[:2], start_height(spec, start, p2at)])
+        pos, quat = crowd.ask(robot, asked, start.yaw, sinking)
         np.testing.assert_array_equal(pos, asked, err_msg=start.tag)
         crowd.put(robot, pos, quat)
 
