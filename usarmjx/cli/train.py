@@ -8,6 +8,7 @@ import sys
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
@@ -512,10 +513,6 @@ def _train(
         for watcher in watchers:
             watcher.look(state)
 
-    def inspect(inputs: "RolloutInputs") -> None:
-        for watcher in watchers:
-            watcher.inspect(inputs)
-
     watch = None
     if project is not None:
         from usarmjx.train.learning.metrics import wandb_watch
@@ -532,13 +529,19 @@ def _train(
             progress=bar,
             watch=watch,
             look=look if watchers else None,
-            inspect=inspect,
+            inspect=partial(_inspect, watchers),
         )
     finally:
         for watcher in watchers:
             watcher.close()
     score = done.last_metrics.get("score")
     return f"{done.agent_steps:,} agent steps, score {score if score is None else round(score, 3)}: {out}"
+
+
+def _inspect(watchers: "Sequence[_TrainingWatcher]", inputs: "RolloutInputs") -> None:
+    """Show all watchers what went into a rollout."""
+    for watcher in watchers:
+        watcher.inspect(inputs)
 
 
 class _TrainingWatcher(Protocol):

@@ -137,8 +137,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
             _check_new(out, process_group)
         process_group.barrier("look for a run")  # before anyone writes one
         trainer = Trainer(env, config, process_group)
-        trainer.rollout.look = look or trainer.rollout.look
-        trainer.inspect = inspect
+        trainer.rollout.look, trainer.inspect = look or trainer.rollout.look, inspect
         checkpoints = Checkpoints(out, process_group, config.keep_checkpoints)
         if not resume:
             _lock(held, out, process_group)
