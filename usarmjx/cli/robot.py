@@ -8,20 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from usarmjx.base.settings import parse_assignments
-from usarmjx.cli.common import ErrorExit, JsonFlag
+from usarmjx.cli.common import ErrorExit, JsonFlag, PackagesOption
 from usarmjx.cli.startup_messages import announce
 
 if TYPE_CHECKING:
     from usarmjx.models.types.robot import Motor, Part, RobotSpec
 
 app = typer.Typer(help="Check robots from files: URDF, xacro, MJCF.", no_args_is_help=True)
-
-PackagesOption = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--packages", help="Folder with packages or models that the file names; may be given several times."
-    ),
-]
 
 
 @app.callback()

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from usarmjx.train.learning.fine_tuning import TrainedNetworks
     from usarmjx.train.learning.rollout_inputs import RolloutInputs
     from usarmjx.train.learning.run_record import EnvArguments
+    from usarmjx.train.learning.stopping import StopRequest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -414,6 +415,7 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
         engines=[recorded_engine(options.out) if recorded else tried_on(engine)],
     )
     from usarmjx.train.learning.processes import distributed_run
+    from usarmjx.train.learning.stopping import StopRequest
 
     with (
         distributed_run() as process,
@@ -427,9 +429,13 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
             watchers.append(_RecordedTraining(shown.record, shown.record_every))
         watchers.append(_RecordedFaults(options.out / "faults"))
         bar = not shown.quiet and not process.index
-        score = _train(task, options, watchers, None if process.index else shown.wandb, bar)
+        with StopRequest(say) as stop:
+            score = _train(task, options, watchers, None if process.index else shown.wandb, bar, stop)
         if process.index == 0:
             typer.echo(score)
+        if stop.requested:
+            say(f"go on with: usarmjx train {task} --out {options.out} --resume")
+            raise typer.Exit(128 + stop.number)
 
 
 def config_text(task: str, options: TrainOptions) -> str:
@@ -484,6 +490,7 @@ def _train(
     watchers: "Sequence[_TrainingWatcher]",
     project: str | None,
     bar: bool,
+    stop: "StopRequest",
 ) -> str:
     """Train, in one of the processes, which must be joined already: some imports put arrays on the device.
 
@@ -493,6 +500,7 @@ def _train(
         watchers: Who gets to see the worlds.
         project: Of Weights & Biases; None: it is not shown there.
         bar: Show one.
+        stop: Ends it early.
 
     Returns:
         The result in a line.
@@ -509,10 +517,6 @@ def _train(
             watcher.begin(env, config)
         return env
 
-    def look(state: "EnvState") -> None:
-        for watcher in watchers:
-            watcher.look(state)
-
     watch = None
     if project is not None:
         from usarmjx.train.learning.metrics import wandb_watch
@@ -528,14 +532,21 @@ def _train(
             source=plan.source,
             progress=bar,
             watch=watch,
-            look=look if watchers else None,
+            look=partial(_look, watchers),
             inspect=partial(_inspect, watchers),
+            stop=stop,
         )
     finally:
         for watcher in watchers:
             watcher.close()
     score = done.last_metrics.get("score")
     return f"{done.agent_steps:,} agent steps, score {score if score is None else round(score, 3)}: {out}"
+
+
+def _look(watchers: "Sequence[_TrainingWatcher]", state: "EnvState") -> None:
+    """Show all watchers the worlds as they are."""
+    for watcher in watchers:
+        watcher.look(state)
 
 
 def _inspect(watchers: "Sequence[_TrainingWatcher]", inputs: "RolloutInputs") -> None:
