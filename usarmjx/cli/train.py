@@ -24,6 +24,7 @@ from usarmjx.base.settings import (
     read_file,
     to_yaml,
 )
+from usarmjx.cli.clips import ClippedTraining
 from usarmjx.cli.common import ErrorExit, OldOutArgument, PortOffsetOption, chosen_out
 from usarmjx.cli.completion import complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption
@@ -324,6 +325,15 @@ RecordEveryOption = Annotated[
     int, typer.Option(min=1, help="With --record: of so many iterations one is kept, of 4 worlds.")
 ]
 
+ClipsOption = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        help="Iterations from one to the next whose best, median and worst world are filmed, for TensorBoard "
+        "and Weights & Biases, too; 0: none.",
+    ),
+]
+
 
 @app.command(cls=TrainCommand, epilog="`usarmjx train TASK --help` lists the settings of a task.")
 def train(
@@ -350,6 +360,7 @@ def train(
     viewer_port: ViewerPortOption = None,
     record: RecordOption = None,
     record_every: RecordEveryOption = 50,
+    clips: ClipsOption = 0,
 ) -> None:
     """Train a policy for a task."""
     with ErrorExit():
@@ -377,7 +388,7 @@ def train(
             from usarmjx.train.learning.launch import spawn
 
             raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))
-        shown = _Shown(serve, port, port_offset, view, viewer_port, record, record_every, wandb, quiet)
+        shown = _Shown(serve, port, port_offset, view, viewer_port, record, record_every, wandb, quiet, clips)
         _run_training(task, options, shown)
 
 
@@ -394,6 +405,7 @@ class _Shown:
     record_every: int
     wandb: str | None
     quiet: bool
+    clips: int
 
 
 def _joined() -> bool:
@@ -427,6 +439,8 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
             watchers.append(_ShownTraining(page, f"{task}, in training"))
         if shown.record is not None and process.index == 0:
             watchers.append(_RecordedTraining(shown.record, shown.record_every))
+        if shown.clips and process.index == 0:
+            watchers.append(ClippedTraining(options.out, shown.clips, shown.wandb is not None))
         watchers.append(_RecordedFaults(options.out / "faults"))
         bar = not shown.quiet and not process.index
         with StopRequest(say) as stop:
