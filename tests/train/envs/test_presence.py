@@ -80,7 +80,7 @@ def test_agents_are_alive_as_the_task_says_and_others_see_and_get_nothing(played
         assert_array_equal(np.asarray(before.obs[0])[..., 3] == 1.0, before.alive[0])
         assert_array_equal(np.asarray(before.obs[0])[~np.asarray(before.alive[0])], 0.0)
         assert_array_equal(
-            after.reward[0], np.where(ALIVE[step], np.arange(1.0, 5.0), 0.0)[None].repeat(2, 0)
+            after.reward[0], np.where(ALIVE[step], np.arange(1.0, 5.0), 0.0)[None].repeat(WORLDS, 0)
         )
         assert_array_equal(np.asarray(before.privileged)[:, -4:], before.alive[0])
         assert_allclose(after.metrics["alive"], np.asarray(after.final_alive[0]).mean(-1))
