@@ -185,7 +185,8 @@ class BlackBox:
                 for _ in range(env.task.repeat):
                     replayed.step()
                     time += period
-                    recorder.stepped(time, **replayed.state())
+                    physics = replayed.state()
+                    recorder.stepped(time, physics["qpos"], physics["qvel"], physics["act"])
                     if recorder.frame_is_due:
                         recorder.record_frame(self._snapshot())
             recorder.event("fault", box.fault or "the fault did not come again")

@@ -118,8 +118,15 @@ class ReplayedBatch:
 
     def __init__(self, setup: WorldSetup) -> None:
         arena = setup.arenas[0] if len(setup.arenas) == 1 else setup.arenas
-        settings = {"radio": setup.radio, "mail": setup.mail, "vary": setup.vary, "spare": setup.spare}
-        self.scene = build_scene(arena, setup.roster, setup.physics, **settings)
+        self.scene = build_scene(
+            arena,
+            setup.roster,
+            setup.physics,
+            radio=setup.radio,
+            mail=setup.mail,
+            vary=setup.vary,
+            spare=setup.spare,
+        )
         scene, seed, first, shuffle = self.scene, setup.seed, setup.first, setup.shuffle
         self._batch = build_calibrated(
             lambda: Batch(scene, setup.worlds, engine=setup.kind, seed=seed, first=first, shuffle=shuffle)

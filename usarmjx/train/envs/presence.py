@@ -5,7 +5,7 @@ as without this module.
 """
 
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from usarmjx.engines import Engine, PhysicsState
 from usarmjx.sim.batch import BatchState
 from usarmjx.sim.reset import new_group_state, start_qpos, start_sensors
 from usarmjx.sim.scene import Scene
-from usarmjx.sim.world import Stream, World, episode_key
+from usarmjx.sim.world import GroupState, Stream, World, episode_key
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.task import Task, TaskView
@@ -91,7 +91,7 @@ def share_alive(alive: tuple[jax.Array, ...]) -> jax.Array:
 
 
 def come_and_go(
-    scene: Scene, shuffle: bool, engine: Engine, batch: BatchState, present: jax.Array
+    scene: Scene, shuffle: bool, engine: Engine[Any], batch: BatchState, present: jax.Array
 ) -> BatchState:
     """Return the worlds with robots parked that are not present, and those that join at their start poses.
 
@@ -118,7 +118,7 @@ def _regroup(
     joined = present & ~in_use(scene, world)
     qpos = jnp.asarray(start_qpos(scene, world, shuffle))
     physics = PhysicsState(qpos=qpos, qvel=jnp.zeros(scene.model.nv), act=jnp.zeros(scene.model.na))
-    groups, pinned, pinned_dof = [], list[Part](), list[Part]()
+    groups, pinned, pinned_dof = list[GroupState](), list[Part](), list[Part]()
     for group, state in zip(scene.groups, world.groups, strict=True):
         mine = joined[group.slots]
         since = jnp.full(len(group.slots), world.step)

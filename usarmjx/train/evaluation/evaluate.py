@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -134,9 +134,10 @@ def _with_alive(carry: Any, *alive: tuple[Any, ...] | None) -> Any:  # noqa: ANN
     if len(masks) < len(alive) or not isinstance(carry, tuple):
         return carry
     keep = [jnp.asarray(a) & b for a, b in zip(*masks, strict=True)]
-    if [np.shape(one)[:2] for one in carry] != [one.shape for one in keep]:
-        return carry
-    return tuple(jnp.where(one[..., None], now, 0.0) for one, now in zip(keep, carry, strict=True))
+    parts = cast(tuple[Any, ...], carry)
+    if [np.shape(one)[:2] for one in parts] != [one.shape for one in keep]:
+        return parts
+    return tuple(jnp.where(one[..., None], now, 0.0) for one, now in zip(keep, parts, strict=True))
 
 
 def _serials(state: Any) -> np.ndarray | None:  # noqa: ANN401 - of environments of one's own, too
