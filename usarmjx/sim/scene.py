@@ -36,7 +36,6 @@ from usarmjx.models.compile.randomization import (
     is_randomized,
 )
 from usarmjx.models.compile.ray_geoms import ray_primitives_of
-from usarmjx.models.compile.standing import standing_height
 from usarmjx.models.compile.tags import TagTable, tag_table
 from usarmjx.models.compile.victims import VictimTable, victim_table
 from usarmjx.models.effecters import Effecter, effecters_of
@@ -272,6 +271,8 @@ ARENA_TABLES = frozenset(
     }
 )
 """The properties of a scene that are those of its arena, whatever robots there are."""
+START_GAP = 0.002
+"""Robots start this far above the floor, so that none starts inside it [m]."""
 
 
 @dataclass(frozen=True)
@@ -455,7 +456,7 @@ def parking_position(arena: ArenaSpec, slot: int) -> tuple[float, float, float]:
 
 def origin_height(arena: ArenaSpec, height: ArrayLike, robot: RobotSpec) -> ArrayLike:
     """Return the height of a robot's origin when it stands under start poses of some height (...,) [m]."""
-    return arena.floor + height - START_ELEVATION + standing_height(robot)
+    return arena.floor + height - START_ELEVATION + kinematic_tree_of(robot).clearance + START_GAP
 
 
 def start_height(arena: ArenaSpec, start: StartPose, robot: RobotSpec) -> float:
