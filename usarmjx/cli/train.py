@@ -23,11 +23,8 @@ from usarmjx.base.settings import (
     read_file,
     to_yaml,
 )
-<<<<<<< HEAD
-from usarmjx.cli.clips import ClippedTraining
-=======
 from usarmjx.base.settings.json_file import read_json
->>>>>>> main
+from usarmjx.cli.clips import ClippedTraining
 from usarmjx.cli.common import ErrorExit, OldOutArgument, PortOffsetOption, chosen_out
 from usarmjx.cli.completion import complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption
