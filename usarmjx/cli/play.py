@@ -11,6 +11,7 @@ import typer
 from usarmjx.cli.common import ErrorExit, WorldsOption
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions
 from usarmjx.cli.recordings import recorded_episode
+from usarmjx.cli.ros2_options import Ros2Options
 from usarmjx.cli.serving_options import (
     Host,
     ListenOptions,
@@ -50,6 +51,7 @@ def play(
     listen: ListenOptions,
     run: RunOptions,
     ros: RosOptions,
+    ros2: Ros2Options,
     viewer: ViewerOptions,
     engine: PolicyEngineOption = "c",
     out: Annotated[Path, typer.Option(help="Picture to write: .png is a strip, .gif moves.")] = Path(
@@ -80,7 +82,7 @@ def play(
             run=run,
             viewer=viewer,
             view=view or viewer.viewer_port is not None,
-            services=(ros,),
+            services=(ros, ros2),
         )
         with StopSignals() as signals, host.ports() as ports:
             host.warn(ports)

@@ -54,11 +54,16 @@ class Velocity(NamedTuple):
 
 
 def read_twist(message: object) -> Velocity:
-    """Return the velocity of a Twist; missing numbers are 0. Roll and pitch rates are ignored.
+    """Return the velocity of a Twist or TwistStamped; missing numbers are 0.
+
+    Roll and pitch rates are ignored, and so is the header of a TwistStamped.
 
     Raises:
         UsageError: It is no Twist, or a number is not finite.
     """
+    whole = json_object(message) or {}
+    if "twist" in whole:
+        message = whole["twist"]
     parts = [_part(message, name) for name in ("linear", "angular")]
     linear, angular = ([_number(part, axis) for axis in "xyz"] for part in parts)
     return Velocity(linear[0], linear[1], linear[2], angular[2])

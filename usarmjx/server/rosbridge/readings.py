@@ -7,6 +7,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from usarmjx.models.roads.network import LatLon
+from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.base import Sensor
 from usarmjx.sensors.gps import MIN_FIX_SATELLITES, Gps, geographic_coordinates
 from usarmjx.sensors.inertial import Imu
@@ -19,6 +20,9 @@ ULTRASOUND, INFRARED = 0, 1
 """Values of Range's radiation_type."""
 NO_FIX, FIX, SERVICE_GPS, APPROXIMATED = -1, 0, 1, 1
 """NavSatStatus's status and service, and NavSatFix's position_covariance_type."""
+
+DISCHARGING, FULL, HEALTHY, EMPTY, TECHNOLOGY_UNKNOWN = 2, 4, 1, 3, 0
+"""Values of BatteryState: of its status, of its health, and of its technology."""
 
 ReadingMaker: TypeAlias = Callable[[RosVersion, float, str, np.ndarray], RosMessage]
 """Makes a message of a version, a time [s], the robot's name in frames, and a reading."""
@@ -134,3 +138,24 @@ def _estimate(sensor: Sensor, version: RosVersion, time: float, robot: str, valu
     else:
         frame = MAP
     return {"header": version.header(time, frame), "pose": pose_of_angles(numbers)}
+
+
+def battery_state(
+    version: RosVersion, time: float, robot: str, spec: RobotSpec, remaining: float
+) -> RosMessage:
+    """Return the BatteryState of a robot with some time left [s]; what a battery has no number for is NaN."""
+    unknown = ("voltage", "temperature", "current", "charge", "capacity", "design_capacity")
+    share = remaining / spec.battery_life if spec.battery_life else 0.0
+    return {
+        "header": version.header(time, f"{robot}/base_link"),
+        **dict.fromkeys(unknown),
+        "percentage": share,
+        "power_supply_status": FULL if share >= 1.0 else DISCHARGING,
+        "power_supply_health": HEALTHY if remaining > 0.0 else EMPTY,
+        "power_supply_technology": TECHNOLOGY_UNKNOWN,
+        "present": True,
+        "cell_voltage": [],
+        "cell_temperature": [],
+        "location": "",
+        "serial_number": "",
+    }
