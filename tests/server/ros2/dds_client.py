@@ -24,7 +24,7 @@ LOOPBACK = (
     "</Interfaces></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
     "<MaxAutoParticipantIndex>99</MaxAutoParticipantIndex></Discovery></Domain></CycloneDDS>"
 )
-PATIENCE = 15.0  # s
+PATIENCE = 60.0  # s
 
 
 @dataclass
@@ -195,8 +195,9 @@ def main(domain):
     within_patience(lambda: replies.get_subscription_matched_status().current_count)
     requests.write(SpawnRequest(77, 5, "R1", False, Resource("P2AT")))
     reply = within_patience(lambda: replies.take(1))[0]
-    clock = within_patience(lambda r=reader("rt/clock", Clock): r.take(1))[0]
-    urdf = within_patience(lambda r=reader("rt/R1/robot_description", Text, LATCHED): r.take(1))[0]
+    clocks, texts = reader("rt/clock", Clock), reader("rt/R1/robot_description", Text, LATCHED)
+    clock = within_patience(lambda: clocks.take(1))[0]
+    urdf = within_patience(lambda: texts.take(1))[0]
     odom = reader("rt/R1/odom", Odometry)
     first = within_patience(lambda: odom.take(1))[0]
     driver = writer("rt/R1/cmd_vel", TwistStamped)

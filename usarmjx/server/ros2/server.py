@@ -149,6 +149,7 @@ class Ros2Server:
         self._known: Mapping[str, RosTopic] = {}
         self._published: dict[str, PublishedTopic] = {}
         self._heard: dict[str, list[Closable]] = {}
+        self._services: list[Closable] = []
         self._incoming: deque[Changes] = deque()
         self._stepped = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -174,7 +175,8 @@ class Ros2Server:
         world = WorldServices(self.server, self._topics, self._robots, self._stepped)
         for services in (world.services(), ParameterServices(self._parameters).services()):
             for name, (kind, function) in services.items():
-                self._worker.serve(name, kind, partial(self._request, kind, function))
+                take = partial(self._request, kind, function)
+                self._services.append(self._worker.serve(name, kind, take))
         settings = self._settings
         where = (
             "" if settings.transport == "zenoh" else ", this machine" if settings.is_local else ", network"
@@ -308,9 +310,7 @@ class Ros2Server:
     def _serve(self, kind: str, function: Callable[[RosMessage], Any], data: bytes, reply: Reply) -> None:
         try:
             skip = HEADER_BYTES[self._settings.transport]
-            answer: RosMessage | Coroutine[Any, Any, RosMessage] = function(
-                CdrReader(data, skip).message(f"{kind}_Request")
-            )
+            answer: ServiceAnswer = function(CdrReader(data, skip).message(f"{kind}_Request"))
         except PeerError as error:
             self._fault_log.warning("%s: %s", kind, error)
             return
