@@ -130,8 +130,7 @@ class TransportWorker:
 
     def send(self, outlet: Outlet, message: RosMessage) -> None:
         """Send a message; the oldest that waits goes if there are more than the quality keeps."""
-        if len(outlet.waiting) >= outlet.qos.depth:
-            outlet.waiting.popleft()
+        if len(outlet.waiting) >= outlet.qos.depth and _next(outlet.waiting) is not None:
             self.counts.dropped += 1
         outlet.waiting.append(message)
         self._ready.append(outlet)
@@ -184,7 +183,10 @@ class TransportWorker:
                 for outlet in self._outlets:
                     assert outlet.publisher is not None
                     outlet.wanted = outlet.qos.is_latched or outlet.publisher.has_readers()
-        transport.close()
+        try:
+            transport.close()
+        except Exception as error:  # the library's own: the process ends or goes on without it
+            log.warning("ROS 2: %s", error)
 
     def _work(self, transport: Transport) -> None:
         while self._jobs or self._ready:
@@ -201,14 +203,23 @@ class TransportWorker:
             transport.announce()
 
     def _send(self, outlet: Outlet) -> None:
-        if outlet.publisher is None or not outlet.waiting:
+        message = None if outlet.publisher is None else _next(outlet.waiting)
+        if outlet.publisher is None or message is None:
             return
-        data = self._bytes.whole(outlet.kind, outlet.waiting.popleft())
+        data = self._bytes.whole(outlet.kind, message)
         if outlet.publisher.write(data):
             self.counts.sent += 1
             self.counts.sent_bytes += len(data)
         else:
             self.counts.dropped += 1
+
+
+def _next(waiting: deque[RosMessage]) -> RosMessage | None:
+    """Take the oldest message; None if the other thread has just taken the last one."""
+    try:
+        return waiting.popleft()
+    except IndexError:
+        return None
 
 
 class _Handle:
