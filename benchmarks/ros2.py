@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.baselines import BaselineOptions
+from benchmarks.cases import BaselineOptions
 from benchmarks.tools import run_case, spread_of
 from usarmjx.base.errors import UsageError
 from usarmjx.models.files.load import find_arena

@@ -121,8 +121,7 @@ def _of_frame(frame: Frame, drawing: Drawing) -> Iterator[BagMessage]:
         yield BagMessage(f"/{name}/odom", "nav_msgs/Odometry", odom, DEFAULT)
         joints = _joints(time, drawn, robot)
         yield BagMessage(f"/{name}/joint_states", "sensor_msgs/JointState", joints, DEFAULT)
-        life = SimpleNamespace(battery_life=drawn.battery_life)
-        battery = readings.battery_state(ROS2, time, name, life, robot.battery)
+        battery = readings.battery_state(ROS2, time, name, drawn.battery_life, robot.battery)
         yield BagMessage(f"/{name}/battery_state", "sensor_msgs/BatteryState", battery, DEFAULT)
     yield BagMessage("/tf", "tf2_msgs/TFMessage", {"transforms": transforms}, DEFAULT)
 
@@ -161,10 +160,11 @@ def _of_readings(time: float, content: dict[str, Any], drawing: Drawing) -> Iter
             continue
         robot = drawing.robots[slot]
         name = frame_name(robot.name)
-        for below, kind, message in _reading(time, name, robot.sensors[sensor], np.asarray(value)):
+        mount: DrawnMount = robot.sensors[sensor]
+        for below, kind, message in _reading(time, name, mount, np.asarray(value)):
             yield BagMessage(f"/{name}/{below}", kind, message, SENSOR)
             alias = f"/{name}/{USUAL_NAMES.get(kind)}"
-            is_first = sensor == _first_of(robot, robot.sensors[sensor].kind)
+            is_first = sensor == _first_of(robot, mount.kind)
             if kind in USUAL_NAMES and is_first and alias not in usual:
                 usual.add(alias)
                 yield BagMessage(alias, kind, message, SENSOR)

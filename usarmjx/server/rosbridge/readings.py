@@ -7,7 +7,6 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from usarmjx.models.roads.network import LatLon
-from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.base import Sensor
 from usarmjx.sensors.gps import MIN_FIX_SATELLITES, Gps, geographic_coordinates
 from usarmjx.sensors.inertial import Imu
@@ -101,6 +100,7 @@ def ranger(sensor: Sensor, index: int, radiation: int) -> ReadingMaker:
 
 
 def imu(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np.ndarray) -> RosMessage:
+    """Return an Imu; the sensor has no orientation."""
     return {
         "header": version.header(time, f"{robot}/{frame_name(sensor.mounts[0].name)}"),
         "orientation": quaternion(np.eye(4)[0]),
@@ -146,12 +146,13 @@ def pose_estimate(version: RosVersion, time: float, frame: str, value: np.ndarra
     return {"header": version.header(time, frame), "pose": pose_of_angles(numbers)}
 
 
-def battery_state(
-    version: RosVersion, time: float, robot: str, spec: RobotSpec, remaining: float
-) -> RosMessage:
-    """Return the BatteryState of a robot with some time left [s]; what a battery has no number for is NaN."""
+def battery_state(version: RosVersion, time: float, robot: str, life: float, remaining: float) -> RosMessage:
+    """Return the BatteryState of a robot with some time of its battery's life left [s].
+
+    What a battery has no number for is NaN.
+    """
     unknown = ("voltage", "temperature", "current", "charge", "capacity", "design_capacity")
-    share = remaining / spec.battery_life if spec.battery_life else 0.0
+    share = remaining / life if life else 0.0
     return {
         "header": version.header(time, f"{robot}/base_link"),
         **dict.fromkeys(unknown),

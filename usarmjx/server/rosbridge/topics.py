@@ -237,7 +237,9 @@ class WorldTopics:
             f"/{name}/battery_state",
             "sensor_msgs/BatteryState",
             lambda: int(world.time / BATTERY_PERIOD + 1e-6),
-            lambda version: battery_state(version, world.time, name, robot.spec, world.battery(robot)),
+            lambda version: battery_state(
+                version, world.time, name, robot.spec.battery_life, world.battery(robot)
+            ),
         )
 
     def _of_camera(self, robot: Robot, index: int) -> Iterator[RosTopic]:
