@@ -42,7 +42,7 @@ def test_rosbags_reads_every_message_of_a_bag(bag):
             one.topic for one in reader.connections if "TRANSIENT" in str(one.ext.offered_qos_profiles)
         }
     assert {"/clock", "/tf", "/tf_static", "/map", "/First/odom", "/Second/joint_states"} <= set(seen)
-    assert latched == {"/tf_static", "/map", "/First/robot_description", "/Second/robot_description"}
+    assert latched == {"/tf_static", "/map"}, "a class of the test's own has no description"
     for kind, digest in kinds.values():
         assert digest in ("", store.hash_rihs01(kind))
     for name in ("First", "Second"):
