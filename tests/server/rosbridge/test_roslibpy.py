@@ -40,7 +40,7 @@ def test_roslibpy_asks_drives_and_hears():
         mine.set([1, 2], timeout=PATIENCE)
         assert mine.get(timeout=PATIENCE) == [1, 2]
         moves, found = threading.Event(), []
-        odom = roslibpy.Topic(ros, "/R1/odom", "nav_msgs/Odometry", compression="png")
+        odom = roslibpy.Topic(ros, "/R1/odom", "nav_msgs/Odometry")
 
         def hear(message):
             found.append(message)

@@ -155,12 +155,14 @@ def _mounts(frame: Frame, drawn: DrawnRobot, name: str) -> Iterator[RosMessage]:
 
 def _of_readings(time: float, content: dict[str, Any], drawing: Drawing) -> Iterator[BagMessage]:
     usual: set[str] = set()
-    for slot, sensor, value in zip(content["slots"], content["sensors"], content["values"], strict=True):
+    slots: tuple[int, ...] = content["slots"]
+    sensors: tuple[int, ...] = content["sensors"]
+    for slot, sensor, value in zip(slots, sensors, content["values"], strict=True):
         if slot not in drawing.robots:
             continue
         robot = drawing.robots[slot]
         name = frame_name(robot.name)
-        mount: DrawnMount = robot.sensors[sensor]
+        mount = robot.sensors[sensor]
         for below, kind, message in _reading(time, name, mount, np.asarray(value)):
             yield BagMessage(f"/{name}/{below}", kind, message, SENSOR)
             alias = f"/{name}/{USUAL_NAMES.get(kind)}"

@@ -53,7 +53,7 @@ LAST_DOMAIN = 232
 STATES = ("nav_msgs/Odometry", "sensor_msgs/JointState", "sensor_msgs/BatteryState", "tf2_msgs/TFMessage")
 """Types of which a late message is worth sending."""
 TWIST_STAMPED = "geometry_msgs/TwistStamped"
-Changes = Callable[[], None]
+LoopWork = Callable[[], None]
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class Ros2Server:
         self._published: dict[str, PublishedTopic] = {}
         self._heard: dict[str, list[Closable]] = {}
         self._services: list[Closable] = []
-        self._incoming: deque[Changes] = deque()
+        self._incoming: deque[LoopWork] = deque()
         self._stepped = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
         self._robots: RosRobots | None = None
@@ -291,7 +291,7 @@ class Ros2Server:
     def _request(self, kind: str, function: Callable[[RosMessage], Any], data: bytes, reply: Reply) -> None:
         self._enqueue(partial(self._serve, kind, function, data, reply))
 
-    def _enqueue(self, work: Changes) -> None:
+    def _enqueue(self, work: LoopWork) -> None:
         self.counts.received += 1
         if len(self._incoming) >= MOST_INCOMING:
             self._incoming.popleft()
