@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dev
+from tests.kept_files import kept_files, written_files
 from tests.mutations import edits, mutate
 from tests.train.handmade import policy_file
 from tests.valid_files import (
@@ -67,6 +68,8 @@ LOADERS = {
     "roads.txt": (ROADS, read_rndf),
     "mission.txt": (MISSION, read_mdf),
     "policy.npz": (policy_file(io.BytesIO()).getvalue(), load_exported),
+    **kept_files(),
+    **written_files(),
 }
 """A valid file of each kind, and what reads it."""
 
