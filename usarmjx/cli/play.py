@@ -11,9 +11,12 @@ import typer
 from usarmjx.cli.common import ErrorExit, WorldsOption
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions
 from usarmjx.cli.recordings import recorded_episode
+from usarmjx.cli.ros2_options import Ros2Options
 from usarmjx.cli.serving_options import (
     Host,
+    ImageOptions,
     ListenOptions,
+    RadioOptions,
     RosOptions,
     RunOptions,
     ViewerOptions,
@@ -49,7 +52,10 @@ def play(
     served: ServedOptions,
     listen: ListenOptions,
     run: RunOptions,
+    radio: RadioOptions,
+    images: ImageOptions,
     ros: RosOptions,
+    ros2: Ros2Options,
     viewer: ViewerOptions,
     engine: PolicyEngineOption = "c",
     out: Annotated[Path, typer.Option(help="Picture to write: .png is a strip, .gif moves.")] = Path(
@@ -71,7 +77,7 @@ def play(
         if not (serve or view):
             _draw_episode(driver, engine, out, seconds, run.record)
             return
-        # Who only wants to see it needs no port of its own for clients; they may come all the same.
+        # A picture in a browser needs no ports of its own for clients; they may come all the same.
         listen = listen if serve else replace(listen, port=0)
         host = Host(
             listen=listen,
@@ -80,14 +86,18 @@ def play(
             run=run,
             viewer=viewer,
             view=view or viewer.viewer_port is not None,
-            services=(ros,),
+            services=(radio, images, ros, ros2) if serve else (ros, ros2),
         )
         with StopSignals() as signals, host.ports() as ports:
             host.warn(ports)
+            # Clients that come while the world is built, or before a run's first checkpoint, wait here.
+            for sockets in ports.bound:
+                sockets["--port"].listen()
             announce("building the world that the policy drives ...")
             services = host.prepare()
             worlds, more = _policy_worlds(driver, served, engine, host.numbers)
-            host.serve(worlds, ports, services, signals, batch_size=served.worlds, more=more)
+            heard = radio.constants if serve and radio.wanted else None
+            host.serve(worlds, ports, services, signals, batch_size=served.worlds, more=more, radio=heard)
 
 
 def _draw_episode(

@@ -690,17 +690,17 @@ def export(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="File to write, .npz; of a recording .csv, .parquet, .gif or .mp4; needed.",
+            help="File to write, .npz; of a recording .csv, .parquet, .gif, .mp4 or .rosbag2; needed.",
             show_default=False,
         ),
     ] = None,
     old_out: OldOutArgument = None,
     checkpoint: Annotated[str, typer.Option(help="best, last, or the number of an iteration.")] = "best",
     half: Annotated[bool, typer.Option("--half", help="Weights of 16 bits: half the size.")] = False,
-    world: Annotated[int, typer.Option(min=0, help="Of a recording: which world films show.")] = 0,
+    world: Annotated[int, typer.Option(min=0, help="Of a recording: which world films and bags show.")] = 0,
     speed: Annotated[float, typer.Option(min=0.01, help="Of a recording: how fast films are.")] = 2.0,
 ) -> None:
-    """Write a policy to a file that NumPy alone can run; or a recording as tables or as a film."""
+    """Write a policy to a file that NumPy alone can run; or a recording as tables, film or ROS 2 bag."""
     with ErrorExit():
         where = chosen_out(out, old_out)
         announce(f"reading {run} ...")
