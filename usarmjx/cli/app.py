@@ -103,7 +103,7 @@ COMMANDS = {
     ),
     "export": (
         "usarmjx.cli.train:app",
-        "Write a policy to a file for NumPy or ONNX Runtime; or a recording as tables or as a film.",
+        "Write a policy for NumPy or ONNX Runtime; or a recording as tables, film or ROS 2 bag.",
     ),
     "eval": (
         "usarmjx.cli.evaluation:evaluate_policy",
