@@ -18,13 +18,13 @@ from usarmjx.models.files.body_tree import BodyTree
 from usarmjx.models.files.file_motors import DEFAULT_TRAVEL, motor_with_limits, motors_of
 from usarmjx.models.files.gazebo_sensors import read_gazebo_elements
 from usarmjx.models.files.mjcf_solids import usarsim_angles, usarsim_vector
-from usarmjx.models.files.reader_process import expand_xacro
+from usarmjx.models.files.reader_process import expand_xacro, try_model
 from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.robot_drive import DEFAULT_SPIN, MIN_ROTORS, find_drive, rotor_drive, wheel_torque
 from usarmjx.models.files.robot_mjcf import read_mjcf_robot
 from usarmjx.models.files.robot_source import JointLimit, RobotSource, listed, plain_name
 from usarmjx.models.files.urdf_robot import read_urdf_robot
-from usarmjx.models.files.urdf_tree import read_urdf
+from usarmjx.models.files.urdf_tree import mend_urdf, read_urdf
 from usarmjx.models.types.robot import CHASSIS, Motor, Mount, Part, RobotSpec, options
 from usarmjx.models.types.shapes import Shape
 
@@ -122,13 +122,17 @@ def open_robot_file(path: Path, resources: Resources, arguments: Mapping[str, st
         SpecError: An unreadable file, or content that a robot cannot have; names it.
     """
     data = read_bytes(path, refusal=ArenaFileError)
-    if path.suffix.lower() == ".xacro" or (b"<robot" in data and b"<xacro:" in data):
+    if path.suffix.lower() == ".xacro" or (b"<robot" in data and (b"<xacro:" in data or b"$(" in data)):
         data = _expanded(path, resources, arguments)
     if b"<robot" not in data:
         return read_mjcf_robot(path)
     root = read_urdf(path, data)
+    mended = mend_urdf(root)
     source = read_urdf_robot(root, path, resources)
+    source.notes[:0] = mended
     read_gazebo_elements(root, source, {body.name for body in source.spec.bodies})
+    if wrong := try_model(path, source.spec.to_xml()):
+        raise SpecError(f"{path}: does not compile: {wrong}")
     return source
 
 

@@ -2,8 +2,8 @@
 
 Segments have numbers from 1, zones the numbers after the last segment's; lanes, spots and waypoints have
 numbers from 1 within their owner, and waypoints may begin with another number. Positions are latitude and
-longitude in floating-point degrees, as before DARPA's revision of December 2006 (manual 10.13). Widths are feet
-and speeds miles per hour, as in the files.
+longitude in floating-point degrees, as before DARPA's revision of December 2006 (manual 10.13). Widths are
+feet and speeds miles per hour, as in the files.
 """
 
 from collections import Counter
