@@ -74,6 +74,7 @@ def _read_constraints(spec: mujoco.MjSpec, source: RobotSource) -> None:
         if (
             equality.type == mujoco.mjtEq.mjEQ_JOINT
             and equality.active
+            and equality.name2
             and {equality.name1, equality.name2} <= names
             and equality.name1 not in source.mimics
             and not terms[2:].any()
