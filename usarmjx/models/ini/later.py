@@ -1,8 +1,8 @@
 """Ini files of USARSim's later versions, on the Unreal Development Kit, in the terms of the manual's.
 
-Their `DefaultUSAR.ini` has sensors in sections `[USARSensor.X]`, mounts all items by `AddParts`, and has classes
-of robots and sections of the game beside them. Names with the same meaning are renamed; of the rest each class
-is named once, with the reason.
+Their `DefaultUSAR.ini` has sensors in sections `[USARSensor.X]`, mounts all items by `AddParts`, and has
+other classes of robots and sections of the game. Names with the same meaning are renamed; of the rest each
+class is named once, with the reason.
 """
 
 from collections.abc import Sequence

@@ -17,8 +17,8 @@ matched without case and keys may repeat, in order. A value is one of:
 
 Unreal's array prefixes: `+key=` and `.key=` add a line, also to a list of another file or of the class itself
 if the section has no bare `key=`. `-key=` removes every earlier line of the section with that key, index and
-value (of the same type: 1 is not 1.0), and `!key=` every earlier line with that key and, if it has an index, with
-that index. Both stay in `Section.removals`: readers of lists apply them to other files and to the class itself.
+value (of the same type: 1 is not 1.0), and `!key=` every earlier line with that key and, if it has an index,
+with that index. Both stay in `Section.removals`: readers of lists apply them to other files and to the class.
 """
 
 import re
