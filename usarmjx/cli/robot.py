@@ -14,7 +14,9 @@ from usarmjx.cli.startup_messages import announce
 if TYPE_CHECKING:
     from usarmjx.models.types.robot import Motor, Part, RobotSpec
 
-app = typer.Typer(help="Check robots from files: URDF, xacro, MJCF.", no_args_is_help=True)
+app = typer.Typer(
+    help="Check robots from files: URDF, xacro, MJCF; write robots as such.", no_args_is_help=True
+)
 
 PackagesOption = Annotated[
     list[Path] | None,
@@ -68,6 +70,27 @@ def check(
             typer.echo(f"wrote {png}", err=json)
         if faults:
             raise typer.Exit(1)
+
+
+@app.command()
+def export(
+    robot: Annotated[str, typer.Argument(help="Name of a robot class, or a robot's file.")],
+    out: Annotated[Path, typer.Argument(help="File to write; meshes are written beside it.")],
+    form: Annotated[
+        str, typer.Option("--format", help="mjcf, urdf or sdf; empty: by the file's suffix.")
+    ] = "",
+) -> None:
+    """Write a robot as MJCF, URDF or SDF, with the mass, solids and joints that it has here."""
+    with ErrorExit():
+        announce(f"building {robot} ...")
+        from usarmjx.models.files.find_robot import find_robot
+        from usarmjx.models.files.robot_export import SUFFIXES, export_robot
+
+        by_suffix = {suffix: name for name, suffix in SUFFIXES.items()}
+        result = export_robot(find_robot(robot), out, form or by_suffix.get(out.suffix.lower(), out.suffix))
+        for note in result.notes:
+            typer.echo(f"note: {note}", err=True)
+        typer.echo(f"wrote {', '.join(map(str, result.files))}")
 
 
 def robot_figures(robot: "RobotSpec") -> dict[str, Any]:

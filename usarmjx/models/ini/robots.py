@@ -318,7 +318,11 @@ def _leave_out_unknown(found: SortedSections, sources: BuildContext) -> None:
         known |= set(ready)
         waiting = {name: orders for name, orders in waiting.items() if name not in known}
     # A chain that leads back to itself is a mistake of another kind.
-    lost = [name for name, orders in waiting.items() if _base_name(orders) not in waiting]
+    lost: dict[str, None] = {}
+    while more := [
+        n for n, o in waiting.items() if n not in lost and _base_name(o) not in waiting.keys() - lost
+    ]:
+        lost |= dict.fromkeys(more)
     if len(waiting) == len(found.robots) and not (found.defaults or found.tracks or sources.definitions):
         return
     for name in lost:

@@ -58,11 +58,10 @@ class RobotSection:
 
     def drop(self, key: str, line: Line) -> None:
         """Take an item away from the lists of earlier files; from the class' own if these have it not."""
-        name = item_name(line)
         gone = 0
         for listed in (key, f"Add{key}"):
             before = self.lists.get(listed, [])
-            kept = [(other, units) for other, units in before if item_name(other) != name]
+            kept = [(other, units) for other, units in before if not is_same_item(line, other)]
             gone += len(before) - len(kept)
             if before:
                 self.lists[listed] = kept
@@ -105,6 +104,12 @@ def item_name(line: Line) -> tuple[str, str]:
     written = struct.get("ItemClass")
     kind = "" if written is None else as_class(line, written, "ItemClass")
     return (kind_of(kind, None) or kind).lower(), as_name(line, struct.get("ItemName"), "ItemName").lower()
+
+
+def is_same_item(line: Line, other: Line) -> bool:
+    """Return whether a line with `-` means the item of another line."""
+    (kind, name), (its_kind, its_name) = item_name(line), item_name(other)
+    return name == its_name and kind in ("", its_kind)
 
 
 def build_robot(section: RobotSection, base: RobotSpec | None, sources: BuildContext) -> RobotSpec:
