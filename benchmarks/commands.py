@@ -180,9 +180,9 @@ def bench_report(
     results: Annotated[Path, typer.Option(help="Folder of records.")] = Path("benchmarks/results"),
     page: Annotated[
         Path, typer.Option(help="Page whose blocks are written anew; figures go beside it.")
-    ] = Path("docs/performance.md"),
+    ] = Path("docs/evidence/speed.md"),
 ) -> None:
-    """Write the tables and figures of docs/performance.md anew from the records."""
+    """Write the tables and figures of docs/evidence/speed.md anew from the records."""
     with ErrorExit():
         announce("drawing ...", keep=False)
         from benchmarks.report.page import write_page

@@ -88,7 +88,7 @@ def test_every_package_says_what_is_in_it():
 def test_paths_of_modules_in_all_documents_exist():
     pages = [
         *dev.ROOT.glob("*.md"),
-        *(dev.ROOT / "docs").glob("*.md"),
+        *(dev.ROOT / "docs").rglob("*.md"),
         *(dev.ROOT / "benchmarks").glob("*.md"),
     ]
     gone = {}
@@ -135,7 +135,7 @@ FILE = re.compile(r".*\.(py|md|ini|yaml|toml|npz|png|json|jsonl|txt|html|uc|c|MT
 def test_names_in_docstrings_and_documents_are_those_of_the_code():
     """A word in ticks is a name that exists: what was renamed is renamed in the texts as well."""
     known, stale = documented_names(), {}
-    pages = [dev.ROOT / "README.md", dev.ROOT / "CONTRIBUTING.md", *(dev.ROOT / "docs").glob("*.md")]
+    pages = [dev.ROOT / "README.md", dev.ROOT / "CONTRIBUTING.md", *(dev.ROOT / "docs").rglob("*.md")]
     for path in [*PACKAGE.rglob("*.py"), *(page for page in pages if page.name != "conformance.md")]:
         text = re.sub(r"```.*?```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
         for word in re.findall(r"`([A-Za-z_][\w.]*)`", text):

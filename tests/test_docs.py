@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 import dev
 import usarmjx
 
-FOLDERS = (".", "docs", "examples", "benchmarks")
+FOLDERS = (".", "docs", "docs/evidence", "examples", "benchmarks")
 DOCUMENTS = sorted({path for folder in FOLDERS for path in (dev.ROOT / folder).glob("*.md")})
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 NAMED = re.compile(r"^```\w+ (\S+)\n(.*?)^```", re.MULTILINE | re.DOTALL)

@@ -225,7 +225,7 @@ def test_the_reference_lists_all_public_names_once():
 
 # What pages and examples teach.
 
-PAGES = [dev.ROOT / "README.md", *(dev.ROOT / "docs").glob("*.md"), *(dev.ROOT / "benchmarks").glob("*.md")]
+PAGES = [dev.ROOT / "README.md", *(dev.ROOT / "docs").rglob("*.md"), *(dev.ROOT / "benchmarks").glob("*.md")]
 NOTEBOOKS = [*(dev.ROOT / "docs").glob("*.ipynb"), *(dev.ROOT / "examples").glob("*.ipynb")]
 EXAMPLES = [*(dev.ROOT / "examples").rglob("*.py")]
 FENCE = re.compile(r"^```\w*[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)

@@ -47,6 +47,12 @@ def foreign(page: str) -> list[str]:
     return [address for address in parser.addresses if re.match(r"[\"']?\s*(\w+:)?//", str(address))]
 
 
+def page_names() -> list[str]:
+    """Return the pages of the folder docs, without their suffix."""
+    folder = dev.ROOT / "docs"
+    return [path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.md")]
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
@@ -86,15 +92,20 @@ def test_prompts_and_output_of_a_console_are_not_copied(site: Path):
 
 
 def test_every_document_is_a_page(site: Path):
-    names = {path.stem for path in (dev.ROOT / "docs").glob("*.md")} | {"contributing", "benchmarks"}
+    pages = (
+        path.relative_to(dev.ROOT / "docs").with_suffix("") for path in (dev.ROOT / "docs").rglob("*.md")
+    )
+    names = {path.as_posix() for path in pages} | {"contributing", "benchmarks"}
     assert sorted(name for name in names if not (site / f"{name}.html").is_file()) == []
     assert len(names) > 20
 
 
 def test_every_page_is_in_the_list_of_pages(site: Path):
     start = (site / "index.html").read_text("utf-8")
-    names = [path.stem for path in (dev.ROOT / "docs").glob("*.md")]
-    assert [name for name in names if f'href="{name}.html"' not in start] == []
+    pages = (
+        path.relative_to(dev.ROOT / "docs").with_suffix("") for path in (dev.ROOT / "docs").rglob("*.md")
+    )
+    assert [page for page in pages if f'href="{page.as_posix()}.html"' not in start] == []
 
 
 def test_a_document_that_nobody_listed_is_listed_all_the_same():

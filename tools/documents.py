@@ -71,9 +71,10 @@ def source_page(path: str) -> str:
 
 def on_config(config: Any) -> Any:  # noqa: ANN401 - MkDocs' own
     """Put pages of which the list of pages does not know to the others that tell how."""
-    named = set(re.findall(r"[\w-]+\.md", json.dumps(config.nav)))
+    named = set(re.findall(r"[\w/-]+\.md", json.dumps(config.nav)))
     (how_to,) = (part["How to"] for part in config.nav if "How to" in part)
-    how_to += sorted({path.name for path in (ROOT / "docs").glob("*.md")} - named)
+    there = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
+    how_to += sorted(there - named)
     return config
 
 

@@ -1,4 +1,4 @@
-"""Figures of docs/performance.md: cost over size, and simulated time of peers, ours and others'."""
+"""Figures of docs/evidence/speed.md: cost over size, and simulated time of peers, ours and others'."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence

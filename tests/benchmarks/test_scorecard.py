@@ -22,7 +22,7 @@ P2AT = ROBOTS.get("P2AT")
 
 @pytest.mark.parametrize("name", ["P2AT", "P2DX", "Zerg"])
 def test_what_these_classes_do_under_the_fast_settings_is_what_they_do_under_the_reference(name):
-    """docs/performance.md lists no differences of theirs."""
+    """docs/evidence/speed.md lists no differences of theirs."""
     reference, fast = ({name: drive_all(one, ROBOTS.get(name))} for one in (Physics(), Physics.fast()))
     assert list(differences(reference, fast)) == []
     assert len(reference[name]) == 9  # nothing to lift or to grip with

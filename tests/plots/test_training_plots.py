@@ -211,9 +211,9 @@ def test_what_has_no_curves_is_refused(text, complaint, tmp_path):
 
 
 def test_the_figure_of_the_docs_is_of_all_records():
-    page = (dev.ROOT / "docs" / "training.md").read_text(encoding="utf-8")
+    page = (dev.ROOT / "docs" / "evidence" / "training.md").read_text(encoding="utf-8")
     assert "](training-curves.png)" in page
-    command = "usarmjx curves benchmarks/results/train.jsonl --out docs/training-curves.png"
+    command = "usarmjx curves benchmarks/results/train.jsonl --out docs/evidence/training-curves.png"
     assert any(command in block for block in blocks(page, "console"))
-    assert (dev.ROOT / "docs" / "training-curves.png").stat().st_size < 150_000
+    assert (dev.ROOT / "docs" / "evidence" / "training-curves.png").stat().st_size < 150_000
     assert all(curve.baseline for curve in read_curves(dev.ROOT / "benchmarks" / "results" / "train.jsonl"))

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import logging
+import math
 import socket
 import time
 
@@ -12,6 +13,7 @@ import pytest
 from tests.server.peers import PATIENCE, Peer, serving
 from tests.server.still_world import StillWorld, init
 from usarmjx.base.errors import PeerError
+from usarmjx.server.gamebots import adapter
 from usarmjx.server.gamebots.budget import (
     BURST,
     CLIENT_SHARE,
@@ -204,13 +206,14 @@ def ticking(world, **settings):
 def flood(peers, data, until):
     """Let clients say something without end, and not read, until something is true."""
     deadline = time.monotonic() + PATIENCE
+    rests = dict.fromkeys(peers, data)
     for peer in peers:
         peer.socket.setblocking(False)
     while not until():
         assert time.monotonic() < deadline
         for peer in peers:
             with contextlib.suppress(OSError):  # it is full, or was hung up on
-                peer.socket.send(data)
+                rests[peer] = rests[peer][peer.socket.send(rests[peer]) :] or data
         time.sleep(0.002)
 
 
@@ -242,21 +245,39 @@ def test_every_command_is_paid_for(world, kind):
         assert 1 <= done <= ((BURST + GROWTH * steps) / MS + 1) / (1 + pieces)
 
 
-@pytest.mark.parametrize("asked", ["INIT {ClassName Nope}", f"INIT {{ClassName Nope}} {{Location {VECTOR}}}"])
-def test_inits_without_end_are_few_and_leave_one_line(world, caplog, asked):
-    with serving(world, realtime_factor=PACE) as (port, server):
+LONG = "{Location 1,2,3} " * 450
+UNKNOWN = "INIT refused: unknown robot 'Nope'"
+ASKED = {
+    "INIT {ClassName Nope}": UNKNOWN,
+    f"INIT {{ClassName Nope}} {LONG}": UNKNOWN,
+    f"INIT {{ClassName Nope}} {{Location {VECTOR}}}": "has 4001 numbers, expected 3",
+}
+
+
+@pytest.mark.parametrize(("asked", "reason"), ASKED.items(), ids=["short", "long", "illegal"])
+def test_inits_without_end_are_few_and_leave_one_line(world, caplog, monkeypatch, asked, reason):
+    monkeypatch.setattr(adapter, "INTERVAL", math.inf)  # lines: of the first fault, and of all later ones
+    with serving(world, realtime_factor=PACE, max_faults=0) as (port, server):
         peers = [Peer(port) for _ in range(5)]
-        first, began = world.time, time.monotonic()
-        flood(peers, (asked + "\r\n").encode() * 10, lambda: world.time > first + 60 * PERIOD)
+        wait_until(lambda: len(server.clients) == len(peers))
+        first = world.time
+
+        def are_refused():
+            refusals = [client.session.fault_count for client in server.clients]
+            return world.time > first + 60 * PERIOD and min(refusals) >= 3
+
+        flood(peers, (asked + "\r\n").encode() * 10, are_refused)
         for peer in peers:
             peer.reset()
         wait_until(lambda: not server.clients)
         steps = (world.time - first) / PERIOD
+        assert server.faults >= 15
         done = server.counts.commands[Init]
-        assert 5 <= done <= 5 * ((BURST + GROWTH * steps) / INIT_COST + 1)
-    told = [r.getMessage() for r in caplog.records if "INIT refused: unknown robot 'Nope'" in r.getMessage()]
-    assert 5 <= len(told) <= 10 + (time.monotonic() - began) * 5 / INTERVAL
-    assert sum("more like it" in line for line in told) >= 1
+        assert done == 0 or reason == UNKNOWN, "what is no legal line is no INIT"
+        assert done >= 15 or reason != UNKNOWN
+        assert done <= 5 * ((BURST + GROWTH * steps) / INIT_COST + 1)
+    told = [record.getMessage() for record in caplog.records if reason in record.getMessage()]
+    assert 5 <= sum("more like it" in line for line in told) <= len(told) <= 10
     assert max(map(len, told)) < 1500
 
 

@@ -29,6 +29,7 @@ from usarmjx.server.network.gate import KEEPALIVE_COUNT, KEEPALIVE_IDLE, KEEPALI
 from usarmjx.server.network.ports import bound_socket
 from usarmjx.server.pictures.image_server import ImageSettings
 from usarmjx.server.protocol.session import SEND_LIMIT
+from usarmjx.server.rosbridge.net import RosSettings
 from usarmjx.server.runtime import metrics
 from usarmjx.server.viewing.viewer_service import ViewerSettings
 from usarmjx.server.wireless import sockets, switchboard
@@ -273,7 +274,9 @@ def test_the_page_on_security_has_the_limits_that_are_in_force():
     bots, air, calls = BotServerSettings(), WirelessSettings(), switchboard.MAX_CONNECTIONS
     images, page = ImageSettings(), ViewerSettings()
     held = (bots.max_connections, air.max_connections, images.max_connections, page.max_connections)
-    quarters = [3 * room // 4 for room in (*held, calls, metrics.MAX_CONNECTIONS)]
+    quarters = [
+        3 * room // 4 for room in (*held, calls, RosSettings().max_connections, metrics.MAX_CONNECTIONS)
+    ]
     found_out = KEEPALIVE_IDLE + KEEPALIVE_INTERVAL * KEEPALIVE_COUNT
     expected = {
         "connections for robots": [held[0]],

@@ -15,7 +15,7 @@ from usarmjx.train.make import make_task
 from usarmjx.train.policies.sources import task_settings
 
 TASK = "drive-to-goal"
-PAGE = Path(__file__).parents[2] / "docs/training.md"
+PAGE = Path(__file__).parents[2] / "docs/training-settings.md"
 OPTIONS = {"out": Path("x"), "engine": "c", "given": {}, "pairs": []}
 
 

@@ -650,7 +650,10 @@ def curves(
         str, typer.Option(help="Draw scores over agent steps or over time: steps, time.")
     ] = "steps",
 ) -> None:
-    """Draw how scores rose in training, six tasks a figure; of each seed the last run given."""
+    """Draw scores of training runs over agent steps and over time, the last run of each seed.
+
+    A figure has six tasks at most.
+    """
     with ErrorExit():
         announce("drawing curves ...")
         from usarmjx.plots.training_plots import plot_curves

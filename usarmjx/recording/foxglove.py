@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from usarmjx.recording.values import pack
 from usarmjx.view.drawing import NOBODY, Drawing, DrawnRobot, DrawnShape, Frame, RobotFrame
 from usarmjx.view.mesh import meshes_of
 
@@ -233,8 +234,7 @@ class SceneTexts:
         if known is None:
             found = hashlib.blake2b(digest_size=16)
             for values in vars(shape).values():
-                found.update(str((values.shape, values.dtype)).encode())
-                found.update(np.ascontiguousarray(values).tobytes())
+                found.update(pack(values))  # of an array of texts, `tobytes` gives addresses
             if len(self._digests) >= KEPT_SHAPES:
                 self._digests.clear()
             known = self._digests[id(shape)] = shape, found.digest()

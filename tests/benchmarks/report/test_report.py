@@ -1,4 +1,4 @@
-"""docs/performance.md is what `usarmjx bench report` makes of the records; laws and tables are right."""
+"""docs/evidence/speed.md is what `usarmjx bench report` makes of the records; laws and tables are right."""
 
 import json
 import math
@@ -16,7 +16,7 @@ from tests.benchmarks.records import faults
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
 
-RESULTS, PAGE = dev.ROOT / "benchmarks" / "results", dev.ROOT / "docs" / "performance.md"
+RESULTS, PAGE = dev.ROOT / "benchmarks" / "results", dev.ROOT / "docs" / "evidence" / "speed.md"
 STEP = {
     "benchmark": "step", "when": "2026-01-01T00:00:00+00:00", "device": "D", "commit": "c0", "versions": {},
     "case": {"worlds": 4, "robots": 2, "robot": "P2AT", "arena": "yellow", "engine": "c", "steps": 10},

@@ -373,7 +373,11 @@ def test_a_p2at_drives_up_to_the_second_floor():
 @pytest.mark.parametrize(
     ("error", "keys", "message"),
     [
-        (UnknownNameError, {"kind": "swamp"}, "unknown kind of arena 'swamp'; known: building"),
+        (
+            UnknownNameError,
+            {"kind": "swamp"},
+            r"unknown kind of arena 'swamp'; did you mean 'ramps'\? known: building, collapsed, maze",
+        ),
         (SpecError, {"size": (2, 6)}, "size 2x6, expected 3 to 64"),
         (SpecError, {"size": (6, 65)}, "size 6x65, expected 3 to 64"),
         (SpecError, {"seed": -1}, "seed -1, expected 0 or more"),

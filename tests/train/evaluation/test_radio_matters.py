@@ -31,7 +31,7 @@ but the base to the base."""
 
 
 WORLDS = {"explore": "12", "relay-chain": "3", "victim-search": "3"}
-"""Of the check's runs in docs/tasks.md."""
+"""Of the check's runs in docs/evidence/tasks.md."""
 
 
 def small(name):
@@ -113,5 +113,5 @@ def test_tasks_without_a_team_have_no_such_check():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TEAMS)
 def test_the_radio_matters(name):
-    """The check itself; docs/tasks.md has its figures."""
+    """The check itself; docs/evidence/tasks.md has its figures."""
     assert main([name, "--worlds", WORLDS[name], "--engine", "c"]) == 0

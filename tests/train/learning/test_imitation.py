@@ -68,6 +68,9 @@ class HiddenToy(DriveToy):
     def see(self, x, time):
         return tuple(map(jnp.zeros_like, super().see(x, time)[0])), jnp.zeros(6)
 
+    def started_at(self, memory, steps):
+        return memory
+
     def baseline_obs(self, scene, memory, obs):
         assert scene is None
         assert not memory.x["goal"].shape[2:]  # of one world

@@ -34,8 +34,8 @@ def trained(engine, config=CONFIG):
 
 
 TRACED = {
-    Rollout: ("_scan", "_decided", "_accounted", "_bounded"),
-    Trainer: ("_updated",),
+    Rollout: ("_scan", "_choose_actions", "_record_step", "_rollout_ends"),
+    Trainer: ("_update_shards",),
     train_state: ("_initial",),
 }
 

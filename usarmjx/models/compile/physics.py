@@ -72,8 +72,8 @@ class Physics:
     def fast(cls) -> "Physics":
         """Return settings for training and sweeps: several times as fast, and less exact.
 
-        Found by a search over settings; docs/performance.md tables the behaviour of every robot class under
-        them, beside the reference settings, and their limits.
+        docs/evidence/physics-settings.md has the search for them, with the behaviour of every robot class under
+        them and under the reference settings.
         """
         return cls(timestep=0.01, substeps=2, iterations=8, ls_iterations=5)
 

@@ -21,7 +21,7 @@ from usarmjx.sim.calibration import HORIZONS, build_calibrated, random_commands
 from usarmjx.sim.scene import build_scene
 from usarmjx.train.envs.recipe import open_floor
 from usarmjx.train.envs.task import TaskView
-from usarmjx.train.evaluation.evaluate import Evaluation, evaluate_episodes, evaluation_of
+from usarmjx.train.evaluation.evaluate import Evaluation, evaluate_episodes, pooled_score
 from usarmjx.train.learning.run_record import load_record
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.sources import PolicySource, baseline, load_policy
@@ -106,7 +106,7 @@ def task_gap(
 
 def told(found: Sequence[Evaluation]) -> str:
     """Return the score of one policy, or of several together, with its interval; then that of each."""
-    score = evaluation_of([run for one in found for run in one.episodes]).score
+    score = pooled_score(found)
     each = f": {', '.join(f'{one.score.value:.3g}' for one in found)}" if len(found) > 1 else ""
     if not math.isfinite(score.low):
         return f"{score.value:.3g}{each}"

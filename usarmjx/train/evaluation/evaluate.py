@@ -177,18 +177,37 @@ def evaluation_of(runs: Sequence[Episodes]) -> Evaluation:
     )
 
 
-def _score_of(runs: Sequence[Episodes]) -> Estimate:
-    """Return the mean score of all episodes; those in one building are drawn together."""
+def pooled_score(found: Sequence[Evaluation]) -> Estimate:
+    """Return the mean score of all episodes of several policies.
+
+    The interval is of these policies: it holds the doubt about buildings and episodes, not about what further
+    trainings would give.
+    """
+    policies = [number for number, one in enumerate(found) for _ in one.episodes]
+    return _score_of([run for one in found for run in one.episodes], policies)
+
+
+def _score_of(runs: Sequence[Episodes], policies: Sequence[int] | None = None) -> Estimate:
+    """Return the mean score of all episodes; those in one building are drawn together.
+
+    Args:
+        runs: The episodes.
+        policies: Number of the policy of each run (runs,); None: there is one.
+    """
     scores = np.concatenate([run.scores for run in runs])
+    of_run = [0] * len(runs) if policies is None else policies
+    each = [(number, episode) for number, run in enumerate(runs) for episode in range(len(run.scores))]
     places = [
-        (number, episode) if run.buildings is None or run.buildings[episode] < 0 else run.buildings[episode]
-        for number, run in enumerate(runs)
-        for episode in range(len(run.scores))
+        (number, episode)
+        if runs[number].buildings is None or runs[number].buildings[episode] < 0
+        else runs[number].buildings[episode]
+        for number, episode in each
     ]
-    levels = [
-        0 if run.levels is None else run.levels[episode] for run in runs for episode in range(len(run.scores))
+    strata = [
+        (of_run[number], 0 if runs[number].levels is None else runs[number].levels[episode])
+        for number, episode in each
     ]
-    return estimate_groups(scores, list(map(repr, places)), levels, shares=True)
+    return estimate_groups(scores, list(map(repr, places)), list(map(repr, strata)), shares=True)
 
 
 def as_record(found: Evaluation) -> dict[str, Any]:

@@ -85,6 +85,16 @@ def variants(task: TeamTask) -> dict[str, TeamTask]:
     return {"perfect": replace(task, radio=PERFECT_RADIO), "real": task, "none": quiet}
 
 
+def check_levels(arenas: GeneratedArenas, worlds: int) -> None:
+    """Check that the worlds have all levels of generated arenas alike.
+
+    Raises:
+        UsageError: Worlds that are no multiple of the levels.
+    """
+    if worlds % len(arenas.levels):
+        raise UsageError(f"{worlds} worlds for {len(arenas.levels)} levels of arenas: expected a multiple")
+
+
 def few_arenas(task: TeamTask, worlds: int) -> TeamTask:
     """Return a task with as many generated arenas of split `test` as worlds, of all levels alike.
 
@@ -94,8 +104,7 @@ def few_arenas(task: TeamTask, worlds: int) -> TeamTask:
     arena = task.arena
     if not isinstance(arena, GeneratedArenas):
         return task
-    if worlds % len(arena.levels):
-        raise UsageError(f"{worlds} worlds for {len(arena.levels)} levels of arenas: expected a multiple")
+    check_levels(arena, worlds)
     return replace(task, arena=replace(arena.of_split(TEST), count=worlds // len(arena.levels)))
 
 

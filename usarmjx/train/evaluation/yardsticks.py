@@ -29,6 +29,7 @@ from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.membership import building_label
 from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
+from usarmjx.train.evaluation.radio_matters import check_levels
 from usarmjx.train.make import build_env, make_task
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.sources import (
@@ -325,6 +326,8 @@ def measure_teams(  # noqa: PLR0913 - all but the first may be left out
     task = team_task(name, **overrides)
     if split is None:
         worlds, split = worlds or WORLDS, usual_split(name, overrides)
+        if isinstance(task.arenas, GeneratedArenas):
+            check_levels(task.arenas, worlds)
     if split is None:
         played = worlds or WORLDS
     else:

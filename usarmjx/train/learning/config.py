@@ -20,7 +20,7 @@ MAZE_SETTINGS: dict[str, Any] = {
     "imitation_steps": 1_000_000,
     "checkpoint_interval": 10,
 }
-"""Settings of the runs of `explore` and `victim-search` in docs/training.md."""
+"""Settings of the runs of `explore` and `victim-search` in docs/evidence/training.md."""
 SMALL_SETTINGS: dict[str, Any] = {
     **MAZE_SETTINGS,
     "learning_rate": 1e-3,
