@@ -1,4 +1,4 @@
-"""Robots written as MJCF, URDF and SDF: MuJoCo's own loader, our reader and ElementTree find the same robot."""
+"""Robots written as MJCF, URDF and SDF: MuJoCo's loader, our reader and ElementTree find the same robot."""
 
 import xml.etree.ElementTree as ET
 

@@ -80,7 +80,7 @@ def _text(values: object) -> str:
 
 
 def rpy_of(mat: np.ndarray) -> np.ndarray:
-    """Return roll, pitch, yaw of a rotation (3, 3): turns about fixed x, y, z, as URDF and SDF have them (3,)."""
+    """Return roll, pitch, yaw (3,) of a rotation (3, 3): turns about fixed x, y, z, as in URDF and SDF."""
     pitch = np.arctan2(-mat[2, 0], np.hypot(mat[0, 0], mat[1, 0]))
     if np.hypot(mat[0, 0], mat[1, 0]) < 1e-9:  # gimbal lock: roll and yaw are one rotation
         return np.array([np.arctan2(-mat[1, 2], mat[1, 1]), pitch, 0.0])
