@@ -223,6 +223,31 @@ def test_what_an_arena_cannot_have_is_refused_by_name(world, rest, says, tmp_pat
         load_arena(path)
 
 
+SCENE = """<mujoco><worldbody><geom name="floor" type="plane" size="5 5 .1"/>
+<geom name="block" type="box" size=".5 .5 .2" pos="2 0 .2"/>
+<body name="rover"><freejoint/><site name="eye"/><geom name="hull" type="box" size=".3 .2 .1"/>
+<body name="w"><joint name="spin"/><geom size=".1"/></body><body name="arm"><joint name="swing"/><geom size=".1"/></body></body>
+<body name="gate" pos="0 3 .5"><joint name="turn" axis="0 0 1"/><geom type="box" size=".4 .02 .5" pos=".4 0 0"/></body>
+</worldbody><tendon><fixed name="belt"><joint joint="swing" coef="1"/></fixed></tendon>
+<equality><joint joint1="swing" joint2="spin"/></equality>
+<contact><exclude body1="rover" body2="gate"/><pair geom1="hull" geom2="block"/></contact>
+<actuator><motor joint="spin"/><motor tendon="belt"/><motor joint="turn"/></actuator>
+<sensor><gyro site="eye"/><jointpos joint="spin"/></sensor><keyframe><key name="home"/></keyframe></mujoco>"""
+
+
+def test_a_scene_that_includes_its_robot_is_an_arena_without_it(tmp_path):
+    path = write(tmp_path / "scene.xml", SCENE)
+    content = mjcf_content(path)
+    assert len(content.shapes) == 1
+    assert content.floor
+    assert [door.name for door in content.doors] == ["gate"], "a motor makes no robot of a door"
+    assert content.loose == ()
+    assert content.warnings == (
+        f"{path}:3: 1 robots are left out: rover",
+        f"{path}:10: 1 actuators are left out: without name",
+    )
+
+
 @pytest.mark.oracle
 def test_urdf_stands_where_mujoco_has_it(tmp_path):
     trimesh.creation.box((0.4, 0.2, 0.6)).export(tmp_path / "block.stl")

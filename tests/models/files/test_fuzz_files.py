@@ -11,11 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dev
+from tests.models.files.test_robot_files import PLUGINS, cart
+from tests.models.ini.test_ini_later import LATER
 from tests.mutations import edits, mutate
 from tests.train.handmade import policy_file
 from tests.valid_files import ARENA, BINARY_STL, INI, MAP, MISSION, MODEL, ROADS, TEXT_STL, picture
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import describe
+from usarmjx.models import load_robot
 from usarmjx.models.files.load import load_arena
 from usarmjx.models.files.meshes import load_convex_pieces
 from usarmjx.models.files.mjcf import mjcf_content
@@ -35,16 +38,21 @@ EXAMPLES = dev.ROOT / "examples" / "arenas"
 MOST_SAID = 4000
 """Characters of an error, which may list what is allowed."""
 
+ROBOT, LATER_INI = cart(PLUGINS).encode(), LATER.encode()
+"""A robot on wheels with plugins, and an ini file of the later versions."""
+
 LOADERS = {
     "arena.yaml": (ARENA, load_arena),
     "model.xml": (MODEL, mjcf_content),
     "bench.urdf": ((EXAMPLES / "bench.urdf").read_bytes(), urdf_content),
+    "cart.urdf": (ROBOT, load_robot),
     "wedge.obj": ((EXAMPLES / "wedge.obj").read_bytes(), load_convex_pieces),
     "text.stl": (TEXT_STL, load_convex_pieces),
     "binary.stl": (BINARY_STL, load_convex_pieces),
     "hill.png": (picture("PNG"), load_arena),
     "robot.ini": (INI, read_ini),
     "robots.ini": (INI, lambda path: load_robots([path], ROBOTS)),
+    "later.ini": (LATER_INI, lambda path: load_robots([path], ROBOTS)),
     "roads.txt": (ROADS, read_rndf),
     "mission.txt": (MISSION, read_mdf),
     "policy.npz": (policy_file(io.BytesIO()).getvalue(), load_exported),
