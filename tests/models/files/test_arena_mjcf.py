@@ -12,6 +12,7 @@ from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.compile.compose import new_spec
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.files.load import load_arena, read_arena
+from usarmjx.models.files.mjcf import mjcf_content
 
 EXAMPLES = dev.ROOT / "examples" / "arenas"
 FLOAT = 1e-5  # m: MuJoCo keeps meshes and terrain in single precision
@@ -226,9 +227,11 @@ def test_what_an_arena_cannot_have_is_refused_by_name(world, rest, says, tmp_pat
 SCENE = """<mujoco><worldbody><geom name="floor" type="plane" size="5 5 .1"/>
 <geom name="block" type="box" size=".5 .5 .2" pos="2 0 .2"/>
 <body name="rover"><freejoint/><site name="eye"/><geom name="hull" type="box" size=".3 .2 .1"/>
-<body name="w"><joint name="spin"/><geom size=".1"/></body><body name="arm"><joint name="swing"/><geom size=".1"/></body></body>
-<body name="gate" pos="0 3 .5"><joint name="turn" axis="0 0 1"/><geom type="box" size=".4 .02 .5" pos=".4 0 0"/></body>
-</worldbody><tendon><fixed name="belt"><joint joint="swing" coef="1"/></fixed></tendon>
+<body name="w"><joint name="spin"/><geom size=".1"/></body>
+<body name="arm"><joint name="swing"/><geom size=".1"/></body></body>
+<body name="gate" pos="0 3 .5"><joint name="turn" axis="0 0 1"/>
+<geom type="box" size=".4 .02 .5" pos=".4 0 0"/></body></worldbody>
+<tendon><fixed name="belt"><joint joint="swing" coef="1"/></fixed></tendon>
 <equality><joint joint1="swing" joint2="spin"/></equality>
 <contact><exclude body1="rover" body2="gate"/><pair geom1="hull" geom2="block"/></contact>
 <actuator><motor joint="spin"/><motor tendon="belt"/><motor joint="turn"/></actuator>
@@ -244,7 +247,7 @@ def test_a_scene_that_includes_its_robot_is_an_arena_without_it(tmp_path):
     assert content.loose == ()
     assert content.warnings == (
         f"{path}:3: 1 robots are left out: rover",
-        f"{path}:10: 1 actuators are left out: without name",
+        f"{path}:11: 1 actuators are left out: without name",
     )
 
 

@@ -11,8 +11,9 @@ from usarmjx.models.files.robot_source import left_out
 def leave_out_robots(path: Path, spec: mujoco.MjSpec) -> list[str]:
     """Delete the robots of a scene from its description; return notes that name them.
 
-    A robot is a body of the world with motors on joints, sites or bodies of it, and with several joints or a free
-    one: a door that a motor turns stays a door. Tendons, constraints, sensors and pairs of its parts go with it.
+    A robot is a body of the world with motors on joints, sites or bodies of it, and with several joints or a
+    free one: a door that a motor turns stays a door. Tendons, constraints, sensors and pairs of its parts go
+    with it.
 
     Args:
         path: The file, for the notes.
@@ -25,9 +26,8 @@ def leave_out_robots(path: Path, spec: mujoco.MjSpec) -> list[str]:
         parts = _subtree(body)
         joints = [joint for part in parts for joint in part.joints]
         named = {(int(kind), joint.name) for joint in joints for kind in JOINT_TRANSMISSIONS}
-        named |= {
-            (int(kind), site.name) for part in parts for site in part.sites for kind in SITE_TRANSMISSIONS
-        }
+        sites = [site for part in parts for site in part.sites]
+        named |= {(int(kind), site.name) for site in sites for kind in SITE_TRANSMISSIONS}
         named |= {(int(mujoco.mjtTrn.mjTRN_BODY), part.name) for part in parts}
         free = any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in joints)
         if driven & named and (free or len(joints) > 1):
