@@ -77,8 +77,8 @@ def export(
     robot: Annotated[str, typer.Argument(help="Name of a robot class, or a robot's file.")],
     out: Annotated[Path, typer.Argument(help="File to write; meshes are written beside it.")],
     form: Annotated[
-        str, typer.Option("--format", help="mjcf, urdf or sdf; empty: by the file's suffix.")
-    ] = "",
+        str | None, typer.Option("--format", help="mjcf, urdf or sdf; else by the file's suffix.")
+    ] = None,
 ) -> None:
     """Write a robot as MJCF, URDF or SDF, with the mass, solids and joints that it has here."""
     with ErrorExit():

@@ -11,7 +11,8 @@ import dev
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.compile.compose import new_spec
 from usarmjx.models.compile.physics import Physics
-from usarmjx.models.files.load import load_arena, read_arena
+from usarmjx.models.files.arena_export import export_arena
+from usarmjx.models.files.load import find_arena, load_arena, read_arena
 from usarmjx.models.files.mjcf import mjcf_content
 
 EXAMPLES = dev.ROOT / "examples" / "arenas"
@@ -249,6 +250,20 @@ def test_a_scene_that_includes_its_robot_is_an_arena_without_it(tmp_path):
         f"{path}:3: 1 robots are left out: rover",
         f"{path}:11: 1 actuators are left out: without name",
     )
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("name", ["workshop.yaml", "outdoor"])
+def test_an_exported_arena_is_the_same_for_mujocos_own_loader(name, tmp_path):
+    arena = find_arena(str(EXAMPLES / name) if name.endswith("yaml") else name)
+    export_arena(arena, tmp_path / "out.xml")
+    ours, theirs = composed(arena), original(tmp_path / "out.xml")
+    assert theirs[0].ngeom == ours[0].ngeom
+    assert theirs[0].body_mass.sum() == pytest.approx(ours[0].body_mass.sum(), rel=1e-6)
+    assert [theirs[0].joint(i).name for i in range(theirs[0].njnt)] == [
+        ours[0].joint(i).name for i in range(ours[0].njnt)
+    ]
+    assert_rays_agree(ours, theirs)
 
 
 @pytest.mark.oracle

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from usarmjx.base.errors import ArenaFileError, SpecError
+from usarmjx.base.errors import ArenaFileError, SpecError, quoted
 from usarmjx.base.registry import is_name
 from usarmjx.base.settings.files import read_bytes
 from usarmjx.models.compile.measure import with_measurements
@@ -131,7 +131,11 @@ def open_robot_file(path: Path, resources: Resources, arguments: Mapping[str, st
     source = read_urdf_robot(root, path, resources)
     source.notes[:0] = mended
     read_gazebo_elements(root, source, {body.name for body in source.spec.bodies})
-    if wrong := try_model(path, source.spec.to_xml()):
+    try:
+        text = source.spec.to_xml()
+    except (ValueError, mujoco.FatalError) as error:
+        raise SpecError(f"{path}: does not compile: {quoted(error)}") from error
+    if wrong := try_model(path, text):
         raise SpecError(f"{path}: does not compile: {wrong}")
     return source
 
