@@ -1,8 +1,10 @@
 """Recordings with Foxglove's protobuf schemas, for viewers that do not read its JSON, such as Rerun."""
 
 import json
+import struct
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,8 @@ from usarmjx.recording.foxglove import NANO
 
 FOXGLOVE = "foxglove."
 """Prefix of schemas that have a protobuf form."""
+MAGIC = b"\x89MCAP0\r\n"
+"""Beginning of an MCAP file."""
 MOMENTS = ("google.protobuf.Timestamp", "google.protobuf.Duration")
 """Messages for which JSON has `sec` and `nsec`."""
 
@@ -80,13 +84,13 @@ def _together(recording: Path, bag: Path | None, bag_start: float) -> Iterator[T
 
 def _messages(recording: Path, source: Any) -> Any:  # noqa: ANN401 - binary file, untyped library
     """Yield schema's name, channel and message of Foxglove's schemas, as far as the file is whole."""
-    try:
+    if source.read(len(MAGIC)) != MAGIC:
+        raise UsageError(f"{recording}: is no MCAP file")
+    source.seek(0)
+    with suppress(McapError, struct.error):  # broken off
         for schema, channel, message in NonSeekingReader(source).iter_messages(log_time_order=False):
             if schema is not None and schema.name.startswith(FOXGLOVE) and channel.message_encoding == "json":
                 yield schema.name, channel, message
-    except McapError as error:
-        if source.tell() < 8:
-            raise UsageError(f"{recording}: is no MCAP file: {error}") from error
 
 
 def message_of(schema: str, value: Mapping[str, Any]) -> Any:  # noqa: ANN401 - a generated class

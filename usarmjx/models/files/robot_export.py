@@ -179,7 +179,7 @@ class _ModelWriter:
         """Yield poses and forms of a geom: a capsule is a cylinder and two spheres, an ellipsoid a mesh."""
         model, kinds = self._model, mujoco.mjtGeom
         pose = Pose(model.geom_pos[geom], mat_of(model.geom_quat[geom]))
-        kind, size = model.geom_type[geom], model.geom_size[geom]
+        kind, size = kinds(int(model.geom_type[geom])), model.geom_size[geom]
         if kind == kinds.mjGEOM_BOX:
             yield pose, "box", {"size": _text(2 * size)}
         elif kind == kinds.mjGEOM_SPHERE:
@@ -255,7 +255,7 @@ class _ModelWriter:
 
     def _sdf_geom(self, link: ET.Element, geom: int) -> None:
         model, kinds = self._model, mujoco.mjtGeom
-        kind, size = model.geom_type[geom], model.geom_size[geom]
+        kind, size = kinds(int(model.geom_type[geom])), model.geom_size[geom]
         for role in self._roles(geom):
             solid = ET.SubElement(link, role, name=f"{role} {geom}")
             _sdf_pose(solid, Pose(model.geom_pos[geom], mat_of(model.geom_quat[geom])))
