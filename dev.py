@@ -77,9 +77,9 @@ VERBS = {
     ),
     "bench": Verb("benchmarks (arguments go to `usarmjx bench`)", module("usarmjx", "bench")),
     "docs": Verb(
-        "the documents as a site in build/site, their examples and links (with arguments: pytest with them)",
+        "documents: a site in build/site, length, examples, links (with arguments: pytest with them)",
         lambda *args: [
-            *([] if args else [["-m", "tools.documents"]]),
+            *([] if args else [["-m", "tools.documents"], ["-m", "tools.prose"]]),
             checks.pytest("tests/test_docs.py", *args),
         ],
     ),

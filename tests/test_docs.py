@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 
 import dev
 import usarmjx
+from tools import prose
 
 FOLDERS = (".", "docs", "docs/evidence", "examples", "benchmarks")
 DOCUMENTS = sorted({path for folder in FOLDERS for path in (dev.ROOT / folder).glob("*.md")})
@@ -225,6 +226,60 @@ def test_the_first_controller_drives_up_to_a_wall(workplace: Path):
     ahead = [float(line.split()[2]) for line in done.stdout.splitlines()]
     assert ahead[0] > 1.0
     assert ahead[-1] < 0.5 <= min(ahead[:-1])  # the script ends below half a metre: 0.50 drives on
+
+
+def test_pages_are_short_and_plain():
+    """`python -m tools.prose` prints the counts."""
+    assert prose.faults(prose.pages()) == []
+
+
+def test_long_pages_and_words_that_must_not_come_back_are_found():
+    long = "One two three. " * 700 + "\n\n```console\n$ not counted\n```\n\n| in a | table |\n"
+    page = prose.page_of(
+        "training", long + "\n" + "word " * 2500 + "made by hand.\n\nWhat flies is an AirRobot.\n"
+    )
+    assert page.words == 2100 + 3 + 2500 + 3 + 5
+    assert page.banned == ("by hand", "What flies is an AirRobot.")
+    assert prose.faults([page]) == [
+        "docs/training.md has 4,611 words, at most 2,000",
+        "training: 'by hand' must not come back",
+        "training: 'What flies is an AirRobot.' must not come back",
+    ]
+    assert "training: 2503.0 words" in prose.faults([prose.page_of("training", "word " * 2503 + ".")])[1]
+    assert prose.page_of("faq", "**What is it?** A simulator. Where worlds end, others begin.").banned == ()
+
+
+def test_cards_of_tasks_agree_with_the_tasks():
+    """Each task has a card with its steps, its policies, and the sizes of what the policy sees and does."""
+    from usarmjx.train.policies import POLICIES
+    from usarmjx.train.policies.policy_file import read_arrays
+    from usarmjx.train.tasks import TASKS
+
+    text = (dev.ROOT / "docs" / "tasks.md").read_text(encoding="utf-8")
+    cards = dict(re.findall(r"^## ([\w-]+)\n(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL))
+    assert {re.sub(r"-v\d$", "", name) for name in TASKS.names()} == set(cards)
+    for name, task in TASKS:
+        card, policy = cards[re.sub(r"-v\d$", "", name)], name in POLICIES.names()
+        assert f"version 2: {task.episode_steps}" in card or f"| {task.episode_steps} steps of" in card, name
+        assert policy <= ("| packaged policy | none" not in card), name
+        if policy:
+            for group in read_arrays(POLICIES.get(name))[0]["groups"]:
+                sizes = f"| observation ({group['obs_size']}) |", f"| action ({group['action_size']}) |"
+                assert all(size in card for size in sizes), name
+
+
+def test_numbers_of_robots_and_arenas_on_the_first_pages_are_those_of_the_registries():
+    from usarmjx.models.arenas import ARENAS
+    from usarmjx.models.robots import ROBOTS
+
+    words = {9: "Nine", 12: "Twelve", 13: "Thirteen", 14: "Fourteen"}
+    pages = {
+        name: (dev.ROOT / name).read_text("utf-8") for name in ("README.md", "docs/index.md", "docs/faq.md")
+    }
+    assert f"{len(ROBOTS.names())} classes of robots" in pages["README.md"]
+    assert f"All {len(ROBOTS.names())} of the manual" in pages["docs/index.md"]
+    for page in ("docs/index.md", "docs/faq.md"):
+        assert f"{words[len(ARENAS.names())]} " in pages[page], page
 
 
 def test_what_the_first_page_compares_stands_in_the_document_of_its_figures():

@@ -31,6 +31,26 @@ MODEL = b"""<mujoco><asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>
 <body name="crate" pos="1.5 -1 .2"><freejoint/><geom type="cylinder" size=".2 .2" density="120"/></body>
 <body name="gate" pos="-2 -1 .5"><joint type="hinge" axis="0 0 1" range="-90 90" damping="1.5"/>
 <geom type="box" pos="0 -.5 0" size=".02 .5 .4" mass="6"/></body></worldbody></mujoco>"""
+GAZEBO = b"""<sdf version='1.7'><world name='w'><include><uri>model://ground_plane</uri></include>
+<frame name='f'><pose degrees='true'>1 2 0 0 0 90</pose></frame>
+<light type='point' name='p'><pose>0 0 2 0 0 0</pose><diffuse>1 .5 0 1</diffuse></light>
+<model name='a'><static>true</static><pose relative_to='f'>0 0 .5 0 0 0</pose><link name='l'>
+<collision name='c'><geometry><box><size>1 2 1</size></box></geometry></collision>
+<visual name='v'><material><diffuse>1 0 0 1</diffuse></material></visual></link></model>
+<model name='b'><link name='l'><inertial><mass>2</mass></inertial><collision name='c'><geometry><polyline>
+<point>0 0</point><point>1 0</point><point>.2 .2</point><point>0 1</point><height>1</height></polyline>
+</geometry></collision></link><link name='k'><collision name='c'><geometry><cylinder><radius>.1</radius>
+<length>1</length></cylinder></geometry></collision></link><joint name='j' type='revolute'><parent>l</parent>
+<child>k</child><axis><xyz>0 0 1</xyz><limit><lower>-1</lower><upper>1</upper></limit></axis></joint></model>
+<state world_name='w'><model name='b'><pose>3 3 0 0 0 0</pose></model></state></world></sdf>"""
+STAGE = b"""define wall model ( color "gray30" size [1 0.1 2] ) # a comment
+window ( size [600 400] )
+unit_angle "degrees"
+wall ( name "a" pose [1 2 0 90] boundary 1 )
+wall ( block ( points 4 point[0] [0 0] point[1] [2 0] point[2] [0.2 0.2] point[3] [0 1] z [0 1] ) )
+position ( name "r0" pose [-2 -1 0 45] ranger ( size [1 1 1] ) )
+"""
+GRID = b"type octile\nheight 3\nwidth 4\nmap\n@@T@\n@.SW\n@@G@\n"
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]], "<f4")
 FACETS = TETRAHEDRON[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]
 TEXT_STL = b"solid a\n"

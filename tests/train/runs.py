@@ -33,7 +33,7 @@ PATIENCE = 600
 """Longest that a test waits for processes [s]."""
 
 
-def run(folder, config=CONFIG, resume=False, watch=None):
+def run(folder, config=CONFIG, resume=False, watch=None, stop=None):
     """Train on the toy of several robots, in which some worlds go wrong."""
     from tests.train.toys import DriveToy
     from usarmjx.train.learning.trainer import train
@@ -41,7 +41,7 @@ def run(folder, config=CONFIG, resume=False, watch=None):
     def make(worlds, first):
         return DriveToy(worlds, first, rotten=True)
 
-    return train(make, config, folder, resume, progress=False, watch=watch)
+    return train(make, config, folder, resume, progress=False, watch=watch, stop=stop)
 
 
 @contextmanager

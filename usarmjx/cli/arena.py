@@ -13,6 +13,7 @@ from usarmjx.cli.common import (
     JsonFlag,
     OldOutArgument,
     OutFolderOption,
+    PackagesOption,
     SeedOption,
     chosen_out,
     read_size,
@@ -50,6 +51,7 @@ def draw(
     arena: ArenaArgument,
     png: PngOption = None,
     perspective: PerspectiveOption = None,
+    packages: PackagesOption = None,
 ) -> None:
     """Draw an arena's floor plan, or the arena from a corner above, or both."""
     with ErrorExit():
@@ -59,7 +61,7 @@ def draw(
 
         if png is None and perspective is None:
             raise UsageError("say what to draw: --png for the floor plan, --perspective for a view")
-        _draw(find_arena(arena), png, perspective)
+        _draw(find_arena(arena, packages=packages or ()), png, perspective)
 
 
 @app.command()
@@ -91,6 +93,7 @@ def check(
     ] = False,
     png: PngOption = None,
     perspective: PerspectiveOption = None,
+    packages: PackagesOption = None,
 ) -> None:
     """Say what is wrong with an arena; exit code 1 if anything is."""
     with ErrorExit():
@@ -98,7 +101,7 @@ def check(
         from usarmjx.models.check.arena import check_arena
         from usarmjx.models.files.load import find_arena
 
-        found = find_arena(arena)
+        found = find_arena(arena, packages=packages or ())
         faults = check_arena(found, robot)
         if drive:
             from usarmjx.models.files.find_robot import find_robot

@@ -72,6 +72,12 @@ RobotFilesOption = Annotated[
     list[Path] | None,
     typer.Option("--robot", help="URDF, xacro or MJCF file of a robot to add; may be given several times."),
 ]
+PackagesOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--packages", help="Folder with packages or models that the file names; may be given several times."
+    ),
+]
 IniOption = Annotated[
     list[Path] | None,
     typer.Option("--ini", help="USARBot.ini or USARMisPkg.ini with robots; may be given several times."),

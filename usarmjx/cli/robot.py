@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from usarmjx.base.settings import parse_assignments
-from usarmjx.cli.common import ErrorExit, JsonFlag
+from usarmjx.cli.common import ErrorExit, JsonFlag, PackagesOption
 from usarmjx.cli.startup_messages import announce
 
 if TYPE_CHECKING:
@@ -17,13 +17,6 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="Check robots from files: URDF, xacro, MJCF; write robots as such.", no_args_is_help=True
 )
-
-PackagesOption = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--packages", help="Folder with packages or models that the file names; may be given several times."
-    ),
-]
 
 
 @app.callback()

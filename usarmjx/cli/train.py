@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from usarmjx.train.learning.config import Config
     from usarmjx.train.learning.fine_tuning import TrainedNetworks
     from usarmjx.train.learning.run_record import EnvArguments
+    from usarmjx.train.learning.stopping import StopRequest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -412,6 +413,7 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
         engines=[recorded_engine(options.out) if recorded else tried_on(engine)],
     )
     from usarmjx.train.learning.processes import distributed_run
+    from usarmjx.train.learning.stopping import StopRequest
 
     with (
         distributed_run() as process,
@@ -424,9 +426,13 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
         if shown.record is not None and process.index == 0:
             watchers.append(_RecordedTraining(shown.record, shown.record_every))
         bar = not shown.quiet and not process.index
-        score = _train(task, options, watchers, None if process.index else shown.wandb, bar)
+        with StopRequest(say) as stop:
+            score = _train(task, options, watchers, None if process.index else shown.wandb, bar, stop)
         if process.index == 0:
             typer.echo(score)
+        if stop.requested:
+            say(f"go on with: usarmjx train {task} --out {options.out} --resume")
+            raise typer.Exit(128 + stop.number)
 
 
 def config_text(task: str, options: TrainOptions) -> str:
@@ -481,6 +487,7 @@ def _train(
     watchers: "Sequence[_TrainingWatcher]",
     project: str | None,
     bar: bool,
+    stop: "StopRequest",
 ) -> str:
     """Train, in one of the processes, which must be joined already: some imports put arrays on the device.
 
@@ -490,6 +497,7 @@ def _train(
         watchers: Who gets to see the worlds.
         project: Of Weights & Biases; None: it is not shown there.
         bar: Show one.
+        stop: Ends it early.
 
     Returns:
         The result in a line.
@@ -526,6 +534,7 @@ def _train(
             progress=bar,
             watch=watch,
             look=look if watchers else None,
+            stop=stop,
         )
     finally:
         for watcher in watchers:

@@ -1,5 +1,6 @@
 """Terrain from grey images, and walls from maps of ROS' map_server."""
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,11 +9,16 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 import dev
+from tests.models.files.worlds import PYRAMID
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.check.arena import check_arena
+from usarmjx.models.compile.compose import new_spec
+from usarmjx.models.compile.physics import Physics
+from usarmjx.models.files import maps
+from usarmjx.models.files.grid_cover import rectangles
 from usarmjx.models.files.images import read_heights, write_heights
-from usarmjx.models.files.load import load_arena
-from usarmjx.models.files.maps import rectangles, without_specks
+from usarmjx.models.files.load import load_arena, read_arena
+from usarmjx.models.files.maps import without_specks
 
 EXAMPLES = dev.ROOT / "examples" / "arenas"
 EXACT = 1e-9  # m
@@ -167,12 +173,13 @@ def test_a_map_without_a_free_cell_is_told_and_found_by_the_check(tmp_path, capl
     assert not caplog.text
 
 
-def test_specks_of_a_map_made_by_slam_are_left_out_and_counted(tmp_path):
+def test_specks_of_a_map_made_by_slam_are_left_out_and_counted(tmp_path, monkeypatch):
     """Walls all 5 m of 50 x 50 m and 0.4 % of single cells: without a `min_blob` there are too many boxes."""
     cells = np.full((1000, 1000), 254, np.uint8)
     cells[::100] = 0
     clean = len(np.unique(np.nonzero(cells == 0)[0]))
     cells[np.random.default_rng(0).random(cells.shape) < 0.004] = 0
+    monkeypatch.setattr(maps, "MAX_MAP_BOXES", 2000)
     Image.fromarray(cells).save(tmp_path / "noisy.png")
     text = "image: noisy.png\nresolution: 0.05\norigin: [0, 0, 0]\n"
     write(tmp_path / "noisy.yaml", text)
@@ -196,3 +203,82 @@ def test_a_group_of_cells_is_as_long_as_its_longer_side():
     assert dropped == 2
     assert left.sum() == 4
     assert without_specks(wall, 1)[1] == 0
+
+
+def test_an_origin_of_two_numbers_has_no_yaw(tmp_path):
+    pixels = [[0, 255], [255, 255]]
+    (wall,) = load_arena(map_file(tmp_path, pixels, origin="[1, 2]", mode="trinary", negate=0)).shapes
+    assert wall.at == pytest.approx((1.25, 2.75, 0.6))
+    assert wall.rotation == (0, 0, 0)
+
+
+def test_keys_of_other_tools_are_named_and_a_wrong_scale_too(tmp_path):
+    arena, notes = read_arena(map_file(tmp_path, [[0, 255], [255, 255]], resolution=5, name="hall", width=2))
+    assert len(arena.shapes) == 1
+    assert [note.partition("map.yaml:")[2] for note in notes] == [
+        "3: name, width of the map left out",
+        "2: a cell is 5 m long; `resolution` is that length in metres, as 0.05",
+    ]
+
+
+def ray_on_grid(wall, side, at, angle, step=1e-4):
+    """Distance from a point to the first wall cell along a ray, by small steps [m]."""
+    for k in range(1, int(20 / step)):
+        x, y = at[0] + k * step * np.cos(angle), at[1] + k * step * np.sin(angle)
+        row, column = int(y // side), int(x // side)
+        if not (0 <= row < wall.shape[0] and 0 <= column < wall.shape[1]):
+            return np.inf
+        if wall[row, column]:
+            return k * step
+    return np.inf
+
+
+def test_rays_meet_the_cells_of_a_jagged_map(tmp_path):
+    """Against steps of 0.1 mm over the cells: boxes are the cells exactly, so rays are exact to a step."""
+    rng = np.random.default_rng(3)
+    wall = rng.random((60, 60)) < 0.25
+    wall[22:39, 22:39] = False
+    Image.fromarray(np.where(wall[::-1], 0, 255).astype(np.uint8)).save(tmp_path / "map.png")
+    arena = load_arena(write(tmp_path / "a.yaml", "image: map.png\nresolution: 0.1\norigin: [0, 0]\n"))
+    assert len(rectangles(wall)) > 300  # they overlap
+    model = new_spec(arena, Physics()).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    for angle in rng.uniform(0, 2 * np.pi, 40):
+        ahead = np.array([np.cos(angle), np.sin(angle), 0.0])
+        geom = np.zeros(1, np.int32)
+        found = mujoco.mj_ray(model, data, np.array([3.05, 3.05, 0.6]), ahead, None, 1, -1, geom, None)
+        wanted = ray_on_grid(wall, 0.1, (3.05, 3.05), angle)
+        assert (found if found >= 0 else np.inf) == pytest.approx(wanted, abs=2e-4)
+
+
+def test_a_picture_of_walls_is_not_taken_for_hills(tmp_path):
+    plan = np.full((20, 20), 255, np.uint8)
+    plan[5] = 0
+    Image.fromarray(plan).save(tmp_path / "plan.png")
+    with pytest.raises(ArenaFileError, match=r"plan\.png: has the grey values 0, 255 only.*`image: plan"):
+        load_arena(tmp_path / "plan.png")
+    Image.fromarray(np.where(plan == 0, 0, 254).astype(np.uint8) + (plan == 3)).save(tmp_path / "slam.png")
+    with pytest.raises(ArenaFileError, match=r"as a map of walls"):
+        load_arena(tmp_path / "slam.png")
+    hills = np.arange(400, dtype=np.uint8).reshape(20, 20)
+    Image.fromarray(hills).save(tmp_path / "plan.png")
+    assert load_arena(tmp_path / "plan.png").shapes[0].kind == "hfield"
+    write(tmp_path / "plan.yaml", "image: plan.png\nresolution: 0.1\n")
+    with pytest.raises(ArenaFileError, match=r"is the picture of the map plan\.yaml: load that file"):
+        load_arena(tmp_path / "plan.png")
+    Image.fromarray(plan).save(tmp_path / "said.png")
+    terrain = write(tmp_path / "a.yaml", "heightfield: {file: said.png, size: [2, 2], height: 1}\nstarts: []")
+    assert load_arena(terrain).shapes[0].kind == "hfield"  # it is said to be one
+
+
+def test_a_mesh_in_millimetres_is_doubted(tmp_path):
+    write(tmp_path / "a.obj", PYRAMID.replace("1", "1000").replace("f 4 3 2 1000", "f 4 3 2 1"))
+    text = (tmp_path / "a.obj").read_text().replace("f 1000 ", "f 1 ").replace(" 1000 5", " 1 5")
+    write(tmp_path / "a.obj", text)
+    _, notes = read_arena(tmp_path / "a.obj")
+    assert "its solids span 1000 x 1000 x 1000 m, over 200 m" in notes[0]
+    assert "meshes: [{file: a.obj, scale: 0.001}]" in notes[0]
+    assert read_arena(write(tmp_path / "a.yaml", "meshes: {file: a.obj, scale: 0.001}"))[1] == ()
+    _, notes = read_arena(write(tmp_path / "a.yaml", "meshes: {file: a.obj, scale: 0.00001}"))
+    assert "under 5 cm" in notes[0]

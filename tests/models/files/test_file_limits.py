@@ -321,7 +321,7 @@ def test_solids_all_over_each_other_are_refused_where_a_start_is_looked_for(tmp_
 def test_a_map_of_specks_is_refused_before_they_are_counted(tmp_path):
     specks = (np.indices((2000, 2000)).sum(0) % 2 * 255).astype(np.uint8)
     Image.fromarray(specks).save(tmp_path / "a.png")
-    refused(write(tmp_path / "a.yaml", "image: a.png\nresolution: 0.05"), "more than the 2000 boxes")
+    refused(write(tmp_path / "a.yaml", "image: a.png\nresolution: 0.05"), "more than the 10000 boxes")
 
 
 def test_pictures_that_run_programs_are_no_maps(tmp_path):

@@ -15,13 +15,29 @@ from tests.models.files.test_robot_files import PLUGINS, cart
 from tests.models.ini.test_ini_later import LATER
 from tests.mutations import edits, mutate
 from tests.train.handmade import policy_file
-from tests.valid_files import ARENA, BINARY_STL, INI, MAP, MISSION, MODEL, ROADS, TEXT_STL, picture
+from tests.valid_files import (
+    ARENA,
+    BINARY_STL,
+    GAZEBO,
+    GRID,
+    INI,
+    MAP,
+    MISSION,
+    MODEL,
+    ROADS,
+    STAGE,
+    TEXT_STL,
+    picture,
+)
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import describe
 from usarmjx.models import load_robot
 from usarmjx.models.files.load import load_arena
 from usarmjx.models.files.meshes import load_convex_pieces
 from usarmjx.models.files.mjcf import mjcf_content
+from usarmjx.models.files.moving_ai import moving_ai_content
+from usarmjx.models.files.sdf import sdf_content
+from usarmjx.models.files.stage import stage_content
 from usarmjx.models.files.urdf import urdf_content
 from usarmjx.models.ini.parse import read_ini
 from usarmjx.models.ini.robots import load_robots
@@ -46,6 +62,9 @@ LOADERS = {
     "model.xml": (MODEL, mjcf_content),
     "bench.urdf": ((EXAMPLES / "bench.urdf").read_bytes(), urdf_content),
     "cart.urdf": (ROBOT, load_robot),
+    "gazebo.world": (GAZEBO, sdf_content),
+    "stage.world": (STAGE, stage_content),
+    "grid.map": (GRID, moving_ai_content),
     "wedge.obj": ((EXAMPLES / "wedge.obj").read_bytes(), load_convex_pieces),
     "text.stl": (TEXT_STL, load_convex_pieces),
     "binary.stl": (BINARY_STL, load_convex_pieces),
@@ -210,6 +229,52 @@ def test_any_lines_of_roads_are_a_network_or_refused(rows, gone, tmp_path_factor
     path = tmp_path_factory.getbasetemp() / "fuzzed-roads.txt"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     read(read_rndf, path)
+
+
+SDF_TAGS = ["box", "size", "pose", "frame", "link", "joint", "model", "include", "uri", "plane", "normal"]
+SDF_WORDS = ["1 2 3", "0 0 0 0 0 0", "a", "l", "nan", "-1", "1e300", "model://a", "world", "a::l", ""]
+sdf_trees = st.recursive(
+    st.tuples(st.sampled_from(SDF_TAGS), st.sampled_from(SDF_WORDS)).map(
+        lambda p: f"<{p[0]}>{p[1]}</{p[0]}>"
+    ),
+    lambda inner: st.tuples(
+        st.sampled_from(SDF_TAGS), st.sampled_from(SDF_WORDS), st.lists(inner, max_size=3)
+    ).map(lambda p: f"<{p[0]} name='a' relative_to='{p[1]}'>{''.join(p[2])}</{p[0]}>"),
+    max_leaves=8,
+)
+
+
+@SOME
+@given(tree=st.lists(sdf_trees, max_size=4))
+def test_any_tree_of_known_elements_is_a_world_or_refused(tree, tmp_path_factory):
+    path = tmp_path_factory.getbasetemp() / "fuzzed-tree.sdf"
+    path.write_text(GAZEBO.decode().replace("<frame name", f"{''.join(tree)}<frame name"), encoding="utf-8")
+    read(sdf_content, path)
+
+
+STAGE_WORDS = [
+    "1",
+    "[1 2 3]",
+    '"a"',
+    "model (",
+    ")",
+    "block (",
+    "points 3",
+    "define a b (",
+    "size",
+    "nan",
+    "a (",
+]
+
+
+@SOME
+@given(words=st.lists(st.sampled_from(STAGE_WORDS), max_size=8), place=st.integers(0, 6))
+def test_any_words_of_stage_are_a_world_or_refused(words, place, tmp_path_factory):
+    lines = STAGE.decode().splitlines()
+    lines.insert(place, " ".join(words))
+    path = tmp_path_factory.getbasetemp() / "fuzzed-words.world"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    read(stage_content, path)
 
 
 @SOME

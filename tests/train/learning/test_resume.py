@@ -20,7 +20,9 @@ from usarmjx.base.kept_json import kept_text
 from usarmjx.train.learning.checkpoint import Checkpoints, read_part, read_policy, write_part
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
+from usarmjx.train.learning.metrics import MetricsLog
 from usarmjx.train.learning.processes import ProcessGroup
+from usarmjx.train.learning.stopping import StopRequest
 from usarmjx.train.learning.trainer import train
 from usarmjx.train.make import make
 from usarmjx.view.training_page import BatchSource
@@ -73,6 +75,39 @@ def test_the_latest_checkpoints_and_the_best_are_kept(reference):
     best = Checkpoints(reference).find("best")
     scores = {record["iteration"]: record["score"] for record in lines(reference)}
     assert scores[int(best.name)] == max(scores.values())
+
+
+def test_a_signal_ends_a_run_with_a_checkpoint_and_it_goes_on_as_if_nothing_had_happened(reference, tmp_path):
+    """The run's checkpoints are far apart: the one that is left is of the signal."""
+    config, said = replace(CONFIG, checkpoint_interval=100), list[str]()
+    usual = signal.getsignal(signal.SIGTERM)
+
+    def interrupt(line):
+        if line["iteration"] == 3:
+            signal.raise_signal(signal.SIGTERM)
+
+    with StopRequest(said.append) as stop:
+        ended = run(tmp_path / "run", config, watch=interrupt, stop=stop)
+    assert signal.getsignal(signal.SIGTERM) is usual
+    assert stop.number == signal.SIGTERM
+    assert said == ["SIGTERM: ending with a checkpoint after this iteration; a second one ends at once"]
+    assert ended.stopped
+    assert 3 <= ended.iterations <= 5
+    assert [path.name for path in Checkpoints(tmp_path / "run").all()] == [f"{ended.iterations:08}"]
+    assert lines(tmp_path / "run") == lines(reference)[: ended.iterations]
+    finished = run(tmp_path / "run", config, resume=True)
+    assert (finished.iterations, finished.stopped) == (10, False)
+    assert [line["score"] for line in lines(tmp_path / "run")] == [line["score"] for line in lines(reference)]
+
+
+def test_a_run_without_a_checkpoint_begins_anew_and_keeps_its_lines(copy, capsys):
+    shutil.rmtree(copy / "checkpoints")
+    before = (copy / "metrics.jsonl").read_text()
+    with MetricsLog(copy, 10):
+        pass
+    assert (copy / "metrics-1.jsonl").read_text() == before
+    assert (copy / "metrics.jsonl").read_text() == ""
+    assert "training begins anew; metrics-1.jsonl keeps the lines of before" in capsys.readouterr().err
 
 
 def test_a_run_that_is_over_is_over(copy):

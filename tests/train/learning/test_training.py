@@ -19,6 +19,7 @@ from usarmjx.train.learning import trainer as trainer_module
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.processes import ProcessGroup
+from usarmjx.train.learning.stopping import StopRequest
 from usarmjx.train.learning.trainer import compiling, train
 
 
@@ -123,6 +124,29 @@ def test_a_first_rollout_finds_what_was_compiled_beside_the_making_of_worlds():
     trainer.iterate(train_state, worlds, 0)
     for program in (trainer.rollout._collect_at_once, trainer._update):
         assert program._ready is not None, "what was compiled is what is called"
+
+
+def test_an_iteration_of_worlds_that_the_host_steps_has_its_own_time():
+    """None waits for the next one to be over, and the last two are not read at one moment."""
+
+    def iterate(train_state, worlds, number):
+        return train_state, worlds, {"number": number}
+
+    def read(traceable):
+        trainer = SimpleNamespace(
+            iterations=4,
+            iterate=iterate,
+            config=Config(checkpoint_interval=2),
+            env=SimpleNamespace(traceable=traceable),
+            process_group=SimpleNamespace(count=2),
+        )
+        stop = StopRequest(print)
+        return [
+            [one.number for one in ready] for ready in trainer_module._iterations(trainer, (0, 0, 0), stop)
+        ]
+
+    assert read(traceable=False) == [[1], [2], [3], [4]]
+    assert read(traceable=True) == [[], [1], [2], [3, 4]]
 
 
 def test_the_time_of_the_first_iteration_is_from_when_it_compiled(tmp_path, monkeypatch):

@@ -72,8 +72,8 @@ class Physics:
     def fast(cls) -> "Physics":
         """Return settings for training and sweeps: several times as fast, and less exact.
 
-        docs/evidence/physics-settings.md has the search for them, with the behaviour of every robot class under
-        them and under the reference settings.
+        docs/evidence/physics-settings.md has the search for them, and docs/evidence/speed.md the behaviour of
+        every robot class under them.
         """
         return cls(timestep=0.01, substeps=2, iterations=8, ls_iterations=5)
 

@@ -9,7 +9,15 @@ import numpy as np
 from usarmjx.base.transforms import Vec3, mat_from_angles
 from usarmjx.models.compile.raster import half_lengths
 from usarmjx.models.compile.reachability import reach_map, shapes_in_arena
-from usarmjx.models.types.arena import START_ELEVATION, ArenaSpec, Door, LooseObject, StartPose
+from usarmjx.models.types.arena import (
+    START_ELEVATION,
+    ArenaSpec,
+    Door,
+    GpsOrigin,
+    Light,
+    LooseObject,
+    StartPose,
+)
 from usarmjx.models.types.shapes import Shape
 
 Rectangle = tuple[tuple[float, float], tuple[float, float]]
@@ -43,6 +51,9 @@ class Content:
         floor: Whether it has an unbounded floor at height zero; None: unspecified.
         extent: Its floor plan; None: that of its solids.
         free_position: x and y of a free position; None: to be found.
+        starts: Start poses.
+        lights: Lamps.
+        gps: Latitude and longitude of the origin [degrees]; None: unknown.
         warnings: Content that was left out, in words.
     """
 
@@ -52,6 +63,9 @@ class Content:
     floor: bool | None = None
     extent: Rectangle | None = None
     free_position: tuple[float, float] | None = None
+    starts: tuple[StartPose, ...] = ()
+    lights: tuple[Light, ...] = ()
+    gps: GpsOrigin | None = None
     warnings: tuple[str, ...] = ()
 
 
@@ -66,6 +80,9 @@ def merge_contents(parts: Sequence[Content]) -> Content:
         floor=any(floors) if floors else None,
         extent=_around(np.array(extents).swapaxes(1, 2).reshape(-1, 2)) if extents else None,
         free_position=next((part.free_position for part in parts if part.free_position is not None), None),
+        starts=tuple(start for part in parts for start in part.starts),
+        lights=tuple(light for part in parts for light in part.lights),
+        gps=next((part.gps for part in parts if part.gps is not None), None),
         warnings=tuple(warning for part in parts for warning in part.warnings),
     )
 
@@ -111,6 +128,9 @@ def transform_content(content: Content, at: Vec3, yaw: float) -> Content:
         shapes=tuple(replace(s, at=there(s.at), rotation=turned(s.rotation)) for s in content.shapes),
         loose=tuple(replace(o, at=there(o.at), rotation=turned(o.rotation)) for o in content.loose),
         doors=tuple(replace(door, at=there(door.at), yaw=door.yaw + yaw) for door in content.doors),
+        starts=tuple(replace(start, at=there(start.at), yaw=start.yaw + yaw) for start in content.starts),
+        lights=tuple(replace(light, at=there(light.at)) for light in content.lights),
+        gps=None,
         extent=None,
         free_position=None if content.free_position is None else there((*content.free_position, 0.0))[:2],
     )

@@ -52,6 +52,23 @@ def read_heights(path: Path, height: float) -> np.ndarray:
     return pixels[::-1].astype(float) / WHITE_BY_MODE[mode] * height
 
 
+def read_height_shares(path: Path) -> np.ndarray:
+    """Return the terrain in an image as shares of white (rows, columns), the lowest row of y first.
+
+    Colours count as their mean, as in Gazebo.
+
+    Raises:
+        ArenaFileError: A file that is unreadable, too small or too large, or lossy.
+    """
+    mode, pixels, form = _read_image(path, MAX_HEIGHTS)
+    if mode in WHITE_BY_MODE or form in LOSSY_FORMATS:
+        return read_heights(path, 1.0)
+    if min(pixels.shape[:2]) < 2:
+        raise ArenaFileError(f"{path}: a terrain has at least 2 x 2 heights")
+    grey, _ = read_grey(path)
+    return grey / 255
+
+
 def write_heights(path: Path, heights: np.ndarray) -> float:
     """Write a terrain (rows, columns) as a PNG file of 16 bits, and return the height of white [m].
 

@@ -1,12 +1,13 @@
 """Arenas from files, and to files.
 
 `load_arena` reads YAML files with the fields of `ArenaSpec` and the names of other files (see `yaml_file`),
-and these others by themselves: MJCF, URDF, meshes, grey images, maps of ROS' map_server. `save_arena` writes
-any arena as YAML. Unsupported content of a file is refused by name, or left out with a warning.
+and these others by themselves: worlds of Gazebo and Stage, SDF, MJCF, URDF, meshes, grey images, maps of ROS'
+map_server and of MovingAI, route networks. `save_arena` writes any arena as YAML. Unsupported content of a
+file is refused by name, or left out with a warning.
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -26,7 +27,14 @@ from usarmjx.models.files.content import EMPTY_EXTENT, Content
 from usarmjx.models.files.images import image_size, write_heights
 from usarmjx.models.files.maps import is_map, occupancy_grid_content
 from usarmjx.models.files.mjcf import mjcf_content
+from usarmjx.models.files.moving_ai import moving_ai_content
+from usarmjx.models.files.pictures import check_picture
+from usarmjx.models.files.resources import Resources
+from usarmjx.models.files.roads_file import is_route_network, roads_content
+from usarmjx.models.files.scale_notes import scale_notes
+from usarmjx.models.files.sdf import sdf_content
 from usarmjx.models.files.sources import MeshFile, TerrainFile, mesh_content, terrain_content
+from usarmjx.models.files.stage import stage_content
 from usarmjx.models.files.urdf import urdf_content
 from usarmjx.models.files.yaml_file import arena_of_yaml, complete_arena
 from usarmjx.models.types.arena import ArenaSpec
@@ -138,27 +146,32 @@ def _write_terrain(terrain: HeightField, path: Path, number: int) -> dict[str, o
     return {"file": name, "height": write_heights(path.parent / name, terrain.heights)}
 
 
-def load_arena(path: str | Path) -> ArenaSpec:
+def load_arena(path: str | Path, *, packages: Iterable[str | Path] = ()) -> ArenaSpec:
     """Return the arena in a file; content that is left out is logged as warnings.
 
-    By itself, an MJCF, URDF or mesh file is used unchanged, a grey PNG image is terrain with heights 0.1 m
-    apart and up to 1 m, and a map of map_server has walls of 1.2 m. Then the arena has the file's name, an
-    extent 1 m around its solids (a map's is the map's), and one start pose in its largest free area; a YAML
-    file can set all of these.
+    By itself, a file of SDF, Stage, MJCF, URDF or meshes is used unchanged, a grey PNG image is terrain with
+    heights 0.1 m apart and up to 1 m, maps have walls of 1.2 m, and cells of MovingAI's have a side of 1 m.
+    Then the arena has the file's name, an extent 1 m around its solids (a map's is the map's), and the file's
+    start poses or one in its largest free area; a YAML file can set all of these.
+
+    Args:
+        path: The file.
+        packages: Folders in which packages and models are searched first.
 
     Raises:
         ArenaFileError: A missing or unreadable file, or content that an arena cannot have.
     """
-    arena, warnings = read_arena(path)
+    arena, warnings = read_arena(path, packages=packages)
     for warning in warnings:
         logger.warning("%s", warning)
     return arena
 
 
-def read_arena(path: str | Path) -> tuple[ArenaSpec, tuple[str, ...]]:
+def read_arena(path: str | Path, *, packages: Iterable[str | Path] = ()) -> tuple[ArenaSpec, tuple[str, ...]]:
     """Return the arena in a file, and the content that was left out, in words; see `load_arena`."""
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
+    resources = Resources(folders=tuple(Path(folder) for folder in packages))
+    if path.suffix.lower() not in (*YAML, *READERS):
         raise ArenaFileError(f"{path}: arenas are files with names in {', '.join(SUFFIXES)}")
     if not path.is_file():
         raise ArenaFileError(f"{path}: there is no such file")
@@ -168,15 +181,18 @@ def read_arena(path: str | Path) -> tuple[ArenaSpec, tuple[str, ...]]:
             return arena_of_yaml(value)
         content = occupancy_grid_content(value)
     else:
-        content = READERS[path.suffix.lower()](path)
+        content = READERS[path.suffix.lower()](path, resources)
     arena = ArenaSpec(name=path.stem, starts=(), extent=EMPTY_EXTENT)
-    return complete_arena(
-        arena, content, FileValue(None, path, 1, refusal=ArenaFileError), set()
-    ), content.warnings
+    arena = complete_arena(arena, content, FileValue(None, path, 1, refusal=ArenaFileError), set())
+    return arena, content.warnings + scale_notes(arena, path)
 
 
-def find_arena(arena: str | Path) -> ArenaSpec:
+def find_arena(arena: str | Path, *, packages: Iterable[str | Path] = ()) -> ArenaSpec:
     """Return a registered arena or lane by its name, as lane_stairs, or the one in a file.
+
+    Args:
+        arena: The name, or the file.
+        packages: Folders in which a file's packages and models are searched first.
 
     Raises:
         UnknownNameError: Neither a known name nor the name of a file.
@@ -188,15 +204,27 @@ def find_arena(arena: str | Path) -> ArenaSpec:
     if name.lower().startswith(LANE_PREFIX) and name in LANES:
         return LANES.get(name).arena
     path = Path(name)
-    if path.suffix.lower() in SUFFIXES or path.is_file():
-        return load_arena(path)
+    if path.suffix.lower() in (*YAML, *READERS) or path.is_file():
+        return load_arena(path, packages=packages)
     refusal = unknown_name("arena", name, ARENAS.names())
     raise UnknownNameError(f"{refusal}; or a file: {', '.join(SUFFIXES)}")
 
 
-def _xml(path: Path) -> Content:
-    """Read MJCF, or URDF with the suffix .xml."""
-    return urdf_content(path) if b"<robot" in read_bytes(path, refusal=ArenaFileError) else mjcf_content(path)
+def _xml(path: Path, resources: Resources) -> Content:
+    """Read MJCF, or URDF or SDF with the suffix .xml."""
+    data = read_bytes(path, refusal=ArenaFileError)
+    if b"<robot" in data:
+        return urdf_content(path, resources=resources)
+    is_sdf = b"<sdf" in data or (path.suffix.lower() == ".world" and b"<mujoco" not in data)
+    return sdf_content(path, resources=resources) if is_sdf else mjcf_content(path)
+
+
+def _world(path: Path, resources: Resources) -> Content:
+    """Read a world of Gazebo, which is XML, or of Stage."""
+    data = read_bytes(path, refusal=ArenaFileError).lstrip(b"\xef\xbb\xbf \t\r\n")
+    if data.startswith(b"#usda"):
+        return _usd(path)
+    return _xml(path, resources) if data.startswith(b"<") else stage_content(path)
 
 
 def _mesh(path: Path) -> Content:
@@ -206,22 +234,53 @@ def _mesh(path: Path) -> Content:
 def _terrain(path: Path) -> Content:
     width, height = image_size(path)
     size = (PIXEL_SIZE * max(width - 1, 1), PIXEL_SIZE * max(height - 1, 1))
-    return terrain_content(TerrainFile(file=path, size=size, height=WHITE_HEIGHT))
+    content = terrain_content(TerrainFile(file=path, size=size, height=WHITE_HEIGHT))
+    check_picture(path)
+    return content
 
 
 def _picture(path: Path) -> Content:
     raise ArenaFileError(f"{path}: is the picture of a map; load the YAML file that says its resolution")
 
 
-READERS: dict[str, Callable[[Path], Content]] = {
+def _text(path: Path) -> Content:
+    if is_route_network(read_bytes(path, refusal=ArenaFileError)):
+        return roads_content(path)
+    raise ArenaFileError(f"{path}: is no route network: its first word is not RNDF_name")
+
+
+def _usd(path: Path) -> Content:
+    raise ArenaFileError(f"{path}: USD is not read: export it as OBJ, or as SDF or MJCF, and load that")
+
+
+def _plain(reader: Callable[[Path], Content]) -> Callable[[Path, Resources], Content]:
+    """Return a reader of files that name no packages."""
+    return lambda path, _: reader(path)
+
+
+def _sdf(path: Path, resources: Resources) -> Content:
+    return sdf_content(path, resources=resources)
+
+
+def _urdf(path: Path, resources: Resources) -> Content:
+    return urdf_content(path, resources=resources)
+
+
+READERS: dict[str, Callable[[Path, Resources], Content]] = {
+    ".world": _world,
+    ".sdf": _sdf,
+    ".inc": _plain(stage_content),
     ".xml": _xml,
-    ".mjcf": mjcf_content,
-    ".urdf": urdf_content,
-    ".obj": _mesh,
-    ".stl": _mesh,
-    ".png": _terrain,
-    ".pgm": _picture,
+    ".mjcf": _plain(mjcf_content),
+    ".urdf": _urdf,
+    **dict.fromkeys((".obj", ".stl", ".dae"), _plain(_mesh)),
+    ".png": _plain(_terrain),
+    ".pgm": _plain(_picture),
+    **dict.fromkeys((".map", ".scen"), _plain(moving_ai_content)),
+    ".rndf": _plain(roads_content),
+    ".txt": _plain(_text),
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), _plain(_usd)),
 }
 """Reader of each suffix, apart from YAML."""
-SUFFIXES = (*YAML, *READERS)
+SUFFIXES = tuple(suffix for suffix in (*YAML, *READERS) if not suffix.startswith(".usd"))
 """Suffixes of files with arenas."""

@@ -1,6 +1,6 @@
 """Maps of ROS' map_server as walls: an image of occupancy, and a YAML file that describes it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
@@ -9,25 +9,25 @@ import numpy as np
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, FileValue, Setting
 from usarmjx.base.settings.reader import Reader
-from usarmjx.base.transforms import Vec3, mat_from_angles
+from usarmjx.base.transforms import Vec3
 from usarmjx.models.files.content import Content, Rectangle
+from usarmjx.models.files.grid_cover import GridFrame, cover
 from usarmjx.models.files.images import read_grey
-from usarmjx.models.types.shapes import Shape
 
 DEFAULT_WALL_HEIGHT = 1.2
 """Default height of walls [m]: the NIST arenas'."""
-MAX_MAP_BOXES = 2000
+MAX_MAP_BOXES = 10_000
 """Largest number of boxes of a map."""
-WALL_RGBA = (0.85, 0.8, 0.6, 1.0)
 GRADED_WALL_VALUE = 50
 """Value from which a cell of a graded map is a wall, from 0 (free) to 100 (occupied)."""
 LAST_RAW = 100
 """Largest known raw value; higher ones are unknown, as map_server's -1."""
 Unknown = Literal["free", "occupied"]
 """Treatment of unknown cells."""
-
-Cells = tuple[int, int, int, int]
-"""First row, row after the last, first column, column after the last."""
+OTHERS_KEYS = ("cost_translation_table", "frame_id", "height", "image_format", "name", "stamp", "width")
+"""Keys that other tools write into such files; map_server ignores them."""
+MIN_CELL, MAX_CELL = 0.01, 1.0
+"""Sides of a cell outside which a map's scale is doubted [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +37,7 @@ class MapDescription:
     Attributes:
         image: Picture of the cells, from the file's folder.
         resolution: Side of a cell [m].
-        origin: x and y of the outer corner of the lowest left cell, and yaw.
+        origin: x and y of the outer corner of the lowest left cell, and yaw, 0 if left out.
         negate: Whether dark cells are free; map_server writes 0 or 1.
         occupied_thresh: Darkness above which a cell is occupied, 1 being black.
         free_thresh: Darkness below which a cell is free.
@@ -47,7 +47,7 @@ class MapDescription:
 
     image: Path
     resolution: Annotated[float, POSITIVE]
-    origin: tuple[float, float, Annotated[float, Setting(unit="rad")]] = (0.0, 0.0, 0.0)
+    origin: tuple[float, float, Annotated[float, Setting(unit="rad")]] | tuple[float, float] = (0.0, 0.0, 0.0)
     negate: Annotated[int, Setting(ge=0, le=1)] | bool = 0
     occupied_thresh: float = 0.65
     free_thresh: float = 0.196
@@ -82,6 +82,11 @@ class OccupancyGrid:
     origin: Vec3
     specks: int = 0
 
+    @property
+    def frame(self) -> GridFrame:
+        """Place of the cells."""
+        return GridFrame(origin=self.origin, cell=(self.resolution, self.resolution))
+
 
 def is_map(value: FileValue) -> bool:
     """Return whether a YAML file is one of map_server's."""
@@ -103,7 +108,7 @@ def read_occupancy_grid(value: FileValue, unknown: Unknown = "free") -> Occupanc
     Raises:
         ArenaFileError: A wrong key or value, or an unreadable image.
     """
-    given = READER.from_data(MapDescription, value)
+    given = READER.from_data(MapDescription, _own_keys(value))
     low, high, mode = given.free_thresh, given.occupied_thresh, given.mode
     mean, opaque = read_grey(given.image)
     if given.negate:
@@ -122,7 +127,26 @@ def read_occupancy_grid(value: FileValue, unknown: Unknown = "free") -> Occupanc
     if unknown == "occupied":
         wall = wall | lost
     wall, specks = without_specks(wall, given.min_blob / given.resolution)
-    return OccupancyGrid(wall, free, given.resolution, given.origin, specks)
+    x, y, yaw = (*given.origin, 0.0)[:3]
+    return OccupancyGrid(wall, free, given.resolution, (x, y, yaw), specks)
+
+
+def _own_keys(value: FileValue) -> FileValue:
+    """Return a map's file without the keys that map_server ignores."""
+    return replace(value, data={key: one for key, one in value.mapping().items() if key not in OTHERS_KEYS})
+
+
+def _doubts(value: FileValue, plan: OccupancyGrid) -> tuple[str, ...]:
+    """Return keys that have no effect, and a scale that is hardly meant."""
+    given = value.mapping()
+    others = [key for key in OTHERS_KEYS if key in given]
+    found = [f"{given[others[0]].place}: {', '.join(others)} of the map left out"] if others else []
+    if not MIN_CELL <= plan.resolution <= MAX_CELL:
+        found.append(
+            f"{given['resolution'].place}: a cell is {plan.resolution:g} m long; `resolution` is that "
+            "length in metres, as 0.05"
+        )
+    return tuple(found)
 
 
 def without_specks(wall: np.ndarray, smallest: float) -> tuple[np.ndarray, int]:
@@ -162,9 +186,7 @@ def occupancy_grid_content(
         ArenaFileError: See `read_occupancy_grid`; or the map has too many walls.
     """
     plan = read_occupancy_grid(value, unknown)
-    boxes = min(
-        rectangles(plan.wall, MAX_MAP_BOXES), _turned(rectangles(plan.wall.T, MAX_MAP_BOXES)), key=len
-    )
+    boxes = cover(plan.wall, MAX_MAP_BOXES)
     if len(boxes) > MAX_MAP_BOXES:
         raise value.error(
             f"the map makes more than the {MAX_MAP_BOXES} boxes that are allowed: set min_blob in it, the "
@@ -172,10 +194,10 @@ def occupancy_grid_content(
         )
     specks = (f"{value.path}: min_blob leaves out {plan.specks} specks",) if plan.specks else ()
     return Content(
-        shapes=tuple(_box(plan, box, height) for box in boxes),
+        shapes=tuple(plan.frame.box(box, 0.0, height) for box in boxes),
         extent=_extent(plan),
         free_position=_free_position(plan),
-        warnings=specks + (() if plan.free.any() else (_nowhere(value, plan),)),
+        warnings=_doubts(value, plan) + specks + (() if plan.free.any() else (_nowhere(value, plan),)),
     )
 
 
@@ -183,57 +205,14 @@ def _nowhere(value: FileValue, plan: OccupancyGrid) -> str:
     rows, columns = plan.wall.shape
     return (
         f"{value.path}: the map has no free cell: of {columns} x {rows}, {plan.wall.sum()} are walls and the "
-        "others unknown; mind `negate`, `occupied_thresh` and `free_thresh`"
-    )
-
-
-def rectangles(filled: np.ndarray, most: float = np.inf) -> list[Cells]:
-    """Cover the true cells (rows, columns) with rectangles, each as long as possible and then as wide.
-
-    It stops after the row that exceeds `most`.
-    """
-    found: list[Cells] = []
-    left = filled.copy()
-    for row in range(left.shape[0]):
-        if len(found) > most:
-            break
-        edges = np.flatnonzero(np.diff(left[row].astype(np.int8), prepend=0, append=0))
-        for start, stop in edges.reshape(-1, 2).tolist():
-            below = np.asarray(left[row:, start:stop].all(axis=1))
-            end = row + (len(below) if below.all() else int(below.argmin()))
-            left[row:end, start:stop] = False
-            found.append((row, end, start, stop))
-    return found
-
-
-def _turned(found: list[Cells]) -> list[Cells]:
-    return [(c0, c1, r0, r1) for r0, r1, c0, c1 in found]
-
-
-def _there(plan: OccupancyGrid, column: float, row: float) -> tuple[float, float]:
-    """Return x and y of a point on a map, given in cells from its first corner."""
-    x, y, yaw = plan.origin
-    local = np.array([column * plan.resolution, row * plan.resolution, 0.0])
-    dx, dy, _ = (mat_from_angles(0.0, 0.0, np.float64(yaw)) @ local).tolist()
-    return (round(x + dx, 9), round(y + dy, 9))
-
-
-def _box(plan: OccupancyGrid, cells: Cells, height: float) -> Shape:
-    r0, r1, c0, c1 = cells
-    half = plan.resolution / 2
-    return Shape(
-        kind="box",
-        size=(round((c1 - c0) * half, 9), round((r1 - r0) * half, 9), height / 2),
-        at=(*_there(plan, (c0 + c1) / 2, (r0 + r1) / 2), height / 2),
-        rotation=(0.0, 0.0, plan.origin[2]),
-        surface="wall",
-        rgba=WALL_RGBA,
+        "others unknown; mind `negate`, `occupied_thresh` and `free_thresh`; transparent pixels count by "
+        "their colour"
     )
 
 
 def _extent(plan: OccupancyGrid) -> Rectangle:
     rows, columns = plan.wall.shape
-    corners = np.array([_there(plan, c, r) for c in (0, columns) for r in (0, rows)])
+    corners = np.array([plan.frame.there(c, r) for c in (0, columns) for r in (0, rows)])
     (x0, y0), (x1, y1) = corners.min(0).tolist(), corners.max(0).tolist()
     return ((x0, x1), (y0, y1))
 
@@ -248,4 +227,4 @@ def _free_position(plan: OccupancyGrid) -> tuple[float, float] | None:
         return None
     away = np.asarray(distance(np.pad(plan.free, 1)))[1:-1, 1:-1]
     row, column = np.unravel_index(int(away.argmax()), away.shape)
-    return _there(plan, float(column) + 0.5, float(row) + 0.5)
+    return plan.frame.there(float(column) + 0.5, float(row) + 0.5)

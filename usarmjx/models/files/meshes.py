@@ -125,6 +125,19 @@ def mesh_vertices(path: Path) -> np.ndarray:
     return np.concatenate([vertices for _, vertices, _ in _objects(path)])
 
 
+def mesh_objects(path: Path) -> list[MeshArrays]:
+    """Return name, vertices (n, 3) and faces (m, 3) of a mesh file's objects, as many as there are.
+
+    Raises:
+        ArenaFileError: A file that is missing, unreadable, too large or corrupt, or reaches too far.
+    """
+    _checked_file(path)
+    found = [*_objects(path)]
+    for name, vertices, _ in found:
+        _check_reach(vertices, f"{path}: {name}".rstrip(": "))
+    return found
+
+
 def faces_of_file(path: Path) -> Mesh:
     """Return all vertices and faces of a mesh file in its order: a solid whose faces rays meet.
 

@@ -16,6 +16,8 @@ PATH_VARIABLES = (
     "GAZEBO_MODEL_PATH",
 )
 """Environment variables with folders that hold packages and models."""
+MODEL_FOLDERS = ("models",)
+"""Names of folders beside a world's that hold models."""
 SEARCH_DEPTH = 3
 """Levels of folders searched below each such folder."""
 MAX_SEARCHED_FOLDERS = 20_000
@@ -55,8 +57,9 @@ class Resources:
         for folder in origin.resolve().parents:
             if folder.name == package:
                 yield folder
-            if (folder / package).is_dir():
-                yield folder / package
+            for home in (folder / package, *(folder / name / package for name in MODEL_FOLDERS)):
+                if home.is_dir():
+                    yield home
         for base in self._search_path():
             yield from _below(base, package)
 

@@ -15,8 +15,12 @@ from usarmjx.models.files.images import read_heights
 from usarmjx.models.files.maps import DEFAULT_WALL_HEIGHT, Unknown, occupancy_grid_content
 from usarmjx.models.files.meshes import NO_MESH, SeenBy, load_convex_pieces, shapes_of
 from usarmjx.models.files.mjcf import mjcf_content
+from usarmjx.models.files.moving_ai import DEFAULT_CELL, moving_ai_content
+from usarmjx.models.files.roads_file import roads_content
+from usarmjx.models.files.sdf import sdf_content
+from usarmjx.models.files.stage import stage_content
 from usarmjx.models.files.urdf import urdf_content
-from usarmjx.models.types.arena import LooseObject
+from usarmjx.models.types.arena import GpsOrigin, LooseObject
 from usarmjx.models.types.shapes import MATERIALS, OPAQUE, SURFACES, ZERO, HeightField, Rgba, Shape
 
 GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
@@ -29,7 +33,7 @@ class Scale(tuple[float, float, float]):
 
 @dataclass(frozen=True, kw_only=True)
 class ModelFile:
-    """An MJCF or URDF file: see `mjcf` and `urdf`.
+    """A file of MJCF, URDF, SDF or Stage: see `mjcf`, `urdf`, `sdf` and `stage`.
 
     Attributes:
         file: The file, from the YAML file's folder.
@@ -121,6 +125,38 @@ class MapFile:
     yaw: float = 0.0
 
 
+@dataclass(frozen=True, kw_only=True)
+class GridFile:
+    """A map or scenario of MovingAI: see `moving_ai`.
+
+    Attributes:
+        file: Its file, which ends in .map or .scen.
+        cell: Side of a cell [m].
+        height: Height of the walls [m].
+        at: Position of the outer corner of the lowest left cell.
+        yaw: Rotation about the vertical [rad].
+    """
+
+    file: Path
+    cell: Annotated[float, POSITIVE] = DEFAULT_CELL
+    height: Annotated[float, POSITIVE] = DEFAULT_WALL_HEIGHT
+    at: Vec3 = ZERO
+    yaw: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoadFile:
+    """A route network: see `roads_file`.
+
+    Attributes:
+        file: Its RNDF.
+        origin: Latitude and longitude of the arena's origin [degrees]; None: the middle of the network.
+    """
+
+    file: Path
+    origin: GpsOrigin | None = None
+
+
 def mesh_content(mesh: MeshFile) -> Content:
     """Return a mesh file as fixed solids or a loose object."""
     files = mesh.decomposition or (mesh.file,)
@@ -160,16 +196,30 @@ def map_file_content(plan: MapFile) -> Content:
     )
 
 
+def grid_content(grid: GridFile) -> Content:
+    """Return a map or scenario of MovingAI in its pose."""
+    return transform_content(moving_ai_content(grid.file, grid.cell, grid.height), grid.at, grid.yaw)
+
+
+def road_file_content(roads: RoadFile) -> Content:
+    """Return a route network as markings, kerbs and start poses."""
+    return roads_content(roads.file, roads.origin)
+
+
 def model_content(reader: Callable[[Path, str], Content], model: ModelFile) -> Content:
-    """Return an MJCF or URDF file's content in its pose."""
+    """Return a model file's content in its pose."""
     return transform_content(reader(model.file, model.surface), model.at, model.yaw)
 
 
 SOLID_SOURCES: dict[str, Callable[[Any], Content]] = {
     "mjcf": partial(model_content, mjcf_content),
     "urdf": partial(model_content, urdf_content),
+    "sdf": partial(model_content, sdf_content),
+    "stage": partial(model_content, stage_content),
     "meshes": mesh_content,
     "heightfield": terrain_content,
     "map": map_file_content,
+    "moving_ai": grid_content,
+    "rndf": road_file_content,
 }
 """Keys of other files, with the readers of their content."""

@@ -26,7 +26,7 @@ GEOMETRY_KINDS = ("box", "sphere", "cylinder", "mesh")
 """Supported geometry elements."""
 
 
-def urdf_content(path: Path, surface: str = "") -> Content:
+def urdf_content(path: Path, surface: str = "", *, resources: Resources | None = None) -> Content:
     """Return the links of a URDF file as fixed solids, with the root link at the origin.
 
     Collision geometry has contacts; a link without it gets its visual geometry, without contacts. Masses,
@@ -35,10 +35,12 @@ def urdf_content(path: Path, surface: str = "") -> Content:
     Args:
         path: The file; see `Resources` for the names of its meshes.
         surface: Surface of the solids; empty: by their form.
+        resources: Folders of the packages that it names; None: those above it and of the environment.
 
     Raises:
         ArenaFileError: An unreadable file, or content that an arena cannot have; names it.
     """
+    resources = resources or Resources()
     root = read_urdf(path)
     meshes = sum(1 for _ in root.iter("mesh"))
     if meshes > MAX_MESH_FILES:
@@ -53,7 +55,7 @@ def urdf_content(path: Path, surface: str = "") -> Content:
         name = link.get("name", "")
         where = _Where(name, frames[name], surface if solids else "fixture", rgba)
         for solid in solids or visuals:
-            shapes += _solid(solid, where)
+            shapes += _solid(solid, where, resources)
     moving = [joint for joint in root.all("joint") if joint.get("type") != "fixed"]
     names = listed([joint.get("name", "") for joint in moving])
     warnings = (f"{moving[0].place}: {len(moving)} joints are held at zero: {names}",) if moving else ()
@@ -88,7 +90,7 @@ def _frames(root: LinedElement) -> dict[str, Pose]:
     return frames
 
 
-def _solid(element: LinedElement, where: _Where) -> Iterator[Shape]:
+def _solid(element: LinedElement, where: _Where, resources: Resources) -> Iterator[Shape]:
     """Yield the solids of a collision or visual element."""
     form = form_of(element)
     if form is None or form.tag not in GEOMETRY_KINDS:
@@ -104,7 +106,7 @@ def _solid(element: LinedElement, where: _Where) -> Iterator[Shape]:
     )
     if form.tag == "mesh":
         scale = attribute_numbers(form, "scale", 3, "1 1 1")
-        found = load_convex_pieces(_mesh_file(form), scale.tolist())
+        found = load_convex_pieces(_mesh_file(form, resources), scale.tolist())
         yield from shapes_of(found, replace(like, kind="mesh", mesh=NO_MESH))
         return
     if form.tag == "box":
@@ -117,12 +119,12 @@ def _solid(element: LinedElement, where: _Where) -> Iterator[Shape]:
     yield replace(shape, surface=shape.surface or surface_of(shape))
 
 
-def _mesh_file(form: LinedElement) -> Path:
+def _mesh_file(form: LinedElement, resources: Resources) -> Path:
     """Return the file that a `<mesh>` names."""
     name = form.get("filename")
     if not name:
         raise form.error("a mesh has no filename")
-    found = Resources().file(name, form.path)
+    found = resources.file(name, form.path)
     if found is None:
         package = name.removeprefix(PACKAGE).partition("/")[0] if name.startswith(PACKAGE) else ""
         why = f": no folder {package!r} with it is above {form.path.name} or in ROS_PACKAGE_PATH"

@@ -24,7 +24,17 @@ from usarmjx.models.files.content import (
 from usarmjx.models.files.images import read_heights
 from usarmjx.models.files.meshes import SeenBy, checked_corners, faces_of_file, vertices_of_file
 from usarmjx.models.files.rules import ARENA_RULES, arena_problem
-from usarmjx.models.files.sources import SOLID_SOURCES, MapFile, MeshFile, ModelFile, Scale, TerrainFile
+from usarmjx.models.files.scale_notes import scale_notes
+from usarmjx.models.files.sources import (
+    SOLID_SOURCES,
+    GridFile,
+    MapFile,
+    MeshFile,
+    ModelFile,
+    RoadFile,
+    Scale,
+    TerrainFile,
+)
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.shapes import HeightField, Mesh
 
@@ -33,8 +43,8 @@ T = TypeVar("T")
 MAX_SOLIDS = 50_000
 """Largest number of solids and victims of an arena."""
 MAX_OTHER_FILES = {
-    **dict.fromkeys(("heights", "heightfield", "map"), 32),
-    **dict.fromkeys(("mjcf", "urdf"), 100),
+    **dict.fromkeys(("heights", "heightfield", "map", "moving_ai", "rndf"), 32),
+    **dict.fromkeys(("mjcf", "urdf", "sdf", "stage"), 100),
     **dict.fromkeys(("mesh", "meshes", "decomposition"), 1000),
 }
 """Largest number of files under each key that names other files."""
@@ -50,9 +60,13 @@ class ArenaFile(ArenaSpec):
         extent: x and y limits of the floor plan; without the key, 1 m around the solids.
         mjcf: MJCF files.
         urdf: URDF files.
+        sdf: SDF files and worlds of Gazebo.
+        stage: World files of Stage.
         meshes: OBJ, STL and COLLADA files.
         heightfield: Grey images as terrain.
         map: Maps of ROS' map_server.
+        moving_ai: Maps and scenarios of MovingAI.
+        rndf: Route networks.
     """
 
     name: str = ""
@@ -60,9 +74,13 @@ class ArenaFile(ArenaSpec):
     extent: Rectangle = EMPTY_EXTENT
     mjcf: tuple[ModelFile, ...] = ()
     urdf: tuple[ModelFile, ...] = ()
+    sdf: tuple[ModelFile, ...] = ()
+    stage: tuple[ModelFile, ...] = ()
     meshes: tuple[MeshFile, ...] = ()
     heightfield: tuple[TerrainFile, ...] = ()
     map: tuple[MapFile, ...] = ()
+    moving_ai: tuple[GridFile, ...] = ()
+    rndf: tuple[RoadFile, ...] = ()
 
     @property
     def arena(self) -> ArenaSpec:
@@ -112,7 +130,8 @@ def arena_of_yaml(value: FileValue) -> tuple[ArenaSpec, tuple[str, ...]]:
         for source, item in zip(getattr(file, key), _one_or_several(given[key]), strict=True)
     ]
     content = merge_contents(parts)
-    return complete_arena(file.arena, content, value, set(given)), content.warnings
+    arena = complete_arena(file.arena, content, value, set(given))
+    return arena, content.warnings + scale_notes(arena, value.path)
 
 
 def _check_number_of_files(value: FileValue) -> None:
@@ -146,12 +165,21 @@ def complete_arena(arena: ArenaSpec, content: Content, value: FileValue, given: 
         raise value.error(
             f"{len(solids)} solids and {len(arena.victims)} victims; at most {MAX_SOLIDS} in all"
         )
-    arena = replace(arena, shapes=shapes, loose=loose, doors=(*arena.doors, *content.doors))
+    arena = replace(
+        arena,
+        shapes=shapes,
+        loose=loose,
+        doors=(*arena.doors, *content.doors),
+        lights=(*arena.lights, *content.lights),
+        gps=arena.gps or content.gps,
+    )
     if "has_floor" not in given and content.floor is not None:
         arena = replace(arena, has_floor=content.floor)
     if "extent" not in given:
         arena = replace(arena, extent=content.extent or extent_of(shapes, loose))
-    if "starts" not in given:
+    if "starts" not in given and content.starts:
+        arena = replace(arena, starts=content.starts)
+    elif "starts" not in given:
         if wrong := arena_problem(arena):
             raise value.error(wrong)
         try:
@@ -228,12 +256,13 @@ def _heights(value: FileValue) -> HeightField:
 
 
 HEIGHT = Setting(ge=0, unit="m")
+SOURCES = (ModelFile, MeshFile, TerrainFile, MapFile, GridFile, RoadFile)
 SPECIAL: Mapping[Any, Callable[[FileValue], Any]] = {
     Path: _file,
     Scale: _scale,
     Mesh: _mesh,
     HeightField: _heights,
-    **{tuple[kind, ...]: partial(_sources, kind) for kind in (ModelFile, MeshFile, TerrainFile, MapFile)},
+    **{tuple[kind, ...]: partial(_sources, kind) for kind in SOURCES},
 }
 """Readers of types with a YAML form of their own."""
 ARENA_READER = Reader(

@@ -1,5 +1,6 @@
 """Reports of a run: a line of JSON per iteration, TensorBoard, a bar in the terminal."""
 
+import itertools
 import json
 import math
 from collections.abc import Callable, Mapping
@@ -12,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from usarmjx.base.errors import UsageError, WriteError, quoted
-from usarmjx.base.files import AppendedFile, atomic_write
+from usarmjx.base.files import AppendedFile, atomic_write, writing
 from usarmjx.base.progress import RateLimitedLog
 from usarmjx.base.settings.files import shown
 from usarmjx.base.settings.json_file import read_json_lines
@@ -119,6 +120,19 @@ def read_lines(file: Path) -> list[dict[str, Any]]:
     return [record for _, record in records]
 
 
+def _kept_aside(file: Path) -> Path:
+    """Rename the records of a run that begins anew, and return their new place.
+
+    Raises:
+        WriteError: They cannot be renamed.
+    """
+    numbers = (file.with_stem(f"{file.stem}-{number}") for number in itertools.count(1))
+    place = next(path for path in numbers if not path.exists())
+    with writing(place):
+        file.rename(place)
+    return place
+
+
 class MetricsLog:
     """Log of iterations. Lines that the disk refuses wait for the next one; the failure is reported once.
 
@@ -137,7 +151,9 @@ class MetricsLog:
         self, folder: Path, iterations: int, after: int = 0, bar: bool = True, console: Console | None = None
     ) -> None:
         file = folder / "metrics.jsonl"
-        kept = [record for record in read_lines(file) if record["iteration"] <= after]
+        records = read_lines(file)
+        kept = [record for record in records if record["iteration"] <= after]
+        earlier = _kept_aside(file) if records and not kept else None
         with atomic_write(file) as fresh:
             fresh.write_text("".join(json.dumps(record) + "\n" for record in kept))
         behind = kept[-1]["agent_steps"] if kept else 0
@@ -157,6 +173,10 @@ class MetricsLog:
         # A file or a pipe gets a line now and then instead: a bar would fill it with control characters.
         shown = bar and not self._bar.console.is_terminal
         self._line_log, self._total = RateLimitedLog(self.say) if shown else None, iterations
+        if earlier is not None:
+            self.say(
+                f"no checkpoint in {folder}: training begins anew; {earlier.name} keeps the lines of before"
+            )
         self._task: TaskID = self._bar.add_task("compiling", total=iterations, completed=after)
 
     def __enter__(self) -> "MetricsLog":

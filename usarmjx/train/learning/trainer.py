@@ -5,6 +5,7 @@ from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -31,6 +32,7 @@ from usarmjx.train.learning.run_record import (
     load_record,
     make_record,
 )
+from usarmjx.train.learning.stopping import StopRequest
 from usarmjx.train.learning.train_state import TrainState
 from usarmjx.train.learning.trajectory import RolloutState
 
@@ -83,12 +85,14 @@ class TrainResult:
         iterations: Updates in all.
         agent_steps: Steps of all robots in all.
         last_metrics: Record of the last iteration.
+        stopped: Whether a signal ended it before its last iteration.
     """
 
     run: Path
     iterations: int
     agent_steps: int
     last_metrics: dict[str, Any]
+    stopped: bool = False
 
 
 def train(  # noqa: PLR0913 - all but three may be left out
@@ -102,6 +106,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
     progress: bool = True,
     watch: Callable[[dict[str, Any]], None] | None = None,
     look: Callable[[EnvState], None] | None = None,
+    stop: StopRequest | None = None,
 ) -> TrainResult:
     """Train a policy; in every process at once, if there are several (see `processes.group`).
 
@@ -117,6 +122,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
         watch: Receives the record of each iteration.
         look: Receives the worlds of this process: as they are before the first action, and then again
             and again, see `Rollout.look`.
+        stop: Ends the training early, with a checkpoint; for a single process.
 
     Raises:
         UsageError: The folder has a run already, or none to resume, or one with other settings, more
@@ -148,7 +154,8 @@ def train(  # noqa: PLR0913 - all but three may be left out
         trainer.rollout.look(worlds.env_state)
         log = MetricsLog(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None
         left = train_state, worlds, before
-        return _run(trainer, checkpoints, left, log, watch or (lambda line: None), began)
+        stop = StopRequest(_ignore) if stop is None else stop
+        return _run(trainer, checkpoints, left, log, watch or (lambda line: None), began, stop)
 
 
 def _checked_record(
@@ -321,31 +328,41 @@ class _Iteration(NamedTuple):
         number: From 1.
         known: Numbers for the log.
         state: The state after it, if a checkpoint of it is due; else None.
+        last: Whether the training ends with it.
     """
 
     number: int
     known: dict[str, jax.Array]
     state: tuple[TrainState, RolloutState] | None
+    last: bool
 
 
 def _iterations(
-    trainer: Trainer, restored: tuple[TrainState, RolloutState, int]
+    trainer: Trainer, restored: tuple[TrainState, RolloutState, int], stop: StopRequest
 ) -> Iterator[list[_Iteration]]:
-    """Iterate to the end, from where it was left.
+    """Iterate to the end, from where it was left, or until a stop is requested.
 
     Yields:
         Iterations whose numbers can be read: the one before, while the next one is at work, so that the
-        device does not wait for the host; at the end the last one, too.
+        device does not wait for the host; at the end the last one, too. Worlds that are stepped by the host
+        leave nothing at work: then it is the iteration itself, and its time is its own.
     """
     train_state, worlds, done = restored
     pending: list[_Iteration] = []
     for number in range(done + 1, trainer.iterations + 1):
         train_state, worlds, known = trainer.iterate(train_state, worlds, number - 1)
-        last = number == trainer.iterations
+        if trainer.process_group.count == 1:
+            stop.arm()
+        last = number == trainer.iterations or stop.requested
         due = last or number % trainer.config.checkpoint_interval == 0
-        pending.append(_Iteration(number, known, (train_state, worlds) if due else None))
-        ready, pending = (pending, []) if last else (pending[:-1], pending[-1:])
+        pending.append(_Iteration(number, known, (train_state, worlds) if due else None, last))
+        if last or not trainer.env.traceable:
+            ready, pending = pending, []
+        else:
+            ready, pending = pending[:-1], pending[-1:]
         yield ready
+        if last:
+            return
 
 
 def _line(trainer: Trainer, iteration: int, sums: dict[str, float], rate: float) -> dict[str, Any]:
@@ -367,35 +384,31 @@ def _run(
     log: MetricsLog | None,
     watch: Callable[[dict[str, Any]], None],
     began: float,
+    stop: StopRequest,
 ) -> TrainResult:
     """Iterate to the end, from where it was left; the first iteration's time is from when it compiled."""
-    iterations, out = trainer.iterations, checkpoints.run
+    out, done = checkpoints.run, restored[2]
     steps = trainer.config.rollout_length * trainer.config.num_worlds * trainer.agents
     lines: list[dict[str, Any]] = []  # of the iterations since the last checkpoint
     line: dict[str, Any] = {}
     say: Callable[[str], None] = log.say if log else _ignore
     writer = _CheckpointWriter(checkpoints, trainer.process_group.count == 1, say, watch)
     with log or nullcontext(), closing(writer):
-        for ready in _iterations(trainer, restored):
-            for finished_iteration in ready:
-                sums = {
-                    name: float(value) for name, value in jax.device_get(finished_iteration.known).items()
-                }
-                began, seconds = (now := time.perf_counter()), now - began
-                line = _line(trainer, finished_iteration.number, sums, steps / seconds)
-                lines.append(line)
-                if finished_iteration.state is not None:
-                    writer.settle()
-                if log:
-                    log.write(line)
-                if finished_iteration.state is not None:
-                    note = {
-                        "agent_steps": finished_iteration.number * steps,
-                        **_scored(trainer, finished_iteration.state[0], lines),
-                    }
-                    writer.save(finished_iteration.number, finished_iteration.state, note)
-                    lines.clear()
-                writer.show(line, last=finished_iteration.number == iterations)
+        for finished in chain.from_iterable(_iterations(trainer, restored, stop)):
+            done = finished.number
+            sums = {name: float(value) for name, value in jax.device_get(finished.known).items()}
+            began, seconds = (now := time.perf_counter()), now - began
+            line = _line(trainer, done, sums, steps / seconds)
+            lines.append(line)
+            if finished.state is not None:
+                writer.settle()
+            if log:
+                log.write(line)
+            if finished.state is not None:
+                note = {"agent_steps": done * steps, **_scored(trainer, finished.state[0], lines)}
+                writer.save(done, finished.state, note)
+                lines.clear()
+            writer.show(line, last=finished.last)
             check_parent()
         if fault := writer.finish():
             raise WriteError(f"{fault}; the last checkpoint is missing: resume the run from the one before")
@@ -403,4 +416,4 @@ def _run(
             log.check_whole()
     if not line:  # the run was over already
         line = (read_lines(out / "metrics.jsonl") or [{}])[-1]
-    return TrainResult(out, iterations, iterations * steps, line)
+    return TrainResult(out, done, done * steps, line, stopped=done < trainer.iterations)

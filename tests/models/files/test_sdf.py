@@ -1,0 +1,316 @@
+"""Worlds and models of Gazebo as arenas: where things stand, what moves, and what is left out."""
+
+import math
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.models.files.worlds import PYRAMID, world, write
+from usarmjx.base.errors import ArenaFileError
+from usarmjx.models.check.arena import check_arena
+from usarmjx.models.files.load import load_arena, read_arena
+from usarmjx.models.types.arena import START_ELEVATION
+
+EXACT = 1e-9  # m: sums and products of a few doubles
+TURNED = 1e-6  # m and rad: through rotation matrices and back
+
+BOX = "<geometry><box><size>{}</size></box></geometry>"
+STATIC = "<static>true</static>"
+
+
+def solid(name, size="1 1 1", pose="", more=""):
+    """A link with one box."""
+    placed = f"<pose>{pose}</pose>" if pose else ""
+    return f"<link name='{name}'>{placed}<collision name='c'>{BOX.format(size)}</collision>{more}</link>"
+
+
+def read(folder, text, name="a.world"):
+    """The arena of a world's content, and what is left out."""
+    return read_arena(write(folder / name, world(text)))
+
+
+@pytest.mark.parametrize(
+    ("geometry", "kind", "size"),
+    [
+        ("<box><size>2 1 0.5</size></box>", "box", (1, 0.5, 0.25)),
+        ("<sphere><radius>0.4</radius></sphere>", "sphere", (0.4,)),
+        ("<cylinder><radius>0.2</radius><length>3</length></cylinder>", "cylinder", (0.2, 1.5)),
+        ("<capsule><radius>0.2</radius><length>1</length></capsule>", "capsule", (0.2, 0.5)),
+        ("<ellipsoid><radii>0.1 0.2 0.3</radii></ellipsoid>", "ellipsoid", (0.1, 0.2, 0.3)),
+        (
+            "<polyline><point>0 0</point><point>2 0</point><point>2 1</point><point>0 1</point>"
+            "<height>3</height></polyline>",
+            "box",
+            (1, 0.5, 1.5),
+        ),
+    ],
+)
+def test_sizes_are_halved_as_mujocos_are(geometry, kind, size, tmp_path):
+    text = f"<model name='m'>{STATIC}<link name='l'><collision name='c'><geometry>{geometry}</geometry>"
+    arena, notes = read(tmp_path, text + "</collision></link></model>")
+    (shape,) = arena.shapes
+    assert shape.kind == kind
+    assert shape.size == pytest.approx(size)
+    assert notes == ()
+
+
+FRAMES = f"""
+<frame name='desk'><pose>10 0 0 0 0 {math.pi / 2}</pose></frame>
+<model name='m'>{STATIC}<pose relative_to='desk'>1 0 0 0 0 0</pose>
+  <frame name='a'><pose>0 0 1 0 0 0</pose></frame>
+  <frame name='b' attached_to='a'><pose>0 2 0 0 0 0</pose></frame>
+  <link name='l'><pose relative_to='b' degrees='true'>0 0 0 0 0 90</pose>
+    <collision name='c'><pose>1 0 0 0 0 0</pose>{BOX.format("1 2 3")}</collision></link>
+  <model name='inner'><pose relative_to='l'>0 0 1 0 0 0</pose>
+    <link name='k'><collision name='c'>{BOX.format("1 1 1")}</collision></link></model>
+</model>"""
+
+
+def test_poses_count_from_the_frames_that_they_name(tmp_path):
+    """The desk turns x to y; the link is at (8, 1, 1), turned by 180 degrees; its box 1 m along its x."""
+    outer, inner = read(tmp_path, FRAMES)[0].shapes
+    assert outer.at == pytest.approx((7, 1, 1), abs=TURNED)
+    assert abs(outer.rotation[2]) == pytest.approx(math.pi, abs=TURNED)
+    assert inner.at == pytest.approx((8, 1, 2), abs=TURNED)
+
+
+def test_a_frame_that_is_relative_to_itself_is_named(tmp_path):
+    frames = "<frame name='a'><pose relative_to='b'/></frame><frame name='b'><pose relative_to='a'/></frame>"
+    text = f"<model name='m'>{STATIC}{frames}<link name='l'><pose relative_to='a'>0 0 0 0 0 0</pose></link>"
+    with pytest.raises(ArenaFileError, match=r"a\.world:\d+: model 'm': frame 'a' is relative to itself"):
+        read(tmp_path, text + "</model>")
+    text = f"<model name='m'>{STATIC}<link name='l'><pose relative_to='x'>0 0 0 0 0 0</pose></link></model>"
+    with pytest.raises(ArenaFileError, match="there is no frame 'x'; there is: l"):
+        read(tmp_path, text)
+
+
+def test_models_are_found_beside_the_world_and_placed(tmp_path):
+    (tmp_path / "models/crate").mkdir(parents=True)
+    (tmp_path / "worlds").mkdir()
+    config = "<model><sdf version='1.5'>old.sdf</sdf><sdf version='1.7'>new.sdf</sdf></model>"
+    write(tmp_path / "models/crate/model.config", config)
+    frame = "<frame name='top'><pose>0 0 1 0 0 0</pose></frame>"
+    text = f"<sdf><model name='crate'>{frame}{solid('l', '1 1 2')}</model></sdf>"
+    write(tmp_path / "models/crate/new.sdf", text)
+    write(tmp_path / "models/crate/old.sdf", text.replace("1 1 2", "5 5 5"))
+    includes = """
+    <include><uri>model://crate</uri><static>true</static><pose>1 2 1 0 0 0</pose></include>
+    <include><uri>https://fuel.gazebosim.org/1.0/OpenRobotics/models/Crate</uri><name>b</name>
+      <static>1</static><placement_frame>top</placement_frame><pose>4 0 1 0 0 0</pose></include>
+    <include><uri>model://gone</uri></include>
+    <include><uri>model://sun</uri></include>
+    """
+    arena, notes = read(tmp_path / "worlds", includes)
+    assert [shape.at for shape in arena.shapes] == [
+        pytest.approx((1, 2, 1), abs=EXACT),
+        pytest.approx((4, 0, 0), abs=EXACT),
+    ]
+    assert arena.shapes[0].size == pytest.approx((0.5, 0.5, 1))
+    assert arena.has_floor
+    assert len(notes) == 1
+    assert "a.world:" in notes[0]
+    assert "model model://gone is not there and left out; --packages" in notes[0]
+
+
+def test_packages_are_searched_for_models(tmp_path):
+    (tmp_path / "far/crate").mkdir(parents=True)
+    (tmp_path / "near").mkdir()
+    write(tmp_path / "far/crate/model.sdf", f"<sdf><model name='crate'>{STATIC}{solid('l')}</model></sdf>")
+    path = write(tmp_path / "near/a.world", world("<include><uri>model://crate</uri></include>", ""))
+    with pytest.raises(ArenaFileError, match=r"nothing stands in it; .*model://crate is not there"):
+        load_arena(path)
+    assert len(read_arena(path, packages=[tmp_path / "far"])[0].shapes) == 1
+
+
+def test_a_model_that_includes_itself_is_refused(tmp_path):
+    (tmp_path / "a").mkdir()
+    include = "<include><uri>model://a</uri></include>"
+    write(tmp_path / "a/model.sdf", f"<sdf><model name='a'>{include}</model></sdf>")
+    with pytest.raises(ArenaFileError, match=r"model\.sdf:\d+: model://a includes itself"):
+        read(tmp_path, include)
+
+
+def test_what_is_not_static_is_loose_with_the_mass_of_its_links(tmp_path):
+    mass = "<inertial><mass>{}</mass></inertial>"
+    joint = "<joint name='j' type='fixed'><parent>a</parent><child>b</child></joint>"
+    text = f"""
+    <model name='pair'><pose>1 2 0.5 0 0 0</pose>{solid("a", more=mass.format(3))}
+      {solid("b", "1 1 0.5", "0 0 0.75 0 0 0", mass.format(2))}{joint}</model>
+    <model name='plain'>{solid("l")}</model>"""
+    arena, notes = read(tmp_path, text)
+    pair, plain = arena.loose
+    assert (pair.name, pair.at) == ("pair::a", pytest.approx((1, 2, 0.5)))
+    assert [shape.mass for shape in pair.shapes] == pytest.approx([3, 2])
+    assert pair.shapes[1].at == pytest.approx((0, 0, 0.75))
+    assert plain.shapes[0].mass == 1.0  # SDF's default
+    assert arena.shapes == notes == ()
+
+
+HINGE = """<joint name='hinge' type='revolute'><parent>{}</parent><child>leaf</child>
+<pose>-0.5 0 0 0 0 0</pose><axis><xyz>0 0 {}</xyz><limit><lower>{}</lower><upper>1.5</upper></limit>
+<dynamics><damping>0.7</damping></dynamics></axis></joint>"""
+
+
+def test_a_box_on_an_upright_hinge_is_a_door_and_other_joints_are_held(tmp_path):
+    leaf = solid("leaf", "1 0.04 2", "0 0 1 0 0 0", "<inertial><mass>9</mass></inertial>")
+    arena, notes = read(tmp_path, f"<model name='gate'>{leaf}{HINGE.format('world', 1, 0)}</model>")
+    (door,) = arena.doors
+    assert door.at[:2] == pytest.approx((-0.5, 0))
+    assert door.size == pytest.approx((1, 0.04, 2.01), abs=0.02)
+    assert (door.limits, door.mass, door.friction) == ((0, 1.5), 9, 0.7)
+    assert notes == ()
+    text = f"<model name='gate'>{solid('post', '0.1 0.1 2', '-0.55 0 1 0 0 0')}{leaf}{{}}</model>"
+    arena, notes = read(tmp_path, text.format(HINGE.format("post", 1, 0)))
+    assert not arena.doors
+    assert len(arena.loose[0].shapes) == 2
+    assert "joint 'hinge' of type 'revolute' is held at zero" in notes[0]
+
+
+def test_planes_lamps_and_colours(tmp_path):
+    plane = "<plane><normal>0 0 1</normal><size>8 6</size></plane>"
+    plane = f"<collision name='p'><geometry>{plane}</geometry></collision>"
+    red = "<visual name='v'><material><script><name>Gazebo/Red</name></script></material></visual>"
+    text = f"""
+    <model name='floor'>{STATIC}<link name='l'>{plane}</link></model>
+    <model name='deck'>{STATIC}<pose>20 0 1 0 0 0</pose><link name='l'>{plane}</link></model>
+    <model name='m'>{STATIC}{solid("l", more=red)}</model>
+    <light name='p' type='point'><pose>1 2 3 0 0 0</pose><diffuse>0.5 0.25 0 1</diffuse>
+      <attenuation><constant>0.5</constant><linear>0.5</linear><quadratic>0</quadratic></attenuation></light>"""
+    arena, notes = read(tmp_path, text)
+    deck, box = arena.shapes
+    assert arena.has_floor
+    assert deck.size == pytest.approx((4, 3, 0.05))
+    assert deck.at == pytest.approx((20, 0, 0.95))
+    assert box.rgba == (1, 0, 0, 1)
+    (lamp,) = arena.lights
+    assert (lamp.at, lamp.brightness, lamp.rgb) == ((1, 2, 3), 0.5, (1, 0.5, 0))  # at 1 m: 0.5 / (0.5 + 0.5)
+    assert len(notes) == 1
+    assert "not the floor" in notes[0]
+    sun = "<light name='sun' type='directional'/>"
+    arena, notes = read(tmp_path, text + sun)
+    assert arena.lights == ()
+    assert any("1 lamps are left out: the sun shines" in note for note in notes)
+
+
+def test_robots_become_start_poses_on_the_ground_under_them(tmp_path):
+    drive = "<plugin name='d' filename='libgazebo_ros_diff_drive.so'/>"
+    text = f"""
+    <model name='slab'>{STATIC}<pose>3 0 0.1 0 0 0</pose>{solid("l", "2 2 0.2")}</model>
+    <model name='burger'><pose>3.5 0.5 0.3 0 0 1</pose>{solid("l", "0.1 0.1 0.1")}{drive}</model>"""
+    arena, notes = read(tmp_path, text)
+    (start,) = arena.starts
+    assert (start.tag, start.yaw) == ("burger", pytest.approx(1))
+    assert start.at == pytest.approx((3.5, 0.5, 0.2 + START_ELEVATION), abs=TURNED)
+    assert not arena.loose
+    assert "robot 'burger' (libgazebo_ros_diff_drive.so) becomes the start pose burger" in notes[0]
+
+
+def test_what_is_left_out_is_listed_once_with_its_first_line(tmp_path):
+    odd = "<geometry><image><uri>a.png</uri></image></geometry>"
+    text = f"""
+    <actor name='walker'/>
+    <population name='p'/>
+    <plugin name='x' filename='libx.so'/>
+    <spherical_coordinates/>
+    <model name='m'>{STATIC}{solid("l", more="<sensor name='s' type='camera'/>")}
+    {solid("k", more="<sensor name='t' type='imu'/>")}
+    <link name='o'><collision name='i'>{odd}</collision></link>
+    <link name='e'><collision name='j'/></link></model>"""
+    _, notes = read(tmp_path, text)
+    said = "\n".join(notes)
+    for wanted in (
+        r"a.world:2: 1 <actor> (settings) left out: walker",
+        r"1 <population> (settings) left out: p",
+        r"1 <plugin> (plugins) left out: x",
+        "<spherical_coordinates> left out",
+        r"2 <sensor> (in links) left out: s, t",
+        "<collision> 'i' is a <image>: left out; known: box,",
+        "<collision> 'j' has no geometry: left out",
+    ):
+        assert wanted in said
+    assert all(note.startswith(str(tmp_path / "a.world:")) for note in notes)
+
+
+def test_a_saved_state_places_models(tmp_path):
+    state = "<state world_name='w'><model name='m'><pose>7 8 0.5 0 0 0</pose></model></state>"
+    arena, _ = read(tmp_path, f"<model name='m'>{STATIC}{solid('l')}</model>{state}")
+    assert arena.shapes[0].at == pytest.approx((7, 8, 0.5))
+
+
+def test_a_height_map_is_terrain(tmp_path):
+    Image.fromarray(np.array([[0, 255, 0], [0, 51, 0], [0, 0, 0]], np.uint8)).save(tmp_path / "hill.png")
+    text = "<heightmap><uri>file://hill.png</uri><size>20 10 2</size><pos>1 2 3</pos></heightmap>"
+    link = f"<link name='l'><collision name='c'><geometry>{text}</geometry></collision></link>"
+    (shape,) = read(tmp_path, f"<model name='m'>{STATIC}{link}</model>")[0].shapes
+    assert (shape.kind, shape.size, shape.at) == ("hfield", (10, 5, 0.1), (1, 2, 3))
+    np.testing.assert_allclose(shape.heights.heights, [[0, 0, 0], [0, 0.4, 0], [0, 2, 0]], atol=EXACT)
+
+
+ROOM = """v -3 -2 0\nv 3 -2 0\nv 3 2 0\nv -3 2 0\nv -3 -2 2\nv 3 -2 2\nv 3 2 2\nv -3 2 2
+f 1 2 3 4\nf 2 1 5 6\nf 3 2 6 7\nf 4 3 7 8\nf 1 4 8 5\n"""
+
+
+def test_a_room_of_a_mesh_is_driven_in(tmp_path):
+    """Four walls and a floor, seen from inside: a hull would be a block of 6 x 4 x 2 m."""
+    write(tmp_path / "room.obj", ROOM)
+    mesh = "<geometry><mesh><uri>room.obj</uri><scale>1 1 0.5</scale></mesh></geometry>"
+    text = f"<model name='m'>{STATIC}<link name='l'><collision name='c'>{mesh}</collision></link></model>"
+    arena = load_arena(write(tmp_path / "a.world", world(text, "")))
+    assert len(arena.shapes) == 5
+    assert sorted(shape.surface for shape in arena.shapes) == ["ground", *["wall"] * 4]
+    assert max(float(shape.mesh.vertices[:, 2].max()) for shape in arena.shapes) == pytest.approx(1)
+    assert check_arena(arena, "P2AT") == []
+
+
+def test_convex_parts_stay_whole_and_loose_ones_are_hulls(tmp_path):
+    write(tmp_path / "pyramid.obj", PYRAMID)
+    mesh = "<geometry><mesh><uri>pyramid.obj</uri></mesh></geometry>"
+    link = f"<link name='l'><collision name='c'>{mesh}</collision></link>"
+    arena, _ = read(tmp_path, f"<model name='m'>{STATIC}{link}</model><model name='n'>{link}</model>")
+    assert len(arena.shapes) == 1
+    assert len(arena.shapes[0].mesh.vertices) == 5
+    assert arena.loose[0].shapes[0].mass == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("<model name='m'><link name='l'><pose>1 2</pose></link></model>", r"<pose> has '1 2', expected 6"),
+        ("<include/>", "<include> has no <uri>"),
+    ],
+)
+def test_a_mistake_is_named(text, says, tmp_path):
+    with pytest.raises(ArenaFileError, match=says):
+        read(tmp_path, text)
+
+
+def test_a_world_without_anything_is_refused(tmp_path):
+    with pytest.raises(ArenaFileError, match=r"a\.world: nothing stands in it"):
+        load_arena(write(tmp_path / "a.world", world("<light name='s' type='directional'/>", "")))
+
+
+def test_a_wrong_size_leaves_one_solid_out(tmp_path):
+    _, notes = read(tmp_path, f"<model name='m'>{STATIC}{solid('l', '1 0 1')}{solid('k')}</model>")
+    assert (
+        "<size> has [1.0, 0.0, 1.0], expected lengths above zero [m]; <collision> 'c' is left out" in notes[0]
+    )
+
+
+def test_a_model_by_itself_stands_on_a_floor(tmp_path):
+    path = write(tmp_path / "model.sdf", f"<sdf><model name='m'>{STATIC}{solid('l', '2 1 1')}</model></sdf>")
+    arena = load_arena(path)
+    assert arena.has_floor
+    assert len(arena.shapes) == 1
+    yaml = write(tmp_path / "a.yaml", "sdf: {file: model.sdf, at: [1, 0, 0.5], yaml: 1}")
+    with pytest.raises(ArenaFileError, match="ModelFile has no setting 'yaml'"):
+        load_arena(yaml)
+    write(yaml, "sdf: {file: model.sdf, at: [1, 0, 0.5], yaw: 90deg, surface: ground}")
+    (shape,) = load_arena(yaml).shapes
+    assert shape.at == pytest.approx((1, 0, 0.5))
+    assert shape.surface == "ground"
+
+
+def test_usd_is_refused_by_name(tmp_path):
+    with pytest.raises(ArenaFileError, match="USD is not read: export it as OBJ"):
+        load_arena(write(tmp_path / "a.usda", "#usda 1.0"))

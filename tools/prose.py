@@ -1,0 +1,120 @@
+"""Counts of the documentation: words, length of sentences, and words that must not come back.
+
+`python3 dev.py docs` runs it; `python -m tools.prose` prints a table of all pages. Generated pages, the
+records of docs/evidence and the contract tables count apart.
+"""
+
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+GENERATED = ("all-robots", "all-sensors", "all-settings", "api", "commands", "training-settings")
+CONTRACTS = ("conformance", "conformance-udk")
+MAX_WORDS = 45_000
+"""Of all hand-written pages together, with README and CONTRIBUTING."""
+PAGE_WORDS = {"training": 2_000, "tasks": 2_000, "fidelity": 2_000, "design": 2_000, "serving": 2_700}
+MAX_MEAN = 25.0
+"""Words of a sentence, in the mean of a page."""
+PLAIN = ("README", "training", "tasks", "tasks-teams", "fidelity", "design", "performance", "sweeps")
+PLAIN += ("training-settings", "start", "index", "faq", "install", "recording")
+"""Pages on which none of `BANNED` stands; others join as they are rewritten."""
+BANNED = (
+    r"by[ -]hand",
+    r"(?:is|are|was|were) told",
+    r"so many",
+    r"shipped",
+    r"^(?:What|Who|Whoever)\b[^?]*$",
+    r"^Where\b[^?,]*$",
+)
+"""Expressions that a rewrite removed: private words, and sentences whose subject is a clause."""
+
+FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
+COMMENT = re.compile(r"<!-- ?(settings of|usarmjx bench report).*?<!-- end.*?-->", re.DOTALL)
+LINK = re.compile(r"!?\[([^\]]*)\]\([^)]*\)")
+WORD = re.compile(r"[A-Za-z0-9][\w'./%-]*")
+SENTENCE = re.compile(r"(?<=[.!?:])\s+(?=[A-Z`\"])")
+
+
+@dataclass(frozen=True)
+class Page:
+    """Counts of a page.
+
+    Attributes:
+        name: File without its suffix, below docs.
+        words: Words of text and tables, without code.
+        mean: Mean number of words of a sentence of running text; 0 without sentences.
+        banned: Expressions of `BANNED` on it, as they stand there.
+    """
+
+    name: str
+    words: int
+    mean: float
+    banned: tuple[str, ...]
+
+
+def text_of(markdown: str) -> str:
+    """Return a page without code, generated blocks and targets of links."""
+    text = COMMENT.sub("", FENCE.sub("", markdown))
+    return LINK.sub(r"\1", text)
+
+
+def sentences(text: str) -> list[str]:
+    """Return the sentences of the running text: no headings, no tables; an item of a list stands alone."""
+    paragraphs = re.split(r"\n\s*\n|\n(?=[-*] )", text)
+    prose = [" ".join(one.split()) for one in paragraphs if not re.match(r"\s*(#|\||<)", one)]
+    return [sentence for one in prose for sentence in SENTENCE.split(one) if WORD.search(sentence)]
+
+
+def page_of(name: str, markdown: str) -> Page:
+    """Count a page."""
+    text = text_of(markdown)
+    parts = sentences(text)
+    counts = [len(WORD.findall(part)) for part in parts]
+    found = [match[0] for pattern in BANNED for part in parts for match in re.finditer(pattern, part)]
+    mean = sum(counts) / len(counts) if counts else 0.0
+    return Page(name, len(WORD.findall(text)), mean, tuple(found))
+
+
+def pages() -> list[Page]:
+    """Return the counts of all pages of docs, of README and of CONTRIBUTING."""
+    docs = ROOT / "docs"
+    named = {path.relative_to(docs).with_suffix("").as_posix(): path for path in sorted(docs.rglob("*.md"))}
+    named |= {name: ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING")}
+    return [page_of(name, path.read_text(encoding="utf-8")) for name, path in named.items()]
+
+
+def is_written(name: str) -> bool:
+    """Return whether a page counts as hand-written text."""
+    return name not in GENERATED + CONTRACTS and not name.startswith("evidence/")
+
+
+def faults(found: list[Page]) -> list[str]:
+    """Return what is too long or uses a word that must not come back, a line each."""
+    total = sum(page.words for page in found if is_written(page.name))
+    lines = [f"hand-written pages have {total:,} words, at most {MAX_WORDS:,}"] if total > MAX_WORDS else []
+    for page in found:
+        most = PAGE_WORDS.get(page.name)
+        if most is not None and page.words > most:
+            lines.append(f"docs/{page.name}.md has {page.words:,} words, at most {most:,}")
+        if page.name in PLAIN and page.mean > MAX_MEAN:
+            lines.append(f"{page.name}: {page.mean:.1f} words in the mean sentence, at most {MAX_MEAN:g}")
+        if page.name in PLAIN:
+            lines += [f"{page.name}: {words!r} must not come back" for words in page.banned]
+    return lines
+
+
+def main() -> None:
+    """Print the counts; exit with 1 if a page is at fault."""
+    found = pages()
+    for page in sorted(found, key=lambda page: -page.words):
+        kind = "" if is_written(page.name) else "  (apart)"
+        print(f"{page.words:7,} {page.mean:5.1f} {len(page.banned):3}  {page.name}{kind}")
+    print(f"{sum(page.words for page in found if is_written(page.name)):7,} words hand-written")
+    if wrong := faults(found):
+        sys.exit("\n".join(wrong))
+
+
+if __name__ == "__main__":
+    main()

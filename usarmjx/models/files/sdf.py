@@ -1,0 +1,502 @@
+"""Worlds and models of Gazebo (SDF) as arenas: fixed solids, loose objects, doors, lamps and start poses."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from usarmjx.base.errors import ArenaFileError
+from usarmjx.models.files.content import Content
+from usarmjx.models.files.gazebo_sensors import DRIVE_PLUGINS
+from usarmjx.models.files.mjcf import Hinge, door_of
+from usarmjx.models.files.mjcf_solids import Pose
+from usarmjx.models.files.resources import Resources
+from usarmjx.models.files.robot_source import listed, plain_name
+from usarmjx.models.files.sdf_solids import FIXTURE, GREY, SdfSolids, angles_of, at_of, colour_of, volume_of
+from usarmjx.models.files.sdf_tree import WORLD, SdfFiles, SdfModel, inverse, read_pose
+from usarmjx.models.files.world_meshes import Use
+from usarmjx.models.files.xml_lines import LinedElement, numbers_of
+from usarmjx.models.types.arena import START_ELEVATION, Door, Light, LooseObject, StartPose
+from usarmjx.models.types.shapes import Rgba, Shape
+
+DEFAULT_MASS = 1.0
+"""Mass of a link without one [kg]: SDF's."""
+MIN_MASS = 1e-3
+"""Smallest mass of a loose object [kg]."""
+MAX_SDF_LOOSE = 64
+"""Largest number of loose objects; the heaviest others are fixed: each costs time of the solver."""
+LOOSE_SURFACE = "loose"
+HINGES = ("revolute", "hinge")
+FREE_TURN = 1e15
+"""Limit of a joint from which it has none [rad]."""
+MODEL_CHILDREN = ("model", "include", "link", "joint", "frame", "pose", "static", "plugin", "name", "uri")
+LINK_CHILDREN = ("pose", "inertial", "collision", "visual", "light")
+SOLID_CHILDREN = ("pose", "geometry", "material", "transparency", "laser_retro", "cast_shadows")
+SETTINGS = (
+    *("scene", "physics", "gui", "gravity", "magnetic_field", "atmosphere", "wind", "audio"),
+    *(
+        "self_collide",
+        "enable_wind",
+        "kinematic",
+        "allow_auto_disable",
+        "velocity_decay",
+        "must_be_base_link",
+    ),
+    *("must_be_base_link", "surface", "max_contacts", "meta", "visibility_flags"),
+)
+"""Elements about the physics and pictures of Gazebo, which are ours here."""
+WORLD_CHILDREN = ("model", "include", "light", "frame", "state", "plugin", "name", "spherical_coordinates")
+
+
+def sdf_content(path: Path, surface: str = "", *, resources: Resources | None = None) -> Content:
+    """Return a world of Gazebo, or a model, for an arena, all joints at zero.
+
+    Static models are fixed; others are loose objects with their links' masses, one for all links that joints
+    hold together. A joint that turns about the vertical between something fixed and one upright box makes a
+    door. A model with a drive's plugin is a robot and becomes a start pose. Point and spot lights are lamps
+    unless a directional light makes it day. Collisions are touched; visuals are seen where a link has no
+    collision. Friction is ours: see `surface_of`.
+
+    Args:
+        path: SDF file.
+        surface: Surface of its fixed solids; empty: by their form.
+        resources: Folders of models and meshes; None: those above the file and of the environment.
+
+    Raises:
+        ArenaFileError: An unreadable file, or one in which nothing stands; names it and the line.
+    """
+    return _SdfReader(path, surface, resources or Resources()).content()
+
+
+class _SdfReader:
+    """Models of a world, sorted into the parts of an arena.
+
+    Args:
+        path: The file.
+        surface: Surface of fixed solids; empty: by their form.
+        resources: Folders of models and meshes.
+    """
+
+    def __init__(self, path: Path, surface: str, resources: Resources) -> None:
+        self._path = path
+        self._files = SdfFiles(resources)
+        self._solids = SdfSolids(self._files, surface)
+        self._world = self._files.world(path)
+        self._is_model = self._files.root(path).tag == "model"
+        self._shapes: list[Shape] = []
+        self._loose: list[tuple[float, LooseObject, str]] = []
+        self._doors: list[Door] = []
+        self._robots: list[tuple[SdfModel, Pose, LinedElement]] = []
+        self._lights: list[Light] = []
+        self._day = False
+        self._dropped: dict[tuple[str, str], list[LinedElement]] = {}
+        self._notes: list[str] = []
+        self._names: set[str] = set()
+
+    def content(self) -> Content:
+        """Return the file's content."""
+        world = self._world.element
+        self._drop(world, WORLD_CHILDREN, "settings")
+        self._drop_all(world.all("plugin"), "plugins")
+        self._restore_state(world)
+        for light in world.all("light"):
+            self._add_light(light, read_pose(light.first("pose")))
+        for model in self._world.models:
+            self._add_model(model, self._world.pose_of_model(model))
+        loose = self._chosen_loose()
+        if not self._shapes and not loose and not self._doors and not self._solids.floors:
+            why = "".join(f"; {note}" for note in (*self._files.notes, *self._solids.notes)[:2])
+            raise ArenaFileError(f"{self._path}: nothing stands in it{why}")
+        gps = world.first("spherical_coordinates")
+        if gps is not None:
+            self._notes.append(
+                f"{gps.place}: <spherical_coordinates> left out: x is east in Gazebo, north here; give `gps`"
+            )
+        starts = tuple(self._starts())
+        if self._day and self._lights:
+            self._notes.append(f"{self._path}: {len(self._lights)} lamps are left out: the sun shines")
+        return Content(
+            shapes=tuple(self._shapes),
+            loose=loose,
+            doors=tuple(self._doors),
+            floor=None if self._is_model else self._solids.floors > 0,
+            starts=starts,
+            lights=() if self._day else tuple(self._lights),
+            warnings=(*self._files.notes, *self._notes, *self._solids.notes, *self._dropped_notes()),
+        )
+
+    def _drop(self, element: LinedElement, known: tuple[str, ...], where: str) -> None:
+        """Note the children of an element that nobody reads."""
+        for child in element.children():
+            if child.tag not in known:
+                self._dropped.setdefault((where, child.tag), []).append(child)
+
+    def _drop_all(self, elements: list[LinedElement], where: str) -> None:
+        for element in elements:
+            self._dropped.setdefault((where, element.tag), []).append(element)
+
+    def _dropped_notes(self) -> Iterator[str]:
+        """Yield what is left out, a line for each kind, with the place of the first one."""
+        settings = [found[0] for (_, tag), found in self._dropped.items() if tag in SETTINGS]
+        if settings:
+            tags = listed([*dict.fromkeys(one.tag for one in settings)], len(SETTINGS))
+            yield f"{settings[0].place}: settings of Gazebo are left out: {tags}"
+        for (where, tag), found in self._dropped.items():
+            if tag in SETTINGS:
+                continue
+            names = [name for one in found if (name := one.get("name") or one.get("filename"))]
+            said = f": {listed(names)}" if names else ""
+            yield f"{found[0].place}: {len(found)} <{tag}> ({where}) left out{said}"
+
+    def _restore_state(self, world: LinedElement) -> None:
+        """Give models the poses of the first `<state>`, which Gazebo saves beside them."""
+        state = world.first("state")
+        if state is None:
+            return
+        models = {model.name: model for model in self._world.models}
+        for saved in state.all("model"):
+            model, pose = models.get(saved.get("name", "")), saved.first("pose")
+            if model is not None and pose is not None:
+                model.pose, model.placement = pose, ""
+            scale = saved.first("scale")
+            if scale is not None and (scale.text or "").split() not in (["1", "1", "1"], []):
+                self._dropped.setdefault(("saved state", "scale"), []).append(scale)
+        for tag in ("insertions", "deletions"):
+            self._drop_all(state.all(tag), "saved state")
+
+    def _add_model(self, model: SdfModel, pose: Pose) -> None:
+        """Add a model that stands in the world."""
+        drive = next(_drives(model), None)
+        if drive is not None:
+            self._robots.append((model, pose, drive))
+            return
+        frames = dict(_link_frames(model, pose))
+        for inner in _all_models(model):
+            self._drop(inner.element, MODEL_CHILDREN, "in models")
+            self._drop_all(inner.element.all("plugin"), "plugins")
+        for found in frames.values():
+            for light in found.link.all("light"):
+                self._add_light(light, found.pose.then(found.model.placed(light.first("pose"))))
+        if model.static:
+            for found in frames.values():
+                self._shapes += self._link_shapes(found, found.pose, "fixed")
+            return
+        self._add_moving(model, pose, frames)
+
+    def _add_moving(self, model: SdfModel, pose: Pose, frames: "dict[str, _Link]") -> None:
+        """Add the links of a model that moves, joined by its joints."""
+        owner = {name: name for name in frames}
+        hinges: list[_JointOf] = []
+        fixed: set[str] = {name for name, found in frames.items() if found.model.static}
+        for joint in _joints(model, pose):
+            parent, child = (_end(joint, end, frames) for end in ("parent", "child"))
+            if child is None or (parent is None and joint.element.word("parent") != WORLD):
+                self._notes.append(
+                    f"{joint.element.place}: joint {joint.name!r} has an end that is no link: left out"
+                )
+            elif joint.element.get("type") == "fixed":
+                _join(owner, fixed, parent, child)
+            else:
+                hinges.append(replace(joint, parent=parent or "", child=child))
+        for joint in hinges:
+            root = _root(owner, joint.parent) if joint.parent else ""
+            stands = not root or root in {_root(owner, name) for name in fixed}
+            door = self._door(joint, frames, owner) if stands else None
+            if door is not None:
+                self._doors.append(door)
+                frames = {name: found for name, found in frames.items() if name != joint.child}
+                continue
+            self._notes.append(
+                f"{joint.element.place}: joint {joint.name!r} of type {joint.element.get('type')!r} is held "
+                "at zero"
+            )
+            _join(owner, fixed, joint.parent or None, joint.child)
+        stuck = {_root(owner, name) for name in fixed}
+        groups: dict[str, list[_Link]] = {}
+        for name, found in frames.items():
+            groups.setdefault(_root(owner, name), []).append(found)
+        for root, links in groups.items():
+            touched = any(found.link.first("collision") is not None for found in links)
+            if root in stuck or not touched:
+                for found in links:
+                    self._shapes += self._link_shapes(found, found.pose, "fixed")
+            else:
+                self._add_loose(model, links)
+
+    def _add_loose(self, model: SdfModel, links: "list[_Link]") -> None:
+        """Add rigidly joined links as a loose object."""
+        base = links[0].pose
+        shapes: list[Shape] = []
+        mass = 0.0
+        for found in links:
+            own = self._link_shapes(found, inverse(base).then(found.pose), "loose")
+            weight = self._mass(found.link)
+            volumes = [volume_of(shape) if shape.surface != FIXTURE else 0.0 for shape in own]
+            whole = sum(volumes)
+            shapes += [
+                replace(shape, mass=weight * volume / whole if whole else 0.0)
+                for shape, volume in zip(own, volumes, strict=True)
+            ]
+            mass += weight
+        held = sum(shape.mass for shape in shapes)
+        if held <= 0:
+            self._notes.append(
+                f"{model.place}: model {model.path!r} has nothing that can be touched: left out"
+            )
+            return
+        shapes = [replace(shape, mass=shape.mass * max(mass, MIN_MASS) / held) for shape in shapes]
+        name = self._free_name(model.path if len(links) == 1 else links[0].name)
+        thing = LooseObject(name=name, at=at_of(base), rotation=angles_of(base), shapes=tuple(shapes))
+        self._loose.append((mass, thing, model.place))
+
+    def _free_name(self, name: str) -> str:
+        number, free = 2, name
+        while free in self._names:
+            free, number = f"{name}_{number}", number + 1
+        self._names.add(free)
+        return free
+
+    def _mass(self, link: LinedElement) -> float:
+        """Return the mass of a link [kg]."""
+        mass = link.number("inertial/mass", DEFAULT_MASS)
+        if mass < 0:
+            raise link.error(f"link {link.get('name')!r} has a mass of {mass:g} kg")
+        return mass
+
+    def _link_shapes(self, found: "_Link", pose: Pose, use: Use) -> list[Shape]:
+        """Return a link's solids: its collisions, or what is seen of it if it has none."""
+        link, model = found.link, found.model
+        self._drop(link, LINK_CHILDREN, "in links")
+        collisions, visuals = link.all("collision"), link.all("visual")
+        for solid in (*collisions, *visuals):
+            self._drop(solid, SOLID_CHILDREN, f"in <{solid.tag}>")
+        colours = [colour for visual in visuals if (colour := colour_of(visual)) is not None]
+        made: list[Shape] = []
+        for solid in collisions or visuals:
+            touched = solid.tag == "collision"
+            rgba: Rgba = (colours or [GREY])[0] if touched else colour_of(solid) or GREY
+            surface = "" if touched and use == "fixed" else LOOSE_SURFACE if touched else FIXTURE
+            like = Shape(kind="box", surface=surface, rgba=rgba)
+            where = inverse(found.own).then(model.placed(solid.first("pose"), (), found.base))
+            made += self._solids.of(solid, pose.then(where), like, use if touched else "seen")
+        return made
+
+    def _door(self, joint: "_JointOf", frames: "dict[str, _Link]", owner: dict[str, str]) -> Door | None:
+        """Return the door that a joint hangs on something fixed; None: it is none."""
+        found = frames[joint.child]
+        solids = found.link.all("collision")
+        alone = sum(_root(owner, name) == _root(owner, joint.child) for name in frames) == 1
+        axis = joint.element.first("axis/xyz")
+        if (
+            joint.element.get("type") not in ("revolute", "hinge")
+            or len(solids) != 1
+            or axis is None
+            or not alone
+        ):
+            return None
+        shapes = self._solids.of(
+            solids[0],
+            found.pose.then(read_pose(solids[0].first("pose"))),
+            Shape(kind="box", surface=LOOSE_SURFACE, rgba=GREY),
+            "loose",
+        )
+        if len(shapes) != 1 or shapes[0].kind != "box":
+            return None
+        frame = joint.top.then(joint.model.frame(joint.name))
+        within = axis.get("expressed_in")
+        turn = joint.top.then(joint.model.frame(within)).mat if within else frame.mat
+        way = numbers_of(axis, axis.text, 3)
+        low, high = (joint.element.number(f"axis/limit/{key}", sign * FREE_TURN) for key, sign in LIMITS)
+        centre = found.pose.then(read_pose(solids[0].first("pose")))
+        hinge = Hinge(
+            anchor=frame.pos,
+            axis=turn @ way / max(float(np.linalg.norm(way)), 1e-9),
+            limits=(low, high) if low < high and max(-low, high) < FREE_TURN else None,
+            friction=max(joint.element.number("axis/dynamics/damping", 0.0), 0.0),
+        )
+        visuals = [colour for one in found.link.all("visual") if (colour := colour_of(one))]
+        try:
+            return door_of(
+                self._free_name(found.name),
+                centre,
+                np.array(shapes[0].size),
+                hinge,
+                mass=max(self._mass(found.link), MIN_MASS),
+                rgba=(visuals or [GREY])[0],
+            )
+        except ArenaFileError as error:
+            self._notes.append(f"{joint.element.place}: {error}")
+            return None
+
+    def _chosen_loose(self) -> tuple[LooseObject, ...]:
+        """Return the loose objects, and fix the heaviest ones if they are too many."""
+        if len(self._loose) <= MAX_SDF_LOOSE:
+            return tuple(thing for _, thing, _ in self._loose)
+        order = sorted(range(len(self._loose)), key=lambda i: self._loose[i][0])
+        kept = set(order[:MAX_SDF_LOOSE])
+        fixed = [one for i, one in enumerate(self._loose) if i not in kept]
+        names = listed([thing.name for _, thing, _ in fixed])
+        self._notes.append(
+            f"{fixed[0][2]}: of {len(self._loose)} loose models the {len(fixed)} heaviest are fixed, at most "
+            f"{MAX_SDF_LOOSE} move: {names}"
+        )
+        for _, thing, _ in fixed:
+            self._shapes += _fixed(thing)
+        return tuple(thing for i, (_, thing, _) in enumerate(self._loose) if i in kept)
+
+    def _add_light(self, light: LinedElement, pose: Pose) -> None:
+        """Add a `<light>`: a lamp, or the sun."""
+        if light.get("type") == "directional":
+            self._day = True
+            return
+        found = light.first("diffuse")
+        words = (found.text or "").split() if found is not None else ["1", "1", "1"]
+        rgb = np.clip(numbers_of(found or light, " ".join(words[:3]), 3), 0.0, None)
+        dimming = sum(light.number(f"attenuation/{key}", usual) for key, usual in ATTENUATION)
+        brightness = float(rgb.max()) * light.number("intensity", 1.0) / max(dimming, 1e-3)
+        if brightness <= 0:
+            return
+        red, green, blue = (rgb / rgb.max()).tolist()
+        self._lights.append(Light(at=at_of(pose), brightness=brightness, rgb=(red, green, blue)))
+
+    def _starts(self) -> Iterator[StartPose]:
+        """Yield a start pose for each robot."""
+        tags: set[str] = set()
+        for model, pose, drive in self._robots:
+            name = plain_name(model.name) or "robot"
+            number, tag = 2, name
+            while tag in tags:
+                tag, number = f"{name}_{number}", number + 1
+            tags.add(tag)
+            x, y, z = at_of(pose)
+            ground = self._ground(x, y, z)
+            self._notes.append(
+                f"{model.place}: robot {model.path!r} ({drive.get('filename') or drive.get('name')}) becomes "
+                f"the start pose {tag}"
+            )
+            yield StartPose(tag=tag, at=(x, y, ground + START_ELEVATION), yaw=angles_of(pose)[2])
+
+    def _ground(self, x: float, y: float, z: float) -> float:
+        """Return the height of the highest solid under a point, or of the floor [m]."""
+        from usarmjx.models.files.ground import ground_under
+
+        return ground_under(self._shapes, (x, y, z), floor=self._is_model or self._solids.floors > 0)
+
+
+LIMITS = (("lower", -1.0), ("upper", 1.0))
+ATTENUATION = (("constant", 1.0), ("linear", 0.0), ("quadratic", 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Link:
+    """A link in the world.
+
+    Attributes:
+        name: Its name with its models.
+        model: Its model.
+        link: Its element.
+        own: Its pose in its model.
+        pose: Its pose in the world.
+    """
+
+    name: str
+    model: SdfModel
+    link: LinedElement
+    own: Pose
+    pose: Pose
+
+    @property
+    def base(self) -> str:
+        """Name of its frame in its model."""
+        return self.link.get("name", "")
+
+
+@dataclass(frozen=True, eq=False)
+class _JointOf:
+    """A joint with its model and the model's pose in the world, and its links by their names with models."""
+
+    name: str
+    element: LinedElement
+    model: SdfModel
+    top: Pose
+    prefix: str
+    parent: str = ""
+    child: str = ""
+
+
+def _all_models(model: SdfModel) -> Iterator[SdfModel]:
+    yield model
+    for inner in model.models:
+        yield from _all_models(inner)
+
+
+def _drives(model: SdfModel) -> Iterator[LinedElement]:
+    """Yield the plugins of a model that drive it."""
+    for one in _all_models(model):
+        for plugin in one.element.all("plugin"):
+            called = f"{plugin.get('name', '')} {plugin.get('filename', '')}".lower()
+            plain = called.replace("_", "").replace("-", "")
+            if any(word in plain for word in (*DRIVE_PLUGINS, *MOVE_PLUGINS)):
+                yield plugin
+
+
+MOVE_PLUGINS = ("planarmove", "multicoptermotor", "omnidrive", "trackedvehicle", "velocitycontrol")
+"""Words in the names of plugins that move a robot otherwise."""
+
+
+def _link_frames(model: SdfModel, pose: Pose) -> Iterator[tuple[str, _Link]]:
+    """Yield the links of a model and of those in it, by their names with models."""
+    for link in model.element.all("link"):
+        name = link.get("name", "")
+        own = model.frame(name)
+        path = f"{model.path}::{name}"
+        yield path, _Link(path, model, link, own, pose.then(own))
+    for inner in model.models:
+        yield from _link_frames(inner, pose.then(model.pose_of_model(inner)))
+
+
+def _joints(model: SdfModel, pose: Pose) -> Iterator[_JointOf]:
+    """Yield the joints of a model and of those in it, with the models' poses in the world."""
+    for joint in model.element.all("joint"):
+        yield _JointOf(joint.get("name", ""), joint, model, pose, f"{model.path}::")
+    for inner in model.models:
+        yield from _joints(inner, pose.then(model.pose_of_model(inner)))
+
+
+def _end(joint: _JointOf, end: str, frames: dict[str, _Link]) -> str | None:
+    """Return the link at an end of a joint, also one that a frame is attached to; None: there is none."""
+    name = joint.element.word(end) or joint.element.word(f"{end}/link")
+    for _ in range(len(frames) + 1):
+        if joint.prefix + name in frames:
+            return joint.prefix + name
+        frame = next((one for one in joint.model.element.all("frame") if one.get("name") == name), None)
+        if frame is None or not frame.get("attached_to"):
+            break
+        name = frame.get("attached_to", "")
+    inner = [path for path in frames if path.startswith(f"{joint.prefix}{name}::")]
+    return inner[0] if inner else None
+
+
+def _root(owner: dict[str, str], name: str) -> str:
+    while owner[name] != name:
+        name = owner[name]
+    return name
+
+
+def _join(owner: dict[str, str], fixed: set[str], parent: str | None, child: str) -> None:
+    """Join two links rigidly; without a parent, the child and the world."""
+    if parent is None:
+        fixed.add(child)
+    else:
+        owner[_root(owner, child)] = _root(owner, parent)
+
+
+def _fixed(thing: LooseObject) -> Iterator[Shape]:
+    """Yield the solids of a loose object as fixed ones."""
+    from usarmjx.models.compile.reachability import shapes_in_arena
+    from usarmjx.models.files.content import surface_of
+
+    for own, placed in zip(thing.shapes, shapes_in_arena(thing), strict=True):
+        shape = replace(own, at=placed.at, rotation=placed.rotation, mass=0.0)
+        yield shape if shape.surface == FIXTURE else replace(shape, surface=surface_of(shape))

@@ -1,0 +1,350 @@
+"""Models, links and frames of SDF files: includes, nested models, and poses relative to any of them."""
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from urllib.parse import unquote
+
+import numpy as np
+
+from usarmjx.base.errors import ArenaFileError
+from usarmjx.models.files.mjcf_solids import Pose, mat_of
+from usarmjx.models.files.resources import Resources
+from usarmjx.models.files.xml_lines import NO_POSE, LinedElement, pose_of, read_lined_xml
+
+MAX_SDF_ELEMENTS = 200_000
+"""Largest number of elements of a world, those of included models as often as they are included."""
+MAX_SDF_DEPTH = 20
+"""Largest depth of models in models, and of includes."""
+MAX_FRAMES = 100
+"""Largest number of frames from one to the model's own."""
+WORLD = "world"
+"""Name of the world's frame."""
+MODEL_FRAME = "__model__"
+"""Name of a model's own frame."""
+REMOTE = re.compile(r"https?://[^/]+/(?:[^/]+/)*models/([^/]+)(?:/\d+|/tip)?(?:/files/(.*))?$")
+"""Address of a model on a server: its name, and a file of it."""
+
+
+def inverse(pose: Pose) -> Pose:
+    """Return the inverse of a pose."""
+    return Pose(-pose.mat.T @ pose.pos, pose.mat.T)
+
+
+def read_pose(element: LinedElement | None) -> Pose:
+    """Return the pose of a `<pose>` element: angles in radians or degrees, or a quaternion x, y, z, w.
+
+    Raises:
+        ArenaFileError: It has other numbers; names file and line.
+    """
+    if element is None or not (element.text or "").strip():
+        return NO_POSE
+    words = (element.text or "").split()
+    try:
+        numbers = np.array([float(word) for word in words])
+    except ValueError:
+        numbers = np.array([np.nan])
+    is_quat = element.get("rotation_format", "") == "quat_xyzw"
+    if len(numbers) != (7 if is_quat else 6) or not np.isfinite(numbers).all():
+        wanted = "7 numbers, x y z qx qy qz qw" if is_quat else "6 numbers, x y z roll pitch yaw"
+        raise element.error(f"<pose> has {(element.text or '')[:60]!r}, expected {wanted}")
+    if is_quat:
+        x, y, z, w = numbers[3:]
+        if np.linalg.norm(numbers[3:]) < 1e-9:
+            raise element.error("<pose> has a quaternion of length 0")
+        return Pose(numbers[:3], mat_of(np.array([w, x, y, z]) / np.linalg.norm(numbers[3:])))
+    if element.get("degrees", "").strip().lower() in ("true", "1"):
+        numbers[3:] = np.radians(numbers[3:])
+    return pose_of(numbers)
+
+
+@dataclass(eq=False)
+class SdfModel:
+    """A model, its includes resolved.
+
+    Attributes:
+        element: Its `<model>` element, or the `<world>`.
+        name: Its name.
+        path: Names of the models that hold it, and its own, joined by `::`.
+        pose: Its pose element: its own, or that of the include.
+        placement: Frame of the model that the pose places; empty: its own.
+        static: Whether it never moves; None: neither it nor its include says so.
+        place: File and line that put it there.
+        models: Models in it.
+    """
+
+    element: LinedElement
+    name: str
+    path: str
+    pose: LinedElement | None
+    placement: str
+    static: bool | None
+    place: str
+    models: "list[SdfModel]" = field(default_factory=list["SdfModel"])
+
+    @cached_property
+    def _entities(self) -> dict[str, LinedElement]:
+        kinds = ("link", "joint", "frame")
+        return {one.get("name", ""): one for kind in kinds for one in reversed(self.element.all(kind))}
+
+    @cached_property
+    def _inner(self) -> "dict[str, SdfModel]":
+        return {model.name: model for model in reversed(self.models)}
+
+    def link(self, name: str) -> "tuple[SdfModel, LinedElement] | None":
+        """Return a link of the model or of one in it, by a name as model::link; None: there is none."""
+        first, _, rest = name.partition("::")
+        if rest:
+            inner = self._inner.get(first)
+            return None if inner is None else inner.link(rest)
+        found = self._entities.get(name)
+        return None if found is None or found.tag != "link" else (self, found)
+
+    def frame(self, name: str, seen: Sequence[str] = ()) -> Pose:
+        """Return the pose of a link, joint, frame or inner model in the model.
+
+        Args:
+            name: Its name, as link or as model::link; empty: the model's own frame.
+            seen: Names on the way, to find circles.
+
+        Raises:
+            ArenaFileError: There is no such frame, or it is relative to itself.
+        """
+        if name in ("", MODEL_FRAME) or (name == WORLD and self.element.tag == WORLD):
+            return NO_POSE
+        if name in seen or len(seen) > MAX_FRAMES:
+            raise self.element.error(f"{self._called}: frame {name!r} is relative to itself")
+        seen = (*seen, name)
+        first, _, rest = name.partition("::")
+        if first in self._inner:
+            inner = self._inner[first]
+            return self.pose_of_model(inner, seen).then(inner.frame(rest))
+        found = self._entities.get(name)
+        if found is None:
+            known = ", ".join([*self._entities, *self._inner][:20]) or "none"
+            raise self.element.error(f"{self._called}: there is no frame {name!r}; there is: {known}")
+        return self.placed(found.first("pose"), seen, self._base(found))
+
+    @property
+    def _called(self) -> str:
+        return f"{self.element.tag} {self.name!r}"
+
+    @staticmethod
+    def _base(entity: LinedElement) -> str:
+        """Return the frame that an entity's pose is relative to if it does not say so."""
+        if entity.tag == "joint":
+            return entity.word("child")
+        return entity.get("attached_to", "") if entity.tag == "frame" else ""
+
+    def pose_of_model(self, inner: "SdfModel", seen: Sequence[str] = ()) -> Pose:
+        """Return the pose of a model in this one."""
+        pose = self.placed(inner.pose, seen)
+        return pose.then(inverse(inner.frame(inner.placement))) if inner.placement else pose
+
+    def placed(self, pose: LinedElement | None, seen: Sequence[str] = (), base: str = "") -> Pose:
+        """Return a pose element's pose in the model.
+
+        Args:
+            pose: The element; None: no offset.
+            seen: Names on the way, to find circles.
+            base: Frame that it is relative to if it does not say so; empty: the model's own.
+        """
+        if pose is not None:
+            base = pose.get("relative_to") or pose.get("frame") or base
+        return self.frame(base, seen).then(read_pose(pose))
+
+
+class SdfFiles:
+    """Reader of SDF files and of the models that they include.
+
+    Args:
+        resources: Folders of models.
+    """
+
+    def __init__(self, resources: Resources) -> None:
+        self.resources = resources
+        self.notes: list[str] = []
+        self._read: dict[Path, LinedElement] = {}
+        self._elements = 0
+
+    def root(self, path: Path) -> LinedElement:
+        """Return the first `<world>` of a file, else its first `<model>`.
+
+        Raises:
+            ArenaFileError: An unreadable file, or one with neither.
+        """
+        if path not in self._read:
+            self._read[path] = read_lined_xml(path)
+        root = self._read[path]
+        if root.tag not in ("sdf", "gazebo"):
+            raise ArenaFileError(f"{path}: its root is <{root.tag}>; an SDF file's is <sdf>")
+        for tag in (WORLD, "model"):
+            found = root.all(tag)
+            if len(found) > 1:
+                self.notes.append(
+                    f"{found[1].place}: the file has {len(found)} of <{tag}>; the first is taken"
+                )
+            if found:
+                return found[0]
+        raise ArenaFileError(f"{path}: has neither a <world> nor a <model>")
+
+    def world(self, path: Path) -> SdfModel:
+        """Return the world of a file; a model by itself stands at its pose in an empty one."""
+        root = self.root(path)
+        if root.tag == "model":
+            world = LinedElement(WORLD)
+            world.path, world.line = path, 1
+            made = SdfModel(world, path.stem, "", None, "", None, root.place)
+            made.models = [self._model(root, made, ())]
+            return made
+        made = SdfModel(root, root.get("name", path.stem), "", None, "", None, root.place)
+        made.models = [*self._models(root, made, (path.resolve(),))]
+        return made
+
+    def _models(self, element: LinedElement, owner: SdfModel, above: tuple[Path, ...]) -> Iterator[SdfModel]:
+        """Yield the models and includes in an element."""
+        for child in element.children():
+            if child.tag == "model":
+                yield self._model(child, owner, above)
+            elif child.tag == "include":
+                found = self._include(child, owner, above)
+                if found is not None:
+                    yield found
+
+    def _model(self, element: LinedElement, owner: SdfModel, above: tuple[Path, ...]) -> SdfModel:
+        if len(above) > MAX_SDF_DEPTH or owner.path.count("::") > MAX_SDF_DEPTH:
+            raise element.error(f"models are nested more than {MAX_SDF_DEPTH} deep")
+        self._elements += 1 + sum(1 for _ in element.iter())
+        if self._elements > MAX_SDF_ELEMENTS:
+            raise element.error(f"more than {MAX_SDF_ELEMENTS} elements with all that is included")
+        name = element.get("name") or "model"
+        static = _truth(element.first("static"))
+        path = f"{owner.path}::{name}" if owner.path else name
+        made = SdfModel(
+            element,
+            name,
+            path,
+            element.first("pose"),
+            element.get("placement_frame", ""),
+            owner.static if static is None else static,
+            element.place,
+        )
+        made.models = [*self._models(element, made, above)]
+        return made
+
+    def _include(self, include: LinedElement, owner: SdfModel, above: tuple[Path, ...]) -> SdfModel | None:
+        """Return an included model with what the include says; None: it is left out, with a note."""
+        uri = include.word("uri")
+        if not uri:
+            raise include.error("<include> has no <uri>")
+        file = self._model_file(uri, include.path)
+        if file is None:
+            if builtin := BUILTIN.get(_last_word(uri)):
+                return self._model(_builtin(builtin, include), owner, above)
+            self.notes.append(
+                f"{include.place}: model {uri} is not there and left out; --packages or GZ_SIM_RESOURCE_PATH "
+                "name folders to search"
+            )
+            return None
+        if file.resolve() in above:
+            raise include.error(f"{uri} includes itself")
+        root = self.root(file)
+        if root.tag == WORLD:
+            raise include.error(f"{uri} is a world, and no model")
+        made = self._model(root, owner, (*above, file.resolve()))
+        name = include.word("name")
+        if name:
+            made.path = f"{owner.path}::{name}" if owner.path else name
+            made.name = name
+        pose = include.first("pose")
+        if pose is not None:
+            made.pose, made.placement = pose, include.word("placement_frame")
+        static = _truth(include.first("static"))
+        if static is not None:
+            _set_static(made, static)
+        made.place = include.place
+        return made
+
+    def _model_file(self, uri: str, origin: Path) -> Path | None:
+        """Return the file of a model, by its address; None: it is not there."""
+        found = self.file(uri, origin)
+        if found is None and "://" not in uri:
+            found = self.file(f"model://{uri}", origin)
+        if found is None or found.is_file():
+            return found
+        return self._main_file(found)
+
+    def _main_file(self, folder: Path) -> Path | None:
+        """Return the newest SDF file of a model's folder, as its model.config or its names say."""
+        config = folder / "model.config"
+        if config.is_file():
+            try:
+                named = read_lined_xml(config).all("sdf")
+            except ArenaFileError as error:
+                self.notes.append(f"{error}; model.sdf is taken")
+                named = []
+            files = [(_version(one.get("version", "")), folder / (one.text or "").strip()) for one in named]
+            there = [(version, file) for version, file in files if file.is_file()]
+            if there:
+                return max(there, key=lambda pair: pair[0])[1]
+        found = folder / "model.sdf"
+        return found if found.is_file() else None
+
+    def file(self, uri: str, origin: Path) -> Path | None:
+        """Return the file or folder that an address means within a file; None: it is not there."""
+        remote = REMOTE.match(uri.strip())
+        if remote is not None:
+            name, inside = unquote(remote[1]), remote[2] or ""
+            names = (name, name.lower(), name.replace(" ", "_"))
+            tries = [f"model://{known}/{inside}".rstrip("/") for known in names]
+            return next((found for one in tries if (found := self.resources.file(one, origin))), None)
+        return self.resources.file(uri.strip(), origin)
+
+
+BUILTIN = {
+    "ground_plane": "<link name='link'><collision name='plane'><geometry><plane><normal>0 0 1</normal>"
+    "<size>100 100</size></plane></geometry></collision></link>",
+    "sun": "<link name='link'><light type='directional' name='sun'/></link>",
+}
+"""Models that come with Gazebo and are therefore rarely beside a world."""
+
+
+def _builtin(content: str, include: LinedElement) -> LinedElement:
+    text = f"<model name='{_last_word(include.word('uri'))}'><static>true</static>{content}</model>"
+    model = read_lined_xml(include.path, text)
+    for element in model.iter():
+        if isinstance(element, LinedElement):
+            element.line = include.line
+    for tag in ("pose", "name"):
+        own = include.first(tag)
+        if own is not None and tag == "pose":
+            model.append(own)
+    return model
+
+
+def _last_word(uri: str) -> str:
+    words = [word for word in uri.replace("\\", "/").split("/") if word]
+    return unquote(words[-1]).lower().replace(" ", "_") if words else ""
+
+
+def _version(text: str) -> float:
+    try:
+        version = float(text)
+    except ValueError:
+        return 0.0
+    return version if math.isfinite(version) else 0.0
+
+
+def _truth(element: LinedElement | None) -> bool | None:
+    """Return a truth value; None: there is no element, or it says neither."""
+    word = "" if element is None else (element.text or "").strip().lower()
+    return {"1": True, "true": True, "0": False, "false": False}.get(word)
+
+
+def _set_static(model: SdfModel, static: bool) -> None:
+    model.static = static
+    for inner in model.models:
+        _set_static(inner, static)

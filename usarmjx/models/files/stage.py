@@ -1,0 +1,341 @@
+"""World files of the Stage simulator as arenas: floor plans, boxes and blocks; robots become start poses."""
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from usarmjx.base.errors import ArenaFileError
+from usarmjx.models.files.content import Content
+from usarmjx.models.files.grid_cover import GridFrame, cover
+from usarmjx.models.files.images import read_grey
+from usarmjx.models.files.maps import MAX_MAP_BOXES
+from usarmjx.models.files.polygons import convex_parts, prism
+from usarmjx.models.files.robot_source import listed, plain_name
+from usarmjx.models.files.stage_text import StageModel, StageProperty, read_stage
+from usarmjx.models.types.arena import START_ELEVATION, StartPose
+from usarmjx.models.types.shapes import Rgba, Shape
+
+DEFAULT_SIZE = (0.4, 0.4, 1.0)
+"""Size of a model without one [m]: Stage's."""
+BITMAP_THRESHOLD = 127
+"""Grey value up to which a pixel is a solid: Stage's."""
+BOUNDARY_THICKNESS = 0.05
+"""Thickness of the walls of `boundary`, within the size [m] (chosen: Stage's have almost none)."""
+ROBOT_KINDS = ("position",)
+"""Types that are robots."""
+SOLID_KINDS = ("model", "floorplan")
+"""Types that are solids; `floorplan` is mostly defined by the file itself."""
+QUIET_KINDS = ("window",)
+"""Types that have nothing to do with an arena."""
+RED: Rgba = (1.0, 0.0, 0.0, 1.0)
+"""Colour of a model without one: Stage's."""
+FLAT_BLOCK = re.compile(r"(?:block|polygon)\[(\d+)\]\.(points|point\[\d+\]|z|color)")
+"""Name of a property that is one of a block."""
+LENGTH_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+ANGLE_UNITS = {"degrees": math.pi / 180, "radians": 1.0}
+MAX_STAGE_STARTS = 256
+"""Largest number of robots."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StagePose:
+    """Pose of a model: x, y, height of its foot [m], and heading [rad]."""
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    heading: float = 0.0
+
+    def then(self, offset: "StagePose") -> "StagePose":
+        """Return a pose that is given relative to this one."""
+        cos, sin = math.cos(self.heading), math.sin(self.heading)
+        return StagePose(
+            x=self.x + cos * offset.x - sin * offset.y,
+            y=self.y + sin * offset.x + cos * offset.y,
+            z=self.z + offset.z,
+            heading=self.heading + offset.heading,
+        )
+
+
+def stage_content(path: Path, surface: str = "") -> Content:
+    """Return a world file of Stage as solids on the floor.
+
+    Models are their bitmap, their blocks, or a box of their size; each is scaled to its size as in Stage: the
+    dark pixels of a bitmap span it. Robots (`position`) become start poses. Other types, controllers and
+    looks are left out.
+
+    Args:
+        path: The file; others that it names count from the file that names them.
+        surface: Surface of the solids; empty: they are walls.
+
+    Raises:
+        ArenaFileError: An unreadable file, or content that an arena cannot have; names it and the line.
+    """
+    return _StageReader(path, read_stage(path), surface or "wall").content()
+
+
+class _StageReader:
+    """Models of a world file, sorted into solids and start poses.
+
+    Args:
+        path: The file.
+        root: Its models.
+        surface: Surface of the solids.
+    """
+
+    def __init__(self, path: Path, root: StageModel, surface: str) -> None:
+        self._path, self._root, self._surface = path, root, surface
+        self._length = _unit(root, "unit_length", LENGTH_UNITS, 1.0)
+        self._angle = _unit(root, "unit_angle", ANGLE_UNITS, math.pi / 180)
+        self._shapes: list[Shape] = []
+        self._starts: list[StartPose] = []
+        self._notes: list[str] = []
+        self._left_out: dict[str, StageModel] = {}
+
+    def content(self) -> Content:
+        """Return the file's content."""
+        for model in self._root.children:
+            self._add(model, StagePose())
+        if not self._shapes and not self._starts:
+            words = listed([child.word for child in self._root.children]) or "no models"
+            raise ArenaFileError(f"{self._path}: places no solids and no robots; it has: {words}")
+        if self._left_out:
+            first = next(iter(self._left_out.values()))
+            kinds = listed([*self._left_out], 12)
+            self._notes.append(f"{first.place}: models of other types are left out: {kinds}")
+        return Content(
+            shapes=tuple(self._shapes), starts=tuple(self._starts), floor=True, warnings=tuple(self._notes)
+        )
+
+    def _add(self, model: StageModel, parent: StagePose) -> None:
+        """Add a model, and the models on it."""
+        if model.kind in QUIET_KINDS:
+            return
+        pose = parent.then(self._pose(model, "pose"))
+        if model.kind in ROBOT_KINDS:
+            self._add_start(model, pose)
+            return
+        if model.kind not in SOLID_KINDS:
+            self._left_out.setdefault(model.kind, model)
+            return
+        size = self._size(model)
+        like = self._looks(model)
+        if like is not None:
+            centre = pose.then(self._pose(model, "origin"))
+            before = len(self._shapes)
+            self._shapes += [_placed(shape, centre) for shape in self._solids(model, size, like)]
+            if model.number("gripper_return", 0) > 0 and len(self._shapes) > before:
+                self._notes.append(f"{model.place}: {model.word} can be gripped in Stage; it is fixed here")
+        top = size[2] if model.number("stack_children", 1) else 0.0
+        for child in model.children:
+            if child.word != "block":
+                self._add(child, pose.then(StagePose(z=top)))
+
+    def _add_start(self, model: StageModel, pose: StagePose) -> None:
+        if len(self._starts) >= MAX_STAGE_STARTS:
+            raise model.error(f"more than {MAX_STAGE_STARTS} robots")
+        taken = {start.tag for start in self._starts}
+        name = plain_name(model.text("name")) or f"robot{len(taken)}"
+        number, tag = 2, name
+        while tag in taken:
+            tag, number = f"{name}_{number}", number + 1
+        at = (pose.x, pose.y, pose.z + START_ELEVATION)
+        self._starts.append(StartPose(tag=tag, at=at, yaw=_turned(pose.heading)))
+        self._notes.append(f"{model.place}: robot {model.word} {name!r} becomes the start pose {tag}")
+
+    def _pose(self, model: StageModel, name: str) -> StagePose:
+        """Return a pose: x, y, z, heading, or Stage 2's x, y, heading."""
+        found = model.numbers(name, (3, 4))
+        if found is None:
+            return StagePose()
+        x, y, *z, heading = found
+        length = self._length
+        return StagePose(
+            x=x * length, y=y * length, z=(z[0] if z else 0.0) * length, heading=heading * self._angle
+        )
+
+    def _size(self, model: StageModel) -> tuple[float, float, float]:
+        found = model.numbers("size", (2, 3))
+        if found is None:
+            return DEFAULT_SIZE
+        x, y, *z = (number * self._length for number in found)
+        size = (x, y, z[0] if z else DEFAULT_SIZE[2])
+        if min(size) <= 0:
+            raise ArenaFileError(
+                f"{model.properties['size'].place}: size {list(found)}: wants lengths above 0"
+            )
+        return size
+
+    def _looks(self, model: StageModel) -> Shape | None:
+        """Return surface and colour of a model; None: nothing meets it."""
+        touched = model.number("obstacle_return", 1) > 0
+        seen = any(model.number(f"{kind}_return", 1) > 0 for kind in ("ranger", "laser"))
+        if not touched and not seen:
+            self._notes.append(f"{model.place}: {model.word} is no obstacle and no ranger sees it: left out")
+            return None
+        if not seen:
+            self._notes.append(f"{model.place}: no ranger sees {model.word} in Stage; rays meet it here")
+        surface = self._surface if touched else "fixture"
+        return Shape(kind="box", surface=surface, rgba=self._colour(model))
+
+    def _colour(self, model: StageModel) -> Rgba:
+        numbers = model.numbers("color_rgba", (4,))
+        if numbers is not None:
+            red, green, blue, alpha = np.clip(numbers, 0.0, 1.0).tolist()
+            return (red, green, blue, alpha)
+        name = model.properties.get("color")
+        if name is None:
+            return RED
+        from PIL import ImageColor
+
+        try:
+            red, green, blue = ImageColor.getrgb(_plain_colour(str(name.values[0])))[:3]
+        except ValueError:
+            self._notes.append(f"{name.place}: the colour {str(name.values[0])[:40]!r} is not known: red")
+            return RED
+        return (red / 255, green / 255, blue / 255, 1.0)
+
+    def _solids(self, model: StageModel, size: tuple[float, float, float], like: Shape) -> Iterator[Shape]:
+        """Yield the solids of a model in its own axes, its foot at height 0."""
+        bitmap = model.properties.get("bitmap")
+        blocks = [child for child in model.children if child.word == "block"] or _flat_blocks(model)
+        if bitmap is not None and bitmap.values[0]:
+            yield from self._bitmap(bitmap, size, like)
+        elif blocks:
+            yield from self._blocks(blocks, size, like)
+        elif not model.number("boundary", 0):
+            yield _box(like, -size[0] / 2, size[0] / 2, -size[1] / 2, size[1] / 2, size[2])
+        if model.number("boundary", 0):
+            x, y, thick = size[0] / 2, size[1] / 2, min(BOUNDARY_THICKNESS, *(s / 4 for s in size[:2]))
+            yield _box(like, -x, -x + thick, -y, y, size[2])
+            yield _box(like, x - thick, x, -y, y, size[2])
+            yield _box(like, -x, x, -y, -y + thick, size[2])
+            yield _box(like, -x, x, y - thick, y, size[2])
+
+    def _bitmap(
+        self, bitmap: StageProperty, size: tuple[float, float, float], like: Shape
+    ) -> Iterator[Shape]:
+        """Yield the dark pixels of a picture as boxes that span the size."""
+        file = bitmap.folder / str(bitmap.values[0])
+        if not file.is_file():
+            raise ArenaFileError(f"{bitmap.place}: the bitmap {str(bitmap.values[0])!r} is not there")
+        grey, _ = read_grey(file)
+        dark = grey <= BITMAP_THRESHOLD
+        if not dark.any():
+            self._notes.append(f"{bitmap.place}: {file.name} has no dark pixels: nothing stands there")
+            return
+        rows, columns = np.flatnonzero(dark.any(1)), np.flatnonzero(dark.any(0))
+        r0, r1, c0, c1 = int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1
+        high, wide = dark.shape
+        if (r1 - r0, c1 - c0) != dark.shape:
+            self._notes.append(
+                f"{bitmap.place}: the dark pixels of {file.name}, {c1 - c0} x {r1 - r0} of {wide} x {high}, "
+                "span the size of the model, as in Stage"
+            )
+        cells = cover(dark[r0:r1, c0:c1], MAX_MAP_BOXES)
+        if len(cells) > MAX_MAP_BOXES:
+            raise ArenaFileError(
+                f"{bitmap.place}: {file.name} makes more than the {MAX_MAP_BOXES} boxes that are allowed"
+            )
+        frame = GridFrame(
+            origin=(-size[0] / 2, -size[1] / 2, 0.0), cell=(size[0] / (c1 - c0), size[1] / (r1 - r0))
+        )
+        for one in cells:
+            made = frame.box(one, 0.0, size[2], like.rgba)
+            yield Shape(kind="box", size=made.size, at=made.at, surface=like.surface, rgba=like.rgba)
+
+    def _blocks(
+        self, blocks: list[StageModel], size: tuple[float, float, float], like: Shape
+    ) -> Iterator[Shape]:
+        """Yield blocks as prisms, which together span the size."""
+        if not blocks:
+            return
+        rings = [self._corners(block) for block in blocks]
+        heights = [block.numbers("z", (2,)) or (0.0, 1.0) for block in blocks]
+        points = np.concatenate(rings)
+        low, high = points.min(0), points.max(0)
+        top = max(z[1] for z in heights)
+        if top <= 0 or (high - low).min() <= 0:
+            raise blocks[0].error("the blocks of a model have no area or no height")
+        scale = np.array(size[:2]) / (high - low)
+        for block, ring, (foot, head) in zip(blocks, rings, heights, strict=True):
+            if foot >= head:
+                raise block.error(f"z is [{foot:g} {head:g}], expected the lower height first")
+            try:
+                parts = convex_parts((ring - (low + high) / 2) * scale)
+            except ValueError as error:
+                raise block.error(f"the block is {error}") from error
+            colour = self._colour(block) if block.properties.keys() & {"color", "color_rgba"} else like.rgba
+            own = Shape(kind="box", surface=like.surface, rgba=colour)
+            for part in parts:
+                yield prism(part, foot * size[2] / top, head * size[2] / top, own)
+
+    def _corners(self, block: StageModel) -> np.ndarray:
+        """Return the corners of a block (n, 2)."""
+        count = block.number("points", 0)
+        if count != int(count) or not 3 <= count <= 10_000:
+            raise block.error(f"points is {count:g}, expected a whole number from 3 on")
+        found = [block.numbers(f"point[{i}]", (2,)) for i in range(int(count))]
+        if any(point is None for point in found):
+            raise block.error(f"has no point[{found.index(None)}]; points is {count:g}")
+        return np.array(found, float)
+
+
+def _flat_blocks(model: StageModel) -> list[StageModel]:
+    """Return blocks in Stage 2's and 3.0's form: properties of the model as block[0].points."""
+    blocks: dict[str, StageModel] = {}
+    for name, found in model.properties.items():
+        split = FLAT_BLOCK.fullmatch(name)
+        if split is not None:
+            block = blocks.setdefault(split[1], StageModel(kind="block", word="block", place=found.place))
+            block.properties[split[2]] = found
+    return list(blocks.values())
+
+
+def _plain_colour(name: str) -> str:
+    """Return a colour of X11 as Pillow spells it: gray30 is a share of white there."""
+    plain = name.lower().replace(" ", "").replace("_", "")
+    share = plain.removeprefix("gray").removeprefix("grey")
+    return f"rgb({share}%,{share}%,{share}%)" if share.isdecimal() and len(share) <= 3 else plain
+
+
+def _unit(root: StageModel, name: str, units: dict[str, float], default: float) -> float:
+    found = root.properties.get(name)
+    if found is None:
+        return default
+    if found.values[0] not in units:
+        raise ArenaFileError(f"{found.place}: {name} is {found.values[0]!r}, expected {', '.join(units)}")
+    return units[str(found.values[0])]
+
+
+def _box(like: Shape, x0: float, x1: float, y0: float, y1: float, height: float) -> Shape:
+    return Shape(
+        kind="box",
+        size=((x1 - x0) / 2, (y1 - y0) / 2, height / 2),
+        at=((x0 + x1) / 2, (y0 + y1) / 2, height / 2),
+        surface=like.surface,
+        rgba=like.rgba,
+    )
+
+
+def _placed(shape: Shape, pose: StagePose) -> Shape:
+    x, y, z = shape.at
+    there = pose.then(StagePose(x=x, y=y, z=z))
+    return Shape(
+        kind=shape.kind,
+        size=shape.size,
+        at=(round(there.x, 9), round(there.y, 9), round(there.z, 9)),
+        rotation=(0.0, 0.0, _turned(pose.heading)),
+        surface=shape.surface,
+        rgba=shape.rgba,
+        mesh=shape.mesh,
+    )
+
+
+def _turned(heading: float) -> float:
+    """Return an angle between -pi and pi [rad]."""
+    return math.remainder(heading, 2 * math.pi)
