@@ -2,7 +2,7 @@
 
 The packages are not part of the repository. Unpack their wheels below a folder, one folder a package:
 
-    python -m tools.survey_robots FOLDER --list tools/survey_robots.txt --write benchmarks/results/robots.md
+    python -m tools.survey_robots FOLDER --list tools/survey_robots.txt --write docs/evidence/public-robots.md
 
 Each row compares the robot with `survey_oracle`: mass, size, height above the ground, wheel radius, ranges of
 a lidar around it. A robot on wheels also drives ahead on level ground.
@@ -50,13 +50,14 @@ def main() -> None:
     parser.add_argument("--list", type=Path, required=True, help="files, one a line, relative to the folder")
     parser.add_argument("--rows", type=Path, help="file of rows so far; files in it are not tried again")
     parser.add_argument("--write", type=Path, help="file of the table")
+    parser.add_argument("--only-table", action="store_true", help="try no more files")
     arguments = parser.parse_args()
     names = [line.split("#")[0].strip() for line in arguments.list.read_text().splitlines()]
     rows: dict[str, dict[str, Any]] = {}
     if arguments.rows and arguments.rows.exists():
         rows = {row["file"]: row for row in map(json.loads, arguments.rows.read_text().splitlines())}
     for name in filter(None, names):
-        if name in rows:
+        if name in rows or arguments.only_table:
             continue
         rows[name] = surveyed(arguments.folder, name)
         print(json.dumps(rows[name]), flush=True)
@@ -64,7 +65,7 @@ def main() -> None:
             with arguments.rows.open("a") as file:
                 file.write(json.dumps(rows[name]) + "\n")
     if arguments.write:
-        arguments.write.write_text(table([rows[name] for name in filter(None, names)]))
+        arguments.write.write_text(table([rows[name] for name in names if name in rows]))
 
 
 def surveyed(folder: Path, name: str) -> dict[str, Any]:

@@ -40,7 +40,7 @@ def plain(value, key=""):
     if isinstance(value, list):
         return [plain(item, key) for item in value]
     if key == "timestamp":
-        return np.datetime64(value.rstrip("Z"), "ns").astype(int) / SECOND
+        return float(np.datetime64(value.rstrip("Z"), "ns").astype(int) / SECOND)
     return float(value.rstrip("s")) if key == "lifetime" else value
 
 

@@ -14,9 +14,7 @@ from usarmjx.cli.startup_messages import announce
 if TYPE_CHECKING:
     from usarmjx.models.types.robot import Motor, Part, RobotSpec
 
-app = typer.Typer(
-    help="Check robots from files: URDF, xacro, MJCF; write robots as such.", no_args_is_help=True
-)
+app = typer.Typer(help="Check robots from files: URDF, xacro, MJCF.", no_args_is_help=True)
 
 
 @app.callback()

@@ -45,6 +45,7 @@ from usarmjx.models.roads.rndf import read_mdf, read_rndf
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec, Door, HelpSound, LooseObject, StartPose, Victim
 from usarmjx.models.types.shapes import Shape
+from usarmjx.sim.configure import settings_by_kind
 from usarmjx.train.policies.sources import load_exported
 
 MANY = settings.default.max_examples if settings.default else 0
@@ -71,7 +72,7 @@ LOADERS = {
     "hill.png": (picture("PNG"), load_arena),
     "robot.ini": (INI, read_ini),
     "robots.ini": (INI, lambda path: load_robots([path], ROBOTS)),
-    "later.ini": (LATER_INI, lambda path: load_robots([path], ROBOTS)),
+    "later.ini": (LATER_INI, lambda path: load_robots([path], ROBOTS, settings=settings_by_kind())),
     "roads.txt": (ROADS, read_rndf),
     "mission.txt": (MISSION, read_mdf),
     "policy.npz": (policy_file(io.BytesIO()).getvalue(), load_exported),

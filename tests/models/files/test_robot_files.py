@@ -349,6 +349,30 @@ def test_files_that_only_some_readers_take_are_mended(load):
     assert "robot.urdf:11: <origin xyz> has 4 numbers: 0 0 1 counts" in plain.notes[0]
 
 
+def test_a_heavy_robot_drives_as_fast_as_its_wheels(load):
+    """The gains of a wheel's motor fit the robot that it moves, not the wheel alone: 120 kg on light wheels."""
+    from tests.arenas import FLAT
+    from usarmjx.sim.trials.driver import Trial
+
+    light = (
+        WHEEL.replace('mass value="1"', 'mass value=".3"').replace(".003", ".0006").replace(".005", ".001")
+    )
+    heavy = BASE.replace('mass value="10"', 'mass value="120"')
+    rear = WHEEL.format("cl") + WHEEL.format("cr")
+    text = cart(rear + hinge("RL", "cl", "-.2 .25 0") + hinge("RR", "cr", "-.2 -.25 0"))
+    text = text.replace(WHEEL.format("wl"), light.format("wl")).replace(
+        WHEEL.format("wr"), light.format("wr")
+    )
+    robot = load(text.replace(BASE, heavy)).robot
+    trial = Trial(FLAT, robot, 0.5)
+    trial.advance(0.5)
+    trial.command(1.0, 0.0)
+    trial.advance(2.0)
+    start = trial.pose()[0][0]
+    trial.advance(1.0)
+    assert trial.pose()[0][0] - start == pytest.approx(0.5 * robot.drive.top_speed, rel=0.02)
+
+
 def test_a_root_without_mass_gets_a_gram(load):
     text = cart().replace('<mass value="10"/>', '<mass value="0"/>')
     loaded = load(text)

@@ -270,10 +270,11 @@ class _Builder:
                 continue
             inertia = 1.0 / float(model.dof_invweight0[model.jnt_dofadr[joint]])
             speed = limit.speed if np.isfinite(limit.speed) else self._max_speed
-            motor = motor_with_limits(inertia, limit.effort, speed)
+            rolls = free and radius > 0 and name in aims
+            load = weight * radius**2 / wheels if rolls else 0.0
+            motor = motor_with_limits(inertia, limit.effort, speed, load)
             if not np.isfinite(motor.torque):
                 usual = motor.stiffness * DEFAULT_TRAVEL
-                rolls = free and radius > 0
                 motor = replace(motor, torque=wheel_torque(weight, radius, wheels) if rolls else usual)
             found[joint] = motor
         return found
