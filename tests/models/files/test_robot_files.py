@@ -350,7 +350,7 @@ def test_files_that_only_some_readers_take_are_mended(load):
 
 
 def test_a_heavy_robot_drives_as_fast_as_its_wheels(load):
-    """The gains of a wheel's motor fit the robot that it moves, not the wheel alone: 120 kg on light wheels."""
+    """The gains of a motor fit the robot that it moves, not the wheel alone: 120 kg on light wheels."""
     from tests.arenas import FLAT
     from usarmjx.sim.trials.driver import Trial
 
