@@ -28,8 +28,8 @@ from usarmjx.sim.scene import build_scene
 from usarmjx.sim.single_world import SingleWorld
 
 PATTERNS = ("*.world", "*.sdf", "*.map", "*.scen", "*.rndf", "*.yaml", "*.yml")
-SCENARIOS_TRIED = 3
-"""Scenarios of a folder that are tried: a benchmark has hundreds of them on one map."""
+SCENARIOS_TRIED = 1
+"""Number of scenarios of a folder that are tried: a benchmark has hundreds of them on one map."""
 SETTLE_STEPS, DRIVE_STEPS = 50, 150
 """Control steps of 20 ms: to settle, and of each drive."""
 SPIN = 2.0

@@ -1,7 +1,8 @@
 """usarmjx: USARSim rebuilt as a GPU-batched simulator of multi-robot swarms.
 
 `make` builds the environment of a task, `build_scene` and `Batch` step worlds without a task, `serve` lets
-clients of the Gamebots protocol in, `load_policy` finds a trained policy, `sweep` plays many configurations.
+clients of the Gamebots protocol in, `load_policy` finds a trained policy, `evaluate` scores it, `sweep`
+plays many configurations.
 `TASKS`, `ROBOTS`, `ARENAS`, `SENSORS`, `POLICIES` and `ENGINES` list what exists: `usarmjx.TASKS.names()`.
 Public are the names in `__all__` here and in the packages below (`usarmjx.models`, `.sensors`, `.train`, ...;
 docs/api.md lists them); all other modules may change. Begin with docs/start.md, then docs/architecture.md.
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from usarmjx.sweeps.workers import Workers as Workers
     from usarmjx.train.envs.env import Env as Env
     from usarmjx.train.envs.task import Policy as Policy
+    from usarmjx.train.evaluation.episode_table import evaluate as evaluate
     from usarmjx.train.make import make as make
     from usarmjx.train.policies import POLICIES as POLICIES
     from usarmjx.train.policies.sources import PolicySource as PolicySource
@@ -88,6 +90,7 @@ else:
             "usarmjx.sweeps.workers": ("Workers",),
             "usarmjx.train.envs.env": ("Env",),
             "usarmjx.train.envs.task": ("Policy",),
+            "usarmjx.train.evaluation.episode_table": ("evaluate",),
             "usarmjx.train.make": ("make",),
             "usarmjx.train.policies": ("POLICIES",),
             "usarmjx.train.policies.sources": ("PolicySource", "load_policy"),

@@ -184,7 +184,7 @@ def test_progress_is_one_line_now_and_then_with_an_estimate(monkeypatch):
     now[0] = 100.0
     progress.add(0, 0)
     assert len(said) == 4, "every 10 s where there is no terminal"
-    assert said[0] == "usarmjx: 0 of 100 cells, 10 s, about 3 min left\n"
+    assert said[0] == "usarmjx: 0 of 100 cells, 10 s\n", "no estimate before a batch is played"
     assert said[3] == "usarmjx: 25 of 100 cells, 5 failed, 2 min, about 5 min left\n"
 
 

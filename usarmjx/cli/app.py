@@ -127,7 +127,7 @@ COMMANDS = {
         "usarmjx.cli.play:play",
         "Show a policy at work in one world: draw an episode, show it in a browser, or serve it.",
     ),
-    "robot": ("usarmjx.cli.robot:app", "Check robots from files: URDF, xacro, MJCF."),
+    "robot": ("usarmjx.cli.robot:app", "Check robots from files: URDF, xacro, SDF, MJCF."),
     "view": ("usarmjx.cli.recordings:view", "Show a recording in a browser, at any speed."),
     "plot": (
         "usarmjx.cli.recordings:plot",

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from usarmjx.train.envs.task import Policy
     from usarmjx.train.policies.sources import PolicySource
 
-EPISODES, WORLDS = 100, 20
-"""Default numbers of episodes and of worlds at once in an evaluation."""
 PolicyEngineOption = Annotated[
     str,
     typer.Option(
@@ -101,14 +99,8 @@ class PolicyOptions:
     def amount(
         self, source: "PolicySource", split: str | None, worlds: int | None, episodes: int | None
     ) -> tuple[int, int]:
-        """Return the numbers of worlds and of episodes: as given, or one share for each generated arena.
-
-        Of a split that is one in each; of the task's own so many that there are about `EPISODES` of them.
-        """
-        there = source.count_arenas(self.pairs(source), split)
-        usual = there if split is not None else there * round(EPISODES / max(there, 1))
-        episodes = episodes or usual or EPISODES
-        return min(worlds or there or WORLDS, episodes), episodes
+        """Return the numbers of worlds and of episodes, see `PolicySource.amount`."""
+        return source.amount(self.pairs(source), split, worlds, episodes)
 
     def env(
         self, source: "PolicySource", worlds: int, engine: str, split: str | None = None

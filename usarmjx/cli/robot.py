@@ -14,17 +14,17 @@ from usarmjx.cli.startup_messages import announce
 if TYPE_CHECKING:
     from usarmjx.models.types.robot import Motor, Part, RobotSpec
 
-app = typer.Typer(help="Check robots from files: URDF, xacro, MJCF.", no_args_is_help=True)
+app = typer.Typer(help="Check robots from files: URDF, xacro, SDF, MJCF.", no_args_is_help=True)
 
 
 @app.callback()
 def robot_commands() -> None:
-    """Check robots from files: URDF, xacro, MJCF."""
+    """Check robots from files: URDF, xacro, SDF, MJCF."""
 
 
 @app.command()
 def check(
-    file: Annotated[Path, typer.Argument(help="URDF, xacro or MJCF file of a robot.")],
+    file: Annotated[Path, typer.Argument(help="URDF, xacro, SDF or MJCF file of a robot.")],
     packages: PackagesOption = None,
     argument: Annotated[
         list[str] | None, typer.Option("--argument", help="Argument of a xacro file, as name=value.")

@@ -66,7 +66,16 @@ CellSettingsOption = Annotated[
     ),
 ]
 RetryOption = Annotated[bool, typer.Option("--retry", help="Play again what has failed.")]
-PlanOption = Annotated[bool, typer.Option("--plan", help="Only tell what would be played together.")]
+PlanOption = Annotated[
+    bool,
+    typer.Option("--plan", help="Only check all cells, and say batches, compilations, time and memory."),
+]
+ProbeOption = Annotated[
+    bool,
+    typer.Option(
+        "--probe/--no-probe", help="With --plan: play some steps of the largest batch for the time."
+    ),
+]
 SweepQuietOption = Annotated[bool, typer.Option("--quiet", help="Say nothing about progress.")]
 TensorboardOption = Annotated[Path | None, typer.Option(help="Folder for TensorBoard.")]
 SweepWandbOption = Annotated[str | None, typer.Option(help="Project of Weights & Biases to send cells to.")]
@@ -88,6 +97,7 @@ def run(
     settings: CellSettingsOption = None,
     retry: RetryOption = False,
     plan: PlanOption = False,
+    probe: ProbeOption = True,
     quiet: SweepQuietOption = False,
     tensorboard: TensorboardOption = None,
     wandb: SweepWandbOption = None,
@@ -118,6 +128,7 @@ def run(
             typer.echo(prepared.plan.as_text())
             for record in prepared.broken:
                 typer.echo(f"fails: {record.failed}")
+            _probe(prepared, played_on, probe)
             return
         # Before hours of work: without a checkout there is no record.
         meter = None if json is None else import_benchmarks("benchmarks.sweep").SweepMeter(begun)
@@ -174,6 +185,19 @@ def report(folder: FolderArgument) -> None:
 
         for file in write_report(read_sweep(folder), folder):
             typer.echo(f"wrote {file}")
+
+
+def _probe(prepared: Any, workers: Any, wanted: bool) -> None:  # noqa: ANN401
+    """Say the time and memory that a plan needs, after some steps of its largest batch."""
+    if not wanted or not prepared.cells:
+        return
+    announce("playing some steps of the largest batch ...")
+    from usarmjx.sweeps.probe import probe_works
+    from usarmjx.sweeps.run import batches_of
+
+    found = probe_works(batches_of(prepared))
+    count = 1 if workers.place == "here" else workers.count or 1
+    typer.echo("no probe: clients drive all cells" if found is None else found.as_text(count))
 
 
 def _typed(file: Path, texts: Mapping[str, str]) -> dict[str, Any]:

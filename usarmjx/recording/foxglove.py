@@ -234,7 +234,7 @@ class SceneTexts:
         if known is None:
             found = hashlib.blake2b(digest_size=16)
             for values in vars(shape).values():
-                found.update(pack(values))  # of an array of texts, `tobytes` gives addresses
+                found.update(pack(values))  # the bytes of an array of texts are addresses
             if len(self._digests) >= KEPT_SHAPES:
                 self._digests.clear()
             known = self._digests[id(shape)] = shape, found.digest()

@@ -157,8 +157,8 @@ class SweepProgress:
     def line(self, done: float, seconds: float) -> str:
         """Return the line after a number of cells and seconds."""
         failed = f", {self.failed} failed" if self.failed else ""
-        left = f", about {_long((self.cells - done) * seconds / done)} left" if done > 0 else ""
-        return f"usarmjx: {self.done} of {self.cells} cells{failed}, {_long(seconds)}{left}"
+        left = f", about {duration_text((self.cells - done) * seconds / done)} left" if self.done > 0 else ""
+        return f"usarmjx: {self.done} of {self.cells} cells{failed}, {duration_text(seconds)}{left}"
 
     def close(self) -> None:
         """Leave the line as it is, and begin the next one."""
@@ -167,7 +167,8 @@ class SweepProgress:
             self._stream.flush()
 
 
-def _long(seconds: float) -> str:
+def duration_text(seconds: float) -> str:
+    """Return a time in seconds, minutes or hours."""
     whole = round(seconds)
     if whole < 100:
         return f"{whole} s"

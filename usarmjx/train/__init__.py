@@ -1,7 +1,7 @@
 """Policies: tasks, environments over batches of worlds, baselines, training and evaluation.
 
 A `Task` is data and pure functions of one world, an `Env` plays it in many, `train` is PPO,
-`evaluate_episodes` says how good a policy is, `NumpyPolicy` runs an exported one. The packages `tasks`,
+`evaluate` says how good a policy is, `NumpyPolicy` runs an exported one. The packages `tasks`,
 `baselines` and `adapters` (other libraries' interfaces) are faces of their own. Private: `envs`, `mapping`,
 `learning`, `evaluation`, `policies`. A new task or baseline is one module beside the others. Fields of tasks,
 `Config` and metrics are keys of files: keep their names. Begin with `envs/task.py`, then
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from usarmjx.train.envs.task import TaskView as TaskView
     from usarmjx.train.envs.task import drive_all as drive_all
     from usarmjx.train.envs.task import drive_keys as drive_keys
+    from usarmjx.train.evaluation.episode_table import evaluate as evaluate
     from usarmjx.train.evaluation.evaluate import Episodes as Episodes
     from usarmjx.train.evaluation.evaluate import Evaluation as Evaluation
     from usarmjx.train.evaluation.evaluate import evaluate_episodes as evaluate_episodes
@@ -56,6 +57,7 @@ else:
                 "drive_all",
                 "drive_keys",
             ),
+            "usarmjx.train.evaluation.episode_table": ("evaluate",),
             "usarmjx.train.evaluation.evaluate": ("Episodes", "Evaluation", "evaluate_episodes"),
             "usarmjx.train.learning.config": ("Config",),
             "usarmjx.train.learning.trainer": ("TrainResult", "train"),

@@ -10,7 +10,7 @@ from usarmjx.models.types.robot import RobotSpec
 
 logger = logging.getLogger(__name__)
 
-ROBOT_SUFFIXES = (".urdf", ".xacro", ".xml", ".mjcf")
+ROBOT_SUFFIXES = (".urdf", ".xacro", ".sdf", ".xml", ".mjcf")
 """Suffixes of robots' files."""
 _loaded: dict[tuple[Path, int], RobotSpec] = {}
 

@@ -51,7 +51,7 @@ def moving_ai_content(path: Path, cell: float = DEFAULT_CELL, height: float = DE
 
     The first row of the file is far, at the largest y; the origin is the outer corner of the lowest left
     cell. Letters: `.`, `G` and `S` (swamp) are floor; `@`, `O` and `T` are walls; `W` (water) is a low
-    barrier. Rows of a scenario become the start poses `Start1`, `Goal1` and so on, up to `MAX_SCENARIO_ROWS`
+    barrier. Rows of a scenario become the start poses "Start1", "Goal1" and so on, up to `MAX_SCENARIO_ROWS`
     of them; those whose cells are taken already are left out.
 
     Args:

@@ -23,6 +23,7 @@ from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.robot_drive import DEFAULT_SPIN, MIN_ROTORS, find_drive, rotor_drive, wheel_torque
 from usarmjx.models.files.robot_mjcf import read_mjcf_robot
 from usarmjx.models.files.robot_source import JointLimit, RobotSource, listed, plain_name
+from usarmjx.models.files.sdf_robot import sdf_as_urdf
 from usarmjx.models.files.urdf_robot import read_urdf_robot
 from usarmjx.models.files.urdf_tree import mend_urdf, read_urdf
 from usarmjx.models.types.robot import CHASSIS, Motor, Mount, Part, RobotSpec, options
@@ -124,12 +125,16 @@ def open_robot_file(path: Path, resources: Resources, arguments: Mapping[str, st
     data = read_bytes(path, refusal=ArenaFileError)
     if path.suffix.lower() == ".xacro" or (b"<robot" in data and (b"<xacro:" in data or b"$(" in data)):
         data = _expanded(path, resources, arguments)
-    if b"<robot" not in data:
+    notes: list[str] = []
+    if b"<robot" in data:
+        root = read_urdf(path, data)
+    elif b"<sdf" in data:
+        root, notes = sdf_as_urdf(path, resources)
+    else:
         return read_mjcf_robot(path)
-    root = read_urdf(path, data)
     mended = mend_urdf(root)
     source = read_urdf_robot(root, path, resources)
-    source.notes[:0] = mended
+    source.notes[:0] = [*mended, *notes]
     read_gazebo_elements(root, source, {body.name for body in source.spec.bodies})
     try:
         text = source.spec.to_xml()

@@ -1,18 +1,26 @@
 """Worlds and models of Gazebo (SDF) as arenas: fixed solids, loose objects, doors, lamps and start poses."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.files.content import Content
-from usarmjx.models.files.gazebo_sensors import DRIVE_PLUGINS
 from usarmjx.models.files.mjcf import Hinge, door_of
 from usarmjx.models.files.mjcf_solids import Pose
 from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.robot_source import listed, plain_name
+from usarmjx.models.files.sdf_links import (
+    SdfJoint,
+    SdfLink,
+    all_models,
+    drive_plugins,
+    joint_end,
+    joints_of,
+    links_of,
+)
 from usarmjx.models.files.sdf_solids import FIXTURE, GREY, SdfSolids, angles_of, at_of, colour_of, volume_of
 from usarmjx.models.files.sdf_tree import WORLD, SdfFiles, SdfModel, inverse, read_pose
 from usarmjx.models.files.world_meshes import Use
@@ -106,8 +114,9 @@ class _SdfReader:
             self._add_model(model, self._world.pose_of_model(model))
         loose = self._chosen_loose()
         if not self._shapes and not loose and not self._doors and not self._solids.floors:
+            robot = f" but the robot {self._robots[0][0].name!r}: load it as a robot" if self._robots else ""
             why = "".join(f"; {note}" for note in (*self._files.notes, *self._solids.notes)[:2])
-            raise ArenaFileError(f"{self._path}: nothing stands in it{why}")
+            raise ArenaFileError(f"{self._path}: nothing stands in it{robot}{why}")
         gps = world.first("spherical_coordinates")
         if gps is not None:
             self._notes.append(
@@ -167,12 +176,12 @@ class _SdfReader:
 
     def _add_model(self, model: SdfModel, pose: Pose) -> None:
         """Add a model that stands in the world."""
-        drive = next(_drives(model), None)
+        drive = next(drive_plugins(model), None)
         if drive is not None:
             self._robots.append((model, pose, drive))
             return
-        frames = dict(_link_frames(model, pose))
-        for inner in _all_models(model):
+        frames = dict(links_of(model, pose))
+        for inner in all_models(model):
             self._drop(inner.element, MODEL_CHILDREN, "in models")
             self._drop_all(inner.element.all("plugin"), "plugins")
         for found in frames.values():
@@ -184,13 +193,13 @@ class _SdfReader:
             return
         self._add_moving(model, pose, frames)
 
-    def _add_moving(self, model: SdfModel, pose: Pose, frames: "dict[str, _Link]") -> None:
+    def _add_moving(self, model: SdfModel, pose: Pose, frames: dict[str, SdfLink]) -> None:
         """Add the links of a model that moves, joined by its joints."""
         owner = {name: name for name in frames}
-        hinges: list[_JointOf] = []
+        hinges: list[SdfJoint] = []
         fixed: set[str] = {name for name, found in frames.items() if found.model.static}
-        for joint in _joints(model, pose):
-            parent, child = (_end(joint, end, frames) for end in ("parent", "child"))
+        for joint in joints_of(model, pose):
+            parent, child = (joint_end(joint, end, frames) for end in ("parent", "child"))
             if child is None or (parent is None and joint.element.word("parent") != WORLD):
                 self._notes.append(
                     f"{joint.element.place}: joint {joint.name!r} has an end that is no link: left out"
@@ -213,7 +222,7 @@ class _SdfReader:
             )
             _join(owner, fixed, joint.parent or None, joint.child)
         stuck = {_root(owner, name) for name in fixed}
-        groups: dict[str, list[_Link]] = {}
+        groups: dict[str, list[SdfLink]] = {}
         for name, found in frames.items():
             groups.setdefault(_root(owner, name), []).append(found)
         for root, links in groups.items():
@@ -224,7 +233,7 @@ class _SdfReader:
             else:
                 self._add_loose(model, links)
 
-    def _add_loose(self, model: SdfModel, links: "list[_Link]") -> None:
+    def _add_loose(self, model: SdfModel, links: list[SdfLink]) -> None:
         """Add rigidly joined links as a loose object."""
         base = links[0].pose
         shapes: list[Shape] = []
@@ -264,7 +273,7 @@ class _SdfReader:
             raise link.error(f"link {link.get('name')!r} has a mass of {mass:g} kg")
         return mass
 
-    def _link_shapes(self, found: "_Link", pose: Pose, use: Use) -> list[Shape]:
+    def _link_shapes(self, found: SdfLink, pose: Pose, use: Use) -> list[Shape]:
         """Return a link's solids: its collisions, or what is seen of it if it has none."""
         link, model = found.link, found.model
         self._drop(link, LINK_CHILDREN, "in links")
@@ -282,7 +291,7 @@ class _SdfReader:
             made += self._solids.of(solid, pose.then(where), like, use if touched else "seen")
         return made
 
-    def _door(self, joint: "_JointOf", frames: "dict[str, _Link]", owner: dict[str, str]) -> Door | None:
+    def _door(self, joint: SdfJoint, frames: dict[str, SdfLink], owner: dict[str, str]) -> Door | None:
         """Return the door that a joint hangs on something fixed; None: it is none."""
         found = frames[joint.child]
         solids = found.link.all("collision")
@@ -386,96 +395,6 @@ class _SdfReader:
 
 LIMITS = (("lower", -1.0), ("upper", 1.0))
 ATTENUATION = (("constant", 1.0), ("linear", 0.0), ("quadratic", 0.0))
-
-
-@dataclass(frozen=True, eq=False)
-class _Link:
-    """A link in the world.
-
-    Attributes:
-        name: Its name with its models.
-        model: Its model.
-        link: Its element.
-        own: Its pose in its model.
-        pose: Its pose in the world.
-    """
-
-    name: str
-    model: SdfModel
-    link: LinedElement
-    own: Pose
-    pose: Pose
-
-    @property
-    def base(self) -> str:
-        """Name of its frame in its model."""
-        return self.link.get("name", "")
-
-
-@dataclass(frozen=True, eq=False)
-class _JointOf:
-    """A joint with its model and the model's pose in the world, and its links by their names with models."""
-
-    name: str
-    element: LinedElement
-    model: SdfModel
-    top: Pose
-    prefix: str
-    parent: str = ""
-    child: str = ""
-
-
-def _all_models(model: SdfModel) -> Iterator[SdfModel]:
-    yield model
-    for inner in model.models:
-        yield from _all_models(inner)
-
-
-def _drives(model: SdfModel) -> Iterator[LinedElement]:
-    """Yield the plugins of a model that drive it."""
-    for one in _all_models(model):
-        for plugin in one.element.all("plugin"):
-            called = f"{plugin.get('name', '')} {plugin.get('filename', '')}".lower()
-            plain = called.replace("_", "").replace("-", "")
-            if any(word in plain for word in (*DRIVE_PLUGINS, *MOVE_PLUGINS)):
-                yield plugin
-
-
-MOVE_PLUGINS = ("planarmove", "multicoptermotor", "omnidrive", "trackedvehicle", "velocitycontrol")
-"""Words in the names of plugins that move a robot otherwise."""
-
-
-def _link_frames(model: SdfModel, pose: Pose) -> Iterator[tuple[str, _Link]]:
-    """Yield the links of a model and of those in it, by their names with models."""
-    for link in model.element.all("link"):
-        name = link.get("name", "")
-        own = model.frame(name)
-        path = f"{model.path}::{name}"
-        yield path, _Link(path, model, link, own, pose.then(own))
-    for inner in model.models:
-        yield from _link_frames(inner, pose.then(model.pose_of_model(inner)))
-
-
-def _joints(model: SdfModel, pose: Pose) -> Iterator[_JointOf]:
-    """Yield the joints of a model and of those in it, with the models' poses in the world."""
-    for joint in model.element.all("joint"):
-        yield _JointOf(joint.get("name", ""), joint, model, pose, f"{model.path}::")
-    for inner in model.models:
-        yield from _joints(inner, pose.then(model.pose_of_model(inner)))
-
-
-def _end(joint: _JointOf, end: str, frames: dict[str, _Link]) -> str | None:
-    """Return the link at an end of a joint, also one that a frame is attached to; None: there is none."""
-    name = joint.element.word(end) or joint.element.word(f"{end}/link")
-    for _ in range(len(frames) + 1):
-        if joint.prefix + name in frames:
-            return joint.prefix + name
-        frame = next((one for one in joint.model.element.all("frame") if one.get("name") == name), None)
-        if frame is None or not frame.get("attached_to"):
-            break
-        name = frame.get("attached_to", "")
-    inner = [path for path in frames if path.startswith(f"{joint.prefix}{name}::")]
-    return inner[0] if inner else None
 
 
 def _root(owner: dict[str, str], name: str) -> str:

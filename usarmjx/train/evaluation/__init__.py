@@ -1,4 +1,4 @@
-"""Evaluation: `evaluate` plays whole episodes, `yardsticks` compares teams, `radio_matters` radios.
+"""Evaluation: `evaluate` plays episodes, `yardsticks` compares teams, `radio_matters` radios.
 
 Scores are means over episodes, each world with as many of them, with 95 % intervals; episodes whose physics
 failed are left out and counted. Whoever changes how episodes are chosen changes all published figures. Begin

@@ -196,18 +196,14 @@ def _score_of(runs: Sequence[Episodes], policies: Sequence[int] | None = None) -
     """
     scores = np.concatenate([run.scores for run in runs])
     of_run = [0] * len(runs) if policies is None else policies
-    each = [(number, episode) for number, run in enumerate(runs) for episode in range(len(run.scores))]
-    places = [
-        (number, episode)
-        if runs[number].buildings is None or runs[number].buildings[episode] < 0
-        else runs[number].buildings[episode]
-        for number, episode in each
-    ]
-    strata = [
-        (of_run[number], 0 if runs[number].levels is None else runs[number].levels[episode])
-        for number, episode in each
-    ]
-    return estimate_groups(scores, list(map(repr, places)), list(map(repr, strata)), shares=True)
+    places: list[str] = []
+    strata: list[str] = []
+    for number, run in enumerate(runs):
+        for episode in range(len(run.scores)):
+            building = -1 if run.buildings is None else run.buildings[episode]
+            places.append(repr((number, episode) if building < 0 else building))
+            strata.append(repr((of_run[number], 0 if run.levels is None else run.levels[episode])))
+    return estimate_groups(scores, places, strata, shares=True)
 
 
 def as_record(found: Evaluation) -> dict[str, Any]:
@@ -226,6 +222,8 @@ def as_record(found: Evaluation) -> dict[str, Any]:
 
 def _rows(run: Episodes) -> list[dict[str, Any]]:
     columns = {"world": run.worlds, "episode": run.episode_index, "score": run.scores, "steps": run.lengths}
+    if run.buildings is not None:
+        columns["building"] = np.maximum(run.buildings, -1)
     values = zip(*(column.tolist() for column in columns.values()), strict=True)
     return [{"seed": run.seed, **dict(zip(columns, row, strict=True))} for row in values]
 

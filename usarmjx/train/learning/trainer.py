@@ -154,8 +154,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
         trainer.rollout.look(worlds.env_state)
         log = MetricsLog(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None
         left = train_state, worlds, before
-        stop = StopRequest(_ignore) if stop is None else stop
-        return _run(trainer, checkpoints, left, log, watch or (lambda line: None), began, stop)
+        return _run(trainer, checkpoints, left, log, watch or _ignore, began, stop)
 
 
 def _checked_record(
@@ -317,8 +316,8 @@ class _CheckpointWriter:
             self._pool.shutdown()
 
 
-def _ignore(text: str) -> None:
-    del text
+def _ignore(what: object) -> None:
+    del what
 
 
 class _Iteration(NamedTuple):
@@ -384,10 +383,10 @@ def _run(
     log: MetricsLog | None,
     watch: Callable[[dict[str, Any]], None],
     began: float,
-    stop: StopRequest,
+    stop: StopRequest | None,
 ) -> TrainResult:
     """Iterate to the end, from where it was left; the first iteration's time is from when it compiled."""
-    out, done = checkpoints.run, restored[2]
+    out, done, stop = checkpoints.run, restored[2], stop or StopRequest(_ignore)
     steps = trainer.config.rollout_length * trainer.config.num_worlds * trainer.agents
     lines: list[dict[str, Any]] = []  # of the iterations since the last checkpoint
     line: dict[str, Any] = {}

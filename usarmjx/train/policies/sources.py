@@ -19,6 +19,9 @@ from usarmjx.train.make import check_named, find_baseline, make, make_task, same
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.policy_file import NumpyPolicy
 
+EPISODES, WORLDS = 100, 20
+"""Default numbers of episodes and of worlds at once in an evaluation."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PolicySource:
@@ -124,6 +127,18 @@ class PolicySource:
         """
         self.check_task()
         return usual_split(self.task, task_settings(self.task, self.overrides, settings)[0])
+
+    def amount(
+        self, settings: Sequence[str], split: str | None, worlds: int | None, episodes: int | None
+    ) -> tuple[int, int]:
+        """Return the numbers of worlds and of episodes: as given, or one share for each generated arena.
+
+        Of a split that is one in each; of the task's own as many as make about `EPISODES` together.
+        """
+        there = self.count_arenas(settings, split)
+        usual = there if split is not None else there * round(EPISODES / max(there, 1))
+        episodes = episodes or usual or EPISODES
+        return min(worlds or there or WORLDS, episodes), episodes
 
     def count_arenas(self, settings: Sequence[str], split: str | None) -> int:
         """Return the number of arenas of a split; None: of the task's own, 0 if they are not generated.
