@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
@@ -119,7 +119,7 @@ def _fill(message: Any, value: Mapping[str, Any]) -> None:  # noqa: ANN401 - a g
             if field.message_type is None:
                 target.extend(item)
             else:
-                for one in item:
+                for one in cast("list[dict[str, Any]]", item):
                     _fill(target.add(), one)
         elif field.message_type is None:
             setattr(message, key, item)

@@ -19,6 +19,9 @@ CAMERA_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
 INERTIAL = (mujoco.mjtSensor.mjSENS_ACCELEROMETER, mujoco.mjtSensor.mjSENS_GYRO)
 """Types of MuJoCo's sensors that an IMU stands for."""
 
+TRANSMISSIONS: Any = mujoco.mjtTrn  # its stubs lack some
+OBJECTS: Any = mujoco.mjtObj
+
 UNNAMED = "MuJoCo Model"
 """MuJoCo's name of a model without one."""
 
@@ -49,7 +52,7 @@ def read_mjcf_robot(path: Path) -> RobotSource:
     return source
 
 
-def _free_chassis(root: mujoco.MjsBody, source: RobotSource) -> None:
+def _free_chassis(root: Any, source: RobotSource) -> None:  # noqa: ANN401
     """Replace the joints that hold the chassis on the world by a free one."""
     held = [joint for joint in root.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
     if held:
@@ -65,7 +68,7 @@ def _free_chassis(root: mujoco.MjsBody, source: RobotSource) -> None:
         root.add_freejoint()
 
 
-def _read_constraints(spec: mujoco.MjSpec, source: RobotSource) -> None:
+def _read_constraints(spec: Any, source: RobotSource) -> None:  # noqa: ANN401
     """Turn linear couplings of two joints into joints that follow another; leave out other constraints."""
     others: list[Any] = []
     names = {joint.name for joint in spec.joints}
@@ -84,16 +87,16 @@ def _read_constraints(spec: mujoco.MjSpec, source: RobotSource) -> None:
             )
         else:
             others.append(equality)
-    actuators = [one for one in spec.actuators if one.trntype == mujoco.mjtTrn.mjTRN_TENDON]
+    actuators = [one for one in spec.actuators if one.trntype == TRANSMISSIONS.mjTRN_TENDON]
     actuators += [one for one in spec.actuators if one.target in source.mimics]
-    sensors = [one for one in spec.sensors if one.objtype == mujoco.mjtObj.mjOBJ_TENDON]
+    sensors = [one for one in spec.sensors if one.objtype == OBJECTS.mjOBJ_TENDON]
     _delete(spec, actuators, source, "actuators of tendons or of joints that follow another")
     _delete(spec, sensors, source, "sensors of tendons")
     _delete(spec, others, source, "equality constraints (closed chains are open)")
     _delete(spec, [*spec.tendons], source, "tendons")
 
 
-def _delete(spec: mujoco.MjSpec, found: list[Any], source: RobotSource, kind: str) -> None:
+def _delete(spec: Any, found: list[Any], source: RobotSource, kind: str) -> None:  # noqa: ANN401
     """Delete elements from a description; a note names them."""
     if found:
         source.notes.append(left_out(source.path, kind, found))
@@ -101,7 +104,7 @@ def _delete(spec: mujoco.MjSpec, found: list[Any], source: RobotSource, kind: st
             spec.delete(one)
 
 
-def _note_contact_figures(path: Path, spec: mujoco.MjSpec, source: RobotSource) -> None:
+def _note_contact_figures(path: Path, spec: Any, source: RobotSource) -> None:  # noqa: ANN401
     """Note solids with contact parameters of their own: all robots have those of their surfaces."""
     usual = mujoco.MjSpec().worldbody.add_geom()
     keys = ("friction", "solref", "solimp", "margin", "gap", "condim", "priority")

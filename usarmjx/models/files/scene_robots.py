@@ -7,8 +7,10 @@ import mujoco
 
 from usarmjx.models.files.robot_source import left_out
 
+TRANSMISSIONS: Any = mujoco.mjtTrn  # its stubs lack some
 
-def leave_out_robots(path: Path, spec: mujoco.MjSpec) -> list[str]:
+
+def leave_out_robots(path: Path, spec: Any) -> list[str]:  # noqa: ANN401
     """Delete the robots of a scene from its description; return notes that name them.
 
     A robot is a body of the world with motors on joints, sites or bodies of it, and with several joints or a
@@ -21,14 +23,14 @@ def leave_out_robots(path: Path, spec: mujoco.MjSpec) -> list[str]:
     """
     driven = {(int(one.trntype), one.target) for one in spec.actuators}
     driven |= _driven_by_tendons(spec)
-    robots: list[mujoco.MjsBody] = []
+    robots: list[Any] = []
     for body in spec.worldbody.bodies:
         parts = _subtree(body)
         joints = [joint for part in parts for joint in part.joints]
         named = {(int(kind), joint.name) for joint in joints for kind in JOINT_TRANSMISSIONS}
         sites = [site for part in parts for site in part.sites]
         named |= {(int(kind), site.name) for site in sites for kind in SITE_TRANSMISSIONS}
-        named |= {(int(mujoco.mjtTrn.mjTRN_BODY), part.name) for part in parts}
+        named |= {(int(TRANSMISSIONS.mjTRN_BODY), part.name) for part in parts}
         free = any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in joints)
         if driven & named and (free or len(joints) > 1):
             robots.append(body)
@@ -42,15 +44,15 @@ def leave_out_robots(path: Path, spec: mujoco.MjSpec) -> list[str]:
     return [note]
 
 
-JOINT_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+JOINT_TRANSMISSIONS: tuple[Any, ...] = (TRANSMISSIONS.mjTRN_JOINT, TRANSMISSIONS.mjTRN_JOINTINPARENT)
 """Transmissions of actuators to joints."""
-SITE_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_SITE, mujoco.mjtTrn.mjTRN_SLIDERCRANK)
+SITE_TRANSMISSIONS: tuple[Any, ...] = (TRANSMISSIONS.mjTRN_SITE, TRANSMISSIONS.mjTRN_SLIDERCRANK)
 """Transmissions of actuators to sites."""
 
 
-def _driven_by_tendons(spec: mujoco.MjSpec) -> set[tuple[int, str]]:
+def _driven_by_tendons(spec: Any) -> set[tuple[int, str]]:  # noqa: ANN401
     """Return the joints and sites on tendons that an actuator pulls, as targets of actuators."""
-    pulled = {one.target for one in spec.actuators if one.trntype == mujoco.mjtTrn.mjTRN_TENDON}
+    pulled = {one.target for one in spec.actuators if one.trntype == TRANSMISSIONS.mjTRN_TENDON}
     found: set[tuple[int, str]] = set()
     for tendon in spec.tendons:
         if tendon.name in pulled:
@@ -60,7 +62,7 @@ def _driven_by_tendons(spec: mujoco.MjSpec) -> set[tuple[int, str]]:
     return found
 
 
-def _subtree(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
+def _subtree(body: Any) -> list[Any]:  # noqa: ANN401
     """Return a body and all below it."""
     found = [body]
     for one in found:
@@ -68,7 +70,7 @@ def _subtree(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
     return found
 
 
-def _delete_with_references(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+def _delete_with_references(spec: Any, body: Any) -> None:  # noqa: ANN401
     """Delete a body and all elements that refer to it or to what is on it."""
     parts = _subtree(body)
     gone = {part.name for part in parts}
