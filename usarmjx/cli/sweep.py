@@ -52,6 +52,12 @@ RunOnOption = Annotated[
 WorkerCountOption = Annotated[
     int | None, typer.Option(min=1, help="With processes or ray: how many; else one for each GPU.")
 ]
+PartOption = Annotated[
+    str,
+    typer.Option(
+        metavar="K/N", help="Play the K-th of N parts of the cells, as a job array does; all share --out."
+    ),
+]
 AddressOption = Annotated[str | None, typer.Option(help="With ray: address of a cluster.")]
 CellEngineOption = Annotated[
     str | None, typer.Option(help="Physics of all cells: warp, jax, c, planar, or auto.")
@@ -93,6 +99,7 @@ def run(
     run_on: RunOnOption = "here",
     workers: WorkerCountOption = None,
     address: AddressOption = None,
+    part: PartOption = "1/1",
     engine: CellEngineOption = None,
     settings: CellSettingsOption = None,
     retry: RetryOption = False,
@@ -111,10 +118,11 @@ def run(
     with ErrorExit():
         begun = time.perf_counter()
         announce(f"reading {what} ...", engines=["jax" if engine is None else tried_on(engine)])
-        from usarmjx.sweeps.run import play_prepared, prepare, usual_stream
+        from usarmjx.sweeps.run import parse_part, play_prepared, prepare, usual_stream
         from usarmjx.sweeps.spec import find_spec, load_spec
         from usarmjx.sweeps.workers import Workers
 
+        own_part = parse_part(part)
         file = find_spec(what)
         common = _typed(file, parse_assignments(settings or [], "--set"))
         if engine is not None:
@@ -122,7 +130,7 @@ def run(
         spec = load_spec(file, common)
         folder = out or Path("sweeps") / spec.name
         played_on = Workers(place=run_on, count=workers, address=address)
-        prepared = prepare(spec, folder, retry)
+        prepared = prepare(spec, folder, retry, own_part)
         if plan:
             typer.echo(f"{prepared.known} of {len(spec.cells)} cells are there already")
             typer.echo(prepared.plan.as_text())

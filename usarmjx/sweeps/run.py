@@ -265,13 +265,27 @@ class Prepared:
     keys: tuple[str, ...]
 
 
-def prepare(spec: SweepSpec, folder: Path, retry: bool = False) -> Prepared:
+def parse_part(text: str) -> tuple[int, int]:
+    """Return the number of a part, from 1 on, and the number of all parts, of a text as "2/10".
+
+    Raises:
+        UsageError: It is none.
+    """
+    number, slash, count = text.partition("/")
+    if not (slash and number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        raise UsageError(f"--part {text}: expected a number and a count as 2/10, from 1/10 to 10/10")
+    return int(number), int(count)
+
+
+def prepare(spec: SweepSpec, folder: Path, retry: bool = False, part: tuple[int, int] = (1, 1)) -> Prepared:
     """Return the cells of a sweep that its folder has no results of.
 
     Args:
         spec: The sweep.
         folder: Its folder.
         retry: Whether what has failed is done again.
+        part: Number of the part that is played, from 1 on, and the number of parts. Cells are in the same
+            part whatever the folder has.
 
     Raises:
         UsageError: No such engine.
@@ -283,7 +297,9 @@ def prepare(spec: SweepSpec, folder: Path, retry: bool = False) -> Prepared:
     engines: list[str] = []
     known, digests = 0, dict[str, str]()
     forget_resolved()  # files may have changed since
-    for asked in spec.cells:
+    (number, count), total = part, len(spec.cells)
+    mine = range((number - 1) * total // count, number * total // count)
+    for place, asked in enumerate(spec.cells):
         settings = {**asked, "engine": choose_engine(str(asked["engine"]), "train")}
         try:
             cell = resolved(settings)
@@ -294,6 +310,8 @@ def prepare(spec: SweepSpec, folder: Path, retry: bool = False) -> Prepared:
             if key not in keys:
                 keys.append(key)
                 before = None if retry else read_cell(folder, key)
+                if place not in mine:
+                    continue
                 if before is not None and before.failed == str(error):
                     known += 1
                 else:
@@ -302,6 +320,8 @@ def prepare(spec: SweepSpec, folder: Path, retry: bool = False) -> Prepared:
         if key in keys:
             continue
         keys.append(key)
+        if place not in mine:
+            continue
         before = read_cell(folder, key)
         if before is not None and not (retry and before.failed is not None):
             known += 1

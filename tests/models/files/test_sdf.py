@@ -4,12 +4,16 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image
 
 from tests.models.files.worlds import PYRAMID, world, write
 from usarmjx.base.errors import ArenaFileError
+from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.check.arena import check_arena
 from usarmjx.models.files.load import load_arena, read_arena
+from usarmjx.models.files.world_meshes import box_of
 from usarmjx.models.types.arena import START_ELEVATION
 
 EXACT = 1e-9  # m: sums and products of a few doubles
@@ -259,8 +263,27 @@ def test_a_room_of_a_mesh_is_driven_in(tmp_path):
     arena = load_arena(write(tmp_path / "a.world", world(text, "")))
     assert len(arena.shapes) == 5
     assert sorted(shape.surface for shape in arena.shapes) == ["ground", *["wall"] * 4]
-    assert max(float(shape.mesh.vertices[:, 2].max()) for shape in arena.shapes) == pytest.approx(1)
+    assert {shape.kind for shape in arena.shapes} == {"box"}
+    assert max(shape.at[2] + max(shape.size[2], 0.5) for shape in arena.shapes) == pytest.approx(1)
     assert check_arena(arena, "P2AT") == []
+
+
+@given(
+    st.lists(st.floats(-3, 3), min_size=3, max_size=3), st.lists(st.floats(0.01, 5), min_size=3, max_size=3)
+)
+def test_the_corners_of_a_box_are_that_box(angles, half):
+    turn = np.asarray(mat_from_angles(*np.array(angles)))
+    signs = np.array(list(np.ndindex(2, 2, 2))) * 2.0 - 1
+    corners = (signs * half) @ turn.T + (1, 2, 3)
+    size, pose = box_of(np.random.default_rng(0).permutation(corners))
+    np.testing.assert_allclose(np.sort(size), np.sort(half), atol=1e-9)
+    np.testing.assert_allclose(pose.pos, (1, 2, 3), atol=1e-9)
+    assert np.linalg.det(pose.mat) == pytest.approx(1)
+    again = (signs * size) @ pose.mat.T + pose.pos
+    away = np.linalg.norm(again[:, None] - corners[None], axis=2)
+    assert away.min(0).max() < 1e-9
+    bent = corners + 0.1 * np.eye(8, 3) * min(half)
+    assert box_of(bent) is None
 
 
 def test_convex_parts_stay_whole_and_loose_ones_are_hulls(tmp_path):

@@ -173,16 +173,26 @@ def _mesh(own: SdfSolids, form: LinedElement, pose: Pose, like: Shape, use: Use)
             f"mesh {uri} is not there; --packages or GZ_SIM_RESOURCE_PATH name folders to search"
         )
     found = form.first("scale")
-    x, y, z = (1.0, 1.0, 1.0) if found is None else numbers_of(found, found.text, 3).tolist()
-    if 0.0 in (x, y, z):
+    scale = (1.0, 1.0, 1.0) if found is None else numbers_of(found, found.text, 3).tolist()
+    if 0.0 in scale:
         raise form.error("a scale is not zero")
     centred = form.word("submesh/center").lower() in ("1", "true")
-    pieces, notes = world_pieces(file, (x, y, z), form.word("submesh/name"), centred, use)
+    pieces, notes = world_pieces(
+        file, (scale[0], scale[1], scale[2]), form.word("submesh/name"), centred, use
+    )
     own.notes += [f"{form.place}: {note}" for note in notes]
     for piece in pieces:
         shape = replace(like, kind="mesh", mesh=piece.mesh)
         surface = like.surface or own.surface or _surface(shape, pose, piece.normal)
-        yield replace(shape, mass=piece.volume if use == "loose" else 0.0, surface=surface)
+        if piece.box is not None:
+            half, frame = piece.box
+            there = pose.then(frame)
+            x, y, z = half.tolist()
+            yield replace(
+                like, kind="box", size=(x, y, z), at=at_of(there), rotation=angles_of(there), surface=surface
+            )
+        else:
+            yield replace(shape, mass=piece.volume if use == "loose" else 0.0, surface=surface)
 
 
 def _surface(shape: Shape, pose: Pose, normal: np.ndarray | None) -> str:

@@ -1,7 +1,8 @@
 """Meshes of worlds as solids: convex pieces as they are, rooms as plates, small things as hulls."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,11 +12,14 @@ from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.files.mesh_solids import hull_corners
 from usarmjx.models.files.meshes import MAX_CONVEX_RATIO, MAX_FACES, MAX_VERTICES, mesh_objects
+from usarmjx.models.files.mjcf_solids import Pose
 from usarmjx.models.files.plates import surface_plates
 from usarmjx.models.types.shapes import Mesh
 
-MAX_PARTS = 500
+MAX_PARTS = 2000
 """Number of connected parts of an object from which they are taken as one."""
+BOX_TOLERANCE = 1e-5
+"""Distance of a corner from a box's, relative to its diagonal, up to which a solid is a box."""
 SMALL = 0.3
 """Length up to which a part that is not convex is its hull [m]: no robot drives into it."""
 MAX_PLATED_FACES = 2000
@@ -34,11 +38,13 @@ class WorldPiece:
         mesh: The solid.
         volume: Volume of its hull, for its share of a mass [m3].
         normal: Normal of a plate (3,); None: it is no plate.
+        box: Half lengths and pose of a box; None: it is none.
     """
 
     mesh: Mesh
     volume: float
     normal: np.ndarray | None = None
+    box: tuple[np.ndarray, Pose] | None = None
 
 
 PiecesAndNotes = tuple[tuple[WorldPiece, ...], tuple[str, ...]]
@@ -88,8 +94,35 @@ def _kept_pieces(
             faces = faces[:, ::-1]
         called = f"{path.name}: {name}".rstrip(": ")
         for part in _parts(corners, faces):
-            pieces += _pieces(part, called, use, notes)
+            for piece in _pieces(part, called, use, notes):
+                pieces.append(
+                    piece if piece.mesh.faces is not None else replace(piece, box=box_of(piece.mesh.vertices))
+                )
     return tuple(pieces), tuple(dict.fromkeys(notes))
+
+
+def box_of(corners: np.ndarray) -> tuple[np.ndarray, Pose] | None:
+    """Return half lengths (3,) and pose of the box with these corners (8, 3); None: they are no box's."""
+    if len(corners) != 8:
+        return None
+    way = corners[1:] - corners[0]
+    lengths = np.linalg.norm(way, axis=1)
+    close = BOX_TOLERANCE * float(lengths.max())
+    for i, j, k in combinations(range(7), 3):
+        if np.linalg.norm(way[i] + way[j] + way[k] - way[int(lengths.argmax())]) > close:
+            continue
+        edges = way[[i, j, k]]
+        flat = np.abs(edges @ edges.T - np.diag(lengths[[i, j, k]] ** 2)).max()
+        if flat > close * float(lengths.max()):
+            continue
+        made = corners[0] + np.array([np.array(bits) @ edges for bits in np.ndindex(2, 2, 2)])
+        away = np.linalg.norm(made[:, None] - corners[None], axis=2)
+        if max(away.min(0).max(), away.min(1).max()) > close:
+            continue
+        axes = (edges / np.linalg.norm(edges, axis=1, keepdims=True)).T
+        axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+        return np.linalg.norm(edges, axis=1) / 2, Pose(corners.mean(0), axes)
+    return None
 
 
 def _parts(vertices: np.ndarray, faces: np.ndarray) -> list[Any]:
