@@ -1,16 +1,19 @@
 # Two images: `docker build .` serves on a CPU, `docker build --target cuda .` on an NVIDIA GPU. See docs/install.md.
 ARG PYTHON=3.12
+# A release names it by digest: --build-arg BASE=python@sha256:...
+ARG BASE=python:${PYTHON}-slim
 
-FROM python:${PYTHON}-slim AS wheel
+FROM ${BASE} AS wheel
 WORKDIR /sources
 COPY pyproject.toml README.md LICENSE NOTICE ./
 COPY usarmjx usarmjx
 RUN pip wheel --no-cache-dir --no-deps --wheel-dir /wheel .
 
 # Nothing of the system is needed beside Python: MuJoCo, JAX and CUDA come as wheels, and OpenGL is not used.
-FROM python:${PYTHON}-slim AS base
+FROM ${BASE} AS base
 RUN useradd --create-home robot
 COPY constraints.txt /usarmjx/
+COPY locks /usarmjx/locks
 COPY --from=wheel /wheel /usarmjx/
 WORKDIR /home/robot
 # Robots, the two wireless servers, positions, pictures, the live page.
@@ -24,6 +27,9 @@ USER robot
 CMD ["serve", "--arena", "yellow", "--host", "0.0.0.0", "--engine", "warp", "--worlds", "64"]
 
 FROM base AS cpu
+# Of this Python and this machine each package has its hash, if there is a lock of it.
+RUN lock="/usarmjx/locks/cpu-$(python -c 'import platform, sys; print("%d.%d" % sys.version_info[:2], sys.platform, platform.machine(), sep="-")').txt"; \
+    if [ -f "$lock" ]; then pip install --no-cache-dir --require-hashes --no-deps -r "$lock"; else echo "no $lock: no hashes"; fi
 RUN pip install --no-cache-dir -c /usarmjx/constraints.txt /usarmjx/*.whl
 USER robot
 # Listens to whoever reaches the container; who that is, is said where its ports are published.

@@ -1,5 +1,6 @@
 """The attacks: what each attacker says first, and what it says then without end."""
 
+import json
 import math
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -33,7 +34,7 @@ class Attack:
         reads: Whether it reads what it is told.
         stay: After how long it goes, to come again at once [s].
         rude: Whether it breaks its connection off then instead of closing it.
-        page: Whether it goes to the live page's port.
+        door: Port that it goes to: robots, page, rosbridge, metrics or pictures.
     """
 
     name: str
@@ -43,7 +44,7 @@ class Attack:
     reads: bool = True
     stay: float = math.inf
     rude: bool = False
-    page: bool = False
+    door: str = "robots"
 
 
 def repeat(*lines: str) -> bytes:
@@ -63,6 +64,15 @@ def page_message(data: bytes) -> bytes:
     return b"\x82\xfe" + len(data).to_bytes(2, "big") + MASK + data
 
 
+def frame(opcode: int, data: bytes) -> bytes:
+    """Return a client's frame of RFC 6455, masked with zeros."""
+    size = len(data)
+    if size < 126:
+        return bytes([opcode, 0x80 | size]) + MASK + data
+    form, length = (2, 126) if size < 1 << 16 else (8, 127)
+    return bytes([opcode, 0x80 | length]) + size.to_bytes(form, "big") + MASK + data
+
+
 def _junk() -> bytes:
     noise = np.random.default_rng(0).integers(0, 256, CHUNK // 2, np.uint8).tobytes()
     return (
@@ -78,6 +88,16 @@ UPGRADE = (
     f"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
     f"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
     f"Sec-WebSocket-Protocol: viser-v{version('viser')}\r\n\r\n"
+).encode()
+ROS_UPGRADE = UPGRADE.replace(f"Sec-WebSocket-Protocol: viser-v{version('viser')}\r\n".encode(), b"")
+GET = b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n"
+LAST, MORE, TEXT, PING = 0x80, 0x00, 0x81, 0x89
+"""Bit of the last frame of a message, and first bytes of frames."""
+BIG = json.dumps(
+    {"op": "publish", "topic": "/x/cmd_vel", "msg": {f"k{key}": key for key in range(14_000)}}
+).encode()
+CALL = json.dumps(
+    {"op": "call_service", "service": "/rosapi/topics_and_raw_types", "id": "A" * 1000}
 ).encode()
 VECTOR = fill("SET {Type INS} {Name INS} {Opcode POSE} {Params ", "1.2345,", "1}")
 POSE = "SET {Type INS} {Name INS} {Opcode POSE} {Params 1,2,3,0,0,0}"
@@ -106,15 +126,37 @@ ATTACKS = (
         "a page's messages without a pause: where its camera is",
         UPGRADE,
         page_message(camera_message()) * 100,
-        page=True,
+        door="page",
     ),
     Attack(
         "page-junk",
         "messages that no page sends, nested deeply",
         UPGRADE,
         page_message(NESTED) * 20,
-        page=True,
+        door="page",
     ),
+    Attack("ros-json", "rosbridge: messages of 216 kB", ROS_UPGRADE, frame(TEXT, BIG), door="rosbridge"),
+    Attack(
+        "ros-calls",
+        "rosbridge: calls of /rosapi without a pause",
+        ROS_UPGRADE,
+        frame(TEXT, CALL) * 50,
+        door="rosbridge",
+    ),
+    Attack("ros-pings", "rosbridge: pings", ROS_UPGRADE, frame(PING, b"") * 10_000, door="rosbridge"),
+    Attack(
+        "ros-fragments",
+        "rosbridge: a message in pieces of a byte",
+        ROS_UPGRADE,
+        frame(TEXT & ~LAST, b"{") + frame(MORE, b" ") * 10_000,
+        door="rosbridge",
+    ),
+    Attack("ros-storm", "rosbridge: handshakes, and gone", ROS_UPGRADE, stay=0.01, door="rosbridge"),
+    Attack("ros-resets", "rosbridge: connections broken off", stay=0.0, rude=True, door="rosbridge"),
+    Attack("metrics-get", "GET /metrics without a pause", GET, door="metrics"),
+    Attack("metrics-resets", "metrics: connections broken off", stay=0.0, rude=True, door="metrics"),
+    Attack("picture-junk", "pictures: nonsense", load=_junk(), door="pictures"),
+    Attack("picture-storm", "pictures: connections that come and go", stay=0.01, door="pictures"),
 )
 """All of them, in the order in which they are played."""
 

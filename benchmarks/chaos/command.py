@@ -39,6 +39,12 @@ class TargetOptions:
     metrics_port: Annotated[
         int | None, typer.Option(min=1, max=LAST_PORT, help="Port of its metrics, which a soak needs.")
     ] = None
+    rosbridge_port: Annotated[
+        int | None, typer.Option(min=1, max=LAST_PORT, help="Port of its rosbridge; else that is spared.")
+    ] = None
+    image_port: Annotated[
+        int | None, typer.Option(min=1, max=LAST_PORT, help="Port of its pictures; else that is spared.")
+    ] = None
     pid: Annotated[
         int | None, typer.Option(min=1, help="Its process; else who listens there, if that is yours.")
     ] = None
@@ -60,7 +66,7 @@ class AttackOptions:
     attack: Annotated[list[str] | None, typer.Option(help="Only this attack; may be repeated. Else all.")] = (
         None
     )
-    attackers: Annotated[int, typer.Option(min=1, max=15, help="Attackers at once.")] = 15
+    attackers: Annotated[int, typer.Option(min=1, max=200, help="Attackers at once.")] = 15
     seconds: Annotated[float, typer.Option(min=0.1, max=600.0, help="Length of each attack.")] = 8.0
     volume: Annotated[
         float, typer.Option(min=0.001, max=100.0, help="Most that one attacker sends in an attack, in MB.")
@@ -79,6 +85,12 @@ class SoakOptions:
     ] = None
     clients: Annotated[int, typer.Option(min=1, max=64, help="With --soak: how many robots.")] = 12
     every: Annotated[float, typer.Option(min=0.1, help="With --soak: seconds between two samples.")] = 30.0
+    onlookers: Annotated[
+        int, typer.Option(min=0, max=12, help="With --soak: websocket clients at the page and at rosbridge.")
+    ] = 0
+    records: Annotated[bool, typer.Option("--record", help="With --self: the server records its world.")] = (
+        False
+    )
 
 
 @with_settings
@@ -97,7 +109,7 @@ def chaos(
     thread used between two of its reports, reports at a wrong time of the world, lines that are none; what
     was sent, how often attackers came and were hung up on; and whether all seats were free again.
     """
-    with ErrorExit(), _target(server) as target:
+    with ErrorExit(), _target(server, hours.records) as target:
         say = partial(typer.echo, err=True)
         if hours.soak is None:
             _attack(target, what, json, say)
@@ -106,7 +118,12 @@ def chaos(
         from benchmarks.chaos.soak import soak as run
 
         case = SoakCase(
-            target=target, seconds=hours.soak, clients=hours.clients, every=hours.every, seed=seed
+            target=target,
+            seconds=hours.soak,
+            clients=hours.clients,
+            every=hours.every,
+            seed=seed,
+            onlookers=hours.onlookers,
         )
         typer.echo(json_format.dumps(run(case, json, say), indent=1))
 
@@ -116,15 +133,16 @@ def _attack(target: "Target", what: AttackOptions, json: Path | None, say: Calla
     from benchmarks.chaos.attacks import ATTACKS, find_attack
     from benchmarks.chaos.play import ChaosCase, play_attacks, table
     from benchmarks.chaos.target import main_thread_clock
-    from benchmarks.tools import append_record
+    from benchmarks.tools import append_record, record_header
 
     chosen = [find_attack(name) for name in what.attack] if what.attack else ATTACKS
-    if target.page_port is None:
-        chosen = [one for one in chosen if not one.page]
     case = ChaosCase(
         host=target.host,
         port=target.port,
         page_port=target.page_port,
+        rosbridge_port=target.rosbridge_port,
+        metrics_port=target.metrics_port,
+        image_port=target.image_port,
         attacks=tuple(chosen),
         attackers=what.attackers,
         seconds=what.seconds,
@@ -133,23 +151,33 @@ def _attack(target: "Target", what: AttackOptions, json: Path | None, say: Calla
     clock = None if target.process is None else main_thread_clock(target.process, say)
     outcomes = play_attacks(case, clock, say)
     typer.echo(table(outcomes))
+    header = record_header("chaos", host=True) if json is not None else {}
+    header["case"] = {"attackers": case.attackers, "seconds": case.seconds, "volume": case.volume}
     for outcome in outcomes:
-        append_record(outcome.as_record(), json)
+        append_record(header | outcome.as_record(), json)
 
 
 @contextlib.contextmanager
-def _target(options: TargetOptions) -> "Iterator[Target]":
+def _target(options: TargetOptions, records: bool = False) -> "Iterator[Target]":
     """Yield whom the options name."""
     from benchmarks.chaos.target import Target, check_loopback, local_process, parse_host_port, started
 
     if options.own == (options.address is not None):
         raise UsageError("name either HOST:PORT of a server that runs, or --self")
     if options.address is None:
-        with started(options.arena, 16) as target:
+        with started(options.arena, 16, records=records) as target:
             yield target
         return
     host, port = parse_host_port(options.address)
     if not options.own_server:
         check_loopback(host)
     process = options.pid or (None if options.own_server else local_process(port))
-    yield Target(host, port, options.viewer_port, options.metrics_port, process)
+    yield Target(
+        host,
+        port,
+        options.viewer_port,
+        options.metrics_port,
+        process,
+        options.rosbridge_port,
+        options.image_port,
+    )

@@ -147,6 +147,8 @@ def carry_out(
 
 
 GREETING = b"NFO"
+SEATS = 15
+"""Most seats that are asked for afterwards: a server has 16, of which the neighbour has one."""
 PAUSE = 0.05
 """Who found no seat asks again after so long [s]."""
 HEADINGS = ("attack", "gap s", "CPU s", "irregular", "bad lines", "MB", "came", "hung up", "seats")
@@ -161,6 +163,9 @@ class ChaosCase:
         host: Whose server.
         port: Its Gamebots port.
         page_port: Port of its page; None: that is not attacked.
+        rosbridge_port: Port of its rosbridge; None likewise.
+        metrics_port: Port of its metrics; None likewise.
+        image_port: Port of its pictures; None likewise.
         attacks: What is played.
         attackers: How many at once.
         seconds: For how long each [s].
@@ -172,12 +177,26 @@ class ChaosCase:
     host: str
     port: int
     page_port: int | None = None
+    rosbridge_port: int | None = None
+    metrics_port: int | None = None
+    image_port: int | None = None
     attacks: tuple[Attack, ...]
     attackers: int = 15
     seconds: float = 8.0
     volume: int = 4_000_000
     settling: float = 1.0
     limit: float = 120.0
+
+    def port_of(self, attack: Attack) -> int | None:
+        """Return the port that an attack goes to; None if there is none."""
+        ports = {
+            "robots": self.port,
+            "page": self.page_port,
+            "rosbridge": self.rosbridge_port,
+            "metrics": self.metrics_port,
+            "pictures": self.image_port,
+        }
+        return ports[attack.door]
 
 
 @dataclass(frozen=True)
@@ -228,10 +247,11 @@ def play_attacks(
     Raises:
         UsageError: The neighbour gets no report at all.
     """
+    attacks = [attack for attack in case.attacks if case.port_of(attack) is not None]
     outcomes: list[Outcome] = []
     with contextlib.ExitStack() as stack:
         watch: Watch | None = None
-        for attack in (QUIET, *case.attacks):
+        for attack in (QUIET, *attacks):
             say(f"{attack.name}: {attack.about} ...")
             if watch is None:  # the first, or after one who was dropped
                 watch = stack.enter_context(Watch(case.port, case.host, clock, case.limit))
@@ -244,7 +264,7 @@ def play_attacks(
 
 def play_attack(case: ChaosCase, attack: Attack, watch: Watch) -> Outcome:
     """Play one attack beside a neighbour."""
-    address = (case.host, case.page_port if attack.page and case.page_port is not None else case.port)
+    address = (case.host, case.port_of(attack) or case.port)
     attackers = 0 if attack is QUIET else case.attackers
     damage, trouble, gaps = Damage(), "", None
 
@@ -257,7 +277,7 @@ def play_attack(case: ChaosCase, attack: Attack, watch: Watch) -> Outcome:
         gaps = watch.during(act)
     except UsageError as error:
         trouble = str(error)
-    return Outcome(attack.name, gaps, damage, has_seats(case, case.attackers), trouble)
+    return Outcome(attack.name, gaps, damage, has_seats(case, min(case.attackers, SEATS)), trouble)
 
 
 def has_seats(case: ChaosCase, seats: int) -> bool:

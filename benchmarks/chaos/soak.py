@@ -16,9 +16,10 @@ import numpy as np
 from prometheus_client.parser import text_string_to_metric_families
 from scipy.stats import theilslopes
 
+from benchmarks.chaos.onlookers import Onlookers
 from benchmarks.chaos.target import Target
 from benchmarks.serving.clients import Connection, Crowd, RobotClient
-from benchmarks.tools import append_record
+from benchmarks.tools import append_record, record_header
 from usarmjx.base.errors import UsageError
 from usarmjx.models.compile.parts import joint_names
 from usarmjx.models.robots import ROBOTS
@@ -60,8 +61,16 @@ SHOWN = {
     "faults": "usarmjx_faults_total",
     "put_back": "usarmjx_robots_put_back_total",
     "world_resets": "usarmjx_world_resets_total",
+    "recording_lag_s": "usarmjx_recording_lag_seconds",
+    "frames_left_out": "usarmjx_recording_frames_left_out_total",
 }
 """What a sample has of the metrics, all worlds together."""
+
+TOTALS = (
+    *("visits", "hung_up", "faults", "put_back", "world_resets", "frames_left_out"),
+    *("onlooker_visits", "onlookers_lost", "onlooker_MB"),
+)
+"""Counters of a sample that a result has as they are in the end."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +83,7 @@ class SoakCase:
         clients: How many robots.
         every: Time between two samples [s].
         seed: Of what they do.
+        onlookers: Number of websocket clients at the page and at rosbridge.
     """
 
     target: Target
@@ -81,6 +91,7 @@ class SoakCase:
     clients: int = 12
     every: float = 30.0
     seed: int = 0
+    onlookers: int = 0
 
 
 class SoakDriver:
@@ -182,17 +193,22 @@ def soak(
 
     samples: list[dict[str, float]] = []
     began = time.perf_counter()
-    with Crowd(case.target.port, lose) as crowd:
+    with (
+        Crowd(case.target.port, lose) as crowd,
+        Onlookers(case.target, case.onlookers, case.seed) as onlookers,
+    ):
         drivers += [SoakDriver(crowd, random, i) for i in range(case.clients)]
         while (elapsed := time.perf_counter() - began) < case.seconds:
             if elapsed >= len(samples) * case.every:
-                samples.append({"elapsed_s": elapsed} | _sample(case.target, drivers))
+                samples.append({"elapsed_s": elapsed} | _sample(case.target, drivers, onlookers))
                 _append(samples[-1], file, say)
             for driver in drivers:
                 driver.act(time.perf_counter())
             crowd.pump(TURN)
-        samples.append({"elapsed_s": time.perf_counter() - began} | _sample(case.target, drivers))
-    result = summarise(samples)
+        elapsed = time.perf_counter() - began
+        samples.append({"elapsed_s": elapsed} | _sample(case.target, drivers, onlookers))
+    result = record_header("soak", host=True) if file is not None else {}
+    result |= {"clients": case.clients, "onlookers": case.onlookers, **summarise(samples)}
     _append(result, file, say)
     return result
 
@@ -230,17 +246,19 @@ def summarise(samples: Sequence[Mapping[str, float]]) -> dict[str, Any]:
     found["cpu_per_simulated_s"] = (samples[-1]["processor_s"] - samples[0]["processor_s"]) / max(
         simulated, 1e-9
     )
-    found["longest_gap_s"] = max(sample["longest_gap_s"] for sample in samples)
-    return found | {
-        name: samples[-1][name] for name in ("visits", "hung_up", "faults", "put_back", "world_resets")
-    }
+    for name in ("longest_gap_s", "recording_lag_s"):
+        found[name] = max(sample[name] for sample in samples)
+    return found | {name: samples[-1][name] for name in TOTALS}
 
 
-def _sample(target: Target, drivers: Sequence[SoakDriver]) -> dict[str, float]:
+def _sample(target: Target, drivers: Sequence[SoakDriver], onlookers: Onlookers) -> dict[str, float]:
     own = {
         "visits": sum(driver.visits for driver in drivers),
         "hung_up": sum(driver.hung_up for driver in drivers),
         "longest_gap_s": max(driver.longest_gap() for driver in drivers),
+        "onlooker_visits": onlookers.visits,
+        "onlookers_lost": onlookers.lost,
+        "onlooker_MB": onlookers.received / MEGABYTE,
     }
     return own | read_metrics(target)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.serving.clients import HOST
-from benchmarks.serving.process import METRICS, OWN_TREE, VIEWER, ServerProcess, SourceTree
+from benchmarks.serving.process import METRICS, OWN_TREE, ROSBRIDGE, VIEWER, ServerProcess, SourceTree
 from usarmjx.base.errors import UsageError
 from usarmjx.server.network.ports import LAST_PORT
 
@@ -97,6 +97,8 @@ class Target:
         port: Its Gamebots port.
         page_port: Port of its page; None: it has none, or nobody knows.
         metrics_port: Port of its metrics; None likewise.
+        rosbridge_port: Port of its rosbridge; None likewise.
+        image_port: Port of its pictures; None likewise.
         process: Its process; None: it is on another machine, or another user's.
     """
 
@@ -105,6 +107,8 @@ class Target:
     page_port: int | None = None
     metrics_port: int | None = None
     process: int | None = None
+    rosbridge_port: int | None = None
+    image_port: int | None = None
 
 
 def parse_host_port(text: str) -> tuple[str, int]:
@@ -143,18 +147,23 @@ def local_process(port: int) -> int | None:
 
 
 @contextlib.contextmanager
-def started(arena: str, seats: int) -> Iterator[Target]:
-    """Start a server of this source tree with a page and metrics, at free ports.
+def started(arena: str, seats: int, *, records: bool = False) -> Iterator[Target]:
+    """Start a server of this source tree with a page, rosbridge and metrics, at free ports.
 
     Args:
         arena: Name of the arena, or a file.
         seats: Most robots.
+        records: Whether it records its world; the recording is removed in the end.
     """
     options = ["--arena", arena, "--engine", "c", "--seats", str(seats)]
-    ports = ["--viewer-port", "0", "--metrics-port", "0"]
-    with (
-        TemporaryDirectory() as cache,
-        ServerProcess(SourceTree(OWN_TREE), Path(cache), [*options, *ports]) as server,
-    ):
-        metrics, page = server.port_said(METRICS), server.port_said(VIEWER)  # in the order of its lines
-        yield Target(HOST, server.port, page, metrics, server.process)
+    ports = ["--viewer-port", "0", "--metrics-port", "0", "--rosbridge-port", "0"]
+    with TemporaryDirectory() as folder:
+        recording = ["--record", str(Path(folder) / "soak.mcap")] if records else []
+        with ServerProcess(
+            SourceTree(OWN_TREE), Path(folder) / "cache", [*options, *ports, *recording]
+        ) as server:
+            # In the order of its lines.
+            rosbridge, metrics, page = map(server.port_said, (ROSBRIDGE, METRICS, VIEWER))
+            yield Target(
+                HOST, server.port, page, metrics, server.process, rosbridge, image_port=server.image_port
+            )

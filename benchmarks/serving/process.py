@@ -22,6 +22,7 @@ OWN_TREE = Path(__file__).resolve().parents[2]
 COMMAND = (sys.executable, "-m", "usarmjx", "serve")
 FREE_PORTS = ("--port", "--wss-port", "--wss2-port", "--position-port", "--image-port")
 LISTENING, PICTURES = re.compile(r"listening on [\d.]+:(\d+)"), re.compile(r"pictures on [\d.]+:(\d+)")
+ROSBRIDGE = re.compile(r"rosbridge at ws://[\d.]+:(\d+)")
 VIEWER, METRICS = re.compile(r"see it at http://[\d.]+:(\d+)"), re.compile(r"metrics at http://[\d.]+:(\d+)")
 """What a server says about its ports, in this order."""
 OPTION = re.compile(r"--[a-z][a-z0-9-]*")

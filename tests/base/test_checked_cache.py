@@ -125,6 +125,29 @@ def test_another_jax_without_such_a_cache_keeps_nothing(tmp_path):
     assert updates == {"jax_compilation_cache_dir": None}
 
 
+def test_a_program_that_has_imported_such_a_jax_keeps_nothing_either(tmp_path):
+    """The cache was turned off for lack of checksums, and then on again."""
+    code = """if True:
+        import jax, jax._src.compilation_cache as module
+
+        del module.LRUCache
+        from usarmjx.base.compilation import enable_cache_after_import
+
+        enable_cache_after_import()
+        print(jax.config.jax_compilation_cache_dir)
+    """
+    rest = {name: text for name, text in os.environ.items() if name not in (JAX_FOLDER, PROGRAMS_FOLDER)}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=rest | {CACHE_VARIABLE: str(tmp_path / "kept")},
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.split() == ["None"]
+    assert "keeps no compilations" in done.stderr
+
+
 def test_an_entry_that_ended_the_process_that_loaded_it_is_removed(tmp_path):
     """The process is gone before the context ends, as by SIGSEGV."""
     entry, other = tmp_path / "cache" / "jit_f-1-cache", tmp_path / "cache" / "other"

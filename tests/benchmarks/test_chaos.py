@@ -40,12 +40,18 @@ from benchmarks.chaos.target import (
 )
 from benchmarks.serving.clients import Crowd
 from tests.arenas import FLAT
-from tests.server.peers import Peer, serving
+from tests.server.peers import Peer, looping, serving
 from tests.server.still_world import StillWorld
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.cli.app import app
+from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.gamebots.settings import BotServerSettings
+from usarmjx.server.network.ports import bound_socket
+from usarmjx.server.pictures.image_server import ImageServer, ImageSettings
 from usarmjx.server.protocol.grammar import DEFAULT_LIMIT
+from usarmjx.server.rosbridge.net import RosbridgeServer, RosSettings
 from usarmjx.server.runtime.loop import low_latency
+from usarmjx.server.runtime.metrics import MetricsServer
 from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.viewing.viewer_service import ViewerService, ViewerSettings
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
@@ -64,9 +70,9 @@ PAGE_VOLUME = 20_000
 class House:
     """A server in a thread of this process, and the neighbour in another."""
 
-    def __init__(self, world, server, page, watch):
+    def __init__(self, world, server, watch, **ports):
         self.world, self.server, self.watch = world, server, watch
-        self.case = ChaosCase(host="127.0.0.1", port=server.port, page_port=page, attacks=ATTACKS, **SHORT)
+        self.case = ChaosCase(host="127.0.0.1", port=server.port, attacks=ATTACKS, **ports, **SHORT)
 
     def is_empty(self):
         """Whether nobody but the neighbour is there, at the latest after a while."""
@@ -84,18 +90,24 @@ class House:
 def house():
     world = DynamicWorld(FLAT, seed=1, max_robots=16)
     page = ViewerService(ServedSource([world]), ViewerSettings())
+    ros, pictures = RosbridgeServer(world, RosSettings(port=0)), ImageServer(world, ImageSettings(port=0))
+    server = BotServer(world, BotServerSettings(port=0, max_faults=MAX_FAULTS), [page, ros, pictures])
+    bound = bound_socket("127.0.0.1", 0)
+    metrics_port, ros.server = bound.getsockname()[1], server
+    server.services.append(MetricsServer([server], 1.0, bound))
     before = set(threading.enumerate())
     # As `serve` does: else this thread looks for garbage among all that the tests before have left behind.
-    with low_latency(), serving(world, [page], realtime_factor=1.0, max_faults=MAX_FAULTS) as (port, server):
+    with low_latency(), looping([server], 1.0):
         (loop,) = (thread for thread in threading.enumerate() if thread not in before)
         clock = ThreadClock(os.getpid(), loop.native_id)
-        with Watch(port, "127.0.0.1", clock, LIMIT) as watch:
-            yield House(world, server, page.port, watch)
+        ports = {"rosbridge_port": ros.port, "metrics_port": metrics_port, "image_port": pictures.port}
+        with Watch(server.port, "127.0.0.1", clock, LIMIT) as watch:
+            yield House(world, server, watch, page_port=page.port, **ports)
 
 
 @pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: attack.name)
 def test_a_neighbour_does_not_notice(house, attack, caplog, record_property):
-    case = replace(house.case, volume=PAGE_VOLUME) if attack.page else house.case
+    case = replace(house.case, volume=PAGE_VOLUME) if attack.door == "page" else house.case
     with caplog.at_level(logging.WARNING):
         outcome = play_attack(case, attack, house.watch)
         assert house.is_empty()

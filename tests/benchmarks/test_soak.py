@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks.chaos import soak as module
-from benchmarks.chaos.soak import CLASSES, SHOWN, SoakCase, read_metrics, soak, summarise
+from benchmarks.chaos.soak import CLASSES, SHOWN, TOTALS, SoakCase, read_metrics, soak, summarise
 from benchmarks.chaos.target import Target
 from tests.server.peers import looping
 from tests.server.still_world import StillWorld
@@ -32,11 +32,11 @@ def served(monkeypatch):
 
 
 def test_robots_come_drive_and_go(served, monkeypatch, tmp_path):
-    monkeypatch.setattr(module, "VISIT", (0.6, 0.9))
+    monkeypatch.setattr(module, "VISIT", (2.0, 2.5))
     monkeypatch.setattr(module, "OUT", (0.05, 0.1))
     server, target = served
     file = tmp_path / "soak.jsonl"
-    result = soak(SoakCase(target=target, seconds=2.0, clients=3, every=0.4), file)
+    result = soak(SoakCase(target=target, seconds=7.0, clients=3, every=2.0), file)
     lines = [json.loads(line) for line in file.read_text().splitlines()]
     *samples, last = lines
     assert last.keys() == result.keys()
@@ -74,7 +74,7 @@ def test_all_classes_can_be_driven():
 def made(memory, count=40):
     """Samples each 30 s with that memory [MB] as a function of time [h]."""
     times = np.arange(count) * 30.0
-    rest = dict.fromkeys(SHOWN, 1.0) | {"visits": 9, "hung_up": 0, "longest_gap_s": 0.3}
+    rest = dict.fromkeys((*SHOWN, *TOTALS), 1.0) | {"visits": 9, "hung_up": 0, "longest_gap_s": 0.3}
     totals = [{"simulated_s": t, "processor_s": t / 2} for t in times]
     return [
         rest | {"elapsed_s": t, "memory_bytes": 1e6 * memory(t / 3600)} | total

@@ -49,13 +49,13 @@ TCP_KINDS = [kind for kind in KINDS if kind not in ("page", "figures")]
 class AllPorts:
     """The ports of a running server by their kinds, and connections to them, which are closed with it."""
 
-    def __init__(self, ports, server):
-        self.ports, self.server = ports, server
+    def __init__(self, ports, server, host=HOST):
+        self.ports, self.server, self._host = ports, server, host
         self._open = contextlib.ExitStack()
 
     def connect(self, kind, address=HOST):
         """A connection from an address."""
-        made = socket.create_connection((HOST, self.ports[kind]), PATIENCE, (address, 0))
+        made = socket.create_connection((self._host, self.ports[kind]), PATIENCE, (address, 0))
         return self._open.enter_context(made)
 
     def answers(self, kind, said, address=HOST):
@@ -103,22 +103,22 @@ def black(shot):
 
 
 @contextlib.contextmanager
-def all_ports(**rules):
-    """A running server with all its ports, for those whom rules let in."""
+def all_ports(host=HOST, **rules):
+    """A running server with all its ports at an address, for those whom rules let in."""
     access, world = AccessRules(**rules), StillWorld()
     world.snapshot = lambda shots: lambda: [black(shot) for shot in shots]
     ports = {"wss_port": 0, "wss2_port": 0, "position_port": 0}
     radio = WirelessService(
-        FakeRadio(("R1", "R2")), lambda: world.time, WirelessSettings(access=access, **ports)
+        FakeRadio(("R1", "R2")), lambda: world.time, WirelessSettings(access=access, host=host, **ports)
     )
-    images = ImageServer(world, ImageSettings(port=0, size=(8, 6), format=0, access=access))
-    page = ViewerService(HandMadeSource(drawing_of()), ViewerSettings(access=access))
-    server = BotServer(world, BotServerSettings(port=0, access=access), [radio, images, page])
-    figures = bound_socket(HOST, 0)
+    images = ImageServer(world, ImageSettings(host=host, port=0, size=(8, 6), format=0, access=access))
+    page = ViewerService(HandMadeSource(drawing_of()), ViewerSettings(host=host, access=access))
+    server = BotServer(world, BotServerSettings(host=host, port=0, access=access), [radio, images, page])
+    figures = bound_socket(host, 0)
     server.services.append(MetricsServer([server], 1.0, figures))
     with looping([server]):
         web = {"page": page.port, "figures": figures.getsockname()[1]}
-        found = AllPorts({"robots": server.port, **radio.ports, "pictures": images.port, **web}, server)
+        found = AllPorts({"robots": server.port, **radio.ports, "pictures": images.port, **web}, server, host)
         try:
             yield found
         finally:

@@ -10,6 +10,7 @@ import threading
 from tests.server.lockstep import LOCKSTEP, lockstep
 from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.gamebots.settings import BotServerSettings
+from usarmjx.server.network.loop_meter import run_metered
 from usarmjx.server.protocol import commands as wire
 from usarmjx.server.runtime.loop import ServerLoop
 
@@ -113,7 +114,7 @@ def looping(servers, realtime_factor=LOCKSTEP):
         await task
 
     with lockstep() if realtime_factor == LOCKSTEP else contextlib.nullcontext(realtime_factor) as clock:
-        thread = threading.Thread(target=lambda: asyncio.run(main(clock)), daemon=True)
+        thread = threading.Thread(target=lambda: run_metered(main(clock)), daemon=True)
         thread.start()
         assert started.wait(PATIENCE)
         try:

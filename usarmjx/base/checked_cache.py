@@ -247,6 +247,12 @@ def guard_jax(module: Any, loading: LoadingEntries, own: Path) -> None:  # noqa:
             return load(key, *rest, **more)
 
     module.LRUCache, module.get_executable_and_time = checked, get_executable_and_time
+    _guarded.append(module)
+
+
+def is_guarded(module: Any) -> bool:  # noqa: ANN401 - JAX's module
+    """Return whether `guard_jax` has found what it guards in JAX's `compilation_cache`."""
+    return any(one is module for one in _guarded)
 
 
 def _entry(folder: Path, key: str) -> Path:
@@ -319,7 +325,7 @@ class _AfterImport(MetaPathFinder):
         return spec
 
 
-_installed = set[Path]()
+_installed, _guarded = set[Path](), list[Any]()
 
 
 def install_checks(folder: Path, jax_folder: Path, warp_folder: Path | None = None) -> None:

@@ -12,6 +12,7 @@ import platform
 import re
 import shutil
 import stat
+import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, MutableMapping
@@ -19,7 +20,12 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from usarmjx.base.checked_cache import install_checks, remove_entries_of_crashes
+from usarmjx.base.checked_cache import (
+    JAX_MODULE,
+    install_checks,
+    is_guarded,
+    remove_entries_of_crashes,
+)
 from usarmjx.base.process import pool_fits_cores
 
 T = TypeVar("T")
@@ -183,6 +189,10 @@ def enable_cache_after_import() -> None:
         logging.getLogger(__name__).warning("%s", complaint)
     folder, settings = os.environ.get(JAX_FOLDER), cast(Any, jax.config)
     if folder is None or not os.environ.get(PROGRAMS_FOLDER) or settings.jax_compilation_cache_dir:
+        return
+    if not is_guarded(
+        sys.modules.get(JAX_MODULE)
+    ):  # another version of JAX, which has been told to keep nothing
         return
     settings.update("jax_compilation_cache_dir", folder)
     settings.update("jax_persistent_cache_min_compile_time_secs", 0.0)

@@ -70,7 +70,9 @@ ArenaArgument = Annotated[str, typer.Argument(help="Arena name, or a file.", aut
 RobotOption = Annotated[str, typer.Option(help="Robot class, or a file.", autocompletion=complete_robots)]
 RobotFilesOption = Annotated[
     list[Path] | None,
-    typer.Option("--robot", help="URDF, xacro, SDF or MJCF file of a robot to add; may be given several times."),
+    typer.Option(
+        "--robot", help="URDF, xacro, SDF or MJCF file of a robot to add; may be given several times."
+    ),
 ]
 PackagesOption = Annotated[
     list[Path] | None,

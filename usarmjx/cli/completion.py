@@ -56,8 +56,11 @@ def names_of(kind: str) -> list[str]:
     """Return the names of a kind from the file, after making it if there is none of the package as it is."""
     folder = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "usarmjx"
     file = folder / f"names-{_fingerprint()}.json"
-    with suppress(OSError, ValueError, KeyError):
-        return list(json.loads(file.read_text())[kind])
+    # The reader of other JSON files takes a tenth of a second to import, at each press of a key.
+    with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+        found = json.loads(file.read_text())[kind]
+        if all(isinstance(name, str) for name in found):
+            return list(found)
     try:
         names = _asked()
     except (OSError, ValueError, subprocess.SubprocessError):

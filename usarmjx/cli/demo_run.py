@@ -1,6 +1,5 @@
 """The main job on real input: serve a batch, let a client drive a P2AT, draw its path."""
 
-import json
 import re
 import signal
 import subprocess
@@ -19,6 +18,7 @@ from rich.table import Table
 
 from usarmjx.base.errors import UsarmjxError
 from usarmjx.base.files import writing
+from usarmjx.base.settings.json_file import read_json
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.arena import ArenaSpec
@@ -287,7 +287,7 @@ def run_demo(out: Path, seconds: float = 20.0) -> int:
     record, picture = out / "wander.json", out / "wander.png"
     with running_server(out / "server.log", console) as port:
         run_controller(port, seconds, record, console)
-    log = json.loads(record.read_text(encoding="utf-8"))
+    log = read_json(record)
     arena = ARENAS.get(log["level"])
     account = report_of(arena, log)
     run_picture(arena, log, picture)

@@ -1,6 +1,5 @@
 """`usarmjx train`, `usarmjx curves` and `usarmjx export`: policies, from tasks to files."""
 
-import json
 import os
 import socket
 import subprocess
@@ -23,6 +22,7 @@ from usarmjx.base.settings import (
     read_file,
     to_yaml,
 )
+from usarmjx.base.settings.json_file import read_json
 from usarmjx.cli.common import ErrorExit, OldOutArgument, PortOffsetOption, chosen_out
 from usarmjx.cli.completion import complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption
@@ -186,8 +186,8 @@ def _as_before(options: TrainOptions, asked: RunSettings) -> tuple[str, RunSetti
 def recorded_engine(out: Path) -> str:
     """Return the engine that a run was started with, before JAX is imported; `auto` if there is no record."""
     try:
-        return str(json.loads((out / "config.json").read_text())["engine"])
-    except (OSError, ValueError, KeyError, TypeError):  # `load_record` refuses the file
+        return str(read_json(out / "config.json")["engine"])
+    except (UsageError, KeyError, TypeError):  # `load_record` refuses the file
         return "auto"
 
 

@@ -1,6 +1,5 @@
 """Recordings, complete or truncated anywhere, as messages and as frames for the page."""
 
-import json
 import logging
 from bisect import bisect_right
 from collections.abc import Collection, Iterator, Mapping
@@ -17,6 +16,7 @@ from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.settings.json_file import parse_json
 from usarmjx.recording.file import CHANNEL_METADATA, CHANNELS, NANO, ChannelName
 from usarmjx.recording.inputs import WorldSetup
 from usarmjx.recording.values import unpack
@@ -278,10 +278,14 @@ class Recording:
 
     def _decoded(self, message: Message) -> RecordedMessage:
         channel = self._channels[message.channel_id]
-        try:
-            value = json.loads(message.data) if CHANNELS[channel.kind] else unpack(message.data)
-        except (ValueError, UsageError) as error:
-            raise UsageError(f"{self.path}: at {message.log_time / NANO:.2f} s: {error}") from error
+        where = f"{self.path}: at {message.log_time / NANO:.2f} s"
+        if CHANNELS[channel.kind]:
+            value = parse_json(message.data, where, UsageError)
+        else:
+            try:
+                value = unpack(message.data)
+            except UsageError as error:
+                raise UsageError(f"{where}: {error}") from error
         return RecordedMessage(message.log_time / NANO, channel, value)
 
 

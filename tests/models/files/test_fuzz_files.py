@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dev
+from tests.kept_files import kept_files, written_files
 from tests.models.files.test_robot_files import PLUGINS, cart
 from tests.models.ini.test_ini_later import LATER
 from tests.mutations import edits, mutate
@@ -76,6 +77,8 @@ LOADERS = {
     "roads.txt": (ROADS, read_rndf),
     "mission.txt": (MISSION, read_mdf),
     "policy.npz": (policy_file(io.BytesIO()).getvalue(), load_exported),
+    **kept_files(),
+    **written_files(),
 }
 """A valid file of each kind, and what reads it."""
 

@@ -68,7 +68,9 @@ class Ros:
     """A client."""
 
     def __init__(self, port, **how):
-        self.socket = connect(f"ws://127.0.0.1:{port}", max_size=None, open_timeout=PATIENCE, **how)
+        # Without pings: a world that compiles for longer than their timeout answers none.
+        how = {"max_size": None, "open_timeout": PATIENCE, "ping_interval": None} | how
+        self.socket = connect(f"ws://127.0.0.1:{port}", **how)
 
     def say(self, op, **more):
         self.socket.send(json.dumps({"op": op, **more}))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.train.handmade import policy_file as written_policy
+from usarmjx.base import npz_file
 from usarmjx.base.errors import UsageError
 from usarmjx.train.policies import policy_file
 from usarmjx.train.policies.policy_file import NumpyPolicy
@@ -31,7 +32,7 @@ def rewritten(file, **changes):
 def test_a_small_file_that_becomes_large_is_not_unpacked(tmp_path, monkeypatch):
     file = tmp_path / "a.npz"
     np.savez_compressed(file, about=np.array("{}"), large=np.zeros(16_000_001, np.float32))
-    monkeypatch.setattr(policy_file.npy, "read_array", None)
+    monkeypatch.setattr(npz_file.npy, "read_array", None)
     size = file.stat().st_size
     assert size < 100_000
     refused(file, rf"has {size} bytes and becomes 64\d+; at most 8000000")
@@ -47,7 +48,7 @@ def test_a_shape_that_the_file_does_not_fill_is_not_allocated(tmp_path, monkeypa
     )
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as out:
         out.writestr("x.npy", header.getvalue() + bytes(16))
-    monkeypatch.setattr(policy_file.npy, "read_array", None)
+    monkeypatch.setattr(npz_file.npy, "read_array", None)
     refused(tmp_path / "a.npz", r"array 'x' of shape \(274877906944,\) takes \d+ bytes, it has 144")
 
 

@@ -158,7 +158,7 @@ class _ModelWriter:
         ET.SubElement(inertial, "mass", value=_text(self._model.body_mass[body]))
         keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
         moments = {key: _text(value) for key, value in zip(keys, self._tensor(body), strict=True)}
-        ET.SubElement(inertial, "inertia", **moments)
+        ET.SubElement(inertial, "inertia", moments)
 
     def _urdf_geom(self, link: ET.Element, geom: int) -> None:
         """Add a geom as a visual, and as a collision if it has contacts."""
@@ -166,7 +166,7 @@ class _ModelWriter:
             for role in self._roles(geom):
                 solid = ET.SubElement(link, role)
                 ET.SubElement(solid, "origin", xyz=_text(pose.pos), rpy=_text(rpy_of(pose.mat)))
-                ET.SubElement(ET.SubElement(solid, "geometry"), tag, **attributes)
+                ET.SubElement(ET.SubElement(solid, "geometry"), tag, attributes)
                 if role == "visual":
                     material = ET.SubElement(solid, "material", name=f"colour {geom}")
                     ET.SubElement(material, "color", rgba=_text(self._model.geom_rgba[geom].round(4)))
@@ -233,7 +233,7 @@ class _ModelWriter:
         if kind != "continuous":
             low, high = model.jnt_range[number] if model.jnt_limited[number] else (-NO_LIMIT, NO_LIMIT)
             limit = {"lower": _text(low), "upper": _text(high), **limit}
-        ET.SubElement(joint, "limit", **limit)
+        ET.SubElement(joint, "limit", limit)
         damping = float(model.dof_damping[model.jnt_dofadr[number]])
         ET.SubElement(joint, "dynamics", damping=_text(damping))
         if (gear := self._gears.get(name)) is not None and gear.geared is not None:

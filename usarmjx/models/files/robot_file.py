@@ -138,7 +138,7 @@ def open_robot_file(path: Path, resources: Resources, arguments: Mapping[str, st
     read_gazebo_elements(root, source, {body.name for body in source.spec.bodies})
     try:
         text = source.spec.to_xml()
-    except (ValueError, mujoco.FatalError) as error:
+    except Exception as error:  # MuJoCo raises errors of its own
         raise SpecError(f"{path}: does not compile: {quoted(error)}") from error
     if wrong := try_model(path, text):
         raise SpecError(f"{path}: does not compile: {wrong}")

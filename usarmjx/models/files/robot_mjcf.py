@@ -20,7 +20,7 @@ INERTIAL = (mujoco.mjtSensor.mjSENS_ACCELEROMETER, mujoco.mjtSensor.mjSENS_GYRO)
 """Types of MuJoCo's sensors that an IMU stands for."""
 
 TRANSMISSIONS: Any = mujoco.mjtTrn  # its stubs lack some
-OBJECTS: Any = mujoco.mjtObj
+MUJOCO: Any = mujoco
 
 UNNAMED = "MuJoCo Model"
 """MuJoCo's name of a model without one."""
@@ -89,7 +89,7 @@ def _read_constraints(spec: Any, source: RobotSource) -> None:  # noqa: ANN401
             others.append(equality)
     actuators = [one for one in spec.actuators if one.trntype == TRANSMISSIONS.mjTRN_TENDON]
     actuators += [one for one in spec.actuators if one.target in source.mimics]
-    sensors = [one for one in spec.sensors if one.objtype == OBJECTS.mjOBJ_TENDON]
+    sensors = [one for one in spec.sensors if one.objtype == MUJOCO.mjtObj.mjOBJ_TENDON]
     _delete(spec, actuators, source, "actuators of tendons or of joints that follow another")
     _delete(spec, sensors, source, "sensors of tendons")
     _delete(spec, others, source, "equality constraints (closed chains are open)")

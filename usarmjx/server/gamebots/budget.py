@@ -10,6 +10,7 @@ from collections.abc import Callable
 from types import TracebackType
 
 from usarmjx.base.errors import PeerError
+from usarmjx.server.network.loop_meter import LoopMeter
 
 CLIENT_SHARE = 0.05
 """Growth of one client's budget [s per simulated second]."""
@@ -38,6 +39,7 @@ class BudgetPool:
     Attributes:
         clock: Processor time of this thread [s].
         growth: Growth of each client's budget in a control step [s].
+        meter: Meter of the loop, which does not count turns.
         steps: Control steps so far.
     """
 
@@ -45,6 +47,7 @@ class BudgetPool:
         self, period: float, share: float = TOTAL_SHARE, clock: Callable[[], float] = time.thread_time
     ) -> None:
         self.clock, self.growth, self.steps = clock, CLIENT_SHARE * period, 0
+        self.meter: LoopMeter | None = None
         self._share = self._left = share * period
         self._waiting: dict[ClientBudget, asyncio.Future[None]] = {}
 
@@ -61,6 +64,8 @@ class BudgetPool:
 
     def spend(self, cost: float) -> None:
         """Subtract the cost of a turn [s], and wake the next client."""
+        if self.meter is not None:
+            self.meter.exclude(cost)
         self._left -= cost
         self._wake_next()
 

@@ -17,6 +17,7 @@ from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.gamebots.budget import INIT_COST, JOIN_SHARE, BudgetPool, ClientBudget
 from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.network.gate import Gate, peer_address
+from usarmjx.server.network.loop_meter import loop_meter
 from usarmjx.server.protocol.commands import Command, Init
 from usarmjx.server.runtime.logs import FaultLog
 from usarmjx.server.wireless.sockets import has_hung_up, limit_receive_buffer, listen
@@ -183,6 +184,9 @@ class BotServer:
         host = self.settings.host
         address = host, self.settings.port
         self._listener, self.port = await listen(address, self._accept, self._gate, self._bound)
+        meter = self.budgets.meter = self._joins.meter = loop_meter()
+        for listening in self._listener.sockets:
+            meter.prefer(listening.fileno())
         more = [line for service in self.services for line in await service.start()]
         return [f"listening on {host}:{self.port}", *more]
 

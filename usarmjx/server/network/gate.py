@@ -10,6 +10,7 @@ from typing import TypeAlias
 
 from usarmjx.base.errors import PeerError
 from usarmjx.server.network.access import AUTH, AccessRules, IPAddress, parse_address, token_of
+from usarmjx.server.network.loop_meter import exempt
 from usarmjx.server.runtime.logs import LineLimit
 
 log = logging.getLogger(__name__)
@@ -133,9 +134,11 @@ def guarded(gate: Gate, handler: Handler, ends: bytes | None = LINE_ENDS) -> Han
             writer.transport.abort()
             return
         try:
-            keep_alive(writer.get_extra_info("socket"))
+            connection = writer.get_extra_info("socket")
+            keep_alive(connection)
             if ends is None or await gate.is_known(reader, writer, ends):
-                await handler(reader, writer)
+                with exempt(connection.fileno()):
+                    await handler(reader, writer)
             else:
                 writer.transport.abort()
         except asyncio.CancelledError:

@@ -2,12 +2,19 @@
 
 import contextlib
 import errno
+import math
 import socket
 from collections.abc import Generator, Mapping, Sequence
+from typing import Any
 from weakref import WeakSet
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import Setting
+
+try:
+    import resource
+except ImportError:  # not on Windows
+    resource = None
 
 BOT_PORT = 3000
 """Default port of the Gamebots server (BotAPI.ini: ListenPort; manual 9.1)."""
@@ -22,9 +29,59 @@ PORT = Setting(ge=0, le=LAST_PORT)
 """Limits of the number of a port."""
 FIRST_DIALLED = 1024
 """Lowest port that is dialled for a client: those below are the system's."""
+ACCEPTS_AT_ONCE = 2
+"""Most connections that a loop accepts at a port before it does other work."""
+RESERVE = 128
+"""Descriptors that connections of browsers leave to robots, at most a quarter of all."""
 WRONG_PORT = (errno.EADDRINUSE, errno.EACCES)
 """Errors after which another port may work."""
 _bound_sockets: WeakSet[socket.socket] = WeakSet()
+
+
+class ListeningSocket(socket.socket):
+    """Socket that hands connections over a few at a time, although asyncio asks for a hundred.
+
+    Attributes:
+        keeps_reserve: Whether it closes connections when few descriptors are left.
+    """
+
+    keeps_reserve = False
+    _count = 0
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """Accept a connection.
+
+        Raises:
+            BlockingIOError: There is none, or it is the turn of others.
+        """
+        if self._count >= ACCEPTS_AT_ONCE:
+            self._count = 0
+            raise BlockingIOError(errno.EAGAIN, "others come first")
+        try:
+            connection, address = super().accept()
+        except OSError:
+            self._count = 0
+            raise
+        self._count += 1
+        # The system gives the lowest free number.
+        if self.keeps_reserve and connection.fileno() >= most_descriptors():
+            connection.close()
+            raise BlockingIOError(errno.EAGAIN, "the other descriptors are for robots")
+        return connection, address
+
+
+def keep_reserve(bound: socket.socket) -> None:
+    """Make a port for browsers leave `RESERVE` descriptors to robots."""
+    if isinstance(bound, ListeningSocket):
+        bound.keeps_reserve = True
+
+
+def most_descriptors() -> float:
+    """Return the number of descriptors that connections of browsers may fill up to."""
+    if resource is None:
+        return math.inf
+    limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return math.inf if limit == resource.RLIM_INFINITY else limit - min(RESERVE, limit // 4)
 
 
 def count_up(first: Mapping[str, int], worlds: int, offset: int = 0) -> list[dict[str, int]]:
@@ -114,7 +171,7 @@ def bound_socket(host: str, port: int, option: str = "") -> socket.socket:
     try:
         families = [found[0] for found in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
         family = socket.AF_INET if socket.AF_INET in families else families[0]
-        bound = socket.socket(family, socket.SOCK_STREAM)
+        bound = ListeningSocket(family, socket.SOCK_STREAM)
     except OSError as error:
         raise _refusal(host, port, option, error) from error
     try:

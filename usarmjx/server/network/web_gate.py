@@ -11,16 +11,20 @@ from urllib.parse import unquote
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.http11 import Request, Response
+from websockets.protocol import State
 
 from usarmjx.base.errors import UsageError
 from usarmjx.server.network.access import parse_address
 from usarmjx.server.network.gate import Gate, keep_alive
+from usarmjx.server.network.ports import keep_reserve
 from usarmjx.server.protocol.grammar import clip
 from usarmjx.server.runtime.logs import limit_libraries
 
 RequestAnswer: TypeAlias = Callable[[ServerConnection, Request], Response | None]
 """Answers a request over HTTP; None lets a websocket begin."""
 
+READ_SIZE = 2048
+"""Most bytes that are read at once."""
 MAX_REQUEST_LINE = 8192
 """Bytes within which the first line of a request ends."""
 COOKIE = "usarmjx"
@@ -37,10 +41,25 @@ _HOST = re.compile(r"(?:\[([0-9a-f:.]+)\]|([a-z0-9._-]+))(?::[0-9]+)?", re.IGNOR
 _NAME = re.compile(r"[a-z0-9._-]+|[0-9a-f:.]+", re.IGNORECASE)
 
 
-class _CurrentHttpConnection(ServerConnection):
-    """Connection that takes requests of HTTP/1.0, too."""
+class _CurrentHttpConnection(ServerConnection, asyncio.BufferedProtocol):
+    """Connection that takes requests of HTTP/1.0, too, and reads little at a time.
+
+    A quarter of a megabyte, which asyncio reads at once, has a hundred thousand frames.
+    """
 
     _head: bytes | None = b""
+    _buffer: bytearray | None = None
+
+    def get_buffer(self, sizehint: int) -> bytearray:
+        """Return the room for the next bytes."""
+        del sizehint
+        self._buffer = self._buffer or bytearray(READ_SIZE)
+        return self._buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        """Take the bytes that have come."""
+        assert self._buffer is not None
+        self.data_received(bytes(self._buffer[:nbytes]))
 
     def data_received(self, data: bytes) -> None:
         if self._head is not None:  # the request line has not come yet
@@ -70,9 +89,8 @@ def gated_connection(gate: Gate) -> type[ServerConnection]:
                 transport.abort()
 
         async def handshake(self, *options: Any, **more: Any) -> None:  # noqa: ANN401 - websockets' own
-            try:
-                await super().handshake(*options, **more)
-            finally:
+            await super().handshake(*options, **more)
+            if self.protocol.state is State.OPEN:
                 gate.remove_stranger(self.transport)
 
         def connection_lost(self, exc: Exception | None) -> None:
@@ -222,6 +240,7 @@ async def listen_for_websockets(
         UsageError: The port is taken or the address is not ours.
     """
     limit_libraries()
+    keep_reserve(bound)
     try:
         return await serve(
             accept,

@@ -21,6 +21,7 @@ from usarmjx.server.gamebots.budget import INIT_COST, ClientBudget
 from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.network.access import EVERYBODY, AccessRules
 from usarmjx.server.network.gate import Gate
+from usarmjx.server.network.loop_meter import preferred
 from usarmjx.server.network.ports import PORT, bound_socket
 from usarmjx.server.network.web_gate import FROM_ELSEWHERE, is_own_name, listen_for_websockets
 from usarmjx.server.pictures.render_thread import RenderThread
@@ -268,6 +269,8 @@ class RosbridgeServer:
     async def _accept(self, connection: ServerConnection) -> None:
         peer = "rosbridge {}:{}".format(*connection.remote_address[:2])
         if len(self._clients) >= self._settings.max_connections or self.server is None:
+            # As one without a handshake: it need not answer for seconds, and there may be thousands.
+            self._gate.add_stranger(connection.transport)
             await connection.close(1013, f"{len(self._clients)} clients are connected already")
             return
         session = BridgeSession(self._settings.version, self._type_of)
@@ -276,7 +279,8 @@ class RosbridgeServer:
         log.info("%s: connected", peer)
         sender = asyncio.create_task(client.send())
         try:
-            await self._listen(client)
+            with preferred(connection.transport.get_extra_info("socket").fileno()):
+                await self._listen(client)
         except ConnectionClosed:
             pass
         finally:

@@ -18,6 +18,7 @@ from functools import partial
 
 from usarmjx.base.errors import UsageError
 from usarmjx.server.gamebots.server import BotServer
+from usarmjx.server.network.loop_meter import LoopMeter, loop_meter, run_metered
 from usarmjx.server.runtime.signals import StopSignals
 
 log = logging.getLogger(__name__)
@@ -281,14 +282,15 @@ class ServerLoop:
         return lines if len(self._servers) == 1 else [f"{server.title}: {', '.join(lines)}"]
 
     async def _run_worlds(self) -> None:
-        world = self._servers[0].world
+        world, meter = self._servers[0].world, loop_meter()
         began, start = time.perf_counter(), world.time
         while not self._stop.is_set() and not self._times_up(world.time - start):
             moves = self._clock.takes_step()
             for number, server in enumerate(self._servers):
                 if number:
                     await asyncio.sleep(0)
-                self._tick(server, moves)
+                self._tick(server, moves, meter)
+            meter.refill(world.period)
             await self._clock.sleep(world.period)
         ended = time.perf_counter()
         self._clock.finish(ended)
@@ -299,9 +301,10 @@ class ServerLoop:
             flush=True,
         )
 
-    def _tick(self, server: BotServer, moves: bool) -> None:
+    def _tick(self, server: BotServer, moves: bool, meter: LoopMeter) -> None:
         began = time.perf_counter()
-        server.tick(moves)
+        with meter.excluded():
+            server.tick(moves)
         self._busy += time.perf_counter() - began
 
 
@@ -344,7 +347,7 @@ def serve(servers: Sequence[BotServer], clock: StepClock | float, signals: StopS
     for server in servers:
         server.world.warm_up()
     with low_latency():
-        asyncio.run(main())
+        run_metered(main())
 
 
 def _call_soon(running: asyncio.AbstractEventLoop, loop: ServerLoop) -> None:

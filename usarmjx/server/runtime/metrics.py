@@ -20,6 +20,7 @@ from websockets.http11 import Request, Response
 from usarmjx.base.errors import UsageError
 from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.network.gate import Gate
+from usarmjx.server.network.ports import keep_reserve
 from usarmjx.server.network.web_gate import asking_token, gated_connection
 from usarmjx.server.runtime.loop import GAP_BOUNDS, StepMeter
 
@@ -151,6 +152,7 @@ class MetricsServer:
             UsageError: The port cannot be listened on.
         """
         host, port = self._bound.getsockname()[:2]
+        keep_reserve(self._bound)
         try:
             self._server = await serve(
                 _no_websocket,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from usarmjx.base.settings import AT_LEAST_ONE, validate
 from usarmjx.server.network.access import EVERYBODY, AccessRules
 from usarmjx.server.network.gate import Gate
-from usarmjx.server.network.ports import PORT, bound_socket
+from usarmjx.server.network.ports import PORT, bound_socket, keep_reserve
 
 if TYPE_CHECKING:
     import viser
@@ -87,6 +87,7 @@ class ViewerService:
         host = self._settings.host
         self._bound = self._bound or bound_socket(host, self.port)
         self.port = self._bound.getsockname()[1]
+        keep_reserve(self._bound)
         # Nobody accepts yet: the first connection waits in the backlog, wakes `_open`, and viser accepts it.
         self._bound.listen()
         self._bound.setblocking(False)

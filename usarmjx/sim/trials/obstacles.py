@@ -5,12 +5,13 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
+from usarmjx.base.settings.json_file import as_mapping, read_json
 from usarmjx.models.arenas.elements import CELL
 from usarmjx.models.arenas.lanes import MobilityLane, lane_of
 from usarmjx.models.compile.reachability import footprint_of
@@ -126,14 +127,32 @@ def write_success(robot: RobotSpec, drives: int, path: Path) -> None:
         UsageError: The class does not drive on the ground, or the file is another one.
         WriteError: The file cannot be written.
     """
-    kept: dict[str, Any]
-    try:
-        kept = json.loads(path.read_text(encoding="utf-8"))["classes"] if path.exists() else {}
-    except (ValueError, KeyError, TypeError):
-        raise UsageError(f"{path} holds no measured success; give a new file") from None
+    kept = _measured_before(path) if path.exists() else {}
     kept[robot.name] = {kind: measure_success(robot, kind, drives) for kind in OBSTACLES.names()}
     with atomic_write(path) as fresh:
         fresh.write_text(success_text(kept, drives), encoding="utf-8")
+
+
+def _measured_before(path: Path) -> dict[str, Any]:
+    """Return the curves in a file by class and kind.
+
+    Raises:
+        UsageError: It holds none.
+    """
+    content = as_mapping(read_json(path, UsageError, finite=True)) or {}
+    held = as_mapping(content.get("classes"))
+    for kinds in [None] if held is None else held.values():
+        curves = as_mapping(kinds)
+        if curves is None or not all(_is_curve(curve) for curve in curves.values()):
+            raise UsageError(f"{path} holds no measured success; give a new file")
+    return held or {}
+
+
+def _is_curve(curve: object) -> bool:
+    """Return whether a value is a list of pairs of a level and a rate."""
+    pairs = cast("list[Any]", curve) if isinstance(curve, list) else [None]
+    numbers = [cast("list[Any]", pair) if isinstance(pair, list) else [] for pair in pairs]
+    return all(len(pair) == 2 and all(type(one) in (int, float) for one in pair) for pair in numbers)
 
 
 def success_text(classes: Mapping[str, Mapping[str, SuccessCurve]], drives: int) -> str:

@@ -22,6 +22,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.errors import SpecError, UsageError, WriteError
 from usarmjx.base.files import PARTIAL_MARK, writing
 from usarmjx.base.kept_json import kept_text, read_kept
+from usarmjx.base.npz_file import NpzLimits, read_npz
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.learning.processes import ProcessGroup, Tree
 from usarmjx.train.learning.run_record import RunRecord, load_record
@@ -38,6 +39,8 @@ FOLDER = "checkpoints"
 FORMAT = 3
 """Format of checkpoints; raised whenever a field of a saved state is renamed, added or removed, because
 arrays are found by these names. Formats 1 and 2 were orbax's."""
+MOST_ARRAYS = 100_000
+"""Most arrays of a part."""
 FULL = "at full difficulty"
 """Kind of a score that was measured with all arenas in play, on fixed seeds."""
 
@@ -91,8 +94,8 @@ def read_part(folder: Path, name: str, template: Tree, index: int = 0) -> Tree:
     """
     path = folder / f"{name}_{index}.npz"
     try:
-        with np.load(path, allow_pickle=False) as file:  # compares the checksum of each array
-            found: dict[str, np.ndarray] = {key: file[key] for key in file.files}
+        # Its members are not packed, and each has a checksum, which is compared.
+        found = read_npz(path, NpzLimits("checkpoint", arrays=MOST_ARRAYS), lambda _: "biufc")
     except Exception as error:  # damaged files make the reader raise errors of any kind
         raise UsageError(
             f"checkpoint {folder} is broken: {path.name} does not read; delete it: {error}"

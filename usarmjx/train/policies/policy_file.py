@@ -5,19 +5,18 @@ The file is NumPy's `.npz`: `about` is JSON (format, task, period, groups, layer
 the weights in half. This module imports neither JAX nor anything that needs it.
 """
 
-import io
 import json
 import math
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from numpy.lib import format as npy
 
 from usarmjx.base.errors import UsageError, quoted
 from usarmjx.base.files import atomic_write
+from usarmjx.base.npz_file import NpzLimits, read_npz
+from usarmjx.base.settings.json_file import parse_json
 from usarmjx.train.policies import POLICIES
 
 if TYPE_CHECKING:
@@ -31,8 +30,8 @@ MOST_BYTES = 64_000_000
 USUAL_BYTES, MOST_RATIO = 8_000_000, 100
 """Bytes that arrays may take however small their file is, and their largest ratio to the file beyond."""
 MOST_ARRAYS = 1000
-HEADER = 4096
-"""Bytes at the start of an array that have its shape; ours have 128."""
+ABOUT = "about"
+"""Name of the array with the facts, a text of JSON."""
 
 
 def read_arrays(file: Path) -> tuple[Any, dict[str, np.ndarray]]:
@@ -43,51 +42,17 @@ def read_arrays(file: Path) -> tuple[Any, dict[str, np.ndarray]]:
     Raises:
         UsageError: The file is too large, or no policy.
     """
+    limits = NpzLimits("policy", MOST_BYTES, USUAL_BYTES, MOST_RATIO, MOST_ARRAYS)
     try:
-        with zipfile.ZipFile(file) as held:
-            members = {one.filename.removesuffix(".npy"): one for one in held.infolist()}
-            _check_sizes(file, list(members.values()))
-            # Headers before arrays: a shape can ask for more memory than the file has bytes.
-            for name, member in members.items():
-                _check_header(held, member, name)
-            found = {name: _read(held, member) for name, member in members.items()}
-            return json.loads(str(found.pop("about"))), found
+        found = read_npz(file, limits, lambda name: "U" if name == ABOUT else "f")
+        about = parse_json(str(found.pop(ABOUT)), f"{file} is no policy of usarmjx: {ABOUT}", UsageError)
+        return about, {name: array.astype(np.float32) for name, array in found.items()}
     except UsageError:
         raise
     except KeyError:
         raise UsageError(f"{file} is no policy of usarmjx: it has no `about`") from None
     except Exception as error:  # zipfile and NumPy raise whatever they run into
         raise UsageError(f"{file} is no policy of usarmjx: {quoted(error)}") from error
-
-
-def _check_sizes(file: Path, members: Sequence[zipfile.ZipInfo]) -> None:
-    if len(members) > MOST_ARRAYS:
-        raise UsageError(f"{file} has {len(members)} arrays; a policy has at most {MOST_ARRAYS}")
-    packed, unpacked = file.stat().st_size, sum(one.file_size for one in members)
-    most = min(MOST_BYTES, max(USUAL_BYTES, MOST_RATIO * packed))
-    if unpacked > most:
-        raise UsageError(f"{file} has {packed} bytes and becomes {unpacked}; at most {most}")
-
-
-def _check_header(held: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> None:
-    """Check that an array is of numbers or a text, and its shape agrees with the size of its member."""
-    with held.open(member) as stream:
-        head = io.BytesIO(stream.read(HEADER))
-    read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}[npy.read_magic(head)]
-    shape, _, kind = read(head)
-    if kind.kind not in ("f", "U") or (kind.kind == "U") != (name == "about"):
-        raise ValueError(f"array {name[:40]!r} is of type {kind}; expected floating-point numbers")
-    size = math.prod(shape) * kind.itemsize + head.tell()
-    if size != member.file_size:
-        raise ValueError(
-            f"array {name[:40]!r} of shape {shape} takes {size} bytes, it has {member.file_size}"
-        )
-
-
-def _read(held: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
-    with held.open(member) as stream:
-        array = np.asarray(npy.read_array(stream, allow_pickle=False))
-    return array.astype(np.float32) if array.dtype.kind == "f" else array
 
 
 def check_about(about: Any) -> None:  # noqa: ANN401 - whatever the file has

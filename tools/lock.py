@@ -1,0 +1,61 @@
+"""Hashes of all packages that the image for a CPU installs, from pip's report of a dry run.
+
+    python3.12 -m pip install --dry-run --ignore-installed --report report.json -c constraints.txt .
+    python3 -m tools.lock report.json
+
+The file has no address of an index; pip compares the hash of each package that it downloads. Hashes are of
+the wheels for one Python and one machine, which the name of the file says.
+"""
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[1]
+PRODUCT = "usarmjx"
+HEAD = "# Made by tools/lock.py, which says how: `pip install --require-hashes --no-deps -r` this file.\n"
+
+
+def lock_file(environment: dict[str, str]) -> Path:
+    """Return the file for the environment of a report."""
+    where = f"{environment['python_version']}-{environment['sys_platform']}-{environment['platform_machine']}"
+    return ROOT / "locks" / f"cpu-{where}.txt"
+
+
+def lock_text(report: dict[str, Any]) -> str:
+    """Return the lines of a lock: name, version and hash of each package but our own.
+
+    Raises:
+        ValueError: A package has no hash; names it.
+    """
+    lines: list[str] = []
+    for one in report["install"]:
+        name = canonicalize_name(one["metadata"]["name"])
+        if name == PRODUCT:
+            continue
+        digest = one["download_info"].get("archive_info", {}).get("hashes", {}).get("sha256")
+        if digest is None:
+            raise ValueError(f"{name} has no sha256 in the report")
+        lines.append(f"{name}=={one['metadata']['version']} --hash=sha256:{digest}\n")
+    return HEAD + "".join(sorted(lines))
+
+
+def main(args: Sequence[str]) -> int:
+    """Write the lock of a report."""
+    if len(args) != 1:
+        sys.stderr.write("lock: expected one argument, the report of pip\n")
+        return 2
+    report = json.loads(Path(args[0]).read_text(encoding="utf-8"))
+    file = lock_file(report["environment"])
+    file.parent.mkdir(exist_ok=True)
+    file.write_text(lock_text(report), encoding="utf-8")
+    print(file.relative_to(ROOT))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
