@@ -125,7 +125,7 @@ class _ModelWriter:
         root = ET.Element("sdf", version="1.9")
         model = ET.SubElement(root, "model", name=self._robot.name)
         for body in range(1, self._model.nbody):
-            link = ET.SubElement(model, "link", name=self._name(body))
+            link = ET.SubElement(model, "link", name=self._sdf_link(body))
             _sdf_pose(link, self._pose(body))
             self._sdf_inertial(link, body)
             for geom in self._geoms(body):
@@ -133,6 +133,10 @@ class _ModelWriter:
         for body in range(2, self._model.nbody):
             self._sdf_joint(model, body)
         return root
+
+    def _sdf_link(self, body: int) -> str:
+        """Return the name of a link in SDF, where no link and joint of a model may share one."""
+        return f"{self._name(body)}_link" if self._model.body_jntnum[body] and body > 1 else self._name(body)
 
     def _name(self, body: int) -> str:
         return self._model.body(body).name
@@ -286,8 +290,8 @@ class _ModelWriter:
         joint = ET.SubElement(
             root, "joint", name=name, type="prismatic" if slides else "revolute" if moves else "fixed"
         )
-        ET.SubElement(joint, "parent").text = self._name(int(model.body_parentid[body]))
-        ET.SubElement(joint, "child").text = self._name(body)
+        ET.SubElement(joint, "parent").text = self._sdf_link(int(model.body_parentid[body]))
+        ET.SubElement(joint, "child").text = self._sdf_link(body)
         if not moves:
             return
         axis = ET.SubElement(joint, "axis")
