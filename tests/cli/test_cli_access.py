@@ -41,7 +41,10 @@ def serve(monkeypatch):
     return run
 
 
-COMMANDS = {"serve": (("serve", *PORTS, *MORE_PORTS), 4), "play": (("play", "wander", "--serve", *PORTS), 2)}
+COMMANDS = {
+    "serve": (("serve", *PORTS, *MORE_PORTS), 4),
+    "play": (("play", "wander", "--serve", *PORTS, *MORE_PORTS), 4),
+}
 """Each command that serves, and how many servers a world of it has."""
 
 

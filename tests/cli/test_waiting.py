@@ -28,7 +28,7 @@ COMMANDS = (
     "doctor",
     "serve --port 0 --no-wireless --no-images",
     "play wander --out x.png",
-    "play wander --serve --port 0",
+    "play wander --serve --port 0 --no-wireless --no-images",
     "eval wander",
     "train wander --out x",
     "export x --out x.npz",

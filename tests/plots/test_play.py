@@ -11,8 +11,10 @@ from usarmjx.cli.app import app
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.robots import ROBOTS
 from usarmjx.plots.play import GIF_SPEEDUP, _caption, record_episode, save_recording
+from usarmjx.server.pictures.image_server import ImageServer
 from usarmjx.server.rosbridge.net import RosbridgeServer
 from usarmjx.server.viewing.controls import ServedControls
+from usarmjx.server.wireless.net import WirelessService
 from usarmjx.server.worlds.policy_world import PolicyWorld
 from usarmjx.train.make import make
 from usarmjx.train.policies import policies_in, sources
@@ -20,6 +22,7 @@ from usarmjx.train.policies.sources import load_policy
 
 LIGHT = {"ranges": (), "pose": "GroundTruth", "physics": Physics(timestep=0.01, substeps=5), "repeat": 4}
 SEED = 2
+FREE_PORTS = [word for port in ("wss", "wss2", "position", "image") for word in (f"--{port}-port", "0")]
 
 
 @pytest.fixture(scope="module")
@@ -95,12 +98,14 @@ def test_play_serves_the_world_that_a_policy_drives(tmp_path, monkeypatch):
     monkeypatch.setattr("usarmjx.server.runtime.loop.serve", lambda *given: served.append(given))
     file = policy_file(tmp_path / "goal.npz", {"ranges": ""})
     how = ["--port", "3001", "--realtime-factor", "2", "--set", "pose=GroundTruth"]
-    how += ["--rosbridge-port", "0"]
+    how += ["--rosbridge-port", "0", *FREE_PORTS]
     done = CliRunner().invoke(app, ["play", str(file), "--serve", *how])
     assert done.exit_code == 0, done.output
     assert done.output == "robots to take over by INIT: P2AT0\n"
     (((server,), clock, _),) = served
-    ros, controls = server.services
+    radio, pictures, ros, controls = server.services
+    assert isinstance(radio, WirelessService)
+    assert isinstance(pictures, ImageServer)
     assert isinstance(ros, RosbridgeServer)
     assert ros.server is server, "robots that appear there report to it"
     assert isinstance(controls, ServedControls)
@@ -112,7 +117,7 @@ def test_play_serves_several_worlds_of_one_batch(tmp_path, monkeypatch):
     served = []
     monkeypatch.setattr("usarmjx.server.runtime.loop.serve", lambda *given: served.append(given))
     file = policy_file(tmp_path / "goal.npz", {"ranges": ""})
-    how = ["--worlds", "2", "--instances", "all", "--port", "3101", "--set", "pose=GroundTruth"]
+    how = ["--worlds", "2", "--instances", "all", "--port", "3101", "--set", "pose=GroundTruth", *FREE_PORTS]
     done = CliRunner().invoke(app, ["play", str(file), "--serve", *how])
     assert done.exit_code == 0, done.output
     ((servers, _, _),) = served

@@ -3,6 +3,7 @@
 import math
 import re
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from tests.arenas import COURSE
 from tests.handy import known
 from tests.server.test_adapter import House, heard
+from tests.transcripts import strict
 from tests.transcripts.readers import (
     ScalarReader,
     player_mounts,
@@ -21,7 +23,10 @@ from tests.transcripts.readers import (
     simpleui_sonars,
     simpleui_texts,
 )
+from tests.transcripts.take import take
 from tests.transcripts.transcript import HERE, read_transcript, shapes_of
+from usarmjx.cli.console.client import NOTE, RECEIVED, SENT
+from usarmjx.cli.console.client import Transcript as ConsoleRecord
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.ini.robots import load_robots
@@ -42,7 +47,7 @@ class Played:
     def __init__(self, house, name):
         self.transcript = read_transcript(name)
         world = house.world
-        client = Client(world, name, dialect=find_dialect(self.transcript.dialect))
+        client = Client(world, str(name), dialect=find_dialect(self.transcript.dialect))
         house.clients.append(client)
         self.lines, self.poses, self.greeting = [], [], heard(client)[0]
         for step in self.transcript.steps:
@@ -99,6 +104,77 @@ def test_nothing_that_they_say_is_lost_on_the_server(played):
     assert {name: one.faults for name, one in played.items()} == dict.fromkeys(NAMES, 0) | {"pyro": 1}
 
 
+# Any client
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_strict_parser_reads_every_line(played, name):
+    one = played[name]
+    for line in (one.greeting, *one.all):
+        strict.parse(line, one.transcript.dialect)
+
+
+@pytest.mark.parametrize(
+    ("line", "age"),
+    [
+        ("SEN {Time 1.0} {Type Sonar} {Name F1 Range}", strict.MANUAL),
+        ("RES {Time 1.0} {Type Gripper} {Name} {Status Failed}", strict.MANUAL),
+        ("SEN {Type Sonar} {Name F1 Range 2.5}", strict.LATER),
+        ("SEN  {Type Sonar}", strict.MANUAL),
+        ("SEN {Type Sonar}{Name F1}", strict.LATER),
+        ("SEN {Type  Sonar}", strict.MANUAL),
+        ("SEN {Type GPS} {Latitude nan}", strict.MANUAL),
+        ("SEN {Type RangeScanner} {Range 1.0,,2.0}", strict.MANUAL),
+        ("MISSTA {Name Cam} {Link 1}", strict.LATER),
+        ("sen {Type Sonar}", strict.MANUAL),
+        ("GEO {Type {Sonar}}", strict.MANUAL),
+    ],
+)
+def test_a_strict_parser_refuses(line, age):
+    with pytest.raises(strict.NotStrictError):
+        strict.parse(line, age)
+
+
+SAID = [
+    ("GETSTARTPOSES", 0.0),
+    ("INIT {ClassName USARBot.P2AT} {Name Rec} {Location 0,-2,-0.3} {Rotation 0,0,0}", 0.4),
+    ("GETCONF {Type Sonar} {Name F1}", 0.0),
+    ("DRIVE {Left 1.0} {Right 1.0}", 0.6),
+]
+
+
+@pytest.mark.parametrize("dialect", ["manual", "udk"])
+def test_what_the_console_records_is_a_test_in_one_step(world, tmp_path, dialect):
+    house, record, now = House(world), tmp_path / "record.log", [datetime(2026, 1, 1, tzinfo=UTC)]
+    client = Client(world, "Rec", dialect=find_dialect(dialect))
+    house.clients.append(client)
+    with ConsoleRecord(record, lambda: now[0]) as kept:
+        kept.write(NOTE, "connected to 127.0.0.1:3000")
+        lines = heard(client)
+        for said, wait in SAID:
+            for line in lines:
+                kept.write(RECEIVED, line)
+            kept.write(SENT, said)
+            for line in house.say(client, said.encode() + b"\r\n"):
+                kept.write(RECEIVED, line)
+            house.run(round(wait / world.period))
+            now[0] += timedelta(seconds=wait)
+            lines = heard(client)
+        for line in lines:
+            kept.write(RECEIVED, line)
+    house.leave(client)
+    (tmp_path / "rec.txt").write_text(take(record.read_text(), dialect=dialect))
+    again = Played(House(world), tmp_path / "rec.txt")
+    assert again.transcript.dialect == dialect
+    assert [step.say for step in again.transcript.steps if step.say] == [said for said, _ in SAID]
+    assert [step.wait for step in again.transcript.steps if step.wait] == [0.4, 0.6]
+    for step, lines in zip(again.transcript.steps, again.lines, strict=True):
+        assert shapes_of(lines) == step.answers, step
+    assert len(again.all) > 20
+    with pytest.raises(ValueError, match="line 1 is none of a record"):
+        take("> DRIVE {Left 1}")
+
+
 # MOAST, and NIST's node for ROS
 
 
@@ -138,7 +214,7 @@ def test_scalars_are_read_where_they_stand(played, name):
     mount.expect("Mount")
     (real,) = (item for item in one.robot.spec.sensors if item.name == "F2")
     assert (*place, *turned) == pytest.approx((*real.at, *real.direction), abs=FOUR_DECIMALS)
-    assert mount.value() == "HARD"
+    assert mount.value() == {"moast": "HARD", "ros": "P3AT"}[name]
 
 
 def test_moasts_robot_stands_where_it_was_told_and_drives_and_stops(played):
@@ -180,7 +256,7 @@ def test_ros_hears_of_its_actuator_what_it_waits_for(played):
         geometry.expect(word)
         geometry.reals(count)
     geometry.expect("Mount")
-    assert geometry.value() == "HARD"
+    assert geometry.value() == "P3AT", "the class, as the later server's items say it"
     assert [geometry.key(), geometry.value(), geometry.key(), geometry.value()] == [
         "Link",
         "1",

@@ -31,10 +31,11 @@ class Transcript:
     steps: list[Step] = field(default_factory=list)
 
 
-def read_transcript(name: str) -> Transcript:
-    """Return the transcript of a file in this folder."""
+def read_transcript(name: str | Path) -> Transcript:
+    """Return the transcript of a file: one of this folder by its name, or any."""
     transcript = Transcript()
-    for line in (HERE / f"{name}.txt").read_text().splitlines():
+    file = name if isinstance(name, Path) else HERE / f"{name}.txt"
+    for line in file.read_text().splitlines():
         mark, _, rest = line.partition(" ")
         if mark == ">":
             transcript.steps.append(Step(say=rest))

@@ -13,7 +13,9 @@ from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions
 from usarmjx.cli.recordings import recorded_episode
 from usarmjx.cli.serving_options import (
     Host,
+    ImageOptions,
     ListenOptions,
+    RadioOptions,
     RosOptions,
     RunOptions,
     ViewerOptions,
@@ -49,6 +51,8 @@ def play(
     served: ServedOptions,
     listen: ListenOptions,
     run: RunOptions,
+    radio: RadioOptions,
+    images: ImageOptions,
     ros: RosOptions,
     viewer: ViewerOptions,
     engine: PolicyEngineOption = "c",
@@ -71,7 +75,7 @@ def play(
         if not (serve or view):
             _draw_episode(driver, engine, out, seconds, run.record)
             return
-        # Who only wants to see it needs no port of its own for clients; they may come all the same.
+        # A picture in a browser needs no ports of its own for clients; they may come all the same.
         listen = listen if serve else replace(listen, port=0)
         host = Host(
             listen=listen,
@@ -80,14 +84,18 @@ def play(
             run=run,
             viewer=viewer,
             view=view or viewer.viewer_port is not None,
-            services=(ros,),
+            services=(radio, images, ros) if serve else (ros,),
         )
         with StopSignals() as signals, host.ports() as ports:
             host.warn(ports)
+            # Clients that come while the world is built, or before a run's first checkpoint, wait here.
+            for sockets in ports.bound:
+                sockets["--port"].listen()
             announce("building the world that the policy drives ...")
             services = host.prepare()
             worlds, more = _policy_worlds(driver, served, engine, host.numbers)
-            host.serve(worlds, ports, services, signals, batch_size=served.worlds, more=more)
+            heard = radio.constants if serve and radio.wanted else None
+            host.serve(worlds, ports, services, signals, batch_size=served.worlds, more=more, radio=heard)
 
 
 def _draw_episode(

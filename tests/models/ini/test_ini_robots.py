@@ -138,6 +138,32 @@ AddEffecters=(ItemClass=class'USARBot.RFIDReleaser',ItemName=Gun)
     assert [mount.kind for mount in robot.effecters] == ["RFIDReleaser"]
 
 
+def test_scanners_of_the_later_versions_are_range_scanners_with_their_figures(load):
+    """DefaultUSAR.ini of the later versions; what stands within the brackets wins."""
+    text = """
+[USARBot.P2AT]
+AddSensors=(ItemClass=class'USARSensor.HokuyoURG04LX',ItemName=hokuyo)
+AddSensors=(ItemClass=class'USARSensor.SICK',ItemName=lms200,MaxRange=8.0)
+AddCameras=(ItemClass=class'USARSensor.USARCamera',ItemName=Eye)
+"""
+    robot = named(load(text), "P2AT")
+    found = {mount.name: mount for mount in (*robot.sensors, *robot.cameras)}
+    assert [found[name].kind for name in ("hokuyo", "lms200", "Eye")] == [
+        "RangeScanner",
+        "RangeScanner",
+        "Camera",
+    ]
+    settings = {
+        sensor.mounts[0].name: sensor.settings[0]
+        for sensor in suite_of(robot).sensors
+        if sensor.kind == "RangeScanner"
+    }
+    small, large = settings["hokuyo"], settings["lms200"]
+    assert (small.max_range, small.scan_fov, small.scan_interval) == (4.0, 4.189, 0.3)
+    assert small.resolution == pytest.approx(0.0184086914)
+    assert (large.max_range, large.scan_fov) == (8.0, 3.14159)
+
+
 def test_class_defaults_yield_to_the_section_and_both_to_the_mount(load):
     text = f"""
 [USARBot.SonarSensor]

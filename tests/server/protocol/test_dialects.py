@@ -2,8 +2,11 @@
 
 import pytest
 
+from tests.server.still_world import StillWorld
 from usarmjx.base.errors import UsageError
-from usarmjx.server.protocol.commands import DriveRobot, GetConf, Init, LinkCommand, MisPkg
+from usarmjx.models.robots import ROBOTS
+from usarmjx.server.gamebots.adapter import Client
+from usarmjx.server.protocol.commands import DriveRobot, GetConf, Init, LinkCommand, MisPkg, SetJoint
 from usarmjx.server.protocol.dialects import DIALECTS, MANUAL, UDK, find_dialect
 from usarmjx.server.protocol.grammar import format_message, parse_message
 from usarmjx.server.protocol.reports import nfo_greeting
@@ -94,6 +97,8 @@ ASKED = [
     ("MISPKG {Name Cam} {Link 1} {Value 0.2} {Order 0}", MisPkg("Cam", (LinkCommand(1, 0.2),))),
     ("GETCONF {Type actuator} {Name Cam}", GetConf("actuator", "Cam")),
     ("GETCONF {Type Gripper}", GetConf("Gripper")),
+    ("SET {Type Joint} {Name Arm} {Opcode Target} {Params 0.5}", SetJoint("Arm", 0, 0.5, None)),
+    ("SET {Type Joint} {Name Arm} {Opcode Angle} {Params 0.5}", SetJoint("Arm", 0, 0.5, None)),
     ("Drive {Left 1.0} {Right 1.0}", DriveRobot((("Left", 1.0), ("Right", 1.0)))),
 ]
 
@@ -102,9 +107,27 @@ ASKED = [
 def test_what_udk_understands(line, command):
     session = RobotSession(nfo_greeting("DM-Test"), dialect=UDK)
     (init,) = session.receive_data(b"INIT {Classname USARBot.P3AT} {Name R} {Start Start1}\r\n")
-    assert init == Init("P2AT", "R", start="Start1")
+    assert init == Init("P3AT", "R", start="Start1")
     session.answer_init(True)
     assert session.receive_data(line.encode() + b"\r\n") == [command]
+
+
+def test_items_on_the_chassis_are_mounted_on_the_class_that_init_named():
+    session = RobotSession(nfo_greeting("DM-Test"), dialect=UDK)
+    session.receive_data(b"INIT {ClassName USARBot.P3AT} {Name R} {Start Start1}\r\n")
+    session.answer_init(True)
+    session.data_to_send()
+    for line in (
+        "GEO {Type Sonar} {Name F2 Location 1,2,3 Orientation 0,0,0 Mount HARD}",
+        "GEO {Type Actuator} {Name Cam} {Link 1} {ParentLink -1} {Location 0.1,0,0} {Orientation 3.1,0,0}",
+    ):
+        session.send(parse_message(line))
+    sonar, package = session.data_to_send().decode().splitlines()
+    assert sonar == "GEO {Type Sonar} {Name F2} {Location 1,2,3} {Orientation 0,0,0} {Mount P3AT}"
+    assert (
+        "{Name Cam} {Location 0.0000,0.0000,0.0000} {Orientation 0.0000,0.0000,0.0000} {Mount P3AT} {Link 1}"
+        in package
+    )
 
 
 def test_the_manual_knows_none_of_it():
@@ -114,6 +137,14 @@ def test_the_manual_knows_none_of_it():
     session.answer_init(True)
     assert session.receive_data(b"ACT {Name Cam} {Link 0} {Value 0.2}\r\n") == []
     assert session.receive_data(b"GETGEO {Type Actuator}\r\n")[0].type == "Actuator"
+
+
+@pytest.mark.parametrize("dialect", [MANUAL, UDK])
+@pytest.mark.parametrize("name", ["P3AT", "p3at", "P2AT"])
+def test_class_names_of_both_ages_are_known_in_both_dialects(name, dialect):
+    client = Client(StillWorld(), "A", dialect=dialect)
+    assert client.robot_class(Init(name, "R")) is ROBOTS.get("P2AT")
+    assert client.robot_class(Init("P4AT", "R")) is None
 
 
 def test_a_dialect_is_found_by_its_name():

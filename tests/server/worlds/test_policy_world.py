@@ -230,6 +230,43 @@ def test_clients_are_told_what_was_measured_for_the_last_action(world):
     assert told == 20 / 4
 
 
+def test_a_client_finds_every_sensor_of_its_class(world):
+    """The task reads GroundTruth alone; noise of the INS is 0.01 m, and the empty floor gives no echo."""
+    world.prepare(P2AT)
+    robot = world.spawn(P2AT, "P2AT0", (0.0, 0.0, 0.3), LEVEL)
+    kinds = [sensor.kind for sensor in robot.suite.sensors]
+    assert sorted(kinds) == sorted({mount.kind for mount in P2AT.sensors})
+    assert {mount.name for mount in robot.spec.sensors} == {mount.name for mount in P2AT.sensors}
+    read, told, start = {}, kinds.index("Odometry"), places(world)[0, 0]
+    for _ in range(20):
+        world.step()
+        world.observe([robot])
+        read |= robot.pending
+    assert set(read) == set(range(len(kinds)))
+    truth, odometry = read[kinds.index("GroundTruth")], read[told]
+    way = np.linalg.norm(places(world)[0, 0] - start)
+    assert odometry[0] == pytest.approx(way, abs=0.03), "it begins with its client, and brakes"
+    np.testing.assert_allclose(read[kinds.index("INS")][:3], truth[:3], atol=0.1)
+    scan = read[kinds.index("RangeScanner")]
+    assert len(scan) == 181
+    assert scan.min() > 1.0, "nothing but the other robot is near"
+    assert len(read[kinds.index("Sonar")]) == 16
+    ins = kinds.index("INS")
+    assert world.operate_sensor(robot, ins, "POSE", (7.0, 8.0, 0.0, 0.0, 0.0, 0.0))
+    robot.pending.clear()
+    for _ in range(20):
+        world.step()
+        world.observe([robot])
+    np.testing.assert_allclose(robot.pending[ins][:2], [7.0, 8.0], atol=0.1)
+    world.prepare_reset()
+    world.reset()
+    robot.pending.clear()
+    for _ in range(20):
+        world.step()
+        world.observe([robot])
+    assert set(robot.pending) == set(range(len(kinds))), "they begin anew with the world"
+
+
 def test_maps_that_the_tasks_robots_build_are_shown(world):
     run(world, 2.0)
     source = ServedSource([world])

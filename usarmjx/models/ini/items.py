@@ -17,7 +17,7 @@ from usarmjx.models.ini.read import (
     fail,
     vector_of,
 )
-from usarmjx.models.types.robot import CHASSIS, Mount, Options, RobotSpec
+from usarmjx.models.types.robot import CHASSIS, Mount, Options, RobotSpec, options
 from usarmjx.models.types.settings import checked, field_name
 
 ITEM_CLASSES = {
@@ -42,11 +42,21 @@ ITEM_CLASSES = {
     "GroundTruth": "GroundTruth",
     "GroundTruthSensor": "GroundTruth",
     "RobotCamera": "Camera",
+    "USARCamera": "Camera",
     "Gripper": "Gripper",
     "RFIDReleaser": "RFIDReleaser",
     "RollerTable": "RollerTable",
 }
 """Type on the wire and in `Mount.kind` of each class of items (manual 10 and 11)."""
+
+LATER_ITEM_CLASSES: Mapping[str, tuple[str, Options]] = {
+    "sick": ("RangeScanner", options(MaxRange=20.0, ScanFov=3.14159, Resolution=0.01745)),
+    "hokuyourg04lx": (
+        "RangeScanner",
+        options(MaxRange=4.0, ScanFov=4.189, Resolution=0.0184086914, ScanInterval=0.3),
+    ),
+}
+"""Item classes of the later versions in lower case: type and settings (their DefaultUSAR.ini)."""
 
 UU_ANGLES = ("Resolution", "ScanFov")
 """Angles that the manual gives in whole Unreal units (10.3.2); a number with a point is in radians."""
@@ -229,7 +239,8 @@ def read_mount(
     """
     struct = as_struct(line)
     written = as_class(line, struct.get("ItemClass"), "ItemClass")
-    kind, inherited = classes.get(written.lower(), (kind_of(written, settings), ()))
+    known = {**LATER_ITEM_CLASSES, **classes}
+    kind, inherited = known.get(written.lower(), (kind_of(written, settings), ()))
     if kind is None:
         fail(line, f"unknown ItemClass {written!r}", f"one of {', '.join((*ITEM_CLASSES, *classes))}")
     name = as_name(line, struct.get("ItemName"), "ItemName")

@@ -21,7 +21,7 @@ from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol import reports
 from usarmjx.server.protocol.arguments import read_parameters
 from usarmjx.server.protocol.commands import LinkCommand, MisPkg, TurnCamera
-from usarmjx.server.protocol.dialects import MANUAL, Dialect
+from usarmjx.server.protocol.dialects import LATER_CLASSES, MANUAL, Dialect
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import AUTH, Message, clip, four_decimals, redact
 from usarmjx.server.protocol.reports import STATUS_FAILED, STATUS_OK
@@ -146,8 +146,10 @@ class Client:
 
     def robot_class(self, init: wire.Init) -> RobotSpec | None:
         """Return the robot class of an INIT; None when there is no such class."""
-        if init.class_name in ROBOTS:
-            return ROBOTS.get(init.class_name)
+        later = LATER_CLASSES.get(init.class_name.lower(), "")
+        for name in (init.class_name, later):
+            if name in ROBOTS:
+                return ROBOTS.get(name)
         known = ", ".join(ROBOTS.names())
         self.session.note_refusal(f"unknown robot {clip(init.class_name)}; known: {known}")
         return None

@@ -8,6 +8,7 @@ A dialect stands between lines and commands. `understand` converts a client's me
     GETCONF {Type Actuator}, GETGEO {Type Actuator}                    beside MisPkg, with other keys
     GEO ... {Mount CameraPanTilt} {MountLink 2}                        Mount CameraPanTilt_Link2
     SEN {Time 62.0100} {Type Sonar} {Name F1} {Range 2.5098}           a line for each sonar, not one for all
+    GEO ... {Mount P3AT}                                               Mount HARD: the class that INIT named
     INIT {ClassName USARBot.P3AT} {Start Start1}                       its Pioneer, which is our P2AT
 """
 
@@ -23,8 +24,8 @@ PACKAGE_TYPE, ACTUATOR_TYPE = "MisPkg", "Actuator"
 """Type of mission packages in the manual and in UDK's version."""
 GROUPED_TYPES = ("Sonar", "IR", "Touch", "Encoder")
 """Sensor types that share one line in the manual's version."""
-LATER_CLASSES = {"usarbot.p3at": "USARBot.P2AT", "p3at": "P2AT"}
-"""Robot classes of the later versions, lower case, and their names here."""
+LATER_CLASSES = {"p3at": "P2AT"}
+"""Robot classes of the later versions, lower case, and their names here; both dialects take both."""
 LINK_KEYS = {"ParentLink": "Parent", "MinRange": "MinValue", "MaxRange": "MaxValue"}
 """Keys of GEO and CONF of packages, and their names in UDK's version."""
 CHASSIS_MOUNT = "HARD"
@@ -40,14 +41,15 @@ class Dialect:
     Attributes:
         name: Its name.
         understand: Converts a client's message to the manual's.
-        translate: Converts a message of the manual to those that the client receives.
+        translate: Converts a message of the manual to those that the client receives, given the class of
+            its robot as its INIT named it.
         is_stamped: Whether every reading has its time, regardless of the sensor's setting.
         package_types: Types that ask for mission packages, lower case.
     """
 
     name: str
     understand: Callable[[Message], Message]
-    translate: Callable[[Message], Iterable[Message]]
+    translate: Callable[[Message, str], Iterable[Message]]
     is_stamped: bool = False
     package_types: frozenset[str] = frozenset({PACKAGE_TYPE.lower()})
 
@@ -55,9 +57,15 @@ class Dialect:
 def _understand_udk(message: Message) -> Message:
     if message.kind == "ACT":
         return Message("MISPKG", tuple(_count_from_one(segment) for segment in message.segments))
-    if message.kind == "INIT":
-        return _with_values(message, "classname", LATER_CLASSES)
+    if message.kind == "SET" and message.get("Type").lower() == "joint":
+        return replace(message, segments=tuple(_angle(segment) for segment in message.segments))
     return message
+
+
+def _angle(segment: Segment) -> Segment:
+    """Return the manual's opcode of the later versions' Target of a joint."""
+    key, value = segment
+    return (key, "Angle") if key.lower() == "opcode" and value.lower() == "target" else segment
 
 
 def _count_from_one(segment: Segment) -> Segment:
@@ -66,25 +74,18 @@ def _count_from_one(segment: Segment) -> Segment:
     return (key, str(to_int(value) + 1)) if is_link else segment  # a word stays what it is, to be refused
 
 
-def _with_values(message: Message, key: str, replacements: dict[str, str]) -> Message:
-    segments = tuple(
-        (name, replacements.get(value.lower(), value) if name.lower() == key else value)
-        for name, value in message.segments
-    )
-    return replace(message, segments=segments)
-
-
-def _translate_udk(message: Message) -> Iterator[Message]:
+def _translate_udk(message: Message, robot_class: str = "") -> Iterator[Message]:
     if message.kind == "MISSTA":
         yield Message("ASTA", tuple(segment for segment in message.segments if segment[0] != "Torque"))
     elif message.kind in ("GEO", "CONF") and message.get("Type").lower() == ACTUATOR_TYPE.lower():
-        yield Message(message.kind, tuple(_actuator(message)))
+        yield Message(message.kind, tuple(_actuator(message, robot_class or CHASSIS_MOUNT)))
     elif message.kind == "SEN" and message.get("Type") in GROUPED_TYPES:
         yield from _one_by_one(message)
     elif message.kind == "SEN":
         yield replace(message, segments=tuple(_split(message.segments)))
     elif message.kind == "GEO":
-        yield replace(message, segments=tuple(_mounted(_split(message.segments))))
+        segments = _split(message.segments)
+        yield replace(message, segments=tuple(_mounted(segments, robot_class or CHASSIS_MOUNT)))
     else:
         yield message
 
@@ -100,9 +101,12 @@ def _split(segments: Iterable[Segment]) -> Iterator[Segment]:
             yield (key, value)
 
 
-def _mounted(segments: Iterable[Segment]) -> Iterator[Segment]:
-    """Name the package and its link that carry an item."""
+def _mounted(segments: Iterable[Segment], chassis: str) -> Iterator[Segment]:
+    """Name the package and its link that carry an item, or the chassis by its robot's class."""
     for key, value in segments:
+        if key == "Mount" and value == CHASSIS_MOUNT:
+            yield (key, chassis)
+            continue
         link = _LINK_PART.fullmatch(value) if key == "Mount" else None
         if link is not None:
             yield (key, link[1])
@@ -119,7 +123,7 @@ def _one_by_one(message: Message) -> Iterator[Message]:
         yield Message(message.kind, (*segments[: names[0]], *segments[start:end]))
 
 
-def _actuator(message: Message) -> Iterator[Segment]:
+def _actuator(message: Message, chassis: str) -> Iterator[Segment]:
     """Return UDK's form of packages: the pose and the tip of each, and its links from the base, link 0."""
     has_pose = message.kind == "GEO" and bool(message.all("Link"))
     tip = [("Tip", _ORIGIN)] if has_pose else []
@@ -133,11 +137,16 @@ def _actuator(message: Message) -> Iterator[Segment]:
         else:
             yield (LINK_KEYS.get(key, key), value)
         if key == "Name" and has_pose:
-            yield from (("Location", _ORIGIN), ("Orientation", _ORIGIN), ("Mount", CHASSIS_MOUNT))
+            yield from (("Location", _ORIGIN), ("Orientation", _ORIGIN), ("Mount", chassis))
     yield from tip
 
 
-MANUAL = Dialect("manual", lambda message: message, lambda message: (message,))
+def _as_it_is(message: Message, robot_class: str = "") -> Iterable[Message]:
+    del robot_class
+    return (message,)
+
+
+MANUAL = Dialect("manual", lambda message: message, _as_it_is)
 """Version 3.1.3, on Unreal Tournament 2004: the manual's own."""
 UDK = Dialect(
     "udk",

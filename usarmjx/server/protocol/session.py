@@ -64,6 +64,7 @@ class RobotSession:
     Attributes:
         phase: Phase of the dialogue.
         dialect: Vocabulary of both sides.
+        robot_class: Class of the robot, as the last INIT named it; "" before.
         fault_count: Number of faults so far.
         faults_in_a_row: Number of unusable lines since the last usable one.
     """
@@ -76,7 +77,7 @@ class RobotSession:
         dialect: Dialect = MANUAL,
     ) -> None:
         self.phase = SessionPhase.GREETED
-        self.dialect = dialect
+        self.dialect, self.robot_class = dialect, ""
         self._lines = LineBuffer(line_limit)
         self._send_limit = send_limit
         self._outgoing = bytearray()
@@ -161,7 +162,8 @@ class RobotSession:
         """
         if self.phase is SessionPhase.CLOSED:  # a tick cannot know that its reader has just left
             return
-        translated = [format_message(_in_pairs(one)) for one in self.dialect.translate(message)]
+        said = self.dialect.translate(message, self.robot_class)
+        translated = [format_message(_in_pairs(one)) for one in said]
         line = "".join(f"{one}\r\n" for one in translated).encode("latin-1", "replace")
         if len(self._outgoing) + len(line) > self._send_limit:
             raise PeerError(f"the peer does not read: {len(self._outgoing)} bytes wait for it")
@@ -212,7 +214,9 @@ class RobotSession:
         if type(command) not in LEGAL_COMMANDS[self.phase]:
             self._fault(f"{type(command).__name__} is ignored when {self.phase.value}")
             return None
-        if not isinstance(command, Init):  # the answer to an Init decides whether it was of any use
+        if isinstance(command, Init):  # its answer decides whether it was of any use
+            self.robot_class = command.class_name
+        else:
             self.faults_in_a_row = 0
         return command
 

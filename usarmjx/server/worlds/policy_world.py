@@ -1,7 +1,8 @@
 """A served world whose robots a policy drives; clients take over some of them.
 
 All worlds of the batch do the policy's task. It reads sensors once for each action, as in training, and
-clients get the same readings, so clients change nothing for the policy.
+clients get the same readings, so clients change nothing for the policy. Sensors of their class that the task
+leaves out are read for them alone.
 """
 
 import asyncio
@@ -26,7 +27,9 @@ from usarmjx.engines import PhysicsState
 from usarmjx.models.drives.base import RobotState
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.base import Reading
+from usarmjx.sensors.suite import SensorMemory
 from usarmjx.server.worlds.batch_world import BatchWorld, SharedBatch
+from usarmjx.server.worlds.class_sensors import ClassSensors, join_memories, split_memory
 from usarmjx.server.worlds.recorded import store_reading
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.sim.actions import apply_actions
@@ -35,6 +38,7 @@ from usarmjx.sim.control import idle_command
 from usarmjx.sim.radio import update_links
 from usarmjx.sim.world import World, observe
 from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.recipe import spec_of
 from usarmjx.train.envs.task import Policy, TaskView, TeamMaps
 from usarmjx.train.learning.checkpoint import Checkpoints
 from usarmjx.train.policies.sources import PolicySource, load_policy
@@ -246,6 +250,7 @@ class PolicyWorld(BatchWorld):
     def __init__(self, shared: PolicyBatch, instance: int = 0) -> None:
         super().__init__(shared, instance)
         self.policy_batch = shared
+        self._class_sensors = ClassSensors(self.scene, [spec_of(one) for one in shared.env.task.robots])
         self._agents = {slot: self._robot(slot, name) for name, slot in self.agents().items()}
 
     @property
@@ -256,9 +261,41 @@ class PolicyWorld(BatchWorld):
     def _robot(self, slot: int, name: str) -> Robot:
         """Return one of the task's robots without a command or readings."""
         number, _ = self.scene.group_of(slot)
-        group = self.scene.groups[number]
-        command = jax.tree.map(np.array, idle_command(group.robot))
-        return Robot(slot=slot, name=name, suite=group.suite, command=command, spawn_time=self.time)
+        suite = self._class_sensors.suites[number]
+        command = jax.tree.map(np.array, idle_command(suite.plan.robot))
+        return Robot(slot=slot, name=name, suite=suite, command=command, spawn_time=self.time)
+
+    def prepare(self, robot: RobotSpec) -> None:
+        """Compile what reads the sensors of a class that the task leaves out; may run in a thread."""
+        super().prepare(robot)
+        for number, group in enumerate(self.scene.groups):
+            if group.robot.name == robot.name and self._class_sensors.has(number):
+                started = self._class_sensors.start(number, *self.one_world())
+                self._class_sensors.prepare(number, *self._traced_world(), started)
+
+    def _traced_world(self) -> tuple[World, PhysicsState]:
+        """Return the world and its physics as compiled programs take them, without an axis over worlds."""
+        now = self._state.worlds, self._batch.physics(self._state)
+        return jax.tree.map(lambda x: x[self._instance], now)
+
+    def memory(self, robot: Robot) -> SensorMemory:
+        """Return the memory of the robot's sensors, those that the task reads first; NumPy arrays."""
+        group, member = self.scene.group_of(robot.slot)
+        own = super().memory(robot)
+        if not self._class_sensors.has(group):
+            return own
+        further = self._class_sensors.memory(group, member, self.one_world(), self._instance)
+        return join_memories(own, further)
+
+    def edit(self, robot: Robot, **fields: Any) -> None:  # noqa: ANN401 - PyTrees of one robot
+        """Replace fields of the robot's part of its group's state."""
+        group, member = self.scene.group_of(robot.slot)
+        memory = fields.get("memory")
+        own = len(self.scene.groups[group].suite.sensors)
+        if memory is not None and len(memory.own) > own:
+            fields["memory"], further = split_memory(memory, own)
+            self._class_sensors.store(group, member, further, self.one_world(), self._instance)
+        super().edit(robot, **fields)
 
     def _store_readings(self) -> None:
         """Store the last readings: for the reports of clients' robots, and as the latest of the others."""
@@ -297,6 +334,9 @@ class PolicyWorld(BatchWorld):
             self._put_first(robot, name, pos, angles) if slot is None else self._take_over(slot, robot, name)
         )
         self.policy_batch.claimed[self._instance, new.slot] = True
+        group, member = self.scene.group_of(new.slot)
+        if self._class_sensors.has(group):
+            self._class_sensors.restart(group, member, self.one_world(), self._instance)
         # Sensors are read once per action: the first report comes right after a reading, not before.
         new.spawn_time = self.policy_batch.measured * self.period
         return new
@@ -305,7 +345,9 @@ class PolicyWorld(BatchWorld):
         for group in self.scene.groups:
             free = [int(slot) for slot in group.slots if int(slot) not in self.robots]
             if group.robot.name == robot.name and free:
-                return self._activate(free[0], robot, name, pos, angles)
+                new = self._activate(free[0], robot, name, pos, angles)
+                new.suite = self._robot(new.slot, name).suite
+                return new
         raise UsageError(f"no {robot.name} left to take over; the robots here: {', '.join(self.agents())}")
 
     def _take_over(self, slot: int, robot: RobotSpec, name: str) -> Robot:
@@ -351,10 +393,24 @@ class PolicyWorld(BatchWorld):
             self._store_readings()
 
     def observe(self, due: list[Robot]) -> None:
-        """Update whose battery has drowned; the readings are pending since the policy's last action."""
+        """Read the sensors that the task leaves out; what it reads is pending since the last action."""
         for robot in due:
             group, member = self.scene.group_of(robot.slot)
             robot.drowned = bool(self._state.worlds.groups[group].drowned[self._instance, member])
+        for group in {self.scene.group_of(robot.slot)[0] for robot in due}:
+            if self._class_sensors.has(group):
+                self._read_further(group)
+
+    def _read_further(self, group: int) -> None:
+        """Read and store the sensors that the task leaves out, of the clients' robots of a group."""
+        readings = self._class_sensors.read(group, self.one_world(), self._traced_world(), self._instance)
+        first = len(self.scene.groups[group].suite.sensors)
+        for robot in self.robots.values():
+            number, member = self.scene.group_of(robot.slot)
+            for sensor, reading in enumerate(readings, first) if number == group else ():
+                if reading.fresh[member]:  # a recording has the scene's sensors alone
+                    robot.pending[sensor] = value = np.asarray(reading.value[member])
+                    robot.latest[sensor] = self.time, value
 
 
 def newest(run: Path) -> str | None:

@@ -146,8 +146,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
             _lock(held, out, process_group)
             _check_new(out, process_group)  # another one may have been quicker
         record = make_record(trainer.env, config, process_group.count, origin)
-        record = _checked_record(record, trainer, checkpoints, resume, source)
-        _prepare(out, record, process_group)
+        _prepare(out, _checked_record(record, trainer, checkpoints, resume, source), process_group)
         began = time.perf_counter()
         with compiling(trainer):
             train_state, worlds, before = _restore(trainer, checkpoints, source)
