@@ -27,7 +27,7 @@ LATER_ITEMS = {
     "magneticcompass": "Magnetometer",
 }
 """Classes of items of the later versions with another name."""
-DERIVED_ITEMS = {"sick": "RangeScanner", "hokuyourg04lx": "RangeScanner", "hokuyo": "RangeScanner"}
+DERIVED_ITEMS = {"sick": "RangeScanner", "hokuyourg04lx": "RangeScanner"}
 """Classes of the later versions that are another class with numbers of their own, and that class."""
 OWN_KINDS = ("IMU", "Battery", "Magnetometer")
 """Types that the manual has no class of."""
@@ -160,8 +160,6 @@ class _Translation:
         if ours is None or (isinstance(parent, str) and parent.lower().startswith("usarmispkg.")):
             self._note_left_out(full if ours is None else f"{full} on {parent}", line)
             return None
-        if name.lower() in DERIVED_ITEMS:
-            self._derived.setdefault(ours, line)
         kept: list[tuple[str, IniValue]] = [("ItemClass", ours)]
         for key, value in line.value.fields:
             on_robot = key.lower() == "parent" and str(value).lower().startswith("usarbot.")
