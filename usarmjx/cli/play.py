@@ -11,6 +11,7 @@ import typer
 from usarmjx.cli.common import ErrorExit, WorldsOption
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions
 from usarmjx.cli.recordings import recorded_episode
+from usarmjx.cli.ros2_options import Ros2Options
 from usarmjx.cli.serving_options import (
     Host,
     ImageOptions,
@@ -54,6 +55,7 @@ def play(
     radio: RadioOptions,
     images: ImageOptions,
     ros: RosOptions,
+    ros2: Ros2Options,
     viewer: ViewerOptions,
     engine: PolicyEngineOption = "c",
     out: Annotated[Path, typer.Option(help="Picture to write: .png is a strip, .gif moves.")] = Path(
@@ -84,7 +86,7 @@ def play(
             run=run,
             viewer=viewer,
             view=view or viewer.viewer_port is not None,
-            services=(radio, images, ros) if serve else (ros,),
+            services=(radio, images, ros, ros2) if serve else (ros, ros2),
         )
         with StopSignals() as signals, host.ports() as ports:
             host.warn(ports)

@@ -200,19 +200,29 @@ def plot(
             typer.echo(f"wrote {path}")
 
 
+BAG_SUFFIX = ".rosbag2"
+"""Suffix of the folder of a bag of ROS 2."""
+
+
 def export_recording(file: Path, out: Path, world: int = 0, speed: float = 2.0) -> None:
-    """Write a recording as tables or as a film, as the name of the file says."""
+    """Write a recording as tables, as a film or as a bag of ROS 2, as the name of the file says."""
     from usarmjx.base.errors import UsageError
     from usarmjx.plots.recording import FILMS, save_film
     from usarmjx.recording.reader import Recording
     from usarmjx.recording.tables import SUFFIXES, export_tables
 
     suffix = out.suffix.lower()
-    if suffix not in (*SUFFIXES, *FILMS):
-        raise UsageError(f"{out}: recordings are exported to {', '.join((*SUFFIXES, *FILMS))}")
+    if suffix not in (*SUFFIXES, *FILMS, BAG_SUFFIX):
+        raise UsageError(f"{out}: recordings are exported to {', '.join((*SUFFIXES, *FILMS, BAG_SUFFIX))}")
     recording = Recording(file)
     _tell_if_broken_off(recording.is_complete, file)
-    if suffix in SUFFIXES:
+    if suffix == BAG_SUFFIX:
+        from usarmjx.server.ros2.bags import write_bag
+
+        for topic, count in write_bag(recording, out, world).items():
+            typer.echo(f"{topic}: {count}")
+        typer.echo(f"wrote {out}")
+    elif suffix in SUFFIXES:
         written = export_tables(recording, out)
         for path in written:
             typer.echo(f"wrote {path}")

@@ -19,6 +19,7 @@ from usarmjx.cli.common import (
     add_robots,
     configure_from,
 )
+from usarmjx.cli.ros2_options import Ros2Options
 from usarmjx.cli.serving_options import (
     Host,
     ImageOptions,
@@ -107,6 +108,7 @@ def serve(
     radio: RadioOptions,
     images: ImageOptions,
     ros: RosOptions,
+    ros2: Ros2Options,
     viewer: ViewerOptions,
     view: ViewOption = True,
     log_json: Annotated[bool, typer.Option("--log-json", help="Log a JSON object per line.")] = False,
@@ -126,7 +128,7 @@ def serve(
             run=run,
             viewer=viewer,
             view=view,
-            services=(radio, images, ros),
+            services=(radio, images, ros, ros2),
         )
         with host.ports() as ports:
             if not log_json:

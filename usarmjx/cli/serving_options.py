@@ -330,13 +330,14 @@ class RosOptions:
         return make
 
 
-def connect_rosbridge(servers: "Sequence[BotServer]") -> None:
-    """Let robots that appear by rosbridge report to the servers of their worlds."""
+def connect_ros(servers: "Sequence[BotServer]") -> None:
+    """Let robots that appear by ROS report to the servers of their worlds."""
+    from usarmjx.server.ros2.server import Ros2Server
     from usarmjx.server.rosbridge.net import RosbridgeServer
 
     for server in servers:
         for service in server.services:
-            if isinstance(service, RosbridgeServer):
+            if isinstance(service, RosbridgeServer | Ros2Server):
                 service.server = server
 
 
@@ -649,7 +650,7 @@ class Host:
 
         settings = replace(self.settings, time_limit=self.run.time_limit)
         servers = make_servers(worlds, settings, services.makers, ports.bound, self.numbers, batch_size)
-        connect_rosbridge(servers)
+        connect_ros(servers)
         servers[0].services.extend(more)
         if ports.metrics is not None:
             add_metrics(servers, self.run.realtime_factor, ports.metrics, self.numbers)

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
@@ -23,6 +24,7 @@ from usarmjx.base.settings import (
     to_yaml,
 )
 from usarmjx.base.settings.json_file import read_json
+from usarmjx.cli.clips import ClippedTraining
 from usarmjx.cli.common import ErrorExit, OldOutArgument, PortOffsetOption, chosen_out
 from usarmjx.cli.completion import complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from usarmjx.train.envs.task import Task
     from usarmjx.train.learning.config import Config
     from usarmjx.train.learning.fine_tuning import TrainedNetworks
+    from usarmjx.train.learning.rollout_inputs import RolloutInputs
     from usarmjx.train.learning.run_record import EnvArguments
     from usarmjx.train.learning.stopping import StopRequest
 
@@ -322,6 +325,15 @@ RecordEveryOption = Annotated[
     int, typer.Option(min=1, help="With --record: of so many iterations one is kept, of 4 worlds.")
 ]
 
+ClipsOption = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        help="Iterations from one to the next whose best, median and worst world are filmed, for TensorBoard "
+        "and Weights & Biases, too; 0: none.",
+    ),
+]
+
 
 @app.command(cls=TrainCommand, epilog="`usarmjx train TASK --help` lists the settings of a task.")
 def train(
@@ -348,6 +360,7 @@ def train(
     viewer_port: ViewerPortOption = None,
     record: RecordOption = None,
     record_every: RecordEveryOption = 50,
+    clips: ClipsOption = 0,
 ) -> None:
     """Train a policy for a task."""
     with ErrorExit():
@@ -375,7 +388,7 @@ def train(
             from usarmjx.train.learning.launch import spawn
 
             raise typer.Exit(spawn(processes, [sys.executable, "-m", "usarmjx", *sys.argv[1:]]))
-        shown = _Shown(serve, port, port_offset, view, viewer_port, record, record_every, wandb, quiet)
+        shown = _Shown(serve, port, port_offset, view, viewer_port, record, record_every, wandb, quiet, clips)
         _run_training(task, options, shown)
 
 
@@ -392,6 +405,7 @@ class _Shown:
     record_every: int
     wandb: str | None
     quiet: bool
+    clips: int
 
 
 def _joined() -> bool:
@@ -425,6 +439,9 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
             watchers.append(_ShownTraining(page, f"{task}, in training"))
         if shown.record is not None and process.index == 0:
             watchers.append(_RecordedTraining(shown.record, shown.record_every))
+        if shown.clips and process.index == 0:
+            watchers.append(ClippedTraining(options.out, shown.clips, shown.wandb is not None))
+        watchers.append(_RecordedFaults(options.out / "faults"))
         bar = not shown.quiet and not process.index
         with StopRequest(say) as stop:
             score = _train(task, options, watchers, None if process.index else shown.wandb, bar, stop)
@@ -514,10 +531,6 @@ def _train(
             watcher.begin(env, config)
         return env
 
-    def look(state: "EnvState") -> None:
-        for watcher in watchers:
-            watcher.look(state)
-
     watch = None
     if project is not None:
         from usarmjx.train.learning.metrics import wandb_watch
@@ -533,7 +546,8 @@ def _train(
             source=plan.source,
             progress=bar,
             watch=watch,
-            look=look if watchers else None,
+            look=partial(_look, watchers),
+            inspect=partial(_inspect, watchers),
             stop=stop,
         )
     finally:
@@ -541,6 +555,18 @@ def _train(
             watcher.close()
     score = done.last_metrics.get("score")
     return f"{done.agent_steps:,} agent steps, score {score if score is None else round(score, 3)}: {out}"
+
+
+def _look(watchers: "Sequence[_TrainingWatcher]", state: "EnvState") -> None:
+    """Show all watchers the worlds as they are."""
+    for watcher in watchers:
+        watcher.look(state)
+
+
+def _inspect(watchers: "Sequence[_TrainingWatcher]", inputs: "RolloutInputs") -> None:
+    """Show all watchers what went into a rollout."""
+    for watcher in watchers:
+        watcher.inspect(inputs)
 
 
 class _TrainingWatcher(Protocol):
@@ -551,6 +577,9 @@ class _TrainingWatcher(Protocol):
 
     def look(self, state: "EnvState") -> None:
         """Look at the worlds as they are."""
+
+    def inspect(self, inputs: "RolloutInputs") -> None:
+        """Look at what went into a rollout."""
 
     def close(self) -> None:
         """The training is over."""
@@ -583,8 +612,42 @@ class _ShownTraining:
         """Show the worlds as they are."""
         self._page.show(state.batch)
 
+    def inspect(self, inputs: "RolloutInputs") -> None:
+        """Ignore it."""
+
     def close(self) -> None:
         """Leave the page as it is: it goes with the process."""
+
+
+class _RecordedFaults:
+    """Worlds that go bad, recorded.
+
+    Args:
+        folder: For the recordings.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._box = folder, None
+
+    def begin(self, env: "Env", config: "Config") -> None:
+        """Take the training's worlds and its settings."""
+        if config.black_box:
+            from usarmjx.recording.black_box import BlackBox
+
+            self._box = BlackBox(env, self._folder, config.black_box, say)
+
+    def look(self, state: "EnvState") -> None:
+        """Ignore it."""
+
+    def inspect(self, inputs: "RolloutInputs") -> None:
+        """Record the worlds that went bad."""
+        if self._box is not None:
+            self._box.inspect(inputs)
+
+    def close(self) -> None:
+        """Record those of the last rollout."""
+        if self._box is not None:
+            self._box.close()
 
 
 class _RecordedTraining:
@@ -611,6 +674,9 @@ class _RecordedTraining:
         """Keep the worlds as they are."""
         self._recorder.look(state)
 
+    def inspect(self, inputs: "RolloutInputs") -> None:
+        """Ignore it."""
+
     def close(self) -> None:
         """Complete the file."""
         self._held.close()
@@ -624,17 +690,17 @@ def export(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="File to write, .npz; of a recording .csv, .parquet, .gif or .mp4; needed.",
+            help="File to write, .npz; of a recording .csv, .parquet, .gif, .mp4 or .rosbag2; needed.",
             show_default=False,
         ),
     ] = None,
     old_out: OldOutArgument = None,
     checkpoint: Annotated[str, typer.Option(help="best, last, or the number of an iteration.")] = "best",
     half: Annotated[bool, typer.Option("--half", help="Weights of 16 bits: half the size.")] = False,
-    world: Annotated[int, typer.Option(min=0, help="Of a recording: which world films show.")] = 0,
+    world: Annotated[int, typer.Option(min=0, help="Of a recording: which world films and bags show.")] = 0,
     speed: Annotated[float, typer.Option(min=0.01, help="Of a recording: how fast films are.")] = 2.0,
 ) -> None:
-    """Write a policy to a file that NumPy alone can run; or a recording as tables or as a film."""
+    """Write a policy to a file that NumPy alone can run; or a recording as tables, film or ROS 2 bag."""
     with ErrorExit():
         where = chosen_out(out, old_out)
         announce(f"reading {run} ...")

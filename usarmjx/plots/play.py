@@ -128,13 +128,13 @@ def record_episode(
     )
 
 
-def positions_of(env: Env, state: EnvState) -> tuple[np.ndarray, np.ndarray]:
-    """Return the true positions of the robots of world 0, by slot, and of its loose objects.
+def positions_of(env: Env, state: EnvState, world: int = WORLD) -> tuple[np.ndarray, np.ndarray]:
+    """Return the true positions of the robots of a world, by slot, and of its loose objects.
 
     Returns:
         x, y [m] and yaw [rad] (robots, 3), and x, y [m] (objects, 2).
     """
-    physics = jax.tree.map(lambda rows: np.asarray(rows)[WORLD], env.batch.physics(state.batch))
+    physics = jax.tree.map(lambda rows: np.asarray(rows)[world], env.batch.physics(state.batch))
     found = np.zeros((env.scene.num_robots, 3))
     with numpy_backend():  # JAX would compile each of these operations
         for group in env.scene.groups:

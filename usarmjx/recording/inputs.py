@@ -66,6 +66,10 @@ class WorldSetup:
         steps_before: Control steps made before the recording began.
         repeat: Control steps per call.
         start: Initial positions (nq,); None: those of a reset.
+        snapshot: Arrays of the state of a batch of this one world that the recording begins with, see
+            `replay.state_arrays`; empty: it begins with a reset.
+        reset_bad: Whether a world whose physics is not finite begins its next episode at once.
+        spare: Room for other arenas in those of the batch, see `build_scene`.
         versions: Versions of the packages that computed it, by name.
         why_not: Reason why it cannot be replayed; empty if it can.
     """
@@ -86,6 +90,9 @@ class WorldSetup:
     steps_before: int = 0
     repeat: int = 1
     start: np.ndarray | None = None
+    snapshot: tuple[np.ndarray, ...] = ()
+    reset_bad: bool = True
+    spare: float = 0.0
     versions: Mapping[str, str] = field(default_factory=dict[str, str])
     why_not: str = ""
 

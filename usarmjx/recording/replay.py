@@ -1,6 +1,6 @@
 """Replay of recordings: the same inputs at the same steps must give the same world to the bit."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -24,7 +24,7 @@ from usarmjx.recording.inputs import (
     versions,
 )
 from usarmjx.recording.reader import Recording
-from usarmjx.sim.batch import Batch, put_robot
+from usarmjx.sim.batch import Batch, BatchState, put_robot
 from usarmjx.sim.calibration import build_calibrated
 from usarmjx.sim.configure import update_robot_spec
 from usarmjx.sim.scene import Scene, build_scene
@@ -104,13 +104,28 @@ class _ReplayedSingle:
         return {part: np.asarray(getattr(data, part)) for part in PARTS}
 
 
-class _ReplayedBatch:
+def state_arrays(state: BatchState) -> list[Any]:
+    """Return the arrays of a batch's physics and worlds; random keys as their data."""
+    worlds, arena = state.worlds, state.worlds.arena_state
+    keyed = worlds.replace(key=jax.random.key_data(worlds.key))
+    if arena is not None:  # notes are a task's own
+        keyed = keyed.replace(arena_state=arena.replace(notes={}))
+    return jax.tree.leaves((state.physics, keyed))
+
+
+class ReplayedBatch:
     """A world of a batch, replayed with all the others, which have no inputs."""
 
     def __init__(self, setup: WorldSetup) -> None:
         arena = setup.arenas[0] if len(setup.arenas) == 1 else setup.arenas
         self.scene = build_scene(
-            arena, setup.roster, setup.physics, radio=setup.radio, mail=setup.mail, vary=setup.vary
+            arena,
+            setup.roster,
+            setup.physics,
+            radio=setup.radio,
+            mail=setup.mail,
+            vary=setup.vary,
+            spare=setup.spare,
         )
         scene, seed, first, shuffle = self.scene, setup.seed, setup.first, setup.shuffle
         self._batch = build_calibrated(
@@ -121,10 +136,48 @@ class _ReplayedBatch:
             engine, everywhere = self._batch.engine, jnp.ones(setup.worlds, bool)
             start = jnp.tile(jnp.asarray(setup.start), (setup.worlds, 1))
             self._state = self._state.replace(physics=engine.reset(engine.start(), everywhere, start))
+        self._reset_bad = setup.reset_bad
+        if setup.snapshot:
+            self.restore(setup.snapshot)
         for _ in range(setup.steps_before):
             self._state = self._batch.step(self._state)
 
+    @property
+    def batch(self) -> Batch:
+        """The batch."""
+        return self._batch
+
+    @property
+    def batch_state(self) -> BatchState:
+        """Its present state."""
+        return self._state
+
+    def restore(self, arrays: Sequence[np.ndarray]) -> None:
+        """Set the state of the batch; see `state_arrays`.
+
+        Raises:
+            UsageError: The arrays are of another scene or version.
+        """
+        state = self._state
+        known = state_arrays(state)
+        wanted, given = ([(np.shape(one), np.dtype(one.dtype)) for one in some] for some in (known, arrays))
+        if wanted != given:
+            raise UsageError("the state that the recording begins with is of another version or scene")
+        arena = state.worlds.arena_state
+        blank = state.worlds.replace(key=jax.random.key_data(state.worlds.key))
+        if arena is not None:
+            blank = blank.replace(arena_state=arena.replace(notes={}))
+        host = isinstance(jax.tree.leaves(state.physics)[0], np.ndarray)
+        count, tree = len(jax.tree.leaves(state.physics)), jax.tree.structure((state.physics, blank))
+        as_here = [np.array(one) if host and i < count else jnp.asarray(one) for i, one in enumerate(arrays)]
+        physics, worlds = jax.tree.unflatten(tree, as_here)
+        worlds = worlds.replace(key=jax.random.wrap_key_data(worlds.key))
+        if arena is not None:
+            worlds = worlds.replace(arena_state=worlds.arena_state.replace(notes=arena.notes))
+        self._state = state.replace(physics=physics, worlds=worlds)
+
     def apply(self, given: Input) -> None:
+        """Apply an input."""
         match given:
             case RobotPlaced():
                 where = self._number, given.slot, given.pos, given.quat
@@ -148,10 +201,15 @@ class _ReplayedBatch:
         self._state = self._batch.with_group(self._state, group, state.replace(**new))
 
     def step(self) -> None:
+        """Make the control steps of a call."""
         batch = self._batch
+        if not self._reset_bad:
+            self._state = batch.run(self._state, self._repeat, reset_bad=False)
+            return
         self._state = batch.step(self._state) if self._repeat == 1 else batch.run(self._state, self._repeat)
 
     def state(self) -> Mapping[str, np.ndarray]:
+        """Return the physics of the world: `PARTS` by name."""
         physics = self._batch.physics(self._state)
         return {part: np.asarray(getattr(physics, part))[self._number] for part in PARTS}
 
@@ -169,7 +227,7 @@ def check_recording(recording: Recording, number: int) -> ReplayResult:
     setup = recording.setup(number)
     if setup.why_not:
         raise UsageError(f"{recording.path}: world {number} cannot be computed again: {setup.why_not}")
-    replayed: _Replayed = _ReplayedSingle(setup) if setup.kind == SINGLE else _ReplayedBatch(setup)
+    replayed: _Replayed = _ReplayedSingle(setup) if setup.kind == SINGLE else ReplayedBatch(setup)
     steps = 0
     for message in recording.messages(("inputs", "states"), number):
         if isinstance(message.value, Interrupted):

@@ -83,7 +83,7 @@ def reset(
             world.ranges,
         )
         world = world.replace(varied=drawn)
-    qpos = _start_qpos(scene, world, shuffle)
+    qpos = start_qpos(scene, world, shuffle)
     physics = PhysicsState(qpos=qpos, qvel=xp.zeros(scene.model.nv), act=xp.zeros(scene.model.na))
     return _with_idle_robots(scene, world, physics), qpos
 
@@ -162,7 +162,7 @@ def start_sensors(
     return state.replace(memory=map_robots(group.suite.init_memory, inputs, robot_keys(scene, group, key)))
 
 
-def _start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
+def start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
     """Return qpos: active robots on start poses in the arena's or a random order, the others parked."""
     starts = start_poses(scene, world.arena_state)
     order = xp.arange(len(starts))

@@ -15,6 +15,7 @@ from usarmjx.base.lazy import attach
 if TYPE_CHECKING:
     from usarmjx.train.baselines import BASELINES as BASELINES
     from usarmjx.train.envs.env import Env as Env
+    from usarmjx.train.envs.presence import Presence as Presence
     from usarmjx.train.envs.recipe import SPLITS as SPLITS
     from usarmjx.train.envs.recipe import GeneratedArenas as GeneratedArenas
     from usarmjx.train.envs.recipe import Split as Split
@@ -47,6 +48,7 @@ else:
         {
             "usarmjx.train.baselines": ("BASELINES",),
             "usarmjx.train.envs.env": ("Env",),
+            "usarmjx.train.envs.presence": ("Presence",),
             "usarmjx.train.envs.recipe": ("GeneratedArenas", "SPLITS", "Split", "open_floor"),
             "usarmjx.train.envs.state": ("AgentGroup", "EnvState"),
             "usarmjx.train.envs.task": (

@@ -132,7 +132,7 @@ def test_gradients_that_are_not_finite_are_left_out(trainer, collected):
 def test_critics_see_more_than_policies(trainer, collected):
     """And both are of a class: another critic, another policy for each."""
     train_state, steps, ends, _ = collected
-    seen, fresh = (steps.obs, steps.privileged), steps.is_first
+    seen, fresh = (steps.obs, steps.privileged), (steps.is_first,) * len(steps.obs)
     values, _ = critic_values(trainer.networks, train_state, seen, ends.critic_carry, fresh)
     others, _ = critic_values(
         trainer.networks, train_state, (steps.obs, steps.privileged + 1), ends.critic_carry, fresh

@@ -276,7 +276,7 @@ def played(time_limit, steps, monkeypatch):
     faults = FaultCounts(**{one.name: jnp.zeros(1, jnp.int32) for one in fields(FaultCounts)})
     rows = []
     for _ in range(steps):
-        _, state = env.evaluate_step(None, task, state, Endless(faults), world, faults)
+        _, state, _ = env.evaluate_step(None, task, state, Endless(faults), world, faults)
         rows.append((state.done, state.truncated, state.bad))
     return tuple(jnp.stack(column) for column in zip(*rows, strict=True))
 

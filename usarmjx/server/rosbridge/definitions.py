@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from enum import IntEnum
 from typing import Any, TypeAlias, cast
 
+from usarmjx.server.rosbridge.interfaces import INTERFACES
+
 MessageFields: TypeAlias = Mapping[str, str]
 """Types of a message's fields by their names, in the order of their definition.
 
@@ -12,7 +14,11 @@ MessageFields: TypeAlias = Mapping[str, str]
 """
 RosMessage: TypeAlias = dict[str, Any]
 """A message: its fields by names; bytes where the type is uint8[], None for a number that is not known."""
-TIME = "builtin_interfaces/Time"
+TIME, DURATION = "builtin_interfaces/Time", "builtin_interfaces/Duration"
+BUILTIN = {TIME: "time", DURATION: "duration"}
+"""Types that are primitive in ROS 1, by their names in ROS 2."""
+ALSO_TAKEN = {"geometry_msgs/TwistStamped": "geometry_msgs/Twist"}
+"""Types that topics of another type listen to, too."""
 
 
 def json_object(value: object) -> RosMessage | None:
@@ -27,8 +33,9 @@ class RosVersion(IntEnum):
     ROS2 = 2
 
     def type_name(self, name: str) -> str:
-        """Return the full name of a type such as `nav_msgs/Odometry`."""
-        return name.replace("/", "/msg/") if self == RosVersion.ROS2 else name
+        """Return the full name of a type such as `nav_msgs/Odometry`; parts of services have theirs."""
+        is_short = self == RosVersion.ROS2 and name.count("/") == 1
+        return name.replace("/", "/msg/") if is_short else name
 
     def stamp(self, time: float) -> RosMessage:
         """Return a time [s] in the form of messages."""
@@ -59,13 +66,13 @@ class RosVersion(IntEnum):
             parts.append(head + body)
             for kind in fields.values():
                 base = kind.partition("[")[0]
-                if "/" in base and base not in listed and base != "builtin_interfaces/Time":
+                if "/" in base and base not in listed and base not in BUILTIN:
                     listed.append(base)
                     waiting.append(base)
         return "\n".join(parts) + "\n"
 
     def _spelled(self, kind: str) -> str:
-        return "time" if kind == TIME and self == RosVersion.ROS1 else kind
+        return BUILTIN.get(kind, kind) if self == RosVersion.ROS1 else kind
 
 
 SHARED: dict[str, MessageFields] = {
@@ -76,6 +83,7 @@ SHARED: dict[str, MessageFields] = {
     "geometry_msgs/PoseStamped": {"header": "std_msgs/Header", "pose": "geometry_msgs/Pose"},
     "geometry_msgs/PoseWithCovariance": {"pose": "geometry_msgs/Pose", "covariance": "float64[36]"},
     "geometry_msgs/Twist": {"linear": "geometry_msgs/Vector3", "angular": "geometry_msgs/Vector3"},
+    "geometry_msgs/TwistStamped": {"header": "std_msgs/Header", "twist": "geometry_msgs/Twist"},
     "geometry_msgs/TwistWithCovariance": {"twist": "geometry_msgs/Twist", "covariance": "float64[36]"},
     "geometry_msgs/Transform": {
         "translation": "geometry_msgs/Vector3",
@@ -86,6 +94,7 @@ SHARED: dict[str, MessageFields] = {
         "child_frame_id": "string",
         "transform": "geometry_msgs/Transform",
     },
+    "std_msgs/String": {"data": "string"},
     "tf2_msgs/TFMessage": {"transforms": "geometry_msgs/TransformStamped[]"},
     "tf2_web_republisher/TFArray": {"transforms": "geometry_msgs/TransformStamped[]"},
     "tf2_web_republisher/TFSubscriptionFeedback": {"transforms": "geometry_msgs/TransformStamped[]"},
@@ -160,6 +169,29 @@ SHARED: dict[str, MessageFields] = {
         "velocity": "float64[]",
         "effort": "float64[]",
     },
+    "sensor_msgs/BatteryState": {
+        "header": "std_msgs/Header",
+        **dict.fromkeys(("voltage", "temperature", "current", "charge", "capacity"), "float32"),
+        **dict.fromkeys(("design_capacity", "percentage"), "float32"),
+        **dict.fromkeys(("power_supply_status", "power_supply_health", "power_supply_technology"), "uint8"),
+        "present": "bool",
+        "cell_voltage": "float32[]",
+        "cell_temperature": "float32[]",
+        "location": "string",
+        "serial_number": "string",
+    },
+    "trajectory_msgs/JointTrajectory": {
+        "header": "std_msgs/Header",
+        "joint_names": "string[]",
+        "points": "trajectory_msgs/JointTrajectoryPoint[]",
+    },
+    "trajectory_msgs/JointTrajectoryPoint": {
+        "positions": "float64[]",
+        "velocities": "float64[]",
+        "accelerations": "float64[]",
+        "effort": "float64[]",
+        "time_from_start": DURATION,
+    },
     "sensor_msgs/NavSatStatus": {"status": "int8", "service": "uint16"},
     "sensor_msgs/NavSatFix": {
         "header": "std_msgs/Header",
@@ -204,8 +236,10 @@ _ONLY: dict[RosVersion, dict[str, MessageFields]] = {
         "sensor_msgs/Range": _RANGE,
         "sensor_msgs/CameraInfo": _camera_info({name.upper(): kind for name, kind in _LENS.items()}),
         TIME: {"secs": "uint32", "nsecs": "uint32"},
+        DURATION: {"secs": "int32", "nsecs": "int32"},
     },
     RosVersion.ROS2: {
+        **INTERFACES,
         "std_msgs/Header": _STAMPED,
         "sensor_msgs/Range": {**_RANGE, "variance": "float32"},
         "sensor_msgs/CameraInfo": _camera_info(_LENS),

@@ -56,10 +56,15 @@ def picture_messages(
     for one in asked:
         if one not in made:
             topic, version, compression = one
-            header = version.header(time, optical_name(topic.name.strip("/").rpartition("/")[0]))
-            message = {"header": header, **_image(topic.type, pictures[views[topic]])}
+            message = picture_message(topic, version, time, pictures[views[topic]])
             made[one] = publication(topic.name, topic.type, message, version, compression, time)
     return [made[one] for one in asked]
+
+
+def picture_message(topic: RosTopic, version: RosVersion, time: float, pixels: np.ndarray) -> RosMessage:
+    """Return the message of a topic with a picture (height, width, 3), taken at a simulated time [s]."""
+    header = version.header(time, optical_name(topic.name.strip("/").rpartition("/")[0]))
+    return {"header": header, **_image(topic.type, pixels)}
 
 
 def _image(kind: str, pixels: np.ndarray) -> RosMessage:

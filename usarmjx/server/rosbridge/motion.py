@@ -54,11 +54,16 @@ class Velocity(NamedTuple):
 
 
 def read_twist(message: object) -> Velocity:
-    """Return the velocity of a Twist; missing numbers are 0. Roll and pitch rates are ignored.
+    """Return the velocity of a Twist or TwistStamped; missing numbers are 0.
+
+    Roll and pitch rates are ignored, and so is the header of a TwistStamped.
 
     Raises:
         UsageError: It is no Twist, or a number is not finite.
     """
+    whole = json_object(message) or {}
+    if "twist" in whole:
+        message = whole["twist"]
     parts = [_part(message, name) for name in ("linear", "angular")]
     linear, angular = ([_number(part, axis) for axis in "xyz"] for part in parts)
     return Velocity(linear[0], linear[1], linear[2], angular[2])
@@ -232,7 +237,7 @@ def joint_states(version: RosVersion, time: float, robot: Robot, state: RobotSta
 
 def base_transform(version: RosVersion, time: float, name: str, state: RobotState) -> RosMessage:
     """Return the transform of a robot from its odom frame, which is the map's."""
-    return _stamped(version, time, f"{name}/odom", f"{name}/base_link", (state.pos, state.quat))
+    return transform(version, time, f"{name}/odom", f"{name}/base_link", (state.pos, state.quat))
 
 
 def footprint_transform(
@@ -251,12 +256,12 @@ def footprint_transform(
     level = mat.T @ mat_from_angles(0.0, 0.0, yaw)
     with numpy_backend():
         turn = np.asarray(quat_from_mat(level))
-    return _stamped(version, time, f"{name}/base_link", f"{name}/base_footprint", (below, turn))
+    return transform(version, time, f"{name}/base_link", f"{name}/base_footprint", (below, turn))
 
 
 def odom_transform(version: RosVersion, time: float, name: str) -> RosMessage:
     """Return the transform of a robot's odom frame from the map: identity, as its odometry is the truth."""
-    return _stamped(version, time, MAP, f"{name}/odom", (np.zeros(3), np.eye(4)[0]))
+    return transform(version, time, MAP, f"{name}/odom", (np.zeros(3), np.eye(4)[0]))
 
 
 def sensor_transforms(
@@ -277,15 +282,15 @@ def sensor_transforms(
         own = mats[0].T @ (pos - positions[0])
         with numpy_backend():
             quat = quat_from_mat(mats[0].T @ mats[frame.body] @ frame.mat)
-        yield _stamped(version, time, f"{name}/base_link", f"{name}/{frame_name(frame.name)}", (own, quat))
+        yield transform(version, time, f"{name}/base_link", f"{name}/{frame_name(frame.name)}", (own, quat))
 
 
-def _stamped(
+def transform(
     version: RosVersion, time: float, parent: str, child: str, where: tuple[Array, Array]
 ) -> RosMessage:
-    transform = {"translation": vector(where[0]), "rotation": quaternion(where[1])}
+    """Return the transform of a frame from its parent: position [m] (3,) and orientation, w first (4,)."""
     return {
         "header": version.header(time, parent),
         "child_frame_id": child,
-        "transform": transform,
+        "transform": {"translation": vector(where[0]), "rotation": quaternion(where[1])},
     }

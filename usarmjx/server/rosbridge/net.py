@@ -182,6 +182,7 @@ class RosbridgeServer:
         topics = self._topics.all() if self._clients else {}
         for client in self._clients:
             client.robots.forget_lost()
+            client.robots.tick()
             for name, subscription in client.session.due_topics(self._world.time):
                 topic = topics.get(name)
                 revision = topic.revision() if topic and subscription.type in ("", topic.type) else None
@@ -319,7 +320,7 @@ class RosbridgeServer:
                 return
             if topic is None or topic.robot is None or topic.camera >= 0:
                 raise UsageError(f"nobody here listens to {said.topic[:80]}")
-            client.robots.drive(topic.robot, said.message)
+            client.robots.command(topic.robot, topic.type, said.message)
         except UsageError as error:
             client.session.status("error", str(error))
 

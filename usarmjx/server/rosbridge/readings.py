@@ -20,6 +20,9 @@ ULTRASOUND, INFRARED = 0, 1
 NO_FIX, FIX, SERVICE_GPS, APPROXIMATED = -1, 0, 1, 1
 """NavSatStatus's status and service, and NavSatFix's position_covariance_type."""
 
+DISCHARGING, FULL, HEALTHY, EMPTY, TECHNOLOGY_UNKNOWN = 2, 4, 1, 3, 0
+"""Values of BatteryState: of its status, of its health, and of its technology."""
+
 ReadingMaker: TypeAlias = Callable[[RosVersion, float, str, np.ndarray], RosMessage]
 """Makes a message of a version, a time [s], the robot's name in frames, and a reading."""
 
@@ -47,19 +50,20 @@ def sensor_topics(sensor: Sensor, origin: LatLon | None) -> Iterator[SensorTopic
     """
     name = sensor.mounts[0].name
     if isinstance(sensor, RangeScanner) and isinstance(sensor.settings[0], ScannerSettings):
-        yield SensorTopic(name, "sensor_msgs/LaserScan", partial(_scan, sensor))
+        yield SensorTopic(name, "sensor_msgs/LaserScan", partial(scan, sensor))
     elif isinstance(sensor, Sonar | Ir):
+        radiation = INFRARED if isinstance(sensor, Ir) else ULTRASOUND
         for index, mount in enumerate(sensor.mounts):
-            yield SensorTopic(mount.name, "sensor_msgs/Range", _ranger(sensor, index))
+            yield SensorTopic(mount.name, "sensor_msgs/Range", ranger(sensor, index, radiation))
     elif isinstance(sensor, Imu):
-        yield SensorTopic(name, "sensor_msgs/Imu", partial(_imu, sensor))
+        yield SensorTopic(name, "sensor_msgs/Imu", partial(imu, sensor))
     elif isinstance(sensor, Gps):
         yield SensorTopic(name, "sensor_msgs/NavSatFix", partial(_fix, sensor, origin))
     elif isinstance(sensor, Odometry | Ins | GroundTruth):
         yield SensorTopic(name, "geometry_msgs/PoseStamped", partial(_estimate, sensor))
 
 
-def _scan(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np.ndarray) -> RosMessage:
+def scan(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np.ndarray) -> RosMessage:
     """Return a LaserScan; our beams go from right to left, as ROS's do."""
     settings, ranges = sensor.settings[0], value.reshape(-1)
     first = -settings.scan_fov / 2
@@ -77,8 +81,9 @@ def _scan(sensor: Sensor, version: RosVersion, time: float, robot: str, value: n
     }
 
 
-def _ranger(sensor: Sensor, index: int) -> ReadingMaker:
-    settings, radiation = sensor.settings[index], INFRARED if isinstance(sensor, Ir) else ULTRASOUND
+def ranger(sensor: Sensor, index: int, radiation: int) -> ReadingMaker:
+    """Return what makes the Range of one of a sensor's mounts."""
+    settings = sensor.settings[index]
 
     def make(version: RosVersion, time: float, robot: str, value: np.ndarray) -> RosMessage:
         message = {
@@ -94,7 +99,8 @@ def _ranger(sensor: Sensor, index: int) -> ReadingMaker:
     return make
 
 
-def _imu(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np.ndarray) -> RosMessage:
+def imu(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np.ndarray) -> RosMessage:
+    """Return an Imu; the sensor has no orientation."""
     return {
         "header": version.header(time, f"{robot}/{frame_name(sensor.mounts[0].name)}"),
         "orientation": quaternion(np.eye(4)[0]),
@@ -127,10 +133,36 @@ def _fix(
 
 def _estimate(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np.ndarray) -> RosMessage:
     """Return a sensor's estimate of its robot's pose, or of its mount's."""
+    frame = f"{robot}/start" if isinstance(sensor, Odometry) else MAP
+    return pose_estimate(version, time, frame, value)
+
+
+def pose_estimate(version: RosVersion, time: float, frame: str, value: np.ndarray) -> RosMessage:
+    """Return an estimate in a frame: of x, y and the heading (3,), or of a position and angles (6,)."""
     numbers = [float(one) for one in value]
-    if isinstance(sensor, Odometry):
+    if len(numbers) == 3:
         x, y, heading = numbers
-        numbers, frame = [x, y, 0.0, 0.0, 0.0, heading], f"{robot}/start"
-    else:
-        frame = MAP
+        numbers = [x, y, 0.0, 0.0, 0.0, heading]
     return {"header": version.header(time, frame), "pose": pose_of_angles(numbers)}
+
+
+def battery_state(version: RosVersion, time: float, robot: str, life: float, remaining: float) -> RosMessage:
+    """Return the BatteryState of a robot with some time of its battery's life left [s].
+
+    What a battery has no number for is NaN.
+    """
+    unknown = ("voltage", "temperature", "current", "charge", "capacity", "design_capacity")
+    share = remaining / life if life else 0.0
+    return {
+        "header": version.header(time, f"{robot}/base_link"),
+        **dict.fromkeys(unknown),
+        "percentage": share,
+        "power_supply_status": FULL if share >= 1.0 else DISCHARGING,
+        "power_supply_health": HEALTHY if remaining > 0.0 else EMPTY,
+        "power_supply_technology": TECHNOLOGY_UNKNOWN,
+        "present": True,
+        "cell_voltage": [],
+        "cell_temperature": [],
+        "location": "",
+        "serial_number": "",
+    }

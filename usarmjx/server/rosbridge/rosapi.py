@@ -6,11 +6,11 @@ from typing import Any
 
 from usarmjx.base.errors import UsageError
 from usarmjx.server.protocol.grammar import clip
-from usarmjx.server.rosbridge.definitions import TIME, RosMessage, RosVersion
+from usarmjx.server.rosbridge.definitions import BUILTIN, RosMessage, RosVersion
 from usarmjx.server.rosbridge.republisher import REPUBLISH
 from usarmjx.server.rosbridge.robot_description import urdf
 from usarmjx.server.rosbridge.services import REMOVE, SPAWN
-from usarmjx.server.rosbridge.topics import TWIST, RosTopic, WorldTopics
+from usarmjx.server.rosbridge.topics import WorldTopics
 
 NODE = "/usarmjx"
 """Name of the one node."""
@@ -184,7 +184,7 @@ class RosApi:
 
     def _nodes_of(self, args: Mapping[str, Any], *, drives: bool) -> list[str]:
         topic = self._topics.all().get(_text(args, "topic"))
-        return [NODE] if topic is not None and _is_listened_to(topic) == drives else []
+        return [NODE] if topic is not None and topic.is_listened_to == drives else []
 
     def _details(self, args: Mapping[str, Any]) -> RosMessage:
         """Return the fields of a type and of the types in it; none for an unknown one."""
@@ -215,8 +215,8 @@ class RosApi:
             return {"subscribing": [], "publishing": [], "services": []}
         topics = self._topics.all().values()
         return {
-            "subscribing": [topic.name for topic in topics if _is_listened_to(topic)],
-            "publishing": [topic.name for topic in topics if not _is_listened_to(topic)],
+            "subscribing": [topic.name for topic in topics if topic.is_listened_to],
+            "publishing": [topic.name for topic in topics if not topic.is_listened_to],
             "services": self.names(),
         }
 
@@ -252,10 +252,6 @@ class RosApi:
         return {"global_name": _full(name) if self._parameters.get(name) is not None else ""}
 
 
-def _is_listened_to(topic: RosTopic) -> bool:
-    return topic.type == TWIST
-
-
 def _text(args: Mapping[str, Any], key: str) -> str:
     value = args.get(key, "")
     if not isinstance(value, str):
@@ -272,7 +268,7 @@ def _definition(name: str, fields: Mapping[str, str], *, long: bool) -> RosMessa
         lengths.append(-1 if not bracket else int(length[:-1] or 0))
     spelled = [base.replace("/", "/msg/") if long else base for base in bases]
     spelled = [
-        "time" if base == TIME and not long else text for base, text in zip(bases, spelled, strict=True)
+        BUILTIN.get(base, text) if not long else text for base, text in zip(bases, spelled, strict=True)
     ]
     return {
         "type": name.replace("/", "/msg/") if long else name,

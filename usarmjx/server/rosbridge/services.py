@@ -22,8 +22,10 @@ from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector
 from usarmjx.server.protocol.grammar import clip
 from usarmjx.server.rosbridge.definitions import json_object
 from usarmjx.server.rosbridge.motion import drive_keys, read_twist
+from usarmjx.server.rosbridge.topics import TRAJECTORY
+from usarmjx.server.rosbridge.trajectories import TrajectoryRun, read_trajectory
 from usarmjx.server.worlds.robot import Robot
-from usarmjx.sim.control import CommandUpdate
+from usarmjx.sim.control import CommandUpdate, ControlMode
 
 log = logging.getLogger(__name__)
 SPAWN, REMOVE = "/simulator/spawn", "/simulator/remove"
@@ -43,6 +45,7 @@ class RosRobots:
         self._server, self._peer = server, peer
         self._own: list[Client] = []
         self._driven: list[Robot] = []
+        self._runs: dict[Robot, TrajectoryRun] = {}
 
     @property
     def is_empty(self) -> bool:
@@ -89,16 +92,47 @@ class RosRobots:
             self._own.remove(own)
             self._detach(own)
 
-    def drive(self, robot: Robot, twist: object) -> None:
-        """Set a robot's velocity to a Twist, until the next one.
+    def command(self, robot: Robot, kind: str, message: object) -> None:
+        """Give a robot a message of a type that it listens to.
 
         Raises:
-            UsageError: It is no Twist, or somebody else drives the robot.
+            UsageError: It is no such message, or somebody else drives the robot.
         """
         if robot.controller is not None:
             raise UsageError(f"{robot.name} is driven from the page")
         if self._server.world.robots.get(robot.slot) is not robot:
             raise UsageError(f"a policy drives {robot.name}: /simulator/spawn with that name takes it over")
+        if kind == TRAJECTORY:
+            self._follow(robot, message)
+        else:
+            self._drive(robot, message)
+
+    def tick(self) -> None:
+        """Move the joints of robots that follow trajectories."""
+        world = self._server.world
+        for robot, run in list(self._runs.items()):
+            if world.robots.get(robot.slot) is not robot or robot.controller is not None:
+                del self._runs[robot]
+                continue
+            if world.time >= run.start:
+                goals: dict[str, ArrayLike] = {**run.at(world.time)}
+                world.update_command(robot, CommandUpdate(joints=goals, mode=ControlMode.POSITION))
+            if run.is_over(world.time):
+                del self._runs[robot]
+
+    def _follow(self, robot: Robot, message: object) -> None:
+        """Let a robot follow a JointTrajectory from now on, or from its header's time."""
+        path = read_trajectory(message, robot.plan)
+        self._runs.pop(robot, None)
+        if path is None:
+            return
+        world = self._server.world
+        places = [robot.plan.parts.index(name) - 1 for name in path.joints]
+        now = np.asarray(world.state(robot).joint_pos, float)[places]
+        self._runs[robot] = TrajectoryRun(path, max(world.time, path.start), now)
+
+    def _drive(self, robot: Robot, twist: object) -> None:
+        """Set a robot's velocity to a Twist, until the next one."""
         keys = drive_keys(robot.spec, read_twist(twist))
         self._server.world.update_command(robot, CommandUpdate(drive=keys))
         if robot not in self._driven:
@@ -107,6 +141,7 @@ class RosRobots:
     def stop_driven(self) -> None:
         """Stop the robots that it has driven."""
         world = self._server.world
+        self._runs.clear()
         for robot in self._driven:
             if world.robots.get(robot.slot) is robot and robot.controller is None:
                 still: dict[str, ArrayLike] = dict.fromkeys(robot.spec.drive.keys, 0.0)

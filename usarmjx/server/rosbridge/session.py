@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 from usarmjx.base.errors import UsageError
 from usarmjx.server.protocol.grammar import clip
-from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion, json_object
+from usarmjx.server.rosbridge.definitions import ALSO_TAKEN, RosMessage, RosVersion, json_object
 from usarmjx.server.rosbridge.encodings import BridgeFrame, Compression, fragments
 
 MAX_UNFINISHED = 16
@@ -266,7 +266,8 @@ class BridgeSession:
         topic = _text(message, "topic")
         if self._type_of(topic) is None:
             raise UsageError(f"nobody here listens to {clip(topic)}")
-        self._check_type(topic, _text(message, "type"))
+        asked = _text(message, "type")
+        self._check_type(topic, ALSO_TAKEN.get(asked.replace("/msg/", "/"), asked))
         self._advertised.add(topic)
 
     def _unadvertise(self, message: RosMessage) -> None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Hashable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,8 @@ from usarmjx.server.rosbridge import motion
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
 from usarmjx.server.rosbridge.lens import camera_info, has_info
 from usarmjx.server.rosbridge.motion import MAP, can_follow, pose
-from usarmjx.server.rosbridge.readings import ReadingMaker, sensor_topics
+from usarmjx.server.rosbridge.readings import ReadingMaker, battery_state, sensor_topics
+from usarmjx.server.rosbridge.robot_description import urdf
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 
@@ -27,7 +28,18 @@ OCCUPIED = 100
 """Value of an occupied square in an OccupancyGrid [percent]."""
 STATE_PERIOD = 0.04
 """Interval between two messages about poses and joints [s]."""
+BATTERY_PERIOD = 1.0
+"""Interval between two messages about a battery [s]."""
 TWIST, RAW_IMAGE, IMAGE = "geometry_msgs/Twist", "sensor_msgs/Image", "sensor_msgs/CompressedImage"
+TRAJECTORY = "trajectory_msgs/JointTrajectory"
+LISTENED = (TWIST, TRAJECTORY)
+"""Types of the topics that robots listen to."""
+USUAL_NAMES = {
+    "sensor_msgs/LaserScan": "scan",
+    "sensor_msgs/Imu": "imu",
+    "sensor_msgs/NavSatFix": "fix",
+}
+"""Names below a robot that ROS's programs expect of its first sensor of a type."""
 
 
 def floor_map(arena: ArenaSpec) -> tuple[Grid, np.ndarray]:
@@ -74,6 +86,7 @@ class RosTopic:
         make: Makes a message; None for pictures, which `images` makes, and for topics that robots listen to.
         robot: The robot that it drives or shows.
         camera: Index of the camera that it shows.
+        is_latched: Whether a new subscriber gets its last message, however old that is.
     """
 
     name: str
@@ -82,6 +95,12 @@ class RosTopic:
     make: Callable[[RosVersion], RosMessage] | None = None
     robot: Robot | None = None
     camera: int = -1
+    is_latched: bool = False
+
+    @property
+    def is_listened_to(self) -> bool:
+        """Whether a robot listens to it."""
+        return self.type in LISTENED
 
 
 class WorldTopics:
@@ -160,8 +179,10 @@ class WorldTopics:
         )
         yield RosTopic("/tf", "tf2_msgs/TFMessage", self._tick, self._moving_frames)
         changes = self._changes
-        yield RosTopic("/tf_static", "tf2_msgs/TFMessage", lambda: changes, self._fixed_frames)
-        yield RosTopic("/map", "nav_msgs/OccupancyGrid", self._map_news, self._map)
+        yield RosTopic(
+            "/tf_static", "tf2_msgs/TFMessage", lambda: changes, self._fixed_frames, is_latched=True
+        )
+        yield RosTopic("/map", "nav_msgs/OccupancyGrid", self._map_news, self._map, is_latched=True)
         for robot in world.present.values():
             yield from self._of_robot(robot)
 
@@ -181,11 +202,45 @@ class WorldTopics:
         )
         if can_follow(robot.spec.drive):
             yield RosTopic(f"/{name}/cmd_vel", TWIST, robot=robot)
-        for index, sensor in enumerate(robot.suite.sensors):
-            for below, kind, make in sensor_topics(sensor, world.arena.gps):
-                yield self._of_sensor(robot, index, f"/{name}/{motion.frame_name(below)}", kind, make)
+        if len(robot.plan.parts) > 1:
+            yield RosTopic(f"/{name}/joint_trajectory", TRAJECTORY, robot=robot)
+        yield self._of_battery(robot)
+        yield RosTopic(
+            f"/{name}/robot_description",
+            "std_msgs/String",
+            lambda: id(robot.suite),
+            lambda version: {"data": urdf(robot.spec)},
+            is_latched=True,
+        )
+        yield from self._of_sensors(robot)
         for index in range(len(robot.cameras)):
             yield from self._of_camera(robot, index)
+
+    def _of_sensors(self, robot: Robot) -> Iterator[RosTopic]:
+        """Yield the topics of a robot's sensors; the first of a type has its usual name, too."""
+        above, found = self._names[robot.slot], list[RosTopic]()
+        for index, sensor in enumerate(robot.suite.sensors):
+            for below, kind, make in sensor_topics(sensor, self._world.arena.gps):
+                where = f"/{above}/{motion.frame_name(below)}"
+                found.append(self._of_sensor(robot, index, where, kind, make))
+        yield from found
+        taken = {topic.name for topic in found}
+        for topic in found:
+            usual = f"/{above}/{USUAL_NAMES.get(topic.type)}"
+            if topic.type in USUAL_NAMES and usual not in taken:
+                taken.add(usual)
+                yield replace(topic, name=usual)
+
+    def _of_battery(self, robot: Robot) -> RosTopic:
+        world, name = self._world, self._names[robot.slot]
+        return RosTopic(
+            f"/{name}/battery_state",
+            "sensor_msgs/BatteryState",
+            lambda: int(world.time / BATTERY_PERIOD + 1e-6),
+            lambda version: battery_state(
+                version, world.time, name, robot.spec.battery_life, world.battery(robot)
+            ),
+        )
 
     def _of_camera(self, robot: Robot, index: int) -> Iterator[RosTopic]:
         camera, name = robot.cameras[index], self._names[robot.slot]

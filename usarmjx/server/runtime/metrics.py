@@ -22,6 +22,7 @@ from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.network.gate import Gate
 from usarmjx.server.network.ports import keep_reserve
 from usarmjx.server.network.web_gate import asking_token, gated_connection
+from usarmjx.server.ros2.server import Ros2Server
 from usarmjx.server.runtime.loop import GAP_BOUNDS, StepMeter
 
 REQUEST_LIMIT = 5.0
@@ -44,6 +45,16 @@ def frames_left_out(meter: StepMeter) -> float:
     """Return the number of frames that a world's recording has left out."""
     recorder = meter.server.world.recorder
     return 0.0 if recorder is None else float(recorder.file.left_out)
+
+
+def ros2_count(name: str) -> Callable[[StepMeter], float]:
+    """Return what reads a counter of a world's node of ROS 2; 0 without one."""
+
+    def count(meter: StepMeter) -> float:
+        nodes = [one for one in meter.server.services if isinstance(one, Ros2Server)]
+        return float(sum(getattr(node.counts, name) for node in nodes))
+
+    return count
 
 
 GAUGES: tuple[tuple[str, str, Callable[[StepMeter], float]], ...] = (
@@ -70,6 +81,10 @@ COUNTERS: tuple[tuple[str, str, Callable[[StepMeter], float]], ...] = (
     ),
     ("faults", "Lines that could not be used.", lambda meter: meter.server.faults),
     ("recording_frames_left_out", "Frames that the recording has left out.", frames_left_out),
+    ("ros2_messages_sent", "Messages that the node of ROS 2 has sent.", ros2_count("sent")),
+    ("ros2_bytes_sent", "Their bytes.", ros2_count("sent_bytes")),
+    ("ros2_messages_received", "Commands and requests that it has received.", ros2_count("received")),
+    ("ros2_messages_dropped", "Messages that waited too long for ROS 2.", ros2_count("dropped")),
     (
         "robots_put_back",
         "Robots whose physics went bad and that were put back.",

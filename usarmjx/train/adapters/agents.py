@@ -1,6 +1,6 @@
 """What all adapters share: the robots of an environment as named agents, and its arrays by their names."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -103,19 +103,33 @@ def by_agent(env: "Env", values: tuple[Any, ...]) -> dict[str, Any]:
     return {agent.name: values[agent.group][0, agent.index] for agent in agents_of(env)}
 
 
-def stack_actions(env: "Env", actions: Mapping[str, Any], xp: ModuleType = np) -> tuple[Any, ...]:
+def alive_names(env: "Env", alive: tuple[Any, ...] | None) -> list[str]:
+    """Return the names of the first world's agents that are alive, from per-group masks; None: all are."""
+    return [one.name for one in agents_of(env) if alive is None or alive[one.group][0, one.index]]
+
+
+def stack_actions(
+    env: "Env", actions: Mapping[str, Any], xp: ModuleType = np, acting: Collection[str] | None = None
+) -> tuple[Any, ...]:
     """Return the actions of one world's robots (action_size,) by group (1, robots, action_size).
+
+    Args:
+        env: The environment.
+        actions: By name of the agent.
+        xp: NumPy, or JAX's.
+        acting: Agents that are alive; None: all. The others' actions are 0.
 
     Raises:
         UsageError: A robot without an action, an action without a robot, or one of another size.
     """
-    known = [agent.name for agent in agents_of(env)]
+    known = [one.name for one in agents_of(env) if acting is None or one.name in acting]
     wrong = sorted({*known} ^ {*actions})
     if wrong:
         raise UsageError(f"an action for each of {', '.join(known)}; missing or unknown: {', '.join(wrong)}")
     stacked: list[Any] = []
     for group in env.groups:
-        rows = [xp.asarray(actions[name], xp.float32) for name in group.agents]
+        nothing = xp.zeros(group.action_size, xp.float32)
+        rows = [xp.asarray(actions.get(name, nothing), xp.float32) for name in group.agents]
         for name, row in zip(group.agents, rows, strict=True):
             if row.shape != (group.action_size,):
                 raise UsageError(f"action of {name}: shape {row.shape}, expected ({group.action_size},)")

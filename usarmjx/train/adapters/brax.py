@@ -21,8 +21,9 @@ class BatchedRobots(BraxEnv):
 
     It is batched and resets its worlds by itself, so none of Brax's `VmapWrapper`, `EpisodeWrapper` and
     `AutoResetWrapper` goes around it. Infos have `truncation`, by which Brax's learners tell time-outs and
-    faults from ends, `steps` of the running episode, `final_obs` before a reset, and `bad`: whether physics
-    failed or a number of the task was not finite. Where its engine is not traceable, so is `step`.
+    faults from ends, `steps` of the running episode, `final_obs` before a reset, `bad`: whether physics
+    failed or a number of the task was not finite, and `alive` where agents may drop out. Where its engine is
+    not traceable, so is `step`.
 
     Args:
         env: The environment.
@@ -96,6 +97,7 @@ class BatchedRobots(BraxEnv):
             done=self._spread(now.done),
             metrics={name: self._spread(value) for name, value in now.metrics.items()},
             info={
+                **({} if now.alive is None else {"alive": now.alive[0].reshape(-1).astype(jnp.float32)}),
                 "truncation": self._spread(now.truncated | now.bad),
                 "steps": self._spread(now.length),
                 "final_obs": self._rows(now.final_obs[0]),

@@ -392,9 +392,10 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self._next_step:
             score = np.where(done, self._spread(s.final_score), score)
             found = _masked({"score": score, "bad": bad}, np.ones_like(done)) | _faults(bad)
+            found |= self._alive(s, done)
             return found | _masked(metrics, ~held)
         infos = _masked({"score": score, "bad": bad}, np.ones_like(done)) | _faults(bad)
-        infos |= _masked(metrics, ~done)
+        infos |= _masked(metrics, ~done) | self._alive(s, done)
         if done.any():
             ends = np.full(self.num_envs, None, object)
             final = self._rows(s.final_obs)
@@ -404,6 +405,14 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             ends_info["score"] = self._spread(s.final_score)
             infos |= _masked({"final_obs": ends, "final_info": _masked(ends_info, done)}, done)
         return infos
+
+    def _alive(self, s: "EnvState", done: np.ndarray) -> dict[str, Any]:
+        """Return infos of which agents of each environment are alive (num_envs, agents)."""
+        if s.alive is None or s.final_alive is None:
+            return {}
+        now, end = self._rows(s.alive) > 0, self._rows(s.final_alive) > 0
+        shown = np.where(done[:, None], end, now) if self._next_step else now
+        return _masked({"alive_agents": shown}, np.ones_like(done))
 
 
 def _faults(bad: np.ndarray) -> dict[str, Any]:

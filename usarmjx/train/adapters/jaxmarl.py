@@ -76,6 +76,8 @@ class MultiAgentWorld(MultiAgentEnv):
         state = self.env.step(state, stack_actions(self.env, actions, jnp))
         done = state.done[0]
         dones = {**dict.fromkeys(self.agents, done), "__all__": done}
+        if state.final_alive is not None:
+            dones |= {name: done | ~one for name, one in by_agent(self.env, state.final_alive).items()}
         score = jnp.where(state.done, state.final_score, state.score)
         infos = {**state.metrics, "score": score, "truncated": state.truncated | state.bad, "bad": state.bad}
         infos = {name: jnp.broadcast_to(value, (self.num_agents,)) for name, value in infos.items()}
@@ -109,6 +111,9 @@ class MultiAgentWorld(MultiAgentEnv):
 
     @partial(jax.jit, static_argnums=0)
     def get_avail_actions(self, state: "EnvState") -> Values:
-        """Return that every action is available (action_size,)."""
-        del state
-        return {agent: jnp.ones(self.action_spaces[agent].shape, bool) for agent in self.agents}
+        """Return which actions are available (action_size,): all those of agents that are alive."""
+        alive = None if state.alive is None else by_agent(self.env, state.alive)
+        return {
+            agent: jnp.full(self.action_spaces[agent].shape, True if alive is None else alive[agent])
+            for agent in self.agents
+        }

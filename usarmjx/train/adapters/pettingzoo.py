@@ -8,6 +8,7 @@ import numpy as np
 from usarmjx.base.errors import UsageError, extra
 from usarmjx.train.adapters.agents import (
     agents_of,
+    alive_names,
     by_agent,
     check_one_world,
     compiled_step,
@@ -29,7 +30,9 @@ Values = dict[str, Any]
 class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
     """An environment of one world as a `pettingzoo.ParallelEnv`.
 
-    An episode ends for all robots at once; what they observe then is the end of it, not the next start.
+    `agents` are those that are alive (`Task.presence`): it shrinks when robots drop out, whose end is then
+    `terminated`, and grows when others join. What agents observe when an episode ends is that end, not the
+    next start.
     `reset` without a seed goes on with the episode after, in the next arena; in the middle of an episode it
     starts anew from a seed that it draws.
 
@@ -90,8 +93,9 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
             seed = draw_seed(self._generator)
         if seed is not None:
             self._state = self.env.reset(seed)
-        self.agents = list(self.possible_agents)
-        obs = _copies(by_agent(self.env, jax.device_get(self._running.obs)))
+        now = jax.device_get((self._running.obs, self._running.alive))
+        self.agents = alive_names(self.env, now[1])
+        obs = _copies(by_agent(self.env, now[0]), self.agents)
         return obs, {agent: {} for agent in self.agents}
 
     @property
@@ -101,7 +105,7 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         return self._state
 
     def step(self, actions: Values) -> tuple[Values, Values, Values, Values, Values]:
-        """Let all robots act.
+        """Let all agents that are alive act.
 
         Returns:
             Observations, rewards, whether the task has ended the episode, whether it was cut off, by time or
@@ -114,22 +118,22 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         before = self._running
         if not self.agents:
             raise UsageError(f"{self.env.name}: the episode is over; call reset")
-        self._state = self._step(before, stack_actions(self.env, actions))
+        self._state = self._step(before, stack_actions(self.env, actions, acting=self.agents))
         s = jax.device_get(self._state.task_state.replace(memory=()))
         done, bad = bool(s.done[0]), bool(s.bad[0])
         truncated = bool(s.truncated[0]) or bad
         info = {name: float(value[0]) for name, value in s.metrics.items()}
         info |= {"score": float((s.final_score if done else s.score)[0]), "bad": bad}
         info |= {"fault": True} if bad else {}
-        agents = list(self.agents)
-        rewards = {name: float(value) for name, value in by_agent(self.env, s.reward).items()}
-        if done:
-            self.agents = []
+        left = alive_names(self.env, s.final_alive)
+        agents = [*self.agents, *(name for name in left if name not in self.agents)]
+        rewards = by_agent(self.env, s.reward)
+        self.agents = [] if done else left
         return (
-            _copies(by_agent(self.env, s.final_obs)),
-            rewards,
-            dict.fromkeys(agents, done and not truncated),
-            dict.fromkeys(agents, truncated),
+            _copies(by_agent(self.env, s.final_obs), agents),
+            {name: float(rewards[name]) for name in agents},
+            {name: name not in left or (done and not truncated) for name in agents},
+            {name: truncated and name in left for name in agents},
             {agent: dict(info) for agent in agents},
         )
 
@@ -147,5 +151,5 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         """Do nothing: there is nothing to close."""
 
 
-def _copies(values: Values) -> Values:
-    return {name: np.array(value, np.float32) for name, value in values.items()}
+def _copies(values: Values, agents: list[str]) -> Values:
+    return {name: np.array(values[name], np.float32) for name in agents}

@@ -25,10 +25,13 @@ from usarmjx.sim.radio import update_links
 from usarmjx.sim.reset import init_world, reset
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.world import FaultCounts, Stream, World, episode_key, observe
+from usarmjx.train.envs.presence import alive_agents, begin_team, come_and_go, masked, share_alive
 from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.state import AgentGroup, EnvState, EpisodeStart, Memory, Restart, TaskState
 from usarmjx.train.envs.task import StepResult, Task, TaskView, TimeLimit
 
+ALIVE = "alive"
+"""Metric of tasks with `Task.presence`: share of the agents that are alive."""
 SCATTER_MIN_SIZE = 1024
 """Least size of a leaf per world [numbers] whose rows are scattered. Of smaller leaves all worlds' are
 written again: a GPU has one kernel for many such, and for each that writes rows one of its own."""
@@ -44,10 +47,15 @@ def make_view(scene: Scene, world: World, physics: PhysicsState) -> tuple[World,
 
 
 @jax.named_scope("task.observe")
-def _observe(task: Task, view: TaskView, memory: Memory) -> tuple[tuple[jax.Array, ...], jax.Array]:
-    """Return the observations of agents and critics."""
+def _observe(
+    task: Task, view: TaskView, memory: Memory, alive: tuple[jax.Array, ...] | None = None
+) -> tuple[tuple[jax.Array, ...], jax.Array]:
+    """Return the observations of agents and critics, who know which agents are alive."""
     obs = tuple(jnp.asarray(one, jnp.float32) for one in task.observe(view, memory))
-    return obs, jnp.asarray(task.privileged(view, memory), jnp.float32)
+    privileged = jnp.asarray(task.privileged(view, memory), jnp.float32)
+    if alive is not None:
+        privileged = jnp.concatenate([privileged, *(one.astype(jnp.float32) for one in alive)])
+    return masked(alive, obs), privileged
 
 
 def all_finite(values: Sequence[Array]) -> jax.Array:
@@ -66,13 +74,15 @@ def start_episode(
     """Begin an episode."""
     world, view = make_view(scene, world, physics)
     memory = task.start(view, jnp.asarray(episode_key(world, Stream.TASK_START)))
-    obs, privileged = _observe(task, view, memory)
+    presence = task.presence(view, memory)
+    alive = None if presence is None else alive_agents(task, view, presence)
+    obs, privileged = _observe(task, view, memory, alive)
     unsound = jnp.stack([~jnp.isfinite(one).all() for one in (*obs, privileged)]).any()
     world = world.replace(faults=world.faults.replace(task=world.faults.task + unsound))
     obs, privileged = jax.tree.map(finite_or_zero, (obs, privileged))
     zero = jnp.zeros((), jnp.int32)
     return world, EpisodeStart(
-        memory=memory, obs=obs, privileged=privileged, score=jnp.zeros(()), length=zero
+        memory=memory, obs=obs, privileged=privileged, score=jnp.zeros(()), length=zero, alive=alive
     )
 
 
@@ -83,9 +93,11 @@ def apply_policy_actions(
     physics: PhysicsState,
     memory: Memory,
     actions: tuple[Array, ...],
+    alive: tuple[jax.Array, ...] | None = None,
 ) -> World:
     """Command the robots, from a policy's actions per group (robots, action_size)."""
     clipped = tuple(jnp.clip(jnp.where(jnp.isfinite(a), a, 0.0), -1.0, 1.0) for a in actions)
+    clipped = masked(alive, clipped)
     # Sensors are read once a step, at its end: actions are chosen and carried out on what was read then.
     last = tuple(
         tuple(Reading(value=value, fresh=jnp.zeros(state.active.shape, bool)) for value in state.memory.last)
@@ -97,7 +109,7 @@ def apply_policy_actions(
 
 def evaluate_step(
     scene: Scene, task: Task, state: TaskState, worlds: World, physics: PhysicsState, before: FaultCounts
-) -> tuple[World, TaskState]:
+) -> tuple[World, TaskState, jax.Array | None]:
     """Evaluate a step of all worlds, and observe.
 
     Args:
@@ -107,13 +119,18 @@ def evaluate_step(
         worlds: The worlds after it.
         physics: Their physics.
         before: Counts of faults before the step.
+
+    Returns:
+        The worlds, the state of the task, and which robots are present from now on (worlds, robots); None:
+        all.
     """
     now = worlds.faults
     bad = (now.not_finite > before.not_finite) | (now.overflow > before.overflow)
     worlds, views = jax.vmap(partial(make_view, scene))(worlds, physics)
     with jax.named_scope("task.evaluate"):
         result = jax.vmap(task.evaluate)(views, state.memory)
-    obs, privileged = jax.vmap(partial(_observe, task))(views, result.memory)
+    alive, present = _presence(task, state, views, result.memory)
+    obs, privileged = jax.vmap(partial(_observe, task))(views, result.memory, alive)
     # A task's own NaN would spread from a learner's weights to everything.
     unsound = ~all_finite((*result.reward, result.score, *obs, privileged))
     worlds = worlds.replace(faults=worlds.faults.replace(task=worlds.faults.task + (unsound & ~bad)))
@@ -123,11 +140,12 @@ def evaluate_step(
     terminated, late = result.terminated & ~bad, length >= task.episode_steps
     done = terminated | late | bad
     score = jnp.where(bad, state.score, result.score)
-    return worlds, state.replace(
+    metrics = result.metrics if alive is None else {**result.metrics, ALIVE: share_alive(alive)}
+    after = state.replace(
         memory=result.memory,
         obs=obs,
         privileged=privileged,
-        reward=tuple(jnp.where(bad[:, None], 0.0, reward) for reward in result.reward),
+        reward=tuple(jnp.where(bad[:, None], 0.0, reward) for reward in masked(state.alive, result.reward)),
         done=done,
         truncated=late & ~terminated & ~bad & (task.time_limit == "truncation"),
         final_obs=obs,
@@ -136,8 +154,29 @@ def evaluate_step(
         final_score=jnp.where(done, score, state.final_score),
         length=length,
         bad=bad,
-        metrics={name: jnp.asarray(value, jnp.float32) for name, value in result.metrics.items()},
+        metrics={name: jnp.asarray(value, jnp.float32) for name, value in metrics.items()},
+        alive=alive,
+        final_alive=alive,
     )
+    return worlds, after, present
+
+
+def _presence(
+    task: Task, state: TaskState, views: TaskView, memory: Memory
+) -> tuple[tuple[jax.Array, ...] | None, jax.Array | None]:
+    """Return which agents are alive, per group, and which robots are present, by slot (worlds, robots).
+
+    Both are None for tasks in which all always are.
+    """
+    if state.alive is None:
+        return None, None
+
+    def one(view: TaskView, memory: Memory) -> tuple[tuple[jax.Array, ...], jax.Array]:
+        presence = task.presence(view, memory)
+        assert presence is not None  # as it was at the start
+        return alive_agents(task, view, presence), presence.present
+
+    return jax.vmap(one)(views, memory)
 
 
 @jax.named_scope("restart")
@@ -159,6 +198,7 @@ def restart_subset(
     fresh, qpos = jax.vmap(partial(reset, scene, shuffle=task.shuffle), in_axes=(0, None))(some, arenas)
     still = [jnp.zeros((together, size), jnp.float32) for size in (scene.model.nv, scene.model.na)]
     physics = PhysicsState(qpos=qpos, qvel=still[0], act=still[1])
+    fresh, qpos = jax.vmap(partial(begin_team, scene, task))(fresh, jnp.asarray(qpos))
     fresh, begun = jax.vmap(partial(start_episode, scene, task))(fresh, physics)
 
     place = jnp.full(now.left.shape, together).at[rows].set(jnp.arange(together), mode="drop")
@@ -224,6 +264,7 @@ class Env:
 
     Attributes:
         name: Name of the task.
+        first: Number of the first world.
         groups: The agents.
         privileged_size: Numbers that only critics see.
         episode_steps: Steps after which the time is up.
@@ -266,7 +307,7 @@ class Env:
         self._generated = arenas if isinstance(arenas, GeneratedArenas) else None
         self.levels = arenas.levels if isinstance(arenas, GeneratedArenas) else ()
         self.renewable = self._generated is not None and self._generated.renewable
-        self._first = first
+        self.first = first
         self._act = self._compile(jax.vmap(partial(apply_policy_actions, self.scene, task)))
         self._evaluate = self._compile(partial(evaluate_step, self.scene, task))
         self._blank = self._compile(self._blank_state)
@@ -301,7 +342,7 @@ class Env:
 
         with jax.default_matmul_precision("highest"):  # else what is compiled later is traced anew
             world, begun, result = jax.eval_shape(once, jax.random.key(0))
-        return (world, begun), tuple(result.metrics)
+        return (world, begun), (*result.metrics, *([] if begun.alive is None else [ALIVE]))
 
     def _agents(self) -> tuple[AgentGroup, ...]:
         scene, task = self.scene, self.task
@@ -385,7 +426,12 @@ class Env:
         if not self.traceable:
             blank = blank.replace(batch=blank.batch.replace(physics=self.batch.engine.start()))
         state = self._restart(blank, blank.done)
-        return state.replace(done=state.bad, final_obs=state.obs, final_privileged=state.privileged)
+        return state.replace(
+            done=state.bad,
+            final_obs=state.obs,
+            final_privileged=state.privileged,
+            final_alive=state.alive,
+        )
 
     def _blank_state(self, key: jax.Array, level: jax.Array, arenas: ArenaState | None) -> EnvState:
         """Return all worlds before their first episode: done with none, and all else is zero."""
@@ -394,7 +440,7 @@ class Env:
             return jnp.zeros((self.worlds, *one.shape), one.dtype)
 
         world, begun = self._blanks
-        numbers = self._first + jnp.arange(self.worlds)
+        numbers = self.first + jnp.arange(self.worlds)
         worlds = jax.tree.map(zeros, world.replace(key=None)).replace(
             key=jax.vmap(partial(jax.random.fold_in, key))(numbers),
             number=numbers,
@@ -418,6 +464,8 @@ class Env:
             length=begun.length,
             bad=no,
             metrics=dict.fromkeys(self._metrics, zero),
+            alive=begun.alive,
+            final_alive=begun.alive,
             level=level,
         )
 
@@ -470,13 +518,23 @@ class Env:
         """
         return self._step_program(state, actions)
 
+    def commanded(self, state: EnvState, actions: tuple[Array, ...]) -> World:
+        """Return the worlds as they are before the first control step of an action: with its commands."""
+        physics = self.batch.physics(state.batch)
+        return self._act(state.batch.worlds, physics, state.memory, actions, state.alive)
+
     def _step(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
         self._check(actions)
         batch, before = state.batch, state.batch.worlds.faults  # a world in which they grow goes bad
-        worlds = self._act(batch.worlds, self.batch.physics(batch), state.memory, actions)
+        worlds = self.commanded(state, actions)
         batch = self.batch.run(batch.replace(worlds=worlds), self.task.repeat, reset_bad=False)
-        worlds, task = self._evaluate(state.task_state, batch.worlds, self.batch.physics(batch), before)
-        state = state.with_task(batch.replace(worlds=worlds), task)
+        worlds, task, present = self._evaluate(
+            state.task_state, batch.worlds, self.batch.physics(batch), before
+        )
+        batch = batch.replace(worlds=worlds)
+        if present is not None:
+            batch = come_and_go(self.scene, self.task.shuffle, self.batch.engine, batch, present)
+        state = state.with_task(batch, task)
         return self._restart(state, state.done)
 
     def _restart_where(self, state: EnvState, where: Array) -> EnvState:

@@ -51,6 +51,9 @@ class TaskState(struct.PyTreeNode, kw_only=True):
         bad: Whether the physics was not finite or lost contacts in this step, or a number of the task was not
             finite (worlds,); such an episode is done, and its last transition is not to be trained on.
         metrics: As evaluated in this step, before any reset (worlds,).
+        alive: Which agents take part from now on, per group (worlds, robots); others observe 0, do nothing
+            and get no reward. None: always all, see `Task.presence`.
+        final_alive: As `alive` before the reset, the same where not done, per group (worlds, robots).
         level: Difficulty of the arenas in play, from 0 to 1 (); see `Env.at_level`.
     """
 
@@ -67,6 +70,8 @@ class TaskState(struct.PyTreeNode, kw_only=True):
     length: jax.Array
     bad: jax.Array
     metrics: dict[str, jax.Array]
+    alive: tuple[jax.Array, ...] | None = None
+    final_alive: tuple[jax.Array, ...] | None = None
     level: jax.Array | None = None
 
 
@@ -107,6 +112,7 @@ class EpisodeStart(struct.PyTreeNode, kw_only=True):
         privileged: Observations of critics only (privileged_size,).
         score: 0 ().
         length: 0 ().
+        alive: See `TaskState`, per group (robots,); None: always all.
     """
 
     memory: Memory
@@ -114,6 +120,7 @@ class EpisodeStart(struct.PyTreeNode, kw_only=True):
     privileged: jax.Array
     score: jax.Array
     length: jax.Array
+    alive: tuple[jax.Array, ...] | None = None
 
 
 class Restart(struct.PyTreeNode, kw_only=True):

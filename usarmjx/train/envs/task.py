@@ -33,6 +33,7 @@ from usarmjx.sim.radio import mailboxes
 from usarmjx.sim.ray_geometry import start_poses, victims_of
 from usarmjx.sim.scene import Scene, build_scene
 from usarmjx.sim.world import Stream, World, clock_of, episode_key, robot_states
+from usarmjx.train.envs.presence import Presence
 from usarmjx.train.envs.recipe import (
     SPARE_ROOM,
     Arenas,
@@ -304,6 +305,25 @@ class Task(ABC):
         """Return the critics' privileged observations (privileged_size,); by default none."""
         del view, memory
         return jnp.zeros(0)
+
+    def team(self, scene: Scene, key: jax.Array) -> jax.Array | None:
+        """Return which robots an episode begins with, by slot (robots,); by default None: all of them.
+
+        Args:
+            scene: The scene.
+            key: A key of that episode.
+        """
+        del scene, key
+        return None
+
+    def presence(self, view: TaskView, memory: Memory) -> Presence | None:
+        """Return which robots take part from now on; by default None: all of them, always.
+
+        It is called at the start of an episode and after each action. A robot that is not present any more is
+        parked; one that is present again joins at its start pose, and is alive after the next action.
+        """
+        del view, memory
+        return None
 
     def started_at(self, memory: Memory, steps: jax.Array) -> Memory:
         """Return the memory of episodes that count as begun some steps ago, so that they end so much earlier.

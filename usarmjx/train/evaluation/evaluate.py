@@ -3,9 +3,10 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base import random
@@ -106,7 +107,8 @@ def play_episodes(
     serials = _serials(state)
     while (ended < each).any():
         carry, actions = act(carry, state.obs, jax.random.fold_in(key, step))
-        state = env.step(state, actions)
+        before, state = getattr(state, "alive", None), env.step(state, actions)
+        carry = _with_alive(carry, before, getattr(state, "alive", None))
         step, length = step + 1, length + 1
         tell(f"seed {seed}: {np.minimum(ended, each).sum()} of {each * env.worlds} episodes, step {step}")
         done = np.asarray(state.done)
@@ -124,6 +126,18 @@ def play_episodes(
     counts = {"lengths": lengths, "worlds": worlds, "episode_index": index, "buildings": places}
     found = {name: column.astype(int) for name, column in counts.items()}
     return Episodes(seed=seed, scores=scores, bad=bad, levels=_levels(env, found["buildings"]), **found)
+
+
+def _with_alive(carry: Any, *alive: tuple[Any, ...] | None) -> Any:  # noqa: ANN401 - a policy's own
+    """Return a carry of arrays per group (worlds, robots, memory), kept of agents that were and are alive."""
+    masks = [one for one in alive if one is not None]
+    if len(masks) < len(alive) or not isinstance(carry, tuple):
+        return carry
+    keep = [jnp.asarray(a) & b for a, b in zip(*masks, strict=True)]
+    parts = cast(tuple[Any, ...], carry)
+    if [np.shape(one)[:2] for one in parts] != [one.shape for one in keep]:
+        return parts
+    return tuple(jnp.where(one[..., None], now, 0.0) for one, now in zip(keep, parts, strict=True))
 
 
 def _serials(state: Any) -> np.ndarray | None:  # noqa: ANN401 - of environments of one's own, too

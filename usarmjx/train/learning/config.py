@@ -190,6 +190,8 @@ class Config:
             the task's can be replaced; 0: never.
         checkpoint_interval: Iterations between checkpoints; there is always one at the end.
         keep_checkpoints: Latest checkpoints that are kept; the best one is kept too.
+        black_box: Most recordings of worlds that go bad, in the folder `faults` of the run: the last two
+            seconds of each. 0: none are made, and no worlds are kept for them.
     """
 
     total_steps: Annotated[int, Setting(ge=1, aliases=("steps",))] = 1_000_000
@@ -226,6 +228,7 @@ class Config:
     arena_refresh_interval: Annotated[int, Setting(ge=0, aliases=("renew",))] = 4
     checkpoint_interval: Annotated[int, Setting(ge=1, aliases=("checkpoint_every",))] = 20
     keep_checkpoints: Annotated[int, Setting(ge=1, aliases=("keep",))] = 2
+    black_box: Annotated[int, Setting(ge=0)] = 4
 
     def __post_init__(self) -> None:
         """Check the settings.

@@ -22,6 +22,7 @@ from usarmjx.train.learning.imitation import teacher_of
 from usarmjx.train.learning.ppo import update
 from usarmjx.train.learning.processes import PROCESS_AXIS, ProcessGroup
 from usarmjx.train.learning.rollout import Rollout
+from usarmjx.train.learning.rollout_inputs import Inspector, inputs_of
 from usarmjx.train.learning.train_state import (
     ROLLOUT_STREAM,
     UPDATE_STREAM,
@@ -72,11 +73,12 @@ class Trainer:
         teacher = teacher_of(env) if config.imitation_steps else None
         known: ProgramCache | None = getattr(env, "program_cache", None)
         # Programs are the same for all seeds and checkpoint settings.
-        general = replace(config, seed=0, checkpoint_interval=1, keep_checkpoints=1)
+        general = replace(config, seed=0, checkpoint_interval=1, keep_checkpoints=1, black_box=0)
         self._program_cache = known and known.of(
             general, self.networks, process_group.index, process_group.count
         )
         first = process_group.index * share
+        self.inspect: Inspector | None = None
         self.rollout = Rollout(env, self.networks, config, first, teacher, self._program_cache)
         timed, once = PartitionSpec(None, PROCESS_AXIS), PartitionSpec(PROCESS_AXIS)
         self._begin = train_state_maker(self.networks, config, self._program_cache)
@@ -170,7 +172,10 @@ class Trainer:
             state = self.env.at_level(worlds.env_state, self.level(iteration), arenas)
             worlds = worlds.replace(env_state=self.process_group.device_put(state))
         key = self._fold(self._key, iteration)
+        begun = worlds.env_state
         worlds, trajectory, ends, sums = self.rollout.collect(train_state, worlds, key)
+        if self.inspect is not None:
+            self.inspect(inputs_of(self.networks.policy, iteration + 1, begun, trajectory))
         to_global = self.process_group.to_global
         experience = (to_global(trajectory, 1), to_global(ends, 0), to_global(self._sums(sums), 0))
         train_state, known = self.process_group.to_local(

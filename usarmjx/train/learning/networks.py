@@ -39,9 +39,16 @@ def recur(
         weights: From the carry to the gates (memory, 3 memory).
         bias: Bias of the new gate's product (memory,).
         carry: That before the first step (worlds, robots, memory).
-        is_first: Whether the carry is reset before the step (steps, worlds).
+        is_first: Whether the carry is reset before the step (steps, worlds), or that of each robot (steps,
+            worlds, robots).
     """
-    return _recur(gates, weights, bias, carry, is_first)
+    if is_first.ndim < gates.ndim - 1:
+        return _recur(gates, weights, bias, carry, is_first)
+    steps, *robots = is_first.shape
+    # Each robot as a world of its own.
+    rows = gates.reshape(steps, -1, 1, gates.shape[-1]), carry.reshape(-1, 1, carry.shape[-1])
+    after = _recur(rows[0], weights, bias, rows[1], is_first.reshape(steps, -1))
+    return after.reshape(steps, *robots, -1)
 
 
 def _recur_sequentially(
@@ -281,6 +288,11 @@ class LearnedPolicy:
     def reset_carry(carry: tuple[jax.Array, ...], done: jax.Array) -> tuple[jax.Array, ...]:
         """Return the carry, reset in worlds where the episode is over (worlds,)."""
         return tuple(jnp.where(done[:, None, None], 0.0, one) for one in carry)
+
+    @staticmethod
+    def reset_agents(carry: tuple[jax.Array, ...], keep: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        """Return the carry, kept of some agents only, per group (worlds, robots)."""
+        return tuple(jnp.where(one[..., None], now, 0.0) for one, now in zip(keep, carry, strict=True))
 
     def distribution_params(
         self, params: PolicyParams, obs: Sequence[jax.Array], carry: Sequence[jax.Array]

@@ -117,11 +117,11 @@ def compute_targets(
     config: Config,
 ) -> tuple[Minibatch, tuple[jax.Array, ...]]:
     """Return the targets of a trajectory, and the returns that were estimated, in the unit of rewards."""
-    ends = tuple(one[..., None] for one in (trajectory.done, trajectory.truncated, trajectory.bad))
     normal: list[jax.Array] = []
     targets: list[jax.Array] = []
     returns: list[jax.Array] = []
     for g in range(len(networks.groups)):
+        ends = trajectory.ends(g)
         advantage = advantages(
             trajectory.reward[g],
             trajectory.value[g],
@@ -170,15 +170,14 @@ def loss(
     steps, ends = minibatch.trajectory, minibatch.ends
     keys = fold_each(key, ends.world_index)
     train_state = train_state.replace(params=weights)
-    values, _ = critic_values(
-        networks, train_state, (steps.obs, steps.privileged), ends.critic_carry, steps.is_first
-    )
+    starts = tuple(steps.starts(g) for g in range(len(steps.obs)))
+    values, _ = critic_values(networks, train_state, (steps.obs, steps.privileged), ends.critic_carry, starts)
     sums: dict[str, Any] = {}
     imitating, policies = networks.is_imitating(train_state, config), weights.group_policies
     for g, raw in enumerate(steps.raw_action):
         obs = normalise(train_state.obs_statistics[g].mean, train_state.obs_statistics[g].std, steps.obs[g])
         logits, _ = apply_network(
-            networks.policy.network(g), policies[g], obs, None, ends.policy_carry[g], steps.is_first
+            networks.policy.network(g), policies[g], obs, None, ends.policy_carry[g], starts[g]
         )
         kind = networks.policy.distribution(g)
         log_prob = kind.log_prob(logits, raw)
@@ -199,7 +198,7 @@ def loss(
         if steps.teacher_action:
             terms["imitation"] = imitation_loss(kind, logits, steps.teacher_action[g], config.imitation_std)
             terms["policy"] = jnp.where(imitating, terms["imitation"], terms["policy"])
-        valid = ~steps.bad[..., None]
+        valid = steps.valid(g)
         for name, one in terms.items():
             sums[name] = sums.get(name, jnp.float32(0)) + jnp.where(valid, one, 0.0).sum()
     total = sums["policy"] + config.value_coef * sums["value"] - config.entropy_coef * sums["entropy"]
@@ -337,7 +336,9 @@ def update(
     old = train_state
     train_state, stats = run_epochs(networks, config, processes, train_state, batch, key)
     valid = ~steps.bad
-    valid_robots: list[jax.Array] = [jnp.broadcast_to(valid[..., None], one.shape) for one in returns]
+    valid_robots: list[jax.Array] = [
+        jnp.broadcast_to(steps.valid(g), one.shape) for g, one in enumerate(returns)
+    ]
     if config.normalize_obs:
         obs = tuple(
             update_statistics(one, seen, mask, PROCESS_AXIS)

@@ -200,7 +200,7 @@ class Rollout:
         self, train_state: TrainState, obs: GroupArrays, privileged: jax.Array, carry: GroupArrays
     ) -> tuple[GroupArrays, GroupArrays]:
         obs_sequence = tuple(one[None] for one in obs)
-        is_first = jnp.zeros((1, len(privileged)), bool)
+        is_first = (jnp.zeros((1, len(privileged)), bool),) * len(obs)
         value, after = critic_values(
             self.networks, train_state, (obs_sequence, privileged[None]), carry, is_first
         )
@@ -238,7 +238,6 @@ class Rollout:
         robots = sum(one.shape[1] for one in reward)
         episode_return = episode_return + sum(one.sum(1) for one in reward) / robots
         ended = done & ~bad
-        reset = self.networks.policy.reset_carry
         step = Trajectory(
             obs=before.obs,
             privileged=before.privileged,
@@ -252,6 +251,8 @@ class Rollout:
             truncated=truncated,
             bad=bad,
             teacher_action=decision.teacher_action,
+            alive=before.alive or (),
+            survived=after.final_alive or (),
         )
         episode_sums = {
             "return": jnp.where(ended, episode_return, 0.0),
@@ -259,13 +260,24 @@ class Rollout:
             "timeouts": truncated,
         }
         sums = _sum_worlds({**episode_sums, **_step_sums(after, ended, bad)})
-        teacher = (
-            decision.teacher_carry
-            if self.teacher is None
-            else reset_carry(self.teacher, decision.teacher_carry, done)
-        )
-        carry = (reset(decision.policy_carry, done), reset(decision.critic_carry, done), teacher)
+        carry = self._next_carry(decision, before, after, done)
         return step, carry, jnp.where(done, 0.0, episode_return), sums
+
+    def _next_carry(
+        self, decision: Decision, before: StepView, after: StepView, done: jax.Array
+    ) -> tuple[GroupArrays, GroupArrays, Carry]:
+        """Return the carries of policies, critics and teacher, reset where an episode is over (worlds,).
+
+        Those of agents that were not alive, or are not alive any more, are reset, too.
+        """
+        reset, teacher = self.networks.policy.reset_carry, decision.teacher_carry
+        if self.teacher is not None:
+            teacher = reset_carry(self.teacher, teacher, done)
+        policy, critic = reset(decision.policy_carry, done), reset(decision.critic_carry, done)
+        if before.alive is not None and after.alive is not None:
+            through = tuple(a & b for a, b in zip(before.alive, after.alive, strict=True))
+            policy, critic = (self.networks.policy.reset_agents(one, through) for one in (policy, critic))
+        return policy, critic, teacher
 
     def _rollout_ends(
         self,

@@ -17,7 +17,7 @@ RECORD_FILE = "config.json"
 FORMAT = 1
 PACKAGES = ("jax", "jaxlib", "flax", "optax", "brax", "mujoco", "mujoco-mjx", "numpy")
 """Packages whose versions a record keeps, because results depend on them."""
-MAY_CHANGE = ("total_steps", "keep_checkpoints", "checkpoint_interval")
+MAY_CHANGE = ("total_steps", "keep_checkpoints", "checkpoint_interval", "black_box")
 """Settings that may differ when a run is resumed."""
 FIXED = ("task", "engine", "overrides", "groups", "privileged_size", "episode_steps", "processes")
 """Fields of a record that may not differ when a run is resumed."""

@@ -44,6 +44,17 @@ class TensorBoardLog(AppendedFile):
         values = [Summary.Value(tag=name, simple_value=value) for name, value in numbers.items()]
         self.append(_framed(Event(step=agent_steps, wall_time=time.time(), summary=Summary(value=values))))
 
+    def show_picture(self, agent_steps: int, name: str, gif: bytes) -> None:
+        """Write a GIF, still or moving, at a count of agent steps.
+
+        Raises:
+            WriteError: Nothing was written; it waits.
+        """
+        width, height = struct.unpack("<HH", gif[6:10])  # of the logical screen
+        picture = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=gif)
+        summary = Summary(value=[Summary.Value(tag=name, image=picture)])
+        self.append(_framed(Event(step=agent_steps, wall_time=time.time(), summary=summary)))
+
 
 def _framed(event: Any) -> bytes:  # noqa: ANN401 - protobuf's
     """Return an event as a TFRecord: length, checksum of that, event, checksum of that."""

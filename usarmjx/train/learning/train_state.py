@@ -193,7 +193,7 @@ def critic_values(
     train_state: TrainState,
     seen: tuple[tuple[jax.Array, ...], jax.Array],
     carry: tuple[jax.Array, ...],
-    is_first: jax.Array,
+    is_first: tuple[jax.Array, ...],
 ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
     """Return the critics' values of a sequence of steps.
 
@@ -203,7 +203,7 @@ def critic_values(
         seen: Observations, per group (steps, worlds, robots, obs_size), and privileged inputs
             (steps, worlds, privileged_size).
         carry: The critics' before the first step, per group (worlds, robots, memory).
-        is_first: Whether it is reset before the step (steps, worlds).
+        is_first: Whether it is reset before the step, per group (steps, worlds[, robots]).
 
     Returns:
         Values in the critics' own scale (`unscaled_values` undoes it), per group (steps, worlds, robots), and
@@ -217,7 +217,7 @@ def critic_values(
     for g, rows in enumerate(obs):
         x = normalise(train_state.obs_statistics[g].mean, train_state.obs_statistics[g].std, rows)
         params = train_state.params.critic[g]
-        value, after = apply_network(networks.critic(g), params, x, shared, carry[g], is_first)
+        value, after = apply_network(networks.critic(g), params, x, shared, carry[g], is_first[g])
         found.append((value[..., 0], after))
     return tuple(value for value, _ in found), tuple(after for _, after in found)
 

@@ -24,6 +24,7 @@ from usarmjx.train.learning.launch import check_parent
 from usarmjx.train.learning.learner import EnvFactory, Trainer
 from usarmjx.train.learning.metrics import MetricsLog, read_lines, summary
 from usarmjx.train.learning.processes import ProcessGroup, run_lock
+from usarmjx.train.learning.rollout_inputs import Inspector
 from usarmjx.train.learning.run_record import (
     DEFAULT_ENV_ARGUMENTS,
     RECORD_FILE,
@@ -106,6 +107,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
     progress: bool = True,
     watch: Callable[[dict[str, Any]], None] | None = None,
     look: Callable[[EnvState], None] | None = None,
+    inspect: Inspector | None = None,
     stop: StopRequest | None = None,
 ) -> TrainResult:
     """Train a policy; in every process at once, if there are several (see `processes.group`).
@@ -122,6 +124,7 @@ def train(  # noqa: PLR0913 - all but three may be left out
         watch: Receives the record of each iteration.
         look: Receives the worlds of this process: as they are before the first action, and then again
             and again, see `Rollout.look`.
+        inspect: Receives the inputs of each rollout of this process.
         stop: Ends the training early, with a checkpoint; for a single process.
 
     Raises:
@@ -131,16 +134,13 @@ def train(  # noqa: PLR0913 - all but three may be left out
         WriteError: The folder cannot be written to, or something is missing there at the end.
     """
     out, process_group = Path(out), ProcessGroup()
-    if resume and not (out / RECORD_FILE).exists():
-        raise UsageError(f"nothing to resume in {out}: it has no {RECORD_FILE}")
     with ExitStack() as held:
-        if (out / RECORD_FILE).exists():
-            _lock(held, out, process_group)
+        _open_run(held, out, process_group, resume)
         if not resume:
             _check_new(out, process_group)
         process_group.barrier("look for a run")  # before anyone writes one
         trainer = Trainer(env, config, process_group)
-        trainer.rollout.look = look or trainer.rollout.look
+        trainer.rollout.look, trainer.inspect = look or trainer.rollout.look, inspect
         checkpoints = Checkpoints(out, process_group, config.keep_checkpoints)
         if not resume:
             _lock(held, out, process_group)
@@ -154,6 +154,14 @@ def train(  # noqa: PLR0913 - all but three may be left out
         log = MetricsLog(out, trainer.iterations, before, bar=progress) if process_group.index == 0 else None
         left = train_state, worlds, before
         return _run(trainer, checkpoints, left, log, watch or _ignore, began, stop)
+
+
+def _open_run(held: ExitStack, out: Path, process_group: ProcessGroup, resume: bool) -> None:
+    """Lock the folder if it has a run; refuse to resume where there is none."""
+    if resume and not (out / RECORD_FILE).exists():
+        raise UsageError(f"nothing to resume in {out}: it has no {RECORD_FILE}")
+    if (out / RECORD_FILE).exists():
+        _lock(held, out, process_group)
 
 
 def _checked_record(

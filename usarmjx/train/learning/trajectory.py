@@ -3,6 +3,7 @@
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 from flax.struct import PyTreeNode
 
 from usarmjx.train.envs.env import EnvState
@@ -28,6 +29,8 @@ class Trajectory(PyTreeNode, kw_only=True):
         bad: Whether the step is not to be trained on (steps, worlds).
         teacher_action: The teacher's action, squashed, per group (steps, worlds, robots,
             action_size); empty without a teacher.
+        alive: Which agents acted in the step, per group (steps, worlds, robots); empty: always all.
+        survived: Which of them are alive after it, before any reset, likewise.
     """
 
     obs: GroupArrays
@@ -42,6 +45,32 @@ class Trajectory(PyTreeNode, kw_only=True):
     truncated: jax.Array
     bad: jax.Array
     teacher_action: GroupArrays
+    alive: GroupArrays = ()
+    survived: GroupArrays = ()
+
+    def valid(self, group: int) -> jax.Array:
+        """Return which steps of which agents of a group are to be trained on (steps, worlds, robots or 1)."""
+        valid = ~self.bad[..., None]
+        return valid & self.alive[group] if self.alive else valid
+
+    def ends(self, group: int) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Return where agents' episodes end, where by time-out, and which steps are not to be trained on.
+
+        Each (steps, worlds, robots or 1). An agent that is not alive any more has an end of its own.
+        """
+        done, truncated = self.done[..., None], self.truncated[..., None]
+        if self.alive:
+            done, truncated = done | ~self.survived[group], truncated & self.survived[group]
+        return done, truncated, ~self.valid(group)
+
+    def starts(self, group: int) -> jax.Array:
+        """Return before which steps the memory of a group's agents is reset (steps, worlds[, robots])."""
+        if not self.alive:
+            return self.is_first
+        # That of an agent that was not alive in the step before, or is not, as in the rollout.
+        through = self.alive[group][:-1] & self.alive[group][1:]
+        gaps = jnp.concatenate([jnp.zeros_like(through[:1]), ~through])
+        return self.is_first[..., None] | gaps
 
 
 class RolloutEnds(PyTreeNode, kw_only=True):
@@ -97,6 +126,8 @@ class StepView(PyTreeNode, kw_only=True):
         length: (worlds,).
         bad: (worlds,).
         metrics: By name (worlds,).
+        alive: See `TaskState`, per group (worlds, robots); None: always all.
+        final_alive: See `TaskState`, likewise.
     """
 
     obs: GroupArrays
@@ -110,6 +141,8 @@ class StepView(PyTreeNode, kw_only=True):
     length: jax.Array
     bad: jax.Array
     metrics: dict[str, jax.Array]
+    alive: GroupArrays | None = None
+    final_alive: GroupArrays | None = None
 
 
 def step_view(env: EnvState) -> StepView:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from usarmjx.base.errors import UnknownNameError, UsageError
@@ -13,7 +14,7 @@ from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import AgentGroup, Env
 from usarmjx.train.envs.membership import building_label, training_note
 from usarmjx.train.envs.recipe import TEST, GeneratedArenas
-from usarmjx.train.envs.task import Policy, Task
+from usarmjx.train.envs.task import ActionArrays, Carry, ObservationArrays, Policy, Task
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.make import check_named, find_baseline, make, make_task, same_class, task_values
 from usarmjx.train.policies import POLICIES
@@ -34,6 +35,7 @@ class PolicySource:
         learned: Its network and weights; None: the baseline of `name`.
         checkpoint: Line about the checkpoint of a run and its choice; else empty.
         named: Whether the user has named the task, so that the code of an own one may be imported.
+        parts: Policies of robot classes, by name, where each class has one of its own; else empty.
     """
 
     name: str
@@ -42,6 +44,7 @@ class PolicySource:
     learned: tuple[LearnedPolicy, PolicyParams] | None = None
     checkpoint: str = ""
     named: bool = False
+    parts: Mapping[str, "PolicySource"] = field(default_factory=dict[str, "PolicySource"])
 
     def for_task(self, task: str) -> "PolicySource":
         """Return the policy for a task that the user has named, an own one in a file or module too.
@@ -66,6 +69,8 @@ class PolicySource:
         Raises:
             UsageError: It was trained for other robots, observations or actions.
         """
+        if self.parts:
+            return mixed_policy(env, self.parts)
         if self.learned is None:
             return BASELINES.get(self.name)(env)
         policy, params = self.learned
@@ -76,6 +81,39 @@ class PolicySource:
                 f"as it is set up has {theirs}"
             )
         return policy.as_policy(params)
+
+    def of_class(self, env: Env, group: int) -> Policy:
+        """Return the policy for the robots of one group; it takes all observations, and acts for that group.
+
+        Raises:
+            UsageError: It has no such robots, or for other observations or actions.
+        """
+        mine = env.groups[group]
+        if self.learned is None:
+            whole = self.policy(env)
+
+            def act_alone(carry: Carry, obs: ObservationArrays, key: jax.Array) -> tuple[Carry, ActionArrays]:
+                after, actions = whole.act(carry, obs, key)
+                return after, (actions[group],)
+
+            return Policy(whole.initial_carry, act_alone)
+        policy, params = self.learned
+        fits = [g for g, one in enumerate(policy.groups) if _shapes([one]) == _shapes([mine])]
+        if not fits:
+            raise UsageError(
+                f"{self.name} is for robots (class, numbers in observation and action) "
+                f"{_shapes(policy.groups)}, which has none like {_shapes([mine])[0]}"
+            )
+        (index, *_) = fits
+        alone = PolicyParams(
+            weights=(params.weights[index],), mean=(params.mean[index],), std=(params.std[index],)
+        )
+        learned = LearnedPolicy((mine,), policy.layers, policy.memory).as_policy(alone)
+
+        def act(carry: Carry, obs: ObservationArrays, key: jax.Array) -> tuple[Carry, ActionArrays]:
+            return learned.act(carry, (obs[group],), key)
+
+        return Policy(learned.initial_carry, act)
 
     def env(
         self,
@@ -216,11 +254,49 @@ def _reads(task: Task, name: str, text: str) -> bool:
     return True
 
 
+def mixed_policy(env: Env, parts: Mapping[str, PolicySource]) -> Policy:
+    """Return the policy in which each class of robots follows one of its own.
+
+    Args:
+        env: The environment.
+        parts: Policies by class, case ignored. A learned one needs robots of that class, with the same sizes
+            of observations and actions, in however large a team.
+
+    Raises:
+        UsageError: A class without a policy, a policy without a class, or one that does not fit.
+    """
+    given = {name.lower(): part for name, part in parts.items()}
+    classes = [group.name for group in env.groups]
+    if wrong := sorted({name.lower() for name in classes} ^ {*given}):
+        raise UsageError(f"a policy for each of {', '.join(classes)}; missing or unknown: {', '.join(wrong)}")
+    policies = [given[name.lower()].of_class(env, index) for index, name in enumerate(classes)]
+
+    def initial_carry(worlds: int) -> Carry:
+        return tuple(policy.initial_carry(worlds) for policy in policies)
+
+    def act(carry: Carry, obs: ObservationArrays, key: jax.Array) -> tuple[Carry, ActionArrays]:
+        pairs = [policy.act(one, obs, key) for policy, one in zip(policies, carry, strict=True)]
+        return tuple(after for after, _ in pairs), tuple(actions[0] for _, actions in pairs)
+
+    return Policy(initial_carry, act)
+
+
+def _load_parts(what: str, checkpoint: str) -> PolicySource:
+    """Return the policy of `CLASS=RUN,CLASS=RUN`; task and settings are those of the first."""
+    pairs = [part.partition("=") for part in what.split(",")]
+    if wrong := [name + mark + source for name, mark, source in pairs if not (name and source)]:
+        raise UsageError(f"{wrong[0]!r} in {what}, expected CLASS=POLICY for each class of robots")
+    parts = {name: load_policy(source, checkpoint) for name, _, source in pairs}
+    first = next(iter(parts.values()))
+    lines = [f"{name}: {part.checkpoint}" for name, part in parts.items() if part.checkpoint]
+    return replace(first, name=what, learned=None, checkpoint="; ".join(lines), parts=parts)
+
+
 def load_policy(what: str, checkpoint: str = "best") -> PolicySource:
     """Return the policy of a run's folder, of an exported file, or of the package by its task's name.
 
     Args:
-        what: Folder, file, or task.
+        what: Folder, file, or task; or `CLASS=POLICY,CLASS=POLICY`, one of these for each class of robots.
         checkpoint: Checkpoint of a run: `best`, `last`, or the number of an iteration.
 
     Raises:
@@ -228,6 +304,8 @@ def load_policy(what: str, checkpoint: str = "best") -> PolicySource:
         UnknownNameError: Nothing is there, and no packaged policy has that name; lists those there are.
     """
     path = Path(what)
+    if "=" in what and not path.exists():
+        return _load_parts(what, checkpoint)
     if path.is_dir():
         from usarmjx.train.learning.checkpoint import Checkpoints, read_policy
 

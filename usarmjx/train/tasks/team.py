@@ -518,6 +518,11 @@ class TeamTask(Task):
         """The most that each part of the score can come to: the sum of its points."""
         return {"contacts": 0.0}
 
+    def working(self, view: TaskView, memory: TeamMemory) -> jax.Array | None:
+        """Return which robots still work, by slot (robots,); None: all do, in every episode."""
+        del view, memory
+        return None
+
     def touched(self, view: TaskView) -> jax.Array:
         """Return which robots truly touch something, by slot (robots,)."""
         slots = [group.slots for group in view.scene.groups]
@@ -535,6 +540,8 @@ class TeamTask(Task):
         explored, credit = newly_explored(view, memory, self.arena_grid(view.scene))
         touching = self.touched(view)
         begun = touching & ~memory.touching & jnp.isin(jnp.arange(len(touching)), self.agents(view.scene))
+        if (working := self.working(view, memory)) is not None:
+            begun &= working
         memory = memory.replace(
             belief=self.update_belief(view, memory.belief),
             step=memory.step + 1,

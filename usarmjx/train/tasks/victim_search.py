@@ -10,12 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from usarmjx.base.settings import POSITIVE
+from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE
 from usarmjx.base.transforms import flip_angles, flip_vector, mat_from_angles
 from usarmjx.comms.links import reachable
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sim.actions import Actions, JointAction
-from usarmjx.sim.scene import RobotGroup
+from usarmjx.sim.scene import RobotGroup, Scene
+from usarmjx.train.envs.presence import Presence, team_key
 from usarmjx.train.envs.recipe import Arenas
 from usarmjx.train.envs.task import StepResult, TaskView
 from usarmjx.train.mapping import planning
@@ -23,6 +24,7 @@ from usarmjx.train.mapping.belief import Belief, update_base_contact
 from usarmjx.train.mapping.maps import FREE, MARK, MapGrid
 from usarmjx.train.mapping.planning import VISITED_FRONTIER_COST
 from usarmjx.train.mapping.wavefront import UNREACHABLE, frontier
+from usarmjx.train.tasks.attrition import arrival_actions, drawn_team, remaining_robots
 from usarmjx.train.tasks.buildings import Buildings
 from usarmjx.train.tasks.equip import base_station, flies, pose_sensor, victim_search_robot
 from usarmjx.train.tasks.team import (
@@ -173,6 +175,13 @@ class VictimSearch(TeamTask):
         seek_home: Let robots that have to go home and know no way look for one at frontiers near the base;
             else they wait.
         fence: Keep robots that fly above the building.
+        battery_life: Time after which batteries are empty [s]; 0: the class's own, longer than an episode.
+            A robot whose battery is empty stays where it is, and its radio works on.
+        loss_rate: Losses of a robot per second; a lost robot leaves the world.
+        least_robots: Least number of robots beside the base; each world draws its number, up to the whole
+            team, and which of them it has, at each reset. 0: always the whole team.
+        arrival_interval: Time between two robots that enter, in the order of their slots [s]; 0: all are
+            there from the start.
     """
 
     about: ClassVar[str] = "A mixed team finds victims and reports them over the radio."
@@ -189,14 +198,71 @@ class VictimSearch(TeamTask):
     return_speed: Annotated[float, POSITIVE] = 0.3
     seek_home: bool = False
     fence: bool = False
+    battery_life: Annotated[float, NOT_NEGATIVE] = 0.0
+    loss_rate: Annotated[float, NOT_NEGATIVE] = 0.0
+    least_robots: Annotated[int, NOT_NEGATIVE] = 0
+    arrival_interval: Annotated[float, NOT_NEGATIVE] = 0.0
+
+    def problem(self) -> str:
+        """Return a conflict between settings."""
+        team = len(self.wheeled) + len(self.tracked) + len(self.flying)
+        wrong = self.least_robots > team
+        return f"least_robots is {self.least_robots}, but the team has {team} robots" if wrong else ""
+
+    @property
+    def varies(self) -> bool:
+        """Whether robots may be missing or drop out."""
+        return max(self.battery_life, self.loss_rate, self.least_robots, self.arrival_interval) > 0
 
     @property
     def robots(self) -> tuple[RobotSpec, ...]:
         """The base, and the team."""
-        return (
-            base_station(),
-            *(victim_search_robot(name) for name in (*self.wheeled, *self.tracked, *self.flying)),
-        )
+        team = [victim_search_robot(name) for name in (*self.wheeled, *self.tracked, *self.flying)]
+        if self.battery_life > 0:
+            team = [replace(robot, battery_life=self.battery_life) for robot in team]
+        return (base_station(), *team)
+
+    # Who takes part.
+
+    def team(self, scene: Scene, key: jax.Array) -> jax.Array | None:
+        """Those that the world draws and that do not arrive later."""
+        if not self.varies:
+            return None
+        return drawn_team(scene, self.agents(scene), self.least_robots, key) & (self._arrivals(scene) == 0)
+
+    def _arrivals(self, scene: Scene) -> np.ndarray:
+        period = self.repeat * scene.physics.period
+        return arrival_actions(scene, self.agents(scene), self.arrival_interval, period)
+
+    def presence(self, view: TaskView, memory: TeamMemory) -> Presence | None:
+        """Those that have arrived, are not lost, and have charge."""
+        del memory
+        if not self.varies:
+            return None
+        arrivals, agents = self._arrivals(view.scene), self.agents(view.scene)
+        return remaining_robots(view, agents, self.least_robots, arrivals, self.repeat, self.loss_rate)
+
+    def working(self, view: TaskView, memory: TeamMemory) -> jax.Array | None:
+        """As `TeamTask`: those that are alive."""
+        presence = self.presence(view, memory)
+        return None if presence is None else presence.alive
+
+    def _over(self, view: TaskView, memory: TeamMemory) -> jax.Array:
+        """Return whether all robots are out of action, and none will come ()."""
+        presence = self.presence(view, memory)
+        if presence is None:
+            return jnp.zeros((), bool)
+        agents = self.agents(view.scene)
+        left = (presence.alive & presence.present)[agents].any()
+        return ~left & (view.world.step // self.repeat > self._arrivals(view.scene).max())
+
+    def _share_linked(self, view: TaskView, linked: jax.Array) -> jax.Array:
+        """Return the share of the robots of this world that reach the base ()."""
+        agents = self.agents(view.scene)
+        if not self.varies:
+            return linked[agents].mean()
+        team = drawn_team(view.scene, agents, self.least_robots, team_key(view.world))
+        return linked[agents].sum() / jnp.maximum(team[agents].sum(), 1)
 
     # What the robots believe.
 
@@ -320,7 +386,7 @@ class VictimSearch(TeamTask):
         return StepResult(
             memory=memory,
             reward=self.per_group(scene, reward),
-            terminated=jnp.zeros((), bool),
+            terminated=self._over(view, memory),
             score=memory.score,
             metrics={
                 **self.metrics(memory),
@@ -361,7 +427,7 @@ class VictimSearch(TeamTask):
     def _found(self, view: TaskView, memory: TeamMemory) -> VictimSearchState:
         """Return what the base knows now."""
         before, scene, grid = memory.extra, view.scene, self.arena_grid(view.scene)
-        base, agents = station_slot(scene), self.agents(scene)
+        base = station_slot(scene)
         squares = memory.belief.squares[base]
         marked = squares == MARK
         gap = jnp.linalg.norm(grid.centres[:, :, None] - jnp.asarray(view.victims.at)[:, :2], axis=-1)
@@ -374,7 +440,7 @@ class VictimSearch(TeamTask):
             reported=before.reported | (right & marked[:, :, None]).any((0, 1)),
             wrong=(marked & ~right.any(-1)).sum().astype(jnp.float32),
             mapped=before.mapped | (memory.reachable & (squares == FREE)),
-            connected=before.connected + linked[agents].mean(),
+            connected=before.connected + self._share_linked(view, linked),
             linked=linked,
         )
 

@@ -1,0 +1,141 @@
+"""Robots that drop out, leave or join within an episode, and teams that differ between worlds.
+
+A task that has none of these returns None from `Task.team` and `Task.presence`, and its programs are the same
+as without this module.
+"""
+
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.base.backend import Part, set_rows
+from usarmjx.engines import Engine, PhysicsState
+from usarmjx.sim.batch import BatchState
+from usarmjx.sim.reset import new_group_state, start_qpos, start_sensors
+from usarmjx.sim.scene import Scene
+from usarmjx.sim.world import GroupState, Stream, World, episode_key
+
+if TYPE_CHECKING:
+    from usarmjx.train.envs.task import Task, TaskView
+
+TEAM_KEY = 1
+"""Folded into the key of an episode's start for the draw of its team."""
+
+
+class Presence(NamedTuple):
+    """Part that the robots take in a world, by slot.
+
+    Attributes:
+        alive: Whether the robot's agent acts, is rewarded and is learned from (robots,).
+        present: Whether the robot is in the world; else it is parked, and its agent is not alive (robots,).
+    """
+
+    alive: jax.Array
+    present: jax.Array
+
+
+def team_key(world: World) -> jax.Array:
+    """Return the key by which `Task.team` draws the team of the present episode."""
+    return jax.random.fold_in(jnp.asarray(episode_key(world, Stream.TASK_START)), TEAM_KEY)
+
+
+def in_use(scene: Scene, world: World) -> jax.Array:
+    """Return which robots are not parked, by slot (robots,)."""
+    parts = [(group.slots, state.active) for group, state in zip(scene.groups, world.groups, strict=True)]
+    return jnp.asarray(set_rows(jnp.zeros(scene.num_robots, bool), *parts))
+
+
+def begin_team(scene: Scene, task: "Task", world: World, qpos: jax.Array) -> tuple[World, jax.Array]:
+    """Return a world at the start of an episode and its qpos (nq,), with absent robots parked."""
+    present = task.team(scene, team_key(world))
+    if present is None:
+        return world, qpos
+    parts = list[Part]()
+    for group in scene.groups:
+        waiting = np.asarray(scene.model.qpos0[group.root_qposadr], np.float32)
+        rows = jnp.where(present[group.slots][:, None], qpos[group.root_qposadr], waiting)
+        parts.append((group.root_qposadr, rows))
+    return _with_active(scene, world, present), jnp.asarray(set_rows(qpos, *parts))
+
+
+def _with_active(scene: Scene, world: World, present: jax.Array) -> World:
+    groups = [
+        state.replace(active=state.active & present[group.slots])
+        for group, state in zip(scene.groups, world.groups, strict=True)
+    ]
+    return world.replace(groups=tuple(groups))
+
+
+def alive_agents(task: "Task", view: "TaskView", presence: Presence) -> tuple[jax.Array, ...]:
+    """Return which agents are alive, per group (robots,): those whose sensors have been read in the world."""
+    alive = presence.alive & presence.present & in_use(view.scene, view.world)
+    return tuple(alive[view.scene.groups[group].slots] for group in task.agent_groups(view.scene))
+
+
+def masked(alive: tuple[jax.Array, ...] | None, values: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    """Return values per group (..., robots) or (..., robots, n), 0 for agents that are not alive."""
+    if alive is None:
+        return values
+    return tuple(
+        jnp.where(one.reshape(*one.shape, *[1] * (value.ndim - one.ndim)), value, 0.0)
+        for one, value in zip(alive, values, strict=True)
+    )
+
+
+def share_alive(alive: tuple[jax.Array, ...]) -> jax.Array:
+    """Return the share of a world's agents that are alive (...,)."""
+    return jnp.concatenate(alive, -1).mean(-1)
+
+
+def come_and_go(
+    scene: Scene, shuffle: bool, engine: Engine[Any], batch: BatchState, present: jax.Array
+) -> BatchState:
+    """Return the worlds with robots parked that are not present, and those that join at their start poses.
+
+    A robot that joins stands still there, its battery is full and its sensors start; its sensors are read
+    after the next action. Nobody looks whether its start pose is free.
+
+    Args:
+        scene: The scene.
+        shuffle: Whether the episode's start poses were drawn.
+        engine: The engine.
+        batch: The worlds.
+        present: Which robots are to be in the world, by slot (worlds, robots).
+    """
+    worlds, joined, pins = jax.vmap(partial(_regroup, scene, shuffle))(batch.worlds, present)
+    if not engine.traceable and not np.asarray(joined).any():
+        return batch.replace(worlds=worlds)
+    return batch.replace(worlds=worlds, physics=engine.set_qpos(batch.physics, *pins))
+
+
+def _regroup(
+    scene: Scene, shuffle: bool, world: World, present: jax.Array
+) -> tuple[World, jax.Array, tuple[jax.Array, jax.Array, jax.Array]]:
+    """Return one world, who joins (robots,), and what is set: which qpos, which dofs, and qpos."""
+    joined = present & ~in_use(scene, world)
+    qpos = jnp.asarray(start_qpos(scene, world, shuffle))
+    physics = PhysicsState(qpos=qpos, qvel=jnp.zeros(scene.model.nv), act=jnp.zeros(scene.model.na))
+    groups, pinned, pinned_dof = list[GroupState](), list[Part](), list[Part]()
+    for group, state in zip(scene.groups, world.groups, strict=True):
+        mine = joined[group.slots]
+        since = jnp.full(len(group.slots), world.step)
+        fresh = new_group_state(scene, group, True, since)
+        fresh = start_sensors(scene, world, physics, group, fresh)
+        state = jax.tree.map(partial(_where, mine), fresh, state)
+        groups.append(state.replace(active=present[group.slots]))
+        pinned += [(at, mine[:, None]) for at in (group.root_qposadr, group.qposadr)]
+        pinned_dof += [(at, mine[:, None]) for at in (group.root_dofadr, group.dofadr)]
+    pins = (
+        jnp.asarray(set_rows(jnp.zeros(scene.model.nq, bool), *pinned)),
+        jnp.asarray(set_rows(jnp.zeros(scene.model.nv, bool), *pinned_dof)),
+        qpos,
+    )
+    return world.replace(groups=tuple(groups)), joined, pins
+
+
+def _where(mask: jax.Array, new: jax.Array, old: jax.Array) -> jax.Array:
+    old = jnp.asarray(old)
+    return jnp.where(mask.reshape(-1, *[1] * (old.ndim - 1)), new, old).astype(old.dtype)
