@@ -77,7 +77,7 @@ def lane_path(network: RouteNetwork, segment: int, lane: int, origin: Point = OR
     """Return the way along a lane; it is closed if its last waypoint leads to its first."""
     found = network.lane(segment, lane)
     metres = [to_local_xy(origin, at) for at in found.waypoints]
-    closed = (len(metres), (segment, lane, 1)) in found.exits
+    closed = (found.last, (segment, lane, found.first)) in found.exits
     return Way([(x, -y) for x, y in metres], closed)
 
 

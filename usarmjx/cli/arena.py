@@ -65,6 +65,21 @@ def draw(
 
 
 @app.command()
+def export(
+    arena: ArenaArgument,
+    out: Annotated[Path, typer.Argument(help="MJCF file to write, .xml.")],
+) -> None:
+    """Write an arena as one MJCF file, for MuJoCo and its tools."""
+    with ErrorExit():
+        announce(f"building arena {arena} ...")
+        from usarmjx.models.files.arena_export import export_arena
+        from usarmjx.models.files.load import find_arena
+
+        export_arena(find_arena(arena), out)
+        typer.echo(f"wrote {out}")
+
+
+@app.command()
 def check(
     arena: ArenaArgument,
     robot: Annotated[

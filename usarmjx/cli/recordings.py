@@ -99,10 +99,31 @@ def view(
     period: Annotated[
         float, typer.Option(min=0.02, help="With --html: time between two pictures [s].")
     ] = 0.1,
+    protobuf: Annotated[
+        Path | None,
+        typer.Option(help="Write an MCAP file with Foxglove's protobuf schemas, as Rerun reads, and end."),
+    ] = None,
+    bag: Annotated[
+        Path | None,
+        typer.Option(help="With --protobuf: put odometry, transforms and scans of this ROS bag beside."),
+    ] = None,
+    bag_start: Annotated[
+        float, typer.Option(help="With --bag: time of the recording at which the bag begins [s].")
+    ] = 0.0,
 ) -> None:
     """Show a recording in a browser, at any speed."""
     with ErrorExit():
         announce(f"reading {file} ...")
+        if bag is not None and protobuf is None:
+            from usarmjx.base.errors import UsageError
+
+            raise UsageError("--bag needs --protobuf FILE, the file that both are written to")
+        if protobuf is not None:
+            from usarmjx.recording.protobuf import write_protobuf
+
+            counts = write_protobuf(file, protobuf, bag, bag_start)
+            typer.echo(f"wrote {protobuf}, {sum(counts.values())} messages on {len(counts)} topics")
+            return
         from usarmjx.recording.reader import Recording
         from usarmjx.recording.source import RecordingSource, recording_page, write_html
 

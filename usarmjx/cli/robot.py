@@ -63,6 +63,27 @@ def check(
             raise typer.Exit(1)
 
 
+@app.command()
+def export(
+    robot: Annotated[str, typer.Argument(help="Name of a robot class, or a robot's file.")],
+    out: Annotated[Path, typer.Argument(help="File to write; meshes are written beside it.")],
+    form: Annotated[
+        str | None, typer.Option("--format", help="mjcf, urdf or sdf; else by the file's suffix.")
+    ] = None,
+) -> None:
+    """Write a robot as MJCF, URDF or SDF, with the mass, solids and joints that it has here."""
+    with ErrorExit():
+        announce(f"building {robot} ...")
+        from usarmjx.models.files.find_robot import find_robot
+        from usarmjx.models.files.robot_export import SUFFIXES, export_robot
+
+        by_suffix = {suffix: name for name, suffix in SUFFIXES.items()}
+        result = export_robot(find_robot(robot), out, form or by_suffix.get(out.suffix.lower(), out.suffix))
+        for note in result.notes:
+            typer.echo(f"note: {note}", err=True)
+        typer.echo(f"wrote {', '.join(map(str, result.files))}")
+
+
 def robot_figures(robot: "RobotSpec") -> dict[str, Any]:
     """Return the figures of a robot by their names, with units."""
     length, width, height = robot.dimensions

@@ -11,7 +11,9 @@ import dev
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.models.compile.compose import new_spec
 from usarmjx.models.compile.physics import Physics
-from usarmjx.models.files.load import load_arena, read_arena
+from usarmjx.models.files.arena_export import export_arena
+from usarmjx.models.files.load import find_arena, load_arena, read_arena
+from usarmjx.models.files.mjcf import mjcf_content
 
 EXAMPLES = dev.ROOT / "examples" / "arenas"
 FLOAT = 1e-5  # m: MuJoCo keeps meshes and terrain in single precision
@@ -221,6 +223,47 @@ def test_what_an_arena_cannot_have_is_refused_by_name(world, rest, says, tmp_pat
     path = write(tmp_path / "a.xml", BODY.format(world, rest))
     with pytest.raises(ArenaFileError, match=f"a.xml: .*({says})"):
         load_arena(path)
+
+
+SCENE = """<mujoco><worldbody><geom name="floor" type="plane" size="5 5 .1"/>
+<geom name="block" type="box" size=".5 .5 .2" pos="2 0 .2"/>
+<body name="rover"><freejoint/><site name="eye"/><geom name="hull" type="box" size=".3 .2 .1"/>
+<body name="w"><joint name="spin"/><geom size=".1"/></body>
+<body name="arm"><joint name="swing"/><geom size=".1"/></body></body>
+<body name="gate" pos="0 3 .5"><joint name="turn" axis="0 0 1"/>
+<geom type="box" size=".4 .02 .5" pos=".4 0 0"/></body></worldbody>
+<tendon><fixed name="belt"><joint joint="swing" coef="1"/></fixed></tendon>
+<equality><joint joint1="swing" joint2="spin"/></equality>
+<contact><exclude body1="rover" body2="gate"/><pair geom1="hull" geom2="block"/></contact>
+<actuator><motor joint="spin"/><motor tendon="belt"/><motor joint="turn"/></actuator>
+<sensor><gyro site="eye"/><jointpos joint="spin"/></sensor><keyframe><key name="home"/></keyframe></mujoco>"""
+
+
+def test_a_scene_that_includes_its_robot_is_an_arena_without_it(tmp_path):
+    path = write(tmp_path / "scene.xml", SCENE)
+    content = mjcf_content(path)
+    assert len(content.shapes) == 1
+    assert content.floor
+    assert [door.name for door in content.doors] == ["gate"], "a motor makes no robot of a door"
+    assert content.loose == ()
+    assert content.warnings == (
+        f"{path}:3: 1 robots are left out: rover",
+        f"{path}:11: 1 actuators are left out: without name",
+    )
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("name", ["workshop.yaml", "outdoor"])
+def test_an_exported_arena_is_the_same_for_mujocos_own_loader(name, tmp_path):
+    arena = find_arena(str(EXAMPLES / name) if name.endswith("yaml") else name)
+    export_arena(arena, tmp_path / "out.xml")
+    ours, theirs = composed(arena), original(tmp_path / "out.xml")
+    assert theirs[0].ngeom == ours[0].ngeom
+    assert theirs[0].body_mass.sum() == pytest.approx(ours[0].body_mass.sum(), rel=1e-6)
+    assert [theirs[0].joint(i).name for i in range(theirs[0].njnt)] == [
+        ours[0].joint(i).name for i in range(ours[0].njnt)
+    ]
+    assert_rays_agree(ours, theirs)
 
 
 @pytest.mark.oracle

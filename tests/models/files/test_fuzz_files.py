@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 import dev
 from tests.kept_files import kept_files, written_files
+from tests.models.files.test_robot_files import PLUGINS, cart
+from tests.models.ini.test_ini_later import LATER
 from tests.mutations import edits, mutate
 from tests.train.handmade import policy_file
 from tests.valid_files import (
@@ -30,6 +32,7 @@ from tests.valid_files import (
 )
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import describe
+from usarmjx.models import load_robot
 from usarmjx.models.files.load import load_arena
 from usarmjx.models.files.meshes import load_convex_pieces
 from usarmjx.models.files.mjcf import mjcf_content
@@ -43,6 +46,7 @@ from usarmjx.models.roads.rndf import read_mdf, read_rndf
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec, Door, HelpSound, LooseObject, StartPose, Victim
 from usarmjx.models.types.shapes import Shape
+from usarmjx.sim.configure import settings_by_kind
 from usarmjx.train.policies.sources import load_exported
 
 MANY = settings.default.max_examples if settings.default else 0
@@ -52,10 +56,14 @@ EXAMPLES = dev.ROOT / "examples" / "arenas"
 MOST_SAID = 4000
 """Characters of an error, which may list what is allowed."""
 
+ROBOT, LATER_INI = cart(PLUGINS).encode(), LATER.encode()
+"""A robot on wheels with plugins, and an ini file of the later versions."""
+
 LOADERS = {
     "arena.yaml": (ARENA, load_arena),
     "model.xml": (MODEL, mjcf_content),
     "bench.urdf": ((EXAMPLES / "bench.urdf").read_bytes(), urdf_content),
+    "cart.urdf": (ROBOT, load_robot),
     "gazebo.world": (GAZEBO, sdf_content),
     "stage.world": (STAGE, stage_content),
     "grid.map": (GRID, moving_ai_content),
@@ -65,6 +73,7 @@ LOADERS = {
     "hill.png": (picture("PNG"), load_arena),
     "robot.ini": (INI, read_ini),
     "robots.ini": (INI, lambda path: load_robots([path], ROBOTS)),
+    "later.ini": (LATER_INI, lambda path: load_robots([path], ROBOTS, settings=settings_by_kind())),
     "roads.txt": (ROADS, read_rndf),
     "mission.txt": (MISSION, read_mdf),
     "policy.npz": (policy_file(io.BytesIO()).getvalue(), load_exported),

@@ -8,7 +8,7 @@ from usarmjx.base.errors import SpecError
 from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.drives import NoDrive, SkidSteer
-from usarmjx.models.files.robot_file import robot_from_mjcf
+from usarmjx.models.files.robot_file import load_robot, robot_from_mjcf
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import CHASSIS, Motor, Mount
@@ -256,16 +256,10 @@ MOTOR = '<motor name="{}" joint="j" ctrlrange="-1 1"/>'
     [
         ("<mujoco", "does not read"),
         ("<mujoco/>", "no body under the world"),
-        (
-            f'<mujoco><worldbody><body name="b">{J}<geom size="1"/></body></worldbody></mujoco>',
-            "'b', the chassis, hangs on j",
-        ),
         (free('<joint name="j" type="ball"/>'), "'p' has the joints j; a part has one"),
         (free(f'{J}<joint name="k" axis="1 0 0"/>'), "'p' has the joints j, k"),
         (free('<joint name="root"/>'), "called root: rename"),
         (free("<joint/>").replace(' name="p"', ""), "have no name: give the joint one"),
-        (free(J, '<tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>'), "tendon 't'"),
-        (free(J, '<equality><joint joint1="j" name="e"/></equality>'), "equality constraint 'e'"),
         (free(J, '<actuator><cylinder name="m" joint="j"/></actuator>'), "actuator m is of a kind"),
         (free(J, '<actuator><motor name="a" joint="j"/></actuator>'), "a has no limit; give it a ctrlrange"),
         (free(J, f"<actuator>{MOTOR.format('a')}{MOTOR.format('c')}</actuator>"), "c is the second one of"),
@@ -274,6 +268,59 @@ MOTOR = '<motor name="{}" joint="j" ctrlrange="-1 1"/>'
 def test_what_a_robot_cannot_have_is_refused_by_name(write, text, says):
     with pytest.raises(SpecError, match=says):
         robot_from_mjcf(write(text), name="Bad", drive=NoDrive())
+
+
+TENDON = (
+    '<tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon><actuator>'
+    '<motor name="pull" tendon="t" ctrlrange="-1 1"/></actuator>'
+    '<sensor><tendonpos name="long" tendon="t"/></sensor>'
+)
+LOOP = '<equality><connect body1="p" body2="b" anchor="0 0 0" name="loop"/></equality>'
+LEFT_OUT = [
+    (
+        f'<mujoco><worldbody><body name="b">{J}<geom size="1"/></body></worldbody>'
+        f"<actuator>{MOTOR.format('a')}</actuator></mujoco>",
+        (
+            "joints between the world and the chassis, which is free, are left out: j",
+            "1 actuators are left out: a",
+        ),
+    ),
+    (
+        free(J, TENDON),
+        (
+            "tendons or of joints that follow another are left out: pull",
+            "sensors of tendons are left out: long",
+            "1 tendons are left out: t",
+        ),
+    ),
+    (
+        free(J, '<equality><joint joint1="j" name="e"/></equality>'),
+        ("(closed chains are open) are left out: e",),
+    ),
+    (free(J, LOOP), ("(closed chains are open) are left out: loop",)),
+    (
+        free(J).replace('<geom size=".1"/>', '<geom name="g" size=".1" friction=".3"/>', 1),
+        ("solids' friction and contact parameters are left out: g",),
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "says"), LEFT_OUT)
+def test_what_has_no_place_is_left_out_and_named_with_its_line(write, text, says):
+    loaded = load_robot(write(text), name="Rest")
+    assert [part.motor for part in loaded.robot.parts] in ([], [None])
+    for words in says:
+        assert any(words in note and "robot.xml:1: " in note for note in loaded.notes), loaded.notes
+
+
+def test_linear_couplings_of_joints_follow_their_leader(write):
+    second = '<body name="q"><joint name="k"/><geom size=".1"/></body></body></worldbody>'
+    coupling = '<equality><joint joint1="k" joint2="j" polycoef=".1 -2 0 0 0"/></equality>'
+    path = write(free(J, coupling).replace("</body></worldbody>", second))
+    robot = load_robot(path, name="Pair").robot
+    assert (robot.parts[1].geared, robot.parts[1].gear_ratio, robot.parts[1].gear_offset) == ("j", -2.0, 0.1)
+    ours, theirs = composed(robot), mujoco.MjModel.from_xml_path(str(path))
+    assert ours.eq_data[0, :5] == pytest.approx(theirs.eq_data[0, :5])
 
 
 def test_a_motor_for_a_joint_that_is_not_there_is_refused(write):

@@ -195,6 +195,18 @@ def test_collada_meshes_have_their_unit_and_place(load, tmp_path):
     assert data.geom("chassis/0").xpos == pytest.approx((1.0, 0.0, 0.1), abs=1e-6)
 
 
+@pytest.mark.parametrize("kind", ["ply", "glb"])
+def test_meshes_of_scanners_and_web_pages_are_read(load, tmp_path, kind):
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box((0.2, 0.3, 0.4)).export(tmp_path / f"box.{kind}")
+    text = cart().replace('<box size=".6 .4 .1"/>', f'<mesh filename="box.{kind}"/>')
+    hull = load(text).robot.chassis[0]
+    assert np.ptp(hull.mesh.vertices, 0) == pytest.approx([0.2, 0.3, 0.4])
+    (tmp_path / f"box.{kind}").write_bytes((tmp_path / f"box.{kind}").read_bytes()[5:])
+    with pytest.raises(SpecError, match=rf"box.{kind}: does not read as a mesh: it is no "):
+        load(text)
+
+
 def test_collada_is_a_solid_of_arenas_too(tmp_path):
     (tmp_path / "box.dae").write_text(COLLADA)
     (tmp_path / "a.yaml").write_text("meshes: {file: box.dae}\nstarts: []\n")
@@ -321,6 +333,78 @@ def test_cameras_and_sensors_of_mjcf_are_mounts_and_the_rest_is_named_with_its_l
 def test_faults_are_refused_with_file_and_line(load, text, says):
     with pytest.raises(SpecError, match=says):
         load(text)
+
+
+def test_files_that_only_some_readers_take_are_mended(load):
+    """Commas, too many numbers, friction in an attribute, arguments without a macro, a blank line first."""
+    text = cart(
+        '<gazebo reference="base"><mu1 value="0.01"/></gazebo><link name="mast"/>'
+        '<joint name="m" type="fixed"><parent link="base"/><child link="mast"/>'
+        '<origin xyz="$(optenv MAST 0 0 1)" rpy="0, 0, 0 0"/></joint>'
+    )
+    loaded = load(text)
+    assert loaded.robot.chassis[0].surface == "caster"
+    assert [note.partition(": <")[2] for note in loaded.notes] == ["origin rpy> has commas: 0 0 0 counts"]
+    plain = load('\n<?xml version="1.0"?>\n' + text.replace("$(optenv MAST 0 0 1)", "0 0 1 7"))
+    assert "robot.urdf:11: <origin xyz> has 4 numbers: 0 0 1 counts" in plain.notes[0]
+
+
+def test_a_heavy_robot_drives_as_fast_as_its_wheels(load):
+    """The gains of a motor fit the robot that it moves, not the wheel alone: 120 kg on light wheels."""
+    from tests.arenas import FLAT
+    from usarmjx.sim.trials.driver import Trial
+
+    light = (
+        WHEEL.replace('mass value="1"', 'mass value=".3"').replace(".003", ".0006").replace(".005", ".001")
+    )
+    heavy = BASE.replace('mass value="10"', 'mass value="120"')
+    rear = WHEEL.format("cl") + WHEEL.format("cr")
+    text = cart(rear + hinge("RL", "cl", "-.2 .25 0") + hinge("RR", "cr", "-.2 -.25 0"))
+    text = text.replace(WHEEL.format("wl"), light.format("wl")).replace(
+        WHEEL.format("wr"), light.format("wr")
+    )
+    robot = load(text.replace(BASE, heavy)).robot
+    trial = Trial(FLAT, robot, 0.5)
+    trial.advance(0.5)
+    trial.command(1.0, 0.0)
+    trial.advance(2.0)
+    start = trial.pose()[0][0]
+    trial.advance(1.0)
+    assert trial.pose()[0][0] - start == pytest.approx(0.5 * robot.drive.top_speed, rel=0.02)
+
+
+def test_a_root_without_mass_gets_a_gram(load):
+    text = cart().replace('<mass value="10"/>', '<mass value="0"/>')
+    loaded = load(text)
+    assert loaded.robot.mass == pytest.approx(2.001, abs=MASS_ATOL)
+    assert "no link that is fixed to the root 'base' has a mass: it gets 1 g" in loaded.notes[0]
+
+
+def test_legs_and_casters_and_springs_are_no_driven_wheels(load):
+    """Joints that turn without end: hips high above the ground, wheels of casters; a slide under a wheel."""
+    legs = cart().replace('xyz="0 .25 0"', 'xyz="0 .25 .5"').replace('xyz="0 -.25 0"', 'xyz="0 -.25 .5"')
+    assert isinstance(load(legs).robot.drive, NoDrive)
+    wheel = WHEEL.replace('radius=".1"', 'radius=".04"')
+    moments = '<inertia ixx=".001" iyy=".001" izz=".001" ixy="0" ixz="0" iyz="0"/>'
+    light = f'<inertial><mass value=".2"/>{moments}</inertial>'
+    casters = "".join(
+        f'<link name="f{y}">{light}</link>{wheel.format(f"c{y}")}'
+        + hinge(f"fork{y}", f"f{y}", f"-.2 {y} 0", "0 0 1")
+        + hinge(f"roll{y}", f"c{y}", "0 0 -.06", parent=f"f{y}")
+        for y in (0.15, -0.15)
+    )
+    drive = load(cart(casters)).robot.drive
+    assert (drive.left, drive.right, drive.radius) == (("L",), ("R",), 0.1)
+    springs = "".join(
+        f'<link name="s{y}">{light}</link>{WHEEL.format(f"w{y}")}'
+        + hinge(f"spring{y}", f"s{y}", f".2 {y} 0", "0 0 1", kind="prismatic",
+                more='<limit lower="-.01" upper=".01" effort="1" velocity="1"/>')
+        + hinge(f"drive{y}", f"w{y}", "0 0 0", parent=f"s{y}")
+        for y in (0.25, -0.25)
+    )  # fmt: skip
+    drive = load(cart(springs)).robot.drive
+    assert isinstance(drive, SkidSteer)
+    assert (len(drive.left), len(drive.right)) == (2, 2)
 
 
 def test_long_chains_of_links_are_no_recursion(load):

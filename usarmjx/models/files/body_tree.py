@@ -104,6 +104,14 @@ class BodyTree:
             return False
         return not self.model.jnt_limited[joint] or np.ptp(self.model.jnt_range[joint]) >= UNBOUNDED_TURN
 
+    def owner_of(self, body: int) -> int:
+        """Return the part that a body belongs to; -1: to none."""
+        return self._owner.get(body, -1)
+
+    def touching_geoms(self, owner: int) -> list[int]:
+        """Return the geoms of a part that are more than looks."""
+        return [geom for geom, _ in self._geoms(owner) if not self._only_looks(geom)]
+
     def locate(self, body: int) -> tuple[str, Pose] | None:
         """Return the part that a body belongs to, and the body's pose in it; None: to no part."""
         if body not in self._owner:

@@ -100,15 +100,16 @@ def _stabilizing_armature(stiffness: float, damping: float, inertia: float) -> f
     return max(0.0, max(stiffness * step**2 / MAX_STIFFNESS, damping * step / MAX_DAMPING) - inertia)
 
 
-def motor_with_limits(inertia: float, torque: float, speed: float) -> Motor:
+def motor_with_limits(inertia: float, torque: float, speed: float, load: float = 0.0) -> Motor:
     """Return the servo of a joint without gains.
 
     Args:
         inertia: Inertia that the joint moves [kg m2 or kg].
         torque: Largest torque or force [N m or N].
         speed: Highest speed [rad/s or m/s].
+        load: Inertia that it moves beside while its wheel rolls, the robot's share of each wheel [kg m2].
     """
-    stiffness, damping = STIFFNESS * inertia, DAMPING * inertia
+    stiffness, damping = STIFFNESS * (inertia + load), DAMPING * (inertia + load)
     return Motor(
         max_speed=speed,
         torque=torque,

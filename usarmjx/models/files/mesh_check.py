@@ -1,4 +1,4 @@
-"""Checks of the bytes of mesh files (OBJ, STL, COLLADA), so that errors name line or facet.
+"""Checks of the bytes of mesh files (OBJ, STL, COLLADA, PLY, GLB), so that errors name line or facet.
 
 Readers of meshes skip or repair much of what is wrong: a file that is cut off would become another solid.
 """
@@ -209,9 +209,33 @@ def _check_dae(path: Path, data: bytes) -> None:
         raise mesh_error(path, "it defines a document type (<!DOCTYPE>); meshes have none")
 
 
+def _check_ply(path: Path, data: bytes) -> None:
+    """Refuse what has no PLY header, or announces no faces."""
+    head, ended, _ = data[:100_000].partition(b"end_header")
+    if not head.startswith(b"ply") or not ended:
+        raise mesh_error(path, "it is no PLY: it has no header from ply to end_header")
+    counts = {
+        words[1]: words[2]
+        for words in map(bytes.split, head.splitlines())
+        if len(words) == 3 and words[0] == b"element"
+    }
+    for name in (b"vertex", b"face"):
+        count = counts.get(name, b"0")
+        if not count.isdigit() or not 0 < int(count) <= len(data):
+            raise mesh_error(path, f"it announces {_shown(count)} elements {name.decode()}")
+
+
+def _check_glb(path: Path, data: bytes) -> None:
+    """Refuse what is no binary glTF of the length that it announces."""
+    if data[:4] != b"glTF" or int.from_bytes(data[8:12], "little") != len(data):
+        raise mesh_error(path, "it is no binary glTF of the length that it announces")
+
+
 MESH_CHECKS: dict[str, Callable[[Path, bytes], None]] = {
     ".obj": _check_obj,
     ".stl": _check_stl,
     ".dae": _check_dae,
+    ".ply": _check_ply,
+    ".glb": _check_glb,
 }
 """Check of each kind of mesh files, by their suffix."""

@@ -26,6 +26,7 @@ from usarmjx.models.files.mjcf_solids import (
 )
 from usarmjx.models.files.reader_process import try_model
 from usarmjx.models.files.robot_source import left_out
+from usarmjx.models.files.scene_robots import leave_out_robots
 from usarmjx.models.files.xml_size import check_model_size
 from usarmjx.models.types.arena import Door, LooseObject
 from usarmjx.models.types.shapes import HeightField, Shape
@@ -251,8 +252,9 @@ def mjcf_content(path: Path, surface: str = "") -> Content:
     Geoms of the world and of bodies without joints are fixed solids; a plane at height zero is the floor. A
     body with a free joint is a loose object, including all bodies fixed to it. A body with one hinge about
     the vertical is a door, if it is one upright box with the hinge at one of its narrow sides. Any other
-    joint is refused, as are tendons, equality constraints and flexes. Actuators, sensors, lights, cameras,
-    sites and options are left out, with a warning. Friction is ours: see `surface_of`.
+    joint is refused, as are tendons, equality constraints and flexes. Robots, which are bodies with motors
+    and several joints or a free one, are left out with all that belongs to them. Actuators, sensors, lights,
+    cameras, sites and options are left out, with a warning. Friction is ours: see `surface_of`.
 
     Args:
         path: The file.
@@ -265,12 +267,14 @@ def mjcf_content(path: Path, surface: str = "") -> Content:
     if wrong := try_model(path):
         raise ArenaFileError(f"{path}: does not read as MJCF: {wrong}")
     spec = mujoco.MjSpec.from_file(str(path))
+    notes = leave_out_robots(path, spec)
     model = spec.compile()
     for kind, count in (("tendon", model.ntendon), ("equality constraint", model.neq), ("flex", model.nflex)):
         if count:
             raise ArenaFileError(f"{path}: has {count} of kind {kind}; arenas have none")
     try:
-        return _MjcfReader(path, spec, model, surface).content()
+        content = _MjcfReader(path, spec, model, surface).content()
+        return replace(content, warnings=(*notes, *content.warnings))
     except UnicodeDecodeError as error:
         raise ArenaFileError(f"{path}: has a name that is no UTF-8: {error}") from error
 

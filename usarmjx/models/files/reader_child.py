@@ -35,6 +35,8 @@ LOADING: dict[str, dict[str, Any]] = {
     "obj": {"process": False, "maintain_order": True, "skip_materials": True, "split_objects": True},
     "stl": {"process": False},
     "dae": {"process": False, "resolver": None},
+    "ply": {"process": False, "resolver": None},
+    "glb": {"process": False, "resolver": None},
 }
 """Options of trimesh by kind of mesh file, which keep the file's order and vertices."""
 
@@ -68,15 +70,19 @@ def limit() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (wanted if most < 0 else min(wanted, most), most))
 
 
-def try_model(path: str) -> tuple[dict[str, object], list[Any]]:
-    """Compile an MJCF or URDF file, and allocate its data."""
+def try_model(path: str, text: str = "") -> tuple[dict[str, object], list[Any]]:
+    """Compile an MJCF or URDF file, or the MJCF text made of a file, and allocate its data."""
     import mujoco
 
     limit()
     warned: list[str] = []
     # MuJoCo's default handler appends warnings to a file, MUJOCO_LOG.TXT.
     mujoco.set_mju_user_warning(warned.append)
-    model = mujoco.MjSpec.from_file(path).compile()
+    spec = mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(path)
+    if text:  # MuJoCo writes six digits: inertias at the limit of balance, and tiny ones, would be beyond it
+        spec.compiler.balanceinertia = True
+        spec.compiler.boundmass, spec.compiler.boundinertia = 1e-9, 1e-12
+    model = spec.compile()
     if wrong := [text for text in warned if "NaN" in text]:
         raise ValueError(wrong[0])
     for name, most in MAX_MODEL_SIZES.items():
@@ -103,7 +109,7 @@ def read_mesh(path: str) -> tuple[dict[str, object], list[Any]]:
         scene: Any = trimesh.load_scene(  # pyright: ignore[reportUnknownMemberType]
             _as_utf8(file, kind), file_type=kind, **LOADING[kind]
         )
-    if kind == "dae":
+    if kind in ("dae", "glb"):
         found = _placed_objects(scene)
     else:
         found = [(str(name), scene.geometry[name]) for name in sorted(scene.geometry)]
@@ -117,7 +123,7 @@ def read_mesh(path: str) -> tuple[dict[str, object], list[Any]]:
 
 
 def _placed_objects(scene: Any) -> list[tuple[str, Any]]:  # noqa: ANN401 - trimesh.Scene
-    """Return the meshes of a COLLADA scene in metres, each where its nodes put it.
+    """Return the meshes of a COLLADA or glTF scene in metres, each where its nodes put it.
 
     As ROS and Gazebo do, the scene's unit counts and its upward axis does not.
     """
@@ -167,7 +173,7 @@ def _as_utf8(file: BinaryIO, kind: str) -> BinaryIO:
     import io
 
     data = file.read()
-    if kind == "dae" or (kind == "stl" and b"\0" in data):
+    if kind in ("dae", "ply", "glb") or (kind == "stl" and b"\0" in data):
         return io.BytesIO(data)
     return io.BytesIO(data.decode("utf-8", "replace").encode())
 

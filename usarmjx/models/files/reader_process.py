@@ -37,9 +37,14 @@ MeshArrays = tuple[str, np.ndarray, np.ndarray]
 """Name, vertices (n, 3) and faces (m, 3) of an object."""
 
 
-def try_model(path: Path) -> str:
-    """Read and compile an MJCF or URDF file in the other process; return its error, empty: none."""
-    return _READER.read("model", path)[0].get("error", "")
+def try_model(path: Path, text: str = "") -> str:
+    """Read and compile a model in the other process; return its error, empty: none.
+
+    Args:
+        path: An MJCF or URDF file.
+        text: MJCF text made of the file, to be read in its place; empty: the file itself.
+    """
+    return _READER.read("model", path, text)[0].get("error", "")
 
 
 def read_mesh_objects(path: Path) -> list[MeshArrays]:

@@ -21,6 +21,8 @@ DEFAULT_SPIN = 6.2832
 """Default of the highest speed of a wheel [rad/s]: the wheel joint's in the UDK version."""
 MIDDLE = 0.01
 """Distance from the middle plane within which a wheel is on neither side [m]."""
+MAX_LIFT, LIFT_SHARE = 0.02, 0.25
+"""Largest height of a wheel above the lowest point of its robot: [m], and as a share of its radius."""
 FLIGHT_SPEED, FLIGHT_TURN, FLIGHT_TILT = 5.0, 2.0, math.radians(25)
 """Highest speed, turning rate and tilt of a robot with rotors [m/s], [rad/s], [rad] (chosen)."""
 FLIGHT_DRAG = 1.0
@@ -39,6 +41,8 @@ class RollingPart:
         at: Position of the joint in the chassis, MuJoCo's axes [m] (3,).
         axis: Axis of the joint in the chassis (3,).
         radius: Radius of its round solid about the axis [m]; 0: none is round.
+        bottom: Height of that solid's lowest point above the robot's lowest one [m].
+        is_caster: Whether it hangs on another part that turns without end.
     """
 
     owner: int
@@ -46,6 +50,13 @@ class RollingPart:
     at: np.ndarray
     axis: np.ndarray
     radius: float
+    bottom: float = 0.0
+    is_caster: bool = False
+
+    @property
+    def rolls(self) -> bool:
+        """Whether it is round and reaches the ground, give or take its springs."""
+        return self.radius > 0 and self.bottom <= max(MAX_LIFT, LIFT_SHARE * self.radius)
 
 
 def rolling_parts(tree: BodyTree) -> list[RollingPart]:
@@ -55,8 +66,11 @@ def rolling_parts(tree: BodyTree) -> list[RollingPart]:
     root = tree.owners[0]
     mat, pos = data.xmat[root].reshape(3, 3), data.xpos[root]
     found: list[RollingPart] = []
+    free = {owner for owner in tree.owners[1:] if tree.turns_freely(owner)}
+    lows = {owner: _lowest(tree, owner, data) for owner in tree.owners}
+    ground = min(lows.values())
     for owner in tree.owners[1:]:
-        if tree.turns_freely(owner):
+        if owner in free:
             joint = tree.joint_of(owner)
             solids, _ = tree.solids(owner, "wheel")
             found.append(
@@ -66,9 +80,37 @@ def rolling_parts(tree: BodyTree) -> list[RollingPart]:
                     at=mat.T @ (data.xanchor[joint] - pos),
                     axis=mat.T @ data.xaxis[joint],
                     radius=max((_radius(solid) for solid in solids), default=0.0),
+                    bottom=lows[owner] - ground,
+                    is_caster=tree.owner_of(int(tree.model.body_parentid[owner])) in free,
                 )
             )
     return found
+
+
+def _lowest(tree: BodyTree, owner: int, data: mujoco.MjData) -> float:
+    """Return the height of a part's lowest point in the chassis' axes [m]; infinite without solids."""
+    model, root = tree.model, tree.owners[0]
+    mat, pos = data.xmat[root].reshape(3, 3), data.xpos[root]
+    lowest = math.inf
+    for geom in tree.touching_geoms(owner):
+        middle, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        turn = mat.T @ data.geom_xmat[geom].reshape(3, 3)
+        at = mat.T @ (data.geom_xpos[geom] - pos) + turn @ middle
+        kind, size = model.geom_type[geom], model.geom_size[geom]
+        if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+            reach = float(size[0])
+        elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+            upright = abs(float(turn[2, 2]))
+            reach = float(size[0]) * math.sqrt(max(0.0, 1 - upright**2)) + float(size[1]) * upright
+        elif kind == mujoco.mjtGeom.mjGEOM_MESH:
+            mesh = model.geom_dataid[geom]
+            first = model.mesh_vertadr[mesh]
+            corners = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
+            reach = float(-((corners - middle) @ turn[2]).min())
+        else:
+            reach = float(np.abs(turn[2]) @ half)
+        lowest = min(lowest, float(at[2]) - reach)
+    return lowest
 
 
 def _radius(solid: Shape) -> float:
@@ -91,7 +133,9 @@ def find_drive(
         drive = _stated_drive(stated, tree, parts, speeds, source)
         if drive is not None:
             return drive
-    wheels = [part for part in parts.values() if abs(part.axis[1]) >= SIDEWAYS and part.radius > 0]
+    wheels = [
+        part for part in parts.values() if abs(part.axis[1]) >= SIDEWAYS and part.rolls and not part.is_caster
+    ]
     moved = [part for part in wheels if driven is None or part.joint in driven]
     left = [part.joint for part in moved if part.at[1] > MIDDLE]
     right = [part.joint for part in moved if part.at[1] < -MIDDLE]
@@ -100,7 +144,7 @@ def find_drive(
         return _car(wheels, set(left + right), steering, speeds, math.inf)
     if left and right:
         return _skid(left, right, parts, speeds, StatedDrive(kind="skid"))
-    sideways = [p.joint for p in parts.values() if abs(p.axis[0]) >= SIDEWAYS and p.radius > 0]
+    sideways = [p.joint for p in parts.values() if abs(p.axis[0]) >= SIDEWAYS and p.rolls and not p.is_caster]
     if sideways:
         source.notes.append(
             f"{source.path}: wheels {listed(sideways)} roll along y: no drive; a robot's x axis points ahead"
@@ -122,7 +166,7 @@ def _stated_drive(
         source.notes.append(f"{stated.place}: drive is left out: {said}")
         return None
     if stated.kind == "ackermann":
-        wheels = [part for part in parts.values() if abs(part.axis[1]) >= SIDEWAYS]
+        wheels = [part for part in parts.values() if abs(part.axis[1]) >= SIDEWAYS and not part.is_caster]
         steering = _steering_joints(tree, {part.owner: part for part in wheels})
         if steering:
             return _car(wheels, {*stated.left, *stated.right}, steering, speeds, stated.max_speed)
@@ -164,6 +208,8 @@ def _steering_joints(tree: BodyTree, wheels: dict[int, RollingPart]) -> dict[str
         if steer is None or tree.turns_freely(steer):
             continue
         joint = tree.joint_of(steer)
+        if tree.model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+            continue  # a suspension
         if abs(tree.model.jnt_axis[joint][2]) >= UPRIGHT and tree.model.jnt_limited[joint]:
             found[wheel.joint] = (holder[0], float(np.abs(tree.model.jnt_range[joint]).min()))
     return found

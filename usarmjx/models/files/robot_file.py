@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from usarmjx.base.errors import ArenaFileError, SpecError
+from usarmjx.base.errors import ArenaFileError, SpecError, quoted
 from usarmjx.base.registry import is_name
 from usarmjx.base.settings.files import read_bytes
 from usarmjx.models.compile.measure import with_measurements
@@ -18,14 +18,14 @@ from usarmjx.models.files.body_tree import BodyTree
 from usarmjx.models.files.file_motors import DEFAULT_TRAVEL, motor_with_limits, motors_of
 from usarmjx.models.files.gazebo_sensors import read_gazebo_elements
 from usarmjx.models.files.mjcf_solids import usarsim_angles, usarsim_vector
-from usarmjx.models.files.reader_process import expand_xacro
+from usarmjx.models.files.reader_process import expand_xacro, try_model
 from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.robot_drive import DEFAULT_SPIN, MIN_ROTORS, find_drive, rotor_drive, wheel_torque
 from usarmjx.models.files.robot_mjcf import read_mjcf_robot
 from usarmjx.models.files.robot_source import JointLimit, RobotSource, listed, plain_name
 from usarmjx.models.files.sdf_robot import sdf_as_urdf
 from usarmjx.models.files.urdf_robot import read_urdf_robot
-from usarmjx.models.files.urdf_tree import read_urdf
+from usarmjx.models.files.urdf_tree import mend_urdf, read_urdf
 from usarmjx.models.types.robot import CHASSIS, Motor, Mount, Part, RobotSpec, options
 from usarmjx.models.types.shapes import Shape
 
@@ -123,7 +123,7 @@ def open_robot_file(path: Path, resources: Resources, arguments: Mapping[str, st
         SpecError: An unreadable file, or content that a robot cannot have; names it.
     """
     data = read_bytes(path, refusal=ArenaFileError)
-    if path.suffix.lower() == ".xacro" or (b"<robot" in data and b"<xacro:" in data):
+    if path.suffix.lower() == ".xacro" or (b"<robot" in data and (b"<xacro:" in data or b"$(" in data)):
         data = _expanded(path, resources, arguments)
     notes: list[str] = []
     if b"<robot" in data:
@@ -132,9 +132,16 @@ def open_robot_file(path: Path, resources: Resources, arguments: Mapping[str, st
         root, notes = sdf_as_urdf(path, resources)
     else:
         return read_mjcf_robot(path)
+    mended = mend_urdf(root)
     source = read_urdf_robot(root, path, resources)
-    source.notes += notes
+    source.notes[:0] = [*mended, *notes]
     read_gazebo_elements(root, source, {body.name for body in source.spec.bodies})
+    try:
+        text = source.spec.to_xml()
+    except Exception as error:  # MuJoCo raises errors of its own
+        raise SpecError(f"{path}: does not compile: {quoted(error)}") from error
+    if wrong := try_model(path, text):
+        raise SpecError(f"{path}: does not compile: {wrong}")
     return source
 
 
@@ -268,10 +275,11 @@ class _Builder:
                 continue
             inertia = 1.0 / float(model.dof_invweight0[model.jnt_dofadr[joint]])
             speed = limit.speed if np.isfinite(limit.speed) else self._max_speed
-            motor = motor_with_limits(inertia, limit.effort, speed)
+            rolls = free and radius > 0 and name in aims
+            load = weight * radius**2 / wheels if rolls else 0.0
+            motor = motor_with_limits(inertia, limit.effort, speed, load)
             if not np.isfinite(motor.torque):
                 usual = motor.stiffness * DEFAULT_TRAVEL
-                rolls = free and radius > 0
                 motor = replace(motor, torque=wheel_torque(weight, radius, wheels) if rolls else usual)
             found[joint] = motor
         return found

@@ -10,7 +10,7 @@ import numpy as np
 from usarmjx.base.errors import SpecError
 from usarmjx.models.files.mjcf_solids import Pose, mat_of
 from usarmjx.models.files.reader_process import try_model
-from usarmjx.models.files.robot_source import RobotSource, SensorOnLink, left_out
+from usarmjx.models.files.robot_source import MimicJoint, RobotSource, SensorOnLink, left_out
 from usarmjx.models.files.xml_size import check_model_size
 
 CAMERA_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
@@ -18,6 +18,9 @@ CAMERA_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
 
 INERTIAL = (mujoco.mjtSensor.mjSENS_ACCELEROMETER, mujoco.mjtSensor.mjSENS_GYRO)
 """Types of MuJoCo's sensors that an IMU stands for."""
+
+TRANSMISSIONS: Any = mujoco.mjtTrn  # its stubs lack some
+MUJOCO: Any = mujoco
 
 UNNAMED = "MuJoCo Model"
 """MuJoCo's name of a model without one."""
@@ -33,26 +36,85 @@ def read_mjcf_robot(path: Path) -> RobotSource:
     if wrong := try_model(path):
         raise SpecError(f"{path}: does not read: {wrong}")
     spec = mujoco.MjSpec.from_file(str(path))
-    for kind, found in (("equality constraint", spec.equalities), ("tendon", spec.tendons)):
-        if found:
-            raise SpecError(f"{path}: {kind} {found[0].name!r}: robots have parts with one joint each only")
     root = spec.worldbody.first_body()
     if root is None:
         raise SpecError(f"{path}: no body under the world: nothing can be the chassis")
-    held = [joint for joint in root.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
-    if held:
-        names = ", ".join(joint.name for joint in held)
-        raise SpecError(f"{path}: body {root.name!r}, the chassis, hangs on {names}; it must be free")
-    if not root.joints:
-        root.add_freejoint()
     root.name = root.name or "chassis of the file"
     name = "" if spec.modelname == UNNAMED else spec.modelname
     source = RobotSource(path=path, name=name, spec=spec, root=root.name)
+    _note_contact_figures(path, spec, source)
+    _free_chassis(root, source)
+    _read_constraints(spec, source)
     _name_fixed_bodies(spec)
     _read_cameras(spec, source)
     _read_inertial_sensors(spec, source)
     _note_left_out(path, spec, source)
     return source
+
+
+def _free_chassis(root: Any, source: RobotSource) -> None:  # noqa: ANN401
+    """Replace the joints that hold the chassis on the world by a free one."""
+    held = [joint for joint in root.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
+    if held:
+        names = [joint.name for joint in held]
+        said = left_out(source.path, "joints between the world and the chassis, which is free,", held)
+        _delete(
+            source.spec, [one for one in source.spec.actuators if one.target in names], source, "actuators"
+        )
+        for joint in held:
+            source.spec.delete(joint)
+        source.notes.append(said)
+    if not root.joints:
+        root.add_freejoint()
+
+
+def _read_constraints(spec: Any, source: RobotSource) -> None:  # noqa: ANN401
+    """Turn linear couplings of two joints into joints that follow another; leave out other constraints."""
+    others: list[Any] = []
+    names = {joint.name for joint in spec.joints}
+    for equality in spec.equalities:
+        terms = np.array(equality.data[:5], float)
+        if (
+            equality.type == mujoco.mjtEq.mjEQ_JOINT
+            and equality.active
+            and equality.name2
+            and {equality.name1, equality.name2} <= names
+            and equality.name1 not in source.mimics
+            and not terms[2:].any()
+        ):
+            source.mimics[equality.name1] = MimicJoint(
+                leader=equality.name2, ratio=float(terms[1]), offset=float(terms[0])
+            )
+        else:
+            others.append(equality)
+    actuators = [one for one in spec.actuators if one.trntype == TRANSMISSIONS.mjTRN_TENDON]
+    actuators += [one for one in spec.actuators if one.target in source.mimics]
+    sensors = [one for one in spec.sensors if one.objtype == MUJOCO.mjtObj.mjOBJ_TENDON]
+    _delete(spec, actuators, source, "actuators of tendons or of joints that follow another")
+    _delete(spec, sensors, source, "sensors of tendons")
+    _delete(spec, others, source, "equality constraints (closed chains are open)")
+    _delete(spec, [*spec.tendons], source, "tendons")
+
+
+def _delete(spec: Any, found: list[Any], source: RobotSource, kind: str) -> None:  # noqa: ANN401
+    """Delete elements from a description; a note names them."""
+    if found:
+        source.notes.append(left_out(source.path, kind, found))
+        for one in found:
+            spec.delete(one)
+
+
+def _note_contact_figures(path: Path, spec: Any, source: RobotSource) -> None:  # noqa: ANN401
+    """Note solids with contact parameters of their own: all robots have those of their surfaces."""
+    usual = mujoco.MjSpec().worldbody.add_geom()
+    keys = ("friction", "solref", "solimp", "margin", "gap", "condim", "priority")
+
+    def has_own(geom: Any) -> bool:  # noqa: ANN401 - mujoco.MjsGeom
+        return any(not np.array_equal(getattr(geom, key), getattr(usual, key)) for key in keys)
+
+    touching = [geom for geom in spec.geoms if geom.contype or geom.conaffinity]
+    if own := [geom for geom in touching if has_own(geom)]:
+        source.notes.append(left_out(path, "solids' friction and contact parameters", own))
 
 
 def _name_fixed_bodies(spec: mujoco.MjSpec) -> None:

@@ -79,8 +79,26 @@ class _UrdfReader:
         for name, joint, parent in waiting:
             body = self._add_link(name, joint, parent)
             waiting += [(link_at(child, "child"), child, body) for child in joints.get(name, ())]
+        self._weigh_chassis(top, joints)
         self._note_left_out(joints)
         return self._source
+
+    def _weigh_chassis(self, top: str, joints: Mapping[str, list[LinedElement]]) -> None:
+        """Give the root a mass where it and all links that are fixed to it have none."""
+        rigid = [top]
+        for name in rigid:
+            if self._bodies[name].mass > MIN_MASS:
+                return
+            rigid += [
+                child
+                for joint in joints.get(name, ())
+                if not self._bodies[child := link_at(joint, "child")].joints
+            ]
+        body = self._bodies[top]
+        body.mass, body.inertia = LIGHT, [LIGHT_INERTIA] * 3
+        self._source.notes.append(
+            f"{self._links[top].place}: no link that is fixed to the root {top!r} has a mass: it gets 1 g"
+        )
 
     def _top(self, joints: Mapping[str, list[LinedElement]]) -> str:
         """Return the root link with the most links below it."""
@@ -112,13 +130,15 @@ class _UrdfReader:
                 f"{self._links[lost[0]].place}: links {listed(lost)} are not joined to "
                 f"{self._source.root!r}: left out"
             )
-        for some in joints.values():
-            for joint in some:
-                for tag in ("safety_controller", "calibration"):
-                    if (found := joint.first(tag)) is not None:
-                        self._source.notes.append(
-                            f"{found.place}: <{tag}> of {joint.get('name')} is left out"
-                        )
+        every = [joint for some in joints.values() for joint in some]
+        for tag in ("safety_controller", "calibration", "dynamics"):
+            found = [(joint, element) for joint in every if (element := joint.first(tag)) is not None]
+            if tag == "dynamics":
+                found = [pair for pair in found if attribute_numbers(pair[1], "friction", 1, "0")[0] > 0]
+            if found:
+                what = "friction" if tag == "dynamics" else f"<{tag}>"
+                names = listed([joint.get("name", "") for joint, _ in found])
+                self._source.notes.append(f"{found[0][1].place}: {what} of joints is left out: {names}")
 
     def _add_link(self, name: str, joint: LinedElement | None, parent: mujoco.MjsBody) -> mujoco.MjsBody:
         """Add a link's body, its joint, inertia and solids; return it."""
@@ -160,8 +180,6 @@ class _UrdfReader:
         if dynamics is not None:
             damping = float(attribute_numbers(dynamics, "damping", 1, "0")[0])
             made.damping = [max(damping, 0.0), 0.0, 0.0]
-            if float(attribute_numbers(dynamics, "friction", 1, "0")[0]) > 0:
-                self._source.notes.append(f"{dynamics.place}: friction of joint {name!r} is left out")
         mimic = joint.first("mimic")
         if mimic is not None:
             ratio, offset = (

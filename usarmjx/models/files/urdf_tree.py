@@ -30,6 +30,37 @@ def read_urdf(path: Path, text: bytes | None = None) -> LinedElement:
     return root
 
 
+VECTORS = {"xyz": 3, "rpy": 3, "scale": 3, "size": 3}
+"""Attributes of URDF with several numbers, and how many."""
+VALUES = ("mu1", "mu2", "mu")
+"""Elements of `<gazebo>` whose number some files have in an attribute."""
+
+
+def mend_urdf(root: LinedElement) -> list[str]:
+    """Change what other readers of URDF accept to the format; return notes, with file and line.
+
+    Commas between numbers, more numbers than there are axes, and numbers of `<gazebo>` in an attribute.
+    """
+    notes: list[str] = []
+    for element in root.iter():
+        assert isinstance(element, LinedElement)
+        for key, count in VECTORS.items():
+            text = element.get(key)
+            if text is None:
+                continue
+            words = text.replace(",", " ").split()
+            if "," not in text and len(words) <= count:
+                continue
+            said = "commas" if "," in text else f"{len(words)} numbers"
+            notes.append(
+                f"{element.place}: <{element.tag} {key}> has {said}: {' '.join(words[:count])} counts"
+            )
+            element.set(key, " ".join(words[:count]))
+        if element.tag in VALUES and not (element.text or "").strip() and (value := element.get("value")):
+            element.text = value
+    return notes
+
+
 def joints_by_parent(root: LinedElement, links: Collection[str]) -> dict[str, list[LinedElement]]:
     """Return the joints of a file by the link that they hang on, in the file's order.
 

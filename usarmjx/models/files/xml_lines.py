@@ -110,7 +110,9 @@ def read_lined_xml(path: Path, text: str | bytes | None = None) -> LinedElement:
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = builder.data, doctype
     try:
-        parser.Parse(read_bytes(path, refusal=ArenaFileError) if text is None else text, True)
+        parser.Parse(
+            _declared_first(read_bytes(path, refusal=ArenaFileError) if text is None else text), True
+        )
     except expat.ExpatError as error:
         raise XmlSyntaxError(f"{path}:{error.lineno}: is no XML: {expat.ErrorString(error.code)}") from error
     except (LookupError, ValueError) as error:  # an encoding that Python does not have
@@ -118,6 +120,14 @@ def read_lined_xml(path: Path, text: str | bytes | None = None) -> LinedElement:
     root = builder.close()
     assert isinstance(root, LinedElement)
     return root
+
+
+def _declared_first(text: str | bytes) -> str | bytes:
+    """Return a text whose XML declaration, if white space is before it, is white space of as many lines."""
+    if isinstance(text, str) or not text[:1].isspace() or not text.lstrip().startswith(b"<?xml"):
+        return text
+    head, end, rest = text.partition(b"?>")
+    return b"\n" * head.count(b"\n") + rest if end else text
 
 
 def numbers_of(element: LinedElement, text: str | None, count: int, key: str = "") -> np.ndarray:

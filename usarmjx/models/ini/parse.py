@@ -16,9 +16,9 @@ matched without case and keys may repeat, in order. A value is one of:
     anything else                   str without the spaces around it; "" if nothing is there
 
 Unreal's array prefixes: `+key=` and `.key=` add a line, also to a list of another file or of the class itself
-if the section has no bare `key=`. The others act within one section of one file:
-`-key=` removes every earlier line with that key, index and value (of the same type: 1 is not 1.0), and
-`!key=` every earlier line with that key and, if it has an index, with that index.
+if the section has no bare `key=`. `-key=` removes every earlier line of the section with that key, index and
+value (of the same type: 1 is not 1.0), and `!key=` every earlier line with that key and, if it has an index,
+with that index. Both stay in `Section.removals`: readers of lists apply them to other files and to the class.
 """
 
 import re
@@ -66,11 +66,27 @@ class Line:
 
 
 @dataclass(frozen=True)
+class Removal:
+    """One `-key=value` or `!key=`.
+
+    Attributes:
+        line: The line.
+        clears: Whether it is written with `!`: it removes lines with any value.
+        count: Number of lines of its section that it removed.
+    """
+
+    line: Line
+    clears: bool
+    count: int
+
+
+@dataclass(frozen=True)
 class Section:
-    """The lines under one `[name]`."""
+    """The lines under one `[name]`, and the removals among them."""
 
     name: str
     lines: tuple[Line, ...]
+    removals: tuple[Removal, ...] = ()
 
     def get_all(self, key: str) -> tuple[Line, ...]:
         """Return the lines with that key in order, with any index, case ignored."""
@@ -100,7 +116,11 @@ class IniFile:
         """Return all lines under that name in order, case ignored; no lines if there is no such section."""
         parts = self._by_name.get(name.lower(), [])
         written = parts[0].name if parts else name
-        return Section(written, tuple(line for part in parts for line in part.lines))
+        return Section(
+            written,
+            tuple(line for part in parts for line in part.lines),
+            tuple(removal for part in parts for removal in part.removals),
+        )
 
     @cached_property
     def _by_name(self) -> dict[str, list[Section]]:
@@ -202,6 +222,7 @@ class _Blocks:
 
     def __init__(self) -> None:
         self._blocks: list[tuple[str, list[Line | None]]] = []
+        self._removals: dict[int, list[Removal]] = {}
         # By section and key, then by index, then by repr of the value: positions of such lines.
         self._positions: dict[tuple[str, str], dict[int | None, dict[str, list[tuple[int, int]]]]] = {}
 
@@ -231,12 +252,18 @@ class _Blocks:
             found = [rows for index in indices for rows in by_index.pop(index, {}).values()]
         else:
             found = [by_index.get(order.index, {}).pop(repr(order.value), [])]
-        for block, row in (one for rows in found for one in rows):
+        removed = [one for rows in found for one in rows]
+        for block, row in removed:
             self._blocks[block][1][row] = None
+        removal = Removal(order, clears=everything, count=len(removed))
+        self._removals.setdefault(len(self._blocks) - 1, []).append(removal)
 
     def sections(self) -> tuple[Section, ...]:
         """Return the sections with their remaining lines."""
-        return tuple(Section(name, tuple(filter(None, lines))) for name, lines in self._blocks)
+        return tuple(
+            Section(name, tuple(filter(None, lines)), tuple(self._removals.get(number, ())))
+            for number, (name, lines) in enumerate(self._blocks)
+        )
 
     def _key(self, line: Line) -> tuple[str, str]:
         return self._blocks[-1][0].lower(), line.key.lower()

@@ -3,7 +3,8 @@
 Files are read in order; the last value of a key counts. A list (Sensors, Effecters, Cameras, MisPkgs,
 JointParts, Wheels) of one file replaces the class's own or an earlier file's, as Unreal's arrays do.
 AddSensors, AddEffecters, AddCameras and AddMisPkgs (ours) add to it instead, and so do Sensors, Effecters,
-Cameras and MisPkgs whose lines in that file all have a `+`.
+Cameras and MisPkgs whose lines in that file all have a `+`. `-Sensors=` takes an item of that name and class
+away, `!Sensors=` all of them, whether the class or an earlier file has them.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,6 +26,7 @@ from usarmjx.models.ini.items import (
     read_settings,
     with_defaults,
 )
+from usarmjx.models.ini.later import reason_of_section, translated
 from usarmjx.models.ini.packages import PREFIX, known_packages, read_packages, redefine
 from usarmjx.models.ini.parameters import LENGTHS, SETTERS, STEREO_KEYS, TRACKS, read_tracks
 from usarmjx.models.ini.parse import IniFile, Line, Section, read_ini
@@ -82,14 +84,17 @@ def sort_sections(
     for file in files:
         for name in dict.fromkeys(section.name.lower() for section in file.sections):
             section = file.section(name)
-            if name.startswith(PREFIX) or not section.lines or name.removeprefix(ROBOT_PREFIX) in classes:
+            some = section.lines or section.removals
+            if name.startswith(PREFIX) or not some or name.removeprefix(ROBOT_PREFIX) in classes:
                 continue
             if name in map(str.lower, SECTIONS_ELSEWHERE):
                 continue
             if name.startswith(ROBOT_PREFIX):
                 _take_section(found, section, robots, settings, Units(uu_per_metre=file.uu_per_metre), notes)
             else:
-                notes.add(section.lines[0], f"section [{section.name}] is not about robots: ignored")
+                line = (section.lines or [section.removals[0].line])[0]
+                why = reason_of_section(section.name) or "ignored"
+                notes.add(line, f"section [{section.name}] is not about robots: {why}")
     return found
 
 
@@ -103,7 +108,9 @@ def _take_section(
 ) -> None:
     name = section.name[len(ROBOT_PREFIX) :]
     robot, end = _track_of(name, robots)
-    if name in robots:
+    if not section.lines and name not in robots:
+        notes.add(section.removals[0].line, f"section [{section.name}] removes nothing")
+    elif name in robots:
         _take_orders(found, name, section, units, notes)
     elif (kind := kind_of(name, settings)) is not None:
         _take_defaults(found, kind, section.lines, settings, notes)
@@ -144,12 +151,12 @@ def _take_defaults(
 
 def _take_orders(found: SortedSections, name: str, section: Section, units: Units, notes: WarningLog) -> None:
     """Add one file's lines about one robot class."""
-    orders = found.robots.setdefault(
-        name.lower(), RobotSection(name=name, first=section.lines[0], units=units)
-    )
+    first = section.lines[0] if section.lines else section.removals[0].line
+    orders = found.robots.setdefault(name.lower(), RobotSection(name=name, first=first, units=units))
     orders.units = replace(orders.units, uu_per_metre=units.uu_per_metre)
     if (by_uu := section.last("bMountByUU")) is not None:
         orders.units = replace(orders.units, by_uu=as_bool(by_uu, by_uu.value, "bMountByUU"))
+    _take_removals(orders, section, notes)
     _take_lists(orders, section)
     joints = [line for line in section.lines if line.key.lower() in map(str.lower, JOINT_KEYS)]
     if joints:
@@ -167,6 +174,23 @@ def _take_orders(found: SortedSections, name: str, section: Section, units: Unit
             notes.add(line, f"unknown key {line.key}")
 
 
+def _take_removals(orders: RobotSection, section: Section, notes: WarningLog) -> None:
+    """Apply `!` and `-` of one file to the lists of earlier files, and keep them for the class' own."""
+    for removal in section.removals:
+        line = removal.line
+        key = next((name for name in (*ITEM_LISTS, "MisPkgs") if name.lower() == line.key.lower()), "")
+        if not key or line.index is not None:
+            if not removal.count:
+                sign = "!" if removal.clears else "-"
+                notes.add(line, f"{sign}{line.key} removes nothing: no line before has that")
+            continue
+        if removal.clears:
+            orders.lists[key] = []
+            orders.lists.pop(f"Add{key}", None)
+        elif not removal.count:
+            orders.drop(key, line)
+
+
 def _take_lists(orders: RobotSection, section: Section) -> None:
     """Add one file's lists; a list whose lines all have `+` adds to the present one."""
     for key in LISTS:
@@ -175,6 +199,7 @@ def _take_lists(orders: RobotSection, section: Section) -> None:
             orders.lists.setdefault(f"Add{key}", []).extend((line, orders.units) for line in lines)
         elif lines:
             orders.lists[key] = [(line, orders.units) for line in lines]
+            orders.drops.pop(key, None)
     for key in ADDS:
         orders.lists.setdefault(key, []).extend((line, orders.units) for line in section.get_all(key))
 
@@ -250,6 +275,7 @@ def build_robots(
 ) -> LoadedRobots:
     """Return the changed and new robot classes of ini files; see `load_robots`."""
     notes = WarningLog()
+    files = translated(files, robots.names(), notes)
     definitions = read_packages(files, notes)
     classes = read_classes(files, robots.names(), settings, notes)
     found = sort_sections(files, robots, settings, notes, classes)
@@ -261,6 +287,7 @@ def build_robots(
         warnings=notes,
         classes=classes,
     )
+    _leave_out_unknown(found, sources)
     builder = _Builder(found.robots, sources)
     built = {name: builder.build(name) for name in found.robots}
     for name, counts in found.tracks.items():
@@ -278,6 +305,37 @@ def build_robots(
         notes.add(found.lines[kind, key], f"{key} leaves alone what has its own: {examples(items)}")
     positions = tuple((built[key].name, orders.where) for key, orders in found.robots.items())
     return LoadedRobots(tuple(changed), tuple(found.defaults.items()), tuple(notes.texts), positions)
+
+
+def _leave_out_unknown(found: SortedSections, sources: BuildContext) -> None:
+    """Leave out classes that are not known, with a warning, beside others that are.
+
+    Files about unknown classes only are refused later: their names are likely to be misspelt.
+    """
+    known = set[str](name.lower() for name in sources.robots.names())
+    waiting = {name: orders for name, orders in found.robots.items() if name not in known}
+    while ready := [name for name, orders in waiting.items() if orders.joints or _base_name(orders) in known]:
+        known |= set(ready)
+        waiting = {name: orders for name, orders in waiting.items() if name not in known}
+    # A chain that leads back to itself is a mistake of another kind.
+    lost: dict[str, None] = {}
+    while more := [
+        n for n, o in waiting.items() if n not in lost and _base_name(o) not in waiting.keys() - lost
+    ]:
+        lost |= dict.fromkeys(more)
+    if len(waiting) == len(found.robots) and not (found.defaults or found.tracks or sources.definitions):
+        return
+    for name in lost:
+        orders = found.robots.pop(name)
+        sources.warnings.add(
+            orders.first,
+            f"[USARBot.{orders.name}] is left out: no robot and no item of usarmjx has that class",
+        )
+
+
+def _base_name(orders: RobotSection) -> str:
+    line = orders.figures.get("baseclass")
+    return "" if line is None else as_class(line, line.value, "BaseClass").lower()
 
 
 def _with_packages(robot: RobotSpec, sources: BuildContext) -> RobotSpec:

@@ -10,12 +10,20 @@ from usarmjx.models.compile.measure import with_measurements
 from usarmjx.models.compile.parts import parts_of
 from usarmjx.models.drives import SkidSteer
 from usarmjx.models.ini.drive import change_wheels, drive_of, read_roles
-from usarmjx.models.ini.items import ITEM_LISTS, ItemClasses, Settings, WarningLog, read_mount, resolve_parent
+from usarmjx.models.ini.items import (
+    ITEM_LISTS,
+    ItemClasses,
+    Settings,
+    WarningLog,
+    kind_of,
+    read_mount,
+    resolve_parent,
+)
 from usarmjx.models.ini.packages import Definitions, read_package, templates
 from usarmjx.models.ini.pairs import JointPair, build_parts, read_pairs
 from usarmjx.models.ini.parameters import apply_parameters, with_stereo
 from usarmjx.models.ini.parse import Line
-from usarmjx.models.ini.read import Units, as_number, as_vector, fail
+from usarmjx.models.ini.read import Units, as_class, as_name, as_number, as_struct, as_vector, fail
 from usarmjx.models.robots.track_kit import mass_of
 from usarmjx.models.types.robot import CHASSIS, MissionPackage, Mount, RobotSpec
 from usarmjx.models.types.shapes import Shape
@@ -37,6 +45,7 @@ class RobotSection:
         figures: Keys of one value, by their names in lower case.
         lists: Lines of the keys of lists, with their units.
         joints: Part-joint pairs by number.
+        drops: Lines with `-` about the class' own items, by key.
     """
 
     name: str
@@ -45,6 +54,19 @@ class RobotSection:
     figures: dict[str, Line] = field(default_factory=dict[str, Line])
     lists: dict[str, list[tuple[Line, Units]]] = field(default_factory=dict[str, list[tuple[Line, Units]]])
     joints: dict[int, tuple[Line, Units]] = field(default_factory=dict[int, tuple[Line, Units]])
+    drops: dict[str, list[Line]] = field(default_factory=dict[str, list[Line]])
+
+    def drop(self, key: str, line: Line) -> None:
+        """Take an item away from the lists of earlier files; from the class' own if these have it not."""
+        gone = 0
+        for listed in (key, f"Add{key}"):
+            before = self.lists.get(listed, [])
+            kept = [(other, units) for other, units in before if not is_same_item(line, other)]
+            gone += len(before) - len(kept)
+            if before:
+                self.lists[listed] = kept
+        if not gone and key not in self.lists:
+            self.drops.setdefault(key, []).append(line)
 
     @property
     def where(self) -> str:
@@ -71,6 +93,23 @@ class BuildContext:
     settings: Settings | None
     warnings: WarningLog
     classes: ItemClasses
+
+
+def item_name(line: Line) -> tuple[str, str]:
+    """Return class, as its type, and name of a line of a list, in lower case; a class left out is empty."""
+    struct = as_struct(line)
+    package = struct.get("PkgName")
+    if package is not None:
+        return "", as_name(line, package, "PkgName").lower()
+    written = struct.get("ItemClass")
+    kind = "" if written is None else as_class(line, written, "ItemClass")
+    return (kind_of(kind, None) or kind).lower(), as_name(line, struct.get("ItemName"), "ItemName").lower()
+
+
+def is_same_item(line: Line, other: Line) -> bool:
+    """Return whether a line with `-` means the item of another line."""
+    (kind, name), (its_kind, its_name) = item_name(line), item_name(other)
+    return name == its_name and kind in ("", its_kind)
 
 
 def build_robot(section: RobotSection, base: RobotSpec | None, sources: BuildContext) -> RobotSpec:
@@ -162,11 +201,16 @@ def _required(orders: RobotSection, key: str) -> Line:
 
 def _with_packages(orders: RobotSection, robot: RobotSpec, sources: BuildContext) -> RobotSpec:
     listed, added = orders.lists.get("MisPkgs"), orders.lists.get("AddMisPkgs", [])
-    if not listed and not added:
+    if listed is None and not added and "MisPkgs" not in orders.drops:
         return robot
     own = sources.robots.get(robot.name).packages if robot.name in sources.robots else robot.packages
     known = {**sources.packages, **templates(own, sources.definitions)}
-    packages = {} if listed else {package.name: package for package in robot.packages}
+    packages = {} if listed is not None else {package.name: package for package in robot.packages}
+    for line in orders.drops.get("MisPkgs", ()):
+        gone = [name for name in packages if name.lower() == item_name(line)[1]]
+        if not gone:
+            sources.warnings.add(line, f"-{line.key} removes nothing: {robot.name} has no such package")
+        packages = {name: package for name, package in packages.items() if name not in gone}
     for line, _ in (*(listed or ()), *added):
         package = read_package(line, known)
         if package.name in packages:
@@ -200,6 +244,12 @@ def _with_items(
                     f"its {key} anew, on: {', '.join(names)}"
                 )
         mounts = {(item.kind.lower(), item.name.lower()): item for item in items}
+        for line in orders.drops.get(key, ()):
+            kind, name = item_name(line)
+            gone = [item for item in mounts if item[1] == name and kind in ("", item[0])]
+            if not gone:
+                sources.warnings.add(line, f"-{line.key} removes nothing: {robot.name} has no such item")
+            mounts = {item: mount for item, mount in mounts.items() if item not in gone}
         fresh: set[tuple[str, str]] = set()
         for line, mount in read[key]:
             item = (mount.kind.lower(), mount.name.lower())

@@ -1,18 +1,23 @@
 """Lines of keywords and numbers, as in DARPA's RNDF and MDF files, with the line number of every error."""
 
+import logging
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 from usarmjx.base.errors import SpecError
 from usarmjx.base.files import read_bounded
 from usarmjx.models.roads.network import Fault, LatLon, point_name
 
+logger = logging.getLogger(__name__)
+
 NUMBERED = re.compile(r"[0-9]{1,18}(\.[0-9]{1,18})*")
 """Pattern of the first word of a line without a keyword: 1.2.3, or a plain number."""
 MAX_ROAD_FILE_BYTES = 16_000_000
 """Largest size of a file [bytes]."""
+MAX_WARNINGS = 20
+"""Largest number of warnings about one file."""
 MAX_MESSAGE_LENGTH, MAX_QUOTE_LENGTH = 1000, 100
 """Largest lengths of an error and of a quotation in it [characters]."""
 
@@ -25,6 +30,7 @@ class RoadLines:
 
     Attributes:
         fault_lines: Line of each item that a later check may refuse, by the key of `Fault`.
+        warnings: Deviations from the format that were accepted, with file and line; they are logged too.
 
     Raises:
         SpecError: The file cannot be read, or a comment has no end.
@@ -37,6 +43,7 @@ class RoadLines:
             data = read_bounded(Path(source), MAX_ROAD_FILE_BYTES)
             text = data.decode("utf-8-sig", "replace").replace("\r\n", "\n").replace("\r", "\n")
         self.fault_lines: dict[tuple[object, ...], int] = {}
+        self.warnings: list[str] = []
         text = _without_comments(text)
         lines = [(number, line.split()) for number, line in enumerate(text.split("\n"), 1)]
         self._lines = [(number, words) for number, words in lines if words]
@@ -57,6 +64,11 @@ class RoadLines:
         return self._lines[self._next][1][0].lower() if self._next < len(self._lines) else ""
 
     @property
+    def rest(self) -> set[str]:
+        """First words of the lines to come."""
+        return {words[0].lower() for _, words in self._lines[self._next :]}
+
+    @property
     def numbered(self) -> bool:
         """Whether the next line begins with numbers instead of a keyword."""
         return bool(NUMBERED.fullmatch(self.word))
@@ -66,6 +78,32 @@ class RoadLines:
         short = text if len(text) <= MAX_MESSAGE_LENGTH else f"{text[:MAX_MESSAGE_LENGTH]}..."
         shown = "".join(letter if letter.isprintable() else "?" for letter in short)
         return SpecError(f"{self.file}:{self.line if line is None else line}: {shown}")
+
+    def warn(self, text: str, line: int | None = None) -> None:
+        """Note a deviation from the format at a line, by default the next one."""
+        warning = str(self.fault(text, line))
+        self.warnings.append(warning)
+        if len(self.warnings) <= MAX_WARNINGS:
+            logger.warning("%s", warning)
+        elif len(self.warnings) == MAX_WARNINGS + 1:
+            logger.warning("%s: more than %d warnings; the rest is left out", self.file, MAX_WARNINGS)
+
+    def end(self, keyword: str, *outside: str) -> None:
+        """Skip the end of a block; one that is missing before a line of the outer block is a warning.
+
+        Args:
+            keyword: The line that ends the block.
+            outside: Keywords that may follow the block.
+
+        Raises:
+            SpecError: The next line is another one.
+        """
+        if self.word == keyword.lower():
+            self.words(0)
+        elif self.word in outside or not self.word:
+            self.warn(f"{keyword} is missing")
+        else:
+            raise self.unexpected(keyword)
 
     def unexpected(self, *allowed: str) -> SpecError:
         """Return the error that the next line has none of the allowed keywords."""
@@ -85,16 +123,6 @@ class RoadLines:
             raise self.fault(f"{found}; expected: {_short(first)} {meaning}".rstrip())
         self._next += 1
         return rest
-
-    def take(self, keyword: str) -> None:
-        """Skip a line that has only that keyword.
-
-        Raises:
-            SpecError: The next line is another one.
-        """
-        if self.word != keyword.lower():
-            raise self.unexpected(keyword)
-        self.words(0)
 
     def text(self, keyword: str) -> str:
         """Return the text after a keyword which must be next."""
@@ -119,14 +147,10 @@ class RoadLines:
         return numbers
 
     def named(self, keyword: str, *numbers: int) -> None:
-        """Skip `segment 1`, whose numbers must be exactly the given ones."""
+        """Skip `perimeter 1.0`, whose numbers must be exactly the given ones."""
         line, found = self.line, self.numbers(keyword, len(numbers))
         if found != numbers:
-            raise self.fault(
-                f"{keyword} {point_name(found)}; expected {keyword} {point_name(numbers)}: "
-                "numbers go up one by one",
-                line,
-            )
+            raise self.fault(f"{keyword} {point_name(found)}; expected {keyword} {point_name(numbers)}", line)
 
     def real(self, word: str, what: str, low: float, high: float, line: int) -> float:
         """Return a number within a range."""
@@ -138,30 +162,58 @@ class RoadLines:
             raise self.fault(f"{what} {_short(word)!r}; expected a number from {low:g} to {high:g}", line)
         return value
 
-    def points(self, owner: tuple[int, int], expected: int, what: str) -> tuple[LatLon, ...]:
-        """Return latitudes and longitudes of the following lines `1.2.3 34.5 -117.3`.
+    def next_number(
+        self, keyword: str, owner: tuple[int, ...], taken: Collection[int], most: int | None
+    ) -> int:
+        """Return the last number of `lane 1.2`, whose other numbers must be the owner's.
+
+        Args:
+            keyword: Keyword of the line.
+            owner: The numbers before it.
+            taken: Numbers of the blocks so far.
+            most: Largest number; None: not announced.
 
         Raises:
-            SpecError: Their numbers do not go up from 1, or their count differs from the announced one.
+            SpecError: Another owner, or a number that is taken or above the largest one.
         """
-        points: list[LatLon] = []
-        while self.numbered:
-            self.word_is((*owner, len(points) + 1))
-            line, (north, east) = self.line, self.words(2, "latitude longitude")
-            latitude = self.real(north, "latitude", -90.0, 90.0, line)
-            points.append((latitude, self.real(east, "longitude", -180.0, 180.0, line)))
-        self.count(len(points), expected, f"{what} of {point_name(owner)}")
-        return tuple(points)
+        line, found = self.line, self.numbers(keyword, len(owner) + 1)
+        usual = len(taken) + 1
+        if usual in taken:
+            usual = next(i for i in range(1, usual) if i not in taken)
+        number = found[-1]
+        if found[:-1] != owner or number < 1 or number in taken or (most is not None and number > most):
+            raise self.fault(
+                f"{keyword} {point_name(found)}; expected {keyword} {point_name((*owner, usual))}: "
+                "numbers go up one by one",
+                line,
+            )
+        if number != usual:
+            self.warn(
+                f"{keyword} {point_name(found)} is before {keyword} {point_name((*owner, usual))}", line
+            )
+        return number
 
-    def word_is(self, numbers: tuple[int, ...]) -> None:
-        """Check that the next line begins with those numbers."""
-        if self.parsed(self.word, len(numbers), self.line) != numbers:
-            raise self.fault(f"{self.word}; expected {point_name(numbers)}: numbers go up one by one")
+    def point(self, owner: tuple[int, int], points: dict[int, LatLon]) -> None:
+        """Read a line `1.2.3 34.5 -117.3` as the next point of its owner.
 
-    def count(self, found: int, expected: int, what: str) -> None:
-        """Check a number of items against the announced one."""
-        if found != expected:
-            raise self.fault(f"{found} {what}, but {expected} were announced")
+        Raises:
+            SpecError: Its number is not the one after the last, or it is a point of another owner.
+        """
+        numbers = self.parsed(self.word, 3, self.line)
+        usual = max(points) + 1 if points else numbers[2]
+        if numbers != (*owner, usual):
+            expected = (*owner, usual if points else 1)
+            raise self.fault(f"{self.word}; expected {point_name(expected)}: numbers go up one by one")
+        if not points and usual != 1:
+            self.warn(f"points of {point_name(owner)} begin with {self.word} instead of 1")
+        line, (north, east) = self.line, self.words(2, "latitude longitude")
+        latitude = self.real(north, "latitude", -90.0, 90.0, line)
+        points[usual] = latitude, self.real(east, "longitude", -180.0, 180.0, line)
+
+    def count(self, found: int, expected: int | None, what: str, line: int | None = None) -> None:
+        """Check a number of items against the announced one; None: none is announced."""
+        if expected is not None and found != expected:
+            raise self.fault(f"{found} {what}, but {expected} were announced", line)
 
     def header(self, keywords: Mapping[str, Callable[[], None]]) -> None:
         """Read lines with those keywords, in any order, until another line comes."""

@@ -1,8 +1,9 @@
 """Route networks and missions of the DARPA Urban Challenge (manual 3.2.1.2), and their checks.
 
 Segments have numbers from 1, zones the numbers after the last segment's; lanes, spots and waypoints have
-numbers from 1 within their owner. Positions are latitude and longitude in floating-point degrees, as before
-DARPA's revision of December 2006 (manual 10.13). Widths are feet and speeds miles per hour, as in the files.
+numbers from 1 within their owner, and waypoints may begin with another number. Positions are latitude and
+longitude in floating-point degrees, as before DARPA's revision of December 2006 (manual 10.13). Widths are
+feet and speeds miles per hour, as in the files.
 """
 
 from collections import Counter
@@ -72,6 +73,7 @@ class Lane:
         checkpoints: Waypoint and checkpoint of each checkpoint.
         stops: Waypoints with a stop sign.
         exits: Waypoint of each exit, and the waypoint or perimeter point to which it leads.
+        first: Number of the first waypoint: 1, but other numbers in some teams' files.
     """
 
     waypoints: tuple[LatLon, ...]
@@ -81,6 +83,12 @@ class Lane:
     checkpoints: tuple[tuple[int, int], ...] = ()
     stops: tuple[int, ...] = ()
     exits: tuple[tuple[int, PointId], ...] = ()
+    first: int = 1
+
+    @property
+    def last(self) -> int:
+        """Number of the last waypoint."""
+        return self.first + len(self.waypoints) - 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,11 +107,13 @@ class Spot:
         waypoints: The mouth, then the parking position.
         width: Width [feet]; None: not given.
         checkpoints: Waypoint and checkpoint of each checkpoint.
+        first: Number of the mouth; see `Lane`.
     """
 
     waypoints: tuple[LatLon, ...]
     width: float | None = None
     checkpoints: tuple[tuple[int, int], ...] = ()
+    first: int = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,12 +125,14 @@ class Zone:
         exits: Perimeter point of each exit, and the waypoint or perimeter point to which it leads.
         spots: Parking spots.
         name: Name; empty: none.
+        first: Number of the first perimeter point; see `Lane`.
     """
 
     perimeter: tuple[LatLon, ...]
     exits: tuple[tuple[int, PointId], ...] = ()
     spots: tuple[Spot, ...] = ()
     name: str = ""
+    first: int = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +147,9 @@ class RouteNetwork:
 
     def points(self) -> dict[PointId, LatLon]:
         """Return all waypoints and perimeter points by their numbers."""
-        return {(*owner, i): at for owner, part in self.parts() for i, at in enumerate(_points(part), 1)}
+        return {
+            (*owner, i): at for owner, part in self.parts() for i, at in enumerate(_points(part), part.first)
+        }
 
     def checkpoints(self) -> dict[int, PointId]:
         """Return the point of each checkpoint."""
@@ -212,7 +226,8 @@ def network_faults(network: RouteNetwork) -> list[Fault]:
     Checkpoints, stop signs and exits are at existing points of their lane, zone or spot; exits lead to
     existing points; checkpoints have unique numbers; values are in their ranges.
     """
-    known, last = network.points(), {owner: len(_points(part)) for owner, part in network.parts()}
+    known = network.points()
+    numbers = {owner: (part.first, part.first + len(_points(part)) - 1) for owner, part in network.parts()}
     faults: list[Fault] = [] if network.name else [(("name",), "a route network needs a name")]
     taken: set[int] = set()
     for owner, part in network.parts():
@@ -220,10 +235,10 @@ def network_faults(network: RouteNetwork) -> list[Fault]:
         for kind, point, other in _marks(part):
             where = (kind, (*owner, point), other)
             if (*owner, point) not in known:
-                there = f"{point_name(owner)} has points 1 to {len(_points(part))}"
+                there = f"{point_name(owner)} has {_extent(numbers, (*owner, point))}"
                 faults.append((where, f"{kind} at {point_name((*owner, point))}: {there}"))
             if isinstance(other, tuple) and other not in known:
-                there = f"{point_name(other[:2])} has {_extent(last, other)}"
+                there = f"{point_name(other[:2])} has {_extent(numbers, other)}"
                 faults.append((where, f"exit to {point_name(other)}: {there}"))
             if isinstance(other, int):
                 if other in taken or other < 1:
@@ -237,12 +252,14 @@ def _wrong_figures(owner: tuple[int, int], part: Lane | Zone | Spot) -> Iterator
     points, fewest = _points(part), 2 if isinstance(part, Spot) else 1
     if len(points) < fewest or (isinstance(part, Spot) and len(points) > fewest):
         yield ("points", owner), f"{point_name(owner)} has {len(points)} points; expected {fewest}"
-    for i, (latitude, longitude) in enumerate(points, 1):
+    for i, (latitude, longitude) in enumerate(points, part.first):
         if not (-90 <= latitude <= 90 and -180 <= longitude <= 180):
             text = (
                 f"{point_name((*owner, i))} lies at {latitude}, {longitude}; expected -90 to 90, -180 to 180"
             )
             yield ("points", owner), text
+    if part.first < 0:
+        yield ("points", owner), f"points of {point_name(owner)} begin with {part.first}; expected 0 or more"
     if not isinstance(part, Zone) and part.width is not None and not 0 <= part.width <= MAX_WIDTH_FEET:
         yield (
             ("width", owner),
@@ -265,9 +282,9 @@ def _marks(part: Lane | Zone | Spot) -> Iterator[tuple[str, int, int | PointId |
         yield from (("exit", point, entry) for point, entry in part.exits)
 
 
-def _extent(last: dict[tuple[int, int], int], lost: PointId) -> str:
-    count = last.get(lost[:2], 0)
-    return f"points 1 to {count}" if count else "no points"
+def _extent(numbers: dict[tuple[int, int], tuple[int, int]], lost: PointId) -> str:
+    first, last = numbers.get(lost[:2], (1, 0))
+    return f"points {first} to {last}" if last >= first else "no points"
 
 
 def mission_faults(mission: Mission, network: RouteNetwork | None = None) -> list[Fault]:

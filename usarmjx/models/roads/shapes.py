@@ -83,7 +83,8 @@ def lane_runs(network: RouteNetwork, owner: tuple[int, int], origin: LatLon) -> 
     left = {point for point, _ in lane.exits}
     entries = network.entries
     path = lane_path(lane, origin)
-    ends = [i for i in range(1, len(path)) if i in left and (*owner, i + 1) in entries]
+    first = lane.first
+    ends = [i for i in range(1, len(path)) if i - 1 + first in left and (*owner, i + first) in entries]
     runs = [_distinct(run) for run in np.split(path, ends)]
     return [run for run in runs if len(run) > 1]
 
@@ -163,8 +164,8 @@ def _stop_lines(lane: Lane, origin: LatLon) -> Iterator[Shape]:
     if len(path) > 1:
         across = offset_path(path, half) - path
         yield from (
-            stripe(path[i - 1] - across[i - 1], path[i - 1] + across[i - 1], STOP_LINE_WIDTH, WHITE)
-            for i in lane.stops
+            stripe(path[i] - across[i], path[i] + across[i], STOP_LINE_WIDTH, WHITE)
+            for i in (stop - lane.first for stop in lane.stops)
         )
 
 

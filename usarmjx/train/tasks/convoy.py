@@ -103,7 +103,7 @@ def closed_lane(network: RouteNetwork, owner: tuple[int, int], origin: LatLon | 
     lane = network.lane(*owner)
     if origin is None:
         raise SpecError("this arena has no latitude and longitude: a route network cannot be laid out in it")
-    if (len(lane.waypoints), (*owner, 1)) not in lane.exits:
+    if (lane.last, (*owner, lane.first)) not in lane.exits:
         raise SpecError(
             f"lane {owner[0]}.{owner[1]} ends; expected one whose last waypoint leads to its first"
         )

@@ -1,0 +1,164 @@
+"""Ini files of the later versions on the Unreal Development Kit, and Unreal's signs of lists."""
+
+import pytest
+
+from usarmjx.base.errors import SpecError
+from usarmjx.base.registry import Registry
+from usarmjx.models.ini.robots import load_robots
+from usarmjx.models.robots.flippers import TARANTULA
+from usarmjx.models.robots.pioneer import P2AT, P2DX
+from usarmjx.sim.configure import settings_by_kind
+
+SETTINGS = settings_by_kind()
+PLACE = "Position=(X=0.2,Y=0,Z=-0.2),Direction=(x=0,y=0,z=0)"
+
+
+@pytest.fixture
+def load(tmp_path):
+    def from_texts(*texts):
+        paths = []
+        for letter, text in zip("abc", texts, strict=False):
+            paths.append(tmp_path / f"{letter}.ini")
+            paths[-1].write_text(text)
+        robots: Registry = Registry("robot")
+        for robot in (P2AT, P2DX, TARANTULA):
+            robots.add(robot.name, robot)
+        return load_robots(paths, robots, 250.0, SETTINGS)
+
+    return from_texts
+
+
+def names(robot):
+    return [(mount.kind, mount.name) for mount in robot.sensors]
+
+
+def of(loaded, name="P2AT"):
+    return next(robot for robot in loaded.robots if robot.name == name)
+
+
+def part(item, name, more="", package="USARSensor"):
+    called = f'ItemName="{name}",' if name else ""
+    return f"AddParts=(ItemClass=class'{package}.{item}',{called}{PLACE}{more})\n"
+
+
+LATER = f"""[USARBotAPI.BotServer]
+ListenPort=3000
+[USARSensor.Sensor]
+Noise=0.001
+[USARSensor.RangeScanner]
+MaxRange=4.0
+bWithTimeStamp=true
+[USARSensor.SICK]
+MaxRange=20.0
+HiddenSensor=false
+[USARSensor.SonarSensor]
+MaxRange=5.0
+maxAngleOfIncidence=0.5
+[USARSensor.Tachometer]
+ScanInterval=0.2
+[USARBot.P3AT]
+{part("SICK", "lms200", ',Parent="USARbot.P3AT"')}{part("Odometry", "Odometer")}{part("IMU", "IMU")}\
+{part("USARCamera", "")}{part("Tachometer", "Tach")}{part("Tachometer", "Tach2")}\
+{part("P3ATBatteryPack", "Pack", package="USARDeco")}[USARBot.Nao]
+{part("GroundTruth", "Truth")}[UTGame.UTGame]
+BotRatio=1
+""".replace("\\\n", "")
+
+
+def test_a_file_of_the_later_versions_mounts_what_means_the_same(load):
+    loaded = load(LATER)
+    robot = of(loaded)
+    added = names(robot)[len(P2AT.sensors) :]
+    assert added == [("RangeScanner", "lms200"), ("Odometry", "Odometer"), ("IMU", "IMU")]
+    lms = robot.sensors[len(P2AT.sensors)]
+    assert dict(lms.all_options)["MaxRange"] == 20.0
+    assert (lms.at, lms.parent) == ((0.2, 0.0, -0.2), "HARD")
+    assert robot.cameras[-1].name == "USARCamera"
+    scanner = next(mount for mount in robot.sensors if mount.name == "Scanner1")
+    assert dict(scanner.all_options)["MaxRange"] == 4.0
+    sonar = next(mount for mount in robot.sensors if mount.kind == "Sonar")
+    assert dict(sonar.all_options)["MaxIncidence"] == 0.5
+
+
+@pytest.mark.parametrize(
+    "says",
+    [
+        "a.ini:2: section [USARBotAPI.BotServer] is not about robots: the server's settings are options of",
+        "a.ini:4: [USARSensor.Sensor] is left out: each class of sensors has its own defaults",
+        "a.ini:7: bWithTimeStamp is ignored: the dialect of the connection decides",
+        "a.ini:10: HiddenSensor is ignored: robots look as their solids do",
+        "a.ini:15: USARSensor.Tachometer is left out, 3 lines: usarmjx has no such class",
+        "a.ini:17: P3AT is the later versions' name of P2AT",
+        "a.ini:23: USARDeco.P3ATBatteryPack is left out: usarmjx has no such class",
+        "a.ini:25: [USARBot.Nao] is left out: no robot and no item of usarmjx has that class",
+        "a.ini:27: section [UTGame.UTGame] is not about robots: it is about the Unreal game",
+    ],
+)
+def test_the_rest_is_named_once_with_its_reason(load, says):
+    found = [text for text in load(LATER).warnings if says in text]
+    assert len(found) == 1, load(LATER).warnings
+
+
+def test_an_unknown_class_refuses_no_file_about_others(load):
+    text = "[USARBot.P2AT]\nWeight=20\n[USARBot.Dalek]\nWeight=3\n[USARBot.Davros]\nBaseClass=Dalek\n"
+    loaded = load(text)
+    assert [robot.name for robot in loaded.robots] == ["P2AT"]
+    assert [text.partition("a.ini:")[2][:24] for text in loaded.warnings] == [
+        "4: [USARBot.Dalek] is le",
+        "6: [USARBot.Davros] is l",
+    ]
+    with pytest.raises(SpecError, match="neither a robot nor an item class"):
+        load("[USARBot.P2TA]\nWeight=20\n")
+
+
+SONAR = (
+    "(ItemClass=class'USARBot.SonarSensor',ItemName=\"{}\",Position=(X=0,Y=0,Z=0),Direction=(X=0,Y=0,Z=0))"
+)
+ALL = names(P2AT)
+WITHOUT_F1 = [item for item in ALL if item != ("Sonar", "F1")]
+NEW = ("Sonar", "Z1")
+
+
+@pytest.mark.parametrize(
+    ("files", "expected"),
+    [
+        (["!Sensors=ClearArray"], []),
+        (["!Sensors=", f"+Sensors={SONAR.format('Z1')}"], [NEW]),
+        ([f"!Sensors=\n+Sensors={SONAR.format('Z1')}"], [NEW]),
+        ([f"+Sensors={SONAR.format('Z1')}\n!Sensors="], []),
+        ([f"+Sensors={SONAR.format('Z1')}"], [*ALL, NEW]),
+        ([f".Sensors={SONAR.format('Z1')}"], [*ALL, NEW]),
+        ([f"Sensors={SONAR.format('Z1')}"], [NEW]),
+        ([f"-Sensors={SONAR.format('F1')}"], WITHOUT_F1),
+        (["-Sensors=(ItemName=F1)"], WITHOUT_F1),
+        ([f"Sensors={SONAR.format('Z1')}\n+Sensors={SONAR.format('Z2')}", "-Sensors=(ItemName=Z2)"], [NEW]),
+        (
+            [f"-Sensors={SONAR.format('F1')}", f"+Sensors={SONAR.format('F1')}"],
+            [*WITHOUT_F1, ("Sonar", "F1")],
+        ),
+    ],
+)
+def test_signs_of_lists_mean_what_they_mean_in_unreal(load, files, expected):
+    loaded = load(*(f"[USARBot.P2AT]\n{text}\n" for text in files))
+    assert names(of(loaded)) == expected
+    assert loaded.warnings == ()
+
+
+def test_a_package_is_taken_away(load):
+    name = P2AT.packages[0].name
+    on_it = "!Cameras=\n" + "".join(
+        f"-{key}=(ItemName={mount.name})\n"
+        for key, mounts in (("Sensors", P2AT.sensors), ("Effecters", P2AT.effecters))
+        for mount in mounts
+        if mount.parent.startswith(name)
+    )
+    loaded = load(f"[USARBot.P2AT]\n-MisPkgs=(PkgName={name})\n{on_it}")
+    assert of(loaded).packages == P2AT.packages[1:]
+
+
+def test_a_sign_without_effect_is_a_warning(load):
+    loaded = load("[USARBot.P2AT]\n-Sensors=(ItemName=Zoo)\n-JointParts=(A=1)\n[USARBot.Dalek]\n!Sensors=\n")
+    said = [text.partition("a.ini:")[2] for text in loaded.warnings]
+    assert "2: -Sensors removes nothing: P2AT has no such item" in said
+    assert "3: -JointParts removes nothing: no line before has that" in said
+    assert "5: section [USARBot.Dalek] removes nothing" in said

@@ -1,0 +1,129 @@
+"""Recordings with Foxglove's protobuf schemas, for viewers that do not read its JSON, such as Rerun."""
+
+import json
+import struct
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from typing import Any, cast
+
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader
+
+from usarmjx.base.errors import MissingExtraError, UsageError
+from usarmjx.base.files import atomic_write
+from usarmjx.recording.bags import read_bag
+from usarmjx.recording.foxglove import NANO
+
+FOXGLOVE = "foxglove."
+"""Prefix of schemas that have a protobuf form."""
+MAGIC = b"\x89MCAP0\r\n"
+"""Beginning of an MCAP file."""
+MOMENTS = ("google.protobuf.Timestamp", "google.protobuf.Duration")
+"""Messages for which JSON has `sec` and `nsec`."""
+
+
+def write_protobuf(
+    recording: Path, path: Path, bag: Path | None = None, bag_start: float = 0.0
+) -> Mapping[str, int]:
+    """Write the transforms, shapes, scans, trails and log lines of a recording as protobuf messages.
+
+    States and inputs are left out: the recording itself remains the file for `usarmjx view` and `replay`.
+
+    Args:
+        recording: An MCAP file of usarmjx, also one that was broken off.
+        path: The file, which must not exist yet.
+        bag: ROS bag whose odometry, transforms and scans are put beside; None: none.
+        bag_start: Time of the recording at which the bag begins [s].
+
+    Returns:
+        Number of messages by topic.
+
+    Raises:
+        UsageError: No recording, one without such messages, no bag, or a file that exists.
+        MissingExtraError: The packages of the extra are missing.
+        WriteError: It cannot be written.
+    """
+    try:
+        library = import_module("mcap_protobuf.writer")
+        import_module("foxglove_schemas_protobuf")
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(f"{error.name} is not installed: pip install 'usarmjx[foxglove]'") from error
+    if path.exists():
+        raise UsageError(f"{path} exists already")
+    counts: Counter[str] = Counter()
+    with atomic_write(path) as fresh, fresh.open("wb") as target:
+        writer = library.Writer(target)
+        for topic, schema, value, time in _together(recording, bag, bag_start):
+            writer.write_message(topic, message_of(schema, value), log_time=time, publish_time=time)
+            counts[topic] += 1
+        writer.finish()
+    return counts
+
+
+Timed = tuple[str, str, Mapping[str, Any], int]
+"""Topic, schema and value of a message, and its time [ns]."""
+
+
+def _together(recording: Path, bag: Path | None, bag_start: float) -> Iterator[Timed]:
+    """Yield the messages of a recording, and then those of a bag: readers sort them by time."""
+    start = None
+    with recording.open("rb") as source:
+        for schema, channel, message in _messages(recording, source):
+            start = message.log_time if start is None else min(start, message.log_time)
+            yield channel.topic, schema, json.loads(message.data), message.log_time
+    if start is None:
+        raise UsageError(f"{recording}: has no messages of Foxglove's schemas: is it a recording of usarmjx?")
+    if bag is not None:
+        shift = start + round(bag_start * NANO)
+        for time, topic, schema, value in read_bag(bag, shift):
+            yield topic, schema, value, time
+
+
+def _messages(recording: Path, source: Any) -> Any:  # noqa: ANN401 - binary file, untyped library
+    """Yield schema's name, channel and message of Foxglove's schemas, as far as the file is whole."""
+    if source.read(len(MAGIC)) != MAGIC:
+        raise UsageError(f"{recording}: is no MCAP file")
+    source.seek(0)
+    with suppress(McapError, struct.error):  # broken off
+        for schema, channel, message in NonSeekingReader(source).iter_messages(log_time_order=False):
+            if schema is not None and schema.name.startswith(FOXGLOVE) and channel.message_encoding == "json":
+                yield schema.name, channel, message
+
+
+def message_of(schema: str, value: Mapping[str, Any]) -> Any:  # noqa: ANN401 - a generated class
+    """Return a message of Foxglove's JSON as its protobuf message.
+
+    Args:
+        schema: Its schema, such as `foxglove.LaserScan`.
+        value: The message.
+    """
+    name = schema.removeprefix(FOXGLOVE)
+    kind = getattr(import_module(f"foxglove_schemas_protobuf.{name}_pb2"), name)
+    made = kind()
+    _fill(made, value)
+    return made
+
+
+def _fill(message: Any, value: Mapping[str, Any]) -> None:  # noqa: ANN401 - a generated class
+    if message.DESCRIPTOR.full_name in MOMENTS:
+        message.seconds, message.nanos = value["sec"], value["nsec"]
+        return
+    fields = message.DESCRIPTOR.fields_by_name
+    for key, item in value.items():
+        field = fields[key]
+        if isinstance(item, list):
+            target = getattr(message, key)
+            if field.message_type is None:
+                target.extend(item)
+            else:
+                for one in cast("list[dict[str, Any]]", item):
+                    _fill(target.add(), one)
+        elif field.message_type is None:
+            setattr(message, key, item)
+        else:
+            target = getattr(message, key)
+            target.SetInParent()
+            _fill(target, item)
