@@ -132,11 +132,7 @@ def run(
         played_on = Workers(place=run_on, count=workers, address=address)
         prepared = prepare(spec, folder, retry, own_part)
         if plan:
-            typer.echo(f"{prepared.known} of {len(spec.cells)} cells are there already")
-            typer.echo(prepared.plan.as_text())
-            for record in prepared.broken:
-                typer.echo(f"fails: {record.failed}")
-            _probe(prepared, played_on, probe)
+            _show_plan(spec, prepared, played_on, probe)
             return
         # Before hours of work: without a checkout there is no record.
         meter = None if json is None else import_benchmarks("benchmarks.sweep").SweepMeter(begun)
@@ -195,9 +191,13 @@ def report(folder: FolderArgument) -> None:
             typer.echo(f"wrote {file}")
 
 
-def _probe(prepared: Any, workers: Any, wanted: bool) -> None:  # noqa: ANN401
-    """Say the time and memory that a plan needs, after some steps of its largest batch."""
-    if not wanted or not prepared.cells:
+def _show_plan(spec: Any, prepared: Any, workers: Any, probe: bool) -> None:  # noqa: ANN401
+    """Print what would be played, and on request the time and memory of it after a probe."""
+    typer.echo(f"{prepared.known} of {len(spec.cells)} cells are there already")
+    typer.echo(prepared.plan.as_text())
+    for record in prepared.broken:
+        typer.echo(f"fails: {record.failed}")
+    if not probe or not prepared.cells:
         return
     announce("playing some steps of the largest batch ...")
     from usarmjx.sweeps.probe import probe_works

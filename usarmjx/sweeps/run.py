@@ -17,7 +17,7 @@ from usarmjx.engines import choose_engine
 from usarmjx.sweeps.contents import key_of
 from usarmjx.sweeps.play import BatchWork, failure, forget_resolved, halves, play_batch, resolved
 from usarmjx.sweeps.resolve import signature_of
-from usarmjx.sweeps.spec import SweepSpec, as_text, find_spec, load_spec, read_spec
+from usarmjx.sweeps.spec import CellSettings, SweepSpec, as_text, find_spec, load_spec, read_spec
 from usarmjx.sweeps.store import CellRecord, StoredSweep, read_cell, read_sweep, write_cell, write_sweep
 from usarmjx.sweeps.table import scores_of
 from usarmjx.sweeps.workers import Workers
@@ -265,6 +265,15 @@ class Prepared:
     keys: tuple[str, ...]
 
 
+def _identify(settings: CellSettings, digests: dict[str, str]) -> tuple[str, dict[str, Any] | None, str]:
+    """Return a cell's key and signature; where it stands for nothing, its key, None and the reason."""
+    try:
+        cell = resolved(settings)
+        return key_of(settings, cell, digests), signature_of(cell, settings["engine"]), ""
+    except UsageError as error:
+        return hashlib.sha256(repr(sorted(settings.items())).encode()).hexdigest()[:20], None, str(error)
+
+
 def parse_part(text: str) -> tuple[int, int]:
     """Return the number of a part, from 1 on, and the number of all parts, of a text as "2/10".
 
@@ -301,34 +310,24 @@ def prepare(spec: SweepSpec, folder: Path, retry: bool = False, part: tuple[int,
     mine = range((number - 1) * total // count, number * total // count)
     for place, asked in enumerate(spec.cells):
         settings = {**asked, "engine": choose_engine(str(asked["engine"]), "train")}
-        try:
-            cell = resolved(settings)
-            key = key_of(settings, cell, digests)
-            signature = signature_of(cell, settings["engine"])
-        except UsageError as error:
-            key = hashlib.sha256(repr(sorted(settings.items())).encode()).hexdigest()[:20]
-            if key not in keys:
-                keys.append(key)
-                before = None if retry else read_cell(folder, key)
-                if place not in mine:
-                    continue
-                if before is not None and before.failed == str(error):
-                    known += 1
-                else:
-                    broken.append(failure(key, settings, str(error)))
-            continue
+        key, signature, fault = _identify(settings, digests)
         if key in keys:
             continue
         keys.append(key)
         if place not in mine:
             continue
         before = read_cell(folder, key)
-        if before is not None and not (retry and before.failed is not None):
+        if signature is None:
+            if before is not None and before.failed == fault and not retry:
+                known += 1
+            else:
+                broken.append(failure(key, settings, fault))
+        elif before is not None and not (retry and before.failed is not None):
             known += 1
-            continue
-        cells.append((key, settings))
-        signatures.append(signature)
-        engines.append(settings["engine"])
+        else:
+            cells.append((key, settings))
+            signatures.append(signature)
+            engines.append(settings["engine"])
     most = spec.worlds or _usual_worlds(engines[0] if engines else "c")
     episodes = [int(settings["episodes"]) for _, settings in cells]
     clients = [resolved(settings).driver.command is not None for _, settings in cells]
