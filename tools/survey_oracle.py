@@ -187,7 +187,8 @@ def mesh(path: str) -> np.ndarray:
     """Return the vertices of a mesh file in metres (n, 3)."""
     import trimesh
 
-    scene: Any = trimesh.load_scene(path, **({"resolver": None} if path.lower().endswith("dae") else {}))
+    collada: dict[str, Any] = {"resolver": None} if path.lower().endswith("dae") else {}
+    scene: Any = trimesh.load_scene(path, **collada)
     parts = []
     for node in sorted(scene.graph.nodes_geometry):
         frame, name = scene.graph[node]

@@ -80,8 +80,8 @@ def try_model(path: str, text: str = "") -> tuple[dict[str, object], list[Any]]:
     mujoco.set_mju_user_warning(warned.append)
     spec = mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(path)
     if text:  # MuJoCo writes six digits: inertias at the limit of balance, and tiny ones, would be beyond it
-        spec.compiler.balanceinertia = True
-        spec.compiler.boundmass, spec.compiler.boundinertia = 1e-9, 1e-12
+        compiler: Any = spec.compiler  # whose stubs lack these fields
+        compiler.balanceinertia, compiler.boundmass, compiler.boundinertia = True, 1e-9, 1e-12
     model = spec.compile()
     if wrong := [text for text in warned if "NaN" in text]:
         raise ValueError(wrong[0])
