@@ -216,7 +216,7 @@ def test_full_contact_buffers_are_bad_too(begun):
     env, state, _ = begun
     worlds, before = state.batch.worlds, state.batch.worlds.faults
     full = worlds.replace(faults=before.replace(overflow=before.overflow.at[2].add(1)))
-    _, after = env._evaluate(state.task_state, full, env.batch.physics(state.batch), before)
+    _, after, _ = env._evaluate(state.task_state, full, env.batch.physics(state.batch), before)
     np.testing.assert_array_equal(after.bad, [False, False, True])
     np.testing.assert_array_equal(after.done, [False, False, True])
 
@@ -225,7 +225,7 @@ def test_a_tasks_own_nan_is_its_fault_is_counted_and_reaches_no_learner(begun):
     env, state, _ = begun
     worlds, task = state.batch.worlds, state.task_state
     rotten = task.replace(memory=task.memory.replace(goal=task.memory.goal.at[1].set(jnp.nan)))
-    after_worlds, after = env._evaluate(rotten, worlds, env.batch.physics(state.batch), worlds.faults)
+    after_worlds, after, _ = env._evaluate(rotten, worlds, env.batch.physics(state.batch), worlds.faults)
     np.testing.assert_array_equal(after.bad, [False, True, False])
     np.testing.assert_array_equal(after.done, [False, True, False])
     np.testing.assert_array_equal(after_worlds.faults.task - worlds.faults.task, [0, 1, 0])
