@@ -67,7 +67,7 @@ def draw(
 @app.command()
 def export(
     arena: ArenaArgument,
-    out: Annotated[Path, typer.Argument(help="MJCF file to write, .xml.")],
+    out: Annotated[Path, typer.Option(help="MJCF file to write, .xml.")],
 ) -> None:
     """Write an arena as one MJCF file, for MuJoCo and its tools."""
     with ErrorExit():

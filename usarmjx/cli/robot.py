@@ -66,7 +66,7 @@ def check(
 @app.command()
 def export(
     robot: Annotated[str, typer.Argument(help="Name of a robot class, or a robot's file.")],
-    out: Annotated[Path, typer.Argument(help="File to write; meshes are written beside it.")],
+    out: Annotated[Path, typer.Option(help="File to write; meshes are written beside it.")],
     form: Annotated[
         str | None, typer.Option("--format", help="mjcf, urdf or sdf; else by the file's suffix.")
     ] = None,
