@@ -17,7 +17,7 @@ from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.rosbridge.definitions import RosVersion
 from usarmjx.server.rosbridge.services import RosRobots
-from usarmjx.server.rosbridge.topics import WorldTopics
+from usarmjx.server.rosbridge.topics import TWIST, WorldTopics
 from usarmjx.server.runtime.instance_selector import InstanceSwitch
 from usarmjx.server.viewing.controls import PageRobots
 from usarmjx.server.viewing.served_source import ServedSource
@@ -298,12 +298,12 @@ def test_ros_sees_the_robots_that_the_policy_drives_and_does_not_drive_them(worl
     frames = [one["child_frame_id"] for one in there["/tf"].make(RosVersion.ROS2)["transforms"]]
     assert {"P2AT0/base_link", "P2AT1/base_link"} <= set(frames)
     with pytest.raises(UsageError, match="a policy drives P2AT1: /simulator/spawn with that name takes it"):
-        crew.drive(there["/P2AT1/cmd_vel"].robot, {"linear": {"x": 0.1}})
+        crew.command(there["/P2AT1/cmd_vel"].robot, TWIST, {"linear": {"x": 0.1}})
     robot = world.spawn(P2AT, "P2AT1", (0.0, 0.0, 1.0), LEVEL)
     taken = topics.all()
     assert set(taken) == set(there)
     assert taken["/P2AT1/cmd_vel"].robot is robot
-    crew.drive(robot, {"linear": {"x": 0.1}})
+    crew.command(robot, TWIST, {"linear": {"x": 0.1}})
     assert np.asarray(robot.command.setpoint).any()
 
 
