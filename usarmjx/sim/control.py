@@ -396,7 +396,7 @@ def _wrench(
         own = drive.wrench(setpoint, state, conditions.depth)
         wrench = drive.passive_wrench(state, conditions.depth) + xp.where(powered[..., None], own, 0.0)
     if isinstance(drive, YieldingSkidSteer):
-        wrench = wrench + _tyre_wrench(plan, drive, state)
+        wrench = wrench + _tyre_wrench(plan, drive, setpoint, state)
     # A traced value decides no branch: on JAX every robot's wrench is computed and masked.
     # Counts wrap around, so an idle 0 comes to lie ahead again: only the time of one righting counts.
     remaining = xp.asarray(flip_until) - conditions.step
@@ -406,14 +406,21 @@ def _wrench(
     return xp.asarray(wrench, xp.float32)
 
 
-def _tyre_wrench(plan: KinematicTree, drive: YieldingSkidSteer, state: RobotState) -> Array:
-    """Return the wrench (..., 6) that makes up for sideways friction which tyres lack; none on its side."""
+def _tyre_wrench(plan: KinematicTree, drive: YieldingSkidSteer, setpoint: Array, state: RobotState) -> Array:
+    """Return the wrench (..., 6) that makes up for sideways friction which tyres lack; none on its side.
+
+    Wheels that an obstacle or a slope slows down on one side do not count: only a turn that is commanded.
+    """
     left, right = (
         state.joint_vel[..., np.array([plan.joint_index(name) for name in names])].mean(-1)
         for names in (drive.left, drive.right)
     )
+    spins = drive.targets(setpoint)
+    turning, commanded = right - left, spins[..., -1] - spins[..., 0]
+    least = xp.sign(turning) * xp.minimum(xp.abs(turning), xp.abs(commanded))
+    turning = xp.where(turning * commanded > 0.0, least, 0.0)  # also where a setpoint is NaN
     up = mat_from_quat(state.quat)[..., 2]
-    torque = xp.where(up[..., 2] > MIN_TYRES_COS, drive.yaw_torque(right - left, state.angular[..., 2]), 0.0)
+    torque = xp.where(up[..., 2] > MIN_TYRES_COS, drive.yaw_torque(turning, state.angular[..., 2]), 0.0)
     return xp.concatenate([xp.zeros_like(up), torque[..., None] * up], -1)
 
 
