@@ -28,6 +28,7 @@ LIMIT = 0.25
 PATIENCE = 60.0  # s, for the server to listen
 JOIN = 15.0  # s, for a robot to report
 PAUSE = 0.7  # s, between two attacks
+RETRY = 0.3  # s, until a refused robot tries again
 OPTIONS = {
     "robots": "--port",
     "wireless-a": "--wss-port",
@@ -83,21 +84,35 @@ def served(log: Path, *, ros2: bool) -> Iterator[tuple[dict[str, int], subproces
 
 
 def newcomer(port: int, name: str) -> float | None:
-    """Return how long a new robot waits for its first report [s]; None: it gets none."""
-    began, got = time.monotonic(), b""
-    try:
-        with socket.create_connection((HOST, port), timeout=JOIN) as link:
-            link.sendall(init_line(name))
-            while b"STA " not in got[-100_000:]:
-                left = began + JOIN - time.monotonic()
-                link.settimeout(max(0.01, left))
-                data = link.recv(65536)
-                if not data or left < 0:
-                    return None
-                got += data
-    except OSError:
-        return None
-    return round(time.monotonic() - began, 2)
+    """Return how long a new robot waits for its first report [s], refusals included; None: too long."""
+    began, number = time.monotonic(), 0
+    while time.monotonic() < began + JOIN:
+        number += 1
+        try:
+            if report_comes(port, f"{name}x{number}", began + JOIN):
+                return round(time.monotonic() - began, 2)
+        except OSError:
+            pass
+        time.sleep(RETRY)
+    return None
+
+
+def report_comes(port: int, name: str, until: float) -> bool:
+    """Return whether a new robot reports before its connection is closed.
+
+    Raises:
+        OSError: The connection does not come about, breaks off, or lasts past a time.
+    """
+    got = b""
+    with socket.create_connection((HOST, port), timeout=JOIN) as link:
+        link.sendall(init_line(name))
+        while b"STA " not in got[-100_000:]:
+            link.settimeout(max(0.01, until - time.monotonic()))
+            data = link.recv(65536)
+            if not data:
+                return False
+            got += data
+    return True
 
 
 class Watch:
@@ -242,7 +257,7 @@ def main(args: Sequence[str] | None = None) -> int:
         with served(log, ros2=options.ros2) as (ports, server):
             watch = Watch(ports, server, log)
             time.sleep(2.0)
-            print(HEAD)
+            print(HEAD, flush=True)
             try:
                 for attack in chosen:
                     found = run_attack(attack, ports, watch, options.seconds, options.attackers)
