@@ -13,6 +13,7 @@ from typing import Any
 
 HOST = "127.0.0.1"
 PATIENCE = 0.2  # s, for one wait of a socket
+HANDSHAKES = 12.0  # s, for the handshakes of all attackers before the time begins
 RESET = struct.pack("ii", 1, 0)  # SO_LINGER: close sends RST
 STEP = 1 << 16
 
@@ -28,6 +29,8 @@ class Stage:
     """When it ends, by `time.monotonic`."""
     sent: int = 0
     connections: int = 0
+    answered: int = 0
+    """Attackers whose first hello was answered."""
     lock: Any = field(default_factory=threading.Lock)
 
     @property
@@ -123,6 +126,8 @@ def visit(attack: Attack, stage: Stage, number: int, link: socket.socket) -> Non
         got = b""
         while attack.answer and stage.runs and attack.answer not in got:
             got += stage.drain(link, PATIENCE)
+        with stage.lock:
+            stage.answered += 1
     turns = 0
     while stage.runs and not (attack.times and turns >= attack.times):
         turns += 1
@@ -155,14 +160,22 @@ def attacker(attack: Attack, stage: Stage, number: int) -> None:
 
 
 def play(attack: Attack, ports: dict[str, int], seconds: float, attackers: int) -> Stage:
-    """Play an attack by several attackers at once, and return what they did."""
-    stage = Stage(ports, time.monotonic() + seconds)
+    """Play an attack by several attackers at once, and return what they did.
+
+    Where a hello has an answer, the time begins when all have theirs, or when they have waited too long.
+    """
+    count = attack.attackers or attackers
+    stage = Stage(ports, time.monotonic() + (HANDSHAKES if attack.answer else 0.0) + seconds)
     crowd = [
         threading.Thread(target=attacker, args=(attack, stage, number), daemon=True)
-        for number in range(attack.attackers or attackers)
+        for number in range(count)
     ]
     for one in crowd:
         one.start()
+    if attack.answer:
+        while stage.answered < count and time.monotonic() < stage.until - seconds:
+            time.sleep(0.05)
+        stage.until = min(stage.until, time.monotonic() + seconds)
     for one in crowd:
         one.join(seconds + 10.0)
     return stage
