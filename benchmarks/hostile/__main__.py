@@ -20,7 +20,7 @@ from typing import Any
 from benchmarks.hostile.acts import ROS_DOMAIN
 from benchmarks.hostile.attacks import ATTACKS, DATAGRAMS, PORTS
 from benchmarks.hostile.frames import init_line
-from benchmarks.hostile.stage import HOST, Attack, play
+from benchmarks.hostile.stage import HOST, PortAttack, play
 from benchmarks.tools import append_record, record_header
 
 LIMIT = 0.25
@@ -115,7 +115,7 @@ def report_comes(port: int, name: str, until: float) -> bool:
     return True
 
 
-class Watch:
+class NeighbourWatch:
     """The neighbour's process, and what the server's system and log say.
 
     Args:
@@ -168,7 +168,7 @@ class Watch:
 
 
 def run_attack(
-    attack: Attack, ports: dict[str, int], watch: Watch, seconds: float, attackers: int
+    attack: PortAttack, ports: dict[str, int], watch: NeighbourWatch, seconds: float, attackers: int
 ) -> dict[str, Any]:
     """Play an attack beside the neighbour; where connections are held, let another robot join meanwhile."""
     joined: list[float | None] = []
@@ -233,8 +233,8 @@ HEAD = " ".join([f"{'attack':22}", *(f"{word:>{width}}" for word, width in COLUM
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Attack, print the table, write the records; 1 if something fell."""
-    parser = argparse.ArgumentParser(prog="benchmarks.hostile", description="Attack a server of its own.")
+    """PortAttack, print the table, write the records; 1 if something fell."""
+    parser = argparse.ArgumentParser(prog="benchmarks.hostile", description="PortAttack a server of its own.")
     parser.add_argument("--json", type=Path, help="file to which a record for each attack is appended")
     parser.add_argument(
         "--attack", action="append", help="only attacks with this in their name or port; may be repeated"
@@ -255,7 +255,7 @@ def main(args: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as folder:
         log = options.log or Path(folder) / "log.txt"
         with served(log, ros2=options.ros2) as (ports, server):
-            watch = Watch(ports, server, log)
+            watch = NeighbourWatch(ports, server, log)
             time.sleep(2.0)
             print(HEAD, flush=True)
             try:

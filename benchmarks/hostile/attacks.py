@@ -12,7 +12,7 @@ from benchmarks.hostile.frames import (
     ros_message,
     websocket_frame,
 )
-from benchmarks.hostile.stage import Attack, Sends, Stage
+from benchmarks.hostile.stage import PortAttack, Sends, Stage
 
 MANY = 200
 UPGRADED = b"\r\n\r\n"
@@ -65,17 +65,17 @@ EXTREME = ("INIT {ClassName USARBot.P2AT} {Name X} {Location nan,inf,1e309}", "I
 AREA = b"U" + b"\x7f\xff\xff\xff" * 4 + b"OK" + b"U" + bytes(16) + b"OK"
 
 ROBOTS = (
-    Attack("drip", "robots", "INIT a byte at a time", constant(b"I"), pause=0.1),
-    Attack("single bytes", "robots", "legal lines in packets of a byte", lines(DRIVE), robot, piece=1),
-    Attack("endless line", "robots", "a line without an end", constant(b"A" * 65536)),
-    Attack("nested", "robots", "DRIVE with 4,000 braces in each other", constant(NESTED)),
-    Attack("binary", "robots", "random bytes", lambda _, n: frames.noise(65536, n)),
-    Attack("strange text", "robots", "NUL, broken UTF-8, names of neither", constant(STRANGE)),
-    Attack("empty lines", "robots", "line ends only", constant(b"\r\n" * 30000)),
-    Attack("init and gone", "robots", "INIT, then the connection is closed", robot, times=1),
-    Attack("init and reset", "robots", "INIT, then broken off", robot, times=1, reset=True),
-    Attack("extreme init", "robots", "INIT at nan and inf, of no class", lines(*EXTREME, times=20)),
-    Attack(
+    PortAttack("drip", "robots", "INIT a byte at a time", constant(b"I"), pause=0.1),
+    PortAttack("single bytes", "robots", "legal lines in packets of a byte", lines(DRIVE), robot, piece=1),
+    PortAttack("endless line", "robots", "a line without an end", constant(b"A" * 65536)),
+    PortAttack("nested", "robots", "DRIVE with 4,000 braces in each other", constant(NESTED)),
+    PortAttack("binary", "robots", "random bytes", lambda _, n: frames.noise(65536, n)),
+    PortAttack("strange text", "robots", "NUL, broken UTF-8, names of neither", constant(STRANGE)),
+    PortAttack("empty lines", "robots", "line ends only", constant(b"\r\n" * 30000)),
+    PortAttack("init and gone", "robots", "INIT, then the connection is closed", robot, times=1),
+    PortAttack("init and reset", "robots", "INIT, then broken off", robot, times=1, reset=True),
+    PortAttack("extreme init", "robots", "INIT at nan and inf, of no class", lines(*EXTREME, times=20)),
+    PortAttack(
         "geometry",
         "robots",
         "a robot asks GETGEO, GETCONF",
@@ -87,7 +87,7 @@ ROBOTS = (
         ),
         robot,
     ),
-    Attack(
+    PortAttack(
         "geometry, deaf",
         "robots",
         "the same, never reads",
@@ -95,19 +95,21 @@ ROBOTS = (
         robot,
         reads=False,
     ),
-    Attack("drive flood", "robots", "DRIVE without a pause", lines(DRIVE), robot),
-    Attack("start poses", "robots", "GETSTARTPOSES, never reads", lines("GETSTARTPOSES"), reads=False),
-    Attack("auth", "robots", "AUTH again and again", lines("AUTH {Token " + "a" * 100 + "}")),
+    PortAttack("drive flood", "robots", "DRIVE without a pause", lines(DRIVE), robot),
+    PortAttack("start poses", "robots", "GETSTARTPOSES, never reads", lines("GETSTARTPOSES"), reads=False),
+    PortAttack("auth", "robots", "AUTH again and again", lines("AUTH {Token " + "a" * 100 + "}")),
 )
 RADIO = (
-    Attack("drip a", "wireless-a", "a byte at a time", constant(b"R"), pause=0.1),
-    Attack("names a", "wireless-a", "REGISTER of ever new names", registrations),
-    Attack("signal a", "wireless-a", "GETSS", constant(b"GETSS A B;" * MANY)),
-    Attack("endless a", "wireless-a", "a message without an end", constant(b"SEND 1048577 " + b"x" * 65536)),
-    Attack("dial a", "wireless-a", "OPEN to ports where nobody answers", act=acts.dial),
-    Attack("link a", "wireless-a", "a link's SEND, never read", act=acts.flood_link, attackers=4),
-    Attack("drip b", "wireless-b", "a byte at a time", constant(b"I"), pause=0.1),
-    Attack(
+    PortAttack("drip a", "wireless-a", "a byte at a time", constant(b"R"), pause=0.1),
+    PortAttack("names a", "wireless-a", "REGISTER of ever new names", registrations),
+    PortAttack("signal a", "wireless-a", "GETSS", constant(b"GETSS A B;" * MANY)),
+    PortAttack(
+        "endless a", "wireless-a", "a message without an end", constant(b"SEND 1048577 " + b"x" * 65536)
+    ),
+    PortAttack("dial a", "wireless-a", "OPEN to ports where nobody answers", act=acts.dial),
+    PortAttack("link a", "wireless-a", "a link's SEND, never read", act=acts.flood_link, attackers=4),
+    PortAttack("drip b", "wireless-b", "a byte at a time", constant(b"I"), pause=0.1),
+    PortAttack(
         "talk b",
         "wireless-b",
         "GETSS, DNS, REVERSEDNS",
@@ -118,32 +120,32 @@ RADIO = (
             "REVERSEDNS {Port 1}",
         ),
     ),
-    Attack("endless b", "wireless-b", "a line without an end", constant(b"{" * 65536)),
-    Attack("positions", "positions", "GETPOS", lines("GETPOS")),
-    Attack("positions, deaf", "positions", "GETPOS, never reads", lines("GETPOS"), reads=False),
-    Attack(
+    PortAttack("endless b", "wireless-b", "a line without an end", constant(b"{" * 65536)),
+    PortAttack("positions", "positions", "GETPOS", lines("GETPOS")),
+    PortAttack("positions, deaf", "positions", "GETPOS, never reads", lines("GETPOS"), reads=False),
+    PortAttack(
         "walls",
         "positions",
         "GETOBS through the arena, nan, 1e300",
         lines("GETOBS {Start -50,-50,0.5} {End 50,50,0.5}", "GETOBS {Start nan,0,0} {End 1e300,0,0}"),
     ),
-    Attack("drip p", "positions", "a byte at a time", constant(b"G"), pause=0.1),
+    PortAttack("drip p", "positions", "a byte at a time", constant(b"G"), pause=0.1),
 )
 PICTURES = (
-    Attack("ok flood", "images", "OK without a pause", constant(b"OK" * 8000)),
-    Attack("ok, deaf", "images", "OK, never reads", constant(b"OK"), reads=False, pause=0.01),
-    Attack("areas", "images", "parts of pictures with extreme corners", constant(AREA * 500)),
-    Attack("binary i", "images", "random bytes", lambda _, n: frames.noise(65536, n)),
-    Attack("drip i", "images", "half a request a byte at a time", constant(b"U"), pause=0.1),
+    PortAttack("ok flood", "images", "OK without a pause", constant(b"OK" * 8000)),
+    PortAttack("ok, deaf", "images", "OK, never reads", constant(b"OK"), reads=False, pause=0.01),
+    PortAttack("areas", "images", "parts of pictures with extreme corners", constant(AREA * 500)),
+    PortAttack("binary i", "images", "random bytes", lambda _, n: frames.noise(65536, n)),
+    PortAttack("drip i", "images", "half a request a byte at a time", constant(b"U"), pause=0.1),
 )
 
 
-def websocket_attacks(port: str, tag: str) -> Sequence[Attack]:
+def websocket_attacks(port: str, tag: str) -> Sequence[PortAttack]:
     """Return the attacks on a port for websockets; the tag makes their names differ."""
     opened = {"port": port, "hello": upgrade(port), "answer": UPGRADED}
     start = websocket_frame(b"x", TEXT, final=False)
     return (
-        Attack(
+        PortAttack(
             f"half handshake {tag}",
             port,
             "a header that never ends",
@@ -151,16 +153,16 @@ def websocket_attacks(port: str, tag: str) -> Sequence[Attack]:
             get(port, "/", 1, "X-A: " + "b" * 100),
             pause=0.05,
         ),
-        Attack(
+        PortAttack(
             f"pings {tag}", what="pings", sends=constant(websocket_frame(b"p" * 125, PING) * MANY), **opened
         ),
-        Attack(
+        PortAttack(
             f"fragments {tag}",
             what="a message in frames of a byte",
             sends=constant(frames.byte_fragments(b'{"op":"x"}' * 50)),
             **opened,
         ),
-        Attack(
+        PortAttack(
             f"empty fragments {tag}",
             what="a message of empty frames",
             hello=lambda s, _: frames.upgrade_request(s.ports[port]) + start,
@@ -168,39 +170,39 @@ def websocket_attacks(port: str, tag: str) -> Sequence[Attack]:
             port=port,
             answer=UPGRADED,
         ),
-        Attack(
+        PortAttack(
             f"no start {tag}",
             what="continuation without a start",
             sends=constant(websocket_frame(b"x", CONTINUATION)),
             times=1,
             **opened,
         ),
-        Attack(
+        PortAttack(
             f"no mask {tag}",
             what="frames without a mask",
             sends=constant(websocket_frame(b"x" * 100, masked=False)),
             times=1,
             **opened,
         ),
-        Attack(
+        PortAttack(
             f"oversize {tag}",
             what="a frame of 2^62 bytes",
             sends=constant(websocket_frame(b"x" * 65536, BINARY, length=1 << 62)),
             **opened,
         ),
-        Attack(
+        PortAttack(
             f"bomb {tag}",
             what="compressed frames of 16 MB",
             sends=constant(websocket_frame(frames.deflate_bomb(1 << 24), compressed=True)),
             **opened,
         ),
-        Attack(
+        PortAttack(
             f"deep JSON {tag}",
             what="lists 50,000 deep",
             sends=constant(websocket_frame(frames.deep_json(50_000))),
             **opened,
         ),
-        Attack(
+        PortAttack(
             f"resets {tag}", port, "handshakes, broken off", upgrade(port), times=1, reset=True, reads=False
         ),
     )
@@ -208,7 +210,7 @@ def websocket_attacks(port: str, tag: str) -> Sequence[Attack]:
 
 ROSBRIDGE = (
     *websocket_attacks("rosbridge", "r"),
-    Attack(
+    PortAttack(
         "wide JSON",
         "rosbridge",
         "objects with 10,000 numbers",
@@ -216,7 +218,7 @@ ROSBRIDGE = (
         upgrade("rosbridge"),
         UPGRADED,
     ),
-    Attack(
+    PortAttack(
         "calls",
         "rosbridge",
         "/rosapi/topics, never reads",
@@ -225,7 +227,7 @@ ROSBRIDGE = (
         UPGRADED,
         reads=False,
     ),
-    Attack(
+    PortAttack(
         "details",
         "rosbridge",
         "/rosapi/message_details",
@@ -236,10 +238,10 @@ ROSBRIDGE = (
         upgrade("rosbridge"),
         UPGRADED,
     ),
-    Attack(
+    PortAttack(
         "topics", "rosbridge", "subscriptions of ever new topics", topic_names, upgrade("rosbridge"), UPGRADED
     ),
-    Attack(
+    PortAttack(
         "maps, deaf",
         "rosbridge",
         "subscribes and leaves /map, never reads",
@@ -254,7 +256,7 @@ ROSBRIDGE = (
         UPGRADED,
         reads=False,
     ),
-    Attack(
+    PortAttack(
         "pieces",
         "rosbridge",
         "fragments of messages that never end",
@@ -262,7 +264,7 @@ ROSBRIDGE = (
         upgrade("rosbridge"),
         UPGRADED,
     ),
-    Attack(
+    PortAttack(
         "spawn",
         "rosbridge",
         "spawns and leaves",
@@ -272,7 +274,7 @@ ROSBRIDGE = (
         pause=0.05,
         times=3,
     ),
-    Attack(
+    PortAttack(
         "twists",
         "rosbridge",
         "cmd_vel for the neighbour, with NaN",
@@ -286,17 +288,19 @@ ROSBRIDGE = (
 )
 PAGES = (
     *websocket_attacks("page", "v"),
-    Attack("page pipeline", "page", "GET / without reading between", act=acts.page_storm),
-    Attack("figures pipeline", "metrics", "100 GET /metrics in a piece", get("metrics", "/metrics", 100)),
-    Attack("figures, deaf", "metrics", "the same, never reads", get("metrics", "/metrics", 100), reads=False),
-    Attack(
+    PortAttack("page pipeline", "page", "GET / without reading between", act=acts.page_storm),
+    PortAttack("figures pipeline", "metrics", "100 GET /metrics in a piece", get("metrics", "/metrics", 100)),
+    PortAttack(
+        "figures, deaf", "metrics", "the same, never reads", get("metrics", "/metrics", 100), reads=False
+    ),
+    PortAttack(
         "figures header",
         "metrics",
         "a header of a megabyte",
         get("metrics", "/metrics", 1, "X-A: " + "b" * (1 << 20)),
     ),
-    Attack("drip f", "metrics", "a header a byte at a time", constant(b"G"), pause=0.1),
-    Attack(
+    PortAttack("drip f", "metrics", "a header a byte at a time", constant(b"G"), pause=0.1),
+    PortAttack(
         "old HTTP",
         "metrics",
         "HTTP/0.9, PUT, bodies of no length",
@@ -307,7 +311,7 @@ PAGES = (
 PORTS = ("robots", "wireless-a", "wireless-b", "positions", "images", "page", "metrics", "rosbridge")
 HOARDED = tuple(port for port in PORTS if port != "robots")
 EVERYWHERE = (
-    Attack(
+    PortAttack(
         "reset storm",
         "any",
         "connections to all ports, broken off",
@@ -316,11 +320,11 @@ EVERYWHERE = (
         reads=False,
         sends=constant(b"G"),
     ),
-    Attack(
+    PortAttack(
         "connect storm", "any", "connections to all ports, closed", times=1, reads=False, sends=constant(b"")
     ),
     *(
-        Attack(
+        PortAttack(
             f"hoard {port}",
             port,
             f"{acts.HELD} held connections; a robot joins",
@@ -329,7 +333,7 @@ EVERYWHERE = (
         )
         for port in HOARDED
     ),
-    Attack(
+    PortAttack(
         "hoard all",
         "any",
         "1,500 held connections to all ports but robots'; a robot joins",
@@ -337,8 +341,10 @@ EVERYWHERE = (
         attackers=6,
     ),
 )
-QUIET = Attack("quiet", "", "nobody does anything", act=lambda stage, number: stage.rest(0.5), attackers=1)
-DATAGRAMS = Attack(
+QUIET = PortAttack(
+    "quiet", "", "nobody does anything", act=lambda stage, number: stage.rest(0.5), attackers=1
+)
+DATAGRAMS = PortAttack(
     "datagrams", "dds", "random datagrams to the ports of DDS", act=acts.datagrams, attackers=2
 )
 ATTACKS = (QUIET, *ROBOTS, *RADIO, *PICTURES, *ROSBRIDGE, *PAGES, *EVERYWHERE)

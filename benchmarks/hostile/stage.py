@@ -87,7 +87,7 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Attack:
+class PortAttack:
     """An attack on one port: connect, say hello, then send again and again.
 
     Those of another form have `act`.
@@ -115,7 +115,7 @@ class Attack:
     """How many at once; 0: as many as the command line says."""
 
 
-def visit(attack: Attack, stage: Stage, number: int, link: socket.socket) -> None:
+def visit(attack: PortAttack, stage: Stage, number: int, link: socket.socket) -> None:
     """Do on one connection what an attack does there.
 
     Raises:
@@ -140,8 +140,8 @@ def visit(attack: Attack, stage: Stage, number: int, link: socket.socket) -> Non
         stage.rest(attack.pause)
 
 
-def attacker(attack: Attack, stage: Stage, number: int) -> None:
-    """Attack until the end of the stage, with a new connection after each that ended."""
+def attacker(attack: PortAttack, stage: Stage, number: int) -> None:
+    """PortAttack until the end of the stage, with a new connection after each that ended."""
     while stage.runs:
         if attack.act is not None:
             with contextlib.suppress(OSError):
@@ -159,7 +159,7 @@ def attacker(attack: Attack, stage: Stage, number: int) -> None:
         stage.rest(0.002)
 
 
-def play(attack: Attack, ports: dict[str, int], seconds: float, attackers: int) -> Stage:
+def play(attack: PortAttack, ports: dict[str, int], seconds: float, attackers: int) -> Stage:
     """Play an attack by several attackers at once, and return what they did.
 
     Where a hello has an answer, the time begins when all have theirs, or when they have waited too long.
