@@ -26,7 +26,7 @@ from benchmarks.tools import append_record, record_header
 LIMIT = 0.25
 """Most time of the server's main thread between two reports of a neighbour, docs/security.md [s]."""
 PATIENCE = 60.0  # s, for the server to listen
-JOIN = 15.0  # s, for a robot to report
+JOIN = 75.0  # s, for a robot to report; connections without one may keep all seats for 60
 PAUSE = 0.7  # s, between two attacks
 RETRY = 0.3  # s, until a refused robot tries again
 OPTIONS = {
