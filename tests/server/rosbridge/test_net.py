@@ -385,32 +385,3 @@ def test_a_client_of_rosbridge_has_the_budget_of_one_at_the_port_for_robots(serv
         assert 0.065 <= (server.budgets.steps - began) * server.budgets.growth <= 0.09
     finally:
         client.socket.close()
-
-
-def test_robots_of_rosbridge_come_and_go_within_the_share_for_joining(served):
-    port, server = served
-    client = Ros(port)
-
-    def make_steps(count=10):
-        until = server.budgets.steps + count
-        wait_until(lambda: server.budgets.steps > until)
-
-    server.joins.spend(1e6)
-    client.say("call_service", service="/simulator/spawn", args={"class": "P2AT", "name": "Late"}, id="late")
-    make_steps()
-    assert server.world.robots == {}
-    server.joins.spend(-1e6)
-    assert client.hear("service_response", id="late")["result"] is True
-    server.joins.spend(1e6)
-    client.socket.close()
-    make_steps()
-    assert [robot.name for robot in server.world.robots.values()] == ["Late"]
-    server.joins.spend(-1e6)
-    wait_until(lambda: not server.world.robots)
-
-
-def wait_until(happens):
-    deadline = time.monotonic() + PATIENCE
-    while not happens():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)

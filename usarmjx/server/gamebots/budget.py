@@ -6,8 +6,7 @@ that is busy with other things nor a world that falls behind lets clients take m
 
 import asyncio
 import time
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable
 from types import TracebackType
 
 from usarmjx.base.errors import PeerError
@@ -69,15 +68,6 @@ class BudgetPool:
             self.meter.exclude(cost)
         self._left -= cost
         self._wake_next()
-
-    @contextmanager
-    def spending(self) -> Generator[None]:
-        """Subtract the cost of the work within the context, which does not wait."""
-        began = self.clock()
-        try:
-            yield
-        finally:
-            self.spend(self.clock() - began)
 
     async def wait(self, budget: "ClientBudget") -> None:
         """Wait until a client may have its turn.

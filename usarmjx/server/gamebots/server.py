@@ -365,11 +365,6 @@ class BotServer:
             return True
         return False
 
-    @property
-    def joins(self) -> BudgetPool:
-        """Processing time of joining and leaving, of the clients of rosbridge too."""
-        return self._joins
-
     async def prepare(self, spec: RobotSpec) -> None:
         """Prepare the first robot of a class in a thread, which may take seconds.
 

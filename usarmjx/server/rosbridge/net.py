@@ -175,9 +175,8 @@ class RosbridgeServer:
         self._stepped.clear()
         while self._left and self._left[0].is_empty:
             self._left.popleft()
-        if self._left and self.server is not None and not self.server.joins.is_spent:
-            with self.server.joins.spending():
-                self._left[0].remove_one()
+        if self._left:
+            self._left[0].remove_one()
         made: dict[PublicationKey, BridgeFrame] = {}
         pictures: list[PictureSubscription] = []
         topics = self._topics.all() if self._clients else {}
@@ -347,18 +346,14 @@ class RosbridgeServer:
             call.answer(str(error))
 
     async def _spawn(self, client: RosClient, call: ServiceCall) -> str:
-        """Spawn a robot, one in a control step at most; return its name in topics and frames."""
+        """Spawn a robot, one in a control step; return its name in topics and frames."""
         init, spec = read_spawn(call.args)
         if self.server is None:
             raise UsageError("the server has not begun")
         await self.server.prepare(spec)
         async with self._joining:
             await self._stepped.wait()
-            while self._left or self.server.joins.is_spent:
-                await self._stepped.wait()
-            with self.server.joins.spending():
-                robot = client.robots.spawn(init, spec)
-            return self._topics.name_of(robot)
+            return self._topics.name_of(client.robots.spawn(init, spec))
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return None to begin a websocket: for pages from known names, and for clients that are no page."""
