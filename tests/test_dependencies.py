@@ -4,8 +4,10 @@ import json
 import re
 import subprocess
 import sys
+from importlib import metadata
 
 import pytest
+from packaging.utils import canonicalize_name
 
 import dev
 from tools import dependencies
@@ -24,6 +26,34 @@ def bill():
 
 def test_pins_are_those_of_this_python():
     assert dependencies.pins(PINS) == {"numpy": "2.4.6", "jax": "0.11.2"}
+
+
+def test_pins_of_another_python():
+    assert dependencies.pins(PINS, "2.7") == {"numpy": "2.4.6", "jax": "0.10.2"}
+
+
+@pytest.mark.parametrize(
+    ("about", "found"),
+    [
+        ({"license_expression": "MIT OR X", "license": "old"}, "MIT OR X"),
+        (
+            {"classifier": ["License :: OSI Approved", "License :: OSI Approved :: ISC License"]},
+            "ISC License",
+        ),
+        ({"license": "BSD-3-Clause"}, "BSD-3-Clause"),
+        ({"license": "Mine\n\nPermission is hereby\ngranted, free of charge, to"}, "MIT License"),
+        ({"license": "Copyright\nall rights reserved"}, ""),
+        ({}, ""),
+    ],
+)
+def test_a_licence_is_what_the_metadata_state(about, found):
+    assert dependencies.licence_names(dependencies.stated_licences(about)) == found
+
+
+def test_every_pin_that_is_installed_states_a_licence(bill):
+    here = {canonicalize_name(one.name) for one in metadata.distributions()}
+    unknown = {one["name"] for one in bill["components"] if "licenses" not in one}
+    assert unknown & here == set()
 
 
 def test_the_bill_has_what_the_schema_requires(bill):
@@ -68,6 +98,9 @@ def test_the_same_packages_give_the_same_file(bill, tmp_path):
     assert other["serialNumber"] != bill["serialNumber"]
     assert dependencies.write_sbom([str(tmp_path / "none" / "x.json")]) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["sbom.json"]
+    assert dependencies.write_sbom([str(out), "--python", "3.12"]) == 0
+    jax = next(one for one in json.loads(out.read_text())["components"] if one["name"] == "jax")
+    assert jax["version"] == dependencies.pins(dependencies.CONSTRAINTS.read_text(), "3.12")["jax"]
 
 
 def package(name, *faults, skipped=False):

@@ -2,6 +2,7 @@
 
 import json
 import re
+from importlib import metadata
 
 import pytest
 
@@ -12,9 +13,10 @@ LOCKS = sorted((dev.ROOT / "locks").glob("*.txt"))
 DOCKERFILE = (dev.ROOT / "Dockerfile").read_text(encoding="utf-8")
 
 
-def package(name, version="1.0", **hashes):
+def package(name, version="1.0", licence="MIT", **hashes):
     found = {"archive_info": {"hashes": hashes}} if hashes else {}
-    return {"metadata": {"name": name, "version": version}, "download_info": {"url": "x", **found}}
+    about = {"name": name, "version": version, "license": licence}
+    return {"metadata": about, "download_info": {"url": "x", **found}}
 
 
 def test_a_lock_has_a_hash_of_each_package_but_our_own(tmp_path, monkeypatch):
@@ -27,27 +29,50 @@ def test_a_lock_has_a_hash_of_each_package_but_our_own(tmp_path, monkeypatch):
     assert lock.main([str(tmp_path / "report.json")]) == 0
     text = (tmp_path / "locks" / "cpu-3.12-linux-x86_64.txt").read_text()
     assert text == lock.HEAD + "flax==1.0 --hash=sha256:cd\nnumpy==2.4.6 --hash=sha256:ab\n"
+    told = tmp_path / "locks" / "cpu-3.12-linux-x86_64.licences.tsv"
+    assert told.read_text() == "flax\t1.0\tMIT\nnumpy\t2.4.6\tMIT\n"
+    with pytest.raises(ValueError, match="other states no licence"):
+        lock.licences_text({"install": [package("other", licence="")]})
     with pytest.raises(ValueError, match="other has no sha256"):
         lock.lock_text({"install": [package("other")]})
     assert lock.main([]) == 2
 
 
-@pytest.mark.parametrize("file", LOCKS, ids=lambda file: file.stem)
-def test_locks_are_of_the_pinned_versions(file, monkeypatch):
-    python = file.stem.split("-")[1]
+def python_of(file):
+    return file.stem.split("-")[1]
+
+
+def locked(file):
+    """Versions by name in a lock, each line of which has a hash."""
     lines = [line for line in file.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
-    assert len(lines) > 30
-    text = dependencies.CONSTRAINTS.read_text(encoding="utf-8")
-    where = {"python_version": python}
-    wanted = [dependencies.Requirement(line) for line in re.findall(r"^[^#\n]+", text, re.MULTILINE)]
-    pinned = {
-        dependencies.canonicalize_name(one.name): next(iter(one.specifier)).version
-        for one in wanted
-        if one.marker is None or one.marker.evaluate(where)
-    }
-    for line in lines:
-        name, version = re.fullmatch(r"([a-z0-9-]+)==(\S+) --hash=sha256:[0-9a-f]{64}", line).groups()
-        assert pinned[name] == version
+    return dict(
+        re.fullmatch(r"([a-z0-9-]+)==(\S+) --hash=sha256:[0-9a-f]{64}", line).groups() for line in lines
+    )
+
+
+@pytest.mark.parametrize("file", LOCKS, ids=lambda file: file.stem)
+def test_lock_pins_bill_and_licences_name_the_same_versions(file):
+    """The bill is of all pins, the lock of those that the image has; the licences are the lock's."""
+    versions = locked(file)
+    assert len(versions) > 30
+    pinned = dependencies.pins(dependencies.CONSTRAINTS.read_text(encoding="utf-8"), python_of(file))
+    bill = {one["name"]: one["version"] for one in dependencies.sbom(pinned)["components"]}
+    assert bill == pinned
+    assert versions == {name: bill[name] for name in versions}
+    rows = [line.split("\t") for line in lock.licences_file(file).read_text(encoding="utf-8").splitlines()]
+    assert {name: version for name, version, _ in rows} == versions
+    assert all(licence.strip() for _, _, licence in rows)
+
+
+@pytest.mark.parametrize("file", LOCKS, ids=lambda file: file.stem)
+def test_licences_beside_a_lock_are_those_that_packages_state(file):
+    """Of what is installed here in the same version."""
+    rows = [line.split("\t") for line in lock.licences_file(file).read_text(encoding="utf-8").splitlines()]
+    here = {one.name.lower().replace("_", "-"): one.version for one in metadata.distributions()}
+    same = [(name, licence) for name, version, licence in rows if here.get(name) == version]
+    assert len(same) > 30
+    for name, licence in same:
+        assert (name, dependencies.licence_names(dependencies.licences(name))) == (name, licence)
 
 
 def test_the_image_compares_hashes_and_its_base_may_be_named_by_digest():

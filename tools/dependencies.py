@@ -4,6 +4,7 @@ Both look at `constraints.txt`. The list is in CycloneDX's format, made from wha
 date and no random number, so that the same packages give the same file.
 """
 
+import argparse
 import hashlib
 import importlib.util
 import json
@@ -11,7 +12,7 @@ import shutil
 import subprocess
 import sys
 import uuid
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -26,16 +27,27 @@ CYCLONEDX = "1.6"
 COULD_NOT_RUN = 2
 """Exit status where nothing is known, good or bad."""
 LONGEST_LICENCE = 100  # characters; some put the whole text into the field for its name
+PHRASES = {
+    "Permission is hereby granted, free of charge": "MIT License",
+    "Redistribution and use in source and binary forms": "BSD License",
+}
+"""Licences by words of their texts."""
 
 
-def pins(text: str) -> dict[str, str]:
-    """Return the versions by name that the lines of a constraints file pin for this Python."""
+def pins(text: str, python: str | None = None) -> dict[str, str]:
+    """Return the versions by name that the lines of a constraints file pin.
+
+    Args:
+        text: The file.
+        python: For which Python, as "3.12"; None: for this one.
+    """
     lines = [line.split("#")[0].strip() for line in text.splitlines()]
     wanted = [Requirement(line) for line in lines if line]
+    where = None if python is None else {"python_version": python, "python_full_version": f"{python}.0"}
     return {
         canonicalize_name(one.name): next(iter(one.specifier)).version
         for one in wanted
-        if one.marker is None or one.marker.evaluate()
+        if one.marker is None or one.marker.evaluate(where)
     }
 
 
@@ -69,17 +81,33 @@ def graph(roots: Iterable[Requirement]) -> dict[str, set[str]]:
 def licences(name: str) -> list[dict[str, Any]]:
     """Return the licences that an installed package states, as CycloneDX writes them."""
     try:
-        about: Any = metadata.metadata(name)
+        return stated_licences(metadata.metadata(name).json)
     except metadata.PackageNotFoundError:
         return []
-    if expression := about.get("License-Expression"):
+
+
+def stated_licences(about: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the licences in the metadata of a package, as CycloneDX writes them.
+
+    Args:
+        about: Metadata in the form of JSON, as pip's reports have it.
+    """
+    if expression := about.get("license_expression"):
         return [{"expression": expression}]
-    parts = [line.split(" :: ") for line in about.get_all("Classifier") or ()]
+    parts = [line.split(" :: ") for line in about.get("classifier", ())]
     names = [words[-1] for words in parts if words[0] == "License" and words[-1] != "OSI Approved"]
-    stated = (about.get("License") or "").strip()
+    stated = (about.get("license") or "").strip()
     if not names and stated and "\n" not in stated and len(stated) <= LONGEST_LICENCE:
         names = [stated]
+    if not names:
+        text = " ".join(stated.split())
+        names = [licence for phrase, licence in PHRASES.items() if phrase in text][:1]
     return [{"license": {"name": one}} for one in names]
+
+
+def licence_names(stated: Iterable[Mapping[str, Any]]) -> str:
+    """Return licences as a line of text has them; nothing if there are none."""
+    return ", ".join(one.get("expression") or one["license"]["name"] for one in stated)
 
 
 def purl(name: str, version: str) -> str:
@@ -122,19 +150,32 @@ def sbom(versions: dict[str, str]) -> dict[str, Any]:
     }
 
 
-def write_sbom(out: Sequence[str]) -> int:
-    """Write the list to a file, or to standard output."""
-    text = json.dumps(sbom(pins(CONSTRAINTS.read_text(encoding="utf-8"))), indent=1) + "\n"
-    if not out:
+def write_sbom(args: Sequence[str]) -> int:
+    """Write the list to a file, or to standard output; name those that state no licence on the error stream.
+
+    Args:
+        args: The file, if any; `--python 3.12`: of the pins of that Python.
+    """
+    parser = argparse.ArgumentParser(prog="dev.py sbom")
+    parser.add_argument("out", nargs="?", type=Path, help="file; else standard output")
+    parser.add_argument("--python", metavar="X.Y", help="of the pins of this Python, such as the image's")
+    options = parser.parse_args(args)
+    bill = sbom(pins(CONSTRAINTS.read_text(encoding="utf-8"), options.python))
+    if unknown := [one["name"] for one in bill["components"] if "licenses" not in one]:
+        sys.stderr.write(
+            f"sbom: no licence is known of {', '.join(unknown)}: not installed, or states none\n"
+        )
+    text = json.dumps(bill, indent=1) + "\n"
+    if options.out is None:
         sys.stdout.write(text)
         return 0
-    fresh = Path(f"{out[0]}.unfinished")
+    fresh = Path(f"{options.out}.unfinished")
     try:
         fresh.write_text(text, encoding="utf-8")
-        fresh.replace(out[0])
+        fresh.replace(options.out)
     except OSError as error:
         fresh.unlink(missing_ok=True)
-        sys.stderr.write(f"sbom: cannot write {out[0]}: {error.strerror}\n")
+        sys.stderr.write(f"sbom: cannot write {options.out}: {error.strerror}\n")
         return COULD_NOT_RUN
     return 0
 

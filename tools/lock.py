@@ -1,10 +1,11 @@
-"""Hashes of all packages that the image for a CPU installs, from pip's report of a dry run.
+"""Hashes and licences of all packages that the image for a CPU installs, from pip's report of a dry run.
 
     python3.12 -m pip install --dry-run --ignore-installed --report report.json -c constraints.txt .
     python3 -m tools.lock report.json
 
 The file has no address of an index; pip compares the hash of each package that it downloads. Hashes are of
-the wheels for one Python and one machine, which the name of the file says.
+the wheels for one Python and one machine, which the name of the file says. The licences are those that the
+packages state, in a file beside it.
 """
 
 import json
@@ -14,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from packaging.utils import canonicalize_name
+
+from tools.dependencies import licence_names, stated_licences
 
 ROOT = Path(__file__).resolve().parents[1]
 PRODUCT = "usarmjx"
@@ -44,8 +47,32 @@ def lock_text(report: dict[str, Any]) -> str:
     return HEAD + "".join(sorted(lines))
 
 
+def licences_file(lock: Path) -> Path:
+    """Return the file of licences beside a lock."""
+    return lock.with_suffix(".licences.tsv")
+
+
+def licences_text(report: dict[str, Any]) -> str:
+    """Return lines with name, version and licence of each package but our own, tabs between them.
+
+    Raises:
+        ValueError: A package states no licence; names it.
+    """
+    lines: list[str] = []
+    for one in report["install"]:
+        about = one["metadata"]
+        name = canonicalize_name(about["name"])
+        if name == PRODUCT:
+            continue
+        found = licence_names(stated_licences(about))
+        if not found:
+            raise ValueError(f"{name} states no licence in the report")
+        lines.append(f"{name}\t{about['version']}\t{found}\n")
+    return "".join(sorted(lines))
+
+
 def main(args: Sequence[str]) -> int:
-    """Write the lock of a report."""
+    """Write the lock of a report, and the licences."""
     if len(args) != 1:
         sys.stderr.write("lock: expected one argument, the report of pip\n")
         return 2
@@ -53,6 +80,7 @@ def main(args: Sequence[str]) -> int:
     file = lock_file(report["environment"])
     file.parent.mkdir(exist_ok=True)
     file.write_text(lock_text(report), encoding="utf-8")
+    licences_file(file).write_text(licences_text(report), encoding="utf-8")
     print(file.relative_to(ROOT))
     return 0
 

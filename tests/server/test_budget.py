@@ -22,7 +22,7 @@ from usarmjx.server.gamebots.budget import (
     BudgetPool,
     ClientBudget,
 )
-from usarmjx.server.gamebots.server import READ_SIZE
+from usarmjx.server.gamebots.server import MOST_STEPS_AFTER_LEAVING, READ_SIZE
 from usarmjx.server.protocol.commands import GetConf, GetStartPoses, Init, Trace
 from usarmjx.server.protocol.session import REFUSAL_FAULTS
 from usarmjx.server.runtime.logs import INTERVAL, MAX_LINES, FaultLog, summary
@@ -372,4 +372,21 @@ def test_what_a_client_left_unread_is_not_carried_out(world, end):
             done = server.counts.commands[GetStartPoses] - before
             assert done <= most
             assert done == count or count > most or end == "reset"
+            peer.close()
+
+
+def test_a_crowd_that_leaves_keeps_its_seats_for_half_a_second(world):
+    """Five turns a step for sixteen: none runs out of its own budget, and all would take 640 steps."""
+    with ticking(world) as (port, server):
+        peers = [Peer(port) for _ in range(16)]
+        for peer in peers:
+            peer.line()
+        wait_until(lambda: len(server.clients) == 16)
+        for peer in peers:
+            peer.socket.sendall(b"GETSTARTPOSES\r\n" * 200)
+            peer.socket.shutdown(socket.SHUT_WR)
+        left = world.time
+        wait_until(lambda: not server.clients)
+        assert world.time < left + (MOST_STEPS_AFTER_LEAVING + 50) * PERIOD
+        for peer in peers:
             peer.close()

@@ -86,6 +86,10 @@ class BudgetPool:
             finally:
                 del self._waiting[budget]
 
+    def has_waiting(self, budget: "ClientBudget") -> bool:
+        """Return whether a client waits for its turn."""
+        return budget in self._waiting
+
     def dismiss(self, budget: "ClientBudget", reason: str) -> None:
         """Cancel a client's wait and turn; nothing if it does not wait."""
         called = self._waiting.get(budget)
@@ -122,6 +126,11 @@ class ClientBudget:
     def used(self) -> float:
         """Recent use of the client [s]."""
         return self._used * USE_DECAY ** (self._pool.steps - self._step)
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether the client waits for its turn."""
+        return self._pool.has_waiting(self)
 
     def charge(self, cost: float) -> None:
         """Subtract a price besides the cost of the work."""

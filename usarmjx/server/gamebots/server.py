@@ -28,6 +28,8 @@ READ_SIZE = 256
 """Most bytes read at once from one client: between two pieces another client has its turn."""
 RECEIVE_BUFFER = 32 * 1024
 """Receive buffer of the system; a client with more unread bytes waits [bytes]."""
+MOST_STEPS_AFTER_LEAVING = 25
+"""Most control steps for which a client that has closed its connection waits for turns, half a second."""
 MAX_WRITE_BUFFER = 64 * 1024
 """Fill level of a socket's buffer from which reports wait in the session, which has its own bound [bytes]."""
 
@@ -59,6 +61,7 @@ class RobotConnection:
         budget: Processing time of its lines.
         last_asked: Time of its last legal command [s].
         since: Time at which it connected [s].
+        steps_after_leaving: Control steps in which it waited for a turn after its other side had closed it.
     """
 
     client: Client
@@ -68,6 +71,7 @@ class RobotConnection:
     budget: ClientBudget
     last_command_time: float = field(default_factory=time.monotonic)
     since: float = field(default_factory=time.monotonic)
+    steps_after_leaving: int = 0
 
     @property
     def is_idle(self) -> bool:
@@ -242,9 +246,12 @@ class BotServer:
                 "%s: no INIT for %g s: its connection is closed", connection.peer, patience
             )
             connection.hang_up()
-        # A client without budget is not read, so the end of its stream would stay unseen until its turn.
-        if connection.budget.balance <= 0.0 and connection.has_left:
-            connection.budget.dismiss("it has left, and the rest of what it had sent is dropped")
+        # A client that waits is not read, so the end of its stream would stay unseen until its turn. One with
+        # a budget may wait because of others: many that left together would keep their seats for a minute.
+        if connection.budget.is_waiting and connection.has_left:
+            connection.steps_after_leaving += 1
+            if connection.budget.balance <= 0.0 or connection.steps_after_leaving > MOST_STEPS_AFTER_LEAVING:
+                connection.budget.dismiss("it has left, and the rest of what it had sent is dropped")
         connection.flush()
 
     def _remove_next(self) -> None:
