@@ -1,6 +1,6 @@
-"""A server under the attacks of this suite: a table, and records for benchmarks/results/hostile.jsonl.
+"""A server under the attacks of this suite: a table, and records for attacks/hostile.jsonl of the results.
 
-python -m benchmarks.hostile --json benchmarks/results/hostile.jsonl --note "two cores, loaded"
+python -m benchmarks.hostile --json benchmarks/results/attacks/hostile.jsonl --note "two cores, loaded"
 """
 
 import argparse

@@ -140,10 +140,8 @@ PICTURES = (
 )
 
 
-def websocket_attacks(port: str, tag: str) -> Sequence[PortAttack]:
-    """Return the attacks on a port for websockets; the tag makes their names differ."""
-    opened = {"port": port, "hello": upgrade(port), "answer": UPGRADED}
-    start = websocket_frame(b"x", TEXT, final=False)
+def handshake_attacks(port: str, tag: str) -> Sequence[PortAttack]:
+    """Return the attacks before a websocket is open; the tag makes their names differ."""
     return (
         PortAttack(
             f"half handshake {tag}",
@@ -153,6 +151,18 @@ def websocket_attacks(port: str, tag: str) -> Sequence[PortAttack]:
             get(port, "/", 1, "X-A: " + "b" * 100),
             pause=0.05,
         ),
+        PortAttack(
+            f"resets {tag}", port, "handshakes, broken off", upgrade(port), times=1, reset=True, reads=False
+        ),
+    )
+
+
+def websocket_attacks(port: str, tag: str) -> Sequence[PortAttack]:
+    """Return the attacks on a port for websockets; the tag makes their names differ."""
+    opened = {"port": port, "hello": upgrade(port), "answer": UPGRADED}
+    start = websocket_frame(b"x", TEXT, final=False)
+    return (
+        *handshake_attacks(port, tag),
         PortAttack(
             f"pings {tag}", what="pings", sends=constant(websocket_frame(b"p" * 125, PING) * MANY), **opened
         ),
@@ -201,9 +211,6 @@ def websocket_attacks(port: str, tag: str) -> Sequence[PortAttack]:
             what="lists 50,000 deep",
             sends=constant(websocket_frame(frames.deep_json(50_000))),
             **opened,
-        ),
-        PortAttack(
-            f"resets {tag}", port, "handshakes, broken off", upgrade(port), times=1, reset=True, reads=False
         ),
     )
 
