@@ -63,7 +63,11 @@ class Lockstep(StepClock):
     def _is_wanted(self):
         waits = list(self._waiting.values())
         sockets = [one for wait in waits for one in wait if one.fileno() >= 0]
-        return bool(waits) and not (sockets and SELECT(sockets, [], [], 0.0)[0])
+        try:
+            ready = SELECT(sockets, [], [], 0.0)[0] if sockets else []
+        except (OSError, ValueError):  # its thread has closed a socket meanwhile, so that wait is over
+            return False
+        return bool(waits) and not ready
 
     def takes_step(self):
         return self._is_wanted() and super().takes_step()
