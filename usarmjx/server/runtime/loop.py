@@ -60,6 +60,7 @@ class StepMeter:
         self.gaps = [0] * (len(GAP_BOUNDS) + 1)
         self.gap_sum = 0.0
         self._last = self._next_sample = 0.0
+        self._seen: float | None = None
         self._samples: deque[tuple[float, float]] = deque(maxlen=round(WINDOW / SAMPLE) + 1)
 
     async def start(self) -> list[str]:
@@ -67,8 +68,13 @@ class StepMeter:
         return []
 
     def tick(self) -> None:
-        """Count a control step that has just been made."""
-        self.count(time.perf_counter())
+        """Count a control step that has just been made; a world that is held has made none."""
+        now, seen = time.perf_counter(), self.server.world.time
+        if seen != self._seen:
+            self.count(now)
+        else:
+            self._last = now
+        self._seen = seen
 
     def count(self, now: float) -> None:
         """Count a control step that was made at a time [s]."""
