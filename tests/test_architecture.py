@@ -126,7 +126,7 @@ def documented_names() -> frozenset[str]:
 FOREIGN = re.compile(
     r"(mj|mjt|mjx|jax|jnp|lax|gymnasium|vmas|geom|Auto|Episode|Vmap|Vector|Wireless|Tarantula)\w*(\..*)?"
     r"|DiameterError|SeparationError|MaxIncidence|OmniCam|RearTrack|Generator|Union|asdict|end_|nW|rl|U|USARBot"
-    r"|nohup|ab|value_obs_key"
+    r"|nohup|ab|value_obs_key|rmw_\w+|USARSensor|AddParts|p2at\.p"
 )
 """Names of other libraries and of USARSim's files."""
 FILE = re.compile(r".*\.(py|md|ini|yaml|toml|npz|png|json|jsonl|txt|html|uc|c|MTL)")

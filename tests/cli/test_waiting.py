@@ -31,7 +31,6 @@ COMMANDS = (
     "play wander --serve --port 0 --no-wireless --no-images",
     "eval wander",
     "train wander --out x",
-    "export x --out x.npz",
     "curves x",
     "bench radio",
     "bench rays",
@@ -43,6 +42,8 @@ COMMANDS = (
     "bench peers",
     "bench report",
 )
+REFUSED = ("export x --out x.npz",)
+"""Commands that refuse a name without JAX."""
 WITHOUT_JAX = """
 import contextlib, io, json, sys, threading
 from importlib.abc import MetaPathFinder
@@ -73,7 +74,7 @@ print(json.dumps(found))
 def test_every_command_says_something_before_it_imports_jax(tmp_path):
     """That import takes a second or two; here it ends the command."""
     done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_JAX, json.dumps(COMMANDS)],
+        [sys.executable, "-c", WITHOUT_JAX, json.dumps(COMMANDS + REFUSED)],
         capture_output=True,
         text=True,
         cwd=tmp_path,
@@ -81,6 +82,7 @@ def test_every_command_says_something_before_it_imports_jax(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     said = json.loads(done.stdout)
+    assert [said.pop(command) for command in REFUSED] == ["no JAX"] * len(REFUSED)
     assert [command for command in COMMANDS if not said[command].startswith("usarmjx: ")] == []
     assert all(text.count("\n") == 1 and text.endswith(" ...\n") for text in said.values()), said
 
