@@ -18,8 +18,11 @@ REMOTE = ("urllib.request", "http.client", "ftplib", "requests", "httpx", "aioht
 REMOTE += ("huggingface_hub", "pooch", "gdown", "pip", "websockets.client", "websockets.asyncio.client")
 SUSPECT = re.compile(rf"^\s*(from|import) +({'|'.join({name.partition('.')[0] for name in REMOTE})})", re.M)
 FOLDERS = "usarmjx", "benchmarks", "tools", "examples"
-MAY_ASK = {"benchmarks/chaos/soak.py": {"urllib.request"}}
-"""It reads the figures of a server that it has started on this machine."""
+MAY_ASK = {
+    "benchmarks/chaos/onlookers.py": {"websockets.asyncio.client"},
+    "benchmarks/chaos/soak.py": {"urllib.request"},
+}
+"""They look at a server that the benchmark has started on this machine."""
 
 
 def imported(tree):
