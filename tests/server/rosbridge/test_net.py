@@ -385,3 +385,54 @@ def test_a_client_of_rosbridge_has_the_budget_of_one_at_the_port_for_robots(serv
         assert 0.065 <= (server.budgets.steps - began) * server.budgets.growth <= 0.09
     finally:
         client.socket.close()
+
+
+def call_spawn(ros, name):
+    ros.say("call_service", service="/simulator/spawn", args={"class": "P2AT", "name": name}, id=name)
+
+
+def wait_until(happens):
+    deadline = time.monotonic() + PATIENCE
+    while not happens():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+def make_steps(server, count=10):
+    until = server.budgets.steps + count
+    wait_until(lambda: server.budgets.steps > until)
+
+
+def test_robots_of_rosbridge_come_and_go_within_the_share_for_joining(served):
+    port, server = served
+    client = Ros(port)
+    server._joins.spend(1e6)
+    call_spawn(client, "Late")
+    make_steps(server)
+    assert server.world.robots == {}
+    server._joins.spend(-1e6)
+    assert client.hear("service_response", id="Late")["result"] is True
+    server._joins.spend(1e6)
+    client.socket.close()
+    make_steps(server)
+    assert [robot.name for robot in server.world.robots.values()] == ["Late"]
+    assert server.guests == []
+    server._joins.spend(-1e6)
+    wait_until(lambda: not server.world.robots)
+
+
+def test_a_client_of_rosbridge_that_leaves_before_its_robot_comes_frees_its_seat(served):
+    port, server = served
+    (service,) = server.services
+    client = Ros(port)
+    server._joins.spend(1e6)
+    try:
+        call_spawn(client, "Gone")
+        wait_until(server._joining.locked)
+        client.socket.close()
+        wait_until(lambda: not service._clients)
+        assert not server._joining.locked()
+    finally:
+        server._joins.spend(-1e6)
+    make_steps(server)
+    assert server.world.robots == {}

@@ -6,7 +6,8 @@ that is busy with other things nor a world that falls behind lets clients take m
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from types import TracebackType
 
 from usarmjx.base.errors import PeerError
@@ -68,6 +69,15 @@ class BudgetPool:
             self.meter.exclude(cost)
         self._left -= cost
         self._wake_next()
+
+    @contextmanager
+    def spending(self) -> Generator[None]:
+        """Subtract the cost of the work within the context, which does not wait."""
+        began = self.clock()
+        try:
+            yield
+        finally:
+            self.spend(self.clock() - began)
 
     async def wait(self, budget: "ClientBudget") -> None:
         """Wait until a client may have its turn.

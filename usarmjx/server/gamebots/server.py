@@ -9,7 +9,8 @@ from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Protocol
+from functools import partial
+from typing import Protocol, TypeVar
 
 from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.models.types.robot import RobotSpec
@@ -23,6 +24,7 @@ from usarmjx.server.runtime.logs import FaultLog
 from usarmjx.server.wireless.sockets import has_hung_up, limit_receive_buffer, listen
 from usarmjx.server.worlds.served_world import ServedWorld
 
+T = TypeVar("T")
 log = logging.getLogger(__name__)
 READ_SIZE = 256
 """Most bytes read at once from one client: between two pieces another client has its turn."""
@@ -254,12 +256,19 @@ class BotServer:
                 connection.budget.dismiss("it has left, and the rest of what it had sent is dropped")
         connection.flush()
 
+    def dismiss(self, client: Client) -> None:
+        """Let a client's robot leave in its turn; at once if the server has stopped."""
+        if client.robot is None or self._stopped:
+            client.leave()
+        else:
+            self._leaving.append(client)
+            self._remove_next()
+
     def _remove_next(self) -> None:
         """Remove the robot of the first client that left, unless others have just left or joined."""
         if self._leaving and not self._joins.is_spent:
-            began = self._joins.clock()
-            self._leaving.popleft().leave()
-            self._joins.spend(self._joins.clock() - began)
+            with self._joins.spending():
+                self._leaving.popleft().leave()
 
     def _guarded(self, client: Client, action: Callable[[], None]) -> None:
         try:
@@ -299,11 +308,7 @@ class BotServer:
             del self._connections[client]
             self.counts.faults += client.session.fault_count
             client.log_faults(is_last=True)
-            if client.robot is None or self._stopped:
-                client.leave()
-            else:
-                self._leaving.append(client)
-                self._remove_next()
+            self.dismiss(client)
             connection.hang_up()
             log.info("%s: disconnected", peer)
 
@@ -390,21 +395,34 @@ class BotServer:
         except UsageError as error:
             client.session.note_refusal(str(error))
             return False
+
+        def spawn() -> bool:
+            began = self._joins.clock()
+            accepted = self._take_over_guest(client, init, spec) or client.spawn(init, spec)
+            if not accepted:
+                connection.budget.charge(self._joins.clock() - began)
+            return accepted
+
+        return await self.join(spawn, partial(self._check_is_here, connection))
+
+    async def join(self, spawn: Callable[[], T], check: Callable[[], None] = lambda: None) -> T:
+        """Spawn a robot within the share for joining: one in a control step, after those that leave.
+
+        Args:
+            spawn: Spawns it.
+            check: Raises if its client has left.
+        """
         # A queued waiter of the lock would keep the connection of a client that left until its turn comes:
         # therefore this polls once a step and checks.
         while self._joining.locked():
             await self._stepped.wait()
-            self._check_is_here(connection)
+            check()
         async with self._joining:  # one robot in a control step, so that a crowd delays nobody's reports
-            self._check_is_here(connection)
+            check()
             await self._stepped.wait()
+            check()
             while self._leaving or self._joins.is_spent:
                 await self._stepped.wait()
-            self._check_is_here(connection)
-            began = self._joins.clock()
-            accepted = self._take_over_guest(client, init, spec) or client.spawn(init, spec)
-            cost = self._joins.clock() - began
-            self._joins.spend(cost)
-            if not accepted:
-                connection.budget.charge(cost)
-            return accepted
+                check()
+            with self._joins.spending():
+                return spawn()

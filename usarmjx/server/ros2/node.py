@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Any
 
 from usarmjx.base.errors import UsageError
@@ -36,7 +37,6 @@ class WorldServices:
         self, server: BotServer, topics: WorldTopics, robots: RosRobots, stepped: asyncio.Event
     ) -> None:
         self._server, self._topics, self._robots, self._stepped = server, topics, robots, stepped
-        self._joining = asyncio.Lock()
 
     def services(self) -> dict[str, tuple[str, Callable[[RosMessage], ServiceAnswer]]]:
         """Return the type and the function of each service, by its name."""
@@ -52,9 +52,7 @@ class WorldServices:
         try:
             init, spec = read_spawn(self._spawn_arguments(request))
             await self._server.prepare(spec)
-            async with self._joining:  # one robot in a control step
-                await self._stepped.wait()
-                robot = self._robots.spawn(init, spec)
+            robot = await self._server.join(partial(self._robots.spawn, init, spec))
         except UsageError as error:
             return {"result": _result(FAILED, str(error)), "entity_name": ""}
         return {"result": _result(OK), "entity_name": self._topics.name_of(robot)}
@@ -95,9 +93,9 @@ class WorldServices:
             return {"result": _result(UNSUPPORTED, "time goes on: reset the state, which is 2")}
         try:
             if scope & SCOPE_SPAWNED:
+                self._robots.dismiss()
                 while not self._robots.is_empty:
                     await self._stepped.wait()
-                    self._robots.remove_one()
             if scope & SCOPE_STATE:
                 await self._restart()
         except UsageError as error:

@@ -4,7 +4,6 @@ import asyncio
 import logging
 import socket
 import time
-from collections import deque
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -14,8 +13,9 @@ from typing import Annotated, NamedTuple, TypeAlias
 from websockets.asyncio.server import Server, ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
+from websockets.protocol import State
 
-from usarmjx.base.errors import UsageError
+from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.base.settings import AT_LEAST_ONE, validate
 from usarmjx.server.gamebots.budget import INIT_COST, ClientBudget
 from usarmjx.server.gamebots.server import BotServer
@@ -106,6 +106,15 @@ class RosClient:
     transforms: TransformRequests = field(default_factory=TransformRequests)
     wake: asyncio.Event = field(default_factory=asyncio.Event)
 
+    def check_is_here(self) -> None:
+        """Check that the connection is open.
+
+        Raises:
+            PeerError: It is not.
+        """
+        if self.socket.state is not State.OPEN:
+            raise PeerError("it has left before its robot came")
+
     async def send(self) -> None:
         """Send waiting frames, for ever; a slow reader loses older messages and delays no other client."""
         while True:
@@ -147,10 +156,9 @@ class RosbridgeServer:
         self._services = RosApi(self._topics, settings.version, lambda: world.time)
         self._clients: list[RosClient] = []
         self._republished = 0
-        self._left: deque[RosRobots] = deque()
         self._gate = Gate(settings.access, settings.max_connections, "rosbridge")
         self._render_thread = RenderThread(world)
-        self._stepped, self._joining = asyncio.Event(), asyncio.Lock()
+        self._stepped = asyncio.Event()
         self._fault_log = FaultLog(log)
         self._listener: Server | None = None
 
@@ -170,13 +178,9 @@ class RosbridgeServer:
         return [f"rosbridge at ws://{host}:{self.port}/{'?token=...' if self._settings.access.token else ''}"]
 
     def tick(self) -> None:
-        """Publish new messages to subscribers, and remove robots of departed clients."""
+        """Publish new messages to subscribers."""
         self._stepped.set()
         self._stepped.clear()
-        while self._left and self._left[0].is_empty:
-            self._left.popleft()
-        if self._left:
-            self._left[0].remove_one()
         made: dict[PublicationKey, BridgeFrame] = {}
         pictures: list[PictureSubscription] = []
         topics = self._topics.all() if self._clients else {}
@@ -284,11 +288,13 @@ class RosbridgeServer:
                 await self._listen(client)
         except ConnectionClosed:
             pass
+        except PeerError as error:
+            self._fault_log.warning("%s: %s", peer, error)
         finally:
             sender.cancel()
             self._clients.remove(client)
             client.robots.stop_driven()
-            self._left.append(client.robots)
+            client.robots.dismiss()
             log.info("%s: disconnected", peer)
 
     async def _listen(self, client: RosClient) -> None:
@@ -346,14 +352,13 @@ class RosbridgeServer:
             call.answer(str(error))
 
     async def _spawn(self, client: RosClient, call: ServiceCall) -> str:
-        """Spawn a robot, one in a control step; return its name in topics and frames."""
+        """Spawn a robot in its turn; return its name in topics and frames."""
         init, spec = read_spawn(call.args)
         if self.server is None:
             raise UsageError("the server has not begun")
         await self.server.prepare(spec)
-        async with self._joining:
-            await self._stepped.wait()
-            return self._topics.name_of(client.robots.spawn(init, spec))
+        robot = await self.server.join(partial(client.robots.spawn, init, spec), client.check_is_here)
+        return self._topics.name_of(robot)
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return None to begin a websocket: for pages from known names, and for clients that are no page."""

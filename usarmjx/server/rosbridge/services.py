@@ -81,10 +81,11 @@ class RosRobots:
             raise UsageError(f"you have let no robot {clip(name)} appear")
         self._remove(own)
 
-    def remove_one(self) -> None:
-        """Remove one of its robots: all at once would delay the others' reports."""
-        if self._own:
-            self._remove(self._own[0])
+    def dismiss(self) -> None:
+        """Let its robots leave, one after the other: all at once would delay the others' reports."""
+        for own in self._own:
+            self._detach(own)
+            self._server.dismiss(own)
 
     def forget_lost(self) -> None:
         """Forget robots that are gone, or that another client has taken over."""
