@@ -31,7 +31,7 @@ class SweepProbe:
         first: Time to build and compile it, with its first step [s].
         step: Time of a control step [s].
         seconds: Estimated time of all batches, one after the other, without clients [s].
-        used: Peak of the memory [bytes]: that of the device if it reports one, else of this process; 0: unknown.
+        used: Peak of the memory [bytes]: the device's if it reports one, else this process's; 0: unknown.
         room: Memory of the device or machine [bytes]; 0: not known.
     """
 
