@@ -79,6 +79,16 @@ def test_poses_count_from_the_frames_that_they_name(tmp_path):
     assert inner.at == pytest.approx((8, 1, 2), abs=TURNED)
 
 
+def test_words_within_a_world_are_no_sign_of_its_kind(tmp_path):
+    box = "<box><size>1 1 1</size></box>"
+    text = "<plugin name='p' filename='p.so'><robotNamespace>/</robotNamespace></plugin>"
+    text += f"<model name='m'>{STATIC}"
+    text += f"<link name='l'><collision name='c'><geometry>{box}</geometry></collision></link></model>"
+    for name in ("a.world", "a.xml"):
+        arena, _ = read_arena(write(tmp_path / name, f"<?xml version='1.0'?><!-- a <robot> -->{world(text)}"))
+        assert [shape.kind for shape in arena.shapes] == ["box"]
+
+
 def test_a_frame_that_is_relative_to_itself_is_named(tmp_path):
     frames = "<frame name='a'><pose relative_to='b'/></frame><frame name='b'><pose relative_to='a'/></frame>"
     text = f"<model name='m'>{STATIC}{frames}<link name='l'><pose relative_to='a'>0 0 0 0 0 0</pose></link>"

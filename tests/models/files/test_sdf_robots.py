@@ -48,7 +48,7 @@ ROBOT_WITHOUT = """<sdf version="1.9"><model name="cart"><pose>5 5 0 0 0 0</pose
 <plugin filename="gz-sim-diff-drive-system" name="gz::sim::systems::DiffDrive">
 <left_joint>fl_joint</left_joint><left_joint>rl_joint</left_joint><right_joint>fr_joint</right_joint>
 <right_joint>rr_joint</right_joint><wheel_separation>0.4</wheel_separation><wheel_radius>0.1</wheel_radius>
-</plugin></model></sdf>"""
+<robotNamespace>/</robotNamespace></plugin></model></sdf>"""
 
 
 ROBOT = robot_with(WHEEL)

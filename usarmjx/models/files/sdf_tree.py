@@ -21,6 +21,8 @@ MAX_SDF_DEPTH = 20
 """Largest depth of models in models, and of includes."""
 MAX_FRAMES = 100
 """Largest number of frames from one to the model's own."""
+SDF_ROOTS = ("sdf", "gazebo")
+"""Tags of the root: SDF's, and that of Gazebo's first versions."""
 WORLD = "world"
 """Name of the world's frame."""
 MODEL_FRAME = "__model__"
@@ -179,7 +181,7 @@ class SdfFiles:
         if path not in self._read:
             self._read[path] = read_lined_xml(path)
         root = self._read[path]
-        if root.tag not in ("sdf", "gazebo"):
+        if root.tag not in SDF_ROOTS:
             raise ArenaFileError(f"{path}: its root is <{root.tag}>; an SDF file's is <sdf>")
         for tag in (WORLD, "model"):
             found = root.all(tag)
