@@ -80,6 +80,25 @@ def test_a_file_of_the_later_versions_mounts_what_means_the_same(load):
     assert dict(sonar.all_options)["MaxIncidence"] == 0.5
 
 
+def test_a_section_about_a_scanner_keeps_its_other_figures(load):
+    """MaxRange and ScanFov of the later versions' SICK; of a second file too, and of a class on it."""
+    on_it = "[USARBot.Mine]\nBaseClass=SICK\nResolution=0.1\n[USARBot.P2AT]\n"
+    on_it += "AddSensors=(ItemClass=class'USARBot.Mine',ItemName=Own)\n"
+    text = "[USARSensor.SICK]\nMinRange=0.1\n[USARBot.P2AT]\n"
+    text += part("sick", "lms200") + part("usarcamera", "Eye")
+    robot = of(load(text, "[USARSensor.SICK]\nScanInterval=0.1\n", on_it))
+    scanner, own = (dict(mount.all_options) for mount in robot.sensors[-2:])
+    assert scanner == {
+        "MaxRange": 20.0,
+        "ScanFov": 3.14159,
+        "Resolution": 0.01745,
+        "MinRange": 0.1,
+        "ScanInterval": 0.1,
+    }
+    assert own == {**scanner, "Resolution": 0.1}
+    assert robot.cameras[-1].name == "Eye"
+
+
 @pytest.mark.parametrize(
     "says",
     [
