@@ -180,7 +180,7 @@ def read_arena(path: str | Path, *, packages: Iterable[str | Path] = ()) -> tupl
     if path.suffix.lower() in YAML:
         value = read_yaml(path, ArenaFileError)
         if not is_map(value):
-            return arena_of_yaml(value)
+            return arena_of_yaml(value, resources)
         content = occupancy_grid_content(value)
     else:
         content = READERS[path.suffix.lower()](path, resources)
