@@ -125,6 +125,10 @@ def test_models_are_found_beside_the_world_and_placed(tmp_path):
     assert len(notes) == 1
     assert "a.world:" in notes[0]
     assert "model model://gone is not there and left out; --packages" in notes[0]
+    ground = "<include><uri>model://ground_plane</uri><name>low</name><pose>0 0 -2 0 0 0</pose></include>"
+    arena, notes = read_arena(write(tmp_path / "b.world", world(ground, "")))
+    assert arena.shapes[0].at == pytest.approx((0, 0, -2.05))
+    assert not arena.has_floor
 
 
 def test_packages_are_searched_for_models(tmp_path):
@@ -135,6 +139,8 @@ def test_packages_are_searched_for_models(tmp_path):
     with pytest.raises(ArenaFileError, match=r"nothing stands in it; .*model://crate is not there"):
         load_arena(path)
     assert len(read_arena(path, packages=[tmp_path / "far"])[0].shapes) == 1
+    named = write(tmp_path / "near/a.yaml", "sdf: a.world\nstarts: []\nfloor: 0")
+    assert len(read_arena(named, packages=[tmp_path / "far"])[0].shapes) == 1
 
 
 def test_a_model_that_includes_itself_is_refused(tmp_path):
@@ -174,6 +180,13 @@ def test_a_box_on_an_upright_hinge_is_a_door_and_other_joints_are_held(tmp_path)
     assert door.size == pytest.approx((1, 0.04, 2.01), abs=0.02)
     assert (door.limits, door.mass, door.friction) == ((0, 1.5), 9, 0.7)
     assert notes == ()
+    askew = HINGE.format("world", 1, 0).replace("0 0 0</pose>", "1.5708 0 0</pose>")
+    askew = askew.replace("<xyz>", "<use_parent_model_frame>1</use_parent_model_frame><xyz>")
+    moved = leaf.replace(
+        "<collision name='c'>", "<collision name='c'><pose relative_to='__model__'>0 0 1 0 0 0</pose>"
+    )
+    arena, _ = read(tmp_path, f"<model name='gate'>{moved}{askew}</model>")
+    assert arena.doors == (door,), "poses and axes count from the frames that they name"
     text = f"<model name='gate'>{solid('post', '0.1 0.1 2', '-0.55 0 1 0 0 0')}{leaf}{{}}</model>"
     arena, notes = read(tmp_path, text.format(HINGE.format("post", 1, 0)))
     assert not arena.doors

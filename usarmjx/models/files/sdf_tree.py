@@ -244,8 +244,8 @@ class SdfFiles:
             raise include.error("<include> has no <uri>")
         file = self._model_file(uri, include.path)
         if file is None:
-            if builtin := BUILTIN.get(_last_word(uri)):
-                return self._model(_builtin(builtin, include), owner, above)
+            if content := BUILTIN.get(_last_word(uri)):
+                return self._included(self._model(_builtin(content, include), owner, above), include)
             self.notes.append(
                 f"{include.place}: model {uri} is not there and left out; --packages or GZ_SIM_RESOURCE_PATH "
                 "name folders to search"
@@ -256,10 +256,14 @@ class SdfFiles:
         root = self.root(file)
         if root.tag == WORLD:
             raise include.error(f"{uri} is a world, and no model")
-        made = self._model(root, owner, (*above, file.resolve()))
+        return self._included(self._model(root, owner, (*above, file.resolve())), include)
+
+    @staticmethod
+    def _included(made: SdfModel, include: LinedElement) -> SdfModel:
+        """Return a model with what its include says."""
         name = include.word("name")
         if name:
-            made.path = f"{owner.path}::{name}" if owner.path else name
+            made.path = f"{made.path.removesuffix(made.name)}{name}"
             made.name = name
         pose = include.first("pose")
         if pose is not None:
@@ -320,10 +324,6 @@ def _builtin(content: str, include: LinedElement) -> LinedElement:
     for element in model.iter():
         if isinstance(element, LinedElement):
             element.line = include.line
-    for tag in ("pose", "name"):
-        own = include.first(tag)
-        if own is not None and tag == "pose":
-            model.append(own)
     return model
 
 
