@@ -2,30 +2,17 @@
 
 import pytest
 
+from tests.models.ini.texts import load_texts
 from usarmjx.base.errors import SpecError
-from usarmjx.base.registry import Registry
-from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots.flippers import TARANTULA
 from usarmjx.models.robots.pioneer import P2AT, P2DX
-from usarmjx.sim.configure import settings_by_kind
 
-SETTINGS = settings_by_kind()
 PLACE = "Position=(X=0.2,Y=0,Z=-0.2),Direction=(x=0,y=0,z=0)"
 
 
 @pytest.fixture
 def load(tmp_path):
-    def from_texts(*texts):
-        paths = []
-        for letter, text in zip("abc", texts, strict=False):
-            paths.append(tmp_path / f"{letter}.ini")
-            paths[-1].write_text(text)
-        robots: Registry = Registry("robot")
-        for robot in (P2AT, P2DX, TARANTULA):
-            robots.add(robot.name, robot)
-        return load_robots(paths, robots, 250.0, SETTINGS)
-
-    return from_texts
+    return lambda *texts: load_texts(tmp_path, texts, (P2AT, P2DX, TARANTULA))
 
 
 def names(robot):
