@@ -50,7 +50,7 @@ def open_transport(kind: str, endpoint: str, *, serves: bool) -> Transport:
 
 
 def read_topics(kind: str, endpoint: str, seconds: float) -> None:
-    """Read the topics that standard input names, and print the counts as JSON; runs in the reader's process."""
+    """Read the topics that standard input names, and print counts as JSON; runs in the reader's process."""
     topics: list[tuple[str, str]] = json.loads(sys.stdin.readline())
     counts, ages = dict.fromkeys((name for name, _ in topics), 0), list[float]()
 
