@@ -31,7 +31,7 @@ class SweepProbe:
         first: Time to build and compile it, with its first step [s].
         step: Time of a control step [s].
         seconds: Estimated time of all batches, one after the other, without clients [s].
-        used: Peak of the memory [bytes]: of the device where it tells, else of this process; 0: not known.
+        used: Peak of the memory [bytes]: of the device where it is known, else of this process; 0: not known.
         room: Memory of the device or machine [bytes]; 0: not known.
     """
 
@@ -105,10 +105,11 @@ def _worlds(work: BatchWork) -> int:
 
 
 def memory() -> tuple[int, int]:
-    """Return the peak of the memory in use and what there is [bytes]; zeros where nothing tells."""
-    told = jax.devices()[0].memory_stats() if jax.devices()[0].platform != "cpu" else None
-    if told is not None:
-        return int(told.get("peak_bytes_in_use", 0)), int(told.get("bytes_limit", 0))
+    """Return the peak of the memory in use and what there is [bytes]; zeros where they are not known."""
+    device = jax.devices()[0]
+    stats = device.memory_stats() if device.platform != "cpu" else None
+    if stats is not None:
+        return int(stats.get("peak_bytes_in_use", 0)), int(stats.get("bytes_limit", 0))
     if sys.platform == "win32":
         return 0, 0
     import resource
