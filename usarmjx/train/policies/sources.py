@@ -152,6 +152,9 @@ class PolicySource:
 
     def training_note(self, played: Iterable[str]) -> str:
         """Return a warning if the policy was trained in some buildings, by their labels; empty if in none."""
+        if self.parts:
+            labels = list(played)
+            return "; ".join(filter(None, (part.training_note(labels) for part in self.parts.values())))
         if self.learned is None:
             return ""
         overrides, _ = task_settings(self.task, self.overrides, ())
