@@ -23,6 +23,7 @@ from usarmjx.plots.floor_plan import draw_plan
 from usarmjx.plots.picture import ARROW
 from usarmjx.sim.world import robot_states
 from usarmjx.train.envs.env import Env, EnvState
+from usarmjx.train.envs.presence import carry_of_alive
 from usarmjx.train.envs.task import Policy
 
 WORLD = 0
@@ -100,7 +101,8 @@ def record_episode(
         watch(state)
     while not end and (step + 1) * env.period <= seconds + 1e-9:
         carry, actions = act(carry, state.obs, jax.random.fold_in(key, step))
-        state, step = env.step(state, actions), step + 1
+        before, state, step = state, env.step(state, actions), step + 1
+        carry = carry_of_alive(carry, before.alive, state.alive)
         done, cut, bad = (bool(np.asarray(flag)[WORLD]) for flag in (state.done, state.truncated, state.bad))
         late = cut or (env.task.time_limit == "end" and step >= env.episode_steps)
         if done:

@@ -140,6 +140,36 @@ def test_pettingzoo_lists_those_that_are_alive(played):
     assert not world.agents
 
 
+@pytest.mark.parametrize("autoreset", ["same_step", "next_step"])
+def test_gymnasium_vectors_say_which_agents_are_alive(played, autoreset):
+    pytest.importorskip("gymnasium")
+    from usarmjx.train.adapters import VectorWorlds
+
+    env, _ = played
+    if env.batch.engine.traceable:
+        pytest.skip("one engine shows it")
+    vector = VectorWorlds(env, seed=0, autoreset=autoreset)
+    actions = np.ones(vector.action_space.shape, np.float32)
+    shown = [vector.reset(seed=0)[1]["alive_agents"]]
+    shown += [vector.step(actions)[4]["alive_agents"] for _ in range(STEPS)]
+    last = ALIVE[0] if autoreset == "same_step" else [False, True, False, True]
+    assert_array_equal(np.concatenate(shown), [*ALIVE, last])
+
+
+def test_brax_and_jaxmarl_say_which_agents_are_alive(played):
+    pytest.importorskip("jaxmarl")
+    from usarmjx.train.adapters import BatchedRobots, MultiAgentWorld
+
+    env, states = played
+    if not env.batch.engine.traceable:
+        pytest.skip("one engine shows it")
+    for step in range(STEPS):
+        assert_array_equal(BatchedRobots(env)._state(states[step]).info["alive"], ALIVE[step])
+    world = MultiAgentWorld(env)
+    available = world.get_avail_actions(states[3])
+    assert_array_equal([available[name] for name in world.agents], np.repeat(ALIVE[3][:, None], 2, 1))
+
+
 def test_tasks_without_it_have_no_masks():
     assert Task.team(None, None, None) is None
     assert Task.presence(None, None, None) is None
