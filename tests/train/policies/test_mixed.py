@@ -82,7 +82,6 @@ def test_memories_are_reset_for_agents_that_come_and_go(parts):
 
 def test_buildings_of_the_training_of_each_part_are_named(parts, monkeypatch):
     monkeypatch.setattr(sources, "training_note", lambda name, recipe, played: f"{name} knows {[*played]}")
-    monkeypatch.setattr(sources, "make_task", lambda *given, **fields: SimpleNamespace(arenas=None))
     mixed = PolicySource(name="both", task="wander", parts=parts)
     assert mixed.training_note(iter(["a"])) == "run1 knows ['a']; run2 knows ['a']"
 
