@@ -95,5 +95,7 @@ def test_a_mixture_is_named_class_by_class(monkeypatch, parts):
     monkeypatch.setattr(drivers, "load_policy", load_policy)
     with pytest.raises(UsageError, match="a cell has one policy for all robots"):
         drivers.find_driver("P2AT=runs/a,AirRobot=runs/b", "wander")
+    with pytest.raises(UsageError, match="p2at has two policies in P2AT=runs/a, p2at=runs/b"):
+        load_policy("P2AT=runs/a, p2at=runs/b")
     with pytest.raises(UsageError, match="expected CLASS=POLICY"):
         load_policy("P2AT=,AirRobot=runs/b")
