@@ -1,14 +1,17 @@
 """Agents that drop out, leave and join; teams that differ between worlds; who sees, does and learns what."""
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
+from usarmjx.plots.play import _draw, positions_of
 from usarmjx.sim.reset import start_qpos
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.presence import Presence, in_use
@@ -111,6 +114,17 @@ def test_robots_that_join_start_at_their_pose_and_others_stay_or_leave(played):
     assert_allclose(joined, np.tile(home[group.root_qposadr[1, :3]], (WORLDS, 1)), atol=1e-5)
     assert (place(states[JOINS + 2], 1)[:, 0] > joined[:, 0] + 1e-3).all(), "it drives"
     assert_allclose(place(states[JOINS + 1], 2), waiting[[2]], atol=FALL)
+
+
+def test_pictures_leave_out_robots_that_are_not_in_the_world(played):
+    env, states = played
+    for step, absent in ((0, 1), (JOINS + 1, 2)):
+        poses, _ = positions_of(env, states[step])
+        assert_array_equal(np.isnan(poses).all(-1), np.arange(4) == absent)
+    poses = np.stack([positions_of(env, state)[0] for state in states[:STEPS]])
+    shown = SimpleNamespace(names="abcd", poses=poses, loose=np.zeros((STEPS, 0, 2)), goal=None)
+    drawn = _draw(Figure().add_subplot(), shown, STEPS - 1)
+    assert len(drawn) == 1 + 4 + 3, "what lies loose, ways of all robots, and those that are there"
 
 
 def test_pettingzoo_lists_those_that_are_alive(played):
