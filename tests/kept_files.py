@@ -107,7 +107,7 @@ def _recording(path):
 
 @cache
 def _written():
-    """What the package itself writes, as bytes by name."""
+    """Return files that the package writes, as bytes by name."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         rows = {"scores": (0.25,), "steps": (10,), "bad": (False,)}

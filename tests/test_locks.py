@@ -29,8 +29,8 @@ def test_a_lock_has_a_hash_of_each_package_but_our_own(tmp_path, monkeypatch):
     assert lock.main([str(tmp_path / "report.json")]) == 0
     text = (tmp_path / "locks" / "cpu-3.12-linux-x86_64.txt").read_text()
     assert text == lock.HEAD + "flax==1.0 --hash=sha256:cd\nnumpy==2.4.6 --hash=sha256:ab\n"
-    told = tmp_path / "locks" / "cpu-3.12-linux-x86_64.licences.tsv"
-    assert told.read_text() == "flax\t1.0\tMIT\nnumpy\t2.4.6\tMIT\n"
+    licences = tmp_path / "locks" / "cpu-3.12-linux-x86_64.licences.tsv"
+    assert licences.read_text() == "flax\t1.0\tMIT\nnumpy\t2.4.6\tMIT\n"
     with pytest.raises(ValueError, match="other states no licence"):
         lock.licences_text({"install": [package("other", licence="")]})
     with pytest.raises(ValueError, match="other has no sha256"):

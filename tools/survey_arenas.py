@@ -52,7 +52,7 @@ class Row:
         loose: Number of loose objects and doors.
         size: Lengths of the extent [m].
         starts: Number of start poses.
-        notes: What is left out, in words.
+        notes: Elements left out, in words.
         drives: Result of the drive of a P2AT.
         seconds: Time to load [s].
     """

@@ -1,4 +1,4 @@
-"""A second hostile suite, written from the documents of the wire alone: `python -m benchmarks.hostile`.
+"""A second hostile suite, written from the documents of the protocols alone: `python -m benchmarks.hostile`.
 
 It shares no code with `usarmjx chaos`. It starts a server of its own and attacks 127.0.0.1 only.
 """

@@ -84,7 +84,7 @@ def served(log: Path, *, ros2: bool) -> Iterator[tuple[dict[str, int], subproces
 
 
 def newcomer(port: int, name: str) -> float | None:
-    """Return how long a new robot waits for its first report [s], refusals included; None: too long."""
+    """Return the time until a new robot gets its first report [s], refusals included; None: too long."""
     began, number = time.monotonic(), 0
     while time.monotonic() < began + JOIN:
         number += 1
@@ -116,12 +116,12 @@ def report_comes(port: int, name: str, until: float) -> bool:
 
 
 class NeighbourWatch:
-    """The neighbour's process, and what the server's system and log say.
+    """The neighbour's process, and figures of the server's system and log.
 
     Args:
-        ports: Of the server.
+        ports: Ports of the server.
         server: Its process.
-        log: Where it writes.
+        log: File of its output.
     """
 
     def __init__(self, ports: dict[str, int], server: subprocess.Popen[bytes], log: Path) -> None:
@@ -136,7 +136,7 @@ class NeighbourWatch:
         self._log, self._server, self._at = log, server, 0
 
     def lap(self) -> dict[str, Any]:
-        """Return what has been measured since it was last asked.
+        """Return the measurements since the last call.
 
         Raises:
             RuntimeError: The neighbour has gone.
@@ -201,7 +201,7 @@ def run_attack(
 
 
 def faults(found: dict[str, Any], *, joins: bool) -> list[str]:
-    """Return what an attack has done that it must not, a word or two each."""
+    """Return the limits that an attack broke, a word or two each."""
     wrong = {
         "processor": found["processor"] > LIMIT,
         "no report": found["reports"] == 0,
@@ -233,8 +233,8 @@ HEAD = " ".join([f"{'attack':22}", *(f"{word:>{width}}" for word, width in COLUM
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """PortAttack, print the table, write the records; 1 if something fell."""
-    parser = argparse.ArgumentParser(prog="benchmarks.hostile", description="PortAttack a server of its own.")
+    """Play the attacks, print the table, write the records; return 1 if there are faults."""
+    parser = argparse.ArgumentParser(prog="benchmarks.hostile", description="Attack a server of its own.")
     parser.add_argument("--json", type=Path, help="file to which a record for each attack is appended")
     parser.add_argument(
         "--attack", action="append", help="only attacks with this in their name or port; may be repeated"
@@ -243,7 +243,7 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.add_argument("--attackers", type=int, default=14)
     parser.add_argument("--ros2", action="store_true", help="serve ROS 2 by DDS, and send datagrams to it")
     parser.add_argument("--log", type=Path, help="keep the server's log in this file")
-    parser.add_argument("--note", default="", help="what readers of the records must know")
+    parser.add_argument("--note", default="", help="a note for readers of the records")
     options = parser.parse_args(args)
     chosen = [*ATTACKS, *([DATAGRAMS] if options.ros2 else [])]
     if options.attack:
@@ -271,7 +271,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def summarize(found: Sequence[dict[str, Any]]) -> int:
-    """Print the worst of all attacks; return 1 if one fell."""
+    """Print the worst of all attacks; return 1 if one has faults."""
     for key, words in (("gap", "longest wait"), ("processor", "most processor time of the main thread")):
         one = max(found, key=lambda attack: attack[key])
         print(f"{words} {one[key]:.3f} s ({one['attack']})")

@@ -41,7 +41,7 @@ def hold(kind: str) -> Callable[[Stage, int], None]:
 
 
 def dial(stage: Stage, number: int) -> None:
-    """Let the wireless server call ports at which nobody listens, or nobody answers."""
+    """Let the wireless server connect to ports that do not listen, or do not answer."""
     with socket.socket() as silent, stage.connect("wireless-a") as link:
         silent.bind((HOST, 0))
         silent.listen(1)

@@ -1,4 +1,4 @@
-"""The attacks, by port. Lines are of the manual, chapters 3, 9 and 10, or docs/radio.md."""
+"""The attacks, by port. The lines follow the manual, chapters 3, 9 and 10, and docs/radio.md."""
 
 from collections.abc import Sequence
 
@@ -19,37 +19,37 @@ UPGRADED = b"\r\n\r\n"
 
 
 def constant(data: bytes) -> Sends:
-    """Return what sends the same each time."""
+    """Return a sender of the same bytes each time."""
     return lambda stage, number: data
 
 
 def upgrade(port: str) -> Sends:
-    """Return what opens a websocket."""
+    """Return a sender of the opening handshake of a websocket."""
     return lambda stage, number: frames.upgrade_request(stage.ports[port])
 
 
 def get(port: str, path: str, times: int = 1, *extra: str) -> Sends:
-    """Return what asks for a page so many times in one piece."""
+    """Return a sender of `times` GET requests in one piece."""
     return lambda stage, number: http_request(path, stage.ports[port], *extra) * times
 
 
 def robot(stage: Stage, number: int) -> bytes:
-    """INIT of an attacker's own robot."""
+    """Return INIT of an attacker's own robot."""
     return frames.init_line(f"H{number}x{stage.connections}", number)
 
 
 def lines(*texts: str, times: int = MANY) -> Sends:
-    """Return what sends lines of Gamebots many times over."""
+    """Return a sender of lines of Gamebots, repeated `times` times."""
     return constant("".join(f"{text}\r\n" for text in texts).encode() * times)
 
 
 def registrations(stage: Stage, number: int) -> bytes:
-    """REGISTER of names that nobody has said before."""
+    """Return REGISTER messages with new names."""
     return b"".join(b"REGISTER N%dx%dx%d 127.0.0.1;" % (number, stage.sent, i) for i in range(MANY))
 
 
 def topic_names(stage: Stage, number: int) -> bytes:
-    """Subscriptions of topics that there are not, each by another name."""
+    """Return subscriptions of topics that do not exist, each with a new name."""
     return b"".join(
         ros_message("subscribe", topic=f"/n{number}/{stage.sent}/{i}", type="std_msgs/String")
         for i in range(MANY)

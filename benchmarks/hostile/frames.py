@@ -8,7 +8,7 @@ import zlib
 
 CONTINUATION, TEXT, BINARY, PING = 0, 1, 2, 9
 FINAL, COMPRESSED, MASKED = 0x80, 0x40, 0x80
-SHORT, MEDIUM, LONG = 125, 126, 127  # lengths up to 125 are said at once, others in 2 or 8 more bytes
+SHORT, MEDIUM, LONG = 125, 126, 127  # RFC 6455 5.2: lengths above 125 take 2 or 8 more bytes
 KEY = base64.b64encode(bytes(range(16))).decode()
 SYNC = b"\x00\x00\xff\xff"  # ends a flushed block; RFC 7692 leaves it out
 
@@ -26,13 +26,13 @@ def websocket_frame(
     """Return a frame of a client.
 
     Args:
-        payload: What it carries.
-        opcode: Its kind.
-        final: Whether it ends its message.
-        masked: Whether it obeys RFC 6455 5.3, as clients must.
-        compressed: Whether it says that its payload is compressed (RSV1).
-        length: What its header says in place of the payload's length.
-        mask: Four bytes.
+        payload: Data of the frame, before the mask.
+        opcode: Kind of frame (RFC 6455 5.2).
+        final: Whether the frame ends its message.
+        masked: Whether the payload is masked, as RFC 6455 5.3 requires of clients.
+        compressed: Whether the header declares a compressed payload (RSV1).
+        length: Length in the header; None: the payload's.
+        mask: Masking key, four bytes.
     """
     size = len(payload) if length is None else length
     bit = MASKED if masked else 0
@@ -60,7 +60,7 @@ def byte_fragments(payload: bytes, opcode: int = TEXT) -> bytes:
 
 
 def deflate_bomb(size: int) -> bytes:
-    """Return a compressed payload that unpacks to so many spaces."""
+    """Return a compressed payload that unpacks to `size` spaces."""
     packer = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
     return (packer.compress(b" " * size) + packer.flush(zlib.Z_SYNC_FLUSH)).removesuffix(SYNC)
 
@@ -90,17 +90,17 @@ def ros_message(op: str, **fields: object) -> bytes:
 
 
 def deep_json(depth: int) -> bytes:
-    """Return lists in lists, so many deep."""
+    """Return lists nested to a depth."""
     return b"[" * depth + b"]" * depth
 
 
 def wide_json(count: int) -> bytes:
-    """Return an object with so many keys, each with a number that is slow to read."""
+    """Return an object of `count` keys, each with a number that is slow to parse."""
     return json.dumps({f"k{i}": 0.1 + i for i in range(count)}).encode()
 
 
 def init_line(name: str, number: int = 0) -> bytes:
-    """Return INIT of a P2AT near the start of the yellow arena, of each number elsewhere."""
+    """Return INIT of a P2AT near the start of the yellow arena; each number has its own position."""
     x, y = 4.5 + 0.7 * (number % 4), 1.9 + 0.7 * (number // 4)
     return f"INIT {{ClassName USARBot.P2AT}} {{Name {name}}} {{Location {x:.2f},{y:.2f},1.8}}\r\n".encode()
 

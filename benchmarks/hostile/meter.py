@@ -1,4 +1,4 @@
-"""The wait for reports, their order and their form, as a robot beside an attack finds them."""
+"""Measurements of the reports that a robot gets beside an attack: waits, order and form."""
 
 import re
 from dataclasses import asdict, dataclass
@@ -11,7 +11,7 @@ TOLERANCE = 0.0051  # s, of a simulated interval: times have two decimals
 
 @dataclass
 class Lap:
-    """What a neighbour has seen since it was last asked."""
+    """Measurements of a neighbour since its last line of output."""
 
     reports: int = 0
     """Lines STA and SEN."""
@@ -20,7 +20,7 @@ class Lap:
     processor: float = 0.0
     """Most time of the server's main thread on a processor between two of them [s]."""
     process: float = 0.0
-    """The same of all its threads [s]."""
+    """Most time of all its threads [s]."""
     irregular: int = 0
     """Times of STA that do not follow the one before by the usual interval."""
     damaged: int = 0
@@ -30,7 +30,7 @@ class Lap:
 
 
 class GapMeter:
-    """Reads what comes in and measures.
+    """Measures the reports in a stream of bytes.
 
     Args:
         interval: Simulated time between two STA [s].
@@ -44,20 +44,20 @@ class GapMeter:
         self._time: float | None = None
 
     def feed(self, data: bytes, now: float, processor: float, process: float) -> None:
-        """Take bytes that came at a time, with what the server had used by then [s]."""
+        """Take bytes, their time of arrival, and the processor time of the server until then [s]."""
         *lines, self._rest = (self._rest + data).split(b"\r\n")
         for line in lines:
             self._line(line.decode("latin-1"), (now, processor, process))
 
     def finish(self, now: float, processor: float, process: float) -> dict[str, float]:
-        """Return what was measured up to now, an unfinished wait too, and begin anew."""
+        """Return the measurements up to now, with an unfinished wait, and begin the next lap."""
         if self._before is not None:
             self._widen((now, processor, process))
         done, self.lap = asdict(self.lap), Lap()
         return done
 
     def forget(self) -> None:
-        """Begin a new connection, whose times have nothing to do with those before."""
+        """Begin a new connection; its times do not continue those of the last one."""
         self._rest, self._time = b"", None
 
     def _line(self, line: str, mark: tuple[float, float, float]) -> None:

@@ -1,4 +1,4 @@
-"""A robot beside the attacks, in a process of its own: answers each line that it reads with what it has seen.
+"""A robot beside the attacks, in its own process: it answers each line of input with its measurements.
 
 python -m benchmarks.hostile.neighbour PORT PID
 """
@@ -33,7 +33,7 @@ def processor_time(pid: int) -> tuple[float, float]:
 
 
 def join(port: int, name: str) -> socket.socket:
-    """Return a connection whose robot is on its way into the world."""
+    """Return a connection on which INIT has been sent."""
     made = socket.create_connection(("127.0.0.1", port), timeout=5.0)
     made.sendall(init_line(name))
     return made

@@ -1,4 +1,4 @@
-"""A running attack: its clock, its sockets, and the one loop that most attacks share."""
+"""A running attack: its clock, its sockets, and the loop that most attacks share."""
 
 import contextlib
 import random
@@ -22,11 +22,11 @@ Sends = Callable[["Stage", int], bytes]
 
 @dataclass
 class Stage:
-    """What the attackers of one attack share."""
+    """Clock, ports and counters that the attackers of one attack share."""
 
     ports: dict[str, int]
     until: float
-    """When it ends, by `time.monotonic`."""
+    """End, by `time.monotonic` [s]."""
     sent: int = 0
     connections: int = 0
     answered: int = 0
@@ -90,16 +90,16 @@ class Stage:
 class PortAttack:
     """An attack on one port: connect, say hello, then send again and again.
 
-    Those of another form have `act`.
+    An attack of another form has `act`.
     """
 
     name: str
     port: str
     what: str
     sends: Sends | None = None
-    """What is sent again and again; None: nothing, the connection is held."""
+    """Data that is sent again and again; None: nothing, the connection is held."""
     hello: Sends | None = None
-    """What is sent first; an answer is awaited if `answer` is set."""
+    """Data that is sent first; the attacker waits for `answer` if that is set."""
     answer: bytes = b""
     reads: bool = True
     pause: float = 0.0
@@ -109,14 +109,14 @@ class PortAttack:
     times: int = 0
     """Sends on one connection; 0: until the end."""
     reset: bool = False
-    """Whether a connection is broken off."""
+    """Whether closing a connection resets it."""
     act: Callable[["Stage", int], None] | None = None
     attackers: int = 0
-    """How many at once; 0: as many as the command line says."""
+    """Number of attackers at once; 0: that of the command line."""
 
 
 def visit(attack: PortAttack, stage: Stage, number: int, link: socket.socket) -> None:
-    """Do on one connection what an attack does there.
+    """Carry out an attack on one connection.
 
     Raises:
         OSError: The other side has gone.
@@ -141,7 +141,7 @@ def visit(attack: PortAttack, stage: Stage, number: int, link: socket.socket) ->
 
 
 def attacker(attack: PortAttack, stage: Stage, number: int) -> None:
-    """PortAttack until the end of the stage, with a new connection after each that ended."""
+    """Attack until the end of the stage; open a new connection after each one that ends."""
     while stage.runs:
         if attack.act is not None:
             with contextlib.suppress(OSError):
@@ -160,9 +160,9 @@ def attacker(attack: PortAttack, stage: Stage, number: int) -> None:
 
 
 def play(attack: PortAttack, ports: dict[str, int], seconds: float, attackers: int) -> Stage:
-    """Play an attack by several attackers at once, and return what they did.
+    """Play an attack with several attackers at once, and return its stage.
 
-    Where a hello has an answer, the time begins when all have theirs, or when they have waited too long.
+    If a hello has an answer, the time begins when all have theirs, or when they have waited too long.
     """
     count = attack.attackers or attackers
     stage = Stage(ports, time.monotonic() + (HANDSHAKES if attack.answer else 0.0) + seconds)

@@ -42,10 +42,10 @@ def test_policies_are_the_packaged_ones_and_the_baselines():
 
 
 def test_tasks_say_which_policies_come_for_them():
-    told = {row[0]: row[-1] for row in LISTINGS["tasks"]().rows}
-    assert told["stairs"].endswith("baseline")
+    policies = {row[0]: row[-1] for row in LISTINGS["tasks"]().rows}
+    assert policies["stairs"].endswith("baseline")
     for name in ("explore", "victim-search"):
-        assert told[name] == told[f"{name}-v1"] == "packaged, baseline"
+        assert policies[name] == policies[f"{name}-v1"] == "packaged, baseline"
         assert load_policy(f"{name}-v1").name == load_policy(name).name
 
 

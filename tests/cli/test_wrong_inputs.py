@@ -79,7 +79,7 @@ USAGE = {
 
 
 def refused(words, tmp_path, monkeypatch):
-    """What a command writes to the error stream, without the line on what it begins."""
+    """Return the lines of a command's error stream, without those that announce work."""
     monkeypatch.chdir(tmp_path)
     plain = {"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"}
     result = CliRunner().invoke(app, words.split(), env=plain)

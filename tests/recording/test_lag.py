@@ -43,7 +43,7 @@ def test_what_does_not_change_is_written_once(mission):
 
 
 def test_equal_shapes_have_one_key(mission):
-    """Texts of materials are objects: two equal ones were told apart by their addresses."""
+    """Texts of materials are objects: addresses distinguished two equal ones."""
     drawing = next(Recording(mission[0]).messages(["drawings"])).value
     bodies = range(len(drawing.bodies))
 
@@ -106,7 +106,7 @@ def test_pieces_wait_for_all_that_is_more_urgent_and_the_last_operation_counts(t
     assert order == [("written", 0), "urgent", ("written", 1), ("written", 2)]
 
 
-def test_a_flipped_bit_in_the_middle_costs_one_part_and_is_told(tmp_path, caplog, monkeypatch):
+def test_a_flipped_bit_in_the_middle_costs_one_part_and_is_logged(tmp_path, caplog, monkeypatch):
     """Of a recording that was broken off, as by a kill; all after the bit was lost."""
     monkeypatch.setattr(file_module, "FLUSH", math.inf)  # parts end only where the test wants it
     path = tmp_path / "broken.mcap"

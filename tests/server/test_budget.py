@@ -276,9 +276,9 @@ def test_inits_without_end_are_few_and_leave_one_line(world, caplog, monkeypatch
         assert done == 0 or reason == UNKNOWN, "what is no legal line is no INIT"
         assert done >= 15 or reason != UNKNOWN
         assert done <= 5 * ((BURST + GROWTH * steps) / INIT_COST + 1)
-    told = [record.getMessage() for record in caplog.records if reason in record.getMessage()]
-    assert 5 <= sum("more like it" in line for line in told) <= len(told) <= 10
-    assert max(map(len, told)) < 1500
+    logged = [record.getMessage() for record in caplog.records if reason in record.getMessage()]
+    assert 5 <= sum("more like it" in line for line in logged) <= len(logged) <= 10
+    assert max(map(len, logged)) < 1500
 
 
 def test_a_newcomer_is_slowed_by_nobody(world):

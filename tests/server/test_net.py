@@ -162,7 +162,7 @@ def test_a_sensor_that_cannot_be_told_is_left_out(world, caplog):
         assert not any(b"Name Adrift" in part for line in lines for part in line)
         assert server.faults == 1
         peer.close()
-    assert "Wild's INS Adrift is not told: nan cannot be reported" in caplog.text
+    assert "Wild's INS Adrift is not reported: nan cannot be reported" in caplog.text
 
 
 def test_a_server_speaks_as_it_is_told(world):

@@ -40,8 +40,8 @@ def test_the_array_of_the_page_plays_all(tmp_path, monkeypatch):
     monkeypatch.setenv("SLURM_ARRAY_TASK_COUNT", "2")
     for number in (1, 2):
         monkeypatch.setenv("SLURM_ARRAY_TASK_ID", str(number))
-        told = CliRunner().invoke(app, os.path.expandvars(SCRIPT).split())
-        assert told.exit_code == 0, told.output
+        result = CliRunner().invoke(app, os.path.expandvars(SCRIPT).split())
+        assert result.exit_code == 0, result.output
         assert len(read_sweep(tmp_path / "sweeps/walls").finished) == number
 
 

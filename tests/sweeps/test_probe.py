@@ -73,12 +73,12 @@ def test_a_batch_that_fills_the_memory_is_named():
 
 def test_the_command_plans_and_keeps_nothing(tmp_path):
     file = write(tmp_path, product={"arena.level": [0.1]})
-    told = CliRunner().invoke(app, ["sweep", str(file), "--plan", "--out", str(tmp_path / "out")])
-    assert told.exit_code == 0, told.output
-    assert "1 cell in 1 batch of 1, 1 compilation" in told.stdout
-    assert "probe of 2 worlds: " in told.stdout
+    result = CliRunner().invoke(app, ["sweep", str(file), "--plan", "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    assert "1 cell in 1 batch of 1, 1 compilation" in result.stdout
+    assert "probe of 2 worlds: " in result.stdout
     assert not (tmp_path / "out").exists()
-    told = CliRunner().invoke(
+    result = CliRunner().invoke(
         app, ["sweep", str(file), "--plan", "--no-probe", "--out", str(tmp_path / "out")]
     )
-    assert "probe" not in told.stdout
+    assert "probe" not in result.stdout

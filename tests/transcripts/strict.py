@@ -59,6 +59,6 @@ def check(key, value):
 
 
 def is_list(word, count):
-    """Return whether a word is so many numbers with commas between them."""
+    """Return whether a word is `count` numbers with commas between them."""
     parts = word.split(",")
     return len(parts) == count and all(map(NUMBER.fullmatch, parts))

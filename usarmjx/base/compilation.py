@@ -190,7 +190,7 @@ def enable_cache_after_import() -> None:
     folder, settings = os.environ.get(JAX_FOLDER), cast(Any, jax.config)
     if folder is None or not os.environ.get(PROGRAMS_FOLDER) or settings.jax_compilation_cache_dir:
         return
-    if not is_guarded(sys.modules.get(JAX_MODULE)):  # another version of JAX, whose cache is off
+    if not is_guarded(sys.modules.get(JAX_MODULE)):  # another version of JAX, which keeps nothing
         return
     settings.update("jax_compilation_cache_dir", folder)
     settings.update("jax_persistent_cache_min_compile_time_secs", 0.0)

@@ -19,7 +19,7 @@ def ranked_worlds(reward: np.ndarray, bad: np.ndarray) -> dict[str, int]:
 
     Args:
         reward: Rewards of each step (steps, worlds).
-        bad: Where a world went bad (steps, worlds); such a world counts only where all are bad.
+        bad: Steps in which a world went bad (steps, worlds); such a world counts only if all are bad.
     """
     sound = np.flatnonzero(~bad.any(0))
     worlds = sound if len(sound) else np.arange(bad.shape[1])
@@ -37,7 +37,7 @@ class Clips:
         env: The worlds of the training.
         folder: For the GIF files.
         every: Iterations from one to the next.
-        sinks: What receives each clip.
+        sinks: Receivers of each clip.
     """
 
     def __init__(self, env: Env, folder: Path, every: int, sinks: tuple[Sink, ...] = ()) -> None:

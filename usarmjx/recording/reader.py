@@ -82,7 +82,7 @@ class Recording:
 
     @property
     def facts(self) -> dict[str, object]:
-        """What it is, by name, for people."""
+        """Facts of the recording by name, for display."""
         length = f"{self.end - self.start:.1f} s" + ("" if self.is_complete else ", its end is missing")
         return {"file": self.path, "length": length, **self.about}
 

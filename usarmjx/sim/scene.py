@@ -336,7 +336,7 @@ class Scene:
 
     @property
     def facts(self) -> dict[str, object]:
-        """What is in it, by name, for people."""
+        """Facts of the scene by name, for display."""
         counts = Counter(entry.spec.name for entry in self.roster)
         return {
             "arena": self.arena.name if self.arenas is None else "one of several in each world",

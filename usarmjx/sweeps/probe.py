@@ -31,7 +31,7 @@ class SweepProbe:
         first: Time to build and compile it, with its first step [s].
         step: Time of a control step [s].
         seconds: Estimated time of all batches, one after the other, without clients [s].
-        used: Peak of the memory [bytes]: of the device where it is known, else of this process; 0: not known.
+        used: Peak of the memory [bytes]: the device's if it reports one, else this process's; 0: unknown.
         room: Memory of the device or machine [bytes]; 0: not known.
     """
 
@@ -58,13 +58,13 @@ class SweepProbe:
 
 
 def probe_works(works: Sequence[BatchWork]) -> SweepProbe | None:
-    """Play some steps of the largest batch; None where all cells are driven by clients.
+    """Play some steps of the largest batch; None if clients drive all cells.
 
     The time of a step is taken as proportional to the worlds, and that of a compilation as equal for all
     groups; episodes that end early shorten a sweep.
 
     Raises:
-        UsageError: What its cells stand for cannot be built.
+        UsageError: The worlds of its cells cannot be built.
     """
     played = [work for work in works if _cell(work).driver.command is None]
     if not played:
@@ -105,9 +105,8 @@ def _worlds(work: BatchWork) -> int:
 
 
 def memory() -> tuple[int, int]:
-    """Return the peak of the memory in use and what there is [bytes]; zeros where they are not known."""
-    device = jax.devices()[0]
-    stats = device.memory_stats() if device.platform != "cpu" else None
+    """Return the peak of the memory in use and the memory in all [bytes]; zeros if neither is known."""
+    stats = jax.devices()[0].memory_stats() if jax.devices()[0].platform != "cpu" else None
     if stats is not None:
         return int(stats.get("peak_bytes_in_use", 0)), int(stats.get("bytes_limit", 0))
     if sys.platform == "win32":

@@ -170,7 +170,7 @@ LATCHED = Qos(Policy.Durability.TransientLocal, base=RELIABLE)
 
 
 def within_patience(look):
-    """What `look` returns once that is true."""
+    """Return the first true result of `look`."""
     until = time.monotonic() + PATIENCE
     while not (found := look()):
         assert time.monotonic() < until, "nothing comes"

@@ -67,7 +67,7 @@ class KeepingTransport:
 
 
 class Node:
-    """A node whose loop a test turns by hand."""
+    """A node whose loop a test turns step by step."""
 
     def __init__(self, **settings):
         self.transport = KeepingTransport()
@@ -79,7 +79,7 @@ class Node:
         self.service.server = self.server
 
     async def until(self, found, steps=TURNS):
-        """What `found` returns once it is true; the world steps meanwhile."""
+        """Return the first true result of `found`; the world steps meanwhile."""
         for _ in range(steps):
             self.server.tick()
             if result := found():

@@ -220,14 +220,14 @@ def test_a_robot_that_is_taken_or_of_another_class_is_refused(world):
 
 def test_clients_are_told_what_was_measured_for_the_last_action(world):
     robot = world.spawn(P2AT, "P2AT0", (0.0, 0.0, 0.3), LEVEL)
-    told = 0
+    readings = 0
     for _ in range(20):
         world.step()
         truth = robot.pending.pop(0, None)
         if truth is not None:
-            told += 1
+            readings += 1
             np.testing.assert_allclose(truth[:3], world.state(robot).pos, atol=1e-5)
-    assert told == 20 / 4
+    assert readings == 20 / 4
 
 
 def test_a_client_finds_every_sensor_of_its_class(world):
@@ -237,13 +237,13 @@ def test_a_client_finds_every_sensor_of_its_class(world):
     kinds = [sensor.kind for sensor in robot.suite.sensors]
     assert sorted(kinds) == sorted({mount.kind for mount in P2AT.sensors})
     assert {mount.name for mount in robot.spec.sensors} == {mount.name for mount in P2AT.sensors}
-    read, told, start = {}, kinds.index("Odometry"), places(world)[0, 0]
+    read, odometry_item, start = {}, kinds.index("Odometry"), places(world)[0, 0]
     for _ in range(20):
         world.step()
         world.observe([robot])
         read |= robot.pending
     assert set(read) == set(range(len(kinds)))
-    truth, odometry = read[kinds.index("GroundTruth")], read[told]
+    truth, odometry = read[kinds.index("GroundTruth")], read[odometry_item]
     way = np.linalg.norm(places(world)[0, 0] - start)
     assert odometry[0] == pytest.approx(way, abs=0.03), "it begins with its client, and brakes"
     np.testing.assert_allclose(read[kinds.index("INS")][:3], truth[:3], atol=0.1)
@@ -288,8 +288,8 @@ def test_ros_sees_the_robots_that_the_policy_drives_and_does_not_drive_them(worl
     run(world, 1.0)
     there = topics.all()
     assert {f"/P2AT{n}/{name}" for n in (0, 1) for name in ("odom", "joint_states", "cmd_vel")} <= set(there)
-    told = there["/P2AT1/odom"].make(RosVersion.ROS2)["pose"]["pose"]["position"]
-    np.testing.assert_allclose([told["x"], told["y"]], places(world)[0, 1], atol=1e-6)
+    pose = there["/P2AT1/odom"].make(RosVersion.ROS2)["pose"]["pose"]["position"]
+    np.testing.assert_allclose([pose["x"], pose["y"]], places(world)[0, 1], atol=1e-6)
     (truth,) = [name for name in there if name.startswith("/P2AT1/GroundTruth")]
     before = there[truth].revision()
     assert world.time - before < 4 * world.period + 1e-6  # it is of the last action

@@ -15,7 +15,7 @@ ADVICE = (
     "for walls, load a YAML file with `image: {name}`, `resolution: 0.05` (metres a pixel) and "
     "`origin: [0, 0]`; for hills, one with `heightfield: {{file: {name}, size: [10, 10], height: 1}}`"
 )
-"""What to write in place of such a picture."""
+"""Lines to write in place of such a picture."""
 
 
 def check_picture(path: Path) -> None:

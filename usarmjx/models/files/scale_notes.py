@@ -22,7 +22,7 @@ REMEDIES = {
     ".scen": "load it with moving_ai: {{file: {name}, cell: {cell:.3g}}}",
     ".rndf": "",
 }
-"""What to write for a file of a suffix; empty: such files are large."""
+"""Lines to write for a file of a suffix; empty: such files are large."""
 
 
 def scale_notes(arena: ArenaSpec, path: Path) -> tuple[str, ...]:

@@ -78,7 +78,7 @@ class SdfSolids:
             solid: The element.
             pose: Pose in the axes that hold the shapes.
             like: Their colour, and their surface; empty: by their form.
-            use: What meets them.
+            use: Bodies and rays that meet them.
         """
         geometry = solid.first("geometry")
         form = None if geometry is None else next(iter(geometry.children()), None)

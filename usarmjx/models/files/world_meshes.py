@@ -27,7 +27,7 @@ MAX_PLATED_FACES = 2000
 FURNITURE = 3.0
 """Length up to which a part with more faces is its hull [m]; longer parts are left out."""
 Use = Literal["fixed", "loose", "seen"]
-"""What meets a mesh: everything, everything while it moves, or rays only."""
+"""Bodies and rays that meet a mesh: all, all while it moves, or rays only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ def world_pieces(path: Path, scale: Vec3, submesh: str, centred: bool, use: Use)
         scale: Factors of x, y and z.
         submesh: Name of the one object that is taken; empty: all.
         centred: Whether that object is moved to the middle of the box around it.
-        use: What meets it.
+        use: Bodies and rays that meet it.
 
     Raises:
         ArenaFileError: An unreadable file.

@@ -92,7 +92,7 @@ class Reporter:
             if index not in self._failed_sensors:
                 self._failed_sensors.add(index)
                 name = sensor.mounts[0].name
-                self._session.add_fault(f"{robot.spec.name}'s {sensor.kind} {name} is not told: {error}")
+                self._session.add_fault(f"{robot.spec.name}'s {sensor.kind} {name} is not reported: {error}")
 
     def _efforts(self, robot: Robot, state: RobotState) -> Array:
         """Return the torque or force on each of the robot's joints [N m or N] (joints,)."""

@@ -14,7 +14,7 @@ NOT_SET, BOOL, INTEGER, DOUBLE, STRING = range(5)
 VALUE_FIELDS = {BOOL: "bool_value", INTEGER: "integer_value", DOUBLE: "double_value", STRING: "string_value"}
 TYPE_NAMES = {BOOL: "a bool", INTEGER: "an integer", DOUBLE: "a double", STRING: "a string"}
 SEPARATOR = "."
-"""What divides a parameter's name into its parts."""
+"""Separator of the parts of a parameter's name."""
 
 
 @dataclass(frozen=True)

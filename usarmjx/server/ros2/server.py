@@ -115,7 +115,7 @@ class PublishedTopic:
 
     Attributes:
         topic: The topic.
-        outlet: Where its messages go.
+        outlet: Outlet of its messages.
         revision: Revision of the last message.
         due: Simulated time of the next one, of pictures [s].
     """
@@ -253,7 +253,7 @@ class Ros2Server:
         try:
             message = self._adapted(topic, topic.make(RosVersion.ROS2))
         except Exception as error:  # a sensor may be a user's own, with any error in its reading
-            self._fault_log.warning("%s is not told: %s", topic.name, error)
+            self._fault_log.warning("%s is not published: %s", topic.name, error)
             return
         self._worker.send(one.outlet, message)
 

@@ -31,7 +31,7 @@ NUMBERS = {
 }
 NESTED, BOUNDED_STRING = 1, 21
 ARRAY, BOUNDED_SEQUENCE, SEQUENCE = 48, 96, 144
-"""What a list adds to the number of its items' type."""
+"""Number that a list adds to that of its items' type."""
 
 
 @cache

@@ -216,7 +216,7 @@ class RosbridgeServer:
                 message = topic.make(version)
                 made[key] = publication(topic.name, topic.type, message, version, how, self._world.time)
             except Exception as error:  # a sensor may be a user's own, with any error in its reading
-                self._fault_log.warning("%s is not told: %s", topic.name, error)
+                self._fault_log.warning("%s is not published: %s", topic.name, error)
         return made[key]
 
     def _tell_transforms(self) -> None:

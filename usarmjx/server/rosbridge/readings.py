@@ -149,7 +149,7 @@ def pose_estimate(version: RosVersion, time: float, frame: str, value: np.ndarra
 def battery_state(version: RosVersion, time: float, robot: str, life: float, remaining: float) -> RosMessage:
     """Return the BatteryState of a robot with some time of its battery's life left [s].
 
-    What a battery has no number for is NaN.
+    Fields that a battery has no number for are NaN.
     """
     unknown = ("voltage", "temperature", "current", "charge", "capacity", "design_capacity")
     share = remaining / life if life else 0.0

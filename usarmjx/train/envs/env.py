@@ -336,7 +336,7 @@ class Env:
 
     @property
     def facts(self) -> dict[str, object]:
-        """What it is, by name, for people."""
+        """Facts of the environment by name, for display."""
         agents = ", ".join(
             f"{len(group.agents)} {group.name} ({group.obs_size} numbers, {group.action_size} actions)"
             for group in self.groups

@@ -21,8 +21,8 @@ class RolloutInputs(struct.PyTreeNode, kw_only=True):
         env_state: The worlds before it.
         actions: Actions, per group (steps, worlds, robots, action_size).
         reward: Rewards of each step, mean of the robots (steps, worlds).
-        done: Where an episode ended (steps, worlds).
-        bad: Where a world went bad (steps, worlds).
+        done: Steps in which an episode ended (steps, worlds).
+        bad: Steps in which a world went bad (steps, worlds).
     """
 
     iteration: int = struct.field(pytree_node=False)

@@ -222,7 +222,7 @@ class VictimSearch(TeamTask):
             team = [replace(robot, battery_life=self.battery_life) for robot in team]
         return (base_station(), *team)
 
-    # Who takes part.
+    # Members of the team.
 
     def team(self, scene: Scene, key: jax.Array) -> jax.Array | None:
         """Those that the world draws and that do not arrive later."""
