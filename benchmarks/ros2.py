@@ -1,4 +1,4 @@
-"""What a node of ROS 2 costs a served world: processor time, messages and unevenness, over DDS and Zenoh.
+"""Cost of a ROS 2 node for a served world: processor time, messages and their lateness, over DDS and Zenoh.
 
 `python -m benchmarks.ros2 --json benchmarks/results/ros2.jsonl` serves robots with all sensors in this
 process, and reads all their topics but pictures in another one. On a busy machine only processor times count.
@@ -50,7 +50,7 @@ def open_transport(kind: str, endpoint: str, *, serves: bool) -> Transport:
 
 
 def read_topics(kind: str, endpoint: str, seconds: float) -> None:
-    """Read the topics that standard input names, and print what came, as JSON; the reader's process."""
+    """Read the topics that standard input names, and print counts as JSON; runs in the reader's process."""
     topics: list[tuple[str, str]] = json.loads(sys.stdin.readline())
     counts, ages = dict.fromkeys((name for name, _ in topics), 0), list[float]()
 
@@ -82,7 +82,7 @@ def read_topics(kind: str, endpoint: str, seconds: float) -> None:
     transport.close()
 
 
-async def _serve(server: BotServer, service: Ros2Server | None, robots: int, work: Callable[[], Any]) -> Any:  # noqa: ANN401
+async def _serve(server: BotServer, robots: int, work: Callable[[], Any]) -> Any:  # noqa: ANN401
     """Serve a world with robots while some work is done in a thread; return its result."""
     loop = ServerLoop([server], 1.0)
     running = asyncio.create_task(loop.run())
@@ -94,7 +94,6 @@ async def _serve(server: BotServer, service: Ros2Server | None, robots: int, wor
         pose = {"position": {"x": 1.5 * column, "y": 1.5 * row, "z": 0.4}, "orientation": {"w": 1.0}}
         guests.spawn(*read_spawn({"class": "P2AT", "name": f"R{number}", "pose": pose}))
         await asyncio.sleep(0.1)
-    del service
     try:
         return await asyncio.get_running_loop().run_in_executor(None, work)
     finally:
@@ -143,7 +142,7 @@ def measure(kind: str, robots: int, seconds: float, *, reads: bool) -> dict[str,
             found["sent"] = service.counts.sent
         return found
 
-    return asyncio.run(_serve(server, service, robots, work))
+    return asyncio.run(_serve(server, robots, work))
 
 
 def run(robots: int, seconds: float, repeats: int, options: BaselineOptions) -> str:

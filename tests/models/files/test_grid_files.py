@@ -40,6 +40,8 @@ def test_letters_are_walls_floor_and_barriers(tmp_path):
         "6: 1 cells S are swamp: floor here",
         "7: 1 cells W are water: a barrier of 0.3 m here",
     ]
+    _, notes = read_arena(write(tmp_path / "a.map", f"{MAP}\n@@@@@@\n"))
+    assert notes[-1].endswith("a.map:10: what is behind the 4 rows is left out")
     scaled = load_arena(write(tmp_path / "a.yaml", "moving_ai: {file: a.map, cell: 2.5, height: 3}"))
     assert scaled.extent == ((0, 15), (0, 10))
     assert max(shape.size[2] for shape in scaled.shapes) == 1.5
@@ -60,7 +62,7 @@ def test_rows_of_a_scenario_are_starts_and_goals(tmp_path):
         ("Goal1", (4.5, 1.5)),
         ("Goal2", (4.5, 2.5)),
     ]
-    assert notes[-1].endswith("a.map.scen: 1 of 3 rows are left out")
+    assert "a.map.scen:3: 1 of 3 rows are left out: a cell of theirs is taken, or" in notes[-1]
     assert check_arena(arena) == []
 
 

@@ -79,6 +79,16 @@ def test_poses_count_from_the_frames_that_they_name(tmp_path):
     assert inner.at == pytest.approx((8, 1, 2), abs=TURNED)
 
 
+def test_words_within_a_world_are_no_sign_of_its_kind(tmp_path):
+    box = "<box><size>1 1 1</size></box>"
+    text = "<plugin name='p' filename='p.so'><robotNamespace>/</robotNamespace></plugin>"
+    text += f"<model name='m'>{STATIC}"
+    text += f"<link name='l'><collision name='c'><geometry>{box}</geometry></collision></link></model>"
+    for name in ("a.world", "a.xml"):
+        arena, _ = read_arena(write(tmp_path / name, f"<?xml version='1.0'?><!-- a <robot> -->{world(text)}"))
+        assert [shape.kind for shape in arena.shapes] == ["box"]
+
+
 def test_a_frame_that_is_relative_to_itself_is_named(tmp_path):
     frames = "<frame name='a'><pose relative_to='b'/></frame><frame name='b'><pose relative_to='a'/></frame>"
     text = f"<model name='m'>{STATIC}{frames}<link name='l'><pose relative_to='a'>0 0 0 0 0 0</pose></link>"
@@ -115,6 +125,10 @@ def test_models_are_found_beside_the_world_and_placed(tmp_path):
     assert len(notes) == 1
     assert "a.world:" in notes[0]
     assert "model model://gone is not there and left out; --packages" in notes[0]
+    ground = "<include><uri>model://ground_plane</uri><name>low</name><pose>0 0 -2 0 0 0</pose></include>"
+    arena, notes = read_arena(write(tmp_path / "b.world", world(ground, "")))
+    assert arena.shapes[0].at == pytest.approx((0, 0, -2.05))
+    assert not arena.has_floor
 
 
 def test_packages_are_searched_for_models(tmp_path):
@@ -125,6 +139,8 @@ def test_packages_are_searched_for_models(tmp_path):
     with pytest.raises(ArenaFileError, match=r"nothing stands in it; .*model://crate is not there"):
         load_arena(path)
     assert len(read_arena(path, packages=[tmp_path / "far"])[0].shapes) == 1
+    named = write(tmp_path / "near/a.yaml", "sdf: a.world\nstarts: []\nfloor: 0")
+    assert len(read_arena(named, packages=[tmp_path / "far"])[0].shapes) == 1
 
 
 def test_a_model_that_includes_itself_is_refused(tmp_path):
@@ -164,6 +180,13 @@ def test_a_box_on_an_upright_hinge_is_a_door_and_other_joints_are_held(tmp_path)
     assert door.size == pytest.approx((1, 0.04, 2.01), abs=0.02)
     assert (door.limits, door.mass, door.friction) == ((0, 1.5), 9, 0.7)
     assert notes == ()
+    askew = HINGE.format("world", 1, 0).replace("0 0 0</pose>", "1.5708 0 0</pose>")
+    askew = askew.replace("<xyz>", "<use_parent_model_frame>1</use_parent_model_frame><xyz>")
+    moved = leaf.replace(
+        "<collision name='c'>", "<collision name='c'><pose relative_to='__model__'>0 0 1 0 0 0</pose>"
+    )
+    arena, _ = read(tmp_path, f"<model name='gate'>{moved}{askew}</model>")
+    assert arena.doors == (door,), "poses and axes count from the frames that they name"
     text = f"<model name='gate'>{solid('post', '0.1 0.1 2', '-0.55 0 1 0 0 0')}{leaf}{{}}</model>"
     arena, notes = read(tmp_path, text.format(HINGE.format("post", 1, 0)))
     assert not arena.doors

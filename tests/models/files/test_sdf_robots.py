@@ -48,7 +48,7 @@ ROBOT_WITHOUT = """<sdf version="1.9"><model name="cart"><pose>5 5 0 0 0 0</pose
 <plugin filename="gz-sim-diff-drive-system" name="gz::sim::systems::DiffDrive">
 <left_joint>fl_joint</left_joint><left_joint>rl_joint</left_joint><right_joint>fr_joint</right_joint>
 <right_joint>rr_joint</right_joint><wheel_separation>0.4</wheel_separation><wheel_radius>0.1</wheel_radius>
-</plugin></model></sdf>"""
+<robotNamespace>/</robotNamespace></plugin></model></sdf>"""
 
 
 ROBOT = robot_with(WHEEL)
@@ -75,6 +75,19 @@ def test_a_robot_of_sdf_has_the_files_mass_wheels_and_sensors(wheel, tmp_path):
     (scanner,) = (sensor for sensor in robot.sensors if sensor.kind == "RangeScanner")
     np.testing.assert_allclose(np.array(scanner.at), (0.2, 0, -0.1), atol=TURNED)
     assert loaded.notes == ()
+
+
+def test_what_a_robot_leaves_out_of_its_world_is_named(tmp_path):
+    """The drive of a model within the robot counts; lamps and other models do not."""
+    plugin = ROBOT[ROBOT.index("<plugin") : ROBOT.index("</model>")]
+    text = ROBOT.replace(plugin, f"<model name='pilot'><link name='box'/>{plugin}</model>")
+    text = text.replace("</sensor>", "</sensor><light name='lamp' type='point'/>\n")
+    text = text.replace('<sdf version="1.9">', "<sdf version='1.9'><world name='w'>\n<model name='hut'/>\n")
+    loaded = load_robot(write(tmp_path / "cart.sdf", text.replace("</sdf>", "</world></sdf>")))
+    assert isinstance(loaded.robot.drive, SkidSteer)
+    said = [note.rpartition("cart.sdf:")[2] for note in loaded.notes]
+    assert "2: beside the robot 'cart' is left out: hut" in said
+    assert "9: 1 <light> of links left out" in said
 
 
 def test_a_file_without_a_robot_is_refused_by_name(tmp_path):

@@ -20,7 +20,7 @@ define thick wall ( size [1 0.5 2] obstacle_return 1 )
 WORLD = """include "walls.inc"
 window ( size [600 400] scale 20 )
 resolution 0.02
-thick ( name "a" pose [1 2 0 90] )
+thick ( name "a" pose [1 2 0 90] mass 5 )
 wall ( pose [4 0 0.5 0] model ( size [0.2 0.2 0.3] pose [0.3 0 0 0] ) )
 define pioneer position ( size [0.44 0.38 0.22] ranger ( pose [0 0 0 0] ) )
 pioneer ( name "r0" pose [-2 -1 0 45] )
@@ -45,6 +45,7 @@ def test_definitions_add_up_and_robots_become_start_poses(tmp_path):
         "7: robot pioneer 'r0' becomes the start pose r0",
         "8: robot pioneer 'robot1' becomes the start pose robot1",
         "9: models of other types are left out: fiducial",
+        "3: properties are left out: resolution, mass",
     ]
 
 

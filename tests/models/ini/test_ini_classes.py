@@ -4,32 +4,20 @@ from dataclasses import replace
 
 import pytest
 
+from tests.models.ini.texts import load_texts
 from usarmjx.base.errors import SpecError
-from usarmjx.base.registry import Registry
-from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots.pioneer import P2AT, P2DX
 from usarmjx.sensors.settings import carried_weight
 from usarmjx.sensors.suite import suite_of
 from usarmjx.server.gamebots.sensors import configuration
 from usarmjx.server.protocol.grammar import format_message
-from usarmjx.sim.configure import settings_by_kind
 
 BARE = replace(P2AT, sensors=(), cameras=())
 
 
 @pytest.fixture
 def load(tmp_path):
-    def read(*texts):
-        paths = []
-        for name, text in zip("abc", texts, strict=False):
-            paths.append(tmp_path / f"{name}.ini")
-            paths[-1].write_text(text)
-        robots = Registry("robot")
-        for robot in (BARE, P2DX):
-            robots.add(robot.name, robot)
-        return load_robots(paths, robots, settings=settings_by_kind())
-
-    return read
+    return lambda *texts: load_texts(tmp_path, texts, (BARE, P2DX))
 
 
 def robot_of(loaded):

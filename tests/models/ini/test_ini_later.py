@@ -2,30 +2,17 @@
 
 import pytest
 
+from tests.models.ini.texts import load_texts
 from usarmjx.base.errors import SpecError
-from usarmjx.base.registry import Registry
-from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots.flippers import TARANTULA
 from usarmjx.models.robots.pioneer import P2AT, P2DX
-from usarmjx.sim.configure import settings_by_kind
 
-SETTINGS = settings_by_kind()
 PLACE = "Position=(X=0.2,Y=0,Z=-0.2),Direction=(x=0,y=0,z=0)"
 
 
 @pytest.fixture
 def load(tmp_path):
-    def from_texts(*texts):
-        paths = []
-        for letter, text in zip("abc", texts, strict=False):
-            paths.append(tmp_path / f"{letter}.ini")
-            paths[-1].write_text(text)
-        robots: Registry = Registry("robot")
-        for robot in (P2AT, P2DX, TARANTULA):
-            robots.add(robot.name, robot)
-        return load_robots(paths, robots, 250.0, SETTINGS)
-
-    return from_texts
+    return lambda *texts: load_texts(tmp_path, texts, (P2AT, P2DX, TARANTULA))
 
 
 def names(robot):
@@ -78,6 +65,25 @@ def test_a_file_of_the_later_versions_mounts_what_means_the_same(load):
     assert dict(scanner.all_options)["MaxRange"] == 4.0
     sonar = next(mount for mount in robot.sensors if mount.kind == "Sonar")
     assert dict(sonar.all_options)["MaxIncidence"] == 0.5
+
+
+def test_a_section_about_a_scanner_keeps_its_other_figures(load):
+    """MaxRange and ScanFov of the later versions' SICK; of a second file too, and of a class on it."""
+    on_it = "[USARBot.Mine]\nBaseClass=SICK\nResolution=0.1\n[USARBot.P2AT]\n"
+    on_it += "AddSensors=(ItemClass=class'USARBot.Mine',ItemName=Own)\n"
+    text = "[USARSensor.SICK]\nMinRange=0.1\n[USARBot.P2AT]\n"
+    text += part("sick", "lms200") + part("usarcamera", "Eye")
+    robot = of(load(text, "[USARSensor.SICK]\nScanInterval=0.1\n", on_it))
+    scanner, own = (dict(mount.all_options) for mount in robot.sensors[-2:])
+    assert scanner == {
+        "MaxRange": 20.0,
+        "ScanFov": 3.14159,
+        "Resolution": 0.01745,
+        "MinRange": 0.1,
+        "ScanInterval": 0.1,
+    }
+    assert own == {**scanner, "Resolution": 0.1}
+    assert robot.cameras[-1].name == "Eye"
 
 
 @pytest.mark.parametrize(

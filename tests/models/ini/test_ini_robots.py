@@ -7,13 +7,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from tests.models.ini.texts import load_texts
 from usarmjx.base.errors import SpecError, UsageError
-from usarmjx.base.registry import Registry
 from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.compile.parts import joint_names
 from usarmjx.models.compile.physics import Physics
-from usarmjx.models.ini.robots import load_robots
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.robots.flippers import TARANTULA
 from usarmjx.models.robots.lisa import LISA
@@ -22,11 +21,10 @@ from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import CHASSIS, Motor, options
 from usarmjx.sensors.settings import carried_weight, overload
 from usarmjx.sensors.suite import suite_of
-from usarmjx.sim.configure import configure, settings_by_kind
+from usarmjx.sim.configure import configure
 
 EXACT = 1e-9  # float64 arithmetic on the file's numbers
 PRINTED = 4e-3  # m: captured mounts of the excerpt's items differ from it by rounding to whole and half UU
-SETTINGS = settings_by_kind()
 
 # Manual 12.1.2, its line breaks mended.
 EXCERPT = """
@@ -47,15 +45,9 @@ Cameras=(ItemClass=class'USARBot.RobotCamera',ItemName="Camera",Parent="CameraTi
 def load(tmp_path):
     """Load texts as the files a.ini, b.ini, ... on a registry of some stock robots."""
 
-    def from_texts(*texts, scale=250.0, settings=SETTINGS):
-        paths = []
-        for letter, text in zip("abc", texts, strict=False):
-            paths.append(tmp_path / f"{letter}.ini")
-            paths[-1].write_text(text.lstrip("\n"))
-        robots: Registry = Registry("robot")
-        for robot in (P2AT, P2DX, TARANTULA, LISA):
-            robots.add(robot.name, robot)
-        return load_robots(paths, robots, scale, settings)
+    def from_texts(*texts, **options):
+        plain = [text.lstrip("\n") for text in texts]
+        return load_texts(tmp_path, plain, (P2AT, P2DX, TARANTULA, LISA), **options)
 
     return from_texts
 

@@ -33,9 +33,11 @@ from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.roads_file import is_route_network, roads_content
 from usarmjx.models.files.scale_notes import scale_notes
 from usarmjx.models.files.sdf import sdf_content
+from usarmjx.models.files.sdf_tree import SDF_ROOTS
 from usarmjx.models.files.sources import MeshFile, TerrainFile, mesh_content, terrain_content
 from usarmjx.models.files.stage import stage_content
 from usarmjx.models.files.urdf import urdf_content
+from usarmjx.models.files.xml_lines import root_tag
 from usarmjx.models.files.yaml_file import arena_of_yaml, complete_arena
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import HeightField, Mesh
@@ -178,7 +180,7 @@ def read_arena(path: str | Path, *, packages: Iterable[str | Path] = ()) -> tupl
     if path.suffix.lower() in YAML:
         value = read_yaml(path, ArenaFileError)
         if not is_map(value):
-            return arena_of_yaml(value)
+            return arena_of_yaml(value, resources)
         content = occupancy_grid_content(value)
     else:
         content = READERS[path.suffix.lower()](path, resources)
@@ -212,10 +214,10 @@ def find_arena(arena: str | Path, *, packages: Iterable[str | Path] = ()) -> Are
 
 def _xml(path: Path, resources: Resources) -> Content:
     """Read MJCF, or URDF or SDF with the suffix .xml."""
-    data = read_bytes(path, refusal=ArenaFileError)
-    if b"<robot" in data:
+    root = root_tag(read_bytes(path, refusal=ArenaFileError))
+    if root == "robot":
         return urdf_content(path, resources=resources)
-    is_sdf = b"<sdf" in data or (path.suffix.lower() == ".world" and b"<mujoco" not in data)
+    is_sdf = root in SDF_ROOTS or (path.suffix.lower() == ".world" and root != "mujoco")
     return sdf_content(path, resources=resources) if is_sdf else mjcf_content(path)
 
 

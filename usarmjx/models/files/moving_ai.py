@@ -35,11 +35,13 @@ class GridMap:
         letters: Code of each cell's letter (rows, columns), the lowest row of y first.
         path: Its file.
         line: Line of its first row, the one with the largest y.
+        behind: Line of the first text behind the last row; 0: there is none.
     """
 
     letters: np.ndarray
     path: Path
     line: int
+    behind: int = 0
 
     def at(self, x: int, y: int) -> tuple[int, int]:
         """Return row and column of a cell by MovingAI's x and y, whose y runs downwards."""
@@ -88,7 +90,9 @@ def read_grid_map(path: Path) -> GridMap:
         letter = chr(int(letters[first][unknown[first]][0]))
         allowed = ", ".join(FREE + WALLS + LOW)
         raise ArenaFileError(f"{path}:{row + 1 + first}: no cell is {letter!r}; allowed: {allowed}")
-    return GridMap(letters[::-1], path, row + 1)
+    end = row + height
+    behind = next((number for number, line in enumerate(lines[end:], end + 1) if line.strip()), 0)
+    return GridMap(letters[::-1], path, row + 1, behind)
 
 
 def _head(path: Path, lines: list[str]) -> tuple[int, int, int]:
@@ -151,6 +155,8 @@ def _walls(grid: GridMap, cell: float, height: float) -> Content:
             line = grid.line + int(np.flatnonzero(found[::-1].any(1))[0])
             notes.append(f"{grid.path}:{line}: {int(found.sum())} cells {letters} are {what}")
     rows, columns = walls.shape
+    if grid.behind:
+        notes.append(f"{grid.path}:{grid.behind}: what is behind the {rows} rows is left out")
     return Content(
         shapes=(
             *(frame.box(box, 0.0, height) for box in boxes),
@@ -178,7 +184,8 @@ def _scenario(path: Path, cell: float, height: float) -> Content:
     grid = read_grid_map(_map_of(path, *rows[0]))
     starts, left = _starts(path, rows, grid, cell)
     content = _walls(grid, cell, height)
-    notes = (f"{path}: {left} of {len(rows)} rows are left out",) if left else ()
+    why = f"a cell of theirs is taken, or {MAX_SCENARIO_ROWS} rows are read"
+    notes = (f"{path}:{left[0]}: {len(left)} of {len(rows)} rows are left out: {why}",) if left else ()
     return Content(
         shapes=content.shapes, extent=content.extent, starts=starts, warnings=content.warnings + notes
     )
@@ -200,15 +207,17 @@ def _map_of(path: Path, line: int, words: list[str]) -> Path:
 
 def _starts(
     path: Path, rows: list[tuple[int, list[str]]], grid: GridMap, cell: float
-) -> tuple[tuple[StartPose, ...], int]:
-    """Return the start poses of a scenario's rows, all starts before all goals, and the number left out."""
+) -> tuple[tuple[StartPose, ...], list[int]]:
+    """Return the start poses of a scenario's rows, all starts before all goals, and the lines left out."""
     frame = GridFrame(origin=(0.0, 0.0, 0.0), cell=(cell, cell))
     free = _is(grid, FREE)
     taken: set[tuple[int, int]] = set()
     chosen: list[tuple[tuple[int, int], tuple[int, int]]] = []
+    left: list[int] = []
     for line, words in rows:
         if len(chosen) == MAX_SCENARIO_ROWS:
-            break
+            left.append(line)
+            continue
         numbers = [_whole(path, line, word, MAX_CELLS) for word in words[4:8]]
         ends = (grid.at(*numbers[:2]), grid.at(*numbers[2:]))
         for (row, column), (x, y) in zip(ends, (numbers[:2], numbers[2:]), strict=True):
@@ -216,6 +225,7 @@ def _starts(
             if not inside or not free[row, column]:
                 raise ArenaFileError(f"{path}:{line}: the cell {x} {y} is not free on {grid.path.name}")
         if ends[0] == ends[1] or taken & set(ends):
+            left.append(line)
             continue
         taken |= set(ends)
         chosen.append(ends)
@@ -225,4 +235,4 @@ def _starts(
             row, column = ends[end]
             at = frame.there(column + 0.5, row + 0.5)
             poses.append(StartPose(tag=f"{word}{number}", at=(*at, START_ELEVATION)))
-    return tuple(poses), len(rows) - len(chosen)
+    return tuple(poses), left

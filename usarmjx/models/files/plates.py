@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from usarmjx.models.files.polygons import convex_parts
+from usarmjx.models.files.polygons import convex_parts, signed_area
 from usarmjx.models.types.shapes import Mesh
 
 PLATE_THICKNESS = 0.02
@@ -45,7 +45,7 @@ def _of_plane(mesh: Any, faces: np.ndarray) -> list[Plate]:  # noqa: ANN401 - tr
             parts = convex_parts(flat)
         except ValueError:
             parts = []
-        area = sum(_area(part) for part in parts)
+        area = sum(map(signed_area, parts))
         if parts and abs(area - areas.sum()) < 1e-3 * areas.sum():
             return [_plate(back(part), normal) for part in parts]
     kept = triangles[areas >= MIN_PLATE_AREA]
@@ -80,11 +80,6 @@ def _flattened(points: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, Any]
         return middle + flat @ axes
 
     return (points - middle) @ axes.T, back
-
-
-def _area(ring: np.ndarray) -> float:
-    x, y = ring.T
-    return abs(float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())) / 2
 
 
 def _plate(corners: np.ndarray, normal: np.ndarray) -> Plate:

@@ -29,6 +29,12 @@ def convex_parts(corners: np.ndarray) -> list[np.ndarray]:
     return [ring[part] for part in _merged(ring, parts)]
 
 
+def signed_area(ring: np.ndarray) -> float:
+    """Return the area of a polygon (n, 2) [m2], above zero if it is counter-clockwise."""
+    x, y = ring.T
+    return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum()) / 2
+
+
 def _cross(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
     """Return twice the signed area of a triangle."""
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
@@ -48,9 +54,7 @@ def _clean(corners: np.ndarray) -> np.ndarray:
     if len(ring) < 3:
         return np.zeros((0, 2))
     found = np.array(ring)
-    x, y = found.T
-    area = float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
-    return found if area > 0 else found[::-1]
+    return found if signed_area(found) > 0 else found[::-1]
 
 
 def _is_convex(ring: np.ndarray) -> bool:

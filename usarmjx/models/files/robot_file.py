@@ -24,8 +24,10 @@ from usarmjx.models.files.robot_drive import DEFAULT_SPIN, MIN_ROTORS, find_driv
 from usarmjx.models.files.robot_mjcf import read_mjcf_robot
 from usarmjx.models.files.robot_source import JointLimit, RobotSource, listed, plain_name
 from usarmjx.models.files.sdf_robot import sdf_as_urdf
+from usarmjx.models.files.sdf_tree import SDF_ROOTS
 from usarmjx.models.files.urdf_robot import read_urdf_robot
 from usarmjx.models.files.urdf_tree import mend_urdf, read_urdf
+from usarmjx.models.files.xml_lines import root_tag
 from usarmjx.models.types.robot import CHASSIS, Motor, Mount, Part, RobotSpec, options
 from usarmjx.models.types.shapes import Shape
 
@@ -123,12 +125,14 @@ def open_robot_file(path: Path, resources: Resources, arguments: Mapping[str, st
         SpecError: An unreadable file, or content that a robot cannot have; names it.
     """
     data = read_bytes(path, refusal=ArenaFileError)
-    if path.suffix.lower() == ".xacro" or (b"<robot" in data and (b"<xacro:" in data or b"$(" in data)):
+    tag = root_tag(data)
+    if path.suffix.lower() == ".xacro" or (tag == "robot" and (b"<xacro:" in data or b"$(" in data)):
         data = _expanded(path, resources, arguments)
+        tag = root_tag(data)
     notes: list[str] = []
-    if b"<robot" in data:
+    if tag == "robot":
         root = read_urdf(path, data)
-    elif b"<sdf" in data:
+    elif tag in SDF_ROOTS:
         root, notes = sdf_as_urdf(path, resources)
     else:
         return read_mjcf_robot(path)

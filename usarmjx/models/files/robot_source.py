@@ -1,7 +1,7 @@
 """A robot's file as MuJoCo's description, with the statements for which MuJoCo has no place."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -123,18 +123,20 @@ class RobotSource:
 
     def free_name(self, name: str) -> str:
         """Return a name that the wire takes and no other sensor of the robot has."""
-        plain = plain_name(name) or "Sensor"
-        taken = {one.name for one in self.sensors}
-        number = 2
-        free = plain
-        while free in taken:
-            free, number = f"{plain}{number}", number + 1
-        return free
+        return unused_name(plain_name(name) or "Sensor", {one.name for one in self.sensors}, "")
 
 
 def plain_name(name: str) -> str:
     """Return a name with `_` in place of letters that the wire does not take in names."""
     return "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name)
+
+
+def unused_name(name: str, taken: Collection[str], between: str = "_") -> str:
+    """Return a name, with `_2` or a higher number behind it if it is taken."""
+    number, free = 2, name
+    while free in taken:
+        free, number = f"{name}{between}{number}", number + 1
+    return free
 
 
 def left_out(path: Path, kind: str, found: Sequence[Any]) -> str:

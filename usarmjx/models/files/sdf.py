@@ -11,7 +11,7 @@ from usarmjx.models.files.content import Content
 from usarmjx.models.files.mjcf import Hinge, door_of
 from usarmjx.models.files.mjcf_solids import Pose
 from usarmjx.models.files.resources import Resources
-from usarmjx.models.files.robot_source import listed, plain_name
+from usarmjx.models.files.robot_source import listed, plain_name, unused_name
 from usarmjx.models.files.sdf_links import (
     SdfJoint,
     SdfLink,
@@ -36,21 +36,12 @@ MAX_SDF_LOOSE = 64
 """Largest number of loose objects; the heaviest others are fixed: each costs time of the solver."""
 LOOSE_SURFACE = "loose"
 HINGES = ("revolute", "hinge")
-FREE_TURN = 1e15
-"""Limit of a joint from which it has none [rad]."""
 MODEL_CHILDREN = ("model", "include", "link", "joint", "frame", "pose", "static", "plugin", "name", "uri")
 LINK_CHILDREN = ("pose", "inertial", "collision", "visual", "light")
 SOLID_CHILDREN = ("pose", "geometry", "material", "transparency", "laser_retro", "cast_shadows")
 SETTINGS = (
     *("scene", "physics", "gui", "gravity", "magnetic_field", "atmosphere", "wind", "audio"),
-    *(
-        "self_collide",
-        "enable_wind",
-        "kinematic",
-        "allow_auto_disable",
-        "velocity_decay",
-        "must_be_base_link",
-    ),
+    *("self_collide", "enable_wind", "kinematic", "allow_auto_disable", "velocity_decay"),
     *("must_be_base_link", "surface", "max_contacts", "meta", "visibility_flags"),
 )
 """Elements about the physics and pictures of Gazebo, which are ours here."""
@@ -260,9 +251,7 @@ class _SdfReader:
         self._loose.append((mass, thing, model.place))
 
     def _free_name(self, name: str) -> str:
-        number, free = 2, name
-        while free in self._names:
-            free, number = f"{name}_{number}", number + 1
+        free = unused_name(name, self._names)
         self._names.add(free)
         return free
 
@@ -275,7 +264,7 @@ class _SdfReader:
 
     def _link_shapes(self, found: SdfLink, pose: Pose, use: Use) -> list[Shape]:
         """Return a link's solids: its collisions, or what is seen of it if it has none."""
-        link, model = found.link, found.model
+        link = found.link
         self._drop(link, LINK_CHILDREN, "in links")
         collisions, visuals = link.all("collision"), link.all("visual")
         for solid in (*collisions, *visuals):
@@ -287,8 +276,7 @@ class _SdfReader:
             rgba: Rgba = (colours or [GREY])[0] if touched else colour_of(solid) or GREY
             surface = "" if touched and use == "fixed" else LOOSE_SURFACE if touched else FIXTURE
             like = Shape(kind="box", surface=surface, rgba=rgba)
-            where = inverse(found.own).then(model.placed(solid.first("pose"), (), found.base))
-            made += self._solids.of(solid, pose.then(where), like, use if touched else "seen")
+            made += self._solids.of(solid, pose.then(found.within(solid)), like, use if touched else "seen")
         return made
 
     def _door(self, joint: SdfJoint, frames: dict[str, SdfLink], owner: dict[str, str]) -> Door | None:
@@ -296,32 +284,18 @@ class _SdfReader:
         found = frames[joint.child]
         solids = found.link.all("collision")
         alone = sum(_root(owner, name) == _root(owner, joint.child) for name in frames) == 1
-        axis = joint.element.first("axis/xyz")
-        if (
-            joint.element.get("type") not in ("revolute", "hinge")
-            or len(solids) != 1
-            or axis is None
-            or not alone
-        ):
+        if joint.element.get("type") not in HINGES or len(solids) != 1 or not alone:
             return None
-        shapes = self._solids.of(
-            solids[0],
-            found.pose.then(read_pose(solids[0].first("pose"))),
-            Shape(kind="box", surface=LOOSE_SURFACE, rgba=GREY),
-            "loose",
-        )
+        centre = found.pose.then(found.within(solids[0]))
+        like = Shape(kind="box", surface=LOOSE_SURFACE, rgba=GREY)
+        shapes = self._solids.of(solids[0], centre, like, "loose")
         if len(shapes) != 1 or shapes[0].kind != "box":
             return None
-        frame = joint.top.then(joint.model.frame(joint.name))
-        within = axis.get("expressed_in")
-        turn = joint.top.then(joint.model.frame(within)).mat if within else frame.mat
-        way = numbers_of(axis, axis.text, 3)
-        low, high = (joint.element.number(f"axis/limit/{key}", sign * FREE_TURN) for key, sign in LIMITS)
-        centre = found.pose.then(read_pose(solids[0].first("pose")))
+        axis, limits = joint.axis, joint.limits
         hinge = Hinge(
-            anchor=frame.pos,
-            axis=turn @ way / max(float(np.linalg.norm(way)), 1e-9),
-            limits=(low, high) if low < high and max(-low, high) < FREE_TURN else None,
+            anchor=joint.frame.pos,
+            axis=axis / max(float(np.linalg.norm(axis)), 1e-9),
+            limits=limits if limits is not None and limits[0] < limits[1] else None,
             friction=max(joint.element.number("axis/dynamics/damping", 0.0), 0.0),
         )
         visuals = [colour for one in found.link.all("visual") if (colour := colour_of(one))]
@@ -373,10 +347,7 @@ class _SdfReader:
         """Yield a start pose for each robot."""
         tags: set[str] = set()
         for model, pose, drive in self._robots:
-            name = plain_name(model.name) or "robot"
-            number, tag = 2, name
-            while tag in tags:
-                tag, number = f"{name}_{number}", number + 1
+            tag = unused_name(plain_name(model.name) or "robot", tags)
             tags.add(tag)
             x, y, z = at_of(pose)
             ground = self._ground(x, y, z)
@@ -393,7 +364,6 @@ class _SdfReader:
         return ground_under(self._shapes, (x, y, z), floor=self._is_model or self._solids.floors > 0)
 
 
-LIMITS = (("lower", -1.0), ("upper", 1.0))
 ATTENUATION = (("constant", 1.0), ("linear", 0.0), ("quadratic", 0.0))
 
 

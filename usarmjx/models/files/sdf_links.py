@@ -3,11 +3,15 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from usarmjx.models.files.gazebo_sensors import DRIVE_PLUGINS
 from usarmjx.models.files.mjcf_solids import Pose
-from usarmjx.models.files.sdf_tree import SdfModel
-from usarmjx.models.files.xml_lines import LinedElement
+from usarmjx.models.files.sdf_tree import MODEL_FRAME, SdfModel, inverse
+from usarmjx.models.files.xml_lines import LinedElement, numbers_of
 
+FREE_TURN = 1e15
+"""Limit of a joint from which it has none [rad or m]."""
 MOVE_PLUGINS = ("planarmove", "multicoptermotor", "omnidrive", "trackedvehicle", "velocitycontrol")
 """Words in the names of plugins that move a robot otherwise."""
 
@@ -35,6 +39,10 @@ class SdfLink:
         """Name of its frame in its model."""
         return self.link.get("name", "")
 
+    def within(self, item: LinedElement) -> Pose:
+        """Return the pose of something on the link in its axes."""
+        return inverse(self.own).then(self.model.placed(item.first("pose"), (), self.base))
+
 
 @dataclass(frozen=True, eq=False)
 class SdfJoint:
@@ -47,6 +55,28 @@ class SdfJoint:
     prefix: str
     parent: str = ""
     child: str = ""
+
+    @property
+    def frame(self) -> Pose:
+        """Its frame in the world."""
+        return self.top.then(self.model.frame(self.name))
+
+    @property
+    def axis(self) -> np.ndarray:
+        """Its axis in the world (3,), of any length."""
+        xyz = self.element.first("axis/xyz")
+        way = np.array([0.0, 0.0, 1.0]) if xyz is None else numbers_of(xyz, xyz.text, 3)
+        base = "" if xyz is None else xyz.get("expressed_in", "")
+        if self.element.word("axis/use_parent_model_frame").lower() in ("1", "true"):
+            base = MODEL_FRAME
+        return (self.top.then(self.model.frame(base)) if base else self.frame).mat @ way
+
+    @property
+    def limits(self) -> tuple[float, float] | None:
+        """Its limits [rad or m]; None: it has none on one side or on both."""
+        low = self.element.number("axis/limit/lower", -FREE_TURN)
+        high = self.element.number("axis/limit/upper", FREE_TURN)
+        return (low, high) if max(-low, high) < FREE_TURN else None
 
 
 def all_models(model: SdfModel) -> Iterator[SdfModel]:

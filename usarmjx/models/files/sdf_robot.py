@@ -3,21 +3,28 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import flip_angles
 from usarmjx.models.files.mjcf_solids import Pose, usarsim_angles
 from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.robot_source import listed
-from usarmjx.models.files.sdf_links import SdfJoint, SdfLink, drive_plugins, joint_end, joints_of, links_of
+from usarmjx.models.files.sdf_links import (
+    FREE_TURN,
+    SdfJoint,
+    SdfLink,
+    all_models,
+    drive_plugins,
+    joint_end,
+    joints_of,
+    links_of,
+)
 from usarmjx.models.files.sdf_tree import WORLD, SdfFiles, SdfModel, inverse
-from usarmjx.models.files.xml_lines import NO_POSE, LinedElement, numbers_of
+from usarmjx.models.files.xml_lines import NO_POSE, LinedElement
 
 MOVING = {"revolute": "revolute", "hinge": "revolute", "continuous": "continuous", "prismatic": "prismatic"}
 """URDF's types of joints by SDF's; all others but `fixed` are held."""
-FREE_TURN = 1e15
-"""Limit from which a joint has none [rad or m]."""
+LINK_CHILDREN = ("pose", "inertial", "collision", "visual", "sensor")
+"""Children of links that are read."""
 
 
 def sdf_as_urdf(path: Path, resources: Resources) -> tuple[LinedElement, list[str]]:
@@ -37,7 +44,12 @@ def sdf_as_urdf(path: Path, resources: Resources) -> tuple[LinedElement, list[st
     world = files.world(path)
     model = _robot_model(path, world)
     writer = _UrdfWriter(model)
-    return writer.robot(), files.notes + writer.notes
+    robot = writer.robot()
+    others = [one for one in world.models if one is not model]
+    if others:
+        names = listed([one.name for one in others])
+        writer.notes.append(f"{others[0].place}: beside the robot {model.name!r} is left out: {names}")
+    return robot, files.notes + writer.notes
 
 
 def _robot_model(path: Path, world: SdfModel) -> SdfModel:
@@ -67,10 +79,7 @@ class _UrdfWriter:
         self._joints = [*self._movable()]
         above = {joint.child: joint for joint in self._joints}
         self._frames = {
-            path: above[path].top.then(above[path].model.frame(above[path].name))
-            if path in above
-            else one.pose
-            for path, one in self._links.items()
+            path: above[path].frame if path in above else one.pose for path, one in self._links.items()
         }
 
     def _movable(self) -> Iterator[SdfJoint]:
@@ -94,16 +103,27 @@ class _UrdfWriter:
             root.extend(self._gazebo(path, link))
         for joint in self._joints:
             root.append(self._joint(joint))
-        for plugin in self._model.element.all("plugin"):
-            gazebo = _element("gazebo", plugin)
-            gazebo.append(plugin)
-            root.append(gazebo)
+        for model in all_models(self._model):
+            for plugin in model.element.all("plugin"):
+                gazebo = _element("gazebo", plugin)
+                gazebo.append(plugin)
+                root.append(gazebo)
+        self._note_left_out()
         return root
+
+    def _note_left_out(self) -> None:
+        """Note the children of links that robots do not have, a line for each kind."""
+        found: dict[str, list[LinedElement]] = {}
+        for child in (child for link in self._links.values() for child in link.link.children()):
+            if child.tag not in LINK_CHILDREN:
+                found.setdefault(child.tag, []).append(child)
+        self.notes += [
+            f"{some[0].place}: {len(some)} <{tag}> of links left out" for tag, some in found.items()
+        ]
 
     def _local(self, path: str, link: SdfLink, item: LinedElement) -> Pose:
         """Return the pose of something on a link in the link's URDF frame."""
-        here = inverse(link.own).then(link.model.placed(item.first("pose"), (), link.base))
-        return inverse(self._frames[path]).then(link.pose).then(here)
+        return inverse(self._frames[path]).then(link.pose).then(link.within(item))
 
     def _link(self, path: str, link: SdfLink) -> LinedElement:
         made = _element("link", link.link, name=self._short[path])
@@ -153,13 +173,9 @@ class _UrdfWriter:
     def _joint(self, joint: SdfJoint) -> LinedElement:
         element = joint.element
         kind = element.get("type", "")
-        low, high = (
-            element.number(f"axis/limit/{key}", sign * 2 * FREE_TURN)
-            for key, sign in (("lower", -1.0), ("upper", 1.0))
-        )
-        limited = max(-low, high) < FREE_TURN
+        low, high = joint.limits or (0.0, 0.0)
         made_kind = MOVING.get(kind, "fixed" if kind == "fixed" else "floating")
-        if made_kind == "revolute" and not limited:
+        if made_kind == "revolute" and joint.limits is None:
             made_kind = "continuous"
         made = _element("joint", element, name=joint.name, type=made_kind)
         frame = inverse(self._frames[joint.parent]).then(self._frames[joint.child])
@@ -168,11 +184,11 @@ class _UrdfWriter:
         made.append(_element("child", element, link=self._short[joint.child]))
         if element.first("axis") is None:
             return made
-        axis = " ".join(repr(value) for value in self._axis(joint).tolist())
+        axis = " ".join(repr(value) for value in (self._frames[joint.child].mat.T @ joint.axis).tolist())
         made.append(_element("axis", element, xyz=axis))
-        limits = {"lower": repr(low), "upper": repr(high)} if limited else {"lower": "0", "upper": "0"}
-        for key, tag in (("effort", "effort"), ("velocity", "velocity")):
-            value = element.number(f"axis/limit/{tag}", -1.0)
+        limits = {"lower": repr(low), "upper": repr(high)}
+        for key in ("effort", "velocity"):
+            value = element.number(f"axis/limit/{key}", -1.0)
             limits[key] = repr(value if 0 < value < FREE_TURN else 0.0)
         made.append(_element("limit", element, **limits))
         damping, friction = (
@@ -180,18 +196,6 @@ class _UrdfWriter:
         )
         made.append(_element("dynamics", element, damping=damping, friction=friction))
         return made
-
-    def _axis(self, joint: SdfJoint) -> np.ndarray:
-        """Return the axis of a joint in its own frame (3,)."""
-        xyz = joint.element.first("axis/xyz")
-        way = np.array([0.0, 0.0, 1.0]) if xyz is None else numbers_of(xyz, xyz.text, 3)
-        within = "" if xyz is None else xyz.get("expressed_in", "")
-        own = self._frames[joint.child]
-        if joint.element.word("axis/use_parent_model_frame").lower() in ("1", "true"):
-            within = "__model__"
-        if not within:
-            return way
-        return own.mat.T @ joint.top.then(joint.model.frame(within)).mat @ way
 
     def _gazebo(self, path: str, link: SdfLink) -> Iterator[LinedElement]:
         """Yield a link's sensors and friction as URDF's `<gazebo>` elements."""

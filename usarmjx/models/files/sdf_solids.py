@@ -10,7 +10,7 @@ from usarmjx.base.transforms import Vec3, flip_angles
 from usarmjx.models.files.content import MIN_WALL_HEIGHT, surface_of
 from usarmjx.models.files.images import read_height_shares
 from usarmjx.models.files.mjcf_solids import Pose, usarsim_angles
-from usarmjx.models.files.polygons import convex_parts, prism
+from usarmjx.models.files.polygons import convex_parts, prism, signed_area
 from usarmjx.models.files.sdf_tree import SdfFiles
 from usarmjx.models.files.world_meshes import Use, world_pieces
 from usarmjx.models.files.xml_lines import LinedElement, numbers_of
@@ -248,14 +248,9 @@ def _polyline(own: SdfSolids, form: LinedElement, pose: Pose, like: Shape, use: 
             at=at_of(placed),
             rotation=angles_of(placed),
         )
-        volume = height * _area(part)
+        volume = height * signed_area(part)
         surface = like.surface or own.surface or surface_of(shape)
         yield replace(shape, mass=volume if use == "loose" else 0.0, surface=surface)
-
-
-def _area(ring: np.ndarray) -> float:
-    x, y = ring.T
-    return abs(float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())) / 2
 
 
 SolidMaker = Callable[[SdfSolids, LinedElement, Pose, Shape, Use], Iterator[Shape]]

@@ -21,6 +21,8 @@ MAX_SDF_DEPTH = 20
 """Largest depth of models in models, and of includes."""
 MAX_FRAMES = 100
 """Largest number of frames from one to the model's own."""
+SDF_ROOTS = ("sdf", "gazebo")
+"""Tags of the root: SDF's, and that of Gazebo's first versions."""
 WORLD = "world"
 """Name of the world's frame."""
 MODEL_FRAME = "__model__"
@@ -179,7 +181,7 @@ class SdfFiles:
         if path not in self._read:
             self._read[path] = read_lined_xml(path)
         root = self._read[path]
-        if root.tag not in ("sdf", "gazebo"):
+        if root.tag not in SDF_ROOTS:
             raise ArenaFileError(f"{path}: its root is <{root.tag}>; an SDF file's is <sdf>")
         for tag in (WORLD, "model"):
             found = root.all(tag)
@@ -242,8 +244,8 @@ class SdfFiles:
             raise include.error("<include> has no <uri>")
         file = self._model_file(uri, include.path)
         if file is None:
-            if builtin := BUILTIN.get(_last_word(uri)):
-                return self._model(_builtin(builtin, include), owner, above)
+            if content := BUILTIN.get(_last_word(uri)):
+                return self._included(self._model(_builtin(content, include), owner, above), include)
             self.notes.append(
                 f"{include.place}: model {uri} is not there and left out; --packages or GZ_SIM_RESOURCE_PATH "
                 "name folders to search"
@@ -254,10 +256,14 @@ class SdfFiles:
         root = self.root(file)
         if root.tag == WORLD:
             raise include.error(f"{uri} is a world, and no model")
-        made = self._model(root, owner, (*above, file.resolve()))
+        return self._included(self._model(root, owner, (*above, file.resolve())), include)
+
+    @staticmethod
+    def _included(made: SdfModel, include: LinedElement) -> SdfModel:
+        """Return a model with what its include says."""
         name = include.word("name")
         if name:
-            made.path = f"{owner.path}::{name}" if owner.path else name
+            made.path = f"{made.path.removesuffix(made.name)}{name}"
             made.name = name
         pose = include.first("pose")
         if pose is not None:
@@ -318,10 +324,6 @@ def _builtin(content: str, include: LinedElement) -> LinedElement:
     for element in model.iter():
         if isinstance(element, LinedElement):
             element.line = include.line
-    for tag in ("pose", "name"):
-        own = include.first(tag)
-        if own is not None and tag == "pose":
-            model.append(own)
     return model
 
 

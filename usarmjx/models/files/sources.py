@@ -16,6 +16,7 @@ from usarmjx.models.files.maps import DEFAULT_WALL_HEIGHT, Unknown, occupancy_gr
 from usarmjx.models.files.meshes import NO_MESH, SeenBy, load_convex_pieces, shapes_of
 from usarmjx.models.files.mjcf import mjcf_content
 from usarmjx.models.files.moving_ai import DEFAULT_CELL, moving_ai_content
+from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.roads_file import roads_content
 from usarmjx.models.files.sdf import sdf_content
 from usarmjx.models.files.stage import stage_content
@@ -211,15 +212,28 @@ def model_content(reader: Callable[[Path, str], Content], model: ModelFile) -> C
     return transform_content(reader(model.file, model.surface), model.at, model.yaw)
 
 
-SOLID_SOURCES: dict[str, Callable[[Any], Content]] = {
-    "mjcf": partial(model_content, mjcf_content),
-    "urdf": partial(model_content, urdf_content),
-    "sdf": partial(model_content, sdf_content),
-    "stage": partial(model_content, stage_content),
-    "meshes": mesh_content,
-    "heightfield": terrain_content,
-    "map": map_file_content,
-    "moving_ai": grid_content,
-    "rndf": road_file_content,
+def _urdf(model: ModelFile, resources: Resources) -> Content:
+    return model_content(partial(urdf_content, resources=resources), model)
+
+
+def _sdf(model: ModelFile, resources: Resources) -> Content:
+    return model_content(partial(sdf_content, resources=resources), model)
+
+
+def _plain(reader: Callable[[Any], Content]) -> Callable[[Any, Resources], Content]:
+    """Return a reader of files that name no packages."""
+    return lambda source, _: reader(source)
+
+
+SOLID_SOURCES: dict[str, Callable[[Any, Resources], Content]] = {
+    "mjcf": _plain(partial(model_content, mjcf_content)),
+    "urdf": _urdf,
+    "sdf": _sdf,
+    "stage": _plain(partial(model_content, stage_content)),
+    "meshes": _plain(mesh_content),
+    "heightfield": _plain(terrain_content),
+    "map": _plain(map_file_content),
+    "moving_ai": _plain(grid_content),
+    "rndf": _plain(road_file_content),
 }
 """Keys of other files, with the readers of their content."""

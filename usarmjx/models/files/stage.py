@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from usarmjx.models.files.grid_cover import GridFrame, cover
 from usarmjx.models.files.images import read_grey
 from usarmjx.models.files.maps import MAX_MAP_BOXES
 from usarmjx.models.files.polygons import convex_parts, prism
-from usarmjx.models.files.robot_source import listed, plain_name
+from usarmjx.models.files.robot_source import listed, plain_name, unused_name
 from usarmjx.models.files.stage_text import StageModel, StageProperty, read_stage
 from usarmjx.models.types.arena import START_ELEVATION, StartPose
 from usarmjx.models.types.shapes import Rgba, Shape
@@ -35,6 +35,13 @@ RED: Rgba = (1.0, 0.0, 0.0, 1.0)
 """Colour of a model without one: Stage's."""
 FLAT_BLOCK = re.compile(r"(?:block|polygon)\[(\d+)\]\.(points|point\[\d+\]|z|color)")
 """Name of a property that is one of a block."""
+READ_OF_WORLD = ("unit_length", "unit_angle")
+"""Properties of a world that are read."""
+READ_OF_MODELS = (
+    *("name", "pose", "origin", "size", "color", "color_rgba", "bitmap", "boundary", "stack_children"),
+    *("obstacle_return", "ranger_return", "laser_return", "gripper_return", "blocks", "polygons"),
+)
+"""Properties of a solid that are read, besides those of blocks."""
 LENGTH_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 ANGLE_UNITS = {"degrees": math.pi / 180, "radians": 1.0}
 MAX_STAGE_STARTS = 256
@@ -95,9 +102,11 @@ class _StageReader:
         self._starts: list[StartPose] = []
         self._notes: list[str] = []
         self._left_out: dict[str, StageModel] = {}
+        self._unread: dict[str, str] = {}
 
     def content(self) -> Content:
         """Return the file's content."""
+        self._note_unread(self._root, READ_OF_WORLD)
         for model in self._root.children:
             self._add(model, StagePose())
         if not self._shapes and not self._starts:
@@ -107,6 +116,9 @@ class _StageReader:
             first = next(iter(self._left_out.values()))
             kinds = listed([*self._left_out], 12)
             self._notes.append(f"{first.place}: models of other types are left out: {kinds}")
+        if self._unread:
+            names = listed([*self._unread], 12)
+            self._notes.append(f"{next(iter(self._unread.values()))}: properties are left out: {names}")
         return Content(
             shapes=tuple(self._shapes), starts=tuple(self._starts), floor=True, warnings=tuple(self._notes)
         )
@@ -122,6 +134,7 @@ class _StageReader:
         if model.kind not in SOLID_KINDS:
             self._left_out.setdefault(model.kind, model)
             return
+        self._note_unread(model, READ_OF_MODELS)
         size = self._size(model)
         like = self._looks(model)
         if like is not None:
@@ -135,14 +148,18 @@ class _StageReader:
             if child.word != "block":
                 self._add(child, pose.then(StagePose(z=top)))
 
+    def _note_unread(self, model: StageModel, read: Collection[str]) -> None:
+        """Keep the place of each property that nobody reads, for one note."""
+        for name, found in model.properties.items():
+            if name not in read and not FLAT_BLOCK.fullmatch(name):
+                self._unread.setdefault(name, found.place)
+
     def _add_start(self, model: StageModel, pose: StagePose) -> None:
         if len(self._starts) >= MAX_STAGE_STARTS:
             raise model.error(f"more than {MAX_STAGE_STARTS} robots")
         taken = {start.tag for start in self._starts}
         name = plain_name(model.text("name")) or f"robot{len(taken)}"
-        number, tag = 2, name
-        while tag in taken:
-            tag, number = f"{name}_{number}", number + 1
+        tag = unused_name(name, taken)
         at = (pose.x, pose.y, pose.z + START_ELEVATION)
         self._starts.append(StartPose(tag=tag, at=at, yaw=_turned(pose.heading)))
         self._notes.append(f"{model.place}: robot {model.word} {name!r} becomes the start pose {tag}")

@@ -1,6 +1,7 @@
 """XML files whose elements know their file and line, for what readers say about them."""
 
 import math
+import re
 from pathlib import Path
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
@@ -120,6 +121,28 @@ def read_lined_xml(path: Path, text: str | bytes | None = None) -> LinedElement:
     root = builder.close()
     assert isinstance(root, LinedElement)
     return root
+
+
+def root_tag(data: bytes) -> str:
+    """Return the tag of the first element in the bytes of an XML file; empty: there is none.
+
+    Words inside the file are no sign of its kind: a world of Gazebo has `<robotNamespace>`.
+    """
+    at = 0
+    while (at := data.find(b"<", at)) >= 0:
+        skipped = next((pair for pair in NO_ELEMENTS if data.startswith(pair[0], at)), None)
+        if skipped is None:
+            found = TAG.match(data, at + 1)
+            return found[0].decode() if found else ""
+        at = data.find(skipped[1], at + len(skipped[0]))
+        if at < 0:
+            break
+    return ""
+
+
+NO_ELEMENTS = ((b"<!--", b"-->"), (b"<?", b"?>"), (b"<!", b">"))
+"""Begin and end of what may come before the first element."""
+TAG = re.compile(rb"[A-Za-z_][\w.:-]*")
 
 
 def _declared_first(text: str | bytes) -> str | bytes:

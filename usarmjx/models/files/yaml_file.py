@@ -23,6 +23,7 @@ from usarmjx.models.files.content import (
 )
 from usarmjx.models.files.images import read_heights
 from usarmjx.models.files.meshes import SeenBy, checked_corners, faces_of_file, vertices_of_file
+from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.rules import ARENA_RULES, arena_problem
 from usarmjx.models.files.scale_notes import scale_notes
 from usarmjx.models.files.sources import (
@@ -114,8 +115,12 @@ class FileOfHeights:
     height: Annotated[float, NOT_NEGATIVE]
 
 
-def arena_of_yaml(value: FileValue) -> tuple[ArenaSpec, tuple[str, ...]]:
+def arena_of_yaml(value: FileValue, resources: Resources) -> tuple[ArenaSpec, tuple[str, ...]]:
     """Return the arena that a YAML file describes, and the content of its other files that is left out.
+
+    Args:
+        value: The file.
+        resources: Folders of packages and models that its other files name.
 
     Raises:
         ArenaFileError: An unknown, missing or invalid value; names file and line.
@@ -124,7 +129,7 @@ def arena_of_yaml(value: FileValue) -> tuple[ArenaSpec, tuple[str, ...]]:
     given = value.mapping()
     file = ARENA_READER.from_data(ArenaFile, value, defaults={"name": value.path.stem})
     parts = [
-        _content(action, source, item)
+        _content(action(source, resources), item)
         for key, action in SOLID_SOURCES.items()
         if key in given
         for source, item in zip(getattr(file, key), _one_or_several(given[key]), strict=True)
@@ -194,9 +199,8 @@ def complete_arena(arena: ArenaSpec, content: Content, value: FileValue, given: 
     return arena
 
 
-def _content(action: Callable[[Any], Content], source: object, value: FileValue) -> Content:
-    """Return the checked content of another file."""
-    content = action(source)
+def _content(content: Content, value: FileValue) -> Content:
+    """Return the content of another file, checked."""
     for shape in (*content.shapes, *(s for loose in content.loose for s in loose.shapes)):
         try:
             ARENA_READER.validate(shape)

@@ -49,9 +49,22 @@ ITEM_CLASSES = {
 }
 """Type on the wire and in `Mount.kind` of each class of items (manual 10 and 11)."""
 
-LATER_ITEM_CLASSES: Mapping[str, tuple[str, Options]] = {
-    "sick": ("RangeScanner", options(MaxRange=20.0, ScanFov=3.14159, Resolution=0.01745)),
-    "hokuyourg04lx": (
+
+class ItemClass(NamedTuple):
+    """An item class of an ini file.
+
+    Attributes:
+        kind: Type of its items.
+        options: Its defaults, merged with those of its base class.
+    """
+
+    kind: str
+    options: Options
+
+
+LATER_ITEM_CLASSES: Mapping[str, ItemClass] = {
+    "sick": ItemClass("RangeScanner", options(MaxRange=20.0, ScanFov=3.14159, Resolution=0.01745)),
+    "hokuyourg04lx": ItemClass(
         "RangeScanner",
         options(MaxRange=4.0, ScanFov=4.189, Resolution=0.0184086914, ScanInterval=0.3),
     ),
@@ -328,18 +341,6 @@ def examples(names: Sequence[str]) -> str:
     return ", ".join(names[:MAX_EXAMPLES]) + (f" and {more} more" if more > 0 else "")
 
 
-class ItemClass(NamedTuple):
-    """An item class of an ini file.
-
-    Attributes:
-        kind: Type of its items.
-        options: Its defaults, merged with those of its base class.
-    """
-
-    kind: str
-    options: Options
-
-
 ItemClasses = Mapping[str, ItemClass]
 """Item classes of ini files, by their names in lower case."""
 
@@ -363,7 +364,7 @@ def read_classes(
     found: dict[str, ItemClass] = {}
     # Each round resolves the classes whose base is known by then. The rest has an unknown base, or none.
     rounds = 0
-    while ready := {name: base for name in waiting if (base := _base(waiting[name], found, settings))}:
+    while ready := {name: base for name in waiting if (base := _base(name, waiting, found, settings))}:
         rounds += 1
         if rounds > MAX_BASE_CLASSES:
             line = _base_line(waiting[next(iter(ready))])
@@ -392,14 +393,23 @@ def _base_line(parts: Sequence[Section]) -> Line | None:
     return lines[-1] if lines else None
 
 
-def _base(parts: Sequence[Section], found: ItemClasses, settings: Settings | None) -> ItemClass | None:
-    """Return the item class on which sections are based, None if there is none, or none yet."""
-    line = _base_line(parts)
+def _base(
+    name: str, waiting: Mapping[str, Sequence[Section]], found: ItemClasses, settings: Settings | None
+) -> ItemClass | None:
+    """Return the item class on which a waiting one is based, None if there is none, or none yet.
+
+    A section about a class of the later versions is based on that class itself.
+    """
+    line = _base_line(waiting[name])
     if line is None:
         return None
-    name = as_class(line, line.value, BASE_KEY)
-    kind = kind_of(name, settings)
-    return found.get(name.lower()) if kind is None else ItemClass(kind, ())
+    written = as_class(line, line.value, BASE_KEY)
+    kind, base = kind_of(written, settings), written.lower()
+    if kind is not None:
+        return ItemClass(kind, ())
+    if base in waiting and base != name:
+        return None
+    return found.get(base) or LATER_ITEM_CLASSES.get(base)
 
 
 def _options(kind: str, parts: Sequence[Section], settings: Settings | None, notes: WarningLog) -> Options:

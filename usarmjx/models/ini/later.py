@@ -8,7 +8,7 @@ class is named once, with the reason.
 from collections.abc import Sequence
 from dataclasses import replace
 
-from usarmjx.models.ini.items import ITEM_CLASSES, WarningLog
+from usarmjx.models.ini.items import LATER_ITEM_CLASSES, WarningLog, kind_of
 from usarmjx.models.ini.parse import IniFile, IniValue, Line, Reference, Section, Struct
 
 ITEM_PACKAGES = ("usarsensor.", "usaractuator.", "usareffector.", "usareffecter.", "usarcamera.")
@@ -21,14 +21,11 @@ LATER_ITEMS = {
     "gpssensor_fixed": "GPSSensor",
     "touch": "TouchSensor",
     "ir2sensor": "IRSensor",
-    "usarcamera": "RobotCamera",
     "imu": "IMU",
     "battery": "Battery",
     "magneticcompass": "Magnetometer",
 }
 """Classes of items of the later versions with another name."""
-DERIVED_ITEMS = {"sick": "RangeScanner", "hokuyourg04lx": "RangeScanner"}
-"""Classes of the later versions that are another class with numbers of their own, and that class."""
 OWN_KINDS = ("IMU", "Battery", "Magnetometer")
 """Types that the manual has no class of."""
 
@@ -94,7 +91,7 @@ class _Translation:
         """Return the file in the manual's terms."""
         sections = [part for section in self._file.sections if (part := self._section(section)) is not None]
         for name, line in self._derived.items():
-            base = replace(line, key="BaseClass", value=DERIVED_ITEMS[name.lower()], adds=False, index=None)
+            base = replace(line, key="BaseClass", value=name, adds=False, index=None)
             sections.append(Section(f"USARBot.{name}", (base,)))
         for name, (line, count) in self._left_out.items():
             times = f", {count} lines" if count > 1 else ""
@@ -136,7 +133,7 @@ class _Translation:
                 self._notes.add(line, f"{line.key} is ignored: {LATER_IGNORED[key]}")
             else:
                 lines.append(replace(line, key=LATER_KEYS.get(key, line.key)))
-        if name in DERIVED_ITEMS:
+        if name in LATER_ITEM_CLASSES:
             self._derived.setdefault(ours, section.lines[0])
         return replace(section, name=f"USARBot.{ours}", lines=tuple(lines))
 
@@ -145,8 +142,8 @@ class _Translation:
         lowered = name.lower()
         if lowered in LATER_ITEMS:
             return LATER_ITEMS[lowered]
-        known = {one.lower() for one in (*ITEM_CLASSES, *OWN_KINDS)}
-        return name if lowered in known or lowered in DERIVED_ITEMS else None
+        own = lowered in LATER_ITEM_CLASSES or lowered in map(str.lower, OWN_KINDS)
+        return name if own or kind_of(name, None) is not None else None
 
     def _part(self, line: Line) -> Line | None:
         """Return a line with a list of our items; None: its class is left out."""
@@ -176,7 +173,7 @@ class _Translation:
 
 def _list_of(item: str) -> str:
     """Return the key that adds items of a class to a robot."""
-    kind = ITEM_CLASSES.get(item, item)
+    kind = kind_of(item, None)
     if kind == "Camera":
         return "AddCameras"
     return "AddEffecters" if kind in ("Gripper", "RFIDReleaser", "RollerTable") else "AddSensors"

@@ -44,8 +44,8 @@ def read_mdf(source: str | Path, network: RouteNetwork | None = None) -> Mission
 
     Raises:
         SpecError: It does not follow the format, a speed limit has its lowest speed last, or its network
-            lacks
-            an item that it refers to; the message names file and line, the error and the allowed values.
+            lacks an item that it refers to; the message names file and line, the error and the allowed
+            values.
     """
     lines = RoadLines(source)
     head: dict[str, str] = {}
@@ -159,8 +159,7 @@ def read_rndf(source: str | Path) -> RouteNetwork:
 
     Raises:
         SpecError: It does not follow the format, or refers to points that do not exist; the message names
-            file
-            and line, the error and the allowed values.
+            file and line, the error and the allowed values.
     """
     lines = RoadLines(source)
     counts: dict[str, int] = {}
