@@ -110,6 +110,19 @@ def test_a_fault_of_the_physics_comes_again_and_recordings_are_bounded(env, tmp_
     assert (result.steps, result.difference) == (REPEAT, "")
 
 
+def test_a_recording_begins_after_the_last_episode_did(env, tmp_path):
+    """Commands do not repeat a reset: of 8 actions the first one ends an episode of world 1."""
+    state = env.reset(0)
+    files, lines = recorded(
+        env, tmp_path, state.replace(length=state.length.at[1].set(env.episode_steps - 1))
+    )
+    assert "a number of the task is not finite" in lines[0]
+    recording = Recording(files[0])
+    result = check_recording(recording, 0)
+    assert (result.steps, result.difference) == (7 * REPEAT, "")
+    assert RecordingSource(recording).start == 0.0
+
+
 def test_a_recording_of_another_scene_is_refused(env, tmp_path, monkeypatch):
     monkeypatch.setattr(black_box, "SECONDS", 0.1)
     files, _ = recorded(env, tmp_path, env.reset(0))

@@ -7,6 +7,13 @@ import jax.numpy as jnp
 from flax import struct
 
 from usarmjx.train.envs.state import AgentGroup, EnvState
+from usarmjx.train.learning.config import Config
+
+
+def small_config(**settings):
+    """Settings of a learner that compiles in seconds; one minibatch and epoch unless given."""
+    sizes = {"hidden_sizes": (8,), "critic_hidden_sizes": (8,), "gru_size": 4}
+    return Config(**{"num_minibatches": 1, "num_epochs": 1, **sizes, **settings})
 
 
 class ToyMemory(struct.PyTreeNode, kw_only=True):

@@ -444,10 +444,11 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
         watchers.append(_RecordedFaults(options.out / "faults"))
         bar = not shown.quiet and not process.index
         with StopRequest(say) as stop:
-            score = _train(task, options, watchers, None if process.index else shown.wandb, bar, stop)
+            project = None if process.index else shown.wandb
+            score, stopped = _train(task, options, watchers, project, bar, stop)
         if process.index == 0:
             typer.echo(score)
-        if stop.requested:
+        if stopped:
             say(f"go on with: usarmjx train {task} --out {options.out} --resume")
             raise typer.Exit(128 + stop.number)
 
@@ -505,7 +506,7 @@ def _train(
     project: str | None,
     bar: bool,
     stop: "StopRequest",
-) -> str:
+) -> tuple[str, bool]:
     """Train, in one of the processes, which must be joined already: some imports put arrays on the device.
 
     Args:
@@ -517,7 +518,7 @@ def _train(
         stop: Ends it early.
 
     Returns:
-        The result in a line.
+        The result in a line, and whether a signal ended it before its last iteration.
     """
     from usarmjx.train.learning.trainer import train as run
     from usarmjx.train.make import make
@@ -531,6 +532,7 @@ def _train(
             watcher.begin(env, config)
         return env
 
+    inspected = config.black_box or any(isinstance(one, ClippedTraining) for one in watchers)
     watch = None
     if project is not None:
         from usarmjx.train.learning.metrics import wandb_watch
@@ -547,14 +549,15 @@ def _train(
             progress=bar,
             watch=watch,
             look=partial(_look, watchers),
-            inspect=partial(_inspect, watchers),
+            inspect=partial(_inspect, watchers) if inspected else None,
             stop=stop,
         )
     finally:
         for watcher in watchers:
             watcher.close()
     score = done.last_metrics.get("score")
-    return f"{done.agent_steps:,} agent steps, score {score if score is None else round(score, 3)}: {out}"
+    shown = score if score is None else round(score, 3)
+    return f"{done.agent_steps:,} agent steps, score {shown}: {out}", done.stopped
 
 
 def _look(watchers: "Sequence[_TrainingWatcher]", state: "EnvState") -> None:

@@ -23,6 +23,7 @@ from usarmjx.plots.floor_plan import draw_plan
 from usarmjx.plots.picture import ARROW
 from usarmjx.sim.world import robot_states
 from usarmjx.train.envs.env import Env, EnvState
+from usarmjx.train.envs.presence import carry_of_alive
 from usarmjx.train.envs.task import Policy
 
 WORLD = 0
@@ -100,7 +101,8 @@ def record_episode(
         watch(state)
     while not end and (step + 1) * env.period <= seconds + 1e-9:
         carry, actions = act(carry, state.obs, jax.random.fold_in(key, step))
-        state, step = env.step(state, actions), step + 1
+        before, state, step = state, env.step(state, actions), step + 1
+        carry = carry_of_alive(carry, before.alive, state.alive)
         done, cut, bad = (bool(np.asarray(flag)[WORLD]) for flag in (state.done, state.truncated, state.bad))
         late = cut or (env.task.time_limit == "end" and step >= env.episode_steps)
         if done:
@@ -132,16 +134,19 @@ def positions_of(env: Env, state: EnvState, world: int = WORLD) -> tuple[np.ndar
     """Return the true positions of the robots of a world, by slot, and of its loose objects.
 
     Returns:
-        x, y [m] and yaw [rad] (robots, 3), and x, y [m] (objects, 2).
+        x, y [m] and yaw [rad] (robots, 3), NaN for robots that are not there, and x, y [m] (objects, 2).
     """
     physics = jax.tree.map(lambda rows: np.asarray(rows)[world], env.batch.physics(state.batch))
     found = np.zeros((env.scene.num_robots, 3))
     with numpy_backend():  # JAX would compile each of these operations
-        for group in env.scene.groups:
+        for group, members in zip(env.scene.groups, state.batch.worlds.groups, strict=True):
             states = robot_states(group, physics)
             mat = mat_from_quat(states.quat)
             yaw = np.arctan2(mat[:, 1, 0], mat[:, 0, 0])
-            found[np.asarray(group.slots)] = np.column_stack([states.pos[:, :2], yaw])
+            poses = np.column_stack([states.pos[:, :2], yaw])
+            found[np.asarray(group.slots)] = np.where(
+                np.asarray(members.active)[world, :, None], poses, np.nan
+            )
     return found, physics.qpos[env.scene.loose_geoms.root_qposadr[:, :2]]
 
 
@@ -159,9 +164,11 @@ def _draw(axes: Axes, shown: EpisodeRecording, frame: int) -> list[Any]:
         drawn += axes.plot(*shown.goal, "x", color=GOAL, ms=9, mew=2.5, zorder=7)
     for robot in range(len(shown.names)):
         colour, way = COLOURS[robot % len(COLOURS)], shown.poses[: frame + 1, robot]
+        drawn += axes.plot(way[:, 0], way[:, 1], color=colour, lw=1.4, zorder=8)
+        if not np.isfinite(way[-1]).all():
+            continue
         cos, sin = np.cos(way[-1, 2]), np.sin(way[-1, 2])
         marker = ARROW @ np.array([[cos, sin], [-sin, cos]])
-        drawn += axes.plot(way[:, 0], way[:, 1], color=colour, lw=1.4, zorder=8)
         drawn += axes.plot(*way[-1, :2], marker=marker, color=colour, ms=11, mec="white", mew=0.5, zorder=9)
     return drawn
 

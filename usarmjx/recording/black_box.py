@@ -47,7 +47,7 @@ class _Box:
     Attributes:
         world: Its index in the environment.
         end: Number of the action in which it went bad.
-        begin: Number of the first recorded action.
+        begin: Number of the first recorded action, if no episode begins and no robot comes or goes later.
         start: Its arrays before that, see `state_arrays`.
         since: Time of its episode then [s].
         orders: Commands of each action since, per group.
@@ -148,6 +148,8 @@ class BlackBox:
             for box in going:
                 if box.end == number:
                     box.fault = _fault(before, state, box.world)
+                elif _is_moved(before, state, box.world):
+                    box.orders.clear()  # commands do not repeat it: the recording begins anew
 
     def _start(self, state: EnvState, world: int) -> tuple[tuple[np.ndarray, ...], float]:
         """Return the arrays of a world, as those of a batch of it alone, and the time of its episode [s]."""
@@ -209,6 +211,14 @@ def _fault(before: EnvState, after: EnvState, world: int) -> str:
     then, now = ([int(np.asarray(count)[world]) for count, _ in counts[i : i + 3]] for i in (0, len(FAULTS)))
     grown = [text for text, a, b in zip(FAULTS.values(), then, now, strict=True) if b > a]
     return "; ".join(grown)
+
+
+def _is_moved(before: EnvState, after: EnvState, world: int) -> bool:
+    """Return whether a world began anew with a step, or robots have come or gone."""
+    if np.asarray(after.done)[world]:
+        return True
+    groups = zip(before.batch.worlds.groups, after.batch.worlds.groups, strict=True)
+    return any((np.asarray(a.active)[world] != np.asarray(b.active)[world]).any() for a, b in groups)
 
 
 def _one_world(part: Any, like: Any, world: int) -> np.ndarray:  # noqa: ANN401 - arrays of NumPy or JAX

@@ -20,6 +20,7 @@ from usarmjx.models.compile.arena_set import ArenaState
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.sim.batch import select_worlds
 from usarmjx.sweeps.resolve import Resolved
+from usarmjx.train.envs.presence import carry_of_alive
 from usarmjx.train.envs.state import EnvState
 from usarmjx.train.envs.task import Policy
 from usarmjx.train.make import build_env
@@ -178,16 +179,18 @@ class GroupRunner:
         metrics = {name: np.zeros(env.worlds) for name in state.metrics}
         while not over.all():
             carry, actions = self._step(weights, carry, state.obs, fold(keys, step))
-            state = env.step(state, actions)
+            before, state = state, env.step(state, actions)
             step += 1
             tick(step / env.episode_steps)
             done = np.asarray(state.done)
+            if done.any() or state.alive is not None:
+                # Not -1: a policy without memory has a carry of no numbers.
+                flat = jax.tree.map(lambda one: one.reshape(env.worlds, *one.shape[2:]), (begin, carry))
+                fresh = jax.tree.map(partial(select_worlds, state.done), *flat)
+                fresh = carry_of_alive(fresh, before.alive, state.alive)
+                carry = jax.tree.map(lambda one, old: one.reshape(old.shape), fresh, carry)
             if not done.any():
                 continue
-            # Not -1: a policy without memory has a carry of no numbers.
-            flat = jax.tree.map(lambda one: one.reshape(env.worlds, *one.shape[2:]), (begin, carry))
-            fresh = jax.tree.map(partial(select_worlds, state.done), *flat)
-            carry = jax.tree.map(lambda one, old: one.reshape(old.shape), fresh, carry)
             now = done & ~over
             over |= done
             scores[now], steps[now] = np.asarray(state.final_score)[now], step

@@ -103,7 +103,11 @@ def find_driver(policy: object, task: str) -> CellDriver:
     source = load_policy(str(POLICIES.get(task)) if kind == PACKAGED else what, checkpoint)
     if kind == PACKAGED:
         source = replace(source, name=f"packaged policy of {task}")
-    assert source.learned is not None  # as neither of them is a baseline
+    if source.learned is None:
+        raise UsageError(
+            f"policy {what}: a cell has one policy for all robots; a policy for each class is played by "
+            "usarmjx eval and play"
+        )
     learned, weights = source.learned
 
     def make(env: Env, weights: Any) -> Policy:  # noqa: ANN401 - a tree of arrays

@@ -1,14 +1,17 @@
 """Agents that drop out, leave and join; teams that differ between worlds; who sees, does and learns what."""
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
+from usarmjx.plots.play import _draw, positions_of
 from usarmjx.sim.reset import start_qpos
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.presence import Presence, in_use
@@ -113,6 +116,17 @@ def test_robots_that_join_start_at_their_pose_and_others_stay_or_leave(played):
     assert_allclose(place(states[JOINS + 1], 2), waiting[[2]], atol=FALL)
 
 
+def test_pictures_leave_out_robots_that_are_not_in_the_world(played):
+    env, states = played
+    for step, absent in ((0, 1), (JOINS + 1, 2)):
+        poses, _ = positions_of(env, states[step])
+        assert_array_equal(np.isnan(poses).all(-1), np.arange(4) == absent)
+    poses = np.stack([positions_of(env, state)[0] for state in states[:STEPS]])
+    shown = SimpleNamespace(names="abcd", poses=poses, loose=np.zeros((STEPS, 0, 2)), goal=None)
+    drawn = _draw(Figure().add_subplot(), shown, STEPS - 1)
+    assert len(drawn) == 1 + 4 + 3, "what lies loose, ways of all robots, and those that are there"
+
+
 def test_pettingzoo_lists_those_that_are_alive(played):
     """Its own checker holds the rules of a changing `agents`."""
     pettingzoo = pytest.importorskip("pettingzoo.test")
@@ -126,18 +140,45 @@ def test_pettingzoo_lists_those_that_are_alive(played):
     names, _ = world.possible_agents, world.reset(seed=0)
     assert world.agents == [names[0], names[2], names[3]]
     seen = []
-    for step in range(STEPS):
+    for _ in range(STEPS):
         acting = list(world.agents)
         obs, rewards, ended, late, infos = world.step({name: np.ones(2, np.float32) for name in acting})
-        assert {*obs} == {*rewards} == {*ended} == {*late} == {*infos} == {
-            *acting,
-            *world.agents,
-        } or step == 4
+        assert {*obs} == {*rewards} == {*ended} == {*late} == {*infos} == {*acting, *world.agents}
         seen.append(([*map(ended.get, acting)], list(world.agents)))
     assert seen[1] == ([False, True, False], [names[0], names[3]]), "robot 2 has left: an end of its own"
     assert seen[2] == ([True, False], [names[1], names[3]]), "robot 0 drops out, robot 1 is there"
     assert seen[4] == ([False, False], []), "the time is up: no end"
     assert not world.agents
+
+
+@pytest.mark.parametrize("autoreset", ["same_step", "next_step"])
+def test_gymnasium_vectors_say_which_agents_are_alive(played, autoreset):
+    pytest.importorskip("gymnasium")
+    from usarmjx.train.adapters import VectorWorlds
+
+    env, _ = played
+    if env.batch.engine.traceable:
+        pytest.skip("one engine shows it")
+    vector = VectorWorlds(env, seed=0, autoreset=autoreset)
+    actions = np.ones(vector.action_space.shape, np.float32)
+    shown = [vector.reset(seed=0)[1]["alive_agents"]]
+    shown += [vector.step(actions)[4]["alive_agents"] for _ in range(STEPS)]
+    last = ALIVE[0] if autoreset == "same_step" else [False, True, False, True]
+    assert_array_equal(np.concatenate(shown), [*ALIVE, last])
+
+
+def test_brax_and_jaxmarl_say_which_agents_are_alive(played):
+    pytest.importorskip("jaxmarl")
+    from usarmjx.train.adapters import BatchedRobots, MultiAgentWorld
+
+    env, states = played
+    if not env.batch.engine.traceable:
+        pytest.skip("one engine shows it")
+    for step in range(STEPS):
+        assert_array_equal(BatchedRobots(env)._state(states[step]).info["alive"], ALIVE[step])
+    world = MultiAgentWorld(env)
+    available = world.get_avail_actions(states[3])
+    assert_array_equal([available[name] for name in world.agents], np.repeat(ALIVE[3][:, None], 2, 1))
 
 
 def test_tasks_without_it_have_no_masks():

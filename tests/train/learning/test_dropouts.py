@@ -6,22 +6,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.train.toys import DriveToy
-from usarmjx.train.learning.config import Config
+from tests.train.toys import DriveToy, small_config
 from usarmjx.train.learning.learner import Trainer
 from usarmjx.train.learning.networks import recur
 from usarmjx.train.learning.ppo import compute_targets
 from usarmjx.train.learning.processes import ProcessGroup
 
-CONFIG = Config(
-    num_worlds=8,
-    rollout_length=6,
-    num_minibatches=1,
-    num_epochs=1,
-    hidden_sizes=(8,),
-    critic_hidden_sizes=(8,),
-    gru_size=4,
-)
+CONFIG = small_config(num_worlds=8, rollout_length=6)
 
 
 @pytest.fixture(scope="module")

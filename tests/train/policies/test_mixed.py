@@ -9,6 +9,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from usarmjx.base.errors import UsageError
+from usarmjx.sweeps import drivers
+from usarmjx.train.envs.presence import carry_of_alive
 from usarmjx.train.envs.state import AgentGroup
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.policies import sources
@@ -67,11 +69,33 @@ def test_classes_without_a_policy_and_policies_that_do_not_fit_are_refused(parts
         mixed_policy(SimpleNamespace(groups=(other,)), {"P2AT": parts["p2at"]})
 
 
+def test_memories_are_reset_for_agents_that_come_and_go(parts):
+    env = SimpleNamespace(name="team", groups=(LARGER, FLYING))
+    carry = jax.tree.map(jnp.ones_like, mixed_policy(env, parts).initial_carry(2))
+    wheels, before, after = jnp.ones((2, 3), bool), jnp.array([[True], [True]]), jnp.array([[True], [False]])
+    kept = carry_of_alive(carry, (wheels, before), (wheels, after))
+    assert_array_equal(kept[1][0], np.broadcast_to([[[1.0]], [[0.0]]], (2, 1, 6)))
+    assert carry_of_alive(carry, None, None) is carry
+    drawn = (jnp.ones(2), (carry[0][0],))  # not a part per group
+    assert carry_of_alive(drawn, (wheels, before), (wheels, after)) is drawn
+
+
+def test_buildings_of_the_training_of_each_part_are_named(parts, monkeypatch):
+    monkeypatch.setattr(sources, "training_note", lambda name, recipe, played: f"{name} knows {[*played]}")
+    mixed = PolicySource(name="both", task="wander", parts=parts)
+    assert mixed.training_note(iter(["a"])) == "run1 knows ['a']; run2 knows ['a']"
+
+
 def test_a_mixture_is_named_class_by_class(monkeypatch, parts):
     known = {"runs/a": parts["p2at"], "runs/b": parts["AirRobot"]}
     monkeypatch.setattr(sources, "load_policy", lambda what, checkpoint="best": known[what])
     found = load_policy("P2AT=runs/a,AirRobot=runs/b")
     assert (found.task, found.learned, {*found.parts}) == ("wander", None, {"P2AT", "AirRobot"})
     assert found.policy(SimpleNamespace(name="team", groups=(WHEELED, FLYING))).initial_carry(2)
+    monkeypatch.setattr(drivers, "load_policy", load_policy)
+    with pytest.raises(UsageError, match="a cell has one policy for all robots"):
+        drivers.find_driver("P2AT=runs/a,AirRobot=runs/b", "wander")
+    with pytest.raises(UsageError, match="p2at has two policies in P2AT=runs/a, p2at=runs/b"):
+        load_policy("P2AT=runs/a, p2at=runs/b")
     with pytest.raises(UsageError, match="expected CLASS=POLICY"):
         load_policy("P2AT=,AirRobot=runs/b")

@@ -26,7 +26,14 @@ from usarmjx.sim.radio import update_links
 from usarmjx.sim.reset import init_world, reset
 from usarmjx.sim.scene import Scene
 from usarmjx.sim.world import FaultCounts, Stream, World, episode_key, observe
-from usarmjx.train.envs.presence import alive_agents, begin_team, come_and_go, masked, share_alive
+from usarmjx.train.envs.presence import (
+    alive_agents,
+    begin_team,
+    come_and_go,
+    masked,
+    regroup,
+    share_alive,
+)
 from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.state import AgentGroup, EnvState, EpisodeStart, Memory, Restart, TaskState
 from usarmjx.train.envs.task import StepResult, Task, TaskView, TimeLimit
@@ -311,6 +318,7 @@ class Env:
         self.first = first
         self._act = self._compile(jax.vmap(partial(apply_policy_actions, self.scene, task)))
         self._evaluate = self._compile(partial(evaluate_step, self.scene, task))
+        self._regroup = self._compile(jax.vmap(partial(regroup, self.scene, task.shuffle)))
         self._blank = self._compile(self._blank_state)
         together = restart_batch_size(worlds, task.episode_steps)
         self._restart_some = self._compile(partial(restart_subset, self.scene, task, together))
@@ -558,7 +566,7 @@ class Env:
         )
         batch = batch.replace(worlds=worlds)
         if present is not None:
-            batch = come_and_go(self.scene, self.task.shuffle, self.batch.engine, batch, present)
+            batch = come_and_go(self.batch.engine, self._regroup, batch, present)
         state = state.with_task(batch, task)
         return self._restart(state, state.done)
 

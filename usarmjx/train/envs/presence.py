@@ -4,8 +4,9 @@ A task that has none of these returns None from `Task.team` and `Task.presence`,
 as without this module.
 """
 
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -85,13 +86,35 @@ def masked(alive: tuple[jax.Array, ...] | None, values: tuple[jax.Array, ...]) -
     )
 
 
+def carry_of_alive(carry: Any, *alive: tuple[Any, ...] | None) -> Any:  # noqa: ANN401 - a policy's own
+    """Return a policy's carry, reset for agents that were not alive, or are not alive any more.
+
+    Args:
+        carry: A part per group, of arrays of its agents (worlds, robots, ...); any other carry stays.
+        alive: Masks before and after an action, per group (worlds, robots); None: all are.
+    """
+    masks = [one for one in alive if one is not None]
+    if len(masks) < len(alive) or not isinstance(carry, tuple):
+        return carry
+    keep = [jnp.asarray(before) & after for before, after in zip(*masks, strict=True)]
+    parts = cast(tuple[Any, ...], carry)
+    sizes = [{jnp.shape(leaf)[:2] for leaf in jax.tree.leaves(part)} for part in parts]
+    if sizes != [{mask.shape} for mask in keep]:
+        return parts
+
+    def kept(mask: jax.Array, now: jax.Array) -> jax.Array:
+        return jnp.where(mask.reshape(*mask.shape, *[1] * (now.ndim - 2)), now, 0)
+
+    return tuple(jax.tree.map(partial(kept, mask), part) for mask, part in zip(keep, parts, strict=True))
+
+
 def share_alive(alive: tuple[jax.Array, ...]) -> jax.Array:
     """Return the share of a world's agents that are alive (...,)."""
     return jnp.concatenate(alive, -1).mean(-1)
 
 
 def come_and_go(
-    scene: Scene, shuffle: bool, engine: Engine[Any], batch: BatchState, present: jax.Array
+    engine: Engine[Any], regroup_worlds: Callable[..., Any], batch: BatchState, present: jax.Array
 ) -> BatchState:
     """Return the worlds with robots parked that are not present, and those that join at their start poses.
 
@@ -99,22 +122,28 @@ def come_and_go(
     after the next action. Nobody looks whether its start pose is free.
 
     Args:
-        scene: The scene.
-        shuffle: Whether the episode's start poses were drawn.
         engine: The engine.
+        regroup_worlds: `regroup` for all worlds, compiled.
         batch: The worlds.
         present: Which robots are to be in the world, by slot (worlds, robots).
     """
-    worlds, joined, pins = jax.vmap(partial(_regroup, scene, shuffle))(batch.worlds, present)
+    worlds, joined, pins = regroup_worlds(batch.worlds, present)
     if not engine.traceable and not np.asarray(joined).any():
         return batch.replace(worlds=worlds)
     return batch.replace(worlds=worlds, physics=engine.set_qpos(batch.physics, *pins))
 
 
-def _regroup(
+def regroup(
     scene: Scene, shuffle: bool, world: World, present: jax.Array
 ) -> tuple[World, jax.Array, tuple[jax.Array, jax.Array, jax.Array]]:
-    """Return one world, who joins (robots,), and what is set: which qpos, which dofs, and qpos."""
+    """Return one world, which robots join (robots,), and what is set: which qpos, which dofs, and qpos.
+
+    Args:
+        scene: The scene.
+        shuffle: Whether the episode's start poses were drawn.
+        world: The world.
+        present: Which robots are to be in it, by slot (robots,).
+    """
     joined = present & ~in_use(scene, world)
     qpos = jnp.asarray(start_qpos(scene, world, shuffle))
     physics = PhysicsState(qpos=qpos, qvel=jnp.zeros(scene.model.nv), act=jnp.zeros(scene.model.na))

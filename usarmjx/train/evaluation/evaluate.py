@@ -3,10 +3,9 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from usarmjx.base import random
@@ -14,6 +13,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.estimates import Estimate, estimate_groups, estimate_middle
 from usarmjx.sim.batch import select_worlds
 from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.presence import carry_of_alive
 from usarmjx.train.envs.task import Policy
 
 
@@ -108,7 +108,7 @@ def play_episodes(
     while (ended < each).any():
         carry, actions = act(carry, state.obs, jax.random.fold_in(key, step))
         before, state = getattr(state, "alive", None), env.step(state, actions)
-        carry = _with_alive(carry, before, getattr(state, "alive", None))
+        carry = carry_of_alive(carry, before, getattr(state, "alive", None))
         step, length = step + 1, length + 1
         tell(f"seed {seed}: {np.minimum(ended, each).sum()} of {each * env.worlds} episodes, step {step}")
         done = np.asarray(state.done)
@@ -126,18 +126,6 @@ def play_episodes(
     counts = {"lengths": lengths, "worlds": worlds, "episode_index": index, "buildings": places}
     found = {name: column.astype(int) for name, column in counts.items()}
     return Episodes(seed=seed, scores=scores, bad=bad, levels=_levels(env, found["buildings"]), **found)
-
-
-def _with_alive(carry: Any, *alive: tuple[Any, ...] | None) -> Any:  # noqa: ANN401 - a policy's own
-    """Return a carry of arrays per group (worlds, robots, memory), kept of agents that were and are alive."""
-    masks = [one for one in alive if one is not None]
-    if len(masks) < len(alive) or not isinstance(carry, tuple):
-        return carry
-    keep = [jnp.asarray(a) & b for a, b in zip(*masks, strict=True)]
-    parts = cast(tuple[Any, ...], carry)
-    if [np.shape(one)[:2] for one in parts] != [one.shape for one in keep]:
-        return parts
-    return tuple(jnp.where(one[..., None], now, 0.0) for one, now in zip(keep, parts, strict=True))
 
 
 def _serials(state: Any) -> np.ndarray | None:  # noqa: ANN401 - of environments of one's own, too

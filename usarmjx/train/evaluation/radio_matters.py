@@ -27,6 +27,7 @@ from usarmjx.engines import choose_engine
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.recipe import TEST, GeneratedArenas
+from usarmjx.train.envs.state import EnvState
 from usarmjx.train.envs.task import TASKS
 from usarmjx.train.make import build_env, make_task
 from usarmjx.train.tasks.team import PERFECT_RADIO, TeamTask
@@ -95,6 +96,19 @@ def check_levels(arenas: GeneratedArenas, worlds: int) -> None:
         raise UsageError(f"{worlds} worlds for {len(arenas.levels)} levels of arenas: expected a multiple")
 
 
+def check_whole(env: Env, state: EnvState) -> None:
+    """Check that all episodes last to the end of their time.
+
+    Raises:
+        UsageError: Robots come, go or drop out, so that episodes may end early.
+    """
+    if state.alive is not None:
+        raise UsageError(
+            f"{env.name}: teams are compared over whole episodes, which end early where robots drop out or "
+            "come later: leave these settings out, or use usarmjx eval"
+        )
+
+
 def few_arenas(task: TeamTask, worlds: int) -> TeamTask:
     """Return a task with as many generated arenas of split `test` as worlds, of all levels alike.
 
@@ -109,9 +123,14 @@ def few_arenas(task: TeamTask, worlds: int) -> TeamTask:
 
 
 def run_variant(env: Env, name: str, seed: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return the scores of one episode of each world, and the metrics at its end; bad worlds left out."""
+    """Return the scores of one episode of each world, and the metrics at its end; bad worlds left out.
+
+    Raises:
+        UsageError: See `check_whole`.
+    """
     policy = BASELINES.get(name)(env)
     act, carry, state = jax.jit(policy.act), policy.initial_carry(env.worlds), env.reset(seed)
+    check_whole(env, state)
     good, score, metrics = np.ones(env.worlds, bool), np.zeros(env.worlds), {}
     for step in range(env.episode_steps):
         carry, actions = act(carry, state.obs, jax.random.fold_in(random.key(seed), step))

@@ -29,7 +29,7 @@ from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.membership import building_label
 from usarmjx.train.envs.recipe import GeneratedArenas
 from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
-from usarmjx.train.evaluation.radio_matters import check_levels
+from usarmjx.train.evaluation.radio_matters import check_levels, check_whole
 from usarmjx.train.make import build_env, make_task
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.sources import (
@@ -220,8 +220,13 @@ def ignore(name: str, env: Env, state: EnvState) -> None:
 def play_team(
     env: Env, task: TeamTask, policy: Policy, name: str, seed: int, watch: TeamWatch = ignore
 ) -> TeamResult:
-    """Return a policy's result in the first episode of each world; `watch` sees all states but the last."""
+    """Return a policy's result in the first episode of each world; `watch` sees all states but the last.
+
+    Raises:
+        UsageError: Robots come, go or drop out, so that episodes end early.
+    """
     act, carry, state = jax.jit(policy.act), policy.initial_carry(env.worlds), env.reset(seed)
+    check_whole(env, state)
     good, rows, score = np.ones(env.worlds, bool), list[dict[str, np.ndarray]](), np.zeros(env.worlds)
     for step in range(env.episode_steps):
         watch(name, env, state)

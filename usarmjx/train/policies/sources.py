@@ -152,6 +152,9 @@ class PolicySource:
 
     def training_note(self, played: Iterable[str]) -> str:
         """Return a warning if the policy was trained in some buildings, by their labels; empty if in none."""
+        if self.parts:
+            labels = list(played)
+            return "; ".join(filter(None, (part.training_note(labels) for part in self.parts.values())))
         if self.learned is None:
             return ""
         overrides, _ = task_settings(self.task, self.overrides, ())
@@ -286,7 +289,10 @@ def _load_parts(what: str, checkpoint: str) -> PolicySource:
     pairs = [part.partition("=") for part in what.split(",")]
     if wrong := [name + mark + source for name, mark, source in pairs if not (name and source)]:
         raise UsageError(f"{wrong[0]!r} in {what}, expected CLASS=POLICY for each class of robots")
-    parts = {name: load_policy(source, checkpoint) for name, _, source in pairs}
+    names = [name.strip().lower() for name, _, _ in pairs]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise UsageError(f"{twice[0]} has two policies in {what}, expected one for each class of robots")
+    parts = {name.strip(): load_policy(source.strip(), checkpoint) for name, _, source in pairs}
     first = next(iter(parts.values()))
     lines = [f"{name}: {part.checkpoint}" for name, part in parts.items() if part.checkpoint]
     return replace(first, name=what, learned=None, checkpoint="; ".join(lines), parts=parts)

@@ -176,7 +176,7 @@ class VictimSearch(TeamTask):
             else they wait.
         fence: Keep robots that fly above the building.
         battery_life: Time after which batteries are empty [s]; 0: the class's own, longer than an episode.
-            A robot whose battery is empty stays where it is, and its radio works on.
+            A robot whose battery is empty stays where it is, one that flies falls; its radio works on.
         loss_rate: Losses of a robot per second; a lost robot leaves the world.
         least_robots: Least number of robots beside the base; each world draws its number, up to the whole
             team, and which of them it has, at each reset. 0: always the whole team.
