@@ -302,7 +302,8 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         chosen = draw_seed(self.np_random) if seed is None else seed
         self._state = self.env.reset(chosen)
         self._over[:] = False
-        return self._rows(jax.device_get(self._state.obs)), {}
+        s = jax.device_get(self._state.task_state.replace(memory=()))
+        return self._rows(s.obs), self._alive(s, np.zeros(self.num_envs, bool))
 
     def step(
         self, actions: np.ndarray
