@@ -62,6 +62,7 @@ def test_jax_that_ran_before_with_a_small_pool_is_refused_with_advice():
     assert "import usarmjx first, or set NPROC=8" in said
 
 
+@pytest.mark.every_run("import jax\\n-2")
 @pytest.mark.parametrize(("before", "nproc"), [(EARLY, "8"), ("import jax\n", "2")])
 def test_otherwise_the_engine_is_built(before, nproc):
     """That jax was imported before does no harm while its backend has not started."""

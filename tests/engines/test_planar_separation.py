@@ -35,6 +35,7 @@ def on_warp(before, after, near, moves, stacked):
     return separate_on_warp(*as_the_engine_has_it(case))
 
 
+@pytest.mark.every_run("3", "40")
 @pytest.mark.parametrize("robots", [1, 3, 4, 16, 40])
 def test_a_crowd_is_kept_apart_as_by_jax(robots):
     """Among boxes and discs, beside those that do not move, over and under each other, in 24 worlds."""
@@ -115,6 +116,7 @@ def test_a_world_has_as_many_lanes_as_robots_or_the_next_power_of_two():
     ]
 
 
+@pytest.mark.thorough
 def test_an_engine_goes_the_same_way_with_it(monkeypatch):
     """Four robots among walls and a disc, told the same for 3 s, in two worlds of which one goes astern."""
     scene, found = build_scene(PEN, [EAGER] * 4, Physics(timestep=0.05, substeps=1)), []

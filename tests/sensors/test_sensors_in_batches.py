@@ -119,6 +119,7 @@ def test_the_robot_has_every_sensor_and_each_has_something_to_say():
     assert silent <= {"Touch", "Sound", "HumanMotion"}, "those with nothing there to feel or hear"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("engine", ENGINES)
 def test_every_sensor_reads_alone_what_it_reads_in_a_batch(engine):
     last = jax.tree.map(lambda x: x[-1:], driven(engine))
@@ -135,6 +136,7 @@ def test_worlds_of_a_batch_read_their_own():
         assert np.any(value[0] != value[1]), name
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("engine", [pytest.param("jax", marks=pytest.mark.slow), "warp"])
 def test_every_sensor_reads_on_every_engine_what_it_reads_on_c_mujoco(engine):
     if engine == "warp":
