@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.cases import BaselineOptions, StepCase
-from benchmarks.step import measure_step
+from benchmarks.step import TOP, measure_step
 from tests.benchmarks.records import faults
 from usarmjx.base.errors import UsageError
 
@@ -79,6 +79,16 @@ def test_the_record_has_the_form_of_all(outcome):
     assert on_cpu["rate"] == pytest.approx(on_cpu["worlds"] * 4 * 2 / on_cpu["times_s"][0])
     assert record["baselines"]["bare_mjx"] == {"missing": "not asked for"}
     assert f"{on_cpu['rate']:,.0f} robot-steps/s" in summary
+
+
+def test_a_record_has_the_kernels_that_were_asked_for(outcome):
+    record, summary = outcome
+    assert 0 < len(record["kernels"]["top"]) <= TOP
+    assert f"{record['kernels']['calls']:,} kernels took" in summary
+    assert record["kernels"]["top"][0]["name"][:90] in summary
+    assert faults(record) == []
+    wrong = {**record, "kernels": {**record["kernels"], "top": [{"name": "k", "calls": 0, "ms": 1.0}]}}
+    assert any("kernels.top" in fault for fault in faults(wrong))
 
 
 def test_the_record_says_what_the_solver_met(outcome):

@@ -182,8 +182,8 @@ def test_the_heavier_of_two_pushes_the_lighter():
     )
     apart = prints.replace(pos=jnp.array([[0.0, 0.0], [1.2, 0.0]]))
     apart, prints = jax.tree.map(lambda x: x[None], (apart, prints))
-    known = around(prints, no_solids())
-    kept, touched = separate_footprints(
+    known = jax.jit(around)(prints, no_solids())
+    kept, touched = jax.jit(separate_footprints)(
         apart, prints, obstacle_outlines(prints, known.near), jnp.ones((1, 2), bool)
     )
     displacement = np.asarray(kept.pos[0] - prints.pos[0])[:, 0]
@@ -232,15 +232,14 @@ def no_solids():
 
 
 def test_a_world_alone_does_bit_for_bit_what_it_does_among_others(crowd):
-    scene = crowd[0].scene
-    together = Batch(scene, 3, engine="planar", seed=5)
-    alone = Batch(scene, 1, engine="planar", seed=5, first=2)
+    together = crowd[0]
+    alone = Batch(together.scene, 1, engine="planar", first=2)
     states = [drive(batch, 3.0, 2.0, 80, drive(batch, 3.0, -1.0, 40)) for batch in (together, alone)]
     first, second = (
         np.asarray(batch.physics(state).qpos) for batch, state in zip((together, alone), states, strict=True)
     )
     assert np.asarray(states[1].physics.touched).any(), "it has met something"
-    assert np.array_equal(first[2:], second)
+    assert np.array_equal(first[2:3], second)
 
 
 def test_what_flies_stands_on_what_is_below_it():

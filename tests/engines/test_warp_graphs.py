@@ -1,50 +1,14 @@
-"""What is put into one call of MuJoCo Warp, or one CUDA graph, changes nothing of what is computed."""
+"""How many steps are put into one call of MuJoCo Warp, or one CUDA graph; see test_weight.py."""
 
-import jax
-import jax.numpy as jnp
-import numpy as np
 import pytest
 
 pytest.importorskip("warp", reason="needs warp-lang")
 
 from tests.engines.test_weight import engine_of
 from usarmjx.base.errors import EngineError, UnknownNameError, UnsupportedFeatureError
-from usarmjx.engines.base import Inputs
 from usarmjx.engines.mjx_warp import multi_step
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
-
-
-def fallen(engine):
-    """The state after two control steps, in which the first of two worlds is pushed up."""
-    model = engine.model
-    push = jnp.zeros((2, model.nbody, 6)).at[0, 1, 2].set(10.0)
-    inputs = Inputs(
-        ctrl=jnp.zeros((2, 0)),
-        act=jnp.zeros((2, 0)),
-        xfrc_applied=push,
-        pinned=jnp.zeros((2, model.nq), bool),
-        pinned_dof=jnp.zeros((2, model.nv), bool),
-        qpos=jnp.zeros((2, model.nq)),
-    )
-    step = jax.jit(lambda state: engine.advance(state, inputs))
-    return step(step(engine.start()))
-
-
-@pytest.fixture(scope="module")
-def usual():
-    return fallen(engine_of())
-
-
-@pytest.mark.skipif(jax.default_backend() != "cpu", reason="sums are atomic on a GPU; see tests/test_gpu.py")
-def test_a_control_step_in_one_call_computes_the_same_bits(usual):
-    engine = engine_of()
-    engine.select_graphs("control")
-    assert engine._step_and_count() == (multi_step(engine.physics.substeps), 1)
-    found = fallen(engine)
-    assert float(found.time[0]) == pytest.approx(2 * engine.physics.period)
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(usual), strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 def test_without_a_word_there_is_a_graph_for_each_physics_step():

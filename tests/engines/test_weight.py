@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("warp", reason="needs warp-lang")
 
 from usarmjx.engines.base import Inputs
-from usarmjx.engines.mjx_warp import WarpEngine, block_until_finished
+from usarmjx.engines.mjx_warp import WarpEngine, block_until_finished, multi_step
 from usarmjx.models.compile.physics import Physics
 
 ROBOT = """
@@ -34,31 +34,59 @@ def engine_of(compensated=""):
     return WarpEngine(spec, Physics(), 2)
 
 
-def test_bodies_fall_and_swing_as_in_c_mujoco():
-    engine = engine_of()
+PUSH = np.zeros((2, 5, 6), np.float32)
+PUSH[1, 1, 2] = 10.0
+"""What is applied to a body of the second of two worlds, which comes on top of its weight."""
+
+
+def fallen(engine, steps):
+    """The states after each of some control steps."""
     model = engine.model
-    assert engine.mx.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
-    assert not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
-    push = np.zeros((2, model.nbody, 6), np.float32)
-    push[1, 1, 2] = 10.0  # what is applied to a body comes on top
     inputs = Inputs(
         ctrl=jnp.zeros((2, 0)),
         act=jnp.zeros((2, 0)),
-        xfrc_applied=jnp.asarray(push),
+        xfrc_applied=jnp.asarray(PUSH),
         pinned=jnp.zeros((2, model.nq), bool),
         pinned_dof=jnp.zeros((2, model.nv), bool),
         qpos=jnp.zeros((2, model.nq)),
     )
-    state = engine.start()
-    for _ in range(4):
-        state = engine.advance(state, inputs)
+    states, step = [engine.start()], jax.jit(engine.advance)
+    for _ in range(steps):
+        states.append(step(states[-1], inputs))
+    return states[1:]
+
+
+@pytest.fixture(scope="module")
+def usual():
+    """An engine as it is without a word, and its states."""
+    engine = engine_of()
+    return engine, fallen(engine, 4)
+
+
+def test_bodies_fall_and_swing_as_in_c_mujoco(usual):
+    engine, states = usual
+    model, state = engine.model, states[-1]
+    assert engine.mx.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    assert not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
     for world in range(2):
         data = mujoco.MjData(model)
-        data.xfrc_applied[:] = push[world]
+        data.xfrc_applied[:] = PUSH[world]
         mujoco.mj_step(model, data, nstep=4 * engine.physics.substeps)
         assert abs(data.qpos[2] - 2) > 0.02  # it fell
         np.testing.assert_allclose(engine.state(state).qpos[world], data.qpos, atol=2e-5)
         np.testing.assert_allclose(engine.state(state).qvel[world], data.qvel, atol=2e-4)
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="sums are atomic on a GPU; see tests/test_gpu.py")
+def test_a_control_step_in_one_call_computes_the_same_bits(usual):
+    """What is put into one call of MuJoCo Warp, or one CUDA graph, changes nothing of what is computed."""
+    engine = engine_of()
+    engine.select_graphs("control")
+    assert engine._step_and_count() == (multi_step(engine.physics.substeps), 1)
+    found = fallen(engine, 2)[-1]
+    assert float(found.time[0]) == pytest.approx(2 * engine.physics.period)
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(usual[1][1]), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_where_a_body_is_compensated_gravity_stays():

@@ -198,7 +198,7 @@ def test_depth_and_segmentation_of_every_pixel_are_mj_rays(batch, moved, world, 
 def test_the_pictures_of_the_test_show_everything_there_is(batch, moved):
     """Else labels of doors and victims would not have been compared."""
     seen = np.unique(np.asarray(batch.render(moved, 0, 0, WIDTH, HEIGHT).segmentation))
-    seen = {*seen, *np.unique(np.asarray(batch.render(moved, 0, "mirror", WIDTH, WIDTH).segmentation))}
+    seen = {*seen, *np.unique(np.asarray(batch.render(moved, 0, "mirror", WIDTH, HEIGHT).segmentation))}
     wanted = {
         SKY_LABEL,
         ARENA_LABEL,

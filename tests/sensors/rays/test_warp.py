@@ -1,11 +1,13 @@
 """Rays on Warp, whose kernels run here on its CPU device: kind by kind, under maps, and who uses them."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.sensors.rays.test_raycast import KINDS, make_rays, make_room
+from tests.sensors.rays.test_raycast import KINDS, make_rays, make_room, quick_jit
 from usarmjx.base import accelerator
 from usarmjx.base.errors import UsageError
 from usarmjx.base.installation import install_command
@@ -43,7 +45,7 @@ def rays_at(rng, count=RAYS, reach=2.0):
 def test_each_kind_is_met_as_on_jax(kind):
     rng = np.random.default_rng(kind)
     seen, rays = indexed_blocks(geoms_of(kind, rng, 50)), tuple(rays_at(rng))
-    plain = brute_force_hits(seen, *rays)
+    plain = quick_jit(partial(brute_force_hits, seen))(*rays)
     assert 0.05 < np.isfinite(np.asarray(plain.distance)).mean() < 1
     found = warp_hits(seen, rays)
     same = np.asarray(found.geom_index) == plain.geom_index
@@ -154,8 +156,13 @@ def same_angles(geoms, rays, lines=None):
     """Compare cosines on Warp with those of JAX, of what the same rays meet."""
     start, along = rays if lines is None else lines.rays()
     seen = indexed_blocks(geoms)
-    first = brute_force_hits(seen, start, along)
-    plain = np.abs((normals(geoms, first, start, along) * along).sum(-1))
+
+    @quick_jit
+    def by_jax(start, along):
+        first = brute_force_hits(seen, start, along)
+        return first, jnp.abs((normals(geoms, first, start, along) * along).sum(-1))
+
+    first, plain = by_jax(start, along)
     met = np.asarray(first.geom_index) >= 0
     assert 0.05 < met.mean() < 1
     found = np.asarray(cosines_of_hits(seen, rays if lines is None else lines, first))
