@@ -104,6 +104,10 @@ def test_the_engine_that_would_hang_is_refused_then_with_advice():
     said = run(FIT + BUILD, cores=2)
     assert "USARMJX_POOL=cores" in said
     assert "engine jax needs 8" in said
+
+
+@pytest.mark.thorough
+def test_an_engine_whose_pool_was_asked_for_is_built_then():
     assert run(FIT + BUILD, nproc="8", cores=2) == "JaxEngine"
 
 

@@ -113,6 +113,7 @@ def readings(kind):
     return {name: np.asarray(reading.value)[:, 0] for name, reading in zip(KINDS, told, strict=True)}
 
 
+@pytest.mark.thorough
 def test_the_robot_has_every_sensor_and_each_has_something_to_say():
     assert set(KINDS) == {kind for kind, _ in SENSORS}
     silent = {name for name, value in readings("c").items() if not np.any(value)}
@@ -130,6 +131,7 @@ def test_every_sensor_reads_alone_what_it_reads_in_a_batch(engine):
         np.testing.assert_allclose(alone, together[name][-1], atol=ALONE, rtol=ALONE, err_msg=name)
 
 
+@pytest.mark.thorough
 def test_worlds_of_a_batch_read_their_own():
     for name in ("GroundTruth", "RangeScanner", "Odometry", "INS", "GPS"):
         value = readings("c")[name]

@@ -60,7 +60,12 @@ def caster(how, compact):
     return seen, jax.jit(partial(HOW[how], seen))
 
 
-@pytest.mark.every_run("culled-exclude_owner0-False", "culled-exclude_owner1-False", "warp-exclude_owner0-True", "warp-exclude_owner1-True")
+@pytest.mark.every_run(
+    "culled-exclude_owner0-False",
+    "culled-exclude_owner1-False",
+    "warp-exclude_owner0-True",
+    "warp-exclude_owner1-True",
+)
 @pytest.mark.parametrize("compact", [False, True])
 @pytest.mark.parametrize("exclude_owner", [jnp.int32(EXCLUDE_NONE), jnp.int32(0)])
 @pytest.mark.parametrize("how", HOW)
