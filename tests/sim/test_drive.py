@@ -160,7 +160,13 @@ def heading(rig):
     return math.atan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
 
 
-@pytest.mark.every_run("P2AT-3.141592653589793", "Talon-1.5707963267948966", "Hummer-3.141592653589793", "kenaf-1.5707963267948966", "OmniP2AT-3.141592653589793")
+@pytest.mark.every_run(
+    "P2AT-3.141592653589793",
+    "Talon-1.5707963267948966",
+    "Hummer-3.141592653589793",
+    "kenaf-1.5707963267948966",
+    "OmniP2AT-3.141592653589793",
+)
 @pytest.mark.parametrize("roll", [math.pi, math.pi / 2])
 @pytest.mark.parametrize("name", [name for name, robot in ROBOTS if robot.drive.is_wheeled])
 def test_flip_puts_every_wheeled_or_tracked_robot_back_on_its_feet(name, roll):

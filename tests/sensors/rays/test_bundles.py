@@ -71,7 +71,12 @@ def caster(how, compact):
     return seen, jax.jit(partial(HOW[how], seen))
 
 
-@pytest.mark.every_run("culled-exclude_owner0-False", "culled-exclude_owner1-False", "warp-exclude_owner0-True", "warp-exclude_owner1-True")
+@pytest.mark.every_run(
+    "culled-exclude_owner0-False",
+    "culled-exclude_owner1-False",
+    "warp-exclude_owner0-True",
+    "warp-exclude_owner1-True",
+)
 @pytest.mark.parametrize("compact", [False, True])
 @pytest.mark.parametrize("exclude_owner", [EXCLUDE_NONE, 0], ids=["exclude_owner0", "exclude_owner1"])
 @pytest.mark.parametrize("how", HOW)
