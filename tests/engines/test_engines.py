@@ -217,7 +217,9 @@ def test_a_world_that_goes_bad_can_go_on_from_where_it_was(flat, engine):
 
 
 def test_commands_that_are_not_finite_reach_nobody(jax_batch):
-    state = jax_batch.drive(jax_batch.reset(), 0, {"Left": jnp.array([[jnp.nan, 2.0], [2.0, 2.0]]), "Right": 2.0})
+    state = jax_batch.drive(
+        jax_batch.reset(), 0, {"Left": jnp.array([[jnp.nan, 2.0], [2.0, 2.0]]), "Right": 2.0}
+    )
     state = jax_batch.step(state)
     assert np.asarray(state.worlds.faults.refused).tolist() == [2, 0]  # two left wheels of one robot
     assert np.asarray(state.worlds.faults.not_finite).tolist() == [0, 0]

@@ -77,6 +77,7 @@ def test_bodies_fall_and_swing_as_in_c_mujoco(usual):
         np.testing.assert_allclose(engine.state(state).qvel[world], data.qvel, atol=2e-4)
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="sums are atomic on a GPU; see tests/test_gpu.py")
 def test_a_control_step_in_one_call_computes_the_same_bits(usual):
     """What is put into one call of MuJoCo Warp, or one CUDA graph, changes nothing of what is computed."""

@@ -81,7 +81,7 @@ def caster(how, compact):
 @pytest.mark.parametrize("exclude_owner", [EXCLUDE_NONE, 0], ids=["exclude_owner0", "exclude_owner1"])
 @pytest.mark.parametrize("how", HOW)
 def test_what_is_left_out_is_not_met(how, exclude_owner, compact):
-    seen, cast = caster(how, compact)
+    _, cast = caster(how, compact)
     query, plain = RayQuery(exclude_owner=jnp.int32(exclude_owner)), plain_hits(owner=exclude_owner)
     for bundle in (32, 9, 1):
         found = cast(ORIGIN, DIRECTION, query.replace(bundle_size=bundle))
