@@ -35,7 +35,7 @@ hypothesis.settings.load_profile("same")
 
 
 def write_whole_entries(folder: str) -> None:
-    """Let JAX keep programs there so that another process reads all of one or nothing, unlike JAX's own way."""
+    """Let JAX keep programs there so that another process reads all of one or nothing."""
     usual = compilation_cache.LRUCache.put
 
     def put(cache: compilation_cache.LRUCache, key: str, value: bytes) -> None:
