@@ -56,7 +56,8 @@ def test_cells_that_differ_in_data_are_played_with_one_compilation(whole):
 def test_a_cell_is_the_same_alone_as_in_a_batch(whole):
     _, found, _ = whole
     record = found.records[11]
-    (alone,) = GroupRunner([resolve(record.settings)], 1, "c").run([0])
+    cell = resolve(record.settings)
+    (alone,) = GroupRunner([cell], 1, "c").run([cell])
     assert alone.metrics["distance"].tolist() == list(record.metrics["distance"])
     assert alone.scores.tolist() == list(record.scores)
     assert alone.steps.tolist() == list(record.steps)

@@ -46,6 +46,7 @@ class Resolved:
         driver: What drives the robots.
         split: Split of its arenas; empty: they are not generated.
         labels: Name and hash of each of `arenas`.
+        levels: Number of levels and sizes that `arenas` have in turn.
     """
 
     settings: CellSettings
@@ -55,6 +56,12 @@ class Resolved:
     driver: CellDriver
     split: str = ""
     labels: tuple[str, ...] = ()
+    levels: int = 1
+
+    @property
+    def strata(self) -> int:
+        """Number of strata of its buildings; 1 where a level has less than two."""
+        return self.levels if self.episodes >= 2 * self.levels else 1
 
     @property
     def episodes(self) -> int:
@@ -95,7 +102,7 @@ def resolve(settings: CellSettings) -> Resolved:
     if "roster" in settings:
         task = with_roster(task, settings["roster"])
     task, ranges = _with_parts(task, settings)
-    arenas, split = _arenas(settings, task)
+    arenas, split, levels = _arenas(settings, task)
     data = isinstance(arenas, tuple)
     return Resolved(
         settings=settings,
@@ -105,6 +112,7 @@ def resolve(settings: CellSettings) -> Resolved:
         driver=find_driver(settings["policy"], settings["task"]),
         split=split,
         labels=_labels(arenas) if data else (),
+        levels=levels,
     )
 
 
@@ -188,8 +196,8 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _arenas(settings: CellSettings, task: Task) -> tuple[Any, str]:
-    """Return the arenas of a cell's episodes, level by level in turn, or the one that it has; the split."""
+def _arenas(settings: CellSettings, task: Task) -> tuple[Any, str, int]:
+    """Return the arenas of a cell's episodes, level by level in turn, or its only one; split; levels."""
     said, named = parts_of(settings, "arena"), settings.get("arena", task.arena)
     robot = spec_of(task.robots[0]).name if task.robots else "P2AT"
     if (kind := said.get("kind", "maze")) not in KINDS:
@@ -206,7 +214,7 @@ def _arenas(settings: CellSettings, task: Task) -> tuple[Any, str]:
             raise UsageError(f"arena.{next(iter(said))}: not of generated arenas; arena.kind may be {known}")
         if (split := settings.get("split")) is not None:
             raise UsageError(f"split is {split!r}, but the arenas are not generated: leave split out")
-        return (recipe if isinstance(recipe, str | ArenaSpec) else tuple(recipe)), ""
+        return (recipe if isinstance(recipe, str | ArenaSpec) else tuple(recipe)), "", 1
     split = settings.get("split") or TEST
     if "seed" in said and not SPLITS.get(split).drawn:
         drawn = ", ".join(name for name, one in SPLITS if one.drawn)
@@ -214,8 +222,10 @@ def _arenas(settings: CellSettings, task: Task) -> tuple[Any, str]:
             f"arena.seed: the buildings of split {split} are fixed; a seed draws those of {drawn}: set split"
         )
     recipe = replace(_changed_recipe(recipe, said), split=split, renewable=False)
+    levels, sizes = len(recipe.levels), max(len(recipe.sizes), 1) if isinstance(recipe, Buildings) else 1
     recipe = resolve_arenas(recipe, robot, len(task.robots))
-    return _generated(recipe, int(settings["episodes"]), "count" in said), split
+    own = _generated(recipe, int(settings["episodes"]), "count" in said)
+    return own, split, levels * sizes if len(own) % (levels * sizes) == 0 else levels
 
 
 def _changed_recipe(recipe: GeneratedArenas, given: dict[str, Any]) -> GeneratedArenas:
