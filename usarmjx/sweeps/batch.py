@@ -160,8 +160,12 @@ class GroupRunner:
         """Return the arena of each world."""
         if not self._places:
             return None
-        specs = [cell.arena_of(episode) for cell in cells for episode in range(self._episodes)]
-        rows = np.array([self._places[spec] for spec in specs if spec is not None])
+        known: dict[tuple[str, ...], np.ndarray] = {}  # arenas are slow to find, and many cells share them
+        for cell in cells:
+            if cell.labels not in known:
+                known[cell.labels] = np.array([self._places[spec] for spec in cell.arenas or ()])
+        turns = np.arange(self._episodes)
+        rows = np.concatenate([known[cell.labels][turns % len(cell.labels)] for cell in cells])
         known = self.env.scene.arenas
         assert known is not None  # as there are places
         return jax.tree.map(lambda one: jnp.asarray(one[rows]), known.states)

@@ -1,7 +1,7 @@
 """Resolved settings of a cell: task, arenas of its episodes, ranges, driver; and which of them are data."""
 
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any
 
@@ -32,6 +32,19 @@ STATIC_RANGES = ("mass", "latency")
 """Quantities whose ranges are compiled in: tables of masses, room for what motors have not heard of yet."""
 TEAMS = {"wheeled": "on wheels", "tracked": "with flippers", "flying": "that fly"}
 """Fields of a task with a mixed team."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelledArenas:
+    """Arenas, which are compared by their labels: walls of many are slow to compare.
+
+    Attributes:
+        arenas: The arenas.
+        labels: Name and hash of each.
+    """
+
+    arenas: tuple[ArenaSpec, ...] = field(compare=False)
+    labels: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,15 +116,17 @@ def resolve(settings: CellSettings) -> Resolved:
         task = with_roster(task, settings["roster"])
     task, ranges = _with_parts(task, settings)
     arenas, split, levels = _arenas(settings, task)
-    data = isinstance(arenas, tuple)
+    if isinstance(arenas, tuple):
+        arenas = LabelledArenas(arenas=arenas, labels=_labels(arenas))
+    data = isinstance(arenas, LabelledArenas)
     return Resolved(
         settings=settings,
         task=replace(task, arena="floor" if data else arenas),
-        arenas=arenas if data else None,
+        arenas=arenas.arenas if data else None,
         ranges=ranges,
         driver=find_driver(settings["policy"], settings["task"]),
         split=split,
-        labels=_labels(arenas) if data else (),
+        labels=arenas.labels if data else (),
         levels=levels,
     )
 
@@ -225,7 +240,7 @@ def _arenas(settings: CellSettings, task: Task) -> tuple[Any, str, int]:
     levels, sizes = len(recipe.levels), max(len(recipe.sizes), 1) if isinstance(recipe, Buildings) else 1
     recipe = resolve_arenas(recipe, robot, len(task.robots))
     own = _generated(recipe, int(settings["episodes"]), "count" in said)
-    return own, split, levels * sizes if len(own) % (levels * sizes) == 0 else levels
+    return own, split, levels * sizes if len(own.labels) % (levels * sizes) == 0 else levels
 
 
 def _changed_recipe(recipe: GeneratedArenas, given: dict[str, Any]) -> GeneratedArenas:
@@ -244,8 +259,8 @@ def _labels(arenas: tuple[ArenaSpec, ...]) -> tuple[str, ...]:
     return tuple(map(building_label, arenas))
 
 
-@lru_cache(maxsize=64)
-def _generated(recipe: GeneratedArenas, episodes: int, counted: bool) -> tuple[ArenaSpec, ...]:
+@lru_cache(maxsize=256)
+def _generated(recipe: GeneratedArenas, episodes: int, counted: bool) -> LabelledArenas:
     """Return as many arenas as there are episodes, at most, of all levels in turn."""
     levels = len(recipe.levels)
     count = recipe.count if counted else -(-episodes // levels)
@@ -254,7 +269,8 @@ def _generated(recipe: GeneratedArenas, episodes: int, counted: bool) -> tuple[A
     except (TypeError, ValueError) as error:
         raise UsageError(f"arena: {error}") from error
     order = [level * count + place for place in range(count) for level in range(levels)]
-    return tuple(made[i] for i in order[:episodes])
+    arenas = tuple(made[i] for i in order[:episodes])
+    return LabelledArenas(arenas=arenas, labels=tuple(map(building_label, arenas)))
 
 
 def signature_of(cell: Resolved, engine: str) -> dict[str, Hashable]:
@@ -284,7 +300,9 @@ def signature_of(cell: Resolved, engine: str) -> dict[str, Hashable]:
         "engine": engine,
         "task": cell.settings["task"].lower(),
         "team and fields of the task": repr(sorted(compiled.items(), key=lambda row: row[0])),
-        "arena": repr(task.arena) if cell.arenas is None else arena_shape(cell.arenas),
+        "arena": repr(task.arena)
+        if cell.arenas is None
+        else arena_shape(LabelledArenas(arenas=cell.arenas, labels=cell.labels)),
         "radio": repr(radio),
         "physics": repr(task.physics),
         "what varies": (varied, repr(static)),
@@ -294,8 +312,9 @@ def signature_of(cell: Resolved, engine: str) -> dict[str, Hashable]:
 
 
 @lru_cache(maxsize=256)
-def arena_shape(arenas: tuple[ArenaSpec, ...]) -> Hashable:
+def arena_shape(one: LabelledArenas) -> Hashable:
     """Return the facts that arenas must share to be data, beside the number of their boxes."""
+    arenas = one.arenas
     found = arena_set(arenas)
     states, template = found.states, found.template
     counts = tuple(
