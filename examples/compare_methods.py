@@ -4,7 +4,7 @@
     usarmjx sweep examples/compare_methods.yaml --out sweeps/methods --figure methods.pdf
     usarmjx sweep report sweeps/methods
 
-In place of trainings, each run has the weights of the packaged policy with noise of its own: little, more, much.
+In place of trainings, each run has the weights of the packaged policy with noise of its own.
 Runs of `usarmjx train TASK --seed N --out runs/...` are named in the file the same way.
 """
 

@@ -85,6 +85,11 @@ class _Kept:
     runner: GroupRunner | None = None
 
 
+def kept_runner() -> GroupRunner | None:
+    """Return what played the last batch of this process; None: there was none, or it failed."""
+    return _Kept.runner
+
+
 def play_batch(work: BatchWork, watch: ShareWatch | None = None) -> list[CellRecord]:
     """Play a batch; where it fails, its halves, so that one broken cell does not stop the others."""
     clock = compile_clock()
