@@ -35,7 +35,7 @@ class CellEpisodes:
 
     Attributes:
         scores: Final scores (episodes,).
-        steps: How long they took (episodes,).
+        steps: Their lengths (episodes,).
         bad: Which of them went wrong in their physics (episodes,).
         metrics: The task's metrics at their ends, by name (episodes,).
         seconds: The cell's share of the time that its batch took [s].
@@ -55,12 +55,12 @@ class GroupRunner:
 
     Args:
         cells: Cells of the group that have all of its arenas between them.
-        size: How many are played at once.
+        size: Number played at once.
         engine: The physics engine.
         seed: Of what no world draws from.
 
     Raises:
-        UsageError: What the cells stand for cannot be built.
+        UsageError: A cell's world cannot be built.
     """
 
     def __init__(self, cells: Sequence[Resolved], size: int, engine: str, seed: int = 0) -> None:
@@ -160,12 +160,12 @@ class GroupRunner:
         """Return the arena of each world."""
         if not self._places:
             return None
-        known: dict[tuple[str, ...], np.ndarray] = {}  # arenas are slow to find, and many cells share them
+        found: dict[tuple[str, ...], np.ndarray] = {}  # arenas are slow to find, and many cells share them
         for cell in cells:
-            if cell.labels not in known:
-                known[cell.labels] = np.array([self._places[spec] for spec in cell.arenas or ()])
+            if cell.labels not in found:
+                found[cell.labels] = np.array([self._places[spec] for spec in cell.arenas or ()])
         turns = np.arange(self._episodes)
-        rows = np.concatenate([known[cell.labels][turns % len(cell.labels)] for cell in cells])
+        rows = np.concatenate([found[cell.labels][turns % len(cell.labels)] for cell in cells])
         known = self.env.scene.arenas
         assert known is not None  # as there are places
         return jax.tree.map(lambda one: jnp.asarray(one[rows]), known.states)
