@@ -22,11 +22,11 @@ from usarmjx.sweeps.play import BatchWork, kept_runner, play_batch, resolved
 from usarmjx.sweeps.run import batches_of, prepare
 from usarmjx.sweeps.spec import read_spec
 from usarmjx.sweeps.store import write_cell
+from usarmjx.train.envs.membership import building_label
 
 SWEEP: dict[str, Any] = {
     "common": {
         "task": "drive-to-goal",
-        "engine": "planar",
         "arena": {"kind": "maze", "size": [3, 3]},
         "fields": {"ranges": []},
     },
@@ -35,17 +35,32 @@ SWEEP: dict[str, Any] = {
 """Sixty cells of three densities of walls."""
 
 
-def play_loop(runner: GroupRunner, work: BatchWork) -> np.ndarray:
-    """Return the scores of the episodes of a batch, played by a plain loop (worlds,)."""
+def arena_rows(runner: GroupRunner, work: BatchWork) -> np.ndarray:
+    """Return the place of each world's arena among those of the environment (worlds,)."""
+    known = runner.env.scene.arenas
+    assert known is not None  # as its arenas are generated
+    places = {building_label(spec): place for place, spec in enumerate(known.arenas)}
+    return np.array([places[label] for _, settings in work.cells for label in resolved(settings).buildings])
+
+
+def play_loop(runner: GroupRunner, work: BatchWork, rows: np.ndarray) -> np.ndarray:
+    """Return the scores of the episodes of a batch, played by a plain loop (worlds,).
+
+    Args:
+        runner: Has the environment.
+        work: The batch.
+        rows: See `arena_rows`.
+    """
     env, cells = runner.env, [resolved(settings) for _, settings in work.cells]
     episodes = cells[0].episodes
     numbers = jnp.arange(episodes)
     keys = [jax.vmap(partial(jax.random.fold_in, random.key(c.settings["seed"])))(numbers) for c in cells]
-    library = {spec.name: place for place, spec in enumerate(env.scene.arenas.arenas)}
-    rows = np.array([library[c.arenas[k % len(c.arenas)].name] for c in cells for k in range(episodes)])
-    arenas = jax.tree.map(lambda one: jnp.asarray(one[rows]), env.scene.arenas.states)
+    known, make = env.scene.arenas, cells[0].driver.make
+    assert known is not None  # as its arenas are generated
+    assert make is not None  # as no client drives
+    arenas = jax.tree.map(lambda one: jnp.asarray(one[rows]), known.states)
     state = env.reset_each(jnp.concatenate(keys), arenas, None)
-    policy = cells[0].driver.make(env, None)
+    policy = make(env, None)
     act = _jitted(runner, policy)
     carry, scores, over = policy.initial_carry(env.worlds), np.zeros(env.worlds), np.zeros(env.worlds, bool)
     while not over.all():
@@ -66,9 +81,9 @@ def _jitted(runner: GroupRunner, policy: Any) -> Callable[..., Any]:  # noqa: AN
     return _JITTED.setdefault(id(runner), jax.jit(policy.act))
 
 
-def measure(episodes: int, repeats: int) -> dict[str, float]:
+def measure(episodes: int, repeats: int, engine: str) -> dict[str, float]:
     """Return the shortest times of both [s], the number of cells, and the ratio of the times."""
-    spec = read_spec({**SWEEP, "worlds": 10**6}, common={"episodes": episodes})
+    spec = read_spec({**SWEEP, "worlds": 10**6}, common={"episodes": episodes, "engine": engine})
     with tempfile.TemporaryDirectory() as folder:
         prepared = prepare(spec, Path(folder))
         (work,) = batches_of(prepared)
@@ -78,12 +93,14 @@ def measure(episodes: int, repeats: int) -> dict[str, float]:
             records = play_batch(work)
             for record in records:
                 write_cell(Path(folder), record)
+            ended = time.perf_counter()
             runner = kept_runner()
             assert runner is not None  # as it has just played
+            rows = arena_rows(runner, work)
             middle = time.perf_counter()
-            scores = play_loop(runner, work)
+            scores = play_loop(runner, work, rows)
             if turn:
-                swept.append(middle - begun)
+                swept.append(ended - begun)
                 looped.append(time.perf_counter() - middle)
         same = np.concatenate([record.scores for record in records])
     return {
@@ -100,6 +117,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--episodes", type=int, default=20)
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--engine", default="planar")
     given = parser.parse_args()
-    for name, value in measure(given.episodes, given.repeats).items():
+    for name, value in measure(given.episodes, given.repeats, given.engine).items():
         print(f"{name}: {value:.4g}")

@@ -9,6 +9,7 @@ Runs of `usarmjx train TASK --seed N --out runs/...` are named in the file the s
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ METHODS = {"packaged": 0.02, "small": 0.2, "large": 0.6}
 RUNS = 5
 
 
-def disturbed(arrays: dict[str, np.ndarray], noise: float, seed: int) -> dict[str, np.ndarray]:
+def disturbed(arrays: dict[str, np.ndarray], noise: float, seed: int) -> dict[str, Any]:
     """Return the arrays of a policy with noise on its weights."""
     draw = np.random.default_rng(seed)
     return {
