@@ -9,12 +9,10 @@ import numpy as np
 
 from usarmjx.base.accelerator import warp_in_use
 from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.train.mapping.fast_sweeping import swept_distances
+from usarmjx.train.mapping.fast_sweeping import UNREACHABLE, swept_distances
 from usarmjx.train.mapping.maps import FREE, UNKNOWN, WALL, MapGrid
 
 NEIGHBOURS = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j)
-UNREACHABLE = 1e6
-"""The distance to where no way leads, in squares."""
 
 
 def _framed(values: Array, edge: ArrayLike) -> jax.Array:
