@@ -21,6 +21,7 @@ from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.plots.floor_plan import draw_plan
 from usarmjx.plots.picture import ARROW
+from usarmjx.plots.style import PALETTE
 from usarmjx.sim.world import robot_states
 from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.presence import carry_of_alive
@@ -38,7 +39,6 @@ MAX_FRAMES = 150
 """Most frames of a film; of longer ones, moments are left out."""
 GIF_SPEEDUP = 2.0
 """Speed of a GIF relative to simulated time."""
-COLOURS = ("#1f5fa8", "#d1622b", "#2c8a4f", "#b5179e", "#7a4a1e", "#0f8b8d", "#8f6bd1", "#5c5c5c")
 GOAL, LOOSE = "#c4122f", "#f2730a"
 
 
@@ -48,14 +48,14 @@ class EpisodeRecording:
 
     Attributes:
         task: Its name.
-        arena: Where it was.
+        arena: Its arena.
         names: Of the robots.
         times: When [s] (frames,).
         scores: The score by then (frames,).
-        poses: Where the robots truly were: x, y [m] and yaw [rad] (frames, robots, 3).
-        loose: Where what lies loose truly was: x, y [m] (frames, objects, 2).
-        goal: Where to go [m] (2,), in tasks that have a goal.
-        end: What is known of the episode's end, "" if it went on.
+        poses: True poses of the robots: x, y [m] and yaw [rad] (frames, robots, 3).
+        loose: True positions of loose objects: x, y [m] (frames, objects, 2).
+        goal: Goal [m] (2,), in tasks that have a goal.
+        end: Known end of the episode, "" if it went on.
     """
 
     task: str
@@ -83,7 +83,7 @@ def record_episode(
 
     Args:
         env: The worlds.
-        policy: What drives the robots.
+        policy: Driver of the robots.
         seconds: For how long at most [s of simulated time].
         seed: Of the environment and of the policy's random numbers.
         watch: Gets to see each state of the episode, the first one included.
@@ -163,7 +163,7 @@ def _draw(axes: Axes, shown: EpisodeRecording, frame: int) -> list[Any]:
     if shown.goal is not None:
         drawn += axes.plot(*shown.goal, "x", color=GOAL, ms=9, mew=2.5, zorder=7)
     for robot in range(len(shown.names)):
-        colour, way = COLOURS[robot % len(COLOURS)], shown.poses[: frame + 1, robot]
+        colour, way = PALETTE[robot % len(PALETTE)], shown.poses[: frame + 1, robot]
         drawn += axes.plot(way[:, 0], way[:, 1], color=colour, lw=1.4, zorder=8)
         if not np.isfinite(way[-1]).all():
             continue

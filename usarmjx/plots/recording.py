@@ -21,8 +21,9 @@ from usarmjx.models.compile.victims import victim_table
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.plots.floor_plan import draw_plan
 from usarmjx.plots.picture import ARROW
-from usarmjx.plots.play import COLOURS, EpisodeRecording, film_frames, save_gif
+from usarmjx.plots.play import EpisodeRecording, film_frames, save_gif
 from usarmjx.plots.radio_map import MIN_STEP, power_map
+from usarmjx.plots.style import PALETTE
 from usarmjx.recording.foxglove import is_scanner
 from usarmjx.recording.reader import Recording
 from usarmjx.recording.source import RecordingSource
@@ -43,7 +44,7 @@ class RobotWay:
         name: Its name.
         robot: Its class.
         times: When it was looked at [s].
-        poses: Where it was then: x, y [m] and yaw [rad].
+        poses: Pose then: x, y [m] and yaw [rad].
         battery: For how long its battery lasted yet [s].
     """
 
@@ -59,9 +60,9 @@ class RecordedMission:
     """A recorded mission.
 
     Attributes:
-        arena: Where it was.
+        arena: Its arena.
         ways: The robots' ways, in the order in which they came.
-        scans: Where beams of plane scanners ended, on the floor plan [m] (points, 2).
+        scans: Ends of beams of plane scanners, on the floor plan [m] (points, 2).
         found: When each victim was met first [s], and by whom, by its place in the arena.
         scores: Times [s] and scores of a task.
         loose: Times [s] and where what lies loose was: x, y [m] (objects, 2).
@@ -331,7 +332,7 @@ def mission_figure(mission: RecordedMission) -> Figure:
 
 
 def _colour(place: int) -> str:
-    return COLOURS[place % len(COLOURS)]
+    return PALETTE[place % len(PALETTE)]
 
 
 def _draw_ways(axes: Axes, mission: RecordedMission) -> None:

@@ -42,8 +42,8 @@ class Resolved:
         settings: The cell's settings.
         task: The task; where arenas are data, without them.
         arenas: The arenas of its episodes, in turn; None: it has one that is not data.
-        ranges: What its worlds draw from, as data.
-        driver: What drives the robots.
+        ranges: Source of its worlds, as data.
+        driver: Driver of the robots.
         split: Split of its arenas; empty: they are not generated.
         labels: Name and hash of each of `arenas`.
     """
