@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class WorldsOptions:
-    """Which worlds there are, and which of them are served; each field is an option."""
+    """Worlds, and those of them that are served; each field is an option."""
 
     panel: ClassVar[str] = "Worlds"
 

@@ -113,7 +113,7 @@ class Suite:
 
     @cached_property
     def _automatic(self) -> np.ndarray:
-        """Which sensors measure without a command (sensors,)."""
+        """Mask of the sensors that measure without a command (sensors,)."""
         return np.array([not sensor.on_command for sensor in self.sensors], bool)
 
     def rays(self, bodies: BodyPoses, surroundings: Surroundings = NO_SURROUNDINGS) -> tuple[Array, Array]:

@@ -85,7 +85,7 @@ def spread_distances(start: jax.Array, open_: Array, toll: ArrayLike, until: Arr
 
     def goes_on(state: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
         count, far, changed = state
-        # After so many rounds all ways of so many steps are known, and each step costs 1 or more.
+        # After n rounds all ways of n steps are known, and each step costs 1 or more.
         return changed if until is None else changed & (count < far[until[0], until[1]])
 
     return jax.lax.while_loop(goes_on, spread, (jnp.int32(0), start, jnp.ones((), bool)))[1]
