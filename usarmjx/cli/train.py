@@ -322,7 +322,7 @@ WandbOption = Annotated[
     str | None, typer.Option(help="Project of Weights & Biases that the run is shown in, too.")
 ]
 RecordEveryOption = Annotated[
-    int, typer.Option(min=1, help="With --record: of so many iterations one is kept, of 4 worlds.")
+    int, typer.Option(min=1, help="With --record: iterations from one kept to the next; 4 worlds of each.")
 ]
 
 ClipsOption = Annotated[

@@ -222,6 +222,11 @@ class NumpyPolicy:
                 return index
         raise UsageError(f"this policy is not for {name}; it is for: {', '.join(known)}")
 
+    @property
+    def max_normalised(self) -> float:
+        """Largest magnitude of a normalised observation."""
+        return MAX_NORMALISED
+
     def initial_carry(self, group: int, *shape: int) -> Vector:
         """Return the carry of a group's robots at first (*shape, memory)."""
         return np.zeros((*shape, self.memory), np.float32)
