@@ -32,6 +32,9 @@ SETTINGS = {
     "hidden_sizes": 4,
     "critic_hidden_sizes": 4,
     "episode_steps": 7,  # of the task
+    "ranges": "",
+    "pose": "GroundTruth",
+    "physics": "coarse",
 }
 
 
@@ -49,7 +52,8 @@ def test_a_run_is_trained_and_exported(tmp_path):
     settings = json.loads((out / "config.json").read_text())
     assert (settings["task"], settings["engine"], settings["episode_steps"]) == ("drive-to-goal", "c", 7)
     assert (recorded_engine(out), recorded_engine(tmp_path)) == ("c", "auto")
-    assert settings["overrides"] == {"episode_steps": "7"}
+    light = {"ranges": "", "pose": "GroundTruth", "physics": "coarse"}
+    assert settings["overrides"] == {"episode_steps": "7", **light}
     assert settings["config"]["hidden_sizes"] == [4]
     assert [json.loads(line)["iteration"] for line in (out / "metrics.jsonl").open()] == [1, 2]
     result = invoke("export", out, "--out", tmp_path / "policy.npz", "--checkpoint", "last")

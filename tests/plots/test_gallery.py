@@ -229,6 +229,7 @@ def test_the_whole_arena_fills_the_picture(extent: tuple):
     assert (np.ptp(places, axis=0) / (1500, 1000)).max() > 0.85
 
 
+@pytest.mark.thorough
 def test_a_picture_does_not_depend_on_how_it_is_cut_into_chunks(monkeypatch: pytest.MonkeyPatch):
     solids = gallery.arena_render_geoms(STAGE)
     whole = render.render_picture(solids, EYE, TARGET, WIDTH, HEIGHT)

@@ -73,7 +73,7 @@ def claimed():
     return BatchWorld(Batch(scene, 2, engine="c", seed=4), 1)
 
 
-@pytest.fixture(params=["live", "claimed"])
+@pytest.fixture(params=["live", pytest.param("claimed", marks=pytest.mark.thorough)])
 def client(request):
     client = Client(request.getfixturevalue(request.param), "peer")
     say(client, "INIT {ClassName Finder} {Location 0,0,0.14} {Rotation 0,0,0}")

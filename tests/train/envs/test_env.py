@@ -56,7 +56,7 @@ def actions(env, *values):
     return (jnp.array(rows, jnp.float32).reshape(env.worlds, len(group.agents), group.action_size),)
 
 
-@pytest.fixture(scope="module", params=["c", "jax"])
+@pytest.fixture(scope="module", params=["c", pytest.param("jax", marks=pytest.mark.thorough)])
 def env(request):
     return goal_env(3, request.param)
 

@@ -159,6 +159,7 @@ def test_heights_count_of_what_flies_or_dives_and_every_class_that_planar_moves_
 
 
 @pytest.mark.parametrize(("name", "place", "least"), [("AirRobot", "air", 5.0), ("Submarine", "water", 0.01)])
+@pytest.mark.thorough
 def test_what_flies_or_dives_meets_nothing_and_stays_near_to_c(name, place, least):
     """All keys of its drive at half of their most, for 4 s: the same forces on the same mass."""
     robot = ROBOTS.get(name)

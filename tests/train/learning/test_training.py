@@ -209,6 +209,7 @@ def memory_score(tmp_path, memory):
     return np.mean([record["score"] for record in lines(tmp_path / str(memory))[-5:]])
 
 
+@pytest.mark.thorough
 def test_what_was_seen_before_is_used_by_a_policy_with_memory(tmp_path):
     """And by no other: what it sees at the end says nothing of the light, so 1/2 is all it can get.
 
@@ -219,6 +220,7 @@ def test_what_was_seen_before_is_used_by_a_policy_with_memory(tmp_path):
 
 
 @pytest.mark.oracle
+@pytest.mark.thorough
 def test_a_time_limit_is_no_end(tmp_path):
     """A reward of 1 for ever is worth 1 / (1 - discount) = 5, though episodes are cut after 4 steps.
 
