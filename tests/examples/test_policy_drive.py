@@ -55,7 +55,9 @@ def wire_observation(env, state):
 def yellow(ranges):
     """An environment with some range sensors, compiled once; each material takes XLA a fifth longer."""
     physics = Physics(timestep=0.01, substeps=5)
-    arena = replace(YELLOW, shapes=tuple(shape for shape in YELLOW.shapes if shape.material == OPAQUE), loose=())
+    arena = replace(
+        YELLOW, shapes=tuple(shape for shape in YELLOW.shapes if shape.material == OPAQUE), loose=()
+    )
     return make("drive-to-goal", engine="c", arena=arena, ranges=(ranges,), physics=physics)
 
 

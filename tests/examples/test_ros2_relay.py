@@ -71,9 +71,7 @@ class JointTrajectory:
     def __init__(self, **positions):
         after = SimpleNamespace(sec=0, nanosec=200_000_000)
         self.joint_names = [*positions]
-        self.points = [
-            SimpleNamespace(positions=[*positions.values()], velocities=[], time_from_start=after)
-        ]
+        self.points = [SimpleNamespace(positions=[*positions.values()], velocities=[], time_from_start=after)]
 
 
 @pytest.fixture

@@ -199,6 +199,15 @@ def test_victims_water_doors_and_loose_objects_are_in_the_view():
     assert len(shown) == len(bare) + (7 + 5 + 2 + 2 * (2 + 3 + 2 + 3)) + 7 + 1 + 1 + 1
     assert len(bare) == 2, "floor and wall"
     assert len(gallery.arena_render_geoms(ROOM)) == len(shown) + len(ROOM.shapes) - 2, "the sky is not seen"
+
+
+@pytest.mark.thorough
+def test_pictures_show_victims_water_doors_and_loose_objects():
+    room = replace(ROOM, shapes=ROOM.shapes[:1])
+    shown = gallery.arena_render_geoms(room)
+    bare = gallery.arena_render_geoms(
+        replace(room, victims=(), false_alarms=(), doors=(), loose=(), waters=())
+    )
     eye, target = gallery._eye(ROOM, 1.5)
     with_them, without = (render.render_picture(solids, eye, target, 90, 60) for solids in (shown, bare))
     for place in ((0.0, 0.5, 0.2), (2.0, -1.2, 0.4), (3.5, -1.2, 0.2), (1.0, -0.2, 0.6)):

@@ -146,7 +146,7 @@ def test_worlds_of_a_batch_are_computed_again_to_the_bit(tmp_path, engine):
 
 @pytest.fixture(scope="module")
 def env():
-    light = {"ranges": (), "physics": Physics(timestep=0.01, substeps=5), "repeat": 2}
+    light = {"ranges": (), "pose": "GroundTruth", "physics": Physics(timestep=0.01, substeps=5), "repeat": 2}
     return usarmjx.make("drive-to-goal", worlds=2, engine="c", radius=1e-6, **light)
 
 

@@ -76,7 +76,9 @@ PLAIN = replace(
 
 
 @pytest.mark.parametrize(
-    ("arena", "labels"), [(PLAIN, 3), pytest.param(POND, 5, marks=pytest.mark.thorough)], ids=["plain", "pond"]
+    ("arena", "labels"),
+    [(PLAIN, 3), pytest.param(POND, 5, marks=pytest.mark.thorough)],
+    ids=["plain", "pond"],
 )
 def test_a_served_world_sees_what_a_batch_sees(arena, labels):
     batch = Batch(build_scene(arena, [P2DX] * 2), 1, engine="c")

@@ -7,6 +7,7 @@ at once, at the same start poses.
 from dataclasses import replace
 
 import jax
+import mujoco
 import numpy as np
 import pytest
 
@@ -68,6 +69,7 @@ class Both:
     def __init__(self, roster=ROSTER):
         self.batch = Batch(build_scene(YELLOW, roster, radio=RADIO), NUMBER + 1, engine="c", seed=SEED)
         self.state = self.batch.reset()
+        self.own = mujoco.MjData(self.batch.scene.model)
         self.served = DynamicWorld(YELLOW, seed=SEED, number=NUMBER)
         self.robots = []
         for robot, start in zip(roster, YELLOW.starts, strict=False):
@@ -94,10 +96,11 @@ class Both:
             self.served.step()
 
     def take_poses(self):
-        """Put the served robots to the bit where the batch's are."""
-        own = self.state.physics
-        for name in ("qpos", "qvel", "act"):
-            getattr(self.data, name)[:] = getattr(own, name)[NUMBER]
+        """Put the served robots to the bit where the batch's are, with what the solver begins from."""
+        state = self.state.physics.integration[NUMBER]
+        mujoco.mj_setState(self.batch.scene.model, self.own, state, INTEGRATION_STATE)
+        for name in ("qpos", "qvel", "act", "qacc_warmstart"):
+            getattr(self.data, name)[:] = getattr(self.own, name)
 
     def commands(self):
         """What the robots are told, by slot: in the batch, and served."""

@@ -14,7 +14,7 @@ LIMIT = 4
 
 def goal(engine, worlds=1):
     """A P2AT on an empty floor, in steps coarse enough for a test; it never reaches its goal."""
-    light = {"ranges": (), "physics": Physics(timestep=0.01, substeps=5), "repeat": 2}
+    light = {"ranges": (), "pose": "GroundTruth", "physics": Physics(timestep=0.01, substeps=5), "repeat": 2}
     return usarmjx.make("drive-to-goal", worlds, engine, episode_steps=LIMIT, radius=1e-6, **light)
 
 

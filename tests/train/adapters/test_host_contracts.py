@@ -15,7 +15,7 @@ import gymnasium
 from usarmjx.train.adapters.gymnasium import TeamWorld, VectorWorlds
 
 ID = "usarmjx.train.adapters.gymnasium:usarmjx/drive-to-goal-v1"
-TINY = {"engine": "c", "ranges": (), "arena": "field"}
+TINY = {"engine": "c", "ranges": (), "pose": "GroundTruth", "arena": "field"}
 
 
 def rotten(worlds):

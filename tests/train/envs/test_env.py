@@ -284,7 +284,7 @@ def test_a_step_can_be_scanned_where_the_engine_is_traced(begun):
 
 def test_levels_choose_among_generated_arenas():
     arena = GeneratedArenas(kind="maze", count=2, levels=(0.0, 1.0), size=(3, 3))
-    env = goal_env(4, arena=arena)
+    env = goal_env(4, arena=arena, pose="GroundTruth")
     solids, easy = env.scene.arenas.states.pos, [0, 1, 0, 1]
     state = env.reset(level=0.0)
     np.testing.assert_array_equal(state.batch.worlds.arena_state.pos, solids[easy])

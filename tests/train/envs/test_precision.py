@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import usarmjx
 
-env = usarmjx.make("drive-to-goal", worlds=2, engine=sys.argv[1], episode_steps=4, arena="field", ranges=("Sonar",))
+env = usarmjx.make("drive-to-goal", worlds=2, engine=sys.argv[1], episode_steps=4, ranges=("Sonar",))
 state = env.reset(0)
 for actions in (np.full((2, 1, 2), 0.3), jnp.full((2, 1, 2), 0.3)):
     state = env.step(state, (actions,))

@@ -91,7 +91,13 @@ def test_few_worlds_meet_all_levels_when_a_policy_is_tried(worlds):
     """Worlds go through the arenas in turn, and the easy ones come first: twenty worlds met few others."""
     arenas = GeneratedArenas(kind="maze", count=4, levels=(0.0, 0.5, 1.0), size=(3, 3))
     env = make(
-        "drive-to-goal", worlds=worlds, engine="c", arena=arenas, episode_steps=1, ranges=(), pose="GroundTruth"
+        "drive-to-goal",
+        worlds=worlds,
+        engine="c",
+        arena=arenas,
+        episode_steps=1,
+        ranges=(),
+        pose="GroundTruth",
     )
 
     def act(carry, obs, key):

@@ -184,7 +184,17 @@ def short_run(request, tmp_path_factory):
 
 def test_a_run_has_the_networks_and_fields_of_another_but_its_own_engine_and_physics(short_run, tmp_path):
     out, engine = tmp_path / "tuned", recorded_engine(short_run)
-    small = ("--worlds", 2, "--steps", 8, "--quiet", "--set", "rollout_length=2", "--set", "num_minibatches=1")
+    small = (
+        "--worlds",
+        2,
+        "--steps",
+        8,
+        "--quiet",
+        "--set",
+        "rollout_length=2",
+        "--set",
+        "num_minibatches=1",
+    )
     result = invoke("train", "drive-to-goal", "--engine", "c", "--out", out, "--from", short_run, *small)
     assert result.exit_code == 0, result.output
     assert f"of {short_run}: drive-to-goal on engine {engine}, 8 agent steps; " in result.stderr

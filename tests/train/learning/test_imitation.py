@@ -88,6 +88,7 @@ def test_the_loss_is_half_the_squares_of_what_is_off():
     assert_allclose(off, 0.5 * (0.5**2 + 0.2**2), rtol=1e-4)
 
 
+@pytest.mark.thorough
 def test_a_learner_does_what_it_was_shown():
     trainer = trainer_of(imitation_steps=20 * ROUND, total_steps=25 * ROUND, imitation_std=0.1)
     train_state, worlds = trainer.start()

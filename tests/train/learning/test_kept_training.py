@@ -64,6 +64,7 @@ def test_the_second_start_traces_nothing_and_learns_the_same(engine, tmp_path, m
             trained(engine, replace(CONFIG, gamma=0.9))
 
 
+@pytest.mark.thorough
 def test_programs_are_those_of_any_seed(tmp_path, monkeypatch):
     """What another seed has kept does what the seed's own would do."""
     monkeypatch.setattr(program_cache, "_sources", lambda: "as they are")
