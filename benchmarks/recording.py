@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import ParamSpec, TypeVar
 from unittest.mock import patch
 
 from usarmjx.models.arenas import ARENAS
@@ -27,16 +27,19 @@ HEIGHT = 0.2
 LINES = b"SEN {Time 62.0100} {Type Sonar} {Name F1 Range 1.7626}\r\n" * 20
 
 
+Given, Result = ParamSpec("Given"), TypeVar("Result")
+
+
 class Spent:
     """CPU time of the loop's thread inside of some functions [s]."""
 
     def __init__(self) -> None:
         self.seconds = 0.0
 
-    def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def timed(self, function: Callable[Given, Result]) -> Callable[Given, Result]:
         """Return a function whose time counts."""
 
-        def run(*args: Any, **kwargs: Any) -> Any:
+        def run(*args: Given.args, **kwargs: Given.kwargs) -> Result:
             began = time.thread_time()
             try:
                 return function(*args, **kwargs)

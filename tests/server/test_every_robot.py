@@ -188,7 +188,7 @@ def test_every_class_of_the_manual_has_a_trip():
     [
         pytest.param(
             trip,
-            marks=pytest.mark.thorough if trip.percents and trip.name != "P2AT" else (),
+            marks=pytest.mark.thorough if trip.percents and trip.name != "Hummer" else (),
             id=trip.name + trip.percents * " in percents",
         )
         for trip in TRIPS

@@ -14,6 +14,7 @@ import pytest
 from tests.handy import TAGGER
 from tests.sensors.test_numpy_backend import EVERYTHING
 from usarmjx.comms.attenuation import RadioSettings
+from usarmjx.engines.c.batch import INTEGRATION_STATE
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.effecters import EFFECTERS, effecters_of
 from usarmjx.models.robots.pioneer import P2AT, P2DX
