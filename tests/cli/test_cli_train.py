@@ -34,7 +34,6 @@ SETTINGS = {
     "episode_steps": 7,  # of the task
     "ranges": "",
     "pose": "GroundTruth",
-    "physics": "coarse",
 }
 
 
@@ -52,8 +51,7 @@ def test_a_run_is_trained_and_exported(tmp_path):
     settings = json.loads((out / "config.json").read_text())
     assert (settings["task"], settings["engine"], settings["episode_steps"]) == ("drive-to-goal", "c", 7)
     assert (recorded_engine(out), recorded_engine(tmp_path)) == ("c", "auto")
-    light = {"ranges": "", "pose": "GroundTruth", "physics": "coarse"}
-    assert settings["overrides"] == {"episode_steps": "7", **light}
+    assert settings["overrides"] == {"episode_steps": "7", "ranges": "", "pose": "GroundTruth"}
     assert settings["config"]["hidden_sizes"] == [4]
     assert [json.loads(line)["iteration"] for line in (out / "metrics.jsonl").open()] == [1, 2]
     result = invoke("export", out, "--out", tmp_path / "policy.npz", "--checkpoint", "last")

@@ -67,7 +67,12 @@ def seen_by(world, width=56, height=40):
 
 
 PLAIN = replace(
-    POND, name="plain", shapes=(box((3.0, -0.8, 0.5), (0.05, 0.6, 0.5)),), waters=(), victims=(), false_alarms=()
+    POND,
+    name="plain",
+    shapes=(box((3.0, -0.8, 0.5), (0.05, 0.6, 0.5)),),
+    waters=(),
+    victims=(),
+    false_alarms=(),
 )
 """A wall, a crate and the robots: XLA takes long for glass, mirrors, water, meshes and people."""
 

@@ -23,6 +23,7 @@ def env():
     return goal("c")
 
 
+@pytest.mark.thorough
 def test_a_task_passes_pettingzoo_checks(env):
     pytest.importorskip("pettingzoo", reason="needs the extra rl")
     from pettingzoo.test import parallel_api_test, parallel_seed_test
@@ -33,6 +34,7 @@ def test_a_task_passes_pettingzoo_checks(env):
     parallel_seed_test(lambda: ParallelWorld(env), num_cycles=LIMIT)
 
 
+@pytest.mark.thorough
 def test_a_task_as_a_gymnasium_vector_has_its_own_numbers(env):
     pytest.importorskip("gymnasium", reason="needs the extra rl")
     from usarmjx.train.adapters.gymnasium import VectorWorlds
@@ -54,6 +56,7 @@ def test_a_task_as_a_gymnasium_vector_has_its_own_numbers(env):
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_a_task_is_mapped_by_jaxmarl_and_unrolled_by_brax():
     pytest.importorskip("jaxmarl", reason="needs the extra rl")
     pytest.importorskip("brax", reason="needs the extra train")

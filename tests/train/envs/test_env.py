@@ -234,6 +234,7 @@ def test_a_tasks_own_nan_is_its_fault_is_counted_and_reaches_no_learner(begun):
     assert all(bool(jnp.isfinite(one).all()) for one in seen)
 
 
+@pytest.mark.thorough
 def test_a_world_is_the_same_alone_as_in_a_batch(begun):
     together, _, told = begun
     if together.traceable:

@@ -8,17 +8,20 @@ import numpy as np
 import pytest
 
 from tests.listening import compilations
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import DomainRandomization
 from usarmjx.train.make import make
 
 CHUNK = 50
 """Actions of one compiled call."""
 EPISODE = 40
-LIGHT = {"arena": "yellow", "ranges": (), "pose": "GroundTruth", "physics": "coarse", "repeat": 2}
+PHYSICS = {"planar": "coarse", "c": Physics(timestep=0.01, substeps=5)}
+LIGHT = {"arena": "yellow", "ranges": (), "pose": "GroundTruth", "repeat": 2}
 
 
 def goal_env(engine="planar", worlds=8, **more):
-    return make("drive-to-goal", worlds=worlds, engine=engine, episode_steps=EPISODE, **LIGHT, **more)
+    own = {"engine": engine, "physics": PHYSICS[engine], "episode_steps": EPISODE}
+    return make("drive-to-goal", worlds=worlds, **own, **LIGHT, **more)
 
 
 def live_bytes():

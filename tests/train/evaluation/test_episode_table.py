@@ -9,7 +9,7 @@ from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.train.evaluation.evaluate import evaluate_episodes
 from usarmjx.train.policies.sources import baseline
 
-SHORT = {"ranges": (), "pose": "GroundTruth", "physics": "coarse", "episode_steps": 5}
+SHORT = {"ranges": (), "pose": "GroundTruth", "episode_steps": 5}
 
 
 def test_the_rows_are_the_episodes_of_each_seed():

@@ -248,7 +248,7 @@ def test_a_robot_goes_on_where_it_was(engine, tmp_path):
         num_epochs=1, hidden_sizes=(8,), critic_hidden_sizes=(8,),
         checkpoint_interval=2,
     )  # fmt: skip
-    env = make("drive-to-goal", worlds=4, engine=engine, episode_steps=6, ranges=(), physics="coarse")
+    env = make("drive-to-goal", worlds=4, engine=engine, episode_steps=6, ranges=())
 
     def stop(line):
         if line["iteration"] == 3:
