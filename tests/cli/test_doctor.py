@@ -134,7 +134,7 @@ def test_a_check_that_breaks_is_a_finding_and_the_others_go_on():
 
 
 MOST_PROGRAMS = 30
-"""XLA programs of a self-test; `python -m benchmarks.doctor` measures its seconds, most of which they take."""
+"""XLA programs of a self-test, most of its work; `python -m benchmarks.doctor` measures the seconds."""
 MOST_STEPS = 2 * 2 * 60
 """Control steps of worlds, on both engines."""
 
