@@ -80,7 +80,7 @@ def quick(*args: str) -> list[list[str]]:
 
 
 def everything(*args: str) -> list[list[str]]:
-    """All checks of a change; `--all`: wheel, site, Ray, thorough tests too; other arguments: pytest with them."""
+    """All checks of a change; `--all`: wheel, site, Ray, thorough tests; else pytest with the arguments."""
     if "--quick" in args:
         return quick(*(arg for arg in args if arg != "--quick"))
     if args and args != ("--all",):
