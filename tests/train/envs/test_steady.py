@@ -15,13 +15,16 @@ from usarmjx.train.make import make
 CHUNK = 50
 """Actions of one compiled call."""
 EPISODE = 40
-PHYSICS = {"planar": "coarse", "c": Physics(timestep=0.01, substeps=5)}
-LIGHT = {"arena": "yellow", "ranges": (), "pose": "GroundTruth", "repeat": 2}
+OWN = {
+    "planar": {"physics": "coarse", "arena": "yellow"},
+    "c": {"physics": Physics(timestep=0.01, substeps=5)},
+}
+LIGHT = {"ranges": (), "pose": "GroundTruth", "repeat": 2}
 
 
 def goal_env(engine="planar", worlds=8, **more):
-    own = {"engine": engine, "physics": PHYSICS[engine], "episode_steps": EPISODE}
-    return make("drive-to-goal", worlds=worlds, **own, **LIGHT, **more)
+    own = {"episode_steps": EPISODE, **LIGHT, **OWN[engine], **more}
+    return make("drive-to-goal", worlds=worlds, engine=engine, **own)
 
 
 def live_bytes():
