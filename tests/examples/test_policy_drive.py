@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.arenas import FLAT
-from tests.scripts import EXAMPLES, load
+from tests.scripts import EXAMPLES, load, python_path
 from tests.server.peers import serving
 from tests.train.handmade import policy_file
 from usarmjx.models.arenas import ARENAS
@@ -30,7 +30,7 @@ policy_drive = load("policy_drive")
 parse_line = load("usarsim_client").parse_line
 
 YELLOW = ARENAS.get("yellow")
-HERE = {**os.environ, "PYTHONPATH": str(EXAMPLES.parent)}
+HERE = {**os.environ, "PYTHONPATH": python_path(EXAMPLES.parent)}
 """The package is found by programs without being installed."""
 HALF = 0.0051
 """Half the last of the two decimals that poses have on the wire [m or rad], and rounding."""
