@@ -160,7 +160,7 @@ def assert_same_readings(both):
 def test_some_sensors_read_the_same_served_and_batched():
     """One that casts rays, one with a memory, one that goes by the clock; the next test has all."""
     some = {"Sonar", "INS", "GPS", "GroundTruth"}
-    robot = replace(WHOLE, name="Some", sensors=tuple(one for one in WHOLE.sensors if one.kind in some))
+    robot = replace(P2AT, name="Some", sensors=tuple(one for one in WHOLE.sensors if one.kind in some))
     assert assert_same_readings(Both((robot, robot))) == some
 
 
