@@ -147,8 +147,18 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-LONG = ("cameras", "radio", "robots", "sensors", "start", "stacks", "tutorial-sweep", "tutorial-task")
-"""Pages whose examples compile for six seconds and more: every run only reads them as programs."""
+LONG = (
+    "cameras",
+    "radio",
+    "robots",
+    "sensors",
+    "start",
+    "stacks",
+    "tutorial-sweep",
+    "tutorial-task",
+    "tutorial-watching",
+)
+"""Pages whose examples compile for five seconds and more: every run only reads them as programs."""
 
 
 def long_ones_are_thorough(path: Path) -> ParameterSet:

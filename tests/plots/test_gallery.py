@@ -152,6 +152,7 @@ EYE, TARGET, WIDTH, HEIGHT = np.array([0.5, -7.0, 1.2]), np.array([0.3, 0.5, -1.
 
 
 @pytest.mark.oracle
+@pytest.mark.thorough
 def test_glass_shows_what_is_behind_it_and_mirrors_what_they_reflect():
     """Every pixel against C MuJoCo's rays: straight on, through the glass, and thrown back by the mirror."""
     model = new_spec(STAGE, Physics()).compile()

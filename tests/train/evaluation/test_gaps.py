@@ -56,6 +56,7 @@ def test_contacts_count_when_they_begin_and_odometry_from_the_start():
     assert drive.slip[-1] == pytest.approx([0.5, 0.0])
 
 
+@pytest.mark.thorough
 def test_a_wall_that_is_run_into_counts_on_c_as_on_planar():
     """By the same measure that tasks score by; ranges and poses agree while nothing is touched."""
     robot = ROBOTS.get("P2AT")

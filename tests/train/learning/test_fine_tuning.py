@@ -53,6 +53,7 @@ def tuned(folder, source, config=KEPT, **how):
     return train(make, config, folder, source=source, progress=False, **how)
 
 
+@pytest.mark.thorough
 def test_it_begins_with_everything_that_was_learned_and_acts_as_its_source(reference, tmp_path):
     """And where nothing is learned it stays that; Adam's moments and the count of iterations are new."""
     trained = load_trained(reference)

@@ -165,6 +165,7 @@ def test_no_arenas_are_generated_that_no_iteration_would_meet(env, monkeypatch):
     assert asked == [1, 2]
 
 
+@pytest.mark.thorough
 def test_a_run_trains_on_each_generation_for_its_iterations(env, trained):
     _, template = Trainer(env, CONFIG, ProcessGroup()).start()
     expected = [env.scene.arenas.states, env.redrawn_arenas(1), env.redrawn_arenas(2)]
