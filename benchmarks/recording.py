@@ -61,6 +61,8 @@ def measure(rounds: int, file: Path) -> list[float]:
             patches.enter_context(patch.object(WorldRecorder, name, timed))
         world = dynamic_world.DynamicWorld(ARENAS.get("soccer"), max_robots=ROBOTS_THERE)
         recording = record_worlds([world], file)
+        recorder = world.recorder
+        assert recorder is not None
         for number in range(ROBOTS_THERE):
             place = (number % 4, number // 4, HEIGHT)
             world.spawn_at(ROBOTS.get("P2DX"), f"R{number}", [(place, (0.0, 0.0, 0.0))])
@@ -68,7 +70,7 @@ def measure(rounds: int, file: Path) -> list[float]:
             due = [robot for robot in world.robots.values() if (step + robot.slot) % ROUND == 0]
             for robot in due:
                 world.update_command(robot, CommandUpdate(drive={"Left": 1.0 + step % 3}))
-                world.recorder.lines("127.0.0.1:4000", robot.name, LINES, sent=True)
+                recorder.lines("127.0.0.1:4000", robot.name, LINES, sent=True)
             world.step()
             if due:
                 world.observe(due)
