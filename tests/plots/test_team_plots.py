@@ -65,7 +65,8 @@ def test_the_command_shows_and_keeps_the_rows(tmp_path, monkeypatch):
     result = CliRunner().invoke(app, [*words, "--json", str(tmp_path / "teams.json")])
     assert result.exit_code == 0, result.stderr
     ((how, fields),) = asked
-    assert (how[:5], fields) == (("explore-v2", 3, 0, "c", ["one"]), {"episode_steps": "3"})
+    assert how[:5] == ("explore-v2", 3, 0, "c", ["one"])
+    assert {name: int(value) for name, value in fields.items()} == {"episode_steps": 3}
     *_, line = result.stdout.splitlines()
     assert line.startswith("| one | 5.5 | ")
     assert " | 4.0 | 2.0 | -0.5 | 17 % | 50 % | 50 % | 0 % |" in line
