@@ -151,7 +151,7 @@ def test_a_self_test_compiles_few_programs_makes_few_steps_and_answers_on_standa
     monkeypatch.setattr(Batch, "step", counted)
     with compilations(COMPILED) as compiled:
         done = invoke("--json")
-    assert done.stderr.startswith("usarmjx: looking at packages, cache, ports and devices ...\n")
+    assert "usarmjx: step a batch on engine `c` ...\n" in done.stderr
     found = {one["about"]: one for one in json.loads(done.stdout)["findings"]}
     tried = ("engine c", "engine jax", "client", "rays", "speed")
     assert [found[name]["verdict"] for name in tried] == ["ok"] * 5, found

@@ -17,7 +17,7 @@ SMALL = {
         "episodes": 2,
         "arena": {"kind": "maze", "size": [3, 3]},
         "split": "train",  # whose walls are in the way of most robots
-        "fields": {"ranges": [], "pose": "GroundTruth", "repeat": 2, "episode_steps": 40},
+        "fields": {"ranges": [], "repeat": 2, "episode_steps": 40},
         "physics": {"timestep": 0.01, "substeps": 5},
     },
     "product": {"arena.level": [0.1, 0.9], "seed": [0, 1, 2]},
