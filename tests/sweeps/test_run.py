@@ -58,7 +58,8 @@ def test_cells_that_differ_in_data_are_played_with_one_compilation(whole):
 def test_a_cell_is_the_same_alone_as_in_a_batch(whole):
     _, found, _ = whole
     record = found.records[11]
-    (alone,) = GroupRunner([resolve(record.settings)], 1, "c").run([0])
+    cell = resolve(record.settings)
+    (alone,) = GroupRunner([cell], 1, "c").run([cell])
     assert alone.metrics["distance"].tolist() == list(record.metrics["distance"])
     assert alone.scores.tolist() == list(record.scores)
     assert alone.steps.tolist() == list(record.steps)
@@ -76,10 +77,19 @@ def test_other_processes_and_ray_play_the_same_to_the_bit(place, whole, rows, tm
     assert all(record.failed is None and record.compile_seconds > 0.0 for record in found.records)
 
 
-@pytest.mark.thorough
-def test_a_killed_sweep_goes_on_and_comes_to_the_same(whole, rows, tmp_path):
+@pytest.mark.parametrize(
+    "place",
+    [
+        pytest.param("here", marks=pytest.mark.thorough),
+        pytest.param("processes", marks=pytest.mark.tools),
+        pytest.param("ray", marks=pytest.mark.tools),
+    ],
+)
+def test_a_killed_sweep_goes_on_and_comes_to_the_same(place, whole, rows, tmp_path):
     file, folder = write(tmp_path, list=rows), tmp_path / "out"
+    workers = Workers(place=place, count=1)
     command = [sys.executable, "-m", "usarmjx", "sweep", str(file), "--out", str(folder), "--quiet"]
+    command += ["--run-on", place, "--workers", "1"]
     running = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     try:
         while not times(folder) and running.poll() is None:
@@ -90,7 +100,7 @@ def test_a_killed_sweep_goes_on_and_comes_to_the_same(whole, rows, tmp_path):
         assert running.wait() == -signal.SIGKILL, "it ended before it could be killed"
     before = times(folder)
     assert 1 <= len(before) < 12
-    found = run_sweep(load_spec(file), folder)
+    found = run_sweep(load_spec(file), folder, workers)
     assert results(found) == results(whole[1])
     after = times(folder)
     assert {name: after[name] for name in before} == before, "what was there is not played again"
