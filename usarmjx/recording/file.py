@@ -18,6 +18,7 @@ from mcap.writer import CompressionType, Writer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import disk_error, writing
+from usarmjx.recording.chunk_index import keep_index_in_file
 from usarmjx.recording.foxglove import SCHEMAS, schema_text
 from usarmjx.recording.values import pack
 
@@ -106,6 +107,7 @@ class RecordingFile:
             except FileExistsError as error:
                 raise UsageError(f"{path}: is there already; record to another file") from error
         self._writer = Writer(self._stream, compression=CompressionType.ZSTD)
+        keep_index_in_file(self._writer, self._stream)
         self._channels: dict[ChannelName, int] = {}
         self._schemas: dict[str, int] = {}
         self._jobs: deque[_Waiting] = deque()
