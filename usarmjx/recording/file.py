@@ -65,6 +65,16 @@ CHANNELS = {
     "log": "foxglove.Log",
 }
 """Kinds of channels and their schemas; those without one hold bytes of `values.pack`."""
+
+
+def topic_of(channel: ChannelName, *, several: bool) -> str:
+    """Return the topic of a channel in a file of one world, or of several."""
+    where = f"/world{channel.world}" if several else ""
+    own = "" if CHANNELS[channel.kind].startswith("foxglove.") else "/usarmjx"
+    parts = "/".join(part.replace("/", "_") for part in (channel.kind, channel.about) if part)
+    return f"{where}{own}/{parts}"
+
+
 Job = Callable[["RecordingFile"], None]
 """A write operation, carried out in the file's thread."""
 
@@ -192,12 +202,10 @@ class RecordingFile:
         if name not in self._schemas:
             encoding = "jsonschema" if schema in SCHEMAS else ""
             self._schemas[name] = self._writer.register_schema(name, encoding, schema_text(schema))
-        where = f"/world{channel.world}" if self._several else ""
-        own = "" if schema.startswith("foxglove.") else "/usarmjx"
-        parts = "/".join(part.replace("/", "_") for part in (channel.kind, channel.about) if part)
+        topic = topic_of(channel, several=self._several)
         fields = {"world": str(channel.world), "kind": channel.kind, "about": channel.about}
         number = self._channels[channel] = self._writer.register_channel(
-            f"{where}{own}/{parts}", "json" if schema else "msgpack", self._schemas[name], fields
+            topic, "json" if schema else "msgpack", self._schemas[name], fields
         )
         # A file without its end has a channel only in the part that uses it first, which may be damaged.
         self._writer.add_metadata(CHANNEL_METADATA, {"id": str(number), **fields})
