@@ -126,6 +126,7 @@ def of_robots(around):
     return rows
 
 
+@pytest.mark.every_run("what flies over levels")
 @pytest.mark.parametrize("scene", SCENES)
 def test_robots_look_around_as_by_jax_and_only_those_that_need_it(scene, compared):
     driven(*SCENES[scene])
@@ -153,6 +154,7 @@ def test_robots_look_around_as_by_jax_and_only_those_that_need_it(scene, compare
     assert 0.3 < np.mean(shares) < 0.999, "many go on by what they know, not all"
 
 
+@pytest.mark.every_run("what flies over levels")
 @pytest.mark.parametrize("scene", SCENES)
 def test_the_ground_is_found_as_by_jax_by_what_is_known_or_under_all_solids(scene, compared):
     driven(*SCENES[scene])
@@ -161,6 +163,7 @@ def test_the_ground_is_found_as_by_jax_by_what_is_known_or_under_all_solids(scen
         assert (np.abs(found - by_jax) > ROUNDING).mean() < 1e-3
 
 
+@pytest.mark.every_run("a victim's limbs among walls")
 @pytest.mark.parametrize("scene", list(SCENES)[:2])
 def test_an_engine_goes_the_same_way_with_them(scene, monkeypatch):
     by_jax, _ = driven(*SCENES[scene])
@@ -268,6 +271,7 @@ def launches(monkeypatch):
     return kept
 
 
+@pytest.mark.every_run("a victim's limbs among walls")
 @pytest.mark.skipif(not COMPILER, reason="needs a compiler of C++")
 @pytest.mark.parametrize("scene", SCENES)
 def test_the_threads_of_a_gpu_do_together_what_one_does(scene, launches):

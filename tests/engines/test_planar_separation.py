@@ -38,6 +38,7 @@ def on_warp(before, after, near, moves, stacked):
     return separate_on_warp(*as_the_engine_has_it(case))
 
 
+@pytest.mark.every_run("24-3", "24-40", "3-150")
 @pytest.mark.parametrize(("worlds", "robots"), [(24, 1), (24, 3), (24, 4), (24, 16), (24, 40), (3, 150)])
 def test_a_crowd_is_kept_apart_as_by_jax(worlds, robots):
     """Among boxes and discs, beside those that do not move, over and under each other."""
@@ -130,6 +131,7 @@ def test_the_threads_of_a_block_do_together_what_one_does():
     assert np.asarray(felt)[1].mean() > 0.15, "there was something to do"
 
 
+@pytest.mark.thorough
 def test_an_engine_goes_the_same_way_with_it(monkeypatch):
     """Four robots among walls and a disc, told the same for 3 s, in two worlds of which one goes astern."""
     scene, found = build_scene(PEN, [EAGER] * 4, Physics(timestep=0.05, substeps=1)), []
