@@ -11,6 +11,7 @@ import time
 import pytest
 
 import dev
+from tests.scripts import python_path
 from tests.server.peers import PATIENCE, Peer
 from usarmjx.server.runtime.signals import StopSignals
 
@@ -46,7 +47,12 @@ def start(before="", within=""):
         stderr=subprocess.PIPE,
         text=True,
         cwd=dev.ROOT,
-        env={**os.environ, "PYTHONPATH": str(dev.ROOT), "JAX_PLATFORMS": "cpu", "PYTHONUNBUFFERED": ""},
+        env={
+            **os.environ,
+            "PYTHONPATH": python_path(dev.ROOT),
+            "JAX_PLATFORMS": "cpu",
+            "PYTHONUNBUFFERED": "",
+        },
     )
     return process, process.stdout.readline()
 
@@ -109,7 +115,8 @@ def test_before_it_serves_it_ends_as_shells_expect(number, work):
     assert line == "building\n"
     time.sleep(0.5)  # the work has begun
     out, err, took = end(process, number)
-    assert (process.returncode, out, err) == (128 + number, "last words", "")
+    said = f"usarmjx: stopped by {signal.Signals(number).name}\n"
+    assert (process.returncode, out, err) == (128 + number, "last words", said)
     assert took < LIMIT
 
 

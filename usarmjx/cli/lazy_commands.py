@@ -9,6 +9,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from usarmjx.cli.checkout import has_benchmarks, import_benchmarks, needs_checkout
+from usarmjx.cli.entry import with_usual_signals
 
 CommandTable = Mapping[str, tuple[str, str]]
 """Names of commands with the place of each, as `module:attribute`, and its summary.
@@ -31,7 +32,9 @@ def load_command(name: str, place: str, summary: str) -> Any:  # noqa: ANN401 - 
         target.command(name)(function)
     group = typer.main.get_group(target)
     group.name = name
-    return group.commands.get(name, group)
+    command: Any = group.commands.get(name, group)
+    command.invoke = with_usual_signals(command.invoke)
+    return command
 
 
 class LazyCommands(Mapping[str, Any]):
@@ -58,6 +61,15 @@ class LazyCommands(Mapping[str, Any]):
     def __len__(self) -> int:
         """Return the number of commands."""
         return len(self._table)
+
+
+def _hide_arguments(command: Any) -> None:  # noqa: ANN401 - click's, or typer's own copy
+    """Leave hidden arguments out of the usage of a command, and of the commands of a group."""
+    for inner in getattr(command, "commands", {}).values():
+        _hide_arguments(inner)
+    for param in command.params:
+        if getattr(param, "hidden", False):
+            param.get_usage_pieces = lambda ctx: []
 
 
 class LazyGroup(TyperGroup):
@@ -99,6 +111,8 @@ class LazyGroup(TyperGroup):
         example = f"Example: `{self.examples.get(cmd_name)}`"
         if command is not None and cmd_name in self.examples and example not in (command.epilog or ""):
             command.epilog = " ".join(filter(None, (command.epilog, example)))
+        if command is not None:
+            _hide_arguments(command)
         return command
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - click's, or typer's own copy
