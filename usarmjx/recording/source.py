@@ -44,6 +44,7 @@ class RecordingSource:
         time: The present time [s].
         start: Time of its first frame [s].
         end: Time of its end [s].
+        worlds: Numbers of its worlds, by the index that the methods take.
 
     Raises:
         UsageError: There are no frames in it.
@@ -51,12 +52,12 @@ class RecordingSource:
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
-        self._worlds = tuple(
+        self.worlds = tuple(
             world for world in recording.worlds if recording.following("frames", world, -1.0) is not None
         )
-        if not self._worlds:
+        if not self.worlds:
             raise UsageError(f"{recording.path}: there is nothing to be seen in it")
-        firsts = [recording.following("frames", world, -1.0) for world in self._worlds]
+        firsts = [recording.following("frames", world, -1.0) for world in self.worlds]
         self.start = min(first.time for first in firsts if first is not None)
         self.end = recording.end
         self.time = self.start
@@ -66,7 +67,7 @@ class RecordingSource:
     @property
     def num_worlds(self) -> int:
         """Number of worlds with frames."""
-        return len(self._worlds)
+        return len(self.worlds)
 
     def seek(self, time: float) -> None:
         """Go to a time [s], or to the beginning or end if it is beyond that."""
@@ -77,7 +78,7 @@ class RecordingSource:
         return self._read(world, self._frame_message(world).time)[1]
 
     def _read_drawing(self, world: int, time: float) -> tuple[float, Drawing]:
-        found = self.recording.last("drawings", self._worlds[world], time)
+        found = self.recording.last("drawings", self.worlds[world], time)
         if found is None or not isinstance(found.value, Drawing):
             raise UsageError(f"{self.recording.path}: no drawing of world {world} at {time:.2f} s")
         if found.time != time:
@@ -92,7 +93,7 @@ class RecordingSource:
         known = self._around.get(world)
         if known is not None and known[1] is not None and known[0].time <= self.time < known[1].time:
             return known
-        number = self._worlds[world]
+        number = self.worlds[world]
         before = self.recording.last("frames", number, self.time)
         before = before or self.recording.following("frames", number, -1.0)
         assert before is not None  # every world of `_worlds` has a frame
