@@ -128,7 +128,7 @@ class Walls:
         return ((enters <= leaves) & (enters < 1.0) & (leaves > 0.0)).any(-1)
 
     def free_share(self, start: np.ndarray, end: np.ndarray) -> float:
-        """Return the share of a way, from a point (3,) to another (3,) [m], before the first wall: up to 1."""
+        """Return the share of the way between two points (3,) [m] before the first wall, up to 1."""
         if not len(self._pos):
             return 1.0
         begin = np.einsum("bj,bji->bi", start - self._pos, self._mat)

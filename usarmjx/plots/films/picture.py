@@ -192,7 +192,12 @@ class FilmScene:
         low, high = self.bounds
         side = SHADOW_SIDES[bool(np.linalg.norm(high - low) > WIDE)]
         self._sun = SunView.over(low, high, np.array(SUN), side)
-        self._scene = lit_scene(Geoms(blocks=(), kinds=(), materials=()), _appearance(of), _lighting(drawing))
+        # Drawings of similar size share a compiled program.
+        self._padding = (1 << max(0, len(of) - 1).bit_length()) - len(of)
+        self._appearance = jax.tree.map(self._padded, _appearance(of))
+        self._is_floor = self._padded(of.is_floor)
+        nothing = Geoms(blocks=(), kinds=(), materials=())
+        self._scene = lit_scene(nothing, self._appearance, _lighting(drawing))
         made_of = {OPAQUE} | ({GLASS} if self._clear.any() else set())
         self._materials = tuple(sorted(made_of | ({MIRROR} if (of.reflectance > 0).any() else set())))
         self._shadow: Canvas | None = None
@@ -325,12 +330,15 @@ class FilmScene:
         square = np.maximum((across * across).sum(-1, keepdims=True), 1e-18)
         dual = np.stack([np.cross(second, across), np.cross(across, first)], 1) / square[:, None]
         return Table(
-            corner=corners[:, 0].astype(np.float32),
-            dual=dual.astype(np.float32),
-            normals=normals.astype(np.float32),
-            appearance=_appearance(self._solids),
-            is_floor=self._solids.is_floor,
+            corner=self._padded(corners[:, 0].astype(np.float32)),
+            dual=self._padded(dual.astype(np.float32)),
+            normals=self._padded(normals.astype(np.float32)),
+            appearance=self._appearance,
+            is_floor=self._is_floor,
         )
+
+    def _padded(self, column: np.ndarray) -> np.ndarray:
+        return np.pad(column, [(0, self._padding), *[(0, 0)] * (column.ndim - 1)])
 
 
 class _Base(NamedTuple):

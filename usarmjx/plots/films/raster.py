@@ -1,8 +1,8 @@
 """Rasterizer of triangles on NumPy: which one is nearest at each pixel, for thousands of them at once.
 
-Triangles become rows, rows become fragments, and each fragment competes for its pixel with its nearness in the
-upper half of a key and its triangle in the lower half. Nearness is positive and affine on the screen: 1 / depth
-for a perspective, a constant minus the depth for parallel light.
+Triangles become rows, rows become fragments, and each fragment competes for its pixel by a key: nearness in
+the upper half, its triangle in the lower half. Nearness is positive and affine on the screen: 1 / depth for a
+perspective, a constant minus the depth for parallel light.
 """
 
 from typing import NamedTuple
