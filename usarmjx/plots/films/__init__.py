@@ -1,1 +1,1 @@
-"""Films of recordings in three dimensions: `film` is the whole way, from `raster` and `picture` to `codecs`."""
+"""Films of recordings in three dimensions: `film` joins `picture`, `overlays` and `codecs`."""
