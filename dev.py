@@ -59,7 +59,7 @@ VERBS = {
     ),
     "test": Verb(
         "lint, format check, types, layers and tests; --quick: what needs no compilation; --all: wheel,"
-        " site and Ray too; other arguments: pytest with them",
+        " site, Ray and thorough tests too; other arguments: pytest with them",
         checks.everything,
     ),
     "fuzz": Verb(

@@ -1,9 +1,9 @@
-"""The conformance table is well formed, its tests exist and its counts are right."""
+"""The conformance tables are well formed, its tests exist and its counts are right."""
 
 import ast
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -11,22 +11,22 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCUMENT = ROOT / "docs" / "conformance.md"
+FOLDER = ROOT / "docs" / "conformance"
 STATUSES = ("yes", "partly", "not yet", "not applicable")
 COLUMNS = ["manual", "item", "status", "where / test", "note"]
 SECTIONS = range(3, 15)  # the manual's sections that describe something to build
 NAMED_TEST = re.compile(r"`(tests/[\w/]+\.py)::(\w+)`")
-SECTION_HEADING = re.compile(r"## (\d+) ")
+SECTION_HEADING = re.compile(r"# Conformance, section (\d+): (.+)")
 SECTION_NUMBER = re.compile(r"\d+(\.\d+)*")
 
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the document.
+    """One row of the pages.
 
     Attributes:
-        chapter: Number of the heading that the row stands under.
-        line: Line number in the document.
+        chapter: Number of the section whose page the row stands on.
+        line: Line number on the page.
         manual: Section of the manual, such as "9.3".
         item: What the manual describes there.
         status: One of STATUSES.
@@ -49,7 +49,7 @@ def cells_of(line: str) -> list[str]:
 
 
 def parse(text: str) -> list[Row]:
-    """Return the rows of all five-column tables under a numbered heading, in order.
+    """Return the rows of all tables on the page of a section, in order.
 
     Raises:
         ValueError: A table line there does not have five cells.
@@ -57,9 +57,8 @@ def parse(text: str) -> list[Row]:
     rows: list[Row] = []
     chapter = 0
     for number, line in enumerate(text.splitlines(), 1):
-        if line.startswith("## "):
-            heading = SECTION_HEADING.match(line)
-            chapter = int(heading[1]) if heading else 0
+        if heading := SECTION_HEADING.fullmatch(line):
+            chapter = int(heading[1])
         if not chapter or not line.startswith("|"):
             continue
         cells = cells_of(line)
@@ -107,29 +106,39 @@ def repeated(rows: Sequence[Row]) -> list[str]:
     return [f"{manual} {item}" for (manual, item), count in counts.items() if count > 1]
 
 
-def counts_table(rows: Sequence[Row]) -> str:
-    """Return the table of counts that the document has to show for these rows."""
+def counts_of(rows: Sequence[Row]) -> str:
+    """Return the cells of a line of counts: one for each status, and the sum."""
     counts = Counter(row.status for row in rows)
-    lines = ["| status | rows |", "|---|---|"]
-    lines += [f"| {status} | {counts[status]} |" for status in STATUSES]
-    return "\n".join([*lines, f"| all | {len(rows)} |"])
+    return " | ".join(str(number) for number in (*(counts[status] for status in STATUSES), len(rows)))
+
+
+def summary(pages: Mapping[str, str]) -> str:
+    """Return the table of counts that the first page has to show, a line for each page and one for all."""
+    lines = [f"| section | {' | '.join(STATUSES)} | rows |", "|---|---|---|---|---|---|"]
+    for name, text in pages.items():
+        heading = SECTION_HEADING.match(text)
+        assert heading, name
+        lines.append(f"| [{heading[1]} {heading[2]}]({name}) | {counts_of(parse(text))} |")
+    everything = [row for text in pages.values() for row in parse(text)]
+    return "\n".join([*lines, f"| all | {counts_of(everything)} |"])
 
 
 @pytest.fixture(scope="module")
-def text() -> str:
-    """The document."""
-    return DOCUMENT.read_text(encoding="utf-8")
+def pages() -> dict[str, str]:
+    """The pages of the sections by name, in the order of the manual."""
+    paths = sorted(FOLDER.glob("[0-9]*.md"), key=lambda path: int(path.stem.split("-")[0]))
+    return {path.name: path.read_text(encoding="utf-8") for path in paths}
 
 
 @pytest.fixture(scope="module")
-def rows(text: str) -> list[Row]:
-    """All rows of the document."""
-    return parse(text)
+def rows(pages: dict[str, str]) -> list[Row]:
+    """All rows of all pages."""
+    return [row for text in pages.values() for row in parse(text)]
 
 
 def test_every_row_is_sound(rows: list[Row]) -> None:
     """Status, section, named tests and notes of every row are in order."""
-    faults = [f"line {row.line}: {fault}" for row in rows for fault in faults_of(row)]
+    faults = [f"section {row.chapter}, line {row.line}: {fault}" for row in rows for fault in faults_of(row)]
     assert not faults, "\n".join(faults)
 
 
@@ -143,10 +152,10 @@ def test_all_sections_have_rows_in_order(rows: list[Row]) -> None:
     assert list(dict.fromkeys(row.chapter for row in rows)) == list(SECTIONS)
 
 
-def test_counts_are_right(text: str, rows: list[Row]) -> None:
-    """The counts in the preface match the tables."""
-    expected = counts_table(rows)
-    assert expected in text, f"the document should say:\n{expected}"
+def test_counts_are_right(pages: dict[str, str]) -> None:
+    """The counts on the first page match the tables of all others."""
+    expected = summary(pages)
+    assert expected in (FOLDER / "index.md").read_text(encoding="utf-8"), f"index.md should say:\n{expected}"
 
 
 THIS_TEST = "`tests/test_conformance.py::test_a_fault_is_found`"
@@ -179,13 +188,15 @@ def test_a_fault_is_found(changes: dict[str, str], fault: str) -> None:
 def test_a_repeated_row_is_found() -> None:
     """Repeats are found whatever their case."""
     line = "| 9.3 | STA | yes | | |"
-    assert repeated(parse(f"## 9 Messages\n{line}\n{line.replace('STA', 'sta')}")) == ["9.3 sta"]
+    assert repeated(parse(f"# Conformance, section 9: Messages\n{line}\n{line.replace('STA', 'sta')}")) == [
+        "9.3 sta"
+    ]
 
 
 def test_a_row_with_a_missing_cell_is_refused() -> None:
     """A broken table line is an error, not a skipped row."""
     with pytest.raises(ValueError, match="line 2: 4 cells"):
-        parse("## 9 Messages\n| 9.3 | STA | yes | |")
+        parse("# Conformance, section 9: Messages\n| 9.3 | STA | yes | |")
 
 
 def test_the_table_of_the_later_versions_names_tests_that_exist():

@@ -22,7 +22,7 @@ import dev
 import usarmjx
 from tools import prose
 
-FOLDERS = (".", "docs", "docs/evidence", "examples", "benchmarks")
+FOLDERS = (".", "docs", "docs/conformance", "docs/evidence", "examples", "benchmarks")
 DOCUMENTS = sorted({path for folder in FOLDERS for path in (dev.ROOT / folder).glob("*.md")})
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 NAMED = re.compile(r"^```\w+ (\S+)\n(.*?)^```", re.MULTILINE | re.DOTALL)

@@ -80,12 +80,12 @@ def quick(*args: str) -> list[list[str]]:
 
 
 def everything(*args: str) -> list[list[str]]:
-    """All checks but those of wheel, site and Ray, which `--all` adds; other arguments: pytest with them."""
+    """All checks of a change; `--all`: wheel, site, Ray, thorough tests; else pytest with the arguments."""
     if "--quick" in args:
         return quick(*(arg for arg in args if arg != "--quick"))
     if args and args != ("--all",):
         return [pytest(*args)]
-    chosen = [] if args else ["-m", "not tools"]
+    chosen = [] if args else ["-m", "not tools and not thorough"]
     tests = [
         pytest(*WORKERS, *NO_HANGING, *SLOWEST, *chosen),
         pytest("--optimised", *WORKERS, *NO_HANGING, *OPTIMISED),

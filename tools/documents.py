@@ -1,16 +1,19 @@
-"""What makes a site and notebooks of the folder docs; `python3 dev.py docs` runs it.
+"""The site and the notebooks of the folder docs; `python3 dev.py docs` makes them.
 
-MkDocs calls the functions that begin with `on_`. Pages link to files of the repository as they do on a forge:
-on the site such a file is a page of its own, out of the search.
+Pages link to files of the repository as they do on a forge: on the site such a file is a page of its own,
+out of the search. Zensical builds the site from a folder of pages whose links lead there.
 """
 
 import json
-import os
 import posixpath
 import re
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 FENCE = re.compile(r"(^```.*?^```)", re.MULTILINE | re.DOTALL)
@@ -69,44 +72,64 @@ def source_page(path: str) -> str:
     return f"{settings}\n# {path}\n\n````{language}\n{body}\n````\n"
 
 
-def on_config(config: Any) -> Any:  # noqa: ANN401 - MkDocs' own
-    """Put pages of which the list of pages does not know to the others that tell how."""
-    named = set(re.findall(r"[\w/-]+\.md", json.dumps(config.nav)))
-    (how_to,) = (part["How to"] for part in config.nav if "How to" in part)
-    there = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
-    how_to += sorted(there - named)
-    return config
+def unlisted(nav: list[dict[str, Any] | str], there: set[str]) -> list[str]:
+    """Return the pages of docs that the list of pages does not name, in order."""
+    return sorted(there - set(re.findall(r"[\w/-]+\.md", json.dumps(nav))))
 
 
-def on_files(files: Any, config: Any) -> Any:  # noqa: ANN401 - MkDocs' own
-    """Add pages for what the documents link to outside of docs."""
-    from mkdocs.structure.files import File
+def configuration(pages: set[str]) -> str:
+    """Return mkdocs.yml for staged pages: those of `pages` that it does not list come last in How to."""
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    nav = yaml.safe_load(text[text.index("\nnav:\n") :])["nav"]
+    (how_to,) = (part["How to"] for part in nav if "How to" in part)
+    how_to += unlisted(nav, pages)
+    head = text[: text.index("\nnav:\n")].replace("paths: [.]", f"paths: [{json.dumps(str(ROOT))}]")
+    return head + "\n" + yaml.safe_dump({"nav": nav})
 
-    waiting = [f"docs/{file.src_uri}" for file in files.documentation_pages()]
-    waiting += [path for path in PAGES if path != "README.md"]
-    seen = set(waiting)
+
+def stage(folder: Path) -> None:
+    """Write all pages of the site and its configuration into a folder, which is emptied before.
+
+    Beside the pages of docs these are documents of other folders and the files that a page links to.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    docs = folder / "docs"
+    shutil.copytree(ROOT / "docs", docs, ignore=shutil.ignore_patterns("*.md"))
+    pages = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
+    waiting = [f"docs/{page}" for page in sorted(pages)] + [path for path in PAGES if path != "README.md"]
+    contents: dict[str, str] = {}
     for path in waiting:
         text = (ROOT / path).read_text(encoding="utf-8")
-        if path in PAGES:
-            files.append(File.generated(config, PAGES[path], content=as_on_site(text, path)))
-        for target in sorted(targets(text, path) - seen):
+        contents[place_on_site(path)] = as_on_site(text, path)
+        for target in sorted(targets(text, path)):
             if not target.startswith("docs/") and target not in PAGES:
-                seen.add(target)
-                files.append(File.generated(config, place_on_site(target), content=source_page(target)))
-    return files
+                contents.setdefault(place_on_site(target), source_page(target))
+    for place, text in contents.items():
+        (docs / place).parent.mkdir(parents=True, exist_ok=True)
+        (docs / place).write_text(text, encoding="utf-8")
+    (folder / "mkdocs.yml").write_text(configuration(pages), encoding="utf-8")
 
 
-def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:  # noqa: ANN401 - MkDocs' own
-    """Turn links out of docs into links to the pages of these files."""
-    if page.file.generated_by:
-        return markdown
-    return as_on_site(markdown, f"docs/{page.file.src_uri}")
-
-
-def on_page_content(html: str, page: Any, config: Any, files: Any) -> str:  # noqa: ANN401 - MkDocs' own
+def breakable(html: str) -> str:
     """Let long names in tables be broken where a reader would break them."""
-    del page, config, files
     return CELL.sub(lambda cell: NAME.sub(lambda code: BREAK.sub(r"\g<0><wbr>", code[0]), cell[0]), html)
+
+
+def build(site: Path) -> None:
+    """Build the site in a folder that does not exist yet, by way of staged pages; a warning is an error.
+
+    Raises:
+        SystemExit: The builder found a fault; its words are on the error stream.
+    """
+    folder = site.with_name("pages")
+    stage(folder)
+    command = [sys.executable, "-m", "zensical", "build", "--strict", "--config-file"]
+    done = subprocess.run([*command, str(folder / "mkdocs.yml")], capture_output=True, text=True)
+    if done.returncode:
+        sys.exit(f"{done.stdout}{done.stderr}")
+    (folder / "site").rename(site)
+    for page in site.rglob("*.html"):
+        page.write_text(breakable(page.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 # Notebooks: a tutorial is a page whose blocks the tests execute, and the same as a notebook beside it.
@@ -146,13 +169,12 @@ def tutorials() -> dict[Path, Path]:
 
 
 def main() -> None:
-    """Write the notebooks and build the site; a warning is an error."""
-    os.environ.setdefault("NO_MKDOCS_2_WARNING", "1")  # of the theme's makers, about their next product
-    from mkdocs.__main__ import cli
-
+    """Write the notebooks and build the site."""
     for page, copy in tutorials().items():
         copy.write_text(notebook(page.read_text(encoding="utf-8")), encoding="utf-8")
-    cli(["build", "--strict", "--quiet", "--config-file", str(ROOT / "mkdocs.yml"), *sys.argv[1:]])
+    site = ROOT / "build" / "site"
+    shutil.rmtree(site, ignore_errors=True)
+    build(site)
 
 
 if __name__ == "__main__":

@@ -11,10 +11,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 GENERATED = ("all-robots", "all-sensors", "all-settings", "api", "commands", "training-settings")
-CONTRACTS = ("conformance", "conformance-udk")
+CONTRACTS = ("conformance/", "conformance-udk", "evidence/")
+"""Begins of the names of pages that are tables: contracts and records."""
 MAX_WORDS = 45_000
 """Of all hand-written pages together, with README and CONTRIBUTING."""
-PAGE_WORDS = {"training": 2_000, "tasks": 2_000, "fidelity": 2_000, "design": 2_000, "serving": 3_000}
+PAGE_WORDS = {"training": 2_000, "tasks": 2_000, "fidelity": 2_000, "design": 2_000, "serving": 2_000}
 MAX_MEAN = 25.0
 """Words of a sentence, in the mean of a page."""
 PLAIN = ("README", "training", "tasks", "tasks-teams", "fidelity", "design", "performance", "sweeps")
@@ -87,7 +88,7 @@ def pages() -> list[Page]:
 
 def is_written(name: str) -> bool:
     """Return whether a page counts as hand-written text."""
-    return name not in GENERATED + CONTRACTS and not name.startswith("evidence/")
+    return name not in GENERATED and not name.startswith(CONTRACTS)
 
 
 def faults(found: list[Page]) -> list[str]:

@@ -1,15 +1,14 @@
 // Browsers refuse workers to pages that are opened as files: there an invisible frame does the work of the search.
 if (location.protocol === "file:") {
-  window.Worker = class extends EventTarget {
+  window.Worker = class {
     constructor(url) {
-      super();
       this.frame = document.createElement("iframe");
       this.frame.hidden = true;
       this.frame.srcdoc =
         '<script>postMessage = data => parent.postMessage(data, "*")</' + "script>" +
         `<script src="${url}"></` + "script>";
       addEventListener("message", ({ source, data }) => {
-        if (source === this.frame.contentWindow) this.dispatchEvent(new MessageEvent("message", { data }));
+        if (source === this.frame.contentWindow) this.onmessage?.({ data });
       });
       this.ready = new Promise(done => this.frame.addEventListener("load", done));
       document.body.append(this.frame);

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from tests.arenas import FLAT
 from usarmjx.base.estimates import estimate_groups
 from usarmjx.cli.app import app
-from usarmjx.plots.play import COLOURS
+from usarmjx.plots.style import PALETTE
 from usarmjx.plots.team_plots import TeamWays, draw_finds, draw_ways, plot_teams
 from usarmjx.train.evaluation.yardsticks import TeamResult
 
@@ -43,11 +43,11 @@ def test_ways_go_from_ring_to_dot():
     axes = Figure().add_subplot()
     way = [np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), np.array([[0.5, 0.0, 0.0], [1.0, 2.0, 0.0]])]
     draw_ways(axes, FLAT, way, "pair")
-    drawn = [line for line in axes.lines if line.get_color() == COLOURS[1]]
+    drawn = [line for line in axes.lines if line.get_color() == PALETTE[1]]
     assert_allclose(drawn[0].get_xydata(), [[1, 0], [1, 2]])
     ring, dot = drawn[1:]
     assert (ring.get_markerfacecolor(), ring.get_xydata().tolist()) == ("none", [[1, 0]])
-    assert (dot.get_markerfacecolor(), dot.get_xydata().tolist()) == (COLOURS[1], [[1, 2]])
+    assert (dot.get_markerfacecolor(), dot.get_xydata().tolist()) == (PALETTE[1], [[1, 2]])
     with pytest.raises(ValueError, match="no team has been watched"):
         plot_teams("explore-v2", [row("one", (1.0,))], TeamWays(), "nowhere.png")
 

@@ -23,6 +23,7 @@ from usarmjx.plots.training_plots import (
     curves_by_task,
     draw_curves,
     mean_curve,
+    panel_title,
     read_curves,
     thinned,
 )
@@ -46,7 +47,7 @@ def file(tmp_path):
     return path
 
 
-RUNS, MEAN, BASELINE = "runs", "mean of 2 runs", "baseline"
+RUNS, MEAN, BASELINE = "runs", "mean of the runs", "baseline"
 
 
 @pytest.fixture
@@ -68,7 +69,7 @@ def test_each_task_has_its_curves_over_steps_and_over_time(panels):
     """Time is as written down, or at the record's steps per second; the last run of a seed counts."""
     (steps, waited), (_, went), (time, timed), (_, went_on) = panels
     assert (steps.get_xlabel(), time.get_xlabel()) == ("agent steps [million]", "time [s]")
-    assert steps.get_title(loc="left") == "wait\n8 worlds, GPU"
+    assert steps.get_title(loc="left") == "wait\n8 worlds, 2 runs, GPU"
     first, second = [[1e-4, 2.0], [2e-4, 4.0], [4e-4, 6.0]], [[1e-4, 0.0], [3e-4, 4.0]]
     assert_allclose(waited[RUNS][0], first)
     assert_allclose(waited[RUNS][1], second)
@@ -108,6 +109,13 @@ def test_runs_of_other_kinds_are_drawn_by_themselves():
     }
 
 
+def test_titles_have_lines_that_fit_above_a_panel():
+    """Of two panels beside each other, the title of one does not run into that of the other."""
+    said = panel_title("wait, advice=false on planar (2048 worlds, NVIDIA H100 80GB HBM3 and NVIDIA H200)", 3)
+    assert said == "wait, advice=false on planar\n2048 worlds, 3 runs, H100 and\nH200"
+    assert panel_title("wait on c (8 worlds)", 1) == "wait on c\n8 worlds, 1 run"
+
+
 def test_seeds_of_several_machines_are_told_to_be():
     one = Curve(
         task="wait", seed=0, worlds=8, steps=np.ones(1), seconds=np.ones(1), score=np.ones(1), device="B"
@@ -142,7 +150,9 @@ def test_the_baseline_is_a_line_across(panels):
     (axes, waited), *_, (_, went) = panels
     assert [score for _, score in waited[BASELINE][0]] == [3.0, 3.0]
     assert BASELINE not in went
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == [MEAN, BASELINE]
+    (legend,) = axes.get_figure().legends
+    assert [text.get_text() for text in legend.get_texts()] == ["a run", MEAN, BASELINE]
+    assert axes.get_legend() is None, "it covers no curve"
 
 
 def test_a_run_is_drawn_from_what_it_has_written(reference):

@@ -52,7 +52,9 @@ def teams(
     print_config: TaskPrintOption = False,
     out: Annotated[
         Path | None,
-        typer.Option(help="Draw finds over time, and the ways of world 0's robots, to this PNG file."),
+        typer.Option(
+            help="Draw finds over time, and the paths of world 0's robots, to this .png, .pdf, .svg or .eps."
+        ),
     ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the rows to this file.")] = None,
 ) -> None:
@@ -64,10 +66,13 @@ def teams(
             return
         announce("building the worlds that teams play in ...", engines=[tried_on(engine)])
         from usarmjx.engines import choose_engine
+        from usarmjx.plots.style import check_figure
         from usarmjx.plots.team_plots import TeamWays, plot_teams
         from usarmjx.train.evaluation import yardsticks
         from usarmjx.train.policies.sources import task_settings, usual_split
 
+        if out is not None:
+            check_figure(out)  # before minutes of play
         set_by_hand, _ = task_settings(task, {}, pairs)
         played, seen = yardsticks.team_task(task, **set_by_hand), TeamWays()
         chosen = list(dict.fromkeys(names or yardsticks.default_teams(task)))

@@ -122,6 +122,7 @@ def run(
         from usarmjx.sweeps.spec import find_spec, load_spec
         from usarmjx.sweeps.workers import Workers
 
+        _check_files(figure, table, episodes)
         own_part = parse_part(part)
         file = find_spec(what)
         common = _typed(file, parse_assignments(settings or [], "--set"))
@@ -232,6 +233,18 @@ def _record(found: Any, plan: Any, meter: Any, workers: Any, file: Path, note: s
     record = sweep.sweep_record(found, plan, meter, workers, note)
     tools.append_record(record, file)
     typer.echo(f"{sweep.record_line(record)}: {file}")
+
+
+def _check_files(figure: Path | None, table: Path | None, episodes: Path | None) -> None:
+    """Refuse names of files that cannot be written, before hours of play."""
+    from usarmjx.plots.style import check_figure
+    from usarmjx.sweeps.table import check_table
+
+    if figure is not None:
+        check_figure(figure)
+    for path in (table, episodes):
+        if path is not None:
+            check_table(path)
 
 
 def _tell(found: Any, figure: Path | None, table: Path | None, episodes: Path | None) -> None:  # noqa: ANN401

@@ -87,7 +87,7 @@ def draw_plan(axes: Axes, arena: ArenaSpec, *, words: bool = True, starts: bool 
     _draw_marks(axes, arena, words)
     if starts:
         _draw_starts(axes, arena, words)
-    _draw_scale(axes, (x0, y0 - margin), (x1 - x0) / 5)
+    _draw_scale(axes, (x0, y0 - margin), (x1 - x0) / 5, 9 if words else 7)
     return _keys(arena)
 
 
@@ -160,12 +160,12 @@ def _draw_starts(axes: Axes, arena: ArenaSpec, words: bool) -> None:
             axes.annotate(start.tag, start.at[:2], (0, -13), textcoords="offset points", zorder=6, **style)
 
 
-def _draw_scale(axes: Axes, at: tuple[float, float], longest: float) -> None:
+def _draw_scale(axes: Axes, at: tuple[float, float], longest: float, fontsize: float) -> None:
     """Draw a bar of a round length."""
     step = 10.0 ** math.floor(math.log10(longest))
     length = max(step * factor for factor in (1, 2, 5) if step * factor <= longest)
     axes.plot([at[0], at[0] + length], [at[1]] * 2, color="black", lw=3.0, solid_capstyle="butt", zorder=6)
-    text = {"xytext": (4, 0), "textcoords": "offset points", "va": "center", "fontsize": 9}
+    text = {"xytext": (4, 0), "textcoords": "offset points", "va": "center", "fontsize": fontsize}
     axes.annotate(f"{length:g} m", (at[0] + length, at[1]), **text)
 
 

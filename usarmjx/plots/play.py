@@ -21,6 +21,7 @@ from usarmjx.base.rotations import mat_from_quat
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.plots.floor_plan import draw_plan
 from usarmjx.plots.picture import ARROW
+from usarmjx.plots.style import PALETTE
 from usarmjx.sim.world import robot_states
 from usarmjx.train.envs.env import Env, EnvState
 from usarmjx.train.envs.presence import carry_of_alive
@@ -38,7 +39,6 @@ MAX_FRAMES = 150
 """Most frames of a film; of longer ones, moments are left out."""
 GIF_SPEEDUP = 2.0
 """Speed of a GIF relative to simulated time."""
-COLOURS = ("#1f5fa8", "#d1622b", "#2c8a4f", "#b5179e", "#7a4a1e", "#0f8b8d", "#8f6bd1", "#5c5c5c")
 GOAL, LOOSE = "#c4122f", "#f2730a"
 
 
@@ -163,7 +163,7 @@ def _draw(axes: Axes, shown: EpisodeRecording, frame: int) -> list[Any]:
     if shown.goal is not None:
         drawn += axes.plot(*shown.goal, "x", color=GOAL, ms=9, mew=2.5, zorder=7)
     for robot in range(len(shown.names)):
-        colour, way = COLOURS[robot % len(COLOURS)], shown.poses[: frame + 1, robot]
+        colour, way = PALETTE[robot % len(PALETTE)], shown.poses[: frame + 1, robot]
         drawn += axes.plot(way[:, 0], way[:, 1], color=colour, lw=1.4, zorder=8)
         if not np.isfinite(way[-1]).all():
             continue

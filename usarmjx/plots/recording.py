@@ -20,8 +20,9 @@ from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.plots.films.codecs import write_mp4
 from usarmjx.plots.floor_plan import draw_plan
 from usarmjx.plots.picture import ARROW
-from usarmjx.plots.play import COLOURS, EpisodeRecording, film_frames, save_gif
+from usarmjx.plots.play import EpisodeRecording, film_frames, save_gif
 from usarmjx.plots.radio_map import MIN_STEP, power_map
+from usarmjx.plots.style import PALETTE
 from usarmjx.recording.foxglove import is_scanner
 from usarmjx.recording.reader import Recording
 from usarmjx.recording.source import RecordingSource
@@ -295,7 +296,7 @@ def mission_figure(mission: RecordedMission) -> Figure:
 
 
 def _colour(place: int) -> str:
-    return COLOURS[place % len(COLOURS)]
+    return PALETTE[place % len(PALETTE)]
 
 
 def _draw_ways(axes: Axes, mission: RecordedMission) -> None:

@@ -3,11 +3,13 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings.json_file import read_json_lines
@@ -26,8 +28,12 @@ from usarmjx.train.learning.metrics import read_lines
 from usarmjx.train.learning.run_record import load_record
 from usarmjx.train.policies import VERSIONS
 
+MEAN, BASELINE = "mean of the runs", "baseline"
+"""Names in the legend."""
 PALE = 0.35
 """Opacity of single runs beside their mean."""
+TITLE_LETTERS = 32
+"""Letters of a line above a panel: three panels are beside each other on a page."""
 MILLION = 1e6
 MOST_POINTS = 100
 """More would be noise: where few worlds are, few episodes end in an iteration."""
@@ -211,10 +217,32 @@ def draw_task(axes: Axes, curves: Sequence[Curve], along: Axis) -> None:
         few: dict[str, Any] = {"marker": ".", "ls": "none"} if len(curve.steps) < FEWEST_FOR_LINE else {}
         axes.plot(along(curve), curve.score, color=PALETTE[0], **fewer, **few)
     if len(curves) > 1 and along is _millions:
-        axes.plot(*mean_curve(curves, along), color=PALETTE[0], lw=1.6, label=f"mean of {len(curves)} runs")
+        axes.plot(*mean_curve(curves, along), color=PALETTE[0], lw=1.6, label=MEAN)
     if curves[-1].baseline is not None:
-        axes.axhline(curves[-1].baseline, color=PALETTE[1], ls="--", lw=1.2, label="baseline")
+        axes.axhline(curves[-1].baseline, color=PALETTE[1], ls="--", lw=1.2, label=BASELINE)
     axes.set(xlim=(0, None), ylim=(min(0.0, *(curve.score.min() for curve in curves)), None))
+
+
+def panel_title(title: str, runs: int) -> str:
+    """Return the title of curves in short lines: task and engine, then worlds, runs and devices."""
+    what, _, about = title.removesuffix(")").partition(" (")
+    worlds, *devices = about.split(", ")
+    names = ", ".join(devices).replace("NVIDIA ", "").replace(" 80GB HBM3", "")
+    lines = [what, ", ".join(filter(None, [worlds, f"{runs} run{'s' * (runs > 1)}", names]))]
+    return "\n".join(part for line in lines for part in wrap(line, TITLE_LETTERS))
+
+
+def _legend(figure: Figure, panels: Sequence[Axes]) -> None:
+    """Draw one legend for all panels, below them, where it covers no curve."""
+    there = {
+        label: handle
+        for panel in panels
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
+    }
+    if MEAN in there:
+        there = {"a run": Line2D([], [], color=PALETTE[0], alpha=PALE, lw=0.8), **there}
+    if there:
+        figure.legend([*there.values()], [*there], loc="outside lower center", ncols=len(there))
 
 
 def draw_curves(curves: Iterable[Curve], along: str = "steps") -> list[Figure]:
@@ -237,12 +265,10 @@ def draw_curves(curves: Iterable[Curve], along: str = "steps") -> list[Figure]:
             figure, panels = panels_of(len(part))
             for panel, (task, found) in zip(panels, part, strict=True):
                 draw_task(panel, found, axis)
-                # Task and engine in one line, worlds and devices in another: a panel is narrow.
-                panel.set_title(task.replace(" (", "\n").removesuffix(")").replace("NVIDIA ", ""))
+                panel.set_title(panel_title(task, len(found)))
                 panel.set_xlabel(label)
-                if panel.get_legend_handles_labels()[1]:
-                    panel.legend(loc="lower right", frameon=True, framealpha=0.8, edgecolor="none")
             panels[0].set_ylabel("score")
+            _legend(figure, panels)
             figures.append(figure)
     return figures
 

@@ -79,6 +79,18 @@ def as_frame(found: StoredSweep) -> Any:  # noqa: ANN401 - pandas' DataFrame, or
     return pd.DataFrame(rows)
 
 
+def check_table(path: Path) -> None:
+    """Refuse a file that `export_rows` cannot write.
+
+    Raises:
+        UsageError: Another suffix, or pyarrow is missing.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise UsageError(f"{path}: tables end in {', '.join(SUFFIXES)}")
+    if path.suffix.lower() != ".csv":
+        _parquet_writer()
+
+
 def export_rows(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write rows as CSV, or as Parquet where pyarrow is installed.
 
@@ -87,8 +99,7 @@ def export_rows(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         WriteError: The file cannot be written.
     """
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise UsageError(f"{path}: tables end in {', '.join(SUFFIXES)}")
+    check_table(path)
     write = _write_csv if path.suffix.lower() == ".csv" else _parquet_writer()
     columns = list(dict.fromkeys(name for row in rows for name in row))
     with atomic_write(path) as fresh:
