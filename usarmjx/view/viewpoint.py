@@ -128,7 +128,10 @@ class Walls:
         return ((enters <= leaves) & (enters < 1.0) & (leaves > 0.0)).any(-1)
 
     def free_share(self, start: np.ndarray, end: np.ndarray) -> float:
-        """Return the share of the way between two points (3,) [m] before the first wall, up to 1."""
+        """Return the share of the way between two points (3,) [m] before the first wall, up to 1.
+
+        A wall around the first point does not count.
+        """
         if not len(self._pos):
             return 1.0
         begin = np.einsum("bj,bji->bi", start - self._pos, self._mat)
@@ -136,7 +139,7 @@ class Walls:
         along = np.where(np.abs(along) < 1e-9, 1e-9, along)
         sides = np.sort([(-self._size - begin) / along, (self._size - begin) / along], axis=0)
         enters, leaves = sides[0].max(-1), sides[1].min(-1)
-        met = (enters <= leaves) & (leaves > 0.0)
+        met = (enters <= leaves) & (enters > 0.0)
         return float(np.clip(enters[met].min(initial=1.0), 0.0, 1.0))
 
 
