@@ -11,8 +11,10 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
+from usarmjx.models.compile.victims import victim_table
 from usarmjx.recording.reader import RecordedMessage, Recording
 from usarmjx.view.drawing import Drawing, Frame
+from usarmjx.view.scoreboard import BoardFacts
 
 if TYPE_CHECKING:
     import viser
@@ -62,6 +64,7 @@ class RecordingSource:
         self.end = recording.end
         self.time = self.start
         self._read = lru_cache(maxsize=KEPT_DRAWINGS)(self._read_drawing)
+        self._facts: dict[int, BoardFacts] = {}
         self._around: dict[int, tuple[RecordedMessage, RecordedMessage | None]] = {}
 
     @property
@@ -84,6 +87,15 @@ class RecordingSource:
         if found.time != time:
             return self._read(world, found.time)
         return found.time, found.value
+
+    def board_facts(self, world: int) -> BoardFacts:
+        """Return a world's facts for the scoreboard; without victims if the file does not have the arena."""
+        if world not in self._facts:
+            arenas = self.recording.setup(self.worlds[world]).arenas
+            owners = victim_table(arenas[0].victims, arenas[0].false_alarms).owner if arenas else ()
+            owners = np.asarray(owners, int)
+            self._facts[world] = BoardFacts(owners=owners, victims=len(np.unique(owners[owners >= 0])))
+        return self._facts[world]
 
     def _frame_message(self, world: int) -> RecordedMessage:
         """Return the frame at the present time, the last one before it, or the first of all."""
