@@ -1,4 +1,4 @@
-"""What `usarmjx bench` measures: one module for each benchmark, a frozen case in, a record (a dict) out.
+"""Measurements of `usarmjx bench`: one module for each benchmark, a frozen case in, a record (a dict) out.
 
 `step` is the whole simulation, `rays`, `radio` and `camera` its parts, `train` a run of training; `peer` is
 MuJoCo Warp's renderer, to compare with. `serve` is what many clients of `usarmjx serve` meet, with the means

@@ -1,4 +1,4 @@
-"""What stands beside every rate: C MuJoCo on all cores of the host, and MJX with nothing around it.
+"""References beside every rate: C MuJoCo on all cores of the host, and MJX with nothing around it.
 
 Physics is compared with `mujoco.rollout`, which steps many worlds in C++ threads, and with MJX's step mapped
 over the worlds; rays, links and pictures with `mj_multiRay`. An entry that could not be measured says why.
@@ -60,9 +60,9 @@ def physics_baselines(
         scene: The scene.
         worlds: Worlds of the batch of MJX.
         steps: Control steps in a repeat.
-        repeats: How many of them.
+        repeats: Number of them.
         word: What is measured, of `cases.BASELINES`.
-        bare: What was measured of MJX already, as `rate_of` has it; None: nothing.
+        bare: Measurements of MJX so far, as `rate_of` has it; None: nothing.
     """
     found: dict[str, Any] = {name: missing("not asked for") for name in PHYSICS_NAMES}
     if word != "none":
@@ -189,7 +189,7 @@ def multiray_rate(
         unit: Of the rate.
         worlds: Data of each world, whose positions are computed.
         bundles: The rays, with the number of their world.
-        repeats: How often all are cast.
+        repeats: Number of casts of all.
         per_ray: Units for each ray.
 
     Returns:

@@ -1,4 +1,4 @@
-"""How fast cameras are: pictures of all robots of a batch, as policies would look at them.
+"""Speed of cameras: pictures of all robots of a batch, as policies would look at them.
 
 Between two rounds of pictures the worlds are not stepped, but every robot's camera is zoomed a little, so
 that no picture is the one before.

@@ -1,4 +1,4 @@
-"""How long one waits for the first step: imports, the scene, tracing, XLA; cold, and with a filled cache.
+"""Wait for the first step: imports, the scene, tracing, XLA; cold, and with a filled cache.
 
 Each is a process of its own, as a user's would be: the first with an empty folder for compilations, the
 second with what the first left there.

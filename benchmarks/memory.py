@@ -1,4 +1,4 @@
-"""How much memory worlds take: their state, by part, and what a compiled step needs beside it."""
+"""Memory of worlds: their state, by part, and what a compiled step needs beside it."""
 
 import sys
 from collections.abc import Sequence

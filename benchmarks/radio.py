@@ -1,4 +1,4 @@
-"""How fast the radio is: the links of all pairs of robots in many worlds, walls counted.
+"""Speed of the radio: the links of all pairs of robots in many worlds, walls counted.
 
 A link is an unordered pair of robots; its walls, power and events are computed once and written both ways
 into its world's table. Robots move between two evaluations. Measured with walls of its own for every world,

@@ -1,4 +1,4 @@
-"""How fast rays are: laser scans of all robots of many worlds, and the same by brute force in one run.
+"""Speed of rays: laser scans of all robots of many worlds, and the same by brute force in one run.
 
 Each world has upright walls of its own and a floor, and robots that move and turn between two scans, whose
 parts are in the way of the others' rays. Brute force tests every ray against every geom.
@@ -175,7 +175,7 @@ def _on_cpu(
     """Return the rate of `mj_multiRay` for the last scans of some worlds, and how many of them differ.
 
     Args:
-        case: What is measured.
+        case: The measured case.
         plan: The robots' bodies.
         walls: Of all worlds.
         moving: Robots of all worlds.

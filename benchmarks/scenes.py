@@ -1,4 +1,4 @@
-"""What the benchmarks of the step, of compilation and of memory have in common: a batch of a scene."""
+"""Common part of the benchmarks of step, compilation and memory: a batch of a scene."""
 
 import math
 from collections.abc import Callable
@@ -34,7 +34,7 @@ def repeat_loop(
 ) -> Callable[[Any], Any]:
     """Repeat `body(i, state, *given)`, inside one compiled function where the engine allows.
 
-    What of many worlds is given stays data: as a constant it would be worked with while compiling.
+    Given arrays of many worlds stay data: as constants they would be worked with while compiling.
     """
     if batch.engine.traceable:
         loop = jax.jit(
@@ -78,8 +78,8 @@ def random_actuation(
     """Return random wheel speeds, and servo targets that are where the joints are.
 
     Args:
-        scene: What every world is a copy of.
-        worlds: How many.
+        scene: Scene that every world copies.
+        worlds: Number.
         key: Of the random numbers.
         qpos: Positions (worlds, nq).
         act: Activations (worlds, na).

@@ -1,4 +1,4 @@
-"""How it is to be a client of `usarmjx serve`: waiting, gaps, and what robots cost, over TCP.
+"""A client's view of `usarmjx serve`: waiting, gaps, and what robots cost, over TCP.
 
 Servers are processes that the public command line starts, so that those of other source trees can be measured
 in the same run, in turn with ours. Cold is with an empty compilation cache, cached is the same once more.
@@ -51,7 +51,7 @@ def measure_serve(
     """Measure a case, append its record, and return a summary for people.
 
     Args:
-        case: What to measure.
+        case: Cases to measure.
         checkouts: Source trees whose servers are measured too.
         options: Of the record.
         say: Hears what is measured now.

@@ -1,4 +1,4 @@
-"""How fast a step is: bare physics and the whole step of the same model, in one run.
+"""Speed of a step: bare physics and the whole step of the same model, in one run.
 
 Bare is the engine alone under constant inputs (MJX's step mapped over the worlds, or `mj_step`); the
 whole step adds random commands, control, bookkeeping, all sensors that are due, and resets of some worlds.
@@ -49,12 +49,12 @@ Span = tuple[str, float, float]
 def profile_kernels(run: Callable[[Any], Any], state: Any) -> dict[str, Any]:  # noqa: ANN401
     """Call a function once more under the profiler, and return what ran for how long.
 
-    On a GPU these are kernels and copies, on a CPU XLA's operations without those within them. What Warp
-    launches as a CUDA graph is told kernel by kernel.
+    On a GPU these are kernels and copies, on a CPU XLA's operations without those within them. Parts that
+    Warp launches as a CUDA graph are listed kernel by kernel.
 
     Args:
-        run: What was measured before, so that nothing is compiled now.
-        state: What it is called with.
+        run: Earlier measurements, so that nothing is compiled now.
+        state: Its arguments.
 
     Returns:
         All `calls` and their `ms`, the `span_ms` from the first's begin to the last's end, and the `top`:

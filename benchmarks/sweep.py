@@ -1,4 +1,4 @@
-"""What a sweep took, as a record of benchmarks: one line of the form that `usarmjx bench` writes."""
+"""Cost of a sweep, as a record of benchmarks: one line of the form that `usarmjx bench` writes."""
 
 import math
 import time
@@ -40,11 +40,11 @@ def sweep_record(
     """Return the record of a sweep that was just played.
 
     Args:
-        found: What is in its folder; scores are of all of it, times of what was played now.
-        plan: What was played together.
-        meter: What was played now.
-        workers: Where.
-        note: What a reader of the record must know.
+        found: Contents of its folder; scores are of all of it, times of what was played now.
+        plan: Episodes played together.
+        meter: Episodes played now.
+        workers: Workers.
+        note: Remarks for readers of the record.
 
     Raises:
         UsageError: Nothing was played now, so there is nothing that took time.

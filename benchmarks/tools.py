@@ -1,4 +1,4 @@
-"""What every benchmark needs: the clock, what it ran on, and the file of records."""
+"""Needs of every benchmark: the clock, what it ran on, and the file of records."""
 
 import json
 import os
@@ -93,7 +93,7 @@ def record_header(benchmark: str, *, host: bool = False, note: str = "") -> dict
     Args:
         benchmark: Its name.
         host: Whether the work is the host's alone.
-        note: What a reader of the record must know.
+        note: Remarks for readers of the record.
     """
     return {
         "form": FORM,
@@ -189,7 +189,7 @@ def time_repeats(
     """Return the first call's time (with compilation), the later ones', and the last state [s].
 
     Args:
-        run: What is measured: from a state to the next.
+        run: Function to measure: from a state to the next.
         state: The first.
         repeats: Calls after the first.
         look: Sees the state after each call, while the clock stands.
@@ -214,7 +214,7 @@ def rate_of(
         work: Done in each repeat, in that unit times a second.
         first: Time of the calls before, which compiled [s].
         times: Of the repeats [s].
-        warm_up: How many calls were before.
+        warm_up: Number of calls before.
     """
     return {
         "unit": unit,

@@ -44,7 +44,7 @@ def train_record(
     Args:
         folder: Of the run.
         baseline: Score of the policy written by hand.
-        note: What a reader of the record must know.
+        note: Remarks for readers of the record.
         baselines: What is measured of the task's scene beside it, of `cases.BASELINES`.
 
     Raises:

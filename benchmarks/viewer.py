@@ -1,4 +1,4 @@
-"""What the live page costs: an update of it, what goes to a browser, and the server that has one open."""
+"""Cost of the live page: an update of it, what goes to a browser, and the server that has one open."""
 
 import contextlib
 import os
@@ -50,7 +50,7 @@ class Browser:
 
     @property
     def size(self) -> int:
-        """How much has come [bytes]."""
+        """Amount received [bytes]."""
         return int(self._ask("size"))
 
     def close(self) -> None:

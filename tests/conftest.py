@@ -5,7 +5,7 @@ import logging
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import hypothesis
@@ -58,6 +58,26 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
     jax.config.update("jax_compilation_cache_dir", cache.name)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pycollect_makeitem(name: str) -> Generator[None, object, object]:
+    """Mark the cases that `every_run` does not name as thorough.
+
+    Raises:
+        ValueError: It names a case that the test does not have.
+    """
+    made = yield
+    cases = [item for item in made if item.get_closest_marker("every_run")] if isinstance(made, list) else []
+    if not cases:
+        return made
+    named = cases[0].get_closest_marker("every_run").args
+    by_id = {item.callspec.id: item for item in cases}
+    if unknown := set(named) - set(by_id):
+        raise ValueError(f"{name} has no case {', '.join(sorted(unknown))}")
+    for case in by_id.keys() - set(named):
+        by_id[case].add_marker(pytest.mark.thorough)
+    return made
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -60,7 +60,7 @@ class Mutant:
         find: The sound text, which occurs exactly once in the file.
         replace: The faulty text.
         tests: Arguments for pytest: files and node ids.
-        why: What is wrong with it.
+        why: Its fault.
     """
 
     area: str
@@ -141,7 +141,7 @@ def copy_tracked(root: Path, folder: Path) -> None:
 
 @dataclass(frozen=True)
 class Run:
-    """What a run of pytest says.
+    """Output of a run of pytest.
 
     Attributes:
         status: Its exit status; -1: it took too long.
@@ -153,7 +153,7 @@ class Run:
 
     @property
     def verdict(self) -> str:
-        """What becomes of a mutant with which the tests run so.
+        """Fate of a mutant with which the tests run so.
 
         Only a test that fails kills. With -x pytest has status 1 for errors outside of tests as well.
         """
@@ -177,7 +177,7 @@ class Laboratory:
 
     Args:
         root: The checkout.
-        folder: Where the copy goes.
+        folder: Folder of the copy.
         timeout: Most time for one run of pytest [s].
     """
 
@@ -247,7 +247,7 @@ class Clock:
 
     Attributes:
         wall: The time that passes [s].
-        processor: What this program's children have had of processors [s].
+        processor: Processor time of this program's children [s].
     """
 
     wall: float

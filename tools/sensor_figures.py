@@ -66,15 +66,15 @@ DRIVE_SECONDS = 300.0
 
 @dataclass(frozen=True, eq=False)
 class RangeStudy:
-    """What the range sensors of a robot read at one position, in world axes.
+    """Readings of a robot's range sensors at one position, in world axes.
 
     Attributes:
         pose: x, y [m] and yaw [rad] of the robot (3,).
-        origin: Where the laser's beams start [m] (2,).
-        ends: Where they end [m] (beams, 2).
+        origin: Start of the laser's beams [m] (2,).
+        ends: Their ends [m] (beams, 2).
         hit: Whether they met something (beams,).
         sonars: x, y [m] and yaw [rad] of the sonars (sonars, 3).
-        echoes: What they read [m] (sonars,).
+        echoes: Ranges [m] (sonars,).
         beam_angle: Full angle of each sonar's cone [rad] (sonars,).
         no_echo: Whether they heard nothing (sonars,).
     """
@@ -172,7 +172,7 @@ def ins_paths(runs: int, seed: int = 0, **settings: object) -> np.ndarray:
     """Return where INS sensors believe that they are on the winding way: x, y [m] (runs, n, 2).
 
     Args:
-        runs: How many drive it, each with noise and drift of its own.
+        runs: Number of robots that drive it, each with noise and drift of its own.
         seed: Of the noise.
         **settings: Of the sensors.
     """

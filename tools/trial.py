@@ -50,8 +50,8 @@ class Room:
     """An empty folder with an environment of its own.
 
     Attributes:
-        folder: Where commands run.
-        wheel: What is tried.
+        folder: Folder in which commands run.
+        wheel: Name of the trial.
     """
 
     folder: Path
@@ -155,7 +155,7 @@ def packaged_policies(room: Room) -> None:
 
 
 def names_what_is_missing(room: Room) -> None:
-    """What needs an extra says so in its last line."""
+    """A command that needs an extra names it in its last line."""
     said = room.run("usarmjx", "train", "--task", "drive-to-goal", "--out", "run", "--worlds", "4", status=2)
     expect(said.strip().endswith('pip install "usarmjx[train]"'), f"train says:\n{said}")
 

@@ -1,4 +1,4 @@
-"""What `usarmjx chaos` does: bounded attacks on a server of one's own, and a neighbour that notices.
+"""Attacks of `usarmjx chaos`: bounded attacks on a server of one's own, and a neighbour that notices.
 
 `attacks` says what each attack is, `attackers` carries it out, `neighbour` is the robot beside it that
 behaves well, `processor` finds the server's process and its processor time, `target` starts a server, `play`

@@ -24,13 +24,13 @@ MASK = bytes(4)
 
 @dataclass(frozen=True)
 class Attack:
-    """What an attacker does.
+    """An attacker's behaviour.
 
     Attributes:
         name: Its name.
-        about: What it does, in words.
-        first: What it says as soon as it is connected.
-        load: What it repeats without end; nothing: it is silent.
+        about: Its behaviour, in words.
+        first: Lines that it sends once it is connected.
+        load: Lines that it repeats without end; empty: it is silent.
         reads: Whether it reads what it is told.
         stay: After how long it goes, to come again at once [s].
         rude: Whether it breaks its connection off then instead of closing it.

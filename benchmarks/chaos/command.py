@@ -59,7 +59,7 @@ class TargetOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class AttackOptions:
-    """What is done to it; each field is an option."""
+    """Attacks on it; each field is an option."""
 
     panel: ClassVar[str] = "Attacks"
 

@@ -31,7 +31,7 @@ class Report:
     Attributes:
         came: When, by the performance counter [s].
         time: Its own time [simulated s].
-        processor: What the server's thread had used by then [s]; NaN if nobody knows.
+        processor: Processor time of the server's thread by then [s]; NaN if nobody knows.
     """
 
     came: float
@@ -41,14 +41,14 @@ class Report:
 
 @dataclass(frozen=True)
 class Gaps:
-    """What a neighbour noticed between two moments.
+    """Observations of a neighbour between two moments.
 
     Attributes:
-        reports: How many reports came.
+        reports: Number of reports that came.
         gap: The longest time between two of them [s].
         processor: The most that the server's thread used between two of them [s]; NaN if nobody knows.
-        irregular: How many came at another time of the world than they should.
-        bad_lines: How many lines were not as the protocol has them.
+        irregular: Number that came at a wrong time of the world.
+        bad_lines: Number of lines that break the protocol.
     """
 
     reports: int
@@ -92,7 +92,7 @@ class Neighbour(RobotClient):
         Args:
             began: The first.
             ended: The last.
-            bad_lines: How many lines had been bad before.
+            bad_lines: Number of bad lines before.
         """
         shown = [report for report in list(self.history) if began.came <= report.came <= ended.came]
         pairs = list(pairwise(shown))

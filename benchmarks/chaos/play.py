@@ -29,13 +29,13 @@ BREAK_OFF = struct.pack("ii", 1, 0)
 
 @dataclass
 class Damage:
-    """What attackers did and had done to them.
+    """Deeds of attackers and the server's answers.
 
     Attributes:
-        sent: What they sent [bytes].
-        connections: How often they connected.
-        refused: How often they could not.
-        hung_up: How often the server closed their connection.
+        sent: Amount sent [bytes].
+        connections: Number of connections made.
+        refused: Number of refused connections.
+        hung_up: Number of connections that the server closed.
     """
 
     sent: int = 0
@@ -48,10 +48,10 @@ class Attacker:
     """One of them.
 
     Args:
-        attack: What it does.
+        attack: Its behaviour.
         address: Host and port.
         volume: Most that it sends [bytes].
-        damage: Where it adds what it did.
+        damage: Record of its deeds.
     """
 
     def __init__(self, attack: Attack, address: tuple[str, int], volume: int, damage: Damage) -> None:
@@ -123,14 +123,14 @@ def carry_out(
     """Attack.
 
     Args:
-        attack: How.
+        attack: Its settings.
         address: Host and port.
-        attackers: How many at once.
+        attackers: Number at once.
         seconds: For how long [s].
         volume: Most that each of them sends [bytes].
 
     Returns:
-        What they did; they have left.
+        Their deeds; they have left.
     """
     damage = Damage()
     them = [Attacker(attack, address, volume, damage) for _ in range(attackers)]
@@ -157,7 +157,7 @@ MEGABYTE = 1e6
 
 @dataclass(frozen=True, kw_only=True)
 class ChaosCase:
-    """What to attack, and how.
+    """Target and kind of the attack.
 
     Attributes:
         host: Whose server.
@@ -166,11 +166,11 @@ class ChaosCase:
         rosbridge_port: Port of its rosbridge; None likewise.
         metrics_port: Port of its metrics; None likewise.
         image_port: Port of its pictures; None likewise.
-        attacks: What is played.
-        attackers: How many at once.
+        attacks: Attacks to play.
+        attackers: Number at once.
         seconds: For how long each [s].
         volume: Most that one of them sends [bytes].
-        settling: How long the neighbour is watched after that [s].
+        settling: Time for which the neighbour is watched after that [s].
         limit: A report or a seat that takes longer than this does not come any more [s].
     """
 
@@ -201,12 +201,12 @@ class ChaosCase:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of an attack.
+    """Outcome of an attack.
 
     Attributes:
         attack: Its name.
-        gaps: What the neighbour noticed; None: it got no reports any more.
-        damage: What the attackers did.
+        gaps: Observations of the neighbour; None: it got no reports any more.
+        damage: Deeds of the attackers.
         seats: Whether as many as attacked could connect afterwards.
         trouble: Why the neighbour got no reports, or nothing.
     """

@@ -1,6 +1,6 @@
 """Robots of several classes, driven at random for a long time, and whether the server grows meanwhile.
 
-What the server holds and has done comes from its own metrics.
+Figures of the server come from its own metrics.
 """
 
 import json
@@ -75,12 +75,12 @@ TOTALS = (
 
 @dataclass(frozen=True, kw_only=True)
 class SoakCase:
-    """How long, and with whom.
+    """Duration and company.
 
     Attributes:
         target: The server; it must have metrics.
         seconds: For how long [s].
-        clients: How many robots.
+        clients: Number of robots.
         every: Time between two samples [s].
         seed: Of what they do.
         onlookers: Number of websocket clients at the page and at rosbridge.
@@ -103,8 +103,8 @@ class SoakDriver:
         first: Index of its first class.
 
     Attributes:
-        visits: How many robots it has had.
-        hung_up: How often the server closed its connection.
+        visits: Number of robots it has had.
+        hung_up: Number of connections that the server closed.
     """
 
     def __init__(self, crowd: Crowd, random: np.random.Generator, first: int) -> None:
@@ -177,7 +177,7 @@ def soak(
     """Drive robots for a long time; return what became of the server, with its growth per hour.
 
     Args:
-        case: How long, and with whom.
+        case: Duration and company.
         file: A line of JSON for each sample is appended to it, and one for the result.
         say: Is told each sample.
 

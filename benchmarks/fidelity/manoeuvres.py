@@ -30,7 +30,7 @@ AWAY = (3.0, 0.0, HALF)
 
 
 def flipper_lift(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
-    """How much higher it stands on its flippers, after 8 s [m]."""
+    """Height gained when it stands on its flippers, after 8 s [m]."""
     assert orders.flippers is not None
     track = Track(physics, robot)
     track.run(1.0)
@@ -130,7 +130,7 @@ def top_speed(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
 
 
 def spin(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
-    """How far it turns on the spot in 6 s [rad]."""
+    """Turn on the spot in 6 s [rad]."""
     assert orders.spin is not None
     track = Track(physics, robot)
     track.tell(orders.spin)
@@ -138,7 +138,7 @@ def spin(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
 
 
 def arc(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
-    """How far it turns round a bend in 6 s [rad]."""
+    """Turn round a bend in 6 s [rad]."""
     assert orders.arc is not None
     track = Track(physics, robot)
     track.tell(orders.arc)
@@ -146,7 +146,7 @@ def arc(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
 
 
 def ramp_hold(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
-    """How far it creeps in 5 s on a slope of 15 degrees, from 1 s after it was put there [m]."""
+    """Way that it creeps in 5 s on a slope of 15 degrees, from 1 s after it was put there [m]."""
     del orders
     track = Track(physics, robot, (RAMP,), slope=SLOPE)
     track.run(1.0)
@@ -171,7 +171,7 @@ def climb(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
 
 
 def wall(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
-    """How far it gets in 5 s of driving straight at a wall [m]."""
+    """Way in 5 s of driving straight at a wall [m]."""
     x = _ahead(robot)
     block = Shape(kind="box", size=(0.1, 10.0, 2.0), at=(x + 0.1, 0.0, 0.0))
     track = Track(physics, robot, (block,))
@@ -181,7 +181,7 @@ def wall(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
 
 
 def oblique_wall(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
-    """How far it gets in 5 s against a wall that stands 30 degrees from its way [m]."""
+    """Way in 5 s against a wall that stands 30 degrees from its way [m]."""
     x = _ahead(robot)
     block = Shape(
         kind="box", size=(10.0, 0.1, 2.0), at=(x, 0.0, 0.0), rotation=(0.0, 0.0, math.radians(30.0))
@@ -193,7 +193,7 @@ def oblique_wall(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
 
 
 def head_on(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
-    """How far apart two robots are that drive at each other for 5 s [m]."""
+    """Distance of two robots that drive at each other for 5 s [m]."""
     x = _ahead(robot)
     track = Track(physics, robot, poses=((-x, 0.0, 0.0), (x, 0.0, math.pi)))
     for slot in (0, 1):
@@ -203,7 +203,7 @@ def head_on(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
 
 
 def push(physics: Physics, robot: RobotSpec, orders: Orders) -> float:
-    """How far a block of 2 kg is pushed in 5 s [m]."""
+    """Way that a block of 2 kg is pushed in 5 s [m]."""
     x, half = _ahead(robot), 0.15
     shape = Shape(kind="box", size=(half, 0.4, half), mass=BLOCK_MASS)
     track = Track(physics, robot, loose=(LooseObject(name="block", at=(x, 0.0, half), shapes=(shape,)),))

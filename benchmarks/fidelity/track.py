@@ -38,13 +38,13 @@ LIFTED: Order = dict(
 
 @dataclass(frozen=True)
 class Orders:
-    """How a class is told to go.
+    """Commands that make a class go.
 
     Attributes:
         straight: Straight on.
         spin: To turn on the spot; None: it cannot.
         arc: Round a bend; None: it does not.
-        flippers: Where its flippers go to lift it, by joint [rad]; None: it has none.
+        flippers: Angles of its flippers that lift it, by joint [rad]; None: it has none.
         gripper: Index of the effecter that grips; None: it has none.
     """
 
@@ -103,10 +103,10 @@ class Track:
     Args:
         physics: The settings.
         robot: The class.
-        shapes: What stands there.
-        loose: What lies there.
-        poses: Where robots stand: x, y [m] and heading [rad] of each.
-        slope: How the ground, which is one of the shapes then, rises ahead [rad].
+        shapes: Things that stand there.
+        loose: Things that lie there.
+        poses: Poses of robots: x, y [m] and heading [rad] of each.
+        slope: Slope ahead of the ground, which is one of the shapes then [rad].
 
     Attributes:
         world: The world.

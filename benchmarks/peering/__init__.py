@@ -2,5 +2,5 @@
 
 `peers` reads the folders of benchmarks/peers (what a peer is, as data) and makes their environments, `ours`
 is this package measured in a process as they are, `contest` runs all in turn and writes the record. A peer's
-`measure.py` imports nothing of usarmjx. What is in whose step is told with every rate; begin with `contest`.
+`measure.py` imports nothing of usarmjx. Every rate lists the contents of its step; begin with `contest`.
 """

@@ -42,11 +42,12 @@ class GrowingRecord:
 
     Args:
         header: Its first entries, of `tools.record_header`.
-        case: What is measured.
-        file: Of records; None: it is in none. What is no file, such as a pipe, gets it when it is finished.
+        case: The measured case.
+        file: Of records; None: it is in none. A target that is no file, such as a pipe, gets it at
+            the end.
 
     Attributes:
-        rows: What was measured by now.
+        rows: Measurements so far.
     """
 
     def __init__(self, header: Mapping[str, Any], case: Mapping[str, Any], file: Path | None) -> None:
@@ -69,7 +70,7 @@ class GrowingRecord:
         """Write it for the last time and return it.
 
         Args:
-            note: What a reader must know beside what the header says.
+            note: Remarks beside the header.
 
         Raises:
             WriteError: The file has it as it was after the last row.
@@ -152,7 +153,7 @@ def measure_peers(
     SIGTERM ends it as Ctrl-C does.
 
     Args:
-        case: What to measure.
+        case: Cases to measure.
         folders: Of the peers and of their environments.
         options: Of the record.
         say: Hears what is measured now.
@@ -203,11 +204,11 @@ Words = Callable[[int, int], list[str]]
 
 @dataclass(frozen=True)
 class Turn:
-    """What is measured at one go.
+    """Cases measured at one go.
 
     Attributes:
-        variant: What it is called where variants are chosen.
-        row: What a record says of it.
+        variant: Name by which variants are chosen.
+        row: Description in a record.
         gpu: Whether it must run on a GPU; else it must not.
         words: Its command line.
     """

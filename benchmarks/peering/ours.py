@@ -17,14 +17,14 @@ from usarmjx.sim.configure import configure
 
 @dataclass(frozen=True, kw_only=True)
 class Workload:
-    """What of our step is measured, and where.
+    """Measured part of our step, and its machine.
 
     Attributes:
-        has: What is in it.
-        lacks: What is not.
+        has: Contents.
+        lacks: Omissions.
         beams: Rays of a robot.
-        arena: Where, wherever the others are; "": where all are.
-        generated: How many such arenas are generated; 0: none.
+        arena: Arena, whichever the others use; "": that of all.
+        generated: Number of such arenas to generate; 0: none.
         physics: Settings of the physics.
         ini: File beside the peers' folder with the robot's sensors; "": its own.
         engines: Of which this is measured; none: all.

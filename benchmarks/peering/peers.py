@@ -35,15 +35,15 @@ class Peer:
 
     Attributes:
         folder: With its script and its requirements.
-        name: What it is called.
-        variants: What of it is measured; under each its rays of a robot (`beams`, else none), and of `TOLD`
+        name: Its name.
+        variants: Measured variants; under each its rays of a robot (`beams`, else none), and of `TOLD`
             what differs from the others.
-        robot: What a robot is in it.
-        has: What is in its step.
-        lacks: What is not.
-        settings: How it is run.
+        robot: Kind of robot in it.
+        has: Contents of its step.
+        lacks: Omissions.
+        settings: Its command.
         authors: A figure of its authors', in their words; none: "".
-        citation: Where that is from.
+        citation: Its source.
         host: Whether it runs on the host's processor alone.
     """
 

@@ -1,4 +1,4 @@
-"""What all peers are timed with: options, the clock, one line of JSON. The standard library alone.
+"""Timing of all peers: options, the clock, one line of JSON. The standard library alone.
 
 Each peer runs in an environment of its own, so nothing of usarmjx is imported here.
 """
@@ -37,7 +37,7 @@ def measure(run, state, options, period, packages, device, **more):
         options: As `read_options` returns them.
         period: Simulated time of a step [s].
         packages: Names of the packages whose versions count.
-        device: What it ran on, "cpu" or "host" for the processor.
+        device: Machine, "cpu" or "host" for the processor.
         more: Anything else that the record shall say.
     """
     if options.device == "gpu" and device in ("cpu", "host"):

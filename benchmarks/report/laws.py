@@ -20,11 +20,11 @@ class Sample:
     """A point of a law.
 
     Attributes:
-        axis: What grows.
-        size: How much of it there was.
-        cost: What it took, in `unit`.
+        axis: The growing quantity.
+        size: Amount of it.
+        cost: Cost, in `unit`.
         unit: Of the cost.
-        group: What else was the same; points of one group make a line.
+        group: Fixed settings; points of one group make a line.
     """
 
     axis: str
@@ -39,8 +39,8 @@ class Law:
     """Points that differ in one thing.
 
     Attributes:
-        axis: What that is.
-        group: What else was the same.
+        axis: Its meaning.
+        group: Fixed settings.
         unit: Of the costs.
         sizes: Growing (points,).
         costs: The lowest cost of each size (points,).

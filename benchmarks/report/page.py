@@ -98,7 +98,7 @@ def settings_words(record: BenchRecord) -> str:
 
 
 def physics_table(records: Sequence[BenchRecord]) -> str:
-    """How many numbers are the reference's."""
+    """Count of numbers that are the reference's."""
     head = ("when", "commit", "on", "settings", "numbers within 10 % of the reference")
     rows = []
     for record in of(records, "physics"):
@@ -109,7 +109,7 @@ def physics_table(records: Sequence[BenchRecord]) -> str:
 
 
 def differences_text(records: Sequence[BenchRecord]) -> str:
-    """What settings are not for: each class that does something otherwise, with both numbers."""
+    """Classes that behave otherwise under the settings, with both numbers."""
     newest = {json.dumps(one.data["settings"], sort_keys=True): one for one in of(records, "physics")}
     return "\n".join(map(_differences, newest.values())) or table((), ())
 

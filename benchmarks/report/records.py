@@ -19,7 +19,7 @@ class BenchRecord:
 
     Attributes:
         file: Its file's name.
-        data: What it says.
+        data: Its text.
     """
 
     file: str
@@ -37,7 +37,7 @@ class BenchRecord:
 
     @property
     def where(self) -> str:
-        """What it ran on: the accelerator, or the processor and how many cores were to be had."""
+        """Machine: the accelerator, or the processor and how many cores were to be had."""
         hardware = self.data.get("hardware")
         if hardware is None or hardware["accelerator"] == self.data["device"]:
             return self.data["device"]
@@ -45,7 +45,7 @@ class BenchRecord:
 
     @property
     def case(self) -> Mapping[str, Any]:
-        """What was measured."""
+        """Measurements."""
         return self.data.get("case", {})
 
     @property

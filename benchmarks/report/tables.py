@@ -43,7 +43,7 @@ def records_table(
     Args:
         records: Of all benchmarks.
         benchmark: Which of them.
-        head: What stands over the columns behind when, commit and machine.
+        head: Titles of the columns behind when, commit and machine.
         rows_of: Makes the cells below `head`: a record's rows.
     """
     rows = (
@@ -94,7 +94,7 @@ def _step_rows(record: BenchRecord) -> Iterator[MarkdownRow]:
 
 
 def parts_table(records: Sequence[BenchRecord]) -> str:
-    """Where the time of a step goes: physics, sensors, all else."""
+    """Shares of a step's time: physics, sensors, all else."""
     head = (
         "when",
         "commit",
@@ -211,7 +211,7 @@ def train_table(records: Sequence[BenchRecord]) -> str:
 
 
 def serve_table(records: Sequence[BenchRecord]) -> str:
-    """What clients wait for: our own server of each record."""
+    """Waiting times of clients: our own server of each record."""
     wanted: Mapping[str, Callable[[str], bool]] = {
         "listening, cold [s]": lambda name: name == "start cold listening_s",
         "INIT of a P2AT, cold [s]": lambda name: name == "init cold P2AT first_sta_s",

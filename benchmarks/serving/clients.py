@@ -119,7 +119,7 @@ RAW_HEAD = 4
 
 
 class Connection(Protocol):
-    """What a `Crowd` reads."""
+    """Readings of a `Crowd`."""
 
     socket: socket.socket
 
@@ -154,7 +154,7 @@ class RobotClient:
         socket: Its connection.
         began: When it connected, by the performance counter [s].
         reports: When each STA came by the performance counter, and its own time [s, simulated s].
-        unsent: What the system has not taken yet.
+        unsent: Bytes that the system has not taken yet.
         answer: The line that `expect` asked for, and when it came.
     """
 
@@ -344,12 +344,12 @@ class RunningServer(Protocol):
 
 @dataclass(frozen=True)
 class Bounds:
-    """How long to measure and to wait.
+    """Durations of measuring and waiting.
 
     Attributes:
         seconds: Length of one measurement of what goes on and on [s].
-        windows: How many of them.
-        limit: What takes longer than this is given up [s].
+        windows: Number of them.
+        limit: Anything longer is given up [s].
         settling: Time for what has begun or ended to take effect [s].
     """
 

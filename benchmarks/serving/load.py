@@ -1,4 +1,4 @@
-"""What robots cost a server that stand or drive, how evenly they report, and how soon a command shows."""
+"""Cost of robots that stand or drive for a server, how evenly they report, and how soon a command shows."""
 
 import math
 import time
@@ -40,8 +40,8 @@ class Bustle:
 
     Args:
         crowd: Whose loop reads all.
-        joining: How many others.
-        bounds: How long.
+        joining: Number of others.
+        bounds: Durations.
 
     Attributes:
         watcher: The watching one.

@@ -137,6 +137,7 @@ def test_aggregates_over_runs_or_settings_and_buildings(draws, effects):
     assert LOW <= coverage_of_a_mean(draws, effects) <= HIGH
 
 
+@pytest.mark.every_run("0.3")
 @pytest.mark.parametrize("effect", [0.0, 0.3, 1.0])
 def test_differences_of_two_methods_with_five_runs_each(effect):
     assert LOW <= coverage_of_a_difference(effect) <= HIGH

@@ -62,6 +62,7 @@ def test_jax_that_ran_before_with_a_small_pool_is_refused_with_advice():
     assert "import usarmjx first, or set NPROC=8" in said
 
 
+@pytest.mark.every_run("import jax\\n-2")
 @pytest.mark.parametrize(("before", "nproc"), [(EARLY, "8"), ("import jax\n", "2")])
 def test_otherwise_the_engine_is_built(before, nproc):
     """That jax was imported before does no harm while its backend has not started."""
@@ -103,6 +104,10 @@ def test_the_engine_that_would_hang_is_refused_then_with_advice():
     said = run(FIT + BUILD, cores=2)
     assert "USARMJX_POOL=cores" in said
     assert "engine jax needs 8" in said
+
+
+@pytest.mark.thorough
+def test_an_engine_whose_pool_was_asked_for_is_built_then():
     assert run(FIT + BUILD, nproc="8", cores=2) == "JaxEngine"
 
 

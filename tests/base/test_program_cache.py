@@ -53,6 +53,7 @@ def test_a_kept_program_computes_the_same_and_is_not_traced(start, traced):
     np.testing.assert_array_equal(first["drawn"], 3 * TREE["a"] + jax.random.normal(key, (3,)))
 
 
+@pytest.mark.every_run("dtype", "tree", "more")
 @pytest.mark.parametrize(
     "other",
     [

@@ -51,6 +51,7 @@ np.save(sys.argv[3], np.asarray(batch.physics(found).qpos))
 """Its kernels change arrays in place: what is known of what is around robots."""
 
 
+@pytest.mark.every_run("program1-other")
 @pytest.mark.parametrize(("program", "first"), [(PROGRAM, "nothing"), (PROGRAM, "other"), (STEPS, "nothing")])
 def test_a_kept_program_with_kernels_does_the_same_in_another_process(tmp_path, program, first):
     def run(what, name):

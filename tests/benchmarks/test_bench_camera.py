@@ -69,6 +69,7 @@ def test_cameras_that_the_peer_does_not_have_are_refused():
         with_camera(scene, cameras_of(scene.groups[0].robot)[0], (16, 8))
 
 
+@pytest.mark.thorough
 def test_the_record_has_the_peers_figures(tmp_path):
     pytest.importorskip("warp", reason="needs warp-lang")
     case = CameraCase(worlds=1, arena="soccer", size="16x8", engine="c", steps=1, repeats=1, peer=True)

@@ -105,6 +105,7 @@ def house():
             yield House(world, server, watch, page_port=page.port, **ports)
 
 
+@pytest.mark.every_run("junk", "reset-storm", "segments", "page", "ros-json", "ros-storm", "silent")
 @pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: attack.name)
 def test_a_neighbour_does_not_notice(house, attack, caplog, record_property):
     case = replace(house.case, volume=PAGE_VOLUME) if attack.door == "page" else house.case

@@ -20,6 +20,7 @@ from usarmjx.models.types.shapes import SURFACES
 P2AT = ROBOTS.get("P2AT")
 
 
+@pytest.mark.every_run("P2DX")
 @pytest.mark.parametrize("name", ["P2AT", "P2DX", "Zerg"])
 def test_what_these_classes_do_under_the_fast_settings_is_what_they_do_under_the_reference(name):
     """docs/evidence/speed.md lists no differences of theirs."""

@@ -118,6 +118,7 @@ def test_every_node_holds_its_children_and_every_leaf_its_geom():
         assert high[node] == pytest.approx(reached.max(axis=0))
 
 
+@pytest.mark.thorough
 def test_worlds_with_arenas_of_their_own_go_as_without_a_tree(monkeypatch):
     """Bit for bit over episodes, with more worlds than threads and other arenas after each reset."""
     arenas = GeneratedArenas(kind="maze", count=3, levels=(0.0, 1.0), size=(3, 3))

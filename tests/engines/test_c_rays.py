@@ -138,6 +138,7 @@ def worlds():
     return lambda arena: made.get(arena) or made.setdefault(arena, in_use(arena))
 
 
+@pytest.mark.every_run("everything-laser", "everything-light", "pool-sonar")
 @pytest.mark.oracle
 @pytest.mark.parametrize(("arena", "name"), WHERE)
 def test_rays_meet_what_the_raycaster_of_batches_says(worlds, arena, name):

@@ -469,6 +469,7 @@ def course() -> tuple[Drive, Drive, Drive]:
     return drive_jax(*args), drive_c(*args, MULTICCD_OFF), drive_c(*args, 0)
 
 
+@pytest.mark.thorough
 def test_climbs_a_ramp_as_c(course: tuple[Drive, Drive, Drive]) -> None:
     ours, single, default = (drive.qpos[0] for drive in course)
     assert default[2] > 0.5  # on the platform
@@ -477,6 +478,7 @@ def test_climbs_a_ramp_as_c(course: tuple[Drive, Drive, Drive]) -> None:
         np.testing.assert_allclose(ours[1], reference[1], atol=0.05)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("world", [1, 2], ids=["straight", "at 20 degrees"])
 def test_crosses_steps_as_c(course: tuple[Drive, Drive, Drive], world: int) -> None:
     ours, single, default = (drive.qpos[world] for drive in course)
@@ -486,6 +488,7 @@ def test_crosses_steps_as_c(course: tuple[Drive, Drive, Drive], world: int) -> N
     assert default[0] < ours[0]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("world", [3, 4], ids=["straight", "at 3 degrees"])
 def test_pushes_a_wall_as_c(course: tuple[Drive, Drive, Drive], world: int) -> None:
     ours, _, default = course

@@ -117,6 +117,7 @@ def test_c_batch_is_plain_mj_step(scene):
         assert met == [data.ncon, data.nefc, data.solver_niter[0]]
 
 
+@pytest.mark.thorough
 def test_a_world_alone_is_the_world_in_a_batch(flat, jax_batch, driven):
     alone = Batch(flat, 1, engine="jax", seed=3, first=1)
     state = drive_for(alone)
@@ -182,6 +183,7 @@ def test_a_world_that_goes_bad_is_counted_and_reset_and_no_other_notices(flat, j
     )
 
 
+@pytest.mark.every_run("c", "planar")
 @pytest.mark.parametrize("engine", ["jax", "c", "planar"])
 def test_a_world_that_goes_bad_can_go_on_from_where_it_was(flat, jax_batch, engine):
     """For who resets it afterwards: its episode goes on, at rest, and no other world notices."""

@@ -40,6 +40,7 @@ def test_responses_were_measured_of_robots_as_they_are(name):
     assert set(entry["errors"]) == {"1 s", "5 s", "20 s"}
 
 
+@pytest.mark.thorough
 def test_a_measurement_comes_again_to_what_is_published():
     robot = ROBOTS.get("Talon")
     orders = random_commands(robot, 6, 150, seed=7)
@@ -51,6 +52,7 @@ def test_a_measurement_comes_again_to_what_is_published():
     assert apart < 0.1 * np.median(np.linalg.norm(np.diff(real.pose[..., :2], axis=0), axis=-1).sum(0))
 
 
+@pytest.mark.every_run("Talon", "Sedan")
 @pytest.mark.parametrize("name", ["Talon", "P2AT", "Sedan", "OmniP2AT"])
 def test_planar_is_as_far_from_c_as_is_published(name):
     """A class of each kind of drive (tracks, sides, Ackermann, wheels that all steer), by the same orders."""

@@ -145,6 +145,7 @@ SEEING = replace(
 override_response(SEEING, replace(AT_ONCE, forward_lag=0.1, turn_lag=0.05, acceleration=50.0))
 
 
+@pytest.mark.thorough
 def test_ranges_change_with_what_wheels_are_told_as_small_steps_show():
     """From DRIVE to the readings of a scanner after half a second, through the batch that everyone uses."""
     batch = Batch(build_scene(replace(FLAT, shapes=(AHEAD, BEHIND)), [SEEING]), 1, engine="planar")

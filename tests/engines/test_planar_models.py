@@ -109,6 +109,7 @@ def test_steps_of_50_ms_lead_to_where_those_of_20_ms_do(name):
     assert np.median(np.linalg.norm(coarse - fine, axis=-1)) < COARSE_LOSS
 
 
+@pytest.mark.every_run("Passarola-0.05")
 @pytest.mark.oracle
 @pytest.mark.parametrize(("name", "within"), [("AirRobot", 0.15), ("Passarola", 0.05)])
 def test_what_flies_in_steps_of_50_ms_is_about_where_mujoco_has_it(name, within):

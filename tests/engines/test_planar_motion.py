@@ -67,6 +67,7 @@ def test_wheels_at_odds_drive_an_arc_of_the_radius_that_they_make(flat):
     assert wheel_speeds[wheels.spin] == pytest.approx([left] * 2 + [right] * 2, abs=1e-3)
 
 
+@pytest.mark.every_run("Eager-1.0", "Zerg-0.0")
 @pytest.mark.parametrize(("name", "slip"), [("Eager", 1.0), ("P2AT", 0.0), ("Zerg", 0.0)])
 def test_sides_that_go_against_each_other_turn_a_robot_on_the_spot(name, slip):
     """At 2 w r / track times the share of it that the class keeps: what was measured, where 0 is given."""
@@ -355,6 +356,7 @@ VARIED = {
 }
 
 
+@pytest.mark.every_run("all", "the scarcer")
 @pytest.mark.parametrize("which", VARIED)
 def test_larger_wheels_go_farther_and_more_mass_or_less_friction_or_torque_starts_slower(which):
     """By the factors: a wheel's radius is in the speed, grip over mass in the acceleration."""

@@ -183,6 +183,7 @@ def test_what_worlds_need_is_worked_out_as_if_in_all_and_leaves_the_others_alone
         assert np.array_equal(np.asarray(found[name]), expected)
 
 
+@pytest.mark.every_run("yellow")
 @pytest.mark.parametrize("arena", ["field", "yellow"])
 def test_a_step_leaves_the_state_as_it_was_typed(arena):
     """A weak type in it would have the next step compiled again."""

@@ -126,6 +126,7 @@ def of_robots(around):
     return rows
 
 
+@pytest.mark.every_run("what flies over levels")
 @pytest.mark.parametrize("scene", SCENES)
 def test_robots_look_around_as_by_jax_and_only_those_that_need_it(scene, compared):
     driven(*SCENES[scene])
@@ -153,6 +154,7 @@ def test_robots_look_around_as_by_jax_and_only_those_that_need_it(scene, compare
     assert 0.3 < np.mean(shares) < 0.999, "many go on by what they know, not all"
 
 
+@pytest.mark.every_run("what flies over levels")
 @pytest.mark.parametrize("scene", SCENES)
 def test_the_ground_is_found_as_by_jax_by_what_is_known_or_under_all_solids(scene, compared):
     driven(*SCENES[scene])
@@ -161,6 +163,7 @@ def test_the_ground_is_found_as_by_jax_by_what_is_known_or_under_all_solids(scen
         assert (np.abs(found - by_jax) > ROUNDING).mean() < 1e-3
 
 
+@pytest.mark.every_run("a victim's limbs among walls")
 @pytest.mark.parametrize("scene", list(SCENES)[:2])
 def test_an_engine_goes_the_same_way_with_them(scene, monkeypatch):
     by_jax, _ = driven(*SCENES[scene])
@@ -186,7 +189,8 @@ def test_they_are_in_use_where_warp_is_and_a_block_holds_the_solids(monkeypatch)
     for module in (neighbor_search, separation):
         monkeypatch.setattr(module, "warp_in_use", lambda: True)
     assert kernels() == ["ground_under_robots", "keep_robots_apart", "look_around_robots"]
-    monkeypatch.setattr(warp_neighbor_search, "SHARED_CAPACITIES", (2,))
+    for capacities in ("SHARED_CAPACITIES", "GLOBAL_CAPACITIES"):
+        monkeypatch.setattr(warp_neighbor_search, capacities, (2,))
     assert kernels() == ["keep_robots_apart"]
 
 
@@ -267,6 +271,7 @@ def launches(monkeypatch):
     return kept
 
 
+@pytest.mark.every_run("a victim's limbs among walls")
 @pytest.mark.skipif(not COMPILER, reason="needs a compiler of C++")
 @pytest.mark.parametrize("scene", SCENES)
 def test_the_threads_of_a_gpu_do_together_what_one_does(scene, launches):
@@ -281,6 +286,17 @@ def test_the_threads_of_a_gpu_do_together_what_one_does(scene, launches):
         arrays = run_as_on_a_gpu(code, kernel, args, dim, warp_neighbor_search.THREADS)
         for mine, theirs in zip(arrays[-len(found) :], found, strict=True):
             np.testing.assert_allclose(mine, theirs, atol=ROUNDING)
+    (most, _), args, found, dim = looked[0]
+    places = warp_neighbor_search.GLOBAL_CAPACITIES[0]
+    code, kernel = (
+        warp_neighbor_search._code(most, places),
+        warp_neighbor_search.search_kernel(most, places),
+    )
+    scratch = np.zeros(WORLDS * warp_neighbor_search.scratch_numbers(places), np.float32)
+    arrays = run_as_on_a_gpu(code, kernel, [*args[:-1], scratch], dim, warp_neighbor_search.THREADS)
+    assert arrays[-1].any(), "solids are in global memory"
+    for mine, theirs in zip(arrays[-len(found) : -1], found[:-1], strict=True):
+        np.testing.assert_allclose(mine, theirs, atol=ROUNDING)
     _, args, (found,), dim = launches["_ground_kernel"][-1]
     code = warp_solids.scene_code(
         warp_neighbor_search.ROBOT_CODE, warp_neighbor_search.GROUND_CODE, warp_neighbor_search.MACROS
@@ -300,13 +316,15 @@ def test_the_threads_of_a_gpu_do_together_what_one_does(scene, launches):
 
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp compiles for no GPU there")
-@pytest.mark.parametrize("kernel", ["look", "look at the most", "ground", "part"])
+@pytest.mark.parametrize("kernel", ["look", "look at the most", "look in global memory", "ground", "part"])
 def test_they_compile_for_a_gpu(kernel, tmp_path):
     """NVRTC comes with Warp and needs no GPU; a block has 48 KiB of shared memory."""
     capacities = warp_neighbor_search.SHARED_CAPACITIES
+    largest = warp_neighbor_search.GLOBAL_CAPACITIES[-1]
     made = {
         "look": lambda: warp_neighbor_search.search_kernel(8, capacities[0]),
         "look at the most": lambda: warp_neighbor_search.search_kernel(12, capacities[-1]),
+        "look in global memory": lambda: warp_neighbor_search.search_kernel(12, largest),
         "ground": lambda: warp_neighbor_search.ground_under_robots,
         "part": lambda: warp_separation.separation_kernel(warp_separation.MAX_ROBOTS),
     }[kernel]()

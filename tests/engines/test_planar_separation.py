@@ -9,15 +9,18 @@ import pytest
 
 from tests.engines.crowds import as_the_engine_has_it, crowd, flat
 from tests.engines.eager import EAGER, drive, poses
+from tests.engines.gpu_threads import COMPILER, run_as_on_a_gpu
 from tests.engines.test_planar_contact import PEN
 from usarmjx.engines.planar import separation
 from usarmjx.engines.planar.footprints import OVERLAP_TOLERANCE, separate_footprints
+from usarmjx.engines.planar.proposed_motion import pack_motion
 from usarmjx.engines.planar.separation import separate_on_warp, separate_robots
 from usarmjx.models.compile.physics import Physics
 from usarmjx.sim.batch import Batch
 from usarmjx.sim.scene import build_scene
 
 pytest.importorskip("warp", reason="needs warp-lang")
+from usarmjx.engines.planar import warp_separation
 from usarmjx.engines.planar.warp_separation import MAX_ROBOTS, WARP_LANES, lanes_for
 
 ROUNDING = 2e-5
@@ -35,10 +38,11 @@ def on_warp(before, after, near, moves, stacked):
     return separate_on_warp(*as_the_engine_has_it(case))
 
 
-@pytest.mark.parametrize("robots", [1, 3, 4, 16, 40])
-def test_a_crowd_is_kept_apart_as_by_jax(robots):
-    """Among boxes and discs, beside those that do not move, over and under each other, in 24 worlds."""
-    case = crowd(24, robots, seed=robots)
+@pytest.mark.every_run("24-3", "24-40", "3-150")
+@pytest.mark.parametrize(("worlds", "robots"), [(24, 1), (24, 3), (24, 4), (24, 16), (24, 40), (3, 150)])
+def test_a_crowd_is_kept_apart_as_by_jax(worlds, robots):
+    """Among boxes and discs, beside those that do not move, over and under each other."""
+    case = crowd(worlds, robots, seed=robots)
     (kept, touched), (found, felt) = both(case)
     np.testing.assert_allclose(found.pos, kept.pos, atol=ROUNDING)
     np.testing.assert_allclose(found.yaw, kept.yaw, atol=ROUNDING)
@@ -103,18 +107,31 @@ def test_it_is_in_use_where_warp_is_and_worlds_are_not_too_large(monkeypatch):
 
 
 def test_a_world_has_as_many_lanes_as_robots_or_the_next_power_of_two():
-    assert [lanes_for(robots) for robots in (1, 2, 3, 4, 9, 16, 33, 128)] == [
-        1,
-        2,
-        4,
-        4,
-        16,
-        16,
-        WARP_LANES,
-        WARP_LANES,
-    ]
+    lanes = {1: 1, 2: 2, 3: 4, 4: 4, 9: 16, 16: 16, 33: WARP_LANES, 128: WARP_LANES}
+    assert {robots: lanes_for(robots) for robots in lanes} == lanes
+    blocks = {129: 128, 256: 128, 257: 256, MAX_ROBOTS: 512}
+    assert {robots: lanes_for(robots) for robots in blocks} == blocks, "a block of its own above WARP_ROBOTS"
 
 
+@pytest.mark.skipif(not COMPILER, reason="needs a compiler of C++")
+def test_the_threads_of_a_block_do_together_what_one_does():
+    robots, worlds = 150, 2
+    proposed, neighbors = as_the_engine_has_it(crowd(worlds, robots, seed=robots))
+    solids, over = np.asarray(neighbors.packed_obstacles), np.asarray(proposed.stacked, np.int32)
+    found, felt = separate_on_warp(proposed, neighbors)
+    known = np.asarray(pack_motion(proposed)), solids.ravel(), over.ravel(), worlds, solids.shape[2], 1
+    args = [*known, np.zeros(worlds * robots * 4, np.float32)]
+    code, kernel = warp_separation._code(robots), warp_separation.separation_kernel(robots)
+    block = warp_separation.block_threads_for(robots)
+    together = run_as_on_a_gpu(code, kernel, args, worlds * lanes_for(robots), block)[-1]
+    kept = together.reshape(worlds, robots, 4)
+    np.testing.assert_allclose(kept[..., :2], found.pos, atol=ROUNDING)
+    np.testing.assert_allclose(kept[..., 2], found.yaw, atol=ROUNDING)
+    np.testing.assert_array_equal(kept[..., 3] > 0, felt)
+    assert np.asarray(felt)[1].mean() > 0.15, "there was something to do"
+
+
+@pytest.mark.thorough
 def test_an_engine_goes_the_same_way_with_it(monkeypatch):
     """Four robots among walls and a disc, told the same for 3 s, in two worlds of which one goes astern."""
     scene, found = build_scene(PEN, [EAGER] * 4, Physics(timestep=0.05, substeps=1)), []

@@ -124,6 +124,7 @@ def test_what_falls_is_awake_and_lands_first():
     assert lands[0, HIGH, 2] < 0.06
 
 
+@pytest.mark.thorough
 def test_a_robot_pushes_what_slept_as_if_it_had_been_awake(rested):
     awake = Worlds(AWAKE)
     awake.state = rested_state(AWAKE)

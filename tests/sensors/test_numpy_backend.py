@@ -205,6 +205,7 @@ def assert_same(ours, theirs):
         np.testing.assert_allclose(one, other, rtol=SHARE, atol=NEAR, err_msg=name)
 
 
+@pytest.mark.every_run("Everything", "P2AT", "AirRobot", "Submarine")
 @pytest.mark.oracle
 @pytest.mark.parametrize("robot", list(classes()))
 def test_a_class_reads_on_numpy_what_it_reads_on_jax(robot):

@@ -113,12 +113,14 @@ def readings(kind):
     return {name: np.asarray(reading.value)[:, 0] for name, reading in zip(KINDS, told, strict=True)}
 
 
+@pytest.mark.thorough
 def test_the_robot_has_every_sensor_and_each_has_something_to_say():
     assert set(KINDS) == {kind for kind, _ in SENSORS}
     silent = {name for name, value in readings("c").items() if not np.any(value)}
     assert silent <= {"Touch", "Sound", "HumanMotion"}, "those with nothing there to feel or hear"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("engine", ENGINES)
 def test_every_sensor_reads_alone_what_it_reads_in_a_batch(engine):
     last = jax.tree.map(lambda x: x[-1:], driven(engine))
@@ -129,12 +131,14 @@ def test_every_sensor_reads_alone_what_it_reads_in_a_batch(engine):
         np.testing.assert_allclose(alone, together[name][-1], atol=ALONE, rtol=ALONE, err_msg=name)
 
 
+@pytest.mark.thorough
 def test_worlds_of_a_batch_read_their_own():
     for name in ("GroundTruth", "RangeScanner", "Odometry", "INS", "GPS"):
         value = readings("c")[name]
         assert np.any(value[0] != value[1]), name
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("engine", [pytest.param("jax", marks=pytest.mark.slow), "warp"])
 def test_every_sensor_reads_on_every_engine_what_it_reads_on_c_mujoco(engine):
     if engine == "warp":

@@ -189,6 +189,7 @@ def test_errors_grow_with_the_distance(watch):
     assert all(np.array_equal(draw["Exact"][chest, 2:], true) for draw in draws)
 
 
+@pytest.mark.every_run("3.0")
 @pytest.mark.parametrize("distance", [5.0, 3.0, 1.5])
 def test_false_alarms_come_and_go(watch, distance):
     """VictSensor.uc: each of four grids that meets one drops it if |N| < Distance / 3 / distance."""

@@ -81,6 +81,7 @@ def test_served_sensors_read_the_same_bits_at_any_age():
                 np.testing.assert_array_equal(one.value, other.value, err_msg=where)
 
 
+@pytest.mark.every_run("c")
 @pytest.mark.parametrize("engine", ["c", "planar"])
 def test_batched_sensors_read_the_same_bits_at_any_age(engine):
     kinds = ("IMU", "INS", "Odometry", "Encoder", "GroundTruth", "Sonar", "Battery")

@@ -116,6 +116,7 @@ def solo():
     return [alone(number) for number in range(len(ARENAS))]
 
 
+@pytest.mark.every_run("c")
 @pytest.mark.parametrize("engine", ["c", pytest.param("jax", marks=pytest.mark.slow), "warp"])
 def test_each_world_has_its_own_arena_as_if_compiled_alone(engine, solo):
     """Rays end where the poses say, and a grazing one up to 20 times as far away."""

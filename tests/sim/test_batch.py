@@ -48,6 +48,7 @@ def test_help_shows_the_methods(name):
     assert getattr(Batch, name).__doc__
 
 
+@pytest.mark.every_run("c")
 def test_a_subclass_steps_its_own_way(batches):
     ahead, plain = batches
     stepped = ahead.reset()

@@ -160,6 +160,13 @@ def heading(rig):
     return math.atan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
 
 
+@pytest.mark.every_run(
+    "P2AT-3.141592653589793",
+    "Talon-1.5707963267948966",
+    "Hummer-3.141592653589793",
+    "kenaf-1.5707963267948966",
+    "OmniP2AT-3.141592653589793",
+)
 @pytest.mark.parametrize("roll", [math.pi, math.pi / 2])
 @pytest.mark.parametrize("name", [name for name, robot in ROBOTS if robot.drive.is_wheeled])
 def test_flip_puts_every_wheeled_or_tracked_robot_back_on_its_feet(name, roll):
@@ -185,6 +192,7 @@ def wall(x, y, half_x, half_y):
     return Shape(kind="box", size=(half_x, half_y, 0.6), at=(x, y, 0.6), surface="wall")
 
 
+@pytest.mark.every_run("0")
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_brawl_in_a_small_room_stays_on_the_ground(seed):
     """Four robots at full throttle in 2.4 m, with a ramp and a step to be pushed onto."""
@@ -250,6 +258,7 @@ def batch_rates(batch):
     return speed, steady(-top, top)[:, 5].mean()
 
 
+@pytest.mark.thorough
 @pytest.mark.oracle
 @pytest.mark.parametrize("engine", [pytest.param("jax", marks=pytest.mark.slow), "warp"])
 def test_engines_drive_and_turn_alike(flat, engine):

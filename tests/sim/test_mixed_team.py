@@ -53,6 +53,7 @@ def moved(scene):
     return run
 
 
+@pytest.mark.every_run("c")
 @pytest.mark.parametrize("engine", ["c", pytest.param("jax", marks=pytest.mark.slow), "warp"])
 def test_all_of_a_mixed_team_move_as_they_are_told(moved, engine):
     away = moved(engine)

@@ -51,6 +51,7 @@ def pushed():
     return {}
 
 
+@pytest.mark.every_run("c")
 @pytest.mark.parametrize("engine", ["c", pytest.param("jax", marks=pytest.mark.slow), "warp"])
 def test_an_arm_sweeps_a_box_aside(engine, pushed):
     """Limbs are where the closed form has them; the box slides half a metre, on all engines within 10 %."""

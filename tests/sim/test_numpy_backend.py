@@ -92,6 +92,7 @@ def assert_rounded(plan, ours, theirs):
     assert ours.wrench.dtype == np.float32
 
 
+@pytest.mark.every_run("AirRobot", "ComStation", "ERS", "Hummer", "OmniP2AT", "P2AT", "Talon", "Submarine")
 @pytest.mark.oracle
 @EVERY_ROBOT
 def test_motors_are_told_the_same_on_both_libraries(name):
@@ -127,6 +128,7 @@ def test_without_anyone_to_right_the_group_is_told_the_same():
     assert_rounded(plan, ours, on_jax("P2AT")(still, *rest))
 
 
+@pytest.mark.every_run("AirRobot", "ComStation", "ERS", "Hummer", "OmniP2AT", "P2AT", "Talon", "Submarine")
 @pytest.mark.oracle
 @EVERY_ROBOT
 def test_robots_are_told_the_same_on_both_libraries(name):

@@ -204,6 +204,7 @@ def test_antennas_and_solids_are_the_same_on_both_libraries(worlds):
     assert_same(ours[1], theirs[1])
 
 
+@pytest.mark.every_run("DM-USAR_yellow", "DM-Outdoor")
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", ARENAS.names())
 def test_walls_are_the_same_on_both_libraries(name):

@@ -229,6 +229,7 @@ STAGES = {
 }
 
 
+@pytest.mark.every_run("the first part", "a free pose", "the new scene")
 @pytest.mark.parametrize("stage", STAGES)
 def test_whatever_fails_leaves_nothing_behind(monkeypatch, stage):
     world, twin = busy_world(), busy_world()

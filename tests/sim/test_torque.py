@@ -72,6 +72,9 @@ def weightless(name):
     return rig
 
 
+@pytest.mark.every_run(
+    *("1.0-P2AT", "1.0-AirRobot", "1.0-Talon", "1.0-Hummer", "1.0-ERS", "-0.25-Submarine", "-0.25-OmniP2AT")
+)
 @pytest.mark.parametrize("name", MOVING)
 @pytest.mark.parametrize("share", [1.0, -0.25])
 def test_no_joint_gets_faster_than_its_top_speed(name, share):
@@ -80,6 +83,7 @@ def test_no_joint_gets_faster_than_its_top_speed(name, share):
     assert fastest(rig, joints, 3.0).max() <= MARGIN
 
 
+@pytest.mark.every_run("1.0-AirRobot", "1.0-P2AT", "0.25-Talon", "0.25-Submarine")
 @pytest.mark.parametrize("name", LINKED)
 @pytest.mark.parametrize("share", [1.0, 0.25])
 def test_links_under_torque_leave_the_robot_where_it_stands(name, share):
@@ -103,6 +107,7 @@ def test_driven_wheels_keep_their_top_speed(name):
     assert np.hypot(*rig.data.qpos[:2]) > 0.1, "it drives"
 
 
+@pytest.mark.every_run("1.0-AirRobot", "1.0-P2AT", "-0.25-Talon", "1.0-Hummer", "-0.25-ERS")
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", MOVING)
 @pytest.mark.parametrize("share", [1.0, -0.25])

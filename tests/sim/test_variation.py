@@ -88,6 +88,7 @@ def test_speed_is_command_times_motors_times_wheels(c):
     assert np.ptp(asked) > 0.02
 
 
+@pytest.mark.thorough
 @pytest.mark.oracle
 @pytest.mark.parametrize("engine", [pytest.param("jax", marks=pytest.mark.slow), "warp"])
 def test_other_engines_do_to_varied_robots_what_c_does(c, engine):

@@ -89,6 +89,7 @@ def test_a_file_that_does_not_read_is_one_line(tmp_path):
         ({"vary.radio_cutoff": 3, "radio.cutoff": 4}, "radio.cutoff and vary.radio_cutoff are both given"),
         ({"roster": {"P2AT": 2, "Zerg": 1}}, "takes robots of one class"),
         ({"roster": {"P2AT": 0}}, "expected classes and how many"),
+        ({"task": "victim-search", "vary.latency": [0, 5]}, "latency does not go with ComStation"),
         ({"fields.velocity": 3}, "has no setting 'velocity'; it has"),
         ({"fields.price": "dear"}, "fields: price is 'dear', expected a number"),
         ({"policy": {"runs": "x"}}, "expected baseline, packaged, random, a run's folder"),
@@ -162,3 +163,5 @@ def test_bundled_sweeps_stand_for_something(file):
     for cell in (spec.cells[0], spec.cells[-1]):
         shapes[repr(signature_of(resolve(cell), "c"))] = cell
     assert len(shapes) == (1 if file.stem == "thousand" else 2)
+    for cell in spec.cells:
+        assert resolve(cell).settings is cell, "no setting is refused"

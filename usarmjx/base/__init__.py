@@ -1,4 +1,4 @@
-"""What all other packages use, and what uses none of them.
+"""Common modules, which use no other package.
 
 The exception tree (`errors`), the one registry (`registry`), types of arrays (`arrays`), rotations of JAX
 arrays (`rotations`), how sure results are (`estimates`), the conversion between USARSim's axes and MuJoCo's

@@ -40,7 +40,7 @@ def respelt(words: Sequence[str], tell: Callable[[str], None]) -> list[str]:
     """Return a command line with all options as they are spelt now.
 
     Args:
-        words: What was typed after `usarmjx`.
+        words: Arguments after `usarmjx`.
         tell: Takes a line for each old spelling.
     """
     path = " ".join(words[:2]) if " ".join(words[:2]) in COUNTED else "".join(words[:1])

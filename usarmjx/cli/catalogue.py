@@ -143,11 +143,11 @@ OPTION_HEAD = "type", "options, and what they are unless a mount or an ini file 
 SENSORS_HEAD = """# All sensors
 
 This page is the output of `usarmjx list sensors --markdown`; a test keeps it so. [sensors.md](sensors.md)
-tells how to use them. Rays are those of one sensor with the options below; "from" is the manual's section, or
+shows how to use them. Rays are those of one sensor with the options below; "from" is the manual's section, or
 lines captured from a real server, or ours where USARSim has none. A value has the leading axes worlds and
 robots.
 """
-MESSAGES = """What they say over TCP; those of the scanners are with fewer beams:
+MESSAGES = """Their messages over TCP; those of the scanners have fewer beams here:
 """
 ROBOTS_NAMED = 3
 """So many robots are named."""

@@ -52,7 +52,7 @@ class DemoGuide:
 
     Args:
         page: Address of the page.
-        port: Where clients connect.
+        port: Port of clients.
         robots: Names of the robots.
         browser: Whether a browser is to be opened.
     """
@@ -119,9 +119,9 @@ def run_live(browser: bool, port: int | None, viewer_port: int | None, rosbridge
 
     Args:
         browser: Whether to open a browser, where there is a display.
-        port: Where clients connect; None: the usual port, or a free one where that is taken.
-        viewer_port: Where the page is; None: likewise.
-        rosbridge_port: Where clients of ROS connect; None: nowhere.
+        port: Port of clients; None: the usual port, or a free one where that is taken.
+        viewer_port: Port of the page; None: likewise.
+        rosbridge_port: Port of ROS clients; None: none.
 
     Raises:
         UsageError: A port is taken.

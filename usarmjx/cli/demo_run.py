@@ -164,7 +164,7 @@ def running_server(errors: Path, console: Console) -> Iterator[int]:
 
     Args:
         errors: File for what it logs.
-        console: Where to say that it is starting.
+        console: Console for the line about the start.
 
     Raises:
         DemoError: It does not start or does not stop as it should.
@@ -216,7 +216,7 @@ def run_controller(port: int, seconds: float, log: Path, console: Console) -> No
         port: The server's port on this machine.
         seconds: Simulated time to drive [s].
         log: File that the controller writes.
-        console: Where the progress bar goes.
+        console: Console of the progress bar.
 
     Raises:
         DemoError: The controller failed or took too long.

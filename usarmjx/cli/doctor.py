@@ -68,9 +68,9 @@ class Finding:
 
     Attributes:
         about: Which thing.
-        verdict: How it is: fine, worth knowing, or wrong.
-        text: What was found.
-        advice: What to do about it, if anything.
+        verdict: State: fine, worth knowing, or wrong.
+        text: Finding.
+        advice: Remedy, if any.
     """
 
     about: str

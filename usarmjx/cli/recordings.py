@@ -73,7 +73,7 @@ def recorded_episode(
     Args:
         env: The environment.
         path: The file; None: nothing is to be recorded.
-        seed: What the environment is reset with.
+        seed: Seed of the environment's reset.
 
     Raises:
         UsageError: The file is there already.

@@ -98,7 +98,7 @@ def warn_if_open(address: str, rules: AccessRules) -> None:
 
     Args:
         address: IP address that is listened on.
-        rules: Who may connect.
+        rules: Clients admitted.
     """
     if ipaddress.ip_address(address.partition("%")[0]).is_loopback:
         return
@@ -136,7 +136,7 @@ class ServiceOptions(Protocol):
         """Read the other options; return what makes the service of a world.
 
         Args:
-            listen: Where to listen, and who may connect.
+            listen: Addresses to listen on, and clients admitted.
             ini: Ini files with robots and more.
 
         Raises:
@@ -404,7 +404,7 @@ def make_servers(
 ) -> "list[BotServer]":
     """Return the servers of some worlds of a batch with their services, at the ports bound for each.
 
-    Where one is served of a batch of one roster, whoever runs it can choose another while it runs.
+    If one world of a batch of one roster is served, its terminal can choose another while it runs.
     """
     from usarmjx.server.gamebots.server import BotServer
     from usarmjx.server.runtime.instance_selector import InstanceSwitch
@@ -556,8 +556,8 @@ class Services(NamedTuple):
     """Services beside the robots' ports.
 
     Attributes:
-        makers: What makes the services of a world.
-        viewer: How the live page is served.
+        makers: Factories of a world's services.
+        viewer: Settings of the live page.
     """
 
     makers: "Sequence[ServiceMaker]"
@@ -569,14 +569,14 @@ class Host:
     """Takes ports at once, and serves worlds there once they are built.
 
     Attributes:
-        listen: Where clients connect.
-        settings: How each world is served.
+        listen: Port of clients.
+        settings: Settings of serving each world.
         numbers: Which worlds of the batch are served.
-        run: How fast they run.
+        run: Their speed.
         viewer: The live page.
         view: Whether there is one.
         services: Services of each world.
-        layers: What the live page shows at first beside what it always does.
+        layers: Layers that the live page shows at first beside the default ones.
     """
 
     listen: ListenOptions
@@ -638,10 +638,10 @@ class Host:
 
         Args:
             worlds: Those of `numbers`.
-            ports: Where.
-            services: What beside robots.
-            signals: What ends it.
-            batch_size: How many worlds there are in the batch.
+            ports: Bound ports.
+            services: Layers beside robots.
+            signals: Signals that end it.
+            batch_size: Number of worlds in the batch.
             more: Services that all worlds share.
             radio: Constants of the radio for the live page and recordings; None: they have none to show.
         """

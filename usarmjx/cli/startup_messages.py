@@ -53,9 +53,9 @@ class CompilationWatch:
 
         Args:
             event: Its name.
-            duration: How long what it tells of has taken [s].
+            duration: Duration so far [s].
             now: The time [s].
-            thread: Where that was.
+            thread: Place of that.
         """
         if not event.startswith(COMPILE_EVENT_PREFIX):
             return
@@ -105,7 +105,7 @@ def announce(
     that has it behind itself: it compiles, and keeps what it compiles, as it likes.
 
     Args:
-        text: What is begun.
+        text: The step begun.
         keep: Whether compilations are kept, and those of before used.
         aloud: Whether to report; of several processes that do the same, one is enough.
         quickly: Whether to compile without optimisation.

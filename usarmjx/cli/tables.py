@@ -20,7 +20,7 @@ class Listing:
     Attributes:
         columns: Names of the columns, the first that of the things' names.
         rows: Their cells, texts or numbers (rows, columns).
-        title: What stands over them.
+        title: Title.
     """
 
     columns: Sequence[str]

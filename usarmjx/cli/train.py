@@ -511,8 +511,8 @@ def _train(
 
     Args:
         task: Name of the task.
-        options: What is asked for.
-        watchers: Who gets to see the worlds.
+        options: The request.
+        watchers: Viewers of the worlds.
         project: Of Weights & Biases; None: it is not shown there.
         bar: Show one.
         stop: Ends it early.
@@ -592,8 +592,8 @@ class _ShownTraining:
     """A training on the live page.
 
     Args:
-        bound: Where the page is.
-        title: What it is called.
+        bound: Address of the page.
+        title: Its name.
     """
 
     def __init__(self, bound: socket.socket, title: str) -> None:

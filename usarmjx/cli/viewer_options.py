@@ -50,7 +50,7 @@ def viewer_socket(host: str, port: int | None, offset: int, wanted: bool) -> Ite
     Args:
         host: Address to listen on.
         port: Its port; None: the usual one, or a free one where that is taken.
-        offset: What is added to it.
+        offset: Addition to it.
         wanted: Whether there is to be a page.
 
     Yields:
@@ -97,10 +97,10 @@ def viewer_server(
     """Return a server for a page of its own at a socket, and tell the user where it is.
 
     Args:
-        bound: Where the page is.
-        host: What its port was bound to.
-        rules: Who may look; None: anybody who can connect.
-        names: What browsers may call the server, as typed.
+        bound: Address of the page.
+        host: Socket of its port.
+        rules: People admitted; None: anybody who can connect.
+        names: Names of the server for browsers, as typed.
     """
     from usarmjx.server.network.access import EVERYBODY
     from usarmjx.server.network.gate import Gate
@@ -135,9 +135,9 @@ def add_viewer(
 
     Args:
         servers: The servers.
-        controls: What may be done to their worlds.
-        bound: Where the page is.
-        settings: How to serve it.
+        controls: Actions allowed on their worlds.
+        bound: Address of the page.
+        settings: Settings of serving it.
         radio: The radio's constants; None: there is none.
         layers: Layers that are on at first beside those that always are.
     """
@@ -179,8 +179,8 @@ def viewer_settings(
 
     Args:
         host: Address to listen on.
-        rules: Who may look.
-        names: What browsers may call the server, as typed.
+        rules: People admitted.
+        names: Names of the server for browsers, as typed.
         control: Whether whoever opens it may have its controls.
 
     Raises:

@@ -97,8 +97,8 @@ def save_small(figure: Figure, path: Path, colours: int = COLOURS) -> None:
     """Write a figure as PNG with a palette of its most common colours.
 
     Args:
-        figure: What is drawn.
-        path: Where to.
+        figure: Subject.
+        path: Destination.
         colours: Most colours; lines of a few colours and their edges need 16.
 
     Raises:
@@ -182,7 +182,7 @@ def run_picture(arena: ArenaSpec, log: Mapping[str, Any], path: Path) -> None:
     """Draw a run as a PNG file.
 
     Args:
-        arena: Where it took place.
+        arena: Its arena.
         log: "track" with one row per report (time, truth, odometry, INS; poses as x, y, yaw), and
             "scan" with the last laser scan, or nothing in it.
         path: File to write; its folder exists.

@@ -48,14 +48,14 @@ class EpisodeRecording:
 
     Attributes:
         task: Its name.
-        arena: Where it was.
+        arena: Its arena.
         names: Of the robots.
         times: When [s] (frames,).
         scores: The score by then (frames,).
-        poses: Where the robots truly were: x, y [m] and yaw [rad] (frames, robots, 3).
-        loose: Where what lies loose truly was: x, y [m] (frames, objects, 2).
-        goal: Where to go [m] (2,), in tasks that have a goal.
-        end: What is known of the episode's end, "" if it went on.
+        poses: True poses of the robots: x, y [m] and yaw [rad] (frames, robots, 3).
+        loose: True positions of loose objects: x, y [m] (frames, objects, 2).
+        goal: Goal [m] (2,), in tasks that have a goal.
+        end: Known end of the episode, "" if it went on.
     """
 
     task: str
@@ -83,7 +83,7 @@ def record_episode(
 
     Args:
         env: The worlds.
-        policy: What drives the robots.
+        policy: Driver of the robots.
         seconds: For how long at most [s of simulated time].
         seed: Of the environment and of the policy's random numbers.
         watch: Gets to see each state of the episode, the first one included.

@@ -37,7 +37,7 @@ class PowerMap:
     Attributes:
         x: Columns of the grid [m] (columns,).
         y: Rows of the grid [m] (rows,).
-        power: What arrives there [dBm] (rows, columns).
+        power: Power received there [dBm] (rows, columns).
         walls: Solids on the way there (rows, columns).
     """
 
@@ -74,8 +74,8 @@ def power_map(
 
     Args:
         arena: The arena.
-        source: Where the sender's antenna is: x, y and, if it is not `ANTENNA_HEIGHT`, the height above the
-            floor, in the arena's axes [m].
+        source: Position of the sender's antenna: x, y and, if it is not `ANTENNA_HEIGHT`, the height above
+            the floor, in the arena's axes [m].
         settings: Constants of the radio; None: the manual's.
         height: Height of the receiving antennas above the floor; None: as high as the sender's [m].
         step: Distance of two points on the grid [m]; None: `GRID_POINTS` along the arena.
@@ -118,7 +118,7 @@ def radio_picture(
     Args:
         arena: The arena.
         path: File to write; its folder exists.
-        source: Where the sender's antenna is.
+        source: Position of the sender's antenna.
         settings: Constants of the radio; None: the manual's.
         height: Height of the receiving antennas.
 

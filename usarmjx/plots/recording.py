@@ -43,7 +43,7 @@ class RobotWay:
         name: Its name.
         robot: Its class.
         times: When it was looked at [s].
-        poses: Where it was then: x, y [m] and yaw [rad].
+        poses: Pose then: x, y [m] and yaw [rad].
         battery: For how long its battery lasted yet [s].
     """
 
@@ -59,9 +59,9 @@ class RecordedMission:
     """A recorded mission.
 
     Attributes:
-        arena: Where it was.
+        arena: Its arena.
         ways: The robots' ways, in the order in which they came.
-        scans: Where beams of plane scanners ended, on the floor plan [m] (points, 2).
+        scans: Ends of beams of plane scanners, on the floor plan [m] (points, 2).
         found: When each victim was met first [s], and by whom, by its place in the arena.
         scores: Times [s] and scores of a task.
         loose: Times [s] and where what lies loose was: x, y [m] (objects, 2).

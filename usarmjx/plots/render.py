@@ -106,8 +106,8 @@ def render_geoms_of(
     Args:
         model: The model.
         data: Its state.
-        materials: What each geom is made of, see `materials_of`; None: all opaque. Sky is left out.
-        labels: What each geom is in a segmentation (ngeom,); None: all are robots.
+        materials: Material of each geom, see `materials_of`; None: all opaque. Sky is left out.
+        labels: Class of each geom in a segmentation (ngeom,); None: all are robots.
     """
     named = np.array([OPAQUE] * model.ngeom if materials is None else materials, object)
     ids = np.flatnonzero(named != SKY)
@@ -191,7 +191,7 @@ def fit_camera(corners: np.ndarray, back: np.ndarray, aspect: float) -> tuple[np
     """Return from where corners fill a picture, and the picture's middle (3,) and (3,) [m].
 
     Args:
-        corners: What shall be in the picture [m] (n, 3).
+        corners: Points that shall be in the picture [m] (n, 3).
         back: Unit vector from the picture's middle to the eye (3,).
         aspect: Width of the picture over its height.
     """
@@ -291,9 +291,9 @@ def render_picture(
     """Return a picture (height, width, 3) with values in [0, 1].
 
     Args:
-        solids: What is there.
-        eye: Where it is seen from (3,) [m].
-        target: What is in the middle of the picture (3,) [m].
+        solids: The geoms.
+        eye: Position of the viewer (3,) [m].
+        target: Centre of the picture (3,) [m].
         width: Pixels along a row.
         height: Rows.
         lighting: Light and floor.

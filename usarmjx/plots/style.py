@@ -101,7 +101,7 @@ def series(panel: Axes, x: Any, y: Any, number: int, label: str | None = None, *
     """Draw points with a mark and colour of their own, joined only where they are enough for a line.
 
     Args:
-        panel: Where.
+        panel: Panel to draw in.
         x: Places (points,).
         y: Values (points,).
         number: Number of the series, for colour and mark.
@@ -121,7 +121,7 @@ def save_figure(figure: Figure, path: Path, **metadata: str) -> None:
 
     Args:
         figure: The figure.
-        path: Where to.
+        path: Destination.
         metadata: Notes in a PNG file.
 
     Raises:

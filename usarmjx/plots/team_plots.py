@@ -23,7 +23,7 @@ class TeamWays:
     """Tracks of each team's robots in world 0: a `watch` of `measure_teams`.
 
     Attributes:
-        arena: Where world 0 is.
+        arena: Arena of world 0.
         ways: By team: x, y [m] and yaw [rad] of its robots at the begin of each step, [(robots, 3), ...].
         period: Length of a step [s].
     """

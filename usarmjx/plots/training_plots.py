@@ -44,7 +44,7 @@ class Curve:
     """Learning curve of one run.
 
     Attributes:
-        task: What was learned.
+        task: Task.
         seed: Of the run.
         steps: Agent steps so far (points,).
         seconds: Time so far [s] (points,).
@@ -52,7 +52,7 @@ class Curve:
         baseline: Score of the baseline; None: not known.
         engine: Engine of the run as named; empty: not known.
         fields: Overridden fields of the task, as `advice=false`.
-        worlds: How many were in the batch.
+        worlds: Number in the batch.
         device: That trained; empty: not known.
     """
 
@@ -250,7 +250,7 @@ def draw_curves(curves: Iterable[Curve], along: str = "steps") -> list[Figure]:
 
     Args:
         curves: The curves.
-        along: What they are drawn over, of `AXES`.
+        along: Abscissa, of `AXES`.
 
     Raises:
         UsageError: Another axis; names those there are.

@@ -1,6 +1,6 @@
 """The last seconds of worlds that go bad in a training, each as a recording of its own.
 
-A training keeps the worlds before a rollout and its actions. Where a world goes bad, its environment plays
+A training keeps the worlds before a rollout and its actions. If a world goes bad, its environment plays
 the rollout again, and a batch of this one world repeats its last seconds from a snapshot of all its arrays,
 under the same commands. That batch is recorded, so that `replay --check` repeats it to the bit on any engine.
 """

@@ -1,6 +1,6 @@
 """An MCAP file that a thread writes, so that a recorded world does not wait for the disk.
 
-What a replay needs is always written. Frames, which only show a world, are left out while the thread is
+Data for a replay is always written. Frames, which only show a world, are left out while the thread is
 behind, and the shapes for Foxglove are written in pieces when nothing else waits. So a process that is killed
 loses about a second.
 """

@@ -1,6 +1,6 @@
 """Geoms that rays can hit in a world: floor and arena, loose objects, doors, and the robots in use.
 
-Pure functions of one world. What belongs to a robot carries its slot, all else -1. For cameras it has colours
+Pure functions of one world. Solids of a robot carry its slot, all others -1. For cameras it has colours
 too, and the geoms of a robot can be told apart.
 """
 

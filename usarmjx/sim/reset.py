@@ -1,6 +1,7 @@
 """The start of a world: its first episode and the next ones. Pure functions of one world."""
 
 import jax
+import numpy as np
 
 from usarmjx.base import random
 from usarmjx.base.arrays import Array, ArrayLike
@@ -173,18 +174,21 @@ def start_qpos(scene: Scene, world: World, shuffle: bool) -> Array:
         parts.append((scene.loose_geoms.root_qposadr, world.arena_state.loose))
     active = [slot for slot, entry in enumerate(scene.roster) if not entry.parked]
     for group in scene.groups:
-        for place, slot in enumerate(group.slots):
-            address = group.root_qposadr[place]
-            if slot in active:
-                x, y, z, yaw = starts[order[active.index(slot)]]
-                height = origin_height(scene.arena, z, group.robot)
-                if world.varied is not None and world.varied.wheel is not None:
-                    # Larger wheels must not start in the floor.
-                    height += xp.maximum(world.varied.wheel[slot] - 1.0, 0.0) * max_wheel_radius(group.robot)
-                root = [x, y, height, xp.cos(yaw / 2), 0.0, 0.0, xp.sin(yaw / 2)]
-            else:
-                root = [*parking_position(scene.arena, int(slot)), 1.0, 0.0, 0.0, 0.0]
-            parts.append((address, xp.stack([xp.asarray(v, xp.float32) for v in root])))
+        stands = np.isin(group.slots, active)
+        if stands.any():
+            slots = group.slots[stands]
+            x, y, z, yaw = starts[order[np.array([active.index(slot) for slot in slots])]].T
+            height = origin_height(scene.arena, z, group.robot)
+            if world.varied is not None and world.varied.wheel is not None:
+                # Larger wheels must not start in the floor.
+                height += xp.maximum(world.varied.wheel[slots] - 1.0, 0.0) * max_wheel_radius(group.robot)
+            none = xp.zeros_like(x)
+            root = xp.stack([x, y, height, xp.cos(yaw / 2), none, none, xp.sin(yaw / 2)], -1)
+            parts.append((group.root_qposadr[stands], xp.asarray(root, xp.float32)))
+        if not stands.all():
+            parked = [parking_position(scene.arena, int(slot)) for slot in group.slots[~stands]]
+            root = np.array([[*position, 1.0, 0.0, 0.0, 0.0] for position in parked], np.float32)
+            parts.append((group.root_qposadr[~stands], xp.asarray(root)))
     return set_rows(xp.asarray(scene.model.qpos0, xp.float32), *parts)
 
 

@@ -497,7 +497,7 @@ def shared_cells(
 
     Args:
         records: Cells of one task.
-        key: What is the same in cells that count as one.
+        key: Key that cells counting as one share.
 
     Returns:
         The cells by policy; where there are none in common those that each has, and True.

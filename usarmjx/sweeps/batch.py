@@ -35,7 +35,7 @@ class CellEpisodes:
 
     Attributes:
         scores: Final scores (episodes,).
-        steps: How long they took (episodes,).
+        steps: Their lengths (episodes,).
         bad: Which of them went wrong in their physics (episodes,).
         metrics: The task's metrics at their ends, by name (episodes,).
         seconds: The cell's share of the time that its batch took [s].
@@ -55,12 +55,12 @@ class GroupRunner:
 
     Args:
         cells: All cells of the group.
-        size: How many are played at once.
+        size: Number played at once.
         engine: The physics engine.
         seed: Of what no world draws from.
 
     Raises:
-        UsageError: What the cells stand for cannot be built.
+        UsageError: A cell's world cannot be built.
     """
 
     def __init__(self, cells: Sequence[Resolved], size: int, engine: str, seed: int = 0) -> None:

@@ -90,7 +90,7 @@ def play_client(cell: Resolved, driver: CellDriver, engine: str) -> CellEpisodes
 
     Args:
         cell: The cell.
-        driver: How clients are started, and how fast the clock goes.
+        driver: Start of clients, and speed of the clock.
         engine: The physics engine.
 
     Raises:

@@ -36,7 +36,7 @@ def key_of(settings: CellSettings, cell: Resolved | None = None, known: dict[str
 
     Args:
         settings: The settings; the name of a method is no part of the key.
-        cell: What they stand for; None: it is resolved.
+        cell: Their meaning; None: it is resolved.
         known: Digests of named arenas that were found before, and are now.
 
     Raises:

@@ -52,7 +52,7 @@ class Episodes:
         points: Sampled settings of each (episodes,).
         runs: Policy of each (episodes,).
         buildings: Building of each (episodes,).
-        keys: What episodes that are compared have in common (episodes,).
+        keys: Pairing key of episodes (episodes,).
         sampled: Ranges of the sampled settings.
     """
 

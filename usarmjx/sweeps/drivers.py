@@ -30,7 +30,7 @@ class CellDriver:
     """Driver of the robots of a cell.
 
     Attributes:
-        shape: What must be alike in a batch: all but the weights.
+        shape: Properties that are alike in a batch: all but the weights.
         make: Returns a policy for an environment, given the weights.
         weights: Of a trained policy: a tree of arrays; else empty.
         command: Of a client over TCP: how it is started; None: the policy acts in the batch.

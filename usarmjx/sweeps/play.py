@@ -63,7 +63,7 @@ class BatchWork:
         group: Name of its group: what is compiled for one batch of it does for the others.
         cells: Keys and settings of all cells of the group.
         chosen: Which of them are played now.
-        size: How many cells are played at once.
+        size: Number of cells played at once.
         engine: The physics engine.
     """
 

@@ -12,7 +12,11 @@ from usarmjx.base.settings import default_reader
 from usarmjx.models.compile.arena_set import arena_set
 from usarmjx.models.compile.parts import parts_of as robot_parts
 from usarmjx.models.compile.physics import PHYSICS
-from usarmjx.models.compile.randomization import QUANTITY_RULES, DomainRandomization
+from usarmjx.models.compile.randomization import (
+    QUANTITY_RULES,
+    DomainRandomization,
+    check_randomization,
+)
 from usarmjx.models.files.find_robot import find_robot
 from usarmjx.models.generate import KINDS
 from usarmjx.models.types.arena import ArenaSpec
@@ -42,8 +46,8 @@ class Resolved:
         settings: The cell's settings.
         task: The task; where arenas are data, without them.
         arenas: The arenas of its episodes, in turn; None: it has one that is not data.
-        ranges: What its worlds draw from, as data.
-        driver: What drives the robots.
+        ranges: Source of its worlds, as data.
+        driver: Driver of the robots.
         split: Split of its arenas; empty: they are not generated.
         labels: Name and hash of each of `arenas`.
     """
@@ -177,6 +181,7 @@ def _with_parts(task: Task, settings: CellSettings) -> tuple[Task, dict[str, tup
         return task, {}
     task = replace(task, **reader.values(type(task), {"vary": spans}, base=task))
     ranges = task.vary or DomainRandomization()
+    check_randomization(ranges, [spec_of(robot) for robot in task.robots], task.radio is not None)
     return task, {
         name: (float(span[0]), float(span[1]))
         for name in QUANTITY_RULES

@@ -124,7 +124,7 @@ class SweepProgress:
     """Says how far a sweep is.
 
     Args:
-        cells: How many are to be played.
+        cells: Number to be played.
         stream: Stream to write to; None: none.
     """
 
@@ -250,10 +250,10 @@ class Prepared:
 
     Attributes:
         cells: Those that have no result yet.
-        known: How many have one, or have failed before.
+        known: Number that have one, or have failed before.
         broken: Those that stand for nothing.
         engine: Of each of `cells`.
-        plan: How they are played.
+        plan: The way they are played.
         keys: Of all cells of the sweep.
     """
 
@@ -381,8 +381,8 @@ def run_sweep(
 
     Args:
         spec: The sweep.
-        folder: Where results are kept.
-        workers: Where it is played; None: here.
+        folder: Store of results.
+        workers: Place to play it; None: here.
         retry: Whether what has failed is done again.
         say: Receives the plan, in lines.
         stream: Stream of progress; None: none.
@@ -471,8 +471,8 @@ def sweep(
 
     Args:
         what: A file, the name of a bundled sweep, or what a file would hold.
-        folder: Where results are kept; what is there already is not played again.
-        workers: Where it is played; None: in this process.
+        folder: Store of results; what is there already is not played again.
+        workers: Place to play it; None: in this process.
         retry: Whether what has failed is done again.
         common: CellSettings that replace those of all cells, as `engine="c"`, `episodes=5`.
 

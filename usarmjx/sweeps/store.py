@@ -80,7 +80,7 @@ class StoredSweep:
 
     Attributes:
         name: Of its file.
-        about: What it asks.
+        about: Its question.
         axes: Settings that differ between cells.
         sampled: Lowest and highest number of each setting that was sampled.
         normalise: Policies or scores that count as 0 and as 1, see `SweepFile`.

@@ -22,7 +22,7 @@ class Workers:
 
     Attributes:
         place: One of `PLACES`.
-        count: How many workers; None: one for each GPU, else one.
+        count: Number of workers; None: one for each GPU, else one.
         address: Of a Ray cluster; None: Ray on this machine.
 
     Raises:
@@ -47,7 +47,7 @@ class Workers:
 
         Args:
             work: Does a piece; another process must be able to import it.
-            pieces: What to do.
+            pieces: Task to run.
 
         Raises:
             UsageError: Ray is not installed, or its cluster is not there.

@@ -322,6 +322,7 @@ def pose_of(rig):
     return float(state.pos[0]), -float(state.pos[1]), -2 * math.atan2(z, w)
 
 
+@pytest.mark.every_run("Hummer-lane1-Outer1-7.0")
 @pytest.mark.parametrize(
     ("car", "lane", "start", "top"), [("Sedan", (1, 1), "Loop1", 7.0), ("Hummer", (1, 2), "Outer1", 7.0)]
 )

@@ -102,6 +102,7 @@ def test_the_same_flight_a_metre_to_the_side_meets_the_wall():
     assert flight.path[-1, 0] < BAY
 
 
+@pytest.mark.every_run("in-Hall", "out-Office")
 @pytest.mark.parametrize("name", DOORS)
 @pytest.mark.parametrize("way", [1, -1], ids=["in", "out"])
 def test_a_p2at_pushes_a_door_open_and_goes_through(name, way):

@@ -119,6 +119,7 @@ def test_a_ramp_of_15_degrees_leads_to_it():
     assert math.degrees(math.atan2(UPPER, RAMP_RUN)) == pytest.approx(15.0)
 
 
+@pytest.mark.every_run("1.0")
 @pytest.mark.parametrize("share", [0.5, 1.0])
 def test_a_talon_climbs_the_stairs_of_35_degrees_and_comes_down_again(share):
     rig = Rig("Talon", arena=ORANGE, places=[(*cell(3, 4), 0.0)])
@@ -142,6 +143,7 @@ def test_a_p2at_does_not_climb_the_stairs():
     assert reached(rig)[2] < standing("P2AT") + 0.18
 
 
+@pytest.mark.every_run("1.0")
 @pytest.mark.parametrize("share", [0.5, 1.0])
 def test_a_p2at_drives_up_the_ramp_and_down_again(share):
     rig = Rig("P2AT", arena=ORANGE, places=[(*cell(1, 7), 0.0)])

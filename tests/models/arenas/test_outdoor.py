@@ -82,6 +82,7 @@ def test_starts_lie_on_the_flat_ground(built):
             assert below(built, x + dx, y + dy)[0] == pytest.approx(BASE, abs=GRID), start.tag
 
 
+@pytest.mark.every_run("west-Talon")
 @pytest.mark.parametrize("name", ["P2AT", "Talon"])
 @pytest.mark.parametrize("way", OVER_HILLS)
 def test_robots_cross_more_than_14_m_of_hills_and_stay_on_them(name, way):

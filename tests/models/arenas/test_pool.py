@@ -127,6 +127,7 @@ def test_water_empties_the_battery_of_all_but_submarines():
     assert boat[0] > 0.01
 
 
+@pytest.mark.thorough
 def test_a_submarine_crosses_the_pool_at_its_depth():
     """From rest at its start: 0.9 of its propeller's 0.305 m/s are reached slowly; neither weight nor
     lift change its depth with the stern plane at zero."""

@@ -88,6 +88,7 @@ def in_the_lane(name, pose, aside=0.0):
     return rig
 
 
+@pytest.mark.every_run("0.0")
 @pytest.mark.parametrize("aside", [0.0, 0.05])
 def test_a_kenaf_crosses_the_step_fields_with_its_flippers(aside):
     """Measured: 12 to 15 s."""
@@ -105,6 +106,7 @@ def test_a_kenaf_with_its_flippers_folded_does_not():
     assert count < len(WAY)
 
 
+@pytest.mark.every_run("1.0")
 @pytest.mark.parametrize("share", [0.5, 1.0])
 def test_a_p2at_does_not_get_onto_the_step_fields(share):
     rig = in_the_lane("P2AT", {})

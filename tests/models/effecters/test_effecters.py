@@ -259,6 +259,7 @@ def test_nop_stops_the_fingers_on_their_way():
     assert rig.joint("LeftFinger") == pytest.approx(stopped, abs=0.5 * MM)
 
 
+@pytest.mark.every_run("0.02-0.1")
 @pytest.mark.parametrize(("half", "mass"), [(0.03, 0.3), (0.02, 0.1), (0.045, 1.0)])
 def test_a_gripped_block_is_lifted_carried_and_dropped(half, mass):
     """Carried by 1 m and held for 10 s. Soft contacts creep: at most 0.4 mm/s here, 8 mm in all."""

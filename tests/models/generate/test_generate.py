@@ -303,6 +303,18 @@ EFFECTS = [
 ]
 
 
+@pytest.mark.every_run(
+    "wall_density-wall_length-building",
+    "wall_density-wall_length-maze",
+    "roughness-mean_height-rubble",
+    "roughness-mean_height-ramps",
+    "clutter-objects-collapsed",
+    "clutter-objects-steps",
+    "dead_ends-dead_ends-maze",
+    "dead_ends-wall_length-building",
+    "radio_shadow-walls_between-rubble",
+    "radio_shadow-walls_between-collapsed",
+)
 @pytest.mark.parametrize(
     ("name", "measure", "kind"),
     [(name, measure, kind) for name, measure, kinds in EFFECTS for kind in kinds],

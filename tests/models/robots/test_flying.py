@@ -187,6 +187,7 @@ def test_airrobot_without_power_falls_as_a_plate_does():
     assert -log[-1] == pytest.approx(terminal, rel=1e-3)
 
 
+@pytest.mark.every_run("0.0-command0", "0.7-command1")
 @pytest.mark.parametrize("command", [{"LinearVelocity": 5.0}, {"LateralVelocity": -5.0}])
 @pytest.mark.parametrize("askew", [0.0, 0.7])
 def test_airrobot_flies_into_a_wall_stays_up_and_leaves(command, askew):
@@ -306,6 +307,7 @@ def test_passarola_gets_the_speeds_that_it_is_asked_for_and_stops():
         assert np.abs(motion(rig, i)).max() < 0.01
 
 
+@pytest.mark.every_run("1")
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_passarola_without_power_drifts_to_rest_against_quadratic_drag(axis):
     """v = v0 / (1 + v0 k t / m), m being the displaced air's mass with Lamb's added mass, k the drag's."""

@@ -162,6 +162,7 @@ def test_positive_heads_and_feet_look_where_the_description_says(name, joint, pa
     assert rig.mat(part)[:, 0] @ ahead == pytest.approx(math.sin(0.1), abs=EXACT)
 
 
+@pytest.mark.every_run("ERS")
 @BOTH
 def test_it_stands_for_a_minute_without_creeping(name):
     rig = Rig(name)

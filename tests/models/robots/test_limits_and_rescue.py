@@ -110,6 +110,7 @@ def board(height):
     return Shape(kind="box", size=(0.045, 0.5, height / 2), at=(0.0, 0.0, height / 2), surface="ground")
 
 
+@pytest.mark.every_run("0.04")
 @pytest.mark.parametrize("height", [0.02, 0.03, 0.04])
 def test_the_wheels_of_a_p2dx_that_turns_on_a_board_do_not_stall(height):
     """In yellow, at 7.80,0.57, they stood still at 1.5 N m: an edge of 2 cm takes 1.9 N m."""
@@ -184,6 +185,7 @@ def test_a_talon_that_is_driven_at_a_wall_stays_on_its_tracks(yaw):
     assert upright(path).min() > math.cos(math.radians(15))
 
 
+@pytest.mark.every_run("Talon")
 @pytest.mark.parametrize("name", ["P2DX", "Talon"])
 def test_who_is_driven_blindly_through_yellow_ends_on_its_wheels(name):
     drives = [blind_drive(name, number, 12.0) for number in (3, 101)]

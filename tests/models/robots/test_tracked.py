@@ -133,6 +133,7 @@ SPIN = {"Tarantula": 0.6, "Talon": 1.1, "Soryu": 1.0, "TeleMax": 1.5, "Rugbot": 
 SPIN_RTOL = 0.4  # it is chaotic; a robot that does not turn, or turns as if on ice, is far off
 
 
+@pytest.mark.every_run("Talon", "Kenaf")
 @EVERY
 def test_top_speed(name):
     rig = Rig(name).tell(Left=99.0, Right=99.0)
@@ -141,6 +142,7 @@ def test_top_speed(name):
     assert abs(rig.data.qpos[1]) < 0.05, "straight ahead"
 
 
+@pytest.mark.every_run("Talon", "Kenaf")
 @EVERY
 def test_spins_in_place(name):
     rig = Rig(name)
@@ -153,6 +155,7 @@ def test_spins_in_place(name):
     assert steady_spin(rig) < no_slip
 
 
+@pytest.mark.every_run("0-Talon", "90-Kenaf")
 @EVERY
 @pytest.mark.parametrize("yaw", [0, 90])
 def test_a_robot_at_rest_on_a_slope_stays_where_it_is(name, yaw):
@@ -164,6 +167,7 @@ def test_a_robot_at_rest_on_a_slope_stays_where_it_is(name, yaw):
     assert math.sqrt((log[:, 3:6] ** 2).sum(1).mean()) < 1e-3
 
 
+@pytest.mark.every_run("0-Talon", "1-Kenaf")
 @EVERY
 @pytest.mark.parametrize("seed", [0, 1])
 def test_random_driving_stays_on_the_ground(name, seed):
@@ -192,6 +196,7 @@ STEP = {"Tarantula": 0.14, "TeleMax": 0.26, "Kenaf": 0.26}
 PRESS = {"Tarantula": 2.0, "TeleMax": 1.0, "Kenaf": 2.0}  # s after the start, with its nose on the edge
 
 
+@pytest.mark.every_run("Kenaf")
 @WITH_FLIPPERS
 def test_flippers_help_up_a_step(name):
     """Nose on the edge, then the front flippers press down on it while the rear ones lift the tail."""
@@ -203,6 +208,7 @@ def test_flippers_help_up_a_step(name):
     assert climb.on_top(STEP[name])
 
 
+@pytest.mark.every_run("0.25-Kenaf", "1.0-Tarantula")
 @WITH_FLIPPERS
 @pytest.mark.parametrize("share", [0.25, 1.0])
 def test_without_flippers_a_step_of_two_thirds_is_too_high(name, share):
@@ -226,6 +232,7 @@ FLAT = {
 }
 
 
+@pytest.mark.every_run("Talon-0.5", "Kenaf-1.0")
 @pytest.mark.parametrize(
     ("name", "share"), [("Talon", 0.5), ("Talon", 1.0), ("Kenaf", 1.0), ("TeleMax", 0.3)]
 )
@@ -256,6 +263,7 @@ def test_soryu_lifts_its_front_car_onto_a_step():
 HOLD_ATOL = 0.02  # rad
 
 
+@pytest.mark.every_run("Tarantula")
 @WITH_FLIPPERS
 def test_flippers_lift_and_lower_the_chassis(name):
     """Manual 12.19: on its tips it stands higher by their lever less the difference of the radii."""

@@ -171,6 +171,7 @@ def steady_rise(plane):
     return rise
 
 
+@pytest.mark.every_run("0.4363")
 @pytest.mark.parametrize("plane", [FULL, 0.1])
 def test_the_stern_plane_makes_it_rise_and_dive_going_ahead(plane):
     """Boats that start a bit slower and faster than the steady speed close in on it."""

@@ -53,6 +53,7 @@ def seconds_to_top_speed(name):
     return 16.0 if name in CARS else 5.0
 
 
+@pytest.mark.every_run("ATRVJr", "Hummer", "Lisa")
 @every
 def test_it_weighs_and_stands_as_described(name):
     robot = ROBOTS.get(name)
@@ -66,6 +67,7 @@ def test_it_weighs_and_stands_as_described(name):
     assert np.abs(log[-1, 3:]).max() < 1e-4
 
 
+@pytest.mark.every_run("ATRVJr", "Hummer")
 @every
 def test_top_speed_and_straightness(name):
     rig = Rig(name).tell(**full_speed(name))
@@ -79,6 +81,7 @@ def test_top_speed_and_straightness(name):
     assert rig.up[0] > 0.999
 
 
+@pytest.mark.every_run("ATRVJr", "Hummer")
 @every
 def test_it_brakes_from_top_speed_and_stays(name):
     """No sooner than tyres can stop it: v^2 / (2 mu g)."""
@@ -158,6 +161,7 @@ def test_six_wheelers_turn_in_place(name):
 # Cars
 
 
+@pytest.mark.every_run("0.1-Hummer", "-0.56-Cooper")
 @car
 @pytest.mark.parametrize("angle", [0.1, 0.3, -0.56])
 def test_turning_circle(name, angle):
@@ -181,6 +185,7 @@ def test_turning_circle(name, angle):
     assert abs(log[:, 8].mean()) * middle == pytest.approx(3.0, rel=CIRCLE_RTOL)
 
 
+@pytest.mark.every_run("Sedan")
 @car
 def test_a_swerve_at_15_m_s_does_not_turn_it_over(name):
     """Full lock at once, then the other way: it slides, as tyres pull less sideways than it takes to tip."""
@@ -253,6 +258,7 @@ def creep(rig):
     return np.linalg.norm(log[-1, :3] - start), *speeds
 
 
+@pytest.mark.every_run("0-ATRVJr", "40-Zerg", "90-Hummer")
 @every
 @pytest.mark.parametrize("yaw", [0, 40, 90, 180])
 def test_it_holds_still_on_ten_degrees(name, yaw):
@@ -264,6 +270,7 @@ def test_it_holds_still_on_ten_degrees(name, yaw):
     assert math.degrees(rate) < 0.2
 
 
+@pytest.mark.every_run("Sedan")
 @car
 def test_a_car_that_was_driven_stops_and_holds_on_ten_degrees(name):
     """Speed 0 brakes all four wheels, powered or not."""

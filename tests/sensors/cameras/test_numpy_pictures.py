@@ -167,6 +167,7 @@ def test_all_of_it_makes_a_difference(garden, what):
     assert sum((np.abs(a.rgb.astype(int) - b.rgb).max(-1) > 5).sum() for a, b in pairs) > 20
 
 
+@pytest.mark.every_run("day")
 @pytest.mark.oracle
 @pytest.mark.parametrize(("arena", "robot"), [(DAY, LOOKER), (YELLOW, P2AT)], ids=["day", "yellow"])
 def test_sun_shadows_and_terrain_are_those_on_jax(arena, robot):

@@ -269,6 +269,7 @@ def test_stereo_eyes_see_things_apart_by_focal_length_times_distance_of_eyes_ove
         one.render_robot(state, 0, 0, "Stereo", 33, 16)
 
 
+@pytest.mark.thorough
 @pytest.mark.oracle
 def test_the_two_cameras_of_a_stereo_p2at_do_so_too():
     """Manual 12.2.1."""
@@ -280,6 +281,7 @@ def test_the_two_cameras_of_a_stereo_p2at_do_so_too():
     check_disparity(one, state, mounts[0], cameras_of(ROBOTS.get("StereoP2AT"))[0].default_fov, left, right)
 
 
+@pytest.mark.thorough
 def test_a_robots_picture_is_the_same_alone_and_in_a_batch(batch, moved):
     many = jax.tree.map(np.asarray, batch.render(moved, 0, None, WIDTH, HEIGHT))
     for world, robot in ((0, 0), (1, 1)):
@@ -350,6 +352,7 @@ def test_the_headlight_of_a_robot_lights_what_is_before_it_until_its_battery_is_
     assert headlight_of(P2DX).pos.tolist() == pytest.approx([P2DX.dimensions[0] / 2, 0.0, 0.0])
 
 
+@pytest.mark.every_run("warp")
 @pytest.mark.parametrize("engine", ["jax", "warp"])
 def test_pictures_do_not_depend_on_the_engine(engine, batch):
     """At the start, where all engines have the same poses."""

@@ -60,6 +60,12 @@ def caster(how, compact):
     return seen, jax.jit(partial(HOW[how], seen))
 
 
+@pytest.mark.every_run(
+    "culled-exclude_owner0-False",
+    "culled-exclude_owner1-False",
+    "warp-exclude_owner0-True",
+    "warp-exclude_owner1-True",
+)
 @pytest.mark.parametrize("compact", [False, True])
 @pytest.mark.parametrize("exclude_owner", [jnp.int32(EXCLUDE_NONE), jnp.int32(0)])
 @pytest.mark.parametrize("how", HOW)
@@ -73,6 +79,7 @@ def test_what_is_left_out_is_not_met(how, exclude_owner, compact):
         np.testing.assert_array_equal(found.geom_index, plain.geom_index)
 
 
+@pytest.mark.every_run("4")
 @pytest.mark.parametrize("count", [1, 4])
 def test_fans_that_a_gpu_turns_itself_meet_what_their_rays_meet(count):
     pytest.importorskip("warp", reason="needs warp-lang")

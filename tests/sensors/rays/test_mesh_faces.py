@@ -81,6 +81,7 @@ def seen(arena, origins, ways):
     return np.asarray(distances(geoms, jnp.asarray(origins, jnp.float32), jnp.asarray(ways, jnp.float32)))
 
 
+@pytest.mark.every_run("room")
 @pytest.mark.oracle
 @pytest.mark.parametrize("make", [torus, cup, room])
 def test_rays_meet_faces_where_c_mujoco_meets_them(make, tmp_path):

@@ -102,6 +102,7 @@ def test_who_flies_is_in_no_lane():
 # Obstacles and whole arenas
 
 
+@pytest.mark.every_run("bars", "ridge")
 @pytest.mark.parametrize("kind", OBSTACLES.names())
 def test_the_highest_obstacles_sized_to_a_robot_are_crossed(kind):
     found = measure_crossings(kind, P2AT, 1.0, tries=1)

@@ -47,7 +47,7 @@ class Text(str):
     """A value as it was typed, which the grammar reads; other texts are data, which it does not.
 
     Attributes:
-        place: Where it stands, as `file:line`; empty: see the source of all.
+        place: Position, as `file:line`; empty: see the source of all.
     """
 
     __slots__ = ("place",)

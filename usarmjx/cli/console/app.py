@@ -45,7 +45,7 @@ class ConsoleOptions:
     Attributes:
         load_classes: Returns the robot classes, in a thread as it may take a while; None: they are not known.
         pictures: The image server's pictures; None: none are shown.
-        files: Where pictures are saved; None: nowhere.
+        files: Folder for pictures; None: none are saved.
         joystick: A joystick's device; None: there is none.
         ask: Whether to ask GETGEO and GETCONF by itself, for completion.
     """
@@ -66,7 +66,7 @@ class ConsoleApp(App[str]):
 
     Args:
         client: A client that is not connected yet.
-        extras: What else there is.
+        extras: Further commands.
     """
 
     TITLE = "usarmjx console"

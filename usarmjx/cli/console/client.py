@@ -80,7 +80,7 @@ class Received:
 
     Attributes:
         line: The line, without its end.
-        message: What it means; None: nothing that the protocol has.
+        message: Meaning; None: nothing that the protocol has.
     """
 
     line: str
@@ -98,7 +98,7 @@ class ConsoleClient:
     Args:
         host: The server.
         port: Its port for robots.
-        token: What it wants to hear first; nothing: it does not.
+        token: Line that it expects first; empty: it does not.
         transcript: Record of all lines; None: none.
 
     Attributes:

@@ -26,7 +26,7 @@ class Completer:
     """Completes lines.
 
     Attributes:
-        knowledge: What is known of the robot.
+        knowledge: Knowledge of the robot.
         classes: Robot classes, once they are known.
         client: What an image server calls the client of its pictures, for `{Client ...}`.
     """

@@ -26,8 +26,8 @@ class CameraAim:
     """Aims the first camera of a robot, or its first package that can be aimed.
 
     Attributes:
-        knowledge: What is known of the robot.
-        targets: Where links were sent last [rad], by package and number.
+        knowledge: Knowledge of the robot.
+        targets: Last commanded angles [rad], by package and number.
     """
 
     knowledge: Knowledge
@@ -121,11 +121,11 @@ class KeyDriver:
     """Turns what is pressed into lines to send.
 
     Attributes:
-        knowledge: What is known of the robot.
-        speed: How fast a key drives [percent].
-        ahead: Where it drives: 1 ahead, -1 back, 0 not, or between with a stick.
-        left: How it turns: 1 to the left, -1 to the right, 0 not, or between.
-        up: How it climbs, likewise.
+        knowledge: Knowledge of the robot.
+        speed: Speed of a key [percent].
+        ahead: Direction: 1 ahead, -1 back, 0 not, or between with a stick.
+        left: Turn: 1 to the left, -1 to the right, 0 not, or between.
+        up: Climb, likewise.
         camera: Aims its camera.
     """
 
@@ -294,7 +294,7 @@ class JoystickDriver:
 
     Attributes:
         pilot: Drives.
-        axes: How far axes are from their middle, by number.
+        axes: Deflections of axes, by number.
     """
 
     pilot: KeyDriver

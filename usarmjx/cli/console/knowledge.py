@@ -23,7 +23,7 @@ class PackageLink:
         parent: Number of the link that it hangs on; -1: the chassis.
         orientation: Roll, pitch, yaw on its parent [rad].
         limits: Lowest and highest position; None: unknown, or there are none.
-        value: Where it is [rad or m].
+        value: Position [rad or m].
     """
 
     parent: int = -1
@@ -42,7 +42,7 @@ class Knowledge:
         class_name: The robot's class.
         robot: The robot's name in INIT.
         steering: Type of its steering from CONF.
-        max_rear_steer: How far its rear wheels steer [rad].
+        max_rear_steer: Steering angle of its rear wheels [rad].
         has_robot: Whether it has reported.
         light: Whether its headlight is on.
         battery: For how long its battery lasts yet [s].

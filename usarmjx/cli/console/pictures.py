@@ -30,7 +30,7 @@ class PictureStream:
     Args:
         host: The server.
         port: Its port for pictures.
-        token: What it wants to hear first; nothing: it does not.
+        token: Line that it expects first; empty: it does not.
         fps: Most pictures per second.
 
     Attributes:

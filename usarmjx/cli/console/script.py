@@ -31,8 +31,8 @@ async def run_script(
         lines: What to send; empty ones and those that begin with `#` are not, `@sleep 1.5` waits, and
             `@until STA` waits for a message that begins so.
         show: Takes each message's line.
-        linger: How long messages are shown after the last line [s].
-        patience: How long `@until` waits [s].
+        linger: Time for which messages are shown after the last line [s].
+        patience: Longest wait of `@until` [s].
 
     Raises:
         UsageError: A line that cannot be, `@until` has waited in vain, or the server has hung up before the
@@ -57,7 +57,7 @@ class _Talk:
     """A script that runs.
 
     Attributes:
-        unseen: What has come since the last line was sent, for `@until`.
+        unseen: Lines since the last one sent, for `@until`.
     """
 
     def __init__(self, client: ConsoleClient, show: Callable[[str], None]) -> None:

@@ -259,9 +259,9 @@ def _fits_on_warp(solids: SceneSolids, proposed: ProposedMotion) -> bool:
     """Return whether Warp is used: there are robots, and no more solids than a kernel has room for."""
     if not warp_in_use() or not proposed.moves.size:
         return False
-    from usarmjx.engines.planar.warp_neighbor_search import shared_capacity
+    from usarmjx.engines.planar.warp_neighbor_search import solid_capacity
 
-    return shared_capacity(solids.count) is not None
+    return solid_capacity(solids.count) is not None
 
 
 def update_neighbors_on_warp(
@@ -279,19 +279,22 @@ def ground_on_warp(
 
 
 def _launch_search(solids: SceneSolids, known: NeighborList, proposed: ProposedMotion) -> NeighborList:
-    from usarmjx.engines.planar.warp_neighbor_search import GROUND_THREADS, shared_capacity
+    from usarmjx.engines.planar.warp_neighbor_search import GROUND_THREADS, scratch_numbers, solid_capacity
 
-    worlds, room = len(proposed.moves), shared_capacity(solids.count)
+    worlds, room = len(proposed.moves), solid_capacity(solids.count)
+    assert room is not None, "_fits_on_warp"
+    scratch = jnp.zeros(max(worlds * scratch_numbers(room), 1))
     kept = known.at, known.room, known.omitted, known.packed_obstacles, known.packed_ground
     kept = *kept, known.scene.loose, known.scene.geoms
     found = _search_kernel(solids.most, room)(
         *(pack_motion(proposed), *_scene(solids, proposed), solids.floor),
         *(_flat(part) for part in kept),
+        scratch,
         output_dims=1,
         launch_dims=worlds * GROUND_THREADS,
     )
     at, margins, omitted, near, under, loose, geoms = (
-        new.reshape(old.shape) if old.size else old for new, old in zip(found, kept, strict=True)
+        new.reshape(old.shape) if old.size else old for new, old in zip(found[:-1], kept, strict=True)
     )
     scene = known.scene.replace(loose=loose, geoms=geoms)
     return known.replace(

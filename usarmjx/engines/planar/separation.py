@@ -60,9 +60,9 @@ def _kernel(robots: int) -> Any:  # noqa: ANN401 - Warp's kernels have no type
     """Return the kernel for worlds of `robots` robots."""
     import warp as wp
 
-    from usarmjx.engines.planar.warp_separation import BLOCK_THREADS, separation_kernel
+    from usarmjx.engines.planar.warp_separation import block_threads_for, separation_kernel
 
-    return wp.jax_kernel(separation_kernel(robots), block_dim=BLOCK_THREADS)
+    return wp.jax_kernel(separation_kernel(robots), block_dim=block_threads_for(robots))
 
 
 def _lanes(robots: int) -> int:

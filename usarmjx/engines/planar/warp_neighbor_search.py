@@ -21,10 +21,12 @@ GROUND_THREADS = 128
 """Threads of a block of the ground kernel."""
 THREADS = 128
 """Threads of a block, which handles one world."""
-IN_OUT_ARRAYS = ("at", "room", "omitted", "near", "under", "known_loose", "known_geoms")
+IN_OUT_ARRAYS = ("at", "room", "omitted", "near", "under", "known_loose", "known_geoms", "scratch")
 """Outputs that the search kernel changes in place."""
 SHARED_CAPACITIES = (64, 128, 256, 416, 600)
 """Capacities for solids in shared memory; the smallest sufficient one is used."""
+GLOBAL_CAPACITIES = (1024, 2048, 4096, 8192)
+"""Capacities for solids in global memory, where shared memory does not suffice."""
 
 GROUND_CODE = """
 #if defined(__CUDA_ARCH__)
@@ -152,8 +154,13 @@ SEARCH_CODE = """
 #if defined(__CUDA_ARCH__)
     const int thread = (int)((unsigned)index % THREADS);
     const int lane = thread % 32, lanes = 32, warp = thread / 32, warps = THREADS / 32;
+#if IN_GLOBAL_MEMORY
+    Solid* const here = reinterpret_cast<Solid*>(scratch.data + (size_t)world * SCRATCH_NUMBERS);
+    int* const held_keys = reinterpret_cast<int*>(here + ROOM);
+#else
     __shared__ Solid here[ROOM];
     __shared__ int held_keys[THREADS / 32 * ROOM * 2];
+#endif
     int* const near_keys = held_keys + warp * ROOM * 2;
     const auto wait = []() { __syncwarp(); };
     const auto wait_for_all = []() { __syncthreads(); };
@@ -384,14 +391,21 @@ def _code(most: int, room: int) -> str:
         "OTHER_HEIGHT_RANK",
     )
     words: dict[str, object] = {name: f"{getattr(neighbor_lists, name)}f" for name in measures}
-    return scene_code(
-        WORLD_CODE, SEARCH_CODE, {**words, "MOST": most, "ROOM": room, "THREADS": f"{THREADS}u"}
-    )
+    words |= {"MOST": most, "ROOM": room, "THREADS": f"{THREADS}u"}
+    scratch = scratch_numbers(room)
+    words |= {"IN_GLOBAL_MEMORY": int(scratch > 0), "SCRATCH_NUMBERS": scratch}
+    return scene_code(WORLD_CODE, SEARCH_CODE, words)
 
 
-def shared_capacity(solids: int) -> int | None:
+def solid_capacity(solids: int) -> int | None:
     """Return the smallest capacity for `solids` solids; None: there is none."""
-    return next((room for room in SHARED_CAPACITIES if room >= solids), None)
+    capacities = *SHARED_CAPACITIES, *GLOBAL_CAPACITIES
+    return next((capacity for capacity in capacities if capacity >= solids), None)
+
+
+def scratch_numbers(capacity: int) -> int:
+    """Return the count of numbers in global memory that a world needs for its solids and their keys."""
+    return capacity * (12 + THREADS // 32 * 2) if capacity > max(SHARED_CAPACITIES) else 0
 
 
 @cache
@@ -418,6 +432,7 @@ def search_kernel(most: int, places: int) -> Any:  # noqa: ANN401 - Warp's kerne
         under: wp.array[float],
         known_loose: wp.array[float],
         known_geoms: wp.array[float],
+        scratch: wp.array[float],
     ) -> None: ...
 
     def look_around_robots(
@@ -438,11 +453,13 @@ def search_kernel(most: int, places: int) -> Any:  # noqa: ANN401 - Warp's kerne
         under: wp.array[float],
         known_loose: wp.array[float],
         known_geoms: wp.array[float],
+        scratch: wp.array[float],
     ) -> None:
         # fmt: off
         look_in_world(
             robots, sizes, kinds, shapes, static_solids, loose, geom_pos, geom_quat, geom_size, floor,
             wp.tid(), at, room, omitted, near, under, known_loose, known_geoms,
+            scratch,
         )
         # fmt: on
 

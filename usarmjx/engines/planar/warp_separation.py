@@ -1,8 +1,8 @@
 """Warp kernel of the separation: `footprints.separate_footprints` of all worlds in one launch.
 
 Some lanes of a warp handle one world, one or more robots each, with as many iterations as that world needs;
-robots' shared data is in shared memory. On a CPU, in tests, the first lane handles the whole world. The steps
-are those of `footprints` and `overlap`.
+a world of more robots has a block of its own. Data that robots share are in shared memory. On a CPU, in
+tests, the first lane handles the whole world. The steps are those of `footprints` and `overlap`.
 """
 
 from functools import cache
@@ -17,13 +17,15 @@ from usarmjx.engines.planar.warp_solids import expand_macros
 wp.set_module_options({"enable_backward": False, "fast_math": False})
 
 BLOCK_THREADS = 128
-"""Threads of a block."""
+"""Threads of a block that handles several worlds."""
 WARP_LANES = 32
 """Lanes of a warp."""
 TEST_DISTANCE = 0.5
 """Distance from a robot's proposed pose beyond which solids are not tested in any iteration [m]: pushes are
 of centimetres."""
-MAX_ROBOTS = 128
+WARP_ROBOTS = 128
+"""Largest number of robots of a world that lanes of one warp handle."""
+MAX_ROBOTS = 1024
 """Largest number of robots of a world for which shared memory suffices."""
 OUTLINE_CODE = """
     using wp::abs; using wp::cos; using wp::max; using wp::min; using wp::sin; using wp::sqrt;
@@ -142,10 +144,10 @@ WORLD_CODE = """
     const int lanes = LANES;
     __shared__ float held[BLOCK_THREADS / LANES * COUNT * 9];
     float* const here = held + threadIdx.x / LANES * COUNT * 9;
-    const unsigned group = LANES == 32 ? 0xffffffffu : (1u << LANES % 32) - 1u;
+    const unsigned group = LANES >= 32 ? 0xffffffffu : (1u << LANES % 32) - 1u;
     const unsigned mask = group << (threadIdx.x % 32 / LANES * LANES);
-    const auto wait = [&]() { __syncwarp(mask); };
-    const auto any = [&](bool x) { return __any_sync(mask, x) != 0; };
+    const auto wait = [&]() { if (LANES > 32) __syncthreads(); else __syncwarp(mask); };
+    const auto any = [&](bool x) { return (LANES > 32 ? __syncthreads_or(x) : __any_sync(mask, x)) != 0; };
     const auto first_bit = [](unsigned x) { return __ffs((int)x) - 1; };
 #else
     if ((unsigned)index % LANES != 0) return;
@@ -322,8 +324,14 @@ WORLD_CODE = """
 
 
 def lanes_for(robots: int) -> int:
-    """Return the number of lanes for a world of `robots` robots: a power of two."""
-    return min(1 << (robots - 1).bit_length(), WARP_LANES)
+    """Return the number of threads for a world of `robots` robots: a power of two."""
+    enough = 1 << (robots - 1).bit_length()
+    return min(enough, WARP_LANES) if robots <= WARP_ROBOTS else enough // 2
+
+
+def block_threads_for(robots: int) -> int:
+    """Return the number of threads of a block for worlds of `robots` robots."""
+    return max(BLOCK_THREADS, lanes_for(robots))
 
 
 def _code(robots: int) -> str:
@@ -333,7 +341,7 @@ def _code(robots: int) -> str:
         **{
             "COUNT": robots,
             "LANES": f"{lanes_for(robots)}",
-            "BLOCK_THREADS": BLOCK_THREADS,
+            "BLOCK_THREADS": block_threads_for(robots),
             "TEST_DISTANCE": f"{TEST_DISTANCE}f",
         },
         **{

@@ -97,7 +97,7 @@ def _add_door(spec: mujoco.MjSpec, door: Door, floor: float) -> None:
 def split_long_boxes(spec: mujoco.MjSpec, longest: float) -> mujoco.MjModel:
     """Return the model with the arena's boxes cut into pieces of at most `longest` [m] along each axis.
 
-    For engines whose broad phase compares bounding spheres: that of a long wall overlaps everything. Where an
+    For engines whose broad phase compares bounding spheres: that of a long wall overlaps everything. If an
     arena would give more than `MAX_BOX_PIECES`, the pieces are longer.
     """
     spec = spec.copy()

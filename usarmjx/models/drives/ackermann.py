@@ -99,7 +99,7 @@ class Ackermann(Drive):
         """Return speeds of the powered wheels, zeros for wheels that only brake, and steering angles.
 
         The speed of a wheel is proportional to its distance from the turning centre; Speed is that of the
-        middle of the powered wheels. Where the outermost wheel would exceed its limit, all are slowed alike.
+        middle of the powered wheels. If the outermost wheel would exceed its limit, all are slowed alike.
         """
         speed, front, rear = (setpoint[..., i : i + 1] for i in range(3))
         powered = _wheel_positions([wheel for wheel in self.wheels if wheel.powered])

@@ -106,7 +106,7 @@ def robot_from_mjcf(
 ) -> RobotSpec:
     """Return a robot class from a file with a drive of one's own; see `load_robot`.
 
-    What the file has and the robot has not is logged as warnings. Sensors and cameras are those of `fields`.
+    Entries of the file that the robot lacks are logged as warnings. Sensors and cameras come from `fields`.
 
     Raises:
         SpecError: An unreadable file, or content that a robot cannot have; names it.

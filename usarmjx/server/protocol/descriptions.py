@@ -270,6 +270,6 @@ def conf_nothing(type_name: str, name: str = "") -> Message:
 def _echo(type_name: str, name: str) -> tuple[Segment, ...]:
     """Return type and name as asked, and nothing else: what exists tells more of itself.
 
-    What is no single word is left out: it would shift the pairs behind it.
+    A value that is no single word is left out: it would shift the pairs behind it.
     """
     return tuple((key, word) for key, word in (("Type", type_name), ("Name", name)) if is_name(word))

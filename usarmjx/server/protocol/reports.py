@@ -1,7 +1,7 @@
 """Reports without a request, and short answers: NFO, STA, MISSTA, SEN, RES (manual 9.3).
 
-Inputs are plain numbers already in the wire's axes and units. Where lines captured from UT2004
-servers (in the comments of MOAST's USARSim client) differ from the manual, the captures win:
+Inputs are plain numbers already in the wire's axes and units. If lines captured from UT2004 servers (in
+the comments of MOAST's USARSim client) differ from the manual, the captures win:
 `{View n}` in STA, the number of decimals. No locale is involved: numbers have a decimal point.
 """
 
@@ -300,7 +300,7 @@ def sen_touch(time: float | None, touched: Iterable[tuple[str, bool]]) -> Messag
 def res(time: float, type_name: str, name: str, status: str) -> Message:
     """Return the answer to a SET; type and name echo the request, status is mostly `STATUS_OK`.
 
-    What is absent or no single word is left out: it would shift the pairs behind it.
+    A value that is absent or no single word is left out: it would shift the pairs behind it.
     """
     echo = tuple((key, word) for key, word in (("Type", type_name), ("Name", name)) if is_name(word))
     return Message("RES", (("Time", two_decimals(time)), *echo, ("Status", status)))

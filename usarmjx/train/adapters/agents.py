@@ -1,4 +1,4 @@
-"""What all adapters share: the robots of an environment as named agents, and its arrays by their names."""
+"""Common part of all adapters: the robots of an environment as named agents, and its arrays by name."""
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
@@ -83,8 +83,8 @@ def with_held(before: "EnvState", after: "EnvState", held: Array) -> "EnvState":
     """Return a state in which some worlds are as they were.
 
     Args:
-        before: How all were.
-        after: How all are.
+        before: State of all before.
+        after: State of all now.
         held: Which are as they were (worlds,).
     """
 

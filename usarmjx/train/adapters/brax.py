@@ -22,8 +22,8 @@ class BatchedRobots(BraxEnv):
     It is batched and resets its worlds by itself, so none of Brax's `VmapWrapper`, `EpisodeWrapper` and
     `AutoResetWrapper` goes around it. Infos have `truncation`, by which Brax's learners tell time-outs and
     faults from ends, `steps` of the running episode, `final_obs` before a reset, `bad`: whether physics
-    failed or a number of the task was not finite, and `alive` where agents may drop out. Where its engine is
-    not traceable, so is `step`.
+    failed or a number of the task was not finite, and `alive` where agents may drop out. If its
+    engine is not traceable, neither is `step`.
 
     Args:
         env: The environment.
@@ -54,7 +54,7 @@ class BatchedRobots(BraxEnv):
 
     @property
     def backend(self) -> str:
-        """What moves it."""
+        """Its driver."""
         return "mujoco"
 
     def reset(self, rng: jax.Array) -> State:

@@ -219,7 +219,7 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     Gymnasium has one agent per environment, robots come in teams: `joined` makes each world one environment,
     whose observation and action are those of all its robots, one after the other, group by group, and whose
     reward is their mean; `each` makes each robot of each world an environment of its own (world by world),
-    and needs robots of one class. Where worlds have one robot both are the same.
+    and needs robots of one class. If worlds have one robot, both are the same.
 
     Where a world is reset in the step that ends its episode (`AutoresetMode.SAME_STEP`), observations are
     those of the next start, and `final_obs` and `final_info` of the infos have the end, as Gymnasium's own
@@ -231,7 +231,7 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     Args:
         env: The environment.
-        robots: What an agent is.
+        robots: Kind of agent.
         seed: Of a first `reset` without one.
         autoreset: When worlds are reset; Gymnasium's NormalizeObservation and others want `next_step`.
         render_mode: None, or `rgb_array`: `render` returns pictures from above.

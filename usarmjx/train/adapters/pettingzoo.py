@@ -31,7 +31,7 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
     """An environment of one world as a `pettingzoo.ParallelEnv`.
 
     `agents` are those that are alive (`Task.presence`): it shrinks when robots drop out, whose end is then
-    `terminated`, and grows when others join. What agents observe when an episode ends is that end, not the
+    `terminated`, and grows when others join. Observations at the end of an episode are of that end, not the
     next start.
     `reset` without a seed goes on with the episode after, in the next arena; in the middle of an episode it
     starts anew from a seed that it draws.

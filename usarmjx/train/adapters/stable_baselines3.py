@@ -26,7 +26,7 @@ class BaselinesWorlds(VecEnv):
 
     Args:
         env: The environment.
-        robots: What an agent is.
+        robots: Kind of agent.
         seed: Of a first `reset` without one.
         render_mode: None, or `rgb_array`: pictures from above for VecVideoRecorder.
 

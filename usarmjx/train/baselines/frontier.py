@@ -41,7 +41,7 @@ def frontier_action(seen: jax.Array, steps: int) -> jax.Array:
     """Return actions (..., 2) of robots that drive the way they observe (..., n); see `TeamTask`.
 
     Args:
-        seen: What they observe.
+        seen: Their observations.
         steps: Of an episode.
     """
     ahead, left = seen[..., 0], seen[..., 1]
@@ -73,7 +73,7 @@ def relay_policy(env: Env) -> Policy:
 
     The robots form a chain in the order of their slots, the base first. Each drives the way that it observes,
     which leads outward, and stops where the signal of the one before it gets weak; so the first ones become
-    relays, and the last one goes farthest. Where the task's `talk` is none they do not look at the radio.
+    relays, and the last one goes farthest. If the task's `talk` is none, they do not look at the radio.
 
     Raises:
         UsageError: See `frontier_policy`.

@@ -21,7 +21,7 @@ WALL_FOLLOW_ANGLE = 1.9
 
 
 class BugCarry(struct.PyTreeNode, kw_only=True):
-    """What a robot that follows walls carries from step to step.
+    """Memory that a robot following walls carries from step to step.
 
     Attributes:
         side: 0 on the way to the goal; 1 along a wall on its right, -1 along one on its left ().

@@ -1,4 +1,4 @@
-"""What hand-written policies share: driving any robot by speed and turn, and finding a free direction."""
+"""Common parts of baselines: driving any robot by speed and turn, and finding a free direction."""
 
 from collections.abc import Callable
 
@@ -84,7 +84,7 @@ def choose_direction(lengths: jax.Array, wanted: jax.Array, side: jax.Array) -> 
 
     Args:
         lengths: Of the ways (directions,).
-        wanted: Where to go [rad] ().
+        wanted: Direction to go in [rad] ().
         side: 0 takes the direction nearest to the wanted one; 1 the first one to the left of it, -1 the
             first one to the right ().
     """

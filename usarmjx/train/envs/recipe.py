@@ -248,7 +248,7 @@ def open_floor(side: float = FLOOR_SIDE, starts: int = FLOOR_STARTS, seed: int =
 
     Args:
         side: Side of the square in which they are [m].
-        starts: How many.
+        starts: Number.
         seed: Seed of positions and yaws.
     """
     draw, positions = np.random.default_rng(seed), list[np.ndarray]()

@@ -82,7 +82,7 @@ def task_gap(
         tried: Names and policies.
         episodes: Of each seed and policy, at least.
         seeds: Seeds of the environments.
-        worlds: How many at once.
+        worlds: Number at once.
         split: Split of generated arenas, a name of `SPLITS`; None: `test`.
         tell: Is told how far it is.
     """
@@ -138,7 +138,7 @@ class DriveTrace:
         pose: Positions on the plan [m] and headings [rad] (looks, robots, 3).
         height: Their heights [m] (looks, robots).
         ranges: Readings of their range sensors [m] (looks, robots, readings); no readings: they have none.
-        odometry: Where their odometry has them since the start, likewise; NaN: they have none.
+        odometry: Their poses by odometry since the start, likewise; NaN: they have none.
         touching: Whether they touched what stands around them, as tasks count it (looks, robots).
         period: Time between looks [s].
     """
@@ -259,7 +259,7 @@ def drive_gap(
 
     Args:
         robot: The class.
-        place: Where it drives, one of `PLACES`.
+        place: Place that it drives in, one of `PLACES`.
         engines: Which; the first is the truth.
         robots: Number of robots, each in a world of its own.
         seed: Seed of their commands.

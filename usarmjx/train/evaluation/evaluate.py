@@ -1,4 +1,4 @@
-"""How good a policy is: the scores of whole episodes, their mean and how sure that is."""
+"""Evaluation of a policy: the scores of whole episodes, their mean and how sure that is."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -25,10 +25,10 @@ class Episodes:
         seed: Seed of the environment.
         scores: Their final scores (episodes,).
         lengths: Their steps (episodes,).
-        worlds: Where they took place (episodes,).
-        episode_index: How many episodes there had been in that world before (episodes,).
-        bad: How many were left out.
-        buildings: Where each took place, by number of the arena; where all have one, a number for each
+        worlds: Their arenas (episodes,).
+        episode_index: Number of episodes in that world before (episodes,).
+        bad: Number left out.
+        buildings: Arena of each, by number; if all have one, a number for each
             (episodes,).
         levels: Level of each building (episodes,).
     """
@@ -74,9 +74,9 @@ def run_episodes(
     Args:
         env: The environment.
         policy: The policy.
-        episodes: How many at least: rounded up to a multiple of the worlds.
+        episodes: Least number, rounded up to a multiple of the worlds.
         seed: Of the environment and of the policy's random numbers.
-        level: How difficult generated arenas are at most, from 0 to 1; None: of all levels alike.
+        level: Greatest difficulty of generated arenas, from 0 to 1; None: of all levels alike.
         tell: Is told after each step how far it is.
 
     Raises:

@@ -279,7 +279,7 @@ def arenas_to_play(name: str, worlds: int | None, split: str, **overrides: objec
 
     Args:
         name: Name of a team task.
-        worlds: How many, at most as many as the split has; fewer are spread over its levels and sizes. None:
+        worlds: Number, at most as many as the split has; fewer are spread over its levels and sizes. None:
             as many.
         split: A name of `SPLITS`.
         overrides: Fields of the task to set otherwise.

@@ -1,4 +1,4 @@
-"""What robots of a team believe and where they go: maps from scans, messages with maps, paths to frontiers.
+"""Beliefs and targets of a team's robots: maps from scans, messages with maps, paths to frontiers.
 
 `maps` are squares of one map, `wavefront` paths over it, `belief` what each robot holds true and sends to
 others, `planning` where it goes next. All are pure functions of arrays; none sees the truth, and none may: a

@@ -1,4 +1,4 @@
-"""What each robot of a team believes: its own map, the maps it received, where it is and will go next.
+"""Beliefs of each robot of a team: its own map, the maps it received, where it is and will go next.
 
 Pure functions; leading axes are over the robots of one world, by roster slot. Beliefs come from a robot's own
 sensors and from mail that came over the radio, never from the truth.
@@ -40,26 +40,26 @@ BODY = 0.65
 
 
 class Belief(struct.PyTreeNode, kw_only=True):
-    """What the robots of one world believe.
+    """Beliefs of the robots of one world.
 
     Attributes:
         evidence: What their own scans say of squares; see `maps.update_evidence` (robots, i, j).
-        marks: Where they have seen what they look for (robots, i, j).
-        received_map: What the maps that came by mail say of squares (robots, i, j).
-        visited: Where they have been (robots, i, j).
-        pose: Where they believe to be: x, y [m] and yaw [rad] (robots, 3).
+        marks: Sightings of what they look for (robots, i, j).
+        received_map: Squares in the maps that came by mail (robots, i, j).
+        visited: Squares visited (robots, i, j).
+        pose: Believed poses: x, y [m] and yaw [rad] (robots, 3).
         mate_headers: Headers of the last messages from each other; row receiver, column sender
             (robots, robots, HEADER_SIZE).
         heard_time: When those came; at the start they know where all are [s] (robots, robots).
         link_since: Since when each hears from each without a break [s] (robots, robots).
-        base_contact_time: What each believed until then has come to the base, as far as it can know [s]
-            (robots,).
+        base_contact_time: Time until which each one's beliefs have come to the base, as far as it can know
+            [s] (robots,).
         mark_time: When each last learned of a mark [s] (robots,).
         sector_ranges: The shortest beam of each sector of their scanners, from right to left [m]
             (robots, SECTOR_COUNT).
-        lagged_position: Where they were some time ago, smoothed [m] (robots, 2).
+        lagged_position: Smoothed positions of some time ago [m] (robots, 2).
         waypoint: The next position on their path [m] (robots, 2).
-        goal: Where that leads, as they send it [m] (robots, 2).
+        goal: End of that way, as they send it [m] (robots, 2).
         path_length: How long it is, with all costs; `wavefront.UNREACHABLE`: there is none [squares]
             (robots,).
     """
@@ -120,13 +120,13 @@ def other_slots(robots: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class GroupScan:
-    """What the scanners of one group's robots say.
+    """Readings of the scanners of one group's robots.
 
     Attributes:
         slots: Whose they are (robots,).
         settings: Of the scanner.
-        poses: Where the scanners believe to be: x, y [m], yaw [rad] (robots, 3).
-        ranges: What they measured [m] (robots, beams).
+        poses: Believed poses of the scanners: x, y [m], yaw [rad] (robots, 3).
+        ranges: Ranges [m] (robots, beams).
         fresh: Whether that was now (robots,).
     """
 
@@ -171,7 +171,7 @@ def update_from_scan(grid: MapGrid, belief: Belief, scan: GroupScan, time: Array
 def compose_messages(belief: Belief, to: Array, flyers: np.ndarray | None = None) -> OutgoingMessages:
     """Return the messages of all robots to others (robots, robots): where they are and go, and their maps.
 
-    What flying robots (robots,) have seen they do not send: it says nothing of walls.
+    Flying robots (robots,) do not send their sightings: it says nothing of walls.
     """
     header = jnp.concatenate([belief.pose, belief.goal, belief.base_contact_time[:, None]], -1)
     if flyers is not None:
@@ -258,7 +258,7 @@ def update_pose(grid: MapGrid, belief: Belief, pose: jax.Array, share: float = 0
     Args:
         grid: The squares.
         belief: That before it.
-        pose: Where they believe to be.
+        pose: Believed poses.
         share: Of the way to the present position that `lagged_position` goes: with 0.05 it is some 20 steps
             late.
     """

@@ -107,8 +107,8 @@ def swept_distances(start: Array, enter: Array, until: Array | None) -> jax.Arra
     """Return how far each square is from the nearest start, as `wavefront.distances` (i, j).
 
     Args:
-        start: What a way that begins in a square costs at its beginning (i, j).
-        enter: What it costs to enter a square, beside the step; infinite: none leads through it (i, j).
+        start: Cost at the beginning of a way that begins in a square (i, j).
+        enter: Cost of entering a square, beside the step; infinite: none leads through it (i, j).
         until: See there.
     """
     return of_one_map(_of_all, start, enter, until)

@@ -31,7 +31,7 @@ SQUARES_PER_NUMBER = 12
 
 @dataclass(frozen=True)
 class MapGrid:
-    """Where the squares of a map are.
+    """Position of a map's squares.
 
     Attributes:
         low: Middle of the square (0, 0) [m].
@@ -45,12 +45,12 @@ class MapGrid:
 
     @property
     def square_count(self) -> int:
-        """How many there are."""
+        """Number of them."""
         return self.shape[0] * self.shape[1]
 
     @property
     def packed_size(self) -> int:
-        """How many numbers of a message a map takes."""
+        """Count of a message's numbers that a map takes."""
         return -(-self.square_count // SQUARES_PER_NUMBER)
 
     @property
@@ -103,7 +103,7 @@ def classify_scan(
 ) -> tuple[jax.Array, jax.Array]:
     """Return which squares a scan shows to be free, and which to be a wall, (i, j) each.
 
-    For each square the two beams on either side of its middle are looked up. Where both met one surface, that
+    For each square the two beams on either side of its middle are looked up. If both met one surface, it
     is taken to be flat between them. A square is free if its middle is nearer than that, or than both beams'
     ends, by more than half a square. It is a wall if its middle is within half a square of the surface, or of
     the end of the beam that passes it closer by. Squares within one and a half of the scanner are free: the
@@ -112,8 +112,8 @@ def classify_scan(
     Args:
         grid: The squares.
         scanner: The scanner's settings; it scans in the x-y plane.
-        pose: Where it is, or believes to be: x, y [m] and yaw [rad] (3,).
-        ranges: What it measured [m] (beams,).
+        pose: Pose, true or believed: x, y [m] and yaw [rad] (3,).
+        ranges: Ranges [m] (beams,).
     """
     width = 2 * math.ceil(scanner.max_range / grid.cell + 2) + 1  # squares; beyond them it shows nothing
     if width * width > grid.square_count * WINDOW_SHARE or width > min(grid.shape):
@@ -164,7 +164,7 @@ def _classify_squares(
 def update_evidence(evidence: Array, free: Array, wall: Array) -> jax.Array:
     """Return how sure a robot is of squares after a scan: below 0 free, above 0 a wall, int8 (i, j).
 
-    What moves, as other robots, so is forgotten after some scans.
+    Moving things, such as other robots, are so forgotten after some scans.
     """
     change = jnp.asarray(wall, jnp.int8) - jnp.asarray(free, jnp.int8)
     return jnp.clip(evidence + change, -MAX_EVIDENCE, MAX_EVIDENCE).astype(jnp.int8)
@@ -175,7 +175,7 @@ def fuse_maps(evidence: Array, marks: Array, received: Array) -> jax.Array:
 
     Args:
         evidence: See `update_evidence` (i, j).
-        marks: Where it has put marks (i, j).
+        marks: Squares that it has marked (i, j).
         received: The map that came by mail, as this function returns it (i, j).
     """
     own = jnp.where(evidence < 0, FREE, jnp.where(evidence > 0, WALL, received))

@@ -1,4 +1,4 @@
-"""Where the robots of a team go: to frontiers of their own maps, around walls and each other.
+"""Targets of a team's robots: to frontiers of their own maps, around walls and each other.
 
 Pure functions; leading axes are over the robots of one world, by roster slot.
 """
@@ -49,7 +49,7 @@ TURN_COST = 3.0
 
 
 class PlannerSettings(NamedTuple):
-    """How the robots of a team plan where to go.
+    """Settings of the planner of a team's robots.
 
     Attributes:
         peers: Whose paths each robot heeds: row itself, column the other (robots, robots).
@@ -89,8 +89,8 @@ def plan_paths(
         grid: The squares.
         belief: That before it.
         time: The time [s] ().
-        settings: How they plan; None: see `default_settings`.
-        wanted: What the way to squares costs at its end, where they do not look for a frontier; NaN: they do
+        settings: Settings of their planner; None: see `default_settings`.
+        wanted: Cost at the end of the way to squares, where they do not look for a frontier; NaN: they do
             (robots, i, j).
     """
     settings = settings or default_settings(len(belief.pose))
@@ -149,7 +149,7 @@ def frontier_costs(grid: MapGrid, pose: Array, mates: Array, age: Array, first: 
         grid: The squares.
         pose: Of the robot (3,).
         mates: Headers that it received from others (mates, HEADER_SIZE).
-        age: How long ago [s]; infinite: it does not heed that one (mates,).
+        age: Age [s]; infinite: it does not heed that one (mates,).
         first: Whether their slots are lower than its own (mates,).
     """
     known, first = (age < STALE_AGE)[:, None, None], first[:, None, None]
@@ -183,9 +183,9 @@ def path_to_nearest(
 
     Args:
         grid: The squares.
-        squares: What it believes of them (i, j).
+        squares: Its belief of them (i, j).
         pose: Of the robot (3,).
-        sources: What a way that ends in a square costs at its end; `UNREACHABLE`: none ends there (i, j).
+        sources: Cost at the end of a way that ends in a square; `UNREACHABLE`: none ends there (i, j).
         blocked: Squares that it does not drive through, though they are free (i, j).
 
     Returns:

@@ -53,10 +53,10 @@ def distances(start: Array, open_: Array, toll: ArrayLike = 0.0, *, until: Array
     the open squares until nothing changes.
 
     Args:
-        start: What a way that begins in a square costs at its beginning; `UNREACHABLE`: none begins there
+        start: Cost at the beginning of a way that begins in a square; `UNREACHABLE`: none begins there
             (i, j).
         open_: Which squares ways lead through; those that ways begin in need not be (i, j).
-        toll: What it costs to enter a square, beside the step (i, j).
+        toll: Cost of entering a square, beside the step (i, j).
         until: A square (2,) that is asked for: only for it, and for what lies on the way from it, the
             distances are right, and found the sooner; None: all are right.
     """
@@ -96,7 +96,7 @@ def spread_distances(start: jax.Array, open_: Array, toll: ArrayLike, until: Arr
 def shortest_path(far: Array, square: Array, steps: int) -> jax.Array:
     """Return the squares (steps, 2) that lie on the way from one (2,), by `distances`.
 
-    Where the way ends the last square is repeated.
+    If the way ends, the last square is repeated.
     """
     if warp_in_use():
         from usarmjx.train.mapping.warp_waves import path_on_warp

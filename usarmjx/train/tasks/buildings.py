@@ -94,8 +94,8 @@ def thin_victims(arena: ArenaSpec, count: int, near: int, seed: int) -> ArenaSpe
 
     Args:
         arena: The arena.
-        count: How many victims; fewer if there are not enough.
-        near: How many of them, at most, within `NEAR_START` of the first start pose, in the plane.
+        count: Number of victims; fewer if there are not enough.
+        near: Largest number of them within `NEAR_START` of the first start pose, in the plane.
         seed: Of the draw.
     """
     first = np.array(arena.starts[0].at[:2])

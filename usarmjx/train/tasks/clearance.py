@@ -1,4 +1,4 @@
-"""How far robots truly are from what stands around them, in the plane: for evaluation, not for policies.
+"""True distances of robots from their surroundings, in the plane: for evaluation, not for policies.
 
 A robot is the upright box around all its solids with its joints at 0. Obstacles are the arena's upright
 solids that reach into its height, less what its wheels drive over, and the other robots. Tilted solids,
@@ -216,7 +216,7 @@ def _least(around: Boxes, drivable: np.ndarray, one: Boxes, me: jax.Array) -> ja
 
     Args:
         around: All boxes (n,).
-        drivable: How high above the box's lower face each may reach and still not be in its way [m] (n,).
+        drivable: Height above the box's lower face up to which each is not in its way [m] (n,).
         one: The box.
         me: Which of them it is ().
     """

@@ -49,7 +49,7 @@ class LanePath:
 
     @cached_property
     def edge_starts(self) -> np.ndarray:
-        """How far along each corner is [m] (points,)."""
+        """Distance of each corner along the lane [m] (points,)."""
         return np.concatenate([[0.0], np.cumsum(self.lengths)[:-1]]).astype(np.float32)
 
     @property
@@ -122,14 +122,14 @@ BEAMS = 13
 
 
 class ConvoyMemory(struct.PyTreeNode, kw_only=True):
-    """What the task remembers of an episode.
+    """The task's memory of an episode.
 
     Attributes:
-        target_speed: How fast to go [m/s] ().
+        target_speed: Target speed [m/s] ().
         ahead: Which car each one follows; -1: none (cars,).
-        arc_length: How far along the lane the cars are; it goes on after once round [m] (cars,).
-        poses: What their INS said in the last step (cars, 6).
-        speeds: How fast they are by their INS [m/s] (cars,).
+        arc_length: Distance of the cars along the lane; it goes on after once round [m] (cars,).
+        poses: Their INS readings of the last step (cars, 6).
+        speeds: Their speeds by INS [m/s] (cars,).
         score: So far ().
     """
 
@@ -259,7 +259,7 @@ class Convoy(Task):
         )
 
     def start(self, view: TaskView, key: jax.Array) -> ConvoyMemory:
-        """Who follows whom, and how fast."""
+        """Order and speeds of the cars."""
         along, _ = self.path.nearest(view.robots(0).pos[:, :2])
         ahead = along[None, :] - along[:, None]
         follows = jnp.argmin(jnp.where(ahead > 0, ahead, jnp.inf), -1)
@@ -302,7 +302,7 @@ class Convoy(Task):
         )
 
     def privileged(self, view: TaskView, memory: ConvoyMemory) -> jax.Array:
-        """How far to the left cars truly are [m], their speeds [m/s], the gaps before them, at most 50 m."""
+        """True distances of cars to the left [m], their speeds [m/s], the gaps before them, at most 50 m."""
         robots = view.robots(0)
         _, left = self.path.nearest(robots.pos[:, :2])
         gap = jnp.minimum(self.gaps(memory.arc_length, memory.ahead), 50.0)
@@ -313,7 +313,7 @@ class Convoy(Task):
         return jnp.where(ahead < 0, jnp.inf, along[ahead] - along - self.robots[0].dimensions[0])
 
     def evaluate(self, view: TaskView, memory: ConvoyMemory) -> StepResult:
-        """What each car's step is worth."""
+        """Worth of each car's step."""
         period = self.repeat * view.scene.physics.period
         here, left = self.path.nearest(view.robots(0).pos[:, :2])
         length = self.path.length

@@ -18,11 +18,11 @@ MAX_GOAL_DISTANCE = 10.0
 
 
 class GoalMemory(struct.PyTreeNode, kw_only=True):
-    """What the task remembers of an episode.
+    """The task's memory of an episode.
 
     Attributes:
-        goal: Where to go [m] (2,).
-        distance: How far the robot's origin is from there [m] ().
+        goal: Goal [m] (2,).
+        distance: Distance of the robot's origin from there [m] ().
     """
 
     goal: jax.Array

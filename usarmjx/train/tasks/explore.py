@@ -56,12 +56,12 @@ class Explore(TeamTask):
         return (mapping_robot(self.robot),) * self.count
 
     def start(self, view: TaskView, key: jax.Array) -> TeamMemory:
-        """What the first scans show is on the maps."""
+        """The maps have the contents of the first scans."""
         memory = super().start(view, key)
         return memory.replace(extra=memory.reachable & (memory.belief.squares == FREE))
 
     def evaluate(self, view: TaskView, memory: TeamMemory) -> StepResult:
-        """What was explored, what came onto maps, and who touched something."""
+        """Explored squares, mapped squares and contacts."""
         steps, scene = self.episode_steps, view.scene
         worth = self.worth((steps - memory.step) / steps)  # this step's number is one more
         first = 50.0 * (coverage(memory) + on_maps(memory))

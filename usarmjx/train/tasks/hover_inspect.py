@@ -54,14 +54,14 @@ SENSORS = (
 
 
 class InspectMemory(struct.PyTreeNode, kw_only=True):
-    """What the task remembers of an episode.
+    """The task's memory of an episode.
 
     Attributes:
-        points: What to look at [m] (points, 3).
-        inspected_count: How many of them it has looked at ().
+        points: Points to look at [m] (points, 3).
+        inspected_count: Number of them that it has looked at ().
         dwell_steps: For how many steps it has looked at the present one ().
-        target: Where it should fly [m] (3,).
-        distance: How far from there it is [m] ().
+        target: Target of its flight [m] (3,).
+        distance: Its distance from there [m] ().
     """
 
     points: jax.Array

@@ -34,10 +34,10 @@ SIGNAL_SCALE = 20.0
 
 
 class RelayChainState(struct.PyTreeNode, kw_only=True):
-    """What the task remembers of the chain.
+    """The task's memory of the chain.
 
     Attributes:
-        depth: How far each square is from the base along the ground, as a share of that of the farthest; 0
+        depth: Distance of each square from the base along the ground, as a share of that of the farthest; 0
             where no robot gets to (i, j).
         linked: Which robots reach the base now (robots,).
     """
@@ -121,7 +121,7 @@ class RelayChain(TeamTask):
         return memory.replace(extra=chain)
 
     def evaluate(self, view: TaskView, memory: TeamMemory) -> StepResult:
-        """How deep the chain reaches."""
+        """Depth of the chain."""
         scene, grid = view.scene, self.arena_grid(view.scene)
         memory, _, begun = self.advance(view, memory)
         chain, agents = memory.extra, self.agents(scene)
@@ -154,7 +154,7 @@ class RelayChain(TeamTask):
 
     @property
     def most_points(self) -> dict[str, float]:
-        """What would be so if the deepest square were reached from the start."""
+        """The score if the deepest square were reached from the start."""
         return {"depth": 100.0, **super().most_points}
 
     def observations(self, view: TaskView, memory: TeamMemory) -> jax.Array:
@@ -178,8 +178,8 @@ def _outward(gap: jax.Array, squares: jax.Array) -> jax.Array:
     """Return what ways cost at their ends that lead outward: 0 at the outermost frontier (i, j).
 
     Args:
-        gap: How far they are from the base, as the crow flies [squares] (i, j).
-        squares: What a robot believes of them (i, j).
+        gap: Distance from the base, as the crow flies [squares] (i, j).
+        squares: A robot's belief of them (i, j).
     """
     open_ = passable(squares)
     outermost = jnp.where(open_, gap, 0.0).max()

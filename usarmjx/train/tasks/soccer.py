@@ -62,16 +62,16 @@ NUMBERS = 8
 
 
 class SoccerBelief(PyTreeNode, kw_only=True):
-    """What each robot believes, in the world's axes.
+    """Beliefs of each robot, in the world's axes.
 
     Attributes:
-        pose: Where it is: x, y [m] and yaw [rad] (robots, 3).
-        others: How far away another robot is along each upper beam, `SCANNER_RANGE` for none [m] (robots,
+        pose: Pose: x, y [m] and yaw [rad] (robots, 3).
+        others: Distance of another robot along each upper beam, `SCANNER_RANGE` for none [m] (robots,
             beams).
-        ball: Where the ball was seen last, by the robot or its mate [m] (robots, 2).
-        velocity: How fast it was then [m/s] (robots, 2).
+        ball: Last seen position of the ball, by the robot or its mate [m] (robots, 2).
+        velocity: Its speed then [m/s] (robots, 2).
         ball_time: When that was [s] (robots,).
-        mate_pose: What its mate said of its own pose (robots, 3).
+        mate_pose: Pose that its mate reported (robots, 3).
         mate_time: When it said so [s] (robots,).
     """
 
@@ -107,7 +107,7 @@ def find_ball(pose: jax.Array, low: jax.Array, high: jax.Array) -> tuple[jax.Arr
     top of robots.
 
     Args:
-        pose: Where the robot is: x, y, z [m], roll, pitch, yaw [rad] (6,).
+        pose: Pose of the robot: x, y, z [m], roll, pitch, yaw [rad] (6,).
         low: Ranges of the lower scanner [m] (beams,).
         high: Those of the upper one (beams,).
     """
@@ -143,10 +143,10 @@ def _directions(pose: jax.Array) -> jax.Array:
 
 
 class SoccerReadings(NamedTuple):
-    """What the robots' sensors say.
+    """Readings of the robots' sensors.
 
     Attributes:
-        pose: Where they are: x, y, z [m], roll, pitch, yaw [rad] (robots, 6).
+        pose: Poses: x, y, z [m], roll, pitch, yaw [rad] (robots, 6).
         low: Ranges of the lower scanners [m] (robots, beams).
         high: Those of the upper ones (robots, beams).
         fresh: Whether these are of now (robots,).
@@ -215,11 +215,11 @@ OPPONENTS = ("self", "baseline", "still")
 
 
 class SoccerMemory(struct.PyTreeNode, kw_only=True):
-    """What the task remembers of an episode.
+    """The task's memory of an episode.
 
     Attributes:
         belief: What each robot believes (robots, ...).
-        potential: How well the game goes for blue, see `Soccer` ().
+        potential: Worth of the game for blue, see `Soccer` ().
         score: Goals of blue less those of yellow ().
         step: Actions so far ().
     """
@@ -385,7 +385,7 @@ class Soccer(Task):
         return jnp.concatenate(rows, -1)
 
     def privileged(self, view: TaskView, memory: SoccerMemory) -> jax.Array:
-        """Where the ball and the robots truly are, as shares of the field, and how fast [m/s]; time left."""
+        """True positions of ball and robots, as shares of the field, and how fast [m/s]; time left."""
         ball, positions = self.true_positions(view)
         size = np.array([GOAL_LINE, SIDE_BOARD], np.float32)
         speed = jnp.concatenate([view.robots(t).linear[:, :2] for t in range(len(view.scene.groups))])

@@ -1,4 +1,4 @@
-"""Where and with what soccer is played: a field without dead corners, and robots that can push a ball.
+"""Place and robots of soccer: a field without dead corners, and robots that can push a ball.
 
 The field is that of DM-Soccer. Its boards stand 0.3 m behind the goal lines, where a ball beside a goal is
 lost to robots that can only push; here they stand on the goal lines, and boards cut the corners off. The ball

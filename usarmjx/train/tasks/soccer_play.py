@@ -140,7 +140,7 @@ def _shot(ahead: jax.Array, off: jax.Array, way: jax.Array) -> tuple[jax.Array, 
 
     Args:
         ahead: The way of the ball in the robot's axes (2,).
-        off: Where the robot is, seen from the ball [m] (2,).
+        off: Position of the robot, seen from the ball [m] (2,).
         way: The way of the ball, of length 1 (2,).
     """
     along, aside = off @ way, off[1] * way[0] - off[0] * way[1]

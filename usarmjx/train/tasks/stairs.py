@@ -46,7 +46,7 @@ FRONT, REAR = ("FRFlipper", "FLFlipper"), ("RRFlipper", "RLFlipper")
 
 
 class StairsMemory(struct.PyTreeNode, kw_only=True):
-    """What the task remembers of an episode.
+    """The task's memory of an episode.
 
     Attributes:
         start_height: Height of the origin at the start [m] ().
@@ -140,12 +140,12 @@ class Stairs(Task):
 
     @property
     def edge(self) -> float:
-        """Where the edge of the last step is along x [m]."""
+        """Position of the last step's edge along x [m]."""
         return (self.steps - 1) * self.going
 
     @property
     def goal(self) -> np.ndarray:
-        """Where to go: x, y and height of the ground there [m] (3,)."""
+        """Goal: x, y and height of the ground there [m] (3,)."""
         return np.array([self.edge + DEPTH, 0.0, self.height], np.float32)
 
     @property

@@ -1,4 +1,4 @@
-"""What the tasks for teams have in common: maps, messages about them, contacts, observations."""
+"""Common parts of the tasks for teams: maps, messages about them, contacts, observations."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -85,7 +85,7 @@ def range_lines(robot: RobotSpec, kinds: tuple[str, ...]) -> tuple[np.ndarray, n
     """Return what lines `ranges` measures along, on a level robot's axes.
 
     Returns:
-        Where they begin, x forward and y left [m] (n, 2), and their directions, positive to the left
+        Their starts, x forward and y left [m] (n, 2), and their directions, positive to the left
         [rad] (n,); those of a sector are its middle's.
     """
     kind = first_kind(robot, kinds)
@@ -135,7 +135,7 @@ PROGRESS_SCALE = 0.5
 
 
 class TeamMemory(struct.PyTreeNode, kw_only=True):
-    """What team tasks remember of an episode.
+    """Memory of team tasks in an episode.
 
     Attributes:
         belief: What each robot believes (robots, ...).
@@ -144,7 +144,7 @@ class TeamMemory(struct.PyTreeNode, kw_only=True):
         reachable: Which squares a robot gets to (i, j).
         explored: Which of them the team's scanners have truly seen to be free (i, j).
         touching: Which robots touch something (robots,).
-        contacts: How often robots began to touch something ().
+        contacts: Number of contacts begun ().
         unlinked: Sum over steps of the share of pairs of robots that have no link ().
         score: So far ().
         extra: The task's own.
@@ -302,7 +302,7 @@ class TeamTask(Task):
     - for each other robot, the base too: where it said to be (x, y; 1 is 6 m), the age of that (1: 20 s or
       never), whether there is a link now;
     - its map around it, 11 x 11 points 0.6 m apart: walls (1, else 0), then what is unknown.
-    Where the way leads, its next position and its length are the planner's advice: without `advice` these
+    End of the way, its next position and its length are the planner's advice: without `advice` these
     five numbers are 0, but for a baseline that teaches.
 
     Action: speed and turn to the left, as shares of the wheels' highest speed: the left wheels get their

@@ -52,8 +52,8 @@ def seeking_costs(belief: Belief, gap: jax.Array) -> jax.Array:
     """Return what ways cost at their ends for robots that know none home: frontiers (robots, i, j) [squares].
 
     Args:
-        belief: What they believe.
-        gap: How far squares are from the base, as the crow flies [squares] (i, j).
+        belief: Their beliefs.
+        gap: Distances of squares from the base, as the crow flies [squares] (i, j).
     """
     cost = SEEKING_COST + OUTWARD_COST * gap + VISITED_FRONTIER_COST * belief.visited
     return jnp.where(jax.vmap(frontier)(belief.squares), cost, UNREACHABLE)
@@ -91,8 +91,8 @@ def way_left(at: jax.Array, ahead: jax.Array, fence: tuple[jax.Array, jax.Array]
     """Return how far robots may go on before they leave a fence [m] (robots,); 0: not at all.
 
     Args:
-        at: Where they are [m] (robots, 2).
-        ahead: Where they are heading: unit vectors (robots, 2).
+        at: Positions [m] (robots, 2).
+        ahead: Directions: unit vectors (robots, 2).
         fence: Lowest and highest x and y [m] (2,).
     """
     edge = jnp.where(ahead > 0, fence[1], fence[0]) - at
@@ -117,7 +117,7 @@ RECENT_CONTACT = 10.0
 
 
 class VictimSearchState(struct.PyTreeNode, kw_only=True):
-    """What the task remembers of victims.
+    """The task's memory of victims.
 
     Attributes:
         reported: Which victims are reported (victims,).
@@ -367,7 +367,7 @@ class VictimSearch(TeamTask):
         return memory.replace(extra=found)
 
     def evaluate(self, view: TaskView, memory: TeamMemory) -> StepResult:
-        """What the base knows, who reaches it, who touched something."""
+        """Knowledge of the base, links to it, and contacts."""
         before, steps, scene = memory.extra, self.episode_steps, view.scene
         left = (steps - memory.step) / steps  # this step's number is one more
         memory, credit, begun = self.advance(view, memory)
@@ -411,7 +411,7 @@ class VictimSearch(TeamTask):
 
     @property
     def most_points(self) -> dict[str, float]:
-        """What would be so if all were reported, mapped and connected from the start."""
+        """The score if all were reported, mapped and connected from the start."""
         shares = {"victims": 60.0, "mapped": 30.0, "connected": 10.0}
         return {**shares, **super().most_points, "wrong": 0.0}
 

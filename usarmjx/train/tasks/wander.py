@@ -17,7 +17,7 @@ from usarmjx.train.tasks.team import first_kind, ranges
 
 
 class WanderMemory(struct.PyTreeNode, kw_only=True):
-    """What the task remembers of an episode.
+    """The task's memory of an episode.
 
     Attributes:
         visited: Squares that the robot's origin has been in (squares along x, squares along y).
