@@ -280,7 +280,7 @@ class ViewerPage:
         self.server.gui.main_panel.dock_right()
         self._worlds = WorldChoice(self)
         self._buttons = ViewButtons(self)
-        self.panels: list[Panel] = [ScoreboardPanel(self), *(make(self) for make in panels)]
+        self.panels: list[Panel] = [*(make(self) for make in panels), ScoreboardPanel(self)]
         self._switches = LayerSwitches(self)
         with numpy_backend():
             self._begin(self._drawings())
