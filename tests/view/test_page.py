@@ -73,7 +73,8 @@ def test_browsers_get_a_scoreboard_of_the_chosen_world_and_a_panel_beside_the_pi
     with visiting(port_of(page)) as visitor:
         until(page, lambda: 'data-world="three yards 0"' in str(visitor.heard))
         assert "robot1" in str(visitor.heard)
-        assert "dock" in str([message["type"] for message in visitor.heard]).lower() + str(visitor.heard)
+        position = visitor.of("GuiSetPanelPositionMessage")[-1]["position"]
+        assert position == {"kind": "edge", "edge": "right"}
         page.post(lambda: page.choose_world(1))
         until(page, lambda: 'data-world="three yards 1"' in str(visitor.heard))
 
