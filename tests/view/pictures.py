@@ -40,7 +40,7 @@ SLOW = 900.0
 COUNT = "window.drawn = 0; (f => f(f))(f => { window.drawn++; requestAnimationFrame(() => f(f)); })"
 TIDY = (
     "document.querySelectorAll('.mantine-Notification-root').forEach(e => e.remove());"
-    "document.querySelectorAll('.mantine-Paper-root').forEach(e => e.style.display = 'none')"
+    "document.querySelectorAll('.mantine-Paper-root,#usarmjx-head').forEach(e => e.style.display = 'none')"
 )
 PICTURES = {
     "yellow": (("P2AT", "P2DX", "Zerg", "Kenaf"), {}),
