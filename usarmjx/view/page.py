@@ -203,7 +203,8 @@ def make_viser_server(host: str, port: int) -> viser.ViserServer:
         plain = viser_infra.WebsockServer
 
         def with_our_page(**options: Any) -> viser_infra.WebsockServer:  # noqa: ANN401 - viser's
-            return plain(**options | {"http_server_root": page_folder()})
+            options["http_server_root"] = page_folder()
+            return plain(**options)
 
         # Viser serves its own page, and takes no other folder.
         viser_infra.WebsockServer = with_our_page  # type: ignore[assignment, misc]

@@ -199,7 +199,8 @@ class ScoreboardPanel:
         self._page = page
         self._logs: dict[int, MissionLog] = {}
         self._shown = page.server.gui.add_html("", order=-1000)
-        self._text, self._due, self._world = "", 0.0, -1
+        self._text, self._due = "", 0.0
+        self._world: int | None = None
 
     def begin(self, drawing: Drawing) -> None:
         """Do nothing: the next update shows the new drawing."""

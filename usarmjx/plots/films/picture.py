@@ -309,7 +309,7 @@ class FilmScene:
         for first in range(0, len(pixels), CHUNK):
             part = [column[first : first + CHUNK] for column in columns]
             missing = CHUNK - len(part[0])
-            pixel, *hits = (np.pad(column, (0, missing), mode="edge") for column in part)
+            pixel, *hits = (jnp.asarray(np.pad(column, (0, missing), mode="edge")) for column in part)
             rgb = _shade(self._scene, table, held, lens, pixel, tuple(hits), self._materials)
             parts.append(np.asarray(rgb)[: CHUNK - missing])
         return np.concatenate(parts)
@@ -378,9 +378,9 @@ def _lens(view: FilmView) -> Lens:
     return Lens(
         eye=view.eye.astype(np.float32),
         axes=view.axes.astype(np.float32),
-        focal=np.float32(view.focal),
+        focal=np.array(view.focal, np.float32),
         middle=np.array([view.width / 2, view.height / 2], np.float32),
-        width=np.int32(view.width),
+        width=np.array(view.width, np.int32),
     )
 
 

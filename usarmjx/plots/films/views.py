@@ -116,9 +116,9 @@ class SunView:
             nearness=canvas.surface().nearness,
             middle=self.middle.astype(np.float32),
             axes=self.axes.astype(np.float32),
-            scale=np.float32(self.scale),
-            reach=np.float32(self.reach),
-            side=np.int32(self.side),
+            scale=np.array(self.scale, np.float32),
+            reach=np.array(self.reach, np.float32),
+            side=np.array(self.side, np.int32),
         )
 
     def texels(self, view: FilmView, canvas: Canvas) -> np.ndarray:
