@@ -11,6 +11,7 @@ from pathlib import Path
 import hypothesis
 import jax
 import pytest
+from jax._src import compilation_cache
 
 from tests.offline import cut_network
 from usarmjx.base.compilation import fast_compilation_flags
@@ -33,6 +34,23 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("same")
 
 
+def write_whole_entries(folder: str) -> None:
+    """Let JAX keep programs there so that another process reads all of one or nothing."""
+    usual = compilation_cache.LRUCache.put
+
+    def put(cache: compilation_cache.LRUCache, key: str, value: bytes) -> None:
+        if str(cache.path) != folder:
+            usual(cache, key, value)
+            return
+        entry = Path(folder, f"{key}-cache")
+        if not entry.exists():
+            part = Path(folder, f"{key}.{os.getpid()}")
+            part.write_bytes(value)
+            part.replace(entry)
+
+    compilation_cache.LRUCache.put = put
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the option of the run that compiles as users do."""
     parser.addoption("--optimised", action="store_true", help="compile with XLA's default optimisation")
@@ -46,17 +64,20 @@ def pytest_configure(config: pytest.Config) -> None:
     if not config.getoption("optimised"):
         os.environ.setdefault("XLA_FLAGS", " ".join([*fast_compilation_flags(), IN_ONE_PIECE]))
     # What a test compiles that another one has compiled is read from a folder, which starts empty: a fifth of
-    # the time of training's tests. Each process has its own, as jax does not write whole files at once.
-    cache = tempfile.TemporaryDirectory(prefix="usarmjx-compiled-")
-    config.add_cleanup(cache.cleanup)
+    # the time of training's tests. The processes of a run share it.
+    folder = os.environ.get("JAX_COMPILATION_CACHE_DIR") if "PYTEST_XDIST_WORKER" in os.environ else None
+    own = tempfile.TemporaryDirectory(prefix="usarmjx-tests-")
+    config.add_cleanup(own.cleanup)
+    folder = folder or str(Path(own.name) / "compiled")
+    write_whole_entries(folder)
     # Nothing is downloaded at run time, so no test may reach another machine.
-    config.stash[ASKED] = Path(cache.name) / "asked-of-others"
+    config.stash[ASKED] = Path(own.name) / "asked-of-others"
     config.stash[ASKED].touch()
     cut_network(config.stash[ASKED])
     os.environ["USARMJX_CACHE"] = "off"
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = cache.name  # for programs that tests start
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = folder  # for programs that tests start
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.2"
-    jax.config.update("jax_compilation_cache_dir", cache.name)
+    jax.config.update("jax_compilation_cache_dir", folder)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 

@@ -1,12 +1,18 @@
-"""The examples as modules: they are scripts, and not part of the package."""
+"""Programs that tests start: their search path, and the examples, scripts outside the package, as modules."""
 
 import importlib
 import importlib.util
+import os
 import sys
 from pathlib import Path
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 IN_PACKAGE = {"usarsim_client": "usarmjx.client", "wander": "usarmjx.client.wander"}
+
+
+def python_path(*folders):
+    """PYTHONPATH with these folders before what this process was given, which may hold our dependencies."""
+    return os.pathsep.join([*map(str, folders), *filter(None, [os.environ.get("PYTHONPATH")])])
 
 
 def load(name):

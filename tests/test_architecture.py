@@ -4,6 +4,7 @@ import ast
 import re
 import tomllib
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ import dev
 from usarmjx.server.runtime.metrics import WorldCollector
 
 PACKAGE = dev.ROOT / "usarmjx"
+SOURCES = sorted(path for path in PACKAGE.rglob("*.py") if path.name != "__init__.py")
 PAGES = ("architecture.md", "glossary.md")
 TICKS = re.compile(r"`([^`\n]+)`")
 PATH = re.compile(r"[a-z_]+(/[a-z_]+)*(/|\.py)")
@@ -25,13 +27,18 @@ def page(name: str) -> str:
 
 
 @cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
 def names() -> frozenset[str]:
     """Everything that the package defines: modules and folders, classes, functions, fields, parameters."""
     found = {
         part for path in PACKAGE.rglob("*.py") for part in path.relative_to(PACKAGE).with_suffix("").parts
     }
     for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree_of(path)):
             if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
                 found.add(node.name)
             elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
@@ -73,6 +80,36 @@ def test_the_order_of_imports_is_the_one_that_is_checked():
     assert shown is not None
     assert [f"usarmjx.{name}" for name in shown[1].split()] == contract["layers"]
     assert {path.parent.name for path in PACKAGE.glob("*/__init__.py")} == set(shown[1].split())
+
+
+def imports_of(tree: ast.AST, for_types: bool = False):
+    """What a module imports wherever it does, and its module; and whether type checkers alone need it."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.ImportFrom):
+            yield from ((f"{node.module}.{alias.name}", node.module, for_types) for alias in node.names)
+        elif isinstance(node, ast.Import):
+            yield from ((alias.name, alias.name, for_types) for alias in node.names)
+        else:
+            typing_only = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+            yield from imports_of(node, for_types or typing_only)
+
+
+def test_modules_import_each_other_in_circles_for_types_only():
+    files = {".".join(path.relative_to(dev.ROOT).with_suffix("").parts): path for path in SOURCES}
+    needs: dict[str, set[str]] = {name: set() for name in files}
+    wants: dict[str, set[str]] = {name: set() for name in files}
+    for name, path in files.items():
+        for full, module, for_types in imports_of(tree_of(path)):
+            other = full if full in files else module
+            if other in files and other != name:
+                (wants if for_types else needs)[name].add(other)
+    below: dict[str, set[str]] = {}
+    for name in TopologicalSorter(needs).static_order():  # a CycleError names a circle
+        below[name] = needs[name].union(*(below[other] for other in needs[name]))
+    circles = sorted(
+        (name, other) for name, found in wants.items() for other in found if name in below[other]
+    )
+    assert len(circles) <= 2, circles
 
 
 def test_every_package_says_what_is_in_it():

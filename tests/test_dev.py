@@ -147,10 +147,12 @@ def collected(*args: object) -> list[str]:
     return [line for line in done.stdout.splitlines() if "::" in line]
 
 
+@pytest.mark.thorough
 def test_quick_is_a_net_of_more_than_a_thousand_tests():
     assert len(collected(*checks.QUICK)) > 1000
 
 
+@pytest.mark.thorough
 def test_fuzz_runs_the_property_tests_alone_and_each_time_with_other_examples():
     (step,) = dev.VERBS["fuzz"].steps("tests/server")
     assert step == ["-m", "pytest", "-m", "hypothesis", "--hypothesis-profile", "fuzz", "tests/server"]

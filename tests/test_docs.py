@@ -16,6 +16,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from _pytest.mark.structures import ParameterSet
 from typer.testing import CliRunner
 
 import dev
@@ -82,6 +83,19 @@ def run_page(text: str, document: str) -> None:
             )
 
 
+def compile_examples(text: str, document: str) -> int:
+    """Compile the Python blocks of a page without running them, and return how many there are.
+
+    Raises:
+        SyntaxError: A block is no program.
+    """
+    bodies = blocks(text, "python")
+    for body in bodies:
+        parts = doctest.DocTestParser().get_examples(body)
+        compile("".join(part.source for part in parts) if parts else body, document, "exec")
+    return len(bodies)
+
+
 def command_problem(words: list[str]) -> str:
     """Return what is wrong with a command that names dev.py or usarmjx, else ""."""
     if words[:2] in (["python3", "dev.py"], ["python", "dev.py"]):
@@ -133,7 +147,32 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("path", DOCUMENTS, ids=name_of)
+LONG = (
+    "cameras",
+    "radio",
+    "robots",
+    "sensors",
+    "start",
+    "stacks",
+    "tutorial-sweep",
+    "tutorial-task",
+    "tutorial-watching",
+)
+"""Pages whose examples compile for five seconds and more: every run only reads them as programs."""
+
+
+def long_ones_are_thorough(path: Path) -> ParameterSet:
+    """A page; its examples run in `dev.py test --all` if they are long."""
+    is_long = path.parent.name == "docs" and path.stem in LONG
+    return pytest.param(path, marks=pytest.mark.thorough if is_long else (), id=name_of(path))
+
+
+def test_python_examples_are_programs():
+    """What they import of the package is public: tests/test_public_names.py."""
+    assert sum(compile_examples(path.read_text(encoding="utf-8"), name_of(path)) for path in DOCUMENTS) > 40
+
+
+@pytest.mark.parametrize("path", [long_ones_are_thorough(path) for path in DOCUMENTS])
 def test_python_examples_run(path: Path, workplace: Path):
     text = path.read_text(encoding="utf-8")
     for name, body in NAMED.findall(text):
@@ -190,6 +229,13 @@ def test_wrong_examples_are_found():
         run_python(body, {}, "sample")
     with pytest.raises(ZeroDivisionError):
         run_python("1 / 0", {}, "sample")
+
+
+def test_what_is_no_program_is_found():
+    assert compile_examples("```python\n>>> 1 +\\\n...  1\n2\n```\n", "sample") == 1
+    for wrong in ("x = = 1", ">>> x = = 1"):
+        with pytest.raises(SyntaxError):
+            compile_examples(f"```python\n{wrong}\n```\n", "sample")
 
 
 def test_wrong_output_is_found():

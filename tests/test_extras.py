@@ -84,7 +84,8 @@ from usarmjx.train.learning.processes import ProcessGroup
 
 sizes = {"hidden_sizes": (4,), "critic_hidden_sizes": (4,)}
 config = Config(num_worlds=2, num_minibatches=1, shuffle_blocks=1, **sizes)
-Trainer(make("drive-to-goal", worlds=2, engine="planar"), config, ProcessGroup()).start()
+env = make("drive-to-goal", worlds=2, engine="planar", ranges=(), pose="GroundTruth")
+Trainer(env, config, ProcessGroup()).start()
 print([name for name in ("brax", "mujoco.mjx") if name in sys.modules])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -13,6 +13,7 @@ import pytest
 
 import dev
 from tests.offline import SITE
+from tests.scripts import python_path
 
 REMOTE = ("urllib.request", "http.client", "ftplib", "requests", "httpx", "aiohttp", "urllib3", "boto3")
 REMOTE += ("huggingface_hub", "pooch", "gdown", "pip", "websockets.client", "websockets.asyncio.client")
@@ -88,7 +89,7 @@ def cut(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(SITE)
     asked = tmp_path / "asked_there"
     asked.touch()
-    path = os.pathsep.join((str(tmp_path), str(dev.ROOT)))
+    path = python_path(tmp_path, dev.ROOT)
     return {**os.environ, "PYTHONPATH": path, "ASKED": str(asked), "JAX_PLATFORMS": "cpu"}, asked
 
 

@@ -1,4 +1,4 @@
-"""A ROS 2 node that hands topics of `usarmjx serve --rosbridge-port` on to ROS 2, and `cmd_vel` back.
+"""A ROS 2 node that hands topics of `usarmjx serve --rosbridge-port` on to ROS 2, and commands back.
 
 It needs rclpy and `pip install websockets cbor2`. Messages come as ROS 2's own bytes (`cbor-raw`) and are
 published as they are. It has not been run with ROS 2, which was not there where it was written, only with
@@ -10,6 +10,7 @@ classes of our own in rclpy's place; bytes and fields of the messages were compa
 
 import json
 import threading
+from collections.abc import Callable
 from typing import Any
 
 import cbor2
@@ -18,10 +19,37 @@ from geometry_msgs.msg import Twist
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosidl_runtime_py.utilities import get_message
+from trajectory_msgs.msg import JointTrajectory
 from websockets.sync.client import connect
 
-LATCHED = ("/map", "/tf_static")
-"""Who comes later gets the last message of these."""
+LATCHED = ("/map", "/tf_static", "/robot_description")
+"""Ends of topics whose last message goes to late subscribers, too."""
+
+
+def twist_fields(twist: Twist) -> dict[str, Any]:
+    """Return a Twist as JSON."""
+    parts = {"linear": twist.linear, "angular": twist.angular}
+    return {name: {axis: getattr(part, axis) for axis in "xyz"} for name, part in parts.items()}
+
+
+def trajectory_fields(trajectory: JointTrajectory) -> dict[str, Any]:
+    """Return a JointTrajectory as JSON: positions, velocities and times of its points."""
+    points = [
+        {
+            "positions": list(point.positions),
+            "velocities": list(point.velocities),
+            "time_from_start": {"sec": point.time_from_start.sec, "nanosec": point.time_from_start.nanosec},
+        }
+        for point in trajectory.points
+    ]
+    return {"joint_names": list(trajectory.joint_names), "points": points}
+
+
+COMMANDS = {
+    "geometry_msgs/msg/Twist": (Twist, twist_fields),
+    "trajectory_msgs/msg/JointTrajectory": (JointTrajectory, trajectory_fields),
+}
+"""Types of the topics that the server listens to and does not publish."""
 
 
 class Relay(Node):
@@ -38,8 +66,8 @@ class Relay(Node):
             self.call("/simulator/spawn", {"class": self.text("robot"), "name": self.text("name")})
         listed = self.call("/rosapi/topics", {})
         for topic, kind in zip(listed["topics"], listed["types"], strict=True):
-            if topic.endswith("/cmd_vel"):
-                self.listen(topic)
+            if kind in COMMANDS:
+                self.listen(topic, *COMMANDS[kind])
             elif topic not in self.get_parameter("skip").value:
                 self.relay(topic, kind)
         threading.Thread(target=self.run, daemon=True).start()
@@ -66,20 +94,15 @@ class Relay(Node):
                     raise RuntimeError(f"{service}: {answer['values']}")
                 return answer["values"]
 
-    def listen(self, topic: str) -> None:
-        """Hand on what ROS says on a robot's cmd_vel."""
-
-        def drive(twist: Twist) -> None:
-            linear, angular = (
-                {axis: getattr(part, axis) for axis in "xyz"} for part in (twist.linear, twist.angular)
-            )
-            self.say("publish", topic=topic, msg={"linear": linear, "angular": angular})
-
-        self.create_subscription(Twist, topic, drive, 10)
+    def listen(self, topic: str, kind: type, fields: Callable[[Any], dict[str, Any]]) -> None:
+        """Hand commands of ROS on to a robot."""
+        self.create_subscription(
+            kind, topic, lambda command: self.say("publish", topic=topic, msg=fields(command)), 10
+        )
 
     def relay(self, topic: str, kind: str) -> None:
         """Hand on a topic."""
-        lasting = DurabilityPolicy.TRANSIENT_LOCAL if topic in LATCHED else DurabilityPolicy.VOLATILE
+        lasting = DurabilityPolicy.TRANSIENT_LOCAL if topic.endswith(LATCHED) else DurabilityPolicy.VOLATILE
         profile = QoSProfile(depth=10, durability=lasting)
         profile = QoSProfile(depth=10, durability=lasting)
         self.topics[topic] = self.create_publisher(get_message(kind), topic, profile)

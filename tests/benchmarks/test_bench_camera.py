@@ -38,6 +38,7 @@ def test_the_record_says_what_was_measured_where(tmp_path):
     assert f"geoms         {count}, lit by 4 lamps" in summary
 
 
+@pytest.mark.thorough
 def test_the_peer_looks_from_the_same_place_at_the_same_scene():
     scene = build_scene("soccer", ["P2AT"])
     batch, robot = Batch(scene, 1, engine="c"), scene.groups[0].robot

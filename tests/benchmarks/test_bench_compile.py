@@ -19,6 +19,7 @@ KEY = jax.dtypes.prng_key
 SCENE = {"worlds": 2, "roster": "AirRobot", "arena": "soccer", "engine": "c", "substeps": 2}
 
 
+@pytest.mark.thorough
 def test_the_stages_to_the_first_step_are_told_cold_and_cached(tmp_path, monkeypatch):
     folders, found = [], []
 

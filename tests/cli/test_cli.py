@@ -63,6 +63,11 @@ def test_the_help_has_every_command_under_a_heading_and_an_example_for_each():
     assert EXAMPLES["eval"] in " ".join(invoke("eval", "--help").output.split())
 
 
+def test_usages_have_no_hidden_arguments():
+    for command in (["export"], ["radio-map"], ["arena", "gallery"]):
+        assert "old_out" not in invoke(*command, "--help").output.replace("-", "_").lower()
+
+
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_the_example_of_a_command_is_one_that_it_understands(name):
     words = EXAMPLES[name].split()

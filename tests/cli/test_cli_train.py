@@ -32,6 +32,8 @@ SETTINGS = {
     "hidden_sizes": 4,
     "critic_hidden_sizes": 4,
     "episode_steps": 7,  # of the task
+    "ranges": "",
+    "pose": "GroundTruth",
 }
 
 
@@ -49,7 +51,7 @@ def test_a_run_is_trained_and_exported(tmp_path):
     settings = json.loads((out / "config.json").read_text())
     assert (settings["task"], settings["engine"], settings["episode_steps"]) == ("drive-to-goal", "c", 7)
     assert (recorded_engine(out), recorded_engine(tmp_path)) == ("c", "auto")
-    assert settings["overrides"] == {"episode_steps": "7"}
+    assert settings["overrides"] == {"episode_steps": "7", "ranges": "", "pose": "GroundTruth"}
     assert settings["config"]["hidden_sizes"] == [4]
     assert [json.loads(line)["iteration"] for line in (out / "metrics.jsonl").open()] == [1, 2]
     result = invoke("export", out, "--out", tmp_path / "policy.npz", "--checkpoint", "last")

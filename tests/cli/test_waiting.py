@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import pytest
 
 import dev
+from tests.scripts import python_path
 from usarmjx.cli.startup_messages import COMPILED, FIRST, INTERVAL, LOWERED, CompilationWatch, is_compiling
 
 COMMANDS = (
@@ -78,7 +79,7 @@ def test_every_command_says_something_before_it_imports_jax(tmp_path):
         capture_output=True,
         text=True,
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(dev.ROOT)},
+        env={**os.environ, "PYTHONPATH": python_path(dev.ROOT)},
     )
     assert done.returncode == 0, done.stderr
     said = json.loads(done.stdout)

@@ -182,8 +182,8 @@ def test_the_heavier_of_two_pushes_the_lighter():
     )
     apart = prints.replace(pos=jnp.array([[0.0, 0.0], [1.2, 0.0]]))
     apart, prints = jax.tree.map(lambda x: x[None], (apart, prints))
-    known = around(prints, no_solids())
-    kept, touched = separate_footprints(
+    known = jax.jit(around)(prints, no_solids())
+    kept, touched = jax.jit(separate_footprints)(
         apart, prints, obstacle_outlines(prints, known.near), jnp.ones((1, 2), bool)
     )
     displacement = np.asarray(kept.pos[0] - prints.pos[0])[:, 0]

@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -99,14 +100,14 @@ def test_wheels_have_turned_as_far_as_they_went(flat):
 
 def test_a_lag_and_a_most_acceleration_are_those_of_the_closed_form():
     slow = replace(AT_ONCE, forward_lag=0.3)
-    twist = jnp.zeros((1, 3))
+    twist, speed_up = jnp.zeros((1, 3)), jax.jit(partial(limited_lag, slow, dt=0.02))
     for _ in range(10):
-        twist = limited_lag(slow, twist, jnp.array([[1.0, 0.0, 0.0]]), 0.02)
+        twist = speed_up(twist, jnp.array([[1.0, 0.0, 0.0]]))
     assert float(twist[0, 0]) == pytest.approx(1 - math.exp(-0.2 / 0.3), rel=1e-5)
     braking, way = replace(AT_ONCE, acceleration=2.0), 0.0
-    twist = jnp.array([[1.5, 0.0, 0.0]])
+    twist, slow_down = jnp.array([[1.5, 0.0, 0.0]]), jax.jit(partial(limited_lag, braking, dt=0.001))
     for _ in range(2000):
-        now = limited_lag(braking, twist, jnp.zeros((1, 3)), 0.001)
+        now = slow_down(twist, jnp.zeros((1, 3)))
         way, twist = way + float(twist[0, 0] + now[0, 0]) / 2 * 0.001, now
     assert way == pytest.approx(1.5**2 / (2 * 2.0), rel=2e-3)  # the braking distance v^2 / 2a
 
@@ -214,19 +215,28 @@ def test_a_ramp_tilts_as_it_slopes_and_a_step_too_high_stops():
     assert bool(np.asarray(state.physics.touched)[0, 0])
 
 
-@pytest.mark.parametrize(
-    ("height", "length", "over"), [(0.039, 0.09, True), (0.06, 2.0, True), (0.1, 2.0, False)]
-)
-def test_boards_are_driven_over_that_are_on_c(height, length, over):
+def test_boards_are_driven_over_that_are_on_c():
     """Generated mazes have boards of 4 cm across their ways; onto 6 cm a P2AT climbs on `c`, slowly."""
-    at = (0.75 + length / 2, 0.0, height / 2)
-    board = Shape(kind="box", size=(length / 2, 0.5, height / 2), at=at, surface="ground")
-    arena = replace(FLAT, name="board", shapes=(board,))
+    boards = ((0.039, 0.09, True), (0.06, 2.0, True), (0.1, 2.0, False))  # height and length [m], driven over
+    arena = replace(
+        FLAT,
+        name="boards",
+        starts=tuple(StartPose(tag=f"S{i}", at=(0.0, 2.0 * i, 0.188), yaw=0.0) for i in range(len(boards))),
+        shapes=tuple(
+            Shape(
+                kind="box",
+                size=(length / 2, 0.5, height / 2),
+                at=(0.75 + length / 2, 2.0 * i, height / 2),
+                surface="ground",
+            )
+            for i, (height, length, _) in enumerate(boards)
+        ),
+    )
     for engine in ("c", "planar"):
-        batch = Batch(build_scene(arena, [BLIND]), 1, engine=engine)
-        start = poses(batch, batch.reset())[0, 0, 0]
-        state = drive(batch, 2.0, 2.0, 350)
-        assert (poses(batch, state)[0, 0, 0] - start > 1.2) == over, engine
+        batch = Batch(build_scene(arena, [BLIND] * len(boards)), 1, engine=engine)
+        start = poses(batch, batch.reset())[0, :, 0]
+        way = poses(batch, drive(batch, 2.0, 2.0, 350))[0, :, 0] - start
+        assert (way > 1.2).tolist() == [over for _, _, over in boards], engine
 
 
 def test_how_high_a_step_wheels_climb_is_what_was_measured_on_c():
@@ -302,27 +312,29 @@ def test_long_steps_are_refused_for_what_flies():
         Batch(scene, 1, engine="planar")
 
 
-@pytest.mark.parametrize(
-    ("name", "within"),
-    [("Passarola", 3e-3), ("AirRobot", 0.05)],  # an AirRobot that leans takes off from an edge
-)
-def test_what_flies_goes_where_mujoco_has_it(name, within):
+def test_what_flies_goes_where_mujoco_has_it():
     """The same forces on the same mass by the same steps, with another order within a step."""
-    blind, ways = replace(ROBOTS.get(name), sensors=(), cameras=()), []
-    scene = build_scene(FLAT, [blind])
+    within = {"Passarola": 3e-3, "AirRobot": 0.05}  # an AirRobot that leans takes off from an edge
+    starts = tuple(StartPose(tag=f"S{i}", at=(0.0, 100.0 * i, 0.188), yaw=0.0) for i in range(2))
+    blind = [replace(ROBOTS.get(name), sensors=(), cameras=()) for name in within]
+    scene, ways = build_scene(replace(FLAT, starts=starts), blind), []
     for engine in ("c", "planar"):
         batch = Batch(scene, 1, engine=engine, seed=1)
-        keys = blind.drive.full_scale
         state = batch.reset()
-        start = np.asarray(batch.physics(state).qpos)[0, scene.groups[0].root_qposadr[0]]
+        roots = np.concatenate([group.root_qposadr for group in scene.groups])
+        start = np.asarray(batch.physics(state).qpos)[0, roots]
         for step in range(150):
             if step in (10, 100):
                 share = 0.3 if step == 10 else -0.3
-                state = batch.drive(state, 0, {key: share * most for key, most in keys.items()})
+                for number, group in enumerate(scene.groups):
+                    keys = group.robot.drive.full_scale
+                    state = batch.drive(state, number, {key: share * most for key, most in keys.items()})
             state = batch.step(state)
-        ways.append(np.asarray(batch.physics(state).qpos)[0, scene.groups[0].root_qposadr[0]])
-    assert np.linalg.norm(ways[0][:3] - start[:3]) > 0.3, "it has gone somewhere"
-    assert ways[1] == pytest.approx(ways[0], abs=within)
+        ways.append(np.asarray(batch.physics(state).qpos)[0, roots])
+    for number, group in enumerate(scene.groups):
+        there, here = (way[number] for way in ways)
+        assert np.linalg.norm(there[:3] - start[number, :3]) > 0.3, "it has gone somewhere"
+        assert here == pytest.approx(there, abs=within[group.robot.name])
 
 
 @pytest.mark.oracle

@@ -43,10 +43,18 @@ WARD = ArenaSpec(
 WORLDS, STEPS = 6, 80
 
 
-def ends(*, forgetful=False):
+def ward():
+    return Batch(build_scene(WARD, [EAGER] * 3, Physics(timestep=0.05, substeps=1)), WORLDS, engine="planar")
+
+
+@pytest.fixture(scope="module")
+def batch():
+    return ward()
+
+
+def ends(batch, *, forgetful=False):
     """Where robots get to (worlds, nq), told anything every 0.5 s, and how often they look."""
-    scene = build_scene(WARD, [EAGER] * 3, Physics(timestep=0.05, substeps=1))
-    batch, rng, looks = Batch(scene, WORLDS, engine="planar"), np.random.default_rng(3), []
+    rng, looks = np.random.default_rng(3), []
     state = batch.reset()
     for step in range(STEPS):
         if step % 10 == 0:
@@ -62,19 +70,20 @@ def ends(*, forgetful=False):
 
 
 @pytest.fixture(scope="module")
-def truth():
-    return ends(forgetful=True)
+def truth(batch):
+    return ends(batch, forgetful=True)
 
 
-def test_robots_meet_limbs_as_if_all_was_looked_up_in_each_step(truth):
-    found, looks = ends()
+def test_robots_meet_limbs_as_if_all_was_looked_up_in_each_step(batch, truth):
+    found, looks = ends(batch)
     assert looks < 0.7 < truth[1], "it is not, though limbs move in each step"
     assert np.array_equal(found, truth[0])
 
 
+@pytest.mark.thorough
 def test_limbs_that_come_near_are_noticed(truth, monkeypatch):
     monkeypatch.setattr(MovableSolids, "moved_nearby", lambda *_: jnp.bool_(False))
-    assert not np.array_equal(ends()[0], truth[0]), "robots pass through limbs otherwise"
+    assert not np.array_equal(ends(ward())[0], truth[0]), "robots pass through limbs otherwise"
 
 
 @pytest.mark.parametrize(

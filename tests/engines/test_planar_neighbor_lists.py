@@ -156,13 +156,14 @@ def test_what_hangs_over_a_robot_or_is_parked_far_below_keeps_nobody_from_going_
         step=jnp.full((1, 1), 0.03),
         mass=jnp.ones((1, 1)),
     )
-    known = around(prints, solids)
+    look = jax.jit(around)
+    known = look(prints, solids)
     assert float(known.obstacle_margin.height[0, 0]) == pytest.approx(0.4 - 0.3, abs=1e-6)
     assert float(known.obstacle_margin.aside[0, 0]) > 100.0, "the wall is among those that are known"
     assert float(known.ground_margin.aside[0, 0]) > 1.0
     assert float(known.ground_margin.height[0, 0]) == pytest.approx(0.72 - 0.03, abs=1e-6)
     assert (np.asarray(known.under.highest) > 0).all(), "none of what is parked"
-    there = around(prints.replace(low=prints.low + 0.2, high=prints.high + 0.2), solids)
+    there = look(prints.replace(low=prints.low + 0.2, high=prints.high + 0.2), solids)
     assert float(there.obstacle_margin.aside[0, 0]) < 0, "among the lintels: more than it can know"
 
 

@@ -36,6 +36,7 @@ def usual():
     return fallen(engine_of())
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="sums are atomic on a GPU; see tests/test_gpu.py")
 def test_a_control_step_in_one_call_computes_the_same_bits(usual):
     engine = engine_of()

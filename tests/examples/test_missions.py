@@ -33,6 +33,7 @@ def test_two_clients_meet_and_are_recorded(tmp_path):
     assert record.read_bytes()[:8] == record.read_bytes()[-8:] == b"\x89MCAP0\r\n", "it is whole"
 
 
+@pytest.mark.thorough
 def test_a_server_that_does_not_start_is_one_line_and_exit_code_1(tmp_path):
     taken = tmp_path / "taken.mcap"
     taken.touch()

@@ -65,6 +65,15 @@ class Twist:
         self.linear, self.angular = (SimpleNamespace(x=x, y=0.0, z=0.0) for x in (ahead, 0.0))
 
 
+class JointTrajectory:
+    """A trajectory_msgs JointTrajectory that ends after 0.2 s."""
+
+    def __init__(self, **positions):
+        after = SimpleNamespace(sec=0, nanosec=200_000_000)
+        self.joint_names = [*positions]
+        self.points = [SimpleNamespace(positions=[*positions.values()], velocities=[], time_from_start=after)]
+
+
 @pytest.fixture
 def relay(monkeypatch):
     """The example's module."""
@@ -80,6 +89,8 @@ def relay(monkeypatch):
     fake("rclpy.qos", QoSProfile=lambda depth, durability: durability, **qos)
     fake("geometry_msgs")
     fake("geometry_msgs.msg", Twist=Twist)
+    fake("trajectory_msgs")
+    fake("trajectory_msgs.msg", JointTrajectory=JointTrajectory)
     fake("rosidl_runtime_py")
     fake("rosidl_runtime_py.utilities", get_message=lambda name: name)
     found = importlib.util.spec_from_file_location("usarmjx_relay", FILE)
@@ -107,9 +118,18 @@ def test_the_relay_hands_on_all_topics_and_drives(relay, monkeypatch):
         while world.state(robot).pos[0] < began + 0.1 and time.monotonic() < deadline:
             time.sleep(0.05)
         assert world.state(robot).pos[0] >= began + 0.1
+        (kind, move), link = node.callbacks["/R1/joint_trajectory"], "CameraPanTilt_Link1"
+        assert kind is JointTrajectory
+        assert "/R1/joint_trajectory" not in node.publishers, "the server never publishes it"
+        place = robot.plan.joint_index(link)
+        move(JointTrajectory(**{link: 0.5}))
+        while abs(robot.command.target[place] - 0.5) > 1e-3 and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert robot.command.target[place] == pytest.approx(0.5, abs=1e-3)
         node.socket.close()
     assert "warning" not in node.heard
     assert node.publishers["/tf_static"] == ("tf2_msgs/msg/TFMessage", "lasting")
+    assert node.publishers["/R1/robot_description"] == ("std_msgs/msg/String", "lasting")
     assert node.publishers["/clock"] == ("rosgraph_msgs/msg/Clock", "passing")
     for topic, (kind, _) in node.publishers.items():
         assert read(kind.replace("/msg/", "/"), Bytes(node.heard[topic])) is not None, topic

@@ -25,7 +25,7 @@ def test_worlds_are_ranked_by_their_rewards_and_bad_ones_left_out():
 
 
 def test_clips_are_of_every_nth_iteration_and_move(tmp_path):
-    env = usarmjx.make("drive-to-goal", worlds=2, engine="c", ranges=())
+    env = usarmjx.make("drive-to-goal", worlds=2, engine="c", ranges=(), pose="GroundTruth")
     actions = (jnp.zeros((STEPS, 2, 1, 2)).at[:, 1].set(1.0),)
     none = jnp.zeros((STEPS, 2), bool)
     seen = []

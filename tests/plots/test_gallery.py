@@ -152,6 +152,7 @@ EYE, TARGET, WIDTH, HEIGHT = np.array([0.5, -7.0, 1.2]), np.array([0.3, 0.5, -1.
 
 
 @pytest.mark.oracle
+@pytest.mark.thorough
 def test_glass_shows_what_is_behind_it_and_mirrors_what_they_reflect():
     """Every pixel against C MuJoCo's rays: straight on, through the glass, and thrown back by the mirror."""
     model = new_spec(STAGE, Physics()).compile()
@@ -199,6 +200,15 @@ def test_victims_water_doors_and_loose_objects_are_in_the_view():
     assert len(shown) == len(bare) + (7 + 5 + 2 + 2 * (2 + 3 + 2 + 3)) + 7 + 1 + 1 + 1
     assert len(bare) == 2, "floor and wall"
     assert len(gallery.arena_render_geoms(ROOM)) == len(shown) + len(ROOM.shapes) - 2, "the sky is not seen"
+
+
+@pytest.mark.thorough
+def test_pictures_show_victims_water_doors_and_loose_objects():
+    room = replace(ROOM, shapes=ROOM.shapes[:1])
+    shown = gallery.arena_render_geoms(room)
+    bare = gallery.arena_render_geoms(
+        replace(room, victims=(), false_alarms=(), doors=(), loose=(), waters=())
+    )
     eye, target = gallery._eye(ROOM, 1.5)
     with_them, without = (render.render_picture(solids, eye, target, 90, 60) for solids in (shown, bare))
     for place in ((0.0, 0.5, 0.2), (2.0, -1.2, 0.4), (3.5, -1.2, 0.2), (1.0, -0.2, 0.6)):
@@ -229,6 +239,7 @@ def test_the_whole_arena_fills_the_picture(extent: tuple):
     assert (np.ptp(places, axis=0) / (1500, 1000)).max() > 0.85
 
 
+@pytest.mark.thorough
 def test_a_picture_does_not_depend_on_how_it_is_cut_into_chunks(monkeypatch: pytest.MonkeyPatch):
     solids = gallery.arena_render_geoms(STAGE)
     whole = render.render_picture(solids, EYE, TARGET, WIDTH, HEIGHT)

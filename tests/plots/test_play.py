@@ -113,6 +113,7 @@ def test_play_serves_the_world_that_a_policy_drives(tmp_path, monkeypatch):
     assert (server.settings.host, server.settings.port, clock.factor) == ("127.0.0.1", 3001, 2.0)
 
 
+@pytest.mark.thorough
 def test_play_serves_several_worlds_of_one_batch(tmp_path, monkeypatch):
     served = []
     monkeypatch.setattr("usarmjx.server.runtime.loop.serve", lambda *given: served.append(given))
@@ -129,7 +130,7 @@ def test_play_serves_several_worlds_of_one_batch(tmp_path, monkeypatch):
 
 
 def test_play_runs_a_packaged_policy_by_the_name_of_its_task(tmp_path, monkeypatch):
-    policy_file(tmp_path / "drive-to-goal.npz", {"ranges": ""})
+    policy_file(tmp_path / "drive-to-goal.npz", {"ranges": "", "pose": "GroundTruth"})
     monkeypatch.setattr(sources, "POLICIES", policies_in(tmp_path))
     monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(app, ["play", "drive-to-goal", "--out", "strip.png", "--seconds", "1"])

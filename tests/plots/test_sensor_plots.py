@@ -132,6 +132,7 @@ def test_an_exact_ins_is_on_the_winding_way():
     assert np.abs(turned).max() < 0.05
 
 
+@pytest.mark.thorough
 def test_noise_and_drift_of_an_ins_grow():
     _, way = sensor_figures.winding_path(0.2)
     exact = sensor_figures.ins_paths(1, Sigma=0.0)

@@ -1,6 +1,7 @@
 """Figures of teams: finds over time and ways are those that were measured; the command prints its table."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +16,7 @@ from usarmjx.base.estimates import estimate_groups
 from usarmjx.cli.app import app
 from usarmjx.plots.style import PALETTE
 from usarmjx.plots.team_plots import TeamWays, draw_finds, draw_ways, plot_teams
+from usarmjx.train.evaluation import yardsticks
 from usarmjx.train.evaluation.yardsticks import TeamResult
 
 
@@ -52,6 +54,27 @@ def test_ways_go_from_ring_to_dot():
         plot_teams("explore-v2", [row("one", (1.0,))], TeamWays(), "nowhere.png")
 
 
+def test_the_command_shows_and_keeps_the_rows(tmp_path, monkeypatch):
+    """Of a team that tests/train/evaluation/test_yardsticks.py lets play."""
+    asked, parts = [], {"explored": 4.0, "known": 2.0, "contacts": -0.5}
+    one = replace(row("one", (1.0, 3.0, 6.0)), parts=parts)
+    monkeypatch.setattr(
+        yardsticks, "measure_teams", lambda *how, **fields: asked.append((how, fields)) or (one,)
+    )
+    words = ["teams", "explore-v2", "one", "--worlds", "3", "--engine", "c", "--set", "episode_steps=3"]
+    result = CliRunner().invoke(app, [*words, "--json", str(tmp_path / "teams.json")])
+    assert result.exit_code == 0, result.stderr
+    ((how, fields),) = asked
+    assert how[:5] == ("explore-v2", 3, 0, "c", ["one"])
+    assert {name: int(value) for name, value in fields.items()} == {"episode_steps": 3}
+    *_, line = result.stdout.splitlines()
+    assert line.startswith("| one | 5.5 | ")
+    assert " | 4.0 | 2.0 | -0.5 | 17 % | 50 % | 50 % | 0 % |" in line
+    (kept,) = json.loads((tmp_path / "teams.json").read_text())["rows"]
+    assert (kept["name"], kept["finds"], kept["parts"]) == ("one", [1.0, 3.0, 6.0], parts)
+
+
+@pytest.mark.thorough
 def test_the_command_plays_draws_and_keeps_the_rows(tmp_path):
     """The finds of the file end with the parts of the table."""
     words = ["teams", "explore-v2", "one", "--worlds", "3", "--engine", "c", "--set", "episode_steps=3"]

@@ -121,7 +121,7 @@ def test_a_robot_of_foreign_code_is_recorded_and_named_as_what_cannot_be_repeate
     assert recording.last("frames", 0, 9.0).value.robots.keys() == {0}
 
 
-@pytest.mark.parametrize("engine", ["c", "jax"])
+@pytest.mark.parametrize("engine", ["c", pytest.param("jax", marks=pytest.mark.thorough)])
 def test_worlds_of_a_batch_are_computed_again_to_the_bit(tmp_path, engine):
     scene = build_scene(BARE, [RosterEntry(robot=HOVER, parked=True)])
     shared = SharedBatch(Batch(scene, 2, engine=engine, seed=1))
@@ -146,7 +146,7 @@ def test_worlds_of_a_batch_are_computed_again_to_the_bit(tmp_path, engine):
 
 @pytest.fixture(scope="module")
 def env():
-    light = {"ranges": (), "physics": Physics(timestep=0.01, substeps=5), "repeat": 2}
+    light = {"ranges": (), "pose": "GroundTruth", "physics": Physics(timestep=0.01, substeps=5), "repeat": 2}
     return usarmjx.make("drive-to-goal", worlds=2, engine="c", radius=1e-6, **light)
 
 

@@ -183,7 +183,17 @@ def test_every_class_of_the_manual_has_a_trip():
     assert {trip.name for trip in TRIPS} >= set(ROBOTS.names()) - {"UnitLoader"}
 
 
-@pytest.mark.parametrize("trip", TRIPS, ids=lambda trip: trip.name + trip.percents * " in percents")
+@pytest.mark.parametrize(
+    "trip",
+    [
+        pytest.param(
+            trip,
+            marks=pytest.mark.thorough if trip.percents and trip.name != "Hummer" else (),
+            id=trip.name + trip.percents * " in percents",
+        )
+        for trip in TRIPS
+    ],
+)
 def test_a_robot_reports_itself_and_drives(ports, trip):
     robot = ROBOTS.get(trip.name)
     peer = Peer(ports[trip.arena])

@@ -11,6 +11,7 @@ import time
 import pytest
 
 import dev
+from tests.scripts import python_path
 from tests.server.peers import PATIENCE, Peer
 from usarmjx.server.runtime.signals import StopSignals
 
@@ -46,7 +47,12 @@ def start(before="", within=""):
         stderr=subprocess.PIPE,
         text=True,
         cwd=dev.ROOT,
-        env={**os.environ, "PYTHONPATH": str(dev.ROOT), "JAX_PLATFORMS": "cpu", "PYTHONUNBUFFERED": ""},
+        env={
+            **os.environ,
+            "PYTHONPATH": python_path(dev.ROOT),
+            "JAX_PLATFORMS": "cpu",
+            "PYTHONUNBUFFERED": "",
+        },
     )
     return process, process.stdout.readline()
 

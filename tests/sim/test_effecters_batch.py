@@ -260,6 +260,7 @@ def look_around(pile):
     return jax.jit(partial(sense, pile.scene), compiler_options={"xla_backend_optimization_level": 0})
 
 
+@pytest.mark.thorough
 @pytest.mark.oracle
 @pytest.mark.parametrize("seed", [0, 1])
 def test_sonar_and_scanner_see_loose_objects_as_c_mujoco_does(pile, look_around, seed):

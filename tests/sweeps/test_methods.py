@@ -103,6 +103,11 @@ def test_methods_are_compared_in_the_same_buildings_and_corrected(compared):
     assert row.gain.value == pytest.approx(tables[0].mean() - tables[1].mean())
     found = stats.mannwhitneyu(tables[0].mean(1), tables[1].mean(1)).statistic / RUNS**2
     assert row.improvement.value == pytest.approx(found)
+    assert all(
+        0.0 <= one.improvement.low <= one.improvement.high <= 1.0
+        for one in rows.values()
+        if np.isfinite(one.improvement.low)
+    )
     raw = [one.gain.p for one in rows.values()]
     assert all(one.p >= one.gain.p for one in rows.values())
     smallest = min(rows.values(), key=lambda one: one.gain.p)

@@ -10,9 +10,7 @@ import dev
 from tests.sweeps.conftest import write
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
-from usarmjx.sweeps import run
-from usarmjx.sweeps.run import parse_part, prepare
-from usarmjx.sweeps.spec import load_spec
+from usarmjx.sweeps.run import parse_part
 from usarmjx.sweeps.store import read_sweep
 
 SCRIPT = re.search(
@@ -20,20 +18,7 @@ SCRIPT = re.search(
 ).group(1)
 
 
-@pytest.mark.parametrize("count", [1, 5, 13])
-def test_each_cell_is_in_one_part_whatever_is_there(whole, tmp_path, rows, count, monkeypatch):
-    monkeypatch.setattr(run, "forget_resolved", lambda: None)  # no file changes meanwhile
-    spec = load_spec(write(tmp_path, list=rows))
-    parts = [prepare(spec, tmp_path / "out", part=(number + 1, count)) for number in range(count)]
-    keys = [key for one in parts for key, _ in one.cells]
-    assert keys == list(parts[0].keys), "in their order, each once"
-    sizes = [len(one.cells) for one in parts]
-    assert max(sizes) - min(sizes) <= 1
-    assert {one.keys for one in parts} == {parts[0].keys}, "all write the same sweep"
-    there = prepare(spec, whole[0], part=(1, count))
-    assert (len(there.cells), there.known) == (0, sizes[0])
-
-
+@pytest.mark.thorough
 def test_the_array_of_the_page_plays_all(tmp_path, monkeypatch):
     write(tmp_path, name="walls", product={"arena.level": [0.1, 0.9]})
     monkeypatch.chdir(tmp_path)

@@ -1,6 +1,8 @@
 """Which cells are played together: a pure function."""
 
-from usarmjx.sweeps.run import plan_batches
+from tests.sweeps.conftest import write
+from usarmjx.sweeps.run import batches_of, plan_batches, prepare
+from usarmjx.sweeps.spec import load_spec
 
 DATA = {"engine": "c", "team": 4, "policy": "by hand"}
 
@@ -35,3 +37,14 @@ def test_cells_of_clients_share_with_nobody():
     plan = plan_batches([DATA] * 3, [2] * 3, 256, [False, True, True])
     assert [group.cells for group in plan.groups] == [(0,), (1,), (2,)]
     assert plan_batches([], [], 256).as_text() == "no cells to play"
+
+
+def test_a_batch_is_sent_with_its_cells_and_a_cell_for_each_set_of_buildings(tmp_path):
+    """What is sent grows with the cells, not with their square."""
+    product = {"seed": [*range(6)], "arena.level": [0.1, 0.9]}
+    prepared = prepare(load_spec(write(tmp_path, product=product)), tmp_path / "out")
+    works = batches_of(prepared)
+    assert [cell for work in works for cell in work.cells] == list(prepared.cells)
+    assert [len(work.cells) for work in works] == [2] * 6
+    assert {len(work.group) for work in works} == {64}
+    assert [[settings["arena.level"] for settings in work.kin] for work in works] == [[0.1, 0.9]] * 6

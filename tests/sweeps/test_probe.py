@@ -46,7 +46,11 @@ def fake(monkeypatch):
 
 def work(group, size, **settings):
     return BatchWork(
-        group=group, cells=(("key", {"episodes": 5, **settings}),), chosen=(0,), size=size, engine="c"
+        group=group,
+        cells=(("key", {"episodes": 5, **settings}),),
+        kin=({"episodes": 5, **settings},),
+        size=size,
+        engine="c",
     )
 
 

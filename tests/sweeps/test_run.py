@@ -12,6 +12,7 @@ import pytest
 
 import usarmjx
 from tests.sweeps.conftest import SMALL, write
+from usarmjx.sweeps import run as run_module
 from usarmjx.sweeps.batch import GroupRunner
 from usarmjx.sweeps.resolve import resolve
 from usarmjx.sweeps.run import prepare, run_sweep
@@ -53,10 +54,12 @@ def test_cells_that_differ_in_data_are_played_with_one_compilation(whole):
     assert (record.settings["seed"], record.engine) == (0, "c")
 
 
+@pytest.mark.thorough
 def test_a_cell_is_the_same_alone_as_in_a_batch(whole):
     _, found, _ = whole
     record = found.records[11]
-    (alone,) = GroupRunner([resolve(record.settings)], 1, "c").run([0])
+    cell = resolve(record.settings)
+    (alone,) = GroupRunner([cell], 1, "c").run([cell])
     assert alone.metrics["distance"].tolist() == list(record.metrics["distance"])
     assert alone.scores.tolist() == list(record.scores)
     assert alone.steps.tolist() == list(record.steps)
@@ -74,9 +77,19 @@ def test_other_processes_and_ray_play_the_same_to_the_bit(place, whole, rows, tm
     assert all(record.failed is None and record.compile_seconds > 0.0 for record in found.records)
 
 
-def test_a_killed_sweep_goes_on_and_comes_to_the_same(whole, rows, tmp_path):
+@pytest.mark.parametrize(
+    "place",
+    [
+        pytest.param("here", marks=pytest.mark.thorough),
+        pytest.param("processes", marks=pytest.mark.tools),
+        pytest.param("ray", marks=pytest.mark.tools),
+    ],
+)
+def test_a_killed_sweep_goes_on_and_comes_to_the_same(place, whole, rows, tmp_path):
     file, folder = write(tmp_path, list=rows), tmp_path / "out"
+    workers = Workers(place=place, count=1)
     command = [sys.executable, "-m", "usarmjx", "sweep", str(file), "--out", str(folder), "--quiet"]
+    command += ["--run-on", place, "--workers", "1"]
     running = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     try:
         while not times(folder) and running.poll() is None:
@@ -87,7 +100,7 @@ def test_a_killed_sweep_goes_on_and_comes_to_the_same(whole, rows, tmp_path):
         assert running.wait() == -signal.SIGKILL, "it ended before it could be killed"
     before = times(folder)
     assert 1 <= len(before) < 12
-    found = run_sweep(load_spec(file), folder)
+    found = run_sweep(load_spec(file), folder, workers)
     assert results(found) == results(whole[1])
     after = times(folder)
     assert {name: after[name] for name in before} == before, "what was there is not played again"
@@ -122,6 +135,20 @@ def test_of_a_changed_file_only_what_changed_is_played_and_broken_cells_stop_nob
     (tmp_path / "broken.py").write_text(BROKEN.replace("no good today", "no good either"))
     again = run_sweep(load_spec(write(tmp_path, list=cells[:1], product=product)), folder)
     assert "no good either" in again.records[0].failed, "another file is another policy"
+
+
+@pytest.mark.parametrize("count", [1, 5, 13])
+def test_each_cell_is_in_one_part_whatever_is_there(whole, tmp_path, rows, count, monkeypatch):
+    monkeypatch.setattr(run_module, "forget_resolved", lambda: None)  # no file changes meanwhile
+    spec = load_spec(write(tmp_path, list=rows))
+    parts = [prepare(spec, tmp_path / "out", part=(number + 1, count)) for number in range(count)]
+    keys = [key for one in parts for key, _ in one.cells]
+    assert keys == list(parts[0].keys), "in their order, each once"
+    sizes = [len(one.cells) for one in parts]
+    assert max(sizes) - min(sizes) <= 1
+    assert {one.keys for one in parts} == {parts[0].keys}, "all write the same sweep"
+    there = prepare(spec, whole[0], part=(1, count))
+    assert (len(there.cells), there.known) == (0, sizes[0])
 
 
 def test_in_python_a_sweep_is_a_table(whole, rows, monkeypatch):

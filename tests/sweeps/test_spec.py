@@ -123,6 +123,8 @@ def test_episodes_go_through_the_levels_in_turn():
     assert walls[0] < walls[2]
     assert walls[3] < walls[5]
     assert many.arena_of(7) == many.arenas[1]
+    assert (many.levels, many.strata) == (3, 3)
+    assert resolved(episodes=5).strata == 1, "a level has less than two buildings"
 
 
 def test_a_size_goes_before_the_sizes_of_the_task():

@@ -114,3 +114,13 @@ def test_a_file_that_expands_too_far_is_refused_at_once_in_one_line(tmp_path, mo
     assert str(refused.value).startswith(str(file))
     assert refusal in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_cells_of_two_clusters_are_merged_by_copying_them(tmp_path, caplog):
+    """Each has played a part, and its folder names all cells."""
+    for number, folder in enumerate(("one", "two")):
+        write_sweep(tmp_path / folder, "mine", "", ("seed",), ("0", "1"))
+        write_cell(tmp_path / folder, replace(RECORD, key=str(number)))
+    shutil.copytree(tmp_path / "two" / "cells", tmp_path / "one" / "cells", dirs_exist_ok=True)
+    assert [record.key for record in read_sweep(tmp_path / "one").records] == ["0", "1"]
+    assert not caplog.messages

@@ -24,6 +24,10 @@ from typing import Any
 
 from usarmjx.base.files import PARTIAL_MARK, WriteError, atomic_write
 
+WARP_FOLDER = "WARP_CACHE_PATH"
+"""Environment variable with the cache folder of Warp."""
+PROGRAMS_FOLDER = "USARMJX_PROGRAMS"
+"""Environment variable with the folder of `program_cache`, set only by `enable_compilation_cache`."""
 JAX_MODULE, WARP_MODULE = "jax._src.compilation_cache", "warp"
 """Modules after whose import the checks are installed."""
 MAGIC = b"usarmjx kept 1\n"
@@ -326,6 +330,16 @@ class _AfterImport(MetaPathFinder):
 
 
 _installed, _guarded = set[Path](), list[Any]()
+
+
+def install_cache_checks() -> None:
+    """Check what this process loads from the cache that it, or its parent, has set up; else do nothing."""
+    programs, warp = os.environ.get(PROGRAMS_FOLDER), os.environ.get(WARP_FOLDER)
+    if programs:
+        cache = Path(programs).parents[1]
+        # Folders that the user has named are not ours to clean.
+        own_warp = cache / "warp" if warp == str(cache / "warp") else None
+        install_checks(Path(programs), cache / "jax", own_warp)
 
 
 def install_checks(folder: Path, jax_folder: Path, warp_folder: Path | None = None) -> None:

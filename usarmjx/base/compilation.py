@@ -22,7 +22,9 @@ from typing import Any, TypeVar, cast
 
 from usarmjx.base.checked_cache import (
     JAX_MODULE,
-    install_checks,
+    PROGRAMS_FOLDER,
+    WARP_FOLDER,
+    install_cache_checks,
     is_guarded,
     remove_entries_of_crashes,
 )
@@ -33,10 +35,8 @@ CACHE_VARIABLE = "USARMJX_CACHE"
 """Environment variable with another cache folder, or one of `OFF_VALUES`."""
 OFF_VALUES = ("off", "no", "0")
 """Values of `CACHE_VARIABLE` that disable the cache."""
-JAX_FOLDER, WARP_FOLDER = "JAX_COMPILATION_CACHE_DIR", "WARP_CACHE_PATH"
-"""Environment variables with the cache folders of JAX and of Warp."""
-PROGRAMS_FOLDER = "USARMJX_PROGRAMS"
-"""Environment variable with the folder of `program_cache`, set only by `enable_compilation_cache`."""
+JAX_FOLDER = "JAX_COMPILATION_CACHE_DIR"
+"""Environment variable with the cache folder of JAX."""
 CACHE_KINDS = ("jax", "programs", "warp", "planar")
 """Folders of a cache."""
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
@@ -195,16 +195,6 @@ def enable_cache_after_import() -> None:
     settings.update("jax_compilation_cache_dir", folder)
     settings.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     compilation_cache.reset_cache()  # JAX decides at its first compilation whether there is a cache
-
-
-def install_cache_checks() -> None:
-    """Check what this process loads from the cache that it, or its parent, has set up; else do nothing."""
-    programs, warp = os.environ.get(PROGRAMS_FOLDER), os.environ.get(WARP_FOLDER)
-    if programs:
-        cache = Path(programs).parents[1]
-        # Folders that the user has named are not ours to clean.
-        own_warp = cache / "warp" if warp == str(cache / "warp") else None
-        install_checks(Path(programs), cache / "jax", own_warp)
 
 
 def fast_compilation_flags(version: str | None = None) -> list[str]:

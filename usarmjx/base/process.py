@@ -62,7 +62,7 @@ def ensure_pool_size() -> None:
 def check_inherited_cache() -> None:
     """Check what this process loads from the cache of compilations that its parent has set up, if it has."""
     if os.environ.get("USARMJX_PROGRAMS"):
-        from usarmjx.base.compilation import install_cache_checks
+        from usarmjx.base.checked_cache import install_cache_checks
 
         install_cache_checks()
 

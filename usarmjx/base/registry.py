@@ -19,10 +19,15 @@ def is_name(text: str) -> bool:
 def unknown_name(kind: str, name: str, known: Iterable[str], aliases: Iterable[str] = ()) -> str:
     """Return a refusal of a name: the closest one or alias that is known, if one is close, and all names."""
     names = list(known)
-    candidates = [*names, *aliases]
-    near = get_close_matches(name.lower(), [one.lower() for one in candidates], n=1)
-    hint = next((f"; did you mean {one!r}?" for one in candidates if [one.lower()] == near), "")
+    hint = closest(name, [*names, *aliases])
     return f"unknown {kind} {name!r}{hint or ';'} known: {', '.join(names) or 'none'}"
+
+
+def closest(name: str, known: Iterable[str]) -> str:
+    """Return the question whether the closest known name was meant; empty: none is close."""
+    candidates = list(known)
+    near = get_close_matches(name.lower(), [one.lower() for one in candidates], n=1)
+    return next((f"; did you mean {one!r}?" for one in candidates if [one.lower()] == near), "")
 
 
 class Registry(Generic[T]):

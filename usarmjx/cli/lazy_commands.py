@@ -60,6 +60,15 @@ class LazyCommands(Mapping[str, Any]):
         return len(self._table)
 
 
+def _hide_arguments(command: Any) -> None:  # noqa: ANN401 - click's, or typer's own copy
+    """Leave hidden arguments out of the usage of a command, and of the commands of a group."""
+    for inner in getattr(command, "commands", {}).values():
+        _hide_arguments(inner)
+    for param in command.params:
+        if getattr(param, "hidden", False):
+            param.get_usage_pieces = lambda ctx: []
+
+
 class LazyGroup(TyperGroup):
     """A group of commands; its help and the shell's completion of their names import none of them.
 
@@ -99,6 +108,8 @@ class LazyGroup(TyperGroup):
         example = f"Example: `{self.examples.get(cmd_name)}`"
         if command is not None and cmd_name in self.examples and example not in (command.epilog or ""):
             command.epilog = " ".join(filter(None, (command.epilog, example)))
+        if command is not None:
+            _hide_arguments(command)
         return command
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - click's, or typer's own copy

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ServedOptions:
-    """Which worlds of a policy are served, and by whom they are driven; each field is an option."""
+    """Worlds of a policy that are served, and their drivers; each field is an option."""
 
     panel: ClassVar[str] = "With --serve or --view"
 

@@ -30,7 +30,7 @@ from usarmjx.cli.serving_options import (
     ViewerOptions,
     instances_of,
 )
-from usarmjx.cli.setting_options import with_settings
+from usarmjx.cli.setting_options import with_config, with_settings
 from usarmjx.cli.startup_messages import announce
 from usarmjx.cli.viewer_options import ViewOption
 from usarmjx.server.runtime.logs import configure_log
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class WorldsOptions:
-    """Which worlds there are, and which of them are served; each field is an option."""
+    """Worlds, and those of them that are served; each field is an option."""
 
     panel: ClassVar[str] = "Worlds"
 
@@ -100,6 +100,7 @@ class WorldsOptions:
         )
 
 
+@with_config
 @with_settings
 def serve(
     which: WorldsOptions,

@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
-from dataclasses import MISSING, is_dataclass
+from dataclasses import MISSING, field, is_dataclass, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast, get_args, get_type_hints
 
@@ -12,6 +12,7 @@ from typer.models import OptionInfo, ParameterInfo
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import (
+    Setting,
     SettingField,
     Text,
     default_reader,
@@ -38,9 +39,8 @@ SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", "-c", metavar="NAME=VALUE", help="A setting, as listed below; may be repeated."),
 ]
-ConfigOption = Annotated[
-    Path | None, typer.Option("--config", metavar="FILE", help="Settings from a YAML, JSON or TOML file.")
-]
+CONFIG_HELP = "Settings from a YAML, JSON or TOML file."
+ConfigOption = Annotated[Path | None, typer.Option("--config", metavar="FILE", help=CONFIG_HELP)]
 PrintConfigOption = Annotated[
     bool, typer.Option("--print-config", help="Write the settings as a file for --config, and end.")
 ]
@@ -75,10 +75,68 @@ def with_settings(command: F) -> F:
                 values[name] = _built(kind, own, base)
         return command(**values)
 
+    return _as_command(run, command, parameters)
+
+
+def _as_command(run: Callable[..., Any], command: F, parameters: list[inspect.Parameter]) -> F:
+    """Return a function under a command's name and docstring, with parameters as typer looks for them."""
     run.__name__, run.__doc__, run.__module__ = command.__name__, command.__doc__, command.__module__
     run.__signature__ = inspect.Signature(parameters)  # type: ignore - as inspect looks for it
     run.__annotations__ = {one.name: one.annotation for one in parameters}
     return cast(F, run)  # called by typer only, with options
+
+
+def with_config(command: F) -> F:
+    """Return a command for typer with `--config` and `--print-config` for the options that it has.
+
+    A file has the options' names with underscores. An option on the command line has priority. Options with
+    an environment variable hold secrets, and are left out.
+
+    Args:
+        command: A function whose parameters are annotated as options of typer's, as `with_settings` makes it.
+    """
+    signature = inspect.signature(command)
+    notes = {name: note for name, one in signature.parameters.items() if (note := _option_note(one))}
+
+    def kind() -> type:
+        own = {name: signature.parameters[name] for name in notes}
+        rows = [(name, _declared(one, notes[name]), field(default=one.default)) for name, one in own.items()]
+        return make_dataclass(command.__name__, rows, kw_only=True, frozen=True)
+
+    def load(ctx: typer.Context, path: Path | None) -> Path | None:
+        if path is not None and not ctx.resilient_parsing:
+            with ErrorExit():
+                found = default_reader().values(kind(), dict(read_file(path).mapping()))
+                ctx.default_map = {name: value for name, value in found.items() if value is not None}
+        return path
+
+    def run(**values: Any) -> Any:  # noqa: ANN401 - what the command returns
+        del values["config"]
+        if not values.pop("print_config"):
+            return command(**values)
+        with ErrorExit():
+            return print_config(kind()(**{name: values[name] for name in notes}))
+
+    # Eager: click looks up the defaults of the other options after it has called this.
+    config = typer.Option("--config", metavar="FILE", help=CONFIG_HELP, is_eager=True, callback=load)
+    more = {"config": (Annotated[Path | None, config], None), "print_config": (PrintConfigOption, False)}
+    shown = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+        for name, (annotation, default) in more.items()
+    ]
+    return _as_command(run, command, [*signature.parameters.values(), *shown])
+
+
+def _option_note(parameter: inspect.Parameter) -> OptionInfo | None:
+    """Return typer's note of an option that a file may set; None: an argument, a secret, a hidden one."""
+    found = [one for one in get_args(parameter.annotation)[1:] if isinstance(one, OptionInfo)]
+    return found[0] if found and not found[0].envvar and not found[0].hidden else None
+
+
+def _declared(parameter: inspect.Parameter, note: OptionInfo) -> Any:  # noqa: ANN401 - an annotation
+    """Return the annotation of an option as one of a setting, with the same limits and help."""
+    setting = Setting(ge=note.min, le=note.max, help=note.help or "")
+    return Annotated[get_args(parameter.annotation)[0], setting]
 
 
 def option_name(field: str) -> str:

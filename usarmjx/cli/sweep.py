@@ -131,12 +131,13 @@ def run(
         spec = load_spec(file, common)
         folder = out or Path("sweeps") / spec.name
         played_on = Workers(place=run_on, count=workers, address=address)
+        # Before thousands of cells are resolved: without a checkout there is no record.
+        recording = None if json is None or plan else import_benchmarks("benchmarks.sweep")
         prepared = prepare(spec, folder, retry, own_part)
         if plan:
             _show_plan(spec, prepared, played_on, probe)
             return
-        # Before hours of work: without a checkout there is no record.
-        meter = None if json is None else import_benchmarks("benchmarks.sweep").SweepMeter(begun)
+        meter = None if recording is None else recording.SweepMeter(begun)
         sinks = [*_sinks(tensorboard, wandb, spec.name), *([] if meter is None else [meter])]
         found = play_prepared(
             spec,

@@ -322,7 +322,7 @@ WandbOption = Annotated[
     str | None, typer.Option(help="Project of Weights & Biases that the run is shown in, too.")
 ]
 RecordEveryOption = Annotated[
-    int, typer.Option(min=1, help="With --record: of so many iterations one is kept, of 4 worlds.")
+    int, typer.Option(min=1, help="With --record: iterations from one kept to the next; 4 worlds of each.")
 ]
 
 ClipsOption = Annotated[
@@ -693,7 +693,7 @@ def export(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="File to write, .npz, .onnx; of a recording .csv, .parquet, .gif, .mp4 or .rosbag2; needed.",
+            help="File: .npz, .onnx, folder .policy; of a recording .csv, .parquet, .gif, .mp4, .rosbag2.",
             show_default=False,
         ),
     ] = None,
@@ -711,9 +711,10 @@ def export(
             export_recording(run, where, world, speed)
             return
         from usarmjx.train.policies.policy_file import export_run
+        from usarmjx.train.policies.policy_folder import size_of
 
         export_run(run, where, checkpoint, half)
-        typer.echo(f"wrote {where}, {where.stat().st_size / 1024:.0f} KB")
+        typer.echo(f"wrote {where}, {size_of(where) / 1024:.0f} KB")
 
 
 @app.command()

@@ -81,7 +81,7 @@ def figure_style() -> Generator[None]:
 
 
 def panels_of(count: int, *, columns: int = 3, width: float = PAGE) -> tuple[Figure, list[Axes]]:
-    """Return a figure with so many panels, at most `MOST_PANELS`, as wide as a page or a column.
+    """Return a figure with a number of panels, at most `MOST_PANELS`, as wide as a page or a column.
 
     Args:
         count: Number of panels.

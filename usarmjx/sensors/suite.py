@@ -43,11 +43,8 @@ from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
 
 __all__ = ["SENSORS", "SENSOR_MODULES"]
 
-SENSOR_MODULES = (
-    *(co2, gps, human_motion, inertial, ranging, motion, power),
-    *(ranging, rfid, ranging, sound, touch, victim),
-)
-"""Module of each family of sensors."""
+SENSOR_MODULES = (co2, gps, human_motion, inertial, motion, power, ranging, rfid, sound, touch, victim)
+"""Modules whose import registers sensor types; a new module belongs here."""
 
 
 class SensorMemory(struct.PyTreeNode, kw_only=True):
@@ -116,7 +113,7 @@ class Suite:
 
     @cached_property
     def _automatic(self) -> np.ndarray:
-        """Which sensors measure without a command (sensors,)."""
+        """Mask of the sensors that measure without a command (sensors,)."""
         return np.array([not sensor.on_command for sensor in self.sensors], bool)
 
     def rays(self, bodies: BodyPoses, surroundings: Surroundings = NO_SURROUNDINGS) -> tuple[Array, Array]:

@@ -307,7 +307,7 @@ def other_versions(found: StoredSweep, now: dict[str, str]) -> dict[str, Any]:
 
 
 MOST_VALUES, BINS = 12, 8
-"""A numeric axis with more values than the first is told in so many ranges, with as many cells in each."""
+"""A numeric axis with more values than the first is shown in BINS ranges of equal counts."""
 FEWEST_POINTS = 3
 """Points of a sampled axis in each of its ranges, at least."""
 USUAL = "as usual"

@@ -54,7 +54,7 @@ class GroupRunner:
     """Plays batches of cells that differ in data only; all of them with what is compiled for the first.
 
     Args:
-        cells: All cells of the group.
+        cells: Cells of the group that have all of its arenas between them.
         size: Number played at once.
         engine: The physics engine.
         seed: Of what no world draws from.
@@ -64,7 +64,7 @@ class GroupRunner:
     """
 
     def __init__(self, cells: Sequence[Resolved], size: int, engine: str, seed: int = 0) -> None:
-        self._cells, self._size = tuple(cells), size
+        self._first, self._size = cells[0], size
         self._episodes = cells[0].episodes
         library = list(dict.fromkeys(spec for cell in cells for spec in cell.arenas or ()))
         self._places: dict[ArenaSpec, int] = {spec: place for place, spec in enumerate(library)}
@@ -75,19 +75,18 @@ class GroupRunner:
         )
         self._step = jax.jit(self._act)
 
-    def run(self, chosen: Sequence[int], tick: Tick | None = None) -> list[CellEpisodes]:
+    def run(self, chosen: Sequence[Resolved], tick: Tick | None = None) -> list[CellEpisodes]:
         """Play the episodes of some cells of the group.
 
         Args:
-            chosen: Which, at most as many as are played at once.
+            chosen: The cells, at most as many as are played at once.
             tick: Receives the progress.
 
         Raises:
             UsageError: A policy that does not fit.
         """
         begun = time.perf_counter()
-        places = [*chosen, *[chosen[-1]] * (self._size - len(chosen))]
-        cells = [self._cells[place] for place in places]
+        cells = [*chosen, *[chosen[-1]] * (self._size - len(chosen))]
         weights = jax.tree.map(lambda *rows: jnp.stack(rows), *[cell.driver.weights for cell in cells])
         found = self._play(cells, weights, tick or (lambda share: None))
         taken = (time.perf_counter() - begun) / len(chosen)
@@ -107,7 +106,7 @@ class GroupRunner:
     # Policies: of each cell its own weights, carry and key.
 
     def _policy(self, weights: Any) -> Policy:  # noqa: ANN401 - a tree of arrays
-        make = self._cells[0].driver.make
+        make = self._first.driver.make
         if make is None:
             raise UsageError("a client over TCP drives in no batch")
         return make(self.env, weights)
@@ -161,8 +160,12 @@ class GroupRunner:
         """Return the arena of each world."""
         if not self._places:
             return None
-        specs = [cell.arena_of(episode) for cell in cells for episode in range(self._episodes)]
-        rows = np.array([self._places[spec] for spec in specs if spec is not None])
+        found: dict[tuple[str, ...], np.ndarray] = {}  # arenas are slow to find, and many cells share them
+        for cell in cells:
+            if cell.labels not in found:
+                found[cell.labels] = np.array([self._places[spec] for spec in cell.arenas or ()])
+        turns = np.arange(self._episodes)
+        rows = np.concatenate([found[cell.labels][turns % len(cell.labels)] for cell in cells])
         known = self.env.scene.arenas
         assert known is not None  # as there are places
         return jax.tree.map(lambda one: jnp.asarray(one[rows]), known.states)

@@ -7,6 +7,7 @@ weights of policies. Scripts, which are code, are hashed with the modules beside
 import ast
 import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from usarmjx.base.errors import UsageError
 from usarmjx.base.program_cache import fingerprint
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.models.types.robot import RobotSpec
 from usarmjx.recording.inputs import PACKAGES, versions
 from usarmjx.sweeps.drivers import script_of
 from usarmjx.sweeps.resolve import Resolved, resolve
@@ -37,7 +39,7 @@ def key_of(settings: CellSettings, cell: Resolved | None = None, known: dict[str
     Args:
         settings: The settings; the name of a method is no part of the key.
         cell: Their meaning; None: it is resolved.
-        known: Digests of named arenas that were found before, and are now.
+        known: Digests that were found before, and are now.
 
     Raises:
         UsageError: See `resolve`.
@@ -55,7 +57,7 @@ def cell_contents(cell: Resolved, known: dict[str, str]) -> dict[str, Any]:
 
     Args:
         cell: The cell.
-        known: Digests of named arenas that were found before, and are now.
+        known: Digests of robots, policies and named arenas that were found before, and are now.
 
     Raises:
         UsageError: An arena that cannot be read.
@@ -63,9 +65,9 @@ def cell_contents(cell: Resolved, known: dict[str, str]) -> dict[str, Any]:
     task = cell.task
     found: dict[str, Any] = {
         "versions": {name: version for name, version in versions().items() if name in PACKAGES},
-        "robots": fingerprint([spec_of(robot) for robot in task.robots]),
+        "robots": _robots_digest(task.robots, known),
         "arena": list(cell.labels) or _arena_digest(task.arena, known, len(task.robots)),
-        "policy": _policy_digest(cell),
+        "policy": _policy_digest(cell, known),
     }
     own = file_of(cell.settings["task"])
     if own is not None and own.is_file():
@@ -73,13 +75,21 @@ def cell_contents(cell: Resolved, known: dict[str, str]) -> dict[str, Any]:
     return found
 
 
-def _policy_digest(cell: Resolved) -> str:
-    script = script_of(cell.settings["policy"])
-    if script is not None:
-        return script_digest(script)
-    weights = jax.tree.map(np.asarray, cell.driver.weights)
-    leaves, tree = jax.tree.flatten(weights)
-    return fingerprint(str(tree), leaves)
+def _robots_digest(robots: Sequence[str | RobotSpec], known: dict[str, str]) -> str:
+    name = f"robots: {robots!r}"
+    if name not in known:
+        known[name] = fingerprint([spec_of(robot) for robot in robots])
+    return known[name]
+
+
+def _policy_digest(cell: Resolved, known: dict[str, str]) -> str:
+    policy = cell.settings["policy"]
+    name = f"policy: {cell.settings['task']}: {policy!r}"
+    if name not in known:
+        script = script_of(policy)
+        leaves, tree = jax.tree.flatten(jax.tree.map(np.asarray, cell.driver.weights))
+        known[name] = fingerprint(str(tree), leaves) if script is None else script_digest(script)
+    return known[name]
 
 
 def _arena_digest(arena: Any, known: dict[str, str], robots: int) -> str:  # noqa: ANN401 - a name or a spec

@@ -384,9 +384,17 @@ def middle_score(episodes: Episodes) -> Estimate:
     values = spread[entries] + inside[entries] * (scores - means[entries])
     layout = Layout(replace(episodes, scores=values))
     value = float(spread.mean())
-    return crossed_estimate(
+    found = crossed_estimate(
         layout.table(values), layout.factors(), len(means), value=value, draws=layout.draws
     )
+    return as_share(found) if np.isin(scores, (0.0, 1.0)).all() else found
+
+
+def as_share(found: Estimate) -> Estimate:
+    """Return the estimate of a share, with an interval that ends at 0 and 1."""
+    if not np.isfinite(found.low):
+        return found
+    return replace(found, low=min(max(found.low, 0.0), 1.0), high=min(max(found.high, 0.0), 1.0))
 
 
 def improvement(first: Episodes, second: Episodes) -> Estimate:
@@ -403,7 +411,7 @@ def improvement(first: Episodes, second: Episodes) -> Estimate:
     ]
     better = np.nanmean(probability_of_improvement(*tables), 0)
     sides = [even(f"{RUNS}{side or ''}", size) for side, size in enumerate(better.shape)]
-    return crossed_estimate(better, sides, better.size)
+    return as_share(crossed_estimate(better, sides, better.size))
 
 
 def _means_of(episodes: Episodes) -> dict[tuple[Hashable, Hashable], float]:

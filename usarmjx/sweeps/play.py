@@ -61,15 +61,15 @@ class BatchWork:
 
     Attributes:
         group: Name of its group: what is compiled for one batch of it does for the others.
-        cells: Keys and settings of all cells of the group.
-        chosen: Which of them are played now.
+        cells: Keys and settings of its cells.
+        kin: Settings of cells of the group that have all of its arenas between them.
         size: Number of cells played at once.
         engine: The physics engine.
     """
 
     group: str
     cells: tuple[tuple[str, CellSettings], ...]
-    chosen: tuple[int, ...]
+    kin: tuple[CellSettings, ...]
     size: int
     engine: str
 
@@ -85,6 +85,11 @@ class _Kept:
     runner: GroupRunner | None = None
 
 
+def kept_runner() -> GroupRunner | None:
+    """Return what played the last batch of this process; None: there was none, or it failed."""
+    return _Kept.runner
+
+
 def play_batch(work: BatchWork, watch: ShareWatch | None = None) -> list[CellRecord]:
     """Play a batch; where it fails, its halves, so that one broken cell does not stop the others."""
     clock = compile_clock()
@@ -93,11 +98,11 @@ def play_batch(work: BatchWork, watch: ShareWatch | None = None) -> list[CellRec
         found = _episodes(work, watch)
     except Exception as error:  # whatever a policy or the device does
         _Kept.runner = None
-        if len(work.chosen) == 1:
-            return [failure(*work.cells[work.chosen[0]], _reason(error))]
+        if len(work.cells) == 1:
+            return [failure(*work.cells[0], _reason(error))]
         return [record for half in halves(work) for record in play_batch(half)]
-    compiling = clock.taken() / len(work.chosen)
-    return [_record(work, place, one, compiling) for place, one in zip(work.chosen, found, strict=True)]
+    compiling = clock.taken() / len(work.cells)
+    return [_record(*cell, work.engine, one, compiling) for cell, one in zip(work.cells, found, strict=True)]
 
 
 def _reason(error: Exception) -> str:
@@ -111,47 +116,45 @@ def failure(key: str, settings: CellSettings, reason: str) -> CellRecord:
 
 def _episodes(work: BatchWork, watch: ShareWatch | None) -> Sequence[CellEpisodes]:
     own = [resolved(settings) for _, settings in work.cells]
-    if own[work.chosen[0]].driver.command is not None:
+    if own[0].driver.command is not None:
         from usarmjx.sweeps.clients import play_client
 
-        return [play_client(own[place], own[place].driver, work.engine) for place in work.chosen]
+        return [play_client(cell, cell.driver, work.engine) for cell in own]
     if _Kept.runner is None or _Kept.name != work.group:
         _Kept.runner = None  # so that its memory is free before the next one's is taken
-        _Kept.runner, _Kept.name = GroupRunner(own, work.size, work.engine), work.group
-    return _Kept.runner.run(work.chosen, watch)
+        kin = [resolved(settings) for settings in work.kin]
+        _Kept.runner, _Kept.name = GroupRunner(kin, work.size, work.engine), work.group
+    return _Kept.runner.run(own, watch)
 
 
 def halves(work: BatchWork) -> list[BatchWork]:
     """Return a batch as two, each a group of its own."""
-    middle = len(work.chosen) // 2
-    halves: list[BatchWork] = []
-    for chosen in (work.chosen[:middle], work.chosen[middle:]):
-        cells = tuple(work.cells[place] for place in chosen)
-        halves.append(
-            BatchWork(
-                group=f"{work.group}:{chosen[0]}-{chosen[-1]}",
-                cells=cells,
-                chosen=tuple(range(len(cells))),
-                size=len(cells),
-                engine=work.engine,
-            )
+    middle = len(work.cells) // 2
+    return [
+        BatchWork(
+            group=f"{work.group}:{cells[0][0]}-{len(cells)}",
+            cells=cells,
+            kin=tuple(settings for _, settings in cells),
+            size=len(cells),
+            engine=work.engine,
         )
-    return halves
+        for cells in (work.cells[:middle], work.cells[middle:])
+    ]
 
 
-def _record(work: BatchWork, place: int, one: CellEpisodes, compiling: float) -> CellRecord:
-    key, settings = work.cells[place]
+def _record(key: str, settings: CellSettings, engine: str, one: CellEpisodes, compiling: float) -> CellRecord:
     cell = resolved(settings)
     return CellRecord(
         key=key,
         settings=dict(settings),
-        engine=work.engine,
+        engine=engine,
         scores=tuple(one.scores.tolist()),
         steps=tuple(one.steps.tolist()),
         bad=tuple(one.bad.tolist()),
         metrics={name: tuple(values.tolist()) for name, values in one.metrics.items()},
         split=cell.split,
         buildings=cell.buildings,
+        strata=cell.strata,
         note=cell.training_note,
         seconds=one.seconds,
         compile_seconds=compiling,

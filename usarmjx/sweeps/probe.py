@@ -71,7 +71,8 @@ def probe_works(works: Sequence[BatchWork]) -> SweepProbe | None:
         return None
     largest = max(played, key=_worlds)
     begun = time.perf_counter()
-    runner = GroupRunner([resolved(settings) for _, settings in largest.cells], largest.size, largest.engine)
+    kin = [resolved(settings) for settings in largest.kin]
+    runner = GroupRunner(kin, largest.size, largest.engine)
     times: list[float] = []
 
     def tick(share: float) -> None:
@@ -80,7 +81,7 @@ def probe_works(works: Sequence[BatchWork]) -> SweepProbe | None:
             raise _Enough
 
     with suppress(_Enough):
-        runner.run(largest.chosen, tick)
+        runner.run([resolved(settings) for _, settings in largest.cells], tick)
     first, step = times[0] - begun, (times[-1] - times[0]) / max(len(times) - 1, 1)
     worlds = runner.env.worlds
     groups = {work.group for work in played}
@@ -97,7 +98,7 @@ def probe_works(works: Sequence[BatchWork]) -> SweepProbe | None:
 
 
 def _cell(work: BatchWork) -> Resolved:
-    return resolved(work.cells[work.chosen[0]][1])
+    return resolved(work.cells[0][1])
 
 
 def _worlds(work: BatchWork) -> int:

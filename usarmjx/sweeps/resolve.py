@@ -1,7 +1,7 @@
 """Resolved settings of a cell: task, arenas of its episodes, ranges, driver; and which of them are data."""
 
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any
 
@@ -39,6 +39,19 @@ TEAMS = {"wheeled": "on wheels", "tracked": "with flippers", "flying": "that fly
 
 
 @dataclass(frozen=True, kw_only=True)
+class LabelledArenas:
+    """Arenas, which are compared by their labels: walls of many are slow to compare.
+
+    Attributes:
+        arenas: The arenas.
+        labels: Name and hash of each.
+    """
+
+    arenas: tuple[ArenaSpec, ...] = field(compare=False)
+    labels: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Resolved:
     """Resolved settings of a cell.
 
@@ -50,6 +63,7 @@ class Resolved:
         driver: Driver of the robots.
         split: Split of its arenas; empty: they are not generated.
         labels: Name and hash of each of `arenas`.
+        levels: Number of levels and sizes that `arenas` have in turn.
     """
 
     settings: CellSettings
@@ -59,6 +73,12 @@ class Resolved:
     driver: CellDriver
     split: str = ""
     labels: tuple[str, ...] = ()
+    levels: int = 1
+
+    @property
+    def strata(self) -> int:
+        """Number of strata of its buildings; 1 where a level has less than two."""
+        return self.levels if self.episodes >= 2 * self.levels else 1
 
     @property
     def episodes(self) -> int:
@@ -99,16 +119,19 @@ def resolve(settings: CellSettings) -> Resolved:
     if "roster" in settings:
         task = with_roster(task, settings["roster"])
     task, ranges = _with_parts(task, settings)
-    arenas, split = _arenas(settings, task)
-    data = isinstance(arenas, tuple)
+    arenas, split, levels = _arenas(settings, task)
+    if isinstance(arenas, tuple):
+        arenas = LabelledArenas(arenas=arenas, labels=_labels(arenas))
+    data = isinstance(arenas, LabelledArenas)
     return Resolved(
         settings=settings,
         task=replace(task, arena="floor" if data else arenas),
-        arenas=arenas if data else None,
+        arenas=arenas.arenas if data else None,
         ranges=ranges,
         driver=find_driver(settings["policy"], settings["task"]),
         split=split,
-        labels=_labels(arenas) if data else (),
+        labels=arenas.labels if data else (),
+        levels=levels,
     )
 
 
@@ -193,8 +216,8 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _arenas(settings: CellSettings, task: Task) -> tuple[Any, str]:
-    """Return the arenas of a cell's episodes, level by level in turn, or the one that it has; the split."""
+def _arenas(settings: CellSettings, task: Task) -> tuple[Any, str, int]:
+    """Return the arenas of a cell's episodes, level by level in turn, or its only one; split; levels."""
     said, named = parts_of(settings, "arena"), settings.get("arena", task.arena)
     robot = spec_of(task.robots[0]).name if task.robots else "P2AT"
     if (kind := said.get("kind", "maze")) not in KINDS:
@@ -211,7 +234,7 @@ def _arenas(settings: CellSettings, task: Task) -> tuple[Any, str]:
             raise UsageError(f"arena.{next(iter(said))}: not of generated arenas; arena.kind may be {known}")
         if (split := settings.get("split")) is not None:
             raise UsageError(f"split is {split!r}, but the arenas are not generated: leave split out")
-        return (recipe if isinstance(recipe, str | ArenaSpec) else tuple(recipe)), ""
+        return (recipe if isinstance(recipe, str | ArenaSpec) else tuple(recipe)), "", 1
     split = settings.get("split") or TEST
     if "seed" in said and not SPLITS.get(split).drawn:
         drawn = ", ".join(name for name, one in SPLITS if one.drawn)
@@ -219,8 +242,10 @@ def _arenas(settings: CellSettings, task: Task) -> tuple[Any, str]:
             f"arena.seed: the buildings of split {split} are fixed; a seed draws those of {drawn}: set split"
         )
     recipe = replace(_changed_recipe(recipe, said), split=split, renewable=False)
+    levels, sizes = len(recipe.levels), max(len(recipe.sizes), 1) if isinstance(recipe, Buildings) else 1
     recipe = resolve_arenas(recipe, robot, len(task.robots))
-    return _generated(recipe, int(settings["episodes"]), "count" in said), split
+    own = _generated(recipe, int(settings["episodes"]), "count" in said)
+    return own, split, levels * sizes if len(own.labels) % (levels * sizes) == 0 else levels
 
 
 def _changed_recipe(recipe: GeneratedArenas, given: dict[str, Any]) -> GeneratedArenas:
@@ -239,8 +264,8 @@ def _labels(arenas: tuple[ArenaSpec, ...]) -> tuple[str, ...]:
     return tuple(map(building_label, arenas))
 
 
-@lru_cache(maxsize=64)
-def _generated(recipe: GeneratedArenas, episodes: int, counted: bool) -> tuple[ArenaSpec, ...]:
+@lru_cache(maxsize=256)
+def _generated(recipe: GeneratedArenas, episodes: int, counted: bool) -> LabelledArenas:
     """Return as many arenas as there are episodes, at most, of all levels in turn."""
     levels = len(recipe.levels)
     count = recipe.count if counted else -(-episodes // levels)
@@ -249,7 +274,8 @@ def _generated(recipe: GeneratedArenas, episodes: int, counted: bool) -> tuple[A
     except (TypeError, ValueError) as error:
         raise UsageError(f"arena: {error}") from error
     order = [level * count + place for place in range(count) for level in range(levels)]
-    return tuple(made[i] for i in order[:episodes])
+    arenas = tuple(made[i] for i in order[:episodes])
+    return LabelledArenas(arenas=arenas, labels=tuple(map(building_label, arenas)))
 
 
 def signature_of(cell: Resolved, engine: str) -> dict[str, Hashable]:
@@ -279,7 +305,9 @@ def signature_of(cell: Resolved, engine: str) -> dict[str, Hashable]:
         "engine": engine,
         "task": cell.settings["task"].lower(),
         "team and fields of the task": repr(sorted(compiled.items(), key=lambda row: row[0])),
-        "arena": repr(task.arena) if cell.arenas is None else arena_shape(cell.arenas),
+        "arena": repr(task.arena)
+        if cell.arenas is None
+        else arena_shape(LabelledArenas(arenas=cell.arenas, labels=cell.labels)),
         "radio": repr(radio),
         "physics": repr(task.physics),
         "what varies": (varied, repr(static)),
@@ -289,8 +317,9 @@ def signature_of(cell: Resolved, engine: str) -> dict[str, Hashable]:
 
 
 @lru_cache(maxsize=256)
-def arena_shape(arenas: tuple[ArenaSpec, ...]) -> Hashable:
+def arena_shape(one: LabelledArenas) -> Hashable:
     """Return the facts that arenas must share to be data, beside the number of their boxes."""
+    arenas = one.arenas
     found = arena_set(arenas)
     states, template = found.states, found.template
     counts = tuple(

@@ -253,6 +253,7 @@ class Prepared:
         known: Number that have one, or have failed before.
         broken: Those that stand for nothing.
         engine: Of each of `cells`.
+        buildings: Of each of `cells`, by name and hash.
         plan: The way they are played.
         keys: Of all cells of the sweep.
     """
@@ -261,17 +262,43 @@ class Prepared:
     known: int
     broken: tuple[CellRecord, ...]
     engine: tuple[str, ...]
+    buildings: tuple[tuple[str, ...], ...]
     plan: SweepPlan
     keys: tuple[str, ...]
 
 
-def _identify(settings: CellSettings, digests: dict[str, str]) -> tuple[str, dict[str, Any] | None, str]:
-    """Return a cell's key and signature; where it stands for nothing, its key, None and the reason."""
+@dataclass(frozen=True, kw_only=True)
+class _Identity:
+    """A cell before it is played.
+
+    Attributes:
+        key: Its key.
+        signature: Settings that all cells of its batch share; None: it stands for nothing.
+        fault: Why it stands for nothing.
+        alone: Whether it shares a batch with no other.
+        buildings: Name and hash of each of its buildings.
+    """
+
+    key: str
+    signature: Signature | None = None
+    fault: str = ""
+    alone: bool = False
+    buildings: tuple[str, ...] = ()
+
+
+def _identify(settings: CellSettings, digests: dict[str, str]) -> _Identity:
+    """Return what is known of a cell before it is played."""
     try:
         cell = resolved(settings)
-        return key_of(settings, cell, digests), signature_of(cell, settings["engine"]), ""
+        return _Identity(
+            key=key_of(settings, cell, digests),
+            signature=signature_of(cell, settings["engine"]),
+            alone=cell.driver.command is not None,
+            buildings=cell.labels,
+        )
     except UsageError as error:
-        return hashlib.sha256(repr(sorted(settings.items())).encode()).hexdigest()[:20], None, str(error)
+        key = hashlib.sha256(repr(sorted(settings.items())).encode()).hexdigest()[:20]
+        return _Identity(key=key, fault=str(error))
 
 
 def parse_part(text: str) -> tuple[int, int]:
@@ -299,44 +326,47 @@ def prepare(spec: SweepSpec, folder: Path, retry: bool = False, part: tuple[int,
     Raises:
         UsageError: No such engine.
     """
-    keys: list[str] = []
+    keys: dict[str, None] = {}
     cells: list[KeyedSettings] = []
     broken: list[CellRecord] = []
-    signatures: list[dict[str, Any]] = []
-    engines: list[str] = []
+    found: list[_Identity] = []
     known, digests = 0, dict[str, str]()
     forget_resolved()  # files may have changed since
     (number, count), total = part, len(spec.cells)
     mine = range((number - 1) * total // count, number * total // count)
     for place, asked in enumerate(spec.cells):
         settings = {**asked, "engine": choose_engine(str(asked["engine"]), "train")}
-        key, signature, fault = _identify(settings, digests)
-        if key in keys:
+        one = _identify(settings, digests)
+        if one.key in keys:
             continue
-        keys.append(key)
+        keys[one.key] = None
         if place not in mine:
             continue
-        before = read_cell(folder, key)
-        if signature is None:
-            if before is not None and before.failed == fault and not retry:
+        before = read_cell(folder, one.key)
+        if one.signature is None:
+            if before is not None and before.failed == one.fault and not retry:
                 known += 1
             else:
-                broken.append(failure(key, settings, fault))
+                broken.append(failure(one.key, settings, one.fault))
         elif before is not None and not (retry and before.failed is not None):
             known += 1
         else:
-            cells.append((key, settings))
-            signatures.append(signature)
-            engines.append(settings["engine"])
+            cells.append((one.key, settings))
+            found.append(one)
+    engines = tuple(str(settings["engine"]) for _, settings in cells)
     most = spec.worlds or _usual_worlds(engines[0] if engines else "c")
-    episodes = [int(settings["episodes"]) for _, settings in cells]
-    clients = [resolved(settings).driver.command is not None for _, settings in cells]
-    plan = plan_batches(signatures, episodes, most, clients)
+    plan = plan_batches(
+        [one.signature for one in found if one.signature is not None],
+        [int(settings["episodes"]) for _, settings in cells],
+        most,
+        [one.alone for one in found],
+    )
     return Prepared(
         cells=tuple(cells),
         known=known,
         broken=tuple(broken),
-        engine=tuple(engines),
+        engine=engines,
+        buildings=tuple(one.buildings for one in found),
         plan=plan,
         keys=tuple(keys),
     )
@@ -352,14 +382,17 @@ def batches_of(prepared: Prepared) -> list[BatchWork]:
     """Return the pieces of work of a plan."""
     works: list[BatchWork] = []
     for group in prepared.plan.groups:
-        cells = tuple(prepared.cells[place] for place in group.cells)
-        name = hashlib.sha256("".join(key for key, _ in cells).encode()).hexdigest()
+        name = hashlib.sha256("".join(prepared.cells[place][0] for place in group.cells).encode())
+        # Not all cells of the group with each batch: what is sent would grow as the square of the cells.
+        kin: dict[tuple[str, ...], dict[str, Any]] = {}
+        for place in group.cells:
+            kin.setdefault(prepared.buildings[place], prepared.cells[place][1])
         for batch in group.batches:
             works.append(
                 BatchWork(
-                    group=name,
-                    cells=cells,
-                    chosen=tuple(group.cells.index(place) for place in batch),
+                    group=name.hexdigest(),
+                    cells=tuple(prepared.cells[place] for place in batch),
+                    kin=tuple(kin.values()),
                     size=group.size,
                     engine=prepared.engine[group.cells[0]],
                 )
@@ -434,7 +467,7 @@ def play_prepared(
         while works:
             suspects: list[BatchWork] = []
             for number, records, lost in workers.run(_work(workers, progress), works):
-                if lost is not None and len(works[number].chosen) > 1:
+                if lost is not None and len(works[number].cells) > 1:
                     suspects += halves(works[number])  # one of its cells ends workers: the others do not
                 else:
                     keep(_lost(works[number], lost) if lost is not None else records)
@@ -450,13 +483,13 @@ def _work(workers: Workers, progress: SweepProgress) -> Callable[[BatchWork], li
         return play_batch
 
     def play(work: BatchWork) -> list[CellRecord]:
-        return play_batch(work, partial(progress.within, len(work.chosen)))
+        return play_batch(work, partial(progress.within, len(work.cells)))
 
     return play
 
 
 def _lost(work: BatchWork, reason: str) -> list[CellRecord]:
-    return [failure(*work.cells[place], reason) for place in work.chosen]
+    return [failure(*cell, reason) for cell in work.cells]
 
 
 def sweep(

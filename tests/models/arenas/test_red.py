@@ -93,8 +93,9 @@ def in_the_lane(name, pose, aside=0.0):
 def test_a_kenaf_crosses_the_step_fields_with_its_flippers(aside):
     """Measured: 12 to 15 s."""
     rig = in_the_lane("Kenaf", crawl(0.0), aside)
-    count, worst = follow(rig, WAY, 1.0, 25.0, crawl)
-    assert count == len(WAY)
+    way = [*WAY, WAY[-1] + np.array([0.25, 0.0])]  # until no part of it is above the last field
+    count, worst = follow(rig, way, 1.0, 25.0, crawl)
+    assert count == len(way)
     assert worst > math.cos(math.radians(60))
     rig.tell(Left=0, Right=0).move(flippers(-0.6, 0.0)).run(1.0)
     height = roots(rig)[0, 2] - RED.floor

@@ -352,6 +352,7 @@ print(make_engine("jax", scene.spec, scene.physics, 1).name)
 """
 
 
+@pytest.mark.thorough
 def test_the_jax_engine_takes_both_beside_wheeled_robots():
     """It refuses pairs such as a wheel and a round paw that could touch each other."""
     done = subprocess.run([sys.executable, "-c", JAX], capture_output=True, text=True, timeout=300, cwd=ROOT)

@@ -126,6 +126,7 @@ def ray(name, start, along):
         gone += 1e-6
 
 
+@pytest.mark.every_run("AirRobot", "P2AT", "Talon")
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", NAMES)
 def test_a_camera_sees_what_c_mujoco_meets_from_its_mount(name):

@@ -195,10 +195,11 @@ def test_depth_and_segmentation_of_every_pixel_are_mj_rays(batch, moved, world, 
     assert len(set(label.tolist())) > 2
 
 
+@pytest.mark.thorough
 def test_the_pictures_of_the_test_show_everything_there_is(batch, moved):
     """Else labels of doors and victims would not have been compared."""
     seen = np.unique(np.asarray(batch.render(moved, 0, 0, WIDTH, HEIGHT).segmentation))
-    seen = {*seen, *np.unique(np.asarray(batch.render(moved, 0, "mirror", WIDTH, WIDTH).segmentation))}
+    seen = {*seen, *np.unique(np.asarray(batch.render(moved, 0, "mirror", WIDTH, HEIGHT).segmentation))}
     wanted = {
         SKY_LABEL,
         ARENA_LABEL,
@@ -213,6 +214,7 @@ def test_the_pictures_of_the_test_show_everything_there_is(batch, moved):
     assert wanted <= seen
 
 
+@pytest.mark.thorough
 @pytest.mark.oracle
 def test_an_omnidirectional_picture_is_what_mj_ray_meets_from_the_mirrors_focus(batch, moved):
     picture = picture_of(batch, moved, 2, 0, 0)
@@ -257,6 +259,7 @@ def check_disparity(batch: Batch, state, mount: Mount, fov: float, left: Picture
     assert left.depth[0, edges[0] - 5] == pytest.approx(depth, abs=5e-3)  # it settles on its wheels
 
 
+@pytest.mark.thorough
 @pytest.mark.oracle
 def test_stereo_eyes_see_things_apart_by_focal_length_times_distance_of_eyes_over_depth():
     """Manual 3.2.6.2: B = 2 StereoSpacing; the left eye's picture is in the left half."""

@@ -25,6 +25,7 @@ from usarmjx.sensors.rays.raycast import (
 from usarmjx.sensors.rays.targets import concatenated
 
 ATOL = 1e-5  # m: the same kernels, differently contracted by the compiler
+SINGLE = 4 * np.finfo(np.float32).eps  # of two programs that compute the same sums
 
 ROOM = make_room(5)
 FAN = np.linspace(-1.5, 1.5, 181)
@@ -122,11 +123,13 @@ def test_rays_that_nobody_wants_meet_nothing(how):
 
 
 def test_a_cast_that_nobody_wants_has_neither_distance_nor_angle():
-    cast = jax.jit(partial(cast_rays, ROOM.geoms, ORIGIN, DIRECTION))
+    room = make_room(5, ("box", "cylinder"))
+    cast = quick_jit(partial(cast_rays, room.geoms, *(x.astype(np.float32) for x in make_rays(room, 6))))
     queries = (RayQuery(incidence=True, wanted=wanted) for wanted in (None, np.bool_(True), np.bool_(False)))
     plain, wanted, unwanted = map(cast, queries)
     assert (np.asarray(plain.cosine) > 0).any()
-    jax.tree.map(np.testing.assert_array_equal, wanted, plain)
+    # With and without an answer to whether it is wanted these are two programs, which may round differently.
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=SINGLE), wanted, plain)
     assert np.isinf(unwanted.distance).all()
     assert not np.asarray(unwanted.cosine).any()
 

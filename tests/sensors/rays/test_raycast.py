@@ -171,7 +171,7 @@ def test_casts_match_c_mujoco_in_random_rooms(seed):
 
 @pytest.mark.oracle
 def test_rays_pass_the_viewers_own_geoms():
-    room = make_room(21)
+    room = make_room(21, ("box", "cylinder"))
     rays = make_rays(room, 22)
     distance, cosine, clear = room.oracle(*rays, exclude=room.body)
     others, _, _ = room.oracle(*rays)

@@ -73,7 +73,7 @@ def claimed():
     return BatchWorld(Batch(scene, 2, engine="c", seed=4), 1)
 
 
-@pytest.fixture(params=["live", "claimed"])
+@pytest.fixture(params=["live", pytest.param("claimed", marks=pytest.mark.thorough)])
 def client(request):
     client = Client(request.getfixturevalue(request.param), "peer")
     say(client, "INIT {ClassName Finder} {Location 0,0,0.14} {Rotation 0,0,0}")
@@ -169,6 +169,7 @@ def test_far_away_there_is_no_line_of_tags_and_no_victim(client):
     assert re.fullmatch(r"SEN {Time \d+\.\d{4}} {Type VictSensor} {Status NoVictims}", lines["VictSensor"])
 
 
+@pytest.mark.thorough
 def test_worlds_with_arenas_of_their_own_find_what_is_in_theirs():
     empty = replace(ARENA, name="empty", victims=(), tags=())
     tagged = replace(ARENA, name="tagged", victims=(), tags=(Tag(at=(0.5, 0.0, 0.0), id=2000), *ARENA.tags))

@@ -347,6 +347,7 @@ def frame(text):
     return bytes([0x81, 0x80 | len(data), 0, 0, 0, 0]) + data
 
 
+@pytest.mark.thorough
 def test_a_world_of_a_batch_lends_its_parked_robots():
     scene = build_scene(FLAT, [RosterEntry(robot="P2DX", parked=True)])
     with serving_ros(BatchWorld(Batch(scene, 2, engine="c", seed=4), 1)) as (port, server):

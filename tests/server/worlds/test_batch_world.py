@@ -204,6 +204,7 @@ def test_an_instance_out_of_range_is_an_error(batch, instance):
         BatchWorld(batch, instance)
 
 
+@pytest.mark.thorough
 def test_a_claimed_robots_camera_sees_another_robot_and_zooms(world):
     """From 3 m behind; every length in a pinhole's picture goes with 1 / tan(fov / 2)."""
     seer = world.spawn(P2AT, "R1", (0.0, 0.0, STAND), LEVEL)

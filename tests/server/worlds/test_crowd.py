@@ -60,7 +60,7 @@ def drive_at_random(world, seconds):
     return put_back, fastest
 
 
-@pytest.mark.parametrize("arena", ["yellow", "field"])
+@pytest.mark.parametrize("arena", ["yellow", pytest.param("field", marks=pytest.mark.thorough)])
 def test_nobody_is_put_back_but_by_the_rule(arena):
     world = crowd(arena)
     put_back, fastest = drive_at_random(world, 10.0)

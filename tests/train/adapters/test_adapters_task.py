@@ -14,7 +14,7 @@ LIMIT = 4
 
 def goal(engine, worlds=1):
     """A P2AT on an empty floor, in steps coarse enough for a test; it never reaches its goal."""
-    light = {"ranges": (), "physics": Physics(timestep=0.01, substeps=5), "repeat": 2}
+    light = {"ranges": (), "pose": "GroundTruth", "physics": Physics(timestep=0.01, substeps=5), "repeat": 2}
     return usarmjx.make("drive-to-goal", worlds, engine, episode_steps=LIMIT, radius=1e-6, **light)
 
 
@@ -23,6 +23,7 @@ def env():
     return goal("c")
 
 
+@pytest.mark.thorough
 def test_a_task_passes_pettingzoo_checks(env):
     pytest.importorskip("pettingzoo", reason="needs the extra rl")
     from pettingzoo.test import parallel_api_test, parallel_seed_test
@@ -33,6 +34,7 @@ def test_a_task_passes_pettingzoo_checks(env):
     parallel_seed_test(lambda: ParallelWorld(env), num_cycles=LIMIT)
 
 
+@pytest.mark.thorough
 def test_a_task_as_a_gymnasium_vector_has_its_own_numbers(env):
     pytest.importorskip("gymnasium", reason="needs the extra rl")
     from usarmjx.train.adapters.gymnasium import VectorWorlds
@@ -54,6 +56,7 @@ def test_a_task_as_a_gymnasium_vector_has_its_own_numbers(env):
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_a_task_is_mapped_by_jaxmarl_and_unrolled_by_brax():
     pytest.importorskip("jaxmarl", reason="needs the extra rl")
     pytest.importorskip("brax", reason="needs the extra train")

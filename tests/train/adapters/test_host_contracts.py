@@ -15,7 +15,7 @@ import gymnasium
 from usarmjx.train.adapters.gymnasium import TeamWorld, VectorWorlds
 
 ID = "usarmjx.train.adapters.gymnasium:usarmjx/drive-to-goal-v1"
-TINY = {"engine": "c", "ranges": (), "arena": "field"}
+TINY = {"engine": "c", "ranges": (), "pose": "GroundTruth", "arena": "field"}
 
 
 def rotten(worlds):
@@ -111,6 +111,7 @@ def test_options_of_a_reset_are_refused_by_name():
             world.reset(options={"gravity": 3})
 
 
+@pytest.mark.thorough
 def test_gymnasium_own_keywords_are_known_and_others_refused():
     world = gymnasium.make(ID, episode_steps=5, render_mode="rgb_array", **TINY)
     assert world.render_mode == "rgb_array"

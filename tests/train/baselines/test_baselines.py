@@ -76,6 +76,7 @@ def test_it_wanders_off_walls_and_turns_where_the_way_ends():
     assert float(roam_action(robot, SONAR, drives, barely)[0]) == 0.0
 
 
+@pytest.mark.thorough
 def test_the_baseline_reaches_its_goals_on_an_empty_floor():
     """11 m at 0.7 m/s take 80 of the 150 steps, half a turn on the spot 10."""
     settings = {**LIGHT, "repeat": 4, "pose": "GroundTruth", "episode_steps": 150}

@@ -56,7 +56,7 @@ def actions(env, *values):
     return (jnp.array(rows, jnp.float32).reshape(env.worlds, len(group.agents), group.action_size),)
 
 
-@pytest.fixture(scope="module", params=["c", "jax"])
+@pytest.fixture(scope="module", params=["c", pytest.param("jax", marks=pytest.mark.thorough)])
 def env(request):
     return goal_env(3, request.param)
 
@@ -234,6 +234,7 @@ def test_a_tasks_own_nan_is_its_fault_is_counted_and_reaches_no_learner(begun):
     assert all(bool(jnp.isfinite(one).all()) for one in seen)
 
 
+@pytest.mark.thorough
 def test_a_world_is_the_same_alone_as_in_a_batch(begun):
     together, _, told = begun
     if together.traceable:
@@ -284,7 +285,7 @@ def test_a_step_can_be_scanned_where_the_engine_is_traced(begun):
 
 def test_levels_choose_among_generated_arenas():
     arena = GeneratedArenas(kind="maze", count=2, levels=(0.0, 1.0), size=(3, 3))
-    env = goal_env(4, arena=arena)
+    env = goal_env(4, arena=arena, pose="GroundTruth")
     solids, easy = env.scene.arenas.states.pos, [0, 1, 0, 1]
     state = env.reset(level=0.0)
     np.testing.assert_array_equal(state.batch.worlds.arena_state.pos, solids[easy])

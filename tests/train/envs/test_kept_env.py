@@ -42,6 +42,7 @@ def play(task):
     return bits(state.replace(batch=state.batch.replace(physics=None))), state.batch.physics.qpos
 
 
+@pytest.mark.thorough
 def test_the_second_start_traces_nothing_and_computes_the_same(kept, monkeypatch):
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # nothing of it is not kept

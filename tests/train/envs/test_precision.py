@@ -3,17 +3,22 @@
 import subprocess
 import sys
 
+import pytest
+
 CODE = """
+import sys
 import jax
 jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp
 import numpy as np
 import usarmjx
 
-env = usarmjx.make("drive-to-goal", worlds=2, engine="planar", episode_steps=4, arena="field")
+env = usarmjx.make("drive-to-goal", worlds=2, engine=sys.argv[1], episode_steps=4, ranges=("Sonar",))
 state = env.reset(0)
 for actions in (np.full((2, 1, 2), 0.3), jnp.full((2, 1, 2), 0.3)):
     state = env.step(state, (actions,))
+if sys.argv[1] == "c":  # MuJoCo's own states are double
+    state = state.replace(batch=state.batch.replace(physics=None))
 names = {str(leaf.dtype) for leaf in jax.tree.leaves(state)}
 assert not names & {"float64", "int64", "uint64"}, names
 assert jnp.zeros(1).dtype == "float64", "the program keeps its own precision"
@@ -21,8 +26,9 @@ print(sorted(names))
 """
 
 
-def test_double_precision_of_others_changes_no_type_of_a_world():
+@pytest.mark.parametrize("engine", ["c", pytest.param("planar", marks=pytest.mark.thorough)])
+def test_double_precision_of_others_changes_no_type_of_a_world(engine):
     """A process sets the flag first; the task has range sensors, whose rays failed to trace."""
-    run = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True)
+    run = subprocess.run([sys.executable, "-c", CODE, engine], capture_output=True, text=True)
     assert run.returncode == 0, run.stderr[-2000:]
     assert "float32" in run.stdout

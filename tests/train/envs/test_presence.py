@@ -65,7 +65,7 @@ ALIVE = np.array(
 """Which agents are alive before each action: one that joins is so an action later, when it has sensed."""
 
 
-@pytest.fixture(scope="module", params=["planar", "c"])
+@pytest.fixture(scope="module", params=["planar", pytest.param("c", marks=pytest.mark.thorough)])
 def played(request):
     """An environment, and its states from the start to beyond the end of the first episode."""
     env = Env(Shifts(), WORLDS, engine=request.param)

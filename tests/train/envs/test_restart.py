@@ -21,7 +21,7 @@ from usarmjx.train.envs.state import Restart
 WORLDS, TOGETHER = 5, 2
 
 
-@pytest.fixture(scope="module", params=["c", "jax"])
+@pytest.fixture(scope="module", params=["c", pytest.param("jax", marks=pytest.mark.thorough)])
 def env(request):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "restart_batch_size", lambda worlds, steps: TOGETHER)

@@ -5,19 +5,26 @@ import gc
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from tests.listening import compilations
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.compile.randomization import DomainRandomization
 from usarmjx.train.make import make
 
 CHUNK = 50
 """Actions of one compiled call."""
 EPISODE = 40
-LIGHT = {"arena": "yellow", "ranges": (), "pose": "GroundTruth", "physics": "coarse", "repeat": 2}
+OWN = {
+    "planar": {"physics": "coarse", "arena": "yellow"},
+    "c": {"physics": Physics(timestep=0.01, substeps=5)},
+}
+LIGHT = {"ranges": (), "pose": "GroundTruth", "repeat": 2}
 
 
-def goal_env(worlds=8, **more):
-    return make("drive-to-goal", worlds=worlds, engine="planar", episode_steps=EPISODE, **LIGHT, **more)
+def goal_env(engine="planar", worlds=8, **more):
+    own = {"episode_steps": EPISODE, **LIGHT, **OWN[engine], **more}
+    return make("drive-to-goal", worlds=worlds, engine=engine, **own)
 
 
 def live_bytes():
@@ -48,6 +55,7 @@ def used_after(env, counts, used_bytes):
     return used, state
 
 
+@pytest.mark.thorough
 def test_arrays_take_no_more_memory_after_many_actions_than_after_a_few():
     env = goal_env()
     (few, many), state = used_after(env, (100, 1000), live_bytes)
@@ -56,9 +64,10 @@ def test_arrays_take_no_more_memory_after_many_actions_than_after_a_few():
     assert np.asarray(state.batch.worlds.episode).min() >= 1000 // EPISODE - 1
 
 
-def test_other_seeds_noise_and_ranges_compile_nothing():
+@pytest.mark.parametrize("engine", ["c", pytest.param("planar", marks=pytest.mark.thorough)])
+def test_other_seeds_noise_and_ranges_compile_nothing(engine):
     """Ranges of quantities that a task varies are data where worlds are given their own."""
-    env = goal_env(vary=DomainRandomization(noise=(0.0, 1.0), speed=(0.5, 1.0)))
+    env = goal_env(engine, vary=DomainRandomization(noise=(0.0, 1.0), speed=(0.5, 1.0)))
     actions = (np.full((8, 1, env.groups[0].action_size), 0.5, np.float32),)
 
     def play(seed, ranges):

@@ -9,13 +9,13 @@ from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.train.evaluation.evaluate import evaluate_episodes
 from usarmjx.train.policies.sources import baseline
 
-SHORT = {"ranges": (), "episode_steps": 5}
+SHORT = {"ranges": (), "pose": "GroundTruth", "episode_steps": 5}
 
 
 def test_the_rows_are_the_episodes_of_each_seed():
     table = usarmjx.evaluate(task="drive-to-goal", engine="c", worlds=2, episodes=4, seeds=2, settings=SHORT)
     assert isinstance(table, pd.DataFrame)
-    pairs = [f"{name}={value}" for name, value in (("ranges", ""), ("episode_steps", 5))]
+    pairs = [f"{name}={value or ''}" for name, value in SHORT.items()]
     env, policy, _ = baseline("drive-to-goal").env(pairs, worlds=2, engine="c")
     found = evaluate_episodes(env, policy, 4, (0, 1))
     assert table["score"].tolist() == np.concatenate([run.scores for run in found.episodes]).tolist()

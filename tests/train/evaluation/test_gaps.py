@@ -56,6 +56,7 @@ def test_contacts_count_when_they_begin_and_odometry_from_the_start():
     assert drive.slip[-1] == pytest.approx([0.5, 0.0])
 
 
+@pytest.mark.thorough
 def test_a_wall_that_is_run_into_counts_on_c_as_on_planar():
     """By the same measure that tasks score by; ranges and poses agree while nothing is touched."""
     robot = ROBOTS.get("P2AT")
@@ -159,6 +160,7 @@ def test_heights_count_of_what_flies_or_dives_and_every_class_that_planar_moves_
 
 
 @pytest.mark.parametrize(("name", "place", "least"), [("AirRobot", "air", 5.0), ("Submarine", "water", 0.01)])
+@pytest.mark.thorough
 def test_what_flies_or_dives_meets_nothing_and_stays_near_to_c(name, place, least):
     """All keys of its drive at half of their most, for 4 s: the same forces on the same mass."""
     robot = ROBOTS.get(name)

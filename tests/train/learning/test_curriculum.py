@@ -39,7 +39,9 @@ LEVELS = (0.0, 1 / 3, 2 / 3, 1.0, 1.0, 1.0)
 
 @pytest.fixture(scope="module")
 def env():
-    return usarmjx.make("drive-to-goal", 4, "c", **LIGHT, arena=ARENAS, episode_steps=STEPS, radius=1e-6)
+    return usarmjx.make(
+        "drive-to-goal", 4, "c", **LIGHT, pose="GroundTruth", arena=ARENAS, episode_steps=STEPS, radius=1e-6
+    )
 
 
 @pytest.fixture(scope="module")

@@ -60,6 +60,13 @@ def test_an_update_does_not_depend_on_what_absent_agents_have(trainer, collected
         jax.tree.map(assert_array_equal, getattr(one, name), getattr(other, name))
     for name in ("loss/policy", "loss/value", "loss/explained"):
         assert_allclose(known[name], again[name], rtol=1e-5)
+
+
+@pytest.mark.thorough
+def test_an_update_depends_on_who_is_absent(trainer, collected):
+    """Another program, of steps without masks, changes the weights otherwise."""
+    train_state, steps, ends, sums = collected
+    one, _ = trainer._update(train_state, (steps, ends, sums), trainer._stream)
     unmasked = steps.replace(alive=(), survived=())
     whole, _ = trainer._update(train_state, (unmasked, ends, sums), trainer._stream)
     pairs = zip(jax.tree.leaves(one.params), jax.tree.leaves(whole.params), strict=True)

@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import replace
+from functools import cache
 
 import jax
 import numpy as np
@@ -14,7 +15,7 @@ from tests.train.runs import CONFIG, check_goes_on, lines
 from tests.train.toys import DriveToy, MemoryToy
 from usarmjx.base.errors import UsageError
 from usarmjx.cli.app import app
-from usarmjx.cli.train import TrainOptions, plan_run
+from usarmjx.cli.train import TrainOptions, plan_run, recorded_engine
 from usarmjx.train.evaluation.evaluate import play_episodes
 from usarmjx.train.learning.checkpoint import Checkpoints, load_train_state, read_policy
 from usarmjx.train.learning.config import task_config
@@ -34,11 +35,15 @@ def assert_same(one, other):
         assert_array_equal(left, right)
 
 
+@cache
+def toy():
+    return DriveToy(32)
+
+
 def scores(run, which):
     """Of an episode of each world, with most probable actions."""
     policy, params, _ = read_policy(run, which)
-    env = DriveToy(32)
-    return play_episodes(env, policy.as_policy(params), 32, seed=3).scores
+    return play_episodes(toy(), policy.as_policy(params), 32, seed=3).scores
 
 
 def tuned(folder, source, config=KEPT, **how):
@@ -48,6 +53,7 @@ def tuned(folder, source, config=KEPT, **how):
     return train(make, config, folder, source=source, progress=False, **how)
 
 
+@pytest.mark.thorough
 def test_it_begins_with_everything_that_was_learned_and_acts_as_its_source(reference, tmp_path):
     """And where nothing is learned it stays that; Adam's moments and the count of iterations are new."""
     trained = load_trained(reference)
@@ -66,6 +72,7 @@ def test_it_begins_with_everything_that_was_learned_and_acts_as_its_source(refer
     assert_same(ended.params, source.params)
 
 
+@pytest.mark.thorough
 def test_it_goes_on_carefully(reference, tmp_path):
     """At the rate of a random network its first update changed the policy by 0.037."""
     config = replace(KEPT, lr_schedule="adaptive", learning_rate=3e-3, num_minibatches=8, total_steps=2400)
@@ -86,6 +93,7 @@ def test_imitation_of_what_begins_so_keeps_its_learning_rate(reference):
         assert float(begun.learning_rate) == pytest.approx(rate)
 
 
+@pytest.mark.thorough
 def test_its_first_rollout_is_that_of_a_trained_policy(reference, tmp_path):
     """The source's first iterations, with the same worlds and random numbers, scored less."""
     tuned(tmp_path / "run", load_trained(reference, "last"), replace(CONFIG, total_steps=4800))
@@ -93,6 +101,7 @@ def test_its_first_rollout_is_that_of_a_trained_policy(reference, tmp_path):
     assert sum(line["score"] for line in lines(tmp_path / "run")) > sum(first)
 
 
+@pytest.mark.thorough
 def test_a_run_that_began_so_is_resumed_without_its_source(reference, tmp_path):
     source = tmp_path / "source"
     shutil.copytree(reference, source)
@@ -158,47 +167,61 @@ def invoke(*words):
     return CliRunner().invoke(app, [str(word) for word in words])
 
 
-@pytest.fixture(scope="module")
-def planar_run(tmp_path_factory):
-    """A short training on engine `planar` with settings of its own."""
-    folder = tmp_path_factory.mktemp("planar") / "run"
+@pytest.fixture(scope="module", params=["c", pytest.param("planar", marks=pytest.mark.thorough)])
+def short_run(request, tmp_path_factory):
+    """A short training with settings of its own; `c` compiles fastest, `planar` is another engine."""
+    folder = tmp_path_factory.mktemp(request.param) / "run"
     told = (
         "rollout_length=2",
+        "num_minibatches=1",
         "num_epochs=1",
         "hidden_sizes=4,3",
         "critic_hidden_sizes=4",
         "episode_steps=7",
-        "physics=coarse",
+        "ranges=",
+        "pose=GroundTruth",
+        *(["physics=coarse"] if request.param == "planar" else []),
     )
     pairs = [word for pair in told for word in ("--set", pair)]
     small = ("--worlds", 2, "--steps", 8, "--quiet")
-    result = invoke("train", "drive-to-goal", "--engine", "planar", "--out", folder, *small, *pairs)
+    result = invoke("train", "drive-to-goal", "--engine", request.param, "--out", folder, *small, *pairs)
     assert result.exit_code == 0, result.output
     return folder
 
 
-def test_a_run_on_another_engine_has_its_networks_and_fields_but_its_own_physics(planar_run, tmp_path):
-    out = tmp_path / "tuned"
-    small = ("--worlds", 2, "--steps", 8, "--quiet", "--set", "rollout_length=2")
-    result = invoke("train", "drive-to-goal", "--engine", "c", "--out", out, "--from", planar_run, *small)
+def test_a_run_has_the_networks_and_fields_of_another_but_its_own_engine_and_physics(short_run, tmp_path):
+    out, engine = tmp_path / "tuned", recorded_engine(short_run)
+    small = (
+        "--worlds",
+        2,
+        "--steps",
+        8,
+        "--quiet",
+        "--set",
+        "rollout_length=2",
+        "--set",
+        "num_minibatches=1",
+    )
+    result = invoke("train", "drive-to-goal", "--engine", "c", "--out", out, "--from", short_run, *small)
     assert result.exit_code == 0, result.output
-    assert f"of {planar_run}: drive-to-goal on engine planar, 8 agent steps; episode_steps=7" in result.stderr
+    assert f"of {short_run}: drive-to-goal on engine {engine}, 8 agent steps; " in result.stderr
     settings = json.loads((out / "config.json").read_text())
-    assert (settings["engine"], settings["overrides"]) == ("c", {"episode_steps": "7"})
+    taken = {"episode_steps": "7", "ranges": "", "pose": "GroundTruth"}
+    assert (settings["engine"], settings["overrides"]) == ("c", taken)
     assert (settings["config"]["hidden_sizes"], settings["config"]["critic_hidden_sizes"]) == ([4, 3], [4])
     found = settings["began_with"]
-    assert found["run"] == str(planar_run)
-    assert (found["checkpoint"], found["engine"], found["agent_steps"]) == (2, "planar", 8)
-    assert_same(read_policy(out, "0")[1], read_policy(planar_run)[1])
+    assert found["run"] == str(short_run)
+    assert (found["checkpoint"], found["engine"], found["agent_steps"]) == (2, engine, 8)
+    assert_same(read_policy(out, "0")[1], read_policy(short_run)[1])
     assert [json.loads(line)["iteration"] for line in (out / "metrics.jsonl").open()] == [1, 2]
     result = invoke("train", "drive-to-goal", "--out", out, "--resume", "--steps", 12, "--quiet")
     assert result.exit_code == 0, result.output
     assert json.loads((out / "config.json").read_text())["began_with"] == found
 
 
-def test_nobody_is_imitated_unless_asked_for(planar_run, tmp_path):
+def test_nobody_is_imitated_unless_asked_for(short_run, tmp_path):
     """Of another task fields are its own, and what is typed holds."""
-    wanted = {"out": tmp_path / "x", "engine": "c", "source": planar_run, "given": {}}
+    wanted = {"out": tmp_path / "x", "engine": "c", "source": short_run, "given": {}}
     plan = plan_run("wander", TrainOptions(**wanted, pairs=[]))
     assert (plan.config.imitation_steps, plan.overrides, plan.config.hidden_sizes) == (0, {}, (4, 3))
     assert task_config("wander").imitation_steps > 0
@@ -215,9 +238,9 @@ def test_nobody_is_imitated_unless_asked_for(planar_run, tmp_path):
         (("--checkpoint", "last"), "--checkpoint says which one of the run that --from names"),
     ],
 )
-def test_a_source_that_is_none_is_one_line(words, told, planar_run, tmp_path, monkeypatch):
+def test_a_source_that_is_none_is_one_line(words, told, short_run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    words = [str(planar_run) if word == "RUN" else word for word in words]
+    words = [str(short_run) if word == "RUN" else word for word in words]
     result = invoke("train", "drive-to-goal", "--engine", "c", "--out", "x", *words)
     assert result.exit_code == 2
     assert told in result.stderr

@@ -91,7 +91,7 @@ def test_what_comes_out_is_that_of_the_plain_loop(beginnings):
 
 @pytest.mark.oracle
 @pytest.mark.parametrize("beginnings", BEGINNINGS)
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("dtype", [np.float32, pytest.param(np.float64, marks=pytest.mark.thorough)])
 def test_the_gradient_is_that_of_the_plain_loop(beginnings, dtype):
     """By gates, weights, bias and first carry, whichever steps begin an episode."""
     is_first = BEGINNINGS[beginnings]

@@ -88,6 +88,7 @@ def test_the_loss_is_half_the_squares_of_what_is_off():
     assert_allclose(off, 0.5 * (0.5**2 + 0.2**2), rtol=1e-4)
 
 
+@pytest.mark.thorough
 def test_a_learner_does_what_it_was_shown():
     trainer = trainer_of(imitation_steps=20 * ROUND, total_steps=25 * ROUND, imitation_std=0.1)
     train_state, worlds = trainer.start()
@@ -130,6 +131,7 @@ def after_lessons(**settings):
     return {name: float(one) for name, one in known.items()}, trainer.config
 
 
+@pytest.mark.thorough
 def test_ppo_begins_carefully_after_the_lessons():
     """Its first update changed the policy by 37 times `target_kl`."""
     known, config = after_lessons()
@@ -137,6 +139,7 @@ def test_ppo_begins_carefully_after_the_lessons():
     assert known["loss/divergence"] < 3 * config.target_kl
 
 
+@pytest.mark.thorough
 def test_ppo_begins_with_moments_of_its_own():
     """By those of imitation the first update at a constant rate changed the policy by 0.17."""
     known, config = after_lessons(lr_schedule="constant")
@@ -172,7 +175,7 @@ def test_a_teacher_sees_what_is_hidden_and_the_policy_does_not():
         assert_allclose(shown[0], np.clip(2.0 * np.asarray(part), -0.8, 0.8), rtol=1e-6)
 
 
-@pytest.mark.parametrize("since", [0, 1])
+@pytest.mark.parametrize("since", [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_after_the_lessons_only_ppo_counts(since):
     """An update of a train_state past its lessons is that of one that never had any, to rounding.
 

@@ -48,7 +48,7 @@ def not_to_be_traced(name):
     return traced
 
 
-@pytest.mark.parametrize("engine", ["planar", "c"])
+@pytest.mark.parametrize("engine", ["c", pytest.param("planar", marks=pytest.mark.thorough)])
 def test_the_second_start_traces_nothing_and_learns_the_same(engine, tmp_path, monkeypatch):
     monkeypatch.setenv(PROGRAMS_FOLDER, str(tmp_path))
     monkeypatch.setattr(program_cache, "_sources", lambda: "as they are")
@@ -64,18 +64,19 @@ def test_the_second_start_traces_nothing_and_learns_the_same(engine, tmp_path, m
             trained(engine, replace(CONFIG, gamma=0.9))
 
 
+@pytest.mark.thorough
 def test_programs_are_those_of_any_seed(tmp_path, monkeypatch):
     """What another seed has kept does what the seed's own would do."""
     monkeypatch.setattr(program_cache, "_sources", lambda: "as they are")
     other = replace(CONFIG, seed=1)
     monkeypatch.setenv(PROGRAMS_FOLDER, str(tmp_path / "own"))
-    own = trained("planar", other)
+    own = trained("c", other)
     monkeypatch.setenv(PROGRAMS_FOLDER, str(tmp_path / "of seed 0"))
-    first = trained("planar")
+    first = trained("c")
     for owner, names in TRACED.items():
         for name in names:
             monkeypatch.setattr(owner, name, not_to_be_traced(name))
-    found = trained("planar", other)
+    found = trained("c", other)
     jax.tree.map(np.testing.assert_array_equal, own, found)
     pairs = zip(jax.tree.leaves(first[0].params), jax.tree.leaves(found[0].params), strict=True)
     assert any((one != another).any() for one, another in pairs)

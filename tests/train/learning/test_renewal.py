@@ -165,6 +165,7 @@ def test_no_arenas_are_generated_that_no_iteration_would_meet(env, monkeypatch):
     assert asked == [1, 2]
 
 
+@pytest.mark.thorough
 def test_a_run_trains_on_each_generation_for_its_iterations(env, trained):
     _, template = Trainer(env, CONFIG, ProcessGroup()).start()
     expected = [env.scene.arenas.states, env.redrawn_arenas(1), env.redrawn_arenas(2)]
@@ -174,6 +175,7 @@ def test_a_run_trains_on_each_generation_for_its_iterations(env, trained):
         assert_array_equal(state.batch.arenas.pos, expected[iteration // 2].pos)
 
 
+@pytest.mark.thorough
 def test_a_run_goes_on_with_the_arenas_of_its_iteration(env, trained, tmp_path):
     """Left after three of five iterations, it ends as if it had not been."""
     check_goes_on(env, CONFIG, trained, tmp_path / "run", 3)

@@ -37,6 +37,35 @@ def wait_for_lines(folder, count, process):
         time.sleep(0.01)
 
 
+class Stop(Exception):
+    pass
+
+
+def leave_halves(folder):
+    """What a kill at an unlucky moment leaves: half a line, half a checkpoint."""
+    with (folder / "metrics.jsonl").open("a") as file:
+        file.write('{"iteration": 99, "sco')
+    (folder / "checkpoints" / "00000009.partial" / "worlds").mkdir(parents=True)
+
+
+def test_a_run_that_broke_off_ends_as_one_that_did_not(reference, tmp_path):
+    """Bit for bit: all that was learned, all worlds, all that was written down."""
+    folder = tmp_path / "run"
+
+    def stop(line):
+        if line["iteration"] == 4:
+            raise Stop
+
+    with pytest.raises(Stop):
+        run(folder, watch=stop)
+    assert len(lines(folder)) == 4
+    leave_halves(folder)
+    run(folder, resume=True)
+    assert lines(folder) == lines(reference)
+    assert checksums(folder) == checksums(reference)
+
+
+@pytest.mark.thorough
 def test_a_run_that_was_killed_ends_as_one_that_was_not(reference, cache, tmp_path):
     """Bit for bit: all that was learned, all worlds, all that was written down."""
     folder = tmp_path / "run"
@@ -49,10 +78,7 @@ def test_a_run_that_was_killed_ends_as_one_that_was_not(reference, cache, tmp_pa
         process.send_signal(signal.SIGKILL)
         assert process.wait(10) == -signal.SIGKILL
     assert 4 <= len(lines(folder)) < 10
-    # What a kill at an unlucky moment leaves: half a line, half a checkpoint.
-    with (folder / "metrics.jsonl").open("a") as file:
-        file.write('{"iteration": 99, "sco')
-    (folder / "checkpoints" / "00000009.partial" / "worlds").mkdir(parents=True)
+    leave_halves(folder)
     with started([sys.executable, *PROGRAM, str(folder), "--resume"], cache) as process:
         output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, output
@@ -208,10 +234,6 @@ def test_a_folder_with_a_run_is_not_overwritten(reference, tmp_path):
         read_policy(reference, "11")
 
 
-class Stop(Exception):
-    pass
-
-
 def place(env, state):
     """At which step a world is, and where its robot is on the live page."""
     frame = BatchSource(env.batch, state.batch, [0]).frame(0)
@@ -226,7 +248,7 @@ def test_a_robot_goes_on_where_it_was(engine, tmp_path):
         num_epochs=1, hidden_sizes=(8,), critic_hidden_sizes=(8,),
         checkpoint_interval=2,
     )  # fmt: skip
-    env = make("drive-to-goal", worlds=4, engine=engine, episode_steps=6)
+    env = make("drive-to-goal", worlds=4, engine=engine, episode_steps=6, ranges=())
 
     def stop(line):
         if line["iteration"] == 3:

@@ -13,7 +13,7 @@ from tensorboardX.proto.event_pb2 import Event
 
 from tests.listening import COMPILED, compilations
 from tests.train.runs import CONFIG, lines
-from tests.train.toys import DriveToy, EndlessToy, MemoryToy
+from tests.train.toys import DriveToy, EndlessToy, MemoryToy, small_config
 from usarmjx.base.errors import UsageError
 from usarmjx.train.learning import trainer as trainer_module
 from usarmjx.train.learning.config import Config
@@ -114,7 +114,7 @@ def test_nothing_is_compiled_after_the_first_iteration(both, traceable):
 def test_a_first_rollout_finds_what_was_compiled_beside_the_making_of_worlds():
     group = ProcessGroup()
     with compilations(COMPILED) as compiled:
-        trainer = Trainer(DriveToy(4), Config(num_worlds=4, num_minibatches=1, rollout_length=2), group)
+        trainer = Trainer(DriveToy(4), small_config(num_worlds=4, rollout_length=2), group)
         with compiling(trainer):
             train_state, worlds = trainer.start()
         before = len(compiled)
@@ -164,9 +164,7 @@ def test_the_time_of_the_first_iteration_is_from_when_it_compiled(tmp_path, monk
 
     monkeypatch.setattr(trainer_module, "time", SimpleNamespace(perf_counter=tick))
     monkeypatch.setattr(trainer_module, "compiling", slow)
-    config = Config(
-        total_steps=144, num_worlds=4, num_minibatches=1, rollout_length=4
-    )  # three iterations of 48
+    config = small_config(total_steps=144, num_worlds=4, rollout_length=4)  # three iterations of 48
     told = []
     train(DriveToy(4), config, tmp_path / "run", progress=False, watch=told.append)
     steps = told[0]["agent_steps"]
@@ -209,6 +207,7 @@ def memory_score(tmp_path, memory):
     return np.mean([record["score"] for record in lines(tmp_path / str(memory))[-5:]])
 
 
+@pytest.mark.thorough
 def test_what_was_seen_before_is_used_by_a_policy_with_memory(tmp_path):
     """And by no other: what it sees at the end says nothing of the light, so 1/2 is all it can get.
 
@@ -219,6 +218,7 @@ def test_what_was_seen_before_is_used_by_a_policy_with_memory(tmp_path):
 
 
 @pytest.mark.oracle
+@pytest.mark.thorough
 def test_a_time_limit_is_no_end(tmp_path):
     """A reward of 1 for ever is worth 1 / (1 - discount) = 5, though episodes are cut after 4 steps.
 

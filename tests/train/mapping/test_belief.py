@@ -225,7 +225,9 @@ def test_a_robot_leaves_a_frontier_where_it_has_been_for_one_farther_off():
     assert (np.linalg.norm(been.goal - np.array([1.8, 1.2]), axis=-1) >= VISITED_RADIUS).all()
 
 
-@pytest.mark.parametrize("planners", [(1, 2), (0, 3), (2,), ()])
+@pytest.mark.parametrize(
+    "planners", [(1, 2), *(pytest.param(few, marks=pytest.mark.thorough) for few in ((0, 3), (2,))), ()]
+)
 def test_those_that_plan_go_where_they_go_among_all_and_the_others_stay(planners):
     """Of others each heeds some: the more that it does not heed, the fewer columns, and the same way."""
     draw, peers = np.random.default_rng(2), ~np.eye(ROBOTS, dtype=bool)

@@ -85,7 +85,9 @@ def test_what_is_open_in_a_part_of_a_map_is_found_from_all_around_it(shape, box)
 
 
 @pytest.mark.skipif(not COMPILER, reason="needs a compiler of C++")
-@pytest.mark.parametrize(("shape", "small"), [((19, 13), True), ((33, 48), False)])
+@pytest.mark.parametrize(
+    ("shape", "small"), [((19, 13), True), pytest.param((33, 48), False, marks=pytest.mark.thorough)]
+)
 def test_the_threads_of_a_gpu_sweep_together_as_one_does(shape, small):
     """Three maps: open all over, in a part of it, and nowhere."""
     start, open_, toll, until = (np.array(part)[1, :3] for part in mazes(shape))
@@ -110,7 +112,9 @@ def test_they_compile_for_a_gpu(tmp_path):
     assert list(tmp_path.glob("*.ptx"))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "seed", [0, pytest.param(1, marks=pytest.mark.thorough), pytest.param(2, marks=pytest.mark.thorough)]
+)
 def test_distances_on_warp_are_those_of_dijkstra(seed):
     start, open_, toll = labyrinth(seed)
     found = distances_on_warp(start, np.where(open_, toll, np.inf), None)

@@ -38,6 +38,7 @@ def two(cache, tmp_path_factory):
     return folder
 
 
+@pytest.mark.thorough
 def test_two_processes_collect_what_one_collects(reference, two):
     """Before anything is learned it is the same, to the bit: worlds and noise know only their world's number.
 
@@ -49,6 +50,7 @@ def test_two_processes_collect_what_one_collects(reference, two):
     assert_allclose(one["return"], other["return"], rtol=1e-6)
 
 
+@pytest.mark.thorough
 def test_two_processes_have_the_learning_curve_of_one(reference, two):
     for one, other in zip(lines(reference), lines(two), strict=True):
         assert one.keys() == other.keys()
@@ -60,6 +62,7 @@ def test_two_processes_have_the_learning_curve_of_one(reference, two):
     assert lines(two)[-1]["score"] > 0.8
 
 
+@pytest.mark.thorough
 def test_two_processes_end_with_the_weights_of_one(reference, two):
     import jax
 
@@ -69,6 +72,7 @@ def test_two_processes_end_with_the_weights_of_one(reference, two):
     assert any(np.abs(weights).max() > 0.1 for weights in one)
 
 
+@pytest.mark.thorough
 def test_each_process_has_its_own_worlds_in_the_checkpoint(two):
     """And both have the same train state."""
     folder = two / "checkpoints" / "00000010"

@@ -178,6 +178,7 @@ def driven():
     return env, *states
 
 
+@pytest.mark.thorough
 def test_the_baseline_keeps_its_lane_and_distance(driven):
     """8 s, of which it takes 2 to get up to speed: at least 70 of 100, and 0 for cars that stand."""
     env, state, still = driven
@@ -190,6 +191,7 @@ def test_the_baseline_keeps_its_lane_and_distance(driven):
     assert np.isfinite(np.asarray(state.obs[0])).all()
 
 
+@pytest.mark.thorough
 def test_speeds_by_the_ins_are_true_to_some_percent(driven):
     _, state, _ = driven
     truly = np.asarray(state.privileged)[:, 2:4]

@@ -154,6 +154,7 @@ def test_rooms_and_robots_that_do_not_go():
         HoverInspect(robot="P2AT").robots  # noqa: B018 - it raises
 
 
+@pytest.mark.thorough
 def test_the_baseline_flies_through_a_window_and_looks_at_two_points():
     """Two of four worlds do nothing: they stay on the ground and see nothing."""
     steps = 110

@@ -382,6 +382,7 @@ def env():
     return usarmjx.make("soccer", worlds=4, engine="c", episode_steps=130)
 
 
+@pytest.mark.thorough
 def test_a_robot_pushes_the_ball_into_the_goal(env):
     """It drives straight on for 1.5 m; the ball rolls on, and the episode ends. Rewards add up."""
     state, scene = env.reset(0), env.scene
@@ -406,6 +407,7 @@ def test_a_robot_pushes_the_ball_into_the_goal(env):
     np.testing.assert_allclose(rewards, float(rewards[0]) * SIDES, atol=1e-4)
 
 
+@pytest.mark.thorough
 def test_the_baseline_scores_against_robots_that_stand(env):
     """Games of 13 s, yellow does nothing: goals for blue, and none against it.
 

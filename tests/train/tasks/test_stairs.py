@@ -106,6 +106,7 @@ def climbed():
     return env, first, flipped, np.asarray(state.bad)
 
 
+@pytest.mark.thorough
 def test_the_baseline_climbs_the_stairs(climbed):
     _, first, _, bad = climbed
     assert not bad.any()
@@ -113,6 +114,7 @@ def test_the_baseline_climbs_the_stairs(climbed):
     assert (first[2:] < 1.0).all(), "who does nothing climbs nothing"
 
 
+@pytest.mark.thorough
 def test_encoders_tell_where_the_flippers_are(climbed):
     """0.6 rad up were told, half of 1.2; a tick is 0.01 rad, and the motors hold to some of that."""
     _, _, flipped, _ = climbed

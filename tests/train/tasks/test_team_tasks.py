@@ -60,11 +60,12 @@ def test_an_episode_that_counts_as_begun_earlier_tells_the_time_that_is_left(exp
     memory = jax.tree.map(jnp.asarray, task.started_at(memory, jnp.int32(late)))
     result = _machine(task)[2](after, memory)
     assert float(task.privileged(after, result.memory)[1]) == pytest.approx((late + 1) / STEPS)
-    usual = task.observe(after, plain.memory)[0]
-    left = np.flatnonzero(np.abs(task.observe(after, result.memory)[0] - usual).max(0) > 1e-6)
+    observe = jax.jit(task.observe)
+    usual, seen = observe(after, plain.memory)[0], observe(after, result.memory)[0]
+    left = np.flatnonzero(np.abs(seen - usual).max(0) > 1e-6)
     assert len(left) == 1, "nothing else of the observation changes"
     np.testing.assert_allclose(usual[:, left], 1 - 1 / STEPS, rtol=1e-6)
-    np.testing.assert_allclose(task.observe(after, result.memory)[0][:, left], 1 / STEPS, rtol=1e-5)
+    np.testing.assert_allclose(seen[:, left], 1 / STEPS, rtol=1e-5)
     for name, value in plain.metrics.items():
         assert float(result.metrics[name]) == float(value), name
     assert float(plain.score) > float(result.score) > 0, (
@@ -135,6 +136,7 @@ def test_the_parts_of_the_score_of_exploring_are_all_of_it(explored):
     assert parts["contacts"][-1] == -task.price
 
 
+@pytest.mark.thorough
 def test_a_find_that_comes_late_pays_more_with_less_haste(explored):
     """The step before is played again: what is new in it is worth 1/2 + 1/2 of the time left, not that."""
     task, steps = explored
@@ -391,11 +393,12 @@ def test_a_relay_sees_powers_above_the_cutoff_of_its_own_world():
     scene, world, physics = begin(task)
     view = view_of(scene, world, physics, [(0.6, 0.9, 0.0), (1.6, 0.9, 0.0)], linked=chain(2, (0, 1)))
     heard = view.links.replace(power=jnp.full((2, 2), task.radio.cutoff + 5.0))
-    memory = task.start(view, jax.random.key(0))
+    memory = jax.jit(task.start)(view, jax.random.key(0))
+    observe = jax.jit(task.observations)
 
     def margins(varied):
         own = view.world.replace(links=heard, varied=varied)
-        return np.asarray(task.observations(view.replace(world=own), memory))[:, -1]
+        return np.asarray(observe(view.replace(world=own), memory))[:, -1]
 
     np.testing.assert_allclose(margins(None), 5.0 / 20.0, rtol=1e-6)
     deaf = RandomizedValues(radio_cutoff=jnp.float32(task.radio.cutoff + 3.0))

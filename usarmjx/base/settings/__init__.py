@@ -7,8 +7,10 @@ in Python, and `to_data` and `to_yaml` write. The grammar of texts is the table 
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.base.settings.declaration import (
     AT_LEAST_ONE,
     NOT_NEGATIVE,
@@ -20,7 +22,7 @@ from usarmjx.base.settings.declaration import (
     describe,
     members_of,
 )
-from usarmjx.base.settings.files import FileValue, read_file
+from usarmjx.base.settings.files import FileValue
 from usarmjx.base.settings.text import Text, nested_texts, parse_assignments
 from usarmjx.base.settings.writing import (
     json_schema,
@@ -73,6 +75,13 @@ def default_reader() -> "Reader":
     from usarmjx.base.settings.reader import DEFAULT  # pydantic-core takes 40 ms to import
 
     return DEFAULT
+
+
+def read_file(path: Path, refusal: type[UsageError] = SpecError) -> FileValue:
+    """Return the content of a YAML, JSON or TOML file; see `yaml_file.read_file`."""
+    from usarmjx.base.settings import yaml_file  # PyYAML takes 10 ms to import
+
+    return yaml_file.read_file(path, refusal)
 
 
 def from_data(kind: type[T], data: object, *, where: str = "", base: T | None = None) -> T:

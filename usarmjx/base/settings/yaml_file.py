@@ -1,6 +1,7 @@
-"""YAML files within limits, each value with its line; and settings as YAML."""
+"""YAML files within limits, each value with its line; TOML files; and settings as YAML."""
 
 import re
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -168,3 +169,31 @@ def dump_yaml(data: Mapping[str, object], comments: Mapping[str, str] | None = N
         body = yaml.dump({key: value}, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1000)
         parts.append((f"# {comment}\n" if comment else "") + body)
     return "".join(parts)
+
+
+def read_file(path: Path, refusal: type[UsageError] = SpecError) -> FileValue:
+    """Return the content of a YAML, JSON or TOML file, by the end of its name; values of TOML know no line.
+
+    Raises:
+        UsageError: A file that does not read, or says a key twice; names the line.
+    """
+    if path.suffix.lower() != ".toml":
+        return read_yaml(path, refusal)
+    try:
+        found = tomllib.loads(read_bytes(path, refusal=refusal).decode("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise refusal(f"{path}: is no TOML: {first_line(error)}") from error
+    return _of_toml(found, FileValue(None, path, 0, "", refusal))
+
+
+def _of_toml(data: Any, place: FileValue) -> FileValue:  # noqa: ANN401 - as tomllib gives it
+    def inner(name: str, item: object) -> FileValue:
+        return _of_toml(item, FileValue(None, place.path, 0, joined(place.name, name), place.refusal))
+
+    if isinstance(data, dict):
+        held: Plain = {str(key): inner(f".{key}", item) for key, item in data.items()}  # type: ignore - any
+    elif isinstance(data, list):
+        held = [inner(f"[{i}]", item) for i, item in enumerate(data)]  # type: ignore - of any type
+    else:
+        held = data if isinstance(data, str | int | float) else str(data)  # dates
+    return FileValue(held, place.path, 0, place.name, place.refusal)

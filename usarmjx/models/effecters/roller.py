@@ -7,9 +7,8 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import xp
 from usarmjx.base.settings import NOT_NEGATIVE
 from usarmjx.models.effecters.base import EFFECTERS, NOP, RESET, Effect, Effecter, EffecterSettings, Opcode
-from usarmjx.models.robots.kit import ACROSS
 from usarmjx.models.types.robot import Motor, Part
-from usarmjx.models.types.shapes import Shape
+from usarmjx.models.types.shapes import ACROSS, Shape
 
 # All measures are chosen: the manual gives none.
 RADIUS, WIDTH = 0.03, 0.36

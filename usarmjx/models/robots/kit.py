@@ -21,12 +21,7 @@ from usarmjx.models.types.robot import (
     Spring,
     options,
 )
-from usarmjx.models.types.shapes import ZERO, Mesh, Rgba, Shape
-
-ACROSS: Vec3 = (-math.pi / 2, 0.0, 0.0)
-"""Rotation of a cylinder's axis (z) to the side (y)."""
-ALONG: Vec3 = (0.0, math.pi / 2, 0.0)
-"""Rotation of a cylinder's axis (z) ahead (x)."""
+from usarmjx.models.types.shapes import ACROSS, ALONG, ZERO, Mesh, Rgba, Shape
 
 TYRE_BLACK: Rgba = (0.13, 0.13, 0.14, 1.0)
 TREAD: Rgba = (0.2, 0.2, 0.21, 1.0)

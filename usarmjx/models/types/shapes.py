@@ -19,6 +19,10 @@ Rgba: TypeAlias = Annotated[tuple[float, float, float, float], SHARE]
 """Red, green, blue and opacity, each from 0 to 1."""
 
 ZERO: Vec3 = (0.0, 0.0, 0.0)
+ACROSS: Vec3 = (-math.pi / 2, 0.0, 0.0)
+"""Rotation of a cylinder's axis (z) to the side (y)."""
+ALONG: Vec3 = (0.0, math.pi / 2, 0.0)
+"""Rotation of a cylinder's axis (z) ahead (x)."""
 
 
 @dataclass(frozen=True)

@@ -273,7 +273,7 @@ class Client:
         return False
 
     def _drive_joint(self, command: wire.DriveJoint | wire.SetJoint) -> bool:
-        """Order a joint to move and a wheel to steer; return whether the robot could be told all of it."""
+        """Order a joint to move and a wheel to steer; return whether the robot could do both."""
         done = True
         if command.value is not None:
             done = self._set_named_joint(command.name, command.order, command.value)

@@ -9,33 +9,387 @@ import asyncio
 import logging
 import socket
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated, Protocol
 
-from usarmjx.base.errors import PeerError
+from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.base.settings import AT_LEAST_ONE, NOT_NEGATIVE, validate
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.server.network.access import EVERYBODY, AccessRules
 from usarmjx.server.network.gate import LINE_ENDS, Gate, peer_address
-from usarmjx.server.network.ports import PORT, POSITION_PORT, WSS2_PORT, WSS_PORT
+from usarmjx.server.network.ports import PORT, POSITION_PORT, WSS2_PORT, WSS_PORT, may_dial
 from usarmjx.server.protocol.grammar import HttpRequestError
-from usarmjx.server.wireless.dialect_a import MESSAGE_END
-from usarmjx.server.wireless.net_a import DataLinkServer
-from usarmjx.server.wireless.net_b import ProxyServer
+from usarmjx.server.runtime.logs import FaultLog
+from usarmjx.server.wireless.channel import reaches
+from usarmjx.server.wireless.comserver import ComServer, Endpoint, EndpointPair, normalize_address
+from usarmjx.server.wireless.dialect_a import MESSAGE_END, DataLinkParser, DataLinkPhase, DialectASession
+from usarmjx.server.wireless.dialect_b import DialectBSession
 from usarmjx.server.wireless.positions import PositionSession
 from usarmjx.server.wireless.radio_channel import RadioChannel
 from usarmjx.server.wireless.sockets import (
+    DATA_READ_SIZE,
     READ_SIZE,
+    ReservedPort,
     Throttle,
     close_gracefully,
+    connect,
     drain,
     limit_kernel_buffer,
     listen,
     log,
 )
-from usarmjx.server.wireless.switchboard import MAX_CONNECTIONS
+from usarmjx.server.wireless.switchboard import MAX_CONNECTIONS, Changes, Route, Switchboard
 from usarmjx.server.worlds.served_world import ServedWorld
+
+
+@dataclass(eq=False)
+class LinkEnd:
+    """One end of a link."""
+
+    end: Endpoint
+    reader: asyncio.StreamReader
+    writer: asyncio.StreamWriter
+
+
+@dataclass(eq=False)
+class DataLink:
+    """A link between two robots."""
+
+    endpoints: EndpointPair
+    sides: tuple[LinkEnd, LinkEnd]
+
+    def cut(self) -> None:
+        """Close both ends."""
+        for side in self.sides:
+            if not side.writer.is_closing():
+                close_gracefully(side.writer)
+
+
+class DataLinkServer:
+    """Opens and serves the links of dialect A.
+
+    Args:
+        radio: The radio.
+        allow: Addresses that may be connected to beside that of the requesting peer.
+        throttle: Queue of all work.
+    """
+
+    def __init__(self, radio: RadioChannel, allow: Collection[str], throttle: Throttle) -> None:
+        self._radio, self._throttle = radio, throttle
+        self._server = ComServer(radio, allow)
+        self._links: dict[DataLink, asyncio.Task[None]] = {}
+
+    def make_handler(self, address: str) -> "DialectAHandler":
+        """Return the handler of a new control connection."""
+        return DialectAHandler(self, DialectASession(self._server, address), self._throttle)
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """Return the names at both ends of every link."""
+        return [link.endpoints.names for link in self._links]
+
+    def poll(self) -> None:
+        """Cut the links of robots that have left the world."""
+        self._server.poll_presence()
+        for link in self._links:
+            if not all(self._radio.has_robot(name) for name in link.endpoints.names):
+                link.cut()
+
+    def stop(self) -> None:
+        """Cut all links."""
+        for link, task in self._links.items():
+            for side in link.sides:
+                side.writer.transport.abort()
+            task.cancel()
+
+    async def make(self, wanted: EndpointPair) -> bool:
+        """Connect to both ends of a link and forward between them; return whether both answered."""
+        ends = (wanted.first, wanted.second)
+        streams = await asyncio.gather(
+            *(connect(end.address, end.port) for end in ends), return_exceptions=True
+        )
+        sides = [
+            LinkEnd(end, *pair)
+            for end, pair in zip(ends, streams, strict=True)
+            if not isinstance(pair, BaseException)
+        ]
+        if len(sides) < 2:
+            for side in sides:
+                side.writer.transport.abort()
+            log.info("no link between %s and %s: %s", *wanted.names, streams)
+            return False
+        link = DataLink(wanted, (sides[0], sides[1]))
+        self._links[link] = asyncio.create_task(self._carry(link))
+        return True
+
+    async def _carry(self, link: DataLink) -> None:
+        log.info("link between %s and %s", *link.endpoints.names)
+        one, other = link.sides
+        try:
+            await asyncio.gather(self._pump(link, one, other), self._pump(link, other, one))
+        finally:
+            link.cut()
+            del self._links[link]
+            self._server.closed(link.endpoints)
+            log.info("no more link between %s and %s", *link.endpoints.names)
+
+    async def _pump(self, link: DataLink, here: LinkEnd, there: LinkEnd) -> None:
+        """Forward messages from one side to the other until either closes or the signal is lost."""
+        parser = DataLinkParser()
+        try:
+            while parser.phase is not DataLinkPhase.CLOSED and (
+                data := await here.reader.read(DATA_READ_SIZE)
+            ):
+                async with self._throttle:
+                    messages = parser.receive_data(data)
+                    if messages and not reaches(self._radio, *link.endpoints.names):
+                        log.info("%s and %s do not reach each other any more", *link.endpoints.names)
+                        break
+                    if there.writer.is_closing():
+                        break
+                    there.writer.write(b"".join(messages))
+                await drain(there.writer)
+        except (OSError, PeerError) as error:
+            log.info("%s: %s", here.end.name, error)
+        finally:
+            link.cut()
+
+
+class DialectAHandler:
+    """Handler of one control connection of dialect A.
+
+    Args:
+        links: Opens the links.
+        session: The dialogue.
+        throttle: Queue of all work.
+    """
+
+    closing = False
+
+    def __init__(self, links: DataLinkServer, session: DialectASession, throttle: Throttle) -> None:
+        self._links, self._session, self._throttle = links, session, throttle
+
+    @property
+    def alive(self) -> bool:
+        """Whether a robot that was registered here is in the world."""
+        return self._session.alive
+
+    async def handle(self, data: bytes) -> bytes:
+        """Take bytes and return the answers."""
+        async with self._throttle:
+            link = self._session.receive_data(data)
+        while link is not None:
+            done = False
+            try:
+                done = await self._links.make(link)
+            finally:
+                link = self._session.answer_open(done)
+        return self._session.data_to_send()
+
+    def connection_lost(self) -> None:
+        """Do nothing: robots stay registered when their control connection ends."""
+
+
+@dataclass(eq=False)
+class ProxyConnection:
+    """A connection through the server: the caller's end, and the callee's once it answers."""
+
+    near: asyncio.StreamWriter
+    far: asyncio.StreamWriter | None = None
+
+    @property
+    def ends(self) -> list[asyncio.StreamWriter]:
+        """The present ends of the connection, one or two."""
+        return [writer for writer in (self.near, self.far) if writer is not None]
+
+    def cut(self) -> None:
+        """Close both ends."""
+        for writer in self.ends:
+            if not writer.is_closing():
+                close_gracefully(writer)
+
+
+class ProxyServer:
+    """Keeps the forwarded ports and the proxied connections of dialect B.
+
+    Args:
+        radio: The radio.
+        host: Address to listen on.
+        throttle: Queue of all work.
+        gate: Admits calls to the forwarded ports.
+    """
+
+    def __init__(self, radio: RadioChannel, host: str, throttle: Throttle, gate: Gate) -> None:
+        self._host, self._throttle, self._gate = host, throttle, gate
+        self._board = Switchboard(radio, self._allocate, time.monotonic, may_dial)
+        self._fault_log = FaultLog(log)
+        self._ports: dict[Route, ReservedPort] = {}
+        self._connections: dict[Route, set[ProxyConnection]] = {}
+        self._handlers: set[DialectBHandler] = set()
+
+    def make_handler(self, address: str) -> "DialectBHandler":
+        """Return the handler of a new control connection."""
+        handler = DialectBHandler(self, DialectBSession(self._board, normalize_address(address)))
+        self._handlers.add(handler)
+        return handler
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """Return the names at both ends of every route."""
+        return [(route.caller, route.callee) for route in self._ports]
+
+    async def handle(self, handler: "DialectBHandler", session: DialectBSession, data: bytes) -> bytes:
+        """Take bytes of a control connection and return the answers; nothing if it is over."""
+        async with self._throttle:
+            if handler not in self._handlers:
+                return b""
+            answers = session.receive_data(data)
+            opened = self._board.take_opened()
+        await self._open(opened)  # before the answer: the client dials the port at once
+        return answers
+
+    def poll(self) -> Changes:
+        """Return the changes of the world since the last poll."""
+        return self._board.poll()
+
+    async def apply_changes(self, changes: Changes) -> None:
+        """Open and close ports and connections after changes of the world."""
+        for handler in [handler for handler in self._handlers if handler.name in changes.gone]:
+            log.info("%s is not in the world, or has no battery: it no longer takes part", handler.name)
+            handler.closing = True
+            self.leave(handler)
+        for route in changes.closed:
+            self._close(route)
+        await self._open(changes.opened)
+
+    def leave(self, handler: "DialectBHandler") -> None:
+        """Forget a control connection with its robot's ports and connections."""
+        if handler not in self._handlers:
+            return
+        self._handlers.remove(handler)
+        gone, closed = self._board.leave(handler.name)
+        for route in (*gone, *closed):
+            self._close(route)
+        for route in gone:
+            self._ports.pop(route).release()
+
+    def stop(self) -> None:
+        """Close all connections."""
+        for port in self._ports.values():
+            port.release()
+        for connection in (one for some in self._connections.values() for one in some):
+            for writer in connection.ends:
+                writer.transport.abort()
+
+    def _allocate(self, route: Route) -> int | None:
+        try:
+            self._ports[route] = ReservedPort(self._host, partial(self._called, route), self._gate)
+        except UsageError as error:
+            self._fault_log.warning("%s", error)
+            return None
+        return self._ports[route].port
+
+    async def _open(self, routes: Iterable[Route]) -> None:
+        for route in routes:
+            port = self._ports.get(route)
+            if port is None:
+                continue
+            try:
+                await port.open()
+            except UsageError as error:
+                self._fault_log.warning("%s", error)
+                self._board.failed(route)
+            # During the wait the caller may have left, or the signal be lost.
+            if self._ports.get(route) is not port:
+                port.release()
+            elif not self._board.is_open(route):
+                port.close()
+
+    def _close(self, route: Route) -> None:
+        if route in self._ports:
+            self._ports[route].close()
+        for connection in self._connections.get(route, ()):
+            connection.cut()
+
+    async def _called(self, route: Route, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        address, _ = peer_address(writer)
+        if not address or not self._board.may_call(route, normalize_address(address)):
+            writer.close()
+            return
+        connection, ports = ProxyConnection(writer), list[int]()
+        self._connections.setdefault(route, set()).add(connection)
+
+        def note(port: int) -> None:
+            ports.append(port)
+            self._board.add_connection(route, port)
+
+        try:
+            there, far = await connect(self._board.address_of(route.callee), route.port, note)
+            connection.far = far
+            if not writer.is_closing():  # it may have been cut while the far end was connecting
+                log.info("%s calls %s", route.caller, route.callee)
+                pumps = self._pump(reader, connection, far), self._pump(there, connection, writer)
+                await asyncio.gather(*pumps)
+        except OSError as error:
+            log.info("%s does not answer %s: %s", route.callee, route.caller, error)
+        except asyncio.CancelledError:
+            log.info("%s and %s: the server stops", route.caller, route.callee)
+        finally:
+            connection.cut()
+            self._board.remove_connections(*ports)
+            self._connections[route].discard(connection)
+            if not self._connections[route]:
+                del self._connections[route]
+
+    async def _pump(
+        self, reader: asyncio.StreamReader, connection: ProxyConnection, writer: asyncio.StreamWriter
+    ) -> None:
+        try:
+            while data := await reader.read(DATA_READ_SIZE):
+                async with self._throttle:
+                    if writer.is_closing():
+                        break
+                    writer.write(data)
+                await drain(writer)
+        except (OSError, PeerError) as error:
+            log.info("a proxied connection ends: %s", error)
+        finally:
+            connection.cut()
+
+
+class DialectBHandler:
+    """Handler of one control connection of dialect B.
+
+    Args:
+        server: The ports and connections.
+        session: The dialogue.
+
+    Attributes:
+        closing: Whether the robot is no participant any more, which ends the connection.
+    """
+
+    def __init__(self, server: ProxyServer, session: DialectBSession) -> None:
+        self._server, self._session = server, session
+        self.closing = False
+
+    @property
+    def name(self) -> str:
+        """Name of the robot that it has joined as, "" before."""
+        return self._session.name
+
+    @property
+    def alive(self) -> bool:
+        """Whether it has joined: then it may be silent, as it ends with its robot."""
+        return bool(self.name) and not self.closing
+
+    async def handle(self, data: bytes) -> bytes:
+        """Take bytes and return the answers."""
+        return await self._server.handle(self, self._session, data)
+
+    def connection_lost(self) -> None:
+        """Release the ports and connections of its robot."""
+        self._server.leave(self)
+
 
 POLL_PERIOD = 1.0
 """Interval between two polls of the world [s of simulated time]: that of the stand-alone server."""

@@ -16,7 +16,7 @@ STOP_RANGE = 0.35 / 4
 STUCK = 0.3
 """A robot that has come less far lately than this share of 0.5 m, though it should, backs up."""
 BACK_UP_PERIOD, BACK_UP_STEPS = 20, 5
-"""Of so many steps it backs up for so many, and then tries again."""
+"""Steps of a period, and steps of it in which it backs up before it tries again."""
 ARRIVED = 0.05
 """The next position is so near, as observed, only where there is no path (6 cm)."""
 

@@ -15,7 +15,7 @@ LOOKAHEAD = 3.0, 0.6
 LANE = 1.5
 """What is nearer to the lane's middle than this is in the way [m]."""
 CATCH_UP = 1.25
-"""At most so many times the target speed, to close a gap."""
+"""Highest speed, as a multiple of the target speed, to close a gap."""
 
 
 def pursuit_action(seen: jax.Array, task: Convoy) -> jax.Array:

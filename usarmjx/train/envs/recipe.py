@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Annotated
 
 import jax
@@ -288,6 +289,7 @@ def resolve_arenas(arenas: Arenas, robot: str, robots: int = 1) -> Arenas:
     return arenas
 
 
+@cache
 def floor_for(robots: int) -> ArenaSpec:
     """Return the empty floor, or a larger one if so many robots would overlap."""
     if robots * FLOOR_ROOM <= FLOOR_SIDE**2:

@@ -150,7 +150,7 @@ def evaluate_episodes(
     level: float | None = None,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Evaluation:
-    """Return what a policy scores in so many episodes of each seed; see `run_episodes`.
+    """Return scores of a policy in episodes of each seed; see `run_episodes`.
 
     Raises:
         UsageError: No seeds or episodes, or none of a seed's ended well.

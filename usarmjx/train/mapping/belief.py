@@ -82,7 +82,7 @@ class Belief(struct.PyTreeNode, kw_only=True):
 
     @property
     def squares(self) -> jax.Array:
-        """What each believes of each square; see `maps.fuse_maps` (robots, i, j)."""
+        """Belief of each robot about each square; see `maps.fuse_maps` (robots, i, j)."""
         return maps.fuse_maps(self.evidence, self.marks, self.received_map)
 
 

@@ -15,7 +15,9 @@ from jax.custom_batching import custom_vmap
 from usarmjx.base.arrays import Array
 
 MAPS_AT_A_TIME = 64
-"""Maps that are swept together: so many stay in a core's own cache, and wait for each other."""
+"""Maps that are swept together: this number stays in a core's own cache, and wait for each other."""
+UNREACHABLE = 1e6
+"""Distance of squares that no path leads to [squares]."""
 SLANT = np.float32(math.sqrt(2))
 """What a slanting step costs."""
 

@@ -15,8 +15,7 @@ import warp as wp
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.warp_functions import warp_function
-from usarmjx.train.mapping.fast_sweeping import of_one_map, over_maps
-from usarmjx.train.mapping.wavefront import UNREACHABLE
+from usarmjx.train.mapping.fast_sweeping import UNREACHABLE, of_one_map, over_maps
 
 # Nothing may be added in another order than JAX does: fast mathematics might.
 wp.set_module_options({"enable_backward": False, "fast_math": False})
@@ -155,7 +154,7 @@ SWEEPS = """
 
 
 def _sweeps_in(room: int, threads: int, *, holds_costs: bool = False) -> str:
-    """Return the native code that holds a map of so many squares in shared memory; 0: in global memory."""
+    """Return the native code that holds a map of this size in shared memory; 0: in global memory."""
     words = {"ROOM": str(room), "THREADS": f"{threads}u", "HOLDS_COSTS": str(int(holds_costs))}
     return reduce(lambda code, word: code.replace(word, words[word]), words, SWEEPS)
 
@@ -285,7 +284,7 @@ WALKERS = 64
 
 
 def _sweeper(squares: int) -> tuple[str, int]:
-    """Return the name of the kernel for maps of so many squares, as they are held, and its threads a map."""
+    """Return the name of the kernel for maps of this size, as they are held, and its threads a map."""
     if squares <= SMALL_ROOM:
         return "sweep_small_maps", SMALL_THREADS
     large = squares <= LARGE_ROOM

@@ -9,12 +9,10 @@ import numpy as np
 
 from usarmjx.base.accelerator import warp_in_use
 from usarmjx.base.arrays import Array, ArrayLike
-from usarmjx.train.mapping.fast_sweeping import swept_distances
+from usarmjx.train.mapping.fast_sweeping import UNREACHABLE, swept_distances
 from usarmjx.train.mapping.maps import FREE, UNKNOWN, WALL, MapGrid
 
 NEIGHBOURS = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j)
-UNREACHABLE = 1e6
-"""The distance to where no way leads, in squares."""
 
 
 def _framed(values: Array, edge: ArrayLike) -> jax.Array:
@@ -87,7 +85,7 @@ def spread_distances(start: jax.Array, open_: Array, toll: ArrayLike, until: Arr
 
     def goes_on(state: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
         count, far, changed = state
-        # After so many rounds all ways of so many steps are known, and each step costs 1 or more.
+        # After n rounds all ways of n steps are known, and each step costs 1 or more.
         return changed if until is None else changed & (count < far[until[0], until[1]])
 
     return jax.lax.while_loop(goes_on, spread, (jnp.int32(0), start, jnp.ones((), bool)))[1]

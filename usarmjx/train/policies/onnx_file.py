@@ -2,13 +2,15 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from usarmjx.base.errors import extra
 from usarmjx.base.files import atomic_write
-from usarmjx.train.policies.policy_file import MAX_NORMALISED, NumpyPolicy
+
+if TYPE_CHECKING:
+    from usarmjx.train.policies.policy_file import NumpyPolicy
 
 with extra("onnx"):
     from onnx import TensorProto, checker, helper, numpy_helper
@@ -69,7 +71,7 @@ def _add_memory(graph: _Graph, weights: Any, x: str, carry: str) -> str:  # noqa
     return graph.add("Add", graph.add("Mul", graph.add("Sub", graph.constant(1.0), update), new), kept)
 
 
-def _add_group(graph: _Graph, policy: NumpyPolicy, index: int) -> None:
+def _add_group(graph: _Graph, policy: "NumpyPolicy", index: int) -> None:
     """Add the network of a group: its most probable actions from its observations."""
     group, weights = policy.groups[index], policy.weights[index]
     name, width = group["name"], group["obs_size"]
@@ -78,7 +80,7 @@ def _add_group(graph: _Graph, policy: NumpyPolicy, index: int) -> None:
     lost = graph.add("Or", graph.add("IsNaN", seen), graph.add("IsInf", seen))
     x = graph.add("Sub", graph.add("Where", lost, mean, seen), mean)
     x = graph.add("Div", x, graph.constant(policy.std[index]))
-    x = graph.add("Clip", x, graph.constant(-MAX_NORMALISED), graph.constant(MAX_NORMALISED))
+    x = graph.add("Clip", x, graph.constant(-policy.max_normalised), graph.constant(policy.max_normalised))
     for layer in range(policy.layers):
         x = graph.add("Elu", graph.dense(weights[f"layer_{layer}"], x))
     if policy.memory:
@@ -89,7 +91,7 @@ def _add_group(graph: _Graph, policy: NumpyPolicy, index: int) -> None:
     graph.result(f"{name}.action", group["action_size"], graph.add("Tanh", means))
 
 
-def write_onnx(policy: NumpyPolicy, file: Path) -> None:
+def write_onnx(policy: "NumpyPolicy", file: Path) -> None:
     """Write a policy as an ONNX model, whose metadata `about` has what the policy is for.
 
     For each group of robots it reads `CLASS.obs` (robots, obs_size) and returns the most probable actions,

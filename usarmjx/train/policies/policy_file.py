@@ -222,6 +222,11 @@ class NumpyPolicy:
                 return index
         raise UsageError(f"this policy is not for {name}; it is for: {', '.join(known)}")
 
+    @property
+    def max_normalised(self) -> float:
+        """Largest magnitude of a normalised observation."""
+        return MAX_NORMALISED
+
     def initial_carry(self, group: int, *shape: int) -> Vector:
         """Return the carry of a group's robots at first (*shape, memory)."""
         return np.zeros((*shape, self.memory), np.float32)
@@ -325,7 +330,7 @@ def export_run(run: str | Path, file: str | Path, which: str = "best", half: boo
 
     Args:
         run: Folder of the run; or, where there is none of that name, the task of a packaged policy.
-        file: To write.
+        file: To write, .npz or .onnx; or a folder of that suffix, .policy.
         which: Checkpoint: `best`, `last`, or the number of an iteration.
         half: See `save_policy`.
 
@@ -341,9 +346,15 @@ def export_run(run: str | Path, file: str | Path, which: str = "best", half: boo
             export_run(run, Path(folder) / "policy.npz", which, half)
             write_onnx(NumpyPolicy(Path(folder) / "policy.npz"), Path(file))
         return
+    if suffix == ".policy":
+        from usarmjx.train.policies.policy_folder import write_folder
+
+        write_folder(run, Path(file), which, half)
+        return
     if suffix != ".npz":
         raise UsageError(
-            f"{file}: a policy is written as .npz or .onnx, not as {Path(file).suffix or 'a bare name'}"
+            f"{file}: a policy is written as .npz or .onnx, not as {Path(file).suffix or 'a bare name'};"
+            " .policy makes a folder with a card"
         )
     if str(run) in POLICIES and not Path(run).exists():
         about, arrays = read_arrays(POLICIES.get(str(run)))

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.base.registry import closest
 from usarmjx.base.settings import parse_assignments
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import AgentGroup, Env
@@ -19,6 +20,7 @@ from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.make import check_named, find_baseline, make, make_task, same_class, task_values
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.policy_file import NumpyPolicy
+from usarmjx.train.policies.policy_folder import weights_in
 from usarmjx.train.policies.untrained import UNTRAINED, check_untrained
 
 EPISODES, WORLDS = 100, 20
@@ -307,7 +309,8 @@ def load_policy(what: str, checkpoint: str = "best") -> PolicySource:
     """Return the policy of a run's folder, of an exported file, or of the package by its task's name.
 
     Args:
-        what: Folder, file, or task; or `CLASS=POLICY,CLASS=POLICY`, one of these for each class of robots.
+        what: Folder of a run or of a policy, file, or task; or `CLASS=POLICY,CLASS=POLICY`, one of these for
+            each class of robots.
         checkpoint: Checkpoint of a run: `best`, `last`, or the number of an iteration.
 
     Raises:
@@ -317,6 +320,8 @@ def load_policy(what: str, checkpoint: str = "best") -> PolicySource:
     path = Path(what)
     if "=" in what and not path.exists():
         return _load_parts(what, checkpoint)
+    if path.is_dir() and (weights := weights_in(path)):
+        return replace(load_exported(weights), name=what)
     if path.is_dir():
         from usarmjx.train.learning.checkpoint import Checkpoints, read_policy
 
@@ -332,8 +337,10 @@ def load_policy(what: str, checkpoint: str = "best") -> PolicySource:
         return load_exported(path)
     if what in POLICIES:
         return load_exported(POLICIES.get(what))
-    known = ", ".join(POLICIES.names()) or "none"
-    raise UnknownNameError(f"{what} is no folder of a run, no exported policy, nor a packaged one: {known}")
+    raise UnknownNameError(
+        f"{what} is no folder of a run, no exported policy, nor a packaged one"
+        f"{closest(what, POLICIES.names())}: {', '.join(POLICIES.names()) or 'none'}"
+    )
 
 
 def load_exported(file: Path) -> PolicySource:

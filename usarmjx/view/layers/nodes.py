@@ -236,10 +236,3 @@ class InstanceNode:
         if len(pos):
             handle.batched_positions, handle.batched_wxyzs = pos, quat
             handle.batched_scales, handle.batched_colors = scale, colors
-
-
-def turned_about_z(yaw: np.ndarray) -> np.ndarray:
-    """Return quaternions, w first (n, 4), of rotations about z by angles [rad] (n,)."""
-    half = np.asarray(yaw) / 2
-    zero = np.zeros_like(half)
-    return np.stack([np.cos(half), zero, zero, np.sin(half)], -1)
