@@ -83,7 +83,7 @@ def guide_text(page: str, port: int, robots: Sequence[str]) -> str:
     """Return a guide to the page, and further commands to try."""
     last = robots[-1]
     return f"""
-{len(robots)} robots explore {ARENA}, driven by the shipped policy for the task `{TASK}`: {page}
+{len(robots)} robots explore {ARENA}, driven by the baseline of the task `{TASK}`: {page}
 
   Take one over: press "Take the controls", choose {last} under Robot, press "Take over",
   click beside the arrows, and hold W A S D or the arrow keys; "Give it back" lets the policy go on.
@@ -154,7 +154,7 @@ def run_live(browser: bool, port: int | None, viewer_port: int | None, rosbridge
 
 
 def make_world() -> "PolicyWorld":
-    """Return the world in which the shipped policy explores."""
+    """Return the world in which the baseline of the task explores."""
     from usarmjx.models.arenas import ARENAS
     from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
     from usarmjx.train.baselines import BASELINES
