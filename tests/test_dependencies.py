@@ -56,6 +56,15 @@ def test_every_pin_that_is_installed_states_a_licence(bill):
     assert unknown & here == set()
 
 
+def test_packages_of_the_images_have_a_licence_wherever_the_bill_is_made():
+    """NVIDIA's are installed nowhere but there; `tools/lock.py` has kept what they state."""
+    pinned = dependencies.pins(dependencies.CONSTRAINTS.read_text(encoding="utf-8"), "3.12")
+    found = {one["name"]: one for one in dependencies.sbom(pinned)["components"]}
+    kept = dependencies.kept_licences()
+    assert ("nvidia-cublas", found["nvidia-cublas"]["version"]) in kept
+    assert [name for name, _ in kept if not found[name].get("licenses")] == []
+
+
 def test_the_bill_has_what_the_schema_requires(bill):
     """CycloneDX 1.6: fields that must be there, the forms that they have, and where references lead."""
     assert (bill["bomFormat"], bill["specVersion"], bill["version"]) == ("CycloneDX", "1.6", 1)

@@ -1,7 +1,10 @@
 """Locks with hashes: made from pip's report, of the pinned versions, without the address of an index."""
 
 import json
+import os
 import re
+import shutil
+import subprocess
 from importlib import metadata
 
 import pytest
@@ -31,6 +34,8 @@ def test_a_lock_has_a_hash_of_each_package_but_our_own(tmp_path, monkeypatch):
     assert text == lock.HEAD + "flax==1.0 --hash=sha256:cd\nnumpy==2.4.6 --hash=sha256:ab\n"
     licences = tmp_path / "locks" / "cpu-3.12-linux-x86_64.licences.tsv"
     assert licences.read_text() == "flax\t1.0\tMIT\nnumpy\t2.4.6\tMIT\n"
+    report["install"][-1]["requested_extras"] = ["cuda", "train"]
+    assert lock.lock_file(report) == tmp_path / "locks" / "cuda-3.12-linux-x86_64.txt"
     with pytest.raises(ValueError, match="other states no licence"):
         lock.licences_text({"install": [package("other", licence="")]})
     with pytest.raises(ValueError, match="other has no sha256"):
@@ -75,8 +80,47 @@ def test_licences_beside_a_lock_are_those_that_packages_state(file):
         assert (name, dependencies.licence_names(dependencies.licences(name))) == (name, licence)
 
 
-def test_the_image_compares_hashes_and_its_base_may_be_named_by_digest():
+def test_both_images_compare_hashes():
     (python,) = re.findall(r"^ARG PYTHON=(\S+)", DOCKERFILE, re.M)
-    assert dev.ROOT / "locks" / f"cpu-{python}-linux-x86_64.txt" in LOCKS
-    assert 'pip install --no-cache-dir --require-hashes --no-deps -r "$lock"' in DOCKERFILE
+    for image in ("cpu", "cuda"):
+        assert dev.ROOT / "locks" / f"{image}-{python}-linux-x86_64.txt" in LOCKS
+        _, _, stage = DOCKERFILE.partition(f"FROM base AS {image}\n")
+        installs = re.findall(r"^RUN (.*)", stage.partition("\nFROM ")[0], re.M)
+        assert installs[0] == f"sh /usarmjx/locks/install.sh {image}"
+        assert installs[1].startswith("pip install")
+
+
+@pytest.mark.parametrize(("image", "said"), [("cpu", "--require-hashes --no-deps -r "), ("gpu", "no hashes")])
+def test_a_lock_is_installed_where_there_is_one_of_this_python_and_machine(tmp_path, image, said):
+    folder = tmp_path / "locks"
+    folder.mkdir()
+    for name, text in (
+        ("pip", "#!/bin/sh\necho pip $*\n"),
+        ("python", "#!/bin/sh\necho 3.12-linux-x86_64\n"),
+    ):
+        (tmp_path / name).write_text(text)
+        (tmp_path / name).chmod(0o755)
+    shutil.copy(dev.ROOT / "locks" / "install.sh", folder)
+    (folder / "cpu-3.12-linux-x86_64.txt").touch()
+    environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    words = ["sh", str(folder / "install.sh"), image]
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+    assert said in done.stdout
+    assert f"{image}-3.12-linux-x86_64.txt" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("release", "base", "builds"),
+    [
+        ("", "python:3.12-slim", True),
+        ("yes", "python:3.12-slim", False),
+        ("yes", "python@sha256:" + "0a" * 32, True),
+        ("yes", "python@sha256:" + "0a" * 31, False),
+    ],
+)
+def test_the_base_of_a_release_is_named_by_digest(release, base, builds):
     assert set(re.findall(r"^FROM (\S+)", DOCKERFILE, re.M)) == {"${BASE}", "base"}
+    (check,) = re.findall(r"^RUN (if \[ -n (?:.*\\\n)*.*)$", DOCKERFILE, re.M)
+    words = ["sh", "-c", check.replace("\\\n", "")]
+    environment = os.environ | {"RELEASE": release, "BASE": base}
+    assert (subprocess.run(words, env=environment, capture_output=True).returncode == 0) is builds

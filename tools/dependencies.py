@@ -22,6 +22,7 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[1]
 CONSTRAINTS = ROOT / "constraints.txt"
+LOCKS = ROOT / "locks"
 PRODUCT = "usarmjx"
 CYCLONEDX = "1.6"
 COULD_NOT_RUN = 2
@@ -86,6 +87,13 @@ def licences(name: str) -> list[dict[str, Any]]:
         return []
 
 
+def kept_licences() -> dict[tuple[str, str], str]:
+    """Return licences by name and version of the packages that images install, kept by `tools/lock.py`."""
+    files = sorted(LOCKS.glob("*.licences.tsv"))
+    rows = [line.split("\t") for file in files for line in file.read_text(encoding="utf-8").splitlines()]
+    return {(name, version): licence for name, version, licence in rows}
+
+
 def stated_licences(about: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the licences in the metadata of a package, as CycloneDX writes them.
 
@@ -110,6 +118,12 @@ def licence_names(stated: Iterable[Mapping[str, Any]]) -> str:
     return ", ".join(one.get("expression") or one["license"]["name"] for one in stated)
 
 
+def _kept(kept: Mapping[tuple[str, str], str], name: str, version: str) -> list[dict[str, Any]]:
+    """Return a kept licence of a package that is not installed here, as CycloneDX writes it."""
+    licence = kept.get((name, version))
+    return [] if licence is None else [{"license": {"name": licence}}]
+
+
 def purl(name: str, version: str) -> str:
     """Return the package URL by which the world knows a version of a package."""
     return f"pkg:pypi/{name}@{version}"
@@ -119,7 +133,7 @@ def sbom(versions: dict[str, str]) -> dict[str, Any]:
     """Return the software bill of materials of usarmjx with pinned packages, as CycloneDX JSON has it."""
     product = f"pkg:generic/{PRODUCT}@{metadata.version(PRODUCT)}"
     refs = {name: purl(name, version) for name, version in versions.items()}
-    bare = graph([Requirement(PRODUCT)])
+    bare, kept = graph([Requirement(PRODUCT)]), kept_licences()
     edges = graph([Requirement(PRODUCT), *map(Requirement, versions)])
     components = [
         {
@@ -130,7 +144,7 @@ def sbom(versions: dict[str, str]) -> dict[str, Any]:
             "scope": "required" if name in bare else "optional",
             "purl": refs[name],
         }
-        | ({"licenses": found} if (found := licences(name)) else {})
+        | ({"licenses": found} if (found := licences(name) or _kept(kept, name, version)) else {})
         for name, version in sorted(versions.items())
     ]
     dependencies = [

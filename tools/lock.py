@@ -1,7 +1,10 @@
-"""Hashes and licences of all packages that the image for a CPU installs, from pip's report of a dry run.
+"""Hashes and licences of all packages that an image installs, from pip's report of a dry run.
 
     python3.12 -m pip install --dry-run --ignore-installed --report report.json -c constraints.txt .
     python3 -m tools.lock report.json
+
+for the image for a CPU; with `".[cuda,train]"` in place of `.` for that for CUDA. Reports of pip 23 lack most
+licences.
 
 The file has no address of an index; pip compares the hash of each package that it downloads. Hashes are of
 the wheels for one Python and one machine, which the name of the file says. The licences are those that the
@@ -23,10 +26,13 @@ PRODUCT = "usarmjx"
 HEAD = "# Made by tools/lock.py, which says how: `pip install --require-hashes --no-deps -r` this file.\n"
 
 
-def lock_file(environment: dict[str, str]) -> Path:
-    """Return the file for the environment of a report."""
+def lock_file(report: dict[str, Any]) -> Path:
+    """Return the file for the image and the environment of a report."""
+    environment = report["environment"]
+    asked = next((one for one in report["install"] if one["metadata"]["name"] == PRODUCT), {})
+    image = "cuda" if "cuda" in asked.get("requested_extras", ()) else "cpu"
     where = f"{environment['python_version']}-{environment['sys_platform']}-{environment['platform_machine']}"
-    return ROOT / "locks" / f"cpu-{where}.txt"
+    return ROOT / "locks" / f"{image}-{where}.txt"
 
 
 def lock_text(report: dict[str, Any]) -> str:
@@ -77,7 +83,7 @@ def main(args: Sequence[str]) -> int:
         sys.stderr.write("lock: expected one argument, the report of pip\n")
         return 2
     report = json.loads(Path(args[0]).read_text(encoding="utf-8"))
-    file = lock_file(report["environment"])
+    file = lock_file(report)
     file.parent.mkdir(exist_ok=True)
     file.write_text(lock_text(report), encoding="utf-8")
     licences_file(file).write_text(licences_text(report), encoding="utf-8")

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from usarmjx.cli import entry
+from usarmjx.cli import entry, lazy_commands
 
 
 def test_a_signal_during_the_imports_is_one_line():
@@ -22,17 +22,56 @@ def test_a_signal_during_the_imports_is_one_line():
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "usarmjx: stopped by SIGINT\n")
 
 
-@pytest.mark.parametrize("handler", [signal.default_int_handler, signal.SIG_IGN])
-def test_afterwards_signals_mean_what_they_did(monkeypatch, handler):
+@pytest.mark.parametrize("number", entry.EARLY_SIGNALS)
+@pytest.mark.parametrize("place", ["lazy.import_module", "typer.core.TyperCommand.parse_args"])
+def test_so_is_one_while_a_command_is_imported_or_parsed(number, place):
+    code = (
+        "import os, sys, typer; from usarmjx.cli import entry, lazy_commands as lazy\n"
+        f"{place} = lambda *a: os.kill(os.getpid(), {int(number)})\n"
+        "sys.argv[1:] = ['list', 'robots']; entry.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    said = f"usarmjx: stopped by {number.name}\n"
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", said)
+
+
+@pytest.mark.parametrize("handler", [signal.default_int_handler, signal.SIG_IGN, lambda number, frame: None])
+def test_while_a_command_runs_signals_mean_what_they_did(monkeypatch, handler):
     """What is ignored stays so, as in the background of a shell."""
     before, during = signal.signal(signal.SIGINT, handler), []
-    monkeypatch.setattr("usarmjx.cli.app.app", lambda: during.append(signal.getsignal(signal.SIGINT)))
+
+    def note(context):
+        during.append((context, signal.getsignal(signal.SIGINT)))
+
+    monkeypatch.setattr("usarmjx.cli.app.app", lambda: entry.with_usual_signals(note)("its context"))
     try:
         entry.main()
-        assert during == [handler]
+        assert during == [("its context", handler)]
         assert signal.getsignal(signal.SIGINT) is handler
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def test_after_a_command_that_is_none_they_mean_that_again(monkeypatch):
+    def refuse():
+        assert signal.getsignal(signal.SIGTERM) is entry.end_early
+        raise SystemExit(2)
+
+    monkeypatch.setattr("usarmjx.cli.app.app", refuse)
+    with pytest.raises(SystemExit):
+        entry.main()
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_commands_restore_them(monkeypatch):
+    command = lazy_commands.load_command("doctor", "usarmjx.cli.doctor:doctor", "")
+    restored = []
+    monkeypatch.setattr(entry, "restore_signals", lambda: restored.append(True))
+    monkeypatch.setattr(command, "callback", lambda **options: None)
+    with command.make_context("doctor", []) as context:
+        assert restored == []
+        command.invoke(context)
+    assert restored == [True]
 
 
 def test_the_status_is_that_of_shells(monkeypatch):

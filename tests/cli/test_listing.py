@@ -111,10 +111,15 @@ def test_names_that_are_completed_are_those_of_the_registries(tmp_path, monkeypa
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert completion.complete_robots("Zer") == ["Zerg"]
     (file,) = (tmp_path / "usarmjx").glob("names-*.json")
-    assert json.loads(file.read_text()) == completion.registered_names()
+    whole = file.read_text()
+    assert json.loads(whole.splitlines()[1]) == completion.registered_names()
     assert completion.complete_tasks("victim") == [one for one in TASKS.names() if one.startswith("victim")]
-    file.write_text(json.dumps({"robots": ["Zerglet"]}))
-    assert completion.complete_robots("Zer") == ["Zerglet"], "the file is read"
+    file.write_text(whole.replace('"Zerg"', '"Zerh"'))
+    assert completion.complete_robots("Zer") == ["Zerg"], "what has another checksum is made anew"
+    assert file.read_text() == whole
+    with monkeypatch.context() as broken:
+        broken.setattr(completion, "_asked", None)
+        assert completion.complete_robots("Zer") == ["Zerg"], "the file is read"
     monkeypatch.setattr(completion, "_fingerprint", lambda: "other")
     assert completion.complete_robots("Zer") == ["Zerg"]
     assert {*completion.LISTING_NAMES} == {"everything", "commands", "settings", *LISTINGS}

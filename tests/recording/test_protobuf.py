@@ -8,6 +8,7 @@ import pytest
 from mcap.reader import make_reader
 
 from usarmjx.base.errors import UsageError
+from usarmjx.recording import protobuf
 from usarmjx.recording.bags import read_bag
 from usarmjx.recording.protobuf import message_of, write_protobuf
 
@@ -78,11 +79,38 @@ def test_every_message_of_a_mission_is_read_back_by_foxgloves_own_classes(missio
 
 def test_what_is_no_recording_is_refused(tmp_path, mission):
     (tmp_path / "a.mcap").write_bytes(b"nothing")
-    with pytest.raises(UsageError, match=r"a\.mcap: is no MCAP file"):
+    with pytest.raises(UsageError, match=r"a\.mcap: is no recording of usarmjx"):
         write_protobuf(tmp_path / "a.mcap", tmp_path / "b.mcap")
     assert not (tmp_path / "b.mcap").exists()
     with pytest.raises(UsageError, match="exists already"):
         write_protobuf(mission[0], tmp_path / "a.mcap")
+
+
+def test_a_damaged_part_is_left_out_with_a_warning_and_the_rest_written(mission, tmp_path, caplog):
+    """Of a file without its end, too; nothing of what follows is dropped without a word."""
+    with mission[0].open("rb") as file:
+        chunks = make_reader(file).get_summary().chunk_indexes
+    whole = write_protobuf(mission[0], tmp_path / "whole.mcap")
+    middle = chunks[len(chunks) // 2]
+    data = bytearray(mission[0].read_bytes())
+    data[middle.chunk_start_offset + middle.chunk_length - 5] ^= 4
+    for name, content in (("flipped", data), ("cut", data[: chunks[-1].chunk_start_offset + 20])):
+        (tmp_path / f"{name}.mcap").write_bytes(content)
+        caplog.clear()
+        left = write_protobuf(tmp_path / f"{name}.mcap", tmp_path / f"{name}.proto.mcap")
+        assert "damaged and left out" in caplog.text
+        assert 0 < sum(left.values()) < sum(whole.values())
+        with (tmp_path / f"{name}.proto.mcap").open("rb") as file:
+            last = max(message.log_time for _, _, message in make_reader(file).iter_messages())
+        assert last > middle.message_end_time
+
+
+def test_a_message_of_another_form_is_refused_in_one_line(mission, tmp_path, monkeypatch):
+    odd = {"transforms": [{"nothing": 3}]}
+    monkeypatch.setattr(protobuf, "_recorded", lambda path: [("/tf", "foxglove.FrameTransforms", odd, 5)])
+    with pytest.raises(UsageError, match=r"/tf at 0\.00 s: is no foxglove\.FrameTransforms: 'nothing'"):
+        write_protobuf(mission[0], tmp_path / "odd.mcap")
+    assert not (tmp_path / "odd.mcap").exists()
 
 
 def header(types, frame):

@@ -33,6 +33,7 @@ from usarmjx.server.gamebots.reporter import Reporter
 from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.gamebots.settings import BotServerSettings
 from usarmjx.server.protocol.dialects import UDK
+from usarmjx.server.runtime import loop
 from usarmjx.server.runtime.loop import GC_THRESHOLD, SWITCH_INTERVAL, low_latency, serve
 from usarmjx.server.runtime.signals import StopSignals
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
@@ -384,3 +385,17 @@ def test_signals_end_it_with_an_account_and_exit_code_0(processes, number):
     )
     assert "Traceback" not in err
     peer.close()
+
+
+def test_old_objects_are_collected_once_a_minute_where_that_is_put_off(monkeypatch):
+    collected = []
+    monkeypatch.setattr(loop.gc, "collect", lambda: collected.append(True))
+    serving = loop.ServerLoop([], 1.0)
+    serving._clean(1e9)
+    serving._clean_at = 60.0
+    serving._clean(100.0)
+    assert collected == [], "Python does so by itself"
+    with low_latency():
+        for now in (59.9, 60.0, 60.1, 119.9, 120.0):
+            serving._clean(now)
+    assert len(collected) == 2

@@ -115,7 +115,8 @@ def test_before_it_serves_it_ends_as_shells_expect(number, work):
     assert line == "building\n"
     time.sleep(0.5)  # the work has begun
     out, err, took = end(process, number)
-    assert (process.returncode, out, err) == (128 + number, "last words", "")
+    said = f"usarmjx: stopped by {signal.Signals(number).name}\n"
+    assert (process.returncode, out, err) == (128 + number, "last words", said)
     assert took < LIMIT
 
 

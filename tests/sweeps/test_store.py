@@ -97,7 +97,10 @@ BOMB = "a: &a [1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
     ("text", "refusal"),
     [
         (PRODUCT, ": 102400000 cells, expected at most 1000000"),
-        ("common: {task: explore}\nabout: 2001-99-99\n", ":2: about: '2001-99-99' is no tag"),
+        (
+            "common: {task: explore}\nabout: 2001-99-99\n",
+            ":2: about: '2001-99-99' is no timestamp: month must be in 1..12",
+        ),
         (
             "common: {task: explore, seed: " + "9" * 5000 + "}\n",
             ":1: common.seed: a number of 5000 characters",

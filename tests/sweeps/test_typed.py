@@ -46,6 +46,8 @@ def test_texts_become_the_data_of_files(pair, name, data):
         ("fields.haste=inf", "haste is 'inf', expected a number"),
         ("episodes=0", "episodes is 0, expected a whole number from 1"),
         ("episodes=many", "episodes is 'many', expected a whole number from 1"),
+        ("episodes=2001-99-99", "episodes is '2001-99-99', expected a whole number from 1"),
+        ("episodes=" + "9" * 5000, "episodes is '9+"),
         ("arena.level=2", "level is 2, expected a number from 0 to 1"),
         ("vary.friction=-1", "friction.* is -1, expected a number above 0"),
         ("radio.cutoff=low", "cutoff is 'low', expected a number"),

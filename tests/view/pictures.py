@@ -16,15 +16,22 @@ from pathlib import Path
 from PIL import Image
 
 from tests.view.browser import Browser, find_browser
+from usarmjx.cli.demo import ARENA, EPISODE_STEPS, STARTS, TASK, starting_at
+from usarmjx.cli.recordings import recorded_episode
 from usarmjx.models.files.load import find_arena
 from usarmjx.models.robots import ROBOTS
+from usarmjx.plots.films.film import FilmPlan, save_film
+from usarmjx.plots.play import record_episode
+from usarmjx.recording.reader import Recording
 from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
 from usarmjx.sim.control import CommandUpdate
+from usarmjx.train.baselines import BASELINES
+from usarmjx.train.make import make
 from usarmjx.view.page import ViewerPage
 
-SIZE, FILM_SIZE = (960, 600), (480, 300)
-FILM_SECONDS, FILM_RATE, FILM_COLOURS = 10, 4, 128
+SIZE, FILM_SIZE = (960, 600), (800, 450)
+FILM_SPAN, FILM_SPEED, FILM_RATE = (1.0, 26.0), 2.5, 8.0
 DRAWN = 6.0
 """A processor has drawn a page after so long [s]."""
 MANY = 40
@@ -33,7 +40,7 @@ SLOW = 900.0
 COUNT = "window.drawn = 0; (f => f(f))(f => { window.drawn++; requestAnimationFrame(() => f(f)); })"
 TIDY = (
     "document.querySelectorAll('.mantine-Notification-root').forEach(e => e.remove());"
-    "document.querySelectorAll('.mantine-Paper-root').forEach(e => e.style.display = 'none')"
+    "document.querySelectorAll('.mantine-Paper-root,#usarmjx-head').forEach(e => e.style.display = 'none')"
 )
 PICTURES = {
     "yellow": (("P2AT", "P2DX", "Zerg", "Kenaf"), {}),
@@ -145,26 +152,16 @@ def wall_picture(browser):
         studio.close()
 
 
-def film(browser, file):
-    """Ten seconds of robots at work, first from above, then over one of them."""
-    world = make_world("yellow", ("P2AT", "Zerg", "Kenaf", "P2DX"))
-    advance([world], 1.0)
-    studio = Studio(browser, [world], FILM_SIZE)
-    frames = []
-    try:
-        for number in range(FILM_SECONDS * FILM_RATE):
-            if number == FILM_SECONDS * FILM_RATE // 2:
-                studio.viewer.attach(0)
-                studio.viewer.toggle()
-            advance([world], 1 / FILM_RATE)
-            frames.append(studio.look())
-            print(number, end=" ", flush=True)
-    finally:
-        studio.close()
-    palette = [one.quantize(FILM_COLOURS, dither=Image.Dither.NONE) for one in frames]
-    palette[0].save(
-        file, save_all=True, append_images=palette[1:], duration=1000 // FILM_RATE, loop=0, optimize=True
-    )
+def film(file):
+    """Four robots of the demo that explore, as `usarmjx film` shows them."""
+    arena = starting_at(find_arena(ARENA), STARTS)
+    env = make(TASK, engine="c", arena=arena, episode_steps=EPISODE_STEPS)
+    with tempfile.TemporaryDirectory(prefix="usarmjx-pictures-") as folder:
+        path = Path(folder) / "explore.mcap"
+        with recorded_episode(env, path, 0) as watch:
+            record_episode(env, BASELINES.get(TASK)(env), FILM_SPAN[1], 0, watch)
+        plan = FilmPlan(size=FILM_SIZE, span=FILM_SPAN, speed=FILM_SPEED, rate=FILM_RATE)
+        save_film(Recording(path), file, plan)
 
 
 def main(folder, *names):
@@ -178,7 +175,7 @@ def main(folder, *names):
         try:
             for name in names or (*makers, "film"):
                 if name == "film":
-                    film(browser, Path(folder) / "viewing.gif")
+                    film(Path(folder) / "viewing.gif")
                 else:
                     makers[name](browser).save(Path(folder) / f"viewing-{name}.jpg", quality=85)
                 print(name, flush=True)

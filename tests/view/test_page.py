@@ -63,10 +63,20 @@ def test_a_browser_gets_the_world_its_first_view_and_the_title(page):
         until(page, lambda: visitor.of("ReplayDoneMessage"))
         glbs = visitor.of("BatchedGlbMessage")
         assert len(glbs) == 4
-        assert visitor.of("SetGuiPanelLabelMessage")[-1]["label"] == "three yards"
+        assert visitor.of("SetGuiPanelLabelMessage")[-1]["label"] == "usarmjx \u00b7 three yards"
         theme = visitor.of("ThemeConfigurationMessage")[-1]
         assert (theme["show_share_button"], theme["show_logo"]) == (False, False)
         assert page.server.initial_camera.position[2] > 3.0
+
+
+def test_browsers_get_a_scoreboard_of_the_chosen_world_and_a_panel_beside_the_picture(page):
+    with visiting(port_of(page)) as visitor:
+        until(page, lambda: 'data-world="three yards 0"' in str(visitor.heard))
+        assert "robot1" in str(visitor.heard)
+        position = visitor.of("GuiSetPanelPositionMessage")[-1]["position"]
+        assert position == {"kind": "edge", "edge": "right"}
+        page.post(lambda: page.choose_world(1))
+        until(page, lambda: 'data-world="three yards 1"' in str(visitor.heard))
 
 
 def test_layers_can_be_on_at_first_that_usually_are_not(page):

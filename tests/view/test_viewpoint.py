@@ -15,6 +15,7 @@ from usarmjx.sensors.cameras.picture import camera_viewpoint
 from usarmjx.view.viewpoint import (
     FILL_SHARE,
     FOV,
+    Chase,
     Viewer,
     ViewMode,
     Walls,
@@ -166,3 +167,18 @@ def test_who_is_with_a_robot_that_leaves_looks_freely():
     viewer.attach(1)
     viewer.update(drawing_of(robots=1), frame_of(drawing_of(robots=1)), np.zeros(3))
     assert viewer.robot is None
+
+
+def test_a_view_over_a_robot_that_turns_at_a_wall_never_ends_inside_or_behind_it():
+    drawing = drawing_of(robots=1)
+    frame = frame_of(drawing)
+    frame.pos[1:4] = (-2.0, 0.4, 0.2)
+    robot, walls = drawing.robots[0], Walls(drawing)
+    chase, near = Chase(drawing), []
+    for yaw in np.linspace(0.0, 2 * math.pi, 25):
+        frame.quat[1:4] = (math.cos(yaw / 2), 0, 0, math.sin(yaw / 2))
+        pose = chase.pose(robot, frame)
+        top = frame.pos[1] + [0, 0, 0.1]
+        assert not walls.occluded(top, pose.pos[None])[0]
+        near.append(np.linalg.norm(pose.pos - top))
+    assert min(near) < 0.7 * max(near)  # the elevation rises gradually: the view came closer meanwhile

@@ -133,6 +133,10 @@ COMMANDS = {
         "usarmjx.cli.recordings:plot",
         "Draw a recorded mission: plan, trails, scans, radio power, victims found, and all over time.",
     ),
+    "film": (
+        "usarmjx.cli.film:film",
+        "Write a recording as a film in three dimensions, without a screen.",
+    ),
     "replay": (
         "usarmjx.cli.recordings:replay",
         "Compute a recording again, bit for bit; report the first number that differs, and fail then.",

@@ -57,10 +57,10 @@ def names_of(kind: str) -> list[str]:
     folder = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "usarmjx"
     file = folder / f"names-{_fingerprint()}.json"
     # The reader of other JSON files takes a tenth of a second to import, at each press of a key.
-    with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
-        found = json.loads(file.read_text())[kind]
-        if all(isinstance(name, str) for name in found):
-            return list(found)
+    with suppress(OSError, ValueError):
+        checksum, _, text = file.read_text().partition("\n")
+        if checksum == _checksum(text):
+            return list(json.loads(text)[kind])
     try:
         names = _asked()
     except (OSError, ValueError, subprocess.SubprocessError):
@@ -68,8 +68,13 @@ def names_of(kind: str) -> list[str]:
     with suppress(OSError, WriteError):  # a shell completes without the file, too, only slower
         folder.mkdir(parents=True, exist_ok=True)
         with atomic_write(file) as fresh:
-            fresh.write_text(json.dumps(names))
+            text = json.dumps(names)
+            fresh.write_text(f"{_checksum(text)}\n{text}")
     return names[kind]
+
+
+def _checksum(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _asked() -> dict[str, list[str]]:

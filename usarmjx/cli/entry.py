@@ -1,10 +1,17 @@
-"""Entry point of `usarmjx`: a signal during the imports ends the process in one line, not in a traceback."""
+"""Entry point of `usarmjx`: a signal before a command runs ends the process in one line, not in a traceback.
+
+Imports and the parser of the command line take seconds on a busy machine.
+"""
 
 import os
 import signal
+from collections.abc import Callable
 from types import FrameType
+from typing import Any
 
 EARLY_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_usual: dict[signal.Signals, Any] = {}
+"""Handlers before `main`, until a command runs."""
 
 
 def end_early(number: int, frame: FrameType | None) -> None:
@@ -14,14 +21,33 @@ def end_early(number: int, frame: FrameType | None) -> None:
     os._exit(128 + number)
 
 
+def restore_signals() -> None:
+    """Let signals mean what they did before `main`."""
+    while _usual:
+        signal.signal(*_usual.popitem())
+
+
+def with_usual_signals(run: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return a command's `invoke` that restores the signals first."""
+
+    def invoke(context: Any) -> Any:  # noqa: ANN401 - click's, or typer's own copy
+        restore_signals()
+        return run(context)
+
+    return invoke
+
+
 def main() -> None:
     """Import the command line and run it."""
-    usual = {number: signal.getsignal(number) for number in EARLY_SIGNALS}
-    for number, handler in usual.items():
-        if handler is not signal.SIG_IGN:  # as `nohup` and shells set it for what runs in the background
+    for number in EARLY_SIGNALS:
+        handler = signal.getsignal(number)
+        # Others are a program's own, or ignore the signal, as `nohup` and shells set it in the background.
+        if handler in (signal.SIG_DFL, signal.default_int_handler):
+            _usual[number] = handler
             signal.signal(number, end_early)
-    from usarmjx.cli.app import app
+    try:
+        from usarmjx.cli.app import app
 
-    for number, handler in usual.items():
-        signal.signal(number, handler)
-    app()
+        app()
+    finally:
+        restore_signals()

@@ -9,6 +9,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from usarmjx.cli.checkout import has_benchmarks, import_benchmarks, needs_checkout
+from usarmjx.cli.entry import with_usual_signals
 
 CommandTable = Mapping[str, tuple[str, str]]
 """Names of commands with the place of each, as `module:attribute`, and its summary.
@@ -31,7 +32,9 @@ def load_command(name: str, place: str, summary: str) -> Any:  # noqa: ANN401 - 
         target.command(name)(function)
     group = typer.main.get_group(target)
     group.name = name
-    return group.commands.get(name, group)
+    command: Any = group.commands.get(name, group)
+    command.invoke = with_usual_signals(command.invoke)
+    return command
 
 
 class LazyCommands(Mapping[str, Any]):

@@ -56,6 +56,10 @@ class PolicyOptions:
             autocompletion=complete_tasks,
         ),
     ] = None
+    agent: Annotated[
+        str | None,
+        typer.Option(help="With --task: zero, which does nothing, or random, in place of a policy."),
+    ] = None
     task: Annotated[
         str | None,
         typer.Option(
@@ -80,8 +84,14 @@ class PolicyOptions:
         """
         from usarmjx.train.make import is_own
         from usarmjx.train.policies.sources import baseline as by_hand
-        from usarmjx.train.policies.sources import load_policy
+        from usarmjx.train.policies.sources import load_policy, untrained
 
+        if self.agent is not None:
+            if self.policy is not None or self.baseline is not None or self.task is None:
+                raise UsageError(
+                    f"--agent {self.agent} needs --task NAME, and neither a policy nor a --baseline"
+                )
+            return untrained(self.agent, self.task)
         if self.baseline is not None and self.policy is None:
             return by_hand(self.baseline, self.task)
         named = self.policy or self.task

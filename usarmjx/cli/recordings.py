@@ -128,7 +128,7 @@ def view(
         from usarmjx.recording.source import RecordingSource, recording_page, write_html
 
         recording = Recording(file)
-        _tell_if_broken_off(recording.is_complete, file)
+        tell_if_broken_off(recording.is_complete, file)
         source = RecordingSource(recording)
         if html is not None:
             write_html(source, html, period, world)
@@ -145,7 +145,8 @@ def view(
             page.close()
 
 
-def _tell_if_broken_off(is_complete: bool, file: Path) -> None:
+def tell_if_broken_off(is_complete: bool, file: Path) -> None:
+    """Print a note about a recording whose end is missing."""
     if not is_complete:
         typer.echo(f"usarmjx: note: {file} was broken off; what there is of it is used", err=True)
 
@@ -163,7 +164,7 @@ def replay(
         from usarmjx.recording.replay import check_recording
 
         recording = Recording(file)
-        _tell_if_broken_off(recording.is_complete, file)
+        tell_if_broken_off(recording.is_complete, file)
         differ = False
         for number in recording.worlds:
             result = check_recording(recording, number)
@@ -195,7 +196,7 @@ def plot(
         if not wanted:
             raise UsageError("say where the figure goes: --png FILE, --pdf FILE, or both")
         recording = Recording(file)
-        _tell_if_broken_off(recording.is_complete, file)
+        tell_if_broken_off(recording.is_complete, file)
         for path in plot_recording(recording, wanted, world, (since, until)):
             typer.echo(f"wrote {path}")
 
@@ -215,7 +216,7 @@ def export_recording(file: Path, out: Path, world: int = 0, speed: float = 2.0) 
     if suffix not in (*SUFFIXES, *FILMS, BAG_SUFFIX):
         raise UsageError(f"{out}: recordings are exported to {', '.join((*SUFFIXES, *FILMS, BAG_SUFFIX))}")
     recording = Recording(file)
-    _tell_if_broken_off(recording.is_complete, file)
+    tell_if_broken_off(recording.is_complete, file)
     if suffix == BAG_SUFFIX:
         from usarmjx.server.ros2.bags import write_bag
 

@@ -1,7 +1,5 @@
 """A recorded mission as a figure for a paper: plan, ways, scans, radio, victims met, and all over time."""
 
-import shutil
-import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +17,7 @@ from usarmjx.base.rotations import mat_from_quat
 from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.models.compile.victims import victim_table
 from usarmjx.models.types.arena import ArenaSpec
+from usarmjx.plots.films.codecs import write_mp4
 from usarmjx.plots.floor_plan import draw_plan
 from usarmjx.plots.picture import ARROW
 from usarmjx.plots.play import EpisodeRecording, film_frames, save_gif
@@ -226,46 +225,11 @@ def _save_gif(shown: EpisodeRecording, path: Path, speed: float) -> None:
 
 
 def _save_mp4(shown: EpisodeRecording, path: Path, speed: float) -> None:
-    """Pipe pictures to ffmpeg."""
     lasts = (shown.times[-1] - shown.times[0]) / speed
     count = max(2, round(lasts * PICTURES_PER_SECOND))
     wanted = np.linspace(shown.times[0], shown.times[-1], count)
     frames = np.clip(np.searchsorted(shown.times, wanted, side="right") - 1, 0, None)
-    pictures = film_frames(shown, frames)
-    first = next(pictures)
-    height, width = (number // 2 * 2 for number in first.shape[:2])  # what yuv420p can have
-    command = [
-        *(_ffmpeg(), "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"),
-        *("-s", f"{width}x{height}", "-r", str(PICTURES_PER_SECOND), "-i", "-"),
-        *("-pix_fmt", "yuv420p", "-f", "mp4", str(path)),
-    ]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
-    assert process.stdin is not None
-    try:
-        for picture in (first, *pictures):
-            process.stdin.write(np.ascontiguousarray(picture[:height, :width]).tobytes())
-    except BrokenPipeError:
-        pass  # it says why
-    _, said = process.communicate()
-    if process.returncode:
-        raise UsageError(f"ffmpeg: {said.decode('utf-8', 'replace').strip() or process.returncode}")
-
-
-def _ffmpeg() -> str:
-    """Return the program.
-
-    Raises:
-        UsageError: There is none.
-    """
-    try:
-        import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
-
-        return imageio_ffmpeg.get_ffmpeg_exe()
-    except (ImportError, RuntimeError):
-        found = shutil.which("ffmpeg")
-    if found is None:
-        raise UsageError("MP4 needs ffmpeg: pip install imageio-ffmpeg; or write .gif")
-    return found
+    write_mp4(film_frames(shown, frames), path, PICTURES_PER_SECOND)
 
 
 FILMS: dict[str, Callable[[EpisodeRecording, Path, float], None]] = {".gif": _save_gif, ".mp4": _save_mp4}

@@ -18,6 +18,7 @@ from mcap.writer import CompressionType, Writer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import disk_error, writing
+from usarmjx.recording.chunk_index import keep_index_in_file
 from usarmjx.recording.foxglove import SCHEMAS, schema_text
 from usarmjx.recording.values import pack
 
@@ -64,6 +65,16 @@ CHANNELS = {
     "log": "foxglove.Log",
 }
 """Kinds of channels and their schemas; those without one hold bytes of `values.pack`."""
+
+
+def topic_of(channel: ChannelName, *, several: bool) -> str:
+    """Return the topic of a channel in a file of one world, or of several."""
+    where = f"/world{channel.world}" if several else ""
+    own = "" if CHANNELS[channel.kind].startswith("foxglove.") else "/usarmjx"
+    parts = "/".join(part.replace("/", "_") for part in (channel.kind, channel.about) if part)
+    return f"{where}{own}/{parts}"
+
+
 Job = Callable[["RecordingFile"], None]
 """A write operation, carried out in the file's thread."""
 
@@ -106,6 +117,7 @@ class RecordingFile:
             except FileExistsError as error:
                 raise UsageError(f"{path}: is there already; record to another file") from error
         self._writer = Writer(self._stream, compression=CompressionType.ZSTD)
+        keep_index_in_file(self._writer, self._stream)
         self._channels: dict[ChannelName, int] = {}
         self._schemas: dict[str, int] = {}
         self._jobs: deque[_Waiting] = deque()
@@ -190,12 +202,10 @@ class RecordingFile:
         if name not in self._schemas:
             encoding = "jsonschema" if schema in SCHEMAS else ""
             self._schemas[name] = self._writer.register_schema(name, encoding, schema_text(schema))
-        where = f"/world{channel.world}" if self._several else ""
-        own = "" if schema.startswith("foxglove.") else "/usarmjx"
-        parts = "/".join(part.replace("/", "_") for part in (channel.kind, channel.about) if part)
+        topic = topic_of(channel, several=self._several)
         fields = {"world": str(channel.world), "kind": channel.kind, "about": channel.about}
         number = self._channels[channel] = self._writer.register_channel(
-            f"{where}{own}/{parts}", "json" if schema else "msgpack", self._schemas[name], fields
+            topic, "json" if schema else "msgpack", self._schemas[name], fields
         )
         # A file without its end has a channel only in the part that uses it first, which may be damaged.
         self._writer.add_metadata(CHANNEL_METADATA, {"id": str(number), **fields})

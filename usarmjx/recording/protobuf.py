@@ -1,26 +1,22 @@
 """Recordings with Foxglove's protobuf schemas, for viewers that do not read its JSON, such as Rerun."""
 
-import json
-import struct
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import closing
 from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
-from mcap.exceptions import McapError
-from mcap.reader import NonSeekingReader
-
 from usarmjx.base.errors import MissingExtraError, UsageError
 from usarmjx.base.files import atomic_write
+from usarmjx.base.settings.files import first_line
 from usarmjx.recording.bags import read_bag
+from usarmjx.recording.file import CHANNELS, topic_of
 from usarmjx.recording.foxglove import NANO
+from usarmjx.recording.reader import Recording
 
 FOXGLOVE = "foxglove."
 """Prefix of schemas that have a protobuf form."""
-MAGIC = b"\x89MCAP0\r\n"
-"""Beginning of an MCAP file."""
 MOMENTS = ("google.protobuf.Timestamp", "google.protobuf.Duration")
 """Messages for which JSON has `sec` and `nsec`."""
 
@@ -42,7 +38,8 @@ def write_protobuf(
         Number of messages by topic.
 
     Raises:
-        UsageError: No recording, one without such messages, no bag, or a file that exists.
+        UsageError: No recording, one without such messages or with one of another form, no bag, or a file
+            that exists.
         MissingExtraError: The packages of the extra are missing.
         WriteError: It cannot be written.
     """
@@ -57,7 +54,12 @@ def write_protobuf(
     with atomic_write(path) as fresh, fresh.open("wb") as target:
         writer = library.Writer(target)
         for topic, schema, value, time in _together(recording, bag, bag_start):
-            writer.write_message(topic, message_of(schema, value), log_time=time, publish_time=time)
+            try:
+                message = message_of(schema, value)
+            except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+                where = f"{recording}: {topic} at {time / NANO:.2f} s"
+                raise UsageError(f"{where}: is no {schema}: {first_line(error)}") from error
+            writer.write_message(topic, message, log_time=time, publish_time=time)
             counts[topic] += 1
         writer.finish()
     return counts
@@ -70,10 +72,9 @@ Timed = tuple[str, str, Mapping[str, Any], int]
 def _together(recording: Path, bag: Path | None, bag_start: float) -> Iterator[Timed]:
     """Yield the messages of a recording, and then those of a bag: readers sort them by time."""
     start = None
-    with recording.open("rb") as source:
-        for schema, channel, message in _messages(recording, source):
-            start = message.log_time if start is None else min(start, message.log_time)
-            yield channel.topic, schema, json.loads(message.data), message.log_time
+    for one in _recorded(recording):
+        start = one[3] if start is None else min(start, one[3])
+        yield one
     if start is None:
         raise UsageError(f"{recording}: has no messages of Foxglove's schemas: is it a recording of usarmjx?")
     if bag is not None:
@@ -82,15 +83,13 @@ def _together(recording: Path, bag: Path | None, bag_start: float) -> Iterator[T
             yield topic, schema, value, time
 
 
-def _messages(recording: Path, source: Any) -> Any:  # noqa: ANN401 - binary file, untyped library
-    """Yield schema's name, channel and message of Foxglove's schemas, as far as the file is whole."""
-    if source.read(len(MAGIC)) != MAGIC:
-        raise UsageError(f"{recording}: is no MCAP file")
-    source.seek(0)
-    with suppress(McapError, struct.error):  # broken off
-        for schema, channel, message in NonSeekingReader(source).iter_messages(log_time_order=False):
-            if schema is not None and schema.name.startswith(FOXGLOVE) and channel.message_encoding == "json":
-                yield schema.name, channel, message
+def _recorded(recording: Path) -> Iterator[Timed]:
+    """Yield the messages of Foxglove's schemas; damaged parts are left out with a warning."""
+    kinds = [kind for kind, schema in CHANNELS.items() if schema.startswith(FOXGLOVE)]
+    with closing(Recording(recording)) as source:
+        several = len(source.worlds) > 1
+        for time, channel, value in source.messages(kinds):
+            yield topic_of(channel, several=several), CHANNELS[channel.kind], value, round(time * NANO)
 
 
 def message_of(schema: str, value: Mapping[str, Any]) -> Any:  # noqa: ANN401 - a generated class

@@ -11,8 +11,10 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
+from usarmjx.models.compile.victims import victim_table
 from usarmjx.recording.reader import RecordedMessage, Recording
 from usarmjx.view.drawing import Drawing, Frame
+from usarmjx.view.scoreboard import BoardFacts
 
 if TYPE_CHECKING:
     import viser
@@ -44,6 +46,7 @@ class RecordingSource:
         time: The present time [s].
         start: Time of its first frame [s].
         end: Time of its end [s].
+        worlds: Numbers of its worlds, by the index that the methods take.
 
     Raises:
         UsageError: There are no frames in it.
@@ -51,22 +54,23 @@ class RecordingSource:
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
-        self._worlds = tuple(
+        self.worlds = tuple(
             world for world in recording.worlds if recording.following("frames", world, -1.0) is not None
         )
-        if not self._worlds:
+        if not self.worlds:
             raise UsageError(f"{recording.path}: there is nothing to be seen in it")
-        firsts = [recording.following("frames", world, -1.0) for world in self._worlds]
+        firsts = [recording.following("frames", world, -1.0) for world in self.worlds]
         self.start = min(first.time for first in firsts if first is not None)
         self.end = recording.end
         self.time = self.start
         self._read = lru_cache(maxsize=KEPT_DRAWINGS)(self._read_drawing)
+        self._facts: dict[int, BoardFacts] = {}
         self._around: dict[int, tuple[RecordedMessage, RecordedMessage | None]] = {}
 
     @property
     def num_worlds(self) -> int:
         """Number of worlds with frames."""
-        return len(self._worlds)
+        return len(self.worlds)
 
     def seek(self, time: float) -> None:
         """Go to a time [s], or to the beginning or end if it is beyond that."""
@@ -77,12 +81,21 @@ class RecordingSource:
         return self._read(world, self._frame_message(world).time)[1]
 
     def _read_drawing(self, world: int, time: float) -> tuple[float, Drawing]:
-        found = self.recording.last("drawings", self._worlds[world], time)
+        found = self.recording.last("drawings", self.worlds[world], time)
         if found is None or not isinstance(found.value, Drawing):
             raise UsageError(f"{self.recording.path}: no drawing of world {world} at {time:.2f} s")
         if found.time != time:
             return self._read(world, found.time)
         return found.time, found.value
+
+    def board_facts(self, world: int) -> BoardFacts:
+        """Return a world's facts for the scoreboard; without victims if the file does not have the arena."""
+        if world not in self._facts:
+            arenas = self.recording.setup(self.worlds[world]).arenas
+            owners = victim_table(arenas[0].victims, arenas[0].false_alarms).owner if arenas else ()
+            owners = np.asarray(owners, int)
+            self._facts[world] = BoardFacts(owners=owners, victims=len(np.unique(owners[owners >= 0])))
+        return self._facts[world]
 
     def _frame_message(self, world: int) -> RecordedMessage:
         """Return the frame at the present time, the last one before it, or the first of all."""
@@ -92,7 +105,7 @@ class RecordingSource:
         known = self._around.get(world)
         if known is not None and known[1] is not None and known[0].time <= self.time < known[1].time:
             return known
-        number = self._worlds[world]
+        number = self.worlds[world]
         before = self.recording.last("frames", number, self.time)
         before = before or self.recording.following("frames", number, -1.0)
         assert before is not None  # every world of `_worlds` has a frame

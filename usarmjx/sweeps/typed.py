@@ -63,7 +63,7 @@ def _value(text: str, kind: type, name: str, where: str, base: Task | None = Non
     reader = default_reader()
     try:
         data = yaml.safe_load(text)
-    except yaml.YAMLError:
+    except (yaml.YAMLError, ValueError, RecursionError):  # ValueError: no such date, or too many digits
         data = text
     words = data if isinstance(data, list) else [data]
     if any(isinstance(word, str) or word is None for word in words):

@@ -5,16 +5,19 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
 import numpy as np
 import rich
 import viser
+from viser import infra as viser_infra
 
 from usarmjx.base.backend import numpy_backend
+from usarmjx.view.client_page import PRODUCT, page_folder
 from usarmjx.view.drawing import Drawing, Frame, FrameSource
 from usarmjx.view.layers import LAYERS
 from usarmjx.view.layers.base import Layer
+from usarmjx.view.scoreboard import ScoreboardPanel
 from usarmjx.view.stage import Stage, StagedWorld, grid_offsets
 from usarmjx.view.viewpoint import (
     FOV,
@@ -45,6 +48,8 @@ WORLDS_AT_ONCE = 4
 """Worlds side by side that one update refreshes, in turn, beside the chosen one."""
 NEAREST, NEAR_LIMITS = 1e-3, (0.02, 0.2)
 """Near plane as a share of the first view's distance, and its least and largest value [m]."""
+WIDE = 1.55
+"""Aspect of a picture below which the first view is farther away, as on a phone or beside the panel."""
 OVER_PATH = "/over"
 """Root node of the layers, which moves to the chosen world."""
 _start_lock = threading.Lock()
@@ -195,7 +200,18 @@ def make_viser_server(host: str, port: int) -> viser.ViserServer:
     """
     with _start_lock:
         rich.get_console().quiet = True  # viser prints its address to the terminal, in a frame
-        return LocalViserServer(host, port, verbose=False)
+        plain = viser_infra.WebsockServer
+
+        def with_our_page(**options: Any) -> viser_infra.WebsockServer:  # noqa: ANN401 - viser's
+            options["http_server_root"] = page_folder()
+            return plain(**options)
+
+        # Viser serves its own page, and takes no other folder.
+        viser_infra.WebsockServer = with_our_page  # type: ignore[assignment, misc]
+        try:
+            return LocalViserServer(host, port, verbose=False)
+        finally:
+            viser_infra.WebsockServer = plain  # type: ignore[misc]
 
 
 PanelMaker: TypeAlias = Callable[["ViewerPage"], Panel]
@@ -220,6 +236,7 @@ class ViewerPage:
 
     Attributes:
         server: Viser's server.
+        title: Title of the page.
         source: Source of drawings and frames.
         controls: Controls of the worlds.
         world: Number of the chosen world.
@@ -257,11 +274,14 @@ class ViewerPage:
         self._stage = Stage(self.server.scene)
         self.drawing: Drawing = source.drawing(self.world)
         self.frame: Frame = source.frame(self.world)
-        self.server.gui.set_panel_label(title or None)
+        self.title = title
+        self.server.gui.set_panel_label(f"{PRODUCT} \u00b7 {title}" if title else PRODUCT)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+        # A docked panel leaves the rest of the window to the picture, so that nothing lies behind it.
+        self.server.gui.main_panel.dock_right()
         self._worlds = WorldChoice(self)
         self._buttons = ViewButtons(self)
-        self.panels = [make(self) for make in panels]
+        self.panels: list[Panel] = [*(make(self) for make in panels), ScoreboardPanel(self)]
         self._switches = LayerSwitches(self)
         with numpy_backend():
             self._begin(self._drawings())
@@ -417,7 +437,7 @@ class ViewerPage:
     def _on_connect(self, client: viser.ClientHandle) -> None:
         def join() -> None:
             self.viewers[client.client_id] = Viewer(client)
-            if client.camera.aspect < 1.0:  # a phone
+            if client.camera.aspect < WIDE:
                 move_camera(client, self._pose_for(client, self.first_pose()))
 
         self.post(join)

@@ -26,6 +26,8 @@ CHASE_BEHIND, CHASE_ABOVE = (0.6, 2.0), (0.4, 1.2)
 """Distance of the view behind and above a robot: [m], and lengths of the robot (chosen)."""
 MAX_ELEVATION, ELEVATIONS = math.radians(85.0), 6
 """Steepest elevation where walls hide a robot [rad], and number of tried ones."""
+WALL_GAP = 0.15
+"""Distance of the view over a robot from a wall that is in its way [m]."""
 MAX_RISE, MAX_SINK = 0.15, 0.02
 """Largest change of the elevation in an update, up and down [rad]: quickly out of a wall, and slowly back."""
 LOOK_AHEAD = 1.0
@@ -125,6 +127,62 @@ class Walls:
         enters, leaves = sides[0].max(-1), sides[1].min(-1)
         return ((enters <= leaves) & (enters < 1.0) & (leaves > 0.0)).any(-1)
 
+    def free_share(self, start: np.ndarray, end: np.ndarray) -> float:
+        """Return the share of the way between two points (3,) [m] before the first wall, up to 1.
+
+        A wall around the first point does not count.
+        """
+        if not len(self._pos):
+            return 1.0
+        begin = np.einsum("bj,bji->bi", start - self._pos, self._mat)
+        along = np.einsum("j,bji->bi", end - start, self._mat)
+        along = np.where(np.abs(along) < 1e-9, 1e-9, along)
+        sides = np.sort([(-self._size - begin) / along, (self._size - begin) / along], axis=0)
+        enters, leaves = sides[0].max(-1), sides[1].min(-1)
+        met = (enters <= leaves) & (enters > 0.0)
+        return float(np.clip(enters[met].min(initial=1.0), 0.0, 1.0))
+
+
+class Chase:
+    """View over robots of a drawing that no wall hides: it rises, and where that does not do, comes closer.
+
+    Args:
+        drawing: The drawing.
+        follow: Share of a turn of the robot that one update follows; 1: all of it.
+    """
+
+    def __init__(self, drawing: Drawing, follow: float = 1.0) -> None:
+        self.drawing, self._follow = drawing, follow
+        self._walls = Walls(drawing)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the last pose, as for another robot."""
+        self._elevation: float | None = None
+        self._ahead: np.ndarray | None = None
+
+    def pose(self, robot: DrawnRobot, frame: Frame) -> CameraPose:
+        """Return the next pose over a robot; it changes gradually."""
+        ahead = _heading_of(robot, frame)
+        if self._ahead is not None:
+            ahead = self._ahead + self._follow * (ahead - self._ahead)
+            length = float(np.linalg.norm(ahead))
+            ahead = ahead / length if length > 1e-3 else _heading_of(robot, frame)
+        self._ahead = ahead
+        wanted = clear_elevation(self._walls, robot, frame, ahead)
+        if self._elevation is None:
+            self._elevation = wanted
+        self._elevation += float(np.clip(wanted - self._elevation, -MAX_SINK, MAX_RISE))
+        pose = chase_pose(robot, frame, self._elevation, ahead)
+        top = frame.pos[robot.body] + 0.5 * float(robot.dimensions[2]) * UP
+        way = pose.pos - top
+        share = self._walls.free_share(top, pose.pos)
+        if share >= 1.0:
+            return pose
+        length = float(np.linalg.norm(way))
+        near = max(share * length - WALL_GAP, share * length / 2)
+        return CameraPose(top + near / length * way, pose.look_at, pose.up)
+
 
 class ViewMode(Enum):
     """Kind of attachment of a view; the value is its name on the page."""
@@ -150,12 +208,11 @@ class Viewer:
     mode: ViewMode = ViewMode.FREE
     camera: int = 0
     _last_pose: CameraPose | None = field(default=None, repr=False)
-    _elevation: float | None = field(default=None, repr=False)
-    _walls: tuple[Drawing, Walls] | None = field(default=None, repr=False)
+    _chase: Chase | None = field(default=None, repr=False)
 
     def attach(self, robot: int | None) -> None:
         """Attach to a robot in the present mode, or at first to its camera, as the viewing client did."""
-        self.robot, self.camera, self._last_pose, self._elevation = robot, 0, None, None
+        self.robot, self.camera, self._last_pose, self._chase = robot, 0, None, None
         if robot is None:
             self.mode = ViewMode.FREE
         elif self.mode is ViewMode.FREE:
@@ -175,7 +232,7 @@ class Viewer:
         """Switch between a robot's camera and the view over it."""
         if self.robot is not None:
             self.mode = ViewMode.OVER if self.mode is ViewMode.CAMERA else ViewMode.CAMERA
-            self._last_pose = self._elevation = None
+            self._last_pose = self._chase = None
 
     def update(self, drawing: Drawing, frame: Frame, offset: np.ndarray) -> None:
         """Move the view with the robot.
@@ -197,23 +254,15 @@ class Viewer:
             self._move(camera_pose(robot, frame, self.camera), offset)
             self._set_fov(float(frame.robots[self.robot].fovs[self.camera]))
         else:
-            self._move(chase_pose(robot, frame, self._rise(drawing, robot, frame)), offset)
+            if self._chase is None or self._chase.drawing is not drawing:
+                self._chase = Chase(drawing)
+            self._move(self._chase.pose(robot, frame), offset)
             self._set_fov(FOV)
 
     def free(self) -> None:
         """Detach from the robot, and keep the viewpoint."""
         self.attach(None)
         self._set_fov(FOV)
-
-    def _rise(self, drawing: Drawing, robot: DrawnRobot, frame: Frame) -> float:
-        """Return the elevation of the view over a robot [rad]: no wall hides it, and it changes gradually."""
-        if self._walls is None or self._walls[0] is not drawing:
-            self._walls = drawing, Walls(drawing)
-        wanted = clear_elevation(self._walls[1], robot, frame)
-        if self._elevation is None:
-            self._elevation = wanted
-        self._elevation += float(np.clip(wanted - self._elevation, -MAX_SINK, MAX_RISE))
-        return self._elevation
 
     def _move(self, pose: CameraPose, offset: np.ndarray) -> None:
         last = self._last_pose
@@ -248,24 +297,27 @@ def camera_pose(robot: DrawnRobot, frame: Frame, camera: int) -> CameraPose:
     return CameraPose(pos, pos + LOOK_AHEAD * mat[:, 0], mat[:, 2])
 
 
-def chase_pose(robot: DrawnRobot, frame: Frame, elevation: float | None = None) -> CameraPose:
+def chase_pose(
+    robot: DrawnRobot, frame: Frame, elevation: float | None = None, ahead: np.ndarray | None = None
+) -> CameraPose:
     """Return the pose of the view over a robot: behind and above it, however it leans.
 
     Args:
         robot: The robot.
         frame: Present frame of the world.
         elevation: Elevation of the view [rad]; None: that over open ground.
+        ahead: Level unit vector of the view (3,); None: the robot's heading.
     """
-    pos, ahead = frame.pos[robot.body], _ahead(robot, frame)
+    pos, ahead = frame.pos[robot.body], _heading_of(robot, frame) if ahead is None else ahead
     distance, angle = _chase(robot)
     angle = angle if elevation is None else elevation
     aside = distance * (math.sin(angle) * UP - math.cos(angle) * ahead)
     return CameraPose(pos + aside, pos + 0.5 * float(robot.dimensions[0]) * ahead, UP)
 
 
-def clear_elevation(walls: Walls, robot: DrawnRobot, frame: Frame) -> float:
+def clear_elevation(walls: Walls, robot: DrawnRobot, frame: Frame, ahead: np.ndarray | None = None) -> float:
     """Return the elevation over a robot from which no wall hides it, or the usual one [rad]."""
-    pos, ahead = frame.pos[robot.body], _ahead(robot, frame)
+    pos, ahead = frame.pos[robot.body], _heading_of(robot, frame) if ahead is None else ahead
     distance, usual = _chase(robot)
     angles = np.linspace(usual, MAX_ELEVATION, ELEVATIONS)[:, None]
     eyes = pos + distance * (np.sin(angles) * UP - np.cos(angles) * ahead)
@@ -273,7 +325,7 @@ def clear_elevation(walls: Walls, robot: DrawnRobot, frame: Frame) -> float:
     return float(angles[int(np.argmin(hidden)), 0])
 
 
-def _ahead(robot: DrawnRobot, frame: Frame) -> np.ndarray:
+def _heading_of(robot: DrawnRobot, frame: Frame) -> np.ndarray:
     """Return the level unit vector of a robot's heading (3,)."""
     ahead = _turn(frame, robot.body)[:, 0] * [1.0, 1.0, 0.0]
     norm = float(np.linalg.norm(ahead))

@@ -113,7 +113,7 @@ class _NodeReader:
         except yaml.YAMLError:
             raise
         except Exception as error:  # PyYAML raises whatever a wrong date, number or tag makes it run into
-            tag = node.tag[-MAX_QUOTED:]
+            tag = node.tag.rpartition(":")[2][-MAX_QUOTED:]
             raise self._refusal(f"{where}: {node.value[:MAX_QUOTED]!r} is no {tag}: {error}") from error
         return data if isinstance(data, (str, int, float)) or data is None else str(node.value)
 

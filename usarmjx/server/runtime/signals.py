@@ -82,7 +82,7 @@ class StopSignals:
         if self._finish is not None:
             raise SystemExit(128 + number)
         # An exception would be printed, and lost, wherever a library calls Python: in a compilation, for one.
-        exit_now(128 + number)
+        _end_unfinished(number)
 
     def _watch(self, heard: socket.socket) -> None:
         """Wait for a signal, whose number Python writes into the socket; then end the process."""
@@ -101,7 +101,9 @@ class StopSignals:
                 finishing = threading.Thread(target=self._finish, daemon=True)
                 finishing.start()
                 finishing.join(FILES_TIME)
-            exit_now(128 + self.number if stop is None else 0)
+            if stop is None:
+                _end_unfinished(self.number)
+            exit_now(0)
 
 
 def _outlive_nobody(pipe: int) -> None:
@@ -109,6 +111,13 @@ def _outlive_nobody(pipe: int) -> None:
     with contextlib.suppress(OSError):
         os.read(pipe, 1)
     os.kill(os.getpid(), signal.SIGTERM)
+
+
+def _end_unfinished(number: int) -> None:
+    """End the process before it serves: with a line, and the status that shells give for the signal."""
+    with contextlib.suppress(OSError):
+        os.write(2, f"usarmjx: stopped by {signal.Signals(number).name}\n".encode())
+    exit_now(128 + number)
 
 
 def exit_now(code: int) -> None:

@@ -9,8 +9,10 @@ from usarmjx.comms.attenuation import RadioSettings
 from usarmjx.comms.links import Links
 from usarmjx.server.worlds.policy_world import PolicyWorld
 from usarmjx.server.worlds.served_world import ServedWorld
+from usarmjx.sim.ray_geometry import victims_of
 from usarmjx.view.capture import Capture
 from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX, Drawing, Frame
+from usarmjx.view.scoreboard import BoardFacts
 
 LINK_PERIOD = 0.5
 """Interval between two computations of links in a world without a radio of its own [s of its time]."""
@@ -60,6 +62,17 @@ class ServedSource:
             score=served.score if isinstance(served, PolicyWorld) else None,
             extra=_maps(cached.drawing, served) if isinstance(served, PolicyWorld) else {},
         )
+
+    def board_facts(self, world: int) -> BoardFacts:
+        """Return a world's facts for the scoreboard."""
+        served = self._worlds[world]
+        state, _ = served.one_world()
+        owners = np.asarray(victims_of(served.scene, state.arena_state).owner)
+        victims = len(np.unique(owners[owners >= 0]))
+        if not isinstance(served, PolicyWorld):
+            return BoardFacts(owners=owners, victims=victims)
+        task = served.policy_batch.env.name
+        return BoardFacts(task=task, time_left=served.time_left, owners=owners, victims=victims)
 
     def _refresh(self, world: int) -> _CachedDrawing:
         served = self._worlds[world]

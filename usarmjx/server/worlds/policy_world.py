@@ -228,6 +228,10 @@ class PolicyBatch(SharedBatch):
         """Return the task's score of a world so far."""
         return float(self._policy_state.score[world])
 
+    def time_left(self, world: int) -> float:
+        """Return the time until the episode of a world ends at the latest [s]."""
+        return float(self.env.episode_steps - int(self._policy_state.length[world])) * self.env.period
+
 
 class PolicyWorld(BatchWorld):
     """World `instance` of a task's batch, with a policy in it.
@@ -313,6 +317,11 @@ class PolicyWorld(BatchWorld):
     def score(self) -> float:
         """The task's score of the served world so far."""
         return self.policy_batch.score(self._instance)
+
+    @property
+    def time_left(self) -> float:
+        """Time until the episode ends at the latest [s]."""
+        return self.policy_batch.time_left(self._instance)
 
     @property
     def maps(self) -> TeamMaps | None:

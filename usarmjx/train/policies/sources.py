@@ -21,6 +21,7 @@ from usarmjx.train.make import check_named, find_baseline, make, make_task, same
 from usarmjx.train.policies import POLICIES
 from usarmjx.train.policies.policy_file import NumpyPolicy
 from usarmjx.train.policies.policy_folder import weights_in
+from usarmjx.train.policies.untrained import UNTRAINED, check_untrained
 
 EPISODES, WORLDS = 100, 20
 """Default numbers of episodes and of worlds at once in an evaluation."""
@@ -38,6 +39,7 @@ class PolicySource:
         checkpoint: Line about the checkpoint of a run and its choice; else empty.
         named: Whether the user has named the task, so that the code of an own one may be imported.
         parts: Policies of robot classes, by name, where each class has one of its own; else empty.
+        untrained: Whether `name` is one of `untrained.UNTRAINED`.
     """
 
     name: str
@@ -47,6 +49,7 @@ class PolicySource:
     checkpoint: str = ""
     named: bool = False
     parts: Mapping[str, "PolicySource"] = field(default_factory=dict[str, "PolicySource"])
+    untrained: bool = False
 
     def for_task(self, task: str) -> "PolicySource":
         """Return the policy for a task that the user has named, an own one in a file or module too.
@@ -73,6 +76,8 @@ class PolicySource:
         """
         if self.parts:
             return mixed_policy(env, self.parts)
+        if self.untrained:
+            return UNTRAINED[self.name](env)
         if self.learned is None:
             return BASELINES.get(self.name)(env)
         policy, params = self.learned
@@ -355,6 +360,16 @@ def load_exported(file: Path) -> PolicySource:
     )
     learned = LearnedPolicy(groups, widths, exported.memory), params
     return PolicySource(name=str(file), task=exported.task, overrides=exported.overrides, learned=learned)
+
+
+def untrained(name: str, task: str) -> PolicySource:
+    """Return the policy without training of a name, for a task.
+
+    Raises:
+        UnknownNameError: No such policy; lists those there are.
+    """
+    check_untrained(name)
+    return PolicySource(name=name, task=task, named=True, untrained=True)
 
 
 def baseline(name: str, task: str | None = None) -> PolicySource:

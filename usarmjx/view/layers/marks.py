@@ -22,7 +22,9 @@ LIFT, LIFT_SHARE = 0.008, 4e-4
 TAG_RADIUS, TAG_HEIGHT, TAG_SIDES = 0.09, 0.02, 20
 TAG_RGB, DROPPED_RGB = (255, 196, 0), (255, 110, 0)
 TAG_TEXT_HEIGHT = 0.22
-"""Height of the numbers over tags [m]."""
+"""Height of the numbers above tags [m]."""
+TEXT_SCALE = 0.9
+"""Size of names and numbers on the screen, the same at any distance; 1 is the page's text."""
 HIT_SIZE, TRAIL_SIZE = 0.02, 0.035
 """Radii of the points of victim sensors and of trails [m]."""
 NO_SKETCHES = np.zeros((0, 2, 3)), np.zeros((0, 3), np.uint8), np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
@@ -105,8 +107,7 @@ class TagLayer(NodeLayer):
                 str(tag.number),
                 position=tuple(np.add(tag.pos, (0.0, 0.0, TAG_TEXT_HEIGHT))),
                 anchor="bottom-center",
-                font_size_mode="scene",
-                font_scene_height=TAG_TEXT_HEIGHT,
+                font_screen_scale=TEXT_SCALE,
                 depth_test=True,
             )
         self._discs = InstanceNode(self.scene, f"{self.root}/discs", disc())
@@ -250,7 +251,7 @@ class NameLayer(NodeLayer):
                 f"{self.root}/{slot}",
                 robot.name,
                 anchor="bottom-center",
-                font_screen_scale=0.9,
+                font_screen_scale=TEXT_SCALE,
                 visible=False,
             )
 

@@ -8,6 +8,7 @@ from usarmjx.base.rotations import mat_from_quat
 from usarmjx.comms.links import MIN_ANTENNA_HEIGHT
 from usarmjx.view.drawing import Drawing, Frame
 from usarmjx.view.layers.base import scale_colors
+from usarmjx.view.layers.marks import TEXT_SCALE
 from usarmjx.view.layers.nodes import LineNode, NodeLayer
 
 GAP_SHARE, GAP_SPACING = 0.025, 0.05
@@ -92,7 +93,9 @@ class RadioLayer(NodeLayer):
         """Show texts at positions [m] (texts, 3)."""
         while len(self._labels) < len(texts):
             name = f"{self.root}/text{len(self._labels)}"
-            self._labels.append(self.scene.add_label(name, "", anchor="center-center", font_screen_scale=0.7))
+            self._labels.append(
+                self.scene.add_label(name, "", anchor="center-center", font_screen_scale=TEXT_SCALE)
+            )
         for number, label in enumerate(self._labels):
             label.visible = number < len(texts)
             if number < len(texts):

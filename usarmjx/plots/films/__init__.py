@@ -1,0 +1,1 @@
+"""Films of recordings in three dimensions: `film` joins `picture`, `overlays` and `codecs`."""

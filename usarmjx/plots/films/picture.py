@@ -1,0 +1,407 @@
+"""Pictures of a film: nearest triangles by `raster`, shaded as what robots' cameras see."""
+
+from collections.abc import Collection, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from usarmjx.base.arrays import Array
+from usarmjx.models.types.shapes import GLASS, MIRROR, OPAQUE
+from usarmjx.plots.films.overlays import Overlay
+from usarmjx.plots.films.raster import Canvas
+from usarmjx.plots.films.solids import Solids, solids_of
+from usarmjx.plots.films.views import FilmView, ShadowMap, SunView
+from usarmjx.plots.gallery import CHECKER_SIZES, MAX_CHECKERS, SUN
+from usarmjx.plots.render import Lighting, lit_scene
+from usarmjx.sensors.cameras.casters import Beams, RayHits
+from usarmjx.sensors.cameras.paint import GeomAppearance
+from usarmjx.sensors.cameras.shading import RenderScene, shade
+from usarmjx.sensors.rays.raycast import EXCLUDE_NONE, RayQuery
+from usarmjx.sensors.rays.targets import Geoms
+from usarmjx.view.drawing import NOBODY, Drawing, Frame
+from usarmjx.view.viewpoint import bounds_of
+
+SHADOW_SIDES, WIDE = (2048, 4096), 60.0
+"""Texels along a side of the shadow map, of small and of wide arenas, and the size of those [m]."""
+STILL_BODIES = ("arena", "victims", "false alarms", "water")
+"""Bodies of a drawing that never move."""
+SAMPLES = 2
+"""Samples along a side of a pixel."""
+SHADOW_BIAS = 2.5
+"""Depth below which a surface shadows no other [texels]."""
+CHUNK = 1 << 17
+"""Samples that are shaded together."""
+
+
+class Table(struct.PyTreeNode, kw_only=True):
+    """Triangles as the shader needs them.
+
+    Attributes:
+        corner: First corners [m] (n, 3).
+        dual: Vectors whose products with a point give its second and third barycentric coordinates (n, 2, 3).
+        normals: Normals at the corners (n, 3, 3).
+        appearance: Appearance of each.
+        is_floor: Which are the floor (n,).
+    """
+
+    corner: Array
+    dual: Array
+    normals: Array
+    appearance: GeomAppearance
+    is_floor: Array
+
+
+class RasterCaster:
+    """Ray caster whose hits are known: a `cameras.casters.Caster`.
+
+    Args:
+        table: The triangles.
+        solid: Nearest opaque triangle of each ray, and its distance [m].
+        pane: Likewise for panes of glass.
+        shadows: The shadow map.
+        materials: Materials that occur.
+    """
+
+    def __init__(
+        self,
+        table: Table,
+        solid: RayHits,
+        pane: RayHits,
+        shadows: ShadowMap,
+        materials: Collection[str],
+    ) -> None:
+        self._table, self._solid, self._pane, self._shadows = table, solid, pane, shadows
+        self.appearance, self.materials = table.appearance, materials
+
+    @property
+    def is_plane(self) -> Any:  # noqa: ANN401 - traced here, an array elsewhere
+        """Mask of the floor (n,)."""
+        return self._table.is_floor
+
+    def from_camera(self, origin: Array, direction: Array, query: RayQuery) -> RayHits:
+        """Return the known hits."""
+        del origin, direction
+        return self._solid if GLASS in query.transparent else self._pane
+
+    def from_surfaces(self, origin: Array, direction: Array, wanted: Array) -> RayHits:
+        """Return no hits: mirrors show the sky."""
+        del direction, wanted
+        count = len(origin)
+        return RayHits(jnp.full(count, jnp.inf), jnp.full(count, -1))
+
+    def is_dark(self, beams: Beams) -> Array:
+        """Return which points are in the sun's shadow, by the shadow map."""
+        held = self._shadows
+        local = (jnp.asarray(beams.point).T - held.middle) @ held.axes
+        side = held.side
+        x, y = side / 2 + local[:, 0] * held.scale - 0.5, side / 2 - local[:, 1] * held.scale - 0.5
+        column, row = jnp.floor(x).astype(int), jnp.floor(y).astype(int)
+        inside = (column >= 0) & (column < side - 1) & (row >= 0) & (row < side - 1)
+        first = jnp.where(inside, row * side + column, 0)
+        lowest = held.reach - local[:, 2] + SHADOW_BIAS / held.scale
+        right, down = x - column, y - row
+        # Between four texels the border of a shadow is a line, not a staircase.
+        share = jnp.zeros(len(x))
+        for step, weight in (
+            (0, (1 - right) * (1 - down)),
+            (1, right * (1 - down)),
+            (side, (1 - right) * down),
+            (side + 1, right * down),
+        ):
+            share += weight * (jnp.asarray(held.nearness)[first + step] > lowest)
+        return inside & (share > 0.5)
+
+    def normals(self, hits: RayHits, origin: Array, direction: Array) -> Array:
+        """Return unit normals at the hits, interpolated between corners, towards the rays (rays, 3)."""
+        which = jnp.maximum(jnp.asarray(hits.geom_index), 0)
+        there = hits.geom_index >= 0
+        reach = jnp.where(there, hits.distance, 0.0)[:, None]
+        offset = jnp.asarray(origin) + reach * direction - self._table.corner[which]
+        second, third = jnp.clip(
+            jnp.moveaxis((self._table.dual[which] * offset[:, None]).sum(-1), -1, 0), 0, 1
+        )
+        share = jnp.stack([jnp.maximum(1 - second - third, 0.0), second, third], -1)
+        normal = (jnp.asarray(self._table.normals)[which] * share[..., None]).sum(1)
+        normal = normal / jnp.maximum(jnp.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+        away = (normal * direction).sum(-1, keepdims=True) > 0
+        return jnp.where(there[:, None], jnp.where(away, -normal, normal), 0.0)
+
+    def frames(self, which: Array) -> tuple[Array, Array, Array]:
+        """Refuse: triangles have no textures."""
+        raise NotImplementedError
+
+
+class Lens(struct.PyTreeNode, kw_only=True):
+    """A `FilmView` as numbers for the shader."""
+
+    eye: Array
+    axes: Array
+    focal: Array
+    middle: Array
+    width: Array
+
+
+@partial(jax.jit, static_argnames="materials")
+def _shade(
+    scene: RenderScene,
+    table: Table,
+    shadows: ShadowMap,
+    lens: Lens,
+    pixel: jax.Array,
+    hits: tuple[jax.Array, ...],
+    materials: tuple[str, ...],
+) -> jax.Array:
+    """Return the colours of pixels, 0 to 255 (pixels, 3)."""
+    x = (pixel % lens.width + 0.5 - lens.middle[0]) / lens.focal
+    y = (lens.middle[1] - pixel // lens.width - 0.5) / lens.focal
+    right, up, ahead = jnp.asarray(lens.axes).T
+    ray = ahead + x[:, None] * right + y[:, None] * up
+    length = jnp.linalg.norm(ray, axis=-1, keepdims=True)
+    solid, pane = (
+        RayHits(jnp.where(triangle >= 0, length[:, 0] / jnp.maximum(near, 1e-9), jnp.inf), triangle)
+        for triangle, near in (hits[:2], hits[2:])
+    )
+    caster = RasterCaster(table, solid, pane, shadows, materials)
+    start = jnp.broadcast_to(lens.eye, ray.shape)
+    seen = shade(scene, start, ray / length, jnp.asarray(EXCLUDE_NONE), caster)
+    return jnp.floor(255 * seen.rgb + 0.5).astype(jnp.uint8)
+
+
+class FilmScene:
+    """A drawing, ready to be rendered frame by frame.
+
+    What does not move is rasterized and shaded again only when the view changes.
+
+    Args:
+        drawing: The drawing.
+
+    Attributes:
+        bounds: Least and largest x, y and z of what does not move [m].
+    """
+
+    def __init__(self, drawing: Drawing) -> None:
+        self._solids = of = solids_of(drawing)
+        still = [body.name in STILL_BODIES for body in drawing.bodies]
+        self._still = np.where(of.body == NOBODY, True, np.append(still, True)[of.body])
+        self._clear = of.transparency > 0
+        self.bounds = bounds_of(drawing)
+        low, high = self.bounds
+        side = SHADOW_SIDES[bool(np.linalg.norm(high - low) > WIDE)]
+        self._sun = SunView.over(low, high, np.array(SUN), side)
+        # Drawings of similar size share a compiled program.
+        self._padding = (1 << max(0, len(of) - 1).bit_length()) - len(of)
+        self._appearance = jax.tree.map(self._padded, _appearance(of))
+        self._is_floor = self._padded(of.is_floor)
+        nothing = Geoms(blocks=(), kinds=(), materials=())
+        self._scene = lit_scene(nothing, self._appearance, _lighting(drawing))
+        made_of = {OPAQUE} | ({GLASS} if self._clear.any() else set())
+        self._materials = tuple(sorted(made_of | ({MIRROR} if (of.reflectance > 0).any() else set())))
+        self._shadow: Canvas | None = None
+        self._base: _Base | None = None
+
+    def render(
+        self, frame: Frame, view: FilmView, overlays: Sequence[Overlay] = (), *, keep: bool = False
+    ) -> np.ndarray:
+        """Return colours, 0 to 255 uint8 (height, width, 3).
+
+        Each pixel is the mean of `SAMPLES` by `SAMPLES`; of a pixel within a triangle one is shaded, unless
+        the view is kept.
+
+        Args:
+            frame: The frame.
+            view: The view.
+            overlays: Signs without light and shadow that are drawn over it, the last one over the others.
+            keep: Whether the next frame has the same view.
+        """
+        large = view.enlarged(SAMPLES)
+        corners, normals, shown = self._solids.at(frame)
+        moving = shown & ~self._still
+        shadow, table = self._shadow_canvas(corners, shown, moving), self._table(corners, normals)
+        if keep and (self._base is None or not large.same_as(self._base.view)):
+            self._base = self._new_base(large, corners, normals, shown)
+        base = self._base if keep else None
+        canvas = self._canvas(large, corners, shown & self._still) if base is None else base.canvas.copy()
+        self._draw(canvas, large, corners, moving & ~self._clear)
+        panes = self._panes(large, corners, shown) if self._clear.any() else None
+        if base is None:
+            rgb = self._shade_edges(large, canvas, panes, table, shadow)
+        else:
+            pixels = base.changed(canvas, panes, shadow)
+            rgb = base.rgb.copy()
+            rgb[pixels] = self._shaded(large, canvas, panes, table, shadow, pixels)
+        for overlay in overlays:
+            overlay.mix(rgb, canvas, large)
+        return _mean(rgb.reshape(large.height, large.width, 3))
+
+    def _new_base(
+        self, view: FilmView, corners: np.ndarray, normals: np.ndarray, shown: np.ndarray
+    ) -> "_Base":
+        """Return what does not move, rasterized and shaded."""
+        assert self._shadow is not None
+        canvas = self._canvas(view, corners, shown & self._still)
+        panes = self._panes(view, corners, shown & self._still) if self._clear.any() else None
+        pixels = np.arange(len(canvas.keys))
+        rgb = self._shaded(view, canvas, panes, self._table(corners, normals), self._shadow, pixels)
+        return _Base(view, canvas, panes, self._shadow, self._sun.texels(view, canvas), rgb)
+
+    def _canvas(self, view: FilmView, corners: np.ndarray, which: np.ndarray) -> Canvas:
+        canvas = Canvas(view.width, view.height)
+        self._draw(canvas, view, corners, which & ~self._clear)
+        return canvas
+
+    def _panes(self, view: FilmView, corners: np.ndarray, shown: np.ndarray) -> Canvas:
+        canvas = Canvas(view.width, view.height)
+        self._draw(canvas, view, corners, shown & self._clear)
+        return canvas
+
+    def _draw(self, canvas: Canvas, view: FilmView, corners: np.ndarray, which: np.ndarray) -> None:
+        """Draw triangles, without those of closed solids that show their back."""
+        rows = np.flatnonzero(which)
+        here = corners[rows]
+        outward = np.cross(here[:, 1] - here[:, 0], here[:, 2] - here[:, 0])
+        front = ((view.eye - here[:, 0]) * outward).sum(-1) > 0
+        rows = rows[front | self._solids.two_sided[rows]]
+        view.draw(canvas, corners[rows], rows)
+
+    def _shade_edges(
+        self, view: FilmView, canvas: Canvas, panes: Canvas | None, table: Table, shadow: Canvas
+    ) -> np.ndarray:
+        """Shade one sample of each pixel within a triangle, and all of the others (samples, 3)."""
+        keys = canvas.surface().triangle.reshape(view.height, view.width)
+        first = keys[::SAMPLES, ::SAMPLES]
+        same = np.ones(first.shape, bool)
+        for row in range(SAMPLES):
+            for column in range(SAMPLES):
+                same &= keys[row::SAMPLES, column::SAMPLES] == first
+        wanted = np.repeat(np.repeat(~same, SAMPLES, 0), SAMPLES, 1)
+        wanted[::SAMPLES, ::SAMPLES] = True
+        pixels = np.flatnonzero(wanted)
+        rgb = np.zeros((view.height, view.width, 3), np.uint8)
+        rgb.reshape(-1, 3)[pixels] = self._shaded(view, canvas, panes, table, shadow, pixels)
+        once = rgb[::SAMPLES, ::SAMPLES].copy()
+        for row in range(SAMPLES):
+            for column in range(SAMPLES):
+                np.copyto(rgb[row::SAMPLES, column::SAMPLES], once, where=same[..., None])
+        return rgb.reshape(-1, 3)
+
+    def _shaded(
+        self,
+        view: FilmView,
+        canvas: Canvas,
+        panes: Canvas | None,
+        table: Table,
+        shadow: Canvas,
+        pixels: np.ndarray,
+    ) -> np.ndarray:
+        """Return the colours of some samples (samples, 3)."""
+        surface = canvas.surface()
+        none = np.full(len(pixels), -1, np.int32), np.zeros(len(pixels), np.float32)
+        columns = [
+            pixels.astype(np.int32),
+            *(column[pixels] for column in surface),
+            *(none if panes is None else (column[pixels] for column in panes.surface())),
+        ]
+        held, lens, parts = self._sun.numbers(shadow), _lens(view), [np.zeros((0, 3), np.uint8)]
+        for first in range(0, len(pixels), CHUNK):
+            part = [column[first : first + CHUNK] for column in columns]
+            missing = CHUNK - len(part[0])
+            pixel, *hits = (jnp.asarray(np.pad(column, (0, missing), mode="edge")) for column in part)
+            rgb = _shade(self._scene, table, held, lens, pixel, tuple(hits), self._materials)
+            parts.append(np.asarray(rgb)[: CHUNK - missing])
+        return np.concatenate(parts)
+
+    def _shadow_canvas(self, corners: np.ndarray, shown: np.ndarray, moving: np.ndarray) -> Canvas:
+        cast = ~self._clear & ~self._solids.is_floor
+        if self._shadow is None:
+            self._shadow = Canvas(self._sun.side, self._sun.side)
+            rows = np.flatnonzero(shown & self._still & cast)
+            self._sun.draw(self._shadow, corners[rows], rows)
+        canvas, rows = self._shadow.copy(), np.flatnonzero(moving & cast)
+        self._sun.draw(canvas, corners[rows], rows)
+        return canvas
+
+    def _table(self, corners: np.ndarray, normals: np.ndarray) -> Table:
+        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        across = np.cross(first, second)
+        square = np.maximum((across * across).sum(-1, keepdims=True), 1e-18)
+        dual = np.stack([np.cross(second, across), np.cross(across, first)], 1) / square[:, None]
+        return Table(
+            corner=self._padded(corners[:, 0].astype(np.float32)),
+            dual=self._padded(dual.astype(np.float32)),
+            normals=self._padded(normals.astype(np.float32)),
+            appearance=self._appearance,
+            is_floor=self._is_floor,
+        )
+
+    def _padded(self, column: np.ndarray) -> np.ndarray:
+        return np.pad(column, [(0, self._padding), *[(0, 0)] * (column.ndim - 1)])
+
+
+class _Base(NamedTuple):
+    """What does not move, in a view that stays.
+
+    Attributes:
+        view: The view.
+        canvas: Its solids.
+        panes: Its panes of glass.
+        shadow: Their shadows.
+        texels: Index of each sample's texel in the shadow map; one past the end: none (samples,).
+        rgb: Colours, 0 to 255 (samples, 3).
+    """
+
+    view: FilmView
+    canvas: Canvas
+    panes: Canvas | None
+    shadow: Canvas
+    texels: np.ndarray
+    rgb: np.ndarray
+
+    def changed(self, canvas: Canvas, panes: Canvas | None, shadow: Canvas) -> np.ndarray:
+        """Return the indices of samples that look different now."""
+        differ = canvas.keys != self.canvas.keys
+        if panes is not None and self.panes is not None:
+            differ |= panes.keys != self.panes.keys
+        moved = (shadow.keys != self.shadow.keys).reshape(shadow.height, shadow.width)
+        moved[:, :-1] |= moved[:, 1:]
+        moved[:-1] |= moved[1:]
+        moved[:, 1:] |= moved[:, :-1]
+        moved[1:] |= moved[:-1]
+        differ |= np.append(moved.reshape(-1), False)[self.texels]
+        return np.flatnonzero(differ)
+
+
+def _lens(view: FilmView) -> Lens:
+    return Lens(
+        eye=view.eye.astype(np.float32),
+        axes=view.axes.astype(np.float32),
+        focal=np.array(view.focal, np.float32),
+        middle=np.array([view.width / 2, view.height / 2], np.float32),
+        width=np.array(view.width, np.int32),
+    )
+
+
+def _mean(rgb: np.ndarray) -> np.ndarray:
+    """Return the means of samples as pixels, uint8 (height, width, 3)."""
+    total = np.zeros((rgb.shape[0] // SAMPLES, rgb.shape[1] // SAMPLES, 3), np.uint16)
+    for row in range(SAMPLES):
+        for column in range(SAMPLES):
+            total += rgb[row::SAMPLES, column::SAMPLES]
+    return ((total + SAMPLES * SAMPLES // 2) // (SAMPLES * SAMPLES)).astype(np.uint8)
+
+
+def _appearance(of: Solids) -> GeomAppearance:
+    return GeomAppearance(
+        rgb=of.rgb, transparency=of.transparency, reflectance=of.reflectance, label=of.label
+    )
+
+
+def _lighting(drawing: Drawing) -> Lighting:
+    """Return the sun's light, whatever lamps there are, and a floor with checkers below the arena."""
+    (x0, x1), (y0, y1) = drawing.extent.tolist()
+    longest = max(x1 - x0, y1 - y0)
+    tile = next((size for size in CHECKER_SIZES if size * MAX_CHECKERS > longest), CHECKER_SIZES[-1])
+    return Lighting(sun=SUN, checker_size=tile, checker_extent=((x0, x1), (y0, y1)))

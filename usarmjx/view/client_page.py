@@ -1,0 +1,104 @@
+"""Viser's page with our name, colours, a loading state and a place for the scoreboard.
+
+The page is one file. Viser serves a copy of it, with a script and a style sheet, from a folder of its own.
+"""
+
+import atexit
+import shutil
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import viser
+
+PRODUCT = "usarmjx"
+MARK = "<title>Viser</title>"
+"""Text of viser's page that we replace; a version without it is served as it is."""
+BACKGROUND = "#e9eef2"
+"""Colour of the page before anything is drawn, near that of the sky."""
+ICON = (
+    "data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 32 32'%3E"
+    "%3Crect width='32' height='32' rx='7' fill='%231f5fa8'/%3E%3Cpath d='M7 21h18l-3-9H10z' fill='white'/%3E"
+    "%3Ccircle cx='11' cy='23' r='4' fill='%23ffc400'/%3E%3Ccircle cx='21' cy='23' r='4' fill='%23ffc400'/%3E"
+    "%3C/svg%3E"
+)
+STYLE = """
+html,body{background:BACKGROUND;margin:0}
+#usarmjx-loading{position:fixed;inset:0;z-index:9999;display:flex;flex-direction:column;gap:.6em;
+ align-items:center;justify-content:center;background:BACKGROUND;color:#23303d;
+ font:600 1.6rem system-ui,sans-serif}
+#usarmjx-loading small{font-weight:400;font-size:1rem;opacity:.75}
+#usarmjx-head{position:fixed;top:.7em;left:.7em;z-index:9;max-width:min(21em,calc(100vw - 1.4em));
+ background:rgba(20,24,30,.82);color:#fff;border-radius:.5em;padding:.5em .8em;
+ font:.85rem/1.35 system-ui,sans-serif;max-height:calc(100vh - 6em);overflow:auto}
+#usarmjx-head>summary{font-weight:600;cursor:pointer;list-style:none}
+#usarmjx-head table{border-collapse:collapse;margin-top:.4em;width:100%}
+#usarmjx-head td{padding:.05em .7em .05em 0;white-space:nowrap}
+#usarmjx-head td:first-child{opacity:.85}
+#usarmjx-head i{display:inline-block;width:.7em;height:.7em;border-radius:50%;margin-right:.45em}
+#usarmjx-head b{display:inline-block;width:3em;height:.5em;background:#fff4;border-radius:.25em}
+#usarmjx-head s{display:block;height:100%;border-radius:.25em}
+#usarmjx-head ul{list-style:none;margin:.4em 0 0;padding:0;opacity:.9}
+.usarmjx-board{display:none}
+button:has(.tabler-icon-adjustments){display:none!important}
+@media (max-width:36em){
+ [style*="max-height: 60%"],[style*="max-height: 60%"] [style*="width: 20em"]{width:100%!important}
+}
+"""
+SCRIPT = """
+(() => {
+ const page = document.documentElement, phone = matchMedia('(max-width:36em)').matches;
+ const wait = page.appendChild(document.createElement('div'));
+ wait.id = 'usarmjx-loading';
+ wait.innerHTML = 'PRODUCT<small>loading the world ...</small>';
+ const loaded = () => wait.remove();
+ setTimeout(loaded, 20000);
+ let head, shut = false;
+ const show = board => {
+  if (!head) {
+   head = document.body.appendChild(document.createElement('details'));
+   head.id = 'usarmjx-head';
+   head.open = !phone;
+   head.append(document.createElement('summary'), document.createElement('div'));
+   setTimeout(loaded, 300);
+  }
+  const name = 'PRODUCT \\u00b7 ' + board.dataset.world;
+  if (document.title !== name) document.title = head.firstChild.textContent = name;
+  if (head.lastChild.innerHTML !== board.innerHTML) head.lastChild.innerHTML = board.innerHTML;
+ };
+ new MutationObserver(() => {
+  const board = document.querySelector('.usarmjx-board');
+  if (board) show(board);
+  if (phone && !shut && board) {
+   const sheet = document.querySelector('[style*="max-height: 60%"] [style*="cursor: pointer"]');
+   if (sheet) { shut = true; sheet.click(); }
+  }
+ }).observe(page, {subtree: true, childList: true, characterData: true});
+})();
+"""
+
+
+def page_text(original: str) -> str:
+    """Return viser's page with our head; one that is not as known stays as it is."""
+    if MARK not in original:
+        return original
+    style = STYLE.replace("BACKGROUND", BACKGROUND)
+    head = (
+        f"<title>{PRODUCT}</title><style>{style}</style><script>{SCRIPT.replace('PRODUCT', PRODUCT)}</script>"
+    )
+    before, _, after = original.partition(MARK)
+    first, _, rest = before.partition('<link\n      rel="icon"')
+    if rest:
+        before = f'{first}<link rel="icon" href="{ICON}" />' + rest.partition("/>")[2]
+    # Ours comes first: the browser shows it while it reads the long script of viser.
+    return before + head + after
+
+
+@cache
+def page_folder() -> Path:
+    """Return the folder with the page, which goes when the program ends."""
+    original = Path(viser.__file__).parent / "client" / "build" / "index.html"
+    folder = Path(tempfile.mkdtemp(prefix="usarmjx-page-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    (folder / "index.html").write_text(page_text(original.read_text(encoding="utf-8")), encoding="utf-8")
+    return folder

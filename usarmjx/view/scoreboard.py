@@ -1,0 +1,227 @@
+"""The scoreboard of the page: task, score, time left, victims, map, robots, and events as they happen."""
+
+import html
+import math
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from usarmjx.base.backend import numpy_backend
+from usarmjx.base.rotations import mat_from_quat
+from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX, Drawing, DrawnRobot, Frame, RobotFrame
+from usarmjx.view.layers.base import robot_colors
+
+if TYPE_CHECKING:
+    from usarmjx.view.page import ViewerPage
+
+UPDATE_PERIOD = 0.5
+"""Interval between two updates [s]."""
+MAX_EVENTS, MAX_ROBOTS = 6, 16
+"""Most events and most robots on the scoreboard."""
+STANDING_SPEED = 0.03
+"""Speed up to which a robot stands [m/s]."""
+TIPPED_COSINE = 0.5
+"""Cosine of the lean from which a robot has tipped over."""
+LOW_BATTERY = 0.2
+"""Share of the battery up to which its bar is red."""
+VICTIM_SENSOR = "VictSensor"
+FREE_SQUARE, WALL_SQUARE = 1, 2
+"""Values of known squares of maps, see `train.mapping.maps`."""
+
+
+@dataclass(frozen=True, eq=False)
+class BoardFacts:
+    """Facts of a world that its drawing and its frames lack.
+
+    Attributes:
+        task: Name of the task; empty: none.
+        time_left: Time until the episode ends [s]; None: unknown.
+        owners: Victim of each row of a victim sensor's reading, negative for none (rows,).
+        victims: Number of victims.
+    """
+
+    task: str = ""
+    time_left: float | None = None
+    owners: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    victims: int = 0
+
+
+class MissionLog:
+    """Events of a world: robots that come, go, tip over or run out of battery, and victims that are found.
+
+    Attributes:
+        events: The last ones, each with its simulated time [s].
+        found: Time and robot of each found victim.
+    """
+
+    def __init__(self) -> None:
+        self.events: deque[tuple[float, str]] = deque(maxlen=MAX_EVENTS)
+        self.found: dict[int, tuple[float, str]] = {}
+        self._states: dict[str, str] | None = None
+        self._time = -math.inf
+
+    def update(self, drawing: Drawing, frame: Frame, facts: BoardFacts) -> None:
+        """Take the present frame; a time before the last one begins anew."""
+        if frame.time < self._time:
+            self.events.clear()
+            self.found.clear()
+            self._states = None
+        self._time = frame.time
+        robots = {slot: drawing.robots[slot] for slot in frame.robots if slot in drawing.robots}
+        states = {robot.name: state_of(robot, frame.robots[slot]) for slot, robot in robots.items()}
+        if self._states is not None:
+            for name, state in states.items():
+                if name not in self._states:
+                    self._add(f"{name} joins")
+                elif state != self._states[name] and state in EVENTS:
+                    self._add(f"{name} {EVENTS[state]}")
+            for name in self._states.keys() - states.keys():
+                self._add(f"{name} leaves")
+        self._states = states
+        for slot, robot in robots.items():
+            for victim in seen_victims(robot, frame.robots[slot], facts.owners):
+                if victim not in self.found:
+                    self.found[victim] = frame.time, robot.name
+                    self._add(f"{robot.name} found victim {victim + 1}")
+
+    def _add(self, text: str) -> None:
+        self.events.appendleft((self._time, text))
+
+
+EVENTS: Mapping[str, str] = {"tipped over": "tips over", "no battery": "has no battery left"}
+"""Events by the states that they lead to."""
+
+
+def state_of(robot: DrawnRobot, frame: RobotFrame) -> str:
+    """Return the state of a robot in a word or two."""
+    if robot.battery_life > 0 and frame.battery <= 0:
+        return "no battery"
+    with numpy_backend():
+        up = float(np.asarray(mat_from_quat(np.asarray(frame.quat, float)))[2, 2])
+    if up < TIPPED_COSINE:
+        return "tipped over"
+    return "moves" if math.hypot(*frame.linear) > STANDING_SPEED else "stands"
+
+
+def seen_victims(robot: DrawnRobot, frame: RobotFrame, owners: np.ndarray) -> list[int]:
+    """Return the victims that a robot's victim sensors see."""
+    found: set[int] = set()
+    for sensor, reading in zip(robot.sensors, frame.readings, strict=False):
+        value = np.asarray(reading)
+        if sensor.kind == VICTIM_SENSOR and value.ndim == 2 and len(value) == len(owners):
+            found |= {int(owner) for owner in owners[(value[:, 0] > 0) & (owners >= 0)]}
+    return sorted(found)
+
+
+def known_area(frame: Frame) -> float | None:
+    """Return the area that the robots' maps know together [m2]; None without maps."""
+    grid = frame.extra.get(MAP_GRID)
+    maps = [value for name, value in frame.extra.items() if name.startswith(MAP_PREFIX) and name != MAP_GRID]
+    if grid is None or not maps:
+        return None
+    known = np.any([np.isin(one, (FREE_SQUARE, WALL_SQUARE)) for one in maps], axis=0)
+    return float(known.sum() * grid[2] ** 2)
+
+
+def board_html(title: str, drawing: Drawing, frame: Frame, facts: BoardFacts, log: MissionLog) -> str:
+    """Return the scoreboard as HTML.
+
+    Args:
+        title: Name of the world.
+        drawing: Drawing of the world.
+        frame: Its present frame.
+        facts: What these lack.
+        log: Events of the world.
+    """
+    lines = [("task", html.escape(facts.task)), ("time", clock(frame.time))]
+    if facts.time_left is not None:
+        lines.append(("time left", clock(facts.time_left)))
+    if frame.score is not None:
+        lines.append(("score", f"{frame.score:.1f}"))
+    if facts.victims:
+        lines.append(("victims found", f"{len(log.found)} of {facts.victims}"))
+    area = known_area(frame)
+    if area is not None:
+        lines.append(("map", f"{area:.0f} m&sup2;"))
+    cells = "".join(f"<tr><td>{name}</td><td>{text}</td></tr>" for name, text in lines if text)
+    slots = [slot for slot in sorted(frame.robots) if slot in drawing.robots]
+    robots = "".join(_robot_row(drawing.robots[slot], frame, slot) for slot in slots[:MAX_ROBOTS])
+    more = (
+        f"<tr><td colspan=4>and {len(slots) - MAX_ROBOTS} more</td></tr>" if len(slots) > MAX_ROBOTS else ""
+    )
+    events = "".join(f"<li>{clock(at)} {html.escape(text)}</li>" for at, text in log.events)
+    return (
+        f'<div class="usarmjx-board" data-world="{html.escape(title, quote=True)}">'
+        f"<table>{cells}</table><table>{robots}{more}</table><ul>{events}</ul></div>"
+    )
+
+
+def _robot_row(robot: DrawnRobot, frame: Frame, slot: int) -> str:
+    now = frame.robots[slot]
+    red, green, blue = robot_colors(np.array(slot)).tolist()
+    share = min(1.0, max(0.0, now.battery / robot.battery_life)) if robot.battery_life > 0 else 0.0
+    colour = "#3cab5a" if share > LOW_BATTERY else "#e2574a"
+    return (
+        f'<tr><td><i style="background:rgb({red},{green},{blue})"></i>{html.escape(robot.name)}</td>'
+        f"<td>{state_of(robot, now)}</td>"
+        f'<td><b title="battery {share:.0%}"><s style="width:{share:.0%};background:{colour}"></s></b></td>'
+        f"<td>{_link(frame, slot)}</td></tr>"
+    )
+
+
+def _link(frame: Frame, slot: int) -> str:
+    """Return the number of robots that one hears; empty without a radio."""
+    if frame.links is None:
+        return ""
+    heard = np.asarray(frame.links.in_range)[slot]
+    count = sum(bool(heard[other]) for other in frame.robots if other != slot and other < len(heard))
+    return f"{count} link{'' if count == 1 else 's'}" if count else "no link"
+
+
+def clock(seconds: float) -> str:
+    """Return a time as minutes and seconds."""
+    whole = max(0, math.floor(seconds))
+    return f"{whole // 60}:{whole % 60:02d}"
+
+
+class ScoreboardPanel:
+    """A `page.Panel`: the scoreboard of the chosen world.
+
+    Args:
+        page: The page.
+    """
+
+    def __init__(self, page: "ViewerPage") -> None:
+        self._page = page
+        self._logs: dict[int, MissionLog] = {}
+        self._shown = page.server.gui.add_html("", order=-1000)
+        self._text, self._due = "", 0.0
+        self._world: int | None = None
+
+    def begin(self, drawing: Drawing) -> None:
+        """Do nothing: the next update shows the new drawing."""
+        del drawing
+
+    def update(self, drawing: Drawing, frame: Frame) -> None:
+        """Show the present frame of the world."""
+        now, world = time.monotonic(), self._page.world
+        if now < self._due and world == self._world:
+            return
+        self._due, self._world = now + UPDATE_PERIOD, world
+        facts = board_facts(self._page.source, world)
+        log = self._logs.setdefault(world, MissionLog())
+        log.update(drawing, frame, facts)
+        number = f" {world}" if self._page.source.num_worlds > 1 else ""
+        text = board_html(f"{self._page.title or drawing.arena}{number}", drawing, frame, facts, log)
+        if text != self._text:
+            self._shown.content = self._text = text
+
+
+def board_facts(source: object, world: int) -> BoardFacts:
+    """Return the facts of a source's world; without a method for them there are none."""
+    facts = getattr(source, "board_facts", None)
+    return BoardFacts() if facts is None else facts(world)
