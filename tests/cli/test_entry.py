@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from usarmjx.cli import entry, lazy_commands
+from usarmjx.cli import early_signals, entry, lazy_commands
 
 
 def test_a_signal_during_the_imports_is_one_line():
@@ -22,7 +22,7 @@ def test_a_signal_during_the_imports_is_one_line():
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "usarmjx: stopped by SIGINT\n")
 
 
-@pytest.mark.parametrize("number", entry.EARLY_SIGNALS)
+@pytest.mark.parametrize("number", early_signals.EARLY_SIGNALS)
 @pytest.mark.parametrize("place", ["lazy.import_module", "typer.core.TyperCommand.parse_args"])
 def test_so_is_one_while_a_command_is_imported_or_parsed(number, place):
     code = (
@@ -43,7 +43,7 @@ def test_while_a_command_runs_signals_mean_what_they_did(monkeypatch, handler):
     def note(context):
         during.append((context, signal.getsignal(signal.SIGINT)))
 
-    monkeypatch.setattr("usarmjx.cli.app.app", lambda: entry.with_usual_signals(note)("its context"))
+    monkeypatch.setattr("usarmjx.cli.app.app", lambda: early_signals.with_usual_signals(note)("its context"))
     try:
         entry.main()
         assert during == [("its context", handler)]
@@ -54,7 +54,7 @@ def test_while_a_command_runs_signals_mean_what_they_did(monkeypatch, handler):
 
 def test_after_a_command_that_is_none_they_mean_that_again(monkeypatch):
     def refuse():
-        assert signal.getsignal(signal.SIGTERM) is entry.end_early
+        assert signal.getsignal(signal.SIGTERM) is early_signals.end_early
         raise SystemExit(2)
 
     monkeypatch.setattr("usarmjx.cli.app.app", refuse)
@@ -66,7 +66,7 @@ def test_after_a_command_that_is_none_they_mean_that_again(monkeypatch):
 def test_commands_restore_them(monkeypatch):
     command = lazy_commands.load_command("doctor", "usarmjx.cli.doctor:doctor", "")
     restored = []
-    monkeypatch.setattr(entry, "restore_signals", lambda: restored.append(True))
+    monkeypatch.setattr(early_signals, "restore_signals", lambda: restored.append(True))
     monkeypatch.setattr(command, "callback", lambda **options: None)
     with command.make_context("doctor", []) as context:
         assert restored == []
@@ -78,5 +78,5 @@ def test_the_status_is_that_of_shells(monkeypatch):
     told = []
     monkeypatch.setattr(os, "_exit", told.append)
     monkeypatch.setattr(os, "write", lambda stream, text: told.append((stream, text)))
-    entry.end_early(signal.SIGTERM, None)
+    early_signals.end_early(signal.SIGTERM, None)
     assert told == [(2, b"usarmjx: stopped by SIGTERM\n"), 143]

@@ -1,50 +1,11 @@
-"""Entry point of `usarmjx`: a signal before a command runs ends the process in one line, not in a traceback.
+"""Entry point of `usarmjx`."""
 
-Imports and the parser of the command line take seconds on a busy machine.
-"""
-
-import os
-import signal
-from collections.abc import Callable
-from types import FrameType
-from typing import Any
-
-EARLY_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_usual: dict[signal.Signals, Any] = {}
-"""Handlers before `main`, until a command runs."""
-
-
-def end_early(number: int, frame: FrameType | None) -> None:
-    """Write a line and end the process, with the status that shells give for the signal."""
-    del frame
-    os.write(2, f"usarmjx: stopped by {signal.Signals(number).name}\n".encode())
-    os._exit(128 + number)
-
-
-def restore_signals() -> None:
-    """Let signals mean what they did before `main`."""
-    while _usual:
-        signal.signal(*_usual.popitem())
-
-
-def with_usual_signals(run: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return a command's `invoke` that restores the signals first."""
-
-    def invoke(context: Any) -> Any:  # noqa: ANN401 - click's, or typer's own copy
-        restore_signals()
-        return run(context)
-
-    return invoke
+from usarmjx.cli.early_signals import catch_signals, restore_signals
 
 
 def main() -> None:
     """Import the command line and run it."""
-    for number in EARLY_SIGNALS:
-        handler = signal.getsignal(number)
-        # Others are a program's own, or ignore the signal, as `nohup` and shells set it in the background.
-        if handler in (signal.SIG_DFL, signal.default_int_handler):
-            _usual[number] = handler
-            signal.signal(number, end_early)
+    catch_signals()
     try:
         from usarmjx.cli.app import app
 

@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from usarmjx.cli.checkout import has_benchmarks, import_benchmarks, needs_checkout
-from usarmjx.cli.entry import with_usual_signals
+from usarmjx.cli.early_signals import with_usual_signals
 
 CommandTable = Mapping[str, tuple[str, str]]
 """Names of commands with the place of each, as `module:attribute`, and its summary.
