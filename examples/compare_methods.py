@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from usarmjx.train.policies import FOLDER
+from usarmjx import POLICIES
 
 METHODS = {"packaged": 0.02, "small": 0.2, "large": 0.6}
 """Standard deviation of the factor of each weight, by the beginning of the names of files."""
@@ -33,7 +33,7 @@ def disturbed(arrays: dict[str, np.ndarray], noise: float, seed: int) -> dict[st
 
 def write_runs(folder: Path, task: str = "drive-to-goal") -> list[Path]:
     """Write the policies of all methods, and return their files."""
-    with np.load(FOLDER / f"{task}.npz") as file:
+    with np.load(POLICIES.get(task)) as file:
         arrays = dict(file)
     folder.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
