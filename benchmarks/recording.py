@@ -26,8 +26,8 @@ HEIGHT = 0.2
 """Of a P2DX that is brought [m]."""
 LINES = b"SEN {Time 62.0100} {Type Sonar} {Name F1 Range 1.7626}\r\n" * 20
 
-
-Given, Result = ParamSpec("Given"), TypeVar("Result")
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
 
 
 class Spent:
