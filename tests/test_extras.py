@@ -15,7 +15,8 @@ from usarmjx.base.installation import install_command
 from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.learning.networks import LearnedPolicy, mode_action
 from usarmjx.train.policies import POLICIES
-from usarmjx.train.policies.policy_file import NumpyPolicy, export_run
+from usarmjx.train.policies.export import export_run
+from usarmjx.train.policies.policy_file import NumpyPolicy
 
 WITHOUT = """
 import sys

@@ -710,7 +710,7 @@ def export(
         if run.is_file():
             export_recording(run, where, world, speed)
             return
-        from usarmjx.train.policies.policy_file import export_run
+        from usarmjx.train.policies.export import export_run
         from usarmjx.train.policies.policy_folder import size_of
 
         export_run(run, where, checkpoint, half)

@@ -14,7 +14,8 @@ from usarmjx.train.learning.checkpoint import read_policy
 from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.run_record import EnvArguments, make_record
 from usarmjx.train.learning.train_state import make_networks, make_train_state, policy_params
-from usarmjx.train.policies.policy_file import NumpyPolicy, export_run, save_policy
+from usarmjx.train.policies.export import export_run
+from usarmjx.train.policies.policy_file import NumpyPolicy, save_policy
 
 # Sums of at most 32 products of order 1 in single precision, three layers of them, squashed to +-1.
 SAME = 1e-5

@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 
 from usarmjx.base.errors import UsageError
 from usarmjx.train.policies import POLICIES
-from usarmjx.train.policies.policy_file import NumpyPolicy, export_run
+from usarmjx.train.policies.export import export_run
+from usarmjx.train.policies.policy_file import NumpyPolicy
 
 TOLERANCE = 1e-5
 """Of an action, from -1 to 1: both compute in single precision, and sum in another order."""

@@ -8,7 +8,8 @@ import yaml
 
 from usarmjx.base.errors import UnknownNameError, UsageError
 from usarmjx.train.policies import POLICIES
-from usarmjx.train.policies.policy_file import export_run, read_arrays
+from usarmjx.train.policies.export import export_run
+from usarmjx.train.policies.policy_file import read_arrays
 from usarmjx.train.policies.sources import load_policy
 
 TASK = "drive-to-goal"

@@ -1,8 +1,8 @@
 """Trained policies that come with the package: files as `usarmjx export` writes them, TASK.npz each.
 
-`export` writes and runs them with NumPy alone, `sources` finds policies by folder, file or name. Keys of the
-files are for good: robots elsewhere read them. A policy fits only the observation that it was trained on, so
-a task whose observation changes needs a new policy. Begin with `policy_file.NumpyPolicy`.
+`export` writes them, `policy_file` runs them with NumPy alone, `sources` finds policies by folder, file or
+name. Keys of the files are for good: robots elsewhere read them. A policy fits only the observation that it
+was trained on, so a task whose observation changes needs a new policy. Begin with `policy_file.NumpyPolicy`.
 """
 
 from pathlib import Path

@@ -9,7 +9,6 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -17,9 +16,7 @@ import numpy as np
 from usarmjx.base.errors import UsageError, quoted
 from usarmjx.base.files import atomic_write
 from usarmjx.base.npz_file import NpzLimits, read_npz
-from usarmjx.base.registry import unknown_name
 from usarmjx.base.settings.json_file import parse_json
-from usarmjx.train.policies import POLICIES
 
 if TYPE_CHECKING:
     from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
@@ -312,10 +309,10 @@ def save_policy(
     for g in range(len(policy.groups)):
         arrays[f"mean/{g}"], arrays[f"std/{g}"] = np.asarray(params.mean[g]), np.asarray(params.std[g])
         arrays |= _flat(params.weights[g]["params"], f"weights/{g}/")
-    _write_arrays(file, arrays, half)
+    write_arrays(file, arrays, half)
 
 
-def _write_arrays(file: str | Path, arrays: Mapping[str, Vector], half: bool) -> None:
+def write_arrays(file: str | Path, arrays: Mapping[str, Vector], half: bool) -> None:
     """Write what a policy's file has, weights as numbers of 16 bits if wanted."""
     kept = {
         name: arrays[name].astype(np.float16) if half and name.startswith("weights/") else arrays[name]
@@ -323,45 +320,3 @@ def _write_arrays(file: str | Path, arrays: Mapping[str, Vector], half: bool) ->
     }
     with atomic_write(Path(file)) as fresh, fresh.open("wb") as out:
         np.savez_compressed(out, **cast(Any, kept))
-
-
-def export_run(run: str | Path, file: str | Path, which: str = "best", half: bool = False) -> None:
-    """Write the policy of a run, or a packaged one, to a file.
-
-    Args:
-        run: Folder of the run; or, where there is none of that name, the task of a packaged policy.
-        file: To write, .npz or .onnx; or a folder of that suffix, .policy.
-        which: Checkpoint: `best`, `last`, or the number of an iteration.
-        half: See `save_policy`.
-
-    Raises:
-        UsageError: No run, no such checkpoint, a broken one, a file of another kind, or one that cannot be
-            written.
-    """
-    suffix = Path(file).suffix.lower()
-    if suffix == ".onnx":
-        from usarmjx.train.policies.onnx_file import write_onnx
-
-        with TemporaryDirectory() as folder:
-            export_run(run, Path(folder) / "policy.npz", which, half)
-            write_onnx(NumpyPolicy(Path(folder) / "policy.npz"), Path(file))
-        return
-    if suffix == ".policy":
-        from usarmjx.train.policies.policy_folder import write_folder
-
-        write_folder(run, Path(file), which, half)
-        return
-    if suffix != ".npz":
-        raise UsageError(
-            f"{file}: a policy is written as .npz or .onnx, not as {Path(file).suffix or 'a bare name'};"
-            " .policy makes a folder with a card"
-        )
-    if str(run) in POLICIES and not Path(run).exists():
-        about, arrays = read_arrays(POLICIES.get(str(run)))
-        _write_arrays(file, {"about": np.array(json.dumps(about)), **arrays}, half)
-        return
-    if not Path(run).exists():
-        raise UsageError(unknown_name("run or packaged policy", str(run), POLICIES.names()))
-    from usarmjx.train.learning.checkpoint import read_policy
-
-    save_policy(file, *read_policy(Path(run), which), half=half)

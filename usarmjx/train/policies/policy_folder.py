@@ -11,7 +11,7 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError, WriteError
 from usarmjx.base.files import atomic_write
-from usarmjx.train.policies.policy_file import NumpyPolicy, export_run, read_arrays
+from usarmjx.train.policies.policy_file import NumpyPolicy, read_arrays
 
 SUFFIX = ".policy"
 """Suffix of a folder to write; one that is read may have any name."""
@@ -24,28 +24,37 @@ def weights_in(folder: Path) -> Path | None:
     return file if file.is_file() else None
 
 
-def write_folder(run: str | Path, folder: Path, which: str = "best", half: bool = False) -> None:
-    """Write the policy of a run, or a packaged one, as a folder.
-
-    Args:
-        run: See `export_run`.
-        folder: To write; files of these names in it are replaced.
-        which: See `export_run`.
-        half: See `save_policy`.
+def check_place(folder: Path) -> None:
+    """Refuse a place for a policy's folder that is a file.
 
     Raises:
-        UsageError: See `export_run`; or the folder cannot be made.
+        UsageError: It is one.
     """
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder} is a file; a policy's folder goes elsewhere")
+
+
+def write_folder(file: Path, folder: Path) -> None:
+    """Write a policy's file as a folder.
+
+    Args:
+        file: The policy.
+        folder: To write; files of these names in it are replaced.
+
+    Raises:
+        UsageError: The place is a file, or the policy is broken.
+        WriteError: The folder or a file in it cannot be written.
+    """
+    check_place(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise WriteError(f"cannot write {folder}: {error.strerror}") from error
-    export_run(run, folder / WEIGHTS, which, half)
-    about, arrays = read_arrays(folder / WEIGHTS)
+    about, arrays = read_arrays(file)
+    with atomic_write(folder / WEIGHTS) as fresh:
+        fresh.write_bytes(file.read_bytes())
     _write(folder / CONFIG, json.dumps({"library": "usarmjx", **about}, indent=2) + "\n")
-    _write(folder / CARD, card_of(NumpyPolicy(folder / WEIGHTS), arrays))
+    _write(folder / CARD, card_of(NumpyPolicy(file), arrays))
 
 
 def card_of(policy: NumpyPolicy, arrays: dict[str, np.ndarray]) -> str:

@@ -1,0 +1,56 @@
+"""Export of a run's policy: as a file for NumPy, as an ONNX model, or as a folder with a card."""
+
+import json
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from usarmjx.base.errors import UsageError
+from usarmjx.base.registry import unknown_name
+from usarmjx.train.policies import POLICIES
+from usarmjx.train.policies.policy_file import NumpyPolicy, read_arrays, save_policy, write_arrays
+from usarmjx.train.policies.policy_folder import SUFFIX, WEIGHTS, check_place, write_folder
+
+
+def export_run(run: str | Path, file: str | Path, which: str = "best", half: bool = False) -> None:
+    """Write the policy of a run, or a packaged one, to a file.
+
+    Args:
+        run: Folder of the run; or, where there is none of that name, the task of a packaged policy.
+        file: To write, .npz or .onnx; or a folder of that suffix, .policy.
+        which: Checkpoint: `best`, `last`, or the number of an iteration.
+        half: See `save_policy`.
+
+    Raises:
+        UsageError: No run, no such checkpoint, a broken one, a file of another kind, or one that cannot be
+            written.
+    """
+    suffix = Path(file).suffix.lower()
+    if suffix == ".onnx":
+        from usarmjx.train.policies.onnx_file import write_onnx
+
+        with TemporaryDirectory() as folder:
+            export_run(run, Path(folder) / WEIGHTS, which, half)
+            write_onnx(NumpyPolicy(Path(folder) / WEIGHTS), Path(file))
+        return
+    if suffix == SUFFIX:
+        check_place(Path(file))
+        with TemporaryDirectory() as folder:
+            export_run(run, Path(folder) / WEIGHTS, which, half)
+            write_folder(Path(folder) / WEIGHTS, Path(file))
+        return
+    if suffix != ".npz":
+        raise UsageError(
+            f"{file}: a policy is written as .npz or .onnx, not as {Path(file).suffix or 'a bare name'};"
+            " .policy makes a folder with a card"
+        )
+    if str(run) in POLICIES and not Path(run).exists():
+        about, arrays = read_arrays(POLICIES.get(str(run)))
+        write_arrays(file, {"about": np.array(json.dumps(about)), **arrays}, half)
+        return
+    if not Path(run).exists():
+        raise UsageError(unknown_name("run or packaged policy", str(run), POLICIES.names()))
+    from usarmjx.train.learning.checkpoint import read_policy
+
+    save_policy(file, *read_policy(Path(run), which), half=half)
