@@ -163,7 +163,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "Train": ("train", "curves", "export"),
     "Compare": ("eval", "teams", "sweep"),
     "Serve": ("serve", "console"),
-    "Look": ("play", "view", "plot", "replay"),
+    "Look": ("play", "view", "film", "plot", "replay"),
     "Arenas and robots": ("arena", "robot", "portraits", "radio-map", "calibrate"),
     "Maintenance": ("bench", "chaos"),
 }
@@ -182,6 +182,7 @@ EXAMPLES: Mapping[str, str] = {
     "console": "usarmjx console 127.0.0.1:3000",
     "play": "usarmjx play drive-to-goal --out drive.gif",
     "view": "usarmjx view mission.mcap",
+    "film": "usarmjx film mission.mcap --out mission.mp4",
     "plot": "usarmjx plot mission.mcap --out mission.png",
     "replay": "usarmjx replay mission.mcap",
     "arena": "usarmjx arena check my_arena.yaml",
