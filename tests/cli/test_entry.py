@@ -9,10 +9,13 @@ import pytest
 
 from usarmjx.cli import early_signals, entry, lazy_commands
 
+HEARD = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+"""Begin of a program that hears SIGINT where the tests run in the background of a shell, which ignores it."""
+
 
 def test_a_signal_during_the_imports_is_one_line():
     code = (
-        "import builtins, os, signal; from usarmjx.cli import entry; usual = builtins.__import__\n"
+        f"{HEARD}import builtins, os; from usarmjx.cli import entry; usual = builtins.__import__\n"
         "def slow(name, *rest):\n"
         "    if name == 'usarmjx.cli.app': os.kill(os.getpid(), signal.SIGINT)\n"
         "    return usual(name, *rest)\n"
@@ -26,7 +29,7 @@ def test_a_signal_during_the_imports_is_one_line():
 @pytest.mark.parametrize("place", ["lazy.import_module", "typer.core.TyperCommand.parse_args"])
 def test_so_is_one_while_a_command_is_imported_or_parsed(number, place):
     code = (
-        "import os, sys, typer; from usarmjx.cli import entry, lazy_commands as lazy\n"
+        f"{HEARD}import os, sys, typer; from usarmjx.cli import entry, lazy_commands as lazy\n"
         f"{place} = lambda *a: os.kill(os.getpid(), {int(number)})\n"
         "sys.argv[1:] = ['list', 'robots']; entry.main()"
     )
@@ -58,9 +61,13 @@ def test_after_a_command_that_is_none_they_mean_that_again(monkeypatch):
         raise SystemExit(2)
 
     monkeypatch.setattr("usarmjx.cli.app.app", refuse)
-    with pytest.raises(SystemExit):
-        entry.main()
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    before = signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    try:
+        with pytest.raises(SystemExit):
+            entry.main()
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def test_commands_restore_them(monkeypatch):
