@@ -83,7 +83,7 @@ def test_the_order_of_imports_is_the_one_that_is_checked():
 
 
 def imports_of(tree: ast.AST, for_types: bool = False):
-    """What a module imports wherever it does, and its module; and whether type checkers alone need it."""
+    """Yield each import of a module, with the module, and whether only type checkers need it."""
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.ImportFrom):
             yield from ((f"{node.module}.{alias.name}", node.module, for_types) for alias in node.names)

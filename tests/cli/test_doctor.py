@@ -133,7 +133,7 @@ def test_a_check_that_breaks_is_a_finding_and_the_others_go_on():
 # The self-test
 
 
-MOST_PROGRAMS = 40
+MOST_PROGRAMS = 30
 """XLA programs of a self-test, most of its work; `python -m benchmarks.doctor` measures the seconds."""
 MOST_STEPS = 2 * 2 * 60
 """Control steps of worlds, on both engines."""

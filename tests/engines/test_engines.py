@@ -132,7 +132,7 @@ SEEING = replace(P2AT, cameras=(), sensors=(P2AT.sensors[3], *(m for m in P2AT.s
 
 
 def first_readings(worlds, first=0):
-    """What robots read that have just begun."""
+    """Return the readings of robots at the start of an episode."""
     batch = Batch(build_scene(COURSE, [SEEING]), worlds, engine="c", seed=5, first=first)
     return batch.observe(batch.reset())[1]
 

@@ -1,4 +1,4 @@
-"""How many steps are put into one call of MuJoCo Warp, or one CUDA graph; see test_weight.py."""
+"""Number of steps in one call of MuJoCo Warp, or in one CUDA graph; see test_weight.py."""
 
 import pytest
 

@@ -36,7 +36,7 @@ def engine_of(compensated=""):
 
 PUSH = np.zeros((2, 5, 6), np.float32)
 PUSH[1, 1, 2] = 10.0
-"""What is applied to a body of the second of two worlds, which comes on top of its weight."""
+"""Force on a body of the second of two worlds, in addition to its weight."""
 
 
 def fallen(engine, steps):
@@ -80,7 +80,7 @@ def test_bodies_fall_and_swing_as_in_c_mujoco(usual):
 @pytest.mark.thorough
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="sums are atomic on a GPU; see tests/test_gpu.py")
 def test_a_control_step_in_one_call_computes_the_same_bits(usual):
-    """What is put into one call of MuJoCo Warp, or one CUDA graph, changes nothing of what is computed."""
+    """The number of steps in one call of MuJoCo Warp, or in one CUDA graph, does not change the result."""
     engine = engine_of()
     engine.select_graphs("control")
     assert engine._step_and_count() == (multi_step(engine.physics.substeps), 1)

@@ -40,7 +40,7 @@ def test_cells_of_clients_share_with_nobody():
 
 
 def test_a_batch_is_sent_with_its_cells_and_a_cell_for_each_set_of_buildings(tmp_path):
-    """What is sent grows with the cells, not with their square."""
+    """The size of messages grows with the cells, not with their square."""
     product = {"seed": [*range(6)], "arena.level": [0.1, 0.9]}
     prepared = prepare(load_spec(write(tmp_path, product=product)), tmp_path / "out")
     works = batches_of(prepared)

@@ -42,7 +42,7 @@ class Stop(Exception):
 
 
 def leave_halves(folder):
-    """What a kill at an unlucky moment leaves: half a line, half a checkpoint."""
+    """Leave half a line and half a checkpoint, as a kill at an unlucky moment does."""
     with (folder / "metrics.jsonl").open("a") as file:
         file.write('{"iteration": 99, "sco')
     (folder / "checkpoints" / "00000009.partial" / "worlds").mkdir(parents=True)
