@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from tests.recording.missions import HEIGHT, ROOM, SCOUT
 from usarmjx.cli.app import app
-from usarmjx.engines.c.camera_rays import NO_ROBOT, CCameraRays
+from usarmjx.engines.c.camera_rays import CCameraRays
 from usarmjx.plots.films.film import FilmPlan, Shots, caption, picture_times, save_film
 from usarmjx.plots.films.picture import FilmScene
 from usarmjx.plots.films.raster import Canvas, clip_near
@@ -20,7 +20,7 @@ from usarmjx.plots.gallery import SUN
 from usarmjx.plots.render import Lighting, lit_scene
 from usarmjx.recording.reader import Recording
 from usarmjx.recording.source import RecordingSource
-from usarmjx.sensors.cameras.picture import Viewpoint
+from usarmjx.sensors.cameras.picture import pinhole_viewpoint
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.server.viewing.served_source import ServedSource
 from usarmjx.server.worlds.dynamic_world import DynamicWorld
@@ -84,19 +84,9 @@ def test_pictures_are_what_the_cameras_raycaster_sees(still):
     scene = FilmScene(drawing)
     view = FilmView.of(fit_box(*scene.bounds, SIZE[0] / SIZE[1]), *SIZE)
     picture = scene.render(frame, view).astype(int)
-    fov = np.array(2 * math.atan(SIZE[0] / SIZE[1] * math.tan(FOV / 2)), np.float32)
+    fov = 2 * math.atan(SIZE[0] / SIZE[1] * math.tan(FOV / 2))
     right, up, ahead = view.axes.T
-    viewpoint = Viewpoint(
-        pos=view.eye,
-        mat=np.stack([ahead, -right, up], -1),
-        eye_offsets=np.zeros((1, 3)),
-        fov=fov,
-        default_fov=fov,
-        slot=np.array(NO_ROBOT),
-        hidden_geoms=np.zeros(0, bool),
-        lens="pinhole",
-        supersampling=2,
-    )
+    viewpoint = pinhole_viewpoint(view.eye, np.stack([ahead, -right, up], -1), fov, supersampling=2)
     looks = geom_colors_of(world.scene)
     light = lit_scene(
         Geoms(blocks=(), kinds=(), materials=()),

@@ -16,7 +16,7 @@ from matplotlib.image import imsave
 
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.files import atomic_write
-from usarmjx.engines.c.camera_rays import NO_ROBOT, CCameraRays
+from usarmjx.engines.c.camera_rays import CCameraRays
 from usarmjx.models.compile.compose import new_spec
 from usarmjx.models.compile.kinematic_tree import KinematicTree, kinematic_tree_of
 from usarmjx.models.compile.materials import materials_of
@@ -50,7 +50,7 @@ from usarmjx.sensors.cameras.paint import (
     WATER_TRANSPARENCY,
     labels_of,
 )
-from usarmjx.sensors.cameras.picture import Viewpoint
+from usarmjx.sensors.cameras.picture import pinhole_viewpoint
 from usarmjx.sensors.rays.targets import Geoms
 from usarmjx.sim.scene import build_scene
 from usarmjx.sim.views import geom_colors_of
@@ -73,17 +73,8 @@ def portrait(robot: RobotSpec, width: int = 480, height: int = 360) -> np.ndarra
     back = np.array([math.cos(azimuth), math.sin(azimuth), math.tan(elevation)])
     eye, target = fit_camera(_corners(plan), back / np.linalg.norm(back), width / height)
     right, up, forward = camera_axes(eye - target)
-    fov = np.array(2 * math.atan(width / height * math.tan(FOV_Y / 2)), np.float32)
-    viewpoint = Viewpoint(
-        pos=eye,
-        mat=np.stack([forward, -right, up], -1),
-        eye_offsets=np.zeros((1, 3)),
-        fov=fov,
-        default_fov=fov,
-        slot=np.array(NO_ROBOT),
-        hidden_geoms=np.zeros(0, bool),
-        lens="pinhole",
-    )
+    fov = 2 * math.atan(width / height * math.tan(FOV_Y / 2))
+    viewpoint = pinhole_viewpoint(eye, np.stack([forward, -right, up], -1), fov)
     looks = geom_colors_of(scene)
     light = lit_scene(Geoms(blocks=(), kinds=(), materials=()), looks.appearance, DEFAULT_LIGHTING)
     sight = CCameraRays(scene.model, data, looks)

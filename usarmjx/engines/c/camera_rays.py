@@ -22,15 +22,13 @@ from usarmjx.models.compile.visuals import VisualModel
 from usarmjx.models.types.shapes import GLASS, OPAQUE
 from usarmjx.sensors.cameras.casters import SOLID_QUERY, Beams, RayHits
 from usarmjx.sensors.cameras.paint import PLANE, ROBOT_LABEL, GeomAppearance
-from usarmjx.sensors.cameras.picture import Picture, Viewpoint, render_picture
+from usarmjx.sensors.cameras.picture import NO_ROBOT, Picture, Viewpoint, render_picture
 from usarmjx.sensors.cameras.shading import RenderScene
 from usarmjx.sensors.rays.raycast import RayQuery
 from usarmjx.sensors.rays.targets import GeomBlock
 
 BUNDLE_SIZE = 512
 """Rays per cone test."""
-NO_ROBOT = -1
-"""Slot of an object that is not a robot."""
 SUN_DISTANCE = 1e5
 """Distance of the point that stands for the sun [m]: rays within 100 m are parallel up to 1e-3."""
 BOX_GEOM = int(mujoco.mjtGeom.mjGEOM_BOX)

@@ -23,6 +23,8 @@ MAX_SIDE = 4096
 """Largest side of a picture [pixels]."""
 HIDDEN_GEOMS_MULTIPLE = 256
 """Multiple to which `Viewpoint.hidden_geoms` is padded, so that robots share compiled programs."""
+NO_ROBOT = -1
+"""Slot of a viewpoint that belongs to no robot."""
 CHUNK = 16_384
 """Rays cast together on NumPy: their hits fit into a CPU cache."""
 
@@ -57,6 +59,30 @@ class Viewpoint(struct.PyTreeNode, kw_only=True):
     distortion: Array | None = None
     noise: Array | None = None
     supersampling: int = struct.field(pytree_node=False, default=1)
+
+
+def pinhole_viewpoint(pos: np.ndarray, mat: np.ndarray, fov: float, supersampling: int = 1) -> Viewpoint:
+    """Return the viewpoint of a pinhole that belongs to no robot.
+
+    Args:
+        pos: See `Viewpoint`.
+        mat: See `Viewpoint`.
+        fov: Field of view [rad].
+        supersampling: See `Viewpoint`.
+    """
+    angle = np.array(fov, np.float32)
+    return Viewpoint(
+        pos=pos,
+        mat=mat,
+        eye_offsets=np.zeros((1, 3), np.float32),
+        fov=angle,
+        default_fov=angle,
+        slot=np.array(NO_ROBOT, np.int32),
+        hidden_geoms=np.zeros(0, bool),
+        exposure=np.array(1.0, np.float32),
+        lens="pinhole",
+        supersampling=supersampling,
+    )
 
 
 def camera_viewpoint(camera: Camera, bodies: BodyPoses, slot: Array, fov: Array) -> Viewpoint:

@@ -7,7 +7,7 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.models.types.arena import ArenaSpec
-from usarmjx.sensors.cameras.picture import Viewpoint
+from usarmjx.sensors.cameras.picture import Viewpoint, pinhole_viewpoint
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env, EnvState
@@ -19,7 +19,6 @@ FOV = 1.0
 """Horizontal field of view [rad]."""
 MARGIN = 1.1
 """Factor on the arena's extent within a picture."""
-NO_ROBOT = -1
 
 
 def check_render_mode(mode: str | None) -> None:
@@ -37,19 +36,10 @@ def overhead_viewpoint(arena: ArenaSpec) -> Viewpoint:
     (x0, x1), (y0, y1) = arena.extent
     wide = max(x1 - x0, (y1 - y0) * WIDTH / HEIGHT, 1.0)
     height = arena.floor + MARGIN * wide / (2 * math.tan(FOV / 2))
-    fov = np.array(FOV, np.float32)
-    return Viewpoint(
-        pos=np.array([(x0 + x1) / 2, (y0 + y1) / 2, height], np.float32),
-        # Columns: ahead is down, left is -x, up in the picture is y.
-        mat=np.array([[0, -1, 0], [0, 0, 1], [-1, 0, 0]], np.float32),
-        eye_offsets=np.zeros((1, 3), np.float32),
-        fov=fov,
-        default_fov=fov,
-        slot=np.array(NO_ROBOT, np.int32),
-        hidden_geoms=np.zeros(0, bool),
-        exposure=np.array(1.0, np.float32),
-        lens="pinhole",
-    )
+    pos = np.array([(x0 + x1) / 2, (y0 + y1) / 2, height], np.float32)
+    # Columns: ahead is down, left is -x, up in the picture is y.
+    mat = np.array([[0, -1, 0], [0, 0, 1], [-1, 0, 0]], np.float32)
+    return pinhole_viewpoint(pos, mat, FOV)
 
 
 def picture_of(env: "Env", state: "EnvState", world: int = 0) -> np.ndarray:
