@@ -7,7 +7,7 @@ import argparse
 import statistics
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import ParamSpec, TypeVar
@@ -15,6 +15,7 @@ from unittest.mock import patch
 
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots import ROBOTS
+from usarmjx.models.types.robot import RobotSpec
 from usarmjx.recording.recorder import WorldRecorder
 from usarmjx.server.worlds import dynamic_world
 from usarmjx.server.worlds.recorded import record_worlds
@@ -49,6 +50,33 @@ class Spent:
         return run
 
 
+def drive_crowd(
+    world: dynamic_world.DynamicWorld, robot: RobotSpec, height: float, rounds: int
+) -> Iterator[None]:
+    """Spawn robots in a recorded world and drive them; yield after each round.
+
+    Args:
+        world: The world.
+        robot: Class of all robots.
+        height: Height of their origins at the start [m].
+        rounds: Count of rounds.
+    """
+    recorder = world.recorder
+    assert recorder is not None
+    for number in range(ROBOTS_THERE):
+        world.spawn_at(robot, f"R{number}", [((number % 4, number // 4, height), (0.0, 0.0, 0.0))])
+    for step in range(rounds * ROUND):
+        due = [one for one in world.robots.values() if (step + one.slot) % ROUND == 0]
+        for one in due:
+            world.update_command(one, CommandUpdate(drive={"Left": 1.0 + step % 3}))
+            recorder.lines("127.0.0.1:4000", one.name, LINES, sent=True)
+        world.step()
+        if due:
+            world.observe(due)
+        if step % ROUND == ROUND - 1:
+            yield
+
+
 def measure(rounds: int, file: Path) -> list[float]:
     """Return what recording takes of a control step in each round [s]."""
     spent, costs = Spent(), list[float]()
@@ -61,22 +89,9 @@ def measure(rounds: int, file: Path) -> list[float]:
             patches.enter_context(patch.object(WorldRecorder, name, timed))
         world = dynamic_world.DynamicWorld(ARENAS.get("soccer"), max_robots=ROBOTS_THERE)
         recording = record_worlds([world], file)
-        recorder = world.recorder
-        assert recorder is not None
-        for number in range(ROBOTS_THERE):
-            place = (number % 4, number // 4, HEIGHT)
-            world.spawn_at(ROBOTS.get("P2DX"), f"R{number}", [(place, (0.0, 0.0, 0.0))])
-        for step in range(rounds * ROUND):
-            due = [robot for robot in world.robots.values() if (step + robot.slot) % ROUND == 0]
-            for robot in due:
-                world.update_command(robot, CommandUpdate(drive={"Left": 1.0 + step % 3}))
-                recorder.lines("127.0.0.1:4000", robot.name, LINES, sent=True)
-            world.step()
-            if due:
-                world.observe(due)
-            if step % ROUND == ROUND - 1:
-                costs.append(spent.seconds / ROUND)
-                spent.seconds = 0.0
+        for _ in drive_crowd(world, ROBOTS.get("P2DX"), HEIGHT, rounds):
+            costs.append(spent.seconds / ROUND)
+            spent.seconds = 0.0
         recording.close()
     return costs
 

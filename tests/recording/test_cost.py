@@ -1,14 +1,14 @@
-"""What recording costs the loop that steps a world of sixteen robots: calls of functions, and bytes."""
+"""Cost of recording for the loop of a world of sixteen robots: calls of functions, and bytes."""
 
 import sys
 
+from benchmarks.recording import ROBOTS_THERE, ROUND, drive_crowd
 from tests.recording.missions import HEIGHT, SCOUT
 from usarmjx.models.arenas import ARENAS
 from usarmjx.recording.reader import Recording
 from usarmjx.recording.recorder import WorldRecorder
 from usarmjx.server.worlds import dynamic_world
 from usarmjx.server.worlds.recorded import record_worlds
-from usarmjx.sim.control import CommandUpdate
 
 MOST_CALLS = 250
 """Calls of functions, Python's and C's, that recording may make in the loop's thread in a control step.
@@ -17,8 +17,6 @@ The rest is done by a thread that writes. Seconds are measured by `python -m ben
 """
 MOST_BYTES = 6_000
 """Size of the file per control step [bytes]."""
-ROBOTS, ROUND = 16, 10
-LINES = b"SEN {Time 62.0100} {Type Sonar} {Name F1 Range 1.7626}\r\n" * 20
 
 
 class Calls:
@@ -46,25 +44,15 @@ def test_the_loop_does_little_for_a_recording(tmp_path, monkeypatch):
     monkeypatch.setattr(dynamic_world, "record_step", calls.counted(dynamic_world.record_step))
     for name in ("record_orders", "read", "lines"):
         monkeypatch.setattr(WorldRecorder, name, calls.counted(getattr(WorldRecorder, name)))
-    world = dynamic_world.DynamicWorld(ARENAS.get("soccer"), max_robots=ROBOTS)
+    world = dynamic_world.DynamicWorld(ARENAS.get("soccer"), max_robots=ROBOTS_THERE)
     file = record_worlds([world], tmp_path / "crowd.mcap")
-    for number in range(ROBOTS):
-        world.spawn_at(SCOUT, f"R{number}", [((number % 4, number // 4, HEIGHT), (0.0, 0.0, 0.0))])
     costs = []
-    for step in range(6 * ROUND):
-        due = [robot for robot in world.robots.values() if (step + robot.slot) % ROUND == 0]
-        for robot in due:
-            world.update_command(robot, CommandUpdate(drive={"Left": 1.0 + step % 3}))
-            world.recorder.lines("127.0.0.1:4000", robot.name, LINES, sent=True)
-        world.step()
-        if due:
-            world.observe(due)
-        if step % ROUND == ROUND - 1:
-            costs.append(calls.count / ROUND)
-            calls.count = 0
+    for _ in drive_crowd(world, SCOUT, HEIGHT, 6):
+        costs.append(calls.count / ROUND)
+        calls.count = 0
     file.close()
     assert 0 < max(costs[1:]) <= MOST_CALLS  # the first round sets up
     assert file.path.stat().st_size <= 6 * ROUND * MOST_BYTES
     recording = Recording(file.path)
     assert [message.value.step for message in recording.messages(["states"])] == [*range(1, 6 * ROUND + 1)]
-    assert len([*recording.messages(["lines"])]) == 6 * ROBOTS
+    assert len([*recording.messages(["lines"])]) == 6 * ROBOTS_THERE
