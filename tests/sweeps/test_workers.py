@@ -2,14 +2,18 @@
 
 import builtins
 import os
+import signal
+import socket
 import subprocess
 import sys
 import time
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
 
 from usarmjx.base.errors import UsageError
+from usarmjx.sweeps import ray_workers
 from usarmjx.sweeps.local_workers import TRIES
 from usarmjx.sweeps.ray_workers import children, end_with_this_process
 from usarmjx.sweeps.workers import Workers, gpus
@@ -147,3 +151,66 @@ def test_ray_does_everything_and_what_a_lost_worker_did_again(tmp_path):
         n: (value, why) for n, value, why in Workers(place="ray", count=2).run(work, ["1 + 1", once, "1 / 0"])
     }
     assert found == {0: (2, None), 1: ("late", None), 2: (None, "division by zero")}
+
+
+@pytest.mark.tools
+def test_results_larger_than_the_object_store_of_ray_all_arrive(ray_head):
+    with ray_head("--object-store-memory", str(80 * 2**20)) as address:
+        workers = Workers(place="ray", count=2, address=address)
+        assert outcomes(workers, ["(60 << 20) * b'1'"] * 4) == dict.fromkeys(
+            range(4), (b"1" * (60 << 20), None)
+        )
+
+
+@pytest.mark.tools
+def test_a_restarted_head_of_ray_is_joined_again_and_all_is_done_once(ray_head, monkeypatch, caplog):
+    monkeypatch.setattr(ray_workers, "SILENCE", 2.0)
+    monkeypatch.setattr(ray_workers, "ANSWER", 10.0)
+    pieces = [f"(__import__('time').sleep(1), {number})[1]" for number in range(6)]
+    with ExitStack() as stack:
+        first = stack.enter_context(ExitStack())
+        address = first.enter_context(ray_head())
+        done = []
+        for number, value, why in Workers(place="ray", count=1, address=address).run(work, pieces):
+            done.append((number, value, why))
+            if number == 1:
+                first.close()
+                stack.enter_context(ray_head())
+    assert sorted(done) == [(number, number, None) for number in range(6)]
+    assert caplog.messages == ["the cluster of Ray does not answer any more; connecting to it again"]
+
+
+@pytest.mark.tools
+def test_a_cluster_of_ray_that_does_not_come_back_ends_in_one_line(ray_head, monkeypatch):
+    for name, seconds in {"SILENCE": 2.0, "ANSWER": 10.0}.items():
+        monkeypatch.setattr(ray_workers, name, seconds)
+    with ray_head() as address:
+        found = Workers(place="ray", count=1, address=address).run(work, ["1", "__import__('time').sleep(9)"])
+        assert next(found) == (0, 1, None)
+    monkeypatch.setattr(ray_workers, "RETURN", 0.0)
+    with pytest.raises(UsageError, match=f"Ray does not start at {address}: .*; what is done is kept"):
+        list(found)
+
+
+@pytest.fixture
+def ray_head():
+    """Start the head of a cluster with some options, as a context; all heads have the same address."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+
+    @contextmanager
+    def start(*options):
+        command = [sys.executable, "-m", "ray.scripts.scripts", "start", "--head", "--block", "--num-cpus=2"]
+        command += ["--include-dashboard=false", "--disable-usage-stats", f"--port={address.split(':')[1]}"]
+        head = subprocess.Popen(
+            [*command, *options], start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        )
+        try:
+            assert any(b"Ray runtime started" in line for line in head.stdout), "it ended"
+            yield address
+        finally:
+            os.killpg(head.pid, signal.SIGKILL)
+            head.wait()
+
+    return start

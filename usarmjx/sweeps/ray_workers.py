@@ -4,6 +4,7 @@ import logging
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,14 @@ from usarmjx.base.errors import UsageError, quoted
 from usarmjx.base.installation import install_command
 from usarmjx.sweeps.local_workers import TRIES, PieceOutcome, PieceWork
 
+log = logging.getLogger(__name__)
+
+SILENCE, ANSWER = 20.0, 60.0
+"""Time without a result after which the cluster is asked, and longest time for its answer [s]."""
+RETURN = 300.0
+"""Longest time for a cluster that was lost to come back [s]."""
+MAX_LOSSES = 3
+"""Most losses of the cluster without a result between them."""
 GUARD = """
 import os, signal, sys
 given = [line.split() for line in sys.stdin]
@@ -46,25 +55,64 @@ def work_on_ray(
         raise UsageError(
             f"running on ray needs Ray: {install_command('sweep')}; or run on processes"
         ) from error
-    started, guard = not ray.is_initialized(), None
-    if started:
-        before = children()
-        try:
-            quiet = {"log_to_driver": False, "include_dashboard": False, "logging_level": logging.ERROR}
-            ray.init(address=address, **quiet)
-        except Exception as error:
-            raise UsageError(
-                f"Ray does not start{f' at {address}' if address else ''}: {quoted(error)}"
-            ) from error
-        guard = end_with_this_process(children() - before)
+    connection = None if ray.is_initialized() else _Connection(ray, address)
     try:
-        yield from _by_actors(ray, work, pieces, count)
+        yield from _by_actors(ray, work, pieces, count, connection)
     finally:
-        if started:
-            ray.shutdown()
-        if guard is not None:
-            guard.kill()  # Ray has ended its processes itself
-            guard.wait()
+        if connection is not None:
+            connection.close()
+
+
+class _Connection:
+    """A connection to a cluster that this process made; on this machine, with the cluster.
+
+    Args:
+        ray: The module.
+        address: Address of the cluster; None: Ray on this machine.
+
+    Raises:
+        UsageError: The cluster is not there.
+    """
+
+    def __init__(self, ray: Any, address: str | None) -> None:  # noqa: ANN401
+        self._ray, self._address = ray, address
+        self._guard: subprocess.Popen[bytes] | None = None
+        self._open()
+
+    def _open(self) -> None:
+        before = children()
+        quiet = {"log_to_driver": False, "include_dashboard": False, "logging_level": logging.ERROR}
+        # Without an address Ray would look for a cluster that `ray start` noted, which may have ended.
+        address = self._address or os.environ.get("RAY_ADDRESS") or "local"
+        try:
+            self._ray.init(address=address, **quiet)
+        except Exception as error:
+            where = f" at {self._address}" if self._address else ""
+            raise UsageError(f"Ray does not start{where}: {quoted(error)}") from error
+        self._guard = end_with_this_process(children() - before)
+
+    def renew(self) -> None:
+        """Connect again to a cluster that was lost, as soon as it is there again.
+
+        Raises:
+            UsageError: It does not come back within `RETURN`.
+        """
+        self.close()
+        give_up = time.monotonic() + RETURN
+        while True:
+            try:
+                return self._open()
+            except UsageError as error:
+                if time.monotonic() > give_up:
+                    raise UsageError(f"{error}; what is done is kept: run it again to go on") from error
+                time.sleep(1.0)
+
+    def close(self) -> None:
+        """End the connection; on this machine, also Ray's processes."""
+        self._ray.shutdown()
+        if self._guard is not None:
+            self._guard.kill()  # Ray has ended its processes itself
+            self._guard.wait()
 
 
 def children() -> set[str]:
@@ -99,13 +147,16 @@ def end_with_this_process(processes: set[str]) -> "subprocess.Popen[bytes] | Non
     return guard
 
 
-def _by_actors(ray: Any, work: PieceWork, pieces: Sequence[Any], count: int | None) -> Iterator[PieceOutcome]:  # noqa: ANN401
+def _by_actors(
+    ray: Any,  # noqa: ANN401
+    work: PieceWork,
+    pieces: Sequence[Any],
+    count: int | None,
+    connection: _Connection | None,
+) -> Iterator[PieceOutcome]:
     """Have actors do the pieces: each has a GPU, where the cluster has some."""
-    devices = int(ray.cluster_resources().get("GPU", 0))
-    many = min(count or max(1, devices), max(1, len(pieces)))
-    start = _actors(ray, work, devices)
     queue, alone, tries = list(range(len(pieces))), list[int](), dict.fromkeys(range(len(pieces)), 0)
-    idle: list[Any] = [start() for _ in range(many)]
+    start, idle, sentinel = _actors(ray, work, count, len(pieces))
     busy: dict[Any, tuple[int, Any]] = {}
 
     def give(number: int) -> None:
@@ -113,12 +164,22 @@ def _by_actors(ray: Any, work: PieceWork, pieces: Sequence[Any], count: int | No
         tries[number] += 1
         busy[actor.do.remote(pieces[number])] = number, actor
 
+    losses = 0
     while queue or alone or busy:
         while queue and idle:
             give(queue.pop(0))
         if not busy and alone:  # after a loss: what else is at work may have been the reason
             give(alone.pop(0))
-        (done,), _ = ray.wait(list(busy), num_returns=1)
+        done = _next(ray, list(busy), sentinel)
+        if done is None:
+            queue = sorted([number for number, _ in busy.values()] + queue)
+            busy.clear()
+            idle.clear()
+            losses += 1
+            _renew(connection, losses)
+            start, idle, sentinel = _actors(ray, work, count, len(pieces))
+            continue
+        losses = 0
         number, actor = busy.pop(done)
         value, fault, lost = _result(ray, done)
         idle.append(start() if lost else actor)
@@ -128,12 +189,52 @@ def _by_actors(ray: Any, work: PieceWork, pieces: Sequence[Any], count: int | No
         yield number, value, f"its worker was lost {TRIES} times, {fault}" if lost else fault
 
 
-def _actors(ray: Any, work: PieceWork, devices: int) -> Callable[[], Any]:  # noqa: ANN401
+def _next(ray: Any, busy: list[Any], sentinel: Any) -> Any:  # noqa: ANN401
+    """Return the next result that is there; None: the cluster is lost.
+
+    Ray waits for ever for the actors of a head that has ended or was started again. So an actor that has
+    nothing to do is asked while no result comes.
+    """
+    while True:
+        done, _ = ray.wait(busy, num_returns=1, timeout=SILENCE)
+        if done:
+            return done[0]
+        asked = sentinel.answer.remote()
+        if not ray.wait([asked], timeout=ANSWER)[0] or _result(ray, asked)[2]:
+            return None
+
+
+def _renew(connection: _Connection | None, losses: int) -> None:
+    lost = "the cluster of Ray does not answer any more"
+    if connection is None or losses > MAX_LOSSES:
+        raise UsageError(f"{lost}; what is done is kept: run it again to go on")
+    log.warning("%s; connecting to it again", lost)
+    connection.renew()
+
+
+def _actors(
+    ray: Any,  # noqa: ANN401
+    work: PieceWork,
+    count: int | None,
+    most: int,
+) -> tuple[Callable[[], Any], list[Any], Any]:
+    """Return a function that starts an actor, actors for at most some pieces, and the sentinel."""
+
     class Actor:
         def do(self, piece: Any) -> Any:  # noqa: ANN401
             return work(piece)
 
-    return ray.remote(num_gpus=1 if devices else 0, max_restarts=0)(Actor).remote
+    class Sentinel:
+        def answer(self) -> bool:
+            return True
+
+    devices = int(ray.cluster_resources().get("GPU", 0))
+    start = ray.remote(num_gpus=1 if devices else 0, max_restarts=0)(Actor).remote
+    many = min(count or max(1, devices), max(1, most))
+    # The sentinel moves to another node if its own is lost: a cluster is more than one node.
+    sentinel = ray.remote(num_cpus=0, max_restarts=-1, max_task_retries=-1)(Sentinel).remote()
+    ray.wait([sentinel.answer.remote()], timeout=RETURN)  # a slow machine takes its time to start a process
+    return start, [start() for _ in range(many)], sentinel
 
 
 def _result(ray: Any, done: Any) -> tuple[Any, str | None, bool]:  # noqa: ANN401
