@@ -34,7 +34,8 @@ let drawn = null;
 const bodies = () => drawn.urdf ? drawn.urdf.children : [];
 const begin = async () => {
   await call("/simulator/spawn", "usarmjx_msgs/Spawn", {class: "P2AT", name: "R1"});
-  const tfClient = new ROSLIB.TFClient({ros, fixedFrame: "map", rate: 10, angularThres: 0.01, transThres: 0.01});
+  const tfClient = new ROSLIB.TFClient(
+    {ros, fixedFrame: "map", rate: 10, angularThres: 0.01, transThres: 0.01});
   tfClient.subscribe("R1/base_link", frame => heard.x = frame.translation.x);
   drawn = new ROS3D.UrdfClient({ros, tfClient, param: "R1/robot_description", tfPrefix: "R1",
     rootObject: viewer.scene});
