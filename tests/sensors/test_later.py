@@ -24,6 +24,7 @@ def turning(tachometer, time, *angles, spin=0.0):
 
 def lines(sensor, value, time=2.0):
     message = sensor_report(sensor, np.asarray(value), time, stamped=True)
+    assert message is not None
     assert list(MANUAL.translate(message, "P2AT")) == [message]
     return [format_message(one) for one in UDK.translate(message, "P3AT")]
 
@@ -38,7 +39,7 @@ def test_a_tachometer_divides_the_rotation_of_each_wheel_by_the_time():
         measure(tachometer, first), [1.5] * 4 + [0.0] * 4, err_msg="the momentary spin"
     )
     told = measure(tachometer, first, turning(tachometer, 0.2, 0.4, -0.2, 0.3, -0.1, spin=9.0))
-    angles = dict(zip(WHEELS, (0.4, -0.2, 0.3, -0.1), strict=True))
+    angles: dict[str, float] = dict(zip(WHEELS, (0.4, -0.2, 0.3, -0.1), strict=True))
     expected = [angles[name] for name in driven]
     np.testing.assert_allclose(told, [*(np.array(expected) / 0.2), *expected], rtol=1e-6)
     assert lines(tachometer, [1.0, -1.0, 2.0, 0.5, 4.0, 3.0, 2.0, 1.0]) == [
