@@ -1,6 +1,7 @@
 """Options and helpers that the commands of all sub-applications share."""
 
 import warnings
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
@@ -74,10 +75,31 @@ RobotFilesOption = Annotated[
         "--robot", help="URDF, xacro, SDF or MJCF file of a robot to add; may be given several times."
     ),
 ]
+
+
+def search_packages(ctx: typer.Context, folders: list[Path] | None) -> list[Path] | None:
+    """Search packages and models in the folders of `--packages` first, until the command ends."""
+    if folders and not ctx.resilient_parsing:
+        from usarmjx.models.files.resources import search_first
+
+        ctx.call_on_close(search_first(folders))
+    return folders
+
+
 PackagesOption = Annotated[
     list[Path] | None,
     typer.Option(
-        "--packages", help="Folder with packages or models that the file names; may be given several times."
+        "--packages",
+        exists=True,
+        file_okay=False,
+        callback=search_packages,
+        help="Folder with packages or models that files of robots and arenas name; may be repeated.",
+    ),
+]
+TaskRobotOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Robot class, or a file, of the task: as --set robot=.", autocompletion=complete_robots
     ),
 ]
 IniOption = Annotated[
@@ -86,7 +108,13 @@ IniOption = Annotated[
 ]
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 WorldsOption = Annotated[int, typer.Option(min=1, help="Worlds in the batch.")]
-RadioIniOption = Annotated[
+RadioTaskRobotOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Robot class, or a file, of the task: as --set robot=.", autocompletion=complete_robots
+    ),
+]
+IniOption = Annotated[
     Path | None, typer.Option("--radio-ini", help="USARComServer.ini with the radio's constants.")
 ]
 PortOffsetOption = Annotated[
@@ -139,6 +167,11 @@ def add_robots(files: list[Path] | None) -> None:
 
     for path in files:
         register_robot_file(path)
+
+
+def with_robot(pairs: Sequence[str] | None, robot: str | None) -> list[str]:
+    """Return `--set` of a task with the robot of `--robot`, which has priority."""
+    return [*(pairs or ()), *([] if robot is None else [f"robot={robot}"])]
 
 
 def configure_from(files: list[Path] | None, uu_per_metre: float) -> None:

@@ -9,7 +9,7 @@ import typer
 
 from usarmjx.base.files import atomic_write
 from usarmjx.base.progress import RateLimitedLog
-from usarmjx.cli.common import ErrorExit, SeedOption
+from usarmjx.cli.common import ErrorExit, PackagesOption, SeedOption, TaskRobotOption, with_robot
 from usarmjx.cli.completion import complete_policies, complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions, SplitOption
 from usarmjx.cli.setting_options import with_settings
@@ -50,6 +50,8 @@ def teams(
     settings: TaskSetOption = None,
     config: TaskConfigOption = None,
     print_config: TaskPrintOption = False,
+    robot: TaskRobotOption = None,
+    packages: PackagesOption = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -60,7 +62,7 @@ def teams(
 ) -> None:
     """Compare teams in the same buildings: each part of their scores, and how early they find."""
     with ErrorExit():
-        pairs = task_pairs(task, settings or (), config)
+        pairs = task_pairs(task, with_robot(settings, robot), config)
         if print_config:
             print_task(task, {}, pairs)
             return

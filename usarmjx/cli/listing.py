@@ -14,6 +14,7 @@ from usarmjx.cli.common import (
     ErrorExit,
     IniOption,
     JsonFlag,
+    PackagesOption,
     RobotFilesOption,
     UnitOption,
     add_robots,
@@ -117,6 +118,7 @@ def list_everything(
     json: JsonFlag = False,
     markdown: MarkdownFlag = False,
     robot: RobotFilesOption = None,
+    packages: PackagesOption = None,
     ini: IniOption = None,
     uu_per_metre: UnitOption = 250.0,
 ) -> None:

@@ -41,7 +41,7 @@ def check(
 
         check_robot_file(file)
         given = parse_assignments(argument or (), "--argument")
-        loaded = load_robot(file, packages=packages or (), arguments=given)
+        loaded = load_robot(file, arguments=given)
         faults = robot_faults(loaded.robot)
         rows = robot_figures(loaded.robot)
         if json:
@@ -70,6 +70,7 @@ def export(
     form: Annotated[
         str | None, typer.Option("--format", help="mjcf, urdf or sdf; else by the file's suffix.")
     ] = None,
+    packages: PackagesOption = None,
 ) -> None:
     """Write a robot as MJCF, URDF or SDF, with the mass, solids and joints that it has here."""
     with ErrorExit():

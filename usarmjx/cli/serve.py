@@ -12,6 +12,7 @@ from usarmjx.cli.common import (
     EngineOption,
     ErrorExit,
     IniOption,
+    PackagesOption,
     RobotFilesOption,
     SeedOption,
     UnitOption,
@@ -66,6 +67,7 @@ class WorldsOptions:
     engine: EngineOption = "auto"
     seed: SeedOption = 0
     robot: RobotFilesOption = None
+    packages: PackagesOption = None
     ini: IniOption = None
     uu_per_metre: UnitOption = 250.0
 

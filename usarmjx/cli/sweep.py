@@ -10,7 +10,7 @@ from typer.core import TyperGroup
 
 from usarmjx.base.settings import parse_assignments
 from usarmjx.cli.checkout import import_benchmarks
-from usarmjx.cli.common import ErrorExit
+from usarmjx.cli.common import ErrorExit, PackagesOption, TaskRobotOption, with_robot
 from usarmjx.cli.startup_messages import announce, tried_on
 
 COMMANDS = ("run", "show", "compare", "report")
@@ -113,6 +113,8 @@ def run(
     episodes: EpisodesOption = None,
     json: RecordFileOption = None,
     note: NoteOption = "",
+    robot: TaskRobotOption = None,
+    packages: PackagesOption = None,
 ) -> None:
     """Play the cells of a sweep that have no result yet, and say what came of all."""
     with ErrorExit():
@@ -125,7 +127,7 @@ def run(
         _check_files(figure, table, episodes)
         own_part = parse_part(part)
         file = find_spec(what)
-        common = _typed(file, parse_assignments(settings or [], "--set"))
+        common = _typed(file, parse_assignments(with_robot(settings, robot), "--set"))
         if engine is not None:
             common["engine"] = engine
         spec = load_spec(file, common)

@@ -248,16 +248,30 @@ def test_gazebo_plugins_become_drive_and_mounts(load):
     assert robot.chassis[0].surface == "caster"
 
 
-def test_wheels_on_steering_joints_make_a_car(load):
+KNUCKLE = """<link name="{}"><inertial><mass value=".2"/>
+  <inertia ixx=".001" iyy=".001" izz=".001" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+
+
+def steered(side, y, kind="revolute", turn=""):
+    """A wheel on a knuckle; with `turn`, the knuckle's frame lies on its side and its axis is x there."""
     limit = '<limit lower="-.5" upper=".5" effort="4" velocity="2"/>'
-    more = "".join(
-        f'<link name="k{side}"><inertial><mass value=".2"/><inertia ixx=".001" iyy=".001" izz=".001" ixy="0" '
-        f'ixz="0" iyz="0"/></inertial></link>{WHEEL.format("f" + side)}'
-        + hinge(f"steer{side}", f"k{side}", f".4 {y} 0", "0 0 1", kind="revolute", more=limit)
-        + hinge(f"F{side}", f"f{side}", "0 0 0", parent=f"k{side}")
-        for side, y in (("l", 0.25), ("r", -0.25))
+    steer = hinge(
+        f"steer{side}", f"k{side}", f".4 {y} 0", "-1 0 0" if turn else "0 0 1", kind=kind, more=limit
     )
-    drive = load(cart(more)).robot.drive
+    wheel = hinge(f"F{side}", f"f{side}", "0 0 0", parent=f"k{side}")
+    if turn:
+        steer = steer.replace("<origin", '<origin rpy="0 1.5707963 0"')
+        wheel = wheel.replace("<origin", '<origin rpy="0 -1.5707963 0"')
+    return f"{KNUCKLE.format('k' + side)}{WHEEL.format('f' + side)}{steer}{wheel}"
+
+
+@pytest.mark.parametrize(("kind", "turn"), [("revolute", ""), ("revolute", "side"), ("continuous", "")])
+def test_wheels_on_steering_joints_make_a_car(load, kind, turn):
+    loaded = load(cart(steered("l", 0.25, turn=turn) + steered("r", -0.25, kind, turn)))
+    assert any("joint 'steerr' is continuous and has limits" in note for note in loaded.notes) == (
+        kind == "continuous"
+    )
+    drive = loaded.robot.drive
     assert isinstance(drive, Ackermann)
     assert drive.max_front_steer == 0.5
     assert {wheel.joint: wheel.steer for wheel in drive.wheels} == {
@@ -266,6 +280,29 @@ def test_wheels_on_steering_joints_make_a_car(load):
         "Fl": "steerl",
         "Fr": "steerr",
     }
+
+
+def test_steered_wheels_of_one_axle_skid(load):
+    wheels = steered("l", 0.25) + steered("r", -0.25)
+    drive = load(f'<robot name="swerve">{BASE}{wheels}</robot>').robot.drive
+    assert isinstance(drive, SkidSteer)
+    assert (drive.left, drive.right) == (("Fl",), ("Fr",))
+
+
+def test_motors_that_bear_legs_are_no_wheels_and_wheels_with_rollers_are(load):
+    knees = "".join(
+        KNUCKLE.format(f"s{side}") + hinge(f"K{side}", f"s{side}", "0 0 -.1", axis, parent=f"w{side}")
+        for side, axis in (("l", "{0}"), ("r", "{0}"))
+    )
+    assert load(cart(knees.format("0 1 0"))).robot.drive == NoDrive()
+    assert isinstance(load(cart(knees.format("1 0 .5"))).robot.drive, SkidSteer)
+
+
+def test_driven_wheels_without_friction_grip(load):
+    ice = '<gazebo reference="wl"><mu1>0</mu1><mu2>0</mu2></gazebo>'
+    loaded = load(cart(ice))
+    assert [shape.surface for part in loaded.robot.parts for shape in part.shapes] == ["wheel"] * 2
+    assert "driven wheels L have no friction: here they grip" in loaded.notes[-1]
 
 
 def test_rotors_on_sites_make_it_fly(load):

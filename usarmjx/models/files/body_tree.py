@@ -197,6 +197,13 @@ class BodyTree:
             for geom in range(first[body], first[body] + count[body])
         ]
 
+    def grip(self, owner: int) -> bool:
+        """Let the solids of a part grip the ground as wheels do; return whether they slid."""
+        model = self.model
+        slid = {model.body(body).name for body in self._members(owner)} & self._slippery
+        self._slippery -= slid
+        return bool(slid)
+
     def _only_looks(self, geom: int) -> bool:
         """Return whether a geom is a mesh for pictures, in a file whose other geoms collide."""
         model = self.model

@@ -1,14 +1,17 @@
 """Files that robots and worlds name: `package://`, `model://`, `file://`, and relative names."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote
 
 PACKAGE_SCHEMES = ("package://", "model://")
 """Schemes whose first word is the name of a folder to be found."""
+FIRST_VARIABLE = "USARMJX_PACKAGES"
+"""Environment variable with the folders of `--packages`, which worker processes inherit."""
 PATH_VARIABLES = (
+    FIRST_VARIABLE,
     "ROS_PACKAGE_PATH",
     "AMENT_PREFIX_PATH",
     "GZ_SIM_RESOURCE_PATH",
@@ -74,6 +77,25 @@ class Resources:
             for text in filter(None, os.environ.get(variable, "").split(os.pathsep)):
                 share = Path(text) / "share"
                 yield share if variable == "AMENT_PREFIX_PATH" and share.is_dir() else Path(text)
+
+
+def search_first(folders: Iterable[Path]) -> Callable[[], None]:
+    """Search packages and models in these folders first, also in worker processes.
+
+    Returns:
+        The function that restores the search path.
+    """
+    before = os.environ.get(FIRST_VARIABLE)
+    own = [str(folder.resolve()) for folder in folders]
+    os.environ[FIRST_VARIABLE] = os.pathsep.join([*own, *filter(None, [before])])
+
+    def end() -> None:
+        if before is None:
+            os.environ.pop(FIRST_VARIABLE, None)
+        else:
+            os.environ[FIRST_VARIABLE] = before
+
+    return end
 
 
 def _below(base: Path, package: str) -> Iterator[Path]:

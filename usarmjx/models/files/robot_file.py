@@ -247,7 +247,14 @@ class _Builder:
             if np.isfinite(limit.speed):
                 speeds.setdefault(joint, limit.speed)
         driven = {*names.values(), *(self._source.motors or ())} or None
-        return find_drive(self._tree, self._source, speeds, driven)
+        drive = find_drive(self._tree, self._source, speeds, driven)
+        rolling = {aim.joint for aim in drive.joint_controls if aim.mode == VELOCITY_MODE}
+        owners = [owner for owner in self._tree.owners[1:] if self._tree.name(owner) in rolling]
+        if gripping := [self._tree.name(owner) for owner in owners if self._tree.grip(owner)]:
+            self._source.notes.append(
+                f"{self._source.path}: driven wheels {listed(gripping)} have no friction: here they grip"
+            )
+        return drive
 
     def _passive_wheels(self) -> set[str]:
         """Return parts that turn without end and are round: they roll, driven or not."""
