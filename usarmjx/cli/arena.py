@@ -14,6 +14,7 @@ from usarmjx.cli.common import (
     OldOutArgument,
     OutFolderOption,
     PackagesOption,
+    PiecesOption,
     SeedOption,
     chosen_out,
     read_size,
@@ -95,6 +96,7 @@ def check(
     png: PngOption = None,
     perspective: PerspectiveOption = None,
     packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Say what is wrong with an arena; exit code 1 if anything is."""
     with ErrorExit():
@@ -154,6 +156,7 @@ def generate(
     yaml: Annotated[Path | None, typer.Option(help="Write the arena to this file.")] = None,
     xml: Annotated[Path | None, typer.Option(help="Write it as an MJCF model for MuJoCo.")] = None,
     packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Make an arena of the same kind, size, difficulty and seed, always the same; say what is in it."""
     with ErrorExit():
@@ -208,6 +211,7 @@ def lane(
     minutes: Annotated[float, typer.Option(help="Simulated time of the test [min].")] = 5.0,
     speed: SpeedOption = 1.0,
     packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Drive a robot to and fro in a lane; its score is repetitions and metres per minute."""
     with ErrorExit():
@@ -245,6 +249,7 @@ def obstacles(
         ),
     ] = None,
     packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Measure how a robot gets over the obstacles of generated arenas that are sized to it."""
     with ErrorExit():

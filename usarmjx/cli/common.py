@@ -102,19 +102,33 @@ TaskRobotOption = Annotated[
         help="Robot class, or a file, of the task: as --set robot=.", autocompletion=complete_robots
     ),
 ]
+
+
+def set_pieces(ctx: typer.Context, pieces: int | None) -> int | None:
+    """Cut meshes of robots into as many pieces as `--pieces` says, until the command ends."""
+    if pieces is not None and not ctx.resilient_parsing:
+        from usarmjx.models.files.resources import cut_meshes
+
+        ctx.call_on_close(cut_meshes(pieces))
+    return pieces
+
+
+PiecesOption = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        max=64,
+        callback=set_pieces,
+        help="Convex pieces of a mesh of a robot's file at most, by coacd; else its hull.",
+    ),
+]
 IniOption = Annotated[
     list[Path] | None,
     typer.Option("--ini", help="USARBot.ini or USARMisPkg.ini with robots; may be given several times."),
 ]
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 WorldsOption = Annotated[int, typer.Option(min=1, help="Worlds in the batch.")]
-RadioTaskRobotOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Robot class, or a file, of the task: as --set robot=.", autocompletion=complete_robots
-    ),
-]
-IniOption = Annotated[
+RadioIniOption = Annotated[
     Path | None, typer.Option("--radio-ini", help="USARComServer.ini with the radio's constants.")
 ]
 PortOffsetOption = Annotated[

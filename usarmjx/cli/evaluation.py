@@ -9,7 +9,14 @@ import typer
 
 from usarmjx.base.files import atomic_write
 from usarmjx.base.progress import RateLimitedLog
-from usarmjx.cli.common import ErrorExit, PackagesOption, SeedOption, TaskRobotOption, with_robot
+from usarmjx.cli.common import (
+    ErrorExit,
+    PackagesOption,
+    PiecesOption,
+    SeedOption,
+    TaskRobotOption,
+    with_robot,
+)
 from usarmjx.cli.completion import complete_policies, complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions, SplitOption
 from usarmjx.cli.setting_options import with_settings
@@ -52,6 +59,7 @@ def teams(
     print_config: TaskPrintOption = False,
     robot: TaskRobotOption = None,
     packages: PackagesOption = None,
+    pieces: PiecesOption = None,
     out: Annotated[
         Path | None,
         typer.Option(

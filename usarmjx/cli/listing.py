@@ -15,6 +15,7 @@ from usarmjx.cli.common import (
     IniOption,
     JsonFlag,
     PackagesOption,
+    PiecesOption,
     RobotFilesOption,
     UnitOption,
     add_robots,
@@ -119,6 +120,7 @@ def list_everything(
     markdown: MarkdownFlag = False,
     robot: RobotFilesOption = None,
     packages: PackagesOption = None,
+    pieces: PiecesOption = None,
     ini: IniOption = None,
     uu_per_metre: UnitOption = 250.0,
 ) -> None:

@@ -11,6 +11,7 @@ from usarmjx.cli.common import (
     OldOutArgument,
     OutOption,
     PackagesOption,
+    PiecesOption,
     RadioIniOption,
     chosen_out,
 )
@@ -25,6 +26,7 @@ def portraits(
     ] = None,
     out: OutOption = None,
     packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Draw robots with the sensors' raycaster."""
     with ErrorExit():

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import typer
 
 from usarmjx.base.errors import UsageError
-from usarmjx.cli.common import PackagesOption, SeedOption, TaskRobotOption, with_robot
+from usarmjx.cli.common import PackagesOption, PiecesOption, SeedOption, TaskRobotOption, with_robot
 from usarmjx.cli.completion import complete_engines, complete_policies, complete_tasks
 from usarmjx.cli.task_options import (
     TaskConfigOption,
@@ -77,6 +77,7 @@ class PolicyOptions:
     seed: SeedOption = 0
     robot: TaskRobotOption = None
     packages: PackagesOption = None
+    pieces: PiecesOption = None
 
     def source(self) -> "PolicySource":
         """Return the policy.

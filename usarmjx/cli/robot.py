@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from usarmjx.base.settings import parse_assignments
-from usarmjx.cli.common import ErrorExit, JsonFlag, PackagesOption
+from usarmjx.cli.common import ErrorExit, JsonFlag, PackagesOption, PiecesOption
 from usarmjx.cli.startup_messages import announce
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ def robot_commands() -> None:
 def check(
     file: Annotated[Path, typer.Argument(help="URDF, xacro, SDF or MJCF file of a robot.")],
     packages: PackagesOption = None,
+    pieces: PiecesOption = None,
     argument: Annotated[
         list[str] | None, typer.Option("--argument", help="Argument of a xacro file, as name=value.")
     ] = None,
@@ -71,6 +72,7 @@ def export(
         str | None, typer.Option("--format", help="mjcf, urdf or sdf; else by the file's suffix.")
     ] = None,
     packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Write a robot as MJCF, URDF or SDF, with the mass, solids and joints that it has here."""
     with ErrorExit():

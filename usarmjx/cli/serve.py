@@ -13,6 +13,7 @@ from usarmjx.cli.common import (
     ErrorExit,
     IniOption,
     PackagesOption,
+    PiecesOption,
     RobotFilesOption,
     SeedOption,
     UnitOption,
@@ -68,6 +69,7 @@ class WorldsOptions:
     seed: SeedOption = 0
     robot: RobotFilesOption = None
     packages: PackagesOption = None
+    pieces: PiecesOption = None
     ini: IniOption = None
     uu_per_metre: UnitOption = 250.0
 

@@ -10,7 +10,7 @@ from typer.core import TyperGroup
 
 from usarmjx.base.settings import parse_assignments
 from usarmjx.cli.checkout import import_benchmarks
-from usarmjx.cli.common import ErrorExit, PackagesOption, TaskRobotOption, with_robot
+from usarmjx.cli.common import ErrorExit, PackagesOption, PiecesOption, TaskRobotOption, with_robot
 from usarmjx.cli.startup_messages import announce, tried_on
 
 COMMANDS = ("run", "show", "compare", "report")
@@ -115,6 +115,7 @@ def run(
     note: NoteOption = "",
     robot: TaskRobotOption = None,
     packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Play the cells of a sweep that have no result yet, and say what came of all."""
     with ErrorExit():

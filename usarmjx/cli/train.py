@@ -29,6 +29,7 @@ from usarmjx.cli.common import (
     ErrorExit,
     OldOutArgument,
     PackagesOption,
+    PiecesOption,
     PortOffsetOption,
     TaskRobotOption,
     chosen_out,
@@ -371,6 +372,7 @@ def train(
     clips: ClipsOption = 0,
     robot: TaskRobotOption = None,
     packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Train a policy for a task."""
     with ErrorExit():

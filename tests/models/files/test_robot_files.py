@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from tests.models.files.test_import_mjcf import compare, composed
-from usarmjx.base.errors import SpecError
+from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.models import load_robot
+from usarmjx.models.compile.compose import add_robot
 from usarmjx.models.drives import Ackermann, NoDrive, RotaryWing, SkidSteer
 from usarmjx.models.files import reader_child
 from usarmjx.models.files.load import load_arena
@@ -296,6 +297,49 @@ def test_motors_that_bear_legs_are_no_wheels_and_wheels_with_rollers_are(load):
     )
     assert load(cart(knees.format("0 1 0"))).robot.drive == NoDrive()
     assert isinstance(load(cart(knees.format("1 0 .5"))).robot.drive, SkidSteer)
+
+
+def c_shape(path):
+    """Write a C of 0.3 x 0.3 x 0.1 m, whose gap of 0.1 m opens to the head."""
+    outline = [(0, -0.15), (0.3, -0.15), (0.3, -0.05), (0.1, -0.05), (0.1, 0.05), (0.3, 0.05), (0.3, 0.15)]
+    corners = [(x, y, z) for z in (0, 0.1) for x, y in [*outline, (0, 0.15)]]
+    cap = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 7), (4, 5, 6), (4, 6, 7)]
+    faces = [face[::-1] for face in cap] + [tuple(i + 8 for i in face) for face in cap]
+    for i in range(8):
+        j = (i + 1) % 8
+        faces += [(i, j, j + 8), (i, j + 8, i + 8)]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def touched_in_gap(robot, radius):
+    """Return whether a ball in the middle of the C's gap touches it."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    add_robot(spec, robot, "", (0.0, 0.0, 0.0))
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], pos=[0.2, 0, 0.05])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return data.ncon > 0
+
+
+def test_coacd_leaves_the_gap_of_a_concave_mesh_free(load, tmp_path, monkeypatch):
+    pytest.importorskip("coacd")
+    c_shape(tmp_path / "c.obj")
+    text = """<robot name="c"><link name="base"><inertial><mass value="2"/>
+      <inertia ixx=".02" iyy=".03" izz=".04" ixy="0" ixz="0" iyz="0"/></inertial>
+      <collision><geometry><mesh filename="c.obj"/></geometry></collision></link></robot>"""
+    assert touched_in_gap(load(text).robot, 0.01)
+    robot = load(text, pieces=8).robot
+    assert [shape.kind for shape in robot.chassis] == ["mesh"] * 3
+    assert not touched_in_gap(robot, 0.049)  # the gap has 0.05 m on both sides
+    assert touched_in_gap(robot, 0.051)
+    assert robot.mass == pytest.approx(2, abs=MASS_ATOL)
+    assert robot.dimensions == pytest.approx((0.3, 0.3, 0.1), abs=1e-4)  # coacd's pieces are off by less
+    monkeypatch.setenv("USARMJX_MESH_PIECES", "0")
+    with pytest.raises(UsageError, match="'0', expected a whole number from 1 to 64"):
+        load(text)
 
 
 def test_driven_wheels_without_friction_grip(load):

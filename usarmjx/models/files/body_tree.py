@@ -167,9 +167,8 @@ class BodyTree:
         model = self.model
         whole = combine_inertias([self._inertia(body) for body in self._members(owner)])
         if whole.mass <= 0:
-            raise SpecError(
-                f"{self.name(owner)} has no mass: give its body an inertial or its geoms a density"
-            )
+            named = "the chassis" if owner == self.owners[0] else self.name(owner)
+            raise SpecError(f"{named} has no mass: give its body an inertial or its geoms a density")
         geoms = [pair for pair in self._geoms(owner) if not self._only_looks(pair[0])]
         light = [self._shape(owner, geom, frame, surface) for geom, frame in geoms]
         if all(mujoco.mjtGeom(model.geom_type[geom]) in KINDS for geom, _ in self._geoms(owner)):
