@@ -68,7 +68,7 @@ def oracle_of(path: Path, expanded: bytes | None = None) -> Oracle:
     """Return the figures of a URDF (or expanded xacro) or an MJCF file."""
     text = expanded or path.read_bytes()
     if b"<robot" in text:
-        return _Urdf(path, ET.fromstring(text)).figures()
+        return _Urdf(path, ET.fromstring(text.strip())).figures()
     return _mjcf(path)
 
 

@@ -219,7 +219,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     ):
         some = [check[name] for check in checks if name in check]
         lines.append(f"- {sum(some)} of {len(some)} {meaning}.")
-    light = sum(0 < row["mass"] - row["mass_file"] < LIGHTEST * row["parts"] for row in good)
+    light = sum(LIGHTEST / 2 < row["mass"] - row["mass_file"] < LIGHTEST * row["parts"] for row in good)
     rests = [row["settles"] for row in good if "speed" in row]
     kinds = Counter(row["drive"] for row in good)
     lines += [

@@ -96,7 +96,7 @@ def robot_figures(robot: "RobotSpec") -> dict[str, Any]:
         "mass": f"{robot.mass:.4g} kg",
         "size": f"{length:.3f} x {width:.3f} x {height:.3f} m",
         "origin": f"{robot.origin_height:.3f} m above the ground",
-        "drive": f"{type(robot.drive).__name__}, up to {robot.drive.top_speed:.3g} m/s",
+        "drive": _drive(robot),
     }
     if robot.wheels:
         names = ", ".join(part.name for part in robot.wheels)
@@ -108,6 +108,14 @@ def robot_figures(robot: "RobotSpec") -> dict[str, Any]:
     figures["joints"] = [part.name for part in robot.parts if part.name not in motors]
     figures["sensors"] = [f"{mount.kind} {mount.name}" for mount in (*robot.sensors, *robot.cameras)]
     return figures
+
+
+def _drive(robot: "RobotSpec") -> str:
+    from usarmjx.models.drives import NoDrive
+
+    if isinstance(robot.drive, NoDrive):
+        return "none: no plugin states one, no wheels are on both sides, no rotors are on sites"
+    return f"{type(robot.drive).__name__}, up to {robot.drive.top_speed:.3g} m/s"
 
 
 def _motor(part: "Part", motor: "Motor") -> str:

@@ -77,6 +77,23 @@ def test_round_meshes_on_wheels_become_cylinders():
     assert robot.mass == pytest.approx(14, abs=MASS_ATOL)
 
 
+def test_square_collision_meshes_of_wheels_give_way_to_round_looks(load, tmp_path):
+    (tmp_path / "tyre.stl").write_bytes((CASES / "wheel.stl").read_bytes())
+    corners = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.02, 0.02) for z in (-0.1, 0.1)])
+    faces = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)]
+    faces += [(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    (tmp_path / "square.obj").write_text("\n".join(lines) + "\n")
+    square = '<collision><geometry><mesh filename="square.obj"/></geometry></collision>'
+    text = (CASES / "mesh_wheels.urdf").read_text()
+    wheel = '<collision><geometry><mesh filename="wheel.stl"/></geometry></collision>'
+    look = wheel.replace("collision", "visual").replace("wheel.stl", "tyre.stl")
+    loaded = load(text.replace(wheel, square + look))
+    assert [shape.kind for part in loaded.robot.parts for shape in part.shapes] == ["cylinder"] * 4
+    assert loaded.robot.wheel_radius == pytest.approx(0.1, rel=0.02)
+    assert "not round: its round <visual> collides instead" in loaded.notes[0]
+
+
 def test_speeds_of_a_file_win():
     robot = load_robot(CASES / "fast_wheels.xml").robot
     assert [part.motor.max_speed for part in robot.parts] == [24.0, 24.0]
@@ -408,7 +425,7 @@ def test_cameras_and_sensors_of_mjcf_are_mounts_and_the_rest_is_named_with_its_l
         (cart().replace('axis xyz="0 1 0"', 'axis xyz="0 0 0"'), "'L' has an axis of length 0"),
         (cart().replace('radius=".1"', 'radius="-1"'), "expected lengths above zero"),
         (cart().replace("<box", "<torus"), "a solid is a <torus>; allowed: box"),
-        (cart().replace('mass value="10"', 'mass value="nan"'), "expected 1 numbers"),
+        (cart().replace('mass value="10"', 'mass value="nan"'), "expected a number"),
     ],
 )
 def test_faults_are_refused_with_file_and_line(load, text, says):

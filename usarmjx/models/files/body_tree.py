@@ -71,7 +71,8 @@ class BodyTree:
         if len(joints) > 1 or any(model.jnt_type[joint] not in allowed for joint in joints):
             names = ", ".join(model.joint(joint).name or f"number {joint}" for joint in joints)
             raise SpecError(
-                f"body {model.body(body).name!r} has the joints {names}; a part has one hinge or slide"
+                f"body {model.body(body).name!r} has the joints {names}; a part has one hinge or slide: "
+                "give each joint a body of its own"
             )
         if joints:
             self._owner[body] = body

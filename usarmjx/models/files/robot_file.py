@@ -20,7 +20,14 @@ from usarmjx.models.files.gazebo_sensors import read_gazebo_elements
 from usarmjx.models.files.mjcf_solids import usarsim_angles, usarsim_vector
 from usarmjx.models.files.reader_process import expand_xacro, try_model
 from usarmjx.models.files.resources import Resources, mesh_pieces
-from usarmjx.models.files.robot_drive import DEFAULT_SPIN, MIN_ROTORS, find_drive, rotor_drive, wheel_torque
+from usarmjx.models.files.robot_drive import (
+    DEFAULT_SPIN,
+    MIN_ROTORS,
+    find_drive,
+    rolling_parts,
+    rotor_drive,
+    wheel_torque,
+)
 from usarmjx.models.files.robot_mjcf import read_mjcf_robot
 from usarmjx.models.files.robot_source import JointLimit, RobotSource, listed, plain_name
 from usarmjx.models.files.sdf_robot import sdf_as_urdf
@@ -191,7 +198,7 @@ class _Builder:
         try:
             self._model = source.spec.compile()
         except ValueError as error:
-            raise SpecError(f"{source.path}: does not compile: {error}") from error
+            raise SpecError(f"{source.path}: does not compile: {quoted(error)}") from error
         root = self._model.body(source.root).id
         self._tree = BodyTree(self._model, source.spec, root, frozenset(source.slippery))
 
@@ -267,13 +274,8 @@ class _Builder:
         return drive
 
     def _passive_wheels(self) -> set[str]:
-        """Return parts that turn without end and are round: they roll, driven or not."""
-        tree = self._tree
-        return {
-            tree.name(owner)
-            for owner in tree.owners[1:]
-            if tree.turns_freely(owner) and any(s.kind != "mesh" for s in tree.solids(owner, "wheel")[0])
-        }
+        """Return parts that roll, driven or not: they turn without end, are round and reach the ground."""
+        return {part.joint for part in rolling_parts(self._tree) if part.rolls}
 
     def _stated_motors(self, drive: Drive) -> dict[int, Motor]:
         """Return motors of joints for which the file has limits but no actuator, by joint id."""

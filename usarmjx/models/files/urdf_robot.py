@@ -10,8 +10,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from usarmjx.base.errors import SpecError
-from usarmjx.models.files.mesh_solids import hull_corners
+from usarmjx.base.errors import ArenaFileError, SpecError
+from usarmjx.models.files.mesh_solids import hull_corners, round_about
 from usarmjx.models.files.meshes import mesh_vertices
 from usarmjx.models.files.reader_process import read_pieces
 from usarmjx.models.files.resources import Resources
@@ -152,9 +152,43 @@ class _UrdfReader:
         moves = joint is not None and self._add_joint(joint, body)
         self._add_inertia(link, body, moves=moves)
         rolls = joint is not None and joint.get("type") == "continuous"
-        for number, solid in enumerate(link.all("visual" if self._visual_only else "collision")):
+        for number, solid in enumerate(self._solids_of(link, joint if rolls else None)):
             self._add_solid(solid, body, f"{name}/{number}", rolls=rolls)
         return body
+
+    def _solids_of(self, link: LinedElement, hinge: LinedElement | None) -> list[LinedElement]:
+        """Return a link's solids: on a hinge without end, a round mesh instead of square ones."""
+        solids = [*link.all("visual" if self._visual_only else "collision")]
+        if hinge is None or self._visual_only or not solids:
+            return solids
+        given = hinge.first("axis")
+        axis = np.array([1.0, 0, 0]) if given is None else attribute_numbers(given, "xyz", 3, "1 0 0")
+        axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
+        if any(self._is_round(one, axis, otherwise=True) for one in solids):
+            return solids
+        looks = [one for one in link.all("visual") if self._is_round(one, axis, otherwise=False)]
+        if looks:
+            self._source.notes.append(
+                f"{solids[0].place}: the collision mesh of {link.get('name')!r}, which turns without end, is "
+                "not round: its round <visual> collides instead"
+            )
+        return looks[:1] or solids
+
+    def _is_round(self, element: LinedElement, axis: np.ndarray, *, otherwise: bool) -> bool:
+        """Return whether a mesh is round about an axis through its link's origin; `otherwise`: no mesh."""
+        form = form_of(element)
+        if form is None or form.tag != "mesh":
+            return otherwise
+        found = self._resources.file(form.get("filename", ""), form.path)
+        if found is None:
+            return False
+        try:
+            vertices = mesh_vertices(found)
+        except ArenaFileError:  # a mesh that collides is read again, and refused with its line
+            return False
+        frame = frame_of(element)
+        scaled = vertices * attribute_numbers(form, "scale", 3, "1 1 1")
+        return round_about(scaled @ frame.mat.T + frame.pos, axis, np.zeros(3)) is not None
 
     def _add_joint(self, joint: LinedElement, body: mujoco.MjsBody) -> bool:
         """Add a link's joint; return whether it moves."""
