@@ -46,10 +46,7 @@ def teams(
     ] = None,
     worlds: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            help="Episodes, each in a building of its own; 24, or one in each building of a --split.",
-        ),
+        typer.Option(min=1, help="Episodes, each in a building of its own; 24, or each of a --split."),
     ] = None,
     seed: SeedOption = 0,
     engine: PolicyEngineOption = "auto",
@@ -86,13 +83,13 @@ def teams(
         set_by_hand, _ = task_settings(task, {}, pairs)
         played, seen = yardsticks.team_task(task, **set_by_hand), TeamWays()
         chosen = list(dict.fromkeys(names or yardsticks.default_teams(task)))
-        watch = yardsticks.ignore if out is None else seen
+        watch = seen if out else yardsticks.ignore
         how = (seed, choose_engine(engine, "train"), chosen, _tell, watch, split, _warn)
         rows = yardsticks.measure_teams(task, worlds, *how, **set_by_hand)
         typer.echo(yardsticks.table(played, rows))
         if json is not None:
-            split = split or usual_split(task, set_by_hand)
-            _keep(json, {"task": task, "split": split, "engine": how[1], "settings": pairs}, rows)
+            kept = split or usual_split(task, set_by_hand)
+            _keep(json, {"task": task, "split": kept, "engine": how[1], "settings": pairs}, rows)
         if out is not None:
             plot_teams(task, rows, seen, out)
             typer.echo(f"wrote {out}")

@@ -142,15 +142,8 @@ def run(
             return
         meter = None if recording is None else recording.SweepMeter(begun)
         sinks = [*_sinks(tensorboard, wandb, spec.name), *([] if meter is None else [meter])]
-        found = play_prepared(
-            spec,
-            folder,
-            prepared,
-            played_on,
-            say=None if quiet else lambda line: typer.echo(f"usarmjx: {line}", err=True),
-            stream=None if quiet else usual_stream(),
-            sinks=sinks,
-        )
+        loud: dict[str, Any] = {} if quiet else {"say": _say, "stream": usual_stream()}
+        found = play_prepared(spec, folder, prepared, played_on, sinks=sinks, **loud)
         _tell(found, figure, table, episodes)
         if json is not None:
             _record(found, prepared.plan, meter, played_on, json, note)
@@ -211,6 +204,10 @@ def _show_plan(spec: Any, prepared: Any, workers: Any, probe: bool) -> None:  # 
     found = probe_works(batches_of(prepared))
     count = 1 if workers.place == "here" else workers.count or 1
     typer.echo("no probe: clients drive all cells" if found is None else found.as_text(count))
+
+
+def _say(line: str) -> None:
+    typer.echo(f"usarmjx: {line}", err=True)
 
 
 def _typed(file: Path, texts: Mapping[str, str]) -> dict[str, Any]:
