@@ -50,6 +50,14 @@ def teams(
     settings: TaskSetOption = None,
     config: TaskConfigOption = None,
     print_config: TaskPrintOption = False,
+    ablate: Annotated[
+        bool,
+        typer.Option(
+            "--ablate",
+            help="Play the packaged or the named teams with advice, goal, map, mates or messages taken away, "
+            "and with a perfect radio.",
+        ),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -74,6 +82,18 @@ def teams(
         if out is not None:
             check_figure(out)  # before minutes of play
         set_by_hand, _ = task_settings(task, {}, pairs)
+        if ablate:
+            setup = {"task": task, "split": split or usual_split(task, set_by_hand), "settings": pairs}
+            _ablate(
+                setup,
+                worlds,
+                split,
+                names or ["packaged"],
+                (seed, choose_engine(engine, "train")),
+                json,
+                set_by_hand,
+            )
+            return
         played, seen = yardsticks.team_task(task, **set_by_hand), TeamWays()
         chosen = list(dict.fromkeys(names or yardsticks.default_teams(task)))
         watch = yardsticks.ignore if out is None else seen
@@ -88,6 +108,41 @@ def teams(
             typer.echo(f"wrote {out}")
 
 
+def _ablate(
+    setup: dict[str, Any],
+    worlds: int | None,
+    split: str | None,
+    names: list[str],
+    how: tuple[int, str],
+    json: Path | None,
+    overrides: dict[str, Any],
+) -> None:
+    """Play teams with parts taken away, print the table, and write it to a file."""
+    from usarmjx.train.evaluation import ablation, yardsticks
+
+    task, played = yardsticks.task_to_play(setup["task"], worlds, split, **overrides)
+    rows = ablation.ablate(task, setup["task"], played, names, *how, lambda row: _tell(row.result))
+    typer.echo(ablation.ablation_table(rows))
+    if json is not None:
+        content = [
+            {
+                "team": one.team,
+                "without": one.without,
+                "difference": vars(one.difference),
+                **_plain(one.result),
+            }
+            for one in rows
+        ]
+        with atomic_write(json) as fresh:
+            fresh.write_text(json_format.dumps({**setup, "engine": how[1], "rows": content}, indent=1) + "\n")
+
+
+def _plain(row: "TeamResult") -> dict[str, Any]:
+    """Return a row as JSON can hold it."""
+    by_world = [value if math.isfinite(value) else None for value in row.by_world]
+    return {**vars(row), "reached": row.reached, "score": vars(row.score), "by_world": by_world}
+
+
 def _tell(row: "TeamResult") -> None:
     """Say what a team got as soon as it is known."""
     say(f"{row.name}: {row.score.value:.1f}")
@@ -100,7 +155,7 @@ def _warn(note: str) -> None:
 
 def _keep(path: Path, setup: dict[str, Any], rows: "tuple[TeamResult, ...]") -> None:
     """Write the rows as JSON, below what they are of."""
-    content = [{**vars(row), "reached": row.reached, "score": vars(row.score)} for row in rows]
+    content = [_plain(row) for row in rows]
     with atomic_write(path) as fresh:
         fresh.write_text(json_format.dumps({**setup, "rows": content}, indent=1) + "\n", encoding="utf-8")
 
