@@ -181,7 +181,10 @@ def run_suite(  # noqa: PLR0913 - all but four may be left out
         WriteError: The folder cannot be written to.
     """
     spec = suite.spec(split, method, runs, **common)
-    place = folder / "cells" / f"{suite.name}-{split}"
+    origin = provenance()
+    # Cells are kept by code and machine: results name one of each, so they hold no cell of another.
+    kept = hashlib.sha256(json.dumps(origin, sort_keys=True).encode()).hexdigest()[:12]
+    place = folder / "cells" / f"{suite.name}-{split}-{kept}"
     found = run_sweep(spec, place, workers, say=say, stream=stream)
     if failed := [one for one in found.records if one.failed is not None]:
         raise UsageError(f"{len(failed)} of {len(spec.cells)} cells failed, the first: {failed[0].failed}")
@@ -198,7 +201,7 @@ def run_suite(  # noqa: PLR0913 - all but four may be left out
             when=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             policies={task: run_digest(run, task) for task in {one.settings["task"] for one in own}},
             cells=tuple(own),
-            **provenance(),
+            **origin,
         )
         files.append(folder / result.file_name(number))
         result.write(files[-1])
