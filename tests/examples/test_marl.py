@@ -4,14 +4,13 @@ Scores are those of exploring actions, so they stay a little below those of the 
 """
 
 import json
-import sys
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.scripts import EXAMPLES
+from tests.scripts import EXAMPLES, load
 from usarmjx.base.errors import UsageError
 from usarmjx.train.evaluation.evaluate import play_episodes
 from usarmjx.train.learning.metrics import read_lines
@@ -19,16 +18,13 @@ from usarmjx.train.policies.own_policy import own_policy
 from usarmjx.train.policies.sources import load_policy
 
 FOLDER = EXAMPLES / "marl"
-if str(FOLDER) not in sys.path:
-    sys.path.append(str(FOLDER))
-
+SHARED, GAMES = load("marl/marl_shared"), load("marl/marl_games")
 WORLDS, LENGTH = 64, 8
 
 
 def learn(name, game, iterations=14, **more):
     """Train on a game; return the module, the flags, the last weights and the lines."""
-    module, games = __import__(name), __import__("marl_games")
-    env = games.GAMES[game](WORLDS)
+    module, env = load(f"marl/{name}"), GAMES.GAMES[game](WORLDS)
     kinds = (one for one in vars(module).values() if isinstance(one, type))
     kind = next(one for one in kinds if one.__name__.endswith("Flags"))
     steps = WORLDS * LENGTH * env.agents * iterations
@@ -66,9 +62,9 @@ def _jitted(policy):
     ],
 )
 def test_an_algorithm_reaches_the_best_score_of_a_game(name, game, best, more):
-    """Blind agents reach 0.36, agents without memory 0.52 in `recall`: 0.9 takes what is seen and remembered."""
+    """Blind agents reach 0.36, agents without memory 0.52 in `recall`: 0.9 takes sight and memory."""
     module, flags, params, lines = learn(name, game, **more)
-    env = __import__("marl_games").GAMES[game](WORLDS)
+    env = GAMES.GAMES[game](WORLDS)
     assert lines[0]["score"] < 0.6
     assert 0.9 * best < score(module, flags, params, env) <= best + 1e-6
 
@@ -78,20 +74,19 @@ def test_a_game_of_messages_is_solved_with_messages_only_and_by_teams_of_any_siz
 
     The mailbox is differentiable: nothing else tells the speaker what to say.
     """
-    games = __import__("marl_games")
     out = str(tmp_path / "run")
     module, flags, params, lines = learn("attention", "whisper", message=2, out=out, iterations=20)
-    assert score(module, flags, params, games.Whisper(WORLDS)) > 0.9
-    assert score(module, flags, params, games.Whisper(WORLDS, agents=5)) > 0.85
+    assert score(module, flags, params, GAMES.Whisper(WORLDS)) > 0.9
+    assert score(module, flags, params, GAMES.Whisper(WORLDS, agents=5)) > 0.85
     silent = learn("attention", "whisper", message=0, iterations=20)
-    assert score(*silent[:3], games.Whisper(WORLDS)) < (1 + 2 * games.BLIND) / 3 + 0.02
+    assert score(*silent[:3], GAMES.Whisper(WORLDS)) < (1 + 2 * GAMES.BLIND) / 3 + 0.02
     # The run is one of usarmjx: its lines are read by `curves`, its policy by `eval`, `suite` and `teams`.
     assert [one["agent_steps"] for one in read_lines(tmp_path / "run" / "metrics.jsonl")] == [
         one["agent_steps"] for one in lines
     ]
     assert json.loads((tmp_path / "run" / "run.json").read_text())["flags"]["message"] == 2
     name = f"{FOLDER / 'attention.py'}:load@{tmp_path / 'run'}"
-    env = games.Whisper(4)
+    env = GAMES.Whisper(4)
     played = own_policy(name, env)
     _, (action,) = played.act(played.initial_carry(4), env.reset(0).obs, jax.random.key(0))
     _, (own,) = module.policy_of(env, flags, params).act(None, env.reset(0).obs, jax.random.key(0))
@@ -100,7 +95,7 @@ def test_a_game_of_messages_is_solved_with_messages_only_and_by_teams_of_any_siz
 
 def test_links_between_agents_are_read_from_the_robots_own_observations():
     """Robot 0 is a base, 1 and 2 are agents: each has two others, and only 1 has a link to 2."""
-    layout = __import__("attention").Layout(start=1, features=4, link=3, slots=(1, 2), robots=3)
+    layout = load("marl/attention").Layout(start=1, features=4, link=3, slots=(1, 2), robots=3)
     base, mate = [0.1, 0.2, 0.3, 1.0], [0.4, 0.5, 0.6, 1.0]
     far = [0.4, 0.5, 0.6, 0.0]
     obs = jnp.array([[[7.0, *base, *mate, 8.0], [7.0, *base, *far, 8.0]]])
@@ -112,10 +107,9 @@ def test_links_between_agents_are_read_from_the_robots_own_observations():
 
 def test_advantages_are_those_of_the_definition():
     """Three steps, an end after the second: by hand, with gamma 0.5 and lambda 0.5."""
-    shared = __import__("marl_shared")
     reward, value = jnp.array([1.0, 2.0, 3.0]), jnp.array([0.5, 1.0, 2.0])
     done = jnp.array([False, True, False])
-    advantage, target = shared.generalised_advantages(reward, value, jnp.float32(4.0), done, 0.5, 0.5)
+    advantage, target = SHARED.generalised_advantages(reward, value, jnp.float32(4.0), done, 0.5, 0.5)
     # Backwards: 3 + 0.5 x 4 - 2; 2 - 1; 1 + 0.5 x 1 - 0.5 + 0.25 x 1.
     assert advantage.tolist() == [1.25, 1.0, 3.0]
     assert target.tolist() == [1.75, 2.0, 5.0]
@@ -123,7 +117,7 @@ def test_advantages_are_those_of_the_definition():
 
 def test_returns_of_the_teams_value_are_those_of_the_definition():
     """With lambda 1 the rewards up to the end, with 0 one step and the best value after it."""
-    pqn = __import__("pqn_vdn")
+    pqn = load("marl/pqn_vdn")
     rows = {"obs": None, "action": None}
     batch = pqn.Batch(
         **rows,

@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDER, PAGE = ROOT / "leaderboard", ROOT / "docs" / "leaderboard.md"
 FILES = sorted(FOLDER.glob(f"*{SUFFIX}"))
 TOLERANCE = 0.25
-"""Share of the replayed buildings whose score may differ: other versions and processors compute other bits."""
+"""Share of replayed buildings whose score may differ: other versions and processors round otherwise."""
 
 
 def test_the_page_is_made_of_the_files():

@@ -73,68 +73,77 @@ def teams(
             print_task(task, {}, pairs)
             return
         announce("building the worlds that teams play in ...", engines=[tried_on(engine)])
-        from usarmjx.engines import choose_engine
-        from usarmjx.plots.style import check_figure
-        from usarmjx.plots.team_plots import TeamWays, plot_teams
-        from usarmjx.train.evaluation import yardsticks
-        from usarmjx.train.policies.sources import task_settings, usual_split
-
-        if out is not None:
-            check_figure(out)  # before minutes of play
-        set_by_hand, _ = task_settings(task, {}, pairs)
         if ablate:
-            setup = {"task": task, "split": split or usual_split(task, set_by_hand), "settings": pairs}
-            _ablate(
-                setup,
-                worlds,
-                split,
-                names or ["packaged"],
-                (seed, choose_engine(engine, "train")),
-                json,
-                set_by_hand,
-            )
-            return
-        played, seen = yardsticks.team_task(task, **set_by_hand), TeamWays()
-        chosen = list(dict.fromkeys(names or yardsticks.default_teams(task)))
-        watch = yardsticks.ignore if out is None else seen
-        how = (seed, choose_engine(engine, "train"), chosen, _tell, watch, split, _warn)
-        rows = yardsticks.measure_teams(task, worlds, *how, **set_by_hand)
-        typer.echo(yardsticks.table(played, rows))
-        if json is not None:
-            split = split or usual_split(task, set_by_hand)
-            _keep(json, {"task": task, "split": split, "engine": how[1], "settings": pairs}, rows)
-        if out is not None:
-            plot_teams(task, rows, seen, out)
-            typer.echo(f"wrote {out}")
+            _ablate(task, names or ["packaged"], worlds, seed, engine, split, pairs, json)
+        else:
+            _compare(task, names, worlds, seed, engine, split, pairs, out, json)
+
+
+def _compare(
+    task: str,
+    names: list[str] | None,
+    worlds: int | None,
+    seed: int,
+    engine: str,
+    split: str | None,
+    pairs: list[str],
+    out: Path | None,
+    json: Path | None,
+) -> None:
+    """Play teams, print the table, write it and draw it."""
+    from usarmjx.engines import choose_engine
+    from usarmjx.plots.style import check_figure
+    from usarmjx.plots.team_plots import TeamWays, plot_teams
+    from usarmjx.train.evaluation import yardsticks
+    from usarmjx.train.policies.sources import task_settings, usual_split
+
+    if out is not None:
+        check_figure(out)  # before minutes of play
+    set_by_hand, _ = task_settings(task, {}, pairs)
+    played, seen = yardsticks.team_task(task, **set_by_hand), TeamWays()
+    chosen = list(dict.fromkeys(names or yardsticks.default_teams(task)))
+    watch = yardsticks.ignore if out is None else seen
+    how = (seed, choose_engine(engine, "train"), chosen, _tell, watch, split, _warn)
+    rows = yardsticks.measure_teams(task, worlds, *how, **set_by_hand)
+    typer.echo(yardsticks.table(played, rows))
+    if json is not None:
+        split = split or usual_split(task, set_by_hand)
+        _keep(json, {"task": task, "split": split, "engine": how[1], "settings": pairs}, rows)
+    if out is not None:
+        plot_teams(task, rows, seen, out)
+        typer.echo(f"wrote {out}")
 
 
 def _ablate(
-    setup: dict[str, Any],
-    worlds: int | None,
-    split: str | None,
+    task: str,
     names: list[str],
-    how: tuple[int, str],
+    worlds: int | None,
+    seed: int,
+    engine: str,
+    split: str | None,
+    pairs: list[str],
     json: Path | None,
-    overrides: dict[str, Any],
 ) -> None:
     """Play teams with parts taken away, print the table, and write it to a file."""
+    from usarmjx.engines import choose_engine
     from usarmjx.train.evaluation import ablation, yardsticks
+    from usarmjx.train.policies.sources import task_settings, usual_split
 
-    task, played = yardsticks.task_to_play(setup["task"], worlds, split, **overrides)
-    rows = ablation.ablate(task, setup["task"], played, names, *how, lambda row: _tell(row.result))
+    overrides, _ = task_settings(task, {}, pairs)
+    engine = choose_engine(engine, "train")
+    own, played = yardsticks.task_to_play(task, worlds, split, **overrides)
+    rows = ablation.ablate(own, task, played, names, seed, engine, lambda row: _tell(row.result))
     typer.echo(ablation.ablation_table(rows))
-    if json is not None:
-        content = [
-            {
-                "team": one.team,
-                "without": one.without,
-                "difference": vars(one.difference),
-                **_plain(one.result),
-            }
-            for one in rows
-        ]
-        with atomic_write(json) as fresh:
-            fresh.write_text(json_format.dumps({**setup, "engine": how[1], "rows": content}, indent=1) + "\n")
+    if json is None:
+        return
+    content = [
+        {"team": one.team, "without": one.without, "difference": vars(one.difference), **_plain(one.result)}
+        for one in rows
+    ]
+    setup = {"task": task, "split": split or usual_split(task, overrides), "settings": pairs}
+    with atomic_write(json) as fresh:
+        text = json_format.dumps({**setup, "engine": engine, "rows": content}, indent=1)
+        fresh.write_text(text + "\n", encoding="utf-8")
 
 
 def _plain(row: "TeamResult") -> dict[str, Any]:

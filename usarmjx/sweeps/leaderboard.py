@@ -17,7 +17,8 @@ from usarmjx.sweeps.suite import BenchmarkSuite, find_suite, load_suite
 INTRODUCTION = """# Leaderboard
 
 `usarmjx suite leaderboard` writes this page from the results files in [leaderboard](../leaderboard). Each
-file is one run of a method in a suite, with commit, card, versions, settings, seeds and all scores. To add a method, play it on split `test`, put the files of all its runs into that folder, write the page anew
+file is one run of a method in a suite, with commit, card, versions, settings, seeds and all scores. To add a
+method, play it on split `test`, put the files of all its runs into that folder, write the page anew
 and open a pull request:
 
 ```console
