@@ -40,7 +40,7 @@ class TaskStanding:
         task: The task.
         method: The method.
         scores: Scores as the task gives them (runs, settings, buildings).
-        shares: Scores between 0 and 1, see `Anchor`; None: the suite's anchors have no results.
+        shares: Scores as shares between those that count as 0 and 1; None: these have no results.
         metrics: Means of the reported metrics, by name.
         seconds: Time of an episode, without compilation [s].
     """
