@@ -162,8 +162,8 @@ class Learner(struct.PyTreeNode, kw_only=True):
     key: jax.Array
 
 
-def network(team: shared.Team, flags: AttentionFlags) -> Talker:
-    """Return the network of a team."""
+def network(team: shared.Team, flags: AttentionFlags) -> Any:
+    """Return the network of a team; flax leaves its types open."""
     return Talker(flags.hidden, team.action_size, flags.message, Layout.of(team.env))
 
 
@@ -186,7 +186,7 @@ def collect(
         action = mean + jnp.exp(log_std) * jax.random.normal(own, mean.shape)
         after = team.env.step(state, team.split(action))
         # An episode that the time limit cuts off would have gone on: its last state has a value.
-        *_, cut = net.apply(learner.params, team.merge(after.final_obs))
+        cut = net.apply(learner.params, team.merge(after.final_obs))[-1]
         reward = flags.reward_scale * team.reward(after) + flags.gamma * cut * after.truncated[:, None]
         row = Batch(
             obs=obs,

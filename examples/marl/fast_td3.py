@@ -100,8 +100,8 @@ class Learner(struct.PyTreeNode, kw_only=True):
     steps: jax.Array
 
 
-def networks(team: shared.Team, flags: Td3Flags) -> tuple[Actor, TwinCritic]:
-    """Return the networks of a team."""
+def networks(team: shared.Team, flags: Td3Flags) -> tuple[Any, Any]:
+    """Return the networks of a team; flax leaves their types open."""
     return Actor(flags.hidden, team.action_size), TwinCritic(flags.hidden)
 
 

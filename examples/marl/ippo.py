@@ -81,8 +81,8 @@ class Learner(struct.PyTreeNode, kw_only=True):
     key: jax.Array
 
 
-def network(team: shared.Team, flags: IppoFlags) -> ActorCritic:
-    """Return the network of a team."""
+def network(team: shared.Team, flags: IppoFlags) -> Any:
+    """Return the network of a team; flax leaves its types open."""
     return ActorCritic(flags.hidden, team.action_size)
 
 
@@ -105,7 +105,7 @@ def collect(
         action = mean + jnp.exp(log_std) * jax.random.normal(own, mean.shape)
         after = team.env.step(state, team.split(action))
         # An episode that the time limit cuts off would have gone on: its last state has a value.
-        *_, cut = net.apply(learner.params, team.merge(after.final_obs))
+        cut = net.apply(learner.params, team.merge(after.final_obs))[-1]
         reward = flags.reward_scale * team.reward(after) + flags.gamma * cut * after.truncated[:, None]
         done = jnp.broadcast_to(after.done[:, None], reward.shape)
         row = Batch(

@@ -99,8 +99,8 @@ def truth_of(team: shared.Team, obs: tuple[jax.Array, ...], privileged: jax.Arra
     return jnp.concatenate([whole, which], -1)
 
 
-def networks(team: shared.Team, flags: MappoFlags) -> tuple[Actor, CentralCritic]:
-    """Return the networks of a team."""
+def networks(team: shared.Team, flags: MappoFlags) -> tuple[Any, Any]:
+    """Return the networks of a team; flax leaves their types open."""
     return Actor(flags.hidden, team.action_size), CentralCritic(flags.hidden)
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import serialization
+from flax.serialization import from_bytes, to_bytes
 
 WEIGHTS, RUN, METRICS = "weights.msgpack", "run.json", "metrics.jsonl"
 
@@ -200,7 +200,7 @@ class Recorder:
     def save(self, params: Any) -> None:
         """Write the weights."""
         if self.out is not None:
-            (self.out / WEIGHTS).write_bytes(serialization.to_bytes(params))
+            (self.out / WEIGHTS).write_bytes(to_bytes(params))
 
 
 def run(
@@ -229,4 +229,4 @@ def saved_flags(kind: type[Any], folder: str) -> Any:
 
 def saved_weights(like: Any, folder: str) -> Any:
     """Return the weights of a run, in a tree like this one."""
-    return serialization.from_bytes(like, (Path(folder) / WEIGHTS).read_bytes())
+    return from_bytes(like, (Path(folder) / WEIGHTS).read_bytes())

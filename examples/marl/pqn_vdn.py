@@ -80,8 +80,8 @@ def action_table(team: shared.Team, flags: PqnFlags) -> np.ndarray:
     )
 
 
-def network(team: shared.Team, flags: PqnFlags) -> QNetwork:
-    """Return the network of a team."""
+def network(team: shared.Team, flags: PqnFlags) -> Any:
+    """Return the network of a team; flax leaves its types open."""
     return QNetwork(flags.hidden, len(action_table(team, flags)))
 
 
