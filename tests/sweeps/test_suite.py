@@ -85,7 +85,9 @@ def test_the_bundled_suite_asks_for_held_out_buildings_that_do_not_depend_on_the
     assert {one["task"]: one["arena.count"] for one in few.cells} == counts
     with pytest.raises(UsageError, match="split 'train', expected one of validation, test"):
         suite.spec("train", "mine", ["random"])
-    with pytest.raises(UsageError, match="no-such is no file, and no bundled suite; those are: teams-v1"):
+    with pytest.raises(
+        UsageError, match="no-such is no file, and no bundled suite; those are: drive-v1, teams-v1"
+    ):
         find_suite("no-such")
 
 
