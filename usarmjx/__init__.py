@@ -10,6 +10,11 @@ docs/api.md lists them); all other modules may change. Begin with docs/start.md,
 Names load on first use. The import raises JAX's pool of threads, see `base.process`.
 """
 
+from usarmjx.base.early_signals import catch_signals, is_command
+
+if is_command():  # before any further import: each takes a while, and a signal would be a traceback
+    catch_signals()
+
 from typing import TYPE_CHECKING
 
 from usarmjx.base import process
