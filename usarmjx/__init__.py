@@ -10,10 +10,10 @@ docs/api.md lists them); all other modules may change. Begin with docs/start.md,
 Names load on first use. The import raises JAX's pool of threads, see `base.process`.
 """
 
-from usarmjx.base.early_signals import catch_signals, is_command
+from usarmjx.base import early_signals
 
-if is_command():  # before any further import: each takes a while, and a signal would be a traceback
-    catch_signals()
+if early_signals.is_command():  # before further imports, during which a signal would be a traceback
+    early_signals.catch_signals()
 
 from typing import TYPE_CHECKING
 
