@@ -22,7 +22,7 @@ from usarmjx.view.training_page import BatchSource
 @pytest.fixture(scope="module")
 def batch():
     """Two worlds with different mazes."""
-    scene = usarmjx.build_scene(generate_many("maze", 2, seed=7, size=(2, 2)), ["P2DX"])
+    scene = usarmjx.build_scene(generate_many("maze", 2, seed=7, size=(3, 3)), ["P2DX"])
     return usarmjx.Batch(scene, worlds=2, engine="c")
 
 

@@ -189,7 +189,7 @@ JOB = "With --headless"
 FOLDER = Path("out")
 """Folder of the headless demonstration's output."""
 SECONDS = 20.0
-"""So long it drives [s]."""
+"""Length of its drive [s]."""
 
 
 def demo(
