@@ -155,4 +155,4 @@ def _text(values: np.ndarray) -> str:
 
 @cache
 def _page() -> str:
-    return resources.files(__package__).joinpath(PAGE).read_text(encoding="utf-8")
+    return resources.files("usarmjx.plots").joinpath(PAGE).read_text(encoding="utf-8")

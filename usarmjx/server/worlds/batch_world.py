@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Vec3, quat_from_angles
@@ -93,7 +94,7 @@ def select_world(instance: int, tree: Any) -> Any:  # noqa: ANN401 - a PyTree
 
 
 @jax.jit  # written one by one, the fields of a robot would be some thirty programs
-def write_member(old: Any, new: Any, instance: jax.Array, member: jax.Array) -> Any:  # noqa: ANN401 - PyTrees
+def write_member(old: Any, new: Any, instance: Array, member: Array) -> Any:  # noqa: ANN401 - PyTrees
     """Return a PyTree (worlds, robots, ...) with the values of one robot of a world replaced."""
     return jax.tree.map(lambda rows, row: rows.at[instance, member].set(row), old, new)
 

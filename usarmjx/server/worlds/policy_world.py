@@ -77,7 +77,8 @@ def _blank(one: jax.ShapeDtypeStruct) -> Array:
     """Return an array of a shape; its values count for nothing."""
     if jnp.issubdtype(one.dtype, jax.dtypes.prng_key):
         return jnp.broadcast_to(random.key(0), one.shape)
-    return np.zeros(one.shape, one.dtype)
+    blank: np.ndarray = np.zeros(one.shape, one.dtype)
+    return blank
 
 
 class PolicyBatch(SharedBatch):
