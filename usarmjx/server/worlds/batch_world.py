@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsageError
 from usarmjx.base.transforms import Vec3, quat_from_angles
@@ -94,7 +93,7 @@ def select_world(instance: int, tree: Any) -> Any:  # noqa: ANN401 - a PyTree
 
 
 @jax.jit  # written one by one, the fields of a robot would be some thirty programs
-def write_member(old: Any, new: Any, instance: Array, member: Array) -> Any:  # noqa: ANN401 - PyTrees
+def write_member(old: Any, new: Any, instance: int, member: int) -> Any:  # noqa: ANN401 - PyTrees
     """Return a PyTree (worlds, robots, ...) with the values of one robot of a world replaced."""
     return jax.tree.map(lambda rows, row: rows.at[instance, member].set(row), old, new)
 
@@ -190,7 +189,7 @@ class BatchWorld(ServedWorld):
         group, member = self.scene.group_of(robot.slot)
         state: GroupState = self._state.worlds.groups[group]
         before = {name: getattr(state, name) for name in fields}
-        new = write_member(before, fields, np.int32(self._instance), np.int32(member))
+        new = write_member(before, fields, self._instance, member)
         self._state = self._batch.with_group(self._state, group, state.replace(**new))
 
     def spawn_at(self, robot: RobotSpec, name: str, poses: Sequence[tuple[Vec3, Vec3]]) -> Robot:

@@ -75,10 +75,10 @@ class PolicyState(struct.PyTreeNode, kw_only=True):
 
 def _blank(one: jax.ShapeDtypeStruct) -> Array:
     """Return an array of a shape; its values count for nothing."""
-    if jnp.issubdtype(one.dtype, jax.dtypes.prng_key):
-        return jnp.broadcast_to(random.key(0), one.shape)
-    blank: np.ndarray = np.zeros(one.shape, one.dtype)
-    return blank
+    kind: Any = one.dtype
+    is_key = bool(jnp.issubdtype(kind, jax.dtypes.prng_key))
+    blank = jnp.broadcast_to(random.key(0), one.shape) if is_key else np.zeros(one.shape, kind)
+    return blank  # pyright: ignore[reportUnknownVariableType] - NumPy has no type for `kind`
 
 
 class PolicyBatch(SharedBatch):
