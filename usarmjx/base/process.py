@@ -25,38 +25,18 @@ MIN_THREADS = 8
 """Smallest thread pool that does not deadlock."""
 POOL, CORES = "USARMJX_POOL", "cores"
 """Environment variable and its value for a pool of one thread per core."""
-MAPPED_FROM = 1 << 20
-"""Size from which a block of memory comes from the system and goes back when it is freed [bytes]."""
-ARENAS = 4
-"""Most arenas of the heap in a process that runs for days."""
-_M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8
-"""Options of glibc's `mallopt`, by their numbers in malloc.h."""
 _started_before_us = False
 _raised_from: tuple[str | None] | None = None
 """Value of NPROC before it was raised, in a tuple; None: not raised."""
 
 
 @cache
-def _libc_function(name: str) -> Callable[..., Any] | None:
-    """Return a function of glibc; None with another C library."""
+def _trim() -> Callable[[int], Any] | None:
+    """Return glibc's malloc_trim; None with another C library."""
     try:
-        return cast(Callable[..., Any], getattr(ctypes.CDLL(None), name))
+        return cast(Callable[[int], Any], ctypes.CDLL(None).malloc_trim)
     except (AttributeError, OSError, TypeError):
         return None
-
-
-def bound_heap() -> None:
-    """Keep glibc's heap small for a process that runs for days; no effect with another C library.
-
-    glibc raises the size from which it takes a block from the system with the largest block freed so far, up
-    to 32 MB, and gives each thread an arena of its own. Then messages of a few megabytes lie among small
-    blocks of several arenas, and their memory is not returned. Here that size stays as it is, and threads
-    share a few arenas.
-    """
-    set_option = _libc_function("mallopt")
-    if set_option is not None:
-        set_option(_M_MMAP_THRESHOLD, MAPPED_FROM)
-        set_option(_M_ARENA_MAX, ARENAS)
 
 
 def return_freed_memory() -> None:
@@ -65,7 +45,7 @@ def return_freed_memory() -> None:
     A model and its data are allocated anew whenever a robot joins or leaves. glibc keeps such large blocks
     for reuse and puts small ones between them: a server grew by 0.5 MB with each visit of a robot.
     """
-    trim = _libc_function("malloc_trim")
+    trim = _trim()
     if trim is not None:
         trim(0)
 

@@ -9,7 +9,14 @@ import typer
 
 from usarmjx.base.files import atomic_write
 from usarmjx.base.progress import RateLimitedLog
-from usarmjx.cli.common import ErrorExit, SeedOption
+from usarmjx.cli.common import (
+    ErrorExit,
+    PackagesOption,
+    PiecesOption,
+    SeedOption,
+    TaskRobotOption,
+    with_robot,
+)
 from usarmjx.cli.completion import complete_policies, complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions, SplitOption
 from usarmjx.cli.setting_options import with_settings
@@ -39,10 +46,7 @@ def teams(
     ] = None,
     worlds: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            help="Episodes, each in a building of its own; 24, or one in each building of a --split.",
-        ),
+        typer.Option(min=1, help="Episodes, each in a building of its own; 24, or each of a --split."),
     ] = None,
     seed: SeedOption = 0,
     engine: PolicyEngineOption = "auto",
@@ -50,6 +54,9 @@ def teams(
     settings: TaskSetOption = None,
     config: TaskConfigOption = None,
     print_config: TaskPrintOption = False,
+    robot: TaskRobotOption = None,
+    packages: PackagesOption = None,
+    pieces: PiecesOption = None,
     ablate: Annotated[
         bool,
         typer.Option(
@@ -68,7 +75,7 @@ def teams(
 ) -> None:
     """Compare teams in the same buildings: each part of their scores, and how early they find."""
     with ErrorExit():
-        pairs = task_pairs(task, settings or (), config)
+        pairs = task_pairs(task, with_robot(settings, robot), config)
         if print_config:
             print_task(task, {}, pairs)
             return

@@ -17,7 +17,7 @@ from collections.abc import Generator, Sequence
 from functools import partial
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.process import bound_heap, return_freed_memory
+from usarmjx.base.process import return_freed_memory
 from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.network.loop_meter import LoopMeter, loop_meter, run_metered
 from usarmjx.server.runtime.signals import StopSignals
@@ -40,11 +40,10 @@ MAX_FACTOR = 1000.0
 """Largest real-time factor."""
 GC_THRESHOLD = 1000
 """Collections of young objects before one of old objects; Python's default is 10."""
-CLEANING = 10.0
+CLEANING = 60.0
 """Interval at which a server collects old objects all the same, and returns freed memory to the system [s].
 
-Connections that have ended leave cycles of objects with their buffers, of 10 MB for a page: with a minute
-between two collections, memory went up and down by 15 MB.
+Connections that have ended leave cycles of objects with their buffers: a server grew by 10 MB an hour.
 """
 SWITCH_INTERVAL = 5e-4
 """Time after which the loop interrupts another thread of Python, such as JAX's tracing [s]."""
@@ -367,7 +366,6 @@ def serve(servers: Sequence[BotServer], clock: StepClock | float, signals: StopS
         signals.on_stop(partial(_call_soon, asyncio.get_running_loop(), loop))
         await loop.run()
 
-    bound_heap()
     for server in servers:
         server.world.warm_up()
     with low_latency():
