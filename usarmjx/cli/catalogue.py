@@ -175,6 +175,7 @@ SECTIONS = {
     "IMU": "ours",
     "Magnetometer": "ours",
     "Battery": "ours",
+    **dict.fromkeys(("Tachometer", "AltitudeSensor", "MissionTime"), "later versions"),
 }
 """Source of each: a section of the manual, messages of real servers, or neither."""
 SAMPLES = {
@@ -199,6 +200,9 @@ SAMPLES = {
     "IMU": [0.01, 0.0, 0.52, 0.12, 0.02, 9.79],
     "Magnetometer": [20.5, -0.3, -43.4],
     "Battery": [0.75, 23.85, 2700.0],
+    "Tachometer": [3.0, -3.0, 3.0, -3.0, 12.5, -7.1, 12.4, -7.0],
+    "AltitudeSensor": [1.25, 112.25],
+    "MissionTime": [4.0],
 }
 """Values in our axes, of one mount."""
 SHORT_OPTIONS = {
