@@ -150,7 +150,7 @@ robots.
 MESSAGES = """Their messages over TCP; those of the scanners have fewer beams here:
 """
 ROBOTS_NAMED = 3
-"""So many robots are named."""
+"""Number of robots named."""
 MESSAGE_TIME = 62.01
 """Of the messages shown [s]."""
 SECTIONS = {
@@ -177,7 +177,7 @@ SECTIONS = {
     "Battery": "ours",
     **dict.fromkeys(("Tachometer", "AltitudeSensor", "MissionTime"), "later versions"),
 }
-"""Where each is from: a section of the manual, messages of real servers, or what is in neither."""
+"""Source of each: a section of the manual, messages of real servers, or neither."""
 SAMPLES = {
     "Sonar": [1.7626],
     "IR": [0.8569],

@@ -1,4 +1,4 @@
-"""What a team's policy relies on: its scores with parts of what it sees, or of its radio, taken away.
+"""Ablations of a team's policy: its scores without parts of its observations or of its radio.
 
     usarmjx teams explore-v2 packaged --ablate
 
