@@ -12,7 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-GENERATED = ("all-robots", "all-sensors", "all-settings", "api", "commands", "training-settings")
+GENERATED = (
+    "all-robots",
+    "all-sensors",
+    "all-settings",
+    "api",
+    "commands",
+    "leaderboard",
+    "training-settings",
+)
 CONTRACTS = ("conformance/", "conformance-udk", "evidence/")
 """Begins of the names of pages that are tables: contracts and records."""
 MAX_WORDS = 45_000

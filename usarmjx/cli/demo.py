@@ -139,7 +139,7 @@ def run_live(browser: bool, port: int | None, viewer_port: int | None, rosbridge
     )
     with StopSignals() as signals, host.ports() as ports:
         announce(
-            "building four robots in a maze; 20 s the first time on two cores ...",
+            "building four robots in a maze; half a minute the first time ...",
             quickly=True,
             interval=SAY_EVERY,
         )
