@@ -16,12 +16,16 @@ def python_path(*folders):
 
 
 def load(name):
-    """Import an example by path, once; the client library and its controller are the package's."""
+    """Import an example by path, once; the client library and its controller are the package's.
+
+    One of a folder, `marl/ippo`, is known by its last name, as those beside it import it.
+    """
     if name in IN_PACKAGE:
         return importlib.import_module(IN_PACKAGE[name])
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    known = Path(name).name
+    if known not in sys.modules:
+        spec = importlib.util.spec_from_file_location(known, EXAMPLES / f"{name}.py")
         module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module
+        sys.modules[known] = module
         spec.loader.exec_module(module)
-    return sys.modules[name]
+    return sys.modules[known]

@@ -296,6 +296,14 @@ def test_long_pages_and_words_that_must_not_come_back_are_found():
     assert prose.page_of("faq", "**What is it?** A simulator. Where worlds end, others begin.").banned == ()
 
 
+def test_docstrings_begin_with_the_thing_itself():
+    program = (
+        'A = 1\n"""How far it goes [m]."""\ndef ask():\n    """Where is it? Ask."""\nB = "What it is."\n'
+    )
+    assert prose.clauses(program) == [(2, "How far it goes [m].")]
+    assert prose.docstring_faults() == []
+
+
 def test_cards_of_tasks_agree_with_the_tasks():
     """Each task has a card with its steps, its policies, and the sizes of what the policy sees and does."""
     from usarmjx.train.policies import POLICIES

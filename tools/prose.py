@@ -1,16 +1,26 @@
 """Counts of the documentation: words, length of sentences, and words that must not come back.
 
 `python3 dev.py docs` runs it; `python -m tools.prose` prints a table of all pages. Generated pages, the
-records of docs/evidence and the contract tables count apart.
+records of docs/evidence and the contract tables count apart. Docstrings of the package begin with a noun or a
+verb.
 """
 
+import ast
 import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-GENERATED = ("all-robots", "all-sensors", "all-settings", "api", "commands", "training-settings")
+GENERATED = (
+    "all-robots",
+    "all-sensors",
+    "all-settings",
+    "api",
+    "commands",
+    "leaderboard",
+    "training-settings",
+)
 CONTRACTS = ("conformance/", "conformance-udk", "evidence/")
 """Begins of the names of pages that are tables: contracts and records."""
 MAX_WORDS = 45_000
@@ -30,6 +40,9 @@ BANNED = (
     r"^Where\b[^?,]*$",
 )
 """Expressions that a rewrite removed: private words, and sentences whose subject is a clause."""
+
+CLAUSE = re.compile(r"(?:What|Who|Whoever|Where|How|So (?:many|much|long|often))\b[^?]*$", re.DOTALL)
+"""First sentence of a docstring that is a clause, where a noun with its unit belongs."""
 
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 COMMENT = re.compile(r"<!-- ?(settings of|usarmjx bench report).*?<!-- end.*?-->", re.DOTALL)
@@ -106,6 +119,27 @@ def faults(found: list[Page]) -> list[str]:
     return lines
 
 
+def clauses(program: str) -> list[tuple[int, str]]:
+    """Return docstrings, and strings below constants, whose first sentence is a clause; with their lines."""
+    found: list[tuple[int, str]] = []
+    for node in ast.walk(ast.parse(program)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            text = node.value.value
+            first = re.split(r"(?<=[.!?])\s|\n\s*\n", text.strip())[0] if isinstance(text, str) else ""
+            if CLAUSE.match(first):
+                found.append((node.lineno, " ".join(first.split())))
+    return found
+
+
+def docstring_faults(package: Path = ROOT / "usarmjx") -> list[str]:
+    """Return the docstrings of a package that begin with a clause, a line each."""
+    return [
+        f"{path.relative_to(package.parent)}:{line}: {text!r} is a clause, not a noun and its unit"
+        for path in sorted(package.rglob("*.py"))
+        for line, text in clauses(path.read_text(encoding="utf-8"))
+    ]
+
+
 def main() -> None:
     """Print the counts; exit with 1 if a page is at fault."""
     found = pages()
@@ -113,7 +147,7 @@ def main() -> None:
         kind = "" if is_written(page.name) else "  (apart)"
         print(f"{page.words:7,} {page.mean:5.1f} {len(page.banned):3}  {page.name}{kind}")
     print(f"{sum(page.words for page in found if is_written(page.name)):7,} words hand-written")
-    if wrong := faults(found):
+    if wrong := [*faults(found), *docstring_faults()]:
         sys.exit("\n".join(wrong))
 
 

@@ -68,7 +68,7 @@ def oracle_of(path: Path, expanded: bytes | None = None) -> Oracle:
     """Return the figures of a URDF (or expanded xacro) or an MJCF file."""
     text = expanded or path.read_bytes()
     if b"<robot" in text:
-        return _Urdf(path, ET.fromstring(text)).figures()
+        return _Urdf(path, ET.fromstring(text.strip())).figures()
     return _mjcf(path)
 
 
@@ -114,9 +114,7 @@ class _Urdf:
     def _radius(self, joint: ET.Element, children: dict[str | None, list[ET.Element]]) -> float:
         """Return the radius of the solids behind a joint about its axis."""
         axis = joint.find("axis")
-        way = np.array(
-            [float(x) for x in (axis.get("xyz", "1 0 0") if axis is not None else "1 0 0").split()]
-        )
+        way = np.array([*_numbers("1 0 0" if axis is None else axis.get("xyz", "1 0 0"), 3)])
         way /= np.linalg.norm(way)
         far, waiting = 0.0, [(_end(joint, "child"), np.eye(4))]
         while waiting:
@@ -137,7 +135,7 @@ class _Urdf:
         form = element.find("geometry/*")
         if form is None:
             return None
-        numbers = lambda key, usual="": np.array([float(x) for x in form.get(key, usual).split()])  # noqa: E731
+        numbers = lambda key, usual="": np.array(_numbers(form.get(key, usual), 3))  # noqa: E731
         if form.tag == "box":
             points = box(numbers("size") / 2)
         elif form.tag == "sphere":
@@ -162,6 +160,13 @@ class _Urdf:
         raise FileNotFoundError(name)
 
 
+def _numbers(text: str, count: int) -> list[float]:
+    """Return the first numbers of a text; some files have commas between them, or more than axes."""
+    if text.lstrip().startswith("$("):  # an argument of xacro in a URDF file: its usual value
+        text = text.strip().lstrip("$(").rstrip(")").split(None, 2)[2]
+    return [float(word) for word in text.replace(",", " ").split()[:count]]
+
+
 def _end(joint: ET.Element, which: str) -> str | None:
     found = joint.find(which)
     return None if found is None else found.get("link")
@@ -171,14 +176,14 @@ def _origin(element: ET.Element) -> np.ndarray:
     found = element.find("origin")
     frame = np.eye(4)
     if found is not None:
-        roll, pitch, yaw = (float(x) for x in found.get("rpy", "0 0 0").split())
+        roll, pitch, yaw = _numbers(found.get("rpy", "0 0 0"), 3)
         (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a), np.sin(a)) for a in (roll, pitch, yaw))
         frame[:3, :3] = [
             [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
             [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
             [-sp, cp * sr, cp * cr],
         ]
-        frame[:3, 3] = [float(x) for x in found.get("xyz", "0 0 0").split()]
+        frame[:3, 3] = _numbers(found.get("xyz", "0 0 0"), 3)
     return frame
 
 

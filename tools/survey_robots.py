@@ -2,7 +2,7 @@
 
 The packages are not part of the repository. Unpack their wheels below a folder, one folder a package:
 
-    python -m tools.survey_robots FOLDER --list tools/survey_robots.txt --write docs/evidence/public-robots.md
+    python -m tools.survey_robots FOLDER --list tools/survey_robots.txt --write benchmarks/results/robots.md
 
 Each row compares the robot with `survey_oracle`: mass, size, height above the ground, wheel radius, ranges of
 a lidar around it. A robot on wheels also drives ahead on level ground.
@@ -10,9 +10,11 @@ a lidar around it. A robot on wheels also drives ahead on level ground.
 
 import argparse
 import json
+import re
 import signal
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +40,10 @@ MAX_SPEED = 1.0
 """Largest speed of the drive [m/s]."""
 PATIENCE = 150
 """Largest time for one file [s]."""
+LIGHTEST, RESTS = 0.0011, 0.005
+"""Mass of a moving link without one [kg]; way of a robot that stays in its place [m]."""
+NOTE_LENGTH, CELL_LENGTH = 60, 160
+"""Letters of a note and of a cell of the table."""
 FIELD = ArenaSpec(
     name="field", starts=(StartPose(tag="A", at=(0.0, 0.0, 0.0)),), extent=((-60, 60), (-60, 60))
 )
@@ -213,13 +219,30 @@ def table(rows: list[dict[str, Any]]) -> str:
     ):
         some = [check[name] for check in checks if name in check]
         lines.append(f"- {sum(some)} of {len(some)} {meaning}.")
+    light = sum(LIGHTEST / 2 < row["mass"] - row["mass_file"] < LIGHTEST * row["parts"] for row in good)
+    rests = [row["settles"] for row in good if "speed" in row]
+    kinds = Counter(row["drive"] for row in good)
     lines += [
+        f"- Drives: {', '.join(f'{kinds[kind]} {kind}' for kind in sorted(kinds))}.",
+        f"- {sum(way <= RESTS for way in rests)} of {len(rests)} robots on wheels stay within "
+        f"{RESTS * 1e3:g} mm of their place for a second without commands; arms that sink move the others.",
+        f"- {light} robots have moving links without a mass, which weigh 1 g each here.",
         "",
-        "| file | class | drive | mass [kg] | size [m] | height [m] | lidar | speed / wheels | notes |",
+        "**(!)** marks a figure that is off. Robots on legs fall: nothing balances them here.",
+        "",
+        "| file | class | drive | mass [kg] | size [m] | height [m] | lidar | speed / wheels | left out |",
     ]
     lines.append("|---|---|---|---|---|---|---|---|---|")
     lines += [_row(row) for row in rows]
     return "\n".join(lines) + "\n"
+
+
+def dropped(notes: list[str]) -> str:
+    """Return notes without their places and names, as far as a cell has room."""
+    short = [re.sub(r"^\S*?(:\d+)?: ", "", note) for note in notes]
+    heads = [re.split(r": |, which| \(", text)[0][:NOTE_LENGTH].replace("|", "/") for text in short]
+    text = "; ".join(dict.fromkeys(head.replace("<", "&lt;") for head in heads))
+    return text if len(text) <= CELL_LENGTH else f"{text[:CELL_LENGTH]}... ({len(notes)} notes)"
 
 
 def _row(row: dict[str, Any]) -> str:
@@ -238,7 +261,7 @@ def _row(row: dict[str, Any]) -> str:
         f"{row['height']:.3f}{mark('height')}",
         f"{row['seen']:.0%}{mark('seen')}",
         speed,
-        str(len(row["notes"])),
+        dropped(row["notes"]),
     ]
     return f"| {' | '.join(cells)} |"
 

@@ -10,6 +10,11 @@ docs/api.md lists them); all other modules may change. Begin with docs/start.md,
 Names load on first use. The import raises JAX's pool of threads, see `base.process`.
 """
 
+from usarmjx.base import early_signals
+
+if early_signals.is_command():  # before further imports, during which a signal would be a traceback
+    early_signals.catch_signals()
+
 from typing import TYPE_CHECKING
 
 from usarmjx.base import process

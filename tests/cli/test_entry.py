@@ -7,7 +7,10 @@ import sys
 
 import pytest
 
-from usarmjx.cli import early_signals, entry, lazy_commands
+import dev
+from tests.scripts import python_path
+from usarmjx.base import early_signals
+from usarmjx.cli import entry, lazy_commands
 
 HEARD = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
 """Begin of a program that hears SIGINT where the tests run in the background of a shell, which ignores it."""
@@ -23,6 +26,45 @@ def test_a_signal_during_the_imports_is_one_line():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "usarmjx: stopped by SIGINT\n")
+
+
+@pytest.mark.parametrize("number", early_signals.EARLY_SIGNALS)
+def test_so_is_one_before_the_package_has_imported_anything(tmp_path, number):
+    """`sitecustomize` runs before the package: the signal comes with the package's first own import."""
+    (tmp_path / "sitecustomize.py").write_text(
+        f"{HEARD}import builtins, os; usual = builtins.__import__\n"
+        "def slow(name, *rest):\n"
+        f"    if name == 'ctypes': os.kill(os.getpid(), {int(number)})\n"
+        "    return usual(name, *rest)\n"
+        "builtins.__import__ = slow"
+    )
+    path = os.pathsep.join([str(tmp_path), python_path(dev.ROOT)])
+    done = subprocess.run(
+        [sys.executable, "-m", "usarmjx", "list", "robots"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": path},
+    )
+    said = f"usarmjx: stopped by {number.name}\n"
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", said)
+
+
+@pytest.mark.parametrize(
+    ("argv", "words", "answer"),
+    [
+        (["/venv/bin/usarmjx", "serve"], ["python", "/venv/bin/usarmjx", "serve"], True),
+        (["-m", "serve"], ["python", "-X", "dev", "-m", "usarmjx", "serve"], True),
+        (["-m"], ["python", "-m", "pytest"], False),
+        (["/venv/bin/usarmjx", "sweep"], ["python", "-c", "from multiprocessing.spawn import ..."], False),
+        (["own.py", "usarmjx"], ["python", "own.py", "usarmjx"], False),
+        (["-c"], ["python", "-c", "import usarmjx"], False),
+    ],
+)
+def test_only_the_command_itself_catches_signals(monkeypatch, argv, words, answer):
+    monkeypatch.setattr(sys, "argv", argv)
+    monkeypatch.setattr(sys, "orig_argv", words)
+    assert early_signals.is_command() is answer
 
 
 @pytest.mark.parametrize("number", early_signals.EARLY_SIGNALS)
@@ -46,7 +88,7 @@ def test_while_a_command_runs_signals_mean_what_they_did(monkeypatch, handler):
     def note(context):
         during.append((context, signal.getsignal(signal.SIGINT)))
 
-    monkeypatch.setattr("usarmjx.cli.app.app", lambda: early_signals.with_usual_signals(note)("its context"))
+    monkeypatch.setattr("usarmjx.cli.app.app", lambda: lazy_commands.with_usual_signals(note)("its context"))
     try:
         entry.main()
         assert during == [("its context", handler)]

@@ -18,6 +18,8 @@ from usarmjx.server.gamebots.budget import (
     BURST,
     CLIENT_SHARE,
     INIT_COST,
+    JOIN_SHARE,
+    SHARE_BESIDE_JOINS,
     TOTAL_SHARE,
     BudgetPool,
     ClientBudget,
@@ -84,6 +86,32 @@ def test_floods_share_what_there_is_and_who_asks_for_little_is_first():
         assert TOTAL_SHARE * PERIOD * (steps - 5) <= everybody <= TOTAL_SHARE * PERIOD * (steps + 1) + 2 * MS
         assert max(costs) <= BURST + GROWTH * steps + 2 * MS + ROUNDING
         for task, _ in floods:
+            task.cancel()
+
+    asyncio.run(main())
+
+
+def test_turns_and_joins_together_leave_the_world_its_time():
+    """Ten control steps, between two reports, in which all that may join joins, and floods take the rest."""
+
+    async def main():
+        work, join_cost, window = Work(), 20 * MS, 10
+        joins = BudgetPool(PERIOD, JOIN_SHARE, clock=lambda: work.now)
+        work.pool = BudgetPool(PERIOD, clock=lambda: work.now, joins=joins)
+        floods = [work.begin(0.5 * MS, 10**6)[0] for _ in range(15)]
+        spent = []
+        for _ in range(200):
+            began = work.now
+            await work.step()
+            joins.refill()
+            if not joins.is_spent:
+                with joins.spending():
+                    work.now += join_cost
+            spent.append(work.now - began)
+        most = max(sum(spent[i : i + window]) for i in range(20, len(spent) - window))
+        assert most <= (JOIN_SHARE + SHARE_BESIDE_JOINS) * PERIOD * window + join_cost + 5 * MS
+        assert most < 80 * MS
+        for task in floods:
             task.cancel()
 
     asyncio.run(main())

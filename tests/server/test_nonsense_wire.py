@@ -24,6 +24,7 @@ KINDS = (
     "Odometry",
     "INS",
     "Encoder",
+    "Tachometer",
     "RangeScanner",
     "IRScanner",
     "RFID",
@@ -46,7 +47,14 @@ EVERYTHING = replace(
 )
 ANIMATED = {"Gripper": "Open", "RollerTable": "Animate", "Headlight": "Activate", "RFIDReleaser": "Release"}
 OPCODES = {
-    **{"Odometry": "RESET", "INS": "POSE", "Encoder": "RESET", "RangeScanner": "SCAN", "IRScanner": "SCAN"},
+    **{
+        "Odometry": "RESET",
+        "INS": "POSE",
+        "Encoder": "RESET",
+        "Tachometer": "RESET",
+        "RangeScanner": "SCAN",
+        "IRScanner": "SCAN",
+    },
     **{"RFID": "Read", "Camera": "Zoom", "Joint": "Angle"},
     **ANIMATED,
 }

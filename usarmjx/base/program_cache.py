@@ -16,6 +16,7 @@ import sys
 import warnings
 import zlib
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Executor, Future
 from dataclasses import fields, is_dataclass, replace
 from enum import Enum
 from functools import cache, cached_property, partial
@@ -359,9 +360,12 @@ class PrecompiledProgram:
 
     def __init__(self, program: Any) -> None:  # noqa: ANN401 - JAX's own, or a `CachedProgram`
         self._program, self._ready = program, None
+        self._pending: Future[Any] | None = None
 
     def __call__(self, *args: Any) -> Any:  # noqa: ANN401 - PyTrees
         """Call the function."""
+        if self._pending is not None:
+            self._ready, self._pending = self._pending.result(), None
         if self._ready is not None:
             try:
                 return self._ready(*args)
@@ -379,6 +383,20 @@ class PrecompiledProgram:
         lowered = self._program.lower(*shapes)
         tell(lowered.out_info)
         self._ready = lowered.compile()
+
+    def compile_in(self, pool: Executor, *shapes: Any) -> Any:  # noqa: ANN401 - PyTrees
+        """Trace now, compile in another thread, for which the first call waits.
+
+        Args:
+            pool: Threads.
+            shapes: Shapes of the arguments, or arguments.
+
+        Returns:
+            Shapes of the results.
+        """
+        lowered = self._program.lower(*shapes)
+        self._pending = pool.submit(lowered.compile)
+        return lowered.out_info
 
 
 class CachedProgram:

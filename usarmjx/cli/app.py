@@ -114,6 +114,7 @@ COMMANDS = {
         "Compare teams in the same buildings: each part of their scores, and how early they find.",
     ),
     "sweep": ("usarmjx.cli.sweep:app", "Play many configurations of tasks, and compare them."),
+    "suite": ("usarmjx.cli.suite:app", "Play methods through a suite of tasks, and rank them."),
     "serve": (
         "usarmjx.cli.serve:serve",
         "Serve worlds of a batch over the Gamebots protocol, with their radio and cameras.",
@@ -161,7 +162,7 @@ COMMANDS = {
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "Start here": ("demo", "list", "doctor"),
     "Train": ("train", "curves", "export"),
-    "Compare": ("eval", "teams", "sweep"),
+    "Compare": ("eval", "teams", "sweep", "suite"),
     "Serve": ("serve", "console"),
     "Look": ("play", "view", "film", "plot", "replay"),
     "Arenas and robots": ("arena", "robot", "portraits", "radio-map", "calibrate"),
@@ -178,6 +179,7 @@ EXAMPLES: Mapping[str, str] = {
     "eval": "usarmjx eval runs/drive",
     "teams": "usarmjx teams victim-search --out teams.png",
     "sweep": "usarmjx sweep thousand --plan",
+    "suite": "usarmjx suite run baseline --split validation --out results",
     "serve": "usarmjx serve --arena yellow",
     "console": "usarmjx console 127.0.0.1:3000",
     "play": "usarmjx play drive-to-goal --out drive.gif",

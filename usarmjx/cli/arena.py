@@ -14,6 +14,7 @@ from usarmjx.cli.common import (
     OldOutArgument,
     OutFolderOption,
     PackagesOption,
+    PiecesOption,
     SeedOption,
     chosen_out,
     read_size,
@@ -61,13 +62,14 @@ def draw(
 
         if png is None and perspective is None:
             raise UsageError("say what to draw: --png for the floor plan, --perspective for a view")
-        _draw(find_arena(arena, packages=packages or ()), png, perspective)
+        _draw(find_arena(arena), png, perspective)
 
 
 @app.command()
 def export(
     arena: ArenaArgument,
     out: Annotated[Path, typer.Option(help="MJCF file to write, .xml.")],
+    packages: PackagesOption = None,
 ) -> None:
     """Write an arena as one MJCF file, for MuJoCo and its tools."""
     with ErrorExit():
@@ -94,6 +96,7 @@ def check(
     png: PngOption = None,
     perspective: PerspectiveOption = None,
     packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Say what is wrong with an arena; exit code 1 if anything is."""
     with ErrorExit():
@@ -101,7 +104,7 @@ def check(
         from usarmjx.models.check.arena import check_arena
         from usarmjx.models.files.load import find_arena
 
-        found = find_arena(arena, packages=packages or ())
+        found = find_arena(arena)
         faults = check_arena(found, robot)
         if drive:
             from usarmjx.models.files.find_robot import find_robot
@@ -152,6 +155,8 @@ def generate(
     perspective: PerspectiveOption = None,
     yaml: Annotated[Path | None, typer.Option(help="Write the arena to this file.")] = None,
     xml: Annotated[Path | None, typer.Option(help="Write it as an MJCF model for MuJoCo.")] = None,
+    packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Make an arena of the same kind, size, difficulty and seed, always the same; say what is in it."""
     with ErrorExit():
@@ -205,6 +210,8 @@ def lane(
     robot: LaneRobotOption = "P2AT",
     minutes: Annotated[float, typer.Option(help="Simulated time of the test [min].")] = 5.0,
     speed: SpeedOption = 1.0,
+    packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Drive a robot to and fro in a lane; its score is repetitions and metres per minute."""
     with ErrorExit():
@@ -241,6 +248,8 @@ def obstacles(
             help="Measure success at heights up to what hardly any drive gets over, into this file."
         ),
     ] = None,
+    packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Measure how a robot gets over the obstacles of generated arenas that are sized to it."""
     with ErrorExit():

@@ -8,7 +8,7 @@ import typer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.progress import RateLimitedLog
-from usarmjx.cli.common import ErrorExit, SeedOption
+from usarmjx.cli.common import ErrorExit, PackagesOption, PiecesOption, SeedOption
 from usarmjx.cli.startup_messages import announce, say
 
 COMPARED = "c", "planar"
@@ -53,6 +53,8 @@ def calibrate(
     split: Annotated[
         str | None, typer.Option(help="With --tasks: generated arenas that were not trained on, as of eval.")
     ] = None,
+    packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Measure how robots answer their motors, for engine planar, and how far off it is with that."""
     with ErrorExit():

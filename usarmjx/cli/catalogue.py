@@ -150,7 +150,7 @@ robots.
 MESSAGES = """Their messages over TCP; those of the scanners have fewer beams here:
 """
 ROBOTS_NAMED = 3
-"""So many robots are named."""
+"""Number of robots named."""
 MESSAGE_TIME = 62.01
 """Of the messages shown [s]."""
 SECTIONS = {
@@ -175,8 +175,9 @@ SECTIONS = {
     "IMU": "ours",
     "Magnetometer": "ours",
     "Battery": "ours",
+    **dict.fromkeys(("Tachometer", "AltitudeSensor", "MissionTime"), "later versions"),
 }
-"""Where each is from: a section of the manual, messages of real servers, or what is in neither."""
+"""Source of each: a section of the manual, messages of real servers, or neither."""
 SAMPLES = {
     "Sonar": [1.7626],
     "IR": [0.8569],
@@ -199,6 +200,9 @@ SAMPLES = {
     "IMU": [0.01, 0.0, 0.52, 0.12, 0.02, 9.79],
     "Magnetometer": [20.5, -0.3, -43.4],
     "Battery": [0.75, 23.85, 2700.0],
+    "Tachometer": [3.0, -3.0, 3.0, -3.0, 12.5, -7.1, 12.4, -7.0],
+    "AltitudeSensor": [1.25, 112.25],
+    "MissionTime": [4.0],
 }
 """Values in our axes, of one mount."""
 SHORT_OPTIONS = {

@@ -1,6 +1,7 @@
 """Options and helpers that the commands of all sub-applications share."""
 
 import warnings
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
@@ -74,10 +75,51 @@ RobotFilesOption = Annotated[
         "--robot", help="URDF, xacro, SDF or MJCF file of a robot to add; may be given several times."
     ),
 ]
+
+
+def search_packages(ctx: typer.Context, folders: list[Path] | None) -> list[Path] | None:
+    """Search packages and models in the folders of `--packages` first, until the command ends."""
+    if folders and not ctx.resilient_parsing:
+        from usarmjx.models.files.resources import search_first
+
+        ctx.call_on_close(search_first(folders))
+    return folders
+
+
 PackagesOption = Annotated[
     list[Path] | None,
     typer.Option(
-        "--packages", help="Folder with packages or models that the file names; may be given several times."
+        "--packages",
+        exists=True,
+        file_okay=False,
+        callback=search_packages,
+        help="Folder with packages or models that files of robots and arenas name; may be repeated.",
+    ),
+]
+TaskRobotOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Robot class, or a file, of the task: as --set robot=.", autocompletion=complete_robots
+    ),
+]
+
+
+def set_pieces(ctx: typer.Context, pieces: int | None) -> int | None:
+    """Cut meshes of robots into as many pieces as `--pieces` says, until the command ends."""
+    if pieces is not None and not ctx.resilient_parsing:
+        from usarmjx.models.files.resources import cut_meshes
+
+        ctx.call_on_close(cut_meshes(pieces))
+    return pieces
+
+
+PiecesOption = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        max=64,
+        callback=set_pieces,
+        help="Convex pieces of a mesh of a robot's file at most, by coacd; else its hull.",
     ),
 ]
 IniOption = Annotated[
@@ -139,6 +181,11 @@ def add_robots(files: list[Path] | None) -> None:
 
     for path in files:
         register_robot_file(path)
+
+
+def with_robot(pairs: Sequence[str] | None, robot: str | None) -> list[str]:
+    """Return `--set` of a task with the robot of `--robot`, which has priority."""
+    return [*(pairs or ()), *([] if robot is None else [f"robot={robot}"])]
 
 
 def configure_from(files: list[Path] | None, uu_per_metre: float) -> None:

@@ -37,7 +37,7 @@ TASK, ARENA = "explore", "yellow"
 STARTS = ("Start26", "Start43", "Start39", "Start14")
 """Start poses of the team, in different parts of the arena."""
 EPISODE_STEPS = 600
-"""So many actions of 0.2 s after which the team forgets its maps and explores anew."""
+"""Actions of 0.2 s after which the team forgets its maps and explores anew."""
 CUTOFF = -70.0
 """Signals weaker than this are not heard [dBm]; with the task's own cutoff links hold for 3 m at most."""
 LAYERS = ("Radio links",)
@@ -158,12 +158,14 @@ def make_world() -> "PolicyWorld":
     from usarmjx.models.arenas import ARENAS
     from usarmjx.server.worlds.policy_world import PolicyBatch, PolicyWorld
     from usarmjx.train.baselines import BASELINES
-    from usarmjx.train.make import make
+    from usarmjx.train.envs.env import Env
+    from usarmjx.train.make import make_task
     from usarmjx.train.tasks.team import WALLED_RADIO
 
     arena = starting_at(ARENAS.get(ARENA), STARTS)
     radio = replace(WALLED_RADIO, cutoff=CUTOFF)
-    env = make(TASK, engine="c", arena=arena, episode_steps=EPISODE_STEPS, radio=radio)
+    task = make_task(TASK, arena=arena, episode_steps=EPISODE_STEPS, radio=radio)
+    env = Env(task, 1, name=TASK, engine="c")  # `make` would trace the sizes of observations as well
     return PolicyWorld(PolicyBatch(env, BASELINES.get(TASK)(env)))
 
 
@@ -187,7 +189,7 @@ JOB = "With --headless"
 FOLDER = Path("out")
 """Folder of the headless demonstration's output."""
 SECONDS = 20.0
-"""So long it drives [s]."""
+"""Length of its drive [s]."""
 
 
 def demo(

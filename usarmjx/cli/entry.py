@@ -1,6 +1,6 @@
 """Entry point of `usarmjx`."""
 
-from usarmjx.cli.early_signals import catch_signals, restore_signals
+from usarmjx.base.early_signals import catch_signals, restore_signals
 
 
 def main() -> None:

@@ -9,7 +9,14 @@ import typer
 
 from usarmjx.base.files import atomic_write
 from usarmjx.base.progress import RateLimitedLog
-from usarmjx.cli.common import ErrorExit, SeedOption
+from usarmjx.cli.common import (
+    ErrorExit,
+    PackagesOption,
+    PiecesOption,
+    SeedOption,
+    TaskRobotOption,
+    with_robot,
+)
 from usarmjx.cli.completion import complete_policies, complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions, SplitOption
 from usarmjx.cli.setting_options import with_settings
@@ -39,10 +46,7 @@ def teams(
     ] = None,
     worlds: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            help="Episodes, each in a building of its own; 24, or one in each building of a --split.",
-        ),
+        typer.Option(min=1, help="Episodes, each in a building of its own; 24, or each of a --split."),
     ] = None,
     seed: SeedOption = 0,
     engine: PolicyEngineOption = "auto",
@@ -50,6 +54,17 @@ def teams(
     settings: TaskSetOption = None,
     config: TaskConfigOption = None,
     print_config: TaskPrintOption = False,
+    robot: TaskRobotOption = None,
+    packages: PackagesOption = None,
+    pieces: PiecesOption = None,
+    ablate: Annotated[
+        bool,
+        typer.Option(
+            "--ablate",
+            help="Play the packaged or the named teams with advice, goal, map, mates or messages taken away, "
+            "and with a perfect radio.",
+        ),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -60,32 +75,88 @@ def teams(
 ) -> None:
     """Compare teams in the same buildings: each part of their scores, and how early they find."""
     with ErrorExit():
-        pairs = task_pairs(task, settings or (), config)
+        pairs = task_pairs(task, with_robot(settings, robot), config)
         if print_config:
             print_task(task, {}, pairs)
             return
         announce("building the worlds that teams play in ...", engines=[tried_on(engine)])
-        from usarmjx.engines import choose_engine
-        from usarmjx.plots.style import check_figure
-        from usarmjx.plots.team_plots import TeamWays, plot_teams
-        from usarmjx.train.evaluation import yardsticks
-        from usarmjx.train.policies.sources import task_settings, usual_split
+        if ablate:
+            _ablate(task, names or ["packaged"], worlds, seed, engine, split, pairs, json)
+        else:
+            _compare(task, names, worlds, seed, engine, split, pairs, out, json)
 
-        if out is not None:
-            check_figure(out)  # before minutes of play
-        set_by_hand, _ = task_settings(task, {}, pairs)
-        played, seen = yardsticks.team_task(task, **set_by_hand), TeamWays()
-        chosen = list(dict.fromkeys(names or yardsticks.default_teams(task)))
-        watch = yardsticks.ignore if out is None else seen
-        how = (seed, choose_engine(engine, "train"), chosen, _tell, watch, split, _warn)
-        rows = yardsticks.measure_teams(task, worlds, *how, **set_by_hand)
-        typer.echo(yardsticks.table(played, rows))
-        if json is not None:
-            split = split or usual_split(task, set_by_hand)
-            _keep(json, {"task": task, "split": split, "engine": how[1], "settings": pairs}, rows)
-        if out is not None:
-            plot_teams(task, rows, seen, out)
-            typer.echo(f"wrote {out}")
+
+def _compare(
+    task: str,
+    names: list[str] | None,
+    worlds: int | None,
+    seed: int,
+    engine: str,
+    split: str | None,
+    pairs: list[str],
+    out: Path | None,
+    json: Path | None,
+) -> None:
+    """Play teams, print the table, write it and draw it."""
+    from usarmjx.engines import choose_engine
+    from usarmjx.plots.style import check_figure
+    from usarmjx.plots.team_plots import TeamWays, plot_teams
+    from usarmjx.train.evaluation import yardsticks
+    from usarmjx.train.policies.sources import task_settings, usual_split
+
+    if out is not None:
+        check_figure(out)  # before minutes of play
+    set_by_hand, _ = task_settings(task, {}, pairs)
+    played, seen = yardsticks.team_task(task, **set_by_hand), TeamWays()
+    chosen = list(dict.fromkeys(names or yardsticks.default_teams(task)))
+    watch = yardsticks.ignore if out is None else seen
+    how = (seed, choose_engine(engine, "train"), chosen, _tell, watch, split, _warn)
+    rows = yardsticks.measure_teams(task, worlds, *how, **set_by_hand)
+    typer.echo(yardsticks.table(played, rows))
+    if json is not None:
+        split = split or usual_split(task, set_by_hand)
+        _keep(json, {"task": task, "split": split, "engine": how[1], "settings": pairs}, rows)
+    if out is not None:
+        plot_teams(task, rows, seen, out)
+        typer.echo(f"wrote {out}")
+
+
+def _ablate(
+    task: str,
+    names: list[str],
+    worlds: int | None,
+    seed: int,
+    engine: str,
+    split: str | None,
+    pairs: list[str],
+    json: Path | None,
+) -> None:
+    """Play teams with parts taken away, print the table, and write it to a file."""
+    from usarmjx.engines import choose_engine
+    from usarmjx.train.evaluation import ablation, yardsticks
+    from usarmjx.train.policies.sources import task_settings, usual_split
+
+    overrides, _ = task_settings(task, {}, pairs)
+    engine = choose_engine(engine, "train")
+    own, played = yardsticks.task_to_play(task, worlds, split, **overrides)
+    rows = ablation.ablate(own, task, played, names, seed, engine, lambda row: _tell(row.result))
+    typer.echo(ablation.ablation_table(rows))
+    if json is None:
+        return
+    content = [
+        {"team": one.team, "without": one.without, "difference": vars(one.difference), **_plain(one.result)}
+        for one in rows
+    ]
+    setup = {"task": task, "split": split or usual_split(task, overrides), "settings": pairs}
+    with atomic_write(json) as fresh:
+        text = json_format.dumps({**setup, "engine": engine, "rows": content}, indent=1)
+        fresh.write_text(text + "\n", encoding="utf-8")
+
+
+def _plain(row: "TeamResult") -> dict[str, Any]:
+    """Return a row as JSON can hold it."""
+    by_world = [value if math.isfinite(value) else None for value in row.by_world]
+    return {**vars(row), "reached": row.reached, "score": vars(row.score), "by_world": by_world}
 
 
 def _tell(row: "TeamResult") -> None:
@@ -100,7 +171,7 @@ def _warn(note: str) -> None:
 
 def _keep(path: Path, setup: dict[str, Any], rows: "tuple[TeamResult, ...]") -> None:
     """Write the rows as JSON, below what they are of."""
-    content = [{**vars(row), "reached": row.reached, "score": vars(row.score)} for row in rows]
+    content = [_plain(row) for row in rows]
     with atomic_write(path) as fresh:
         fresh.write_text(json_format.dumps({**setup, "rows": content}, indent=1) + "\n", encoding="utf-8")
 

@@ -1,6 +1,6 @@
 """Commands that are imported when they are used: help of all of them needs their summaries only."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, ClassVar
@@ -8,13 +8,23 @@ from typing import Any, ClassVar
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from usarmjx.base import early_signals
 from usarmjx.cli.checkout import has_benchmarks, import_benchmarks, needs_checkout
-from usarmjx.cli.early_signals import with_usual_signals
 
 CommandTable = Mapping[str, tuple[str, str]]
 """Names of commands with the place of each, as `module:attribute`, and its summary.
 
 The attribute is a function, or a typer.Typer that either is the command or has one of that name."""
+
+
+def with_usual_signals(run: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return a command's `invoke` that restores the signals first."""
+
+    def invoke(context: Any) -> Any:  # noqa: ANN401 - click's, or typer's own copy
+        early_signals.restore_signals()
+        return run(context)
+
+    return invoke
 
 
 def load_command(name: str, place: str, summary: str) -> Any:  # noqa: ANN401 - click's, or typer's own copy

@@ -14,6 +14,8 @@ from usarmjx.cli.common import (
     ErrorExit,
     IniOption,
     JsonFlag,
+    PackagesOption,
+    PiecesOption,
     RobotFilesOption,
     UnitOption,
     add_robots,
@@ -117,6 +119,8 @@ def list_everything(
     json: JsonFlag = False,
     markdown: MarkdownFlag = False,
     robot: RobotFilesOption = None,
+    packages: PackagesOption = None,
+    pieces: PiecesOption = None,
     ini: IniOption = None,
     uu_per_metre: UnitOption = 250.0,
 ) -> None:

@@ -5,7 +5,16 @@ from typing import Annotated
 
 import typer
 
-from usarmjx.cli.common import ArenaArgument, ErrorExit, OldOutArgument, OutOption, RadioIniOption, chosen_out
+from usarmjx.cli.common import (
+    ArenaArgument,
+    ErrorExit,
+    OldOutArgument,
+    OutOption,
+    PackagesOption,
+    PiecesOption,
+    RadioIniOption,
+    chosen_out,
+)
 from usarmjx.cli.completion import complete_robots
 from usarmjx.cli.startup_messages import announce
 
@@ -16,6 +25,8 @@ def portraits(
         typer.Argument(help="Robot classes or files; all without any.", autocompletion=complete_robots),
     ] = None,
     out: OutOption = None,
+    packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Draw robots with the sensors' raycaster."""
     with ErrorExit():
@@ -43,6 +54,7 @@ def radio_map(
     radio_ini: RadioIniOption = None,
     out: OutOption = None,
     old_out: OldOutArgument = None,
+    packages: PackagesOption = None,
 ) -> None:
     """Draw the power of a radio's signal all over an arena."""
     with ErrorExit():

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import typer
 
 from usarmjx.base.errors import UsageError
-from usarmjx.cli.common import SeedOption
+from usarmjx.cli.common import PackagesOption, PiecesOption, SeedOption, TaskRobotOption, with_robot
 from usarmjx.cli.completion import complete_engines, complete_policies, complete_tasks
 from usarmjx.cli.task_options import (
     TaskConfigOption,
@@ -75,6 +75,9 @@ class PolicyOptions:
     config: TaskConfigOption = None
     print_config: TaskPrintOption = False
     seed: SeedOption = 0
+    robot: TaskRobotOption = None
+    packages: PackagesOption = None
+    pieces: PiecesOption = None
 
     def source(self) -> "PolicySource":
         """Return the policy.
@@ -126,7 +129,7 @@ class PolicyOptions:
     def pairs(self, source: "PolicySource") -> list[str]:
         """Return the fields that are set, by file and `--set`, `name=value` each."""
         source.check_task()
-        return task_pairs(source.task, self.settings or (), self.config)
+        return task_pairs(source.task, with_robot(self.settings, self.robot), self.config)
 
     def print_fields(self) -> None:
         """Write the fields of the task as a file for `--config`."""

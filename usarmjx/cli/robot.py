@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from usarmjx.base.settings import parse_assignments
-from usarmjx.cli.common import ErrorExit, JsonFlag, PackagesOption
+from usarmjx.cli.common import ErrorExit, JsonFlag, PackagesOption, PiecesOption
 from usarmjx.cli.startup_messages import announce
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ def robot_commands() -> None:
 def check(
     file: Annotated[Path, typer.Argument(help="URDF, xacro, SDF or MJCF file of a robot.")],
     packages: PackagesOption = None,
+    pieces: PiecesOption = None,
     argument: Annotated[
         list[str] | None, typer.Option("--argument", help="Argument of a xacro file, as name=value.")
     ] = None,
@@ -41,7 +42,7 @@ def check(
 
         check_robot_file(file)
         given = parse_assignments(argument or (), "--argument")
-        loaded = load_robot(file, packages=packages or (), arguments=given)
+        loaded = load_robot(file, arguments=given)
         faults = robot_faults(loaded.robot)
         rows = robot_figures(loaded.robot)
         if json:
@@ -70,6 +71,8 @@ def export(
     form: Annotated[
         str | None, typer.Option("--format", help="mjcf, urdf or sdf; else by the file's suffix.")
     ] = None,
+    packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Write a robot as MJCF, URDF or SDF, with the mass, solids and joints that it has here."""
     with ErrorExit():
@@ -93,7 +96,7 @@ def robot_figures(robot: "RobotSpec") -> dict[str, Any]:
         "mass": f"{robot.mass:.4g} kg",
         "size": f"{length:.3f} x {width:.3f} x {height:.3f} m",
         "origin": f"{robot.origin_height:.3f} m above the ground",
-        "drive": f"{type(robot.drive).__name__}, up to {robot.drive.top_speed:.3g} m/s",
+        "drive": _drive(robot),
     }
     if robot.wheels:
         names = ", ".join(part.name for part in robot.wheels)
@@ -105,6 +108,14 @@ def robot_figures(robot: "RobotSpec") -> dict[str, Any]:
     figures["joints"] = [part.name for part in robot.parts if part.name not in motors]
     figures["sensors"] = [f"{mount.kind} {mount.name}" for mount in (*robot.sensors, *robot.cameras)]
     return figures
+
+
+def _drive(robot: "RobotSpec") -> str:
+    from usarmjx.models.drives import NoDrive
+
+    if isinstance(robot.drive, NoDrive):
+        return "none: no plugin states one, no wheels are on both sides, no rotors are on sites"
+    return f"{type(robot.drive).__name__}, up to {robot.drive.top_speed:.3g} m/s"
 
 
 def _motor(part: "Part", motor: "Motor") -> str:

@@ -12,6 +12,8 @@ from usarmjx.cli.common import (
     EngineOption,
     ErrorExit,
     IniOption,
+    PackagesOption,
+    PiecesOption,
     RobotFilesOption,
     SeedOption,
     UnitOption,
@@ -66,6 +68,8 @@ class WorldsOptions:
     engine: EngineOption = "auto"
     seed: SeedOption = 0
     robot: RobotFilesOption = None
+    packages: PackagesOption = None
+    pieces: PiecesOption = None
     ini: IniOption = None
     uu_per_metre: UnitOption = 250.0
 

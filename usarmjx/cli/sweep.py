@@ -10,7 +10,7 @@ from typer.core import TyperGroup
 
 from usarmjx.base.settings import parse_assignments
 from usarmjx.cli.checkout import import_benchmarks
-from usarmjx.cli.common import ErrorExit
+from usarmjx.cli.common import ErrorExit, PackagesOption, PiecesOption, TaskRobotOption, with_robot
 from usarmjx.cli.startup_messages import announce, tried_on
 
 COMMANDS = ("run", "show", "compare", "report")
@@ -113,6 +113,9 @@ def run(
     episodes: EpisodesOption = None,
     json: RecordFileOption = None,
     note: NoteOption = "",
+    robot: TaskRobotOption = None,
+    packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Play the cells of a sweep that have no result yet, and say what came of all."""
     with ErrorExit():
@@ -125,7 +128,7 @@ def run(
         _check_files(figure, table, episodes)
         own_part = parse_part(part)
         file = find_spec(what)
-        common = _typed(file, parse_assignments(settings or [], "--set"))
+        common = _typed(file, parse_assignments(with_robot(settings, robot), "--set"))
         if engine is not None:
             common["engine"] = engine
         spec = load_spec(file, common)
@@ -139,15 +142,8 @@ def run(
             return
         meter = None if recording is None else recording.SweepMeter(begun)
         sinks = [*_sinks(tensorboard, wandb, spec.name), *([] if meter is None else [meter])]
-        found = play_prepared(
-            spec,
-            folder,
-            prepared,
-            played_on,
-            say=None if quiet else lambda line: typer.echo(f"usarmjx: {line}", err=True),
-            stream=None if quiet else usual_stream(),
-            sinks=sinks,
-        )
+        loud: dict[str, Any] = {} if quiet else {"say": _say, "stream": usual_stream()}
+        found = play_prepared(spec, folder, prepared, played_on, sinks=sinks, **loud)
         _tell(found, figure, table, episodes)
         if json is not None:
             _record(found, prepared.plan, meter, played_on, json, note)
@@ -208,6 +204,10 @@ def _show_plan(spec: Any, prepared: Any, workers: Any, probe: bool) -> None:  # 
     found = probe_works(batches_of(prepared))
     count = 1 if workers.place == "here" else workers.count or 1
     typer.echo("no probe: clients drive all cells" if found is None else found.as_text(count))
+
+
+def _say(line: str) -> None:
+    typer.echo(f"usarmjx: {line}", err=True)
 
 
 def _typed(file: Path, texts: Mapping[str, str]) -> dict[str, Any]:

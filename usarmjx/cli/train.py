@@ -25,7 +25,16 @@ from usarmjx.base.settings import (
 )
 from usarmjx.base.settings.json_file import read_json
 from usarmjx.cli.clips import ClippedTraining
-from usarmjx.cli.common import ErrorExit, OldOutArgument, PortOffsetOption, chosen_out
+from usarmjx.cli.common import (
+    ErrorExit,
+    OldOutArgument,
+    PackagesOption,
+    PiecesOption,
+    PortOffsetOption,
+    TaskRobotOption,
+    chosen_out,
+    with_robot,
+)
 from usarmjx.cli.completion import complete_tasks
 from usarmjx.cli.policy_options import PolicyEngineOption
 from usarmjx.cli.recordings import RecordOption, export_recording
@@ -361,6 +370,9 @@ def train(
     record: RecordOption = None,
     record_every: RecordEveryOption = 50,
     clips: ClipsOption = 0,
+    robot: TaskRobotOption = None,
+    packages: PackagesOption = None,
+    pieces: PiecesOption = None,
 ) -> None:
     """Train a policy for a task."""
     with ErrorExit():
@@ -379,7 +391,7 @@ def train(
             checkpoint=checkpoint,
             config=config,
             given={key: value for key, value in typed.items() if value is not None},
-            pairs=settings or [],
+            pairs=with_robot(settings, robot),
         )
         if print_config:
             typer.echo(config_text(task, options), nl=False)

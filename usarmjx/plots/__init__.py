@@ -1,7 +1,8 @@
 """Pictures for people: plans and views of arenas, portraits, runs, radio maps and training curves.
 
 `draw_plan` draws an arena from above, `portrait` a robot, `radio_picture` signal strength, `plot_curves`
-trainings, `record_episode` and `save_recording` a policy at work, `plot_recording` a recorded mission.
+trainings, `record_episode` and `save_recording` a policy at work, `plot_recording` a recorded mission,
+`view_batch` a batch in a notebook.
 Private: `render` casts the sensors' rays for a picture. Matplotlib is used through its canvas, never pyplot,
 so that nothing global changes. Begin with `draw_plan`.
 """
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from usarmjx.plots.floor_plan import floor_plan_picture as floor_plan_picture
     from usarmjx.plots.gallery import portrait as portrait
     from usarmjx.plots.gallery import portraits as portraits
+    from usarmjx.plots.notebook import BatchView as BatchView
+    from usarmjx.plots.notebook import view_batch as view_batch
     from usarmjx.plots.play import EpisodeRecording as EpisodeRecording
     from usarmjx.plots.play import record_episode as record_episode
     from usarmjx.plots.play import save_recording as save_recording
@@ -32,6 +35,7 @@ else:
         {
             "usarmjx.plots.floor_plan": ("draw_plan", "floor_plan_picture"),
             "usarmjx.plots.gallery": ("portrait", "portraits"),
+            "usarmjx.plots.notebook": ("BatchView", "view_batch"),
             "usarmjx.plots.play": ("EpisodeRecording", "record_episode", "save_recording"),
             "usarmjx.plots.radio_map": ("PowerMap", "power_map", "radio_picture"),
             "usarmjx.plots.recording": ("plot_recording", "read_mission"),

@@ -29,7 +29,7 @@ from usarmjx.recording.source import RecordingSource
 from usarmjx.view.drawing import Drawing, DrawnMount, Frame
 
 MOST_SCANS = 400
-"""So many scans are drawn at most, spread over the time."""
+"""Largest number of scans drawn, spread over the time."""
 NEARLY = 0.995
 """Share of a scanner's range beyond which a reading is no hit."""
 VICTIM_SENSOR = "VictSensor"
@@ -243,7 +243,7 @@ SCAN, FOUND = "#0f8b8d", "#c4122f"
 STATION = "ComStation"
 """The class of robot from which the radio's power is drawn; without one, from where the first began."""
 INSIDE: dict[str, Any] = {"scalex": False, "scaley": False}
-"""What is drawn so leaves the picture as large as it is."""
+"""Options with which drawing leaves the limits of the axes."""
 GRID_POINTS = 160
 """Points of the radio's map along the longer side of the arena."""
 SMOOTHED = 1.0

@@ -203,7 +203,7 @@ AXES: dict[str, tuple[str, Axis]] = {
     "steps": ("agent steps [million]", _millions),
     "time": ("time [s]", _seconds),
 }
-"""What scores are drawn over: label and values."""
+"""Horizontal axes of scores: label and values."""
 
 
 def draw_task(axes: Axes, curves: Sequence[Curve], along: Axis) -> None:

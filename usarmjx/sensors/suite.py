@@ -27,6 +27,7 @@ from usarmjx.sensors import (
     gps,
     human_motion,
     inertial,
+    later,
     motion,
     power,
     ranging,
@@ -43,7 +44,9 @@ from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
 
 __all__ = ["SENSORS", "SENSOR_MODULES"]
 
-SENSOR_MODULES = (co2, gps, human_motion, inertial, motion, power, ranging, rfid, sound, touch, victim)
+SENSOR_MODULES = (
+    *(co2, gps, human_motion, inertial, later, motion, power, ranging, rfid, sound, touch, victim),
+)
 """Modules whose import registers sensor types; a new module belongs here."""
 
 

@@ -35,9 +35,9 @@ from usarmjx.train.make import build_env
 
 HOST = "127.0.0.1"
 PATIENCE = 60.0
-"""So long clients may take to come [s]."""
+"""Longest time until clients come [s]."""
 POLL = 0.005
-"""So often it is looked whether an episode is over [s]."""
+"""Interval of checks whether an episode is over [s]."""
 PORT, NUMBER = "USARMJX_PORT", "USARMJX_EPISODE"
 """Environment variables that tell a client where its world is, and the number of its episode."""
 

@@ -20,7 +20,7 @@ from usarmjx.models.files.load import find_arena
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.recording.inputs import PACKAGES, versions
-from usarmjx.sweeps.drivers import script_of
+from usarmjx.sweeps.drivers import argument_of, script_of
 from usarmjx.sweeps.resolve import Resolved, resolve
 from usarmjx.sweeps.spec import EARLIER_POLICIES, CellSettings, rename_policy
 from usarmjx.train.envs.recipe import resolve_arenas, spec_of
@@ -86,10 +86,37 @@ def _policy_digest(cell: Resolved, known: dict[str, str]) -> str:
     policy = cell.settings["policy"]
     name = f"policy: {cell.settings['task']}: {policy!r}"
     if name not in known:
-        script = script_of(policy)
-        leaves, tree = jax.tree.flatten(jax.tree.map(np.asarray, cell.driver.weights))
-        known[name] = fingerprint(str(tree), leaves) if script is None else script_digest(script)
+        known[name] = policy_digest(policy, cell.driver.weights)
     return known[name]
+
+
+def policy_digest(policy: object, weights: Any) -> str:  # noqa: ANN401 - a tree of arrays
+    """Return a hash of what drives: weights, or the code of a function with the files of its argument.
+
+    Args:
+        policy: Setting `policy` of a cell.
+        weights: Weights of a trained policy, as `find_driver` returns them.
+
+    Raises:
+        UsageError: A file cannot be read.
+    """
+    script, argument = script_of(policy), argument_of(policy)
+    if script is None:
+        leaves, tree = jax.tree.flatten(jax.tree.map(np.asarray, weights))
+        return fingerprint(str(tree), leaves)
+    if not Path(argument).exists() or not argument:
+        return script_digest(script)
+    return hashlib.sha256((script_digest(script) + _files_digest(Path(argument))).encode()).hexdigest()
+
+
+def _files_digest(place: Path) -> str:
+    """Return a hash of a file, or of the files in a folder."""
+    files = sorted(one for one in place.rglob("*") if one.is_file()) if place.is_dir() else [place]
+    try:
+        rows = [(one.name, hashlib.sha256(one.read_bytes()).hexdigest()) for one in files]
+    except OSError as error:
+        raise UsageError(f"{place}: {error.strerror or error}") from error
+    return hashlib.sha256(repr(rows).encode()).hexdigest()
 
 
 def _arena_digest(arena: Any, known: dict[str, str], robots: int) -> str:  # noqa: ANN401 - a name or a spec

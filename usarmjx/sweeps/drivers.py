@@ -1,13 +1,9 @@
 """Drivers of a cell's robots: baselines, trained policies, a user's own functions, or clients over TCP."""
 
-import hashlib
-import importlib
 import importlib.util
-import sys
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from usarmjx.base.errors import UsageError
@@ -18,11 +14,14 @@ from usarmjx.train.envs.task import Policy
 from usarmjx.train.evaluation.yardsticks import random_policy
 from usarmjx.train.make import find_baseline
 from usarmjx.train.policies import POLICIES
+from usarmjx.train.policies.own_policy import check_own_policy, own_policy, split_own_policy
 from usarmjx.train.policies.sources import PolicySource, load_policy
 
 BASELINE, PACKAGED, RANDOM = "baseline", "packaged", "random"
 KINDS = ("baseline", "run", "file", "python", "client")
 """Keys of a policy that is a mapping."""
+PREFIXES = ("baseline", "client", "run")
+"""Kinds that a policy given as text may begin with, as `baseline:explore-v2`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +43,12 @@ class CellDriver:
     command: str | None = None
     speed: float = 1.0
     source: PolicySource | None = None
+
+
+def parse_policy(text: str) -> str | dict[str, str]:
+    """Return a sweep's setting `policy` of a run: with `client:`, `baseline:` or `run:` a mapping."""
+    kind, colon, rest = text.partition(":")
+    return {kind: rest} if colon and kind in PREFIXES and rest else text
 
 
 def _said(policy: object) -> tuple[str, str, Mapping[str, Any]]:
@@ -87,8 +92,8 @@ def find_driver(policy: object, task: str) -> CellDriver:
             raise UsageError(f"policy: speed is {speed!r}, expected simulated seconds per second, above 0")
         return CellDriver(shape=("client", what), command=what, speed=float(speed))
     if kind == "python":
-        _function(what)  # so that a plan says what is missing
-        return CellDriver(shape=("python", what), make=lambda env, _: _own(what, env))
+        check_own_policy(what)  # so that a plan says what is missing
+        return CellDriver(shape=("python", what), make=lambda env, _: own_policy(what, env))
     if kind == RANDOM:
         return CellDriver(shape=RANDOM, make=lambda env, _: random_policy(env))
     if kind == BASELINE:
@@ -118,44 +123,6 @@ def find_driver(policy: object, task: str) -> CellDriver:
     return CellDriver(shape=shape, make=make, weights=weights, source=source)
 
 
-def _own(what: str, env: Env) -> Policy:
-    made = _function(what)(env)
-    if not isinstance(made, Policy):
-        raise UsageError(f"policy {what} returned {type(made).__name__}, expected usarmjx's Policy")
-    return made
-
-
-def _function(what: str) -> Callable[[Env], object]:
-    """Return the function that `file.py:function` or `module:function` names.
-
-    Raises:
-        UsageError: There is none.
-    """
-    place, _, name = what.rpartition(":")
-    try:
-        module = _module(place)
-    except Exception as error:
-        raise UsageError(f"policy {what}: cannot be imported: {error}") from error
-    function = getattr(module, name, None)
-    if not callable(function):
-        raise UsageError(f"policy {what}: {place} has no function {name!r}")
-    return function
-
-
-def _module(place: str) -> ModuleType:
-    if not place.endswith(".py"):
-        return importlib.import_module(place)
-    known = f"usarmjx_sweep_{hashlib.sha256(Path(place).read_bytes()).hexdigest()[:16]}"
-    if known not in sys.modules:
-        spec = importlib.util.spec_from_file_location(known, place)
-        assert spec is not None  # as the name ends in .py
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        sys.modules[known] = module
-    return sys.modules[known]
-
-
 def script_of(policy: object) -> Path | None:
     """Return the Python file of a policy that is a function; None: it is none, or in a package.
 
@@ -165,8 +132,18 @@ def script_of(policy: object) -> Path | None:
     kind, what, _ = _said(policy)
     if kind != "python":
         return None
-    place = what.rpartition(":")[0]
+    place, _, _ = split_own_policy(what)
     if place.endswith(".py"):
         return Path(place)
     found = importlib.util.find_spec(place) if "." not in place else None
     return None if found is None or found.origin is None else Path(found.origin)
+
+
+def argument_of(policy: object) -> str:
+    """Return the argument of a policy that is a function; empty: it has none, or is no function.
+
+    Raises:
+        UsageError: See `find_driver`.
+    """
+    kind, what, _ = _said(policy)
+    return split_own_policy(what)[2] if kind == "python" else ""

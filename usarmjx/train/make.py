@@ -283,7 +283,9 @@ def build_env(
     Raises:
         UsageError: A scene that cannot be built, or not run on this engine.
     """
-    return build_calibrated(lambda: Env(task, worlds, name=name, engine=engine, seed=seed, first=first))
+    env = build_calibrated(lambda: Env(task, worlds, name=name, engine=engine, seed=seed, first=first))
+    _ = env.groups  # a task that cannot be observed is refused here, not in the first step
+    return env
 
 
 GUESSES = {"num_envs", "num_worlds", "n_envs", "batch_size"}

@@ -297,7 +297,7 @@ LINK = "<robot><link name='a'><visual><geometry>{}</geometry></visual></link></r
         ("<robot><link name='a'><collision/></link></robot>", "link 'a': has no geometry; allowed: box"),
         (
             LINK.format("<sphere radius='big'/>"),
-            r"a.urdf:1: <sphere radius> has 'big', expected 1 numbers",
+            r"a.urdf:1: <sphere radius> has 'big', expected a number",
         ),
         (
             LINK.format("<mesh filename='package://x/m.stl'/>"),

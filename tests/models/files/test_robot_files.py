@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from tests.models.files.test_import_mjcf import compare, composed
-from usarmjx.base.errors import SpecError
+from usarmjx.base.errors import SpecError, UsageError
 from usarmjx.models import load_robot
+from usarmjx.models.compile.compose import add_robot
 from usarmjx.models.drives import Ackermann, NoDrive, RotaryWing, SkidSteer
 from usarmjx.models.files import reader_child
 from usarmjx.models.files.load import load_arena
@@ -74,6 +75,23 @@ def test_round_meshes_on_wheels_become_cylinders():
     assert robot.wheel_radius == pytest.approx(0.1, rel=0.02)
     assert robot.origin_height == pytest.approx(0.1, rel=0.02)
     assert robot.mass == pytest.approx(14, abs=MASS_ATOL)
+
+
+def test_square_collision_meshes_of_wheels_give_way_to_round_looks(load, tmp_path):
+    (tmp_path / "tyre.stl").write_bytes((CASES / "wheel.stl").read_bytes())
+    corners = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.02, 0.02) for z in (-0.1, 0.1)])
+    faces = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)]
+    faces += [(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    (tmp_path / "square.obj").write_text("\n".join(lines) + "\n")
+    square = '<collision><geometry><mesh filename="square.obj"/></geometry></collision>'
+    text = (CASES / "mesh_wheels.urdf").read_text()
+    wheel = '<collision><geometry><mesh filename="wheel.stl"/></geometry></collision>'
+    look = wheel.replace("collision", "visual").replace("wheel.stl", "tyre.stl")
+    loaded = load(text.replace(wheel, square + look))
+    assert [shape.kind for part in loaded.robot.parts for shape in part.shapes] == ["cylinder"] * 4
+    assert loaded.robot.wheel_radius == pytest.approx(0.1, rel=0.02)
+    assert "not round: its round <visual> collides instead" in loaded.notes[0]
 
 
 def test_speeds_of_a_file_win():
@@ -248,16 +266,30 @@ def test_gazebo_plugins_become_drive_and_mounts(load):
     assert robot.chassis[0].surface == "caster"
 
 
-def test_wheels_on_steering_joints_make_a_car(load):
+KNUCKLE = """<link name="{}"><inertial><mass value=".2"/>
+  <inertia ixx=".001" iyy=".001" izz=".001" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+
+
+def steered(side, y, kind="revolute", turn=""):
+    """A wheel on a knuckle; with `turn`, the knuckle's frame lies on its side and its axis is x there."""
     limit = '<limit lower="-.5" upper=".5" effort="4" velocity="2"/>'
-    more = "".join(
-        f'<link name="k{side}"><inertial><mass value=".2"/><inertia ixx=".001" iyy=".001" izz=".001" ixy="0" '
-        f'ixz="0" iyz="0"/></inertial></link>{WHEEL.format("f" + side)}'
-        + hinge(f"steer{side}", f"k{side}", f".4 {y} 0", "0 0 1", kind="revolute", more=limit)
-        + hinge(f"F{side}", f"f{side}", "0 0 0", parent=f"k{side}")
-        for side, y in (("l", 0.25), ("r", -0.25))
+    steer = hinge(
+        f"steer{side}", f"k{side}", f".4 {y} 0", "-1 0 0" if turn else "0 0 1", kind=kind, more=limit
     )
-    drive = load(cart(more)).robot.drive
+    wheel = hinge(f"F{side}", f"f{side}", "0 0 0", parent=f"k{side}")
+    if turn:
+        steer = steer.replace("<origin", '<origin rpy="0 1.5707963 0"')
+        wheel = wheel.replace("<origin", '<origin rpy="0 -1.5707963 0"')
+    return f"{KNUCKLE.format('k' + side)}{WHEEL.format('f' + side)}{steer}{wheel}"
+
+
+@pytest.mark.parametrize(("kind", "turn"), [("revolute", ""), ("revolute", "side"), ("continuous", "")])
+def test_wheels_on_steering_joints_make_a_car(load, kind, turn):
+    loaded = load(cart(steered("l", 0.25, turn=turn) + steered("r", -0.25, kind, turn)))
+    assert any("joint 'steerr' is continuous and has limits" in note for note in loaded.notes) == (
+        kind == "continuous"
+    )
+    drive = loaded.robot.drive
     assert isinstance(drive, Ackermann)
     assert drive.max_front_steer == 0.5
     assert {wheel.joint: wheel.steer for wheel in drive.wheels} == {
@@ -266,6 +298,72 @@ def test_wheels_on_steering_joints_make_a_car(load):
         "Fl": "steerl",
         "Fr": "steerr",
     }
+
+
+def test_steered_wheels_of_one_axle_skid(load):
+    wheels = steered("l", 0.25) + steered("r", -0.25)
+    drive = load(f'<robot name="swerve">{BASE}{wheels}</robot>').robot.drive
+    assert isinstance(drive, SkidSteer)
+    assert (drive.left, drive.right) == (("Fl",), ("Fr",))
+
+
+def test_motors_that_bear_legs_are_no_wheels_and_wheels_with_rollers_are(load):
+    knees = "".join(
+        KNUCKLE.format(f"s{side}") + hinge(f"K{side}", f"s{side}", "0 0 -.1", axis, parent=f"w{side}")
+        for side, axis in (("l", "{0}"), ("r", "{0}"))
+    )
+    assert load(cart(knees.format("0 1 0"))).robot.drive == NoDrive()
+    assert isinstance(load(cart(knees.format("1 0 .5"))).robot.drive, SkidSteer)
+
+
+def c_shape(path):
+    """Write a C of 0.3 x 0.3 x 0.1 m, whose gap of 0.1 m opens to the head."""
+    outline = [(0, -0.15), (0.3, -0.15), (0.3, -0.05), (0.1, -0.05), (0.1, 0.05), (0.3, 0.05), (0.3, 0.15)]
+    corners = [(x, y, z) for z in (0, 0.1) for x, y in [*outline, (0, 0.15)]]
+    cap = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 7), (4, 5, 6), (4, 6, 7)]
+    faces = [face[::-1] for face in cap] + [tuple(i + 8 for i in face) for face in cap]
+    for i in range(8):
+        j = (i + 1) % 8
+        faces += [(i, j, j + 8), (i, j + 8, i + 8)]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def touched_in_gap(robot, radius):
+    """Return whether a ball in the middle of the C's gap touches it."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    add_robot(spec, robot, "", (0.0, 0.0, 0.0))
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], pos=[0.2, 0, 0.05])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return data.ncon > 0
+
+
+def test_coacd_leaves_the_gap_of_a_concave_mesh_free(load, tmp_path, monkeypatch):
+    pytest.importorskip("coacd")
+    c_shape(tmp_path / "c.obj")
+    text = """<robot name="c"><link name="base"><inertial><mass value="2"/>
+      <inertia ixx=".02" iyy=".03" izz=".04" ixy="0" ixz="0" iyz="0"/></inertial>
+      <collision><geometry><mesh filename="c.obj"/></geometry></collision></link></robot>"""
+    assert touched_in_gap(load(text).robot, 0.01)
+    robot = load(text, pieces=8).robot
+    assert [shape.kind for shape in robot.chassis] == ["mesh"] * 3
+    assert not touched_in_gap(robot, 0.049)  # the gap has 0.05 m on both sides
+    assert touched_in_gap(robot, 0.051)
+    assert robot.mass == pytest.approx(2, abs=MASS_ATOL)
+    assert robot.dimensions == pytest.approx((0.3, 0.3, 0.1), abs=1e-4)  # coacd's pieces are off by less
+    monkeypatch.setenv("USARMJX_MESH_PIECES", "0")
+    with pytest.raises(UsageError, match="'0', expected a whole number from 1 to 64"):
+        load(text)
+
+
+def test_driven_wheels_without_friction_grip(load):
+    ice = '<gazebo reference="wl"><mu1>0</mu1><mu2>0</mu2></gazebo>'
+    loaded = load(cart(ice))
+    assert [shape.surface for part in loaded.robot.parts for shape in part.shapes] == ["wheel"] * 2
+    assert "driven wheels L have no friction: here they grip" in loaded.notes[-1]
 
 
 def test_rotors_on_sites_make_it_fly(load):
@@ -327,7 +425,7 @@ def test_cameras_and_sensors_of_mjcf_are_mounts_and_the_rest_is_named_with_its_l
         (cart().replace('axis xyz="0 1 0"', 'axis xyz="0 0 0"'), "'L' has an axis of length 0"),
         (cart().replace('radius=".1"', 'radius="-1"'), "expected lengths above zero"),
         (cart().replace("<box", "<torus"), "a solid is a <torus>; allowed: box"),
-        (cart().replace('mass value="10"', 'mass value="nan"'), "expected 1 numbers"),
+        (cart().replace('mass value="10"', 'mass value="nan"'), "expected a number"),
     ],
 )
 def test_faults_are_refused_with_file_and_line(load, text, says):

@@ -41,11 +41,11 @@ HiddenSensor=false
 [USARSensor.SonarSensor]
 MaxRange=5.0
 maxAngleOfIncidence=0.5
-[USARSensor.Tachometer]
+[USARSensor.LineLaser]
 ScanInterval=0.2
 [USARBot.P3AT]
 {part("SICK", "lms200", ',Parent="USARbot.P3AT"')}{part("Odometry", "Odometer")}{part("IMU", "IMU")}\
-{part("USARCamera", "")}{part("Tachometer", "Tach")}{part("Tachometer", "Tach2")}\
+{part("USARCamera", "")}{part("LineLaser", "Line")}{part("LineLaser", "Line2")}{part("Tachometer", "Tach")}\
 {part("P3ATBatteryPack", "Pack", package="USARDeco")}[USARBot.Nao]
 {part("GroundTruth", "Truth")}[UTGame.UTGame]
 BotRatio=1
@@ -56,7 +56,12 @@ def test_a_file_of_the_later_versions_mounts_what_means_the_same(load):
     loaded = load(LATER)
     robot = of(loaded)
     added = names(robot)[len(P2AT.sensors) :]
-    assert added == [("RangeScanner", "lms200"), ("Odometry", "Odometer"), ("IMU", "IMU")]
+    assert added == [
+        ("RangeScanner", "lms200"),
+        ("Odometry", "Odometer"),
+        ("IMU", "IMU"),
+        ("Tachometer", "Tach"),
+    ]
     lms = robot.sensors[len(P2AT.sensors)]
     assert dict(lms.all_options)["MaxRange"] == 20.0
     assert (lms.at, lms.parent) == ((0.2, 0.0, -0.2), "HARD")
@@ -93,11 +98,11 @@ def test_a_section_about_a_scanner_keeps_its_other_figures(load):
         "a.ini:4: [USARSensor.Sensor] is left out: each class of sensors has its own defaults",
         "a.ini:7: bWithTimeStamp is ignored: the dialect of the connection decides",
         "a.ini:10: HiddenSensor is ignored: robots look as their solids do",
-        "a.ini:15: USARSensor.Tachometer is left out, 3 lines: usarmjx has no such class",
+        "a.ini:15: USARSensor.LineLaser is left out, 3 lines: usarmjx has no such class",
         "a.ini:17: P3AT is the later versions' name of P2AT",
-        "a.ini:23: USARDeco.P3ATBatteryPack is left out: usarmjx has no such class",
-        "a.ini:25: [USARBot.Nao] is left out: no robot and no item of usarmjx has that class",
-        "a.ini:27: section [UTGame.UTGame] is not about robots: it is about the Unreal game",
+        "a.ini:24: USARDeco.P3ATBatteryPack is left out: usarmjx has no such class",
+        "a.ini:26: [USARBot.Nao] is left out: no robot and no item of usarmjx has that class",
+        "a.ini:28: section [UTGame.UTGame] is not about robots: it is about the Unreal game",
     ],
 )
 def test_the_rest_is_named_once_with_its_reason(load, says):

@@ -69,7 +69,7 @@ LONGEST_LINE = 1 << 20
 """Longest line that is taken [bytes]: a scan in three dimensions has many numbers."""
 READ_SIZE = 65536
 TIMEOUT = 10.0
-"""So long a connection may take [s]."""
+"""Longest time for a connection [s]."""
 SECRET = re.compile(rf"^(\s*{AUTH}\b).*", re.IGNORECASE | re.DOTALL)
 """A line with a token, which no transcript and no pane shows."""
 

@@ -252,9 +252,9 @@ def _color(distance: float, longest: float) -> str:
 KINDS = ("NFO", "STA", "MISSTA", "SEN", "GEO", "CONF", "RES")
 ALL, OTHERS, SENT = "All", "Others", "Sent"
 MAX_LINES = 500
-"""So many lines a pane keeps."""
+"""Number of lines that a pane keeps."""
 SHORT = 300
-"""So much of a line is shown among all the others [characters]."""
+"""Length of a line among all the others [characters]."""
 DIRECTIONS = {"<": "", ">": "bold cyan", "#": "yellow"}
 """Styles of lines: messages, commands, remarks."""
 

@@ -37,12 +37,14 @@ SENSOR_TYPES = (
     *("Odometry", "INS", "INU", "Encoder", "GroundTruth", "GPS"),
     *("Touch", "CO2Sensor", "HumanMotion", "Sound", "RFID", "VictSensor"),
     *("IMU", "Magnetometer", "Battery", "Lidar"),
+    *("Tachometer", "AltitudeSensor", "MissionTime"),
 )
 """Types of sensors; some of them report only on events."""
 JOINT_OPCODES = ("Angle", "Velocity", "Torque", "RelAngle", "RelVelocity", "RelTorque")
 SENSOR_OPCODES: dict[str, tuple[str, ...]] = {
     "odometry": ("RESET",),
     "encoder": ("RESET",),
+    "tachometer": ("RESET",),
     "ins": ("POSE",),
     "rangescanner": ("SCAN",),
     "irscanner": ("SCAN",),

@@ -71,7 +71,8 @@ class BodyTree:
         if len(joints) > 1 or any(model.jnt_type[joint] not in allowed for joint in joints):
             names = ", ".join(model.joint(joint).name or f"number {joint}" for joint in joints)
             raise SpecError(
-                f"body {model.body(body).name!r} has the joints {names}; a part has one hinge or slide"
+                f"body {model.body(body).name!r} has the joints {names}; a part has one hinge or slide: "
+                "give each joint a body of its own"
             )
         if joints:
             self._owner[body] = body
@@ -167,9 +168,8 @@ class BodyTree:
         model = self.model
         whole = combine_inertias([self._inertia(body) for body in self._members(owner)])
         if whole.mass <= 0:
-            raise SpecError(
-                f"{self.name(owner)} has no mass: give its body an inertial or its geoms a density"
-            )
+            named = "the chassis" if owner == self.owners[0] else self.name(owner)
+            raise SpecError(f"{named} has no mass: give its body an inertial or its geoms a density")
         geoms = [pair for pair in self._geoms(owner) if not self._only_looks(pair[0])]
         light = [self._shape(owner, geom, frame, surface) for geom, frame in geoms]
         if all(mujoco.mjtGeom(model.geom_type[geom]) in KINDS for geom, _ in self._geoms(owner)):
@@ -196,6 +196,13 @@ class BodyTree:
             for body in self._members(owner)
             for geom in range(first[body], first[body] + count[body])
         ]
+
+    def grip(self, owner: int) -> bool:
+        """Let the solids of a part grip the ground as wheels do; return whether they slid."""
+        model = self.model
+        slid = {model.body(body).name for body in self._members(owner)} & self._slippery
+        self._slippery -= slid
+        return bool(slid)
 
     def _only_looks(self, geom: int) -> bool:
         """Return whether a geom is a mesh for pictures, in a file whose other geoms collide."""

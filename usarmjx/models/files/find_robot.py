@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.models.files.resources import mesh_pieces, search_path
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import RobotSpec
 
@@ -12,7 +13,7 @@ logger = logging.getLogger(__name__)
 
 ROBOT_SUFFIXES = (".urdf", ".xacro", ".sdf", ".xml", ".mjcf")
 """Suffixes of robots' files."""
-_loaded: dict[tuple[Path, int], RobotSpec] = {}
+_loaded: dict[tuple[object, ...], RobotSpec] = {}
 
 
 def find_robot(robot: str | RobotSpec) -> RobotSpec:
@@ -52,7 +53,7 @@ def register_robot_file(path: Path, packages: Iterable[str | Path] = ()) -> Robo
     from usarmjx.models.files.robot_file import load_robot
 
     check_robot_file(path)
-    key = path.resolve(), path.stat().st_mtime_ns
+    key = path.resolve(), path.stat().st_mtime_ns, search_path(), mesh_pieces()
     known = _loaded.get(key)
     if known is not None and ROBOTS.find(known.name) is known:
         return known

@@ -39,6 +39,8 @@ LOADING: dict[str, dict[str, Any]] = {
     "glb": {"process": False, "resolver": None},
 }
 """Options of trimesh by kind of mesh file, which keep the file's order and vertices."""
+CUTTING = {"threshold": 0.05, "mcts_iterations": 60, "mcts_nodes": 10, "resolution": 1000}
+"""Options of coacd: its default of the concavity, a shorter search."""
 
 
 OPTIONS: tuple[list[str], int, int, float] = (
@@ -122,6 +124,22 @@ def read_mesh(path: str) -> tuple[dict[str, object], list[Any]]:
     return {"names": names, "shapes": [array.shape for array in arrays]}, arrays
 
 
+def read_pieces(path: str, count: int, scale: list[float]) -> tuple[dict[str, object], list[Any]]:
+    """Cut the objects of a mesh file, scaled, into convex pieces, at most some of each: their vertices."""
+    import numpy as np
+
+    coacd: Any = import_module("coacd")
+    coacd.set_log_level("error")
+    _, arrays = read_mesh(path)
+    found: list[Any] = []
+    for vertices, faces in zip(arrays[::2], arrays[1::2], strict=True):
+        outward = faces if np.prod(scale) > 0 else faces[:, ::-1]
+        mesh = coacd.Mesh(vertices * np.array(scale), outward)
+        found += [pair[0] for pair in coacd.run_coacd(mesh, max_convex_hull=count, seed=0, **CUTTING)]
+    pieces = [np.ascontiguousarray(piece, "<f8") for piece in found]
+    return {"shapes": [piece.shape for piece in pieces]}, pieces
+
+
 def _placed_objects(scene: Any) -> list[tuple[str, Any]]:  # noqa: ANN401 - trimesh.Scene
     """Return the meshes of a COLLADA or glTF scene in metres, each where its nodes put it.
 
@@ -182,6 +200,7 @@ READERS: dict[str, Callable[..., tuple[dict[str, object], list[Any]]]] = {
     "model": try_model,
     "mesh": read_mesh,
     "xacro": read_xacro,
+    "pieces": read_pieces,
 }
 """Reader of each kind of file."""
 
@@ -192,7 +211,8 @@ def answer(line: bytes) -> tuple[dict[str, object], list[Any]]:
     try:
         return READERS[kind](path, *arguments)
     except ModuleNotFoundError as error:
-        return {"error": f"{error.name} is not installed: pip install 'usarmjx[robots]'"}, []
+        extra = "decomposition" if error.name == "coacd" else "robots"
+        return {"error": f"{error.name} is not installed: pip install 'usarmjx[{extra}]'"}, []
     except MemoryError:
         return {"error": f"reading it takes more than {MEMORY // 1_000_000} MB of memory"}, []
     except Exception as error:  # readers raise whatever they run into

@@ -65,6 +65,23 @@ def read_mesh_objects(path: Path) -> list[MeshArrays]:
     return list(zip(head["names"], found[::2], found[1::2], strict=True))
 
 
+def read_pieces(path: Path, count: int, scale: np.ndarray) -> list[np.ndarray]:
+    """Return the vertices (n, 3) of convex pieces of a mesh file's objects, at most `count` of each.
+
+    Raises:
+        ArenaFileError: Names the defect, in one line.
+    """
+    head, body = _READER.read("pieces", path, count, scale.tolist())
+    if "error" in head:
+        raise ArenaFileError(f"{path}: is not cut into convex pieces: {head['error']}")
+    found: list[np.ndarray] = []
+    start = 0
+    for shape in head["shapes"]:
+        found.append(np.frombuffer(body, "<f8", math.prod(shape), start).reshape(shape))
+        start += 8 * math.prod(shape)
+    return found
+
+
 def expand_xacro(path: Path, folders: Mapping[str, str], mappings: Mapping[str, str]) -> bytes | str:
     """Return a xacro file's XML; or the name of a package for which a folder is needed.
 

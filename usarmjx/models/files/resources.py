@@ -1,14 +1,23 @@
 """Files that robots and worlds name: `package://`, `model://`, `file://`, and relative names."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote
 
+from usarmjx.base.errors import UsageError
+
 PACKAGE_SCHEMES = ("package://", "model://")
 """Schemes whose first word is the name of a folder to be found."""
+FIRST_VARIABLE = "USARMJX_PACKAGES"
+"""Environment variable with the folders of `--packages`, which worker processes inherit."""
+PIECES_VARIABLE = "USARMJX_MESH_PIECES"
+"""Environment variable with the number of `--pieces`, which worker processes inherit."""
+MAX_PIECES = 64
+"""Largest number of convex pieces of a mesh: every ray meets each of them."""
 PATH_VARIABLES = (
+    FIRST_VARIABLE,
     "ROS_PACKAGE_PATH",
     "AMENT_PREFIX_PATH",
     "GZ_SIM_RESOURCE_PATH",
@@ -74,6 +83,60 @@ class Resources:
             for text in filter(None, os.environ.get(variable, "").split(os.pathsep)):
                 share = Path(text) / "share"
                 yield share if variable == "AMENT_PREFIX_PATH" and share.is_dir() else Path(text)
+
+
+def search_first(folders: Iterable[Path]) -> Callable[[], None]:
+    """Search packages and models in these folders first, also in worker processes.
+
+    Returns:
+        The function that restores the search path.
+    """
+    before = os.environ.get(FIRST_VARIABLE)
+    own = [str(folder.resolve()) for folder in folders]
+    return _set_variable(FIRST_VARIABLE, os.pathsep.join([*own, *filter(None, [before])]))
+
+
+def search_path() -> tuple[str, ...]:
+    """Return the folders that environment variables name, as they are written there."""
+    return tuple(os.environ.get(variable, "") for variable in PATH_VARIABLES)
+
+
+def cut_meshes(pieces: int) -> Callable[[], None]:
+    """Cut meshes of robots into up to some convex pieces, also in worker processes.
+
+    Returns:
+        The function that restores the number.
+    """
+    return _set_variable(PIECES_VARIABLE, str(pieces))
+
+
+def mesh_pieces(pieces: int | None = None) -> int:
+    """Return the largest number of convex pieces of a mesh.
+
+    Args:
+        pieces: The number; None: that of the environment, else 1.
+
+    Raises:
+        UsageError: No number from 1 to 64.
+    """
+    text = os.environ.get(PIECES_VARIABLE, "1") if pieces is None else str(pieces)
+    if not (text.isdecimal() and 1 <= int(text) <= MAX_PIECES):
+        raise UsageError(f"pieces of a mesh are {text!r}, expected a whole number from 1 to {MAX_PIECES}")
+    return int(text)
+
+
+def _set_variable(name: str, value: str) -> Callable[[], None]:
+    """Set an environment variable; return the function that restores it."""
+    before = os.environ.get(name)
+    os.environ[name] = value
+
+    def restore() -> None:
+        if before is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = before
+
+    return restore
 
 
 def _below(base: Path, package: str) -> Iterator[Path]:

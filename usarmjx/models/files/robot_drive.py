@@ -43,6 +43,7 @@ class RollingPart:
         radius: Radius of its round solid about the axis [m]; 0: none is round.
         bottom: Height of that solid's lowest point above the robot's lowest one [m].
         is_caster: Whether it hangs on another part that turns without end.
+        bears: Whether a part hangs on it that is no roller: a leg turns with its motor, a wheel does not.
     """
 
     owner: int
@@ -52,17 +53,17 @@ class RollingPart:
     radius: float
     bottom: float = 0.0
     is_caster: bool = False
+    bears: bool = False
 
     @property
     def rolls(self) -> bool:
-        """Whether it is round and reaches the ground, give or take its springs."""
-        return self.radius > 0 and self.bottom <= max(MAX_LIFT, LIFT_SHARE * self.radius)
+        """Whether it is round, bears nothing and reaches the ground, give or take its springs."""
+        return self.radius > 0 and not self.bears and self.bottom <= max(MAX_LIFT, LIFT_SHARE * self.radius)
 
 
 def rolling_parts(tree: BodyTree) -> list[RollingPart]:
     """Return all parts that may be wheels, in the file's order."""
-    data = mujoco.MjData(tree.model)
-    mujoco.mj_kinematics(tree.model, data)
+    data = _at_rest(tree)
     root = tree.owners[0]
     mat, pos = data.xmat[root].reshape(3, 3), data.xpos[root]
     found: list[RollingPart] = []
@@ -82,9 +83,27 @@ def rolling_parts(tree: BodyTree) -> list[RollingPart]:
                     radius=max((_radius(solid) for solid in solids), default=0.0),
                     bottom=lows[owner] - ground,
                     is_caster=tree.owner_of(int(tree.model.body_parentid[owner])) in free,
+                    bears=_bears(tree, owner, data),
                 )
             )
     return found
+
+
+def _at_rest(tree: BodyTree) -> mujoco.MjData:
+    """Return the poses of a robot whose joints are at their zeros."""
+    data = mujoco.MjData(tree.model)
+    mujoco.mj_kinematics(tree.model, data)
+    return data
+
+
+def _bears(tree: BodyTree, owner: int, data: mujoco.MjData) -> bool:
+    """Return whether a part hangs on another that is no roller: it has limits, or an axis parallel to its."""
+    own = data.xaxis[tree.joint_of(owner)]
+    held = [one for one in tree.owners[1:] if tree.owner_of(int(tree.model.body_parentid[one])) == owner]
+    return any(
+        not tree.turns_freely(one) or abs(float(data.xaxis[tree.joint_of(one)] @ own)) >= SIDEWAYS
+        for one in held
+    )
 
 
 def _lowest(tree: BodyTree, owner: int, data: mujoco.MjData) -> float:
@@ -140,7 +159,8 @@ def find_drive(
     left = [part.joint for part in moved if part.at[1] > MIDDLE]
     right = [part.joint for part in moved if part.at[1] < -MIDDLE]
     steering = _steering_joints(tree, {part.owner: part for part in wheels})
-    if left and right and steering:
+    has_axles = wheels and np.ptp([part.at[0] for part in wheels]) > MIDDLE
+    if left and right and steering and has_axles:
         return _car(wheels, set(left + right), steering, speeds, math.inf)
     if left and right:
         return _skid(left, right, parts, speeds, StatedDrive(kind="skid"))
@@ -200,6 +220,8 @@ def _skid(
 def _steering_joints(tree: BodyTree, wheels: dict[int, RollingPart]) -> dict[str, tuple[str, float]]:
     """Return joints that steer a wheel: their name and largest angle, by the wheel's joint."""
     found: dict[str, tuple[str, float]] = {}
+    data = _at_rest(tree)
+    upwards = data.xmat[tree.owners[0]].reshape(3, 3)[:, 2]
     for owner, wheel in wheels.items():
         holder = tree.locate(int(tree.model.body_parentid[owner]))
         if holder is None:
@@ -210,7 +232,7 @@ def _steering_joints(tree: BodyTree, wheels: dict[int, RollingPart]) -> dict[str
         joint = tree.joint_of(steer)
         if tree.model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
             continue  # a suspension
-        if abs(tree.model.jnt_axis[joint][2]) >= UPRIGHT and tree.model.jnt_limited[joint]:
+        if abs(float(data.xaxis[joint] @ upwards)) >= UPRIGHT and tree.model.jnt_limited[joint]:
             found[wheel.joint] = (holder[0], float(np.abs(tree.model.jnt_range[joint]).min()))
     return found
 

@@ -19,8 +19,15 @@ from usarmjx.models.files.file_motors import DEFAULT_TRAVEL, motor_with_limits, 
 from usarmjx.models.files.gazebo_sensors import read_gazebo_elements
 from usarmjx.models.files.mjcf_solids import usarsim_angles, usarsim_vector
 from usarmjx.models.files.reader_process import expand_xacro, try_model
-from usarmjx.models.files.resources import Resources
-from usarmjx.models.files.robot_drive import DEFAULT_SPIN, MIN_ROTORS, find_drive, rotor_drive, wheel_torque
+from usarmjx.models.files.resources import Resources, mesh_pieces
+from usarmjx.models.files.robot_drive import (
+    DEFAULT_SPIN,
+    MIN_ROTORS,
+    find_drive,
+    rolling_parts,
+    rotor_drive,
+    wheel_torque,
+)
 from usarmjx.models.files.robot_mjcf import read_mjcf_robot
 from usarmjx.models.files.robot_source import JointLimit, RobotSource, listed, plain_name
 from usarmjx.models.files.sdf_robot import sdf_as_urdf
@@ -58,7 +65,7 @@ class LoadedRobot:
     notes: tuple[str, ...]
 
 
-def load_robot(
+def load_robot(  # noqa: PLR0913 - options of its own, one each
     path: str | Path,
     *,
     name: str = "",
@@ -66,6 +73,7 @@ def load_robot(
     motors: Mapping[str, Motor] | None = None,
     packages: Iterable[str | Path] = (),
     arguments: Mapping[str, str] | None = None,
+    pieces: int | None = None,
     max_speed: float = DEFAULT_SPIN,
     **fields: Any,  # noqa: ANN401 - those of RobotSpec
 ) -> LoadedRobot:
@@ -84,6 +92,8 @@ def load_robot(
         motors: Motors of joints, which replace those of the file.
         packages: Folders in which packages and models are searched first.
         arguments: Arguments of a xacro file.
+        pieces: Largest number of convex pieces into which coacd cuts a mesh of URDF, xacro or SDF that is not
+            on a wheel; None: the number of `--pieces`, else 1, its hull.
         max_speed: Highest speed of motors for which the file states none [rad/s or m/s].
         fields: Other fields of RobotSpec, which replace those of the file.
 
@@ -91,8 +101,13 @@ def load_robot(
         SpecError: An unreadable file, or content that a robot cannot have; names it.
     """
     resources = Resources(folders=tuple(Path(folder) for folder in packages))
-    source = open_robot_file(Path(path), resources, arguments or {})
-    return _Builder(source, drive, motors or {}, max_speed).build(name, fields)
+    source = open_robot_file(Path(path), resources, arguments or {}, mesh_pieces(pieces))
+    try:
+        return _Builder(source, drive, motors or {}, max_speed).build(name, fields)
+    except SpecError as error:
+        if str(path) in str(error):
+            raise
+        raise SpecError(f"{path}: {error}") from error
 
 
 def robot_from_mjcf(
@@ -118,7 +133,9 @@ def robot_from_mjcf(
     return loaded.robot
 
 
-def open_robot_file(path: Path, resources: Resources, arguments: Mapping[str, str]) -> RobotSource:
+def open_robot_file(
+    path: Path, resources: Resources, arguments: Mapping[str, str], pieces: int = 1
+) -> RobotSource:
     """Return the content of a robot's file.
 
     Raises:
@@ -137,7 +154,7 @@ def open_robot_file(path: Path, resources: Resources, arguments: Mapping[str, st
     else:
         return read_mjcf_robot(path)
     mended = mend_urdf(root)
-    source = read_urdf_robot(root, path, resources)
+    source = read_urdf_robot(root, path, resources, pieces)
     source.notes[:0] = [*mended, *notes]
     read_gazebo_elements(root, source, {body.name for body in source.spec.bodies})
     try:
@@ -181,7 +198,7 @@ class _Builder:
         try:
             self._model = source.spec.compile()
         except ValueError as error:
-            raise SpecError(f"{source.path}: does not compile: {error}") from error
+            raise SpecError(f"{source.path}: does not compile: {quoted(error)}") from error
         root = self._model.body(source.root).id
         self._tree = BodyTree(self._model, source.spec, root, frozenset(source.slippery))
 
@@ -247,16 +264,18 @@ class _Builder:
             if np.isfinite(limit.speed):
                 speeds.setdefault(joint, limit.speed)
         driven = {*names.values(), *(self._source.motors or ())} or None
-        return find_drive(self._tree, self._source, speeds, driven)
+        drive = find_drive(self._tree, self._source, speeds, driven)
+        rolling = {aim.joint for aim in drive.joint_controls if aim.mode == VELOCITY_MODE}
+        owners = [owner for owner in self._tree.owners[1:] if self._tree.name(owner) in rolling]
+        if gripping := [self._tree.name(owner) for owner in owners if self._tree.grip(owner)]:
+            self._source.notes.append(
+                f"{self._source.path}: driven wheels {listed(gripping)} have no friction: here they grip"
+            )
+        return drive
 
     def _passive_wheels(self) -> set[str]:
-        """Return parts that turn without end and are round: they roll, driven or not."""
-        tree = self._tree
-        return {
-            tree.name(owner)
-            for owner in tree.owners[1:]
-            if tree.turns_freely(owner) and any(s.kind != "mesh" for s in tree.solids(owner, "wheel")[0])
-        }
+        """Return parts that roll, driven or not: they turn without end, are round and reach the ground."""
+        return {part.joint for part in rolling_parts(self._tree) if part.rolls}
 
     def _stated_motors(self, drive: Drive) -> dict[int, Motor]:
         """Return motors of joints for which the file has limits but no actuator, by joint id."""

@@ -10,9 +10,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from usarmjx.base.errors import SpecError
-from usarmjx.models.files.mesh_solids import hull_corners
+from usarmjx.base.errors import ArenaFileError, SpecError
+from usarmjx.models.files.mesh_solids import hull_corners, round_about
 from usarmjx.models.files.meshes import mesh_vertices
+from usarmjx.models.files.reader_process import read_pieces
 from usarmjx.models.files.resources import Resources
 from usarmjx.models.files.robot_source import JointLimit, MimicJoint, RobotSource, listed
 from usarmjx.models.files.urdf_tree import form_of, frame_of, joints_by_parent, lengths_of, link_at
@@ -34,18 +35,19 @@ MIN_MOMENT = 1e-12
 """Smallest moment of inertia [kg m2]: MuJoCo's is smaller."""
 
 
-def read_urdf_robot(root: LinedElement, path: Path, resources: Resources) -> RobotSource:
+def read_urdf_robot(root: LinedElement, path: Path, resources: Resources, pieces: int = 1) -> RobotSource:
     """Return a URDF file's robot.
 
     Args:
         root: Its `<robot>` element.
         path: The file, for messages and relative names.
         resources: Finder of the files that it names.
+        pieces: Largest number of convex pieces of a mesh.
 
     Raises:
         SpecError: An element that does not read, or content that a robot cannot have; names file and line.
     """
-    return _UrdfReader(root, path, resources).read()
+    return _UrdfReader(root, path, resources, pieces).read()
 
 
 class _UrdfReader:
@@ -57,13 +59,14 @@ class _UrdfReader:
         resources: Finder of the files that it names.
     """
 
-    def __init__(self, root: LinedElement, path: Path, resources: Resources) -> None:
+    def __init__(self, root: LinedElement, path: Path, resources: Resources, pieces: int) -> None:
+        self._pieces = pieces
         self._root, self._path, self._resources = root, path, resources
         self._links = {link.get("name", ""): link for link in root.all("link")}
         self._spec = mujoco.MjSpec()
         self._spec.compiler.degree = False
         self._visual_only = all(link.first("collision/geometry") is None for link in self._links.values())
-        self._meshes: dict[tuple[str, tuple[float, ...]], str] = {}
+        self._meshes: dict[tuple[str, tuple[float, ...], int], list[str]] = {}
         self._bodies: dict[str, mujoco.MjsBody] = {}
 
     def read(self) -> RobotSource:
@@ -148,9 +151,44 @@ class _UrdfReader:
         self._bodies[name] = body
         moves = joint is not None and self._add_joint(joint, body)
         self._add_inertia(link, body, moves=moves)
-        for number, solid in enumerate(link.all("visual" if self._visual_only else "collision")):
-            self._add_solid(solid, body, f"{name}/{number}")
+        rolls = joint is not None and joint.get("type") == "continuous"
+        for number, solid in enumerate(self._solids_of(link, joint if rolls else None)):
+            self._add_solid(solid, body, f"{name}/{number}", rolls=rolls)
         return body
+
+    def _solids_of(self, link: LinedElement, hinge: LinedElement | None) -> list[LinedElement]:
+        """Return a link's solids: on a hinge without end, a round mesh instead of square ones."""
+        solids = [*link.all("visual" if self._visual_only else "collision")]
+        if hinge is None or self._visual_only or not solids:
+            return solids
+        given = hinge.first("axis")
+        axis = np.array([1.0, 0, 0]) if given is None else attribute_numbers(given, "xyz", 3, "1 0 0")
+        axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
+        if any(self._is_round(one, axis, otherwise=True) for one in solids):
+            return solids
+        looks = [one for one in link.all("visual") if self._is_round(one, axis, otherwise=False)]
+        if looks:
+            self._source.notes.append(
+                f"{solids[0].place}: the collision mesh of {link.get('name')!r}, which turns without end, is "
+                "not round: its round <visual> collides instead"
+            )
+        return looks[:1] or solids
+
+    def _is_round(self, element: LinedElement, axis: np.ndarray, *, otherwise: bool) -> bool:
+        """Return whether a mesh is round about an axis through its link's origin; `otherwise`: no mesh."""
+        form = form_of(element)
+        if form is None or form.tag != "mesh":
+            return otherwise
+        found = self._resources.file(form.get("filename", ""), form.path)
+        if found is None:
+            return False
+        try:
+            vertices = mesh_vertices(found)
+        except ArenaFileError:  # a mesh that collides is read again, and refused with its line
+            return False
+        frame = frame_of(element)
+        scaled = vertices * attribute_numbers(form, "scale", 3, "1 1 1")
+        return round_about(scaled @ frame.mat.T + frame.pos, axis, np.zeros(3)) is not None
 
     def _add_joint(self, joint: LinedElement, body: mujoco.MjsBody) -> bool:
         """Add a link's joint; return whether it moves."""
@@ -256,8 +294,8 @@ class _UrdfReader:
         values[2] = min(values[2], (values[0] + values[1]) * (1 - 1e-9))
         return values
 
-    def _add_solid(self, element: LinedElement, body: mujoco.MjsBody, name: str) -> None:
-        """Add a collision element's solid, without mass."""
+    def _add_solid(self, element: LinedElement, body: mujoco.MjsBody, name: str, *, rolls: bool) -> None:
+        """Add a collision element's solid, without mass; a mesh that rolls is in one piece."""
         form = form_of(element)
         if form is None:
             raise element.error(f"link {body.name!r} has a <{element.tag}> without geometry")
@@ -273,24 +311,27 @@ class _UrdfReader:
             kind = kinds.mjGEOM_CYLINDER if form.tag == "cylinder" else kinds.mjGEOM_CAPSULE
             body.add_geom(type=kind, size=[radius, length / 2, 0], **like)
         elif form.tag == "mesh":
-            body.add_geom(type=kinds.mjGEOM_MESH, meshname=self._mesh(form), **like)
+            for number, mesh in enumerate(self._mesh(form, 1 if rolls else self._pieces)):
+                like["name"] = f"{name}/piece {number}" if number else name
+                body.add_geom(type=kinds.mjGEOM_MESH, meshname=mesh, **like)
         else:
             raise form.error(f"a solid is a <{form.tag}>; allowed: box, sphere, cylinder, capsule, mesh")
 
-    def _mesh(self, form: LinedElement) -> str:
-        """Return the name of a mesh's hull in the description."""
+    def _mesh(self, form: LinedElement, pieces: int) -> list[str]:
+        """Return the names of a mesh's hull, or of those of its pieces, in the description."""
         file = form.get("filename", "")
         scale = attribute_numbers(form, "scale", 3, "1 1 1")
-        key = (file, tuple(scale.tolist()))
+        key = (file, tuple(scale.tolist()), pieces)
         if key not in self._meshes:
             found = self._resources.file(file, form.path) if file else None
             if found is None:
                 raise form.error(f"mesh {file!r} is not there; --packages DIR names folders to search")
-            corners = hull_corners(mesh_vertices(found) * scale)
-            name = f"mesh {len(self._meshes)}"
-            mesh = self._spec.add_mesh(name=name, uservert=corners.ravel())
-            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-            self._meshes[key] = name
+            whole = mesh_vertices(found) * scale  # also where it is cut: this checks the file
+            cut = [whole] if pieces == 1 else read_pieces(found, pieces, scale)
+            self._meshes[key] = [f"mesh {len(self._meshes)}/{number}" for number in range(len(cut))]
+            for name, vertices in zip(self._meshes[key], cut, strict=True):
+                mesh = self._spec.add_mesh(name=name, uservert=hull_corners(vertices).ravel())
+                mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
         return self._meshes[key]
 
 

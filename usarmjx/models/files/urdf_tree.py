@@ -32,6 +32,8 @@ def read_urdf(path: Path, text: bytes | None = None) -> LinedElement:
 
 VECTORS = {"xyz": 3, "rpy": 3, "scale": 3, "size": 3}
 """Attributes of URDF with several numbers, and how many."""
+MAX_STEERING = 3.0
+"""Largest limit of a continuous joint that counts [rad]: wheels are limited to half a turn by mistake."""
 VALUES = ("mu1", "mu2", "mu")
 """Elements of `<gazebo>` whose number some files have in an attribute."""
 
@@ -39,7 +41,8 @@ VALUES = ("mu1", "mu2", "mu")
 def mend_urdf(root: LinedElement) -> list[str]:
     """Change what other readers of URDF accept to the format; return notes, with file and line.
 
-    Commas between numbers, more numbers than there are axes, and numbers of `<gazebo>` in an attribute.
+    Commas between numbers, more numbers than there are axes, numbers of `<gazebo>` in an attribute, and
+    limits of continuous joints within which no wheel turns.
     """
     notes: list[str] = []
     for element in root.iter():
@@ -58,7 +61,24 @@ def mend_urdf(root: LinedElement) -> list[str]:
             element.set(key, " ".join(words[:count]))
         if element.tag in VALUES and not (element.text or "").strip() and (value := element.get("value")):
             element.text = value
+        if element.tag == "joint" and element.get("type") == "continuous" and _is_limited(element):
+            notes.append(
+                f"{element.place}: joint {element.get('name')!r} is continuous and has limits: they hold"
+            )
+            element.set("type", "revolute")
     return notes
+
+
+def _is_limited(joint: LinedElement) -> bool:
+    """Return whether a continuous joint has limits of less than half a turn to each side."""
+    limit = joint.first("limit")
+    if limit is None:
+        return False
+    try:
+        low, high = float(limit.get("lower", "0")), float(limit.get("upper", "0"))
+    except ValueError:
+        return False  # its reader says so
+    return -MAX_STEERING < low < high < MAX_STEERING
 
 
 def joints_by_parent(root: LinedElement, links: Collection[str]) -> dict[str, list[LinedElement]]:

@@ -170,8 +170,12 @@ def numbers_of(element: LinedElement, text: str | None, count: int, key: str = "
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise element.error(f"<{f'{element.tag} {key}'.strip()}> has {text!r}, expected {count} numbers")
+        raise element.error(f"<{f'{element.tag} {key}'.strip()}> has {text!r}, expected {_many(count)}")
     return np.array(numbers)
+
+
+def _many(count: int) -> str:
+    return "a number" if count == 1 else f"{count} numbers"
 
 
 def attribute_numbers(element: LinedElement, key: str, count: int, default: str | None = None) -> np.ndarray:
@@ -182,7 +186,7 @@ def attribute_numbers(element: LinedElement, key: str, count: int, default: str 
     """
     text = element.get(key, default)
     if text is None:
-        raise element.error(f"<{element.tag}> has no {key}, expected {count} numbers")
+        raise element.error(f"<{element.tag}> has no {key}, expected {_many(count)}")
     return numbers_of(element, text, count, key)
 
 

@@ -26,7 +26,7 @@ LATER_ITEMS = {
     "magneticcompass": "Magnetometer",
 }
 """Classes of items of the later versions with another name."""
-OWN_KINDS = ("IMU", "Battery", "Magnetometer")
+OWN_KINDS = ("IMU", "Battery", "Magnetometer", "Tachometer", "AltitudeSensor", "MissionTime")
 """Types that the manual has no class of."""
 
 SENT = "the dialect of the connection decides which keys a reading has"

@@ -28,7 +28,7 @@ HEADING_SHARE = 0.12
 
 @dataclass(frozen=True, kw_only=True)
 class FilmPlan:
-    """What a film shows.
+    """Choice of worlds, moments and view of a film.
 
     Attributes:
         size: Width and height [pixels].

@@ -342,7 +342,7 @@ class FilmScene:
 
 
 class _Base(NamedTuple):
-    """What does not move, in a view that stays.
+    """Part of a picture that does not move, in a view that stays.
 
     Attributes:
         view: The view.

@@ -66,7 +66,7 @@ class FilmView:
 
 
 class ShadowMap(struct.PyTreeNode, kw_only=True):
-    """What the sun sees: nearness by texel (side * side,), and the map's `SunView` as numbers."""
+    """Solids as seen from the sun: nearness by texel (side * side,), and the map's `SunView` as numbers."""
 
     nearness: Array
     middle: Array

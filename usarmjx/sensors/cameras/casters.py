@@ -23,7 +23,7 @@ TILE_BUNDLE_SIZE = TILE * TILE
 SOLID_QUERY = RayQuery(transparent=frozenset({SKY, GLASS}), bundle_size=TILE_BUNDLE_SIZE)
 """Queries for solids and for panes of glass."""
 PANE_QUERY = RayQuery(transparent=frozenset(MATERIALS) - {GLASS}, bundle_size=TILE_BUNDLE_SIZE)
-"""What rays pass that look for solids, and for panes."""
+"""Materials that rays pass: of those that look for solids, and for panes."""
 
 
 class RayHits(NamedTuple):

@@ -17,8 +17,14 @@ CLIENT_SHARE = 0.05
 """Growth of one client's budget [s per simulated second]."""
 TOTAL_SHARE = 0.25
 """Share of a control step for all clients of a world together [s per simulated second]."""
-JOIN_SHARE = 0.2
+JOIN_SHARE = 0.15
 """Share of a control step for joining and leaving, all clients together [s per simulated second]."""
+SHARE_BESIDE_JOINS = 0.1
+"""Share for all clients together while the time for joining is spent [s per simulated second].
+
+A model is built in one piece, which takes as long as several control steps give. With the usual share beside
+it, a neighbour would wait for the sum of both.
+"""
 BURST = 0.05
 """Largest saved budget of a silent client [s]."""
 USE_DECAY = 0.98
@@ -36,6 +42,7 @@ class BudgetPool:
         period: Simulated time of a control step [s].
         share: Share of the time [s per simulated second].
         clock: Processor time of this thread [s].
+        joins: Time for joining; while it is spent, the share is `SHARE_BESIDE_JOINS`.
 
     Attributes:
         clock: Processor time of this thread [s].
@@ -45,10 +52,15 @@ class BudgetPool:
     """
 
     def __init__(
-        self, period: float, share: float = TOTAL_SHARE, clock: Callable[[], float] = time.thread_time
+        self,
+        period: float,
+        share: float = TOTAL_SHARE,
+        clock: Callable[[], float] = time.thread_time,
+        joins: "BudgetPool | None" = None,
     ) -> None:
         self.clock, self.growth, self.steps = clock, CLIENT_SHARE * period, 0
         self.meter: LoopMeter | None = None
+        self._joins, self._share_beside_joins = joins, min(share, SHARE_BESIDE_JOINS) * period
         self._share = self._left = share * period
         self._waiting: dict[ClientBudget, asyncio.Future[None]] = {}
 
@@ -60,7 +72,9 @@ class BudgetPool:
     def refill(self) -> None:
         """Begin a control step: an unspent rest of the last one is lost, a debt stays."""
         self.steps += 1
-        self._left = self._share + min(0.0, self._left)
+        beside = self._joins is not None and self._joins.is_spent
+        share = self._share_beside_joins if beside else self._share
+        self._left = share + min(0.0, self._left)
         self._wake_next()
 
     def spend(self, cost: float) -> None:

@@ -181,6 +181,11 @@ def _encoder(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     return reports.sen_encoder(time, ticks)
 
 
+def _tachometer(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    spins, angles = value.reshape(2, -1).tolist()
+    return reports.sen_tachometer(time, sensor.mounts[0].name, spins, angles)
+
+
 def _touch(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     touched = [(mount.name, bool(v)) for mount, v in zip(sensor.mounts, value, strict=True)]
     return reports.sen_touch(time, touched)
@@ -204,6 +209,7 @@ REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message | None]]
     "INS": _ins,
     "GroundTruth": _ground_truth,
     "Encoder": _encoder,
+    "Tachometer": _tachometer,
     "Touch": _touch,
     "GPS": _gps,
     **victims.REPORTS,
@@ -235,6 +241,7 @@ CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
     "INS": (("ScanInterval", "scan_interval"),),
     "GroundTruth": (("ScanInterval", "scan_interval"),),
     "Encoder": (("Resolution", "resolution"),),
+    "Tachometer": (("ScanInterval", "scan_interval"),),
     "Touch": (("Diameter", "diameter"),),
     **victims.CONFIGURATION,
 }

@@ -162,7 +162,8 @@ class BotServer:
         )
         self._listener: asyncio.Server | None = None
         self._connections: dict[Client, RobotConnection] = {}
-        self.budgets, self._joins = BudgetPool(world.period), BudgetPool(world.period, JOIN_SHARE)
+        self._joins = BudgetPool(world.period, JOIN_SHARE)
+        self.budgets = BudgetPool(world.period, joins=self._joins)
         self._fault_log = FaultLog(log)
         self._stepped = asyncio.Event()
         self._joining = asyncio.Lock()

@@ -265,6 +265,12 @@ def sen_encoder(time: float | None, ticks: Iterable[tuple[str, int]]) -> Message
     return _sen(_precise(time), "Encoder", *items)
 
 
+def sen_tachometer(time: float | None, name: str, spins: Sequence[float], angles: Sequence[float]) -> Message:
+    """Return spins [rad/s] and angles [rad] of all driven wheels (Tachometer.uc)."""
+    pairs = ("Name", name), ("Vel", four_decimals_list(spins)), ("Pos", four_decimals_list(angles))
+    return _sen(_precise(time), "Tachometer", *pairs)
+
+
 def sen_gps(time: float | None, name: str, position: tuple[float, float] | None, satellites: int) -> Message:
     """Return a position; without one the line has neither latitude nor longitude (GPSSensor.uc).
 

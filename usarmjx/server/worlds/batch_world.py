@@ -92,6 +92,12 @@ def select_world(instance: int, tree: Any) -> Any:  # noqa: ANN401 - a PyTree
     return jax.tree.map(lambda x: np.asarray(x[instance]), tree)
 
 
+@jax.jit  # written one by one, the fields of a robot would be some thirty programs
+def write_member(old: Any, new: Any, instance: int, member: int) -> Any:  # noqa: ANN401 - PyTrees
+    """Return a PyTree (worlds, robots, ...) with the values of one robot of a world replaced."""
+    return jax.tree.map(lambda rows, row: rows.at[instance, member].set(row), old, new)
+
+
 class BatchWorld(ServedWorld):
     """World `instance` of a batch.
 
@@ -182,11 +188,8 @@ class BatchWorld(ServedWorld):
         """Replace fields of the robot's part of its group's state."""
         group, member = self.scene.group_of(robot.slot)
         state: GroupState = self._state.worlds.groups[group]
-        at = (self._instance, member)
-        new = {
-            name: jax.tree.map(lambda old, value: old.at[at].set(value), getattr(state, name), value)
-            for name, value in fields.items()
-        }
+        before = {name: getattr(state, name) for name in fields}
+        new = write_member(before, fields, self._instance, member)
         self._state = self._batch.with_group(self._state, group, state.replace(**new))
 
     def spawn_at(self, robot: RobotSpec, name: str, poses: Sequence[tuple[Vec3, Vec3]]) -> Robot:

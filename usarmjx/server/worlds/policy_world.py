@@ -9,6 +9,7 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from flax import struct
 from usarmjx.base import random
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
-from usarmjx.base.program_cache import compile_program
+from usarmjx.base.program_cache import PrecompiledProgram, compile_program
 from usarmjx.base.transforms import Vec3
 from usarmjx.engines import PhysicsState
 from usarmjx.models.drives.base import RobotState
@@ -47,7 +48,11 @@ log = logging.getLogger(__name__)
 
 INTERVAL = 2.0
 """Interval between two looks into a run's folder [s]."""
+COMPILERS = 2
+"""Threads that compile while the next program is traced."""
 Readings = tuple[tuple[Reading, ...], ...]
+Parts = tuple[World, PhysicsState, Readings]
+"""Parts of a `TaskView` that change (worlds, ...)."""
 
 
 class PolicyState(struct.PyTreeNode, kw_only=True):
@@ -63,9 +68,17 @@ class PolicyState(struct.PyTreeNode, kw_only=True):
 
     task: Any
     policy: Any
-    length: jax.Array
-    score: jax.Array
-    episode: jax.Array
+    length: Array
+    score: Array
+    episode: Array
+
+
+def _blank(one: jax.ShapeDtypeStruct) -> Array:
+    """Return an array of a shape; its values count for nothing."""
+    kind: Any = one.dtype
+    is_key = bool(jnp.issubdtype(kind, jax.dtypes.prng_key))
+    blank = jnp.broadcast_to(random.key(0), one.shape) if is_key else np.zeros(one.shape, kind)
+    return blank  # pyright: ignore[reportUnknownVariableType] - NumPy has no type for `kind`
 
 
 class PolicyBatch(SharedBatch):
@@ -91,46 +104,72 @@ class PolicyBatch(SharedBatch):
         self.env, self._policy = env, policy
         self.claimed = np.zeros((env.worlds, env.scene.num_robots), bool)
         self._key = random.key(seed)
-        self._sense_all = compile_program(jax.vmap(self._sense), env.program_cache, "PolicyBatch")
-        self._begin_all = self._of_views(self._begin, precise=False)
-        self._evaluate_all = self._of_views(env.task.evaluate, precise=False)
-        self._observe_all = self._of_views(env.task.observe, precise=False)
-        self._apply_actions_all = self._of_views(self._apply_actions, precise=True)
-        self._act = jax.jit(policy.act)
+        self._sense_all = PrecompiledProgram(
+            compile_program(jax.vmap(self._sense), env.program_cache, "PolicyBatch")
+        )
+        self._begin_all = jax.jit(self._of_views(self._begin))
+        self._advance_all = self._program(self._advance, precise=False)
+        self._apply_actions_all = self._program(self._of_views(self._apply_actions), precise=True)
+        self._act = PrecompiledProgram(jax.jit(policy.act))
         self._maps_of: Callable[..., Any] = jax.jit(self._map_world)
         self._maps: dict[int, tuple[int, TeamMaps | None]] = {}
         self._episodes = np.asarray(self.state.worlds.episode)
-        super()._step()  # a client that comes at once finds a world that has begun
-        views = self._views()
-        self._policy_state = self._initial_policy_state(views)
-        self._act_on(views, jnp.ones(env.worlds, bool))
+        self._task_keys = self._keys_of_task()
+        with ThreadPoolExecutor(COMPILERS, "compile") as pool:
+            self._policy_state = self._compile_all(pool)
+            super()._step()  # a client that comes at once finds a world that has begun
+            self._act_on(self._views(), np.ones(env.worlds, bool))
 
-    def _of_views(self, function: Callable[..., Any], *, precise: bool) -> Callable[..., Any]:
-        """Return a function of one world's view and more, compiled for the views of all worlds."""
+    def _compile_all(self, pool: Executor) -> PolicyState:
+        """Trace all programs in turn while others compile; return a state before the first episode."""
+        count = self.env.worlds
+        physics = self.batch.physics(self.state)
+        worlds, readings = self._sense_all.compile_in(pool, self.state.worlds, physics)
+        parts = worlds, jax.eval_shape(lambda: physics), readings
+        zero = np.zeros(count, np.int32)
+        task = jax.eval_shape(self._begin_all, parts, self._task_keys, zero)
+        blank = PolicyState(
+            task=jax.tree.map(_blank, task),
+            policy=self._policy.initial_carry(count),
+            length=zero,
+            score=np.zeros(count, np.float32),
+            episode=zero - 1,
+        )
+        again = np.ones(count, bool)
+        advanced = self._advance_all.compile_in(pool, parts, blank, self._task_keys, again)
+        key = jax.random.fold_in(self._key, 0)
+        actions = self._act.compile_in(pool, blank.policy, advanced[1], key)[1]
+        self._apply_actions_all.compile_in(pool, parts, advanced[0].task, actions, self.claimed)
+        return blank
 
-        def of_parts(parts: tuple[World, PhysicsState, Readings], *rest: Any) -> Any:  # noqa: ANN401
+    def _program(self, function: Callable[..., Any], *, precise: bool) -> PrecompiledProgram:
+        """Return a function of all worlds as a program that can be compiled before it is called."""
+        return PrecompiledProgram(
+            compile_program(function, self.env.program_cache, "PolicyBatch", precise=precise)
+        )
+
+    def _of_views(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function of one world's view and more as one of the parts of all worlds' views."""
+
+        def of_parts(parts: Parts, *rest: Any) -> Any:  # noqa: ANN401
             world, physics, readings = parts
             return function(
                 TaskView(world=world, physics=physics, readings=readings, scene=self.env.scene), *rest
             )
 
         of_parts.__name__ = function.__name__
-        program = compile_program(jax.vmap(of_parts), self.env.program_cache, "PolicyBatch", precise=precise)
-
-        def of_views(views: TaskView, *rest: Any) -> Any:  # noqa: ANN401
-            return program((views.world, views.physics, views.readings), *rest)
-
-        return of_views
+        return jax.vmap(of_parts)
 
     def use_policy(self, policy: Policy) -> None:
         """Replace the policy; it is compiled before its first action. May be called in a thread.
 
         Its memory must be of the same shapes as that of the one before, and goes on.
         """
-        self._act = jax.jit(policy.act).lower(*self._act_example).compile()
-        self._policy = policy
+        act = PrecompiledProgram(jax.jit(policy.act))
+        act.compile(*self._act_example)
+        self._act, self._policy = act, policy
 
-    # The functions up to `_apply_actions` are traced, for one world.
+    # The functions up to `_advance` are traced, all but the last for one world.
 
     def _sense(self, world: World, physics: PhysicsState) -> tuple[World, Readings]:
         world, readings = observe(self.env.scene, world, physics)
@@ -156,61 +195,69 @@ class PolicyBatch(SharedBatch):
         bounded = tuple(jnp.clip(jnp.where(jnp.isfinite(a), a, 0.0), -1.0, 1.0) for a in actions)
         return apply_actions(scene, view.world, view.physics, task.act(view, memory, bounded), where=~claimed)
 
+    def _advance(
+        self, parts: Parts, before: PolicyState, keys: jax.Array, again: Array
+    ) -> tuple[PolicyState, Any, jax.Array]:
+        """Evaluate the last actions of all worlds, begin what is over, observe.
+
+        Args:
+            parts: Parts of the worlds' views.
+            before: State before those actions.
+            keys: Random keys of the task (worlds,).
+            again: Worlds whose physics began anew (worlds,).
+
+        Returns:
+            The state now, the observations, and the worlds that begin an episode (worlds,).
+        """
+        result = self._of_views(self.env.task.evaluate)(parts, before.task)
+        over = result.terminated | (before.length + 1 >= self.env.episode_steps)
+        began = over | again | (before.episode < 0)
+        episode = before.episode + began
+        fresh = self._begin_all(parts, keys, episode)
+        task = jax.tree.map(partial(select_worlds, began), fresh, result.memory)
+        state = PolicyState(
+            task=task,
+            policy=before.policy,
+            length=jnp.where(began, 0, before.length + 1),
+            score=jnp.where(before.episode < 0, 0.0, result.score),
+            episode=episode,
+        )
+        # Numbers without a type of their own would compile the next call again.
+        state = jax.tree.map(lambda new, old: new.astype(old.dtype), state, before)
+        return state, self._of_views(self.env.task.observe)(parts, state.task), began
+
+    # What follows runs on the host.
+
     def _step(self) -> None:
         """Advance by one control step; at the end of each action the policy acts."""
         super()._step()
         if self.steps % self.env.task.repeat == 0:
-            views = self._views()
-            self._policy_state, began = self._next_policy_state(views)
-            self._act_on(views, began)
+            episodes = np.asarray(self.state.worlds.episode)
+            again, self._episodes = episodes != self._episodes, episodes
+            self._act_on(self._views(), again)
 
-    def _views(self) -> TaskView:
-        """Read the sensors of all worlds; return the task's views."""
+    def _views(self) -> Parts:
+        """Read the sensors of all worlds; return the parts of the task's views."""
         physics = self.batch.physics(self.state)
         worlds, readings = self._sense_all(self.state.worlds, physics)
         self.measured, self.readings = self.steps, jax.device_get(readings)
-        return TaskView(world=worlds, physics=physics, readings=readings, scene=self.env.scene)
+        return worlds, physics, readings
 
-    def _act_on(self, views: TaskView, began: jax.Array) -> None:
-        """Apply the policy's actions, with a fresh memory where an episode began (worlds,)."""
-        state = self._policy_state
-        obs = self._observe_all(views, state.task)
+    def _act_on(self, parts: Parts, again: np.ndarray) -> None:
+        """Apply the policy's actions, with a fresh memory where an episode begins.
+
+        Args:
+            parts: Parts of the worlds' views.
+            again: Worlds whose physics began anew (worlds,).
+        """
+        state, obs, began = self._advance_all(parts, self._policy_state, self._task_keys, again)
         initial = self._policy.initial_carry(self.env.worlds)
         memory = jax.tree.map(partial(select_worlds, began), initial, state.policy)
         self._act_example = memory, obs, jax.random.fold_in(self._key, self.steps)
         memory, actions = self._act(*self._act_example)
-        worlds = self._apply_actions_all(views, state.task, actions, self.claimed)
+        worlds = self._apply_actions_all(parts, state.task, actions, self.claimed)
         self.state = self.state.replace(worlds=worlds)
         self._policy_state = state.replace(policy=memory)
-
-    def _initial_policy_state(self, views: TaskView) -> PolicyState:
-        count = self.env.worlds
-        zero = jnp.zeros(count, jnp.int32)
-        return PolicyState(
-            task=self._begin_all(views, self._task_keys(), zero),
-            policy=self._policy.initial_carry(count),
-            length=zero,
-            score=jnp.zeros(count),
-            episode=zero,
-        )
-
-    def _next_policy_state(self, views: TaskView) -> tuple[PolicyState, jax.Array]:
-        """Evaluate the last actions; return the next state, and which worlds begin an episode (worlds,)."""
-        before, episodes = self._policy_state, np.asarray(self.state.worlds.episode)
-        result = self._evaluate_all(views, before.task)
-        over = result.terminated | (before.length + 1 >= self.env.episode_steps)
-        began = over | jnp.asarray(episodes != self._episodes)
-        self._episodes = episodes
-        episode = before.episode + began
-        fresh = self._begin_all(views, self._task_keys(), episode)
-        after = PolicyState(
-            task=jax.tree.map(partial(select_worlds, began), fresh, result.memory),
-            policy=before.policy,
-            length=jnp.where(began, 0, before.length + 1),
-            score=result.score,
-            episode=episode,
-        )
-        return after, began
 
     def maps(self, world: int) -> TeamMaps | None:
         """Return the maps that the robots of a world are building, as of the last action."""
@@ -220,7 +267,7 @@ class PolicyBatch(SharedBatch):
             self._maps[world] = before = self.measured, jax.device_get(maps)
         return before[1]
 
-    def _task_keys(self) -> jax.Array:
+    def _keys_of_task(self) -> jax.Array:
         # Actions fold the step into the same key: a number beyond all steps keeps the two streams apart.
         return jax.random.split(jax.random.fold_in(self._key, 1 << 30), self.env.worlds)
 

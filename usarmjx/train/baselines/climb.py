@@ -11,11 +11,11 @@ from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.tasks.stairs import MAX_FLIPPER_ANGLE, Stairs
 
 UP = 0.6
-"""How far the front flippers are up before the first step [rad]."""
+"""Angle of the front flippers before the first step [rad]."""
 ON_STAIRS = 0.2
 """With its nose farther up than this it is on the stairs [rad]."""
 STEER = 1.5
-"""How much one track is slower than the other, as a share, per radian off the goal."""
+"""Share by which one track is slower than the other, per radian off the goal [1/rad]."""
 
 
 def climb_action(seen: jax.Array, pace: float) -> jax.Array:

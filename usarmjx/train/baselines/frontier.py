@@ -12,7 +12,7 @@ TURN, FASTEST_TURN = 0.8, 0.5
 """Turning over the bearing of the next position [1/rad], and the most of it."""
 CRUISE = 0.9
 STOP_RANGE = 0.35 / 4
-"""What is so near ahead stops a robot; as observed (0.35 m)."""
+"""Range ahead at which a robot stops; as observed (0.35 m)."""
 STUCK = 0.3
 """A robot that has come less far lately than this share of 0.5 m, though it should, backs up."""
 BACK_UP_PERIOD, BACK_UP_STEPS = 20, 5

@@ -13,11 +13,11 @@ from usarmjx.train.envs.task import ActionArrays, ObservationArrays, Policy
 from usarmjx.train.tasks.drive_to_goal import MAX_GOAL_DISTANCE, DriveToGoal
 
 LEAVE_MARGIN = 0.4
-"""So much nearer to the goal than where the wall began it leaves the wall [m]."""
+"""Gain on the distance at which the wall began from which on it leaves the wall [m]."""
 BLOCKED_ANGLE = 0.9
 """A way that leads off the goal's direction by more than this is one along a wall [rad]."""
 WALL_FOLLOW_ANGLE = 1.9
-"""How far to the wall's side of its heading it looks for a way along the wall [rad]."""
+"""Angle to the wall's side of the heading up to which it looks for a way along the wall [rad]."""
 
 
 class BugCarry(struct.PyTreeNode, kw_only=True):

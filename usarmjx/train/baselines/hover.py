@@ -11,7 +11,7 @@ from usarmjx.train.tasks.hover_inspect import POSITION_SCALE, SPEED_SCALE, TURN_
 GAIN, TURN_GAIN = 1.0, 1.2
 """Speed over distance and turning rate over angle [1/s]."""
 STANDOFF = 1.3
-"""How far from the point it hovers, and from the window it squares up, at least [m]."""
+"""Least distance from the point at which it hovers, and from the window at which it squares up [m]."""
 SQUARE = 0.12
 """Off the window's middle or its axis by less than this it flies through [m, rad]."""
 TURN_FIRST = 0.6
@@ -19,7 +19,7 @@ TURN_FIRST = 0.6
 COMMIT_DISTANCE = 0.6
 """Nearer to the wall than this there is no way but on [m]: its front is in the window."""
 WINDOW_SPEED = 0.8
-"""How fast [m/s]."""
+"""Speed through a window [m/s]."""
 
 
 def inspection_action(seen: jax.Array) -> jax.Array:

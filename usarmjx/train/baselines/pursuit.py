@@ -13,7 +13,7 @@ from usarmjx.train.tasks.convoy import AHEAD, BEAMS, RANGE_SCALE, SPEED_SCALE, C
 LOOKAHEAD = 3.0, 0.6
 """Along the lane from the rear axle to the point that is steered for: at rest [m], and more per speed [s]."""
 LANE = 1.5
-"""What is nearer to the lane's middle than this is in the way [m]."""
+"""Distance from the lane's middle within which solids are in the way [m]."""
 CATCH_UP = 1.25
 """Highest speed, as a multiple of the target speed, to close a gap."""
 

@@ -23,7 +23,7 @@ KEEP_OFF = 0.35
 STEER = 2.5
 """Turn, as a share, per metre of that."""
 BESIDE_SHARE = 1.2
-"""What is less far ahead and behind than this, in half lengths of the robot, is beside it."""
+"""Distance ahead and behind up to which solids are beside the robot [half lengths of the robot]."""
 
 
 def roam_action(

@@ -24,7 +24,7 @@ ANGLES = np.linspace(-np.pi, np.pi, 48, endpoint=False).astype(np.float32)
 BLOCKED_DISTANCE, SLOW_DISTANCE = 0.3, 0.6
 """A way that is free for less is barred; on one that is free for less than the second it is slow [m]."""
 NO_OBSTACLE_DISTANCE = 100.0
-"""Where nothing was seen [m]."""
+"""Distance of directions in which nothing was seen [m]."""
 
 Driver = Callable[[jax.Array, jax.Array], jax.Array]
 """From speed ahead and turn to the left, shares from -1 to 1 (), to an action (keys,)."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import fields
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, get_args
 
 import jax
@@ -273,8 +273,6 @@ class Env:
     Attributes:
         name: Name of the task.
         first: Number of the first world.
-        groups: The agents.
-        privileged_size: Numbers that only critics see.
         episode_steps: Steps after which the time is up.
         period: Simulated time of a step [s].
         levels: Difficulties of its generated arenas, from easy to hard; empty: they are not generated.
@@ -327,12 +325,23 @@ class Env:
         if self.traceable:
             self._step_program = self._compile(self._step)
             self._restart = self._compile(self._restart_where)
-        self._blanks, self._metrics = (
-            self._shapes()
-            if self.program_cache is None
-            else self.program_cache.value("Env._shapes", self._shapes)
-        )
-        self.groups, self.privileged_size = self._agents(), self._blanks[1].privileged.shape[-1]
+
+    @cached_property
+    def _known_shapes(self) -> tuple[tuple[World, EpisodeStart], tuple[str, ...]]:
+        # Tracing takes a second or more, which a served world does not need.
+        if self.program_cache is None:
+            return self._shapes()
+        return self.program_cache.value("Env._shapes", self._shapes)
+
+    @cached_property
+    def groups(self) -> tuple[AgentGroup, ...]:
+        """The agents."""
+        return self._agents()
+
+    @property
+    def privileged_size(self) -> int:
+        """Numbers that only critics see."""
+        return self._known_shapes[0][1].privileged.shape[-1]
 
     @property
     def facts(self) -> dict[str, object]:
@@ -381,7 +390,7 @@ class Env:
         scene, task = self.scene, self.task
         groups: list[AgentGroup] = []
         for number, obs, actions in zip(
-            task.agent_groups(scene), self._blanks[1].obs, task.action_sizes(scene), strict=True
+            task.agent_groups(scene), self._known_shapes[0][1].obs, task.action_sizes(scene), strict=True
         ):
             group = scene.groups[number]
             names = tuple(scene.roster[int(slot)].name or f"{group.robot.name}{slot}" for slot in group.slots)
@@ -472,7 +481,7 @@ class Env:
         def zeros(one: jax.ShapeDtypeStruct) -> jax.Array:
             return jnp.zeros((self.worlds, *one.shape), one.dtype)
 
-        world, begun = self._blanks
+        (world, begun), metrics = self._known_shapes
         numbers = self.first + jnp.arange(self.worlds)
         worlds = jax.tree.map(zeros, world.replace(key=None)).replace(
             key=jax.vmap(partial(jax.random.fold_in, key))(numbers),
@@ -496,7 +505,7 @@ class Env:
             final_score=zero,
             length=begun.length,
             bad=no,
-            metrics=dict.fromkeys(self._metrics, zero),
+            metrics=dict.fromkeys(metrics, zero),
             alive=begun.alive,
             final_alive=begun.alive,
             level=level,

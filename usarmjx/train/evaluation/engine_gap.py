@@ -42,7 +42,7 @@ TASKS_TRIED = (
 
 
 Tried: TypeAlias = tuple[str, tuple[PolicySource, ...]]
-"""What a row is of: its name, and a policy; or those of several runs that differ by their seeds only."""
+"""Subject of a row: its name, and a policy; or those of several runs that differ by their seeds only."""
 
 
 def sources_of(named: Sequence[str]) -> Iterator[Tried]:

@@ -33,7 +33,7 @@ from usarmjx.train.make import build_env, make_task
 from usarmjx.train.tasks.team import PERFECT_RADIO, TeamTask
 
 GAIN, UNLINKED = 0.1, 0.2
-"""What a radio must be worth, as a share of the score, and how many pair-steps must be without a link."""
+"""Least gain by a radio, as a share of the score, and least share of pair-steps without a link."""
 VARIANTS = ("perfect", "real", "none")
 
 

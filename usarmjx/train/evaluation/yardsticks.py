@@ -193,6 +193,7 @@ class TeamResult:
         finds: Points for finds by the end of each step, means of the episodes (steps,).
         outside: Share of the time that flying robots were not above the building.
         bad: Episodes left out as their physics failed.
+        by_world: Score of each world's episode; NaN: its physics failed (worlds,).
     """
 
     name: str
@@ -201,6 +202,7 @@ class TeamResult:
     finds: tuple[float, ...]
     outside: float
     bad: int
+    by_world: tuple[float, ...] = ()
 
     @property
     def reached(self) -> tuple[float, ...]:
@@ -236,7 +238,8 @@ def play_team(
         score = np.asarray(state.final_score)
         rows.append({key: np.asarray(value, float) for key, value in state.metrics.items()})
     series = {key: np.stack([row[key] for row in rows])[:, good] for key in rows[0]}
-    return team_result(task, name, score[good], series, int((~good).sum()))
+    found = team_result(task, name, score[good], series, int((~good).sum()))
+    return replace(found, by_world=tuple(np.where(good, score, np.nan).tolist()))
 
 
 def team_result(
@@ -295,6 +298,26 @@ def arenas_to_play(name: str, worlds: int | None, split: str, **overrides: objec
     return tuple(arenas.arena(number, seeds[number]) for number in numbers)
 
 
+def task_to_play(
+    name: str, worlds: int | None = None, split: str | None = None, **overrides: object
+) -> tuple[TeamTask, int]:
+    """Return a team's task with one arena for each world, and the number of worlds.
+
+    Arguments and faults are those of `measure_teams`.
+    """
+    task = team_task(name, **overrides)
+    if split is None:
+        worlds, split = worlds or WORLDS, usual_split(name, overrides)
+        if isinstance(task.arenas, GeneratedArenas):
+            check_levels(task.arenas, worlds)
+    if split is None:
+        played = worlds or WORLDS
+    else:
+        arenas = arenas_to_play(name, worlds, split, **overrides)
+        task, played = replace(task, arena=arenas), len(arenas)
+    return task, played
+
+
 def measure_teams(  # noqa: PLR0913 - all but the first may be left out
     name: str,
     worlds: int | None = None,
@@ -328,16 +351,7 @@ def measure_teams(  # noqa: PLR0913 - all but the first may be left out
         UsageError: A task without a team; worlds that are no multiple of the levels of generated arenas; a
             split of arenas that are not generated; a packaged policy that does not fit.
     """
-    task = team_task(name, **overrides)
-    if split is None:
-        worlds, split = worlds or WORLDS, usual_split(name, overrides)
-        if isinstance(task.arenas, GeneratedArenas):
-            check_levels(task.arenas, worlds)
-    if split is None:
-        played = worlds or WORLDS
-    else:
-        arenas = arenas_to_play(name, worlds, split, **overrides)
-        task, played = replace(task, arena=arenas), len(arenas)
+    task, played = task_to_play(name, worlds, split, **overrides)
     envs: dict[TeamTask, Env] = {}  # each is compiled once
     rows: list[TeamResult] = []
     for team, (change, driver) in {team: find_team(team) for team in teams}.items():

@@ -28,7 +28,7 @@ SECTOR_COUNT = 12
 SCANNER_RANGE = 4.0
 """Of the scanners [m]: see `equip.HOKUYO`."""
 NO_SCANNER_RANGE = 100.0
-"""What a robot without a scanner sees in every sector [m]."""
+"""Range in every sector of a robot without a scanner [m]."""
 STALE_AGE = 20.0
 """After so long without a message a robot does not know where another one is [s]."""
 RECENT_AGE = 1.0
@@ -36,7 +36,7 @@ RECENT_AGE = 1.0
 VISITED_RADIUS = 0.75
 """A robot has visited squares whose middles it was so near to [m]."""
 BODY = 0.65
-"""What a scanner meets so near to another robot's middle is that robot, not a wall [m]."""
+"""Distance from another robot's middle within which an echo is that robot, not a wall [m]."""
 
 
 class Belief(struct.PyTreeNode, kw_only=True):

@@ -19,7 +19,7 @@ MAPS_AT_A_TIME = 64
 UNREACHABLE = 1e6
 """Distance of squares that no path leads to [squares]."""
 SLANT = np.float32(math.sqrt(2))
-"""What a slanting step costs."""
+"""Cost of a slanting step [squares]."""
 
 
 def _entered(before: jax.Array, row: jax.Array, enter: jax.Array) -> jax.Array:

@@ -18,9 +18,9 @@ from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.sensors.ranging import ScannerSettings
 
 UNKNOWN, FREE, WALL, MARK = 0, 1, 2, 3
-"""What a square is known to be; a mark is something that was looked for, as a victim."""
+"""Kinds of squares; a mark is something that was looked for, as a victim."""
 MAX_EVIDENCE = 4
-"""So often is a square seen as free, or as a wall, until further scans count no more."""
+"""Number of scans of a square as free, or as a wall, from which on further ones do not count."""
 MAX_SURFACE_GAP = 1.0
 """Two neighbouring beams that end closer to each other than this met one surface [m]."""
 WINDOW_SHARE = 0.5

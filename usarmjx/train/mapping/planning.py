@@ -24,28 +24,28 @@ from usarmjx.train.mapping.wavefront import (
 )
 
 WAYPOINT_SQUARES = 3
-"""So many squares ahead on its way is the position that a robot steers for."""
+"""Distance ahead on its way of the position that a robot steers for [squares]."""
 LONGEST = 40
-"""So many squares ahead on its way is, at most, the position that a robot says it is going to."""
+"""Largest distance ahead on its way of the position that a robot says it is going to [squares]."""
 WALL_COST = 6.0
-"""So many squares longer seems a step to a square with a wall beside it: there is just room for a robot."""
+"""Addition to a step to a square with a wall beside it, where there is just room for a robot [squares]."""
 NARROW_FRONTIER_COST = 20.0
-"""So many squares longer seems the way to a frontier with a wall beside it, where there is little to see."""
+"""Addition to the way to a frontier with a wall beside it, where there is little to see [squares]."""
 VISITED_FRONTIER_COST = 30.0
-"""So many squares longer seems the way to a frontier where a robot has been, and saw no more of it."""
+"""Addition to the way to a frontier where a robot has been, and saw no more of it [squares]."""
 OTHER_ROBOT_RADIUS = 0.6
-"""Ways keep so far from other robots' middles [m]."""
+"""Distance of ways from other robots' middles [m]."""
 NEARER_ROBOT_COST = 6.0
-"""So much longer does the way to a frontier seem that another robot is nearer to, in squares."""
+"""Addition to the way to a frontier that another robot is nearer to [squares]."""
 SHARED_GOAL_COST, SHARED_GOAL_RADIUS = 20.0, 3.0
-"""So much longer, in squares, does the way to a frontier seem where another robot is going; less, the farther
-away, and nothing from so far on [m]."""
+"""Addition to the way to a frontier where another robot is going [squares], and the distance from there at
+which it has fallen to nothing [m]."""
 SAME_GAP = 1e-3
 """Robots whose distances differ by less count as equally near [m]."""
 HOME_RADIUS = 1.5
-"""A robot that comes home comes so close to its base [m]."""
+"""Distance from its base at which a robot is home [m]."""
 TURN_COST = 3.0
-"""So much longer, in squares, does the way to a frontier right behind a robot seem: it would have to turn."""
+"""Addition to the way to a frontier right behind a robot, which would have to turn [squares]."""
 
 
 class PlannerSettings(NamedTuple):

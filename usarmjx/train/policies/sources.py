@@ -19,6 +19,7 @@ from usarmjx.train.envs.task import ActionArrays, Carry, ObservationArrays, Poli
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.make import check_named, find_baseline, make, make_task, same_class, task_values
 from usarmjx.train.policies import POLICIES
+from usarmjx.train.policies.own_policy import check_own_policy, is_own_policy, own_policy
 from usarmjx.train.policies.policy_file import NumpyPolicy
 from usarmjx.train.policies.policy_folder import weights_in
 from usarmjx.train.policies.untrained import UNTRAINED, check_untrained
@@ -40,6 +41,7 @@ class PolicySource:
         named: Whether the user has named the task, so that the code of an own one may be imported.
         parts: Policies of robot classes, by name, where each class has one of its own; else empty.
         untrained: Whether `name` is one of `untrained.UNTRAINED`.
+        own: Whether `name` is a user's own function, see `own_policy`.
     """
 
     name: str
@@ -50,6 +52,7 @@ class PolicySource:
     named: bool = False
     parts: Mapping[str, "PolicySource"] = field(default_factory=dict[str, "PolicySource"])
     untrained: bool = False
+    own: bool = False
 
     def for_task(self, task: str) -> "PolicySource":
         """Return the policy for a task that the user has named, an own one in a file or module too.
@@ -65,6 +68,10 @@ class PolicySource:
         Raises:
             UsageError: Says how to name the task.
         """
+        if self.own and not self.task:
+            raise UsageError(
+                f"{self.name} is a function, which is for no task by itself: name it, --task TASK"
+            )
         if not self.named:
             check_named(self.task, self.name)
 
@@ -76,6 +83,8 @@ class PolicySource:
         """
         if self.parts:
             return mixed_policy(env, self.parts)
+        if self.own:
+            return own_policy(self.name, env)
         if self.untrained:
             return UNTRAINED[self.name](env)
         if self.learned is None:
@@ -309,8 +318,8 @@ def load_policy(what: str, checkpoint: str = "best") -> PolicySource:
     """Return the policy of a run's folder, of an exported file, or of the package by its task's name.
 
     Args:
-        what: Folder of a run or of a policy, file, or task; or `CLASS=POLICY,CLASS=POLICY`, one of these for
-            each class of robots.
+        what: Folder of a run or of a policy, file, or task; a user's own function, see `own_policy`; or
+            `CLASS=POLICY,CLASS=POLICY`, one of these for each class of robots.
         checkpoint: Checkpoint of a run: `best`, `last`, or the number of an iteration.
 
     Raises:
@@ -333,6 +342,9 @@ def load_policy(what: str, checkpoint: str = "best") -> PolicySource:
             learned=(policy, params),
             checkpoint=Checkpoints(path).describe(checkpoint),
         )
+    if is_own_policy(what):
+        check_own_policy(what)
+        return PolicySource(name=what, task="", own=True)
     if path.exists():
         return load_exported(path)
     if what in POLICIES:

@@ -24,7 +24,7 @@ from usarmjx.models.types.shapes import Shape
 from usarmjx.train.envs.task import TaskView
 
 DRIVABLE_HEIGHT = 0.1
-"""What reaches no higher than this above a robot's wheels is for driving over, as boards are [m]."""
+"""Height above a robot's wheels up to which solids are driven over, as boards are [m]."""
 UPRIGHT_COSINE = 0.999
 """Cosine of the tilt from which a solid counts as a ramp."""
 NO_OBSTACLE = 1e3

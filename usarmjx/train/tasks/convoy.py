@@ -111,9 +111,9 @@ def closed_lane(network: RouteNetwork, owner: tuple[int, int], origin: LatLon | 
 
 
 AHEAD = (3.0, 5.0, 8.0, 12.0, 17.0, 23.0)
-"""How far ahead of the rear axle the lane is observed [m]."""
+"""Distances ahead of the rear axle at which the lane is observed [m]."""
 LATERAL_SCALE, RANGE_SCALE, SPEED_SCALE = 2.0, 20.0, 10.0
-"""What is observed as 1: sideways [m], ranges and the lane's points [m], speeds [m/s]."""
+"""Quantities observed as 1: sideways [m], ranges and the lane's points [m], speeds [m/s]."""
 FAN = options(MaxRange=RANGE_SCALE, MinRange=0.1, Resolution=0.1, ScanFov=1.2, ScanInterval=0.1, Noise=0.01)
 """13 beams over 69 degrees: two meet a car that is 18 m ahead."""
 SCANNER_HEIGHT = 0.6

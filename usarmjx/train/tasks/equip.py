@@ -14,8 +14,8 @@ from usarmjx.models.types.robot import Mount, RobotSpec, options
 INS = Mount(kind="INS", name="INS", options=options(Sigma=0.01))
 """A better unit than the default one, whose 10 % of noise turn a map by half a radian within some minutes."""
 GROUND_TRUTH = Mount(kind="GroundTruth", name="GroundTruth")
-"""What tells robots that fly where they are: the manual's INS only counts ways along the heading, and its
-GPS is wrong by a metre."""
+"""Position sensor of robots that fly: the manual's INS only counts ways along the heading, and its GPS is
+wrong by a metre."""
 HOKUYO = options(
     MaxRange=4.0, MinRange=0.02, Resolution=3 * 0.0184087, ScanFov=4.189, ScanInterval=0.2, Noise=0.01
 )
@@ -29,7 +29,7 @@ VICTIM_SENSOR_DOWN = options(
 )
 """The same for robots that fly, which look down: 49 rays over 80 by 80 degrees."""
 DOWN_SENSOR_POSITION: Vec3 = (0.0, 0.0, 0.06)
-"""Where flying robots look down from: below the body [m]."""
+"""Position of the sensor with which flying robots look down: below the body [m]."""
 
 
 def mapping_robot(robot: str | RobotSpec, extra: Sequence[Mount] = ()) -> RobotSpec:

@@ -33,7 +33,7 @@ PASSED_DISTANCE = 0.9
 SPEED_SCALE, TURN_RATE_SCALE = 1.5, 1.5708
 """Speeds [m/s] and turning rate [rad/s] of an action of 1."""
 POSITION_SCALE = 5.0
-"""What is observed as 1 [m]."""
+"""Distance observed as 1 [m]."""
 SENSORS = (
     Mount(kind="GroundTruth", name="GroundTruth", options=options(ScanInterval=0.1, Weight=0.0)),
     Mount(

@@ -24,9 +24,9 @@ from usarmjx.train.tasks.equip import base_station, mapping_robot
 from usarmjx.train.tasks.team import POSITION_SCALE, TeamMemory, TeamTask, station_slot, to_robot_frame
 
 INWARD_COST = 3.0
-"""So many squares of way is a square worth that lies one square farther from the base."""
+"""Way that a square is worth for each square farther from the base [squares]."""
 NON_FRONTIER_COST = 10.0
-"""So many squares longer seems the way to a square that is no frontier."""
+"""Addition to the way to a square that is no frontier [squares]."""
 CONTACT_TIMEOUT = 2.0
 """A robot that has had no contact with the base for so long goes home [s]."""
 SIGNAL_SCALE = 20.0

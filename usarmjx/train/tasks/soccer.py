@@ -44,11 +44,11 @@ from usarmjx.train.tasks.team import reduce_to_sectors, to_robot_frame
 UPPER, LOWER = "IRScanner", "RangeScanner"
 """Types of the two scanners."""
 MIN_RANGE_GAP = 0.15
-"""So much farther must the upper scanner see than the lower one where a ball is [m]."""
+"""Least difference of the ranges of the upper and the lower scanner at a ball [m]."""
 FLOOR_MARGIN = 0.04
 """Hits that are no higher than this may be of the floor [m]."""
 BOARD_MARGIN = 0.1
-"""What is nearer to a board or a goal than this may be one [m]."""
+"""Distance from a board or a goal within which an echo may be of it [m]."""
 VELOCITY_SMOOTHING = 0.4
 """Share of a new velocity of the ball in what is known of it."""
 MAX_VELOCITY_GAP = 0.35
@@ -204,9 +204,9 @@ SIDES = np.array([1.0, 1.0, -1.0, -1.0], np.float32)
 MATES = np.array([1, 0, 3, 2])
 """Each robot's mate, by slot."""
 SPEED_SCALE = 1.0
-"""What an action of 1 is as a speed of the wheels [m/s]; they could do 1.8."""
+"""Speed of the wheels at an action of 1 [m/s]; they could do 1.8."""
 BALL_AGE_SCALE, MATE_AGE_SCALE = 3.0, 1.0
-"""Where the ball was, and what the mate sent, are observed to be that old at most [s]."""
+"""Largest observed ages of the ball's position and of the mate's mail [s]."""
 POSITION_SCALE = 3.0
 """Positions in a robot's axes are observed as shares of this [m]."""
 GOAL = np.array([GOAL_LINE, 0.0], np.float32)

@@ -34,9 +34,9 @@ from usarmjx.models.types.shapes import Shape
 from usarmjx.train.tasks.equip import GROUND_TRUTH
 
 GOAL_LINE, SIDE_BOARD = LENGTH / 2, CARPET[1] / 2
-"""Where the boards are [m]."""
+"""Distances of the boards from the middle of the field [m]."""
 CUT = 0.5
-"""So much of each side the corner boards take [m]."""
+"""Length that corner boards take of each side [m]."""
 CORNER = GOAL_LINE + SIDE_BOARD - CUT
 """On the corner boards |x| + |y| is this [m]."""
 START_COUNT, MIN_START_DISTANCE, FREE_KICK = 12, 0.65, 0.8
@@ -45,7 +45,7 @@ START_COUNT, MIN_START_DISTANCE, FREE_KICK = 12, 0.65, 0.8
 LENGTH_WIDTH = (0.44, 0.38)
 """Of the cover: those of the P2DX (manual 12.3.1) [m]."""
 COVER = (0.03, 0.3)
-"""Where it begins and ends, above the ground: as high as the boards [m] (chosen)."""
+"""Its lower and upper edge above the ground: as high as the boards [m] (chosen)."""
 LOWER_SCANNER_HEIGHT, UPPER_SCANNER_HEIGHT = 0.11, 0.26
 """Heights of the two scanners [m]: that of the ball's middle, and above the ball but not above boards and
 robots. What only the lower one meets is the ball."""
@@ -56,7 +56,7 @@ SCAN = options(
     MaxRange=SCANNER_RANGE, MinRange=0.02, Resolution=RESOLUTION, ScanFov=FOV, ScanInterval=0.1, Noise=0.01
 )
 FRONT_CASTER = 0.003
-"""How far the front caster is above the ground [m]: braking tilts the robot by one degree, not more."""
+"""Height of the front caster above the ground [m]: braking tilts the robot by one degree, not more."""
 MASSES = (3.0, 2.4, 1.6)
 """Of the cover and the parts at the rear and the front caster: together the P2DX's chassis [kg] (chosen)."""
 

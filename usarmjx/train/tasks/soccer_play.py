@@ -19,13 +19,13 @@ from usarmjx.train.tasks.soccer_field import (
 )
 
 POSITION_SCALE = 3.0
-"""What positions in a robot's axes are shares of [m], see `soccer.Soccer`."""
+"""Unit of positions in a robot's axes [m], see `soccer.Soccer`."""
 LEAD = (0.2, 1.2)
 """The ball is met where it will be so much later, at least and at most [s]."""
 PUSH_START_DISTANCE = BALL_RADIUS + LENGTH_WIDTH[0] / 2 + 0.15
-"""How far behind the ball a push begins, between the middles [m]."""
+"""Distance behind the ball at which a push begins, between the middles [m]."""
 PASS_DISTANCE = 0.55
-"""How far from the ball's middle a robot passes it [m]."""
+"""Distance at which a robot passes the ball's middle [m]."""
 TOUCH, CLOSE_DISTANCE, NEAR_BALL = BALL_RADIUS + LENGTH_WIDTH[0] / 2, 0.42, 0.8
 """The ball is touched, close, and in reach for a push, between the middles [m]."""
 LINE_TOLERANCES, LINE_UP, AIM = (0.06, 0.17), 1.0, (0.15, 0.7)
@@ -35,7 +35,7 @@ the second [rad]."""
 BOARDS = 0.27
 """Robots' middles stay so far from the boards [m]."""
 KEEPER_DISTANCE = 0.45
-"""How far before the middle of its goal the keeper stands [m]."""
+"""Distance of the keeper from the middle of its goal [m]."""
 ACROSS = 0.8
 """Pushes are slow whose way has a larger share than this across the field."""
 ARRIVED_DISTANCE, SLOW_DISTANCE = 0.12, 0.36
@@ -61,7 +61,7 @@ IN_GOAL = np.array([GOAL_LINE + 0.1, 0.0], np.float32)
 OWN_GOAL = np.array([-GOAL_LINE, 0.0], np.float32)
 KEEPER_POSITION = OWN_GOAL + np.array([KEEPER_DISTANCE, 0.0], np.float32)
 FAR_OFF = 99.0
-"""Where those are that are not seen [m]."""
+"""Coordinate of robots and balls that are not seen [m]."""
 SECTOR_ANGLES = beams().reshape(19, -1).mean(-1)
 """Middles of the sectors in which others are seen [rad]."""
 SECTOR_LINES = np.stack([np.cos(SECTOR_ANGLES), np.sin(SECTOR_ANGLES)], -1)

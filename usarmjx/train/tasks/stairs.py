@@ -25,7 +25,7 @@ from usarmjx.train.tasks.drive_to_goal import goal_observation
 WIDTH, PLATFORM = 2.4, 4.0
 """Of the stairs, and how far the platform at their top reaches [m]."""
 DEPTH, STARTS = 0.8, 32
-"""How far on the platform the goal is [m]; how many start poses there are."""
+"""Distance of the goal from the platform's edge [m]; number of start poses."""
 MAX_FLIPPER_ANGLE = 1.2
 """Flippers go so far up and down [rad]."""
 TICK = 0.01

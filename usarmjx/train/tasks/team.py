@@ -58,7 +58,7 @@ from usarmjx.train.tasks.equip import flies, pose_sensor
 MAX_READINGS = 24
 """More readings of one sensor than this are seen in sectors."""
 MAX_RANGE = 5.0
-"""What is farther away than this looks alike [m]: a sonar's range."""
+"""Distance beyond which obstacles look alike [m]: a sonar's range."""
 
 
 def first_kind(robot: RobotSpec, kinds: tuple[str, ...]) -> str | None:
@@ -128,8 +128,8 @@ PERFECT_RADIO = RadioSettings(cutoff=-1e6)
 LOCAL_MAP_WIDTH, SPACING = 11, 0.6
 """Points along a side of the map that a robot observes around itself, and the distance between two [m]."""
 WAYPOINT_SCALE, POSITION_SCALE, PATH_SCALE = 1.2, 6.0, 60.0
-"""What is observed as 1: the distance of the next position on the path [m], that of robots and goals [m], the
-length of a path [squares]."""
+"""Quantities observed as 1: the distance of the next position on the path [m], that of robots and goals [m],
+the length of a path [squares]."""
 PROGRESS_SCALE = 0.5
 """So far a robot has come lately, if it drives [m]."""
 

@@ -44,8 +44,8 @@ FENCE_GAIN = 1.3
 """Their speed over the way that is left to it, at most [1/s]."""
 
 SEEKING_COST, OUTWARD_COST = 1000.0, 2.0
-"""So many squares longer than any way home seems one to a frontier; and by so many for each square that this
-is away from the base."""
+"""Addition to the way to a frontier, which exceeds any way home [squares]; and addition for each square
+of its distance from the base [squares]."""
 
 
 def seeking_costs(belief: Belief, gap: jax.Array) -> jax.Array:
@@ -109,7 +109,7 @@ MAX_HEIGHT_ERROR = 0.4
 CLIMB_GAIN, FLIGHT_SPEED, TURN_RATE = 1.0, 1.2, 1.0
 """Of flying robots: upward speed over error of height [1/s], forward speed [m/s], turning rate [rad/s]."""
 SWEEP_RADIUS = 1.0
-"""What a flying robot has seen: so far around it [m]."""
+"""Radius that a flying robot has seen around it [m]."""
 RETURN_MARGIN = 5.0
 """... and with so much time to spare [s]."""
 RECENT_CONTACT = 10.0

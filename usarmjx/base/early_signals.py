@@ -1,17 +1,31 @@
 """Signals before a command runs: they end the process in one line, not in a traceback.
 
-Imports and the parser of the command line take seconds on a busy machine.
+Python, the imports and the parser of the command line take seconds on a busy machine. `usarmjx/__init__.py`
+imports this module before all others, so it imports little.
 """
 
 import os
 import signal
-from collections.abc import Callable
+import sys
+from itertools import pairwise
 from types import FrameType
-from typing import Any
 
 EARLY_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_usual: dict[signal.Signals, Any] = {}
+COMMAND = "usarmjx"
+_usual: dict[signal.Signals, object] = {}
 """Handlers before `catch_signals`, until a command runs."""
+
+
+def is_command() -> bool:
+    """Return whether this process was started as `usarmjx` or by `python -m usarmjx`.
+
+    A worker that Python's multiprocessing has started is none, though its `sys.argv` is that of its parent.
+    """
+    first = getattr(sys, "argv", [""])[0]
+    words = sys.orig_argv
+    if first == "-m":
+        return ("-m", COMMAND) in pairwise(words)
+    return first in words and os.path.splitext(os.path.basename(first))[0] == COMMAND
 
 
 def end_early(number: int, frame: FrameType | None) -> None:
@@ -34,14 +48,5 @@ def catch_signals() -> None:
 def restore_signals() -> None:
     """Let signals mean what they did before `catch_signals`."""
     while _usual:
-        signal.signal(*_usual.popitem())
-
-
-def with_usual_signals(run: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return a command's `invoke` that restores the signals first."""
-
-    def invoke(context: Any) -> Any:  # noqa: ANN401 - click's, or typer's own copy
-        restore_signals()
-        return run(context)
-
-    return invoke
+        number, handler = _usual.popitem()
+        signal.signal(number, handler)  # type: ignore[arg-type]

@@ -1,0 +1,284 @@
+"""Set attention with messages: PPO for teams of any size, robots send vectors over their links.
+
+An agent attends over the set of its team mates as it observes them, then over the messages of those that have
+a link to it. A message is `--message` numbers, four bytes each, sent to all that are linked, once an action.
+Networks know no number of robots: weights of a team of four drive teams of two or eight.
+
+The mailbox is differentiable: in the update the loss of a listener's action goes back through the message
+into the speaker's weights (Foerster et al., "Learning to communicate with deep multi-agent reinforcement
+learning", 2016; Das et al., "TarMAC", 2019). `--message 0` trains without messages. Messages arrive within
+the step that they are sent in.
+
+    python examples/marl/attention.py --task explore-v2 --total-steps 20000000 --seed 0 --out runs/attention-0
+    usarmjx eval examples/marl/attention.py:load@runs/attention-0 --task explore-v2 --set count=8
+"""
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import marl_shared as shared
+import numpy as np
+import optax
+from flax import struct
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttentionFlags(shared.Flags):
+    """Flags of set attention."""
+
+    message: int = field(default=8, metadata={"help": "numbers in a message; 0: none are sent"})
+    gae_lambda: float = field(default=0.95, metadata={"help": "lambda of the advantages"})
+    num_epochs: int = field(default=4, metadata={"help": "passes of an update through a rollout"})
+    num_minibatches: int = field(default=4, metadata={"help": "parts of an epoch"})
+    clip_epsilon: float = field(default=0.2, metadata={"help": "clip of the ratio of probabilities"})
+    entropy_coef: float = field(default=0.0, metadata={"help": "weight of the entropy"})
+    value_coef: float = field(default=0.5, metadata={"help": "weight of the critic's loss"})
+    max_grad_norm: float = field(default=0.5, metadata={"help": "norm that longer gradients are cut to"})
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Place of the team mates in an observation.
+
+    Attributes:
+        start: First of their numbers.
+        features: Numbers about each.
+        link: Which of these says whether there is a link.
+        slots: Slot of each agent among all robots, the base too.
+        robots: All robots.
+    """
+
+    start: int
+    features: int
+    link: int
+    slots: tuple[int, ...]
+    robots: int
+
+    @classmethod
+    def of(cls, env: Any) -> "Layout":
+        """Return that of an environment; the docstring of `TeamTask` has the order of its observations."""
+        if (start := getattr(env, "mates_at", None)) is not None:
+            agents = len(env.groups[0].agents)
+            return cls(start, 2, 0, tuple(range(agents)), agents)
+        scene, task = env.scene, env.task
+        slots = np.concatenate([scene.groups[group].slots for group in task.agent_groups(scene)])
+        # Advice 5, progress 1, sectors 12, time left and index; then x, y, age and link of each other robot.
+        return cls(20, 4, 3, tuple(int(slot) for slot in slots), scene.num_robots)
+
+    def parts(self, obs: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Return what observations say of the agent itself, of its mates as a set, and links between agents.
+
+        Args:
+            obs: Observations (..., agents, obs_size).
+
+        Returns:
+            Own numbers (..., agents, m), mates (..., agents, robots - 1, features), and whether an agent
+            hears another (..., agents, agents).
+        """
+        others = self.robots - 1
+        end = self.start + others * self.features
+        own = jnp.concatenate([obs[..., : self.start], obs[..., end:]], -1)
+        mates = obs[..., self.start : end].reshape(*obs.shape[:-1], others, self.features)
+        # Row of another robot among the others: those behind the agent's own slot are one place further on.
+        places = np.array([[max(t - (t > s), 0) for t in self.slots] for s in self.slots])
+        alone = np.eye(len(self.slots), dtype=bool)
+        if not others:
+            return own, mates, jnp.zeros((*obs.shape[:-1], len(self.slots)), bool)
+        rows = np.arange(len(self.slots))[:, None]
+        linked = mates[..., self.link][..., rows, np.minimum(places, others - 1)] > 0.5
+        return own, mates, linked & ~alone
+
+
+class SetAttention(nn.Module):
+    """Attention of a query over a set with a mask; an empty set gives zeros."""
+
+    width: int
+
+    @nn.compact
+    def __call__(self, query: jax.Array, members: jax.Array, there: jax.Array) -> jax.Array:
+        """Return what was gathered (..., width).
+
+        Args:
+            query: Query (..., n).
+            members: Members of the set (..., k, m).
+            there: Which of them are there (..., k).
+        """
+        asked = nn.Dense(self.width, name="query")(query)[..., None, :]
+        keys, values = nn.Dense(self.width, name="key")(members), nn.Dense(self.width, name="value")(members)
+        score = jnp.where(there, (asked * keys).sum(-1) / self.width**0.5, -1e9)
+        weight = jax.nn.softmax(score, -1) * there
+        return (weight[..., None] * values).sum(-2)
+
+
+class Talker(nn.Module):
+    """Actor and critic of all agents of a world, which send each other messages."""
+
+    hidden: int
+    action_size: int
+    message: int
+    layout: Layout
+
+    @nn.compact
+    def __call__(self, obs: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Return means and log deviations (..., agents, action_size), and values (..., agents)."""
+        own, mates, linked = self.layout.parts(obs)
+        x = nn.tanh(nn.Dense(self.hidden, name="own")(own))
+        there = jnp.ones(mates.shape[:-1], bool)
+        x = jnp.concatenate([x, SetAttention(self.hidden, name="mates")(x, mates, there)], -1)
+        x = nn.tanh(nn.Dense(self.hidden, name="mixed")(x))
+        if self.message:
+            said = nn.tanh(nn.Dense(self.message, name="message")(x))
+            mail = jnp.broadcast_to(said[..., None, :, :], (*linked.shape, self.message))
+            heard = SetAttention(self.hidden, name="mailbox")(x, mail, linked)
+            x = jnp.concatenate([x, heard], -1)
+        actor, critic = (nn.tanh(nn.Dense(self.hidden, name=name)(x)) for name in ("actor", "critic"))
+        mean = nn.Dense(self.action_size, kernel_init=nn.initializers.orthogonal(0.01), name="mean")(actor)
+        log_std = self.param("log_std", nn.initializers.constant(-0.5), (self.action_size,))
+        value = nn.Dense(1, name="value")(critic)[..., 0]
+        return mean, jnp.broadcast_to(log_std, mean.shape), value
+
+
+class Batch(struct.PyTreeNode, kw_only=True):
+    """Transitions (steps, worlds, agents, ...); in an update (rows, agents, ...): a row is a whole team."""
+
+    obs: jax.Array
+    action: jax.Array
+    log_prob: jax.Array
+    value: jax.Array
+    reward: jax.Array
+    done: jax.Array
+
+
+class Learner(struct.PyTreeNode, kw_only=True):
+    """All that an iteration changes."""
+
+    params: Any
+    optimiser: Any
+    state: Any
+    key: jax.Array
+
+
+def network(team: shared.Team, flags: AttentionFlags) -> Any:
+    """Return the network of a team; flax leaves its types open."""
+    return Talker(flags.hidden, team.action_size, flags.message, Layout.of(team.env))
+
+
+def initial_params(team: shared.Team, flags: AttentionFlags) -> Any:
+    """Return weights to begin with."""
+    return network(team, flags).init(jax.random.key(flags.seed), jnp.zeros((1, team.agents, team.obs_size)))
+
+
+def collect(
+    team: shared.Team, flags: AttentionFlags, learner: Learner
+) -> tuple[Learner, Batch, jax.Array, dict[str, jax.Array]]:
+    """Act for a rollout; return its transitions, the values after it, and sums of episodes."""
+    net = network(team, flags)
+
+    def step(carry: tuple[Any, jax.Array], _: None) -> tuple[Any, Any]:
+        state, key = carry
+        key, own = jax.random.split(key)
+        obs = team.merge(state.obs)
+        mean, log_std, value = net.apply(learner.params, obs)
+        action = mean + jnp.exp(log_std) * jax.random.normal(own, mean.shape)
+        after = team.env.step(state, team.split(action))
+        # An episode that the time limit cuts off would have gone on: its last state has a value.
+        cut = net.apply(learner.params, team.merge(after.final_obs))[-1]
+        reward = flags.reward_scale * team.reward(after) + flags.gamma * cut * after.truncated[:, None]
+        row = Batch(
+            obs=obs,
+            action=action,
+            log_prob=shared.log_probability(mean, log_std, action),
+            value=value,
+            reward=reward,
+            done=jnp.broadcast_to(after.done[:, None], reward.shape),
+        )
+        return (after, key), (row, shared.episode_sums(after))
+
+    (state, key), (batch, sums) = jax.lax.scan(step, (learner.state, learner.key), None, flags.rollout_length)
+    *_, last = net.apply(learner.params, team.merge(state.obs))
+    return learner.replace(state=state, key=key), batch, last, jax.tree.map(jnp.sum, sums)
+
+
+def loss(
+    params: Any, team: shared.Team, flags: AttentionFlags, rows: tuple[Batch, jax.Array, jax.Array]
+) -> jax.Array:
+    """Return PPO's loss (); messages are made again, so that gradients go through them."""
+    batch, advantage, target = rows
+    mean, log_std, value = network(team, flags).apply(params, batch.obs)
+    ratio = jnp.exp(shared.log_probability(mean, log_std, batch.action) - batch.log_prob)
+    policy = shared.clipped_loss(ratio, shared.whitened(advantage), flags.clip_epsilon)
+    critic = jnp.square(value - target).mean()
+    return policy + flags.value_coef * critic - flags.entropy_coef * log_std.sum(-1).mean()
+
+
+def optimiser(flags: AttentionFlags) -> optax.GradientTransformation:
+    """Return Adam with clipped gradients."""
+    return optax.chain(
+        optax.clip_by_global_norm(flags.max_grad_norm), optax.adam(flags.learning_rate, eps=1e-5)
+    )
+
+
+def iterate(
+    team: shared.Team, flags: AttentionFlags, learner: Learner
+) -> tuple[Learner, dict[str, jax.Array]]:
+    """Act for a rollout and learn from it; minibatches are whole teams."""
+    learner, batch, last, sums = collect(team, flags, learner)
+    advantage, target = shared.generalised_advantages(
+        batch.reward, batch.value, last, batch.done, flags.gamma, flags.gae_lambda
+    )
+    rows = jax.tree.map(lambda one: one.reshape(-1, *one.shape[2:]), (batch, advantage, target))
+
+    def minibatch(carry: tuple[Any, Any], chosen: jax.Array) -> tuple[Any, jax.Array]:
+        params, state = carry
+        part = jax.tree.map(lambda one: one[chosen], rows)
+        value, gradient = jax.value_and_grad(loss)(params, team, flags, part)
+        change, state = optimiser(flags).update(gradient, state, params)
+        return (optax.apply_updates(params, change), state), value
+
+    def epoch(carry: tuple[Any, Any], key: jax.Array) -> tuple[Any, jax.Array]:
+        parts = jax.random.permutation(key, rows[1].shape[0]).reshape(flags.num_minibatches, -1)
+        return jax.lax.scan(minibatch, carry, parts)
+
+    key, own = jax.random.split(learner.key)
+    keys = jax.random.split(own, flags.num_epochs)
+    (params, state), losses = jax.lax.scan(epoch, (learner.params, learner.optimiser), keys)
+    return learner.replace(params=params, optimiser=state, key=key), {**sums, "total": losses.mean()}
+
+
+def train(flags: AttentionFlags, env: Any = None) -> tuple[Learner, list[dict[str, Any]]]:
+    """Train, and return the last state and the lines of the iterations."""
+    team = shared.Team(env or shared.make_env(flags))
+    params, key = initial_params(team, flags), jax.random.key(flags.seed + 1)
+    start = Learner(
+        params=params, optimiser=optimiser(flags).init(params), state=team.start(flags.seed), key=key
+    )
+    return shared.run(flags, "attention", start, jax.jit(partial(iterate, team, flags)), team.agents)
+
+
+def policy_of(env: Any, flags: AttentionFlags, params: Any) -> Any:
+    """Return the policy for `usarmjx`, for a team of any size: the most probable actions."""
+    from usarmjx.train import Policy
+
+    team = shared.Team(env)
+    net = network(team, flags)
+
+    def act(carry: Any, obs: tuple[jax.Array, ...], key: jax.Array) -> tuple[Any, tuple[jax.Array, ...]]:
+        del key
+        mean, *_ = net.apply(params, team.merge(obs))
+        return carry, team.split(jnp.clip(mean, -1.0, 1.0))
+
+    return Policy(lambda worlds: jnp.zeros((worlds, 1)), act)
+
+
+def load(env: Any, folder: str) -> Any:
+    """Return the policy of a run's folder, for `usarmjx eval` and `usarmjx suite`."""
+    flags = shared.saved_flags(AttentionFlags, folder)
+    return policy_of(env, flags, shared.saved_weights(initial_params(shared.Team(env), flags), folder))
+
+
+if __name__ == "__main__":
+    train(shared.parse(AttentionFlags, "set attention with messages"))

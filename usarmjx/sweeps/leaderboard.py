@@ -1,0 +1,156 @@
+"""The leaderboard page of results files, and the replay of entries."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from usarmjx.base.bootstrap import Resampler
+from usarmjx.base.errors import UsageError
+from usarmjx.sweeps.play import BatchWork, play_batch
+from usarmjx.sweeps.report import aligned
+from usarmjx.sweeps.results import RunResult, read_results
+from usarmjx.sweeps.standings import standings_of, standings_report
+from usarmjx.sweeps.suite import BenchmarkSuite, find_suite, load_suite
+
+INTRODUCTION = """# Leaderboard
+
+`usarmjx suite leaderboard` writes this page from the results files in [leaderboard](../leaderboard). Each
+file is one run of a method in a suite, with commit, card, versions, settings, seeds and all scores. To add a
+method, play it on split `test`, put the files of all its runs into that folder, write the page anew
+and open a pull request:
+
+```console
+$ usarmjx suite run my-method runs/mine-0 runs/mine-1 runs/mine-2 --split test --out leaderboard
+$ usarmjx suite leaderboard leaderboard --out docs/leaderboard.md
+```
+
+Use split `validation` to choose settings and checkpoints. All runs of a method count, not the best. Policies
+must be in the checkout or in the package, so that `usarmjx suite replay FILE` can play three buildings of
+each entry again. [sweeps.md](sweeps.md#suites) explains the columns.
+"""
+SEED_DRAWS = Resampler()
+
+
+def leaderboard_page(results: Sequence[RunResult]) -> str:
+    """Return the page of results, suite by suite; split `test` only.
+
+    Raises:
+        UnknownNameError: A suite that is not bundled.
+        UsageError: Results of another version of a suite.
+    """
+    lines = [INTRODUCTION.rstrip()]
+    played = [one for one in results if one.split == "test"]
+    for name in sorted({one.suite for one in played}):
+        own, suite = [one for one in played if one.suite == name], load_suite(find_suite(name))
+        text = standings_report(standings_of(own, suite), SEED_DRAWS)
+        lines += ["", f"## {name}", "", suite.file.about, "", *text.splitlines()[1:], "", "**runs**", ""]
+        head = ["method", "run", "commit", "card", "jax", "when", "policies"]
+        lines += aligned(head, [_run_row(one) for one in own])
+    return "\n".join(lines) + "\n"
+
+
+def _run_row(one: RunResult) -> list[str]:
+    hashes = ", ".join(dict.fromkeys(one.policies.values()))
+    jax = str(one.versions.get("jax", ""))
+    return [one.method, f"`{one.run}`", one.commit, one.card, jax, one.when[:10], hashes]
+
+
+def write_leaderboard(folder: Path, page: Path) -> None:
+    """Write the page of the results in a folder.
+
+    Raises:
+        UsageError: See `leaderboard_page` and `results.read_results`.
+    """
+    page.write_text(leaderboard_page(read_results([folder])), encoding="utf-8")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayedCell:
+    """Episodes of a cell that were played again.
+
+    Attributes:
+        task: The task.
+        settings: Those of the cell.
+        before: Scores in the results (episodes,).
+        after: Scores now (episodes,).
+        same_buildings: Whether the buildings are the same.
+    """
+
+    task: str
+    settings: dict[str, object]
+    before: np.ndarray
+    after: np.ndarray
+    same_buildings: bool
+
+    @property
+    def difference(self) -> float:
+        """Mean difference of the scores."""
+        return float(np.mean(self.after - self.before))
+
+    @property
+    def largest(self) -> float:
+        """Largest difference of an episode's scores."""
+        return float(np.max(np.abs(self.after - self.before)))
+
+
+def replay(
+    result: RunResult, suite: BenchmarkSuite, episodes: int = 3, cells: Sequence[int] | None = None
+) -> list[ReplayedCell]:
+    """Play the first episodes of a run again.
+
+    Args:
+        result: The run.
+        suite: Its suite.
+        episodes: Number of episodes of each cell.
+        cells: Numbers of the cells; None: the first cell of each task.
+
+    Raises:
+        UsageError: Results of another version of the suite, a policy that is not here or has changed, or a
+            cell that fails.
+    """
+    if result.suite_digest != suite.digest:
+        raise UsageError(f"{result.method}: results of suite {result.suite_digest}, this is {suite.digest}")
+    tasks = [cell.settings["task"] for cell in result.cells]
+    chosen = [tasks.index(task) for task in dict.fromkeys(tasks)] if cells is None else list(cells)
+    found: list[ReplayedCell] = []
+    for number in chosen:
+        cell = result.cells[number]
+        settings = {**cell.settings, "episodes": min(episodes, len(cell.scores))}
+        work = BatchWork(
+            group=f"replay {number}",
+            cells=((cell.key, settings),),
+            kin=(settings,),
+            size=1,
+            engine=cell.engine,
+        )
+        (now,) = play_batch(work)
+        if now.failed is not None:
+            raise UsageError(f"{result.method}, {settings['task']}: {now.failed}")
+        count = settings["episodes"]
+        found.append(
+            ReplayedCell(
+                task=settings["task"],
+                settings=settings,
+                before=np.array(cell.scores[:count], float),
+                after=np.array(now.scores, float),
+                same_buildings=tuple(cell.buildings[:count]) == tuple(now.buildings),
+            )
+        )
+    return found
+
+
+def with_files_beside(result: RunResult, folder: Path) -> RunResult:
+    """Return a result whose runs are found from a folder, where they are not found from here."""
+    cells = tuple(
+        replace(one, settings={**one.settings, "policy": _beside(one.settings["policy"], folder)})
+        for one in result.cells
+    )
+    return replace(result, cells=cells)
+
+
+def _beside(policy: object, folder: Path) -> object:
+    if isinstance(policy, str) and not Path(policy).exists() and (folder / policy).exists():
+        return str(folder / policy)
+    return policy

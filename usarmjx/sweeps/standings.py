@@ -1,0 +1,254 @@
+"""Standings of methods in a suite: tables of results files, per task and over all tasks."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from usarmjx.base.bootstrap import (
+    Resampler,
+    Table,
+    improvement_interval,
+    interquartile_interval,
+    mean_interval,
+    profile_intervals,
+)
+from usarmjx.base.errors import UsageError
+from usarmjx.base.estimates import Estimate
+from usarmjx.sweeps.design import DRIVERS
+from usarmjx.sweeps.report import aligned, as_words
+from usarmjx.sweeps.results import RunResult
+from usarmjx.sweeps.store import CellRecord
+from usarmjx.sweeps.suite import BenchmarkSuite
+
+THRESHOLDS = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Normalised scores at which tables give the performance profile."""
+NOT_COMPARED = (*DRIVERS, "episodes", "arena.count")
+"""Settings that cells of one place in a suite may differ in."""
+
+SettingKey = str
+"""Settings of a cell that methods share, as text."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskStanding:
+    """Result of a method in a task.
+
+    Attributes:
+        task: The task.
+        method: The method.
+        scores: Scores as the task gives them (runs, settings, buildings).
+        shares: Scores as shares between those that count as 0 and 1; None: these have no results.
+        metrics: Means of the reported metrics, by name.
+        seconds: Time of an episode, without compilation [s].
+    """
+
+    task: str
+    method: str
+    scores: Table
+    shares: Table | None
+    metrics: Mapping[str, float]
+    seconds: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standings:
+    """Results of a suite.
+
+    Attributes:
+        suite: Name of the suite.
+        split: Split of the buildings.
+        rows: A row for each task and method.
+        notes: What readers must know.
+    """
+
+    suite: str
+    split: str
+    rows: tuple[TaskStanding, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def tasks(self) -> list[str]:
+        """The tasks."""
+        return list(dict.fromkeys(row.task for row in self.rows))
+
+    @property
+    def methods(self) -> list[str]:
+        """The methods."""
+        return list(dict.fromkeys(row.method for row in self.rows))
+
+    def tables(self, method: str) -> list[Table] | None:
+        """Return the normalised scores of a method in all tasks; None: it lacks one, or they are unknown."""
+        mine = {row.task: row.shares for row in self.rows if row.method == method}
+        tables = [mine.get(task) for task in self.tasks]
+        return [one for one in tables if one is not None] if all(one is not None for one in tables) else None
+
+
+def standings_of(results: Sequence[RunResult], suite: BenchmarkSuite) -> Standings:
+    """Return the standings of results of one suite and split.
+
+    Cells that a method lacks are left out for all methods of the task.
+
+    Raises:
+        UsageError: Results of several splits or of another version of the suite; names the first.
+    """
+    for one in results:
+        if (one.suite, one.suite_digest) != (suite.name, suite.digest):
+            raise UsageError(
+                f"{one.method}, run {one.run}: results of suite {one.suite} ({one.suite_digest}), "
+                f"expected {suite.name} ({suite.digest})"
+            )
+    splits = sorted({one.split for one in results})
+    if len(splits) != 1:
+        raise UsageError(f"results of the splits {' and '.join(splits)}: give those of one")
+    rows: list[TaskStanding] = []
+    for task in dict.fromkeys(cell.settings["task"] for one in results for cell in one.cells):
+        rows += _of_task(task, results, suite)
+    return Standings(suite=suite.name, split=splits[0], rows=tuple(rows), notes=_notes(results))
+
+
+def _notes(results: Sequence[RunResult]) -> tuple[str, ...]:
+    found = [f"{one.method}: {one.note}" for one in results if one.note]
+    found += [cell.note for one in results for cell in one.cells if cell.note]
+    for what in ("commit", "card"):
+        kinds = sorted({getattr(one, what) for one in results})
+        if len(kinds) > 1:
+            found.append(f"computed with more than one {what}: {', '.join(kinds)}")
+    return tuple(dict.fromkeys(found))
+
+
+def _of_task(task: str, results: Sequence[RunResult], suite: BenchmarkSuite) -> list[TaskStanding]:
+    by_method: dict[str, list[dict[SettingKey, CellRecord]]] = {}
+    for one in results:
+        cells = {key_of_settings(cell): cell for cell in one.cells if cell.settings["task"] == task}
+        if cells:
+            by_method.setdefault(one.method, []).append(cells)
+    shared = set.intersection(*(set(run) for runs in by_method.values() for run in runs))
+    if not shared:
+        raise UsageError(f"{task}: the methods have no settings in common")
+    keys = sorted(shared)
+    tables = {method: _table(runs, keys) for method, runs in by_method.items()}
+    width = min(table.shape[2] for table in tables.values())
+    tables = {method: table[..., :width] for method, table in tables.items()}
+    anchors = [_anchor(getattr(suite.file, name), task, tables) for name in ("zero", "one")]
+    rows: list[TaskStanding] = []
+    for method, runs in by_method.items():
+        cells = [run[key] for run in runs for key in keys]
+        rows.append(
+            TaskStanding(
+                task=task,
+                method=method,
+                scores=tables[method],
+                shares=_shares(task, tables[method], anchors),
+                metrics=_metrics(cells),
+                seconds=float(np.mean([_seconds(cell) for cell in cells])),
+            )
+        )
+    return rows
+
+
+def key_of_settings(cell: CellRecord) -> SettingKey:
+    """Return the settings of a cell that methods share, as text."""
+    return repr(sorted((name, one) for name, one in cell.settings.items() if name not in NOT_COMPARED))
+
+
+def _table(runs: Sequence[Mapping[SettingKey, CellRecord]], keys: Sequence[SettingKey]) -> Table:
+    """Return the scores of runs (runs, settings, buildings); NaN where the physics failed."""
+    width = min(len(run[key].scores) for run in runs for key in keys)
+    return np.array(
+        [[np.where(run[key].bad, np.nan, run[key].scores)[:width] for key in keys] for run in runs], float
+    )
+
+
+def _anchor(given: str | Mapping[str, float], task: str, tables: Mapping[str, Table]) -> np.ndarray | None:
+    """Return the score that counts as 0 or 1 (settings, 1); None: it is not known."""
+    if isinstance(given, str):
+        return np.nanmean(tables[given], (0, 2))[:, None] if given in tables else None
+    return np.array([[float(given[task])]]) if task in given else None
+
+
+def _shares(task: str, table: Table, anchors: Sequence[np.ndarray | None]) -> Table | None:
+    zero, one = anchors
+    if zero is None or one is None:
+        return None
+    if (one == zero).any():
+        raise UsageError(f"{task}: the scores for 0 and 1 are alike, so no share lies between them")
+    return (table - zero) / (one - zero)
+
+
+def _metrics(cells: Sequence[CellRecord]) -> dict[str, float]:
+    names = set.intersection(*(set(cell.metrics) for cell in cells))
+    return {
+        name: float(np.mean([np.mean([cell.metrics[name][i] for i in cell.good]) for cell in cells]))
+        for name in sorted(names)
+    }
+
+
+def _seconds(cell: CellRecord) -> float:
+    return max(cell.seconds - cell.compile_seconds, 0.0) / max(len(cell.scores), 1)
+
+
+def standings_report(found: Standings, how: Resampler | None = None) -> str:
+    """Return the standings as Markdown tables."""
+    lines = [f"{found.suite}, split {found.split}", *(f"note: {note}" for note in found.notes)]
+    for task in found.tasks:
+        lines += ["", f"**{task}**", "", *_task_table([one for one in found.rows if one.task == task], how)]
+    tables = {method: own for method in found.methods if (own := found.tables(method)) is not None}
+    if not tables:
+        return "\n".join([*lines, "", "no normalised scores: the suite's scores for 0 and 1 are not here"])
+    ranked = sorted(tables, key=lambda method: -interquartile_interval(tables[method], how).value)
+    head = ["method", "runs", "interquartile mean", "mean", *(f"above {one:g}" for one in THRESHOLDS)]
+    rows = [_total_row(method, tables[method], how) for method in ranked]
+    lines += ["", "**all tasks**, normalised", "", *aligned(head, rows)]
+    if pairs := list(combinations(ranked, 2)):
+        rows = [
+            [one, other, as_words(improvement_interval(tables[one], tables[other], how))]
+            for one, other in pairs
+        ]
+        lines += ["", *aligned(["method", "against", "probability of improvement"], rows)]
+    return "\n".join(lines)
+
+
+def _task_table(rows: Sequence[TaskStanding], how: Resampler | None) -> list[str]:
+    names = sorted({name for row in rows for name in row.metrics})
+    head = ["method", "runs", "settings", "buildings", "score", "normalised", *names, "s an episode"]
+    body: list[list[str]] = []
+    for row in sorted(rows, key=lambda row: -float(np.nanmean(row.scores))):
+        share = "" if row.shares is None else as_words(interquartile_interval([row.shares], how))
+        metrics = [f"{row.metrics[name]:.3g}" if name in row.metrics else "" for name in names]
+        counts = [str(count) for count in row.scores.shape]
+        score = as_words(interquartile_interval([row.scores], how))
+        body.append([row.method, *counts, score, share, *metrics, f"{row.seconds:.2g}"])
+    return aligned(head, body)
+
+
+def _total_row(method: str, tables: Sequence[Table], how: Resampler | None) -> list[str]:
+    found: list[Estimate] = [interquartile_interval(tables, how), mean_interval(tables, how)]
+    found += profile_intervals(tables, THRESHOLDS, how)
+    return [method, str(min(one.shape[0] for one in tables)), *map(as_words, found)]
+
+
+def standings_record(found: Standings, how: Resampler | None = None) -> dict[str, Any]:
+    """Return the standings as JSON can hold them."""
+    rows = [
+        {
+            "task": row.task,
+            "method": row.method,
+            "runs": row.scores.shape[0],
+            "settings": row.scores.shape[1],
+            "buildings": row.scores.shape[2],
+            "score": vars(interquartile_interval([row.scores], how)),
+            "normalised": None if row.shares is None else vars(interquartile_interval([row.shares], how)),
+            "metrics": dict(row.metrics),
+            "seconds_per_episode": row.seconds,
+        }
+        for row in found.rows
+    ]
+    totals = {
+        method: vars(interquartile_interval(tables, how))
+        for method in found.methods
+        if (tables := found.tables(method)) is not None
+    }
+    return {"suite": found.suite, "split": found.split, "rows": rows, "all": totals, "notes": found.notes}

@@ -1,0 +1,193 @@
+"""Ablations of a team's policy: its scores without parts of its observations or of its radio.
+
+    usarmjx teams explore-v2 packaged --ablate
+
+What is hidden is what a robot sees where there is none: advice is 0, a team mate was never heard and has no
+link, the map is unknown. A policy that was not trained so may do worse than one that was: a loss is an upper
+bound of what the part is worth.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from usarmjx.base.errors import UsageError
+from usarmjx.base.estimates import Estimate, estimate_groups
+from usarmjx.base.markdown import markdown_table
+from usarmjx.train.envs.env import Env
+from usarmjx.train.envs.task import ActionArrays, Carry, ObservationArrays, Policy
+from usarmjx.train.evaluation.yardsticks import TeamResult, find_team, play_team
+from usarmjx.train.make import build_env
+from usarmjx.train.tasks.team import LOCAL_MAP_WIDTH, PERFECT_RADIO, TeamTask
+
+WAYPOINT, ADVICE, MATES, MATE_SIZE = 2, 5, 20, 4
+"""Of a `TeamTask`'s observation: ends of waypoint and advice, begin of the mates, numbers of each."""
+MATE_AGE = 2
+"""Which number of a team mate is the age of its news; 1 if it was never heard."""
+MAP_SIZE = LOCAL_MAP_WIDTH**2
+
+Hide = Callable[[jax.Array, int], jax.Array]
+"""Takes observations (..., obs_size) and the number of other robots, and returns them with a part hidden."""
+
+
+def nothing_hidden(obs: jax.Array, others: int) -> jax.Array:
+    """Return observations as they are."""
+    del others
+    return obs
+
+
+def without_advice(obs: jax.Array, others: int) -> jax.Array:
+    """Hide the planner's waypoint, goal and length of the way."""
+    del others
+    return obs.at[..., :ADVICE].set(0.0)
+
+
+def without_goal(obs: jax.Array, others: int) -> jax.Array:
+    """Hide the planner's goal and the length of the way, not its waypoint."""
+    del others
+    return obs.at[..., WAYPOINT:ADVICE].set(0.0)
+
+
+def without_mates(obs: jax.Array, others: int) -> jax.Array:
+    """Hide all team mates, as if they were never heard."""
+    silent = jnp.zeros(MATE_SIZE).at[MATE_AGE].set(1.0)
+    return obs.at[..., MATES : MATES + others * MATE_SIZE].set(jnp.tile(silent, others))
+
+
+def without_map(obs: jax.Array, others: int) -> jax.Array:
+    """Hide the map around the robot: no walls, all unknown."""
+    walls = MATES + others * MATE_SIZE
+    hidden = obs.at[..., walls : walls + MAP_SIZE].set(0.0)
+    return hidden.at[..., walls + MAP_SIZE : walls + 2 * MAP_SIZE].set(1.0)
+
+
+def unchanged_task(task: TeamTask) -> TeamTask:
+    """Return a task as it is."""
+    return task
+
+
+def silent_task(task: TeamTask) -> TeamTask:
+    """Return a task in which robots send nothing to each other."""
+    return replace(task, talk="none")
+
+
+def perfect_radio_task(task: TeamTask) -> TeamTask:
+    """Return a task in which all robots hear each other."""
+    return replace(task, radio=PERFECT_RADIO)
+
+
+ABLATIONS: dict[str, tuple[Callable[[TeamTask], TeamTask], Hide]] = {
+    "nothing": (unchanged_task, nothing_hidden),
+    "advice": (unchanged_task, without_advice),
+    "goal": (unchanged_task, without_goal),
+    "map": (unchanged_task, without_map),
+    "mates": (unchanged_task, without_mates),
+    "messages": (silent_task, nothing_hidden),
+    "perfect radio": (perfect_radio_task, nothing_hidden),
+}
+"""Ablations by what is taken away: the change of the task, and what is hidden; the last gives."""
+
+
+def hidden_policy(policy: Policy, hide: Hide, others: int) -> Policy:
+    """Return a policy from which a part of the observations is hidden."""
+
+    def act(carry: Carry, obs: ObservationArrays, key: jax.Array) -> tuple[Carry, ActionArrays]:
+        return policy.act(carry, tuple(hide(one, others) for one in obs), key)
+
+    return Policy(policy.initial_carry, act)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AblationRow:
+    """Result of a team without a part.
+
+    Attributes:
+        team: The team.
+        without: What was taken away, a key of `ABLATIONS`.
+        result: Its result.
+        difference: Score less that with nothing taken away, in the same buildings.
+    """
+
+    team: str
+    without: str
+    result: TeamResult
+    difference: Estimate
+
+
+def check_layout(env: Env) -> None:
+    """Refuse observations that are laid out otherwise.
+
+    Raises:
+        UsageError: They are too short for the parts that ablations hide.
+    """
+    others = env.scene.num_robots - 1
+    least = MATES + others * MATE_SIZE + 2 * MAP_SIZE
+    if any(group.obs_size < least for group in env.groups):
+        raise UsageError(f"{env.name}: its observations have no parts that --ablate can hide")
+
+
+def ablate(
+    task: TeamTask,
+    name: str,
+    worlds: int,
+    teams: Sequence[str],
+    seed: int = 0,
+    engine: str = "auto",
+    tell: Callable[[AblationRow], None] = lambda row: None,
+) -> tuple[AblationRow, ...]:
+    """Return results of teams with each part taken away.
+
+    Args:
+        task: The task, with one arena for each world.
+        name: Name of the task.
+        worlds: Episodes.
+        teams: Names, see `yardsticks.find_team`.
+        seed: Seed of the environments.
+        engine: See `make`.
+        tell: Receives each row as soon as it is known.
+
+    Raises:
+        UnknownNameError: No such team.
+        UsageError: Observations without these parts, or a policy that does not fit.
+    """
+    envs: dict[TeamTask, Env] = {}  # each is compiled once
+    rows: list[AblationRow] = []
+    for team in teams:
+        change, driver = find_team(team)
+        whole: TeamResult | None = None
+        for without, (alter, hide) in ABLATIONS.items():
+            own = alter(change(task))
+            if own not in envs:
+                envs[own] = build_env(own, worlds, name=name, engine=engine)
+            env = envs[own]
+            check_layout(env)
+            policy = hidden_policy(driver(env), hide, env.scene.num_robots - 1)
+            result = play_team(env, own, policy, f"{team} without {without}", seed)
+            whole = whole or result
+            rows.append(ablation_row(team, without, result, whole))
+            tell(rows[-1])
+    return tuple(rows)
+
+
+def ablation_row(team: str, without: str, result: TeamResult, whole: TeamResult) -> AblationRow:
+    """Return the row of a result, compared with that of the whole policy in the worlds that both have."""
+    gains = np.array(result.by_world, float) - np.array(whole.by_world, float)
+    return AblationRow(
+        team=team, without=without, result=result, difference=estimate_groups(gains[np.isfinite(gains)])
+    )
+
+
+def ablation_table(rows: Sequence[AblationRow]) -> str:
+    """Return the rows as a Markdown table."""
+    parts = list(rows[0].result.parts)
+    lines: list[list[str]] = []
+    for row in rows:
+        gain = row.difference
+        known = np.isfinite(gain.low) and row.without != "nothing"
+        change = f"{gain.value:+.1f} ({gain.low:+.1f} to {gain.high:+.1f})" if known else ""
+        points = [f"{row.result.parts[part]:.1f}" for part in parts]
+        lines.append([row.team, row.without, f"{row.result.score.value:.1f}", change, *points])
+    return markdown_table(("team", "taken away", "score", "change, 95 % interval", *parts), lines)
