@@ -41,7 +41,7 @@ class Step(nn.Module):
 
         Args:
             memory: Memory before the step (..., hidden).
-            now: What is seen (..., obs_size), and whether an episode begins (...).
+            now: Observations (..., obs_size), and whether an episode begins (...).
         """
         obs, first = now
         memory = jnp.where(first[..., None], 0.0, memory)

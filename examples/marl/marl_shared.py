@@ -1,6 +1,6 @@
-"""What the algorithms beside this file share: flags, the team as one axis, metrics, saved weights, returns.
+"""Parts that the algorithms beside this file share: flags, teams on one axis, metrics, weights, updates.
 
-Networks, rollouts and updates are in the file of each algorithm.
+Networks, rollouts and losses are in the file of each algorithm.
 """
 
 import argparse

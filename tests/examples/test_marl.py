@@ -106,7 +106,7 @@ def test_links_between_agents_are_read_from_the_robots_own_observations():
 
 
 def test_advantages_are_those_of_the_definition():
-    """Three steps, an end after the second: by hand, with gamma 0.5 and lambda 0.5."""
+    """Three steps, an end after the second, worked out with gamma 0.5 and lambda 0.5."""
     reward, value = jnp.array([1.0, 2.0, 3.0]), jnp.array([0.5, 1.0, 2.0])
     done = jnp.array([False, True, False])
     advantage, target = SHARED.generalised_advantages(reward, value, jnp.float32(4.0), done, 0.5, 0.5)

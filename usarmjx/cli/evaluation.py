@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
 from usarmjx.base.progress import RateLimitedLog
 from usarmjx.cli.common import (
@@ -81,6 +82,8 @@ def teams(
             return
         announce("building the worlds that teams play in ...", engines=[tried_on(engine)])
         if ablate:
+            if out is not None:
+                raise UsageError("--out draws teams without --ablate; --json keeps the results of ablations")
             _ablate(task, names or ["packaged"], worlds, seed, engine, split, pairs, json)
         else:
             _compare(task, names, worlds, seed, engine, split, pairs, out, json)
@@ -115,7 +118,8 @@ def _compare(
     typer.echo(yardsticks.table(played, rows))
     if json is not None:
         split = split or usual_split(task, set_by_hand)
-        _keep(json, {"task": task, "split": split, "engine": how[1], "settings": pairs}, rows)
+        setup = {"task": task, "split": split, "engine": how[1], "settings": pairs}
+        _keep(json, setup, [_plain(row) for row in rows])
     if out is not None:
         plot_teams(task, rows, seen, out)
         typer.echo(f"wrote {out}")
@@ -141,16 +145,18 @@ def _ablate(
     own, played = yardsticks.task_to_play(task, worlds, split, **overrides)
     rows = ablation.ablate(own, task, played, names, seed, engine, lambda row: _tell(row.result))
     typer.echo(ablation.ablation_table(rows))
-    if json is None:
-        return
-    content = [
-        {"team": one.team, "without": one.without, "difference": vars(one.difference), **_plain(one.result)}
-        for one in rows
-    ]
-    setup = {"task": task, "split": split or usual_split(task, overrides), "settings": pairs}
-    with atomic_write(json) as fresh:
-        text = json_format.dumps({**setup, "engine": engine, "rows": content}, indent=1)
-        fresh.write_text(text + "\n", encoding="utf-8")
+    if json is not None:
+        content = [
+            {
+                "team": one.team,
+                "without": one.without,
+                "difference": vars(one.difference),
+                **_plain(one.result),
+            }
+            for one in rows
+        ]
+        setup = {"task": task, "split": split or usual_split(task, overrides), "settings": pairs}
+        _keep(json, {**setup, "engine": engine}, content)
 
 
 def _plain(row: "TeamResult") -> dict[str, Any]:
@@ -169,11 +175,10 @@ def _warn(note: str) -> None:
     say(f"warning: {note}")
 
 
-def _keep(path: Path, setup: dict[str, Any], rows: "tuple[TeamResult, ...]") -> None:
-    """Write the rows as JSON, below what they are of."""
-    content = [_plain(row) for row in rows]
+def _keep(path: Path, setup: dict[str, Any], rows: list[dict[str, Any]]) -> None:
+    """Write the setup and the rows of a comparison as JSON."""
     with atomic_write(path) as fresh:
-        fresh.write_text(json_format.dumps({**setup, "rows": content}, indent=1) + "\n", encoding="utf-8")
+        fresh.write_text(json_format.dumps({**setup, "rows": rows}, indent=1) + "\n", encoding="utf-8")
 
 
 def _told(one: "Estimate", what: str) -> str:

@@ -9,7 +9,7 @@ import typer
 from usarmjx.base.files import atomic_write
 from usarmjx.cli.common import ErrorExit
 from usarmjx.cli.startup_messages import announce, tried_on
-from usarmjx.cli.sweep import CellEngineOption, RunOnOption, SweepQuietOption, WorkerCountOption
+from usarmjx.cli.sweep import CellEngineOption, RunOnOption, SweepQuietOption, WorkerCountOption, say_line
 
 app = typer.Typer(no_args_is_help=True, help="Play methods through a suite of tasks, and rank them.")
 
@@ -36,7 +36,7 @@ def run(
     ] = None,
     run_on: RunOnOption = "here",
     workers: WorkerCountOption = None,
-    note: Annotated[str, typer.Option(help="What readers of the results must know.")] = "",
+    note: Annotated[str, typer.Option(help="Remark for readers of the results.")] = "",
     quiet: SweepQuietOption = False,
 ) -> None:
     """Play all runs of a method through a suite, and write a results file for each."""
@@ -56,7 +56,7 @@ def run(
             runs or [method],
             out,
             workers=Workers(place=run_on, count=workers),
-            say=None if quiet else lambda line: typer.echo(f"usarmjx: {line}", err=True),
+            say=None if quiet else say_line,
             stream=None if quiet else usual_stream(),
             note=note,
             **common,

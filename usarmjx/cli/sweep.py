@@ -142,7 +142,7 @@ def run(
             return
         meter = None if recording is None else recording.SweepMeter(begun)
         sinks = [*_sinks(tensorboard, wandb, spec.name), *([] if meter is None else [meter])]
-        loud: dict[str, Any] = {} if quiet else {"say": _say, "stream": usual_stream()}
+        loud: dict[str, Any] = {} if quiet else {"say": say_line, "stream": usual_stream()}
         found = play_prepared(spec, folder, prepared, played_on, sinks=sinks, **loud)
         _tell(found, figure, table, episodes)
         if json is not None:
@@ -206,7 +206,8 @@ def _show_plan(spec: Any, prepared: Any, workers: Any, probe: bool) -> None:  # 
     typer.echo("no probe: clients drive all cells" if found is None else found.as_text(count))
 
 
-def _say(line: str) -> None:
+def say_line(line: str) -> None:
+    """Write a line of a plan to the standard error stream."""
     typer.echo(f"usarmjx: {line}", err=True)
 
 

@@ -1,13 +1,13 @@
 """The leaderboard page of results files, and the replay of entries."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from usarmjx.base.bootstrap import Resampler
 from usarmjx.base.errors import UsageError
+from usarmjx.base.files import atomic_write
 from usarmjx.sweeps.play import BatchWork, play_batch
 from usarmjx.sweeps.report import aligned
 from usarmjx.sweeps.results import RunResult, read_results
@@ -30,7 +30,6 @@ Use split `validation` to choose settings and checkpoints. All runs of a method 
 must be in the checkout or in the package, so that `usarmjx suite replay FILE` can play three buildings of
 each entry again. [sweeps.md](sweeps.md#suites) explains the columns.
 """
-SEED_DRAWS = Resampler()
 
 
 def leaderboard_page(results: Sequence[RunResult]) -> str:
@@ -44,7 +43,7 @@ def leaderboard_page(results: Sequence[RunResult]) -> str:
     played = [one for one in results if one.split == "test"]
     for name in sorted({one.suite for one in played}):
         own, suite = [one for one in played if one.suite == name], load_suite(find_suite(name))
-        text = standings_report(standings_of(own, suite), SEED_DRAWS)
+        text = standings_report(standings_of(own, suite))
         lines += ["", f"## {name}", "", suite.file.about, "", *text.splitlines()[1:], "", "**runs**", ""]
         head = ["method", "run", "commit", "card", "jax", "when", "policies"]
         lines += aligned(head, [_run_row(one) for one in own])
@@ -62,8 +61,11 @@ def write_leaderboard(folder: Path, page: Path) -> None:
 
     Raises:
         UsageError: See `leaderboard_page` and `results.read_results`.
+        WriteError: The page cannot be written.
     """
-    page.write_text(leaderboard_page(read_results([folder])), encoding="utf-8")
+    text = leaderboard_page(read_results([folder]))
+    with atomic_write(page) as fresh:
+        fresh.write_text(text, encoding="utf-8")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,11 +85,6 @@ class ReplayedCell:
     before: np.ndarray
     after: np.ndarray
     same_buildings: bool
-
-    @property
-    def difference(self) -> float:
-        """Mean difference of the scores."""
-        return float(np.mean(self.after - self.before))
 
     @property
     def largest(self) -> float:
@@ -119,7 +116,7 @@ def replay(
         cell = result.cells[number]
         settings = {**cell.settings, "episodes": min(episodes, len(cell.scores))}
         work = BatchWork(
-            group=f"replay {number}",
+            group=f"replay {cell.key}",  # a compiled group is kept by this name
             cells=((cell.key, settings),),
             kin=(settings,),
             size=1,
@@ -139,18 +136,3 @@ def replay(
             )
         )
     return found
-
-
-def with_files_beside(result: RunResult, folder: Path) -> RunResult:
-    """Return a result whose runs are found from a folder, where they are not found from here."""
-    cells = tuple(
-        replace(one, settings={**one.settings, "policy": _beside(one.settings["policy"], folder)})
-        for one in result.cells
-    )
-    return replace(result, cells=cells)
-
-
-def _beside(policy: object, folder: Path) -> object:
-    if isinstance(policy, str) and not Path(policy).exists() and (folder / policy).exists():
-        return str(folder / policy)
-    return policy

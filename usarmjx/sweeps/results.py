@@ -1,4 +1,4 @@
-"""Results files: what one run of a method reached in a suite, and all that is needed to play it again."""
+"""Results files: scores of one run of a method in a suite, and all that is needed to play it again."""
 
 import hashlib
 import platform
@@ -41,7 +41,7 @@ class RunResult:
         split: Split of the buildings.
         method: Name of the method.
         run: The run, as it was named; `{task}` stands for the task of each cell.
-        note: What readers must know.
+        note: Remark for readers.
         when: Time of the end, in UTC.
         commit: Commit of the code, if it is a checkout; else `unknown`.
         card: Device that JAX computed on.
@@ -64,11 +64,6 @@ class RunResult:
     versions: Mapping[str, str] = field(default_factory=dict[str, str])
     policies: Mapping[str, str] = field(default_factory=dict[str, str])
     cells: tuple[CellRecord, ...] = ()
-
-    @property
-    def seconds(self) -> float:
-        """Time that the cells took, without compilation [s]."""
-        return sum(one.seconds - min(one.compile_seconds, one.seconds) for one in self.cells)
 
     def file_name(self, number: int) -> str:
         """Return the usual name of its file.

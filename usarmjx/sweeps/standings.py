@@ -61,7 +61,7 @@ class Standings:
         suite: Name of the suite.
         split: Split of the buildings.
         rows: A row for each task and method.
-        notes: What readers must know.
+        notes: Remarks for readers.
     """
 
     suite: str

@@ -46,7 +46,7 @@ class SuiteFile:
     """A suite's file.
 
     Attributes:
-        about: What the suite measures, in a sentence.
+        about: Purpose of the suite, in a sentence.
         episodes: Episodes of each cell, by split.
         common: Settings of all cells, as in a sweep.
         product: Values by setting, of which all combinations are played.
@@ -71,7 +71,7 @@ class BenchmarkSuite:
     Attributes:
         name: Name of its file.
         digest: Hash of its contents: results of another suite of that name do not compare.
-        file: What its file says.
+        file: Contents of its file.
     """
 
     name: str
@@ -168,9 +168,9 @@ def run_suite(  # noqa: PLR0913 - all but four may be left out
         runs: Its runs, see `BenchmarkSuite.spec`.
         folder: Folder of the results files; cells that are played are kept below, in `cells`.
         workers: Place to play it; None: here.
-        say: Receives the plan, in lines.
+        say: Receives the lines of the plan.
         stream: Stream of progress; None: none.
-        note: What readers of the results must know.
+        note: Remark for readers of the results.
         common: Settings that replace those of all cells. They stand in the results.
 
     Returns:

@@ -226,7 +226,7 @@ class PolicyBatch(SharedBatch):
         state = jax.tree.map(lambda new, old: new.astype(old.dtype), state, before)
         return state, self._of_views(self.env.task.observe)(parts, state.task), began
 
-    # What follows runs on the host.
+    # The methods below run on the host.
 
     def _step(self) -> None:
         """Advance by one control step; at the end of each action the policy acts."""

@@ -2,8 +2,8 @@
 
     usarmjx teams explore-v2 packaged --ablate
 
-What is hidden is what a robot sees where there is none: advice is 0, a team mate was never heard and has no
-link, the map is unknown. A policy that was not trained so may do worse than one that was: a loss is an upper
+A hidden part has the values of its absence: advice is 0, a team mate was never heard and has no link, the map
+is unknown. A policy that was not trained so may do worse than one that was: a loss is an upper
 bound of what the part is worth.
 """
 
@@ -21,12 +21,15 @@ from usarmjx.train.envs.env import Env
 from usarmjx.train.envs.task import ActionArrays, Carry, ObservationArrays, Policy
 from usarmjx.train.evaluation.yardsticks import TeamResult, find_team, play_team
 from usarmjx.train.make import build_env
+from usarmjx.train.mapping.belief import SECTOR_COUNT
 from usarmjx.train.tasks.team import LOCAL_MAP_WIDTH, PERFECT_RADIO, TeamTask
 
-WAYPOINT, ADVICE, MATES, MATE_SIZE = 2, 5, 20, 4
-"""Of a `TeamTask`'s observation: ends of waypoint and advice, begin of the mates, numbers of each."""
+WAYPOINT, ADVICE, MATE_SIZE = 2, 5, 4
+"""Ends of waypoint and advice in a `TeamTask`'s observation, and numbers about each team mate."""
+MATES = ADVICE + 1 + SECTOR_COUNT + 2
+"""First number about team mates: behind advice, progress, sectors, time left and own number."""
 MATE_AGE = 2
-"""Which number of a team mate is the age of its news; 1 if it was never heard."""
+"""Number of a team mate that is the age of its news; 1 if it was never heard."""
 MAP_SIZE = LOCAL_MAP_WIDTH**2
 
 Hide = Callable[[jax.Array, int], jax.Array]
@@ -106,7 +109,7 @@ class AblationRow:
 
     Attributes:
         team: The team.
-        without: What was taken away, a key of `ABLATIONS`.
+        without: Part that was taken away, a key of `ABLATIONS`.
         result: Its result.
         difference: Score less that with nothing taken away, in the same buildings.
     """
