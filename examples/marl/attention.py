@@ -1,8 +1,9 @@
 """Set attention with messages: PPO for teams of any size, robots send vectors over their links.
 
-An agent attends over the set of its team mates as it observes them, then over the messages of those that have
-a link to it. A message is `--message` numbers, four bytes each, sent to all that are linked, once an action.
-Networks know no number of robots: weights of a team of four drive teams of two or eight.
+The algorithm is that of `ippo.py` with another network. An agent attends over the set of its team mates as it
+observes them, then over the messages of those that have a link to it. A message is `--message` numbers, four
+bytes each, sent to all that are linked, once an action. Networks know no number of robots: weights of a team
+of four drive teams of two or eight.
 
 The mailbox is differentiable: in the update the loss of a listener's action goes back through the message
 into the speaker's weights (Foerster et al., "Learning to communicate with deep multi-agent reinforcement
@@ -18,26 +19,18 @@ from functools import partial
 from typing import Any
 
 import flax.linen as nn
+import ippo
 import jax
 import jax.numpy as jnp
 import marl_shared as shared
 import numpy as np
-import optax
-from flax import struct
 
 
 @dataclass(frozen=True, kw_only=True)
-class AttentionFlags(shared.Flags):
+class AttentionFlags(shared.PpoFlags):
     """Flags of set attention."""
 
     message: int = field(default=8, metadata={"help": "numbers in a message; 0: none are sent"})
-    gae_lambda: float = field(default=0.95, metadata={"help": "lambda of the advantages"})
-    num_epochs: int = field(default=4, metadata={"help": "passes of an update through a rollout"})
-    num_minibatches: int = field(default=4, metadata={"help": "parts of an epoch"})
-    clip_epsilon: float = field(default=0.2, metadata={"help": "clip of the ratio of probabilities"})
-    entropy_coef: float = field(default=0.0, metadata={"help": "weight of the entropy"})
-    value_coef: float = field(default=0.5, metadata={"help": "weight of the critic's loss"})
-    max_grad_norm: float = field(default=0.5, metadata={"help": "norm that longer gradients are cut to"})
 
 
 @dataclass(frozen=True)
@@ -142,26 +135,6 @@ class Talker(nn.Module):
         return mean, jnp.broadcast_to(log_std, mean.shape), value
 
 
-class Batch(struct.PyTreeNode, kw_only=True):
-    """Transitions (steps, worlds, agents, ...); in an update (rows, agents, ...): a row is a whole team."""
-
-    obs: jax.Array
-    action: jax.Array
-    log_prob: jax.Array
-    value: jax.Array
-    reward: jax.Array
-    done: jax.Array
-
-
-class Learner(struct.PyTreeNode, kw_only=True):
-    """All that an iteration changes."""
-
-    params: Any
-    optimiser: Any
-    state: Any
-    key: jax.Array
-
-
 def network(team: shared.Team, flags: AttentionFlags) -> Any:
     """Return the network of a team; flax leaves its types open."""
     return Talker(flags.hidden, team.action_size, flags.message, Layout.of(team.env))
@@ -172,106 +145,21 @@ def initial_params(team: shared.Team, flags: AttentionFlags) -> Any:
     return network(team, flags).init(jax.random.key(flags.seed), jnp.zeros((1, team.agents, team.obs_size)))
 
 
-def collect(
-    team: shared.Team, flags: AttentionFlags, learner: Learner
-) -> tuple[Learner, Batch, jax.Array, dict[str, jax.Array]]:
-    """Act for a rollout; return its transitions, the values after it, and sums of episodes."""
-    net = network(team, flags)
-
-    def step(carry: tuple[Any, jax.Array], _: None) -> tuple[Any, Any]:
-        state, key = carry
-        key, own = jax.random.split(key)
-        obs = team.merge(state.obs)
-        mean, log_std, value = net.apply(learner.params, obs)
-        action = mean + jnp.exp(log_std) * jax.random.normal(own, mean.shape)
-        after = team.env.step(state, team.split(action))
-        # An episode that the time limit cuts off would have gone on: its last state has a value.
-        cut = net.apply(learner.params, team.merge(after.final_obs))[-1]
-        reward = flags.reward_scale * team.reward(after) + flags.gamma * cut * after.truncated[:, None]
-        row = Batch(
-            obs=obs,
-            action=action,
-            log_prob=shared.log_probability(mean, log_std, action),
-            value=value,
-            reward=reward,
-            done=jnp.broadcast_to(after.done[:, None], reward.shape),
-        )
-        return (after, key), (row, shared.episode_sums(after))
-
-    (state, key), (batch, sums) = jax.lax.scan(step, (learner.state, learner.key), None, flags.rollout_length)
-    *_, last = net.apply(learner.params, team.merge(state.obs))
-    return learner.replace(state=state, key=key), batch, last, jax.tree.map(jnp.sum, sums)
-
-
-def loss(
-    params: Any, team: shared.Team, flags: AttentionFlags, rows: tuple[Batch, jax.Array, jax.Array]
-) -> jax.Array:
-    """Return PPO's loss (); messages are made again, so that gradients go through them."""
-    batch, advantage, target = rows
-    mean, log_std, value = network(team, flags).apply(params, batch.obs)
-    ratio = jnp.exp(shared.log_probability(mean, log_std, batch.action) - batch.log_prob)
-    policy = shared.clipped_loss(ratio, shared.whitened(advantage), flags.clip_epsilon)
-    critic = jnp.square(value - target).mean()
-    return policy + flags.value_coef * critic - flags.entropy_coef * log_std.sum(-1).mean()
-
-
-def optimiser(flags: AttentionFlags) -> optax.GradientTransformation:
-    """Return Adam with clipped gradients."""
-    return optax.chain(
-        optax.clip_by_global_norm(flags.max_grad_norm), optax.adam(flags.learning_rate, eps=1e-5)
-    )
-
-
-def iterate(
-    team: shared.Team, flags: AttentionFlags, learner: Learner
-) -> tuple[Learner, dict[str, jax.Array]]:
-    """Act for a rollout and learn from it; minibatches are whole teams."""
-    learner, batch, last, sums = collect(team, flags, learner)
-    advantage, target = shared.generalised_advantages(
-        batch.reward, batch.value, last, batch.done, flags.gamma, flags.gae_lambda
-    )
-    rows = jax.tree.map(lambda one: one.reshape(-1, *one.shape[2:]), (batch, advantage, target))
-
-    def minibatch(carry: tuple[Any, Any], chosen: jax.Array) -> tuple[Any, jax.Array]:
-        params, state = carry
-        part = jax.tree.map(lambda one: one[chosen], rows)
-        value, gradient = jax.value_and_grad(loss)(params, team, flags, part)
-        change, state = optimiser(flags).update(gradient, state, params)
-        return (optax.apply_updates(params, change), state), value
-
-    def epoch(carry: tuple[Any, Any], key: jax.Array) -> tuple[Any, jax.Array]:
-        parts = jax.random.permutation(key, rows[1].shape[0]).reshape(flags.num_minibatches, -1)
-        return jax.lax.scan(minibatch, carry, parts)
-
-    key, own = jax.random.split(learner.key)
-    keys = jax.random.split(own, flags.num_epochs)
-    (params, state), losses = jax.lax.scan(epoch, (learner.params, learner.optimiser), keys)
-    return learner.replace(params=params, optimiser=state, key=key), {**sums, "total": losses.mean()}
-
-
-def train(flags: AttentionFlags, env: Any = None) -> tuple[Learner, list[dict[str, Any]]]:
+def train(flags: AttentionFlags, env: Any = None) -> tuple[shared.Learner, list[dict[str, Any]]]:
     """Train, and return the last state and the lines of the iterations."""
     team = shared.Team(env or shared.make_env(flags))
-    params, key = initial_params(team, flags), jax.random.key(flags.seed + 1)
-    start = Learner(
-        params=params, optimiser=optimiser(flags).init(params), state=team.start(flags.seed), key=key
-    )
-    return shared.run(flags, "attention", start, jax.jit(partial(iterate, team, flags)), team.agents)
+    params = initial_params(team, flags)
+    start = shared.start_learner(team, flags, params, shared.clipped_adam(flags))
+    # A row is a whole team: the loss of a listener goes back through messages that are made again.
+    step = partial(ippo.iterate, team, network(team, flags), flags, 2)
+    return shared.run(flags, "attention", start, jax.jit(step), team.agents)
 
 
 def policy_of(env: Any, flags: AttentionFlags, params: Any) -> Any:
     """Return the policy for `usarmjx`, for a team of any size: the most probable actions."""
-    from usarmjx.train import Policy
-
     team = shared.Team(env)
     net = network(team, flags)
-
-    def act(carry: Any, obs: tuple[jax.Array, ...], key: jax.Array) -> tuple[Any, tuple[jax.Array, ...]]:
-        del key
-        mean, *_ = net.apply(params, team.merge(obs))
-        return carry, team.split(jnp.clip(mean, -1.0, 1.0))
-
-    return Policy(lambda worlds: jnp.zeros((worlds, 1)), act)
+    return shared.feed_forward_policy(team, lambda seen: net.apply(params, seen)[0])
 
 
 def load(env: Any, folder: str) -> Any:

@@ -262,16 +262,9 @@ def train(flags: Td3Flags, env: Any = None) -> tuple[Learner, list[dict[str, Any
 
 def policy_of(env: Any, flags: Td3Flags, params: Any) -> Any:
     """Return the policy for `usarmjx`, without noise."""
-    from usarmjx.train import Policy
-
     team = shared.Team(env)
     actor, _ = networks(team, flags)
-
-    def act(carry: Any, obs: tuple[jax.Array, ...], key: jax.Array) -> tuple[Any, tuple[jax.Array, ...]]:
-        del key
-        return carry, team.split(actor.apply(params["actor"], team.merge(obs)))
-
-    return Policy(lambda worlds: jnp.zeros((worlds, 1)), act)
+    return shared.feed_forward_policy(team, lambda seen: actor.apply(params["actor"], seen))
 
 
 def load(env: Any, folder: str) -> Any:

@@ -6,7 +6,7 @@
 De Witt et al., "Is independent learning all you need in the StarCraft multi-agent challenge?" (2020).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -14,21 +14,11 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import marl_shared as shared
-import optax
-from flax import struct
 
 
 @dataclass(frozen=True, kw_only=True)
-class IppoFlags(shared.Flags):
+class IppoFlags(shared.PpoFlags):
     """Flags of IPPO."""
-
-    gae_lambda: float = field(default=0.95, metadata={"help": "lambda of the advantages"})
-    num_epochs: int = field(default=4, metadata={"help": "passes of an update through a rollout"})
-    num_minibatches: int = field(default=4, metadata={"help": "parts of an epoch"})
-    clip_epsilon: float = field(default=0.2, metadata={"help": "clip of the ratio of probabilities"})
-    entropy_coef: float = field(default=0.0, metadata={"help": "weight of the entropy"})
-    value_coef: float = field(default=0.5, metadata={"help": "weight of the critic's loss"})
-    max_grad_norm: float = field(default=0.5, metadata={"help": "norm that longer gradients are cut to"})
 
 
 class Mlp(nn.Module):
@@ -61,26 +51,6 @@ class ActorCritic(nn.Module):
         return mean, jnp.broadcast_to(log_std, mean.shape), value
 
 
-class Batch(struct.PyTreeNode, kw_only=True):
-    """Transitions (steps, worlds, agents, ...); in an update (rows, ...)."""
-
-    obs: jax.Array
-    action: jax.Array
-    log_prob: jax.Array
-    value: jax.Array
-    reward: jax.Array
-    done: jax.Array
-
-
-class Learner(struct.PyTreeNode, kw_only=True):
-    """All that an iteration changes."""
-
-    params: Any
-    optimiser: Any
-    state: Any
-    key: jax.Array
-
-
 def network(team: shared.Team, flags: IppoFlags) -> Any:
     """Return the network of a team; flax leaves its types open."""
     return ActorCritic(flags.hidden, team.action_size)
@@ -92,10 +62,9 @@ def initial_params(team: shared.Team, flags: IppoFlags) -> Any:
 
 
 def collect(
-    team: shared.Team, flags: IppoFlags, learner: Learner
-) -> tuple[Learner, Batch, jax.Array, dict[str, jax.Array]]:
+    team: shared.Team, net: Any, flags: shared.PpoFlags, learner: shared.Learner
+) -> tuple[shared.Learner, shared.Batch, jax.Array, dict[str, jax.Array]]:
     """Act for a rollout; return its transitions, the values after it, and sums of episodes."""
-    net = network(team, flags)
 
     def step(carry: tuple[Any, jax.Array], _: None) -> tuple[Any, Any]:
         state, key = carry
@@ -108,7 +77,7 @@ def collect(
         cut = net.apply(learner.params, team.merge(after.final_obs))[-1]
         reward = flags.reward_scale * team.reward(after) + flags.gamma * cut * after.truncated[:, None]
         done = jnp.broadcast_to(after.done[:, None], reward.shape)
-        row = Batch(
+        row = shared.Batch(
             obs=obs,
             action=action,
             log_prob=shared.log_probability(mean, log_std, action),
@@ -124,72 +93,64 @@ def collect(
 
 
 def loss(
-    params: Any, team: shared.Team, flags: IppoFlags, rows: tuple[Batch, jax.Array, jax.Array]
+    params: Any, net: Any, flags: shared.PpoFlags, rows: tuple[shared.Batch, jax.Array, jax.Array]
 ) -> jax.Array:
     """Return PPO's loss ()."""
     batch, advantage, target = rows
-    mean, log_std, value = network(team, flags).apply(params, batch.obs)
+    mean, log_std, value = net.apply(params, batch.obs)
     ratio = jnp.exp(shared.log_probability(mean, log_std, batch.action) - batch.log_prob)
     policy = shared.clipped_loss(ratio, shared.whitened(advantage), flags.clip_epsilon)
     critic = jnp.square(value - target).mean()
     return policy + flags.value_coef * critic - flags.entropy_coef * log_std.sum(-1).mean()
 
 
-def optimiser(flags: IppoFlags) -> optax.GradientTransformation:
-    """Return Adam with clipped gradients."""
-    return optax.chain(
-        optax.clip_by_global_norm(flags.max_grad_norm), optax.adam(flags.learning_rate, eps=1e-5)
-    )
+def iterate(
+    team: shared.Team, net: Any, flags: shared.PpoFlags, row_axes: int, learner: shared.Learner
+) -> tuple[shared.Learner, dict[str, jax.Array]]:
+    """Act for a rollout and learn from it.
 
-
-def iterate(team: shared.Team, flags: IppoFlags, learner: Learner) -> tuple[Learner, dict[str, jax.Array]]:
-    """Act for a rollout and learn from it."""
-    learner, batch, last, sums = collect(team, flags, learner)
+    Args:
+        team: The team.
+        net: Network: observations to means, log deviations and values.
+        flags: The flags.
+        row_axes: 3: a row of a minibatch is an agent; 2: a whole team.
+        learner: The learner before it.
+    """
+    learner, batch, last, sums = collect(team, net, flags, learner)
     advantage, target = shared.generalised_advantages(
         batch.reward, batch.value, last, batch.done, flags.gamma, flags.gae_lambda
     )
-    rows = jax.tree.map(lambda one: one.reshape(-1, *one.shape[3:]), (batch, advantage, target))
-    count = rows[1].shape[0]
+    rows = jax.tree.map(lambda one: one.reshape(-1, *one.shape[row_axes:]), (batch, advantage, target))
 
-    def minibatch(carry: tuple[Any, Any], chosen: jax.Array) -> tuple[Any, jax.Array]:
-        params, state = carry
-        part = jax.tree.map(lambda one: one[chosen], rows)
-        value, gradient = jax.value_and_grad(loss)(params, team, flags, part)
-        change, state = optimiser(flags).update(gradient, state, params)
-        return (optax.apply_updates(params, change), state), value
+    def minibatch_loss(params: Any, chosen: jax.Array) -> jax.Array:
+        return loss(params, net, flags, jax.tree.map(lambda one: one[chosen], rows))
 
-    def epoch(carry: tuple[Any, Any], key: jax.Array) -> tuple[Any, jax.Array]:
-        parts = jax.random.permutation(key, count).reshape(flags.num_minibatches, -1)
-        return jax.lax.scan(minibatch, carry, parts)
-
-    key, own = jax.random.split(learner.key)
-    keys = jax.random.split(own, flags.num_epochs)
-    (params, state), losses = jax.lax.scan(epoch, (learner.params, learner.optimiser), keys)
-    return learner.replace(params=params, optimiser=state, key=key), {**sums, "total": losses.mean()}
+    learner, total = shared.update_in_minibatches(
+        learner,
+        shared.clipped_adam(flags),
+        minibatch_loss,
+        rows[1].shape[0],
+        num_epochs=flags.num_epochs,
+        num_minibatches=flags.num_minibatches,
+    )
+    return learner, {**sums, "total": total}
 
 
-def train(flags: IppoFlags, env: Any = None) -> tuple[Learner, list[dict[str, Any]]]:
+def train(flags: IppoFlags, env: Any = None) -> tuple[shared.Learner, list[dict[str, Any]]]:
     """Train, and return the last state and the lines of the iterations."""
     team = shared.Team(env or shared.make_env(flags))
-    params, key = initial_params(team, flags), jax.random.key(flags.seed + 1)
-    start = Learner(
-        params=params, optimiser=optimiser(flags).init(params), state=team.start(flags.seed), key=key
+    params = initial_params(team, flags)
+    start = shared.start_learner(team, flags, params, shared.clipped_adam(flags))
+    return shared.run(
+        flags, "ippo", start, jax.jit(partial(iterate, team, network(team, flags), flags, 3)), team.agents
     )
-    return shared.run(flags, "ippo", start, jax.jit(partial(iterate, team, flags)), team.agents)
 
 
 def policy_of(env: Any, flags: IppoFlags, params: Any) -> Any:
     """Return the policy for `usarmjx`: the most probable actions."""
-    from usarmjx.train import Policy
-
     team = shared.Team(env)
-
-    def act(carry: Any, obs: tuple[jax.Array, ...], key: jax.Array) -> tuple[Any, tuple[jax.Array, ...]]:
-        del key
-        mean, *_ = network(team, flags).apply(params, team.merge(obs))
-        return carry, team.split(jnp.clip(mean, -1.0, 1.0))
-
-    return Policy(lambda worlds: jnp.zeros((worlds, 1)), act)
+    net = network(team, flags)
+    return shared.feed_forward_policy(team, lambda seen: net.apply(params, seen)[0])
 
 
 def load(env: Any, folder: str) -> Any:

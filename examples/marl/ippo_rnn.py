@@ -4,7 +4,7 @@ python examples/marl/ippo_rnn.py --task explore-v2 --total-steps 20000000 --seed
 usarmjx eval examples/marl/ippo_rnn.py:load@runs/ippo-rnn-0 --task explore-v2
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -12,21 +12,11 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import marl_shared as shared
-import optax
-from flax import struct
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecurrentFlags(shared.Flags):
+class RecurrentFlags(shared.PpoFlags):
     """Flags of recurrent IPPO."""
-
-    gae_lambda: float = field(default=0.95, metadata={"help": "lambda of the advantages"})
-    num_epochs: int = field(default=4, metadata={"help": "passes of an update through a rollout"})
-    num_minibatches: int = field(default=4, metadata={"help": "parts of an epoch, by worlds"})
-    clip_epsilon: float = field(default=0.2, metadata={"help": "clip of the ratio of probabilities"})
-    entropy_coef: float = field(default=0.0, metadata={"help": "weight of the entropy"})
-    value_coef: float = field(default=0.5, metadata={"help": "weight of the critic's loss"})
-    max_grad_norm: float = field(default=0.5, metadata={"help": "norm that longer gradients are cut to"})
 
 
 class Step(nn.Module):
@@ -57,27 +47,17 @@ class Step(nn.Module):
         return memory, (mean, jnp.broadcast_to(log_std, mean.shape), value)
 
 
-class Batch(struct.PyTreeNode, kw_only=True):
-    """Transitions (steps, worlds, agents, ...); `first` says whether an episode began with the step."""
+class Batch(shared.Batch, kw_only=True):
+    """Transitions; `first` says whether an episode began with the step (steps, worlds, agents)."""
 
-    obs: jax.Array
-    action: jax.Array
-    log_prob: jax.Array
-    value: jax.Array
-    reward: jax.Array
-    done: jax.Array
     first: jax.Array
 
 
-class Learner(struct.PyTreeNode, kw_only=True):
+class Learner(shared.Learner, kw_only=True):
     """All that an iteration changes; `memory` and `first` are those of the next step."""
 
-    params: Any
-    optimiser: Any
-    state: Any
     memory: jax.Array
     first: jax.Array
-    key: jax.Array
 
 
 def network(team: shared.Team, flags: RecurrentFlags) -> Any:
@@ -146,13 +126,6 @@ def loss(params: Any, team: shared.Team, flags: RecurrentFlags, rows: Rows) -> j
     return policy + flags.value_coef * critic - flags.entropy_coef * log_std.sum(-1).mean()
 
 
-def optimiser(flags: RecurrentFlags) -> optax.GradientTransformation:
-    """Return Adam with clipped gradients."""
-    return optax.chain(
-        optax.clip_by_global_norm(flags.max_grad_norm), optax.adam(flags.learning_rate, eps=1e-5)
-    )
-
-
 def iterate(
     team: shared.Team, flags: RecurrentFlags, learner: Learner
 ) -> tuple[Learner, dict[str, jax.Array]]:
@@ -163,35 +136,27 @@ def iterate(
         batch.reward, batch.value, last, batch.done, flags.gamma, flags.gae_lambda
     )
 
-    def minibatch(carry: tuple[Any, Any], worlds: jax.Array) -> tuple[Any, jax.Array]:
-        params, state = carry
-        part = jax.tree.map(lambda one: one[:, worlds], (batch, advantage, target))
-        value, gradient = jax.value_and_grad(loss)(params, team, flags, (*part, memory[worlds]))
-        change, state = optimiser(flags).update(gradient, state, params)
-        return (optax.apply_updates(params, change), state), value
+    def minibatch_loss(params: Any, chosen: jax.Array) -> jax.Array:
+        part = jax.tree.map(lambda one: one[:, chosen], (batch, advantage, target))
+        return loss(params, team, flags, (*part, memory[chosen]))
 
-    def epoch(carry: tuple[Any, Any], key: jax.Array) -> tuple[Any, jax.Array]:
-        parts = jax.random.permutation(key, flags.num_worlds).reshape(flags.num_minibatches, -1)
-        return jax.lax.scan(minibatch, carry, parts)
-
-    key, own = jax.random.split(learner.key)
-    keys = jax.random.split(own, flags.num_epochs)
-    (params, state), losses = jax.lax.scan(epoch, (learner.params, learner.optimiser), keys)
-    return learner.replace(params=params, optimiser=state, key=key), {**sums, "total": losses.mean()}
+    learner, total = shared.update_in_minibatches(
+        learner,
+        shared.clipped_adam(flags),
+        minibatch_loss,
+        flags.num_worlds,
+        num_epochs=flags.num_epochs,
+        num_minibatches=flags.num_minibatches,
+    )
+    return learner, {**sums, "total": total}
 
 
 def train(flags: RecurrentFlags, env: Any = None) -> tuple[Learner, list[dict[str, Any]]]:
     """Train, and return the last state and the lines of the iterations."""
     team = shared.Team(env or shared.make_env(flags))
     params, shape = initial_params(team, flags), (flags.num_worlds, team.agents)
-    start = Learner(
-        params=params,
-        optimiser=optimiser(flags).init(params),
-        state=team.start(flags.seed),
-        memory=jnp.zeros((*shape, flags.hidden)),
-        first=jnp.ones(shape, bool),
-        key=jax.random.key(flags.seed + 1),
-    )
+    usual = shared.start_learner(team, flags, params, shared.clipped_adam(flags))
+    start = Learner(**vars(usual), memory=jnp.zeros((*shape, flags.hidden)), first=jnp.ones(shape, bool))
     return shared.run(flags, "ippo-rnn", start, jax.jit(partial(iterate, team, flags)), team.agents)
 
 

@@ -10,7 +10,7 @@ is played.
 Yu et al., "The surprising effectiveness of PPO in cooperative multi-agent games" (NeurIPS 2022).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -18,21 +18,11 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import marl_shared as shared
-import optax
-from flax import struct
 
 
 @dataclass(frozen=True, kw_only=True)
-class MappoFlags(shared.Flags):
+class MappoFlags(shared.PpoFlags):
     """Flags of MAPPO."""
-
-    gae_lambda: float = field(default=0.95, metadata={"help": "lambda of the advantages"})
-    num_epochs: int = field(default=4, metadata={"help": "passes of an update through a rollout"})
-    num_minibatches: int = field(default=4, metadata={"help": "parts of an epoch"})
-    clip_epsilon: float = field(default=0.2, metadata={"help": "clip of the ratio of probabilities"})
-    entropy_coef: float = field(default=0.0, metadata={"help": "weight of the entropy"})
-    value_coef: float = field(default=0.5, metadata={"help": "weight of the critic's loss"})
-    max_grad_norm: float = field(default=0.5, metadata={"help": "norm that longer gradients are cut to"})
 
 
 def hidden_layers(x: jax.Array, width: int) -> jax.Array:
@@ -68,25 +58,10 @@ class CentralCritic(nn.Module):
         return nn.Dense(1)(hidden_layers(truth, self.hidden))[..., 0]
 
 
-class Batch(struct.PyTreeNode, kw_only=True):
-    """Transitions (steps, worlds, agents, ...); in an update (rows, ...)."""
+class Batch(shared.Batch, kw_only=True):
+    """Transitions, and what the critic sees (steps, worlds, agents, n)."""
 
-    obs: jax.Array
     truth: jax.Array
-    action: jax.Array
-    log_prob: jax.Array
-    value: jax.Array
-    reward: jax.Array
-    done: jax.Array
-
-
-class Learner(struct.PyTreeNode, kw_only=True):
-    """All that an iteration changes; `params` are those of actor and critic."""
-
-    params: Any
-    optimiser: Any
-    state: Any
-    key: jax.Array
 
 
 def truth_of(team: shared.Team, obs: tuple[jax.Array, ...], privileged: jax.Array) -> jax.Array:
@@ -116,8 +91,8 @@ def initial_params(team: shared.Team, flags: MappoFlags) -> dict[str, Any]:
 
 
 def collect(
-    team: shared.Team, flags: MappoFlags, learner: Learner
-) -> tuple[Learner, Batch, jax.Array, dict[str, jax.Array]]:
+    team: shared.Team, flags: MappoFlags, learner: shared.Learner
+) -> tuple[shared.Learner, Batch, jax.Array, dict[str, jax.Array]]:
     """Act for a rollout; return its transitions, the values after it, and sums of episodes."""
     actor, critic = networks(team, flags)
 
@@ -160,14 +135,9 @@ def loss(
     return policy + flags.value_coef * error - flags.entropy_coef * log_std.sum(-1).mean()
 
 
-def optimiser(flags: MappoFlags) -> optax.GradientTransformation:
-    """Return Adam with clipped gradients."""
-    return optax.chain(
-        optax.clip_by_global_norm(flags.max_grad_norm), optax.adam(flags.learning_rate, eps=1e-5)
-    )
-
-
-def iterate(team: shared.Team, flags: MappoFlags, learner: Learner) -> tuple[Learner, dict[str, jax.Array]]:
+def iterate(
+    team: shared.Team, flags: MappoFlags, learner: shared.Learner
+) -> tuple[shared.Learner, dict[str, jax.Array]]:
     """Act for a rollout and learn from it."""
     learner, batch, last, sums = collect(team, flags, learner)
     advantage, target = shared.generalised_advantages(
@@ -175,46 +145,33 @@ def iterate(team: shared.Team, flags: MappoFlags, learner: Learner) -> tuple[Lea
     )
     rows = jax.tree.map(lambda one: one.reshape(-1, *one.shape[3:]), (batch, advantage, target))
 
-    def minibatch(carry: tuple[Any, Any], chosen: jax.Array) -> tuple[Any, jax.Array]:
-        params, state = carry
-        part = jax.tree.map(lambda one: one[chosen], rows)
-        value, gradient = jax.value_and_grad(loss)(params, team, flags, part)
-        change, state = optimiser(flags).update(gradient, state, params)
-        return (optax.apply_updates(params, change), state), value
+    def minibatch_loss(params: Any, chosen: jax.Array) -> jax.Array:
+        return loss(params, team, flags, jax.tree.map(lambda one: one[chosen], rows))
 
-    def epoch(carry: tuple[Any, Any], key: jax.Array) -> tuple[Any, jax.Array]:
-        parts = jax.random.permutation(key, rows[1].shape[0]).reshape(flags.num_minibatches, -1)
-        return jax.lax.scan(minibatch, carry, parts)
-
-    key, own = jax.random.split(learner.key)
-    keys = jax.random.split(own, flags.num_epochs)
-    (params, state), losses = jax.lax.scan(epoch, (learner.params, learner.optimiser), keys)
-    return learner.replace(params=params, optimiser=state, key=key), {**sums, "total": losses.mean()}
+    learner, total = shared.update_in_minibatches(
+        learner,
+        shared.clipped_adam(flags),
+        minibatch_loss,
+        rows[1].shape[0],
+        num_epochs=flags.num_epochs,
+        num_minibatches=flags.num_minibatches,
+    )
+    return learner, {**sums, "total": total}
 
 
-def train(flags: MappoFlags, env: Any = None) -> tuple[Learner, list[dict[str, Any]]]:
+def train(flags: MappoFlags, env: Any = None) -> tuple[shared.Learner, list[dict[str, Any]]]:
     """Train, and return the last state and the lines of the iterations."""
     team = shared.Team(env or shared.make_env(flags))
-    params, key = initial_params(team, flags), jax.random.key(flags.seed + 1)
-    start = Learner(
-        params=params, optimiser=optimiser(flags).init(params), state=team.start(flags.seed), key=key
-    )
+    params = initial_params(team, flags)
+    start = shared.start_learner(team, flags, params, shared.clipped_adam(flags))
     return shared.run(flags, "mappo", start, jax.jit(partial(iterate, team, flags)), team.agents)
 
 
 def policy_of(env: Any, flags: MappoFlags, params: Any) -> Any:
     """Return the policy for `usarmjx`: the most probable actions."""
-    from usarmjx.train import Policy
-
     team = shared.Team(env)
     actor, _ = networks(team, flags)
-
-    def act(carry: Any, obs: tuple[jax.Array, ...], key: jax.Array) -> tuple[Any, tuple[jax.Array, ...]]:
-        del key
-        mean, _ = actor.apply(params["actor"], team.merge(obs))
-        return carry, team.split(jnp.clip(mean, -1.0, 1.0))
-
-    return Policy(lambda worlds: jnp.zeros((worlds, 1)), act)
+    return shared.feed_forward_policy(team, lambda seen: actor.apply(params["actor"], seen)[0])
 
 
 def load(env: Any, folder: str) -> Any:

@@ -14,6 +14,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
+from flax import struct
 from flax.serialization import from_bytes, to_bytes
 
 WEIGHTS, RUN, METRICS = "weights.msgpack", "run.json", "metrics.jsonl"
@@ -37,6 +39,19 @@ class Flags:
     gamma: float = field(default=0.99, metadata={"help": "discount factor"})
     reward_scale: float = field(default=1.0, metadata={"help": "factor on rewards"})
     hidden: int = field(default=128, metadata={"help": "width of the two hidden layers"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class PpoFlags(Flags):
+    """Flags of PPO."""
+
+    gae_lambda: float = field(default=0.95, metadata={"help": "lambda of the advantages"})
+    num_epochs: int = field(default=4, metadata={"help": "passes of an update through a rollout"})
+    num_minibatches: int = field(default=4, metadata={"help": "parts of an epoch"})
+    clip_epsilon: float = field(default=0.2, metadata={"help": "clip of the ratio of probabilities"})
+    entropy_coef: float = field(default=0.0, metadata={"help": "weight of the entropy"})
+    value_coef: float = field(default=0.5, metadata={"help": "weight of the critic's loss"})
+    max_grad_norm: float = field(default=0.5, metadata={"help": "norm that longer gradients are cut to"})
 
 
 def parse(kind: type[Any], about: str, words: list[str] | None = None) -> Any:
@@ -112,6 +127,101 @@ class Team:
         length = jnp.asarray(np.random.default_rng(seed).integers(0, self.env.episode_steps, self.env.worlds))
         length = length.astype(state.length.dtype)
         return state.replace(length=length, memory=task.started_at(state.memory, length))
+
+
+class Learner(struct.PyTreeNode, kw_only=True):
+    """All that an iteration changes.
+
+    Attributes:
+        params: Weights.
+        optimiser: State of the optimiser.
+        state: Worlds.
+        key: Random key.
+    """
+
+    params: Any
+    optimiser: Any
+    state: Any
+    key: jax.Array
+
+
+class Batch(struct.PyTreeNode, kw_only=True):
+    """Transitions (steps, worlds, agents, ...); in an update (rows, ...)."""
+
+    obs: jax.Array
+    action: jax.Array
+    log_prob: jax.Array
+    value: jax.Array
+    reward: jax.Array
+    done: jax.Array
+
+
+def start_learner(team: Team, flags: Flags, params: Any, optimiser: optax.GradientTransformation) -> Learner:
+    """Return a learner before its first iteration."""
+    key = jax.random.key(flags.seed + 1)
+    return Learner(params=params, optimiser=optimiser.init(params), state=team.start(flags.seed), key=key)
+
+
+def clipped_adam(flags: PpoFlags) -> optax.GradientTransformation:
+    """Return Adam with clipped gradients."""
+    return optax.chain(
+        optax.clip_by_global_norm(flags.max_grad_norm), optax.adam(flags.learning_rate, eps=1e-5)
+    )
+
+
+def update_in_minibatches(
+    learner: Any,
+    optimiser: optax.GradientTransformation,
+    loss: Callable[[Any, jax.Array], jax.Array],
+    count: int,
+    *,
+    num_epochs: int,
+    num_minibatches: int,
+) -> tuple[Any, jax.Array]:
+    """Pass through rows in random minibatches.
+
+    Args:
+        learner: A `Learner`.
+        optimiser: The optimiser.
+        loss: Takes weights and the numbers of the rows of a minibatch, and returns the loss ().
+        count: Number of rows.
+        num_epochs: Passes through all rows.
+        num_minibatches: Parts of a pass.
+
+    Returns:
+        The learner after it, and the mean loss ().
+    """
+
+    def minibatch(carry: tuple[Any, Any], chosen: jax.Array) -> tuple[Any, jax.Array]:
+        params, state = carry
+        value, gradient = jax.value_and_grad(loss)(params, chosen)
+        change, state = optimiser.update(gradient, state, params)
+        return (optax.apply_updates(params, change), state), value
+
+    def epoch(carry: tuple[Any, Any], key: jax.Array) -> tuple[Any, jax.Array]:
+        parts = jax.random.permutation(key, count).reshape(num_minibatches, -1)
+        return jax.lax.scan(minibatch, carry, parts)
+
+    key, own = jax.random.split(learner.key)
+    start = learner.params, learner.optimiser
+    (params, state), losses = jax.lax.scan(epoch, start, jax.random.split(own, num_epochs))
+    return learner.replace(params=params, optimiser=state, key=key), losses.mean()
+
+
+def feed_forward_policy(team: Team, actions: Callable[[jax.Array], jax.Array]) -> Any:
+    """Return the policy for `usarmjx` of a network without memory.
+
+    Args:
+        team: The team.
+        actions: Takes what agents see (worlds, agents, obs_size) and returns their actions.
+    """
+    from usarmjx.train import Policy
+
+    def act(carry: Any, obs: tuple[jax.Array, ...], key: jax.Array) -> tuple[Any, tuple[jax.Array, ...]]:
+        del key
+        return carry, team.split(jnp.clip(actions(team.merge(obs)), -1.0, 1.0))
+
+    return Policy(lambda worlds: jnp.zeros((worlds, 1)), act)
 
 
 def generalised_advantages(

@@ -63,13 +63,9 @@ class Batch(struct.PyTreeNode, kw_only=True):
     best: jax.Array
 
 
-class Learner(struct.PyTreeNode, kw_only=True):
-    """All that an iteration changes."""
+class Learner(shared.Learner, kw_only=True):
+    """All that an iteration changes; `iteration` counts them."""
 
-    params: Any
-    optimiser: Any
-    state: Any
-    key: jax.Array
     iteration: jax.Array
 
 
@@ -155,50 +151,34 @@ def iterate(team: shared.Team, flags: PqnFlags, learner: Learner) -> tuple[Learn
     target = lambda_returns(batch, last, flags.gamma, flags.trace)
     rows = jax.tree.map(lambda one: one.reshape(-1, *one.shape[2:]), (batch, target))
 
-    def minibatch(carry: tuple[Any, Any], chosen: jax.Array) -> tuple[Any, jax.Array]:
-        params, state = carry
-        part = jax.tree.map(lambda one: one[chosen], rows)
-        value, gradient = jax.value_and_grad(loss)(params, team, flags, part)
-        change, state = optimiser(flags).update(gradient, state, params)
-        return (optax.apply_updates(params, change), state), value
+    def minibatch_loss(params: Any, chosen: jax.Array) -> jax.Array:
+        return loss(params, team, flags, jax.tree.map(lambda one: one[chosen], rows))
 
-    def epoch(carry: tuple[Any, Any], key: jax.Array) -> tuple[Any, jax.Array]:
-        parts = jax.random.permutation(key, rows[1].shape[0]).reshape(flags.num_minibatches, -1)
-        return jax.lax.scan(minibatch, carry, parts)
-
-    key, own = jax.random.split(learner.key)
-    keys = jax.random.split(own, flags.num_epochs)
-    (params, state), losses = jax.lax.scan(epoch, (learner.params, learner.optimiser), keys)
-    after = learner.replace(params=params, optimiser=state, key=key, iteration=learner.iteration + 1)
-    return after, {**sums, "total": losses.mean()}
+    learner, total = shared.update_in_minibatches(
+        learner,
+        optimiser(flags),
+        minibatch_loss,
+        rows[1].shape[0],
+        num_epochs=flags.num_epochs,
+        num_minibatches=flags.num_minibatches,
+    )
+    return learner.replace(iteration=learner.iteration + 1), {**sums, "total": total}
 
 
 def train(flags: PqnFlags, env: Any = None) -> tuple[Learner, list[dict[str, Any]]]:
     """Train, and return the last state and the lines of the iterations."""
     team = shared.Team(env or shared.make_env(flags))
     params = initial_params(team, flags)
-    start = Learner(
-        params=params,
-        optimiser=optimiser(flags).init(params),
-        state=team.start(flags.seed),
-        key=jax.random.key(flags.seed + 1),
-        iteration=jnp.int32(0),
-    )
+    usual = shared.start_learner(team, flags, params, optimiser(flags))
+    start = Learner(**vars(usual), iteration=jnp.int32(0))
     return shared.run(flags, "pqn-vdn", start, jax.jit(partial(iterate, team, flags)), team.agents)
 
 
 def policy_of(env: Any, flags: PqnFlags, params: Any) -> Any:
     """Return the policy for `usarmjx`: the best actions."""
-    from usarmjx.train import Policy
-
     team = shared.Team(env)
     net, table = network(team, flags), jnp.asarray(action_table(team, flags))
-
-    def act(carry: Any, obs: tuple[jax.Array, ...], key: jax.Array) -> tuple[Any, tuple[jax.Array, ...]]:
-        del key
-        return carry, team.split(table[net.apply(params, team.merge(obs)).argmax(-1)])
-
-    return Policy(lambda worlds: jnp.zeros((worlds, 1)), act)
+    return shared.feed_forward_policy(team, lambda seen: table[net.apply(params, seen).argmax(-1)])
 
 
 def load(env: Any, folder: str) -> Any:

@@ -19,6 +19,7 @@ from usarmjx.train.policies.sources import load_policy
 
 FOLDER = EXAMPLES / "marl"
 SHARED, GAMES = load("marl/marl_shared"), load("marl/marl_games")
+load("marl/ippo")  # which attention.py imports
 WORLDS, LENGTH = 64, 8
 
 
