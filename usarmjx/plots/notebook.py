@@ -26,6 +26,8 @@ HEIGHTS = (120, 2000)
 """Least and largest height of a picture [pixels]."""
 PAGE = "notebook.html"
 """Page of the picture, beside this module."""
+NO_FLOOR = -1e9
+"""Height of a floor that is not there; the page draws none below -1e8 [m]."""
 DATA = "/*DATA*/null"
 """Expression of that page that the worlds replace."""
 
@@ -146,7 +148,7 @@ def _packed(solids: Solids) -> dict[str, Any]:
 
 def _ground(drawing: Drawing) -> list[float]:
     """Return the rectangle of a floor: least and largest x, y, and the height [m]."""
-    return [*map(float, drawing.extent.ravel()), float(drawing.floor) if drawing.has_floor else float("-1e9")]
+    return [*map(float, drawing.extent.ravel()), float(drawing.floor) if drawing.has_floor else NO_FLOOR]
 
 
 def _text(values: np.ndarray) -> str:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usarmjx.base.errors import MissingExtraError, UsageError
+from usarmjx.base.installation import install_command
 from usarmjx.recording.foxglove import NANO, WORLD
 
 BAG = "bag"
@@ -45,7 +46,7 @@ def read_bag(path: Path, begin: int = 0) -> Iterator[BagMessage]:
         highlevel = import_module("rosbags.highlevel")
         stores = import_module("rosbags.typesys")
     except ModuleNotFoundError as error:
-        raise MissingExtraError(f"{error.name} is not installed: pip install 'usarmjx[foxglove]'") from error
+        raise MissingExtraError(f"{error.name} is not installed: {install_command('foxglove')}") from error
     store = stores.get_typestore(stores.Stores.ROS2_HUMBLE)
     found = False
     try:

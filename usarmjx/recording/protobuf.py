@@ -9,6 +9,7 @@ from typing import Any, cast
 
 from usarmjx.base.errors import MissingExtraError, UsageError
 from usarmjx.base.files import atomic_write
+from usarmjx.base.installation import install_command
 from usarmjx.base.settings.files import first_line
 from usarmjx.recording.bags import read_bag
 from usarmjx.recording.file import CHANNELS, topic_of
@@ -47,7 +48,7 @@ def write_protobuf(
         library = import_module("mcap_protobuf.writer")
         import_module("foxglove_schemas_protobuf")
     except ModuleNotFoundError as error:
-        raise MissingExtraError(f"{error.name} is not installed: pip install 'usarmjx[foxglove]'") from error
+        raise MissingExtraError(f"{error.name} is not installed: {install_command('foxglove')}") from error
     if path.exists():
         raise UsageError(f"{path} exists already")
     counts: Counter[str] = Counter()

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from tests.models.files.test_import_mjcf import compare, composed
-from usarmjx.base.errors import SpecError, UsageError
+from usarmjx.base.errors import ArenaFileError, SpecError, UsageError
 from usarmjx.models import load_robot
 from usarmjx.models.compile.compose import add_robot
 from usarmjx.models.drives import Ackermann, NoDrive, RotaryWing, SkidSteer
-from usarmjx.models.files import reader_child
+from usarmjx.models.files import reader_child, reader_process
 from usarmjx.models.files.load import load_arena
 from usarmjx.models.types.robot import CHASSIS
 
@@ -515,7 +515,10 @@ def test_long_chains_of_links_are_no_recursion(load):
 def test_a_missing_library_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "collada", None)
     said, _ = reader_child.answer(json.dumps(["mesh", "box.dae"]).encode())
-    assert said["error"] == "collada is not installed: pip install 'usarmjx[robots]'"
+    assert said == {"error": "collada is not installed", "extra": "robots"}
+    monkeypatch.setattr(reader_process._READER, "_ask", lambda request: (said, b""))
+    with pytest.raises(ArenaFileError, match=r"collada is not installed: pip install .*\[robots\]"):
+        reader_process.read_mesh_objects(Path("box.dae"))
 
 
 def test_what_does_not_drive_stands(load):

@@ -206,13 +206,16 @@ READERS: dict[str, Callable[..., tuple[dict[str, object], list[Any]]]] = {
 
 
 def answer(line: bytes) -> tuple[dict[str, object], list[Any]]:
-    """Return the result of reading a file: its values, or under "error" the reason of failure."""
+    """Return the result of reading a file: its values, or under "error" the reason of failure.
+
+    Under "extra" is the extra that brings a missing library.
+    """
     kind, path, *arguments = json.loads(line)
     try:
         return READERS[kind](path, *arguments)
     except ModuleNotFoundError as error:
         extra = "decomposition" if error.name == "coacd" else "robots"
-        return {"error": f"{error.name} is not installed: pip install 'usarmjx[{extra}]'"}, []
+        return {"error": f"{error.name} is not installed", "extra": extra}, []
     except MemoryError:
         return {"error": f"reading it takes more than {MEMORY // 1_000_000} MB of memory"}, []
     except Exception as error:  # readers raise whatever they run into

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
+from usarmjx.base.installation import install_command
 from usarmjx.models.files import reader_child
 
 CPU_TIME = 20
@@ -135,7 +136,10 @@ class ReaderProcess:
         request = json.dumps([kind, str(path.absolute()), *arguments]).encode() + b"\n"
         with self._lock:
             found = self._ask(request) or self._ask(request)  # it may end by itself just before the request
-        return found or ({"error": "the process that reads it does not start"}, b"")
+        head, body = found or ({"error": "the process that reads it does not start"}, b"")
+        if "extra" in head:
+            head["error"] += f": {install_command(head['extra'])}"
+        return head, body
 
     def close(self) -> None:
         """End the other process."""

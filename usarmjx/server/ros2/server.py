@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from usarmjx.base.errors import PeerError, UsageError
+from usarmjx.base.installation import install_command
 from usarmjx.base.settings import AT_LEAST_ONE, Setting, validate
 from usarmjx.server.gamebots.server import BotServer
 from usarmjx.server.pictures.render_thread import RenderThread, ViewImages
@@ -96,7 +97,7 @@ def open_transport(settings: Ros2Settings) -> Transport:
             return ZenohTransport(settings.domain)
         from usarmjx.server.ros2.dds_transport import DdsTransport
     except ImportError as error:
-        raise UsageError(f"--ros2 needs the extra ros2: pip install 'usarmjx[ros2]' ({error})") from error
+        raise UsageError(f"--ros2 needs the extra ros2: {install_command('ros2')} ({error})") from error
     return DdsTransport(settings.domain, is_local=settings.is_local)
 
 
