@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -354,6 +354,11 @@ class Trails:
 
     def __init__(self) -> None:
         self._trails: dict[str, _Trail] = {}
+
+    def keep(self, names: Collection[str]) -> None:
+        """Forget the paths of all robots but these: a robot that comes back begins a new path."""
+        for name in self._trails.keys() - set(names):
+            del self._trails[name]
 
     def add(self, name: str, robot: RobotFrame, time: float) -> dict[str, Any] | None:
         """Return a robot's path so far, if it has changed and is due."""

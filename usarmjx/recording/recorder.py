@@ -52,6 +52,8 @@ class WorldMessages:
         self._key: tuple[object, ...] | None = None
         self._capture: Capture | None = None
         self._drawing: Drawing | None = None
+        self._undrawn: set[int] = set()
+        """Slots whose robot is another one than in the drawing, or has other sensors."""
         self._trails, self._transforms = foxglove.Trails(), foxglove.Transforms()
         self._score: float | None = None
         self._scenes, self._scene_keys = foxglove.SceneTexts(), dict[str, bytes]()
@@ -68,6 +70,8 @@ class WorldMessages:
 
     def input(self, given: Input, at: float, file: RecordingFile) -> None:
         """Write an input of the world."""
+        if isinstance(given, (RobotRemoved, RobotRedescribed)):
+            self._undrawn.add(given.slot)
         try:
             file.write(self._channel("inputs"), at, given)
         except UsageError as error:
@@ -95,7 +99,7 @@ class WorldMessages:
         file.write(self._channel("readings"), at, fields)
         drawing = self._drawing
         for slot, sensor, value in measured:
-            robot = None if drawing is None else drawing.robots.get(slot)
+            robot = None if drawing is None or slot in self._undrawn else drawing.robots.get(slot)
             if drawing is not None and robot is not None and foxglove.is_scanner(robot, sensor):
                 about = f"{robot.name}/{robot.sensors[sensor].names[0]}"
                 scan = foxglove.laser_scan(drawing, robot, sensor, value, at)
@@ -111,6 +115,7 @@ class WorldMessages:
         if self._drawing is None or self._key != key:
             self._key = key
             self._drawing = self._capture.drawing(world, snapshot.physics, snapshot.names)
+            self._undrawn.clear()
             file.write(self._channel("drawings"), at, self._drawing)
             self._write_scene(self._drawing, at, file)
         seen = self._capture.frame(world, snapshot.physics)
@@ -138,8 +143,10 @@ class WorldMessages:
         at = frame.time
         file.write(self._channel("frames"), at, frame)
         file.write(self._channel("tf"), at, self._transforms.message(drawing, frame))
+        names = {slot: drawing.robots[slot].name for slot in frame.robots}
+        self._trails.keep(names.values())
         for slot, robot in frame.robots.items():
-            name = drawing.robots[slot].name
+            name = names[slot]
             trail = self._trails.add(name, robot, at)
             if trail is not None:
                 file.write(self._channel("trail", name), at, trail)
@@ -226,12 +233,14 @@ class WorldRecorder:
 
     def removed(self, slot: int, name: str) -> None:
         """Record that a robot has left."""
+        self._flush_readings()
         self._put(RobotRemoved(step=self.steps, slot=slot))
         self._known.clear()
         self.event("leave", f"{name} leaves", name, slot)
 
     def redescribed(self, slot: int, robot: RobotSpec) -> None:
         """Record the new description of a robot."""
+        self._flush_readings()
         self._put(RobotRedescribed(step=self.steps, slot=slot, robot=robot))
 
     def placed(self, slot: int, pos: np.ndarray, quat: np.ndarray) -> None:

@@ -3,6 +3,7 @@
 import csv
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
+from usarmjx.recording.inputs import RobotRedescribed, RobotRemoved
 from usarmjx.recording.reader import RecordedMessage, Recording
 from usarmjx.view.drawing import Drawing, Frame
 
@@ -48,12 +50,22 @@ def rows_of(recording: Recording, table: str) -> Iterator[TableRow]:
         yield from _line_rows(recording)
         return
     kinds = {"poses": "frames", "joints": "frames", "commands": "inputs", "scores": "score"}
+    more = {"drawings", "inputs"} if table == "readings" else {"drawings"}
     drawings: dict[int, Drawing] = {}
-    for message in recording.messages({kinds.get(table, table), "drawings"}):
+    for message in recording.messages({kinds.get(table, table), *more}):
+        world, content = message.channel.world, message.value
         if message.channel.kind == "drawings":
-            drawings[message.channel.world] = message.value
+            drawings[world] = content
+        elif table == "readings" and message.channel.kind == "inputs":
+            # The slot may be another robot's before the next drawing.
+            if isinstance(content, (RobotRemoved, RobotRedescribed)) and world in drawings:
+                drawings[world] = _without(drawings[world], content.slot)
         else:
-            yield from _rows(table, message, drawings.get(message.channel.world))
+            yield from _rows(table, message, drawings.get(world))
+
+
+def _without(drawing: Drawing, slot: int) -> Drawing:
+    return replace(drawing, robots={key: robot for key, robot in drawing.robots.items() if key != slot})
 
 
 def _rows(table: str, message: RecordedMessage, drawing: Drawing | None) -> Iterator[TableRow]:
