@@ -81,7 +81,7 @@ class SoakCase:
         target: The server; it must have metrics.
         seconds: For how long [s].
         clients: Number of robots.
-        every: Time between two samples [s].
+        every: Length of the intervals of which each has a sample, at a random moment [s].
         seed: Of what they do.
         onlookers: Number of websocket clients at the page and at rosbridge.
     """
@@ -192,6 +192,7 @@ def soak(
             driver.lose(client)
 
     samples: list[dict[str, float]] = []
+    moments = sample_times(case.seconds, case.every, case.seed)
     began = time.perf_counter()
     with (
         Crowd(case.target.port, lose) as crowd,
@@ -199,7 +200,7 @@ def soak(
     ):
         drivers += [SoakDriver(crowd, random, i) for i in range(case.clients)]
         while (elapsed := time.perf_counter() - began) < case.seconds:
-            if elapsed >= len(samples) * case.every:
+            if len(samples) < len(moments) and elapsed >= moments[len(samples)]:
                 samples.append({"elapsed_s": elapsed} | _sample(case.target, drivers, onlookers))
                 _append(samples[-1], file, say)
             for driver in drivers:
@@ -211,6 +212,20 @@ def soak(
     result |= {"clients": case.clients, "onlookers": case.onlookers, **summarise(samples)}
     _append(result, file, say)
     return result
+
+
+def sample_times(seconds: float, every: float, seed: int = 0) -> list[float]:
+    """Return when to take samples [s]: at the beginning, and at a random moment of each further interval.
+
+    A server cleans up at regular times. Regular samples would beat with that, which looks like growth.
+
+    Args:
+        seconds: Duration of the soak [s].
+        every: Length of an interval [s].
+        seed: Seed of the moments.
+    """
+    begins = np.arange(every, seconds, every)
+    return [0.0, *(begins + np.random.default_rng((seed, 1)).uniform(0.0, every, len(begins))).tolist()]
 
 
 def summarise(samples: Sequence[Mapping[str, float]]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks.chaos import soak as module
-from benchmarks.chaos.soak import CLASSES, SHOWN, TOTALS, SoakCase, read_metrics, soak, summarise
+from benchmarks.chaos.soak import CLASSES, SHOWN, TOTALS, SoakCase, read_metrics, sample_times, soak, summarise
 from benchmarks.chaos.target import Target
 from tests.server.peers import looping
 from tests.server.still_world import StillWorld
@@ -95,6 +95,16 @@ def test_growth_is_told_from_noise():
     assert start["cpu_per_simulated_s"] == pytest.approx(0.5)
     with pytest.raises(UsageError, match="2 samples are too few"):
         summarise(made(lambda hours: 1, 2))
+
+
+def test_samples_do_not_beat_with_what_a_server_does_at_regular_times():
+    """One in each interval; samples each 30 s saw two phases only of a collection each minute."""
+    times = np.array(sample_times(3600.0, 30.0))
+    assert times[0] == 0.0
+    assert np.array_equal(times[1:] // 30.0, np.arange(1, 120))
+    counts = np.bincount((times[1:] % 60.0 // 10.0).astype(int), minlength=6)
+    assert counts.min() >= 10  # of 119 samples, 20 in each sixth of a minute if the phases are even
+    assert sample_times(90.0, 30.0, seed=4) == sample_times(90.0, 30.0, seed=4) != sample_times(90.0, 30.0)
 
 
 def test_a_server_without_metrics_is_refused():
