@@ -271,6 +271,17 @@ def test_a_robot_that_cannot_be_leaves_nothing_behind(robot, why):
     assert join(world, P2DX, *yellow.starts[3].at[:2], yellow.floor + 0.3) == 1
 
 
+def test_scenes_of_some_robots_are_kept_up_to_a_bound():
+    """Seven robots have 127 sets that may report together."""
+    world = make_world(seats=7)
+    slots = [join(world, P2DX, 0.0, 1.5 * place) for place in range(7)]
+    sets = [{slot for slot in slots if mask >> slot & 1} for mask in range(1, 128)]
+    for some in sets:
+        assert world.observe(some).keys() == some
+        assert len(world._subscenes) <= single_world.KEPT_SUBSCENES
+    assert world.observe(sets[0]).keys() == sets[0]
+
+
 def test_what_moves_by_itself_is_where_its_time_has_it():
     """To the bit, in every control step, and when a robot joins; worked out one moment at a time here."""
     world, places = make_world(arena="yellow"), []

@@ -107,6 +107,8 @@ EMPTY_SLOT = RosterEntry(robot="", parked=True)
 """Stands in a roster where there is no robot."""
 LOOKAHEAD_STEPS = 10
 """Control steps for which the poses of moving geoms are computed at once."""
+KEPT_SUBSCENES = 64
+"""Most sets of robots whose scene is kept: sixteen robots have 65,535 sets."""
 SubScene = tuple[Scene, list[tuple[int, np.ndarray]]]
 """A scene with some of the robots, and of each of its groups the index and the members."""
 RobotStates = Mapping[int, GroupState]
@@ -323,6 +325,8 @@ class SingleWorld:
     def _subscene(self, slots: frozenset[int]) -> SubScene:
         """Return a scene with some of the robots, and of each of its groups the index and the members."""
         if slots not in self._subscenes:
+            if len(self._subscenes) >= KEPT_SUBSCENES:
+                self._subscenes.clear()
             self._subscenes[slots] = self._build_subscene(slots)
         return self._subscenes[slots]
 
