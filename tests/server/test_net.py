@@ -387,15 +387,19 @@ def test_signals_end_it_with_an_account_and_exit_code_0(processes, number):
     peer.close()
 
 
-def test_old_objects_are_collected_once_a_minute_where_that_is_put_off(monkeypatch):
+@pytest.mark.parametrize(("cost", "interval"), [(0.002, 10.0), (0.03, 30.0), (1.0, 60.0)])
+def test_old_objects_are_collected_in_a_thousandth_of_the_time_where_that_is_put_off(
+    monkeypatch, cost, interval
+):
     collected = []
     monkeypatch.setattr(loop.gc, "collect", lambda: collected.append(True))
+    monkeypatch.setattr(loop.time, "thread_time", lambda: cost * len(collected))
     serving = loop.ServerLoop([], 1.0)
     serving._clean(1e9)
     serving._clean_at = 60.0
     serving._clean(100.0)
     assert collected == [], "Python does so by itself"
     with low_latency():
-        for now in (59.9, 60.0, 60.1, 119.9, 120.0):
+        for now in (59.9, 60.0, 60.1, 59.9 + interval, 60.1 + interval):
             serving._clean(now)
     assert len(collected) == 2

@@ -40,10 +40,11 @@ MAX_FACTOR = 1000.0
 """Largest real-time factor."""
 GC_THRESHOLD = 1000
 """Collections of young objects before one of old objects; Python's default is 10."""
-CLEANING = 60.0
-"""Interval at which a server collects old objects all the same, and returns freed memory to the system [s].
+CLEANING, CLEANING_SHARE, RAREST_CLEANING = 10.0, 1e-3, 60.0
+"""Intervals at which a server collects old objects all the same, and returns freed memory to the system [s].
 
-Connections that have ended leave cycles of objects with their buffers: a server grew by 10 MB an hour.
+Websockets that have ended leave cycles of objects with their buffers: a server grew by 10 MB in a minute. The
+interval is longer than the first value if a collection would take more than that share of the processor.
 """
 SWITCH_INTERVAL = 5e-4
 """Time after which the loop interrupts another thread of Python, such as JAX's tracing [s]."""
@@ -319,9 +320,11 @@ class ServerLoop:
     def _clean(self, now: float) -> None:
         """Collect old objects if it is time [s], and if `low_latency` has put that off."""
         if now >= self._clean_at and gc.get_threshold()[2] == GC_THRESHOLD:
+            began = time.thread_time()
             gc.collect()
             return_freed_memory()
-            self._clean_at = now + CLEANING
+            pause = (time.thread_time() - began) / CLEANING_SHARE
+            self._clean_at = now + min(max(CLEANING, pause), RAREST_CLEANING)
 
     def _tick(self, server: BotServer, moves: bool, meter: LoopMeter) -> None:
         began = time.perf_counter()
