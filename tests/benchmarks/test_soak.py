@@ -7,7 +7,16 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks.chaos import soak as module
-from benchmarks.chaos.soak import CLASSES, SHOWN, TOTALS, SoakCase, read_metrics, sample_times, soak, summarise
+from benchmarks.chaos.soak import (
+    CLASSES,
+    SHOWN,
+    TOTALS,
+    SoakCase,
+    read_metrics,
+    sample_times,
+    soak,
+    summarise,
+)
 from benchmarks.chaos.target import Target
 from tests.server.peers import looping
 from tests.server.still_world import StillWorld

@@ -33,8 +33,8 @@ def step(world, steps):
 def messages(path, topic):
     """The messages of a topic as Foxglove reads them, with their times [s]."""
     with path.open("rb") as file:
-        found = make_reader(file).iter_messages()
-        return [(one.log_time / 1e9, json.loads(one.data)) for _, channel, one in found if channel.topic == topic]
+        found = make_reader(file).iter_messages(topics=[topic])
+        return [(message.log_time / 1e9, json.loads(message.data)) for _, _, message in found]
 
 
 @pytest.fixture
