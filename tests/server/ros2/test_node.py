@@ -109,12 +109,20 @@ class Node:
         }
         return await self.call("/spawn_entity", **{**asked, **more})
 
-    async def message(self, topic, kind):
-        """The next message of a topic."""
+    async def message(self, topic, kind, part=""):
+        """The next message of a topic; of a latched one the first whose `part` is not empty."""
         kept = await self.until(lambda: self.transport.topics.get((topic, kind)))
-        before = len(kept.sent)
-        await self.until(lambda: len(kept.sent) > (0 if kept.qos.is_latched else before))
-        return CdrReader(kept.sent[-1]).message(kind)
+        before = 0 if kept.qos.is_latched else len(kept.sent)
+
+        def found():
+            # The worker's thread may still be behind the world: an older message comes first.
+            for data in kept.sent[before:]:
+                message = CdrReader(data).message(kind)
+                if not part or message[part]:
+                    return message
+            return None
+
+        return await self.until(found)
 
     def hear(self, topic, kind, message):
         self.transport.heard[topic, kind](BYTES.whole(kind, message))
@@ -252,10 +260,14 @@ def test_parameters_are_read_set_and_described():
 def test_a_node_that_maps_may_have_the_map_and_its_frame_for_itself():
     async def story(node):
         await node.spawn()
-        fixed = await node.message("/tf_static", "tf2_msgs/TFMessage")
+        # Before the robot came, the frames were none.
+        fixed = await node.message("/tf_static", "tf2_msgs/TFMessage", "transforms")
         parents = {one["header"]["frame_id"] for one in fixed["transforms"]}
-        assert ("map" in parents) == ("/map" in {topic for topic, _ in node.transport.topics})
-        assert ("map" in parents) == node.service._settings.publishes_map
+        publishes = node.service._settings.publishes_map
+        assert ("map" in parents) == publishes
+        # The worker makes the publishers in the order of the topics, the map's before those of robots.
+        await node.until(lambda: ("/R1/odom", "nav_msgs/Odometry") in node.transport.topics)
+        assert (("/map", "nav_msgs/OccupancyGrid") in node.transport.topics) == publishes
 
     run(story, publishes_map=False)
     run(story)
