@@ -150,7 +150,11 @@ def test_robots_come_drive_move_joints_and_go():
         answer = await node.spawn(frame="map", x=1.0)
         assert answer == {"result": {"result": 1, "error_message": ""}, "entity_name": "R1"}
         odom = await node.message("/R1/odom", "nav_msgs/Odometry")
-        assert odom["pose"]["pose"]["position"]["x"] == pytest.approx(1.0, abs=0.05)
+        assert odom["pose"]["pose"]["position"]["x"] == pytest.approx(0.0, abs=0.05), "where it starts"
+        moved = await node.message("/tf", "tf2_msgs/TFMessage", "transforms")
+        (drift,) = (one for one in moved["transforms"] if one["child_frame_id"] == "R1/odom")
+        assert drift["header"]["frame_id"] == "map"
+        assert drift["transform"]["translation"]["x"] == pytest.approx(1.0, abs=0.05)
         heard = node.transport.heard
         await node.until(lambda: ("/R1/joint_trajectory", "trajectory_msgs/JointTrajectory") in heard)
         (robot,) = node.world.robots.values()
@@ -262,7 +266,12 @@ def test_a_node_that_maps_may_have_the_map_and_its_frame_for_itself():
         await node.spawn()
         # Before the robot came, the frames were none.
         fixed = await node.message("/tf_static", "tf2_msgs/TFMessage", "transforms")
-        parents = {one["header"]["frame_id"] for one in fixed["transforms"]}
+        moved = await node.message("/tf", "tf2_msgs/TFMessage", "transforms")
+        both = fixed["transforms"] + moved["transforms"]
+        parents = {one["header"]["frame_id"] for one in both}
+        assert ("R1/odom", "R1/base_link") in [
+            (one["header"]["frame_id"], one["child_frame_id"]) for one in both
+        ]
         publishes = node.service._settings.publishes_map
         assert ("map" in parents) == publishes
         # The worker makes the publishers in the order of the topics, the map's before those of robots.
