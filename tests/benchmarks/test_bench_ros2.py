@@ -1,4 +1,4 @@
-"""The record of the cost of a ROS 2 node: its rates are the inverses of the measured costs, and fit the schema."""
+"""The record of the cost of a ROS 2 node: rates are the inverses of measured costs, and fit the schema."""
 
 import copy
 import json
