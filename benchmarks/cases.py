@@ -4,6 +4,7 @@ Each option is spelt here once: name, type, limits, default and help. Nothing he
 command line reads this module for its help.
 """
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,8 +12,17 @@ from typing import Annotated, Any
 import typer
 
 from usarmjx.base.errors import UsageError
-from usarmjx.cli.common import ArenaOption, EngineOption, SeedOption, WorldsOption, read_size
+from usarmjx.cli.common import (
+    ArenaOption,
+    EngineOption,
+    SeedOption,
+    WorldsOption,
+    named,
+    named_roster,
+    read_size,
+)
 from usarmjx.cli.completion import complete_tasks
+from usarmjx.cli.known_names import check_name, check_roster
 
 BASELINES = ("all", "cpu", "none")
 """Words for what is measured beside a case: both baselines, not bare MJX (which compiles), neither."""
@@ -89,7 +99,10 @@ class RadioCase:
 
     worlds: WorldsOption = 64
     roster: Annotated[
-        str, typer.Option(help="Robots in each; all pairs are evaluated, whatever their class.")
+        str,
+        typer.Option(
+            help="Robots in each; all pairs are evaluated, whatever their class.", callback=named_roster
+        ),
     ] = "P2AT:16"
     walls: Annotated[int, typer.Option(min=1, help="Walls in each.")] = 100
     steps: StepsOption = 20
@@ -121,7 +134,10 @@ class RayCase:
 
     worlds: WorldsOption = 4
     roster: Annotated[
-        str, typer.Option(help="Robots in each, of a class with a range scanner; all of them scan.")
+        str,
+        typer.Option(
+            help="Robots in each, of a class with a range scanner; all of them scan.", callback=named_roster
+        ),
     ] = "P2AT:16"
     walls: Annotated[int, typer.Option(min=1, help="Walls in each.")] = 100
     steps: StepsOption = 10
@@ -142,7 +158,9 @@ class CameraCase:
     """
 
     worlds: WorldsOption = 16
-    roster: Annotated[str, typer.Option(help="Robots in each, of one class; all of them look.")] = "P2AT:1"
+    roster: Annotated[
+        str, typer.Option(help="Robots in each, of one class; all of them look.", callback=named_roster)
+    ] = "P2AT:1"
     arena: ArenaOption = "yellow"
     size: Annotated[str, typer.Option(help="Width and height of a picture, as 64x64.")] = "64x64"
     engine: EngineOption = "auto"
@@ -211,6 +229,15 @@ class SceneOptions:
             UsageError: The size is not of the form 12x8.
         """
         return read_size(self.size) if self.size else None
+
+    def check_names(self, ini: Iterable[Path] | None = None) -> None:
+        """Refuse an arena, a kind of arena or a robot that there is not; robots may be those of ini files.
+
+        Raises:
+            UnknownNameError: Gives the closest name and all.
+        """
+        check_name("kind of arena" if self.generated else "arena", self.arena)
+        check_roster(self.roster, ini)
 
     def as_record(self) -> dict[str, Any]:
         """Return the case as a record has it."""
@@ -294,6 +321,7 @@ class ViewerCase:
         typer.Option(
             "--roster",
             help="Robots whose updates are measured, as P2AT:16; may be repeated, with one class.",
+            callback=named_roster,
         ),
     ] = field(default_factory=lambda: ["P2AT:1", "P2AT:16"])
     updates: Annotated[int, typer.Option(min=1, help="Updates of the page for each number.")] = 100
@@ -339,9 +367,10 @@ class ServeCase:
     parts: Annotated[list[str], typer.Option("--part", help="Only this part; may be repeated.")] = field(
         default_factory=lambda: ["start", "init", "gaps", "load", "pictures"]
     )
-    arena: Annotated[str, typer.Option(help="Arena name, or a file.")] = "yellow"
+    arena: ArenaOption = "yellow"
     classes: Annotated[
-        list[str], typer.Option("--robot", help="Class whose INIT is timed; may be repeated.")
+        list[str],
+        typer.Option("--robot", help="Class whose INIT is timed; may be repeated.", callback=named("robot")),
     ] = field(default_factory=lambda: ["P2AT", "P2DX", "AirRobot", "Hummer", "Talon"])
     rosters: Annotated[
         list[str],
@@ -349,6 +378,7 @@ class ServeCase:
             "--roster",
             help="Robots whose load is measured: how many counts, they are P2AT and P2DX in turn; may be "
             "repeated.",
+            callback=named_roster,
         ),
     ] = field(default_factory=lambda: [f"P2AT:{count}" for count in (1, 4, 16, 64)])
     joining: Annotated[int, typer.Option(min=1, help="How many join, leave and talk.")] = 15
@@ -384,7 +414,11 @@ class TrainCase:
 
     task: Annotated[
         str | None,
-        typer.Option(help="Train this task here instead, and forget it.", autocompletion=complete_tasks),
+        typer.Option(
+            help="Train this task here instead, and forget it.",
+            autocompletion=complete_tasks,
+            callback=named("task"),
+        ),
     ] = None
     worlds: Annotated[int | None, typer.Option(min=1, help="With --task: worlds in the batch.")] = None
     steps: Annotated[int, typer.Option(min=1, help="With --task: agent steps.")] = 200_000
@@ -407,9 +441,10 @@ class TrainCase:
 class ScorecardCase:
     """Manoeuvres of robots under two settings of the physics."""
 
-    robot: Annotated[list[str], typer.Option(help="Class that is driven; may be repeated. Else all.")] = (
-        field(default_factory=list)
-    )
+    robot: Annotated[
+        list[str],
+        typer.Option(help="Class that is driven; may be repeated. Else all.", callback=named("robot")),
+    ] = field(default_factory=list)
     physics: Annotated[str, typer.Option(help="Settings beside the reference's.")] = "fast"
     jobs: Annotated[int, typer.Option(min=1, help="Processes at once.")] = 1
 
@@ -424,9 +459,10 @@ class ContestCase:
     peers: Annotated[
         list[str], typer.Option("--peer", help="Folder of a peer; may be repeated. Else all there are.")
     ] = field(default_factory=list)
-    engines: Annotated[list[str], typer.Option("--engine", help="Engine of ours; may be repeated.")] = field(
-        default_factory=lambda: ["auto", "planar"]
-    )
+    engines: Annotated[
+        list[str],
+        typer.Option("--engine", help="Engine of ours; may be repeated.", callback=named("engine")),
+    ] = field(default_factory=lambda: ["auto", "planar"])
     variants: Annotated[
         list[str],
         typer.Option(

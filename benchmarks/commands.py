@@ -71,6 +71,7 @@ def bench_step(
 ) -> None:
     """Measure bare physics and the whole step (control, physics, sensors, resets) in one run."""
     with ErrorExit():
+        case.check_names(ini)
         engines = [case.engine, "jax"] if record.baselines == "all" else [case.engine]
         announce("measuring steps ...", keep=False, engines=engines)
         configure_from(ini, uu_per_metre)
@@ -147,6 +148,7 @@ def bench_physics(case: ScorecardCase, record: RecordOptions) -> None:
 def bench_compile(case: CompileCase, record: BaselineOptions) -> None:
     """Measure how long the first step takes: imports, scene, tracing, XLA; cold and with a filled cache."""
     with ErrorExit():
+        case.check_names()
         announce("measuring compilation ...", keep=False)
         from benchmarks.compiling import measure_compile
 
@@ -158,6 +160,7 @@ def bench_compile(case: CompileCase, record: BaselineOptions) -> None:
 def bench_memory(case: MemoryCase, record: BaselineOptions) -> None:
     """Measure the memory of worlds, by part, and what a compiled step needs."""
     with ErrorExit():
+        case.check_names()
         announce("measuring memory ...", keep=False)
         from benchmarks.memory import measure_memory
 

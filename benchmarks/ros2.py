@@ -180,7 +180,7 @@ def run(robots: int, seconds: float, repeats: int, options: BaselineOptions) -> 
 
 
 def _speeds(found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    return spread_of("simulated s per CPU s", [1.0 / one["cpu_per_simulated_s"] for one in found])
+    return spread_of("simulated-s/CPU s", [1.0 / one["cpu_per_simulated_s"] for one in found])
 
 
 def _summary(record: Mapping[str, Any]) -> str:

@@ -115,7 +115,8 @@ def test_test_runs_everything_and_with_arguments_only_pytest():
     parts = ("ruff check", "ruff format --check", "pyright", "importlinter", "pytest -n 2", "--optimised")
     for part in parts:
         assert sum(part in tool for tool in tools) == 1, part
-    assert "not tools and not thorough" in dev.VERBS["test"].steps()[4]
+    marks = [step[step.index("-m", 1) + 1] for step in dev.VERBS["test"].steps()[4:6]]
+    assert marks == [f"{alone} and not tools and not thorough" for alone in ("not alone", "alone")]
     assert not any("not tools" in step for step in dev.VERBS["test"].steps("--all"))
     assert dev.VERBS["check"].steps() == dev.VERBS["test"].steps("--all")
     assert dev.VERBS["test"].steps("-k", "foo") == [["-m", "pytest", "-k", "foo"]]

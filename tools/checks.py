@@ -1,5 +1,8 @@
 """The steps of `dev.py test`: lint, format check, types, layers and tests, as command lines of Python."""
 
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
 WORKERS = ("-n", "2", "--dist", "loadfile")
 """A world compiles on every core that it gets: more workers than two were not faster."""
 NO_HANGING = (
@@ -74,6 +77,13 @@ def layers(*args: str) -> list[str]:
     return ["-c", run, *args]
 
 
+def files_with_mark(name: str) -> list[str]:
+    """Return the test files that use a mark: collecting all files takes longer than these tests."""
+    files = sorted((ROOT / "tests").rglob("test_*.py"))
+    found = [file for file in files if f"pytest.mark.{name}\n" in file.read_text(encoding="utf-8")]
+    return [file.relative_to(ROOT).as_posix() for file in found]
+
+
 def quick(*args: str) -> list[list[str]]:
     """Lint, format check, layers and the quick tests; the arguments go to pytest."""
     return [lint(), formatter("--check"), layers(), pytest(*WORKERS, *QUICK, *args)]
@@ -85,9 +95,10 @@ def everything(*args: str) -> list[list[str]]:
         return quick(*(arg for arg in args if arg != "--quick"))
     if args and args != ("--all",):
         return [pytest(*args)]
-    chosen = [] if args else ["-m", "not tools and not thorough"]
+    chosen = "" if args else " and not tools and not thorough"
     tests = [
-        pytest(*WORKERS, *NO_HANGING, *SLOWEST, *chosen),
+        pytest(*WORKERS, *NO_HANGING, *SLOWEST, "-m", f"not alone{chosen}"),
+        pytest(*NO_HANGING, "-m", f"alone{chosen}", *files_with_mark("alone")),
         pytest("--optimised", *WORKERS, *NO_HANGING, *OPTIMISED),
     ]
     return [lint(), formatter("--check"), types(), layers(), *tests]

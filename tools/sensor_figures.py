@@ -32,7 +32,8 @@ from usarmjx.models.robots.pioneer import P2AT
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.robot import Mount, options
 from usarmjx.models.types.shapes import Shape
-from usarmjx.plots.picture import PAPER, draw_shapes, save_small
+from usarmjx.plots.picture import PAPER, draw_shapes
+from usarmjx.plots.style import save_small
 from usarmjx.sensors.base import Sensor, SensorInput
 from usarmjx.sensors.cameras.paint import (
     ARENA_LABEL,

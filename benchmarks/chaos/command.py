@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import typer
 
 from usarmjx.base.errors import UsageError
-from usarmjx.cli.common import ErrorExit, SeedOption
+from usarmjx.cli.common import ErrorExit, SeedOption, named
 from usarmjx.cli.completion import complete_arenas
 from usarmjx.cli.setting_options import with_settings
 from usarmjx.server.network.ports import LAST_PORT
@@ -31,7 +31,12 @@ class TargetOptions:
     address: Annotated[str | None, typer.Argument(help="HOST:PORT of the server; or --self.")] = None
     own: Annotated[bool, typer.Option("--self", help="Start a server for it, and attack that.")] = False
     arena: Annotated[
-        str, typer.Option(help="With --self: arena name, or a file.", autocompletion=complete_arenas)
+        str,
+        typer.Option(
+            help="With --self: arena name, or a file.",
+            autocompletion=complete_arenas,
+            callback=named("arena"),
+        ),
     ] = "yellow"
     viewer_port: Annotated[
         int | None, typer.Option(min=1, max=LAST_PORT, help="Port of its live page; else that is spared.")

@@ -105,6 +105,7 @@ def house():
             yield House(world, server, watch, page_port=page.port, **ports)
 
 
+@pytest.mark.alone
 @pytest.mark.every_run("junk", "reset-storm", "segments", "page", "ros-json", "ros-storm", "silent")
 @pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: attack.name)
 def test_a_neighbour_does_not_notice(house, attack, caplog, record_property):
@@ -124,6 +125,7 @@ def test_a_neighbour_does_not_notice(house, attack, caplog, record_property):
         assert outcome.damage.hung_up >= case.attackers, "whoever speaks HTTP is hung up on"
 
 
+@pytest.mark.alone
 def test_a_newcomer_gets_in_while_others_join_and_leave(house):
     """Who has left before its robot came holds no seat."""
     storm = threading.Thread(
@@ -156,6 +158,7 @@ class SlowWorld(StillWorld):
             pass
 
 
+@pytest.mark.alone
 def test_processor_time_and_waits_are_seen(monkeypatch):
     monkeypatch.setattr("benchmarks.chaos.neighbour.CLASS", "ComStation")
     world, before = SlowWorld(), set(threading.enumerate())

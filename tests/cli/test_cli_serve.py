@@ -212,6 +212,7 @@ def test_a_taken_port_is_found_without_jax():
     assert out == "False\n"
 
 
+@pytest.mark.alone
 def test_the_first_word_comes_at_once_and_says_what_is_built():
     """Not on standard output, whose first line says where it listens; and to a pipe as to a terminal."""
     began = time.monotonic()

@@ -146,11 +146,12 @@ def test_ini_is_read():
     )
 
 
-def test_ini_that_says_nothing_leaves_the_manuals_constants(tmp_path: Path):
+def test_ini_that_says_nothing_leaves_the_manuals_constants(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     file = tmp_path / "USARComServer.ini"
     file.write_text("[usarbotapi.COMCONNECTION]\necutoff=-80.0\nEMAXOBS=4.0\n", encoding="utf-16")
     assert radio_settings(file) == RadioSettings(cutoff=-80.0, max_obs=4)
-    assert radio_settings(parse_ini("[Elsewhere]\nePdo=1\n")) == MANUAL
+    assert radio_settings(parse_ini("[Elsewhere]\nePdo=1\n", "server.ini")) == MANUAL
+    assert "server.ini:2: [Elsewhere] is not of the radio; read are USARBotAPI.ComServer" in caplog.text
     assert (MANUAL.pdo, MANUAL.do, MANUAL.n, MANUAL.max_obs) == (-49.67, 2.0, 1.09, 5)
     assert (MANUAL.atten_fac, MANUAL.cutoff, MANUAL.listen_port) == (6.625, -93.0, 5874)
 

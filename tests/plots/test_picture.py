@@ -12,6 +12,7 @@ from usarmjx.models.arenas.yellow import YELLOW
 from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.shapes import Shape
 from usarmjx.plots import picture
+from usarmjx.plots.style import PAGE
 
 ROOM = ArenaSpec(
     name="Room",
@@ -83,7 +84,7 @@ def test_file_is_a_png_that_shows_paths_and_scan(tmp_path: Path):
     picture.run_picture(ROOM, {"track": track, "scan": scan}, path)
     assert path.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
     image = imread(path)
-    assert image.shape[1] == picture.WIDTH * picture.DPI
+    assert image.shape[1] == round(PAGE * 150)  # pixels per inch of the style
     top, bottom, *_ = wall_of_room(image)
     plan = image[top:bottom]  # without the legend, which shows each colour anyway
     for colour, least in (

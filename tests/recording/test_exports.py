@@ -130,7 +130,7 @@ def test_figures_are_written_as_the_names_say(mission, tmp_path):
     assert result.exit_code == 0, result.output
     assert (tmp_path / "m.pdf").read_bytes()[:5] == b"%PDF-"
     with Image.open(tmp_path / "m.png") as figure:
-        assert figure.width == 1650
+        assert figure.width == round(7.16 * 150)  # a page of IEEE's journals, pixels per inch of the style
         assert len(np.unique(np.array(figure.convert("RGB")).reshape(-1, 3), axis=0)) > 500
 
 

@@ -15,6 +15,8 @@ from tests.scripts import python_path
 from tests.server.peers import PATIENCE, Peer
 from usarmjx.server.runtime.signals import StopSignals
 
+pytestmark = pytest.mark.alone
+
 LIMIT = 6.0  # s: 2 s on an idle machine; what is stuck here would take ten minutes
 STOPPED = re.compile(r"usarmjx: stopped after [\d.]+ simulated s; .*\n")
 SIGNALS = [signal.SIGINT, signal.SIGTERM]

@@ -7,7 +7,8 @@ import pytest
 
 from usarmjx.sweeps.leaderboard import leaderboard_page, replay
 from usarmjx.sweeps.results import SUFFIX, read_result, read_results, run_digest
-from usarmjx.sweeps.suite import find_suite, load_suite
+from usarmjx.sweeps.spec import find_suite
+from usarmjx.sweeps.suite import load_suite
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER, PAGE = ROOT / "leaderboard", ROOT / "docs" / "leaderboard.md"

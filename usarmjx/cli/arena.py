@@ -17,6 +17,7 @@ from usarmjx.cli.common import (
     PiecesOption,
     SeedOption,
     chosen_out,
+    named,
     read_size,
 )
 from usarmjx.cli.completion import complete_kinds, complete_robots
@@ -87,7 +88,9 @@ def check(
     robot: Annotated[
         str,
         typer.Option(
-            help="Robot class, or a file, that shall start and drive there.", autocompletion=complete_robots
+            help="Robot class, or a file, that shall start and drive there.",
+            autocompletion=complete_robots,
+            callback=named("robot"),
         ),
     ] = "P2AT",
     drive: Annotated[
@@ -123,14 +126,27 @@ def check(
         typer.echo(f"{found.name}: no faults found for a {robot}")
 
 
+KindOption = Annotated[
+    str,
+    typer.Option(
+        help="maze, building, rubble, steps, ramps or collapsed.",
+        autocompletion=complete_kinds,
+        callback=named("kind of arena"),
+    ),
+]
+PassingRobotOption = Annotated[
+    str,
+    typer.Option(
+        help="Robot class, or a file, that can pass.",
+        autocompletion=complete_robots,
+        callback=named("robot"),
+    ),
+]
+
+
 @app.command()
 def generate(
-    kind: Annotated[
-        str,
-        typer.Option(
-            help="maze, building, rubble, steps, ramps or collapsed.", autocompletion=complete_kinds
-        ),
-    ] = "maze",
+    kind: KindOption = "maze",
     size: Annotated[str, typer.Option(help="Columns and rows of cells of 1.2 m, as 12x8.")] = "8x6",
     seed: SeedOption = 0,
     difficulty: Annotated[float, typer.Option(help="How difficult in all, from 0 to 1.")] = 0.5,
@@ -145,9 +161,7 @@ def generate(
     risk: Annotated[
         float, typer.Option(help="Share of drives that fail at the highest of them; 0: all get over them.")
     ] = 0.0,
-    robot: Annotated[
-        str, typer.Option(help="Robot class, or a file, that can pass.", autocompletion=complete_robots)
-    ] = "P2AT",
+    robot: PassingRobotOption = "P2AT",
     reachable: Annotated[float, typer.Option(help="Share of the victims that it reaches.")] = 1.0,
     victims: Annotated[int | None, typer.Option(help="How many; one for 12 cells, if not given.")] = None,
     starts: Annotated[int, typer.Option(min=1, help="Most start poses; a free cell has one.")] = 24,
@@ -199,14 +213,21 @@ def _write_mjcf(arena: "ArenaSpec", path: Path) -> None:
 
 LaneRobotOption = Annotated[
     str,
-    typer.Option("--robot", help="Robot class, or a file, that is driven.", autocompletion=complete_robots),
+    typer.Option(
+        "--robot",
+        help="Robot class, or a file, that is driven.",
+        autocompletion=complete_robots,
+        callback=named("robot"),
+    ),
 ]
 SpeedOption = Annotated[float, typer.Option(help="Share of its top speed, above 0 and up to 1.")]
 
 
 @app.command()
 def lane(
-    name: Annotated[str, typer.Argument(help="Lane; `usarmjx arena lanes` lists them.")],
+    name: Annotated[
+        str, typer.Argument(help="Lane; `usarmjx arena lanes` lists them.", callback=named("lane"))
+    ],
     robot: LaneRobotOption = "P2AT",
     minutes: Annotated[float, typer.Option(help="Simulated time of the test [min].")] = 5.0,
     speed: SpeedOption = 1.0,

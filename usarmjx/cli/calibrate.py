@@ -9,6 +9,7 @@ import typer
 from usarmjx.base.errors import UsageError
 from usarmjx.base.progress import RateLimitedLog
 from usarmjx.cli.common import ErrorExit, PackagesOption, PiecesOption, SeedOption
+from usarmjx.cli.known_names import check_name
 from usarmjx.cli.startup_messages import announce, say
 
 COMPARED = "c", "planar"
@@ -60,6 +61,10 @@ def calibrate(
     with ErrorExit():
         if markdown + drives + tasks > 1:
             raise UsageError("--markdown, --drives and --tasks are one each: name one of them")
+        for name in () if tasks else names or ():
+            check_name("robot", name)
+        for name in engines.split(",") if tasks else ():
+            check_name("engine", name.strip())
         if markdown:
             from usarmjx.engines.planar.responses import error_table
 

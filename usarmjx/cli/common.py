@@ -1,7 +1,7 @@
 """Options and helpers that the commands of all sub-applications share."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,6 +12,7 @@ from usarmjx.base.errors import UsageError, UsarmjxError
 from usarmjx.base.files import disk_error
 from usarmjx.base.settings import RenamedSettingWarning
 from usarmjx.cli.completion import complete_arenas, complete_engines, complete_robots
+from usarmjx.cli.known_names import check_name, check_roster
 
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 """Exit codes beside 0: what was tried did not come out well; it could not be tried as asked for; Ctrl-C."""
@@ -52,6 +53,34 @@ class ErrorExit:
         raise typer.Exit(BAD_INPUT if isinstance(error, UsageError | OSError) else FAILED)
 
 
+def named_roster(ctx: typer.Context, value: Any) -> Any:  # noqa: ANN401 - a roster or several
+    """Refuse rosters, as P2AT:4,P2DX:2, with classes of robots that there are not."""
+    with ErrorExit():
+        for roster in [value] if isinstance(value, str) else value or ():
+            if not ctx.resilient_parsing:
+                check_roster(roster)
+    return value
+
+
+def named(kind: str) -> Callable[[typer.Context, Any], Any]:
+    """Return a callback of options and arguments that refuses names which there are not.
+
+    It works while the command line is parsed, before the command imports anything.
+
+    Args:
+        kind: Kind of the names, see `known_names.REGISTRIES`.
+    """
+
+    def check(ctx: typer.Context, value: Any) -> Any:  # noqa: ANN401 - a name, names, or None
+        with ErrorExit():
+            for name in [value] if isinstance(value, str) else value or ():
+                if not ctx.resilient_parsing:
+                    check_name(kind, name)
+        return value
+
+    return check
+
+
 OutOption = Annotated[Path | None, typer.Option("--out", help="File to write; needed.", show_default=False)]
 OutFolderOption = Annotated[
     Path | None, typer.Option("--out", help="Folder for the pictures; needed.", show_default=False)
@@ -60,15 +89,23 @@ SeedOption = Annotated[int, typer.Option(help="Seed of all random numbers.")]
 EngineOption = Annotated[
     str,
     typer.Option(
-        help="warp, jax, c, planar, or auto: the best for the purpose here.", autocompletion=complete_engines
+        help="warp, jax, c, planar, or auto: the best for the purpose here.",
+        autocompletion=complete_engines,
+        callback=named("engine"),
     ),
 ]
 ArenaOption = Annotated[
     str,
-    typer.Option(help="Arena name, as `usarmjx list` shows them, or a file.", autocompletion=complete_arenas),
+    typer.Option(
+        help="Arena name, as `usarmjx list` shows them, or a file.",
+        autocompletion=complete_arenas,
+        callback=named("arena"),
+    ),
 ]
-ArenaArgument = Annotated[str, typer.Argument(help="Arena name, or a file.", autocompletion=complete_arenas)]
-RobotOption = Annotated[str, typer.Option(help="Robot class, or a file.", autocompletion=complete_robots)]
+ArenaArgument = Annotated[
+    str,
+    typer.Argument(help="Arena name, or a file.", autocompletion=complete_arenas, callback=named("arena")),
+]
 RobotFilesOption = Annotated[
     list[Path] | None,
     typer.Option(
@@ -99,7 +136,9 @@ PackagesOption = Annotated[
 TaskRobotOption = Annotated[
     str | None,
     typer.Option(
-        help="Robot class, or a file, of the task: as --set robot=.", autocompletion=complete_robots
+        help="Robot class, or a file, of the task: as --set robot=.",
+        autocompletion=complete_robots,
+        callback=named("robot"),
     ),
 ]
 

@@ -16,9 +16,11 @@ from usarmjx.cli.common import (
     PiecesOption,
     SeedOption,
     TaskRobotOption,
+    named,
     with_robot,
 )
 from usarmjx.cli.completion import complete_policies, complete_tasks
+from usarmjx.cli.known_names import TEAM_WORDS, check_policy
 from usarmjx.cli.policy_options import PolicyEngineOption, PolicyOptions, SplitOption
 from usarmjx.cli.setting_options import with_settings
 from usarmjx.cli.startup_messages import announce, say, tried_on
@@ -36,7 +38,10 @@ if TYPE_CHECKING:
 
 
 def teams(
-    task: Annotated[str, typer.Argument(help="A task for a team.", autocompletion=complete_tasks)],
+    task: Annotated[
+        str,
+        typer.Argument(help="A task for a team.", autocompletion=complete_tasks, callback=named("task")),
+    ],
     names: Annotated[
         list[str] | None,
         typer.Argument(
@@ -76,6 +81,8 @@ def teams(
 ) -> None:
     """Compare teams in the same buildings: each part of their scores, and how early they find."""
     with ErrorExit():
+        for name in names or ():
+            check_policy(name, TEAM_WORDS)
         pairs = task_pairs(task, with_robot(settings, robot), config)
         if print_config:
             print_task(task, {}, pairs)
@@ -211,6 +218,7 @@ def evaluate_policy(
 ) -> None:
     """Report a policy's mean final score with its 95 % interval."""
     with ErrorExit():
+        driver.check()
         if driver.print_config:
             driver.print_fields()
             return

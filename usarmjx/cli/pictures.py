@@ -16,6 +16,7 @@ from usarmjx.cli.common import (
     chosen_out,
 )
 from usarmjx.cli.completion import complete_robots
+from usarmjx.cli.known_names import check_name
 from usarmjx.cli.startup_messages import announce
 
 
@@ -34,6 +35,8 @@ def portraits(
         # Once the file came first.
         old = Path(named.pop(0)) if out is None and named and named[0].lower().endswith(".png") else None
         where = chosen_out(out, old)
+        for name in named:
+            check_name("robot", name)
         announce("drawing robots ...")
         from usarmjx.models.robots import ROBOTS
         from usarmjx.plots.gallery import portraits as draw_all

@@ -71,6 +71,8 @@ def play(
 ) -> None:
     """Show a policy at work in one world: draw an episode, show it in a browser, or serve it."""
     with ErrorExit():
+        if not served.follow:
+            driver.check()
         if driver.print_config:
             driver.print_fields()
             return

@@ -5,9 +5,18 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
-from usarmjx.base.errors import UsageError
-from usarmjx.cli.common import PackagesOption, PiecesOption, SeedOption, TaskRobotOption, with_robot
+from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.base.registry import unknown_name
+from usarmjx.cli.common import (
+    PackagesOption,
+    PiecesOption,
+    SeedOption,
+    TaskRobotOption,
+    named,
+    with_robot,
+)
 from usarmjx.cli.completion import complete_engines, complete_policies, complete_tasks
+from usarmjx.cli.known_names import AGENTS, check_policy
 from usarmjx.cli.task_options import (
     TaskConfigOption,
     TaskPrintOption,
@@ -24,7 +33,9 @@ if TYPE_CHECKING:
 PolicyEngineOption = Annotated[
     str,
     typer.Option(
-        help="warp, jax, c, planar, or auto: the best for this here.", autocompletion=complete_engines
+        help="warp, jax, c, planar, or auto: the best for this here.",
+        autocompletion=complete_engines,
+        callback=named("engine"),
     ),
 ]
 SplitOption = Annotated[
@@ -54,6 +65,7 @@ class PolicyOptions:
         typer.Option(
             help="Baseline of a task, in place of a trained policy.",
             autocompletion=complete_tasks,
+            callback=named("baseline"),
         ),
     ] = None
     agent: Annotated[
@@ -66,6 +78,7 @@ class PolicyOptions:
             help="Name of the task or FILE.py:CLASS, if it is not the one that the policy is for; alone: its "
             "packaged policy.",
             autocompletion=complete_tasks,
+            callback=named("task"),
         ),
     ] = None
     checkpoint: Annotated[str, typer.Option(help="Of a run: best, last, or the number of an iteration.")] = (
@@ -78,6 +91,17 @@ class PolicyOptions:
     robot: TaskRobotOption = None
     packages: PackagesOption = None
     pieces: PiecesOption = None
+
+    def check(self) -> None:
+        """Refuse a policy or an agent that is nowhere, before anything is imported.
+
+        Raises:
+            UnknownNameError: Gives the closest name and all.
+        """
+        if self.policy is not None and self.baseline is None:
+            check_policy(self.policy)
+        if self.agent is not None and self.agent not in AGENTS:
+            raise UnknownNameError(unknown_name("agent", self.agent, AGENTS))
 
     def source(self) -> "PolicySource":
         """Return the policy.

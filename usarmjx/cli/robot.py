@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from usarmjx.base.settings import parse_assignments
-from usarmjx.cli.common import ErrorExit, JsonFlag, PackagesOption, PiecesOption
+from usarmjx.cli.common import ErrorExit, JsonFlag, PackagesOption, PiecesOption, named
+from usarmjx.cli.completion import complete_robots
 from usarmjx.cli.startup_messages import announce
 
 if TYPE_CHECKING:
@@ -66,7 +67,14 @@ def check(
 
 @app.command()
 def export(
-    robot: Annotated[str, typer.Argument(help="Name of a robot class, or a robot's file.")],
+    robot: Annotated[
+        str,
+        typer.Argument(
+            help="Name of a robot class, or a robot's file.",
+            autocompletion=complete_robots,
+            callback=named("robot"),
+        ),
+    ],
     out: Annotated[Path, typer.Option(help="File to write; meshes are written beside it.")],
     form: Annotated[
         str | None, typer.Option("--format", help="mjcf, urdf or sdf; else by the file's suffix.")

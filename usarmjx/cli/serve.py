@@ -21,6 +21,7 @@ from usarmjx.cli.common import (
     add_robots,
     configure_from,
 )
+from usarmjx.cli.known_names import check_roster
 from usarmjx.cli.ros2_options import Ros2Options
 from usarmjx.cli.serving_options import (
     Host,
@@ -139,6 +140,7 @@ def serve(
             if not log_json:
                 host.warn(ports)
             many = f" for {which.worlds} worlds" if which.worlds > 1 else ""
+            check_roster(which.roster, (*(which.robot or ()), *which.ini_files))
             announce(f"building arena {which.arena}{many} ...")
             services = host.prepare(which.ini_files)
             worlds = which.make(which.seats or host.settings.max_connections)

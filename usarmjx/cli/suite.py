@@ -41,16 +41,19 @@ def run(
 ) -> None:
     """Play all runs of a method through a suite, and write a results file for each."""
     with ErrorExit():
+        from usarmjx.sweeps.spec import find_suite
+
+        file = find_suite(suite)
         announce(f"reading suite {suite} ...", engines=["planar" if engine is None else tried_on(engine)])
         from usarmjx.sweeps.run import usual_stream
-        from usarmjx.sweeps.suite import find_suite, load_suite, run_suite
+        from usarmjx.sweeps.suite import load_suite, run_suite
         from usarmjx.sweeps.workers import Workers
 
         common: dict[str, object] = {} if engine is None else {"engine": engine}
         if episodes is not None:
             common["episodes"] = episodes
         files = run_suite(
-            load_suite(find_suite(suite)),
+            load_suite(file),
             split,
             method,
             runs or [method],
@@ -77,17 +80,20 @@ def show(
 ) -> None:
     """Compare methods: a table for each task, and normalised scores over all tasks."""
     with ErrorExit():
+        from usarmjx.sweeps.spec import find_suite
+
+        file = find_suite(suite)
         announce("resampling runs and buildings ...", engines=[])
         from usarmjx.base.errors import UsageError
         from usarmjx.sweeps.results import read_results
         from usarmjx.sweeps.standings import standings_of, standings_record, standings_report
-        from usarmjx.sweeps.suite import find_suite, load_suite
+        from usarmjx.sweeps.suite import load_suite
 
         if figure is not None:
             from usarmjx.plots.style import check_figure
 
             check_figure(figure)
-        chosen = load_suite(find_suite(suite))
+        chosen = load_suite(file)
         own = [one for one in read_results(results) if (one.suite, one.split) == (chosen.name, split)]
         if not own:
             raise UsageError(f"no results of suite {chosen.name} on split {split} there")
@@ -129,10 +135,15 @@ def replay(
 ) -> None:
     """Play the first buildings of a results file again, and print the differences."""
     with ErrorExit():
+        from usarmjx.sweeps.spec import find_suite
+
+        if suite is not None:
+            find_suite(suite)
         announce(f"playing {episodes} buildings of each task in {file} ...", engines=[])
         from usarmjx.sweeps.leaderboard import replay as play_again
         from usarmjx.sweeps.results import read_result
-        from usarmjx.sweeps.suite import find_suite, load_suite
+        from usarmjx.sweeps.spec import find_suite
+        from usarmjx.sweeps.suite import load_suite
 
         result = read_result(file)
         again = play_again(result, load_suite(find_suite(suite or result.suite)), episodes)

@@ -8,9 +8,11 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from usarmjx.base.settings import parse_assignments
+from usarmjx.base.settings import parse_assignments, read_file
 from usarmjx.cli.checkout import import_benchmarks
-from usarmjx.cli.common import ErrorExit, PackagesOption, PiecesOption, TaskRobotOption, with_robot
+from usarmjx.cli.common import ErrorExit, PackagesOption, PiecesOption, TaskRobotOption, named, with_robot
+from usarmjx.cli.completion import complete_engines
+from usarmjx.cli.known_names import check_file
 from usarmjx.cli.startup_messages import announce, tried_on
 
 COMMANDS = ("run", "show", "compare", "report")
@@ -60,7 +62,12 @@ PartOption = Annotated[
 ]
 AddressOption = Annotated[str | None, typer.Option(help="With ray: address of a cluster.")]
 CellEngineOption = Annotated[
-    str | None, typer.Option(help="Physics of all cells: warp, jax, c, planar, or auto.")
+    str | None,
+    typer.Option(
+        help="Physics of all cells: warp, jax, c, planar, or auto.",
+        autocompletion=complete_engines,
+        callback=named("engine"),
+    ),
 ]
 CellSettingsOption = Annotated[
     list[str] | None,
@@ -120,14 +127,16 @@ def run(
     """Play the cells of a sweep that have no result yet, and say what came of all."""
     with ErrorExit():
         begun = time.perf_counter()
+        from usarmjx.sweeps.spec import find_spec, load_spec
+
+        file = find_spec(what)
+        check_file(read_file(file))
         announce(f"reading {what} ...", engines=["jax" if engine is None else tried_on(engine)])
         from usarmjx.sweeps.run import parse_part, play_prepared, prepare, usual_stream
-        from usarmjx.sweeps.spec import find_spec, load_spec
         from usarmjx.sweeps.workers import Workers
 
         _check_files(figure, table, episodes)
         own_part = parse_part(part)
-        file = find_spec(what)
         common = _typed(file, parse_assignments(with_robot(settings, robot), "--set"))
         if engine is not None:
             common["engine"] = engine

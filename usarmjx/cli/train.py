@@ -33,9 +33,11 @@ from usarmjx.cli.common import (
     PortOffsetOption,
     TaskRobotOption,
     chosen_out,
+    named,
     with_robot,
 )
 from usarmjx.cli.completion import complete_tasks
+from usarmjx.cli.known_names import check_policy
 from usarmjx.cli.policy_options import PolicyEngineOption
 from usarmjx.cli.recordings import RecordOption, export_recording
 from usarmjx.cli.setting_options import ConfigOption, PrintConfigOption, help_table, option_name
@@ -285,10 +287,16 @@ def settings_help(names: Sequence[str]) -> str:
 
 TaskArgument = Annotated[
     str | None,
-    typer.Argument(metavar="TASK", help="Name of the task, or FILE.py:CLASS.", autocompletion=complete_tasks),
+    typer.Argument(
+        metavar="TASK",
+        help="Name of the task, or FILE.py:CLASS.",
+        autocompletion=complete_tasks,
+        callback=named("task"),
+    ),
 ]
 TaskOption = Annotated[
-    str | None, typer.Option(help="Name of the task, likewise.", autocompletion=complete_tasks)
+    str | None,
+    typer.Option(help="Name of the task, likewise.", autocompletion=complete_tasks, callback=named("task")),
 ]
 RunFolderOption = Annotated[
     Path | None, typer.Option(help="Folder of the run; runs/TASK if none is given.", show_default=False)
@@ -718,6 +726,8 @@ def export(
     """Write a policy for NumPy or ONNX Runtime; or a recording as tables, film or ROS 2 bag."""
     with ErrorExit():
         where = chosen_out(out, old_out)
+        if not run.exists():
+            check_policy(str(run))
         announce(f"reading {run} ...")
         if run.is_file():
             export_recording(run, where, world, speed)

@@ -6,6 +6,7 @@ d is the distance between the antennas and nW the number of solids between them 
 come from USARComServer.ini (manual 3.2.4.2), whose sections and keys are read here.
 """
 
+import logging
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,8 @@ from usarmjx.base.errors import SpecError
 from usarmjx.base.settings import NOT_NEGATIVE, Setting, validate
 from usarmjx.models.ini.parse import IniFile, Line, read_ini
 from usarmjx.models.ini.read import as_bool, as_number, fail
+
+logger = logging.getLogger(__name__)
 
 MIN_ANTENNA_DISTANCE = 1e-3
 """Lower bound of the distance between two antennas [m]: the formula diverges at 0."""
@@ -114,7 +117,7 @@ AnyRadioSettings = RadioSettings | WorldRadioSettings
 
 
 def radio_settings(source: Path | IniFile) -> RadioSettings:
-    """Read USARComServer.ini; missing keys keep their defaults, other sections are ignored.
+    """Read USARComServer.ini; missing keys keep their defaults; a warning names other sections.
 
     `debug` is on if any of the three sections has bDebug=True.
 
@@ -126,6 +129,14 @@ def radio_settings(source: Path | IniFile) -> RadioSettings:
             file, line and allowed values.
     """
     file = source if isinstance(source, IniFile) else read_ini(source)
+    known = {section.lower() for section in INI_KEYS}
+    for section in file.sections:
+        if section.lines and section.name.lower() not in known:
+            line = section.lines[0]
+            names = ", ".join(INI_KEYS)
+            logger.warning(
+                "%s:%d: [%s] is not of the radio; read are %s", line.file, line.line, section.name, names
+            )
     values: dict[str, float | bool] = {}
     for section, keys in INI_KEYS.items():
         fields = {key.lower(): field for key, field in keys.items()}

@@ -8,13 +8,11 @@ from typing import Any
 import mujoco
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Patch, Polygon, Rectangle
 
-from usarmjx.base.files import atomic_write
 from usarmjx.base.transforms import angles_from_mat, mat_from_angles
 from usarmjx.models.compile.tags import tag_ids
 from usarmjx.models.compile.victims import segment_poses, victim_table
@@ -22,18 +20,17 @@ from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import FENDER, GLASS, MIRROR, Shape
 from usarmjx.plots.picture import (
     ARROW,
-    DPI,
     GROUND,
     PAPER,
     STYLES,
     WALL,
-    WIDTH,
     draw_shapes,
     height_range,
     outline,
 )
+from usarmjx.plots.style import PAGE, figure_style, save_figure
 
-MAX_HEIGHT = 12.0
+MAX_HEIGHT = 9.0
 """Most that a picture is high [inches]; of long, narrow arenas it becomes narrower instead."""
 MARGIN = 0.04
 """Around the plan, in shares of its longer side."""
@@ -41,27 +38,30 @@ MAX_NAMED_STARTS = 14
 """Most start poses with names in the picture; of more, only the first has one."""
 WATER, LOOSE, VICTIM, ALARM = "#9cc7dd", "#e07b39", "#c4122f", "#e58fa0"
 TAG, LAMP, DOOR, START = "#1b7f5a", "#e0b000", "#7a4a1e", "#1f5fa8"
-TITLE_COLUMNS = 96
+TITLE_COLUMNS = 120
 """Letters of a line above the picture."""
 
 
 def floor_plan_picture(arena: ArenaSpec, path: Path) -> None:
-    """Draw an arena's floor plan as a PNG file, with a legend; makes the folder if need be."""
+    """Draw an arena's floor plan with a legend as PNG, PDF, SVG or EPS; makes the folder if need be.
+
+    Raises:
+        UsageError: Another suffix.
+        WriteError: The file cannot be written.
+    """
     (x0, x1), (y0, y1) = arena.extent
     about = textwrap.wrap(arena.about, TITLE_COLUMNS)
-    room = 1.3 + 0.18 * len(about)
-    tall = WIDTH * (y1 - y0) / (x1 - x0)
+    room = 0.9 + 0.14 * len(about)
+    tall = PAGE * (y1 - y0) / (x1 - x0)
     shrink = min(1.0, (MAX_HEIGHT - room) / tall)
-    size = (max(WIDTH * shrink, 0.6 * WIDTH), tall * shrink + room)
-    figure = Figure(figsize=size, dpi=DPI, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    title = f"{arena.name}: {x1 - x0:g} x {y1 - y0:g} m"
-    figure.suptitle("\n".join([title, *about]), x=0.01, ha="left", fontsize=10)
-    keys = draw_plan(axes, arena)
-    figure.legend(handles=keys, loc="outside lower center", ncols=7, frameon=False, fontsize=9)
-    with atomic_write(path) as fresh:
-        figure.savefig(fresh, format="png")
+    with figure_style():
+        figure = Figure(figsize=(max(PAGE * shrink, 0.6 * PAGE), tall * shrink + room))
+        axes = figure.add_subplot()
+        title = f"{arena.name}: {x1 - x0:g} x {y1 - y0:g} m"
+        figure.suptitle("\n".join([title, *about]), x=0.01, ha="left", fontsize=8)
+        keys = draw_plan(axes, arena)
+        figure.legend(handles=keys, loc="outside lower center", ncols=7)
+    save_figure(figure, path)
 
 
 def draw_plan(axes: Axes, arena: ArenaSpec, *, words: bool = True, starts: bool = True) -> list[Any]:
@@ -77,6 +77,7 @@ def draw_plan(axes: Axes, arena: ArenaSpec, *, words: bool = True, starts: bool 
         yticks=[],
     )
     axes.spines[:].set_visible(False)
+    axes.grid(visible=False)
     for water in arena.waters:
         low, high = water.low, water.high
         size = (high[0] - low[0], high[1] - low[1])

@@ -28,7 +28,7 @@ from usarmjx.models.types.arena import ArenaSpec, StartPose
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.models.types.shapes import SKY, Shape
 from usarmjx.plots.floor_plan import draw_plan
-from usarmjx.plots.picture import area, height_range, outline, overhead_height, save_small
+from usarmjx.plots.picture import area, height_range, outline, overhead_height
 from usarmjx.plots.render import (
     DEFAULT_LIGHTING,
     FOV_Y,
@@ -43,6 +43,7 @@ from usarmjx.plots.render import (
     render_picture,
     victim_geoms,
 )
+from usarmjx.plots.style import save_small
 from usarmjx.sensors.cameras.paint import (
     FALSE_ALARM_LABEL,
     VICTIM_LABEL,

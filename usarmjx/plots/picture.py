@@ -11,18 +11,16 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PatchCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
-from PIL import Image
 from scipy.spatial import ConvexHull
 
-from usarmjx.base.files import atomic_write
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.shapes import FENDER, GLASS, MIRROR, OPAQUE, SKY, Shape
+from usarmjx.plots.style import PAGE, figure_style, save_figure
 
 CIRCLE_POINTS = 32
 """Corners that stand for a circle."""
@@ -89,30 +87,6 @@ def _shadow(shape: Shape, mat: np.ndarray) -> np.ndarray:
     return CIRCLE @ np.linalg.cholesky(spread @ spread.T).T
 
 
-COLOURS = 256
-"""Hardly seen, and files are half as large."""
-
-
-def save_small(figure: Figure, path: Path, colours: int = COLOURS) -> None:
-    """Write a figure as PNG with a palette of its most common colours.
-
-    Args:
-        figure: Subject.
-        path: Destination.
-        colours: Most colours; lines of a few colours and their edges need 16.
-
-    Raises:
-        WriteError: It cannot be written.
-    """
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
-    with atomic_write(path) as fresh:
-        Image.fromarray(pixels).quantize(colours, dither=Image.Dither.NONE).save(fresh, "PNG", optimize=True)
-
-
-DPI = 120
-WIDTH = 11.0  # inches; the height follows from the arena's shape
 SCANNER_RANGE = 20.0
 """Reading of the P2AT's scanner without a hit (captured CONF: MaxRange) [m]."""
 
@@ -179,34 +153,37 @@ def scan_points(scan: Mapping[str, Any]) -> np.ndarray:
 
 
 def run_picture(arena: ArenaSpec, log: Mapping[str, Any], path: Path) -> None:
-    """Draw a run as a PNG file.
+    """Draw a run as a figure.
 
     Args:
         arena: Its arena.
         log: "track" with one row per report (time, truth, odometry, INS; poses as x, y, yaw), and
             "scan" with the last laser scan, or nothing in it.
-        path: File to write; its folder exists.
+        path: PNG, PDF, SVG or EPS file; its folder exists.
+
+    Raises:
+        UsageError: Another suffix.
+        WriteError: The file cannot be written.
     """
     (x0, x1), (y0, y1) = arena.extent
-    height = WIDTH * (y1 - y0) / (x1 - x0) + 1.0
-    figure = Figure(figsize=(WIDTH, height), dpi=DPI, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.set(
-        aspect="equal",
-        facecolor=PAPER,
-        xlim=(x0 - 0.3, x1 + 0.3),
-        ylim=(y0 - 0.3, y1 + 0.3),
-        xlabel="x [m]",
-        ylabel="y [m]",
-    )
-    axes.set_title(_title(arena, log["track"]), loc="left", fontsize=11)
-    draw_shapes(axes, arena)
-    _draw_run(axes, log)
-    axes.spines[:].set_visible(False)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=6, frameon=False, fontsize=9)
-    with atomic_write(path) as fresh:
-        figure.savefig(fresh, format="png")
+    with figure_style():
+        figure = Figure(figsize=(PAGE, PAGE * (y1 - y0) / (x1 - x0) + 0.7))
+        axes = figure.add_subplot()
+        axes.set(
+            aspect="equal",
+            facecolor=PAPER,
+            xlim=(x0 - 0.3, x1 + 0.3),
+            ylim=(y0 - 0.3, y1 + 0.3),
+            xlabel="x [m]",
+            ylabel="y [m]",
+            title=_title(arena, log["track"]),
+        )
+        axes.grid(visible=False)
+        draw_shapes(axes, arena)
+        _draw_run(axes, log)
+        axes.spines[:].set_visible(False)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=6)
+    save_figure(figure, path)
 
 
 def _title(arena: ArenaSpec, track: Sequence[Sequence[Any]]) -> str:
@@ -268,7 +245,7 @@ def _draw_terrain(axes: Axes, shape: Shape) -> None:
 def _draw_run(axes: Axes, log: Mapping[str, Any]) -> None:
     if log["scan"].get("pose"):  # a run may end between a scan and the pose of its moment
         hits = scan_points(log["scan"])
-        axes.plot(hits[:, 0], hits[:, 1], ".", color=SCAN, ms=4, label="last laser scan", zorder=5)
+        axes.plot(hits[:, 0], hits[:, 1], ".", color=SCAN, ms=2.5, label="last laser scan", zorder=5)
     paths = tracked_poses(log)
     for name, colour, style, label in (
         ("truth", TRUTH, "-", "driven path"),
@@ -276,11 +253,11 @@ def _draw_run(axes: Axes, log: Mapping[str, Any]) -> None:
         ("ins", INS, ":", "INS"),
     ):
         x, y = paths[name][:, 0], paths[name][:, 1]
-        wide = 2.4 if name == "truth" else 1.6
+        wide = 1.8 if name == "truth" else 1.2
         axes.plot(x, y, style, color=colour, lw=wide, label=label, zorder=4)
     truth = paths["truth"]
     if len(truth):
-        axes.plot(*truth[0, :2], "o", color="white", mec=TRUTH, mew=2, ms=9, label="start", zorder=6)
+        axes.plot(*truth[0, :2], "o", color="white", mec=TRUTH, mew=1.5, ms=6, label="start", zorder=6)
         cos, sin = math.cos(truth[-1, 2]), math.sin(truth[-1, 2])
         arrow = ARROW @ np.array([[cos, sin], [-sin, cos]])
-        axes.plot(*truth[-1, :2], marker=arrow, color=TRUTH, ms=15, ls="", label="end", zorder=6)
+        axes.plot(*truth[-1, :2], marker=arrow, color=TRUTH, ms=10, ls="", label="end", zorder=6)

@@ -7,15 +7,14 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.files import atomic_write
 from usarmjx.comms.attenuation import RadioSettings, received_power
 from usarmjx.comms.walls import arena_solids, count_walls
 from usarmjx.models.types.arena import ArenaSpec
-from usarmjx.plots.picture import DPI, PAPER, WIDTH, draw_shapes
+from usarmjx.plots.picture import PAPER, draw_shapes
+from usarmjx.plots.style import PAGE, figure_style, save_figure
 
 ANTENNA_HEIGHT = 0.5
 """Default height of antennas above the floor [m]: about a P2AT's."""
@@ -111,7 +110,7 @@ def radio_picture(
     *,
     height: float | None = None,
 ) -> PowerMap:
-    """Draw the power received all over an arena as a PNG file; see `power_map`.
+    """Draw the power received all over an arena as PNG, PDF, SVG or EPS; see `power_map`.
 
     The colour is the power, a line the cutoff, where there is one.
 
@@ -124,29 +123,38 @@ def radio_picture(
 
     Returns:
         The power map.
+
+    Raises:
+        UsageError: Another suffix.
+        WriteError: The file cannot be written.
     """
     settings = settings or RadioSettings()
     drawn = power_map(arena, source, settings, height=height)
     wide, high = np.ptp(drawn.x), np.ptp(drawn.y)
-    figure = Figure(
-        figsize=(WIDTH, 0.88 * WIDTH * high / wide + 1.0), dpi=DPI, facecolor="white", layout="constrained"
-    )
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.set(aspect="equal", facecolor=PAPER, xlabel="x [m]", ylabel="y [m]")
-    axes.set_title(_title(arena, source, settings), loc="left", fontsize=11)
     # The few points right at the sender would take half of the colours.
     top = min(drawn.power.max(), float(received_power(settings, np.array(COLOUR_MIN_DISTANCE), np.array(0))))
-    colours = axes.pcolormesh(
-        drawn.x, drawn.y, drawn.power, cmap=COLOURS, vmax=top, shading="nearest", zorder=1
-    )
-    figure.colorbar(colours, ax=axes, label="received power [dBm]", shrink=0.85)
-    _draw_cutoff(axes, drawn, settings.cutoff)
-    draw_shapes(axes, arena)
-    axes.plot(*source[:2], "*", color="white", mec="black", ms=16, zorder=6)
-    axes.spines[:].set_visible(False)
-    with atomic_write(path) as fresh:
-        figure.savefig(fresh, format="png")
+    with figure_style():
+        figure = Figure(figsize=(PAGE, 0.86 * PAGE * high / wide + 0.7))
+        axes = figure.add_subplot()
+        axes.set(aspect="equal", facecolor=PAPER, xlabel="x [m]", ylabel="y [m]")
+        axes.set_title(_title(arena, source, settings))
+        axes.grid(visible=False)
+        colours = axes.pcolormesh(
+            drawn.x,
+            drawn.y,
+            drawn.power,
+            cmap=COLOURS,
+            vmax=top,
+            shading="nearest",
+            zorder=1,
+            rasterized=True,
+        )
+        figure.colorbar(colours, ax=axes, label="received power [dBm]", shrink=0.85)
+        _draw_cutoff(axes, drawn, settings.cutoff)
+        draw_shapes(axes, arena)
+        axes.plot(*source[:2], "*", color="white", mec="black", ms=11, zorder=6)
+        axes.spines[:].set_visible(False)
+    save_figure(figure, path)
     return drawn
 
 
@@ -158,4 +166,4 @@ def _title(arena: ArenaSpec, source: Sequence[float], settings: RadioSettings) -
 def _draw_cutoff(axes: Axes, drawn: PowerMap, cutoff: float) -> None:
     if drawn.power.min() < cutoff < drawn.power.max():
         line = axes.contour(drawn.x, drawn.y, drawn.power, [cutoff], colors=CUTOFF_LINE, zorder=3)
-        line.set(linewidth=1.6, linestyle="solid")
+        line.set(linewidth=1.2, linestyle="solid")

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from usarmjx.base.backend import numpy_backend
@@ -22,7 +21,7 @@ from usarmjx.plots.floor_plan import draw_plan
 from usarmjx.plots.picture import ARROW
 from usarmjx.plots.play import EpisodeRecording, film_frames, save_gif
 from usarmjx.plots.radio_map import MIN_STEP, power_map
-from usarmjx.plots.style import PALETTE
+from usarmjx.plots.style import PAGE, PALETTE, check_figure, figure_style, save_figure
 from usarmjx.recording.foxglove import is_scanner
 from usarmjx.recording.reader import Recording
 from usarmjx.recording.source import RecordingSource
@@ -236,9 +235,6 @@ FILMS: dict[str, Callable[[EpisodeRecording, Path, float], None]] = {".gif": _sa
 """Writers of films, by the suffixes of files."""
 
 
-WIDTH = 11.0
-"""Size of the figure [inches]."""
-DPI = 150
 SCAN, FOUND = "#0f8b8d", "#c4122f"
 STATION = "ComStation"
 """The class of robot from which the radio's power is drawn; without one, from where the first began."""
@@ -257,41 +253,39 @@ def plot_recording(
 
     Args:
         recording: The recording.
-        paths: PNG, PDF or SVG files.
+        paths: PNG, PDF, SVG or EPS files.
         world: Which world.
         span: From when to when [s].
 
     Raises:
-        UsageError: There is no such world, or nothing in it.
+        UsageError: There is no such world, or nothing in it; a file has another suffix.
         WriteError: A file cannot be written.
     """
+    for path in paths:
+        check_figure(path)
     figure = mission_figure(read_mission(recording, world, span))
     for path in paths:
-        with atomic_write(path) as fresh:
-            figure.savefig(fresh, format=path.suffix[1:].lower() or "png", dpi=DPI)
+        save_figure(figure, path, Title=recording.path.stem)  # a PNG with notes keeps all its colours
     return [*paths]
 
 
 def mission_figure(mission: RecordedMission) -> Figure:
     """Return the figure of a mission."""
     (x0, x1), (y0, y1) = mission.arena.extent
-    tall = WIDTH / 2 * min(1.4, max(0.5, (y1 - y0) / (x1 - x0)))
-    figure = Figure(figsize=(WIDTH, tall + 2.6), dpi=DPI, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(2, 1, height_ratios=[tall, 2.4])
-    above = grid[0].subgridspec(1, 2)
-    _draw_ways(figure.add_subplot(above[0]), mission)
-    _draw_power(figure, figure.add_subplot(above[1]), mission)
-    panels = [_draw_distance, _draw_speed, _draw_battery]
-    panels.append(_draw_score if mission.scores else _draw_found)
-    below = grid[1].subgridspec(1, len(panels))
-    for place, draw in enumerate(panels):
-        axes = figure.add_subplot(below[place])
-        draw(axes, mission)
-        axes.set_xlabel("time [s]", fontsize=8)
-        axes.tick_params(labelsize=7)
-        axes.grid(alpha=0.3)
-        axes.spines[["top", "right"]].set_visible(False)
+    tall = PAGE / 2 * min(1.4, max(0.5, (y1 - y0) / (x1 - x0)))
+    with figure_style():
+        figure = Figure(figsize=(PAGE, tall + 2.2))
+        grid = figure.add_gridspec(2, 1, height_ratios=[tall, 1.9])
+        above = grid[0].subgridspec(1, 2)
+        _draw_ways(figure.add_subplot(above[0]), mission)
+        _draw_power(figure, figure.add_subplot(above[1]), mission)
+        panels = [_draw_distance, _draw_speed, _draw_battery]
+        panels.append(_draw_score if mission.scores else _draw_found)
+        below = grid[1].subgridspec(1, len(panels))
+        for place, draw in enumerate(panels):
+            axes = figure.add_subplot(below[place])
+            draw(axes, mission)
+            axes.set_xlabel("time [s]")
     return figure
 
 
@@ -307,22 +301,22 @@ def _draw_ways(axes: Axes, mission: RecordedMission) -> None:
         _draw_way(axes, way, _colour(place))
     for victim, (time, _) in sorted(mission.found.items(), key=lambda item: item[1]):
         at = mission.arena.victims[victim].at[:2]
-        axes.plot(*at, "o", ms=13, mfc="none", mec=FOUND, mew=1.6, zorder=10, **INSIDE)
+        axes.plot(*at, "o", ms=9, mfc="none", mec=FOUND, mew=1.2, zorder=10, **INSIDE)
         axes.annotate(
-            f"{time:.0f} s", at, (8, 6), textcoords="offset points", fontsize=7, color=FOUND, zorder=10
+            f"{time:.0f} s", at, (8, 6), textcoords="offset points", fontsize=6, color=FOUND, zorder=10
         )
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), fontsize=7, frameon=False, ncols=4)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3)
     found = f", {len(mission.found)} of {len(mission.arena.victims)} victims met" if mission.found else ""
-    axes.set_title(f"{mission.arena.name}: ways and scans{found}", loc="left", fontsize=10)
+    axes.set_title(f"{mission.arena.name}: ways and scans{found}")
 
 
 def _draw_way(axes: Axes, way: RobotWay, colour: str) -> None:
     poses = np.array(way.poses)
-    axes.plot(*poses[:, :2].T, color=colour, lw=1.6, zorder=8, label=f"{way.name} ({way.robot})", **INSIDE)
+    axes.plot(*poses[:, :2].T, color=colour, lw=1.2, zorder=8, label=f"{way.name} ({way.robot})", **INSIDE)
     axes.plot(*poses[0, :2], "o", color=colour, ms=4, mec="white", mew=0.5, zorder=9, **INSIDE)
     cos, sin = np.cos(poses[-1, 2]), np.sin(poses[-1, 2])
     marker = ARROW @ np.array([[cos, sin], [-sin, cos]])
-    axes.plot(*poses[-1, :2], marker=marker, color=colour, ms=11, mec="white", mew=0.5, zorder=9, **INSIDE)
+    axes.plot(*poses[-1, :2], marker=marker, color=colour, ms=8, mec="white", mew=0.5, zorder=9, **INSIDE)
 
 
 def _draw_power(figure: Figure, axes: Axes, mission: RecordedMission) -> None:
@@ -350,9 +344,9 @@ def _draw_power(figure: Figure, axes: Axes, mission: RecordedMission) -> None:
         axes.contour(drawn.x, drawn.y, drawn.power, [cutoff], colors="#d1622b", linestyles="solid", zorder=6)
     for place, way in enumerate(mission.ways):
         axes.plot(*np.array(way.poses)[:, :2].T, color=_colour(place), lw=1.0, zorder=8, **INSIDE)
-    axes.plot(*source, "*", color="white", mec="black", ms=14, zorder=9)
+    axes.plot(*source, "*", color="white", mec="black", ms=10, zorder=9)
     figure.colorbar(colours, ax=axes, shrink=0.7, label="received power [dBm]")
-    axes.set_title(f"radio power from {station.name}", loc="left", fontsize=10)
+    axes.set_title(f"radio power from {station.name}")
 
 
 def _travelled(way: RobotWay) -> np.ndarray:
@@ -364,7 +358,7 @@ def _travelled(way: RobotWay) -> np.ndarray:
 def _draw_distance(axes: Axes, mission: RecordedMission) -> None:
     for place, way in enumerate(mission.ways):
         axes.plot(way.times, _travelled(way), color=_colour(place), lw=1.2)
-    axes.set_title("distance travelled [m]", loc="left", fontsize=9)
+    axes.set_title("distance travelled [m]")
 
 
 def _draw_speed(axes: Axes, mission: RecordedMission) -> None:
@@ -373,20 +367,20 @@ def _draw_speed(axes: Axes, mission: RecordedMission) -> None:
         before = np.interp(times - SMOOTHED, times, gone)
         passed = np.minimum(times - times[0], SMOOTHED)
         axes.plot(times, (gone - before) / np.maximum(passed, 1e-9), color=_colour(place), lw=1.0)
-    axes.set_title("speed [m/s]", loc="left", fontsize=9)
+    axes.set_title("speed [m/s]")
 
 
 def _draw_battery(axes: Axes, mission: RecordedMission) -> None:
     for place, way in enumerate(mission.ways):
         axes.plot(way.times, np.array(way.battery) / 60.0, color=_colour(place), lw=1.2)
-    axes.set_title("battery left [min]", loc="left", fontsize=9)
+    axes.set_title("battery left [min]")
     axes.set_ylim(bottom=0)
 
 
 def _draw_score(axes: Axes, mission: RecordedMission) -> None:
     times, scores = zip(*mission.scores, strict=True)
     axes.step(times, scores, where="post", color="#333333", lw=1.2)
-    axes.set_title("score", loc="left", fontsize=9)
+    axes.set_title("score")
 
 
 def _draw_found(axes: Axes, mission: RecordedMission) -> None:
@@ -394,4 +388,4 @@ def _draw_found(axes: Axes, mission: RecordedMission) -> None:
     times = sorted(time for time, _ in mission.found.values())
     axes.step([first, *times, last], [*range(len(times) + 1), len(times)], where="post", color=FOUND, lw=1.4)
     axes.set_ylim(0, max(1, len(mission.arena.victims)))
-    axes.set_title(f"victims met (of {len(mission.arena.victims)})", loc="left", fontsize=9)
+    axes.set_title(f"victims met (of {len(mission.arena.victims)})")

@@ -18,6 +18,7 @@ from usarmjx.base.parameters import Parameters
 from usarmjx.base.rotations import mat_from_rotation_vector, matmul, matvec, rotation_vector, wrap_angle
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.base.transforms import angles_from_mat, flip_angles, mat_from_angles
+from usarmjx.models.drives.base import RobotState
 from usarmjx.models.types.robot import Mount
 from usarmjx.models.types.settings import ANGLE_STEP
 from usarmjx.sensors.base import (
@@ -102,29 +103,54 @@ class Odometry(Sensor):
         settings = self.settings[0]
         return np.array([self._wheel(settings.left_tire, True), self._wheel(settings.right_tire, False)])
 
-    def _ticks(self, inputs: SensorInput) -> Array:
-        return xp.trunc(inputs.state.joint_pos[..., self._pair] / self.settings[0].encoder_resolution)
+    def _ticks(self, state: RobotState) -> Array:
+        return xp.trunc(state.joint_pos[..., self._pair] / self.settings[0].encoder_resolution)
 
     def init_memory(self, inputs: SensorInput, key: Array) -> OdometryMemory:
         """Start the estimate at the current pose."""
-        return OdometryMemory(pose=xp.zeros(3), ticks=self._ticks(inputs))
+        return OdometryMemory(pose=xp.zeros(3), ticks=self._ticks(inputs.state))
 
     @vectorized
     def read(self, inputs: SensorInput, memory: OdometryMemory, key: Array) -> tuple[OdometryMemory, Array]:
         """Advance the estimate by the ticks since the last time, along the old heading."""
-        ticks = self._ticks(inputs)
-        robot, settings = self.plan.robot, self.settings[0]
-        radius = robot.wheel_radius * (1 + settings.diameter_error)
-        ways = (ticks - memory.ticks) * settings.encoder_resolution * radius
-        ways = relative_normal(key, ways, settings.mean, settings.sigma)
+        ticks, settings = self._ticks(inputs.state), self.settings[0]
+        ways = relative_normal(key, self._ways(ticks, memory), settings.mean, settings.sigma)
+        pose = self._advanced(memory.pose, ways)
+        return OdometryMemory(pose=pose, ticks=ticks), pose
+
+    def estimate(self, state: RobotState, memory: OdometryMemory) -> Array:
+        """Return the estimate for the present wheel angles, without noise since the last reading (3,)."""
+        return self._advanced(memory.pose, self._ways(self._ticks(state), memory))
+
+    def velocity(self, state: RobotState) -> Array:
+        """Return speed ahead [m/s] and turning rate to the left [rad/s] by the spins of the wheels (2,)."""
+        speeds = state.joint_vel[..., self._pair] * self._radius
+        left, right = speeds[..., 0], speeds[..., 1]
+        return xp.stack([(left + right) / 2, (right - left) / self._separation], -1)
+
+    @property
+    def _radius(self) -> float:
+        """Measured wheel radius [m]."""
+        return self.plan.robot.wheel_radius * (1 + self.settings[0].diameter_error)
+
+    @property
+    def _separation(self) -> float:
+        """Measured wheel separation [m]."""
+        return self.plan.robot.wheel_separation * (1 + self.settings[0].separation_error)
+
+    def _ways(self, ticks: Array, memory: OdometryMemory) -> Array:
+        """Return the ways of the left and the right wheel since the last reading [m] (2,)."""
+        return (ticks - memory.ticks) * self.settings[0].encoder_resolution * self._radius
+
+    def _advanced(self, pose: Array, ways: Array) -> Array:
+        """Return a pose advanced by the ways of the wheels along its heading (3,)."""
         left, right = ways[..., 0], ways[..., 1]
-        x, y, heading = (memory.pose[..., i] for i in range(3))
+        x, y, heading = (pose[..., i] for i in range(3))
         advance = (left + right) / 2
-        turned = heading + (right - left) / (robot.wheel_separation * (1 + settings.separation_error))
-        pose = xp.stack(
+        turned = heading + (right - left) / self._separation
+        return xp.stack(
             [x + advance * xp.cos(heading), y + advance * xp.sin(heading), wrap_angle(turned)], -1
         )
-        return OdometryMemory(pose=pose, ticks=ticks), pose
 
     def handle_set(
         self, opcode: str, params: tuple[float, ...], inputs: SensorInput, memory: OdometryMemory

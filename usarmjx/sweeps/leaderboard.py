@@ -11,8 +11,9 @@ from usarmjx.base.files import atomic_write
 from usarmjx.sweeps.play import BatchWork, play_batch
 from usarmjx.sweeps.report import aligned
 from usarmjx.sweeps.results import RunResult, read_results
+from usarmjx.sweeps.spec import find_suite
 from usarmjx.sweeps.standings import standings_of, standings_report
-from usarmjx.sweeps.suite import BenchmarkSuite, find_suite, load_suite
+from usarmjx.sweeps.suite import BenchmarkSuite, load_suite
 
 INTRODUCTION = """# Leaderboard
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.base.registry import closest
 from usarmjx.base.settings import (
     AT_LEAST_ONE,
     NOT_NEGATIVE,
@@ -198,7 +199,7 @@ def as_text(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-BUNDLED = Path(__file__).parent / "bundled"
+BUNDLED, SUITES = (Path(__file__).parent / name for name in ("bundled", "suites"))
 MAX_CELLS = 1_000_000
 """Most cells of a sweep."""
 
@@ -286,12 +287,26 @@ def find_spec(what: str) -> Path:
     Raises:
         UnknownNameError: Neither; lists the bundled ones.
     """
+    return _find_file(what, BUNDLED, "sweep")
+
+
+def find_suite(what: str) -> Path:
+    """Return a suite's file: a path, or the name of a bundled one.
+
+    Raises:
+        UnknownNameError: Neither; lists the bundled ones.
+    """
+    return _find_file(what, SUITES, "suite")
+
+
+def _find_file(what: str, folder: Path, noun: str) -> Path:
     if Path(what).is_file():
         return Path(what)
-    if (bundled := BUNDLED / f"{what}.yaml").is_file():
+    if (bundled := folder / f"{what}.yaml").is_file():
         return bundled
-    known = ", ".join(sorted(file.stem for file in BUNDLED.glob("*.yaml")))
-    raise UnknownNameError(f"{what} is no file, and no bundled sweep; those are: {known}")
+    known = sorted(file.stem for file in folder.glob("*.yaml"))
+    hint = closest(what, known) or ";"
+    raise UnknownNameError(f"{what} is no file, and no bundled {noun}{hint} those are: {', '.join(known)}")
 
 
 def load_spec(path: Path, common: Mapping[str, Any] | None = None) -> SweepSpec:

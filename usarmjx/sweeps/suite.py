@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, TextIO
 
-from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import Setting, default_reader, read_file
 from usarmjx.sweeps.drivers import parse_policy
 from usarmjx.sweeps.resolve import resolve
@@ -23,7 +23,6 @@ from usarmjx.sweeps.spec import SweepSpec, read_spec
 from usarmjx.sweeps.store import CellRecord
 from usarmjx.sweeps.workers import Workers
 
-SUITES = Path(__file__).parent / "suites"
 USUAL_SUITE = "teams-v1"
 SPLITS_OF_SUITES = ("validation", "test")
 
@@ -115,20 +114,6 @@ def _cell(settings: dict[str, Any], episodes: int) -> dict[str, Any]:
     whole = {**settings, "policy": parse_policy(text)}
     levels = resolve({**whole, "policy": "random", "episodes": 1}).levels
     return {**whole, "arena.count": -(-episodes // levels)}
-
-
-def find_suite(what: str) -> Path:
-    """Return a suite's file: a path, or the name of a bundled one.
-
-    Raises:
-        UnknownNameError: Neither; lists the bundled ones.
-    """
-    if Path(what).is_file():
-        return Path(what)
-    if (bundled := SUITES / f"{what}.yaml").is_file():
-        return bundled
-    known = ", ".join(sorted(file.stem for file in SUITES.glob("*.yaml")))
-    raise UnknownNameError(f"{what} is no file, and no bundled suite; those are: {known}")
 
 
 def load_suite(path: Path) -> BenchmarkSuite:

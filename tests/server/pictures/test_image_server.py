@@ -221,6 +221,7 @@ def test_who_waits_for_too_long_gets_a_black_picture_or_the_last_one(world, pain
         wait_until(lambda: (viewer.next() > last).all(), "the next picture of the world")
 
 
+@pytest.mark.alone
 def test_the_frame_rate_is_held(world, painter):
     with on_show(world, fps=5.0) as show:
         show.robot("Cyclops", "R1")

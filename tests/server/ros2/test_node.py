@@ -109,12 +109,20 @@ class Node:
         }
         return await self.call("/spawn_entity", **{**asked, **more})
 
-    async def message(self, topic, kind):
-        """The next message of a topic."""
+    async def message(self, topic, kind, part=""):
+        """The next message of a topic; of a latched one the first whose `part` is not empty."""
         kept = await self.until(lambda: self.transport.topics.get((topic, kind)))
-        before = len(kept.sent)
-        await self.until(lambda: len(kept.sent) > (0 if kept.qos.is_latched else before))
-        return CdrReader(kept.sent[-1]).message(kind)
+        before = 0 if kept.qos.is_latched else len(kept.sent)
+
+        def found():
+            # The worker's thread may still be behind the world: an older message comes first.
+            for data in kept.sent[before:]:
+                message = CdrReader(data).message(kind)
+                if not part or message[part]:
+                    return message
+            return None
+
+        return await self.until(found)
 
     def hear(self, topic, kind, message):
         self.transport.heard[topic, kind](BYTES.whole(kind, message))
@@ -142,7 +150,11 @@ def test_robots_come_drive_move_joints_and_go():
         answer = await node.spawn(frame="map", x=1.0)
         assert answer == {"result": {"result": 1, "error_message": ""}, "entity_name": "R1"}
         odom = await node.message("/R1/odom", "nav_msgs/Odometry")
-        assert odom["pose"]["pose"]["position"]["x"] == pytest.approx(1.0, abs=0.05)
+        assert odom["pose"]["pose"]["position"]["x"] == pytest.approx(0.0, abs=0.05), "where it starts"
+        moved = await node.message("/tf", "tf2_msgs/TFMessage", "transforms")
+        (drift,) = (one for one in moved["transforms"] if one["child_frame_id"] == "R1/odom")
+        assert drift["header"]["frame_id"] == "map"
+        assert drift["transform"]["translation"]["x"] == pytest.approx(1.0, abs=0.05)
         heard = node.transport.heard
         await node.until(lambda: ("/R1/joint_trajectory", "trajectory_msgs/JointTrajectory") in heard)
         (robot,) = node.world.robots.values()
@@ -252,10 +264,19 @@ def test_parameters_are_read_set_and_described():
 def test_a_node_that_maps_may_have_the_map_and_its_frame_for_itself():
     async def story(node):
         await node.spawn()
-        fixed = await node.message("/tf_static", "tf2_msgs/TFMessage")
-        parents = {one["header"]["frame_id"] for one in fixed["transforms"]}
-        assert ("map" in parents) == ("/map" in {topic for topic, _ in node.transport.topics})
-        assert ("map" in parents) == node.service._settings.publishes_map
+        # Before the robot came, the frames were none.
+        fixed = await node.message("/tf_static", "tf2_msgs/TFMessage", "transforms")
+        moved = await node.message("/tf", "tf2_msgs/TFMessage", "transforms")
+        both = fixed["transforms"] + moved["transforms"]
+        parents = {one["header"]["frame_id"] for one in both}
+        assert ("R1/odom", "R1/base_link") in [
+            (one["header"]["frame_id"], one["child_frame_id"]) for one in both
+        ]
+        publishes = node.service._settings.publishes_map
+        assert ("map" in parents) == publishes
+        # The worker makes the publishers in the order of the topics, the map's before those of robots.
+        await node.until(lambda: ("/R1/odom", "nav_msgs/Odometry") in node.transport.topics)
+        assert (("/map", "nav_msgs/OccupancyGrid") in node.transport.topics) == publishes
 
     run(story, publishes_map=False)
     run(story)

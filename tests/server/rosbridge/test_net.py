@@ -217,28 +217,33 @@ def test_a_fix_and_an_imu_are_as_they_are_defined():
     assert east > 15.0  # y is to the left, so west
 
 
-def test_odometry_is_where_the_world_has_the_robot(ros, served):
+def test_odometry_is_where_the_wheels_have_the_robot_and_the_frames_where_the_world_has_it(ros, served):
     spawn(ros, x=1.0, y=-2.0)
     (robot,) = served[1].world.robots.values()
     ros.say("publish", topic="/R1/cmd_vel", msg={"linear": {"x": 0.2}, "angular": {"z": 0.4}})
     ros.say("subscribe", topic="/R1/odom")
-    ros.say("subscribe", topic="/tf")
     for _ in range(20):
         odom = ros.hear("publish", topic="/R1/odom")["msg"]
-    (base,) = [
-        one
-        for one in ros.hear("publish", topic="/tf")["msg"]["transforms"]
-        if one["child_frame_id"] == "R1/base_link"
-    ]
-    assert base["header"]["frame_id"] == odom["header"]["frame_id"] == "R1/odom"
+    assert odom["twist"]["twist"]["linear"]["x"] == pytest.approx(0.2, abs=0.03)
+    assert odom["twist"]["twist"]["angular"]["z"] > 0.3
     ros.say("publish", topic="/R1/cmd_vel", msg={})
     for _ in range(25):
         odom = ros.hear("publish", topic="/R1/odom")["msg"]
-    state = served[1].world.state(robot)
+    ros.say("unsubscribe", topic="/R1/odom")
+    measured = ros.topic("/R1/Odometry")["pose"]["position"]
     where, turned = odom["pose"]["pose"]["position"], odom["pose"]["pose"]["orientation"]
-    assert [where[axis] for axis in "xyz"] == pytest.approx(state.pos.tolist(), abs=2e-3)
-    assert [turned[axis] for axis in "wxyz"] == pytest.approx(state.quat.tolist(), abs=2e-3)
+    assert [where[axis] for axis in "xyz"] == pytest.approx([measured[axis] for axis in "xyz"], abs=2e-3)
     assert turned["z"] > 0.05  # it has turned to the left
+    moved = {one["child_frame_id"]: one for one in ros.topic("/tf")["transforms"]}
+    assert moved["R1/odom"]["header"]["frame_id"] == "map"
+    assert moved["R1/base_link"]["header"]["frame_id"] == odom["header"]["frame_id"] == "R1/odom"
+    state = served[1].world.state(robot)
+    pos, mat = np.zeros(3), np.eye(3)
+    for frame in ("R1/odom", "R1/base_link"):
+        shift = moved[frame]["transform"]["translation"]
+        pos, mat = pos + mat @ [shift[axis] for axis in "xyz"], mat @ axes_of(moved[frame]).T
+    np.testing.assert_allclose(pos, state.pos, atol=2e-3)
+    np.testing.assert_allclose(mat, np.asarray(mat_from_quat(state.quat)), atol=2e-3)
 
 
 def test_a_scan_is_the_gamebots_scan_of_the_same_time(ros, served):

@@ -113,7 +113,7 @@ def test_transforms_come_by_the_action_as_roslibs_tf_client_asks(ros):
     assert heard["status"]["goal_id"]["id"] == "goal_1"
     base, foot = heard["feedback"]["transforms"]
     assert (base["child_frame_id"], base["header"]["frame_id"]) == ("R1/base_link", "map")
-    pose = ros.topic("/R1/odom")["pose"]["pose"]["position"]
+    pose = ros.topic("/R1/GroundTruth")["pose"]["position"]
     place, _ = axes(base["transform"])
     assert place == pytest.approx([pose[axis] for axis in "xyz"], abs=0.05)
     on_floor, level = axes(foot["transform"])

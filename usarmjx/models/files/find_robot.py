@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from usarmjx.base.errors import UnknownNameError, UsageError
+from usarmjx.base.registry import unknown_name
 from usarmjx.models.files.resources import mesh_pieces, search_path
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import RobotSpec
@@ -34,8 +35,8 @@ def find_robot(robot: str | RobotSpec) -> RobotSpec:
     path = Path(robot)
     if path.suffix.lower() in ROBOT_SUFFIXES or path.is_file():
         return register_robot_file(path)
-    known = ", ".join(ROBOTS.names())
-    raise UnknownNameError(f"unknown robot {robot!r}; known: {known}; or a file: {', '.join(ROBOT_SUFFIXES)}")
+    refusal = unknown_name("robot", robot, ROBOTS.names())
+    raise UnknownNameError(f"{refusal}; or a file: {', '.join(ROBOT_SUFFIXES)}")
 
 
 def register_robot_file(path: Path, packages: Iterable[str | Path] = ()) -> RobotSpec:

@@ -24,6 +24,7 @@ from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
 from usarmjx.server.rosbridge.motion import MAP, frame_name
 from usarmjx.server.rosbridge.robot_description import urdf
 from usarmjx.server.rosbridge.topics import USUAL_NAMES, floor_map, occupancy_grid
+from usarmjx.server.rosbridge.wheel_odometry import true_estimate
 from usarmjx.view.drawing import Drawing, DrawnMount, DrawnRobot, Frame, RobotFrame
 
 ROS2 = RosVersion.ROS2
@@ -115,9 +116,9 @@ def _of_frame(frame: Frame, drawing: Drawing) -> Iterator[BagMessage]:
         drawn = drawing.robots[slot]
         name, time = frame_name(drawn.name), frame.time
         state: Any = robot  # poses and velocities have the same names as a RobotState's
-        transforms.append(motion.base_transform(ROS2, time, name, state))
+        transforms.append(motion.base_transform(ROS2, time, name, true_estimate(state)))
         transforms += _mounts(frame, drawn, name)
-        odom = motion.odometry(ROS2, time, name, state)
+        odom = motion.odometry(ROS2, time, name, true_estimate(state))
         yield BagMessage(f"/{name}/odom", "nav_msgs/Odometry", odom, DEFAULT)
         joints = _joints(time, drawn, robot)
         yield BagMessage(f"/{name}/joint_states", "sensor_msgs/JointState", joints, DEFAULT)

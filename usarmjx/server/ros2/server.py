@@ -263,7 +263,7 @@ class Ros2Server:
         if topic.type == "sensor_msgs/LaserScan" and self._infinite:
             ranges = np.asarray(message["ranges"])
             return {**message, "ranges": np.where(ranges >= message["range_max"], np.inf, ranges)}
-        if topic.name == "/tf_static" and not self._settings.publishes_map:
+        if topic.name in ("/tf_static", "/tf") and not self._settings.publishes_map:
             kept = [one for one in message["transforms"] if one["header"]["frame_id"] != MAP]
             return {"transforms": kept}
         return message

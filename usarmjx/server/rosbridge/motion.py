@@ -22,6 +22,7 @@ from usarmjx.models.drives.ground import OmniDrive, SkidSteer
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors.ranging import ScannerSettings
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion, json_object
+from usarmjx.server.rosbridge.wheel_odometry import OdometryEstimate
 from usarmjx.server.worlds.robot import Robot
 
 STANDS = 1e-6
@@ -211,15 +212,13 @@ def pose_of_angles(values: Sequence[float]) -> RosMessage:
     return pose(values[:3], quat_from_angles(roll, pitch, yaw))
 
 
-def odometry(version: RosVersion, time: float, name: str, state: RobotState) -> RosMessage:
-    """Return an Odometry: the true pose in the map, and the velocities in the robot's own axes."""
-    with numpy_backend():
-        mat = np.asarray(mat_from_quat(np.asarray(state.quat)))
-    twist = {"linear": vector(mat.T @ np.asarray(state.linear)), "angular": vector(state.angular)}
+def odometry(version: RosVersion, time: float, name: str, estimate: OdometryEstimate) -> RosMessage:
+    """Return an Odometry: the pose in the odometry's frame, and the velocities in the robot's own axes."""
+    twist = {"linear": vector(estimate.linear), "angular": vector(estimate.angular)}
     return {
         "header": version.header(time, f"{name}/odom"),
         "child_frame_id": f"{name}/base_link",
-        "pose": {"pose": pose(state.pos, state.quat), "covariance": [0.0] * 36},
+        "pose": {"pose": pose(estimate.pos, estimate.quat), "covariance": [0.0] * 36},
         "twist": {"twist": twist, "covariance": [0.0] * 36},
     }
 
@@ -235,9 +234,9 @@ def joint_states(version: RosVersion, time: float, robot: Robot, state: RobotSta
     }
 
 
-def base_transform(version: RosVersion, time: float, name: str, state: RobotState) -> RosMessage:
-    """Return the transform of a robot from its odom frame, which is the map's."""
-    return transform(version, time, f"{name}/odom", f"{name}/base_link", (state.pos, state.quat))
+def base_transform(version: RosVersion, time: float, name: str, estimate: OdometryEstimate) -> RosMessage:
+    """Return the transform of a robot from its odom frame."""
+    return transform(version, time, f"{name}/odom", f"{name}/base_link", (estimate.pos, estimate.quat))
 
 
 def footprint_transform(
@@ -259,9 +258,11 @@ def footprint_transform(
     return transform(version, time, f"{name}/base_link", f"{name}/base_footprint", (below, turn))
 
 
-def odom_transform(version: RosVersion, time: float, name: str) -> RosMessage:
-    """Return the transform of a robot's odom frame from the map: identity, as its odometry is the truth."""
-    return transform(version, time, MAP, f"{name}/odom", (np.zeros(3), np.eye(4)[0]))
+def odom_transform(
+    version: RosVersion, time: float, name: str, where: tuple[Array, Array] = (np.zeros(3), np.eye(4)[0])
+) -> RosMessage:
+    """Return the transform of a robot's odom frame from the map; identity where its odometry is the truth."""
+    return transform(version, time, MAP, f"{name}/odom", where)
 
 
 def sensor_transforms(

@@ -1,7 +1,7 @@
 """The topics of a served world: their messages, and the revision of the data in each."""
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from usarmjx.server.rosbridge.lens import camera_info, has_info
 from usarmjx.server.rosbridge.motion import MAP, can_follow, pose
 from usarmjx.server.rosbridge.readings import ReadingMaker, battery_state, sensor_topics
 from usarmjx.server.rosbridge.robot_description import urdf
+from usarmjx.server.rosbridge.wheel_odometry import drift_of, estimate_of, odometry_sensor
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 
@@ -115,7 +116,7 @@ class WorldTopics:
         self._world, self._size = world, size
         self._drawn: tuple[ArenaSpec, Grid, np.ndarray] | None = None
         self._maps = 0
-        self._known: list[tuple[Robot, int]] = []
+        self._known: Sequence[tuple[Robot, Hashable]] = ()
         self._changes = 0
         self._by_name: dict[str, RosTopic] = {}
         self._names: dict[int, str] = {}
@@ -123,8 +124,12 @@ class WorldTopics:
 
     def all(self) -> dict[str, RosTopic]:
         """Return all present topics."""
-        known = [(robot, id(robot.suite)) for robot in self._world.present.values()]
-        # By the suite's identity, too: `editactor` gives a robot another description with other sensors.
+        world = self._world
+        # By the suite's identity, too: `editactor` gives a robot another description with other sensors. By
+        # whether a client has it: then its odometry comes from its wheels.
+        known = [
+            (robot, (id(robot.suite), odometry_sensor(world, robot))) for robot in world.present.values()
+        ]
         if not self._by_name or known != self._known:
             self._known, self._changes = known, self._changes + 1
             self._names = self._named(robot for robot, _ in known)
@@ -192,7 +197,7 @@ class WorldTopics:
             f"/{name}/odom",
             "nav_msgs/Odometry",
             self._tick,
-            lambda version: motion.odometry(version, world.time, name, world.state(robot)),
+            lambda version: motion.odometry(version, world.time, name, estimate_of(world, robot)),
         )
         yield RosTopic(
             f"/{name}/joint_states",
@@ -271,22 +276,26 @@ class WorldTopics:
         return int(self._world.time / STATE_PERIOD + 1e-6)
 
     def _moving_frames(self, version: RosVersion) -> RosMessage:
-        """Return the transforms of all robots, and of their sensors on moving parts."""
+        """Return the transforms of all robots, of odom frames that drift, and of sensors on moving parts."""
         world, transforms = self._world, list[RosMessage]()
         for robot in world.present.values():
             name = self._names[robot.slot]
-            state = world.state(robot)
-            transforms.append(motion.base_transform(version, world.time, name, state))
+            state, estimate = world.state(robot), estimate_of(world, robot)
+            if odometry_sensor(world, robot) is not None:
+                where = drift_of(world, robot)
+                transforms.append(motion.odom_transform(version, world.time, name, where))
+            transforms.append(motion.base_transform(version, world.time, name, estimate))
             floor = world.arena.floor
             transforms.append(motion.footprint_transform(version, world.time, name, robot.spec, state, floor))
             transforms += self._frames(version, robot, moving=True)
         return {"transforms": transforms}
 
     def _fixed_frames(self, version: RosVersion) -> RosMessage:
-        """Return the transforms of the robots' odom frames, and of their sensors on the chassis."""
+        """Return the transforms of odom frames that are the map's, and of sensors on the chassis."""
         world, transforms = self._world, list[RosMessage]()
         for robot in world.present.values():
-            transforms.append(motion.odom_transform(version, world.time, self._names[robot.slot]))
+            if odometry_sensor(world, robot) is None:
+                transforms.append(motion.odom_transform(version, world.time, self._names[robot.slot]))
             transforms += self._frames(version, robot, moving=False)
         return {"transforms": transforms}
 

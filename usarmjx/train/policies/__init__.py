@@ -5,9 +5,10 @@ name. Keys of the files are for good: robots elsewhere read them. A policy fits 
 was trained on, so a task whose observation changes needs a new policy. Begin with `policy_file.NumpyPolicy`.
 """
 
+from collections.abc import Iterable
 from pathlib import Path
 
-from usarmjx.base.registry import Registry
+from usarmjx.base.registry import Registry, closest
 
 FOLDER = Path(__file__).parent
 VERSIONS = {"explore": "explore-v1", "victim-search": "victim-search-v1"}
@@ -25,3 +26,13 @@ def policies_in(folder: Path) -> Registry[Path]:
 
 POLICIES = policies_in(FOLDER)
 """The packaged policies by the names of their tasks."""
+
+
+def no_policy(name: str, packaged: Registry[Path], others: Iterable[str] = ()) -> str:
+    """Return the refusal of a policy that is nowhere; the closest name may be one of some others, too."""
+    names = packaged.names()
+    hint = closest(name, [*others, *names])
+    return (
+        f"{name} is no folder of a run, no exported policy, nor a packaged one{hint}: "
+        f"{', '.join(names) or 'none'}"
+    )

@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 
 from usarmjx.base.errors import UnknownNameError, UsageError
-from usarmjx.base.registry import closest
 from usarmjx.base.settings import parse_assignments
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import AgentGroup, Env
@@ -18,7 +17,7 @@ from usarmjx.train.envs.recipe import TEST, GeneratedArenas
 from usarmjx.train.envs.task import ActionArrays, Carry, ObservationArrays, Policy, Task
 from usarmjx.train.learning.networks import LearnedPolicy, PolicyParams
 from usarmjx.train.make import check_named, find_baseline, make, make_task, same_class, task_values
-from usarmjx.train.policies import POLICIES
+from usarmjx.train.policies import POLICIES, no_policy
 from usarmjx.train.policies.own_policy import check_own_policy, is_own_policy, own_policy
 from usarmjx.train.policies.policy_file import NumpyPolicy
 from usarmjx.train.policies.policy_folder import weights_in
@@ -349,10 +348,7 @@ def load_policy(what: str, checkpoint: str = "best") -> PolicySource:
         return load_exported(path)
     if what in POLICIES:
         return load_exported(POLICIES.get(what))
-    raise UnknownNameError(
-        f"{what} is no folder of a run, no exported policy, nor a packaged one"
-        f"{closest(what, POLICIES.names())}: {', '.join(POLICIES.names()) or 'none'}"
-    )
+    raise UnknownNameError(no_policy(what, POLICIES))
 
 
 def load_exported(file: Path) -> PolicySource:

@@ -1,0 +1,170 @@
+"""Names on a command line, checked before anything that takes seconds to import.
+
+`known_names.json` has the names of the registries: `python -m usarmjx.cli.known_names` writes it anew, and a
+test compares it with them. A name that it lacks but that some source has between quotes may be new: the
+command looks it up in the registry then.
+"""
+
+import json
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from usarmjx.base.errors import UnknownNameError
+from usarmjx.base.files import atomic_write
+from usarmjx.base.registry import unknown_name
+from usarmjx.train.policies import POLICIES, no_policy
+
+if TYPE_CHECKING:
+    from usarmjx.base.settings import FileValue
+
+PACKAGE = Path(__file__).parents[1]
+FILE = Path(__file__).with_suffix(".json")
+REGISTRIES: Mapping[str, tuple[str, str]] = {
+    "arena": ("usarmjx.models.arenas", "ARENAS"),
+    "baseline": ("usarmjx.train.baselines", "BASELINES"),
+    "engine": ("usarmjx.engines.base", "ENGINES"),
+    "kind of arena": ("usarmjx.models.generate.kinds", "KINDS"),
+    "lane": ("usarmjx.models.arenas.lanes", "LANES"),
+    "robot": ("usarmjx.models.robots", "ROBOTS"),
+    "task": ("usarmjx.train.tasks", "TASKS"),
+}
+"""Module and attribute of the registry of each kind of names."""
+FROM_FILES = {"arena": "arena files", "robot": "robot files"}
+"""Kinds whose values files may have, and the entry of the table with the files' suffixes."""
+IN_FILES = {"arena": "arena", "engine": "engine", "task": "task"}
+"""Keys of a sweep's file whose values are names, and their kinds."""
+AUTO = "auto"
+"""Name of no engine: the best one for a purpose."""
+AGENTS = ("zero", "random")
+"""Policies without training, see `usarmjx.train.policies.untrained`."""
+TEAM_WORDS = ("random", "one", "baseline", "perfect-radio", "packaged")
+"""Teams of `usarmjx teams` that are no policies."""
+
+
+@cache
+def table() -> dict[str, list[str]]:
+    """Return names by kind, those of aliases by kind and `aliases`, and suffixes of files."""
+    return json.loads(FILE.read_text(encoding="utf-8"))
+
+
+def registered() -> dict[str, list[str]]:
+    """Return the table of this package as it is; imports all registries."""
+    from usarmjx.models.files.find_robot import ROBOT_SUFFIXES
+    from usarmjx.models.files.load import SUFFIXES
+
+    found: dict[str, list[str]] = {}
+    for kind, (module, attribute) in REGISTRIES.items():
+        registry = getattr(import_module(module), attribute)
+        found[kind] = registry.names()
+        found[f"{kind} aliases"] = registry.aliases()
+    return {**found, "arena files": [*SUFFIXES], "robot files": [*ROBOT_SUFFIXES]}
+
+
+def check_name(kind: str, name: str) -> None:
+    """Refuse a name that no registry has; one that may be new, or that of a file, passes.
+
+    Args:
+        kind: A key of `REGISTRIES`.
+        name: The name, case ignored.
+
+    Raises:
+        UnknownNameError: No such name; gives the closest one and all.
+    """
+    names = [*([AUTO] if kind == "engine" else ()), *table()[kind]]
+    aliases = table()[f"{kind} aliases"]
+    if name.lower() in {one.lower() for one in (*names, *aliases)} or _may_be_new(kind, name):
+        return
+    refusal = unknown_name(kind, name, names, aliases)
+    files = table()[FROM_FILES[kind]] if kind in FROM_FILES else []
+    raise UnknownNameError(f"{refusal}; or a file: {', '.join(files)}" if files else refusal)
+
+
+def _may_be_new(kind: str, name: str) -> bool:
+    """Return whether something else than the table may have a name."""
+    module, _ = REGISTRIES[kind]
+    if module in sys.modules:  # a program may have added names
+        return True
+    if kind in FROM_FILES and (Path(name).suffix or Path(name).is_file()):
+        return True
+    if kind == "arena" and name.lower() in {one.lower() for one in table()["lane aliases"]}:
+        return True
+    if kind in ("task", "baseline") and (":" in name or name.endswith(".py")):
+        return True
+    folder = PACKAGE.joinpath(*module.split(".")[1:])
+    sources = sorted(folder.rglob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]
+    quoted = f'"{name.lower()}"'
+    return any(quoted in file.read_text(encoding="utf-8").lower() for file in sources)
+
+
+def check_roster(roster: str, others: Iterable[object] | None = None) -> None:
+    """Refuse a roster, as P2AT:4,P2DX:2, with a class of robots that there is not.
+
+    Args:
+        roster: The roster.
+        others: Files that bring classes of their own; with one, any class may be theirs.
+
+    Raises:
+        UnknownNameError: No such class; gives the closest one and all.
+    """
+    if not [*(others or ())]:
+        for part in filter(None, (part.strip() for part in roster.split(","))):
+            check_name("robot", part.partition(":")[0])
+
+
+def check_policy(policy: str, words: Sequence[str] = ()) -> None:
+    """Refuse a policy that is no run, no file, no function and not packaged.
+
+    Args:
+        policy: As `usarmjx eval` takes it.
+        words: Further names that the command takes.
+
+    Raises:
+        UnknownNameError: There is nothing of that name; gives the closest one and all.
+    """
+    if Path(policy).exists() or ".py:" in policy or policy in POLICIES or policy in words:
+        return
+    if "=" not in policy:
+        teams = f"{policy} is none of the teams {', '.join(words)}; " if words else ""
+        raise UnknownNameError(teams + no_policy(policy, POLICIES, words))
+    for part in policy.split(","):
+        if source := part.partition("=")[2].strip():
+            check_policy(source)
+
+
+def check_file(found: "FileValue") -> None:
+    """Refuse the file of a sweep that names a task, an arena, an engine or a robot that there is not.
+
+    Raises:
+        UsageError: Names file, line, the closest name and all.
+    """
+    if isinstance(found.data, list):
+        for item in found.items():
+            check_file(item)
+    if not isinstance(found.data, dict):
+        return
+    for key, value in found.mapping().items():
+        check_file(value)
+        named = value.items() if isinstance(value.data, list) else [value]
+        names = [(one, one.data) for one in named] if key in IN_FILES else []
+        classes = value.mapping() if key == "roster" and isinstance(value.data, dict) else {}
+        for place, name in [*names, *((one, robot) for robot, one in classes.items())]:
+            if isinstance(name, str):
+                try:
+                    check_name(IN_FILES.get(key, "robot"), name)
+                except UnknownNameError as error:
+                    raise place.error(str(error)) from error
+
+
+def main() -> None:
+    """Write the table anew."""
+    with atomic_write(FILE) as fresh:
+        fresh.write_text(json.dumps(registered(), indent=1) + "\n", encoding="utf-8")
+    print(f"wrote {FILE}")
+
+
+if __name__ == "__main__":
+    main()
