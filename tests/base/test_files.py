@@ -51,6 +51,25 @@ def test_a_write_that_is_broken_off_leaves_nothing(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_writers_with_one_process_id_do_not_tear_a_file(tmp_path, monkeypatch):
+    """As in containers that share a folder: their partial files have other names, and the last one counts."""
+    monkeypatch.setattr(os, "getpid", lambda: 7)
+    path = tmp_path / "cell.json"
+    with atomic_write(path) as first, atomic_write(path) as second:
+        assert first != second
+        first.write_text("first" * 1000)
+        second.write_text("second")
+    assert path.read_text() == "first" * 1000, "the outer one ends last"
+    assert [file.name for file in tmp_path.iterdir()] == ["cell.json"]
+
+
+def test_a_partial_file_of_another_writer_is_not_written_to(tmp_path, monkeypatch):
+    names = iter(["taken", "taken", "free"])
+    monkeypatch.setattr("usarmjx.base.files.secrets.token_hex", lambda size: next(names))
+    with atomic_write(tmp_path / "cell.json") as first, atomic_write(tmp_path / "cell.json") as second:
+        assert ("taken" in first.name, "free" in second.name) == (True, True)
+
+
 def test_the_new_file_has_its_ending_while_it_is_written(tmp_path):
     """By which some libraries choose its format; whoever looks for such files does not see it."""
     with atomic_write(tmp_path / "plan.png") as fresh:

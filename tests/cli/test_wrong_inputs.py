@@ -98,3 +98,31 @@ def test_a_wrong_input_is_answered_in_one_line_with_its_cure(words, tmp_path, mo
 @pytest.mark.parametrize("words", USAGE)
 def test_a_wrong_word_is_named(words, tmp_path, monkeypatch):
     assert USAGE[words] in "".join(refused(words, tmp_path, monkeypatch))
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("two\nlines.yaml", r"usarmjx: two\nlines.yaml:1: is no YAML"),
+        ("\x1b[31mred.yaml", r"usarmjx: \x1b[31mred.yaml:1: is no YAML"),
+        ("r\u00e4ume 1.yaml", "usarmjx: r\u00e4ume 1.yaml:1: is no YAML"),
+    ],
+)
+def test_a_name_of_a_file_cannot_break_the_line(name, shown, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).write_text("x: [1")
+    result = CliRunner().invoke(app, ["arena", "check", name])
+    (line,) = [line for line in result.stderr.splitlines() if not line.endswith(" ...")]
+    assert result.exit_code == 2
+    assert line.startswith(shown)
+    assert result.stderr.isprintable() or result.stderr.replace("\n", "").isprintable()
+
+
+@pytest.mark.parametrize("command", ["arena check", "serve --arena", "sweep run", "view", "robot check"])
+def test_a_name_that_no_file_can_have_is_one_line(command, tmp_path, monkeypatch):
+    """Python's own look-up of it ends in an error of the system."""
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, [*command.split(), "n" * 5000 + ".yaml"])
+    (line,) = [line for line in result.stderr.splitlines() if not line.endswith(" ...")]
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert line.startswith("usarmjx: n")

@@ -28,6 +28,11 @@ def quoted(error: Exception) -> str:
     return " ".join(str(error)[:MAX_QUOTATION].split()) or type(error).__name__
 
 
+def one_line(text: str) -> str:
+    r"""Return a message with characters of control escaped, as \n: names of files may have any."""
+    return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
+
+
 class UsageError(UsarmjxError):
     """Wrong call or description; the message names the fault and the allowed values."""
 

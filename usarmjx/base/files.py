@@ -24,8 +24,10 @@ DISK_ERRORS = (
     errno.EACCES,
     errno.EPERM,
     errno.ESTALE,
+    errno.ENAMETOOLONG,
+    errno.ELOOP,
 )
-"""Error numbers of a disk: no space, file too large, no permission, read-only, I/O error."""
+"""Error numbers of a disk: no space, file too large, no permission, read-only, I/O error, a name that it refuses."""
 
 
 def disk_error(error: BaseException | None) -> str | None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from usarmjx.base.errors import UsageError, UsarmjxError
+from usarmjx.base.errors import MAX_QUOTATION, UsageError, UsarmjxError, one_line
 from usarmjx.base.files import disk_error
 from usarmjx.base.settings import RenamedSettingWarning
 from usarmjx.cli.completion import complete_arenas, complete_engines, complete_robots
@@ -45,11 +45,12 @@ class ErrorExit:
         self._warnings.__exit__(None, None, None)
         text = str(error) if isinstance(error, UsarmjxError) else None
         if isinstance(error, OSError) and (reason := disk_error(error)):
-            text = f"{error.filename or 'the output'}: {reason}"
+            name = str(error.filename or "the output")
+            text = f"{name if len(name) <= MAX_QUOTATION else f'{name[:MAX_QUOTATION]}...'}: {reason}"
         if text is None:
             return False
         with suppress(OSError):  # the error stream may go to the same disk
-            typer.echo(f"usarmjx: {text}", err=True)
+            typer.echo(f"usarmjx: {one_line(text)}", err=True)
         raise typer.Exit(BAD_INPUT if isinstance(error, UsageError | OSError) else FAILED)
 
 

@@ -17,6 +17,7 @@ from usarmjx.base.compilation import (
     enable_compilation_cache,
     warn_once_of_broken_entries,
 )
+from usarmjx.base.errors import one_line
 from usarmjx.base.process import fit_pool_to_cores
 
 FIRST, INTERVAL = 3.0, 10.0
@@ -115,7 +116,7 @@ def announce(
     if "jax" in sys.modules:
         return
     tell = say if aloud else _say_nothing
-    tell(text)
+    tell(one_line(text))
     if NEEDS_POOL.isdisjoint(name.strip().lower() for name in engines):
         fit_pool_to_cores()
     if quickly:
