@@ -21,6 +21,7 @@ from benchmarks.hostile.acts import ROS_DOMAIN
 from benchmarks.hostile.attacks import ATTACKS, DATAGRAMS, PORTS
 from benchmarks.hostile.frames import init_line
 from benchmarks.hostile.stage import HOST, PortAttack, play
+from benchmarks.hostile.table import read_records, worst_table
 from benchmarks.tools import append_record, record_header
 
 LIMIT = 0.25
@@ -244,7 +245,11 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.add_argument("--ros2", action="store_true", help="serve ROS 2 by DDS, and send datagrams to it")
     parser.add_argument("--log", type=Path, help="keep the server's log in this file")
     parser.add_argument("--note", default="", help="a note for readers of the records")
+    parser.add_argument("--table", type=Path, help="attack nobody; print the table of the records in this file")
     options = parser.parse_args(args)
+    if options.table is not None:
+        print(worst_table(read_records(options.table)))
+        return 0
     chosen = [*ATTACKS, *([DATAGRAMS] if options.ros2 else [])]
     if options.attack:
         chosen = [

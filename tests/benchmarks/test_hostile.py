@@ -2,6 +2,7 @@
 
 import json
 import zlib
+from pathlib import Path
 
 import pytest
 from websockets.frames import Frame, Opcode
@@ -11,7 +12,9 @@ from benchmarks.hostile import frames
 from benchmarks.hostile.attacks import ATTACKS, DATAGRAMS, PORTS
 from benchmarks.hostile.meter import GapMeter
 from benchmarks.hostile.stage import Stage
+from benchmarks.hostile.table import PORT_NAMES, read_records, worst_table
 
+ROOT = Path(__file__).parents[2]
 STA = "STA {{Type GroundVehicle}} {{Time {:.2f}}} {{Battery 3600}}\r\n"
 
 
@@ -108,3 +111,17 @@ def test_every_port_has_attacks_of_its_own_and_names_differ():
         assert one.act or one.sends or one.hello
         for build in filter(None, (one.hello, one.sends)):
             assert isinstance(build(stage, 3), bytes)
+
+
+def test_the_page_on_security_has_the_table_of_the_published_run():
+    records = read_records(ROOT / "benchmarks" / "results" / "attacks" / "hostile.jsonl")
+    assert [record["attack"] for record in records] == [attack.name for attack in ATTACKS], "a whole run"
+    assert len({record["commit"] for record in records}) == 1
+    table = worst_table(records)
+    page = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
+    assert table in page
+    for figure, words in (("gap", "worst wait is"), ("processor", "most processor time")):
+        worst = max(records, key=lambda record, figure=figure: record[figure])
+        assert f"{words} {worst[figure]:.2f} s, by `{worst['attack']}`" in page
+    assert sum(int(row.split("|")[2]) for row in table.splitlines()[2:]) == len(ATTACKS)
+    assert {attack.port for attack in (*ATTACKS, DATAGRAMS)} == PORT_NAMES.keys()
