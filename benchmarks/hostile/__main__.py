@@ -245,7 +245,7 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.add_argument("--ros2", action="store_true", help="serve ROS 2 by DDS, and send datagrams to it")
     parser.add_argument("--log", type=Path, help="keep the server's log in this file")
     parser.add_argument("--note", default="", help="a note for readers of the records")
-    parser.add_argument("--table", type=Path, help="attack nobody; print the table of the records in this file")
+    parser.add_argument("--table", type=Path, help="print the table of this file of records")
     options = parser.parse_args(args)
     if options.table is not None:
         print(worst_table(read_records(options.table)))
