@@ -27,7 +27,7 @@ DISK_ERRORS = (
     errno.ENAMETOOLONG,
     errno.ELOOP,
 )
-"""Error numbers of a disk: no space, file too large, no permission, read-only, I/O error, name that it refuses."""
+"""Error numbers of a disk: no space, file too large, no permission, read-only, I/O error, refused name."""
 
 
 def disk_error(error: BaseException | None) -> str | None:
