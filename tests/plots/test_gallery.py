@@ -27,7 +27,8 @@ from usarmjx.models.types.arena import (
 )
 from usarmjx.models.types.shapes import HeightField, Shape
 from usarmjx.plots import floor_plan, gallery, picture, render
-from usarmjx.plots.render import MIRROR_REFLECTANCE, camera_rays
+from usarmjx.plots.render import camera_rays
+from usarmjx.sensors.cameras.paint import MIRROR_REFLECTANCE
 
 RED, GREEN, BLUE = (0.8, 0.0, 0.0, 1.0), (0.0, 0.8, 0.0, 1.0), (0.0, 0.0, 0.8, 1.0)
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from usarmjx.base.installation import install_command
 from usarmjx.base.markdown import markdown_table
+from usarmjx.base.type_guards import is_tuple
 from usarmjx.engines import ENGINES, choose_engine
 from usarmjx.models.arenas import ARENAS
 from usarmjx.models.robots import ROBOTS
@@ -233,15 +234,16 @@ def describe(sensor: type[Sensor]) -> tuple[str, str]:
 
 def ini_value(value: object) -> str:
     """Return a value as an ini file has it; angles and lengths are radians and metres."""
-    if isinstance(value, tuple):
+    if is_tuple(value):
         return "(" + ",".join(f"{key}={number:g}" for key, number in value) + ")"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def own_options(settings: type) -> str:
     """Return the options of a type with their defaults, without those that it has as others do."""
-    usual = defaults_of(NoisySensorSettings if issubclass(settings, NoisySensorSettings) else SensorSettings)
-    own = {key: value for key, value in defaults_of(settings).items() if usual.get(key, ...) != value}
+    is_noisy = issubclass(settings, NoisySensorSettings)
+    usual, own = defaults_of(NoisySensorSettings if is_noisy else SensorSettings), defaults_of(settings)
+    own = {key: value for key, value in own.items() if usual.get(key, ...) != value}
     return ini_text(own) or "-"
 
 

@@ -4,7 +4,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -128,8 +128,8 @@ def least_clearance(arena: ArenaSpec, truth: np.ndarray) -> float:
     """Return the least clearance of a P2AT along a path of poses (n, 3) [m]."""
     half, boxes = (P2AT.dimensions[0] / 2, P2AT.dimensions[1] / 2), obstacles(arena)
     smooth = np.column_stack([truth[:, :2], np.unwrap(truth[:, 2])])
-    at = np.linspace(0, len(truth) - 1, POSES_PER_REPORT * (len(truth) - 1) + 1)
-    poses = np.column_stack([np.interp(at, np.arange(len(truth)), column) for column in smooth.T])
+    at = np.asarray(np.linspace(0, len(truth) - 1, POSES_PER_REPORT * (len(truth) - 1) + 1), float)
+    poses = np.stack([np.interp(at, np.arange(len(truth)), smooth[:, axis]) for axis in range(3)], -1)
     return min(clearance(pose, half, boxes) for pose in poses)
 
 
@@ -159,7 +159,7 @@ def report_of(arena: ArenaSpec, log: Mapping[str, Any]) -> RunReport:
 
 
 @contextmanager
-def running_server(errors: Path, console: Console) -> Iterator[int]:
+def running_server(errors: Path, console: Console) -> Generator[int]:
     """Run a server of a batch as a subprocess for as long as the context lasts; yields its port.
 
     Args:

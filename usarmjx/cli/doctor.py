@@ -384,7 +384,7 @@ def try_speed() -> Iterator[Finding]:
     engine, (group,) = engine_of(scene, "c", SPEED_WORLDS), scene.groups
     model, qpos = engine.model, engine.model.qpos0.copy()
     for slot, address in zip(group.slots, group.root_qposadr, strict=True):
-        start = scene.arena.starts[slot]
+        start = scene.arena.starts[int(slot)]
         qpos[address[:3]] = (*start.at[:2], start_height(scene.arena, start, group.robot))
     everywhere = np.tile(qpos, (SPEED_WORLDS, 1))
     inputs = Inputs(

@@ -1,6 +1,6 @@
 """Commands that are imported when they are used: help of all of them needs their summaries only."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, ClassVar
@@ -79,7 +79,12 @@ def _hide_arguments(command: Any) -> None:  # noqa: ANN401 - click's, or typer's
         _hide_arguments(inner)
     for param in command.params:
         if getattr(param, "hidden", False):
-            param.get_usage_pieces = lambda ctx: []
+            param.get_usage_pieces = _no_usage
+
+
+def _no_usage(context: Any) -> list[str]:  # noqa: ANN401 - click's, or typer's own copy
+    del context
+    return []
 
 
 class LazyGroup(TyperGroup):
@@ -96,12 +101,13 @@ class LazyGroup(TyperGroup):
     examples: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self, **settings: Any) -> None:  # noqa: ANN401 - typer's
-        super().__init__(**{**settings, "commands": {}})
+        given: dict[str, Any] = {**settings, "commands": {}}
+        super().__init__(**given)
         self.commands: Any = LazyCommands(self.table)
         self._summaries_only = False
 
     @contextmanager
-    def _summaries(self) -> Iterator[None]:
+    def _summaries(self) -> Generator[None]:
         self._summaries_only = True
         try:
             yield

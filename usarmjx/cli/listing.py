@@ -10,6 +10,7 @@ import typer
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.markdown import markdown_table
+from usarmjx.base.type_guards import is_list
 from usarmjx.cli.common import (
     ErrorExit,
     IniOption,
@@ -101,7 +102,7 @@ def _default(parameter: Any) -> str:  # noqa: ANN401 - click's, or typer's own c
         return ""
     if value is True:
         return f"`{parameter.opts[0]}`"
-    return f"`{', '.join(map(str, value)) if isinstance(value, list) else value}`"
+    return f"`{', '.join(map(str, value)) if is_list(value) else value}`"
 
 
 def _first_paragraph(text: str) -> str:

@@ -3,7 +3,7 @@
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -35,7 +35,7 @@ WorldOption = Annotated[int, typer.Option(min=0, help="Which world of the record
 @contextlib.contextmanager
 def recorded(
     worlds: "Sequence[ServedWorld]", path: Path | None, radio: "RadioSettings | None" = None
-) -> "Iterator[RecordingFile | None]":
+) -> "Generator[RecordingFile | None]":
     """Record served worlds while a context lasts; None: do not.
 
     Args:
@@ -67,7 +67,7 @@ def recorded(
 @contextlib.contextmanager
 def recorded_episode(
     env: "Env", path: Path | None, seed: int
-) -> "Iterator[Callable[[EnvState], None] | None]":
+) -> "Generator[Callable[[EnvState], None] | None]":
     """Give what records the first world of an environment, state by state; None: nothing does.
 
     Args:

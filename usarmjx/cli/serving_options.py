@@ -3,7 +3,7 @@
 import contextlib
 import ipaddress
 import socket
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -422,7 +422,7 @@ def make_servers(
 
 
 @contextlib.contextmanager
-def metrics_socket(host: str, port: int | None, offset: int) -> Iterator[socket.socket | None]:
+def metrics_socket(host: str, port: int | None, offset: int) -> Generator[socket.socket | None]:
     """Take the port of the figures, moved by the offset unless it is 0; None: there are none.
 
     Raises:
@@ -589,7 +589,7 @@ class Host:
     layers: Sequence[str] = ()
 
     @contextlib.contextmanager
-    def ports(self) -> "Iterator[OpenPorts]":
+    def ports(self) -> "Generator[OpenPorts]":
         """Take all ports while the context lasts.
 
         Raises:

@@ -140,7 +140,7 @@ def _say_nothing(text: str) -> None:
 
 def is_compiling(thread: int) -> bool:
     """Return whether a thread is in JAX's compiler, by its stack."""
-    frame = sys._current_frames().get(thread)
+    frame = sys._current_frames().get(thread)  # pyright: ignore[reportPrivateUsage]
     while frame is not None:
         if frame.f_code.co_filename.replace(os.sep, "/").endswith("jax/_src/compiler.py"):
             return True

@@ -2,7 +2,7 @@
 
 import contextlib
 import socket
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
@@ -44,7 +44,7 @@ ViewerPortOption = Annotated[
 
 
 @contextlib.contextmanager
-def viewer_socket(host: str, port: int | None, offset: int, wanted: bool) -> Iterator[socket.socket | None]:
+def viewer_socket(host: str, port: int | None, offset: int, wanted: bool) -> Generator[socket.socket | None]:
     """Take the port of the live page, moved by the offset unless it is 0.
 
     Args:

@@ -22,7 +22,7 @@ def ranked_worlds(reward: np.ndarray, bad: np.ndarray) -> dict[str, int]:
         bad: Steps in which a world went bad (steps, worlds); such a world counts only if all are bad.
     """
     sound = np.flatnonzero(~bad.any(0))
-    worlds = sound if len(sound) else np.arange(bad.shape[1])
+    worlds = np.asarray(sound if len(sound) else np.arange(bad.shape[1]), int)
     order = worlds[np.argsort(reward[:, worlds].sum(0), kind="stable")]
     return dict(zip(RANKS, map(int, (order[-1], order[len(order) // 2], order[0])), strict=True))
 

@@ -1,7 +1,11 @@
 """Floor plans of arenas: everything that an arena's description holds, seen from above."""
 
+# Matplotlib leaves the types of keywords open.
+# pyright: reportUnknownMemberType=false
+
 import math
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +117,7 @@ def _placed(shape: Shape, at: np.ndarray, mat: np.ndarray) -> Shape:
     """Return a solid of a loose object in the arena's axes."""
     rotation = angles_from_mat(mat @ mat_from_angles(*np.array(shape.rotation)))
     pos = at + mat @ np.array(shape.at)
-    return Shape(**{**vars(shape), "at": tuple(pos), "rotation": tuple(rotation)})
+    return replace(shape, at=tuple(pos), rotation=tuple(rotation))
 
 
 def _draw_bones(axes: Axes, arena: ArenaSpec) -> None:
@@ -122,7 +126,7 @@ def _draw_bones(axes: Axes, arena: ArenaSpec) -> None:
         return
     table = victim_table(arena.victims, arena.false_alarms)
     pos, quat = segment_poses(table, np.zeros((), np.float32))
-    bones = []
+    bones: list[tuple[float, np.ndarray, str]] = []
     for i in range(table.num_boxes):
         mat = np.zeros(9)
         mujoco.mju_quat2Mat(mat, quat[i].astype(float))
@@ -143,7 +147,7 @@ def _draw_marks(axes: Axes, arena: ArenaSpec, words: bool) -> None:
     """Draw lamps and tags, the latter with their numbers."""
     for light in arena.lights:
         axes.plot(*light.at[:2], "*", color=LAMP, mec="#7a6000", mew=0.6, ms=12 if words else 7, zorder=5)
-    style = {"textcoords": "offset points", "fontsize": 7, "color": TAG, "zorder": 6}
+    style: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7, "color": TAG, "zorder": 6}
     for tag, number in zip(arena.tags, tag_ids(arena.tags), strict=True):
         axes.plot(*tag.at[:2], "D", color=TAG, mec="white", mew=0.5, ms=5 if words else 3.5, zorder=5)
         if words:
@@ -157,7 +161,7 @@ def _draw_starts(axes: Axes, arena: ArenaSpec, words: bool) -> None:
         marker = ARROW @ np.array([[cos, sin], [-sin, cos]])
         axes.plot(*start.at[:2], marker=marker, color=START, ms=10 if words else 6, ls="", zorder=5)
         if words and start in named:
-            style = {"fontsize": 7, "color": START, "ha": "center"}
+            style: dict[str, Any] = {"fontsize": 7, "color": START, "ha": "center"}
             axes.annotate(start.tag, start.at[:2], (0, -13), textcoords="offset points", zorder=6, **style)
 
 
@@ -166,8 +170,8 @@ def _draw_scale(axes: Axes, at: tuple[float, float], longest: float, fontsize: f
     step = 10.0 ** math.floor(math.log10(longest))
     length = max(step * factor for factor in (1, 2, 5) if step * factor <= longest)
     axes.plot([at[0], at[0] + length], [at[1]] * 2, color="black", lw=3.0, solid_capstyle="butt", zorder=6)
-    text = {"xytext": (4, 0), "textcoords": "offset points", "va": "center", "fontsize": fontsize}
-    axes.annotate(f"{length:g} m", (at[0] + length, at[1]), **text)
+    text: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": fontsize}
+    axes.annotate(f"{length:g} m", (at[0] + length, at[1]), (4, 0), **text)
 
 
 def _keys(arena: ArenaSpec) -> list[Any]:

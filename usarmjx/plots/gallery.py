@@ -1,5 +1,8 @@
 """Pictures of arenas from a corner above, drawn with the sensors' ray kernels, and sheets of many."""
 
+# Matplotlib leaves the types of keywords open.
+# pyright: reportUnknownMemberType=false
+
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -12,7 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.image import imsave
+from matplotlib.image import imsave  # pyright: ignore[reportUnknownVariableType]
 
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.files import atomic_write

@@ -4,6 +4,9 @@ A log is what `usarmjx/client/wander.py` writes. Its numbers are in USARSim's ax
 clockwise); the picture is in ours, as the arena's description (y left, z up).
 """
 
+# Matplotlib leaves the types of keywords open.
+# pyright: reportUnknownMemberType=false
+
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -145,7 +148,8 @@ def scan_points(scan: Mapping[str, Any]) -> np.ndarray:
     """
     ranges = np.array(scan["ranges"], float)
     (x, y, yaw), (at_x, at_y, at_yaw) = scan["pose"], scan["at"]
-    angle = yaw + at_yaw + np.linspace(scan["fov"] / 2, -scan["fov"] / 2, len(ranges))
+    spread = np.asarray(np.linspace(scan["fov"] / 2, -scan["fov"] / 2, len(ranges)), float)
+    angle = yaw + at_yaw + spread
     start_x = x + at_x * math.cos(yaw) - at_y * math.sin(yaw)
     start_y = y + at_x * math.sin(yaw) + at_y * math.cos(yaw)
     points = np.column_stack([start_x + ranges * np.cos(angle), -start_y - ranges * np.sin(angle)])

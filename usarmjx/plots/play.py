@@ -1,5 +1,8 @@
 """Pictures of a policy at work: one world from above, as a strip of moments (PNG) or moving (GIF)."""
 
+# Matplotlib leaves the types of keywords open.
+# pyright: reportUnknownMemberType=false
+
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -158,7 +161,7 @@ def _caption(shown: EpisodeRecording, frame: int) -> str:
 def _draw(axes: Axes, shown: EpisodeRecording, frame: int) -> list[Any]:
     """Draw the robots, their ways so far, what lies loose and the goal; return what was drawn."""
     # What an arena of several does not have waits far outside of the picture.
-    inside = {"scalex": False, "scaley": False, "zorder": 7}
+    inside: dict[str, Any] = {"scalex": False, "scaley": False, "zorder": 7}
     drawn: list[Any] = axes.plot(*shown.loose[frame].T, "o", color=LOOSE, ms=6, mec="white", **inside)
     if shown.goal is not None:
         drawn += axes.plot(*shown.goal, "x", color=GOAL, ms=9, mew=2.5, zorder=7)
@@ -206,7 +209,7 @@ def film_frames(shown: EpisodeRecording, frames: np.ndarray) -> Iterator[np.ndar
         drawn = _draw(axes, shown, frame)
         axes.set_title(f"{shown.task}: {_caption(shown, frame)}", loc="left", fontsize=9)
         figure.canvas.draw()
-        yield np.array(figure.canvas.buffer_rgba())[..., :3]  # pyright: ignore[reportAttributeAccessIssue]
+        yield np.array(figure.canvas.buffer_rgba())[..., :3]  # pyright: ignore[reportAttributeAccessIssue, reportUnknownArgumentType]
         for one in drawn:
             one.remove()
 

@@ -1,5 +1,8 @@
 """A map of the power that a radio's signal has all over an arena."""
 
+# Matplotlib leaves the types of keywords open.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,5 +1,8 @@
 """A recorded mission as a figure for a paper: plan, ways, scans, radio, victims met, and all over time."""
 
+# Matplotlib leaves the types of keywords open.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -226,8 +229,8 @@ def _save_gif(shown: EpisodeRecording, path: Path, speed: float) -> None:
 def _save_mp4(shown: EpisodeRecording, path: Path, speed: float) -> None:
     lasts = (shown.times[-1] - shown.times[0]) / speed
     count = max(2, round(lasts * PICTURES_PER_SECOND))
-    wanted = np.linspace(shown.times[0], shown.times[-1], count)
-    frames = np.clip(np.searchsorted(shown.times, wanted, side="right") - 1, 0, None)
+    wanted = np.asarray(np.linspace(shown.times[0], shown.times[-1], count), float)
+    frames = np.asarray(np.clip(np.searchsorted(shown.times, wanted, side="right") - 1, 0, None), int)
     write_mp4(film_frames(shown, frames), path, PICTURES_PER_SECOND)
 
 

@@ -20,8 +20,6 @@ from usarmjx.models.compile.victims import VictimTable, orientations, segment_po
 from usarmjx.models.types.shapes import GLASS, MIRROR, OPAQUE, SKY
 from usarmjx.sensors.cameras.lenses import TILE, from_tiles, to_tiles
 from usarmjx.sensors.cameras.paint import (
-    GLASS_TRANSPARENCY,
-    MIRROR_REFLECTANCE,
     ROBOT_LABEL,
     WATER_LABEL,
     GeomAppearance,
@@ -44,8 +42,6 @@ from usarmjx.sensors.rays.targets import Geoms, indices_by_key, make_geoms
 
 __all__ = [
     "BOX",
-    "GLASS_TRANSPARENCY",
-    "MIRROR_REFLECTANCE",
     "PLANE",
     "RenderGeoms",
     "box_geoms",

@@ -1,5 +1,8 @@
 """One style for figures: sizes of columns, palette, names with units, files of vectors or pixels."""
 
+# Matplotlib leaves the types of keywords open.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Generator
 from contextlib import contextmanager
 from functools import cache
@@ -109,7 +112,7 @@ def series(panel: Axes, x: Any, y: Any, number: int, label: str | None = None, *
         label: Name in the legend.
         style: More for `Axes.plot`.
     """
-    shown = {
+    shown: dict[str, Any] = {
         "color": PALETTE[number % len(PALETTE)],
         "marker": MARKS[number % len(MARKS)],
         "linestyle": "-" if len(x) >= FEWEST_FOR_LINE else "none",

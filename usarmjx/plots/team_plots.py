@@ -1,5 +1,8 @@
 """Discoveries of teams over an episode, and the paths of their robots."""
 
+# Matplotlib leaves the types of keywords open.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Sequence
 from pathlib import Path
 

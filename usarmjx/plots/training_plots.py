@@ -1,5 +1,8 @@
 """Learning curves over agent steps and over time: from benchmark records and folders of runs."""
 
+# Matplotlib leaves the types of keywords open.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +16,7 @@ from matplotlib.lines import Line2D
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings.json_file import read_json_lines
+from usarmjx.base.type_guards import is_mapping
 from usarmjx.plots.style import (
     FEWEST_FOR_LINE,
     MOST_PANELS,
@@ -83,7 +87,7 @@ Axis = Callable[[Curve], np.ndarray]
 def fields_of_record(record: Mapping[str, Any]) -> str:
     """Return the overridden fields of the task in a benchmark record; the oldest have words for them."""
     settings = record.get("settings", {})
-    fields = settings.get("task", {}) if isinstance(settings, dict) else {}
+    fields: dict[str, Any] = settings.get("task", {}) if is_mapping(settings) else {}
     return overridden_fields(record["task"], record.get("engine", ""), fields)
 
 

@@ -20,6 +20,7 @@ from usarmjx.base.estimates import (
     interquartile_effects,
     probability_of_improvement,
 )
+from usarmjx.base.type_guards import is_tuple
 from usarmjx.sweeps.spec import as_text
 from usarmjx.sweeps.store import CellRecord
 from usarmjx.train.envs.membership import seed_of
@@ -71,7 +72,7 @@ class Episodes:
     @property
     def settings(self) -> int:
         """Number of different settings."""
-        cells = {fixed[0] for fixed in self.fixed if isinstance(fixed, tuple)}
+        cells = {fixed[0] for fixed in self.fixed if is_tuple(fixed)}
         return len(cells) * max(len(set(self.points)), 1)
 
 
@@ -96,7 +97,7 @@ def episodes_of(records: Sequence[CellRecord], sampled: Sampled) -> Episodes:
             key = (fixed, point, seed, number)
             rows.append(((fixed, stratum), point, run, building, key))
             scores.append(record.scores[number])
-    columns = [list(column) for column in zip(*rows, strict=True)] if rows else [[] for _ in range(5)]
+    columns: list[list[Any]] = [list(column) for column in zip(*rows, strict=True)] or [[] for _ in range(5)]
     names = ("fixed", "points", "runs", "buildings", "keys")
     return Episodes(scores=np.array(scores, float), sampled=sampled, **dict(zip(names, columns, strict=True)))
 
@@ -185,7 +186,7 @@ class Layout:
         """Number of the building of each episode (episodes,); of the episode where there is one building."""
         numbers = _numbers(self.episodes.buildings)
         if len(numbers) and not numbers.any():
-            return _numbers([key[2:] if isinstance(key, tuple) else key for key in self.episodes.keys])
+            return _numbers([key[2:] if is_tuple(key) else key for key in self.episodes.keys])
         return numbers
 
     @cached_property
@@ -368,7 +369,7 @@ def _unit(size: int, place: int) -> np.ndarray:
 def entries_of(episodes: Episodes) -> np.ndarray:
     """Return the number of each episode's pair of run and settings (episodes,)."""
     rows = zip(episodes.fixed, episodes.points, episodes.runs, strict=True)
-    return _numbers([(fixed[0] if isinstance(fixed, tuple) else fixed, *more) for fixed, *more in rows])
+    return _numbers([(fixed[0] if is_tuple(fixed) else fixed, *more) for fixed, *more in rows])
 
 
 def middle_score(episodes: Episodes) -> Estimate:
@@ -403,7 +404,8 @@ def improvement(first: Episodes, second: Episodes) -> Estimate:
     It is rliable's, with settings as its tasks. The interval is over runs: none if a method has one.
     """
     means = [_means_of(episodes) for episodes in (first, second)]
-    shared = sorted(set.intersection(*({place for _, place in own} for own in means)), key=repr)
+    here, there = ({place for _, place in own} for own in means)
+    shared = sorted(here & there, key=repr)
     runs = [list(dict.fromkeys(run for run, _ in own)) for own in means]
     tables = [
         np.array([[own.get((run, place), np.nan) for run in names] for place in shared])
@@ -418,5 +420,5 @@ def _means_of(episodes: Episodes) -> dict[tuple[Hashable, Hashable], float]:
     """Return the mean score of each run at each of its settings."""
     found: dict[tuple[Hashable, Hashable], list[float]] = {}
     for key, run, score in zip(episodes.keys, episodes.runs, episodes.scores.tolist(), strict=True):
-        found.setdefault((run, key[:2] if isinstance(key, tuple) else key), []).append(score)
+        found.setdefault((run, key[:2] if is_tuple(key) else key), []).append(score)
     return {place: float(np.mean(scores)) for place, scores in found.items()}

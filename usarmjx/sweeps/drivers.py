@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from usarmjx.base.errors import UsageError
+from usarmjx.base.type_guards import is_mapping
 from usarmjx.sweeps.spec import rename_policy
 from usarmjx.train.baselines import BASELINES
 from usarmjx.train.envs.env import Env
@@ -64,7 +65,7 @@ def _said(policy: object) -> tuple[str, str, Mapping[str, Any]]:
         if ".py:" in policy:
             return "python", policy, {}
         return ("run" if Path(policy).is_dir() else "file"), policy, {}
-    if isinstance(policy, Mapping) and (kind := str(next(iter(policy), ""))) in KINDS:
+    if is_mapping(policy) and (kind := str(next(iter(policy), ""))) in KINDS:
         more = {str(key): value for key, value in policy.items() if key != kind}
         allowed = {"run": ("checkpoint",), "client": ("speed",)}.get(kind, ())
         if isinstance(policy[kind], str) and set(more) <= set(allowed):

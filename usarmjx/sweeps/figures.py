@@ -1,5 +1,8 @@
 """A sweep as figures: scores over its axes, performance profiles, score against connectivity."""
 
+# Matplotlib leaves the types of keywords open.
+# pyright: reportUnknownMemberType=false
+
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -158,7 +161,8 @@ def _axis_panel(panel: Axes, axis: str, rows: Sequence[AxisRow], policies: Seque
         style: dict[str, Any] = {"color": _colour(number), "marker": _mark(number), "label": label}
         panel.errorbar(x, y, yerr=bar, linestyle="-" if joined else "none", elinewidth=0.9, **style)
     if named:
-        turned = {"rotation": 20, "ha": "right"} if max(len(value.text) for value in values) > 8 else {}
+        long = max(len(value.text) for value in values) > 8
+        turned: dict[str, Any] = {"rotation": 20, "ha": "right"} if long else {}
         panel.set_xticks(range(len(values)), [value.text for value in values], **turned)
         panel.set_xlim(-0.5, len(values) - 0.5)
     panel.set_xlabel(setting_name(axis))
@@ -190,7 +194,8 @@ def _profile_panel(panel: Axes, found: StoredSweep, task: str, policies: Sequenc
     everything = np.concatenate([*scores.values()])
     if not len(everything):
         return
-    thresholds = np.linspace(min(0.0, everything.min()), max(everything.max(), 1e-9), THRESHOLDS)
+    low, high = min(0.0, float(everything.min())), max(float(everything.max()), 1e-9)
+    thresholds = np.asarray(np.linspace(low, high, THRESHOLDS), float)
     told = False
     for policy, values in scores.items():
         there = sum(policy_of(record) == policy for record in mine)

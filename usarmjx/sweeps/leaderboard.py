@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -115,7 +116,7 @@ def replay(
     found: list[ReplayedCell] = []
     for number in chosen:
         cell = result.cells[number]
-        settings = {**cell.settings, "episodes": min(episodes, len(cell.scores))}
+        settings: dict[str, Any] = {**cell.settings, "episodes": min(episodes, len(cell.scores))}
         work = BatchWork(
             group=f"replay {cell.key}",  # a compiled group is kept by this name
             cells=((cell.key, settings),),
@@ -126,7 +127,7 @@ def replay(
         (now,) = play_batch(work)
         if now.failed is not None:
             raise UsageError(f"{result.method}, {settings['task']}: {now.failed}")
-        count = settings["episodes"]
+        count: int = settings["episodes"]
         found.append(
             ReplayedCell(
                 task=settings["task"],

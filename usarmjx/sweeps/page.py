@@ -1,5 +1,8 @@
 """A sweep as one HTML page that works without a network, and as a LaTeX table."""
 
+# Matplotlib leaves the types of keywords open.
+# pyright: reportUnknownMemberType=false
+
 import io
 import platform
 from collections.abc import Sequence

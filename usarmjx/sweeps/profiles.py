@@ -1,5 +1,8 @@
 """Figure of performance profiles: the share of runs and settings with a score above each threshold."""
 
+# Matplotlib leaves the types of keywords open.
+# pyright: reportUnknownMemberType=false
+
 from pathlib import Path
 
 import numpy as np

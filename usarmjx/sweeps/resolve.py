@@ -9,6 +9,7 @@ import numpy as np
 
 from usarmjx.base.errors import UsageError
 from usarmjx.base.settings import default_reader
+from usarmjx.base.type_guards import is_list, is_mapping, is_tuple
 from usarmjx.models.compile.arena_set import arena_set
 from usarmjx.models.compile.parts import parts_of as robot_parts
 from usarmjx.models.compile.physics import PHYSICS
@@ -120,7 +121,7 @@ def resolve(settings: CellSettings) -> Resolved:
         task = with_roster(task, settings["roster"])
     task, ranges = _with_parts(task, settings)
     arenas, split, levels = _arenas(settings, task)
-    if isinstance(arenas, tuple):
+    if is_tuple(arenas):
         arenas = LabelledArenas(arenas=arenas, labels=_labels(arenas))
     data = isinstance(arenas, LabelledArenas)
     return Resolved(
@@ -157,9 +158,9 @@ def with_roster(task: Task, roster: object) -> Task:
     Raises:
         UsageError: No roster, or the task has no room for such a team; lists those it has.
     """
-    if isinstance(roster, list) and all(isinstance(one, str) for one in roster):
+    if is_list(roster) and all(isinstance(one, str) for one in roster):
         team = [str(one) for one in roster]
-    elif isinstance(roster, Mapping) and all(isinstance(n, int) and n > 0 for n in roster.values()):
+    elif is_mapping(roster) and all(isinstance(n, int) and n > 0 for n in roster.values()):
         team = [str(name) for name, count in roster.items() for _ in range(count)]
     else:
         raise UsageError(f"roster is {roster!r}, expected classes and how many of each, as {{P2AT: 4}}")

@@ -117,9 +117,10 @@ def read_result(file: Path) -> RunResult:
 
 
 def _cell(row: dict[str, Any]) -> CellRecord:
-    tuples = {name: tuple(row[name]) for name in ("scores", "steps", "bad", "buildings")}
+    tuples: dict[str, Any] = {name: tuple(row[name]) for name in ("scores", "steps", "bad", "buildings")}
     metrics = {name: tuple(values) for name, values in row["metrics"].items()}
-    one = CellRecord(**{**row, **tuples, "metrics": metrics})
+    content: dict[str, Any] = {**row, **tuples, "metrics": metrics}
+    one = CellRecord(**content)
     rows = [one.steps, one.bad, *metrics.values(), *([one.buildings] if one.buildings else [])]
     if any(len(column) != len(one.scores) for column in rows):
         raise ValueError("a cell's rows have different numbers of episodes")

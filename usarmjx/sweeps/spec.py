@@ -23,6 +23,7 @@ from usarmjx.base.settings import (
     read_file,
 )
 from usarmjx.base.settings.files import shown
+from usarmjx.base.type_guards import is_list, is_mapping, is_tuple
 
 FIELDS = "fields"
 """`fields.NAME` sets any other field of the task."""
@@ -93,7 +94,7 @@ def rename_policy(policy: Any, names: Mapping[str, str] = EARLIER_POLICIES) -> A
         policy: The setting.
         names: Names by those that they replace.
     """
-    if isinstance(policy, Mapping):
+    if is_mapping(policy):
         return {names.get(key, key): value for key, value in policy.items()}
     return names.get(policy, policy) if isinstance(policy, str) else policy
 
@@ -138,16 +139,15 @@ def flatten(given: object, where: str) -> dict[str, Any]:
     """
     place = f"{given.place}: {where}" if isinstance(given, FileValue) else where
     rows = given.data if isinstance(given, FileValue) else given
-    if not isinstance(rows, Mapping):
+    if not is_mapping(rows):
         raise UsageError(f"{place} is {shown(rows)}, expected settings as key: value")
     flat: dict[str, Any] = {}
     for key, item in rows.items():
         line = f"{item.place}: {where}" if isinstance(item, FileValue) else where
         value = item.plain() if isinstance(item, FileValue) else item
-        nested = isinstance(value, Mapping) and (key in parts() or key == FIELDS)
-        for name, own in (
-            {f"{key}.{p}": v for p, v in value.items()} if nested else {str(key): value}
-        ).items():
+        nested = is_mapping(value) and (key in parts() or key == FIELDS)
+        within = {f"{key}.{p}": v for p, v in value.items()} if nested else {str(key): value}
+        for name, own in within.items():
             check_key(name, line)
             if name in flat:
                 raise UsageError(f"{line} has {name} twice")
@@ -192,9 +192,9 @@ def complete(settings: CellSettings, where: str) -> dict[str, Any]:
 
 def as_text(value: object) -> str:
     """Return a setting's value in a table: a mapping as `P2AT x 4`, numbers short."""
-    if isinstance(value, Mapping):
+    if is_mapping(value):
         return ", ".join(f"{key} x {own}" if isinstance(own, int) else str(own) for key, own in value.items())
-    if isinstance(value, list | tuple):
+    if is_list(value) or is_tuple(value):
         return "[" + ", ".join(map(as_text, value)) + "]"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
@@ -336,7 +336,7 @@ def read_spec(given: object, name: str = "sweep", common: Mapping[str, Any] | No
     rows = given.data if isinstance(given, FileValue) else given
     file, found = default_reader().from_data(SweepFile, given), dict[str, Any](rows)  # type: ignore - a mapping
     sample, axes = _sample_settings(found.get("sample")), _axes(found.get("product"))
-    parts = [_rows(found.get("list")), [{}], _sample(sample)]
+    parts: list[list[dict[str, Any]]] = [_rows(found.get("list")), [{}], _sample(sample)]
     count = math.prod([*map(len, parts), *map(len, axes.values())])
     if count > MAX_CELLS:  # before they are built: five axes of 40 values are 100 million
         place = f"{given.path}: " if isinstance(given, FileValue) else ""
@@ -372,10 +372,10 @@ def with_runs(settings: CellSettings, where: str) -> list[dict[str, Any]]:
     if method is None or isinstance(method, str):
         return [dict(settings)]
     form = "expected {name: NAME, runs: [POLICY, ...]}"
-    runs: Any = method.get("runs") if isinstance(method, Mapping) else None
+    runs: object = method.get("runs") if is_mapping(method) else None
     if set(method) != {"name", "runs"} or not isinstance(method["name"], str):
         raise UsageError(f"{where}: method is {method!r}, {form}")
-    if not isinstance(runs, list) or not runs:
+    if not is_list(runs) or not runs:
         raise UsageError(f"{where}: method {method['name']}: runs is {runs!r}, {form}")
     if "policy" in settings:
         raise UsageError(f"{where}: method and policy are both given: give one")
@@ -410,7 +410,7 @@ def _rows(given: object) -> list[dict[str, Any]]:
     if _is_empty(given):
         return [{}]
     rows = given.data if isinstance(given, FileValue) else given
-    if not isinstance(rows, list) or not rows:
+    if not is_list(rows) or not rows:
         raise UsageError(f"list is {shown(rows)}, expected settings of cells, one after the other")
     return [flatten(row, f"list, row {i + 1}") for i, row in enumerate(rows)]
 
@@ -453,7 +453,7 @@ def _sample(sample: SampleSettings | None) -> list[dict[str, Any]]:
 
 
 def _check_span(key: str, span: object) -> None:
-    pair: list[Any] = span if isinstance(span, list) and len(span) == 2 else [None, None]
+    pair: list[Any] = span if is_list(span) and len(span) == 2 else [None, None]
     fine = all(isinstance(one, int | float) and not isinstance(one, bool) for one in pair)
     if not fine or not np.isfinite(pair).all() or pair[0] > pair[1]:
         raise UsageError(f"sample: {key} is {span!r}, expected two numbers [lowest, highest]")

@@ -125,7 +125,8 @@ def _of_task(task: str, results: Sequence[RunResult], suite: BenchmarkSuite) -> 
         cells = {key_of_settings(cell): cell for cell in one.cells if cell.settings["task"] == task}
         if cells:
             by_method.setdefault(one.method, []).append(cells)
-    shared = set.intersection(*(set(run) for runs in by_method.values() for run in runs))
+    first, *others = (set(run) for runs in by_method.values() for run in runs)
+    shared = first.intersection(*others)
     if not shared:
         raise UsageError(f"{task}: the methods have no settings in common")
     keys = sorted(shared)
@@ -179,7 +180,8 @@ def _shares(task: str, table: Table, anchors: Sequence[np.ndarray | None]) -> Ta
 
 
 def _metrics(cells: Sequence[CellRecord]) -> dict[str, float]:
-    names = set.intersection(*(set(cell.metrics) for cell in cells))
+    first, *others = (set(cell.metrics) for cell in cells)
+    names = first.intersection(*others)
     return {
         name: float(np.mean([np.mean([cell.metrics[name][i] for i in cell.good]) for cell in cells]))
         for name in sorted(names)

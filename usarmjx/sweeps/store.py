@@ -171,7 +171,7 @@ def _record(file: Path, content: Mapping[str, Any]) -> CellRecord:
         NotWholeError: Something is missing, unknown or of another type.
     """
     try:
-        numbers = {
+        numbers: dict[str, Any] = {
             "scores": tuple(map(float, content["scores"])),
             "steps": tuple(map(int, content["steps"])),
             "bad": tuple(map(bool, content["bad"])),
@@ -181,7 +181,7 @@ def _record(file: Path, content: Mapping[str, Any]) -> CellRecord:
         record = CellRecord(**{**content, **numbers})
         if "policy" in record.settings.keys():  # noqa: SIM118 - a mapping, or none that is whole
             record.settings["policy"] = rename_policy(record.settings["policy"])
-        rows = [record.steps, record.bad, *record.metrics.values()]
+        rows: list[tuple[Any, ...]] = [record.steps, record.bad, *record.metrics.values()]
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
         raise NotWholeError(f"{file}: is no result of a cell: {error!r}"[:300]) from error
     if record.buildings:

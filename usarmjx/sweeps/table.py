@@ -73,7 +73,7 @@ def as_frame(found: StoredSweep) -> Any:  # noqa: ANN401 - pandas' DataFrame, or
     """Return `cell_rows` as pandas' DataFrame where that is installed, else as they are."""
     rows = cell_rows(found)
     try:
-        import pandas as pd
+        import pandas as pd  # pyright: ignore[reportMissingTypeStubs]
     except ImportError:
         return rows
     return pd.DataFrame(rows)
@@ -125,7 +125,7 @@ def _parquet_writer() -> Callable[[Path, Sequence[str], Sequence[Mapping[str, An
         table: dict[str, list[Any]] = {}
         for name in columns:
             values = [row.get(name) for row in rows]
-            kinds = {type(value) for value in values if value is not None}
+            kinds: set[type] = {type(value) for value in values if value is not None}
             mixed = len(kinds) > 1 and not kinds <= {int, float}
             table[name] = [None if v is None else str(v) if mixed else v for v in values]
         pyarrow.parquet.write_table(pyarrow.table(table), path)

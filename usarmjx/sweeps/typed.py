@@ -7,6 +7,7 @@ import yaml
 
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.base.settings import default_reader, to_data
+from usarmjx.base.type_guards import is_list
 from usarmjx.sweeps.spec import FIELDS, NAMES, ArenaLevel, Cell, check_key, part_classes
 from usarmjx.train.envs.task import Task
 from usarmjx.train.make import make_task
@@ -62,10 +63,10 @@ def _value(text: str, kind: type, name: str, where: str, base: Task | None = Non
     """
     reader = default_reader()
     try:
-        data = yaml.safe_load(text)
+        data: Any = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError):  # ValueError: no such date, or too many digits
         data = text
-    words = data if isinstance(data, list) else [data]
+    words = data if is_list(data) else [data]
     if any(isinstance(word, str) or word is None for word in words):
         return to_data(reader.text_values(kind, {name: text}, where=where, base=base)[name])
     reader.values(kind, {name: data}, where=where, base=base)

@@ -186,10 +186,11 @@ class ConsoleClient:
         self._writer = None
 
 
-def failure_of(error: OSError | TimeoutError) -> str:
+def failure_of(error: OSError) -> str:
     """Return why there is no connection, in words."""
-    number = error.errno if isinstance(error, OSError) else None
-    return os.strerror(number) if number and number > 0 else str(error) or f"no answer in {TIMEOUT:g} s"
+    if error.errno and error.errno > 0:
+        return os.strerror(error.errno)
+    return str(error) or f"no answer in {TIMEOUT:g} s"
 
 
 def fault_of(line: str) -> str:

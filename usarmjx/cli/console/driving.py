@@ -241,7 +241,7 @@ class KeyDriver:
         return []
 
 
-ACTIONS = {
+ACTIONS: dict[str, Callable[[KeyDriver], list[str]]] = {
     "forward": lambda pilot: pilot.go(1.0, 0.0),
     "backward": lambda pilot: pilot.go(-1.0, 0.0),
     "left": lambda pilot: pilot.go(0.0, 1.0),

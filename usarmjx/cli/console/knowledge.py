@@ -107,8 +107,10 @@ class Knowledge:
         if kind.lower() == "joint":
             links = [f"{name}_Link{number}" for name, links in self.packages.items() for number in links]
             return [*links, *self.joints]
-        found = (names for known, names in self.items.items() if known.lower() == kind.lower())
-        return next(found, [])
+        for known, names in self.items.items():
+            if known.lower() == kind.lower():
+                return list(names)
+        return []
 
     def _add(self, kind: str, name: str) -> None:
         known = next((one for one in self.items if one.lower() == kind.lower()), kind)

@@ -26,7 +26,7 @@ def find_ffmpeg() -> str:
         MissingExtraError: There is none; names the extra.
     """
     try:
-        import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
+        import imageio_ffmpeg  # pyright: ignore[reportMissingImports, reportMissingTypeStubs]
 
         return imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError):
@@ -95,7 +95,8 @@ def write_gif(pictures: Iterator[np.ndarray], path: Path, rate: float) -> int:
 
 def _palette(frames: list[Image.Image]) -> Image.Image:
     """Return a picture with the palette of some of the pictures, spread over the film."""
-    some = [frames[n] for n in np.unique(np.linspace(0, len(frames) - 1, PALETTE_PICTURES).astype(int))]
+    chosen: list[float] = np.linspace(0, len(frames) - 1, PALETTE_PICTURES).tolist()
+    some = [frames[n] for n in sorted({int(place) for place in chosen})]
     width, height = some[0].size
     sheet = Image.new("RGB", (width, height * len(some)))
     for row, frame in enumerate(some):

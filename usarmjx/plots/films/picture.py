@@ -198,7 +198,7 @@ class FilmScene:
         self._is_floor = self._padded(of.is_floor)
         nothing = Geoms(blocks=(), kinds=(), materials=())
         self._scene = lit_scene(nothing, self._appearance, _lighting(drawing))
-        made_of = {OPAQUE} | ({GLASS} if self._clear.any() else set())
+        made_of: set[str] = {OPAQUE} | ({GLASS} if self._clear.any() else set())
         self._materials = tuple(sorted(made_of | ({MIRROR} if (of.reflectance > 0).any() else set())))
         self._shadow: Canvas | None = None
         self._base: _Base | None = None

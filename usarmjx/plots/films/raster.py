@@ -68,7 +68,7 @@ class Canvas:
         low, high = xy.min(1), xy.max(1)
         kept = (np.abs(area) > LEAST_AREA) & (high > 0).all(1) & (low < (self.width, self.height)).all(1)
         rows = _rows(xy[kept], area[kept], nearness[kept], np.asarray(number)[kept], self.width, self.height)
-        ends = np.cumsum(rows.count)
+        ends = np.cumsum(rows.pixels)
         begin = 0
         while begin < len(ends):
             before = ends[begin - 1] if begin else 0
@@ -78,12 +78,12 @@ class Canvas:
 
     def _fill(self, rows: "_Rows") -> None:
         """Let the fragments of rows compete."""
-        total = int(rows.count.sum())
+        total = int(rows.pixels.sum())
         if not total:
             return
-        row = np.repeat(np.arange(len(rows.count), dtype=np.int32), rows.count)
+        row = np.repeat(np.arange(len(rows.pixels), dtype=np.int32), rows.pixels)
         along = np.arange(total, dtype=np.int32) - np.repeat(
-            (np.cumsum(rows.count) - rows.count).astype(np.int32), rows.count
+            (np.cumsum(rows.pixels) - rows.pixels).astype(np.int32), rows.pixels
         )
         near = np.maximum(rows.base[row] + rows.slope[row] * along.astype(np.float32), np.float32(1e-20))
         key = near.view(np.uint32).astype(np.uint64)
@@ -97,14 +97,14 @@ class _Rows(NamedTuple):
 
     Attributes:
         pixel: Index of the first pixel (rows,).
-        count: Number of pixels (rows,).
+        pixels: Number of pixels (rows,).
         base: Nearness at the first pixel (rows,).
         slope: Change of the nearness from pixel to pixel (rows,).
         number: Index of the triangle, plus 1 (rows,).
     """
 
     pixel: np.ndarray
-    count: np.ndarray
+    pixels: np.ndarray
     base: np.ndarray
     slope: np.ndarray
     number: np.ndarray
