@@ -19,8 +19,12 @@ from usarmjx.sweeps.drivers import find_driver
 from usarmjx.sweeps.resolve import resolve
 from usarmjx.sweeps.spec import complete
 from usarmjx.train.baselines import BASELINES
+from usarmjx.train.envs.env import AgentGroup
 from usarmjx.train.envs.task import Policy
+from usarmjx.train.learning import checkpoint
+from usarmjx.train.learning.config import Config
 from usarmjx.train.learning.imitation import teacher_of
+from usarmjx.train.learning.run_record import RunRecord, load_record
 from usarmjx.train.make import find_task, full_name
 from usarmjx.train.policies.sources import baseline, load_policy
 
@@ -154,6 +158,26 @@ def test_a_policy_runs_no_code_that_only_it_names(own, monkeypatch, command, tas
         )
         assert not (own / "RAN").exists()
     done = invoke(command, "evil.npz", "--task", task)
+    assert (own / "RAN").exists(), "it was named"
+
+
+@pytest.mark.parametrize("command", ["eval", "play"])
+@pytest.mark.parametrize("task", ["helpers.py:Task", "helpers:Task"])
+def test_nor_does_a_run_whose_settings_name_it(own, monkeypatch, command, task):
+    monkeypatch.syspath_prepend(str(own))
+    monkeypatch.delitem(sys.modules, "helpers", raising=False)
+    (own / "helpers.py").write_text("open('RAN', 'w').close()\n")
+    group = AgentGroup("P2AT", ("P2AT0",), 4, 2)
+    about = {"groups": (group,), "privileged_size": 0, "episode_steps": 100, "period": 0.2}
+    RunRecord(task=task, **about, processes=1, config=Config()).save(own / "run")
+    # The weights do not matter here.
+    monkeypatch.setattr(checkpoint, "read_policy", lambda path, which: (None, None, load_record(path)))
+    monkeypatch.setattr(checkpoint.Checkpoints, "describe", lambda self, which: "")
+    done = invoke(command, "run")
+    assert done.exit_code == 2
+    assert f"run names the task '{task}', whose code it does not run by itself" in done.stderr
+    assert not (own / "RAN").exists()
+    invoke(command, "run", "--task", task)
     assert (own / "RAN").exists(), "it was named"
 
 
