@@ -1,6 +1,7 @@
 """Other processes and Ray: all is done, once, also when workers are lost."""
 
 import builtins
+import multiprocessing
 import os
 import signal
 import socket
@@ -66,6 +67,18 @@ def test_what_ends_its_worker_fails_alone():
     assert found.pop(0) == (None, f"its worker was lost {TRIES} times, with exit status 9")
     assert {why for _, why in found.values()} == {None}
     assert len(found) == 3
+
+
+def test_an_idle_worker_that_is_killed_ends_nothing():
+    """Between two pieces, as by the system for the memory of another."""
+    done = Workers(place="processes", count=1).run(work, ["__import__('os').getpid()", "1 + 1", "2 + 2"])
+    number, process, why = next(done)
+    assert (number, why) == (0, None)
+    (child,) = [one for one in multiprocessing.active_children() if one.pid == process]
+    os.kill(process, signal.SIGKILL)
+    child.join(60.0)
+    assert child.exitcode == -signal.SIGKILL
+    assert list(done) == [(1, 2, None), (2, 4, None)]
 
 
 def test_what_a_worker_makes_of_odd_ends_is_a_line():
