@@ -134,9 +134,9 @@ def compare(path, robot):
             i, j = theirs.joint(name).id, ours.joint(name).id
             np.testing.assert_allclose(two.xanchor[j], one.xanchor[i], atol=POSE_ATOL)
             np.testing.assert_allclose(two.xaxis[j], one.xaxis[i], atol=POSE_ATOL)
-            np.testing.assert_allclose(
-                two.xmat[ours.jnt_bodyid[j]], one.xmat[theirs.jnt_bodyid[i]], atol=POSE_ATOL
-            )
+            body = theirs.jnt_bodyid[i]
+            if i == theirs.body_jntadr[body] + theirs.body_jntnum[body] - 1:  # else its body turns further
+                np.testing.assert_allclose(two.xmat[ours.jnt_bodyid[j]], one.xmat[body], atol=POSE_ATOL)
         # Inertias: kinetic energy at random velocities, without what our motors add.
         speed = rng.normal(size=theirs.nv)
         swapped = np.zeros(ours.nv)
@@ -174,6 +174,73 @@ def test_an_arm_from_urdf_has_its_files_masses_and_moves_as_c_mujoco_says(write)
     assert turret.limits == telescope.limits == (-1.0, 1.5)
     assert robot.payload == 3.0
     assert robot.mass == pytest.approx(2 + 1 + 0.8 + 0.3, abs=MASS_ATOL)
+
+
+SEVERAL = """<mujoco><worldbody><body name="base" pos="0 0 1"><freejoint/><geom size=".2" mass="3"/>
+<body name="shoulder" pos=".1 .2 0" euler="10 20 30">
+<joint name="yaw" axis="0 0 1" pos=".01 .02 .03" ref="15"/><joint name="pitch" axis="0 .6 .8" range="-60 60"/>
+<joint name="roll" axis="1 0 0" pos="0 0 -.1"/><geom type="capsule" size=".03 .1" mass=".6"/>
+<body name="plate" pos="0 0 .2" euler="0 0 20"><geom type="box" size=".05 .05 .01" mass=".1"/>
+<body name="wrist" pos="0 .05 .1" euler="40 0 0">
+<joint name="out" type="slide" axis=".6 0 .8" range="-.1 .2"/><joint name="twist" axis="0 0 1" pos=".02 0 0"/>
+<geom type="capsule" size=".02 .05" pos=".01 0 .05" mass=".2"/></body></body></body></body></worldbody>
+<actuator><motor joint="pitch" ctrlrange="-1 1"/><position joint="out" kp="30" kv="2" forcerange="-9 9"/>
+</actuator></mujoco>"""
+
+
+def test_a_body_with_several_joints_is_a_chain_of_parts_that_moves_as_c_mujoco_says(write):
+    path = write(SEVERAL)
+    robot = load_robot(path, name="Several").robot
+    compare(path, robot)
+    _, pitch, _, out, _ = robot.parts
+    assert [part.name for part in robot.parts] == ["yaw", "pitch", "roll", "out", "twist"]
+    assert [part.parent for part in robot.parts] == [CHASSIS, "yaw", "pitch", "roll", "out"]
+    assert [part.joint for part in robot.parts] == ["hinge"] * 3 + ["slide", "hinge"]
+    assert [len(part.shapes) for part in robot.parts] == [0, 0, 2, 0, 1]
+    assert pitch.limits == pytest.approx(np.radians((-60, 60)))
+    assert out.limits == pytest.approx((-0.1, 0.2))
+    assert [part.motor is not None for part in robot.parts] == [False, True, False, True, False]
+    assert out.motor.torque == 9.0
+
+
+def test_joints_of_one_body_swing_as_c_mujoco_says(write):
+    """The same equations of motion: both models, without motors, fall alike for half a second."""
+    path = write(SEVERAL.partition("<actuator>")[0] + "</mujoco>")
+    robot = load_robot(path, name="Several").robot
+    theirs, ours = original(path), composed(robot)
+    one, two = mujoco.MjData(theirs), mujoco.MjData(ours)
+    for model, data in ((theirs, one), (ours, two)):
+        model.opt.timestep, model.opt.integrator = 0.001, mujoco.mjtIntegrator.mjINT_RK4
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+        data.qvel[3:6] = 0.5, -0.4, 0.3
+        data.joint("roll").qvel[0], data.joint("yaw").qvel[0] = 2.0, -1.0
+        mujoco.mj_step(model, data, 500)
+    for part in robot.parts:
+        swung = one.joint(part.name).qpos[0] - theirs.qpos0[theirs.joint(part.name).qposadr[0]]
+        assert two.joint(part.name).qpos[0] == pytest.approx(swung, abs=1e-4), part.name
+
+
+def test_lags_of_actuators_are_left_out_and_named(write):
+    lag = '<actuator><general name="a" joint="j" dyntype="filter" dynprm=".1" gainprm="40" {}/></actuator>'
+    loaded = load_robot(write(free(J, lag.format('biastype="affine" biasprm="0 -40 0"'))), name="Lag")
+    assert loaded.robot.parts[0].motor.stiffness == 40.0
+    assert any("robot.xml:1: 1 lags of actuators are left out: a" in note for note in loaded.notes)
+    pushed = load_robot(write(free(J, lag.format('biastype="affine" ctrlrange="-1 1"'))), name="Push")
+    assert pushed.robot.parts[0].motor.torque == pytest.approx(40.0), "without a bias it is a motor"
+
+
+def test_room_for_contacts_that_a_file_asks_for_is_not_taken(write):
+    """The legacy keys of this one mean 3.4 GB."""
+    text = free(J).replace("<mujoco>", '<mujoco><size njmax="8000" nconmax="4000"/>')
+    assert load_robot(write(text), name="Rat").robot.parts
+
+
+def test_a_chassis_without_mass_weighs_next_to_nothing(write):
+    arm = '<body name="arm" pos="0 0 .1"><joint name="j"/><geom size=".1" mass="2"/></body>'
+    text = f'<mujoco><worldbody><body name="base">{arm}</body></worldbody></mujoco>'
+    loaded = load_robot(write(text), name="Arm")
+    assert loaded.robot.mass == pytest.approx(2, rel=1e-6)
+    assert "robot.xml:1: body 'base' has no mass: it gets its part of 1e-07" in loaded.notes[0]
 
 
 def test_solids_stay_and_meshes_become_hulls(write):
@@ -256,11 +323,20 @@ MOTOR = '<motor name="{}" joint="j" ctrlrange="-1 1"/>'
     [
         ("<mujoco", "does not read"),
         ("<mujoco/>", "no body under the world"),
-        (free('<joint name="j" type="ball"/>'), "'p' has the joints j; a part has one"),
-        (free(f'{J}<joint name="k" axis="1 0 0"/>'), "'p' has the joints j, k"),
+        (
+            free('<joint name="j" type="ball"/>'),
+            "robot.xml:1: body 'p' has the joint j, which is of kind ball; parts have hinges and slides",
+        ),
         (free('<joint name="root"/>'), "called root: rename"),
-        (free("<joint/>").replace(' name="p"', ""), "have no name: give the joint one"),
-        (free(J, '<actuator><cylinder name="m" joint="j"/></actuator>'), "actuator m is of a kind"),
+        (
+            free("<joint/>").replace(' name="p"', ""),
+            "robot.xml:1: a joint of body number 2 has no name",
+        ),
+        (free(f"<joint axis='1 0 0'/>{J}"), "body number 2 has no name: give it one"),
+        (
+            free(J, '<actuator><damper name="m" joint="j" kv="1" ctrlrange="0 1"/></actuator>'),
+            "actuator m is of a kind",
+        ),
         (free(J, '<actuator><motor name="a" joint="j"/></actuator>'), "a has no limit; give it a ctrlrange"),
         (free(J, f"<actuator>{MOTOR.format('a')}{MOTOR.format('c')}</actuator>"), "c is the second one of"),
     ],

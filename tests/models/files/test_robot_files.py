@@ -471,11 +471,18 @@ def test_a_heavy_robot_drives_as_fast_as_its_wheels(load):
     assert trial.pose()[0][0] - start == pytest.approx(0.5 * robot.drive.top_speed, rel=0.02)
 
 
-def test_a_root_without_mass_gets_a_gram(load):
+def test_links_without_mass_leave_the_robot_its_own(load):
+    """MuJoCo needs a mass for what moves: together a ten-millionth of the robot's."""
     text = cart().replace('<mass value="10"/>', '<mass value="0"/>')
     loaded = load(text)
-    assert loaded.robot.mass == pytest.approx(2.001, abs=MASS_ATOL)
-    assert "no link that is fixed to the root 'base' has a mass: it gets 1 g" in loaded.notes[0]
+    assert loaded.robot.mass == pytest.approx(2, rel=1e-6)
+    said = (
+        "no link that is fixed to the root 'base' has a mass: it gets its part of 1e-07 of the robot's mass"
+    )
+    assert said in loaded.notes[0]
+    loaded = load(text.replace('<mass value="1"/>', '<mass value="0"/>', 1))
+    assert loaded.robot.mass == pytest.approx(1, rel=1e-6)
+    assert "link 'wl' has a joint and no mass: it gets its part of 1e-07" in "".join(loaded.notes)
 
 
 def test_legs_and_casters_and_springs_are_no_driven_wheels(load):

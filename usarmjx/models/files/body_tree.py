@@ -1,6 +1,7 @@
 """The bodies of a robot's file, sorted by the part that they belong to."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -13,12 +14,12 @@ from usarmjx.models.files.mjcf_solids import (
     Pose,
     agrees,
     geom_inertia,
-    mat_of,
     shape_of,
     usarsim_angles,
     usarsim_vector,
     volume,
 )
+from usarmjx.models.files.robot_source import place_of
 from usarmjx.models.types.robot import CHASSIS, BodyInertia, Motor, Part, Spring
 from usarmjx.models.types.shapes import Shape
 
@@ -26,6 +27,8 @@ NO_STIFFNESS = 1e-9
 """Stiffness of a joint that has a damper alone: our springs need some [N m/rad]."""
 UNBOUNDED_TURN = 4 * np.pi
 """Range of a hinge from which on it is taken for a wheel's [rad]."""
+MASSLESS = BodyInertia(mass=1e-9, at=(0.0, 0.0, 0.0), moments=(1e-12, 1e-12, 1e-12, 0.0, 0.0, 0.0))
+"""Inertia of a part between two joints of a body: MuJoCo needs some."""
 MESH = mujoco.mjtGeom.mjGEOM_MESH
 PartSolids = tuple[tuple[Shape, ...], BodyInertia | None]
 """Solids of a part; and its inertia, where the solids' masses do not account for it."""
@@ -38,10 +41,12 @@ class BodyTree:
         model: The file.
         spec: Its description, for densities.
         root: The chassis' body id.
+        path: The file, for messages.
         slippery: Bodies whose solids slide like casters.
 
     Attributes:
-        owners: Bodies that are chassis and parts, parents first.
+        owners: Numbers of chassis and parts, parents first. A part has its body's number; of a body with
+            several joints that is the part of the last one, and the others have numbers above all bodies'.
     """
 
     def __init__(
@@ -49,18 +54,22 @@ class BodyTree:
         model: mujoco.MjModel,
         spec: mujoco.MjSpec,
         root: int,
+        path: Path,
         slippery: frozenset[str] = frozenset(),
     ) -> None:
-        self.model = model
+        self.model, self._path = model, path
         self._slippery = slippery
         touching = (model.geom_contype | model.geom_conaffinity) > 0
         self._has_contacts = bool(np.any(touching & (model.geom_bodyid > 0)))
         self._described = {geom.id: geom for geom in spec.geoms}
+        self._joint_info = {joint.id: joint.info for joint in spec.joints}
         self._owner = {root: root}
         self._frame = {root: Pose(np.zeros(3), np.eye(3))}  # of a body in the axes of its part
+        self._joint: dict[int, int] = {}
+        self._above: dict[int, tuple[int, Pose]] = {}  # the part that holds a part, and its pose there
         for body in range(root + 1, model.nbody):
             self._enter(body)
-        self.owners = [body for body, owner in self._owner.items() if body == owner]
+        self.owners = [root, *self._joint]
 
     def _enter(self, body: int) -> None:
         model, parent = self.model, int(self.model.body_parentid[body])
@@ -68,18 +77,31 @@ class BodyTree:
             return  # under the world beside the chassis
         joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
         allowed = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-        if len(joints) > 1 or any(model.jnt_type[joint] not in allowed for joint in joints):
-            names = ", ".join(model.joint(joint).name or f"number {joint}" for joint in joints)
+        held = [joint for joint in joints if model.jnt_type[joint] not in allowed]
+        if held:
+            names = ", ".join(model.joint(joint).name or f"number {joint}" for joint in held)
+            kind = mujoco.mjtJoint(model.jnt_type[held[0]]).name[6:].lower()
             raise SpecError(
-                f"body {model.body(body).name!r} has the joints {names}; a part has one hinge or slide: "
-                "give each joint a body of its own"
+                f"{self._place(held[0])}: body {model.body(body).name!r} has the joint {names}, which is of "
+                f"kind {kind}; parts have hinges and slides"
             )
-        if joints:
-            self._owner[body] = body
-            self._frame[body] = Pose(-model.jnt_pos[joints[0]], np.eye(3))
-        else:
-            self._owner[body] = self._owner[parent]
-            self._frame[body] = self._frame[parent].compose(model.body_pos[body], model.body_quat[body])
+        holder = self._owner[parent]
+        pose = self._frame[parent].compose(model.body_pos[body], model.body_quat[body])
+        if not joints:
+            self._owner[body], self._frame[body] = holder, pose
+            return
+        # MuJoCo turns a body about its first joint first: it holds the second one, and so on.
+        for joint in joints:
+            anchor = Pose(model.jnt_pos[joint], np.eye(3))
+            part = body if joint == joints[-1] else model.nbody + joint
+            self._joint[part] = joint
+            self._above[part] = holder, pose.then(anchor)
+            holder, pose = part, Pose(-model.jnt_pos[joint], np.eye(3))
+        self._owner[body], self._frame[body] = body, pose
+
+    def _place(self, joint: int) -> str:
+        """Return file and line of a joint."""
+        return place_of(self._path, self._joint_info[joint])
 
     def _members(self, owner: int) -> list[int]:
         return [body for body, mine in self._owner.items() if mine == owner]
@@ -89,14 +111,20 @@ class BodyTree:
         model = self.model
         if self.owners[0] == owner:
             return CHASSIS
-        name = model.joint(model.body_jntadr[owner]).name or model.body(owner).name
+        joint = self._joint[owner]
+        body = int(model.jnt_bodyid[joint])
+        name = model.joint(joint).name or (model.body(body).name if owner == body else "")
         if not name:
-            raise SpecError(f"body number {owner} and its joint have no name: give the joint one")
+            raise SpecError(f"{self._place(joint)}: a joint of body number {body} has no name: give it one")
         return name
 
     def joint_of(self, owner: int) -> int:
         """Return the joint of a part's body."""
-        return int(self.model.body_jntadr[owner])
+        return self._joint[owner]
+
+    def holder_of(self, owner: int) -> int:
+        """Return the part that holds a part."""
+        return self._above[owner][0]
 
     def turns_freely(self, owner: int) -> bool:
         """Return whether the joint of a part is a hinge that turns without end."""
@@ -104,10 +132,6 @@ class BodyTree:
         if int(self.model.jnt_type[joint]) != int(mujoco.mjtJoint.mjJNT_HINGE):
             return False
         return not self.model.jnt_limited[joint] or np.ptp(self.model.jnt_range[joint]) >= UNBOUNDED_TURN
-
-    def owner_of(self, body: int) -> int:
-        """Return the part that a body belongs to; -1: to none."""
-        return self._owner.get(body, -1)
 
     def touching_geoms(self, owner: int) -> list[int]:
         """Return the geoms of a part that are more than looks."""
@@ -122,9 +146,7 @@ class BodyTree:
     def part(self, owner: int, motor: Motor | None, rolling: set[str]) -> Part:
         """Return the part of a body with a joint."""
         model, joint = self.model, self.joint_of(owner)
-        parent, name = int(model.body_parentid[owner]), self.name(owner)
-        quat = model.body_quat[owner]
-        at = self._frame[parent].compose(model.body_pos[owner] + mat_of(quat) @ model.jnt_pos[joint], quat)
+        name, (holder, at) = self.name(owner), self._above[owner]
         limits = None
         if model.jnt_limited[joint]:
             low, high = (model.jnt_range[joint] - model.qpos0[model.jnt_qposadr[joint]]).tolist()
@@ -133,7 +155,7 @@ class BodyTree:
         shapes, inertia = self.solids(owner, "wheel" if name in rolling else "hull")
         return Part(
             name=name,
-            parent=self.name(self._owner[parent]),
+            parent=self.name(holder),
             at=usarsim_vector(at.pos),
             rotation=usarsim_angles(at.mat),
             axis=usarsim_vector(model.jnt_axis[joint]),
@@ -166,6 +188,8 @@ class BodyTree:
             SpecError: A geom of a kind that robots cannot have, or a part without mass.
         """
         model = self.model
+        if owner >= model.nbody:
+            return (), MASSLESS
         whole = combine_inertias([self._inertia(body) for body in self._members(owner)])
         if whole.mass <= 0:
             named = "the chassis" if owner == self.owners[0] else self.name(owner)

@@ -1,6 +1,7 @@
 """Servos that stand for the actuators of an MJCF file."""
 
 from collections.abc import Collection, Mapping
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,6 +19,9 @@ MAX_STIFFNESS, MAX_DAMPING = 0.1, 0.5
 explicitly."""
 DEFAULT_TRAVEL = np.pi
 """Error at which a position servo without a force limit has its full torque [rad] (chosen)."""
+DYNAMICS: Any = mujoco.mjtDyn  # its stubs lack some
+FILTERS: tuple[Any, ...] = (DYNAMICS.mjDYN_FILTER, DYNAMICS.mjDYN_FILTEREXACT)
+"""Dynamics of actuators that follow their control with a lag, which our servos have not."""
 
 
 def motors_of(
@@ -126,14 +130,15 @@ def _kind(model: mujoco.MjModel, actuator: int, stiffness: float, damping: float
     )
     fixed = gain == mujoco.mjtGain.mjGAIN_FIXED
     affine = bias == mujoco.mjtBias.mjBIAS_AFFINE
+    idle = affine and not np.any(model.actuator_biasprm[actuator])
     if fixed and affine and dynamics == mujoco.mjtDyn.mjDYN_INTEGRATOR and stiffness > 0:
         return "intvelocity"
-    if fixed and dynamics == mujoco.mjtDyn.mjDYN_NONE:
+    if fixed and (dynamics == mujoco.mjtDyn.mjDYN_NONE or any(dynamics == lag for lag in FILTERS)):
         if affine and stiffness > 0:
             return "position"
         if affine and stiffness == 0 and damping > 0:
             return "velocity"
-        if bias == mujoco.mjtBias.mjBIAS_NONE:
+        if bias == mujoco.mjtBias.mjBIAS_NONE or idle:
             return "motor"
     raise SpecError(
         f"{_name(model, actuator)} is of a kind that has no servo; "

@@ -27,7 +27,7 @@ from usarmjx.models.files.mjcf_solids import (
 from usarmjx.models.files.reader_process import try_model
 from usarmjx.models.files.robot_source import left_out
 from usarmjx.models.files.scene_robots import leave_out_robots
-from usarmjx.models.files.xml_size import check_model_size
+from usarmjx.models.files.xml_size import check_model_size, drop_sizes
 from usarmjx.models.types.arena import Door, LooseObject
 from usarmjx.models.types.shapes import HeightField, Shape
 
@@ -267,6 +267,7 @@ def mjcf_content(path: Path, surface: str = "") -> Content:
     if wrong := try_model(path):
         raise ArenaFileError(f"{path}: does not read as MJCF: {wrong}")
     spec = mujoco.MjSpec.from_file(str(path))
+    drop_sizes(spec)
     notes = leave_out_robots(path, spec)
     model = spec.compile()
     for kind, count in (("tendon", model.ntendon), ("equality constraint", model.neq), ("flex", model.nflex)):

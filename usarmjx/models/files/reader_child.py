@@ -80,9 +80,10 @@ def try_model(path: str, text: str = "") -> tuple[dict[str, object], list[Any]]:
     warned: list[str] = []
     # MuJoCo's default handler appends warnings to a file, MUJOCO_LOG.TXT.
     mujoco.set_mju_user_warning(warned.append)
-    spec = mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(path)
+    spec: Any = mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(path)
+    spec.memory = spec.njmax = spec.nconmax = -1  # room for contacts of the file's own program
     if text:  # MuJoCo writes six digits: inertias at the limit of balance, and tiny ones, would be beyond it
-        compiler: Any = spec.compiler  # whose stubs lack these fields
+        compiler = spec.compiler
         compiler.balanceinertia, compiler.boundmass, compiler.boundinertia = True, 1e-9, 1e-12
     model = spec.compile()
     if wrong := [text for text in warned if "NaN" in text]:

@@ -82,7 +82,7 @@ def rolling_parts(tree: BodyTree) -> list[RollingPart]:
                     axis=mat.T @ data.xaxis[joint],
                     radius=max((_radius(solid) for solid in solids), default=0.0),
                     bottom=lows[owner] - ground,
-                    is_caster=tree.owner_of(int(tree.model.body_parentid[owner])) in free,
+                    is_caster=tree.holder_of(owner) in free,
                     bears=_bears(tree, owner, data),
                 )
             )
@@ -99,7 +99,7 @@ def _at_rest(tree: BodyTree) -> mujoco.MjData:
 def _bears(tree: BodyTree, owner: int, data: mujoco.MjData) -> bool:
     """Return whether a part hangs on another that is no roller: it has limits, or an axis parallel to its."""
     own = data.xaxis[tree.joint_of(owner)]
-    held = [one for one in tree.owners[1:] if tree.owner_of(int(tree.model.body_parentid[one])) == owner]
+    held = [one for one in tree.owners[1:] if tree.holder_of(one) == owner]
     return any(
         not tree.turns_freely(one) or abs(float(data.xaxis[tree.joint_of(one)] @ own)) >= SIDEWAYS
         for one in held
@@ -223,17 +223,14 @@ def _steering_joints(tree: BodyTree, wheels: dict[int, RollingPart]) -> dict[str
     data = _at_rest(tree)
     upwards = data.xmat[tree.owners[0]].reshape(3, 3)[:, 2]
     for owner, wheel in wheels.items():
-        holder = tree.locate(int(tree.model.body_parentid[owner]))
-        if holder is None:
-            continue
-        steer = next((one for one in tree.owners[1:] if tree.name(one) == holder[0]), None)
-        if steer is None or tree.turns_freely(steer):
+        steer = tree.holder_of(owner)
+        if steer == tree.owners[0] or tree.turns_freely(steer):
             continue
         joint = tree.joint_of(steer)
         if tree.model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
             continue  # a suspension
         if abs(float(data.xaxis[joint] @ upwards)) >= UPRIGHT and tree.model.jnt_limited[joint]:
-            found[wheel.joint] = (holder[0], float(np.abs(tree.model.jnt_range[joint]).min()))
+            found[wheel.joint] = (tree.name(steer), float(np.abs(tree.model.jnt_range[joint]).min()))
     return found
 
 

@@ -200,7 +200,7 @@ class _Builder:
         except ValueError as error:
             raise SpecError(f"{source.path}: does not compile: {quoted(error)}") from error
         root = self._model.body(source.root).id
-        self._tree = BodyTree(self._model, source.spec, root, frozenset(source.slippery))
+        self._tree = BodyTree(self._model, source.spec, root, source.path, frozenset(source.slippery))
 
     def build(self, name: str, fields: Mapping[str, Any]) -> LoadedRobot:
         """Return the robot, with some fields replaced."""

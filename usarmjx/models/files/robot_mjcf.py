@@ -8,10 +8,12 @@ import mujoco
 import numpy as np
 
 from usarmjx.base.errors import SpecError
+from usarmjx.models.files.file_motors import FILTERS
 from usarmjx.models.files.mjcf_solids import Pose, mat_of
 from usarmjx.models.files.reader_process import try_model
-from usarmjx.models.files.robot_source import MimicJoint, RobotSource, SensorOnLink, left_out
-from usarmjx.models.files.xml_size import check_model_size
+from usarmjx.models.files.robot_source import MimicJoint, RobotSource, SensorOnLink, left_out, place_of
+from usarmjx.models.files.urdf_robot import LIGHT_INERTIA, LIGHT_NOTE, LIGHT_SHARE, MIN_MASS
+from usarmjx.models.files.xml_size import check_model_size, drop_sizes
 
 CAMERA_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
 """Our camera's axes (x ahead, y left, z up) in MuJoCo's (looks along -z, x right, y up), as columns."""
@@ -36,6 +38,7 @@ def read_mjcf_robot(path: Path) -> RobotSource:
     if wrong := try_model(path):
         raise SpecError(f"{path}: does not read: {wrong}")
     spec = mujoco.MjSpec.from_file(str(path))
+    drop_sizes(spec)
     root = spec.worldbody.first_body()
     if root is None:
         raise SpecError(f"{path}: no body under the world: nothing can be the chassis")
@@ -65,7 +68,22 @@ def _free_chassis(root: Any, source: RobotSource) -> None:  # noqa: ANN401
             source.spec.delete(joint)
         source.notes.append(said)
     if not root.joints:
+        _weigh_chassis(root, source)
         root.add_freejoint()
+
+
+def _weigh_chassis(root: Any, source: RobotSource) -> None:  # noqa: ANN401
+    """Give a chassis without mass, which the file holds on the world, the little that MuJoCo needs."""
+    model = source.spec.compile()
+    own = model.body(source.root).id
+    rigid = model.body_weldid == model.body_weldid[own]
+    below = np.array([body >= own and model.body_rootid[body] == own for body in range(model.nbody)])
+    if model.body_mass[rigid & below].sum() > 0:
+        return
+    root.explicitinertial = True
+    root.mass = max(LIGHT_SHARE * float(model.body_subtreemass[own]), MIN_MASS)
+    root.inertia = [LIGHT_INERTIA] * 3
+    source.notes.append(f"{place_of(source.path, root.info)}: body {source.root!r} has no mass: {LIGHT_NOTE}")
 
 
 def _read_constraints(spec: Any, source: RobotSource) -> None:  # noqa: ANN401
@@ -178,6 +196,7 @@ def _note_left_out(path: Path, spec: mujoco.MjSpec, source: RobotSource) -> None
         "contact pairs": list(spec.pairs),
         "contact exclusions (parts of a robot never touch each other)": list(spec.excludes),
         "friction losses of joints": [joint for joint in spec.joints if some(joint.frictionloss)],
+        "lags of actuators": [one for one in spec.actuators if one.dyntype in FILTERS],
         "gravity compensations": [body for body in spec.bodies if some(body.gravcomp)],
         "lights": list(spec.lights),
     }

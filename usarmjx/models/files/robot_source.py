@@ -141,11 +141,15 @@ def unused_name(name: str, taken: Collection[str], between: str = "_") -> str:
 
 def left_out(path: Path, kind: str, found: Sequence[Any]) -> str:
     """Return a note about elements of MuJoCo's description that are left out, with the line of the first."""
-    # Elements of included files have line 0, keyframes none.
-    line = re.fullmatch(r"line ([1-9]\d*)", found[0].info)
-    place = str(path) if line is None else f"{path}:{line[1]}"
     names = listed([one.name or "without name" for one in found])
-    return f"{place}: {len(found)} {kind} are left out: {names}"
+    return f"{place_of(path, found[0].info)}: {len(found)} {kind} are left out: {names}"
+
+
+def place_of(path: Path, info: str) -> str:
+    """Return the file of an element of MuJoCo's description, with its line where `info` has one."""
+    # Elements of included files have line 0, keyframes none.
+    line = re.fullmatch(r"line ([1-9]\d*)", info)
+    return str(path) if line is None else f"{path}:{line[1]}"
 
 
 def listed(names: Sequence[str], most: int = 5) -> str:

@@ -20,9 +20,13 @@ from usarmjx.models.files.urdf_tree import form_of, frame_of, joints_by_parent, 
 from usarmjx.models.files.xml_lines import MAX_DEPTH, NO_POSE, LinedElement, attribute_numbers
 
 LIGHT = 1e-3
-"""Mass of a link with a joint of its own for which the file has none [kg]: MuJoCo needs some."""
+"""Mass of a root where the file has no mass at all [kg]."""
+LIGHT_SHARE = 1e-7
+"""Mass of all moving links for which the file has none, over that of the robot: MuJoCo needs some."""
+LIGHT_NOTE = f"it gets its part of {LIGHT_SHARE:g} of the robot's mass"
+"""What becomes of such a link, in words."""
 LIGHT_INERTIA = 1e-6
-"""Its moments of inertia [kg m2]."""
+"""Moments of inertia of such a link [kg m2]."""
 HINGES, SLIDES = ("revolute", "continuous"), ("prismatic",)
 """Types of joints that move."""
 HELD = ("floating", "planar")
@@ -68,6 +72,7 @@ class _UrdfReader:
         self._visual_only = all(link.first("collision/geometry") is None for link in self._links.values())
         self._meshes: dict[tuple[str, tuple[float, ...], int], list[str]] = {}
         self._bodies: dict[str, mujoco.MjsBody] = {}
+        self._massless: list[mujoco.MjsBody] = []
 
     def read(self) -> RobotSource:
         """Return the file's robot."""
@@ -83,6 +88,7 @@ class _UrdfReader:
             body = self._add_link(name, joint, parent)
             waiting += [(link_at(child, "child"), child, body) for child in joints.get(name, ())]
         self._weigh_chassis(top, joints)
+        self._weigh_massless()
         self._note_left_out(joints)
         return self._source
 
@@ -97,11 +103,17 @@ class _UrdfReader:
                 for joint in joints.get(name, ())
                 if not self._bodies[child := link_at(joint, "child")].joints
             ]
-        body = self._bodies[top]
-        body.mass, body.inertia = LIGHT, [LIGHT_INERTIA] * 3
+        self._massless.append(self._bodies[top])
         self._source.notes.append(
-            f"{self._links[top].place}: no link that is fixed to the root {top!r} has a mass: it gets 1 g"
+            f"{self._links[top].place}: no link that is fixed to the root {top!r} has a mass: {LIGHT_NOTE}"
         )
+
+    def _weigh_massless(self) -> None:
+        """Give the bodies that need a mass and have none a share of the robot's that does not count."""
+        whole = sum(body.mass for body in self._bodies.values())
+        for body in self._massless:
+            body.mass = max(LIGHT_SHARE * whole / len(self._massless), MIN_MASS) if whole else LIGHT
+            body.inertia = [LIGHT_INERTIA] * 3
 
     def _top(self, joints: Mapping[str, list[LinedElement]]) -> str:
         """Return the root link with the most links below it."""
@@ -255,10 +267,12 @@ class _UrdfReader:
                 raise inertial.error(f"link {name!r} has a mass of {mass:g} kg")
         body.explicitinertial = True
         if inertial is None or mass <= MIN_MASS:
-            body.mass = LIGHT if moves else 0.0
-            body.inertia = [LIGHT_INERTIA] * 3 if moves else [0.0] * 3
+            body.mass, body.inertia = 0.0, [0.0] * 3
             if moves:
-                self._source.notes.append(f"{link.place}: link {name!r} has a joint and no mass: it gets 1 g")
+                self._massless.append(body)
+                self._source.notes.append(
+                    f"{link.place}: link {name!r} has a joint and no mass: {LIGHT_NOTE}"
+                )
             return
         frame = frame_of(inertial)
         keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.settings.files import read_bytes
@@ -188,3 +189,8 @@ def _numbers(text: str) -> Sequence[float]:
         except ValueError:
             return ()
     return found
+
+
+def drop_sizes(spec: Any) -> None:  # noqa: ANN401 - mujoco.MjSpec, whose stubs lack these fields
+    """Drop the room that a description asks for: it is for contacts of the file's own program."""
+    spec.memory = spec.njmax = spec.nconmax = -1
