@@ -15,6 +15,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 SIDES = 64
 """Corners around a tessellated cylinder or sphere."""
+ROUND = 0.9
+"""Smallest over largest distance of a round outline from its axis; an octagon has 0.92."""
 
 
 @dataclass
@@ -112,23 +114,37 @@ class _Urdf:
         return found, count
 
     def _radius(self, joint: ET.Element, children: dict[str | None, list[ET.Element]]) -> float:
-        """Return the radius of the solids behind a joint about its axis."""
+        """Return the radius of what is round about a joint's axis: collides, or else is drawn."""
+        first = 0.0
+        for tag in (self.tag, "visual"):
+            outline = self._outline(joint, children, tag)
+            if not len(outline):
+                continue
+            far = float(np.linalg.norm(outline, axis=1).max())
+            if -ConvexHull(outline).equations[:, 2].max() >= ROUND * far:
+                return far
+            first = first or far
+        return first
+
+    def _outline(
+        self, joint: ET.Element, children: dict[str | None, list[ET.Element]], tag: str
+    ) -> np.ndarray:
+        """Return the vertices of the solids behind a joint, in the plane across its axis (n, 2)."""
         axis = joint.find("axis")
         way = np.array([*_numbers("1 0 0" if axis is None else axis.get("xyz", "1 0 0"), 3)])
-        way /= np.linalg.norm(way)
-        far, waiting = 0.0, [(_end(joint, "child"), np.eye(4))]
+        plane = np.linalg.svd(way[None])[2][1:]
+        found, waiting = [np.zeros((0, 2))], [(_end(joint, "child"), np.eye(4))]
         while waiting:
             name, frame = waiting.pop()
-            for one in map(self._solid, self.links[name].findall(self.tag)):
+            for one in map(self._solid, self.links[name].findall(tag)):
                 if one is not None:
-                    points = (frame @ one)[:3].T
-                    far = max(far, float(np.linalg.norm(np.cross(points, way), axis=1).max()))
+                    found.append((frame @ one)[:3].T @ plane.T)
             waiting += [
                 (_end(child, "child"), frame @ _origin(child))
                 for child in children.get(name, ())
                 if child.get("type") == "fixed"
             ]
-        return far
+        return np.concatenate(found)
 
     def _solid(self, element: ET.Element) -> np.ndarray | None:
         """Return the vertices of a solid in its link's frame (4, n)."""

@@ -11,6 +11,7 @@ import pytest
 from tests.models.files.test_import_mjcf import compare, composed
 from usarmjx.base.errors import ArenaFileError, SpecError, UsageError
 from usarmjx.models import load_robot
+from usarmjx.models.check.robot import settling_distance
 from usarmjx.models.compile.compose import add_robot
 from usarmjx.models.drives import Ackermann, NoDrive, RotaryWing, SkidSteer
 from usarmjx.models.files import reader_child, reader_process
@@ -532,3 +533,69 @@ def test_what_does_not_drive_stands(load):
     robot = load(f'<robot name="stone">{BASE}</robot>').robot
     assert isinstance(robot.drive, NoDrive)
     assert robot.mass == pytest.approx(10)
+
+
+LEG = """<link name="{0}thigh">{1}</link><link name="{0}shank">{1}<collision>
+  <origin rpy="1.5707963 0 0"/><geometry><cylinder radius=".05" length=".04"/></geometry></collision>
+  <collision><origin xyz="0 0 -.3"/><geometry><sphere radius=".02"/></geometry></collision></link>"""
+LIMB = """<inertial><origin xyz="0 0 -.15"/><mass value=".5"/>
+  <inertia ixx=".004" iyy=".004" izz=".0002" ixy="0" ixz="0" iyz="0"/></inertial>"""
+WIDE = '<limit lower="-9" upper="9" effort="60" velocity="10"/>'
+
+
+def walker(limit=WIDE, kind="revolute"):
+    legs = "".join(
+        LEG.format(name, LIMB)
+        + hinge(f"{name}hip", f"{name}thigh", f"{x} {y} .05", kind=kind, more=limit)
+        + hinge(
+            f"{name}knee", f"{name}shank", ".05 0 -.3", parent=f"{name}thigh", kind="revolute", more=limit
+        )
+        for name, x, y in (("a", 0.25, 0.2), ("b", 0.25, -0.2), ("c", -0.3, 0.2), ("d", -0.3, -0.2))
+    )
+    return f'<robot name="walker">{BASE}{legs}</robot>'
+
+
+def test_legs_hold_their_robot_by_the_files_motors(load):
+    """Joints with two limits have motors however far these are apart; gains fit what stands on the legs."""
+    robot = load(walker()).robot
+    assert isinstance(robot.drive, NoDrive)
+    assert not robot.wheels, "a knee's drum is no wheel, though the foot below it reaches the ground"
+    assert [part.motor.torque for part in robot.parts] == [60.0] * 8
+    assert settling_distance(robot) < 0.005
+    # A quarter of 14 kg stands on each leg, 0.3 m and 0.6 m below its joints and 0.05 m before the hip.
+    knee, hip = robot.parts[1].motor, robot.parts[0].motor
+    share = 14 / 4
+    assert knee.stiffness / 667 == pytest.approx(share * 0.32**2, rel=0.2), "and what the leg itself weighs"
+    assert hip.stiffness / 667 == pytest.approx(share * (0.62**2 + 0.05**2), rel=0.2)
+
+
+def test_a_chassis_that_reaches_the_ground_beside_its_wheels_slides(load):
+    """A hull between the wheels that is as low as they are would hold the robot."""
+    from tests.arenas import FLAT
+    from usarmjx.sim.trials.driver import Trial
+
+    loaded = load(cart().replace('xyz="0 0 .1"/><geometry><box', 'xyz="0 0 -.05"/><geometry><box'))
+    assert loaded.robot.chassis[0].surface == "caster"
+    assert "1 of the chassis' solids that are not round reach the ground beside its" in loaded.notes[-1]
+    higher = load(cart().replace('xyz="0 0 .1"/><geometry><box', 'xyz="0 0 -.045"/><geometry><box'))
+    assert higher.robot.chassis[0].surface == "hull", "5 mm above the ground"
+    trial = Trial(FLAT, loaded.robot, 0.5)
+    trial.advance(0.5)
+    trial.command(1.0, 0.0)
+    trial.advance(2.0)
+    start = trial.pose()[0][0]
+    trial.advance(1.0)
+    assert trial.pose()[0][0] - start == pytest.approx(0.5 * loaded.robot.drive.top_speed, rel=0.02)
+
+
+def test_a_robot_with_an_arm_stays_where_it_is_put(load):
+    """Motors hold their joints before the first command: an arm does not sink and push its robot about."""
+    rear = WHEEL.format("cl") + WHEEL.format("cr")
+    heavy = LIMB.replace("0 0 -.15", "-.3 0 0").replace('value=".5"', 'value="3"')
+    limit = '<limit lower="-2" upper="2" effort="30" velocity="2"/>'
+    arm = f'<link name="arm">{heavy}</link>' + hinge(
+        "shoulder", "arm", ".1 0 .3", kind="revolute", more=limit
+    )
+    more = rear + hinge("RL", "cl", "-.2 .25 0") + hinge("RR", "cr", "-.2 -.25 0") + arm
+    assert settling_distance(load(cart(more)).robot) < 0.005
+    assert settling_distance(load(cart(more).replace(limit, "")).robot) > 0.005, "it falls without a motor"

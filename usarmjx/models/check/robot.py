@@ -7,7 +7,7 @@ from usarmjx.models.compile.compose import add_robot, new_spec
 from usarmjx.models.compile.kinematic_tree import kinematic_tree_of
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.types.arena import ArenaSpec
-from usarmjx.models.types.robot import RobotSpec
+from usarmjx.models.types.robot import HOLD_SUFFIX, RobotSpec
 
 SETTLING_TIME = 1.0
 """Time in which a robot comes to rest [s]."""
@@ -18,7 +18,7 @@ MAX_SETTLING = 0.005
 def settling_distance(robot: RobotSpec) -> float:
     """Return the way of a robot's origin within a second after it is put on level ground [m].
 
-    Its motors are off, as before its first command.
+    Its motors hold their joints, as before its first command.
 
     Raises:
         SpecError: It cannot be built.
@@ -27,6 +27,8 @@ def settling_distance(robot: RobotSpec) -> float:
     add_robot(spec, robot, "", (0.0, 0.0, kinematic_tree_of(robot).clearance))
     model = spec.compile()
     data = mujoco.MjData(model)
+    for actuator in range(model.nu):
+        data.ctrl[actuator] = model.actuator(actuator).name.endswith(HOLD_SUFFIX)
     mujoco.mj_forward(model, data)
     chassis = model.body("chassis").id
     before = data.xpos[chassis].copy()

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from usarmjx.models.compile.compose import add_robot, new_spec
-from usarmjx.models.compile.kinematic_tree import bounding_corners, kinematic_tree_of
+from usarmjx.models.compile.kinematic_tree import bounding_corners, kinematic_tree_of, lowest_point
 from usarmjx.models.compile.physics import Physics
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.models.types.robot import RobotSpec
@@ -53,3 +53,16 @@ def bounding_box(robot: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
     mujoco.mj_kinematics(model, data)
     own = model.geom_bodyid >= 2  # bodies 0 and 1 are the world and the arena
     return bounding_corners(model, data, own)
+
+
+def chassis_heights(robot: RobotSpec) -> np.ndarray:
+    """Return how high the lowest point of each of the chassis' solids is above that of the robot [m] (n,)."""
+    spec = new_spec(ArenaSpec(name="nowhere", starts=(), extent=((0, 0), (0, 0))), Physics())
+    add_robot(spec, robot, "", (0.0, 0.0, 0.0))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    lows = np.zeros(len(robot.chassis))
+    for i in range(len(lows)):
+        lows[i] = lowest_point(model, data, np.arange(model.ngeom) == model.geom(f"chassis/{i}").id)
+    return lows - lowest_point(model, data, model.geom_bodyid >= 2)

@@ -126,6 +126,14 @@ class BodyTree:
         """Return the part that holds a part."""
         return self._above[owner][0]
 
+    def axis(self, owner: int) -> np.ndarray:
+        """Return the axis of a part's joint in USARSim's axes of the part (3,)."""
+        return np.array(usarsim_vector(self.model.jnt_axis[self._joint[owner]]))
+
+    def is_limited(self, owner: int) -> bool:
+        """Return whether the joint of a part has a lowest and a highest position, however far apart."""
+        return bool(self.model.jnt_limited[self._joint[owner]])
+
     def turns_freely(self, owner: int) -> bool:
         """Return whether the joint of a part is a hinge that turns without end."""
         joint = self.joint_of(owner)

@@ -23,6 +23,8 @@ MIDDLE = 0.01
 """Distance from the middle plane within which a wheel is on neither side [m]."""
 MAX_LIFT, LIFT_SHARE = 0.02, 0.25
 """Largest height of a wheel above the lowest point of its robot: [m], and as a share of its radius."""
+OFF_CENTRE = 0.2
+"""Largest distance of a wheel's middle from its axis, over its radius."""
 FLIGHT_SPEED, FLIGHT_TURN, FLIGHT_TILT = 5.0, 2.0, math.radians(25)
 """Highest speed, turning rate and tilt of a robot with rotors [m/s], [rad/s], [rad] (chosen)."""
 FLIGHT_DRAG = 1.0
@@ -63,25 +65,28 @@ class RollingPart:
 
 def rolling_parts(tree: BodyTree) -> list[RollingPart]:
     """Return all parts that may be wheels, in the file's order."""
-    data = _at_rest(tree)
+    data = at_rest(tree)
     root = tree.owners[0]
     mat, pos = data.xmat[root].reshape(3, 3), data.xpos[root]
     found: list[RollingPart] = []
     free = {owner for owner in tree.owners[1:] if tree.turns_freely(owner)}
-    lows = {owner: _lowest(tree, owner, data) for owner in tree.owners}
+    lows = {owner: lowest_point(tree, owner, data) for owner in tree.owners}
     ground = min(lows.values())
     for owner in tree.owners[1:]:
         if owner in free:
             joint = tree.joint_of(owner)
             solids, _ = tree.solids(owner, "wheel")
+            radius = max((_radius(solid, tree.axis(owner)) for solid in solids), default=0.0)
+            at = mat.T @ (data.xanchor[joint] - pos)
             found.append(
                 RollingPart(
                     owner=owner,
                     joint=tree.name(owner),
-                    at=mat.T @ (data.xanchor[joint] - pos),
+                    at=at,
                     axis=mat.T @ data.xaxis[joint],
-                    radius=max((_radius(solid) for solid in solids), default=0.0),
-                    bottom=lows[owner] - ground,
+                    radius=radius,
+                    # A knee's drum does not reach the ground, though the foot below it does.
+                    bottom=max(lows[owner], float(at[2]) - radius) - ground,
                     is_caster=tree.holder_of(owner) in free,
                     bears=_bears(tree, owner, data),
                 )
@@ -89,7 +94,7 @@ def rolling_parts(tree: BodyTree) -> list[RollingPart]:
     return found
 
 
-def _at_rest(tree: BodyTree) -> mujoco.MjData:
+def at_rest(tree: BodyTree) -> mujoco.MjData:
     """Return the poses of a robot whose joints are at their zeros."""
     data = mujoco.MjData(tree.model)
     mujoco.mj_kinematics(tree.model, data)
@@ -106,7 +111,7 @@ def _bears(tree: BodyTree, owner: int, data: mujoco.MjData) -> bool:
     )
 
 
-def _lowest(tree: BodyTree, owner: int, data: mujoco.MjData) -> float:
+def lowest_point(tree: BodyTree, owner: int, data: mujoco.MjData) -> float:
     """Return the height of a part's lowest point in the chassis' axes [m]; infinite without solids."""
     model, root = tree.model, tree.owners[0]
     mat, pos = data.xmat[root].reshape(3, 3), data.xpos[root]
@@ -132,8 +137,12 @@ def _lowest(tree: BodyTree, owner: int, data: mujoco.MjData) -> float:
     return lowest
 
 
-def _radius(solid: Shape) -> float:
-    return solid.size[0] if solid.kind in ("cylinder", "sphere", "capsule") else 0.0
+def _radius(solid: Shape, axis: np.ndarray) -> float:
+    """Return the radius of a solid of a part that is round about the part's axis (3,); else 0."""
+    if solid.kind not in ("cylinder", "sphere", "capsule"):
+        return 0.0
+    aside = float(np.linalg.norm(np.cross(solid.at, axis)))
+    return solid.size[0] if aside <= OFF_CENTRE * solid.size[0] else 0.0
 
 
 def find_drive(
@@ -220,7 +229,7 @@ def _skid(
 def _steering_joints(tree: BodyTree, wheels: dict[int, RollingPart]) -> dict[str, tuple[str, float]]:
     """Return joints that steer a wheel: their name and largest angle, by the wheel's joint."""
     found: dict[str, tuple[str, float]] = {}
-    data = _at_rest(tree)
+    data = at_rest(tree)
     upwards = data.xmat[tree.owners[0]].reshape(3, 3)[:, 2]
     for owner, wheel in wheels.items():
         steer = tree.holder_of(owner)

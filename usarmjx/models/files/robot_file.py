@@ -12,8 +12,9 @@ import numpy as np
 from usarmjx.base.errors import ArenaFileError, SpecError, quoted
 from usarmjx.base.registry import is_name
 from usarmjx.base.settings.files import read_bytes
-from usarmjx.models.compile.measure import with_measurements
+from usarmjx.models.compile.measure import chassis_heights, with_measurements
 from usarmjx.models.drives import Ackermann, Drive, SkidSteer
+from usarmjx.models.files.bearing import borne_inertias
 from usarmjx.models.files.body_tree import BodyTree
 from usarmjx.models.files.file_motors import DEFAULT_TRAVEL, motor_with_limits, motors_of
 from usarmjx.models.files.gazebo_sensors import read_gazebo_elements
@@ -36,7 +37,6 @@ from usarmjx.models.files.urdf_robot import read_urdf_robot
 from usarmjx.models.files.urdf_tree import mend_urdf, read_urdf
 from usarmjx.models.files.xml_lines import root_tag
 from usarmjx.models.types.robot import CHASSIS, Motor, Mount, Part, RobotSpec, options
-from usarmjx.models.types.shapes import Shape
 
 logger = logging.getLogger(__name__)
 
@@ -46,6 +46,8 @@ RESERVED_NAMES = ("chassis", "root")
 """Names in use in the composed model."""
 CASTER_GAP = 0.01
 """Height above the ground within which a fixed solid beside wheels is a caster [m]."""
+DRAG_GAP = 0.002
+"""Height above the ground within which any other fixed solid beside wheels would drag [m]."""
 MAX_PACKAGES = 50
 """Largest number of packages that a xacro file names."""
 OUTERMOST = options(LeftTire="", RightTire="")
@@ -241,7 +243,7 @@ class _Builder:
         robot = replace(robot, **self._mounts(drive))
         robot = with_measurements(robot)
         if wheels and not flies:
-            robot = _with_casters(robot)
+            robot = _with_casters(robot, source)
         if flies:
             root, size = tree.owners[0], np.array(robot.dimensions)
             robot = replace(robot, drive=rotor_drive(self._model, root, rotors, size))
@@ -284,22 +286,23 @@ class _Builder:
         wheels = max(1, sum(aim.mode == VELOCITY_MODE for aim in drive.joint_controls))
         radius = drive.radius if isinstance(drive, SkidSteer | Ackermann) else 0.0
         weight = float(model.body_subtreemass[tree.owners[0]])
+        borne = borne_inertias(tree)
         found: dict[int, Motor] = {}
         for owner in tree.owners[1:]:
             joint, name = tree.joint_of(owner), tree.name(owner)
             limit = source.limits.get(name, JointLimit())
-            free = tree.turns_freely(owner)
+            free, limited = tree.turns_freely(owner), tree.is_limited(owner)
             wanted = name in aims or (
                 name not in source.mimics
                 and name in source.limits
-                and (name in source.motors if source.motors is not None else not free)
+                and (name in source.motors if source.motors is not None else limited)
             )
             if not wanted:
                 continue
             inertia = 1.0 / float(model.dof_invweight0[model.jnt_dofadr[joint]])
             speed = limit.speed if np.isfinite(limit.speed) else self._max_speed
             rolls = free and radius > 0 and name in aims
-            load = weight * radius**2 / wheels if rolls else 0.0
+            load = weight * radius**2 / wheels if rolls else borne.get(owner, 0.0)
             motor = motor_with_limits(inertia, limit.effort, speed, load)
             if not np.isfinite(motor.torque):
                 usual = motor.stiffness * DEFAULT_TRAVEL
@@ -394,16 +397,27 @@ def _opposite(axis: tuple[float, float, float]) -> tuple[float, float, float]:
     return (0.0 - x, 0.0 - y, 0.0 - z)
 
 
-def _with_casters(robot: RobotSpec) -> RobotSpec:
-    """Return a robot on wheels whose round fixed solids that reach the ground slide on it."""
+def _with_casters(robot: RobotSpec, source: RobotSource) -> RobotSpec:
+    """Return a robot on wheels whose fixed solids that reach the ground slide on it."""
     ground = robot.origin_height
-
-    def on_ground(shape: Shape) -> bool:
-        touches = shape.kind in ("sphere", "ellipsoid", "capsule", "cylinder")
+    heights = chassis_heights(robot)
+    round_ones, others = set[int](), list[int]()
+    for i, (shape, height) in enumerate(zip(robot.chassis, heights, strict=True)):
+        if shape.surface != "hull":
+            continue
         reach = shape.size[0] if shape.size else 0.0
-        return touches and shape.surface == "hull" and shape.at[2] + reach > ground - CASTER_GAP
-
+        if shape.kind in ("sphere", "ellipsoid", "capsule", "cylinder"):
+            if shape.at[2] + reach > ground - CASTER_GAP:
+                round_ones.add(i)
+        elif height < DRAG_GAP:
+            others.append(i)
+    if others:
+        source.notes.append(
+            f"{source.path}: {len(others)} of the chassis' solids that are not round reach the ground beside "
+            "its wheels: they slide on it"
+        )
+    slide = round_ones | {*others}
     chassis = tuple(
-        replace(shape, surface="caster") if on_ground(shape) else shape for shape in robot.chassis
+        replace(shape, surface="caster") if i in slide else shape for i, shape in enumerate(robot.chassis)
     )
     return replace(robot, chassis=chassis)
