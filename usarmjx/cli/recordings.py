@@ -3,7 +3,7 @@
 import contextlib
 import math
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,6 +16,7 @@ from usarmjx.cli.viewer_options import ViewerPortOption, viewer_server, viewer_s
 if TYPE_CHECKING:
     from usarmjx.comms.attenuation import RadioSettings
     from usarmjx.recording.file import RecordingFile
+    from usarmjx.recording.shots import CameraShot
     from usarmjx.server.worlds.served_world import ServedWorld
     from usarmjx.train.envs.env import Env
     from usarmjx.train.envs.state import EnvState
@@ -29,6 +30,13 @@ RecordOption = Annotated[
     typer.Option(help="Keep all that happens in this file, .mcap; see `usarmjx view`, `plot`, `replay`."),
 ]
 FileArgument = Annotated[Path, typer.Argument(help="Recording, .mcap, also one that was broken off.")]
+PicturesOption = Annotated[
+    float | None,
+    typer.Option(
+        help="Render the robots' cameras in this period into the MCAP file or ROS 2 bag [s].",
+        show_default=False,
+    ),
+]
 WorldOption = Annotated[int, typer.Option(min=0, help="Which world of the recording.")]
 
 
@@ -110,6 +118,7 @@ def view(
     bag_start: Annotated[
         float, typer.Option(help="With --bag: time of the recording at which the bag begins [s].")
     ] = 0.0,
+    pictures: PicturesOption = None,
 ) -> None:
     """Show a recording in a browser, at any speed."""
     with ErrorExit():
@@ -118,10 +127,14 @@ def view(
             from usarmjx.base.errors import UsageError
 
             raise UsageError("--bag needs --protobuf FILE, the file that both are written to")
+        if pictures is not None and protobuf is None:
+            from usarmjx.base.errors import UsageError
+
+            raise UsageError("--pictures needs --protobuf FILE, the file that they are written to")
         if protobuf is not None:
             from usarmjx.recording.protobuf import write_protobuf
 
-            counts = write_protobuf(file, protobuf, bag, bag_start)
+            counts = write_protobuf(file, protobuf, bag, bag_start, rendered(file, pictures))
             typer.echo(f"wrote {protobuf}, {sum(counts.values())} messages on {len(counts)} topics")
             return
         from usarmjx.recording.reader import Recording
@@ -143,6 +156,16 @@ def view(
                     page.update()
                     time.sleep(PAUSE)
             page.close()
+
+
+def rendered(file: Path, period: float | None, world: int | None = None) -> "Iterable[CameraShot]":
+    """Return pictures of the cameras in a recording, rendered as they are taken; none without a period."""
+    if period is None:
+        return ()
+    from usarmjx.plots.films.eyes import camera_shots
+    from usarmjx.recording.reader import Recording
+
+    return camera_shots(Recording(file), period, world)
 
 
 def tell_if_broken_off(is_complete: bool, file: Path) -> None:
@@ -205,7 +228,9 @@ BAG_SUFFIX = ".rosbag2"
 """Suffix of the folder of a bag of ROS 2."""
 
 
-def export_recording(file: Path, out: Path, world: int = 0, speed: float = 2.0) -> None:
+def export_recording(
+    file: Path, out: Path, world: int = 0, speed: float = 2.0, pictures: float | None = None
+) -> None:
     """Write a recording as tables, as a film or as a bag of ROS 2, as the name of the file says."""
     from usarmjx.base.errors import UsageError
     from usarmjx.plots.recording import FILMS, save_film
@@ -215,12 +240,14 @@ def export_recording(file: Path, out: Path, world: int = 0, speed: float = 2.0) 
     suffix = out.suffix.lower()
     if suffix not in (*SUFFIXES, *FILMS, BAG_SUFFIX):
         raise UsageError(f"{out}: recordings are exported to {', '.join((*SUFFIXES, *FILMS, BAG_SUFFIX))}")
+    if pictures is not None and suffix != BAG_SUFFIX:
+        raise UsageError(f"--pictures needs a file that ends in {BAG_SUFFIX}")
     recording = Recording(file)
     tell_if_broken_off(recording.is_complete, file)
     if suffix == BAG_SUFFIX:
         from usarmjx.server.ros2.bags import write_bag
 
-        for topic, count in write_bag(recording, out, world).items():
+        for topic, count in write_bag(recording, out, world, rendered(file, pictures, world)).items():
             typer.echo(f"{topic}: {count}")
         typer.echo(f"wrote {out}")
     elif suffix in SUFFIXES:

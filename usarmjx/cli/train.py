@@ -39,7 +39,7 @@ from usarmjx.cli.common import (
 from usarmjx.cli.completion import complete_tasks
 from usarmjx.cli.known_names import check_policy
 from usarmjx.cli.policy_options import PolicyEngineOption
-from usarmjx.cli.recordings import RecordOption, export_recording
+from usarmjx.cli.recordings import PicturesOption, RecordOption, export_recording
 from usarmjx.cli.setting_options import ConfigOption, PrintConfigOption, help_table, option_name
 from usarmjx.cli.startup_messages import announce, say, tried_on
 from usarmjx.cli.task_options import field_texts, fields_over, task_text
@@ -722,6 +722,7 @@ def export(
     half: Annotated[bool, typer.Option("--half", help="Weights of 16 bits: half the size.")] = False,
     world: Annotated[int, typer.Option(min=0, help="Of a recording: which world films and bags show.")] = 0,
     speed: Annotated[float, typer.Option(min=0.01, help="Of a recording: how fast films are.")] = 2.0,
+    pictures: PicturesOption = None,
 ) -> None:
     """Write a policy for NumPy or ONNX Runtime; or a recording as tables, film or ROS 2 bag."""
     with ErrorExit():
@@ -730,7 +731,7 @@ def export(
             check_policy(str(run))
         announce(f"reading {run} ...")
         if run.is_file():
-            export_recording(run, where, world, speed)
+            export_recording(run, where, world, speed, pictures)
             return
         from usarmjx.train.policies.export import export_run
         from usarmjx.train.policies.policy_folder import size_of

@@ -1,7 +1,7 @@
 """Recordings with Foxglove's protobuf schemas, for viewers that do not read its JSON, such as Rerun."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
 from importlib import import_module
 from pathlib import Path
@@ -15,6 +15,7 @@ from usarmjx.recording.bags import read_bag
 from usarmjx.recording.file import CHANNELS, topic_of
 from usarmjx.recording.foxglove import NANO
 from usarmjx.recording.reader import Recording
+from usarmjx.recording.shots import CameraShot, grid_message, recorded_arena, shot_messages
 
 FOXGLOVE = "foxglove."
 """Prefix of schemas that have a protobuf form."""
@@ -23,9 +24,13 @@ MOMENTS = ("google.protobuf.Timestamp", "google.protobuf.Duration")
 
 
 def write_protobuf(
-    recording: Path, path: Path, bag: Path | None = None, bag_start: float = 0.0
+    recording: Path,
+    path: Path,
+    bag: Path | None = None,
+    bag_start: float = 0.0,
+    shots: Iterable[CameraShot] = (),
 ) -> Mapping[str, int]:
-    """Write the transforms, shapes, scans, trails and log lines of a recording as protobuf messages.
+    """Write transforms, shapes, scans, trails, log lines and map of a recording as protobuf messages.
 
     States and inputs are left out: the recording itself remains the file for `usarmjx view` and `replay`.
 
@@ -34,6 +39,7 @@ def write_protobuf(
         path: The file, which must not exist yet.
         bag: ROS bag whose odometry, transforms and scans are put beside; None: none.
         bag_start: Time of the recording at which the bag begins [s].
+        shots: Pictures of its robots' cameras.
 
     Returns:
         Number of messages by topic.
@@ -54,7 +60,7 @@ def write_protobuf(
     counts: Counter[str] = Counter()
     with atomic_write(path) as fresh, fresh.open("wb") as target:
         writer = library.Writer(target)
-        for topic, schema, value, time in _together(recording, bag, bag_start):
+        for topic, schema, value, time in _together(recording, bag, bag_start, shots):
             try:
                 message = message_of(schema, value)
             except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
@@ -70,18 +76,34 @@ Timed = tuple[str, str, Mapping[str, Any], int]
 """Topic, schema and value of a message, and its time [ns]."""
 
 
-def _together(recording: Path, bag: Path | None, bag_start: float) -> Iterator[Timed]:
-    """Yield the messages of a recording, and then those of a bag: readers sort them by time."""
+def _together(
+    recording: Path, bag: Path | None, bag_start: float, shots: Iterable[CameraShot]
+) -> Iterator[Timed]:
+    """Yield the messages of a recording, then those of a bag and pictures: readers sort them by time."""
     start = None
     for one in _recorded(recording):
         start = one[3] if start is None else min(start, one[3])
         yield one
     if start is None:
         raise UsageError(f"{recording}: has no messages of Foxglove's schemas: is it a recording of usarmjx?")
+    with closing(Recording(recording)) as source:
+        several = len(source.worlds) > 1
+        for world in source.worlds:
+            arena = recorded_arena(source, world)
+            if arena is not None:
+                value = grid_message(arena, start / NANO)
+                yield _topic(world, "map", several=several), "foxglove.Grid", value, start
+        for shot in shots:
+            for kind, schema, value in shot_messages(shot):
+                yield _topic(shot.world, kind, several=several), schema, value, round(shot.time * NANO)
     if bag is not None:
         shift = start + round(bag_start * NANO)
         for time, topic, schema, value in read_bag(bag, shift):
             yield topic, schema, value, time
+
+
+def _topic(world: int, kind: str, *, several: bool) -> str:
+    return f"/world{world}/{kind}" if several else f"/{kind}"
 
 
 def _recorded(recording: Path) -> Iterator[Timed]:

@@ -1,9 +1,10 @@
 """Recordings as bags of ROS 2: the topics of a served world, as far as a recording has their data.
 
-Poses and joints are those of the recorded frames, five a second; readings are all. Pictures are not recorded.
+Poses and joints are those of the recorded frames, five a second; readings are all. Pictures are not recorded:
+who renders some of the frames hands them over.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,16 +15,17 @@ import numpy as np
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import UsageError
 from usarmjx.base.rotations import mat_from_quat, quat_from_mat
+from usarmjx.models.compile.floor_map import floor_map
 from usarmjx.models.robots import ROBOTS
-from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.recording.reader import RecordedMessage, Recording
+from usarmjx.recording.shots import CameraShot, recorded_arena
 from usarmjx.server.ros2.bag_file import BagWriter
 from usarmjx.server.ros2.transport import CLOCK, DEFAULT, LATCHED, SENSOR, Qos
 from usarmjx.server.rosbridge import motion, readings
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
 from usarmjx.server.rosbridge.motion import MAP, frame_name
 from usarmjx.server.rosbridge.robot_description import urdf
-from usarmjx.server.rosbridge.topics import USUAL_NAMES, floor_map, occupancy_grid
+from usarmjx.server.rosbridge.topics import IMAGE, USUAL_NAMES, occupancy_grid
 from usarmjx.server.rosbridge.wheel_odometry import true_estimate
 from usarmjx.view.drawing import Drawing, DrawnMount, DrawnRobot, Frame, RobotFrame
 
@@ -44,13 +46,16 @@ class BagMessage(NamedTuple):
     qos: Qos
 
 
-def write_bag(recording: Recording, folder: Path, world: int = 0) -> dict[str, int]:
+def write_bag(
+    recording: Recording, folder: Path, world: int = 0, shots: Iterable[CameraShot] = ()
+) -> dict[str, int]:
     """Write one world of a recording as a bag; return the number of messages by topic.
 
     Args:
         recording: The recording.
         folder: The new folder.
         world: Number of the world.
+        shots: Pictures of its robots' cameras.
 
     Raises:
         UsageError: The folder exists already, or there is no such world.
@@ -72,6 +77,9 @@ def write_bag(recording: Recording, folder: Path, world: int = 0) -> dict[str, i
                 found = _of_message(message, drawing)
             for one in found:
                 bag.write(one.topic, one.kind, one.message, message.time, one.qos)
+        for shot in shots:
+            for one in _of_shot(shot):
+                bag.write(one.topic, one.kind, one.message, shot.time, one.qos)
         return bag.topics
 
 
@@ -81,14 +89,19 @@ def _listed(worlds: Any) -> str:  # noqa: ANN401 - numbers
 
 def _map_messages(recording: Recording, world: int) -> Iterator[BagMessage]:
     """Yield the map of a world whose arena is recorded."""
-    try:
-        arenas = recording.setup(world).arenas
-    except UsageError:
-        return
-    if len(arenas) == 1:
-        arena: ArenaSpec = arenas[0]
+    arena = recorded_arena(recording, world)
+    if arena is not None:
         grid = occupancy_grid(ROS2, arena.floor, *floor_map(arena))
         yield BagMessage("/map", "nav_msgs/OccupancyGrid", grid, LATCHED)
+
+
+def _of_shot(shot: CameraShot) -> Iterator[BagMessage]:
+    robot, camera = frame_name(shot.robot), frame_name(shot.camera)
+    frame = motion.optical_name(f"{robot}/{camera}")
+    where = motion.transform(ROS2, shot.time, MAP, frame, (shot.pos, shot.quat))
+    yield BagMessage("/tf", "tf2_msgs/TFMessage", {"transforms": [where]}, DEFAULT)
+    picture = {"header": ROS2.header(shot.time, frame), "format": "jpeg", "data": shot.jpeg}
+    yield BagMessage(f"/{robot}/{camera}/compressed", IMAGE, picture, SENSOR)
 
 
 def _constant(drawing: Drawing) -> Iterator[BagMessage]:

@@ -1,12 +1,12 @@
 """The topics of a served world: their messages, and the revision of the data in each."""
 
-import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from usarmjx.models.compile.raster import Grid, rasterize
+from usarmjx.models.compile.floor_map import floor_map
+from usarmjx.models.compile.raster import Grid
 from usarmjx.models.types.arena import ArenaSpec
 from usarmjx.server.rosbridge import motion
 from usarmjx.server.rosbridge.definitions import RosMessage, RosVersion
@@ -18,13 +18,6 @@ from usarmjx.server.rosbridge.wheel_odometry import drift_of, estimate_of, odome
 from usarmjx.server.worlds.robot import Robot
 from usarmjx.server.worlds.served_world import ServedWorld
 
-CELL = 0.05
-"""Side of a map's square [m]; doubled until there are no more than `MOST_SQUARES`."""
-MOST_SQUARES = 1_000_000
-LOWEST, HIGHEST = 0.1, 0.6
-"""Heights above the floor between which a solid is an obstacle [m]."""
-MARGIN = 0.5
-"""Margin of the map around the arena's extent [m]."""
 OCCUPIED = 100
 """Value of an occupied square in an OccupancyGrid [percent]."""
 STATE_PERIOD = 0.04
@@ -41,23 +34,6 @@ USUAL_NAMES = {
     "sensor_msgs/NavSatFix": "fix",
 }
 """Names below a robot that ROS's programs expect of its first sensor of a type."""
-
-
-def floor_map(arena: ArenaSpec) -> tuple[Grid, np.ndarray]:
-    """Return the squares of an arena's map, and which of them a fixed solid fills (i, j).
-
-    Solids are widened by half a square on each side. Loose objects and doors are left out.
-    """
-    cell, spans = CELL, [(low - MARGIN, high + MARGIN) for low, high in arena.extent]
-    while math.prod((high - low) / cell for low, high in spans) > MOST_SQUARES:
-        cell *= 2
-    columns, rows = (max(1, math.ceil((high - low) / cell)) for low, high in spans)
-    grid = Grid(low=(spans[0][0], spans[1][0]), cell=cell, shape=(columns, rows))
-    table = rasterize(arena.shapes, grid)
-    blocks = (table.high > LOWEST) & (table.low < HIGHEST)  # above the floor
-    filled = np.zeros(grid.shape, bool)
-    filled.reshape(-1)[table.square[blocks]] = True
-    return grid, filled
 
 
 def occupancy_grid(version: RosVersion, floor: float, grid: Grid, filled: np.ndarray) -> RosMessage:
