@@ -28,6 +28,8 @@ LIGHT_NOTE = f"it gets its part of {LIGHT_SHARE:g} of the robot's mass"
 LIGHT_INERTIA = 1e-6
 """Moments of inertia of such a link [kg m2]."""
 HINGES, SLIDES = ("revolute", "continuous"), ("prismatic",)
+"""Types of joints that turn, and of those that slide."""
+MOVING = (*HINGES, *SLIDES)
 """Types of joints that move."""
 HELD = ("floating", "planar")
 """Types of joints that robots do not have; they are held."""
@@ -73,10 +75,11 @@ class _UrdfReader:
         self._meshes: dict[tuple[str, tuple[float, ...], int], list[str]] = {}
         self._bodies: dict[str, mujoco.MjsBody] = {}
         self._massless: list[mujoco.MjsBody] = []
+        self._joints: Mapping[str, list[LinedElement]] = {}
 
     def read(self) -> RobotSource:
         """Return the file's robot."""
-        joints = joints_by_parent(self._root, self._links)
+        self._joints = joints = joints_by_parent(self._root, self._links)
         top = self._top(joints)
         self._source = RobotSource(
             path=self._path, name=self._root.get("name", ""), spec=self._spec, root=body_name(top)
@@ -164,12 +167,13 @@ class _UrdfReader:
         moves = joint is not None and self._add_joint(joint, body)
         self._add_inertia(link, body, moves=moves)
         rolls = joint is not None and joint.get("type") == "continuous"
-        for number, solid in enumerate(self._solids_of(link, joint if rolls else None)):
+        may_be_wheel = rolls and not any(one.get("type") in MOVING for one in self._joints.get(name, ()))
+        for number, solid in enumerate(self._solids_of(link, joint if may_be_wheel else None)):
             self._add_solid(solid, body, f"{name}/{number}", rolls=rolls)
         return body
 
     def _solids_of(self, link: LinedElement, hinge: LinedElement | None) -> list[LinedElement]:
-        """Return a link's solids: on a hinge without end, a round mesh instead of square ones."""
+        """Return a link's solids: on a wheel's hinge, a round mesh instead of square ones."""
         solids = [*link.all("visual" if self._visual_only else "collision")]
         if hinge is None or self._visual_only or not solids:
             return solids
