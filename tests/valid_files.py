@@ -16,7 +16,8 @@ shapes:
 - {<<: *a, at: [0, 1.5, 0.6], rgba: [1, 0, 0, 1]}
 - {kind: hfield, size: [1, 1, 0.1], heights: [[0, 1], [1, 0]]}
 - {kind: mesh, mesh: [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]}
-loose: [{name: brick, at: [0, 0, 0], shapes: [{kind: box, size: [0.1, 0.1, 0.1], mass: 2.5}]}]
+loose: [{name: brick, at: [0, 0, 0], shapes: [{kind: box, size: [0.1, 0.1, 0.1]}],
+  inertia: {mass: 2.5, at: [0, 0, -0.05], moments: [0.1, 0.2, 0.25, 0, 0, 0.01]}}]
 doors: [{name: gate, at: [1, 0, 0], limits: [-1.5, 1.5]}]
 victims: [{name: Eve, at: [0, 0, 0.11], posture: lying, segments: [{name: Head, final: [0, 0, 1]}]}]
 tags: [{at: [1, 1, 0], id: 17}]

@@ -342,3 +342,20 @@ def test_arenas_are_found_by_name_or_file():
         find_arena("atlantis")
     with pytest.raises(ArenaFileError, match=r"atlantis\.yaml: there is no such file"):
         find_arena("atlantis.yaml")
+
+
+def test_a_loose_object_may_state_its_inertia(tmp_path):
+    text = (
+        "name: A\nstarts: [{tag: A, at: [2, 0, 0.2]}]\nloose: [{name: brick, at: [0, 0, 1], shapes: "
+        "[{kind: box, size: [0.1, 0.1, 0.1]}], inertia: {mass: 2.5, at: [0, 0, -0.05], moments: %s}}]\n"
+    )
+    path = tmp_path / "a.yaml"
+    path.write_text(text % [0.1, 0.2, 0.25, 0, 0, 0])
+    body = new_spec(load_arena(path), Physics()).compile().body("loose/brick")
+    assert (body.mass.tolist(), body.ipos.tolist()) == ([2.5], [0.0, 0.0, -0.05])
+    assert body.inertia == pytest.approx([0.1, 0.2, 0.25])
+    path.write_text(text % [0.1, 0.2, 0.35, 0, 0, 0])
+    with pytest.raises(
+        ArenaFileError, match=r"a\.yaml:3: loose\[0\]: loose object 'brick': inertia is that of"
+    ):
+        load_arena(path)

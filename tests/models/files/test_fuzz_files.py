@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 
 import dev
 from tests.kept_files import kept_files, written_files
-from tests.models.files.test_robot_files import PLUGINS, cart
+from tests.models.files.test_import_mjcf import SEVERAL as ARM
+from tests.models.files.test_robot_files import COLLADA, PLUGINS, cart
+from tests.models.files.test_sdf_robots import ROBOT as ROBOT_SDF
 from tests.models.ini.test_ini_later import LATER
 from tests.mutations import edits, mutate
 from tests.train.handmade import policy_file
@@ -59,11 +61,24 @@ MOST_SAID = 4000
 ROBOT, LATER_INI = cart(PLUGINS).encode(), LATER.encode()
 """A robot on wheels with plugins, and an ini file of the later versions."""
 
+XACRO = ROBOT.replace(
+    b'<robot name="cart">',
+    b'<robot name="cart" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    b'<xacro:property name="w" value="${2*.3}"/>'
+    b'<xacro:macro name="mast" params="n"><link name="${n}"/></xacro:macro><xacro:mast n="m$(optenv N 1)"/>',
+).replace(b'size=".6 .4', b'size="${w} .4')
+"""A xacro file with a property, a macro, an expression and a substitution."""
+
 LOADERS = {
     "arena.yaml": (ARENA, load_arena),
     "model.xml": (MODEL, mjcf_content),
     "bench.urdf": ((EXAMPLES / "bench.urdf").read_bytes(), urdf_content),
     "cart.urdf": (ROBOT, load_robot),
+    "cart.sdf": (ROBOT_SDF.encode(), load_robot),
+    "arm.xml": (ARM.encode(), load_robot),
+    "cart.urdf.xacro": (XACRO, load_robot),
+    "box.dae": (COLLADA.encode(), load_convex_pieces),
+    "roads.rndf": (ROADS, load_arena),
     "gazebo.world": (GAZEBO, sdf_content),
     "stage.world": (STAGE, stage_content),
     "grid.map": (GRID, moving_ai_content),
@@ -288,3 +303,67 @@ def test_a_changed_map_loads_or_is_refused(changes, pixels, tmp_path_factory):
     (folder / "fuzzed.png").write_bytes(mutate(picture("PPM"), pixels))
     (folder / "fuzzed-map.yaml").write_bytes(mutate(MAP, changes))
     read(load_arena, folder / "fuzzed-map.yaml")
+
+
+def in_tag(attributes):
+    """Attributes as a tag has them."""
+    return " ".join(f"{key}='{value}'" for key, value in attributes.items())
+
+
+SCENARIO = b"version 1\n0\tfuzzed.map\t4\t3\t1\t1\t2\t1\t3.4\n0\tfuzzed.map\t4\t3\t2\t2\t1\t1\t1\n"
+
+
+@SOME
+@given(rows=edits, cells=st.just([]) | edits)
+def test_a_changed_scenario_loads_or_is_refused(rows, cells, tmp_path_factory):
+    folder = tmp_path_factory.getbasetemp()
+    (folder / "fuzzed.map").write_bytes(mutate(GRID, cells))
+    (folder / "fuzzed.map.scen").write_bytes(mutate(SCENARIO, rows))
+    read(moving_ai_content, folder / "fuzzed.map.scen")
+
+
+JOINTS = ["hinge", "slide", "ball", "free", ""]
+JOINT_WORDS = ["0 0 1", "0 0 0", "nan 0 1", "1e-320 0 0", "-1 1", "1 -1", "1e9 0 0", "0", "x", ""]
+joints = st.tuples(
+    st.sampled_from(JOINTS),
+    st.dictionaries(st.sampled_from(["axis", "pos", "range", "ref", "name"]), st.sampled_from(JOINT_WORDS)),
+)
+
+
+@SOME
+@given(made=st.lists(joints, max_size=4), mass=st.sampled_from(["0", "1e-12", "1", "1e30", "nan"]))
+def test_any_joints_of_a_body_are_parts_or_refused(made, mass, tmp_path_factory):
+    def element(number, kind, attributes):
+        own = {"name": f"j{number}", **attributes} | ({"type": kind} if kind else {})
+        return f"<joint {in_tag(own)}/>"
+
+    inner = "".join(element(i, *one) for i, one in enumerate(made))
+    path = tmp_path_factory.getbasetemp() / "fuzzed-joints.xml"
+    path.write_text(
+        f"<mujoco><worldbody><body name='b'><freejoint/><geom size='.1'/><body name='c'>{inner}"
+        f"<geom size='.1' mass='{mass}'/></body></body></worldbody></mujoco>",
+        encoding="utf-8",
+    )
+    read(load_robot, path)
+
+
+URDF_TAGS = ["link", "joint", "inertial", "mass", "origin", "limit", "axis", "mimic", "gazebo", "collision"]
+URDF_WORDS = ["wl", "base", "L", "0 0 1", "nan", "-1", "1e300", "1e-320", "continuous", "prismatic", ""]
+URDF_KEYS = ["name", "type", "link", "value", "xyz", "rpy", "joint", "lower", "upper", "reference"]
+urdf_attributes = st.dictionaries(st.sampled_from(URDF_KEYS), st.sampled_from(URDF_WORDS), max_size=3)
+urdf_elements = st.recursive(
+    st.tuples(st.sampled_from(URDF_TAGS), urdf_attributes).map(lambda p: f"<{p[0]} {in_tag(p[1])}/>"),
+    lambda inner: st.tuples(st.sampled_from(URDF_TAGS), urdf_attributes, st.lists(inner, max_size=3)).map(
+        lambda p: f"<{p[0]} {in_tag(p[1])}>{''.join(p[2])}</{p[0]}>"
+    ),
+    max_leaves=8,
+)
+
+
+@SOME
+@given(tree=st.lists(urdf_elements, max_size=4), kind=st.sampled_from(["urdf", "sdf"]))
+def test_any_tree_of_known_elements_is_a_robot_or_refused(tree, kind, tmp_path_factory):
+    path = tmp_path_factory.getbasetemp() / f"fuzzed-tree-robot.{kind}"
+    whole, end = (cart(PLUGINS), "</robot>") if kind == "urdf" else (ROBOT_SDF, "</model>")
+    path.write_text(whole.replace(end, f"{''.join(tree)}{end}", 1), encoding="utf-8")
+    read(load_robot, path)

@@ -2,6 +2,7 @@
 
 import math
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,6 +13,8 @@ from tests.models.files.worlds import PYRAMID, world, write
 from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import mat_from_angles
 from usarmjx.models.check.arena import check_arena
+from usarmjx.models.compile.compose import new_spec
+from usarmjx.models.compile.physics import Physics
 from usarmjx.models.files.load import load_arena, read_arena
 from usarmjx.models.files.world_meshes import box_of
 from usarmjx.models.types.arena import START_ELEVATION
@@ -170,6 +173,41 @@ def test_what_is_not_static_is_loose_with_the_mass_of_its_links(tmp_path):
 HINGE = """<joint name='hinge' type='revolute'><parent>{}</parent><child>leaf</child>
 <pose>-0.5 0 0 0 0 0</pose><axis><xyz>0 0 {}</xyz><limit><lower>{}</lower><upper>1.5</upper></limit>
 <dynamics><damping>0.7</damping></dynamics></axis></joint>"""
+
+
+def test_a_loose_object_has_the_inertia_of_its_file(tmp_path):
+    """Two links, whose inertias are stated at places and angles of their own, as one body."""
+    moments = np.diag([0.2, 0.3, 0.4])
+    inertial = (
+        "<inertial><pose>0.1 0 0 0 0 0.5</pose><mass>3</mass><inertia><ixx>0.2</ixx><iyy>0.3</iyy>"
+        "<izz>0.4</izz></inertia></inertial>"
+    )
+    joint = "<joint name='j' type='fixed'><parent>a</parent><child>b</child></joint>"
+    links = solid("a", more=inertial) + solid("b", pose="0 2 0 0 0 0", more=inertial)
+    arena, notes = read(tmp_path, f"<model name='m'>{links}{joint}</model>")
+    assert notes == ()
+    (thing,) = arena.loose
+    assert [(shape.surface, shape.mass) for shape in thing.shapes] == [("loose", 0.0)] * 2
+    spec = new_spec(arena, Physics())
+    model = spec.compile()
+    body = model.body(f"loose/{thing.name}")
+    turn = mat_from_angles(0.0, 0.0, 0.5)
+    # Both are alike, 2 m apart along y: Steiner's 2 x 3 kg x (1 m)^2 about x and z.
+    expected = 2 * turn @ moments @ turn.T + 6 * np.diag([1.0, 0.0, 1.0])
+    frame = np.zeros(9)
+    mujoco.mju_quat2Mat(frame, body.iquat)
+    axes = frame.reshape(3, 3)
+    assert body.mass[0] == pytest.approx(6)
+    np.testing.assert_allclose(body.ipos, [0.1, 1.0, 0.0], atol=TURNED)
+    np.testing.assert_allclose(axes @ np.diag(body.inertia) @ axes.T, expected, atol=TURNED)
+
+
+def test_an_inertia_of_no_body_is_named_and_that_of_the_solids_counts(tmp_path):
+    inertial = "<inertial><mass>3</mass><inertia><ixx>1</ixx><iyy>1</iyy><izz>5</izz></inertia></inertial>"
+    arena, (note,) = read(tmp_path, f"<model name='m'>{solid('a', more=inertial)}</model>")
+    assert "link 'a' has the inertia of no body: that of its solids counts" in note
+    assert "a.world:" in note
+    assert (arena.loose[0].inertia, arena.loose[0].shapes[0].mass) == (None, pytest.approx(3))
 
 
 def test_a_box_on_an_upright_hinge_is_a_door_and_other_joints_are_held(tmp_path):

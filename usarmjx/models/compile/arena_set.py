@@ -110,7 +110,7 @@ def sorted_boxes(arena: ArenaSpec) -> list[Shape]:
 
 def loose_form(loose: LooseObject) -> Hashable:
     """Return the properties of a loose object that cannot differ between those of one slot."""
-    return loose.shapes
+    return loose.shapes, loose.inertia
 
 
 def _by_form(groups: Sequence[Sequence[Thing]], form: Callable[[Thing], Hashable]) -> list[list[list[Thing]]]:
@@ -361,7 +361,9 @@ def _template(
         starts=first.starts[: min(len(arena.starts) for arena in arenas)],
         extent=((float(low_x.min()), float(high_x.max())), (float(low_y.min()), float(high_y.max()))),
         loose=tuple(
-            LooseObject(name=str(k), at=(x[k], y[k], z[k] - first.floor), shapes=loose.shapes)
+            LooseObject(
+                name=str(k), at=(x[k], y[k], z[k] - first.floor), shapes=loose.shapes, inertia=loose.inertia
+            )
             for k, loose in enumerate(objects)
         ),
         robots=first.robots,

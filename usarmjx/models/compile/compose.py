@@ -13,7 +13,7 @@ import numpy as np
 from usarmjx.base.transforms import Vec3, flip_angles, flip_vector, quat_from_angles
 from usarmjx.models.compile.doors import door_panel
 from usarmjx.models.compile.geoms import add_geom
-from usarmjx.models.compile.inertia import set_inertia
+from usarmjx.models.compile.inertia import arena_inertia, set_inertia, stated_inertia
 from usarmjx.models.compile.parts import chassis_shapes, parts_of
 from usarmjx.models.compile.physics import CONES, SOLVERS, Physics
 from usarmjx.models.compile.victims import segment_poses, victim_table
@@ -76,6 +76,8 @@ def _add_loose(spec: mujoco.MjSpec, loose: LooseObject, floor: float) -> None:
     body.add_freejoint(name=name)
     for i, shape in enumerate(loose.shapes):
         add_geom(spec, body, f"{name}/{i}", shape)
+    if loose.inertia is not None:
+        set_inertia(body, arena_inertia(loose.inertia), loose.shapes)
 
 
 def _add_door(spec: mujoco.MjSpec, door: Door, floor: float) -> None:
@@ -175,7 +177,7 @@ def add_robot(spec: mujoco.MjSpec, robot: RobotSpec, prefix: str, pos: Vec3, yaw
     for i, shape in enumerate(solids):
         add_geom(spec, chassis, f"{prefix}chassis/{i}", shape)
     if robot.inertia is not None:
-        set_inertia(chassis, robot.inertia, solids)
+        set_inertia(chassis, stated_inertia(robot.inertia), solids)
     bodies = {CHASSIS: chassis}
     for part in parts_of(robot):
         bodies[part.name] = _add_part(spec, bodies[part.parent], part, prefix)
@@ -215,7 +217,7 @@ def _add_part(spec: mujoco.MjSpec, parent: mujoco.MjsBody, part: Part, prefix: s
     for i, shape in enumerate(solids):
         add_geom(spec, body, f"{name}/{i}", shape)
     if part.inertia is not None:
-        set_inertia(body, part.inertia, solids)
+        set_inertia(body, stated_inertia(part.inertia), solids)
     if part.motor is not None:
         joint.armature = part.motor.armature
         _add_servo(spec, joint, part.motor)

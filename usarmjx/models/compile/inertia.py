@@ -52,7 +52,20 @@ def described_inertia(found: Inertia) -> BodyInertia:
     return BodyInertia(mass=float(found.mass), at=(x, y, z), moments=(xx, yy, zz, -xy, -xz, yz))
 
 
-def set_inertia(body: mujoco.MjsBody, stated: BodyInertia, shapes: Sequence[Shape]) -> None:
+def arena_inertia(stated: BodyInertia) -> Inertia:
+    """Return the inertia of a loose object, whose description has MuJoCo's axes."""
+    xx, yy, zz, xy, xz, yz = stated.moments
+    return Inertia(stated.mass, np.array(stated.at), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+
+
+def described_in_arena(found: Inertia) -> BodyInertia:
+    """Return an inertia as that of a loose object's description."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = (np.asarray(found.tensor) + 0.0).tolist()
+    x, y, z = (np.asarray(found.centre) + 0.0).tolist()
+    return BodyInertia(mass=float(found.mass), at=(x, y, z), moments=(xx, yy, zz, xy, xz, yz))
+
+
+def set_inertia(body: mujoco.MjsBody, stated: Inertia, shapes: Sequence[Shape]) -> None:
     """Give a body its stated inertia, and that of the solids that have a mass of their own.
 
     Args:
@@ -61,7 +74,7 @@ def set_inertia(body: mujoco.MjsBody, stated: BodyInertia, shapes: Sequence[Shap
         shapes: Its solids, MuJoCo's axes.
     """
     heavy = [shape for shape in shapes if shape.mass > 0]
-    whole = combine_inertias([stated_inertia(stated), *([_inertia_of_solids(heavy)] if heavy else [])])
+    whole = combine_inertias([stated, *([_inertia_of_solids(heavy)] if heavy else [])])
     moments, axes = np.linalg.eigh(whole.tensor)
     # eigh may return a left-handed frame, which is no rotation.
     axes[:, 2] *= np.sign(np.linalg.det(axes))

@@ -11,14 +11,13 @@ from usarmjx.base.errors import ArenaFileError
 from usarmjx.base.transforms import Vec3, flip_angles, flip_vector
 from usarmjx.models.compile.doors import DOOR_GAP
 from usarmjx.models.compile.geoms import add_geom
-from usarmjx.models.compile.inertia import Inertia, combine_inertias
+from usarmjx.models.compile.inertia import Inertia, combine_inertias, described_in_arena
 from usarmjx.models.files.content import Content, surface_of
 from usarmjx.models.files.meshes import ConvexPiece, convex_pieces
 from usarmjx.models.files.mjcf_solids import (
     KINDS,
     SIZES,
     Pose,
-    inertia_box,
     mat_of,
     usarsim_angles,
     usarsim_vector,
@@ -29,7 +28,7 @@ from usarmjx.models.files.robot_source import left_out
 from usarmjx.models.files.scene_robots import leave_out_robots
 from usarmjx.models.files.xml_size import check_model_size, drop_sizes
 from usarmjx.models.types.arena import Door, LooseObject
-from usarmjx.models.types.shapes import HeightField, Shape
+from usarmjx.models.types.shapes import BodyInertia, HeightField, Shape
 
 AXIS_TOLERANCE = 1e-3
 """Largest lean of a hinge or an edge [rad]."""
@@ -223,8 +222,8 @@ def _mesh(model: mujoco.MjModel, number: int) -> tuple[np.ndarray, np.ndarray]:
     return model.mesh_vert[first : first + count].astype(float), model.mesh_face[start : start + faces]
 
 
-def with_masses(shapes: list[Shape], whole: Inertia) -> tuple[Shape, ...]:
-    """Return solids with masses of the given inertia, if need be all on an added box without contacts."""
+def with_masses(shapes: list[Shape], whole: Inertia) -> tuple[tuple[Shape, ...], BodyInertia | None]:
+    """Return solids, with masses if these account for the given inertia; else the inertia too."""
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body()
     body.add_freejoint()
@@ -240,10 +239,8 @@ def with_masses(shapes: list[Shape], whole: Inertia) -> tuple[Shape, ...]:
             and np.abs(model.body_ipos[1] - whole.centre).max() <= INERTIA_TOLERANCE * reach
             and np.abs(tensor - whole.tensor).max() <= INERTIA_TOLERANCE * np.trace(whole.tensor)
         ):
-            return tuple(shapes)
-    box = inertia_box(whole)
-    box = replace(box, at=flip_vector(box.at), rotation=flip_angles(box.rotation))
-    return (*(replace(shape, mass=0.0) for shape in shapes), box)
+            return tuple(shapes), None
+    return tuple(replace(shape, mass=0.0) for shape in shapes), described_in_arena(whole)
 
 
 def mjcf_content(path: Path, surface: str = "") -> Content:
@@ -406,11 +403,13 @@ class _MjcfReader:
             found = self._shapes(geom, self._relative_pose(frame, geom), LOOSE_SURFACE)
             share = geom_mass(self._model, geom, self._described[geom], self._meshes) / max(len(found), 1)
             shapes += [replace(shape, mass=share) for shape in found]
+        solids, inertia = with_masses(shapes, self._inertia(body, frame))
         return LooseObject(
             name=name,
             at=_vec(data.xpos[body]),
             rotation=flip_angles(usarsim_angles(frame.mat)),
-            shapes=with_masses(shapes, self._inertia(body, frame)),
+            shapes=solids,
+            inertia=inertia,
         )
 
     def _relative_pose(self, frame: Pose, geom: int) -> Pose:

@@ -21,8 +21,6 @@ KINDS = {
 """Kinds of shapes by MuJoCo's geom types."""
 SIZES = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
 """Number of size numbers of each kind."""
-MIN_HALF_EDGE = 1e-5
-"""Smallest half edge of a box with a given inertia [m]: MuJoCo refuses 0."""
 INERTIA_TOLERANCE = 1e-6
 """Relative difference of masses and inertias that is neglected."""
 GIMBAL_TOLERANCE = 1e-7
@@ -65,24 +63,6 @@ def usarsim_angles(mat: np.ndarray) -> Vec3:
         angles = np.array([0.0, angles[1], np.arctan2(-mat[0, 1], mat[1, 1])])
     roll, pitch, yaw = (np.array(flip_angles(angles.tolist())) + 0.0).tolist()
     return (roll, pitch, yaw)
-
-
-def inertia_box(inertia: Inertia) -> Shape:
-    """Return a box with that mass and inertia, without contacts."""
-    moments, axes = np.linalg.eigh(inertia.tensor)
-    # eigh may return a left-handed frame, which is no rotation.
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
-    # A box has I_x = m (b^2 + c^2) / 12 for full edges b and c, and so on: solved for the squared edges.
-    squares = 6 * (moments.sum() - 2 * moments) / inertia.mass
-    x, y, z = np.maximum(np.sqrt(np.maximum(squares, 0.0)) / 2, MIN_HALF_EDGE).tolist()
-    return Shape(
-        kind="box",
-        size=(x, y, z),
-        at=usarsim_vector(inertia.centre),
-        rotation=usarsim_angles(axes),
-        mass=inertia.mass,
-        surface="fixture",
-    )
 
 
 def shape_of(model: mujoco.MjModel, geom: int, frame: Pose, surface: str, mass: float) -> Shape:

@@ -4,12 +4,15 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from usarmjx.base.errors import SpecError
 from usarmjx.base.registry import is_name
+from usarmjx.models.compile.inertia import arena_inertia
 from usarmjx.models.compile.victims import build_victim_table, check_victim
 from usarmjx.models.files.content import MAX_COORDINATE
 from usarmjx.models.types.arena import ArenaSpec, Door, FalseAlarm, LooseObject, Victim, Water
-from usarmjx.models.types.shapes import FENDER, Shape
+from usarmjx.models.types.shapes import FENDER, BodyInertia, Shape
 from usarmjx.models.types.textures import texture_problem
 
 SIZES = {
@@ -37,11 +40,22 @@ def _shape(shape: Shape) -> str:
 
 
 def _loose(loose: LooseObject) -> str:
-    if sum(shape.mass for shape in loose.shapes) <= 0:
+    if loose.inertia is not None and (loose.inertia.mass <= 0 or not _is_inertia(loose.inertia)):
+        return f"loose object {loose.name!r}: inertia is that of no body: {loose.inertia}"
+    if loose.inertia is None and sum(shape.mass for shape in loose.shapes) <= 0:
         return f"loose object {loose.name!r} has no mass: give one of its shapes a mass [kg]"
     if any(shape.kind == "hfield" for shape in loose.shapes):
         return f"loose object {loose.name!r} is a terrain; those stay where they are"
     return ""
+
+
+def _is_inertia(stated: BodyInertia) -> bool:
+    """Return whether a body can have these moments: all above 0, none above the sum of the others."""
+    tensor = arena_inertia(stated).tensor
+    if not np.isfinite(tensor).all():
+        return False
+    values = np.linalg.eigvalsh(tensor)
+    return bool(values[0] > 0 and values[2] <= (values[0] + values[1]) * (1 + 1e-6))
 
 
 def _door(door: Door) -> str:

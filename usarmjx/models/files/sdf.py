@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from usarmjx.base.errors import ArenaFileError
+from usarmjx.models.compile.inertia import Inertia, combine_inertias, described_in_arena
 from usarmjx.models.files.content import Content
 from usarmjx.models.files.mjcf import Hinge, door_of
 from usarmjx.models.files.mjcf_solids import Pose
@@ -26,12 +27,14 @@ from usarmjx.models.files.sdf_tree import WORLD, SdfFiles, SdfModel, inverse, re
 from usarmjx.models.files.world_meshes import Use
 from usarmjx.models.files.xml_lines import LinedElement, numbers_of
 from usarmjx.models.types.arena import START_ELEVATION, Door, Light, LooseObject, StartPose
-from usarmjx.models.types.shapes import Rgba, Shape
+from usarmjx.models.types.shapes import BodyInertia, Rgba, Shape
 
 DEFAULT_MASS = 1.0
 """Mass of a link without one [kg]: SDF's."""
 MIN_MASS = 1e-3
 """Smallest mass of a loose object [kg]."""
+BALANCE_TOLERANCE = 1e-6
+"""Excess of a moment of inertia over the sum of the others that is taken for rounding, relative to it."""
 MAX_SDF_LOOSE = 64
 """Largest number of loose objects; the heaviest others are fixed: each costs time of the solver."""
 LOOSE_SURFACE = "loose"
@@ -247,7 +250,12 @@ class _SdfReader:
             return
         shapes = [replace(shape, mass=shape.mass * max(mass, MIN_MASS) / held) for shape in shapes]
         name = self._free_name(model.path if len(links) == 1 else links[0].name)
-        thing = LooseObject(name=name, at=at_of(base), rotation=angles_of(base), shapes=tuple(shapes))
+        inertia = self._inertia(links, base)
+        if inertia is not None:
+            shapes = [replace(shape, mass=0.0) for shape in shapes]
+        thing = LooseObject(
+            name=name, at=at_of(base), rotation=angles_of(base), shapes=tuple(shapes), inertia=inertia
+        )
         self._loose.append((mass, thing, model.place))
 
     def _free_name(self, name: str) -> str:
@@ -261,6 +269,28 @@ class _SdfReader:
         if mass < 0:
             raise link.error(f"link {link.get('name')!r} has a mass of {mass:g} kg")
         return mass
+
+    def _inertia(self, links: list[SdfLink], base: Pose) -> BodyInertia | None:
+        """Return the inertia of rigidly joined links about a frame; None: a link states none that holds."""
+        parts: list[Inertia] = []
+        for found in links:
+            inertial = found.link.first("inertial")
+            if inertial is None or inertial.first("inertia") is None:
+                return None
+            usual = {"ixx": 1.0, "iyy": 1.0, "izz": 1.0, "ixy": 0.0, "ixz": 0.0, "iyz": 0.0}
+            xx, yy, zz, xy, xz, yz = (inertial.number(f"inertia/{key}", one) for key, one in usual.items())
+            tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            values = np.linalg.eigvalsh(tensor) if np.isfinite(tensor).all() else np.full(3, -1.0)
+            mass = self._mass(found.link)
+            if values[0] <= 0 or values[2] > (values[0] + values[1]) * (1 + BALANCE_TOLERANCE) or mass <= 0:
+                self._notes.append(
+                    f"{inertial.place}: link {found.link.get('name')!r} has the inertia of no body: that of "
+                    "its solids counts"
+                )
+                return None
+            pose = inverse(base).then(found.pose).then(found.within(inertial))
+            parts.append(Inertia(mass, pose.pos, pose.mat @ tensor @ pose.mat.T))
+        return described_in_arena(combine_inertias(parts))
 
     def _link_shapes(self, found: SdfLink, pose: Pose, use: Use) -> list[Shape]:
         """Return a link's solids: its collisions, or what is seen of it if it has none."""

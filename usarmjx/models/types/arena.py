@@ -10,7 +10,7 @@ from typing import Annotated
 
 from usarmjx.base.settings import NOT_NEGATIVE, POSITIVE, Setting
 from usarmjx.base.transforms import Vec3
-from usarmjx.models.types.shapes import ZERO, Rgba, Shape
+from usarmjx.models.types.shapes import ZERO, BodyInertia, Rgba, Shape
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,13 +21,15 @@ class LooseObject:
         name: Unique within the arena.
         at: Initial position of its origin, in the arena's axes.
         rotation: Roll, pitch, yaw [rad].
-        shapes: Its solids; together they need a mass.
+        shapes: Its solids; together they need a mass, unless it has an `inertia`.
+        inertia: Mass and inertia, in its own axes; None: those of its solids.
     """
 
     name: str
     at: Vec3
     rotation: Vec3 = ZERO
     shapes: tuple[Shape, ...]
+    inertia: BodyInertia | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from usarmjx.base.transforms import Vec3
 from usarmjx.models.drives import Drive
-from usarmjx.models.types.shapes import ZERO, Shape
+from usarmjx.models.types.shapes import ZERO, BodyInertia, Shape
 
 LEFT: Vec3 = (0.0, -1.0, 0.0)
 """Joint axis of wheels and flippers: a positive angle rolls forward, and turns a front flipper down."""
@@ -81,21 +81,6 @@ class Spring:
     stiffness: float
     damping: float
     load: float = 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class BodyInertia:
-    """Mass and inertia of a chassis or part that a file states, in place of those of its solids.
-
-    Attributes:
-        mass: Mass [kg].
-        at: Centre of mass, in the axes of the chassis or part [m].
-        moments: Inertia about that centre, in the same axes: xx, yy, zz, xy, xz, yz [kg m2].
-    """
-
-    mass: float
-    at: Vec3
-    moments: tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)

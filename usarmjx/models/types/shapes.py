@@ -219,3 +219,18 @@ class Shape:
     heights: HeightField | None = None
     rgba: Rgba = (0.7, 0.7, 0.7, 1.0)
     texture: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyInertia:
+    """Mass and inertia that a file states of a body, in place of those of its solids.
+
+    Attributes:
+        mass: Mass [kg].
+        at: Centre of mass, in the axes of that body [m].
+        moments: Inertia about that centre, in the same axes: xx, yy, zz, xy, xz, yz [kg m2].
+    """
+
+    mass: float
+    at: Vec3
+    moments: tuple[float, float, float, float, float, float]
