@@ -24,7 +24,7 @@ LIGHT = 1e-3
 LIGHT_SHARE = 1e-7
 """Mass of all moving links for which the file has none, over that of the robot: MuJoCo needs some."""
 LIGHT_NOTE = f"it gets its part of {LIGHT_SHARE:g} of the robot's mass"
-"""What becomes of such a link, in words."""
+"""Note about such a link."""
 LIGHT_INERTIA = 1e-6
 """Moments of inertia of such a link [kg m2]."""
 HINGES, SLIDES = ("revolute", "continuous"), ("prismatic",)
