@@ -109,7 +109,7 @@ def all_ports(host=HOST, **rules):
     world.snapshot = lambda shots: lambda: [black(shot) for shot in shots]
     ports = {"wss_port": 0, "wss2_port": 0, "position_port": 0}
     radio = WirelessService(
-        FakeRadio(("R1", "R2")), lambda: world.time, WirelessSettings(access=access, host=host, **ports)
+        FakeRadio(("R1", "R2")), world, WirelessSettings(access=access, host=host, **ports)
     )
     images = ImageServer(world, ImageSettings(host=host, port=0, size=(8, 6), format=0, access=access))
     page = ViewerService(HandMadeSource(drawing_of()), ViewerSettings(host=host, access=access))

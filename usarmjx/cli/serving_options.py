@@ -164,6 +164,14 @@ class RadioOptions:
     position_port: Annotated[
         int, typer.Option(min=0, max=LAST_PORT, help="Positions for a wireless server elsewhere (GETPOS).")
     ] = POSITION_PORT
+    truth_port: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            max=LAST_PORT,
+            help="True poses of robots and loose objects for anybody (USARTruth, usually 3989); else none.",
+        ),
+    ] = None
     radio_ini: RadioIniOption = None
     wireless_allow: Annotated[
         list[str] | None,
@@ -186,11 +194,12 @@ class RadioOptions:
     def ports(self) -> dict[str, int]:
         """Their ports by their options."""
         usual = self.constants.listen_port if self.radio_ini else WSS_PORT
-        return {
+        ports = {
             "--wss-port": usual if self.wss_port is None else self.wss_port,
             "--wss2-port": self.wss2_port,
             "--position-port": self.position_port,
         }
+        return ports if self.truth_port is None else {**ports, "--truth-port": self.truth_port}
 
     def prepare(self, listen: "ListenOptions", ini: Sequence[Path]) -> ServiceMaker:
         """Return the maker of the wireless servers of a world."""
@@ -201,7 +210,8 @@ class RadioOptions:
         allow = check_addresses(self.wireless_allow or ())
 
         def make(world: "ServedWorld", sockets: Sockets) -> "Service":
-            bound = {name: sockets[f"--{name}-port"] for name in ("wss", "wss2", "position")}
+            names = ("wss", "wss2", "position", "truth")
+            bound = {name: sockets[f"--{name}-port"] for name in names if f"--{name}-port" in sockets}
             ports = {f"{name}_port": port_of(own) for name, own in bound.items()}
             settings = WirelessSettings(listen.host, allow=allow, access=listen.rules, **ports)
             return make_wireless(world, self.constants, settings, bound)

@@ -41,6 +41,7 @@ from usarmjx.server.wireless.sockets import (
     log,
 )
 from usarmjx.server.wireless.switchboard import MAX_CONNECTIONS, Changes, Route, Switchboard
+from usarmjx.server.wireless.truth import TruthSession
 from usarmjx.server.worlds.served_world import ServedWorld
 
 
@@ -404,6 +405,7 @@ class WirelessSettings:
         wss_port: Port of dialect A (USARComServer.ini: ListenPort); this and the others: 0 picks a free one.
         wss2_port: Port of dialect B.
         position_port: Port of the position service.
+        truth_port: Port of true poses (USARTruth.uc); None: there is none.
         allow: Addresses that may be connected to beside that of the requesting peer.
         max_connections: Most control and position connections at once.
         idle_timeout: Silence after which a peer without a robot in the world is dropped [s].
@@ -414,6 +416,7 @@ class WirelessSettings:
     wss_port: Annotated[int, PORT] = WSS_PORT
     wss2_port: Annotated[int, PORT] = WSS2_PORT
     position_port: Annotated[int, PORT] = POSITION_PORT
+    truth_port: Annotated[int | None, PORT] = None
     allow: tuple[str, ...] = ()
     max_connections: Annotated[int, AT_LEAST_ONE] = 64
     idle_timeout: Annotated[float, NOT_NEGATIVE] = 60.0
@@ -460,13 +463,21 @@ class ClientConnection:
     last_received: float = field(default_factory=time.monotonic)
 
 
+class AnswerSession(Protocol):
+    """Dialogue in which every line has its answer."""
+
+    def receive_data(self, data: bytes) -> bytes:
+        """Return the answers to the lines that `data` completes."""
+        ...
+
+
 class PositionHandler:
-    """Handler of one connection to the position service."""
+    """Handler of one connection to the position service, or to that of true poses."""
 
     alive = closing = False
 
-    def __init__(self, radio: RadioChannel, throttle: Throttle) -> None:
-        self._session, self._throttle = PositionSession(radio), throttle
+    def __init__(self, session: AnswerSession, throttle: Throttle) -> None:
+        self._session, self._throttle = session, throttle
 
     async def handle(self, data: bytes) -> bytes:
         """Take bytes and return the answer."""
@@ -478,13 +489,13 @@ class PositionHandler:
 
 
 class WirelessService:
-    """The three servers; a `gamebots.server.Service`.
+    """The three servers, and that of true poses if it has a port; a `gamebots.server.Service`.
 
     Args:
         radio: The radio of the served world.
-        clock: Returns the world's time [s].
+        world: The served world.
         settings: Settings of the servers.
-        bound: Sockets that are bound to the ports already, by "wss", "wss2" and "position".
+        bound: Sockets that are bound to the ports already, by "wss", "wss2", "position" and "truth".
 
     Attributes:
         ports: The ports in use, by the same names, once started.
@@ -493,11 +504,11 @@ class WirelessService:
     def __init__(
         self,
         radio: RadioChannel,
-        clock: Callable[[], float],
+        world: ServedWorld,
         settings: WirelessSettings,
         bound: Mapping[str, socket.socket] | None = None,
     ) -> None:
-        self._radio, self._clock, self._settings, self._bound = radio, clock, settings, bound or {}
+        self._radio, self._world, self._settings, self._bound = radio, world, settings, bound or {}
         self._throttle = Throttle()
         self._links = DataLinkServer(radio, settings.allow, self._throttle)
         self._gate = Gate(settings.access, settings.max_connections, "radio")
@@ -510,16 +521,18 @@ class WirelessService:
         self.ports: dict[str, int] = {}
 
     async def start(self) -> list[str]:
-        """Listen on all three ports; return lines for the user.
+        """Listen on all ports; return lines for the user.
 
         Raises:
             UsageError: A port is taken or the address is not ours.
         """
-        servers: tuple[tuple[str, str, int, Callable[[str], ConnectionHandler]], ...] = (
+        servers: list[tuple[str, str, int, Callable[[str], ConnectionHandler]]] = [
             ("wss", "wireless server", self._settings.wss_port, self._links.make_handler),
             ("wss2", "second wireless server", self._settings.wss2_port, self._proxies.make_handler),
             ("position", "positions", self._settings.position_port, self._positions),
-        )
+        ]
+        if self._settings.truth_port is not None:
+            servers.append(("truth", "true poses", self._settings.truth_port, self._true_poses))
         lines: list[str] = []
         for name, title, port, make_handler in servers:
             server, self.ports[name] = await listen(
@@ -531,14 +544,14 @@ class WirelessService:
             )
             self._listeners.append(server)
             lines.append(f"{title} on {self._settings.host}:{self.ports[name]}")
-        self._next_poll = self._clock() + POLL_PERIOD
+        self._next_poll = self._world.time + POLL_PERIOD
         return lines
 
     def tick(self) -> None:
         """Refill the time share, and poll the world when a poll is due."""
         self._throttle.refill()
-        if self._clock() >= self._next_poll and (self._poll_task is None or self._poll_task.done()):
-            self._next_poll = self._clock() + POLL_PERIOD
+        if self._world.time >= self._next_poll and (self._poll_task is None or self._poll_task.done()):
+            self._next_poll = self._world.time + POLL_PERIOD
             self._poll_task = asyncio.create_task(self._poll())
             self._poll_task.add_done_callback(_report)
 
@@ -568,7 +581,11 @@ class WirelessService:
 
     def _positions(self, address: str) -> ConnectionHandler:
         del address
-        return PositionHandler(self._radio, self._throttle)
+        return PositionHandler(PositionSession(self._radio), self._throttle)
+
+    def _true_poses(self, address: str) -> ConnectionHandler:
+        del address
+        return PositionHandler(TruthSession(self._world), self._throttle)
 
     def _connection_callback(
         self, make_handler: Callable[[str], ConnectionHandler]
@@ -640,4 +657,4 @@ def make_wireless(
     """
     if radio.debug:
         log.setLevel(logging.INFO)
-    return WirelessService(RadioChannel(world, radio), lambda: world.time, settings, bound)
+    return WirelessService(RadioChannel(world, radio), world, settings, bound)
