@@ -14,7 +14,7 @@ WORD = re.compile(r"[!-z|~]+")
 NUMBER = re.compile(r"-?[0-9]+(?:\.[0-9]+)?")
 TYPES = {
     MANUAL: {"NFO", "STA", "SEN", "MISSTA", "GEO", "CONF", "RES", "DRIVE"},
-    LATER: {"NFO", "STA", "SEN", "ASTA", "GEO", "CONF", "RES"},
+    LATER: {"NFO", "STA", "SEN", "ASTA", "EFF", "GEO", "CONF", "RES"},
 }
 
 

@@ -10,9 +10,11 @@ from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.base.parameters import Parameters
 from usarmjx.base.registry import is_name
 from usarmjx.models.compile.parts import part_name
+from usarmjx.models.effecters import Gripper
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import STEER_SUFFIX, MissionPackage, RobotSpec
 from usarmjx.sensors.rfid import Rfid
+from usarmjx.server.gamebots.grippers import binary_order, grip, grippers_of
 from usarmjx.server.gamebots.reporter import Reporter, battery_left, first_report_time
 from usarmjx.server.gamebots.sensors import configuration, geometry, link_joint
 from usarmjx.server.gamebots.spawning import spawn_from_init
@@ -307,6 +309,18 @@ class Client:
             elif not self._set_joint_mode(joint, link.order, link.value):
                 self.session.add_fault(f"MISPKG order {link.order} is not supported")
 
+        if command.gripper is not None and not self.battery_empty:
+            self._grip(command.name, closes=command.gripper != 0)
+
+    def _grip(self, name: str, *, closes: bool) -> None:
+        """Close or open the grippers of that name or package; as in the original, nothing is answered."""
+        robot = self._present
+        indices = list(grippers_of(robot, name))
+        if not indices:
+            self.session.add_fault(f"{robot.spec.name} has no gripper on or called {clip(name)}")
+        for index in indices:
+            grip(self._world, robot, index, closes=closes)
+
     def _set(self, command: wire.Set) -> None:
         robot = self._present
         if self.battery_empty:
@@ -423,6 +437,10 @@ class Client:
     def _operate(self, robot: Robot, command: wire.Set) -> str:
         """Carry out a SET on the first effecter of that type and name; return the Status to answer."""
         index = robot.effecter_index(command.type, command.name)
+        if index is not None and isinstance(robot.effecters[index], Gripper):
+            order = binary_order(command) if self.session.dialect.has_binary_grippers else None
+            if order is not None:
+                return grip(self._world, robot, index, closes=order)
         opcode = None if index is None else robot.effecters[index].opcode(command.opcode)
         if index is None or opcode is None:
             return STATUS_FAILED

@@ -9,6 +9,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.errors import PeerError
 from usarmjx.models.drives.base import RobotState
+from usarmjx.server.gamebots.grippers import gripper_reports
 from usarmjx.server.gamebots.sensors import package_report, robot_report, sensor_report
 from usarmjx.server.protocol.session import RobotSession
 from usarmjx.server.worlds.robot import Robot
@@ -59,7 +60,7 @@ class Reporter:
         self._failed_sensors: set[int] = set()
 
     def report(self, robot: Robot) -> None:
-        """Send STA, the sensors with fresh readings, and MISSTA, in the original's order."""
+        """Send STA, the sensors with fresh readings, MISSTA and, in later versions, EFF: the original's order."""
         world, time = self._world, self._world.time
         robot.next_report += robot.spec.msg_timer
         state, battery = world.state(robot), battery_left(world, robot)
@@ -74,6 +75,9 @@ class Reporter:
                 self._send_reading(robot, index, robot.pending.pop(index))
         if robot.spec.packages:
             for message in package_report(robot.plan, joints, self._efforts(robot, state), time):
+                self._session.send(message)
+        if self._session.dialect.has_binary_grippers:
+            for message in gripper_reports(robot):
                 self._session.send(message)
 
     def _send_reading(self, robot: Robot, index: int, reading: np.ndarray) -> None:

@@ -68,7 +68,7 @@ ARGUMENTS: dict[str, dict[str, Argument]] = {
     },
     "MULTIDRIVE": {ANY_KEY: _ANGLE},
     "MISPKG": {
-        **{"Link": _NUMBER, "Value": _NUMBER, "Order": _NUMBER},
+        **{"Link": _NUMBER, "Value": _NUMBER, "Order": _NUMBER, "Gripper": _NUMBER},
         "Rotation": Argument(ArgumentKind.VECTOR, Setting(unit="rad")),
     },
     "SET": {},  # those of its opcodes: see `read_parameters`

@@ -178,10 +178,12 @@ def _mis_pkg(message: Message) -> Command | Ignored:
         return Ignored("MISPKG without a Name")
     if not message.all("Link") and message.get("Rotation"):
         return _mis_pkg_rotation(message, name)
-    groups = _groups(message, _LINK_KEYS)
+    groups, gripper = _groups(message, _LINK_KEYS), message.get("Gripper")
     if any("link" not in group for group in groups):
-        return Ignored("MISPKG with no Link, or a Value or Order that belongs to none")
-    return MisPkg(name, tuple(_link(group) for group in groups))
+        if any(groups) or not gripper:
+            return Ignored("MISPKG with no Link, or a Value or Order that belongs to none")
+        return MisPkg(name, (), to_int(gripper))
+    return MisPkg(name, tuple(_link(group) for group in groups), to_int(gripper) if gripper else None)
 
 
 def _mis_pkg_rotation(message: Message, name: str) -> Command:

@@ -136,10 +136,17 @@ class LinkCommand:
 
 @dataclass(frozen=True, slots=True)
 class MisPkg:
-    """Move links of the mission package called `name`."""
+    """Move links of the mission package called `name`.
+
+    Attributes:
+        name: Its name, as the client spelled it.
+        links: The links.
+        gripper: Whether grippers on it close (not 0) or open (0); None keeps them. The later versions' key.
+    """
 
     name: str
     links: tuple[LinkCommand, ...]
+    gripper: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

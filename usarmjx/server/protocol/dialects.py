@@ -5,6 +5,7 @@ A dialect stands between lines and commands. `understand` converts a client's me
 
     ASTA {Time 62.01} {Name CameraPanTilt} {Link 1} {Value 0.2000}     MISSTA, without Torque
     ACT {Name CameraPanTilt} {Link 0} {Value 0.2}                      MISPKG; links count from 0 in it alone
+    ACT {Name TalonArm} {Gripper 1}, EFF {Type Gripper} {Status ...}   SET and RES of a Gripper
     GETCONF {Type Actuator}, GETGEO {Type Actuator}                    beside MisPkg, with other keys
     GEO ... {Mount CameraPanTilt} {MountLink 2}                        Mount CameraPanTilt_Link2
     SEN {Time 62.0100} {Type Sonar} {Name F1} {Range 2.5098}           a line for each sonar, not one for all
@@ -26,6 +27,12 @@ GROUPED_TYPES = ("Sonar", "IR", "Touch", "Encoder")
 """Sensor types that share one line in the manual's version."""
 LATER_CLASSES = {"p3at": "P2AT"}
 """Robot classes of the later versions, lower case, and their names here; both dialects take both."""
+GRIPPER_TYPE = "Gripper"
+GRIPPER_OPERATIONS = (
+    *(("Opcode", "Grip"), ("MaxVal", "1"), ("MinVal", "0")),
+    *(("Opcode", "Close"), ("Opcode", "Open")),
+)
+"""CONF of a gripper in UDK's version (Gripper.uc)."""
 LINK_KEYS = {"ParentLink": "Parent", "MinRange": "MinValue", "MaxRange": "MaxValue"}
 """Keys of GEO and CONF of packages, and their names in UDK's version."""
 CHASSIS_MOUNT = "HARD"
@@ -45,6 +52,7 @@ class Dialect:
             its robot as its INIT named it.
         is_stamped: Whether every reading has its time, regardless of the sensor's setting.
         package_types: Types that ask for mission packages, lower case.
+        has_binary_grippers: Whether grippers are open or closed, and report that.
     """
 
     name: str
@@ -52,11 +60,14 @@ class Dialect:
     translate: Callable[[Message, str], Iterable[Message]]
     is_stamped: bool = False
     package_types: frozenset[str] = frozenset({PACKAGE_TYPE.lower()})
+    has_binary_grippers: bool = False
 
 
 def _understand_udk(message: Message) -> Message:
     if message.kind == "ACT":
-        return Message("MISPKG", tuple(_count_from_one(segment) for segment in message.segments))
+        # No package here has a sequence, so it is left out as the later server does (Actuator.uc).
+        said = (segment for segment in message.segments if segment[0].lower() != "sequence")
+        return Message("MISPKG", tuple(map(_count_from_one, said)))
     if message.kind == "SET" and message.get("Type").lower() == "joint":
         return replace(message, segments=tuple(_angle(segment) for segment in message.segments))
     return message
@@ -79,6 +90,8 @@ def _translate_udk(message: Message, robot_class: str = "") -> Iterator[Message]
         yield Message("ASTA", tuple(segment for segment in message.segments if segment[0] != "Torque"))
     elif message.kind in ("GEO", "CONF") and message.get("Type").lower() == ACTUATOR_TYPE.lower():
         yield Message(message.kind, tuple(_actuator(message, robot_class or CHASSIS_MOUNT)))
+    elif message.kind == "CONF" and message.get("Type").lower() == GRIPPER_TYPE.lower():
+        yield Message(message.kind, tuple(_binary(message)))
     elif message.kind == "SEN" and message.get("Type") in GROUPED_TYPES:
         yield from _one_by_one(message)
     elif message.kind == "SEN":
@@ -141,6 +154,16 @@ def _actuator(message: Message, chassis: str) -> Iterator[Segment]:
     yield from tip
 
 
+def _binary(message: Message) -> Iterator[Segment]:
+    """Return UDK's form of grippers: the operations of one that is open or closed."""
+    is_there = bool(message.all("Opcode"))
+    for key, value in message.segments:
+        if key in ("Type", "Name"):
+            yield (key, value)
+        if key == "Name" and is_there:
+            yield from GRIPPER_OPERATIONS
+
+
 def _as_it_is(message: Message, robot_class: str = "") -> Iterable[Message]:
     del robot_class
     return (message,)
@@ -154,6 +177,7 @@ UDK = Dialect(
     _translate_udk,
     is_stamped=True,
     package_types=frozenset({PACKAGE_TYPE.lower(), ACTUATOR_TYPE.lower()}),
+    has_binary_grippers=True,
 )
 """The versions on the Unreal Development Kit, which most ROS nodes support."""
 DIALECTS = {dialect.name: dialect for dialect in (MANUAL, UDK)}

@@ -1,0 +1,84 @@
+"""Grippers as the later versions have them, open or closed: their orders and reports (Gripper.uc).
+
+ACT {Name TalonArm} {Gripper 1}                              closes what is mounted on a package, or of that name
+SET {Type Gripper} {Name Gripper} {Opcode Grip} {Params 0}   opens it; also {Opcode Open}, {Opcode Close}
+EFF {Type Gripper} {Name Gripper} {Status OPEN}              at every report
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from usarmjx.base.backend import numpy_backend
+from usarmjx.base.parameters import Parameters
+from usarmjx.base.settings import Setting
+from usarmjx.models.compile.parts import part_name, parts_of
+from usarmjx.models.effecters import Gripper
+from usarmjx.server.protocol.arguments import read_parameters
+from usarmjx.server.protocol.commands import Set
+from usarmjx.server.protocol.grammar import Message
+from usarmjx.server.worlds.robot import Robot
+from usarmjx.server.worlds.served_world import ServedWorld
+from usarmjx.sim.control import ControlMode
+
+CLOSED_TOLERANCE = 1e-4
+"""Largest target of a closed finger beyond the smallest one [rad or m]."""
+_GRIP = Parameters(1, 1, Setting(ge=0.0, le=1.0))
+
+
+def grippers_of(robot: Robot, name: str) -> Iterator[int]:
+    """Yield the indices of the grippers of that name, or on a link of the package of that name."""
+    packages = [package for package in robot.spec.packages if package.name.lower() == name.lower()]
+    parts = {part_name(package, link) for package in packages for link in package.links}
+    for index, effecter in enumerate(robot.effecters):
+        mount = effecter.mount
+        if isinstance(effecter, Gripper) and (mount.name.lower() == name.lower() or mount.parent in parts):
+            yield index
+
+
+def grip(world: ServedWorld, robot: Robot, index: int, *, closes: bool) -> str:
+    """Close a gripper, or open it as far as it can; return the Status of RES."""
+    effecter = robot.effecters[index]
+    opcode = effecter.opcode("Open")
+    assert opcode is not None
+    return world.operate(robot, index, opcode, opcode.min_val if closes else opcode.max_val)
+
+
+def binary_order(command: Set) -> bool | None:
+    """Return whether a SET closes a gripper; None if it is none of the later versions' orders.
+
+    Raises:
+        PeerError: Grip has not exactly one number from 0 to 1.
+    """
+    opcode = command.opcode.lower()
+    if opcode == "grip":
+        (value,) = read_parameters(command.params, _GRIP)
+        return value != 0.0
+    if opcode == "close":
+        return True
+    return False if opcode == "open" and not command.params else None
+
+
+def gripper_reports(robot: Robot) -> list[Message]:
+    """Return a report of each gripper by its present order."""
+    messages: list[Message] = []
+    with numpy_backend():
+        for effecter in robot.effecters:
+            if isinstance(effecter, Gripper):
+                status = "CLOSED" if _is_closed(robot, effecter) else "OPEN"
+                head = ("Type", effecter.mount.kind), ("Name", effecter.mount.name)
+                messages.append(Message("EFF", (*head, ("Status", status))))
+    return messages
+
+
+def _is_closed(robot: Robot, gripper: Gripper) -> bool:
+    """Return whether a gripper is ordered to close, whatever its fingers hold."""
+    command, least = robot.command, np.asarray(gripper.settings.min_angle)
+    for part in parts_of(robot.spec):
+        if part.name in gripper.joints:
+            joint = robot.plan.joint_index(part.name)
+            assert joint is not None
+            closed = float(gripper.joint_target(part, least)) + CLOSED_TOLERANCE
+            if command.mode[joint] != ControlMode.POSITION or command.target[joint] > closed:
+                return False
+    return True
