@@ -1,11 +1,13 @@
 """Ini files of the later versions on the Unreal Development Kit, and Unreal's signs of lists."""
 
+import numpy as np
 import pytest
 
 from tests.models.ini.texts import load_texts
 from usarmjx.base.errors import SpecError
 from usarmjx.models.robots.flippers import TARANTULA
 from usarmjx.models.robots.pioneer import P2AT, P2DX
+from usarmjx.sensors.suite import suite_of
 
 PLACE = "Position=(X=0.2,Y=0,Z=-0.2),Direction=(x=0,y=0,z=0)"
 
@@ -173,3 +175,19 @@ def test_a_sign_without_effect_is_a_warning(load):
     assert "2: -Sensors removes nothing: P2AT has no such item" in said
     assert "3: -JointParts removes nothing: no line before has that" in said
     assert "5: section [USARBot.Dalek] removes nothing" in said
+
+
+def test_an_encoder_counts_the_wheel_whose_number_is_in_its_name(load):
+    """Encoder.uc; the order of P3AT.uc: front right, front left, back right, back left."""
+    names = ("EncTestW1", "EncTestW2", "Other", "W9")
+    loaded = load("[USARBot.P3AT]\n" + "".join(part("Encoder", name) for name in names))
+    robot = of(loaded)
+    own = [(mount.name, mount.parent) for mount in robot.sensors if mount.kind == "Encoder"]
+    assert own == [("EncTestW1", "LeftFWheel"), ("EncTestW2", "RightRWheel")]
+    assert any(
+        "USARSensor.Encoder of no known wheel is left out, 2 lines" in text for text in loaded.warnings
+    )
+    encoder = suite_of(robot).sensors[suite_of(robot).index("Encoder")]
+    joints, signs = encoder._joints
+    assert [encoder.plan.parts[1 + joint] for joint in joints] == ["LeftFWheel", "RightRWheel"]
+    np.testing.assert_allclose(signs, 1.0, atol=1e-6, err_msg="ahead is positive")

@@ -32,6 +32,13 @@ TOLD = [  # the manual's line, and what is heard instead
             "SEN {Time 1.0000} {Type Encoder} {Name ECRight} {Tick -5}",
         ],
     ),
+    (  # Encoder.uc
+        "SEN {Time 1.0000} {Type Encoder} {Name EncTestW1 Tick 4} {Name W2 Tick -5}",
+        [
+            "SEN {Time 1.0000} {Type Encoder} {Name W1} {Tick 4}",
+            "SEN {Time 1.0000} {Type Encoder} {Name W2} {Tick -5}",
+        ],
+    ),
     (
         "GEO {Type Sonar} {Name F2 Location 0.1850,-0.1150,0.0000"
         " Orientation 0.0000,0.0000,-0.8727 Mount HARD}",

@@ -5,6 +5,8 @@ other classes of robots and sections of the game. Names with the same meaning ar
 class is named once, with the reason.
 """
 
+import math
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -29,6 +31,11 @@ LATER_ITEMS = {
 OWN_KINDS = ("IMU", "Battery", "Magnetometer", "Tachometer", "AltitudeSensor", "MissionTime")
 """Types that the manual has no class of."""
 
+WHEELS = {"P2AT": ("RightFWheel", "LeftFWheel", "RightRWheel", "LeftRWheel")}
+"""Wheels of a class in the order of their numbers in the later versions (P3AT.uc)."""
+ACROSS = Struct((("X", 0.0), ("Y", 0.0), ("Z", -math.pi / 2)))
+"""Direction of an encoder that counts a wheel's way ahead: along its axle to the left."""
+_WHEEL_NUMBER = re.compile(r"W(\d)")
 SENT = "the dialect of the connection decides which keys a reading has"
 LATER_IGNORED = {
     "bwithtimestamp": SENT,
@@ -105,10 +112,10 @@ class _Translation:
             return self._item_section(section, name)
         if package != "usarbot":
             return section
-        lines = tuple(self._part(line) for line in section.lines)
-        lines = tuple(line for line in lines if line is not None)
         name = section.name.partition(".")[2]
         ours = LATER_ROBOTS.get(name.lower(), name)
+        lines = tuple(self._part(line, ours) for line in section.lines)
+        lines = tuple(line for line in lines if line is not None)
         if ours != name and name.lower() not in self._robots and lines:
             self._notes.add(lines[0], f"{name} is the later versions' name of {ours}")
             return replace(section, name=f"USARBot.{ours}", lines=lines)
@@ -145,8 +152,8 @@ class _Translation:
         own = lowered in LATER_ITEM_CLASSES or lowered in map(str.lower, OWN_KINDS)
         return name if own or kind_of(name, None) is not None else None
 
-    def _part(self, line: Line) -> Line | None:
-        """Return a line with a list of our items; None: its class is left out."""
+    def _part(self, line: Line, robot: str) -> Line | None:
+        """Return a line with a list of a robot's items in our terms; None: its class is left out."""
         if line.key.lower() != "addparts" or not isinstance(line.value, Struct):
             return line
         written = line.value.get("ItemClass")
@@ -164,11 +171,26 @@ class _Translation:
                 kept.append((key, value))
         if line.value.get("ItemName") is None:
             kept.append(("ItemName", name))
+        if ours == LATER_ITEMS["encoder"] and package.lower() == "usarsensor":
+            wheel = _wheel_of(robot, str(line.value.get("ItemName", "")))
+            if wheel is None:
+                self._note_left_out(f"{full} of no known wheel", line)
+                return None
+            own = ("parent", "position", "direction")
+            kept = [(key, value) for key, value in kept if key.lower() not in own]
+            kept += [("Parent", wheel), ("Direction", ACROSS)]
         return replace(line, key=_list_of(ours), value=Struct(tuple(kept)), adds=False)
 
     def _note_left_out(self, name: str, line: Line) -> None:
         first, count = self._left_out.get(name, (line, 0))
         self._left_out[name] = first, count + 1
+
+
+def _wheel_of(robot: str, name: str) -> str | None:
+    """Return the wheel whose number is in an encoder's name, such as EncTestW1 (Encoder.uc); None: none."""
+    found, wheels = _WHEEL_NUMBER.search(name), WHEELS.get(robot, ())
+    number = int(found[1]) if found else len(wheels)
+    return wheels[number] if number < len(wheels) else None
 
 
 def _list_of(item: str) -> str:

@@ -1,8 +1,8 @@
 """Grippers as the later versions have them, open or closed: their orders and reports (Gripper.uc).
 
-ACT {Name TalonArm} {Gripper 1}                              closes what is mounted on a package, or of that name
-SET {Type Gripper} {Name Gripper} {Opcode Grip} {Params 0}   opens it; also {Opcode Open}, {Opcode Close}
-EFF {Type Gripper} {Name Gripper} {Status OPEN}              at every report
+ACT {Name TalonArm} {Gripper 1}                             closes those on a package, or of that name
+SET {Type Gripper} {Name Gripper} {Opcode Grip} {Params 0}  opens it; also {Opcode Open}, {Opcode Close}
+EFF {Type Gripper} {Name Gripper} {Status OPEN}             at every report
 """
 
 from collections.abc import Iterator

@@ -60,7 +60,7 @@ class Reporter:
         self._failed_sensors: set[int] = set()
 
     def report(self, robot: Robot) -> None:
-        """Send STA, the sensors with fresh readings, MISSTA and, in later versions, EFF: the original's order."""
+        """Send STA, fresh readings of sensors, MISSTA, and EFF of later versions: the original's order."""
         world, time = self._world, self._world.time
         robot.next_report += robot.spec.msg_timer
         state, battery = world.state(robot), battery_left(world, robot)

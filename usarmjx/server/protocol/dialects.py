@@ -9,6 +9,7 @@ A dialect stands between lines and commands. `understand` converts a client's me
     GETCONF {Type Actuator}, GETGEO {Type Actuator}                    beside MisPkg, with other keys
     GEO ... {Mount CameraPanTilt} {MountLink 2}                        Mount CameraPanTilt_Link2
     SEN {Time 62.0100} {Type Sonar} {Name F1} {Range 2.5098}           a line for each sonar, not one for all
+    SEN {Time 62.0100} {Type Encoder} {Name W1} {Tick 4}               of an encoder whose name has W1 in it
     GEO ... {Mount P3AT}                                               Mount HARD: the class that INIT named
     INIT {ClassName USARBot.P3AT} {Start Start1}                       its Pioneer, which is our P2AT
 """
@@ -23,7 +24,8 @@ from usarmjx.server.protocol.grammar import Message, Segment, is_number, to_int
 
 PACKAGE_TYPE, ACTUATOR_TYPE = "MisPkg", "Actuator"
 """Type of mission packages in the manual and in UDK's version."""
-GROUPED_TYPES = ("Sonar", "IR", "Touch", "Encoder")
+ENCODER_TYPE = "Encoder"
+GROUPED_TYPES = ("Sonar", "IR", "Touch", ENCODER_TYPE)
 """Sensor types that share one line in the manual's version."""
 LATER_CLASSES = {"p3at": "P2AT"}
 """Robot classes of the later versions, lower case, and their names here; both dialects take both."""
@@ -38,6 +40,7 @@ LINK_KEYS = {"ParentLink": "Parent", "MinRange": "MinValue", "MaxRange": "MaxVal
 CHASSIS_MOUNT = "HARD"
 """Mount of items on the chassis in the manual's version."""
 _LINK_PART = re.compile(r"(.+)_Link([0-9]+)")
+_WHEEL_NUMBER = re.compile(r"W\d")
 _ORIGIN = "0.0000,0.0000,0.0000"
 
 
@@ -133,7 +136,10 @@ def _one_by_one(message: Message) -> Iterator[Message]:
     segments = list(_split(message.segments))
     names = [index for index, (key, _) in enumerate(segments) if key == "Name"]
     for start, end in pairwise([*names, len(segments)]):
-        yield Message(message.kind, (*segments[: names[0]], *segments[start:end]))
+        own = segments[start:end]
+        if message.get("Type") == ENCODER_TYPE and (wheel := _WHEEL_NUMBER.search(own[0][1])):
+            own[0] = ("Name", wheel[0])
+        yield Message(message.kind, (*segments[: names[0]], *own))
 
 
 def _actuator(message: Message, chassis: str) -> Iterator[Segment]:
