@@ -176,7 +176,9 @@ SECTIONS = {
     "IMU": "ours",
     "Magnetometer": "ours",
     "Battery": "ours",
-    **dict.fromkeys(("Tachometer", "AltitudeSensor", "MissionTime"), "later versions"),
+    **dict.fromkeys(
+        ("Tachometer", "AltitudeSensor", "MissionTime", "AHRS", "MagneticCompass"), "later versions"
+    ),
 }
 """Source of each: a section of the manual, messages of real servers, or neither."""
 SAMPLES = {
@@ -204,6 +206,8 @@ SAMPLES = {
     "Tachometer": [3.0, -3.0, 3.0, -3.0, 12.5, -7.1, 12.4, -7.0],
     "AltitudeSensor": [1.25, 112.25],
     "MissionTime": [4.0],
+    "AHRS": [0.12, 0.0, 0.02, 0.0, 0.01, 0.52, 0.0, 0.0, 0.1, 0.0, 0.02, -1.57],
+    "MagneticCompass": [1.57],
 }
 """Values in our axes, of one mount."""
 SHORT_OPTIONS = {

@@ -23,6 +23,7 @@ from usarmjx.base.errors import UnknownNameError
 from usarmjx.models.compile.kinematic_tree import BodyPoses, KinematicTree, kinematic_tree_of
 from usarmjx.models.types.robot import RobotSpec
 from usarmjx.sensors import (
+    attitude,
     co2,
     gps,
     human_motion,
@@ -45,7 +46,7 @@ from usarmjx.sensors.surroundings import NO_SURROUNDINGS, Surroundings
 __all__ = ["SENSORS", "SENSOR_MODULES"]
 
 SENSOR_MODULES = (
-    *(co2, gps, human_motion, inertial, later, motion, power, ranging, rfid, sound, touch, victim),
+    *(attitude, co2, gps, human_motion, inertial, later, motion, power, ranging, rfid, sound, touch, victim),
 )
 """Modules whose import registers sensor types; a new module belongs here."""
 

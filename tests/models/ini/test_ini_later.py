@@ -61,7 +61,7 @@ def test_a_file_of_the_later_versions_mounts_what_means_the_same(load):
     assert added == [
         ("RangeScanner", "lms200"),
         ("Odometry", "Odometer"),
-        ("IMU", "IMU"),
+        ("AHRS", "IMU"),
         ("Tachometer", "Tach"),
     ]
     lms = robot.sensors[len(P2AT.sensors)]

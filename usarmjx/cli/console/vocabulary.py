@@ -18,7 +18,7 @@ KEYS: dict[str, tuple[str, ...]] = {
         *("WheelNumber", "WheelSpeed", "WheelSteer"),
     ),
     "MULTIDRIVE": (),
-    "MISPKG": ("Name", "Link", "Value", "Order", "Rotation"),
+    "MISPKG": ("Name", "Link", "Value", "Order", "Rotation", "Gripper"),
     "SET": ("Type", "Name", "Opcode", "Params", "FOV", "Robot", "Client", "Config", *VIEWPORTS),
     "TRACE": ("On", "Interval", "Color"),
     "CAMERA": ("Rotation", "Order", "Zoom"),
@@ -37,7 +37,7 @@ SENSOR_TYPES = (
     *("Odometry", "INS", "INU", "Encoder", "GroundTruth", "GPS"),
     *("Touch", "CO2Sensor", "HumanMotion", "Sound", "RFID", "VictSensor"),
     *("IMU", "Magnetometer", "Battery", "Lidar"),
-    *("Tachometer", "AltitudeSensor", "MissionTime"),
+    *("Tachometer", "AltitudeSensor", "MissionTime", "AHRS", "MagneticCompass"),
 )
 """Types of sensors; some of them report only on events."""
 JOINT_OPCODES = ("Angle", "Velocity", "Torque", "RelAngle", "RelVelocity", "RelTorque")

@@ -23,12 +23,12 @@ LATER_ITEMS = {
     "gpssensor_fixed": "GPSSensor",
     "touch": "TouchSensor",
     "ir2sensor": "IRSensor",
-    "imu": "IMU",
+    "imu": "AHRS",
     "battery": "Battery",
-    "magneticcompass": "Magnetometer",
+    "magneticcompass": "MagneticCompass",
 }
 """Classes of items of the later versions with another name."""
-OWN_KINDS = ("IMU", "Battery", "Magnetometer", "Tachometer", "AltitudeSensor", "MissionTime")
+OWN_KINDS = ("AHRS", "Battery", "MagneticCompass", "Tachometer", "AltitudeSensor", "MissionTime")
 """Types that the manual has no class of."""
 
 WHEELS = {"P2AT": ("RightFWheel", "LeftFWheel", "RightRWheel", "LeftRWheel")}

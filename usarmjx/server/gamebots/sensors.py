@@ -35,7 +35,7 @@ from usarmjx.server.protocol.descriptions import (
     geo_nothing,
     geo_robot,
 )
-from usarmjx.server.protocol.dialects import ACTUATOR_TYPE, MANUAL, PACKAGE_TYPE
+from usarmjx.server.protocol.dialects import ACTUATOR_TYPE, LATER_TYPES, MANUAL, PACKAGE_TYPE
 from usarmjx.server.protocol.frames import flip_wire_angles, flip_wire_vector, wrap_angles
 from usarmjx.server.protocol.grammar import Message, Segment, check_word, four_decimals, four_decimals_list
 from usarmjx.sim.control import RobotCommand
@@ -186,6 +186,12 @@ def _tachometer(sensor: Sensor, value: np.ndarray, time: float | None) -> Messag
     return reports.sen_tachometer(time, sensor.mounts[0].name, spins, angles)
 
 
+def _ahrs(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
+    (ahead, left, up), *rest = value.reshape(4, 3).tolist()
+    rates, changes, angles = (flip_wire_angles(one) for one in rest)
+    return reports.sen_ahrs(time, sensor.mounts[0].name, (ahead, -left, up), rates, changes, angles)
+
+
 def _touch(sensor: Sensor, value: np.ndarray, time: float | None) -> Message:
     touched = [(mount.name, bool(v)) for mount, v in zip(sensor.mounts, value, strict=True)]
     return reports.sen_touch(time, touched)
@@ -210,6 +216,7 @@ REPORTS: dict[str, Callable[[Sensor, np.ndarray, float | None], Message | None]]
     "GroundTruth": _ground_truth,
     "Encoder": _encoder,
     "Tachometer": _tachometer,
+    "AHRS": _ahrs,
     "Touch": _touch,
     "GPS": _gps,
     **victims.REPORTS,
@@ -283,7 +290,8 @@ def sensor_report(
 
 def _asked(kind: str, name: str, item_kind: str, item_name: str) -> bool:
     """Whether a query selects the item: types and names match without case, no name means all."""
-    return item_kind.lower() == kind.lower() and (not name or item_name.lower() == name.lower())
+    kinds = {item_kind.lower(), LATER_TYPES.get(item_kind, item_kind).lower()}
+    return kind.lower() in kinds and (not name or item_name.lower() == name.lower())
 
 
 def _mounts(mounts: Sequence[Mount], kind: str, name: str) -> list[Mount]:

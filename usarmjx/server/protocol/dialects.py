@@ -10,6 +10,7 @@ A dialect stands between lines and commands. `understand` converts a client's me
     GEO ... {Mount CameraPanTilt} {MountLink 2}                        Mount CameraPanTilt_Link2
     SEN {Time 62.0100} {Type Sonar} {Name F1} {Range 2.5098}           a line for each sonar, not one for all
     SEN {Time 62.0100} {Type Encoder} {Name W1} {Tick 4}               of an encoder whose name has W1 in it
+    SEN {Time 62.0100} {Type IMU} {Name I} {XYZAcceleration 0,0,0} ... Type AHRS; also in GETGEO and GETCONF
     GEO ... {Mount P3AT}                                               Mount HARD: the class that INIT named
     INIT {ClassName USARBot.P3AT} {Start Start1}                       its Pioneer, which is our P2AT
 """
@@ -24,6 +25,8 @@ from usarmjx.server.protocol.grammar import Message, Segment, is_number, to_int
 
 PACKAGE_TYPE, ACTUATOR_TYPE = "MisPkg", "Actuator"
 """Type of mission packages in the manual and in UDK's version."""
+LATER_TYPES = {"AHRS": "IMU"}
+"""Types of sensors with another name in UDK's version, where our IMU is none."""
 ENCODER_TYPE = "Encoder"
 GROUPED_TYPES = ("Sonar", "IR", "Touch", ENCODER_TYPE)
 """Sensor types that share one line in the manual's version."""
@@ -98,12 +101,18 @@ def _translate_udk(message: Message, robot_class: str = "") -> Iterator[Message]
     elif message.kind == "SEN" and message.get("Type") in GROUPED_TYPES:
         yield from _one_by_one(message)
     elif message.kind == "SEN":
-        yield replace(message, segments=tuple(_split(message.segments)))
+        yield replace(message, segments=tuple(_typed(_split(message.segments))))
     elif message.kind == "GEO":
         segments = _split(message.segments)
         yield replace(message, segments=tuple(_mounted(segments, robot_class or CHASSIS_MOUNT)))
     else:
         yield message
+
+
+def _typed(segments: Iterable[Segment]) -> Iterator[Segment]:
+    """Give a type its name in the later versions."""
+    for key, value in segments:
+        yield (key, LATER_TYPES.get(value, value) if key == "Type" else value)
 
 
 def _split(segments: Iterable[Segment]) -> Iterator[Segment]:

@@ -271,6 +271,25 @@ def sen_tachometer(time: float | None, name: str, spins: Sequence[float], angles
     return _sen(_precise(time), "Tachometer", *pairs)
 
 
+def sen_ahrs(
+    time: float | None, name: str, acceleration: Vector, rates: Vector, changes: Vector, angles: Vector
+) -> Message:
+    """Return attitude and its changes (IMU.uc).
+
+    Args:
+        time: Simulated time [s].
+        name: The sensor's name.
+        acceleration: Ahead, to the right and upward [m/s2].
+        rates: Of roll, pitch and yaw [rad/s].
+        changes: Of these rates [rad/s2].
+        angles: Roll, pitch and yaw [rad].
+    """
+    keys = ("XYZAcceleration", "AngularVel", "AngularAccel", "Rotation")
+    vectors = zip(keys, (acceleration, rates, changes, angles), strict=True)
+    pairs = [(key, four_decimals_list(vector)) for key, vector in vectors]
+    return _sen(_precise(time), "AHRS", ("Name", name), *pairs)
+
+
 def sen_gps(time: float | None, name: str, position: tuple[float, float] | None, satellites: int) -> Message:
     """Return a position; without one the line has neither latitude nor longitude (GPSSensor.uc).
 

@@ -6,7 +6,9 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from usarmjx.base.transforms import GRAVITY, mat_from_angles, quat_from_angles
 from usarmjx.models.roads.network import LatLon
+from usarmjx.sensors.attitude import Ahrs
 from usarmjx.sensors.base import Sensor
 from usarmjx.sensors.gps import MIN_FIX_SATELLITES, Gps, geographic_coordinates
 from usarmjx.sensors.inertial import Imu
@@ -57,6 +59,8 @@ def sensor_topics(sensor: Sensor, origin: LatLon | None) -> Iterator[SensorTopic
             yield SensorTopic(mount.name, "sensor_msgs/Range", ranger(sensor, index, radiation))
     elif isinstance(sensor, Imu):
         yield SensorTopic(name, "sensor_msgs/Imu", partial(imu, sensor))
+    elif isinstance(sensor, Ahrs):
+        yield SensorTopic(name, "sensor_msgs/Imu", partial(ahrs, sensor))
     elif isinstance(sensor, Gps):
         yield SensorTopic(name, "sensor_msgs/NavSatFix", partial(_fix, sensor, origin))
     elif isinstance(sensor, Odometry | Ins | GroundTruth):
@@ -109,6 +113,30 @@ def imu(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np.
         "angular_velocity_covariance": [0.0] * 9,
         "linear_acceleration": vector(value[3:]),
         "linear_acceleration_covariance": [0.0] * 9,
+    }
+
+
+def ahrs(sensor: Sensor, version: RosVersion, time: float, robot: str, value: np.ndarray) -> RosMessage:
+    """Return an Imu with the orientation of the chassis; its acceleration has that of gravity (REP 145).
+
+    Rates of roll, pitch and yaw become angular velocities about the axes of the chassis.
+    """
+    force, rates, _, angles = np.asarray(value, float).reshape(4, 3)
+    roll, pitch, yaw = map(float, angles)
+    up = mat_from_angles(roll, pitch, yaw).T @ np.array([0.0, 0.0, GRAVITY])
+    sin_roll, cos_roll, sin_pitch, cos_pitch = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
+    to_body = np.array(
+        [
+            [1.0, 0.0, -sin_pitch],
+            [0.0, cos_roll, sin_roll * cos_pitch],
+            [0.0, -sin_roll, cos_roll * cos_pitch],
+        ]
+    )
+    return {
+        **imu(sensor, version, time, robot, np.concatenate([to_body @ rates, force + up])),
+        "header": version.header(time, f"{robot}/base_link"),
+        "orientation": quaternion(quat_from_angles(roll, pitch, yaw)),
+        "orientation_covariance": [0.0] * 9,
     }
 
 
