@@ -228,6 +228,27 @@ class SingleWorld:
         where = ",".join(f"{value:.2f}" for value in poses[0][0])
         raise UsageError(f"no room for a {group.robot.name} within {SEARCH_RADIUS:g} m of {where}")
 
+    def move_robot(self, slot: int, pos: Vec3, quat: np.ndarray) -> None:
+        """Put a robot at a pose, at rest, raised onto the floor if need be: position [m], orientation (4,).
+
+        Raises:
+            UsageError: There is no room.
+        """
+        model, data, index = self.engine.model, self.engine.data, self._indices[slot]
+        found = free_pose(model, data, index, np.array(pos), quat, self.scene.arena.floor, 0.0)
+        if found is None:
+            where = ",".join(f"{value:.2f}" for value in pos)
+            raise UsageError(f"no room for {self.roster[slot].name} at {where}")
+        self.engine.place(index, *found)
+        self._speeds.reset_robots([slot], data.qpos)
+
+    def move_loose(self, number: int, pos: Vec3, quat: np.ndarray) -> None:
+        """Put a loose object, by its number, at a pose, at rest: position [m], orientation (4,)."""
+        loose, data = self.scene.loose_geoms, self.engine.data
+        data.qpos[loose.root_qposadr[number]] = (*pos, *quat)
+        data.qvel[loose.root_dof[number]] = 0.0
+        mujoco.mj_kinematics(self.engine.model, data)
+
     @numpy_backend()
     def _initial_state(self, group: RobotGroup) -> GroupState:
         """Return the state of the one robot of a group whose sensors start now, as they do at a reset."""

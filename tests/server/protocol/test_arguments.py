@@ -14,6 +14,7 @@ CONTEXT = {  # what a line needs beside the argument, to be a command
     "INIT": "{ClassName P2AT}",
     "DRIVE": "{Name Arm}",
     "MISPKG": "{Name Arm} {Link 1}",
+    "CONTROL": "{Type AbsMove} {Name R1}",
 }
 NUMBERS = {
     ArgumentKind.NUMBER: ("1", "-.4", "3.", "1e-1"),

@@ -24,6 +24,7 @@ KEYS: dict[str, tuple[str, ...]] = {
     "CAMERA": ("Rotation", "Order", "Zoom"),
     "GETGEO": ("Type", "Name"),
     "GETCONF": ("Type", "Name"),
+    "CONTROL": ("Type", "Name", "ClassName", "Location", "Rotation"),
 }
 """The keys of each command; those of MULTIDRIVE are a robot's joints."""
 REPEATED_KEYS = {

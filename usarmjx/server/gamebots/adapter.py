@@ -19,6 +19,7 @@ from usarmjx.server.gamebots.reporter import Reporter, battery_left, first_repor
 from usarmjx.server.gamebots.sensors import configuration, geometry, link_joint
 from usarmjx.server.gamebots.spawning import spawn_from_init
 from usarmjx.server.gamebots.victims import access_tag
+from usarmjx.server.gamebots.world_controller import CLASS_NAME, WorldController
 from usarmjx.server.protocol import commands as wire
 from usarmjx.server.protocol import reports
 from usarmjx.server.protocol.arguments import read_parameters
@@ -48,6 +49,8 @@ MOTION_COMMANDS = (
     *(wire.MisPkg, wire.Set, wire.SetJoint, wire.SetFov, wire.TurnCamera),
 )
 """Commands that are ignored while a user of the page drives the client's robot."""
+CONTROLLER_COMMANDS = (wire.Control, wire.GetStartPoses, wire.SetView)
+"""Commands of a client that controls the world."""
 
 
 def pan_tilt_of(robot: RobotSpec) -> MissionPackage | None:
@@ -98,6 +101,7 @@ class Client:
     ) -> None:
         self.session = RobotSession(reports.nfo_greeting(world.arena.name, time_limit), dialect=dialect)
         self.robot: Robot | None = None
+        self._controller: WorldController | None = None
         self._reporter = Reporter(world, self.session)
         self._trace_state: RobotTrace | None = None
         self._fault_log = fault_log or FaultLog(log)
@@ -121,6 +125,7 @@ class Client:
             wire.TurnCamera: self._turn_camera,
             wire.GetGeo: self._geometry,
             wire.GetConf: self._configuration,
+            wire.Control: self._control,
             wire.OwnCommand: self._own_command,
         }
 
@@ -132,6 +137,8 @@ class Client:
             and isinstance(command, MOTION_COMMANDS)
         ):
             self.session.add_fault(f"{self.robot.name} is driven from the page: {type(command).__name__}")
+        elif self.is_controller and not isinstance(command, CONTROLLER_COMMANDS):
+            self.session.add_fault(f"a world controller has no robot: {type(command).__name__}")
         elif not self.lost:
             self._handlers[type(command)](command)
 
@@ -143,6 +150,19 @@ class Client:
             self._next_log, self._logged = now + INTERVAL, self.session.fault_count
             faults = self.session.take_faults()[:MAX_FAULTS]
             self._fault_log.warning("%s: %s", self._peer, summary(faults, count))
+
+    @property
+    def is_controller(self) -> bool:
+        """Whether it controls the world in place of a robot."""
+        return self._controller is not None
+
+    def becomes_controller(self, init: wire.Init) -> bool:
+        """Let the client control the world if its INIT asks for that; return whether it does."""
+        if not self.session.dialect.has_world_controllers or init.class_name.lower() != CLASS_NAME.lower():
+            return False
+        self._controller = WorldController(self._world)
+        log.info("%s: controls the world", self._peer)
+        return True
 
     # INIT comes in two halves, so that the server can prepare the class in a thread.
 
@@ -461,6 +481,18 @@ class Client:
             types = self.session.dialect.package_types
             for message in configuration(*known, command.type, command.name, types):
                 self.session.send(message)
+
+    def _control(self, command: wire.Control) -> None:
+        if self._controller is None:
+            self.session.add_fault("CONTROL is for world controllers")
+            return
+        try:
+            answer = self._controller.execute(command)
+        except (PeerError, UsageError) as error:
+            self.session.add_fault(f"CONTROL: {error}")
+            return
+        if answer is not None:
+            self.session.send(answer)
 
     def _own_command(self, command: wire.OwnCommand) -> None:
         answer = command.action(self._world, self._present, command.message)

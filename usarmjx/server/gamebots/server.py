@@ -79,7 +79,8 @@ class RobotConnection:
     def is_idle(self) -> bool:
         """Whether it has no robot, and waits for none."""
         client = self.client
-        return client.robot is None and not client.session.awaits_answer and not self.writer.is_closing()
+        has_place = client.robot is not None or client.is_controller or client.session.awaits_answer
+        return not has_place and not self.writer.is_closing()
 
     @property
     def has_left(self) -> bool:
@@ -388,6 +389,8 @@ class BotServer:
         client = connection.client
         async with connection.budget:
             connection.budget.charge(INIT_COST)
+            if client.becomes_controller(init):
+                return True
             spec = client.robot_class(init)
         if spec is None:
             return False

@@ -71,6 +71,10 @@ ARGUMENTS: dict[str, dict[str, Argument]] = {
         **{"Link": _NUMBER, "Value": _NUMBER, "Order": _NUMBER, "Gripper": _NUMBER},
         "Rotation": Argument(ArgumentKind.VECTOR, Setting(unit="rad")),
     },
+    "CONTROL": {
+        "Location": Argument(ArgumentKind.VECTOR, Setting(unit="m")),
+        "Rotation": Argument(ArgumentKind.VECTOR, Setting(unit="rad")),
+    },
     "SET": {},  # those of its opcodes: see `read_parameters`
     "TRACE": {"On": _TRUTH, "Interval": _SECONDS},
     "CAMERA": {

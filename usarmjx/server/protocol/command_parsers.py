@@ -17,6 +17,7 @@ from usarmjx.server.protocol.commands import (
     DRIVE_KEYS,
     TRACE_COLORS,
     Command,
+    Control,
     DriveJoint,
     DriveRobot,
     DriveWheels,
@@ -297,6 +298,14 @@ def _get_conf(message: Message) -> Command | Ignored:
     return GetConf(item_type, message.get("Name"))
 
 
+def _control(message: Message) -> Command | Ignored:
+    location, rotation = _vector(message.get("Location")), _vector(message.get("Rotation"))
+    kind, name = message.get("Type"), message.get("Name")
+    if not kind:
+        return Ignored("CONTROL without a Type")
+    return Control(kind, name, message.get("ClassName"), location, rotation)
+
+
 COMMANDS.add("INIT", _init)
 COMMANDS.add("GETSTARTPOSES", _get_start_poses)
 COMMANDS.add("DRIVE", _drive)
@@ -307,3 +316,4 @@ COMMANDS.add("TRACE", _trace)
 COMMANDS.add("CAMERA", _camera)
 COMMANDS.add("GETGEO", _get_geo)
 COMMANDS.add("GETCONF", _get_conf)
+COMMANDS.add("CONTROL", _control)

@@ -275,6 +275,25 @@ class GetConf:
 
 
 @dataclass(frozen=True, slots=True)
+class Control:
+    """Control the world: CONTROL of the later versions, for a world controller (WorldController.uc).
+
+    Attributes:
+        type: GetSTA, AbsMove, RelMove, or anything else as sent.
+        name: Name of an object or a robot, "" when absent.
+        class_name: Class of objects, "" when absent.
+        location: Position or its change in the wire's frame [m], None when not given.
+        rotation: Roll, pitch and yaw or their changes [rad], None when not given.
+    """
+
+    type: str
+    name: str = ""
+    class_name: str = ""
+    location: Vector | None = None
+    rotation: Vector | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class OwnCommand:
     """Command beyond the manual's (14.4.3), registered with `own_commands.add_command`.
 
@@ -312,6 +331,7 @@ Command: TypeAlias = (
     | TurnCamera
     | GetGeo
     | GetConf
+    | Control
     | OwnCommand
 )
 

@@ -13,6 +13,7 @@ A dialect stands between lines and commands. `understand` converts a client's me
     SEN {Time 62.0100} {Type IMU} {Name I} {XYZAcceleration 0,0,0} ... Type AHRS; also in GETGEO and GETCONF
     GEO ... {Mount P3AT}                                               Mount HARD: the class that INIT named
     INIT {ClassName USARBot.P3AT} {Start Start1}                       its Pioneer, which is our P2AT
+    INIT {ClassName USARBot.WorldController}, CONTROL {Type GetSTA}    a client that moves things
 """
 
 import re
@@ -59,6 +60,7 @@ class Dialect:
         is_stamped: Whether every reading has its time, regardless of the sensor's setting.
         package_types: Types that ask for mission packages, lower case.
         has_binary_grippers: Whether grippers are open or closed, and report that.
+        has_world_controllers: Whether a client may control the world in place of a robot.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Dialect:
     is_stamped: bool = False
     package_types: frozenset[str] = frozenset({PACKAGE_TYPE.lower()})
     has_binary_grippers: bool = False
+    has_world_controllers: bool = False
 
 
 def _understand_udk(message: Message) -> Message:
@@ -193,6 +196,7 @@ UDK = Dialect(
     is_stamped=True,
     package_types=frozenset({PACKAGE_TYPE.lower(), ACTUATOR_TYPE.lower()}),
     has_binary_grippers=True,
+    has_world_controllers=True,
 )
 """The versions on the Unreal Development Kit, which most ROS nodes support."""
 DIALECTS = {dialect.name: dialect for dialect in (MANUAL, UDK)}

@@ -141,6 +141,18 @@ class DynamicWorld(ServedWorld):
             self._single.remove(robot.slot)
             return_freed_memory()
 
+    def move_robot(self, robot: Robot, pos: Vec3, quat: np.ndarray) -> None:
+        """Put a robot at a pose, at rest."""
+        self._single.move_robot(robot.slot, pos, quat)
+        if self.recorder is not None:
+            self.recorder.interrupted(f"{robot.name} was moved")
+
+    def move_loose(self, index: int, pos: Vec3, quat: np.ndarray) -> None:
+        """Put a loose object at a pose, at rest."""
+        self._single.move_loose(index, pos, quat)
+        if self.recorder is not None:
+            self.recorder.interrupted(f"{self.arena.loose[index].name} was moved")
+
     def step(self) -> None:
         """Advance by one control step; robots that diverge return to their spawn poses."""
         if self.recorder is not None:

@@ -361,6 +361,21 @@ class ServedWorld(ABC):
             self.edit(robot, memory=after)
         return after is not None
 
+    def move_robot(self, robot: Robot, pos: Vec3, quat: np.ndarray) -> None:
+        """Put a robot at a pose, at rest: position [m] and orientation, w first (4,).
+
+        Raises:
+            UsageError: The world cannot do that, or there is no room.
+        """
+        del pos, quat
+        raise UsageError(f"{robot.name} stays: only a single world of engine c moves things")
+
+    def move_loose(self, index: int, pos: Vec3, quat: np.ndarray) -> None:
+        """Put a loose object of the arena, by its index, at a pose, at rest; see `move_robot`."""
+        del pos, quat
+        name = self.scene.arena.loose[index].name
+        raise UsageError(f"{name} stays: only a single world of engine c moves things")
+
     def door_angles(self) -> np.ndarray:
         """Return the angles of the arena's doors [rad] (doors,)."""
         return np.asarray(self.one_world()[1].qpos[self.scene.door_qpos])
