@@ -495,5 +495,6 @@ def test_the_registry_lists_what_a_client_can_ask():
             "CAMERA",
             "GETGEO",
             "GETCONF",
+            "CONTROL",
         ]
     )

@@ -11,6 +11,7 @@ from usarmjx.base.errors import PeerError
 from usarmjx.server.protocol.commands import (
     LEGAL_COMMANDS,
     Command,
+    Control,
     DriveJoint,
     DriveRobot,
     DriveWheels,
@@ -62,6 +63,9 @@ LINES = {
     TurnCamera((0.0, 0.1, 0.2), 1, 0.5): b"CAMERA {Rotation 0,.1,.2} {Order 1} {Zoom 0.5}\r\n",
     GetGeo("Sonar"): b"GETGEO {Type Sonar}\r\n",
     GetConf("Sonar"): b"GETCONF {Type Sonar}\r\n",
+    Control("AbsMove", "R1", location=(1.0, 2.0, -3.0)): (
+        b"CONTROL {Type AbsMove} {Name R1} {Location 1,2,-3}\r\n"
+    ),
 }
 
 
@@ -101,7 +105,7 @@ def test_the_server_speaks_first():
 LEGAL = {
     SessionPhase.GREETED: {Init, GetStartPoses, SetView},
     SessionPhase.ACTIVE: {
-        *(GetStartPoses, GetGeo, GetConf),
+        *(GetStartPoses, GetGeo, GetConf, Control),
         *(DriveRobot, DriveWheels, DriveJoint, MultiDrive, MisPkg, Set, SetJoint),
         *(SetFov, SetViewports, SetView, Trace, TurnCamera),
     },
