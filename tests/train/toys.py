@@ -65,32 +65,45 @@ class Toy:
         )
 
     def _step(self, state, actions):
-        memory = state.memory
-        x, reward, terminated, score, bad = jax.vmap(self.go)(memory.x, state.length, actions)
+        state = self.advance(state, actions)
+        return self.restart(state, state.done)
+
+    def advance(self, state, actions):
+        x, reward, terminated, score, bad = jax.vmap(self.go)(state.memory.x, state.length, actions)
         length = state.length + 1
         late = length >= self.episode_steps
         terminated = terminated & ~bad
         done = terminated | late | bad
-        episode = memory.episode + done
-        fresh = jax.vmap(lambda k, e: self.start(jax.random.fold_in(k, e)))(memory.key, episode)
         final, final_privileged = jax.vmap(self.see)(x, length)
-        x = jax.tree.map(lambda a, b: jnp.where(done.reshape(-1, *[1] * (a.ndim - 1)), a, b), fresh, x)
-        length = jnp.where(done, 0, length)
-        obs, privileged = jax.vmap(self.see)(x, length)
         return state.replace(
-            memory=memory.replace(x=x, episode=episode),
-            obs=obs,
-            privileged=privileged,
+            memory=state.memory.replace(x=x),
+            obs=final,
+            privileged=final_privileged,
             reward=reward,
             done=done,
             truncated=late & ~terminated & ~bad,
             final_obs=final,
             final_privileged=final_privileged,
-            score=jnp.where(done, 0.0, score),
+            score=score,
             final_score=jnp.where(done, score, state.final_score),
             length=length,
             bad=bad,
             metrics={"success": score},
+        )
+
+    def restart(self, state, where):
+        memory = state.memory
+        episode = memory.episode + where
+        fresh = jax.vmap(lambda k, e: self.start(jax.random.fold_in(k, e)))(memory.key, episode)
+        x = jax.tree.map(partial(_pick, where), fresh, memory.x)
+        length = jnp.where(where, 0, state.length)
+        obs, privileged = jax.vmap(self.see)(x, length)
+        return state.replace(
+            memory=memory.replace(x=x, episode=episode),
+            obs=obs,
+            privileged=privileged,
+            score=jnp.where(where, 0.0, state.score),
+            length=length,
         )
 
 
@@ -228,6 +241,24 @@ class LineToy:
         )
 
     def step(self, state, actions):
+        state = self.advance(state, actions)
+        return self.restart(state, state.done)
+
+    def restart(self, state, where):
+        episode = state.batch["episode"] + where
+        fresh = self._start(state.memory["number"], episode)
+        x = jax.tree.map(partial(_pick, where), fresh, state.memory["x"])
+        length = jnp.where(where, 0, state.length)
+        return state.replace(
+            batch={**state.batch, "episode": episode},
+            memory={**state.memory, "x": x},
+            obs=self._obs(x, length),
+            privileged=x[0][:, :1],
+            score=jnp.where(where, 0.0, state.score),
+            length=length,
+        )
+
+    def advance(self, state, actions):
         self.calls += 1
         assert [a.shape for a in actions] == [
             (self.worlds, len(g.agents), g.action_size) for g in self.groups
@@ -237,23 +268,19 @@ class LineToy:
         ended = x[0][:, 0] > END
         truncated = ~ended & (length >= self.episode_steps)
         done = ended | truncated
-        episode = state.batch["episode"] + done
-        fresh = self._start(state.memory["number"], episode)
-        final_obs, pick = self._obs(x, length), partial(_pick, done)
-        now, left = jax.tree.map(pick, fresh, x), jnp.where(done, 0, length)
+        obs = self._obs(x, length)
         return state.replace(
-            batch={**state.batch, "episode": episode},
-            memory={**state.memory, "x": now},
-            obs=self._obs(now, left),
-            privileged=now[0][:, :1],
+            memory={**state.memory, "x": x},
+            obs=obs,
+            privileged=x[0][:, :1],
             reward=x,
             done=done,
             truncated=truncated,
-            final_obs=final_obs,
+            final_obs=obs,
             final_privileged=x[0][:, :1],
-            score=jnp.where(done, 0.0, score),
+            score=score,
             final_score=jnp.where(done, score, state.final_score),
-            length=left,
+            length=length,
             bad=jnp.zeros(self.worlds, bool),
             metrics={"way": x[0][:, 0]},
         )

@@ -116,3 +116,51 @@ def test_more_worlds_end_with_a_step_than_fit_in_one_of_a_hundred_at_most(worlds
     for share in (1.0, 4 / 3):
         assert stats.binom.sf(size, worlds, min(1.0, share / steps)) <= 0.01
     assert size <= max(4, worlds / 16)
+
+
+def test_a_step_is_an_advance_and_a_restart_of_the_worlds_that_are_done(env):
+    ours = theirs = env.reset(6)
+    actions = (jnp.full((WORLDS, 1, 2), 0.5),)
+    for late in ([0, 3], [1, 3, 4]):
+        length = jnp.where(jnp.isin(jnp.arange(WORLDS), jnp.array(late)), env.episode_steps - 1, ours.length)
+        ours, theirs = ours.replace(length=length), theirs.replace(length=length)
+        ours, end = env.step(ours, actions), env.advance(theirs, actions)
+        assert np.flatnonzero(end.done).tolist() == late
+        np.testing.assert_array_equal(end.obs[0], ours.final_obs[0])
+        np.testing.assert_array_equal(end.obs[0], end.final_obs[0])
+        assert end.length[late].tolist() == [env.episode_steps] * len(late)
+        theirs = env.restart(end, end.done)
+        if env.traceable:  # whose step is compiled as a whole, so that sums may be taken in another order
+            np.testing.assert_allclose(theirs.obs[0], ours.obs[0], atol=1e-4)
+        else:
+            jax.tree.map(np.testing.assert_array_equal, bits(ours), bits(theirs))
+
+
+def test_any_worlds_restart_in_the_middle_of_an_episode(env, in_full):
+    actions, where = (jnp.full((WORLDS, 1, 2), 0.5),), np.array([False, True, False, False, True])
+    state = env.step(env.reset(7), actions)
+    fresh = env.restart(state, where)
+    jax.tree.map(np.testing.assert_array_equal, bits(fresh), bits(in_full(state, where)))
+    assert fresh.batch.worlds.episode.tolist() == [0, 1, 0, 0, 1]
+    assert fresh.length.tolist() == [1, 0, 1, 1, 0]
+    np.testing.assert_array_equal(fresh.obs[0][~where], state.obs[0][~where])
+    np.testing.assert_array_equal(fresh.reward[0], state.reward[0])
+    same = env.restart(state, np.zeros(WORLDS, bool))
+    jax.tree.map(np.testing.assert_array_equal, bits(same), bits(state))
+
+
+@pytest.mark.parametrize(
+    "where", [np.ones(WORLDS), np.ones(WORLDS + 1, bool), np.bool_(True), np.arange(WORLDS)]
+)
+def test_a_mask_of_another_kind_is_refused(env, where):
+    with pytest.raises(usarmjx.UsageError, match=r"expected bool\[5\], a value per world"):
+        env.restart(env.reset(0), where)
+
+
+def test_a_world_that_is_advanced_beyond_its_end_stays_done(env):
+    actions, state = (jnp.zeros((WORLDS, 1, 2)),), env.reset(8)
+    state = state.replace(length=jnp.full(WORLDS, env.episode_steps - 1))
+    for _ in range(2):
+        state = env.advance(state, actions)
+        assert state.done.all()
+        assert not state.bad.any()

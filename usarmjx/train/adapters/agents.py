@@ -13,6 +13,7 @@ from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError
 
 if TYPE_CHECKING:
+    from usarmjx.train.adapters.action_grid import ActionGrid
     from usarmjx.train.envs.env import Env, EnvState
 
 MAX_SEED = 2**31 - 1
@@ -109,7 +110,11 @@ def alive_names(env: "Env", alive: tuple[Any, ...] | None) -> list[str]:
 
 
 def stack_actions(
-    env: "Env", actions: Mapping[str, Any], xp: ModuleType = np, acting: Collection[str] | None = None
+    env: "Env",
+    actions: Mapping[str, Any],
+    xp: ModuleType = np,
+    acting: Collection[str] | None = None,
+    grids: "tuple[ActionGrid, ...] | None" = None,
 ) -> tuple[Any, ...]:
     """Return the actions of one world's robots (action_size,) by group (1, robots, action_size).
 
@@ -118,6 +123,7 @@ def stack_actions(
         actions: By name of the agent.
         xp: NumPy, or JAX's.
         acting: Agents that are alive; None: all. The others' actions are 0.
+        grids: Grid of each group, whose robots choose from it; None: actions are continuous.
 
     Raises:
         UsageError: A robot without an action, an action without a robot, or one of another size.
@@ -127,9 +133,14 @@ def stack_actions(
     if wrong:
         raise UsageError(f"an action for each of {', '.join(known)}; missing or unknown: {', '.join(wrong)}")
     stacked: list[Any] = []
-    for group in env.groups:
+    for g, group in enumerate(env.groups):
         nothing = xp.zeros(group.action_size, xp.float32)
-        rows = [xp.asarray(actions.get(name, nothing), xp.float32) for name in group.agents]
+        known_rows = (
+            actions
+            if grids is None
+            else {name: grids[g].chosen(actions[name], xp) for name in group.agents if name in actions}
+        )
+        rows = [xp.asarray(known_rows.get(name, nothing), xp.float32) for name in group.agents]
         for name, row in zip(group.agents, rows, strict=True):
             if row.shape != (group.action_size,):
                 raise UsageError(f"action of {name}: shape {row.shape}, expected ({group.action_size},)")

@@ -11,6 +11,7 @@ import numpy as np
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import UsageError, extra
+from usarmjx.train.adapters.action_grid import BINS, Actions, action_grids
 from usarmjx.train.adapters.agents import (
     check_no_options,
     check_one_group,
@@ -59,7 +60,7 @@ def register_ids() -> None:
             )
 
 
-class TeamWorld(gymnasium.Env[np.ndarray, np.ndarray]):
+class TeamWorld(gymnasium.Env[np.ndarray, Any]):
     """One world as a `gymnasium.Env`, whose agent is the whole team, as `VectorWorlds` joins it.
 
     `reset` without a seed goes on with the episode after, in the next arena; in the middle of an episode it
@@ -69,18 +70,28 @@ class TeamWorld(gymnasium.Env[np.ndarray, np.ndarray]):
         env: An environment of one world.
         seed: Of a first `reset` without one.
         render_mode: None, or `rgb_array`: `render` returns a picture from above.
+        actions: `continuous`, or `discrete`, as in `VectorWorlds`.
+        bins: Values of each action, where they are discrete.
 
     Raises:
-        UsageError: It has several worlds, or an unknown render mode.
+        UsageError: It has several worlds, an unknown render mode, unknown actions, or too many of them.
     """
 
-    def __init__(self, env: "Env", seed: int = 0, render_mode: str | None = None) -> None:
+    def __init__(
+        self,
+        env: "Env",
+        seed: int = 0,
+        render_mode: str | None = None,
+        *,
+        actions: Actions = "continuous",
+        bins: int = BINS,
+    ) -> None:
         from usarmjx.train.adapters.agents import check_one_world
 
         check_one_world(env, "a gymnasium.Env")
         self.metadata = {"render_modes": list(RENDER_MODES), "render_fps": max(1, round(1 / env.period))}
         self.render_mode = render_mode
-        self.worlds: Any = VectorWorlds(env, seed=seed, render_mode=render_mode)
+        self.worlds: Any = VectorWorlds(env, seed=seed, render_mode=render_mode, actions=actions, bins=bins)
         self.observation_space = self.worlds.single_observation_space
         self.action_space = self.worlds.single_action_space
         self._next: np.ndarray | None = None
@@ -103,8 +114,8 @@ class TeamWorld(gymnasium.Env[np.ndarray, np.ndarray]):
             return following, {}
         return self.worlds.reset(seed=seed)[0][0], {}
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Let the team act (size,).
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:  # noqa: ANN401
+        """Let the team act (size,); with discrete actions it is a number, or one of each robot (robots,).
 
         Returns:
             Observation (size,), reward, whether the task has ended the episode, whether it was cut off, and
@@ -116,7 +127,7 @@ class TeamWorld(gymnasium.Env[np.ndarray, np.ndarray]):
         """
         if self._next is not None:
             raise UsageError(f"{self.worlds.env.name}: the episode is over; call reset")
-        obs, reward, ended, late, infos = self.worlds.step(np.asarray(action, np.float32)[None])
+        obs, reward, ended, late, infos = self.worlds.step(np.asarray(action)[None])
         done = bool(ended[0] or late[0])
         told = {**infos, **infos["final_info"]} if done else infos
         if done:
@@ -139,6 +150,8 @@ def make_world(
     seed: int = 0,
     engine: str = "auto",
     render_mode: str | None = None,
+    actions: Actions = "continuous",
+    bins: int = BINS,
     **fields: Any,  # noqa: ANN401 - of a task
 ) -> TeamWorld:
     """Return what `gymnasium.make` returns.
@@ -148,12 +161,15 @@ def make_world(
         seed: Of a first `reset` without one.
         engine: `warp`, `jax`, `c`, or `auto`.
         render_mode: None or `rgb_array`.
+        actions: `continuous` or `discrete`.
+        bins: Values of each action, where they are discrete.
         fields: Of the task, set otherwise.
     """
     from usarmjx.train.make import make
 
     check_render_mode(render_mode)
-    return TeamWorld(make(task, engine=engine, **fields), seed, render_mode)
+    env = make(task, engine=engine, **fields)
+    return TeamWorld(env, seed, render_mode, actions=actions, bins=bins)
 
 
 def make_worlds(
@@ -175,7 +191,7 @@ def make_worlds(
         seed: Of a first `reset` without one.
         engine: `warp`, `jax`, `c`, or `auto`.
         fields: `render_mode`, None or `rgb_array`; `max_episode_steps`, after which an episode is truncated;
-            and fields of the task, set otherwise.
+            `actions` and `bins` as in `VectorWorlds`; and fields of the task, set otherwise.
 
     Raises:
         UsageError: Robots of no whole number of worlds, an unknown render mode, or two time limits.
@@ -184,6 +200,7 @@ def make_worlds(
 
     render_mode, max_episode_steps = (fields.pop(name, None) for name in ("render_mode", "max_episode_steps"))
     check_render_mode(render_mode)
+    given = {name: fields.pop(name) for name in ("actions", "bins") if name in fields}
     if max_episode_steps is not None:
         if "episode_steps" in fields:
             raise UsageError("max_episode_steps and episode_steps are the same limit, expected one of them")
@@ -197,7 +214,7 @@ def make_worlds(
             f"multiple of {share}"
         )
     env = make(task, num_envs // share, engine, **fields)
-    return VectorWorlds(env, robots, seed, autoreset, render_mode)
+    return VectorWorlds(env, robots, seed, autoreset, render_mode, **given)
 
 
 with extra("rl"):
@@ -235,9 +252,14 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         seed: Of a first `reset` without one.
         autoreset: When worlds are reset; Gymnasium's NormalizeObservation and others want `next_step`.
         render_mode: None, or `rgb_array`: `render` returns pictures from above.
+        actions: `continuous`, or `discrete`: each robot chooses a number of a point of its `ActionGrid`. An
+            environment of one robot has a `Discrete` space, one of several a `MultiDiscrete` with a number
+            for each.
+        bins: Values of each action, where they are discrete.
 
     Raises:
-        UsageError: `each` with robots of several classes; something else than the modes that there are.
+        UsageError: `each` with robots of several classes; something else than the modes that there are; too
+            many discrete actions.
     """
 
     def __init__(
@@ -247,6 +269,9 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         seed: int = 0,
         autoreset: Autoreset = "same_step",
         render_mode: str | None = None,
+        *,
+        actions: Actions = "continuous",
+        bins: int = BINS,
     ) -> None:
         if robots not in ("joined", "each"):
             raise UsageError(f"robots is {robots!r}, allowed are 'joined' and 'each'")
@@ -271,12 +296,13 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.num_envs = env.worlds * share[0]
         widths = [1 if self._each else count for count in counts]
         pairs = list(zip(widths, env.groups, strict=True))
-        obs, action = (sum(n * getattr(g, f"{what}_size") for n, g in pairs) for what in ("obs", "action"))
+        obs = sum(n * group.obs_size for n, group in pairs)
         self.single_observation_space = spaces.Box(-np.inf, np.inf, (obs,), np.float32)
-        self.single_action_space = spaces.Box(-1.0, 1.0, (action,), np.float32)
+        self._grids = action_grids(env.groups, actions, bins)
+        self.single_action_space: Any = self._action_space(widths)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._action_shape = (self.num_envs, action)
+        self._action_shape = (self.num_envs, *self.single_action_space.shape)
         self._step = compiled_step(env)
         self._seed = seed
         self._state: EnvState | None = None
@@ -311,19 +337,20 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Let every agent act.
 
         Args:
-            actions: Numbers from -1 to 1 (num_envs, size).
+            actions: Numbers from -1 to 1 (num_envs, size); with discrete actions whole numbers of the
+                action space.
 
         Returns:
             Observations (num_envs, size), rewards (num_envs,), whether the task has ended the episode,
             whether it was cut off, by time or a fault, and infos.
 
         Raises:
-            UsageError: Actions of another shape, or no `reset` yet.
+            UsageError: Actions of another shape, discrete ones that there are not, or no `reset` yet.
         """
         if self._state is None:
             raise UsageError(f"{self.env.name}: call reset first")
         before, held = self._state, self._over
-        self._state = self._step(before, self._groups(np.asarray(actions, np.float32)))
+        self._state = self._step(before, self._groups(np.asarray(actions)))
         if held.any():
             self._state = self._hold(before, self._state, held)
         s = jax.device_get(self._state.task_state.replace(memory=()))
@@ -361,12 +388,25 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise UsageError(f"{self.env.name}: call reset first")
         return np.array(self._state.privileged)
 
+    def _action_space(self, widths: list[int]) -> "spaces.Space[Any]":
+        """Return the actions of an environment with so many robots of each group."""
+        if self._grids is None:
+            size = sum(n * group.action_size for n, group in zip(widths, self.env.groups, strict=True))
+            return spaces.Box(-1.0, 1.0, (size,), np.float32)
+        choices = [grid.choices for n, grid in zip(widths, self._grids, strict=True) for _ in range(n)]
+        return spaces.Discrete(choices[0]) if len(choices) == 1 else spaces.MultiDiscrete(choices)
+
     def _groups(self, actions: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return actions by group (worlds, robots, action_size)."""
         if actions.shape != self._action_shape:
             raise UsageError(f"actions: shape {actions.shape}, expected {self._action_shape}")
+        rows = actions.reshape(self.env.worlds, -1)
+        if self._grids is not None:
+            counts = [len(group.agents) for group in self.env.groups]
+            choices = np.split(rows, np.cumsum(counts)[:-1], -1)
+            return tuple(grid.chosen(part) for grid, part in zip(self._grids, choices, strict=True))
         sizes = [len(group.agents) * group.action_size for group in self.env.groups]
-        parts = np.split(actions.reshape(self.env.worlds, -1), np.cumsum(sizes)[:-1], -1)
+        parts = np.split(np.asarray(rows, np.float32), np.cumsum(sizes)[:-1], -1)
         shapes = [(self.env.worlds, len(group.agents), group.action_size) for group in self.env.groups]
         return tuple(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True))
 

@@ -7,11 +7,12 @@ import jax
 import jax.numpy as jnp
 
 from usarmjx.base.errors import UsageError, extra
+from usarmjx.train.adapters.action_grid import BINS, Actions, action_grids
 from usarmjx.train.adapters.agents import MAX_SEED, agents_of, by_agent, check_one_world, stack_actions
 
 with extra("rl"):
     from jaxmarl.environments.multi_agent_env import MultiAgentEnv
-    from jaxmarl.environments.spaces import Box
+    from jaxmarl.environments.spaces import Box, Discrete
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env, EnvState
@@ -32,12 +33,16 @@ class MultiAgentWorld(MultiAgentEnv):
 
     Args:
         env: The environment.
+        actions: `continuous`, or `discrete`: the action of an agent is a number of a point of its
+            `ActionGrid`; a number that is none counts as the nearest one.
+        bins: Values of each action, where they are discrete.
 
     Raises:
-        UsageError: It has several worlds, or an engine that JAX cannot trace.
+        UsageError: It has several worlds, an engine that JAX cannot trace, unknown actions, or too many of
+            them.
     """
 
-    def __init__(self, env: "Env") -> None:
+    def __init__(self, env: "Env", *, actions: Actions = "continuous", bins: int = BINS) -> None:
         check_one_world(env, "JaxMARL's MultiAgentEnv")
         if not env.traceable:
             raise UsageError(
@@ -46,11 +51,16 @@ class MultiAgentWorld(MultiAgentEnv):
         roster = agents_of(env)
         super().__init__(num_agents=len(roster))
         self.env = env
+        self._grids = action_grids(env.groups, actions, bins)
         self.agents = [agent.name for agent in roster]
         for agent in roster:
             group = env.groups[agent.group]
             self.observation_spaces[agent.name] = Box(-jnp.inf, jnp.inf, (group.obs_size,))
-            self.action_spaces[agent.name] = Box(-1.0, 1.0, (group.action_size,))
+            self.action_spaces[agent.name] = (
+                Box(-1.0, 1.0, (group.action_size,))
+                if self._grids is None
+                else Discrete(self._grids[agent.group].choices)
+            )
 
     @property
     def name(self) -> str:
@@ -73,7 +83,7 @@ class MultiAgentWorld(MultiAgentEnv):
     ) -> "tuple[Values, EnvState, Values, Values, dict[str, Any]]":
         """Let all robots act; observations are those before a reset, the state is that after it."""
         del key
-        state = self.env.step(state, stack_actions(self.env, actions, jnp))
+        state = self.env.step(state, stack_actions(self.env, actions, jnp, grids=self._grids))
         done = state.done[0]
         dones = {**dict.fromkeys(self.agents, done), "__all__": done}
         if state.final_alive is not None:
@@ -111,9 +121,15 @@ class MultiAgentWorld(MultiAgentEnv):
 
     @partial(jax.jit, static_argnums=0)
     def get_avail_actions(self, state: "EnvState") -> Values:
-        """Return which actions are available (action_size,): all those of agents that are alive."""
+        """Return which actions are available: all those of agents that are alive.
+
+        Values are (action_size,); with discrete actions they are (choices,).
+        """
         alive = None if state.alive is None else by_agent(self.env, state.alive)
+        sizes = [group.action_size for group in self.env.groups]
+        if self._grids is not None:
+            sizes = [grid.choices for grid in self._grids]
         return {
-            agent: jnp.full(self.action_spaces[agent].shape, True if alive is None else alive[agent])
-            for agent in self.agents
+            agent.name: jnp.full((sizes[agent.group],), True if alive is None else alive[agent.name])
+            for agent in agents_of(self.env)
         }

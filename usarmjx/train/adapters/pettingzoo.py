@@ -6,6 +6,7 @@ import jax
 import numpy as np
 
 from usarmjx.base.errors import UsageError, extra
+from usarmjx.train.adapters.action_grid import BINS, Actions, action_grids
 from usarmjx.train.adapters.agents import (
     agents_of,
     alive_names,
@@ -40,13 +41,25 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         env: The environment.
         seed: Of the first episode, and of the seeds that are drawn.
         render_mode: None, or `rgb_array`: `render` returns a picture from above.
+        actions: `continuous`, or `discrete`: the action of an agent is a number of a point of its
+            `ActionGrid`.
+        bins: Values of each action, where they are discrete.
 
     Raises:
-        UsageError: It has several worlds, or an unknown render mode.
+        UsageError: It has several worlds, an unknown render mode, unknown actions, or too many of them.
     """
 
-    def __init__(self, env: "Env", seed: int = 0, render_mode: str | None = None) -> None:
+    def __init__(
+        self,
+        env: "Env",
+        seed: int = 0,
+        render_mode: str | None = None,
+        *,
+        actions: Actions = "continuous",
+        bins: int = BINS,
+    ) -> None:
         check_one_world(env, "PettingZoo's ParallelEnv")
+        self._grids = action_grids(env.groups, actions, bins)
         self.env = env
         check_render_mode(render_mode)
         self.metadata = {
@@ -60,11 +73,15 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         self.possible_agents = [agent.name for agent in agents_of(env)]
         self.agents: list[str] = []
         self.observation_spaces: dict[str, spaces.Space[np.ndarray]] = {}
-        self.action_spaces: dict[str, spaces.Space[np.ndarray]] = {}
+        self.action_spaces: dict[str, spaces.Space[Any]] = {}
         for agent in agents_of(env):
             group = env.groups[agent.group]
             self.observation_spaces[agent.name] = spaces.Box(-np.inf, np.inf, (group.obs_size,), np.float32)
-            self.action_spaces[agent.name] = spaces.Box(-1.0, 1.0, (group.action_size,), np.float32)
+            self.action_spaces[agent.name] = (
+                spaces.Box(-1.0, 1.0, (group.action_size,), np.float32)
+                if self._grids is None
+                else spaces.Discrete(self._grids[agent.group].choices)
+            )
         self._step = compiled_step(env)
         self._seed = seed
         self._generator = np.random.default_rng(seed)
@@ -74,8 +91,8 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         """Return what an agent observes: any numbers (obs_size,)."""
         return self.observation_spaces[agent]
 
-    def action_space(self, agent: str) -> spaces.Space[np.ndarray]:
-        """Return what an agent may do: numbers from -1 to 1 (action_size,)."""
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        """Return what an agent may do: numbers from -1 to 1 (action_size,), or discrete choices."""
         return self.action_spaces[agent]
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Values, Values]:
@@ -118,7 +135,9 @@ class ParallelWorld(ParallelEnv[str, np.ndarray, np.ndarray]):
         before = self._running
         if not self.agents:
             raise UsageError(f"{self.env.name}: the episode is over; call reset")
-        self._state = self._step(before, stack_actions(self.env, actions, acting=self.agents))
+        self._state = self._step(
+            before, stack_actions(self.env, actions, acting=self.agents, grids=self._grids)
+        )
         s = jax.device_get(self._state.task_state.replace(memory=()))
         done, bad = bool(s.done[0]), bool(s.bad[0])
         truncated = bool(s.truncated[0]) or bad

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usarmjx.base.errors import extra
+from usarmjx.train.adapters.action_grid import BINS, Actions
 from usarmjx.train.adapters.gymnasium import Robots, VectorWorlds
 
 with extra("sb3"):
@@ -29,17 +30,29 @@ class BaselinesWorlds(VecEnv):
         robots: Kind of agent.
         seed: Of a first `reset` without one.
         render_mode: None, or `rgb_array`: pictures from above for VecVideoRecorder.
+        actions: `continuous`, or `discrete`, as in `VectorWorlds`.
+        bins: Values of each action, where they are discrete.
 
     Raises:
-        UsageError: `each` with robots of several classes, or an unknown render mode.
+        UsageError: `each` with robots of several classes, an unknown render mode, unknown actions, or too
+            many of them.
     """
 
     def __init__(
-        self, env: "Env", robots: Robots = "joined", seed: int = 0, render_mode: str | None = None
+        self,
+        env: "Env",
+        robots: Robots = "joined",
+        seed: int = 0,
+        render_mode: str | None = None,
+        *,
+        actions: Actions = "continuous",
+        bins: int = BINS,
     ) -> None:
-        self.worlds: Any = VectorWorlds(env, robots, seed, render_mode=render_mode)
+        self.worlds: Any = VectorWorlds(
+            env, robots, seed, render_mode=render_mode, actions=actions, bins=bins
+        )
         self.render_mode = render_mode
-        self._actions = np.zeros(self.worlds.action_space.shape, np.float32)
+        self._actions = np.zeros(self.worlds.action_space.shape, self.worlds.action_space.dtype)
         spaces = self.worlds.single_observation_space, self.worlds.single_action_space
         super().__init__(self.worlds.num_envs, *spaces)
 
@@ -58,7 +71,7 @@ class BaselinesWorlds(VecEnv):
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take the actions (num_envs, size)."""
-        self._actions = np.asarray(actions, np.float32)
+        self._actions = np.asarray(actions)
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Let every agent act.

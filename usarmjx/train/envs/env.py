@@ -322,8 +322,10 @@ class Env:
         self._restart_some = self._compile(partial(restart_subset, self.scene, task, together))
         self._library = self._compile(self._library_at)
         self._step_program, self._restart = self._step, self._restart_where
+        self._advance_program = self._advance
         if self.traceable:
             self._step_program = self._compile(self._step)
+            self._advance_program = self._compile(self._advance)
             self._restart = self._compile(self._restart_where)
 
     @cached_property
@@ -560,12 +562,50 @@ class Env:
         """
         return self._step_program(state, actions)
 
+    def advance(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
+        """Advance every world by one action, and leave those that are done at their end.
+
+        `step` is this and `restart` of the worlds that are done. A world that is advanced beyond its end
+        stays done.
+
+        Args:
+            state: The environment's state.
+            actions: As for `step`.
+
+        Raises:
+            UsageError: Actions of another shape.
+        """
+        return self._advance_program(state, actions)
+
+    def restart(self, state: EnvState, where: Array) -> EnvState:
+        """Begin the next episode in some worlds, in the middle of the present one, too.
+
+        What the last step evaluated (`reward`, `done`, `final_obs` and others) stays. Episodes that are cut
+        short have no `final_score`.
+
+        Args:
+            state: The environment's state.
+            where: Worlds that restart (worlds,), bool.
+
+        Raises:
+            UsageError: A mask of another shape or type.
+        """
+        mask = jnp.asarray(where)
+        if mask.shape != (self.worlds,) or not jnp.issubdtype(mask.dtype, jnp.bool_):
+            given = f"{mask.dtype}{list(mask.shape)}"
+            raise UsageError(f"restart: a mask {given}, expected bool[{self.worlds}], a value per world")
+        return self._restart(state, mask)
+
     def commanded(self, state: EnvState, actions: tuple[Array, ...]) -> World:
         """Return the worlds as they are before the first control step of an action: with its commands."""
         physics = self.batch.physics(state.batch)
         return self._act(state.batch.worlds, physics, state.memory, actions, state.alive)
 
     def _step(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
+        state = self._advance(state, actions)
+        return self._restart(state, state.done)
+
+    def _advance(self, state: EnvState, actions: tuple[Array, ...]) -> EnvState:
         self._check(actions)
         batch, before = state.batch, state.batch.worlds.faults  # a world in which they grow goes bad
         worlds = self.commanded(state, actions)
@@ -576,8 +616,7 @@ class Env:
         batch = batch.replace(worlds=worlds)
         if present is not None:
             batch = come_and_go(self.batch.engine, self._regroup, batch, present)
-        state = state.with_task(batch, task)
-        return self._restart(state, state.done)
+        return state.with_task(batch, task)
 
     def _restart_where(self, state: EnvState, where: Array) -> EnvState:
         """Begin the next episode in some worlds (worlds,), a fixed number of them at a time."""
