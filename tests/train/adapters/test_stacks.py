@@ -123,6 +123,7 @@ PROJECTS = {
     "JaxMARL": "jaxmarl",
     "Stable-Baselines3": "stable_baselines3",
     "TorchRL": "torchrl",
+    "BenchMARL": "benchmarl",
     "RLlib": "ray.rllib",  # plain Ray is among the development tools
 }
 
@@ -136,7 +137,13 @@ def shown(title):
 
 
 @pytest.mark.parametrize(
-    ("package", "name"), [("torch", "PyTorch"), ("torchrl", "Run with TorchRL"), ("ray", "Run with Ray")]
+    ("package", "name"),
+    [
+        ("torch", "PyTorch"),
+        ("torchrl", "Run with TorchRL"),
+        ("benchmarl", "Run with BenchMARL"),
+        ("ray", "Run with Ray"),
+    ],
 )
 def test_the_workflow_installs_the_versions_that_the_page_tells(package, name):
     page = (dev.ROOT / "docs" / "stacks.md").read_text(encoding="utf-8")
@@ -156,10 +163,14 @@ def test_what_the_page_shows_runs_as_printed_with_a_toy_for_the_task(title, monk
         return LineToy(worlds=worlds, mixed=False)
 
     monkeypatch.setattr(usarmjx, "make", make)
+    if title == "BenchMARL":
+        monkeypatch.setattr("usarmjx.train.adapters.benchmarl.make", make)
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "page"}
     exec(compile(shown(title), "docs/stacks.md", "exec"), names)
-    assert len(asked) == 1
+    assert len(asked) == (
+        2 if title == "BenchMARL" else 1
+    )  # that library has worlds of its own to evaluate in
     if title == "PettingZoo":
         assert capsys.readouterr().out == "True True\n"
     if title == "JaxMARL":

@@ -1,4 +1,4 @@
-"""The interfaces of other libraries over `usarmjx.Env`; each needs its extra: `rl`, `train` or `sb3`.
+"""The interfaces of other libraries over `usarmjx.Env`; each needs its extra, as `rl`.
 
 None of them computes anything: they hand the same numbers over under other names. Private: a module per
 library, and `agents` with what they share. `tests/train/adapters` runs each library's own checkers. Begin
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from usarmjx.base.lazy import attach
 
 if TYPE_CHECKING:
+    from usarmjx.train.adapters.benchmarl import BenchmarlTask as BenchmarlTask
     from usarmjx.train.adapters.brax import BatchedRobots as BatchedRobots
     from usarmjx.train.adapters.gymnasium import TeamWorld as TeamWorld
     from usarmjx.train.adapters.gymnasium import VectorWorlds as VectorWorlds
@@ -17,14 +18,17 @@ if TYPE_CHECKING:
     from usarmjx.train.adapters.jaxmarl import MultiAgentWorld as MultiAgentWorld
     from usarmjx.train.adapters.pettingzoo import ParallelWorld as ParallelWorld
     from usarmjx.train.adapters.stable_baselines3 import BaselinesWorlds as BaselinesWorlds
+    from usarmjx.train.adapters.torchrl import TorchWorlds as TorchWorlds
 else:
     __getattr__, __dir__, __all__ = attach(
         __name__,
         {
+            "usarmjx.train.adapters.benchmarl": ("BenchmarlTask",),
             "usarmjx.train.adapters.brax": ("BatchedRobots",),
             "usarmjx.train.adapters.gymnasium": ("TeamWorld", "VectorWorlds", "register_ids"),
             "usarmjx.train.adapters.jaxmarl": ("MultiAgentWorld",),
             "usarmjx.train.adapters.pettingzoo": ("ParallelWorld",),
             "usarmjx.train.adapters.stable_baselines3": ("BaselinesWorlds",),
+            "usarmjx.train.adapters.torchrl": ("TorchWorlds",),
         },
     )
