@@ -252,9 +252,9 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         seed: Of a first `reset` without one.
         autoreset: When worlds are reset; Gymnasium's NormalizeObservation and others want `next_step`.
         render_mode: None, or `rgb_array`: `render` returns pictures from above.
-        actions: `continuous`, or `discrete`: each robot chooses a number of a point of its `ActionGrid`. An
-            environment of one robot has a `Discrete` space, one of several a `MultiDiscrete` with a number
-            for each.
+        actions: `continuous`, or `discrete`: each robot chooses a number of a point of its `ActionGrid`. The
+            space of an environment of one robot is `gymnasium.spaces.Discrete`, else
+            `gymnasium.spaces.MultiDiscrete` with a number for each robot.
         bins: Values of each action, where they are discrete.
 
     Raises:
