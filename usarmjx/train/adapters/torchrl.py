@@ -33,7 +33,8 @@ class TorchWorlds(EnvBase):
     (worlds, 1). A fault is truncated, not terminated.
 
     Worlds do not restart by themselves: TorchRL resets those that are done, and any others that it is asked
-    to. A reset begins a world's next episode; the first one of all worlds after a new seed begins at the first.
+    to. A reset begins a world's next episode; the first one of all worlds after a new seed begins at its
+    first.
 
     On the device of the environment's arrays no tensor is a copy. They must not be written to.
 
