@@ -55,10 +55,10 @@ def test_the_second_start_traces_nothing_and_computes_the_same(kept, monkeypatch
             monkeypatch.setattr(DriveToGoal, name, traced)
         jax.tree.map(np.testing.assert_array_equal, first, play(TASK))
         with pytest.raises(RuntimeError, match="it was traced"):
-            Env(replace(TASK, radius=0.6), 2, engine="c")
+            _ = Env(replace(TASK, radius=0.6), 2, engine="c").groups
         monkeypatch.delenv(PROGRAMS_FOLDER)
         with pytest.raises(RuntimeError, match="it was traced"):
-            Env(TASK, 2, engine="c")
+            _ = Env(TASK, 2, engine="c").groups
 
 
 def test_each_part_of_an_environment_is_in_the_digest(kept):
