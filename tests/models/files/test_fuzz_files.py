@@ -7,7 +7,7 @@ import io
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import dev
@@ -120,6 +120,7 @@ def test_the_files_that_are_changed_are_valid(name, tmp_path):
 @pytest.mark.parametrize("name", LOADERS)
 @SOME
 @given(changes=edits)
+@example(changes=[("flip", 0.640625, 0, 128)])  # a body's name in MJCF that is no UTF-8
 def test_a_changed_file_loads_or_is_refused_in_one_line(name, changes, tmp_path_factory):
     whole, loader = LOADERS[name]
     path = tmp_path_factory.getbasetemp() / f"fuzzed-{name}"

@@ -265,12 +265,13 @@ def mjcf_content(path: Path, surface: str = "") -> Content:
         raise ArenaFileError(f"{path}: does not read as MJCF: {wrong}")
     spec = mujoco.MjSpec.from_file(str(path))
     drop_sizes(spec)
-    notes = leave_out_robots(path, spec)
-    model = spec.compile()
-    for kind, count in (("tendon", model.ntendon), ("equality constraint", model.neq), ("flex", model.nflex)):
-        if count:
-            raise ArenaFileError(f"{path}: has {count} of kind {kind}; arenas have none")
     try:
+        notes = leave_out_robots(path, spec)
+        model = spec.compile()
+        refused = (("tendon", model.ntendon), ("equality constraint", model.neq), ("flex", model.nflex))
+        for kind, count in refused:
+            if count:
+                raise ArenaFileError(f"{path}: has {count} of kind {kind}; arenas have none")
         content = _MjcfReader(path, spec, model, surface).content()
         return replace(content, warnings=(*notes, *content.warnings))
     except UnicodeDecodeError as error:
