@@ -8,6 +8,7 @@ import pytest
 
 from tests.arenas import FLAT
 from tests.server.peers import say
+from usarmjx.models.compile.parts import parts_of
 from usarmjx.models.robots import ROBOTS
 from usarmjx.server.gamebots.adapter import Client
 from usarmjx.server.protocol.dialects import MANUAL, UDK
@@ -103,6 +104,20 @@ def test_conf_names_the_operations_of_a_binary_gripper(client):
     assert say(client, "GETCONF {Type Gripper} {Name None}") == ["CONF {Type Gripper} {Name None}"]
 
 
+@pytest.mark.parametrize("name", ["AllAngles", "alljoints"])
+def test_one_set_turns_all_joints_but_wheels(client, name):
+    """SetAllJointTargets (BotConnection.uc); a joint that moves is not answered."""
+    parts = {part.name: part for part in parts_of(client.robot.spec)}
+    for value in (0.25, 0.125):
+        before = np.array(client.robot.command.target)
+        assert say(client, f"SET {{Type Joint}} {{Name {name}}} {{Opcode Target}} {{Params {value}}}") == []
+        for index, joint in enumerate(client.robot.plan.parts[1:]):
+            expected = before[index] if joint in parts and parts[joint].is_wheel else value
+            assert client.robot.command.target[index] == pytest.approx(expected), joint
+    (line,) = say(client, f"SET {{Type Joint}} {{Name {name}}} {{Opcode Velocity}} {{Params 1}}")
+    assert line.endswith("{Status Failed}"), "angles only"
+
+
 def test_the_manuals_dialect_has_none_of_it():
     client = joined(MANUAL)
     assert not [line for line in report(client) if line.startswith("EFF")]
@@ -111,6 +126,8 @@ def test_the_manuals_dialect_has_none_of_it():
         assert line.endswith("{Status Failed}")
     (line,) = say(client, "GETCONF {Type Gripper}")
     assert "{Opcode Open} {MaxVal" in line
+    (line,) = say(client, "SET {Type Joint} {Name AllAngles} {Opcode Angle} {Params 0.1}")
+    assert line.endswith("{Status Failed}")
 
 
 def test_telemax_and_talon_are_the_arms_with_a_gripper():

@@ -9,7 +9,7 @@ from usarmjx.base.clock import wrapped_step
 from usarmjx.base.errors import PeerError, UsageError
 from usarmjx.base.parameters import Parameters
 from usarmjx.base.registry import is_name
-from usarmjx.models.compile.parts import part_name
+from usarmjx.models.compile.parts import part_name, parts_of
 from usarmjx.models.effecters import Gripper
 from usarmjx.models.robots import ROBOTS
 from usarmjx.models.types.robot import STEER_SUFFIX, MissionPackage, RobotSpec
@@ -305,6 +305,15 @@ class Client:
         return done
 
     def _set_joint(self, command: wire.SetJoint) -> None:
+        robot, is_angle = self._present, command.order == ControlMode.POSITION
+        if is_angle and command.name.lower() in self.session.dialect.all_joints and not self.battery_empty:
+            goals: dict[str, ArrayLike] = {
+                part.name: command.value
+                for part in parts_of(robot.spec)
+                if part.motor is not None and not part.is_wheel
+            }
+            self._update_command(CommandUpdate(joints=goals, mode=ControlMode.POSITION))
+            return
         # A joint that moves is not answered (KRobot.uc); without an answer to what failed none could tell.
         if not self.battery_empty and not self._drive_joint(command):
             self.session.send(reports.res(self._world.time, "Joint", command.name, STATUS_FAILED))

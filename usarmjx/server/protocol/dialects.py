@@ -61,6 +61,7 @@ class Dialect:
         package_types: Types that ask for mission packages, lower case.
         has_binary_grippers: Whether grippers are open or closed, and report that.
         has_world_controllers: Whether a client may control the world in place of a robot.
+        all_joints: Names in SET that mean all joints but wheels, lower case.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Dialect:
     package_types: frozenset[str] = frozenset({PACKAGE_TYPE.lower()})
     has_binary_grippers: bool = False
     has_world_controllers: bool = False
+    all_joints: frozenset[str] = frozenset()
 
 
 def _understand_udk(message: Message) -> Message:
@@ -197,6 +199,7 @@ UDK = Dialect(
     package_types=frozenset({PACKAGE_TYPE.lower(), ACTUATOR_TYPE.lower()}),
     has_binary_grippers=True,
     has_world_controllers=True,
+    all_joints=frozenset({"allangles", "alljoints"}),
 )
 """The versions on the Unreal Development Kit, which most ROS nodes support."""
 DIALECTS = {dialect.name: dialect for dialect in (MANUAL, UDK)}

@@ -258,7 +258,7 @@ class WorldTopics:
             name = self._names[robot.slot]
             state, estimate = world.state(robot), estimate_of(world, robot)
             if odometry_sensor(world, robot) is not None:
-                where = drift_of(world, robot)
+                where = drift_of(state, estimate)
                 transforms.append(motion.odom_transform(version, world.time, name, where))
             transforms.append(motion.base_transform(version, world.time, name, estimate))
             floor = world.arena.floor

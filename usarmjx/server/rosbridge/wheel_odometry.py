@@ -11,7 +11,7 @@ import numpy as np
 
 from usarmjx.base.backend import numpy_backend
 from usarmjx.base.rotations import mat_from_quat, quat_from_mat
-from usarmjx.base.transforms import mat_from_angles
+from usarmjx.base.transforms import mat_from_angles, quat_from_angles
 from usarmjx.models.drives.base import RobotState
 from usarmjx.sensors.motion import Odometry
 from usarmjx.server.worlds.robot import Robot
@@ -24,29 +24,26 @@ class OdometryEstimate:
 
     Attributes:
         pos: Position [m] (3,).
-        mat: Orientation (3, 3).
+        quat: Orientation, w first (4,).
+        mat: The same as a matrix (3, 3).
         linear: Velocity in the robot's own axes [m/s] (3,).
         angular: Angular velocity in its own axes [rad/s] (3,).
     """
 
     pos: np.ndarray
+    quat: np.ndarray
     mat: np.ndarray
     linear: np.ndarray
     angular: np.ndarray
 
-    @property
-    def quat(self) -> np.ndarray:
-        """Orientation, w first (4,)."""
-        with numpy_backend():
-            return np.asarray(quat_from_mat(self.mat))
-
 
 def true_estimate(state: RobotState) -> OdometryEstimate:
     """Return the true pose in the map, and the true velocity."""
+    quat = np.asarray(state.quat)
     with numpy_backend():
-        mat = np.asarray(mat_from_quat(np.asarray(state.quat)))
+        mat = np.asarray(mat_from_quat(quat))
     pos, linear = np.asarray(state.pos), np.asarray(state.linear)
-    return OdometryEstimate(pos, mat, mat.T @ linear, np.asarray(state.angular))
+    return OdometryEstimate(pos, quat, mat, mat.T @ linear, np.asarray(state.angular))
 
 
 def odometry_sensor(world: ServedWorld, robot: Robot) -> int | None:
@@ -67,13 +64,23 @@ def estimate_of(world: ServedWorld, robot: Robot) -> OdometryEstimate:
     with numpy_backend():
         x, y, heading = map(float, sensor.estimate(state, world.memory(robot).own[index]))
         ahead, turn = map(float, sensor.velocity(state))
-    mat = mat_from_angles(0.0, 0.0, heading)
-    return OdometryEstimate(np.array([x, y, 0.0]), mat, np.array([ahead, 0, 0]), np.array([0, 0, turn]))
+    quat = np.asarray(quat_from_angles(0.0, 0.0, heading))
+    return OdometryEstimate(
+        pos=np.array([x, y, 0.0]),
+        quat=quat,
+        mat=mat_from_angles(0.0, 0.0, heading),
+        linear=np.array([ahead, 0.0, 0.0]),
+        angular=np.array([0.0, 0.0, turn]),
+    )
 
 
-def drift_of(world: ServedWorld, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pose of an odometry's frame in the map: position [m] (3,) and orientation, w first (4,)."""
-    truth, estimate = true_estimate(world.state(robot)), estimate_of(world, robot)
-    mat = truth.mat @ estimate.mat.T
+def drift_of(state: RobotState, estimate: OdometryEstimate) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pose of an odometry's frame in the map: position [m] (3,) and orientation, w first (4,).
+
+    Args:
+        state: True state of the robot.
+        estimate: Its odometry at the same moment.
+    """
     with numpy_backend():
-        return truth.pos - mat @ estimate.pos, np.asarray(quat_from_mat(mat))
+        mat = np.asarray(mat_from_quat(np.asarray(state.quat))) @ estimate.mat.T
+        return np.asarray(state.pos) - mat @ estimate.pos, np.asarray(quat_from_mat(mat))
