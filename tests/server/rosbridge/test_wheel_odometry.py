@@ -49,7 +49,7 @@ def test_it_integrates_the_wheels_from_the_start_between_readings_too(left, righ
         chord = abs(right - left) * P2AT.wheel_radius / P2AT.wheel_separation * 0.2 / 2
         way = abs(left + right) / 2 * P2AT.wheel_radius * STEPS * world.period
         assert np.hypot(*(estimate.pos[:2] - (x, y))) < 2 * TICK * P2AT.wheel_radius + chord * way + 1e-3
-        turned = np.arctan2(estimate.mat[1, 0], estimate.mat[0, 0])
+        turned = 2 * np.arctan2(estimate.quat[3], estimate.quat[0])
         apart = (turned - heading + np.pi) % (2 * np.pi) - np.pi
         assert abs(apart) < 2 * TICK * P2AT.wheel_radius / P2AT.wheel_separation + 1e-3
     assert abs(x) + abs(heading) > 0.3

@@ -6,12 +6,13 @@ sensors between two of its actions.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from usarmjx.base.backend import numpy_backend
-from usarmjx.base.rotations import mat_from_quat, quat_from_mat
-from usarmjx.base.transforms import mat_from_angles, quat_from_angles
+from usarmjx.base.rotations import mat_from_quat, quat_times, rotated
+from usarmjx.base.transforms import quat_from_angles
 from usarmjx.models.drives.base import RobotState
 from usarmjx.sensors.motion import Odometry
 from usarmjx.server.worlds.robot import Robot
@@ -25,14 +26,12 @@ class OdometryEstimate:
     Attributes:
         pos: Position [m] (3,).
         quat: Orientation, w first (4,).
-        mat: The same as a matrix (3, 3).
         linear: Velocity in the robot's own axes [m/s] (3,).
         angular: Angular velocity in its own axes [rad/s] (3,).
     """
 
     pos: np.ndarray
     quat: np.ndarray
-    mat: np.ndarray
     linear: np.ndarray
     angular: np.ndarray
 
@@ -43,7 +42,7 @@ def true_estimate(state: RobotState) -> OdometryEstimate:
     with numpy_backend():
         mat = np.asarray(mat_from_quat(quat))
     pos, linear = np.asarray(state.pos), np.asarray(state.linear)
-    return OdometryEstimate(pos, quat, mat, mat.T @ linear, np.asarray(state.angular))
+    return OdometryEstimate(pos, quat, mat.T @ linear, np.asarray(state.angular))
 
 
 def odometry_sensor(world: ServedWorld, robot: Robot) -> int | None:
@@ -68,7 +67,6 @@ def estimate_of(world: ServedWorld, robot: Robot) -> OdometryEstimate:
     return OdometryEstimate(
         pos=np.array([x, y, 0.0]),
         quat=quat,
-        mat=mat_from_angles(0.0, 0.0, heading),
         linear=np.array([ahead, 0.0, 0.0]),
         angular=np.array([0.0, 0.0, turn]),
     )
@@ -81,6 +79,7 @@ def drift_of(state: RobotState, estimate: OdometryEstimate) -> tuple[np.ndarray,
         state: True state of the robot.
         estimate: Its odometry at the same moment.
     """
-    with numpy_backend():
-        mat = np.asarray(mat_from_quat(np.asarray(state.quat))) @ estimate.mat.T
-        return np.asarray(state.pos) - mat @ estimate.pos, np.asarray(quat_from_mat(mat))
+    w, x, y, z = np.asarray(estimate.quat, float)
+    pos: list[Any] = estimate.pos.tolist()
+    turn = quat_times(list(np.asarray(state.quat, float)), (w, -x, -y, -z))
+    return np.asarray(state.pos) - np.array(rotated(turn, pos)), np.array(turn)
