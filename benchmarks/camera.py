@@ -196,7 +196,7 @@ def _on_cpu(case: CameraCase, scene: Scene, batch: Batch, state: BatchState) -> 
         for world, data in enumerate(datas)
     ]
     rate, _ = multiray_rate("pictures/s", datas, bundles, case.repeats, 1 / len(pixels))
-    return {**rate, "worlds": count, "what": "depth and what is seen, one ray a pixel; no colours"}
+    return {**rate, "worlds": count, "what": "depth and segmentation, one ray a pixel; no colours"}
 
 
 def measure_camera(case: CameraCase, options: BaselineOptions = ALL) -> str:

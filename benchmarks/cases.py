@@ -32,7 +32,7 @@ StepsOption = Annotated[int, typer.Option(min=1, help="Control steps, scans or r
 RepeatsOption = Annotated[int, typer.Option(min=1, help="Repeats; the median counts.")]
 BaselinesOption = Annotated[
     str,
-    typer.Option(help="What is measured beside it: all, cpu (C MuJoCo on all cores, not bare MJX) or none."),
+    typer.Option(help="Measured beside it: all, cpu (C MuJoCo on all cores, not bare MJX) or none."),
 ]
 LimitOption = Annotated[float, typer.Option(min=1.0, help="Seconds after which a wait is given up.")]
 
@@ -63,7 +63,7 @@ def without(case: Any, *names: str) -> dict[str, Any]:  # noqa: ANN401 - any dat
 class RecordOptions:
     """The record of a measurement: its file, and a note for its readers."""
 
-    note: Annotated[str, typer.Option(help="What a reader of the record must know.")] = ""
+    note: Annotated[str, typer.Option(help="Remark for readers of the record.")] = ""
     json: Annotated[Path | None, typer.Option(help="Append the record to this file.")] = None
 
 
@@ -202,7 +202,7 @@ class SceneOptions:
     roster: Annotated[str, typer.Option(help="Robots of each world, as P2AT:4,Zerg:2.")] = "P2AT:4"
     arena: Annotated[str, typer.Option(help="Arena name, or with --generated the kind.")] = "yellow"
     generated: Annotated[
-        int, typer.Option(min=0, help="So many generated arenas, which the worlds have in turn.")
+        int, typer.Option(min=0, help="Number of generated arenas, which the worlds have in turn.")
     ] = 0
     size: Annotated[
         str | None,
@@ -295,7 +295,7 @@ class MemoryCase(SceneOptions):
     compile: Annotated[
         bool,
         typer.Option(
-            "--compiled/--not-compiled", help="Compile a step, to see what it needs beside the state."
+            "--compiled/--not-compiled", help="Compile a step too, for its memory beside the state."
         ),
     ] = True
 
@@ -329,7 +329,7 @@ class ViewerCase:
         int, typer.Option(min=0, help="Robots of a server, whose pace is measured with a page and without.")
     ] = 16
     seconds: Annotated[float, typer.Option(min=0.5, help="Length of one look at that server.")] = 5.0
-    windows: Annotated[int, typer.Option(min=1, help="How many of them.")] = 3
+    windows: Annotated[int, typer.Option(min=1, help="Number of looks.")] = 3
     limit: LimitOption = 120.0
 
     @property
@@ -376,15 +376,15 @@ class ServeCase:
         list[str],
         typer.Option(
             "--roster",
-            help="Robots whose load is measured: how many counts, they are P2AT and P2DX in turn; may be "
+            help="Robots whose load is measured: only the number counts, P2AT and P2DX in turn; may be "
             "repeated.",
             callback=named_roster,
         ),
     ] = field(default_factory=lambda: [f"P2AT:{count}" for count in (1, 4, 16, 64)])
-    joining: Annotated[int, typer.Option(min=1, help="How many join, leave and talk.")] = 15
+    joining: Annotated[int, typer.Option(min=1, help="Number of clients that join, leave and talk.")] = 15
     engine: EngineOption = "c"
     seconds: Annotated[float, typer.Option(min=0.5, help="Length of one look at a load.")] = 5.0
-    windows: Annotated[int, typer.Option(min=1, help="How many of them.")] = 3
+    windows: Annotated[int, typer.Option(min=1, help="Number of looks.")] = 3
     repeats: Annotated[int, typer.Option(min=1, help="Servers started for each other figure.")] = 3
     limit: LimitOption = 120.0
 
@@ -507,10 +507,10 @@ def parse_worlds(text: str) -> tuple[int, int]:
 class PeerFolders:
     """Folders of other simulators and of their environments."""
 
-    folder: Annotated[Path, typer.Option(help="Where the peers are.")] = Path("benchmarks/peers")
-    environments: Annotated[Path, typer.Option(help="Where each peer has its environment, or gets one.")] = (
-        Path("build/peers")
-    )
+    folder: Annotated[Path, typer.Option(help="Folder of the peers.")] = Path("benchmarks/peers")
+    environments: Annotated[
+        Path, typer.Option(help="Folder of the peers' environments; missing ones are made there.")
+    ] = Path("build/peers")
     install: Annotated[
         bool, typer.Option("--install/--no-install", help="Make environments that are not there.")
     ] = True

@@ -83,7 +83,7 @@ def bench_step(
 @app.command("viewer")
 @with_settings
 def bench_viewer(case: ViewerCase, record: BaselineOptions) -> None:
-    """Measure what the live page costs, and what a server with a page open keeps up with."""
+    """Measure the cost of the live page, and the load that a server with a page bears."""
     with ErrorExit():
         announce("measuring the live page ...", keep=False)
         from benchmarks.viewer import measure_viewer
@@ -101,7 +101,7 @@ def bench_serve(
         typer.Option(help="Source tree whose server is measured too, in turn with ours; may be repeated."),
     ] = None,
 ) -> None:
-    """Measure what clients of `usarmjx serve` wait for, and what robots cost it, over TCP."""
+    """Measure the waits of clients of `usarmjx serve`, and the cost of robots, over TCP."""
     with ErrorExit():
         announce("measuring a server ...", keep=False)
         from benchmarks.serve import measure_serve
@@ -146,7 +146,7 @@ def bench_physics(case: ScorecardCase, record: RecordOptions) -> None:
 @app.command("compile")
 @with_settings
 def bench_compile(case: CompileCase, record: BaselineOptions) -> None:
-    """Measure how long the first step takes: imports, scene, tracing, XLA; cold and with a filled cache."""
+    """Measure the time until the first step: imports, scene, tracing, XLA; cold and with a filled cache."""
     with ErrorExit():
         case.check_names()
         announce("measuring compilation ...", keep=False)
@@ -158,7 +158,7 @@ def bench_compile(case: CompileCase, record: BaselineOptions) -> None:
 @app.command("memory")
 @with_settings
 def bench_memory(case: MemoryCase, record: BaselineOptions) -> None:
-    """Measure the memory of worlds, by part, and what a compiled step needs."""
+    """Measure the memory of worlds, by part, and of a compiled step."""
     with ErrorExit():
         case.check_names()
         announce("measuring memory ...", keep=False)
@@ -170,7 +170,7 @@ def bench_memory(case: MemoryCase, record: BaselineOptions) -> None:
 @app.command("peers")
 @with_settings
 def bench_peers(case: ContestCase, folders: PeerFolders, record: RecordOptions) -> None:
-    """Run other simulators and ours in turn, each in a process of its own, and list what is in whose step."""
+    """Run other simulators and ours in turn, each in its own process, and list the parts of their steps."""
     with ErrorExit():
         announce("measuring ours and others ...", keep=False)
         from benchmarks.peering.contest import measure_peers

@@ -242,7 +242,7 @@ def _measure(case: RayCase, baselines: str) -> dict[str, Any]:
         "baselines": {"mj_multiray": on_cpu, "mjx_ray": {"missing": "the rate `brute_force` is its way"}},
         "geoms_per_world": geoms,
         "geoms_per_robot": len(plan.geom_type),
-        "in_the_step": "poses of all robots' geoms, beams, the distance of what each meets first, the own "
+        "in_the_step": "poses of all robots' geoms, beams, the distance of the first hit of each, the own "
         "robot left out; walls (boxes) own for each world; no noise, no reports",
         "rays_per_scan": rays,
         "rays_per_s": rays * case.steps / statistics.median(times),

@@ -103,7 +103,7 @@ def _measure(case: ViewerCase, baselines: str) -> dict[str, Any]:
         "baselines": hall_baselines(case.robot, most, case.windows, baselines),
         "cores": os.cpu_count(),
         "meaning": {
-            "update_cpu_ms": "of the thread that steps the world: the world is looked at, what moved is sent",
+            "update_cpu_ms": "of the thread that steps the world: the world is read, moved bodies are sent",
             "process_cpu_ms": "of the server's whole process for an update, with one browser",
             "bytes_per_s": "to one browser, at 20 updates a second",
         },

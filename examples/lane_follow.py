@@ -241,7 +241,7 @@ def main() -> int:
     parser.add_argument("--by", choices=("gps", "truth"), default="gps", help="what to steer by")
     parser.add_argument("--speed", type=float, default=6.0, help="on straight road [m/s]")
     parser.add_argument("--seconds", type=float, default=300.0, help="simulated time at most")
-    parser.add_argument("--json", type=Path, help="write what happened to this file")
+    parser.add_argument("--json", type=Path, help="write the log of the drive to this file")
     options = parser.parse_args()
     segment, lane = map(int, options.lane.split("."))
     network = read_rndf(options.rndf)

@@ -304,6 +304,21 @@ def test_docstrings_begin_with_the_thing_itself():
     assert prose.docstring_faults() == []
 
 
+def test_no_clause_stands_for_a_noun_in_messages_help_texts_and_headings():
+    program = (
+        '"""What it does."""\nsay("What to do?")\nsay(f"{n} rows, and what {n} are")\nsay("what")\n'
+        'say("pick " "whoever comes")\nraise UsageError("say where to write")\n'
+        'say("Where it is dark, wait.")\n'
+    )
+    found = prose.messages(program)
+    assert [line for line, _ in found] == [3, 5, 6, 7]
+    assert found[0] == (3, "{} rows, and what {} are")
+    assert prose.messages('say("a page in a browser, where one can")\nHELP = "the robot that waits"\n') == []
+    assert prose.message_faults() == []
+    assert prose.help_faults() == []
+    assert prose.heading_faults() == []
+
+
 def test_cards_of_tasks_agree_with_the_tasks():
     """Each task has a card with its steps, its policies, and the sizes of what the policy sees and does."""
     from usarmjx.train.policies import POLICIES

@@ -2,12 +2,13 @@
 
 `python3 dev.py docs` runs it; `python -m tools.prose` prints a table of all pages. Generated pages, the
 records of docs/evidence and the contract tables count apart. Docstrings of the package begin with a noun or a
-verb.
+verb; no clause stands for a noun in messages, help texts and headings.
 """
 
 import ast
 import re
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,6 +44,17 @@ BANNED = (
 
 CLAUSE = re.compile(r"(?:What|Who|Whoever|Where|How|So (?:many|much|long|often))\b[^?]*$", re.DOTALL)
 """First sentence of a docstring that is a clause, where a noun with its unit belongs."""
+NOUN_CLAUSE = re.compile(
+    r"\b(?:what|who|whoever|whom)\b"
+    r"|\bhow (?:far|many|much|long|often|fast|early|difficult|well|good|soon|old|to)\b"
+    r"|\b(?:say|says|tell|tells|know|show|shows|name|names|see|to|of) where\b"
+    r"|\bso (?:many|much)\b"
+    r"|^(?:where|how)\b",
+    re.IGNORECASE,
+)
+"""Clause in the place of a noun in a message or a help text; a question may have one."""
+APART = ("usarmjx/view/", "usarmjx/server/viewing/", "docs/viewing.md")
+"""Folders and pages of the live page, whose texts are not checked."""
 
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 COMMENT = re.compile(r"<!-- ?(settings of|usarmjx bench report).*?<!-- end.*?-->", re.DOTALL)
@@ -140,6 +152,72 @@ def docstring_faults(package: Path = ROOT / "usarmjx") -> list[str]:
     ]
 
 
+def messages(program: str) -> list[tuple[int, str]]:
+    """Return texts with a `NOUN_CLAUSE` in a program, but docstrings and single words; with their lines."""
+    tree = ast.parse(program)
+    parts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+    parts |= {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    found: list[tuple[int, str]] = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant | ast.JoinedStr) and id(node) not in parts:
+            text = " ".join(_literal(node).split())
+            if " " in text and "?" not in text and NOUN_CLAUSE.search(text):
+                found.append((node.lineno, text))
+    return found
+
+
+def _literal(node: ast.expr) -> str:
+    """Return the text of a literal, with braces for values of a format."""
+    if isinstance(node, ast.JoinedStr):
+        return "".join(_literal(part) for part in node.values)
+    if isinstance(node, ast.Constant):
+        return node.value if isinstance(node.value, str) else ""
+    return "{}"
+
+
+def message_faults(folders: Sequence[Path] = (ROOT / "usarmjx", ROOT / "benchmarks")) -> list[str]:
+    """Return the texts of programs in which a clause stands for a noun, a line each."""
+    found: list[str] = []
+    for path in sorted(path for folder in folders for path in folder.rglob("*.py")):
+        place = path.relative_to(ROOT).as_posix()
+        if not place.startswith(APART):
+            found += [
+                f"{place}:{line}: {text[:120]!r} has a clause in the place of a noun"
+                for line, text in messages(path.read_text(encoding="utf-8"))
+            ]
+    return found
+
+
+def help_faults() -> list[str]:
+    """Return the help texts of commands and options in which a clause stands for a noun, a line each."""
+    from usarmjx.cli.app import app
+    from usarmjx.cli.listing import commands_of
+
+    found: list[str] = []
+    for path, command in commands_of(app):
+        helps = [("", command.help), *((one.name, getattr(one, "help", None)) for one in command.params)]
+        found += [
+            f"usarmjx {path} --help: {name or 'summary'} has a clause in the place of a noun: "
+            f"{' '.join(text.split())[:120]!r}"
+            for name, text in helps
+            if text and NOUN_CLAUSE.search(" ".join(text.split()))
+        ]
+    return found
+
+
+def heading_faults() -> list[str]:
+    """Return the headings of written pages that are clauses and no questions, a line each."""
+    docs = ROOT / "docs"
+    paths = [*sorted(docs.rglob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+    found: list[str] = []
+    for path in paths:
+        text = FENCE.sub("", path.read_text(encoding="utf-8"))
+        place = path.relative_to(ROOT).as_posix()
+        heads = [] if place in APART else re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+        found += [f"{place}: heading {head!r} is a clause" for head in heads if CLAUSE.match(head)]
+    return found
+
+
 def main() -> None:
     """Print the counts; exit with 1 if a page is at fault."""
     found = pages()
@@ -147,7 +225,8 @@ def main() -> None:
         kind = "" if is_written(page.name) else "  (apart)"
         print(f"{page.words:7,} {page.mean:5.1f} {len(page.banned):3}  {page.name}{kind}")
     print(f"{sum(page.words for page in found if is_written(page.name)):7,} words hand-written")
-    if wrong := [*faults(found), *docstring_faults()]:
+    clauses_found = [*docstring_faults(), *message_faults(), *help_faults(), *heading_faults()]
+    if wrong := [*faults(found), *clauses_found]:
         sys.exit("\n".join(wrong))
 
 

@@ -102,7 +102,7 @@ CALL = json.dumps(
 VECTOR = fill("SET {Type INS} {Name INS} {Opcode POSE} {Params ", "1.2345,", "1}")
 POSE = "SET {Type INS} {Name INS} {Opcode POSE} {Params 1,2,3,0,0,0}"
 
-QUIET = Attack("quiet", "nobody does anything: what the others are compared with")
+QUIET = Attack("quiet", "nobody does anything, for comparison")
 ATTACKS = (
     Attack("junk", "lines that mean nothing", load=_junk()),
     Attack("giant", "one line without an end", load=b"x" * CHUNK),
@@ -111,7 +111,7 @@ ATTACKS = (
     Attack("connect-storm", "connections that come and go", stay=0.01),
     Attack("reset-storm", "connections that come and are broken off", stay=0.01, rude=True),
     Attack("deaf", "asks for descriptions and never reads", JOIN, repeat("GETGEO {Type Sonar}"), reads=False),
-    Attack("company", "all join and do nothing: what so many robots cost by being there", JOIN),
+    Attack("company", "all join and do nothing: the cost of their robots", JOIN),
     Attack("crowd", "all join at once and then SET without a pause", JOIN, repeat(POSE)),
     Attack("vector", "SET with a vector of 8 kB", JOIN, repeat(VECTOR)),
     Attack("segments", "DRIVE with 1,000 segments", JOIN, repeat(fill("DRIVE ", "{Left 1}"))),

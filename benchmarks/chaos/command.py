@@ -51,7 +51,7 @@ class TargetOptions:
         int | None, typer.Option(min=1, max=LAST_PORT, help="Port of its pictures; else that is spared.")
     ] = None
     pid: Annotated[
-        int | None, typer.Option(min=1, help="Its process; else who listens there, if that is yours.")
+        int | None, typer.Option(min=1, help="Its process; else the listener there, if that is yours.")
     ] = None
     own_server: Annotated[
         bool,
@@ -86,9 +86,9 @@ class SoakOptions:
 
     soak: Annotated[
         float | None,
-        typer.Option(min=1.0, help="Drive robots at random for so many seconds instead, and watch it grow."),
+        typer.Option(min=1.0, help="Drive robots at random for this time instead, and watch its memory [s]."),
     ] = None
-    clients: Annotated[int, typer.Option(min=1, max=64, help="With --soak: how many robots.")] = 12
+    clients: Annotated[int, typer.Option(min=1, max=64, help="With --soak: number of robots.")] = 12
     every: Annotated[float, typer.Option(min=0.1, help="With --soak: seconds between two samples.")] = 30.0
     onlookers: Annotated[
         int, typer.Option(min=0, max=12, help="With --soak: websocket clients at the page and at rosbridge.")
@@ -108,11 +108,11 @@ def chaos(
         Path | None, typer.Option(help="Append a line for each attack or sample to this file.")
     ] = None,
 ) -> None:
-    """Attack a server of your own, within bounds, and report how far a well-behaved neighbour notices.
+    """Attack a server of your own, within bounds, and report the effect on a well-behaved neighbour.
 
     Its columns: the neighbour's longest wait for a report, the most processor time that the server's main
-    thread used between two of its reports, reports at a wrong time of the world, lines that are none; what
-    was sent, how often attackers came and were hung up on; and whether all seats were free again.
+    thread used between two of its reports, reports at a wrong time of the world, lines that are none; the
+    amount sent, the numbers of attackers that came and were hung up on, and whether all seats are free again.
     """
     with ErrorExit(), _target(server, hours.records) as target:
         say = partial(typer.echo, err=True)

@@ -34,7 +34,7 @@ from usarmjx.engines.c.batch import c_model
 NO_RECORD = RecordOptions()
 OURS = "usarmjx"
 """Who we are in a record's rows."""
-UNFINISHED, INTERRUPTED = (f"{what}: what came later is not here" for what in ("not finished", "interrupted"))
+UNFINISHED, INTERRUPTED = (f"{what}: later rows are missing" for what in ("not finished", "interrupted"))
 
 
 class GrowingRecord:

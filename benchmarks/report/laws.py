@@ -158,4 +158,4 @@ def laws_table(records: Sequence[BenchRecord]) -> str:
         ]
         for law in laws_of(records)
     )
-    return table(("what grows", "all else", "cost in", "size: cost", "cost grows as size to the"), rows)
+    return table(("quantity", "all else", "cost in", "size: cost", "cost grows as size to the"), rows)

@@ -120,7 +120,7 @@ def _differences(record: BenchRecord) -> str:
     same = ", ".join(name for name in data["numbers"] if name not in apart)
     head = ("class", "manoeuvre", "reference", "here")
     return (
-        f"{settings_words(record)} ({origin}): what differs by more than 10 %.\n\n"
+        f"{settings_words(record)} ({origin}): differences of more than 10 %.\n\n"
         f"{table(head, _difference_rows(data))}\nNothing of {same or 'no class'}.\n"
     )
 

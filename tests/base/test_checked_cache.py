@@ -238,7 +238,7 @@ def test_a_cache_that_others_may_write_to_is_not_used(tmp_path):
         assert own_cache_folder(said) is None
         place.chmod(0o700)
     tmp_path.chmod(0o777)
-    assert f"anybody may rename what is in {tmp_path}" in str(enable_compilation_cache(dict(said)))
+    assert f"anybody may rename the files in {tmp_path}" in str(enable_compilation_cache(dict(said)))
     tmp_path.chmod(0o1777)
     assert enable_compilation_cache(dict(said)) is None
 

@@ -191,7 +191,7 @@ def test_a_record_is_in_its_file_after_each_row(tmp_path):
     assert others == ["another, 1", "another, 2"]
     assert faults(json.loads(first)) == []
     assert [each["worlds"] for each in json.loads(first)["rows"]] == [1, 2]
-    assert json.loads(first)["note"] == "toy; not finished: what came later is not here"
+    assert json.loads(first)["note"] == "toy; not finished: later rows are missing"
     record.finish()
     first, *others = file.read_text().splitlines()
     assert others == ["another, 1", "another, 2"]
@@ -231,7 +231,7 @@ def test_sigterm_ends_the_process_that_measures_and_keeps_the_rows(folder, tmp_p
     try:
         assert select.select([end], [], [], 120)[0], "the peer was not started"
         assert os.read(end, 1) == b"x"
-        assert json.loads(file.read_text())["note"] == "not finished: what came later is not here"
+        assert json.loads(file.read_text())["note"] == "not finished: later rows are missing"
         run.send_signal(signal.SIGTERM)
         out, _ = run.communicate(timeout=60)
     finally:
@@ -239,7 +239,7 @@ def test_sigterm_ends_the_process_that_measures_and_keeps_the_rows(folder, tmp_p
     assert run.returncode == 0
     assert "4 x 2" in out
     record = json.loads(file.read_text())
-    assert record["note"] == "interrupted: what came later is not here"
+    assert record["note"] == "interrupted: later rows are missing"
     assert [row["worlds"] for row in record["rows"]] == [4]
     assert select.select([end], [], [], 10)[0], "the peer runs on"
     assert os.read(end, 1) == b""

@@ -123,7 +123,7 @@ def test_radio_map_takes_a_file(tmp_path: Path, room: Path):
             "unknown arena 'atlantis'; known: .*DM-USAR_yellow.*or a file",
         ),
         (["draw", "nothing.yaml", "--png", "x.png"], "nothing.yaml: there is no such file"),
-        (["draw", "yellow"], "say what to draw: --png .* --perspective"),
+        (["draw", "yellow"], "name a picture: --png .* --perspective"),
         (["check", "yellow", "--robot", "Dalek"], "unknown robot 'Dalek'; known: .*P2AT"),
         (["generate", "--kind", "swamp"], "unknown kind of arena 'swamp'; .*known: .*maze"),
         (["generate", "--size", "big"], "size 'big' is not of the form 12x8"),

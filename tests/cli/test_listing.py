@@ -55,7 +55,7 @@ def test_json_is_a_list_of_objects_and_no_word_more_on_standard_output():
     found = {one["arena"]: one for one in json.loads(result.stdout)}
     yellow = ARENAS.get("yellow")
     assert found["DM-USAR_yellow"]["solids"] == len(yellow.shapes)
-    assert found["DM-USAR_yellow"]["what it is"] == yellow.about
+    assert found["DM-USAR_yellow"]["description"] == yellow.about
     everything = json.loads(invoke("list", "--json").stdout)
     assert everything.keys() == LISTINGS.keys()
     assert everything["arenas"] == list(found.values())
@@ -72,17 +72,17 @@ def test_a_pipe_gets_plain_lines_that_are_not_cut_off():
         assert task.about in line
 
 
-SAMPLE = Listing(columns=("name", "what it is"), rows=[("a|b", "[red]"), ("long name", 2)], title="Things")
+SAMPLE = Listing(columns=("name", "description"), rows=[("a|b", "[red]"), ("long name", 2)], title="Things")
 
 
 def test_markdown_and_text_of_a_table():
     assert SAMPLE.as_markdown().splitlines() == [
-        "| name | what it is |",
+        "| name | description |",
         "|---|---|",
         "| a/b | [red] |",
         "| long name | 2 |",
     ]
-    assert SAMPLE.as_text() == "name       what it is\na|b        [red]\nlong name  2"
+    assert SAMPLE.as_text() == "name       description\na|b        [red]\nlong name  2"
 
 
 def test_a_terminal_gets_a_table_that_fits():

@@ -43,7 +43,7 @@ def test_the_command_prints_it():
 
 
 def test_every_type_is_there_once_with_a_value_and_a_source():
-    found = rows("| type | what it does")
+    found = rows("| type | function")
     assert set(found) == set(SENSORS.names()) == set(SECTIONS) == set(SAMPLES)
     for what, value, *_ in found.values():
         assert what
@@ -52,7 +52,7 @@ def test_every_type_is_there_once_with_a_value_and_a_source():
 
 def test_rays_are_those_of_the_manuals_figures():
     """181 degrees in steps of 800 of 65536: 41 beams; 40 degrees in steps of 4, four times: 441 (10.10.2)."""
-    found = {kind: cells[2] for kind, cells in rows("| type | what it does").items()}
+    found = {kind: cells[2] for kind, cells in rows("| type | function").items()}
     # ScanFov is half a turn, 32768 units of 800 each.
     assert int(found["RangeScanner"]) == 32768 // 800 + 1
     # 11 x 11 rays, and grids shifted by half a step, which have one column or row, or both, less.
@@ -61,7 +61,7 @@ def test_rays_are_those_of_the_manuals_figures():
 
 
 def test_robots_are_those_that_carry_it():
-    for kind, (*_, carriers, _source) in rows("| type | what it does").items():
+    for kind, (*_, carriers, _source) in rows("| type | function").items():
         have = [name for name, robot in ROBOTS if any(mount.kind == kind for mount in robot.sensors)]
         more = re.search(r" and (\d+) more", carriers)
         named = [] if carriers == "-" else re.sub(r" and \d+ more", "", carriers).split(", ")

@@ -59,7 +59,7 @@ def test_the_spectators_page_is_the_live_page_now():
     for words in (["serve", "--spectator-port", "5005"], ["play", "wander", "--spectator-port=0"]):
         result = CliRunner().invoke(app, words)
         assert (result.exit_code, result.stdout) == (2, "")
-        assert result.stderr.endswith("the live page has what that page had: --viewer-port sets its port\n")
+        assert result.stderr.endswith("the live page replaces that page: --viewer-port sets its port\n")
         assert result.stderr.count("\n") == 1
 
 
@@ -96,7 +96,7 @@ def test_where_to_write_to(capsys, tmp_path):
     assert chosen_out(tmp_path, None) == tmp_path
     assert capsys.readouterr().err == ""
     assert chosen_out(None, tmp_path) == tmp_path
-    assert capsys.readouterr().err == f"usarmjx: where to write to is --out now: --out {tmp_path}\n"
+    assert capsys.readouterr().err == f"usarmjx: the file to write is an option now: --out {tmp_path}\n"
     with pytest.raises(UsageError, match="--out PATH"):
         chosen_out(None, None)
     with pytest.raises(UsageError, match="too much"):

@@ -132,7 +132,7 @@ def test_a_flipped_bit_in_the_middle_costs_one_part_and_is_logged(tmp_path, capl
     assert after.damaged == 1
     steps = [one.value.step for one in after.messages(["states"])]
     assert steps == [*range(20), *range(30, 60)]
-    assert caplog.messages == [f"{cut}: 1 parts are damaged and left out, 0.2 s of what was recorded"]
+    assert caplog.messages == [f"{cut}: 1 parts are damaged and left out, 0.2 s of the recording"]
 
 
 def test_the_scene_is_json_of_its_own_text(tmp_path):

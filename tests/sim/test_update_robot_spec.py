@@ -112,7 +112,7 @@ def test_a_setting_is_that_of_the_next_reading_and_the_others_remember(world):
 
 def test_what_cannot_be_changes_nothing(world, monkeypatch):
     before = state(world, FIRST), state(world, OTHER)
-    with pytest.raises(UsageError, match="a running P2AT keeps its parts and what it carries"):
+    with pytest.raises(UsageError, match="a running P2AT keeps its parts and its load"):
         update_robot_spec(world, FIRST, replace(P2AT, sensors=P2AT.sensors[1:]))
     with pytest.raises(SpecError, match="MaxRange"):
         update_robot_spec(world, FIRST, with_sensor(P2AT, "F1", MaxRange=-1.0))

@@ -201,7 +201,7 @@ def test_a_cluster_of_ray_that_does_not_come_back_ends_in_one_line(ray_head, mon
         found = Workers(place="ray", count=1, address=address).run(work, ["1", "__import__('time').sleep(9)"])
         assert next(found) == (0, 1, None)
     monkeypatch.setattr(ray_workers, "RETURN", 0.0)
-    with pytest.raises(UsageError, match=f"Ray does not start at {address}: .*; what is done is kept"):
+    with pytest.raises(UsageError, match=f"Ray does not start at {address}: .*; finished cells are kept"):
         list(found)
 
 

@@ -126,7 +126,7 @@ def writable_by_others(folder: Path) -> str | None:
     for path in folder.parents:
         mode = path.stat().st_mode if path.exists() else 0
         if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
-            return f"anybody may rename what is in {path}: chmod o-w {path}"
+            return f"anybody may rename the files in {path}: chmod o-w {path}"
     return None
 
 

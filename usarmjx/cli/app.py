@@ -19,7 +19,7 @@ RENAMED: Mapping[str, Mapping[str, str]] = {
 }
 """By commands: old options and what they are called now."""
 REMOVED: Mapping[tuple[str, str], str] = {
-    (command, "--spectator-port"): "the live page has what that page had: --viewer-port sets its port"
+    (command, "--spectator-port"): "the live page replaces that page: --viewer-port sets its port"
     for command in ("serve", "play")
 }
 """By command and option: what to use in place of an option that is no more."""
@@ -111,7 +111,7 @@ COMMANDS = {
     ),
     "teams": (
         "usarmjx.cli.evaluation:teams",
-        "Compare teams in the same buildings: each part of their scores, and how early they find.",
+        "Compare teams in the same buildings: parts of their scores, and times of their finds.",
     ),
     "sweep": ("usarmjx.cli.sweep:app", "Play many configurations of tasks, and compare them."),
     "suite": ("usarmjx.cli.suite:app", "Play methods through a suite of tasks, and rank them."),
@@ -150,12 +150,12 @@ COMMANDS = {
     ),
     "calibrate": (
         "usarmjx.cli.calibrate:calibrate",
-        "Measure how robots answer their motors, for engine planar, and how far off it is with that.",
+        "Measure the responses of robots to their motors, for engine planar, and its remaining errors.",
     ),
     "bench": ("benchmarks.commands:app", "Measure the speed of this machine."),
     "chaos": (
         "benchmarks.chaos.command:chaos",
-        "Attack a server of your own, within bounds, and report how far a well-behaved neighbour notices.",
+        "Attack a server of your own, within bounds, and report the effect on a well-behaved neighbour.",
     ),
 }
 """All commands: the module of each and its summary, which is the first paragraph of its help."""

@@ -36,7 +36,7 @@ PerspectiveOption = Annotated[
 ]
 MOST_MINUTES = 60.0
 """Of a test in a lane."""
-LevelOption = Annotated[float | None, typer.Option(help="How difficult in this, from 0 to 1.")]
+LevelOption = Annotated[float | None, typer.Option(help="Difficulty of this part, from 0 to 1.")]
 
 
 @app.command("list")
@@ -62,7 +62,7 @@ def draw(
         from usarmjx.models.files.load import find_arena
 
         if png is None and perspective is None:
-            raise UsageError("say what to draw: --png for the floor plan, --perspective for a view")
+            raise UsageError("name a picture: --png for the floor plan, --perspective for a view")
         _draw(find_arena(arena), png, perspective)
 
 
@@ -101,7 +101,7 @@ def check(
     packages: PackagesOption = None,
     pieces: PiecesOption = None,
 ) -> None:
-    """Say what is wrong with an arena; exit code 1 if anything is."""
+    """List the faults of an arena; exit code 1 if there are any."""
     with ErrorExit():
         announce(f"checking arena {arena} ...")
         from usarmjx.models.check.arena import check_arena
@@ -149,7 +149,7 @@ def generate(
     kind: KindOption = "maze",
     size: Annotated[str, typer.Option(help="Columns and rows of cells of 1.2 m, as 12x8.")] = "8x6",
     seed: SeedOption = 0,
-    difficulty: Annotated[float, typer.Option(help="How difficult in all, from 0 to 1.")] = 0.5,
+    difficulty: Annotated[float, typer.Option(help="Difficulty of all parts, from 0 to 1.")] = 0.5,
     wall_density: LevelOption = None,
     roughness: LevelOption = None,
     clutter: LevelOption = None,
@@ -163,7 +163,9 @@ def generate(
     ] = 0.0,
     robot: PassingRobotOption = "P2AT",
     reachable: Annotated[float, typer.Option(help="Share of the victims that it reaches.")] = 1.0,
-    victims: Annotated[int | None, typer.Option(help="How many; one for 12 cells, if not given.")] = None,
+    victims: Annotated[
+        int | None, typer.Option(help="Number of victims; one for 12 cells, if not given.")
+    ] = None,
     starts: Annotated[int, typer.Option(min=1, help="Most start poses; a free cell has one.")] = 24,
     png: PngOption = None,
     perspective: PerspectiveOption = None,
@@ -172,7 +174,7 @@ def generate(
     packages: PackagesOption = None,
     pieces: PiecesOption = None,
 ) -> None:
-    """Make an arena of the same kind, size, difficulty and seed, always the same; say what is in it."""
+    """Make an arena of the same kind, size, difficulty and seed, always the same; print its contents."""
     with ErrorExit():
         announce(f"making a {kind} ...")
         from usarmjx.models.files.load import save_arena
@@ -266,13 +268,13 @@ def obstacles(
     write: Annotated[
         Path | None,
         typer.Option(
-            help="Measure success at heights up to what hardly any drive gets over, into this file."
+            help="Measure success at heights up to one that hardly any drive gets over, into this file."
         ),
     ] = None,
     packages: PackagesOption = None,
     pieces: PiecesOption = None,
 ) -> None:
-    """Measure how a robot gets over the obstacles of generated arenas that are sized to it."""
+    """Measure the success of a robot at the obstacles of generated arenas that are sized to it."""
     with ErrorExit():
         announce(f"driving a {robot} over obstacles ...")
         if write is None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 ARENA_COLUMNS = (
     "arena",
-    "what it is",
+    "description",
     "size [m]",
     "solids",
     "loose",
@@ -52,7 +52,7 @@ def arena_row(arena: ArenaSpec) -> Sequence[object]:
 
 def lanes_table() -> str:
     """Return a Markdown table of the lanes."""
-    head = "lane", "test method", "what it is", "length [m]", "a repetition is"
+    head = "lane", "test method", "description", "length [m]", "a repetition is"
     rows = (
         (
             name,

@@ -31,24 +31,24 @@ def calibrate(
         ),
     ] = None,
     markdown: Annotated[
-        bool, typer.Option("--markdown", help="Measure nothing: print the table of what ships.")
+        bool, typer.Option("--markdown", help="Measure nothing: print the packaged table.")
     ] = False,
     drives: Annotated[
         bool,
         typer.Option(
             "--drives",
             help="Instead compare poses, ranges, odometry and contacts along random drives on an open floor "
-            "and in a maze, of what flies or dives in open air or water.",
+            "and in a maze, of flyers and divers in open air or water.",
         ),
     ] = False,
     tasks: Annotated[
-        bool, typer.Option("--tasks", help="Instead compare what policies score on several engines.")
+        bool, typer.Option("--tasks", help="Instead compare the scores of policies on several engines.")
     ] = False,
-    engines: Annotated[str, typer.Option(help="With --tasks: on which.")] = "c,planar",
+    engines: Annotated[str, typer.Option(help="With --tasks: their names.")] = "c,planar",
     episodes: Annotated[
         int, typer.Option(min=1, help="With --tasks: episodes of each seed, at least.")
     ] = 100,
-    seeds: Annotated[int, typer.Option(min=1, help="With --tasks: how many seeds, from --seed on.")] = 1,
+    seeds: Annotated[int, typer.Option(min=1, help="With --tasks: number of seeds, from --seed on.")] = 1,
     seed: SeedOption = 0,
     worlds: Annotated[int, typer.Option(min=1, help="With --tasks: worlds at once.")] = 20,
     split: Annotated[
@@ -57,7 +57,7 @@ def calibrate(
     packages: PackagesOption = None,
     pieces: PiecesOption = None,
 ) -> None:
-    """Measure how robots answer their motors, for engine planar, and how far off it is with that."""
+    """Measure the responses of robots to their motors, for engine planar, and its remaining errors."""
     with ErrorExit():
         if markdown + drives + tasks > 1:
             raise UsageError("--markdown, --drives and --tasks are one each: name one of them")

@@ -33,9 +33,9 @@ FIGURES = (
 EQUIPMENT = "class", "wheels and other joints", "mission packages", "sensors", "cameras", "effecters"
 TABLE_HEAD = """# All robots
 
-This page is the output of `usarmjx list robots --markdown`; a test keeps it so. The last column says where
-each figure is from: the manual's section, lines captured from a real server, the machine's data sheet, or
-chosen by us because nothing was found. What was measured on the built robots is in [robots.md](robots.md).
+This page is the output of `usarmjx list robots --markdown`; a test keeps it so. The last column is
+the source of each figure: the manual's section, lines captured from a real server, the machine's data sheet,
+or chosen by us because nothing was found. Measurements of the built robots are in [robots.md](robots.md).
 The top speed of a flying robot is that of all its speeds at once: 2 m/s ahead and 2 m/s up (manual 12.21)
 make 2.83 m/s for a Passarola.
 
@@ -140,11 +140,11 @@ def availability(engine: str) -> str:
     return where.get(engine, "on JAX's default device") + devices
 
 
-OPTION_HEAD = "type", "options, and what they are unless a mount or an ini file says otherwise"
+OPTION_HEAD = "type", "options, and their values without a mount or an ini file that sets them"
 SENSORS_HEAD = """# All sensors
 
 This page is the output of `usarmjx list sensors --markdown`; a test keeps it so. [sensors.md](sensors.md)
-shows how to use them. Rays are those of one sensor with the options below; "from" is the manual's section, or
+has examples. Rays are those of one sensor with the options below; "from" is the manual's section, or
 lines captured from a real server, or ours where USARSim has none. A value has the leading axes worlds and
 robots.
 """
@@ -287,7 +287,7 @@ def sensors_table() -> str:
         (rays,) = suite_with(kind).ray_counts
         source = SECTIONS.get(kind, "own")
         rows.append((kind, what, value, rays or "-", robots_with(kind), source))
-    head = "type", "what it does", "value in a batch", "rays", "robots", "from"
+    head = "type", "function", "value in a batch", "rays", "robots", "from"
     settings = {kind: SENSORS.get(kind).settings_class for kind in kinds}
     noisy = ", ".join(kind for kind, own in settings.items() if issubclass(own, NoisySensorSettings))
     common, noise = defaults_of(SensorSettings), defaults_of(NoisySensorSettings)

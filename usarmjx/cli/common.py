@@ -204,12 +204,12 @@ def chosen_out(out: Path | None, old: Path | None) -> Path:
         UsageError: Neither or both are given.
     """
     if out is not None and old is not None:
-        raise UsageError(f"{old} is too much: --out says where to write to")
+        raise UsageError(f"{old} is too much: --out names the file to write")
     if old is not None:
-        typer.echo(f"usarmjx: where to write to is --out now: --out {old}", err=True)
+        typer.echo(f"usarmjx: the file to write is an option now: --out {old}", err=True)
     where = out or old
     if where is None:
-        raise UsageError("say where to write to: --out PATH")
+        raise UsageError("name the file to write: --out PATH")
     return where
 
 

@@ -89,7 +89,7 @@ def guide_text(page: str, port: int, robots: Sequence[str]) -> str:
   click beside the arrows, and hold W A S D or the arrow keys; "Give it back" lets the policy go on.
   Click a robot to look through its camera; "Show" switches scans, radio links and the team's map.
 
-What to try next, in another terminal:
+Further commands, in another terminal:
   usarmjx console {port}     a client here: INIT {{ClassName USARBot.P2AT}} {{Name {last}}} takes {last}
   usarmjx serve            an arena that waits for a controller of your own
   usarmjx train drive-to-goal --out runs/goal --view
@@ -206,7 +206,7 @@ def demo(
         bool,
         typer.Option(
             "--headless",
-            help="Serve a batch, let a client drive a P2AT over TCP, draw and judge what it did.",
+            help="Serve a batch, let a client drive a P2AT over TCP, draw its path and judge it.",
         ),
     ] = False,
     out: Annotated[
@@ -218,7 +218,7 @@ def demo(
 ) -> None:
     """Show four robots that explore an arena, in a browser; take one over if you like.
 
-    With --headless, or where --out says where to, the main job runs instead, once, and ends: exit code 0,
+    With --headless or --out the main job runs instead, once, and ends: exit code 0,
     or 1 if the robot touched something or hardly moved.
     """
     with ErrorExit():

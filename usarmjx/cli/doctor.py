@@ -201,7 +201,7 @@ def check_ports(ports: Mapping[str, int] = PORTS, viewer: int = VIEWER_PORT) -> 
     """Look whether the usual ports are free."""
     taken = {option: port for option, port in ports.items() if not is_free(port)}
     for option, port in taken.items():
-        advice = f"end what listens there, or {option} PORT, or --port-offset 100 for all ports"
+        advice = f"end the program that listens there, or {option} PORT, or --port-offset 100 for all ports"
         yield Finding("ports", "wrong", f"{port} is taken", advice)
     if not taken:
         yield Finding("ports", "ok", f"{', '.join(map(str, ports.values()))} are free")

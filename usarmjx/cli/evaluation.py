@@ -79,7 +79,7 @@ def teams(
     ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the rows to this file.")] = None,
 ) -> None:
-    """Compare teams in the same buildings: each part of their scores, and how early they find."""
+    """Compare teams in the same buildings: parts of their scores, and times of their finds."""
     with ErrorExit():
         for name in names or ():
             check_policy(name, TEAM_WORDS)
@@ -202,7 +202,7 @@ def evaluate_policy(
         int | None,
         typer.Option(min=1, help="Episodes of each seed, at least; 100, or as many in each generated arena."),
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, help="How many seeds, from --seed on.")] = 1,
+    seeds: Annotated[int, typer.Option(min=1, help="Number of seeds, from --seed on.")] = 1,
     worlds: Annotated[
         int | None,
         typer.Option(min=1, help="Worlds at once, each with as many episodes; 20, or one for each arena."),
@@ -210,7 +210,7 @@ def evaluate_policy(
     engine: PolicyEngineOption = "auto",
     split: SplitOption = None,
     level: Annotated[
-        float | None, typer.Option(min=0.0, max=1.0, help="How difficult generated arenas are at most.")
+        float | None, typer.Option(min=0.0, max=1.0, help="Highest difficulty of generated arenas.")
     ] = None,
     json: Annotated[
         Path | None, typer.Option(help="Write the result with every episode to this file.")

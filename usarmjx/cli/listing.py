@@ -128,7 +128,7 @@ def list_everything(
     """List robots, sensors, arenas, tasks, policies and engines."""
     with ErrorExit():
         check_form(json, markdown)
-        announce("reading what there is ...")
+        announce("reading the lists ...")
         add_robots(robot)
         configure_from(ini, uu_per_metre)
         from usarmjx.cli.tables import LISTINGS

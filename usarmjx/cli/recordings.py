@@ -171,7 +171,7 @@ def rendered(file: Path, period: float | None, world: int | None = None) -> "Ite
 def tell_if_broken_off(is_complete: bool, file: Path) -> None:
     """Print a note about a recording whose end is missing."""
     if not is_complete:
-        typer.echo(f"usarmjx: note: {file} was broken off; what there is of it is used", err=True)
+        typer.echo(f"usarmjx: note: {file} was broken off; its complete part is used", err=True)
 
 
 def replay(
@@ -205,8 +205,8 @@ def plot(
     png: Annotated[Path | None, typer.Option(help="Write the figure to this PNG file.")] = None,
     pdf: Annotated[Path | None, typer.Option(help="Write the figure to this PDF file.")] = None,
     world: WorldOption = 0,
-    since: Annotated[float, typer.Option("--from", help="Leave out what was before this time [s].")] = 0.0,
-    until: Annotated[float, typer.Option(help="Leave out what was after this time [s].")] = math.inf,
+    since: Annotated[float, typer.Option("--from", help="Leave out the time before this [s].")] = 0.0,
+    until: Annotated[float, typer.Option(help="Leave out the time after this [s].")] = math.inf,
 ) -> None:
     """Draw a recorded mission: plan, trails, scans, radio power, victims found, and all over time."""
     with ErrorExit():
@@ -217,7 +217,7 @@ def plot(
 
         wanted = [path for path in (png, pdf) if path is not None]
         if not wanted:
-            raise UsageError("say where the figure goes: --png FILE, --pdf FILE, or both")
+            raise UsageError("name the figure's file: --png FILE, --pdf FILE, or both")
         recording = Recording(file)
         tell_if_broken_off(recording.is_complete, file)
         for path in plot_recording(recording, wanted, world, (since, until)):

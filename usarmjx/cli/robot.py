@@ -34,7 +34,7 @@ def check(
     png: Annotated[Path | None, typer.Option(help="Write a picture of the robot to this PNG file.")] = None,
     json: JsonFlag = False,
 ) -> None:
-    """Say what a robot's file makes, and what of it is left out; exit code 1 if the robot does not stand."""
+    """Print the robot of a file, and the parts that are left out; exit code 1 if it does not stand."""
     with ErrorExit():
         announce(f"reading {file} ...")
         from usarmjx.models.check.robot import robot_faults

@@ -123,7 +123,7 @@ def serve(
     """Serve worlds of a batch over the Gamebots protocol, with their radio and cameras.
 
     Several worlds have ports of their own: the first those of the options, the others count up from there.
-    So robots have 3000, 3001, ..., pictures 5003, 5004, ...; what one kind has, another leaves out.
+    So robots have 3000, 3001, ..., pictures 5003, 5004, ...; no two kinds share a port.
     """
     configure_log(verbose=verbose, as_json=log_json)
     with ErrorExit(), StopSignals() as signals:

@@ -71,7 +71,7 @@ PerAddressOption = Annotated[
     typer.Option(
         min=1,
         help="Most connections of one address to one kind of port, loopback apart; else three quarters of "
-        "what the port holds.",
+        "the port's places.",
     ),
 ]
 
@@ -107,8 +107,8 @@ def warn_if_open(address: str, rules: AccessRules) -> None:
         typer.echo(f"{where} the token crosses the network readable (docs/security.md has a proxy)", err=True)
     elif not rules.allow:
         typer.echo(
-            f"{where} anybody who reaches it may drive robots, look through their cameras and take all "
-            "seats; --allow says who may connect, --token asks for a secret (docs/security.md)",
+            f"{where} anybody with access may drive robots, look through their cameras and take all "
+            "seats; --allow lists addresses that may connect, --token asks for a secret (docs/security.md)",
             err=True,
         )
 
@@ -231,7 +231,7 @@ class ImageOptions:
     ] = IMAGE_PORT
     image_size: Annotated[
         str | None,
-        typer.Option(help="Width and height of pictures; else 320x240, or what a MultiView needs."),
+        typer.Option(help="Width and height of pictures; else 320x240, or as large as a MultiView needs."),
     ] = None
     image_fps: Annotated[
         float, typer.Option(min=0.1, max=100.0, help="Most pictures per second for each client.")

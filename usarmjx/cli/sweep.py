@@ -49,10 +49,10 @@ SweepFolderOption = Annotated[
     Path | None, typer.Option(help="Folder of the results; else sweeps/ and the file's name.")
 ]
 RunOnOption = Annotated[
-    str, typer.Option(help="Where batches are played: here, processes, ray; --engine is the physics.")
+    str, typer.Option(help="Place of the batches: here, processes, ray; --engine is the physics.")
 ]
 WorkerCountOption = Annotated[
-    int | None, typer.Option(min=1, help="With processes or ray: how many; else one for each GPU.")
+    int | None, typer.Option(min=1, help="With processes or ray: their number; else one for each GPU.")
 ]
 PartOption = Annotated[
     str,
@@ -78,7 +78,7 @@ CellSettingsOption = Annotated[
         help="A setting of all cells, or a field of their task; may be repeated.",
     ),
 ]
-RetryOption = Annotated[bool, typer.Option("--retry", help="Play again what has failed.")]
+RetryOption = Annotated[bool, typer.Option("--retry", help="Play failed cells again.")]
 PlanOption = Annotated[
     bool,
     typer.Option("--plan", help="Only check all cells, and say batches, compilations, time and memory."),
@@ -94,9 +94,9 @@ TensorboardOption = Annotated[Path | None, typer.Option(help="Folder for TensorB
 SweepWandbOption = Annotated[str | None, typer.Option(help="Project of Weights & Biases to send cells to.")]
 RecordFileOption = Annotated[
     Path | None,
-    typer.Option(help="In a checkout: append a record of what it took to this file, as usarmjx bench does."),
+    typer.Option(help="In a checkout: append a record of its cost to this file, as usarmjx bench does."),
 ]
-NoteOption = Annotated[str, typer.Option(help="What a reader of the record must know.")]
+NoteOption = Annotated[str, typer.Option(help="Remark for readers of the record.")]
 
 
 @app.command()
@@ -124,7 +124,7 @@ def run(
     packages: PackagesOption = None,
     pieces: PiecesOption = None,
 ) -> None:
-    """Play the cells of a sweep that have no result yet, and say what came of all."""
+    """Play the cells of a sweep that have no result yet, and report the results of all."""
     with ErrorExit():
         begun = time.perf_counter()
         from usarmjx.sweeps.spec import find_spec, load_spec
@@ -167,7 +167,7 @@ def show(
     table: TableOption = None,
     episodes: EpisodesOption = None,
 ) -> None:
-    """Say what came of a sweep, finished or not."""
+    """Report the results of a sweep, finished or not."""
     with ErrorExit():
         from usarmjx.sweeps.store import read_sweep
 
@@ -179,7 +179,7 @@ def compare(
     first: FolderArgument,
     second: Annotated[Path, typer.Argument(help="Folder of another sweep.")],
 ) -> None:
-    """Say what differs in the cells that two sweeps have in common."""
+    """List the differences of the cells that two sweeps have in common."""
     with ErrorExit():
         from usarmjx.sweeps.report import compare as compared
         from usarmjx.sweeps.store import read_sweep

@@ -80,7 +80,7 @@ def sensors() -> Listing:
     from usarmjx.sensors.base import SENSORS
 
     rows = [(kind, *describe(SENSORS.get(kind)), robots_with(kind)) for kind in SENSORS.names()]
-    return Listing(columns=("type", "what it does", "value", "robots"), rows=rows, title="Sensors")
+    return Listing(columns=("type", "function", "value", "robots"), rows=rows, title="Sensors")
 
 
 def arenas() -> Listing:
@@ -99,7 +99,7 @@ def arenas() -> Listing:
         )
         for name, arena in ARENAS
     ]
-    columns = "arena", "also", "size [m]", "solids", "starts", "victims", "what it is"
+    columns = "arena", "also", "size [m]", "solids", "starts", "victims", "description"
     return Listing(columns=columns, rows=rows, title="Arenas: --arena NAME")
 
 
@@ -115,7 +115,7 @@ def tasks() -> Listing:
         for name, task in TASKS
     ]
     return Listing(
-        columns=("task", "what it is", "steps", "policies"),
+        columns=("task", "description", "steps", "policies"),
         rows=rows,
         title="Tasks: usarmjx train TASK",
     )
@@ -146,7 +146,7 @@ def engines() -> Listing:
         for name, _ in ENGINES
     ]
     return Listing(
-        columns=("engine", "where it runs", "auto is this for"), rows=rows, title="Engines: --engine NAME"
+        columns=("engine", "device", "auto is this for"), rows=rows, title="Engines: --engine NAME"
     )
 
 

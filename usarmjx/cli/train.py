@@ -312,7 +312,10 @@ RunSeedOption = Annotated[
     int | None, typer.Option(help="Seed of all random numbers; 0, or that of a run that is resumed.")
 ]
 ResumeOption = Annotated[
-    bool, typer.Option("--resume", help="Go on where the run in the folder was left, with its settings.")
+    bool,
+    typer.Option(
+        "--resume", help="Continue the run in the folder from its last checkpoint, with its settings."
+    ),
 ]
 FromOption = Annotated[
     Path | None,
@@ -721,7 +724,9 @@ def export(
     checkpoint: Annotated[str, typer.Option(help="best, last, or the number of an iteration.")] = "best",
     half: Annotated[bool, typer.Option("--half", help="Weights of 16 bits: half the size.")] = False,
     world: Annotated[int, typer.Option(min=0, help="Of a recording: which world films and bags show.")] = 0,
-    speed: Annotated[float, typer.Option(min=0.01, help="Of a recording: how fast films are.")] = 2.0,
+    speed: Annotated[
+        float, typer.Option(min=0.01, help="Of a recording: speed of films, in real times.")
+    ] = 2.0,
     pictures: PicturesOption = None,
 ) -> None:
     """Write a policy for NumPy or ONNX Runtime; or a recording as tables, film or ROS 2 bag."""

@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from usarmjx.view.page import ViewerPage
 
 ViewOption = Annotated[
-    bool, typer.Option("--view/--no-view", help="Show what happens in three dimensions, in a browser.")
+    bool, typer.Option("--view/--no-view", help="Show the worlds in three dimensions, in a browser.")
 ]
 ViewerControlOption = Annotated[
     bool,
     typer.Option(
         "--viewer-control",
-        help="Whoever opens the page may have its controls; else only on this machine, or with a token.",
+        help="Every visitor of the page may have its controls; else only on this machine, or with a token.",
     ),
 ]
 ViewerPortOption = Annotated[

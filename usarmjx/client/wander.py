@@ -242,7 +242,7 @@ def main() -> int:
     parser.add_argument("--host", default="127.0.0.1")
     parser.add_argument("--port", type=int, default=3000)
     parser.add_argument("--seconds", type=float, default=20.0, help="simulated time to wander")
-    parser.add_argument("--json", type=Path, help="write what happened to this file")
+    parser.add_argument("--json", type=Path, help="write the log of the drive to this file")
     options = parser.parse_args()
     try:
         with UsarsimClient(options.host, options.port, timeout=60.0) as robot:

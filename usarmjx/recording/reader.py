@@ -121,7 +121,7 @@ class Recording:
         spans = sorted((part.start, part.end) for part in self._parts)
         gaps = [later[0] - earlier[1] for earlier, later in pairwise(spans)]
         missing = sum(gap for gap in gaps if gap > USUAL_GAP) / NANO
-        lost = f", {missing:.1f} s of what was recorded" if missing else ""  # none at beginning and end
+        lost = f", {missing:.1f} s of the recording" if missing else ""  # none at beginning and end
         return f"{self._skipped} parts are damaged and left out{lost}"
 
     def close(self) -> None:
@@ -280,7 +280,7 @@ class Recording:
         """
         found = next(self.messages(["setup"], world), None)
         if found is None or not isinstance(found.value, WorldSetup):
-            raise UsageError(f"{self.path}: does not say what world {world} was made of")
+            raise UsageError(f"{self.path}: has no setup of world {world}")
         return found.value
 
     def _wanted(self, kinds: Collection[str], world: int | None) -> frozenset[int]:

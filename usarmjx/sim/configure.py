@@ -38,7 +38,7 @@ def update_robot_spec(world: SingleWorld, slot: int, robot: RobotSpec) -> None:
     """
     before = world.roster[slot].spec
     if _names(robot) != _names(before):
-        raise UsageError(f"a running {before.name} keeps its parts and what it carries")
+        raise UsageError(f"a running {before.name} keeps its parts and its load")
     suite_of(robot)  # raises what is wrong with a setting
     if _solids(robot) == _solids(before):
         world.replace_robot(slot, robot)

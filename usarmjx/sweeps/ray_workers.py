@@ -104,7 +104,7 @@ class _Connection:
                 return self._open()
             except UsageError as error:
                 if time.monotonic() > give_up:
-                    raise UsageError(f"{error}; what is done is kept: run it again to go on") from error
+                    raise UsageError(f"{error}; finished cells are kept: run it again to go on") from error
                 time.sleep(1.0)
 
     def close(self) -> None:
@@ -207,7 +207,7 @@ def _next(ray: Any, busy: list[Any], sentinel: Any) -> Any:  # noqa: ANN401
 def _renew(connection: _Connection | None, losses: int) -> None:
     lost = "the cluster of Ray does not answer any more"
     if connection is None or losses > MAX_LOSSES:
-        raise UsageError(f"{lost}; what is done is kept: run it again to go on")
+        raise UsageError(f"{lost}; finished cells are kept: run it again to go on")
     log.warning("%s; connecting to it again", lost)
     connection.renew()
 

@@ -163,7 +163,7 @@ def with_roster(task: Task, roster: object) -> Task:
     elif is_mapping(roster) and all(isinstance(n, int) and n > 0 for n in roster.values()):
         team = [str(name) for name, count in roster.items() for _ in range(count)]
     else:
-        raise UsageError(f"roster is {roster!r}, expected classes and how many of each, as {{P2AT: 4}}")
+        raise UsageError(f"roster is {roster!r}, expected classes and their numbers, as {{P2AT: 4}}")
     if not team:
         raise UsageError("roster is empty, expected at least one robot")
     names = {field.name for field in fields(task)}
@@ -311,7 +311,7 @@ def signature_of(cell: Resolved, engine: str) -> dict[str, Hashable]:
         else arena_shape(LabelledArenas(arenas=cell.arenas, labels=cell.labels)),
         "radio": repr(radio),
         "physics": repr(task.physics),
-        "what varies": (varied, repr(static)),
+        "randomisation": (varied, repr(static)),
         "policy": repr(cell.driver.shape),
         "episodes": cell.episodes,
     }

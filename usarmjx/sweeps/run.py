@@ -74,7 +74,7 @@ class SweepPlan:
         said += f"{_many(len(self.groups), 'compilation')}"
         if self.differing:
             parts = ", ".join(f"{what} ({count} kinds)" for what, count in self.differing.items())
-            return f"{said}: what is compiled in differs in {parts}; all else is data"
+            return f"{said}: compiled parts differ in {parts}; all else is data"
         return f"{said}: the cells differ in data only"
 
 

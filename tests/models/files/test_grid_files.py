@@ -41,7 +41,7 @@ def test_letters_are_walls_floor_and_barriers(tmp_path):
         "7: 1 cells W are water: a barrier of 0.3 m here",
     ]
     _, notes = read_arena(write(tmp_path / "a.map", f"{MAP}\n@@@@@@\n"))
-    assert notes[-1].endswith("a.map:10: what is behind the 4 rows is left out")
+    assert notes[-1].endswith("a.map:10: lines after the 4 rows are left out")
     scaled = load_arena(write(tmp_path / "a.yaml", "moving_ai: {file: a.map, cell: 2.5, height: 3}"))
     assert scaled.extent == ((0, 15), (0, 10))
     assert max(shape.size[2] for shape in scaled.shapes) == 1.5

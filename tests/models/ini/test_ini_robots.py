@@ -172,7 +172,7 @@ AddSensors=({INS},ItemName=INS,Sigma=0.2)
     assert ranges == {**{m.name: 3.5 for m in P2AT.sensors if m.kind == "Sonar"}, "Own": 2.0}
     assert {settings.noise for settings in sonar.settings} == {0.0}
     assert sonar.settings[0].beam_angle == 0.3491, "the manual's default (10.2.2), which nothing changed"
-    assert loaded.warnings[-1].endswith("a.ini:2: MaxRange leaves alone what has its own: P2AT Own")
+    assert loaded.warnings[-1].endswith("a.ini:2: MaxRange leaves alone those that have their own: P2AT Own")
 
 
 def test_values_of_settings_are_read_as_the_manual_writes_them(load):

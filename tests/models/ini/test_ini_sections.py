@@ -128,7 +128,10 @@ def test_the_mount_wins_over_the_section_and_the_later_file_over_the_earlier(rea
     assert found["P2AT", "Scanner1"].max_range == 8.0
     assert {one.max_range for key, one in found.items() if key[0] != "P2AT"} == {7.0}
     assert {one.min_range for one in found.values()} == {0.3}
-    assert len([text for text in warnings if "leaves alone what has its own: P2AT Scanner1" in text]) >= 1
+    assert (
+        len([text for text in warnings if "leaves alone those that have their own: P2AT Scanner1" in text])
+        >= 1
+    )
     assert len(set(warnings)) == len(warnings), "each is told once"
 
 

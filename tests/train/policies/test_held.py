@@ -85,7 +85,7 @@ ABOUT = {
         ({"period": float("nan")}, "its period is above 0"),
         ({"groups": []}, "it has groups"),
         ({"groups": [3]}, "its group is a int"),
-        ({"groups": [{"name": "P2AT"}]}, "a group has name, not what groups have"),
+        ({"groups": [{"name": "P2AT"}]}, "a group has name, expected name, agents, obs_size, action_size"),
         ({"groups": [{**ABOUT["groups"][0], "agents": [1]}]}, "its agents are texts"),
         ({"groups": [{**ABOUT["groups"][0], "obs_size": 5}]}, r"'mean/0' has the shape \(4,\), not \(5,\)"),
         ({"groups": [{**ABOUT["groups"][0], "action_size": 3}]}, r"head/kernel' has the shape"),

@@ -89,8 +89,8 @@ def fixed_bodies(model: mujoco.MjModel, robot_bodies: set[int]) -> FixedBodies:
     if unsupported:
         names = ", ".join(repr(model.joint(j).name) for j in sorted(unsupported)[:4])
         raise UnsupportedFeatureError(
-            f"engine 'planar' cannot run this scene: joints {names}: of what is no robot it knows bodies "
-            "that are fixed, that lie loose, or that turn on one hinge"
+            f"engine 'planar' cannot run this scene: joints {names}: beside robots it knows "
+            "bodies that are fixed, that lie loose, or that turn on one hinge"
         )
     return FixedBodies(
         pos=data.xpos.copy(),

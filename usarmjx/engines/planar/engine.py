@@ -100,7 +100,7 @@ class PlanarEngine(Engine[PlanarState]):
         self._robots: PlanarRobots = robots_of(self.model, robots)
         if self._robots.flies.any() and physics.period > MAX_FLIGHT_PERIOD:
             raise UnsupportedFeatureError(
-                "engine 'planar' moves what flies or dives in control steps of up to "
+                "engine 'planar' moves flyers and divers in control steps of up to "
                 f"{MAX_FLIGHT_PERIOD:g} s, not {physics.period:g} s"
             )
         self._servos: PlanarServos = servos_of(self.model)

@@ -205,7 +205,7 @@ def check_robot(robot: RobotSpec) -> None:
     if not (rolls(drive) or drive.applies_wrench or isinstance(drive, NoDrive)):
         raise UnsupportedFeatureError(
             f"engine 'planar' cannot run this scene: {robot.name} is driven by {type(drive).__name__}, known "
-            "are skid steering, tracks, Ackermann and omnidirectional wheels, and what flies or dives"
+            "are skid steering, tracks, Ackermann and omnidirectional wheels, flyers and divers"
         )
 
 

@@ -156,7 +156,7 @@ class ArenaProbe:
             x, y = ((a + b) / 2 for a, b in zip(water.low[:2], water.high[:2], strict=True))
             ground = self._ground((x, y, water.low[2] + RAY_STEP))
             if ground is None:
-                yield f"waters[{i}] has no ground under its middle: what sinks, sinks forever"
+                yield f"waters[{i}] has no ground under its middle: a body that sinks there sinks forever"
             elif water.low[2] - ground > MAX_WATER_GAP:
                 yield f"waters[{i}] ends {water.low[2] - ground:.2f} m above the ground"
 

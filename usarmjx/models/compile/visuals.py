@@ -106,7 +106,7 @@ def build_visual_model(shapes: Sequence[Sequence[Shape]]) -> VisualModel:
         body = spec.worldbody.add_body(name=str(number), mocap=True)
         for index, shape in enumerate(some):
             if shape.material != OPAQUE:
-                raise SpecError(f"what is drawn of a robot is {OPAQUE}, not {shape.material!r}")
+                raise SpecError(f"a robot's visuals are {OPAQUE}, not {shape.material!r}")
             add_geom(spec, body, f"{number}/{index}", shape)
     model = spec.compile()
     mats = np.zeros((model.ngeom, 9))

@@ -204,9 +204,7 @@ def _piece(part: Any, name: str, hull: bool, rays: SeenBy) -> ConvexPiece:  # no
     seen = hull and rays == "faces"
     if not hull:
         if not part.is_watertight:
-            raise ArenaFileError(
-                f"{name} is not closed, so nobody knows what is inside: close it; or {ADVICE}"
-            )
+            raise ArenaFileError(f"{name} is not closed, so it has no inside: close it; or {ADVICE}")
         if not part.is_winding_consistent:
             raise ArenaFileError(f"{name} has faces that turn either way round: recalculate its normals")
         own = abs(float(part.volume))

@@ -156,7 +156,7 @@ def _walls(grid: GridMap, cell: float, height: float) -> Content:
             notes.append(f"{grid.path}:{line}: {int(found.sum())} cells {letters} are {what}")
     rows, columns = walls.shape
     if grid.behind:
-        notes.append(f"{grid.path}:{grid.behind}: what is behind the {rows} rows is left out")
+        notes.append(f"{grid.path}:{grid.behind}: lines after the {rows} rows are left out")
     return Content(
         shapes=(
             *(frame.box(box, 0.0, height) for box in boxes),

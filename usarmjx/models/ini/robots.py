@@ -302,7 +302,7 @@ def build_robots(
         if robot != before:
             changed.append(robot)
     for (kind, key), items in kept.items():
-        notes.add(found.lines[kind, key], f"{key} leaves alone what has its own: {examples(items)}")
+        notes.add(found.lines[kind, key], f"{key} leaves alone those that have their own: {examples(items)}")
     positions = tuple((built[key].name, orders.where) for key, orders in found.robots.items())
     return LoadedRobots(tuple(changed), tuple(found.defaults.items()), tuple(notes.texts), positions)
 

@@ -25,7 +25,7 @@ MAX_LINE = 500
 """Longest line that is accepted [characters]."""
 SHOWN_LINES = 20
 """Lines of the log that `showlog` shows by default."""
-NOT_ALLOWED = "this is for those on the server's own machine, or who have said its token"
+NOT_ALLOWED = "this is for clients on the server's own machine, or with its token"
 """Refusal of a command of a peer without permission."""
 
 
@@ -74,7 +74,7 @@ class SpectatorConsole:
         self._camera, self._tail, self._trusted, self._refusal = camera, tail, trusted, refusal
         self._commands: dict[str, tuple[Callable[[list[str]], str], str]] = {
             "showlog": (self._show_log, "showlog [LINES]: the last lines of the server's log"),
-            "showdebug": (self._show_debug, "showdebug: where the camera is, and how fast pictures come"),
+            "showdebug": (self._show_debug, "showdebug: place of the camera, and rate of pictures"),
             "editactor": (self._edit_actor, f"{USAGE}: parameters of robots and sensors; none: show them"),
             "pause": (self._pause, "pause: let the world stand still, or go on"),
             "help": (self._help, "help: this"),

@@ -255,7 +255,7 @@ class BotServer:
         if connection.budget.is_waiting and connection.has_left:
             connection.steps_after_leaving += 1
             if connection.budget.balance <= 0.0 or connection.steps_after_leaving > MOST_STEPS_AFTER_LEAVING:
-                connection.budget.dismiss("it has left, and the rest of what it had sent is dropped")
+                connection.budget.dismiss("it has left, and the rest of its lines is dropped")
         connection.flush()
 
     def dismiss(self, client: Client) -> None:

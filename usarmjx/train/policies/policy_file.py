@@ -71,7 +71,9 @@ def check_about(about: Any) -> None:  # noqa: ANN401 - whatever the file has
     for group in about["groups"]:
         _check("group", group, dict, group)
         if group.keys() != {"name", "agents", "obs_size", "action_size"}:
-            raise ValueError(f"a group has {', '.join(sorted(group))[:100]}, not what groups have")
+            raise ValueError(
+                f"a group has {', '.join(sorted(group))[:100]}, expected name, agents, obs_size, action_size"
+            )
         _check("name", group, str)
         _check("agents", group, list)
         _check_texts("agents", group["agents"])
