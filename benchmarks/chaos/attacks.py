@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmarks.onlooker import camera_message
 from usarmjx.base.errors import UnknownNameError
+from usarmjx.base.registry import unknown_name
 from usarmjx.server.protocol.grammar import DEFAULT_LIMIT
 
 CHUNK = 64 * 1024
@@ -170,4 +171,4 @@ def find_attack(name: str) -> Attack:
     for attack in ATTACKS:
         if attack.name == name.lower():
             return attack
-    raise UnknownNameError(f"unknown attack {name!r}; known: {', '.join(one.name for one in ATTACKS)}")
+    raise UnknownNameError(unknown_name("attack", name, [one.name for one in ATTACKS]))

@@ -114,6 +114,11 @@ def chaos(
     thread used between two of its reports, reports at a wrong time of the world, lines that are none; the
     amount sent, the numbers of attackers that came and were hung up on, and whether all seats are free again.
     """
+    with ErrorExit():
+        from benchmarks.chaos.attacks import find_attack
+
+        for name in what.attack or ():
+            find_attack(name)
     with ErrorExit(), _target(server, hours.records) as target:
         say = partial(typer.echo, err=True)
         if hours.soak is None:

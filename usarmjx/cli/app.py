@@ -23,6 +23,11 @@ REMOVED: Mapping[tuple[str, str], str] = {
     for command in ("serve", "play")
 }
 """By command and option: what to use in place of an option that is no more."""
+NO_COMMANDS: Mapping[str, str] = {
+    "record": "recordings are made by --record FILE.mcap of serve, play and train",
+    "evaluate": "policies are evaluated by eval",
+}
+"""Guesses of commands, and the commands that do it."""
 COUNTED: Mapping[str, tuple[str, str]] = {
     "bench rays": ("P2AT", "16"),
     "bench camera": ("P2AT", "1"),
@@ -208,6 +213,9 @@ class RootCommand(LazyGroup):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - click's, or typer's own copy
         """Parse what was typed."""
+        if args and args[0] in NO_COMMANDS:
+            say(f"there is no command {args[0]}: {NO_COMMANDS[args[0]]}")
+            raise typer.Exit(BAD_INPUT)
         if told := removed_option(args):
             say(told)
             raise typer.Exit(BAD_INPUT)

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from usarmjx.base.errors import UsageError
-from usarmjx.base.files import atomic_write
 from usarmjx.cli.common import (
     ArenaArgument,
     ErrorExit,
@@ -74,6 +73,7 @@ def export(
 ) -> None:
     """Write an arena as one MJCF file, for MuJoCo and its tools."""
     with ErrorExit():
+        _check_outputs(None, out)
         announce(f"building arena {arena} ...")
         from usarmjx.models.files.arena_export import export_arena
         from usarmjx.models.files.load import find_arena
@@ -176,7 +176,9 @@ def generate(
 ) -> None:
     """Make an arena of the same kind, size, difficulty and seed, always the same; print its contents."""
     with ErrorExit():
+        _check_outputs(yaml, xml)
         announce(f"making a {kind} ...")
+        from usarmjx.models.files.arena_export import export_arena
         from usarmjx.models.files.load import save_arena
         from usarmjx.models.generate import Difficulty
         from usarmjx.models.generate import generate as make
@@ -198,19 +200,19 @@ def generate(
         if yaml is not None:
             typer.echo(f"wrote {save_arena(arena, yaml)}")
         if xml is not None:
-            _write_mjcf(arena, xml)
+            export_arena(arena, xml)
             typer.echo(f"wrote {xml}")
 
 
-def _write_mjcf(arena: "ArenaSpec", path: Path) -> None:
-    """Write an arena without robots as an MJCF file."""
-    from usarmjx.models.compile.compose import new_spec
-    from usarmjx.models.compile.physics import Physics
+def _check_outputs(yaml: Path | None, xml: Path | None) -> None:
+    """Refuse names of files that do not end as their contents do, before an arena is made.
 
-    spec = new_spec(arena, Physics())
-    spec.compile()
-    with atomic_write(path) as fresh:
-        fresh.write_text(spec.to_xml(), encoding="utf-8")
+    Raises:
+        UsageError: Names the file and the suffix.
+    """
+    for path, suffixes in ((yaml, (".yaml", ".yml")), (xml, (".xml",))):
+        if path is not None and path.suffix.lower() not in suffixes:
+            raise UsageError(f"{path}: an arena is written as {suffixes[0]}")
 
 
 LaneRobotOption = Annotated[

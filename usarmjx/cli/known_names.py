@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from usarmjx.base.errors import UnknownNameError
 from usarmjx.base.files import atomic_write
-from usarmjx.base.registry import unknown_name
+from usarmjx.base.registry import Registry, unknown_name
 from usarmjx.train.policies import POLICIES, no_policy
 
 if TYPE_CHECKING:
@@ -41,6 +41,8 @@ AUTO = "auto"
 """Name of no engine: the best one for a purpose."""
 AGENTS = ("zero", "random")
 """Policies without training, see `usarmjx.train.policies.untrained`."""
+RUN_WORDS = ("baseline", "packaged", "random", "by-hand", "shipped")
+"""Policies of `usarmjx suite run` and of sweeps that each task has one of."""
 TEAM_WORDS = ("random", "one", "baseline", "perfect-radio", "packaged")
 """Teams of `usarmjx teams` that are no policies."""
 
@@ -74,8 +76,12 @@ def check_name(kind: str, name: str) -> None:
     Raises:
         UnknownNameError: No such name; gives the closest one and all.
     """
-    names = [*([AUTO] if kind == "engine" else ()), *table()[kind]]
-    aliases = table()[f"{kind} aliases"]
+    module, attribute = REGISTRIES[kind]
+    names, aliases = table()[kind], table()[f"{kind} aliases"]
+    if loaded := sys.modules.get(module):  # a program may have added names
+        registry: Registry[object] = getattr(loaded, attribute)
+        names, aliases = registry.names(), registry.aliases()
+    names = [*([AUTO] if kind == "engine" else ()), *names]
     if name.lower() in {one.lower() for one in (*names, *aliases)} or _may_be_new(kind, name):
         return
     refusal = unknown_name(kind, name, names, aliases)
@@ -84,16 +90,16 @@ def check_name(kind: str, name: str) -> None:
 
 
 def _may_be_new(kind: str, name: str) -> bool:
-    """Return whether something else than the table may have a name."""
-    module, _ = REGISTRIES[kind]
-    if module in sys.modules:  # a program may have added names
-        return True
+    """Return whether a file, a program or a source that is newer than the table may have a name."""
     if kind in FROM_FILES and (Path(name).suffix or Path(name).is_file()):
         return True
     if kind == "arena" and name.lower() in {one.lower() for one in table()["lane aliases"]}:
         return True
     if kind in ("task", "baseline") and (":" in name or name.endswith(".py")):
         return True
+    module, _ = REGISTRIES[kind]
+    if module in sys.modules:
+        return False
     folder = PACKAGE.joinpath(*module.split(".")[1:])
     sources = sorted(folder.rglob("*.py")) if folder.is_dir() else [folder.with_suffix(".py")]
     quoted = f'"{name.lower()}"'
@@ -133,6 +139,24 @@ def check_policy(policy: str, words: Sequence[str] = ()) -> None:
     for part in policy.split(","):
         if source := part.partition("=")[2].strip():
             check_policy(source)
+
+
+def check_run(run: str) -> None:
+    """Refuse a run of a method that is nowhere.
+
+    Args:
+        run: As `usarmjx suite run` takes it: a policy, or `KIND:VALUE`; `{task}` stands for each task.
+
+    Raises:
+        UnknownNameError: There is nothing of that name; gives the closest one and all.
+    """
+    kind, _, value = run.partition(":")
+    if kind == "baseline" and value:
+        check_name("baseline", value)
+        return
+    known = run in RUN_WORDS or run in POLICIES or Path(run).exists()
+    if not known and ":" not in run and "{task}" not in run:
+        raise UnknownNameError(no_policy(run, POLICIES, RUN_WORDS))
 
 
 def check_file(found: "FileValue") -> None:

@@ -6,8 +6,11 @@ from typing import Annotated
 
 import typer
 
+from usarmjx.base.errors import UsageError
 from usarmjx.base.files import atomic_write
+from usarmjx.base.registry import unknown_name
 from usarmjx.cli.common import ErrorExit
+from usarmjx.cli.known_names import check_run
 from usarmjx.cli.startup_messages import announce, tried_on
 from usarmjx.cli.sweep import CellEngineOption, RunOnOption, SweepQuietOption, WorkerCountOption, say_line
 
@@ -41,9 +44,13 @@ def run(
 ) -> None:
     """Play all runs of a method through a suite, and write a results file for each."""
     with ErrorExit():
-        from usarmjx.sweeps.spec import find_suite
+        from usarmjx.sweeps.spec import SPLITS_OF_SUITES, find_suite
 
         file = find_suite(suite)
+        for one in runs or [method]:
+            check_run(one)
+        if split not in SPLITS_OF_SUITES:
+            raise UsageError(unknown_name("split", split, SPLITS_OF_SUITES))
         announce(f"reading suite {suite} ...", engines=["planar" if engine is None else tried_on(engine)])
         from usarmjx.sweeps.run import usual_stream
         from usarmjx.sweeps.suite import load_suite, run_suite
@@ -84,7 +91,6 @@ def show(
 
         file = find_suite(suite)
         announce("resampling runs and buildings ...", engines=[])
-        from usarmjx.base.errors import UsageError
         from usarmjx.sweeps.results import read_results
         from usarmjx.sweeps.standings import standings_of, standings_record, standings_report
         from usarmjx.sweeps.suite import load_suite

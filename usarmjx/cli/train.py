@@ -732,6 +732,8 @@ def export(
     """Write a policy for NumPy or ONNX Runtime; or a recording as tables, film or ROS 2 bag."""
     with ErrorExit():
         where = chosen_out(out, old_out)
+        if not run.exists() and run.suffix.lower() == ".mcap":
+            raise UsageError(f"{run}: cannot be read: No such file or directory")
         if not run.exists():
             check_policy(str(run))
         announce(f"reading {run} ...")

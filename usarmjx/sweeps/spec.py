@@ -200,6 +200,8 @@ def as_text(value: object) -> str:
 
 
 BUNDLED, SUITES = (Path(__file__).parent / name for name in ("bundled", "suites"))
+SPLITS_OF_SUITES = ("validation", "test")
+"""Splits that a suite is played on."""
 MAX_CELLS = 1_000_000
 """Most cells of a sweep."""
 

@@ -19,12 +19,11 @@ from usarmjx.sweeps.drivers import parse_policy
 from usarmjx.sweeps.resolve import resolve
 from usarmjx.sweeps.results import RunResult, provenance, run_digest
 from usarmjx.sweeps.run import run_sweep
-from usarmjx.sweeps.spec import SweepSpec, read_spec
+from usarmjx.sweeps.spec import SPLITS_OF_SUITES, SweepSpec, read_spec
 from usarmjx.sweeps.store import CellRecord
 from usarmjx.sweeps.workers import Workers
 
 USUAL_SUITE = "teams-v1"
-SPLITS_OF_SUITES = ("validation", "test")
 
 
 @dataclass(frozen=True, kw_only=True)
