@@ -73,7 +73,7 @@ def test_the_order_of_imports_is_the_one_that_is_checked():
     project = tomllib.loads((dev.ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     (contract,) = [c for c in project["tool"]["importlinter"]["contracts"] if c["type"] == "layers"]
     shown = re.search(
-        r"## Who may import whom.*?```text\n(.*?)```",
+        r"## Import rules.*?```text\n(.*?)```",
         (dev.ROOT / "docs/architecture.md").read_text(),
         re.DOTALL,
     )

@@ -216,11 +216,11 @@ def test_a_taken_port_is_found_without_jax():
 def test_the_first_word_comes_at_once_and_says_what_is_built():
     """Not on standard output, whose first line says where it listens; and to a pipe as to a terminal."""
     began = time.monotonic()
-    with usarmjx("serve", "--port", "0", "--arena", "nowhere", "--worlds", "3", *ALONE) as process:
+    with usarmjx("serve", "--port", "0", "--arena", "nowhere.yaml", "--worlds", "3", *ALONE) as process:
         assert select.select([process.stderr], [], [], WORD_LIMIT)[0]
-        assert process.stderr.readline() == "usarmjx: building arena nowhere for 3 worlds ...\n"
+        assert process.stderr.readline() == "usarmjx: building arena nowhere.yaml for 3 worlds ...\n"
         assert time.monotonic() - began < WORD_LIMIT
-        assert process.stderr.read().startswith("usarmjx: unknown arena 'nowhere'")
+        assert process.stderr.read().startswith("usarmjx: nowhere.yaml: there is no such file")
         assert process.stdout.read() == "True\n"
 
 
