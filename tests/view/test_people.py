@@ -294,7 +294,7 @@ def test_the_banner_tells_what_went_wrong():
     text = re.sub(r"<[^>]*>", " ", banner_html(status, ControlLock()))
     assert "12.3 s" in text
     assert "x 0.50 real time" in text
-    assert "3 connected" in text
+    assert "3 clients connected" in text
     assert "reset 2 times" in text
     assert "4 put back, last R1, &lt;b&gt;crate" in text
 

@@ -26,7 +26,6 @@ from usarmjx.view.viewpoint import (
     ViewMode,
     bounds_of,
     fit_box,
-    move_camera,
     robot_on_ray,
 )
 
@@ -48,8 +47,10 @@ WORLDS_AT_ONCE = 4
 """Worlds side by side that one update refreshes, in turn, beside the chosen one."""
 NEAREST, NEAR_LIMITS = 1e-3, (0.02, 0.2)
 """Near plane as a share of the first view's distance, and its least and largest value [m]."""
-WIDE = 1.55
-"""Aspect of a picture below which the first view is farther away, as on a phone or beside the panel."""
+BOARD_SHARE, BOARD_ASPECT = (0.25, 0.38), 0.8
+"""Shares of a picture's width and height that the scoreboard covers, and aspect below which it is closed."""
+NEW_ASPECT = 0.02
+"""Change of a picture's aspect from which the first view is fitted again."""
 OVER_PATH = "/over"
 """Root node of the layers, which moves to the chosen world."""
 _start_lock = threading.Lock()
@@ -323,6 +324,9 @@ class ViewerPage:
         self._buttons.update()
         for viewer in list(self.viewers.values()):
             self._guarded(lambda viewer=viewer: viewer.update(self.drawing, self.frame, self._cell.offset))
+            # The picture gets narrower when the panel docks beside it, and on a phone that is turned.
+            if viewer.is_untouched and abs(viewer.client.camera.aspect / viewer.aspect - 1) > NEW_ASPECT:
+                self._frame_all(viewer)
 
     def close(self) -> None:
         """Disconnect all users and free the port; panels with a `close` are closed, too."""
@@ -338,10 +342,9 @@ class ViewerPage:
         """Show another world, or several side by side of which it is the chosen one."""
         self.world, self.wall = world, wall
         self._begin(self._drawings())
-        pose = self.first_pose()
         for viewer in list(self.viewers.values()):
             viewer.free()
-            move_camera(viewer.client, self._pose_for(viewer.client, pose))
+            self._frame_all(viewer)
 
     def choose_robot(self, client: int, robot: int | None) -> None:
         """Attach a user's view to a robot, or free it."""
@@ -363,6 +366,11 @@ class ViewerPage:
             viewer.attach_next(self.drawing, self.frame)
         self.robot = viewer.robot
 
+    @property
+    def layers_on(self) -> list[Layer]:
+        """The layers that are shown."""
+        return list(self._switches.on)
+
     def show_layers(self, names: Sequence[str]) -> None:
         """Show layers, for all users.
 
@@ -376,7 +384,7 @@ class ViewerPage:
         """Return the pose from which all shown worlds fill a picture of some aspect."""
         bounds = [np.array(bounds_of(cell.drawing)) + cell.offset for cell in self._stage.cells]
         low, high = np.min(bounds, axis=0)[0], np.max(bounds, axis=0)[1]
-        return fit_box(low, high, aspect)
+        return fit_box(low, high, aspect, BOARD_SHARE if aspect > BOARD_ASPECT else (0.0, 0.0))
 
     @property
     def _cell(self) -> StagedWorld:
@@ -436,17 +444,19 @@ class ViewerPage:
 
     def _on_connect(self, client: viser.ClientHandle) -> None:
         def join() -> None:
-            self.viewers[client.client_id] = Viewer(client)
-            if client.camera.aspect < WIDE:
-                move_camera(client, self._pose_for(client, self.first_pose()))
+            self.viewers[client.client_id] = viewer = Viewer(client)
+            viewer.framed.append(np.asarray(self.server.initial_camera.position))
+            self._frame_all(viewer)
 
         self.post(join)
 
     def _on_disconnect(self, client: viser.ClientHandle) -> None:
         self.post(lambda: self.viewers.pop(client.client_id, None) and None)
 
-    def _pose_for(self, client: viser.ClientHandle, pose: CameraPose) -> CameraPose:
-        return pose if client.camera.aspect > 1.6 else self.first_pose(client.camera.aspect)
+    def _frame_all(self, viewer: Viewer) -> None:
+        """Let a user see all shown worlds."""
+        aspect = viewer.client.camera.aspect
+        viewer.frame(self.first_pose(aspect), aspect)
 
     def _on_click(self, event: viser.SceneClickEvent) -> None:
         """Attach the view to the robot under the pointer, or to the next one."""

@@ -4,7 +4,7 @@ import html
 import math
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from usarmjx.base.backend import numpy_backend
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX, Drawing, DrawnRobot, Frame, RobotFrame
 from usarmjx.view.layers.base import robot_colors
+from usarmjx.view.legend import legend_html
 
 if TYPE_CHECKING:
     from usarmjx.view.page import ViewerPage
@@ -96,6 +97,9 @@ EVENTS: Mapping[str, str] = {"tipped over": "tips over", "no battery": "has no b
 """Events by the states that they lead to."""
 
 
+HEADINGS = "<tr><th>robot</th><th>state</th><th>battery</th><th>radio</th></tr>"
+
+
 def state_of(robot: DrawnRobot, frame: RobotFrame) -> str:
     """Return the state of a robot in a word or two."""
     if robot.battery_life > 0 and frame.battery <= 0:
@@ -127,8 +131,15 @@ def known_area(frame: Frame) -> float | None:
     return float(known.sum() * grid[2] ** 2)
 
 
-def board_html(title: str, drawing: Drawing, frame: Frame, facts: BoardFacts, log: MissionLog) -> str:
-    """Return the scoreboard as HTML.
+def board_html(
+    title: str,
+    drawing: Drawing,
+    frame: Frame,
+    facts: BoardFacts,
+    log: MissionLog,
+    layers: Collection[str] = (),
+) -> str:
+    """Return the scoreboard and the legend as HTML; `client_page` puts them over the picture.
 
     Args:
         title: Name of the world.
@@ -136,6 +147,7 @@ def board_html(title: str, drawing: Drawing, frame: Frame, facts: BoardFacts, lo
         frame: Its present frame.
         facts: What these lack.
         log: Events of the world.
+        layers: Names of the layers that are on.
     """
     lines = [("task", html.escape(facts.task)), ("time", clock(frame.time))]
     if facts.time_left is not None:
@@ -146,17 +158,19 @@ def board_html(title: str, drawing: Drawing, frame: Frame, facts: BoardFacts, lo
         lines.append(("victims found", f"{len(log.found)} of {facts.victims}"))
     area = known_area(frame)
     if area is not None:
-        lines.append(("map", f"{area:.0f} m&sup2;"))
+        lines.append(("explored", f"{area:.0f} m&sup2;"))
     cells = "".join(f"<tr><td>{name}</td><td>{text}</td></tr>" for name, text in lines if text)
     slots = [slot for slot in sorted(frame.robots) if slot in drawing.robots]
-    robots = "".join(_robot_row(drawing.robots[slot], frame, slot) for slot in slots[:MAX_ROBOTS])
+    robots = HEADINGS if slots else ""
+    robots += "".join(_robot_row(drawing.robots[slot], frame, slot) for slot in slots[:MAX_ROBOTS])
     more = (
         f"<tr><td colspan=4>and {len(slots) - MAX_ROBOTS} more</td></tr>" if len(slots) > MAX_ROBOTS else ""
     )
     events = "".join(f"<li>{clock(at)} {html.escape(text)}</li>" for at, text in log.events)
     return (
         f'<div class="usarmjx-board" data-world="{html.escape(title, quote=True)}">'
-        f"<table>{cells}</table><table>{robots}{more}</table><ul>{events}</ul></div>"
+        f"<div><table>{cells}</table><table>{robots}{more}</table><ul>{events}</ul></div>"
+        f"<div>{legend_html(layers, drawing, frame)}</div></div>"
     )
 
 
@@ -215,8 +229,9 @@ class ScoreboardPanel:
         facts = board_facts(self._page.source, world)
         log = self._logs.setdefault(world, MissionLog())
         log.update(drawing, frame, facts)
+        layers = [layer.name for layer in self._page.layers_on]
         number = f" {world}" if self._page.source.num_worlds > 1 else ""
-        text = board_html(f"{self._page.title or drawing.arena}{number}", drawing, frame, facts, log)
+        text = board_html(f"{self._page.title or drawing.arena}{number}", drawing, frame, facts, log, layers)
         if text != self._text:
             self._shown.content = self._text = text
 

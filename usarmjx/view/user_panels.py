@@ -83,13 +83,17 @@ def banner_html(status: WorldStatus, lock: ControlLock) -> str:
     """Return the status of a world, in a few lines."""
     goes = "paused" if status.paused else f"x {status.realtime_factor:.2f} real time"
     held = "" if not lock.allowed else ", somebody has the controls" if lock.holder is not None else ""
-    lines = [f"<b>{status.time:.1f} s</b>, {goes}, {status.connections} connected{held}"]
+    lines = [f"<b>{status.time:.1f} s</b>, {goes}, {_clients(status.connections)}{held}"]
     if status.bad_worlds:
         lines.append(f"physics went bad: world reset {status.bad_worlds} times")
     if status.put_back:
         names = ", ".join(status.put_back_names)
         lines.append(f"{status.put_back} put back, last {html.escape(names)}")
     return f'<div style="font-size:.85em;margin:0 1em .5em">{"<br>".join(lines)}</div>'
+
+
+def _clients(count: int) -> str:
+    return f"{count} client{'s' * (count != 1)} connected"
 
 
 class UserPanel:

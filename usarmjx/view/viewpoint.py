@@ -17,6 +17,8 @@ FOV = math.radians(50.0)
 """Vertical field of view of the first viewpoint [rad]."""
 FILL_SHARE = 0.94
 """Share of the picture's width or height that the world fills, whichever is full first."""
+RETREAT, MAX_RETREATS, RETREAT_SHIFTS = 1.03, 60, 7
+"""Factor of the distance, most of them, and tried places, until a corner of the picture is free."""
 MIN_HEIGHT = 1.0
 """Least height of a world for the first viewpoint [m]."""
 UP = np.array([0.0, 0.0, 1.0])
@@ -32,6 +34,8 @@ MAX_RISE, MAX_SINK = 0.15, 0.02
 """Largest change of the elevation in an update, up and down [rad]: quickly out of a wall, and slowly back."""
 LOOK_AHEAD = 1.0
 """Distance of the pivot in front of a robot's camera, about which the mouse turns the picture [m]."""
+FRAMED_TOLERANCE, MAX_FRAMED = 1e-3, 4
+"""Share of its position within which a camera counts as unmoved, and most remembered positions."""
 PICK_MARGIN = 0.15
 """Distance beside a robot up to which a click selects it [m]."""
 
@@ -56,42 +60,92 @@ def bounds_of(drawing: Drawing) -> tuple[np.ndarray, np.ndarray]:
     return np.array([*low, drawing.floor]), np.array([*high, max(tops)])
 
 
-def fit_box(low: np.ndarray, high: np.ndarray, aspect: float = 1.6) -> CameraPose:
+def fit_box(
+    low: np.ndarray, high: np.ndarray, aspect: float = 1.6, corner: tuple[float, float] = (0.0, 0.0)
+) -> CameraPose:
     """Return the pose from which a box fills the picture.
 
     Args:
         low: Its least x, y and z [m] (3,).
         high: Its largest x, y and z [m] (3,).
         aspect: Width of the picture over its height.
+        corner: Shares of the picture's width and height, at the upper left, that the box leaves free.
     """
-    corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
-    ahead = -np.array(
-        [
-            math.cos(ELEVATION) * math.cos(AZIMUTH),
-            math.cos(ELEVATION) * math.sin(AZIMUTH),
-            math.sin(ELEVATION),
-        ]
-    )
-    right = np.cross(ahead, UP)
-    right /= np.linalg.norm(right)
-    above = np.cross(right, ahead)
-    half_height = math.tan(FOV / 2) * FILL_SHARE
-    target = (low + high) / 2
-    distance = 1.0
-    # Perspective enlarges the near side: the target moves until both sides have the same margin.
-    for _ in range(4):
-        around = corners - target
-        depth, aside, up = around @ ahead, around @ right, around @ above
-        distance = max(
-            float((np.abs(up) / half_height - depth).max()),
-            float((np.abs(aside) / (half_height * aspect) - depth).max()),
-            0.5,
+    framing = _Framing(np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T, aspect)
+    target, distance = framing.fitted()
+    if any(corner):
+        target, distance = framing.beside(corner, target, distance)
+    return CameraPose(target - distance * framing.ahead, target, UP)
+
+
+class _Framing:
+    """Corners of a box (8, 3) [m] in a picture of some aspect, seen in the first viewpoint's direction."""
+
+    def __init__(self, corners: np.ndarray, aspect: float) -> None:
+        self._corners = corners
+        self.ahead = -np.array(
+            [
+                math.cos(ELEVATION) * math.cos(AZIMUTH),
+                math.cos(ELEVATION) * math.sin(AZIMUTH),
+                math.sin(ELEVATION),
+            ]
         )
-        seen_up, seen_aside = up / (distance + depth), aside / (distance + depth)
-        target = target + distance / 2 * (
-            (seen_up.max() + seen_up.min()) * above + (seen_aside.max() + seen_aside.min()) * right
-        )
-    return CameraPose(target - distance * ahead, target, UP)
+        right = np.cross(self.ahead, UP)
+        right /= np.linalg.norm(right)
+        self._axes = np.stack([right, np.cross(right, self.ahead)])
+        self._half = math.tan(FOV / 2) * np.array([aspect, 1.0])
+
+    def fitted(self) -> tuple[np.ndarray, float]:
+        """Return target [m] (3,) and distance [m] at which the box fills the middle of the picture."""
+        low, high = self._corners.min(0), self._corners.max(0)
+        target, distance = (low + high) / 2, 1.0
+        # Perspective enlarges the near side: the target moves until both sides have the same margin.
+        for _ in range(4):
+            around = self._corners - target
+            depth, across = around @ self.ahead, np.abs(around @ self._axes.T)
+            distance = max(float((across / (self._half * FILL_SHARE) - depth[:, None]).max()), 0.5)
+            seen = self._seen(target, distance)
+            target = target + distance / 2 * ((seen.max(0) + seen.min(0)) * self._half) @ self._axes
+        return target, distance
+
+    def beside(
+        self, corner: tuple[float, float], target: np.ndarray, distance: float
+    ) -> tuple[np.ndarray, float]:
+        """Return the nearest target and distance at which a corner of the picture stays free.
+
+        The box moves to the right and down as far as it must, and away if that is not enough.
+        """
+        edge = np.array([2 * corner[0] - 1, 1 - 2 * corner[1]])
+        for away in distance * RETREAT ** np.arange(MAX_RETREATS):
+            centred = self._moved(target, away, np.array([0.5, 0.5]))
+            aside = self._moved(target, away, np.array([1.0, 0.0]))
+            for share in np.linspace(0.0, 1.0, RETREAT_SHIFTS):
+                shifted = (1 - share) * centred + share * aside
+                if not self._covers(self._seen(shifted, away), edge):
+                    return shifted, float(away)
+        return target, distance
+
+    def _seen(self, target: np.ndarray, distance: float) -> np.ndarray:
+        """Return where the corners are in the picture, from -1 to 1 to the right and up (8, 2)."""
+        around = self._corners - target
+        return around @ self._axes.T / (distance + around @ self.ahead)[:, None] / self._half
+
+    def _moved(self, target: np.ndarray, distance: float, place: np.ndarray) -> np.ndarray:
+        """Return the target that puts the box at a place: shares of the room to the right and up (2,)."""
+        for _ in range(4):
+            seen = self._seen(target, distance)
+            low, high = seen.min(0), seen.max(0)
+            room = np.maximum(2 * FILL_SHARE - (high - low), 0.0)
+            move = place * room - FILL_SHARE - low
+            target = target - distance * (move * self._half) @ self._axes
+        return target
+
+    @staticmethod
+    def _covers(seen: np.ndarray, edge: np.ndarray) -> bool:
+        """Return whether the hull of points (8, 2) reaches the corner left of and above an edge (2,)."""
+        share = np.linspace(0.0, 1.0, 33)[:, None, None, None]
+        between = seen[:, None] + share * (seen[None] - seen[:, None])
+        return bool(((between[..., 0] < edge[0]) & (between[..., 1] > edge[1])).any())
 
 
 class Walls:
@@ -201,12 +255,16 @@ class Viewer:
         robot: Slot of the robot that the view is attached to; None: it is free.
         mode: Kind of attachment.
         camera: Index of the robot's camera that it looks through.
+        aspect: Aspect of the picture for which `frame` was last called.
+        framed: Positions of the camera that the user has not chosen [m], each (3,).
     """
 
     client: viser.ClientHandle
     robot: int | None = None
     mode: ViewMode = ViewMode.FREE
     camera: int = 0
+    aspect: float = 1.0
+    framed: list[np.ndarray] = field(default_factory=list[np.ndarray], repr=False)
     _last_pose: CameraPose | None = field(default=None, repr=False)
     _chase: Chase | None = field(default=None, repr=False)
 
@@ -258,6 +316,20 @@ class Viewer:
                 self._chase = Chase(drawing)
             self._move(self._chase.pose(robot, frame), offset)
             self._set_fov(FOV)
+
+    @property
+    def is_untouched(self) -> bool:
+        """Whether the view is where `frame` put it: the user has neither moved nor attached it."""
+        pos = np.asarray(self.client.camera.position)
+        # The browser tells late where its camera is, so that earlier places count, too.
+        near = (np.linalg.norm(pos - one) < FRAMED_TOLERANCE * np.linalg.norm(one) for one in self.framed)
+        return self.robot is None and any(near)
+
+    def frame(self, pose: CameraPose, aspect: float) -> None:
+        """Move a free view to a pose that was fitted for an aspect of its picture."""
+        self.framed = [*self.framed[-MAX_FRAMED + 1 :], pose.pos]
+        self.aspect = aspect
+        move_camera(self.client, pose)
 
     def free(self) -> None:
         """Detach from the robot, and keep the viewpoint."""

@@ -1,0 +1,100 @@
+"""The legend of the page: what the marks mean that are drawn over a world."""
+
+from collections.abc import Callable, Collection
+from typing import NamedTuple
+
+from usarmjx.view.drawing import MAP_GRID, Drawing, Frame
+from usarmjx.view.layers.base import SCALE
+from usarmjx.view.layers.echoes import IR_RGB
+from usarmjx.view.layers.light import BEAM_RGB, BULB_RGB
+from usarmjx.view.layers.maps import FREE, MAP_RGBA, MARK, WALL
+from usarmjx.view.layers.marks import DROPPED_RGB, TAG_RGB
+
+OWN = "conic-gradient(#00b4ff 25%, #ff4b69 0 50%, #a5ff00 0 75%, #f0b469 0)"
+"""Picture of a colour that each robot has of its own."""
+
+
+class Entry(NamedTuple):
+    """A line of the legend.
+
+    Attributes:
+        picture: Background of CSS.
+        text: Meaning.
+        is_there: Whether a world has any of these marks.
+    """
+
+    picture: str
+    text: str
+    is_there: Callable[[Drawing, Frame], bool] = lambda drawing, frame: True
+
+
+def css_rgb(rgb: Collection[float]) -> str:
+    """Return a colour, 0 to 255, in CSS."""
+    red, green, blue = (round(channel) for channel in rgb)
+    return f"rgb({red},{green},{blue})"
+
+
+def _has_robots(drawing: Drawing, frame: Frame) -> bool:
+    del drawing
+    return bool(frame.robots)
+
+
+def _has_map(drawing: Drawing, frame: Frame) -> bool:
+    del drawing
+    return MAP_GRID in frame.extra
+
+
+LINK_SCALE = f"linear-gradient(90deg, {', '.join(css_rgb(rgb) for rgb in SCALE.tolist())})"
+MAP_COLOURS = {state: css_rgb(MAP_RGBA[state, :3].tolist()) for state in (FREE, WALL, MARK)}
+ENTRIES: dict[str, tuple[Entry, ...]] = {
+    "Rings": (Entry(OWN, "robot; the tip of its ring is ahead", _has_robots),),
+    "Laser fans": (Entry(OWN, "laser scan, in its robot's colour", _has_robots),),
+    "Sonar cones": (Entry(OWN, "sonar, in its robot's colour", _has_robots),),
+    "Infrared lines": (Entry(css_rgb(IR_RGB.tolist()), "infrared sensor", _has_robots),),
+    "Trails": (Entry(OWN, "trail of a robot", lambda drawing, frame: frame.trace is not None),),
+    "Tags": (
+        Entry(
+            css_rgb(TAG_RGB), "radio tag (RFID) with its number", lambda drawing, frame: bool(drawing.tags)
+        ),
+        Entry(
+            css_rgb(DROPPED_RGB),
+            "tag that a robot dropped",
+            lambda drawing, frame: len(frame.dropped_tags) > 0,
+        ),
+    ),
+    "Radio links": (
+        Entry(LINK_SCALE, "radio link, weak to strong", lambda drawing, frame: frame.links is not None),
+    ),
+    "Map": (
+        Entry(MAP_COLOURS[FREE], "map: free"),
+        Entry(MAP_COLOURS[WALL], "map: wall"),
+        Entry(MAP_COLOURS[MARK], "map: found", _has_map),
+    ),
+    "Lamps": (Entry(css_rgb(BULB_RGB), "lamp", lambda drawing, frame: bool((drawing.lamp_rgb > 0).any())),),
+    "Headlights": (
+        Entry(
+            css_rgb(BEAM_RGB),
+            "headlight",
+            lambda drawing, frame: any(robot.light for robot in frame.robots.values()),
+        ),
+    ),
+}
+"""Lines by the names of layers; the others explain themselves."""
+
+
+def legend_html(layers: Collection[str], drawing: Drawing, frame: Frame) -> str:
+    """Return the legend of the marks that are drawn, as HTML.
+
+    Args:
+        layers: Names of the layers that are on.
+        drawing: Drawing of the world.
+        frame: Its present frame.
+    """
+    shown = [
+        entry
+        for name, entries in ENTRIES.items()
+        if name in layers
+        for entry in entries
+        if entry.is_there(drawing, frame)
+    ]
+    return "".join(f'<div><i style="background:{entry.picture}"></i>{entry.text}</div>' for entry in shown)
