@@ -91,20 +91,30 @@ def test_layers_can_be_on_at_first_that_usually_are_not(page):
         page.show_layers(["Rainbows"])
 
 
-def test_a_phone_looks_from_further_away(page):
-    with visiting(port_of(page), aspect=0.5) as visitor:
-        wide = np.linalg.norm(page.first_pose().pos)
+def test_everybody_sees_all_of_the_arena_in_their_window_and_again_when_it_gets_narrower(page):
+    with visiting(port_of(page), aspect=1.6) as visitor:
 
-        def distance():
-            return np.linalg.norm(visitor.of("SetCameraPositionMessage")[-1]["position"])
+        def place():
+            return visitor.of("SetCameraPositionMessage")[-1]["position"]
 
-        until(page, lambda: page.viewers and distance() > 1.3 * wide)
-    with visiting(port_of(page), aspect=1.7) as visitor:
-        until(page, lambda: page.viewers and visitor.of("ReplayDoneMessage"))
-        assert all(
-            np.linalg.norm(message["position"]) == pytest.approx(wide)
-            for message in visitor.of("SetCameraPositionMessage")
-        )
+        def is_fitted(aspect):
+            return visitor.of("SetCameraPositionMessage") and place() == pytest.approx(
+                page.first_pose(aspect).pos
+            )
+
+        until(page, lambda: page.viewers and is_fitted(1.6))
+        visitor.look(place(), 0.5)  # the panel docks, or a phone is turned
+        until(page, lambda: is_fitted(0.5))
+        assert np.linalg.norm(place()) > 1.3 * np.linalg.norm(page.first_pose(1.6).pos)
+        moved = np.multiply(place(), 0.5)
+        visitor.look(moved, 0.5)
+        until(page, lambda: camera_of(page).position == pytest.approx(moved))
+        before = len(visitor.of("SetCameraPositionMessage"))
+        visitor.look(moved, 1.2)
+        until(page, lambda: camera_of(page).aspect == pytest.approx(1.2))
+        for _ in range(3):
+            page.refresh()
+        assert len(visitor.of("SetCameraPositionMessage")) == before, "who has moved the view keeps it"
 
 
 def test_several_people_look_from_where_each_wants_to(page):

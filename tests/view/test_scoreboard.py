@@ -7,7 +7,10 @@ import viser
 
 from tests.view.simple_worlds import drawing_of, frame_of
 from usarmjx.view.client_page import ICON, MARK, PRODUCT, page_folder, page_text
-from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX, DrawnMount
+from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX, DrawnMount, DrawnTag
+from usarmjx.view.layers import LAYERS
+from usarmjx.view.layers.marks import DROPPED_RGB, TAG_RGB
+from usarmjx.view.legend import ENTRIES, css_rgb, legend_html
 from usarmjx.view.scoreboard import BoardFacts, MissionLog, board_html, clock, known_area, state_of
 
 OWNERS = np.array([0, 0, -1, 2])
@@ -82,6 +85,27 @@ def test_the_area_of_maps_is_what_any_robot_knows():
     assert known_area(frame) is None
 
 
+def test_the_legend_has_what_is_drawn_and_nothing_else():
+    drawing = drawing_of(2)
+    frame = frame_of(drawing)
+    layers = ["Rings", "Tags", "Radio links", "Grid"]
+    assert "robot; the tip" in legend_html(layers, drawing, frame)
+    assert "tag" not in legend_html(layers, drawing, frame)
+    tagged = replace(drawing, tags=(DrawnTag(7, np.zeros(3)),))
+    dropped = replace(frame, dropped_tags=np.zeros((1, 3)))
+    text = legend_html(layers, tagged, dropped)
+    for wanted in (
+        f"background:{css_rgb(TAG_RGB)}",
+        "radio tag",
+        f"background:{css_rgb(DROPPED_RGB)}",
+        "dropped",
+    ):
+        assert wanted in text
+    assert legend_html([], tagged, dropped) == ""
+    assert "radio tag" in board_html("yard", tagged, frame, BoardFacts(), MissionLog(), layers)
+    assert set(ENTRIES) <= {name for name, _ in LAYERS}
+
+
 def test_names_of_people_are_no_html():
     drawing = drawing_of(1)
     robots = {0: replace(drawing.robots[0], name="<b>")}
@@ -100,6 +124,8 @@ def test_the_page_has_our_name_icon_and_loading_state_before_visers_script():
     assert ICON in text
     assert "f9e20b" not in text  # a colour of viser's icon
     assert text.index("usarmjx-loading") < text.index("data-p=")
+    # The library shows its picture at a twentieth of its strength on white until its light is loaded.
+    assert "#root canvas{opacity:1!important}" in text
     assert text.rstrip().endswith("</html>")
     assert page_text("something else") == "something else"
     assert viser.__version__

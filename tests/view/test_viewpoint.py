@@ -15,6 +15,7 @@ from usarmjx.sensors.cameras.picture import camera_viewpoint
 from usarmjx.view.viewpoint import (
     FILL_SHARE,
     FOV,
+    UP,
     Chase,
     Viewer,
     ViewMode,
@@ -41,6 +42,27 @@ def test_a_box_fills_the_picture_and_all_of_it_is_seen(aspect):
     assert (corners @ ahead > 0).all()
     fullest = max(np.abs(up).max(), np.abs(aside).max())
     assert FILL_SHARE - 0.08 <= fullest <= 1.0
+
+
+@pytest.mark.parametrize("aspect", [1.0, 1.2, 1.6, 2.4])
+def test_a_box_leaves_a_corner_of_the_picture_free_and_stays_in_the_rest(aspect):
+    corner = (0.25, 0.38)
+    pose = fit_box(LOW, HIGH, aspect, corner)
+    ahead = (pose.look_at - pose.pos) / np.linalg.norm(pose.look_at - pose.pos)
+    right = np.cross(ahead, UP) / np.linalg.norm(np.cross(ahead, UP))
+    share = np.linspace(0.0, 1.0, 101)
+    corners = np.array(np.meshgrid(*zip(LOW, HIGH, strict=True))).reshape(3, -1).T
+    # Points all over the box's surface are its hull in the picture.
+    points = (
+        corners[:, None, None] + share[:, None] * (corners[None] - corners[:, None])[:, :, None]
+    ) - pose.pos
+    points = points.reshape(-1, 3)
+    half = math.tan(FOV / 2)
+    up = points @ np.cross(right, ahead) / (points @ ahead) / half
+    aside = points @ right / (points @ ahead) / half / aspect
+    assert max(np.abs(up).max(), np.abs(aside).max()) <= 1.0
+    assert not ((aside < 2 * corner[0] - 1) & (up > 1 - 2 * corner[1])).any()
+    assert max(np.ptp(up), np.ptp(aside)) > 1.2, "and it is no smaller than it must"
 
 
 def test_what_stands_in_a_world_is_in_its_bounds():
@@ -160,6 +182,20 @@ def test_robots_follow_one_another_and_c_goes_from_the_camera_over_it():
     assert (viewer.robot, viewer.mode) == (2, ViewMode.OVER)
     viewer.free()
     assert (viewer.robot, viewer.mode) == (None, ViewMode.FREE)
+
+
+def test_a_view_is_untouched_until_somebody_moves_it_and_while_the_browser_tells_an_earlier_place():
+    viewer, first = Viewer(Client()), fit_box(LOW, HIGH, 1.6)
+    viewer.frame(first, 1.6)
+    viewer.frame(fit_box(LOW, HIGH, 1.0), 1.0)
+    assert viewer.is_untouched
+    viewer.client.camera.position = first.pos
+    assert viewer.is_untouched
+    viewer.client.camera.position = first.pos * 1.05
+    assert not viewer.is_untouched
+    viewer.client.camera.position = first.pos
+    viewer.attach(0)
+    assert not viewer.is_untouched
 
 
 def test_who_is_with_a_robot_that_leaves_looks_freely():

@@ -34,10 +34,14 @@ class Visitor:
         self.heard = []
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
+        self.look((0.0, 0.0, 5.0), aspect)
+
+    def look(self, position, aspect):
+        """Say where its camera is, and how wide its window."""
         self.say(
             _messages.ViewerCameraMessage(
                 wxyz=(1.0, 0.0, 0.0, 0.0),
-                position=(0.0, 0.0, 5.0),
+                position=tuple(float(x) for x in position),
                 fov=0.9,
                 near=0.1,
                 far=100.0,

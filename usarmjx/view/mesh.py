@@ -145,7 +145,8 @@ STACKS = 12
 """Rings of a sphere, an even number: a capsule's is cut in its middle."""
 TINY_RADIUS = 1e-9
 """Radius up to which a ring is a point [m]."""
-MIRROR_FINISH = Finish(metallic=1.0, roughness=0.05)
+MIRROR_FINISH = Finish(metallic=0.4, roughness=0.05)
+"""Finish of mirrors: they shine in the light of sun and lamps, and reflect nothing else."""
 _Solid = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Corners (v, 3), normals (v, 3) and faces (f, 3) of a solid."""
 

@@ -21,7 +21,7 @@ SUN_RGB, SUN_INTENSITY, INDOOR_SUN_INTENSITY = (255, 236, 206), 2.6, 1.3
 """Colour of the sun, and its intensity outdoors and indoors: rooms have no roofs, and shadows need a sun."""
 WIDEST_SPOT, SPOT_HEIGHT, SPOT_MARGIN = 16.0, 4.0, 4.0
 """Sun as a spotlight: largest radius of the arena [m], distance in radii, and margin around the arena [m]."""
-SKY_RGB, GROUND_RGB, SKY_INTENSITY, INDOOR_SKY_INTENSITY = (226, 236, 255), (168, 146, 120), 0.9, 0.5
+SKY_RGB, GROUND_RGB, SKY_INTENSITY, INDOOR_SKY_INTENSITY = (226, 232, 255), (255, 206, 178), 2.4, 1.9
 ZENITH, HORIZON, HAZE = (126, 168, 214), (226, 230, 228), (214, 204, 188)
 """Colours of the background: at the top, halfway, and below."""
 MOST_LAMPS, MOST_HEADLIGHTS, MOST_SHADOWS = 8, 8, 2
@@ -87,7 +87,9 @@ class SkyLayer(NodeLayer):
     def _shine(self) -> None:
         indoors = self._indoors
         self.scene.configure_default_lights(enabled=False)
-        self.scene.configure_environment_map("dawn", environment_intensity=0.25 if indoors else 0.4)
+        # An environment map comes late: a browser would compile all its shaders anew and filter the map, which
+        # takes one without a graphics card ten seconds and more.
+        self.scene.configure_environment_map(None)
         self.scene.set_background_image(backdrop(ZENITH, HORIZON, HAZE), format="png")
         self.scene.add_light_hemisphere(
             f"{self.root}/sky",
