@@ -6,7 +6,7 @@ import numpy as np
 import viser
 
 from tests.view.simple_worlds import drawing_of, frame_of
-from usarmjx.view.client_page import ICON, MARK, PRODUCT, page_folder, page_text
+from usarmjx.view.client_page import HELD, ICON, LIBRARY, MARK, PRODUCT, page_folder, page_text
 from usarmjx.view.drawing import MAP_GRID, MAP_PREFIX, DrawnMount, DrawnTag
 from usarmjx.view.layers import LAYERS
 from usarmjx.view.layers.marks import DROPPED_RGB, TAG_RGB
@@ -124,11 +124,19 @@ def test_the_page_has_our_name_icon_and_loading_state_before_visers_script():
     assert ICON in text
     assert "f9e20b" not in text  # a colour of viser's icon
     assert text.index("usarmjx-loading") < text.index("data-p=")
+    assert text.count(HELD) == 1, "the long script waits for the first picture"
+    assert LIBRARY not in text
     # The library shows its picture at a twentieth of its strength on white until its light is loaded.
     assert "#root canvas{opacity:1!important}" in text
     assert text.rstrip().endswith("</html>")
     assert page_text("something else") == "something else"
     assert viser.__version__
+
+
+def test_victims_are_found_only_where_a_robot_can_find_them():
+    drawing, facts = drawing_of(1), BoardFacts(victims=3)
+    for world, text in ((drawing, "<td>victims</td><td>3</td>"), (with_victim_sensors(drawing), "0 of 3")):
+        assert text in board_html("yard", world, frame_of(drawing), facts, MissionLog())
 
 
 def test_clocks_count_minutes():

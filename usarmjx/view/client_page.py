@@ -14,6 +14,8 @@ import viser
 PRODUCT = "usarmjx"
 MARK = "<title>Viser</title>"
 """Text of viser's page that we replace; a version without it is served as it is."""
+LIBRARY, HELD = "<script data-p=", '<script type="text/held" data-p='
+"""Start of viser's script of 3 MB, and that of one which waits until ours runs it."""
 BACKGROUND = "#e9eef2"
 """Colour of the page before anything is drawn, near that of the sky."""
 ICON = (
@@ -60,6 +62,19 @@ SCRIPT = """
  wait.id = 'usarmjx-loading';
  wait.innerHTML = 'PRODUCT<small>loading the world ...</small>';
  const PATIENCE = 20000, begun = performance.now();
+ // The library's script keeps a browser busy for a second: it waits until the loading state is on the screen.
+ const run = () => {
+  const held = document.querySelector('script[type="text/held"]');
+  if (!held) return;
+  const script = document.createElement('script');
+  Object.assign(script.dataset, held.dataset);
+  script.textContent = held.textContent;
+  held.replaceWith(script);
+ };
+ addEventListener('DOMContentLoaded', () => {
+  requestAnimationFrame(() => setTimeout(run));
+  setTimeout(run, 500);  // a window behind others draws nothing
+ });
  // The library has its scene under these names, for tests of its own; without them time decides.
  const drawn = () => {
   const scene = window.__viserMutable?.scene, info = window.__viserTestpoints?.rendererInfo;
@@ -122,8 +137,7 @@ def page_text(original: str) -> str:
     first, _, rest = before.partition('<link\n      rel="icon"')
     if rest:
         before = f'{first}<link rel="icon" href="{ICON}" />' + rest.partition("/>")[2]
-    # Ours comes first: the browser shows it while it reads the long script of viser.
-    return before + head + after
+    return before + head + after.replace(LIBRARY, HELD, 1)
 
 
 @cache

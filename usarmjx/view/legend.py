@@ -3,6 +3,8 @@
 from collections.abc import Callable, Collection
 from typing import NamedTuple
 
+import numpy as np
+
 from usarmjx.view.drawing import MAP_GRID, Drawing, Frame
 from usarmjx.view.layers.base import SCALE
 from usarmjx.view.layers.echoes import IR_RGB
@@ -39,6 +41,11 @@ def _has_robots(drawing: Drawing, frame: Frame) -> bool:
     return bool(frame.robots)
 
 
+def _has_trail(drawing: Drawing, frame: Frame) -> bool:
+    del drawing
+    return frame.trace is not None and bool(np.any(frame.trace.shown))
+
+
 def _has_map(drawing: Drawing, frame: Frame) -> bool:
     del drawing
     return MAP_GRID in frame.extra
@@ -51,7 +58,7 @@ ENTRIES: dict[str, tuple[Entry, ...]] = {
     "Laser fans": (Entry(OWN, "laser scan, in its robot's colour", _has_robots),),
     "Sonar cones": (Entry(OWN, "sonar, in its robot's colour", _has_robots),),
     "Infrared lines": (Entry(css_rgb(IR_RGB.tolist()), "infrared sensor", _has_robots),),
-    "Trails": (Entry(OWN, "trail of a robot", lambda drawing, frame: frame.trace is not None),),
+    "Trails": (Entry(OWN, "trail of a robot", _has_trail),),
     "Tags": (
         Entry(
             css_rgb(TAG_RGB), "radio tag (RFID) with its number", lambda drawing, frame: bool(drawing.tags)

@@ -121,6 +121,11 @@ def seen_victims(robot: DrawnRobot, frame: RobotFrame, owners: np.ndarray) -> li
     return sorted(found)
 
 
+def _can_find(drawing: Drawing) -> bool:
+    """Return whether a robot has a victim sensor."""
+    return any(sensor.kind == VICTIM_SENSOR for robot in drawing.robots.values() for sensor in robot.sensors)
+
+
 def known_area(frame: Frame) -> float | None:
     """Return the area that the robots' maps know together [m2]; None without maps."""
     grid = frame.extra.get(MAP_GRID)
@@ -154,8 +159,10 @@ def board_html(
         lines.append(("time left", clock(facts.time_left)))
     if frame.score is not None:
         lines.append(("score", f"{frame.score:.1f}"))
-    if facts.victims:
+    if facts.victims and _can_find(drawing):
         lines.append(("victims found", f"{len(log.found)} of {facts.victims}"))
+    elif facts.victims:
+        lines.append(("victims", f"{facts.victims}"))
     area = known_area(frame)
     if area is not None:
         lines.append(("explored", f"{area:.0f} m&sup2;"))
