@@ -16,6 +16,11 @@ OWN = "conic-gradient(#00b4ff 25%, #ff4b69 0 50%, #a5ff00 0 75%, #f0b469 0)"
 """Picture of a colour that each robot has of its own."""
 
 
+def _always(drawing: Drawing, frame: Frame) -> bool:
+    del drawing, frame
+    return True
+
+
 class Entry(NamedTuple):
     """A line of the legend.
 
@@ -27,7 +32,7 @@ class Entry(NamedTuple):
 
     picture: str
     text: str
-    is_there: Callable[[Drawing, Frame], bool] = lambda drawing, frame: True
+    is_there: Callable[[Drawing, Frame], bool] = _always
 
 
 def css_rgb(rgb: Collection[float]) -> str:
@@ -46,9 +51,34 @@ def _has_trail(drawing: Drawing, frame: Frame) -> bool:
     return frame.trace is not None and bool(np.any(frame.trace.shown))
 
 
-def _has_map(drawing: Drawing, frame: Frame) -> bool:
+def _has_tags(drawing: Drawing, frame: Frame) -> bool:
+    del frame
+    return bool(drawing.tags)
+
+
+def _has_dropped(drawing: Drawing, frame: Frame) -> bool:
+    del drawing
+    return len(frame.dropped_tags) > 0
+
+
+def _has_links(drawing: Drawing, frame: Frame) -> bool:
+    del drawing
+    return frame.links is not None
+
+
+def _has_marks(drawing: Drawing, frame: Frame) -> bool:
     del drawing
     return MAP_GRID in frame.extra
+
+
+def _has_lamps(drawing: Drawing, frame: Frame) -> bool:
+    del frame
+    return bool((np.asarray(drawing.lamp_rgb) > 0).any())
+
+
+def _has_headlights(drawing: Drawing, frame: Frame) -> bool:
+    del drawing
+    return any(robot.light for robot in frame.robots.values())
 
 
 LINK_SCALE = f"linear-gradient(90deg, {', '.join(css_rgb(rgb) for rgb in SCALE.tolist())})"
@@ -60,31 +90,17 @@ ENTRIES: dict[str, tuple[Entry, ...]] = {
     "Infrared lines": (Entry(css_rgb(IR_RGB.tolist()), "infrared sensor", _has_robots),),
     "Trails": (Entry(OWN, "trail of a robot", _has_trail),),
     "Tags": (
-        Entry(
-            css_rgb(TAG_RGB), "radio tag (RFID) with its number", lambda drawing, frame: bool(drawing.tags)
-        ),
-        Entry(
-            css_rgb(DROPPED_RGB),
-            "tag that a robot dropped",
-            lambda drawing, frame: len(frame.dropped_tags) > 0,
-        ),
+        Entry(css_rgb(TAG_RGB), "radio tag (RFID) with its number", _has_tags),
+        Entry(css_rgb(DROPPED_RGB), "tag that a robot dropped", _has_dropped),
     ),
-    "Radio links": (
-        Entry(LINK_SCALE, "radio link, weak to strong", lambda drawing, frame: frame.links is not None),
-    ),
+    "Radio links": (Entry(LINK_SCALE, "radio link, weak to strong", _has_links),),
     "Map": (
         Entry(MAP_COLOURS[FREE], "map: free"),
         Entry(MAP_COLOURS[WALL], "map: wall"),
-        Entry(MAP_COLOURS[MARK], "map: found", _has_map),
+        Entry(MAP_COLOURS[MARK], "map: found", _has_marks),
     ),
-    "Lamps": (Entry(css_rgb(BULB_RGB), "lamp", lambda drawing, frame: bool((drawing.lamp_rgb > 0).any())),),
-    "Headlights": (
-        Entry(
-            css_rgb(BEAM_RGB),
-            "headlight",
-            lambda drawing, frame: any(robot.light for robot in frame.robots.values()),
-        ),
-    ),
+    "Lamps": (Entry(css_rgb(BULB_RGB), "lamp", _has_lamps),),
+    "Headlights": (Entry(css_rgb(BEAM_RGB), "headlight", _has_headlights),),
 }
 """Lines by the names of layers; the others explain themselves."""
 

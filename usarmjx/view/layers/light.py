@@ -87,8 +87,8 @@ class SkyLayer(NodeLayer):
     def _shine(self) -> None:
         indoors = self._indoors
         self.scene.configure_default_lights(enabled=False)
-        # An environment map comes late: a browser would compile all shaders anew and filter the map, which takes
-        # ten seconds and more without a graphics card.
+        # An environment map comes late: a browser would compile all shaders anew and filter the map.
+        # Without a graphics card that takes ten seconds and more.
         self.scene.configure_environment_map(None)
         self.scene.set_background_image(backdrop(ZENITH, HORIZON, HAZE), format="png")
         self.scene.add_light_hemisphere(
