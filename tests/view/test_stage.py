@@ -99,6 +99,22 @@ def test_sixteen_worlds_stand_four_by_four_and_none_in_another(scene):
     assert sorted(len(batch.batched_positions) for batch in batches(scene)) == [16, 16, 16, 32]
 
 
+def test_several_worlds_have_their_names_and_scores_at_their_near_sides_and_one_has_none(scene):
+    drawings = [drawing_of(robots=1) for _ in range(4)]
+    stage, offsets = Stage(scene), grid_offsets(drawings)
+    names = [f"world {n}" for n in range(4)]
+    stage.begin([StagedWorld(*one) for one in zip(drawings, offsets, names, strict=True)])
+    stage.update([replace(frame_of(drawing), score=12.3) for drawing in drawings])
+    labels = {one.text: one for one in stage._labels}
+    assert sorted(labels) == [f"world {n}: 12" for n in range(4)]
+    for number, offset in enumerate(offsets):
+        x, y, z = labels[f"world {number}: 12"].position - offset
+        assert (x, z) == (0.0, 0.0)
+        assert -6.0 < y < -4.0, "between its own arena and the next one"
+    stage.begin([StagedWorld(drawings[0], np.zeros(3), "world 0")])
+    assert not [name for name in scene._handle_from_node_name if "/name/" in name]
+
+
 def test_a_floor_without_bounds_ends_a_little_beyond_the_arena(scene):
     staged(scene, drawing_of())
     assert [name for name in scene._handle_from_node_name if "/floor/" in name] == ["/bodies/floor/0"]

@@ -18,9 +18,11 @@ from usarmjx.view.drawing import Drawing, Frame, FrameSource
 from usarmjx.view.layers import LAYERS
 from usarmjx.view.layers.base import Layer
 from usarmjx.view.scoreboard import ScoreboardPanel
-from usarmjx.view.stage import Stage, StagedWorld, grid_offsets
+from usarmjx.view.stage import GROUND_MARGIN, Stage, StagedWorld, grid_offsets
 from usarmjx.view.viewpoint import (
+    DIRECTION,
     FOV,
+    ROWS_DIRECTION,
     CameraPose,
     Viewer,
     ViewMode,
@@ -384,7 +386,11 @@ class ViewerPage:
         """Return the pose from which all shown worlds fill a picture of some aspect."""
         bounds = [np.array(bounds_of(cell.drawing)) + cell.offset for cell in self._stage.cells]
         low, high = np.min(bounds, axis=0)[0], np.max(bounds, axis=0)[1]
-        return fit_box(low, high, aspect, BOARD_SHARE if aspect > BOARD_ASPECT else (0.0, 0.0))
+        several = len(self._stage.cells) > 1
+        if several:
+            low = low - (0.0, GROUND_MARGIN, 0.0)  # there are the names
+        corner = BOARD_SHARE if aspect > BOARD_ASPECT else (0.0, 0.0)
+        return fit_box(low, high, aspect, corner, ROWS_DIRECTION if several else DIRECTION)
 
     @property
     def _cell(self) -> StagedWorld:
@@ -405,7 +411,8 @@ class ViewerPage:
         """Show other drawings."""
         numbers = self._numbers()
         offsets = grid_offsets(drawings) if self.wall else [np.zeros(3)]
-        self._stage.begin([StagedWorld(*pair) for pair in zip(drawings, offsets, strict=True)])
+        names = [f"world {number}" for number in numbers]
+        self._stage.begin([StagedWorld(*one) for one in zip(drawings, offsets, names, strict=True)])
         self._frames = [self.source.frame(number) for number in numbers]
         self.drawing, self.frame = self._cell.drawing, self._frames[numbers.index(self.world)]
         self._stage.update(self._frames)

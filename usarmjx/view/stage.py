@@ -8,6 +8,7 @@ import numpy as np
 import viser
 
 from usarmjx.view.drawing import Drawing, DrawnShape, Frame
+from usarmjx.view.layers.nodes import TEXT_SCALE
 from usarmjx.view.mesh import PLANE, Finish, glb_of, meshes_of, rectangle
 
 STILL_TOLERANCE = 1e-5
@@ -25,10 +26,12 @@ class StagedWorld:
     Attributes:
         drawing: Its drawing.
         offset: Its displacement [m] (3,).
+        name: Its name, which is shown where several worlds are.
     """
 
     drawing: Drawing
     offset: np.ndarray
+    name: str = ""
 
 
 class BodyBatch:
@@ -106,6 +109,7 @@ class Stage:
         self._top = scene.add_frame(root, show_axes=False)
         self._batches: dict[str, BodyBatch] = {}
         self._floors: dict[str, viser.GlbHandle] = {}
+        self._labels: list[viser.LabelHandle] = []
         self._keys: dict[DrawnShape, str] = {}
         self.cells: tuple[StagedWorld, ...] = ()
 
@@ -136,6 +140,7 @@ class Stage:
         used = {id(shape) for shape in shapes.values()}
         self._keys = {shape: key for shape, key in self._keys.items() if id(shape) in used}
         self._draw_floors()
+        self._write_names()
 
     def update(self, frames: Sequence[Frame]) -> None:
         """Show the present frames.
@@ -151,11 +156,15 @@ class Stage:
         shown = np.concatenate([frame.shown for frame in frames])
         for batch in self._batches.values():
             batch.update(pos, quat, shown)
+        for label, cell, frame in zip(self._labels, self.cells, frames, strict=False):
+            text = cell.name if frame.score is None else f"{cell.name}: {frame.score:.0f}"
+            if text != label.text:
+                label.text = text
 
     def end(self) -> None:
         """Remove all nodes."""
         self._top.remove()
-        self._batches, self._floors = {}, {}
+        self._batches, self._floors, self._labels = {}, {}, []
 
     def _key(self, shape: DrawnShape) -> str:
         """Return the common name of all equal shapes."""
@@ -175,6 +184,24 @@ class Stage:
         for handle in self._floors.values():
             handle.remove()
         self._floors = {path: self._floor(path, *value) for path, value in wanted.items()}
+
+    def _write_names(self) -> None:
+        """Write the names of several worlds at their near sides."""
+        for label in self._labels:
+            label.remove()
+        self._labels = []
+        for number, cell in enumerate(self.cells if len(self.cells) > 1 else ()):
+            (west, east), (south, _) = cell.drawing.extent.tolist()
+            near = np.array([(west + east) / 2, south - GROUND_MARGIN / 2, cell.drawing.floor])
+            self._labels.append(
+                self._scene.add_label(
+                    f"{self._root}/name/{number}",
+                    cell.name,
+                    position=near + cell.offset,
+                    anchor="center-center",
+                    font_screen_scale=TEXT_SCALE,
+                )
+            )
 
     def _floor(self, path: str, cell: StagedWorld, rgb: np.ndarray) -> viser.GlbHandle:
         low, high = cell.drawing.extent.T

@@ -11,8 +11,10 @@ from scipy.spatial.transform import Rotation
 from usarmjx.view.drawing import NOBODY, Drawing, DrawnRobot, Frame
 from usarmjx.view.mesh import BOX
 
-AZIMUTH, ELEVATION = math.radians(-115.0), math.radians(50.0)
+DIRECTION = math.radians(-115.0), math.radians(50.0)
 """Direction of the first viewpoint from the world's middle: azimuth and elevation [rad]."""
+ROWS_DIRECTION = math.radians(-90.0), math.radians(62.0)
+"""Direction to worlds side by side: their rows are level in the picture."""
 FOV = math.radians(50.0)
 """Vertical field of view of the first viewpoint [rad]."""
 FILL_SHARE = 0.94
@@ -61,7 +63,11 @@ def bounds_of(drawing: Drawing) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fit_box(
-    low: np.ndarray, high: np.ndarray, aspect: float = 1.6, corner: tuple[float, float] = (0.0, 0.0)
+    low: np.ndarray,
+    high: np.ndarray,
+    aspect: float = 1.6,
+    corner: tuple[float, float] = (0.0, 0.0),
+    direction: tuple[float, float] = DIRECTION,
 ) -> CameraPose:
     """Return the pose from which a box fills the picture.
 
@@ -70,8 +76,11 @@ def fit_box(
         high: Its largest x, y and z [m] (3,).
         aspect: Width of the picture over its height.
         corner: Shares of the picture's width and height, at the upper left, that the box leaves free.
+        direction: Direction of the viewpoint from the box: azimuth and elevation [rad].
     """
-    framing = _Framing(np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T, aspect)
+    framing = _Framing(
+        np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T, aspect, direction
+    )
     target, distance = framing.fitted()
     if any(corner):
         target, distance = framing.beside(corner, target, distance)
@@ -79,15 +88,16 @@ def fit_box(
 
 
 class _Framing:
-    """Corners of a box (8, 3) [m] in a picture of some aspect, seen in the first viewpoint's direction."""
+    """Corners of a box (8, 3) [m] in a picture of some aspect, seen from a direction."""
 
-    def __init__(self, corners: np.ndarray, aspect: float) -> None:
+    def __init__(self, corners: np.ndarray, aspect: float, direction: tuple[float, float]) -> None:
         self._corners = corners
+        azimuth, elevation = direction
         self.ahead = -np.array(
             [
-                math.cos(ELEVATION) * math.cos(AZIMUTH),
-                math.cos(ELEVATION) * math.sin(AZIMUTH),
-                math.sin(ELEVATION),
+                math.cos(elevation) * math.cos(azimuth),
+                math.cos(elevation) * math.sin(azimuth),
+                math.sin(elevation),
             ]
         )
         right = np.cross(self.ahead, UP)

@@ -9,7 +9,7 @@ import viser
 from usarmjx.sensors.sketch import OverlayLines
 from usarmjx.view.drawing import Drawing, Frame
 from usarmjx.view.layers.base import robot_colors
-from usarmjx.view.layers.nodes import UPRIGHT, InstanceNode, LineNode, NodeLayer, PointNode
+from usarmjx.view.layers.nodes import TEXT_SCALE, UPRIGHT, InstanceNode, LineNode, NodeLayer, PointNode
 
 CELL = 1.2
 """Side of a cell of the grid: the side of an element that USARSim's arenas are built of [m]."""
@@ -23,8 +23,6 @@ TAG_RADIUS, TAG_HEIGHT, TAG_SIDES = 0.09, 0.02, 20
 TAG_RGB, DROPPED_RGB = (255, 196, 0), (255, 110, 0)
 TAG_TEXT_HEIGHT = 0.22
 """Height of the numbers above tags [m]."""
-TEXT_SCALE = 0.9
-"""Size of names and numbers on the screen, the same at any distance; 1 is the page's text."""
 HIT_SIZE, TRAIL_SIZE = 0.02, 0.035
 """Radii of the points of victim sensors and of trails [m]."""
 NO_SKETCHES = np.zeros((0, 2, 3)), np.zeros((0, 3), np.uint8), np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
@@ -100,8 +98,8 @@ class TagLayer(NodeLayer):
     shown_at_first = True
 
     def draw(self, drawing: Drawing) -> None:
-        """Draw the arena's tags."""
-        for number, tag in enumerate(drawing.tags):
+        """Draw the arena's tags; their numbers would hide a world among others."""
+        for number, tag in enumerate(drawing.tags if self.alone else ()):
             self.scene.add_label(
                 f"{self.root}/number{number}",
                 str(tag.number),

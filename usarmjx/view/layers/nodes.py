@@ -12,6 +12,8 @@ import viser
 from usarmjx.view.drawing import Drawing
 from usarmjx.view.layers.base import Layer
 
+TEXT_SCALE = 0.9
+"""Size of texts on the screen, the same at any distance; 1 is the page's text."""
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
 """The quaternion of no rotation, w first."""
 

@@ -8,8 +8,7 @@ from usarmjx.base.rotations import mat_from_quat
 from usarmjx.comms.links import MIN_ANTENNA_HEIGHT
 from usarmjx.view.drawing import Drawing, Frame
 from usarmjx.view.layers.base import scale_colors
-from usarmjx.view.layers.marks import TEXT_SCALE
-from usarmjx.view.layers.nodes import LineNode, NodeLayer
+from usarmjx.view.layers.nodes import TEXT_SCALE, LineNode, NodeLayer
 
 GAP_SHARE, GAP_SPACING = 0.025, 0.05
 """Length of the gap for a wall, and distance of two gaps' middles, as shares of the link."""
