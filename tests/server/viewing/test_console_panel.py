@@ -53,6 +53,8 @@ def test_who_has_the_controls_edits_robots_and_the_others_may_look(world):
             lock.allowed = False
             assert f"editactor: {NOT_ALLOWED}".replace("'", "&#x27;") in answer(page, visitor, line)
             lock.allowed = True
+            visitor.look((0.0, 0.0, 5.0), 1.6)
+            until(page, lambda: page.viewers[client].client.camera.position[2] == 5.0)
             told = answer(page, visitor, "showdebug")
             # It looks down from 5 m above the origin; on the wire z points down.
             assert "camera: {Location 0.00,0.00,-5.00}" in told.replace("-0.00", "0.00")
