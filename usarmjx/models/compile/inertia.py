@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
+from usarmjx.base.errors import SpecError
 from usarmjx.base.transforms import flip_vector
 from usarmjx.models.compile.geoms import add_geom
 from usarmjx.models.types.robot import BodyInertia
@@ -72,9 +73,14 @@ def set_inertia(body: mujoco.MjsBody, stated: Inertia, shapes: Sequence[Shape]) 
         body: The body.
         stated: Its inertia.
         shapes: Its solids, MuJoCo's axes.
+
+    Raises:
+        SpecError: It is not finite, as that of masses too far apart.
     """
     heavy = [shape for shape in shapes if shape.mass > 0]
     whole = combine_inertias([stated, *([_inertia_of_solids(heavy)] if heavy else [])])
+    if not np.isfinite(whole.tensor).all():
+        raise SpecError(f"the inertia of {body.name} is not finite: masses and distances are too large")
     moments, axes = np.linalg.eigh(whole.tensor)
     # eigh may return a left-handed frame, which is no rotation.
     axes[:, 2] *= np.sign(np.linalg.det(axes))
