@@ -214,7 +214,7 @@ def test_unknown_sensor_types_and_settings_are_refused_when_the_suite_is_made():
         return suite_of(replace(P2AT, name="Odd", sensors=(mount,)))
 
     with pytest.raises(
-        UnknownNameError, match=r"unknown sensor 'Nose'; known: AltitudeSensor, Battery, CO2Sensor, Enc"
+        UnknownNameError, match=r"unknown sensor 'Nose'; known: AHRS, AltitudeSensor, Battery, CO2Sensor, Enc"
     ):
         with_mount(Mount(kind="Nose", name="N"))
     with pytest.raises(UnknownNameError, match="INS I: InsSettings has no setting 'MaxRange'"):

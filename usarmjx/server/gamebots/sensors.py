@@ -249,6 +249,7 @@ CONFIGURATION: dict[str, tuple[tuple[str, str], ...]] = {
     "GroundTruth": (("ScanInterval", "scan_interval"),),
     "Encoder": (("Resolution", "resolution"),),
     "Tachometer": (("ScanInterval", "scan_interval"),),
+    "AHRS": (("ScanInterval", "scan_interval"),),
     "Touch": (("Diameter", "diameter"),),
     **victims.CONFIGURATION,
 }
