@@ -328,6 +328,7 @@ MOTOR = '<motor name="{}" joint="j" ctrlrange="-1 1"/>'
             "robot.xml:1: body 'p' has the joint j, which is of kind ball; parts have hinges and slides",
         ),
         (free('<joint name="root"/>'), "called root: rename"),
+        (free('<joint name="j" axis="1e308 0 0"/>'), "robot.xml:1: joint 'j' has no axis"),
         (
             free("<joint/>").replace(' name="p"', ""),
             "robot.xml:1: a joint of body number 2 has no name",
@@ -344,6 +345,13 @@ MOTOR = '<motor name="{}" joint="j" ctrlrange="-1 1"/>'
 def test_what_a_robot_cannot_have_is_refused_by_name(write, text, says):
     with pytest.raises(SpecError, match=says):
         robot_from_mjcf(write(text), name="Bad", drive=NoDrive())
+
+
+def test_a_name_that_is_no_text_is_refused(tmp_path):
+    text = free(J).replace('name="p"', 'name="p%"')
+    (tmp_path / "robot.xml").write_bytes(text.encode().replace(b"%", b"\xe9"))
+    with pytest.raises(SpecError, match="does not read: a name in it is no UTF-8"):
+        robot_from_mjcf(tmp_path / "robot.xml", name="Bad", drive=NoDrive())
 
 
 TENDON = (

@@ -102,3 +102,9 @@ def test_a_file_without_a_robot_is_refused_by_name(tmp_path):
 def test_a_robot_alone_is_no_arena(tmp_path):
     with pytest.raises(ArenaFileError, match="nothing stands in it but the robot 'cart': load it as a robot"):
         read_arena(write(tmp_path / "cart.sdf", ROBOT))
+
+
+def test_a_mistake_in_a_sensor_is_named_with_its_line(tmp_path):
+    text = ROBOT.replace("<pose>0.2 0 0.1 0 0 0</pose>", "<pose>0.2 x</pose>")
+    with pytest.raises(ArenaFileError, match=r"cart\.sdf:5: <pose> "):
+        load_robot(write(tmp_path / "cart.sdf", text))

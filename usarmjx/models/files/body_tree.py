@@ -25,6 +25,8 @@ from usarmjx.models.types.shapes import Shape
 
 NO_STIFFNESS = 1e-9
 """Stiffness of a joint that has a damper alone: our springs need some [N m/rad]."""
+AXIS_TOLERANCE = 1e-6
+"""Largest difference of an axis' length from 1: MuJoCo makes nothing of one that is infinite."""
 UNBOUNDED_TURN = 4 * np.pi
 """Range of a hinge from which on it is taken for a wheel's [rad]."""
 MASSLESS = BodyInertia(mass=1e-9, at=(0.0, 0.0, 0.0), moments=(1e-12, 1e-12, 1e-12, 0.0, 0.0, 0.0))
@@ -92,6 +94,8 @@ class BodyTree:
             return
         # MuJoCo turns a body about its first joint first: it holds the second one, and so on.
         for joint in joints:
+            if not abs(float(np.linalg.norm(model.jnt_axis[joint])) - 1) < AXIS_TOLERANCE:
+                raise SpecError(f"{self._place(joint)}: joint {model.joint(joint).name!r} has no axis")
             anchor = Pose(model.jnt_pos[joint], np.eye(3))
             part = body if joint == joints[-1] else model.nbody + joint
             self._joint[part] = joint

@@ -241,7 +241,12 @@ class _Builder:
             sources=(("all", "file"),),
         )
         robot = replace(robot, **self._mounts(drive))
-        robot = with_measurements(robot)
+        try:
+            robot = with_measurements(robot)
+        except SpecError:
+            raise
+        except ValueError as error:
+            raise SpecError(f"{source.path}: makes no robot: {quoted(error)}") from error
         if wheels and not flies:
             robot = _with_casters(robot, source)
         if flies:

@@ -37,6 +37,14 @@ def read_mjcf_robot(path: Path) -> RobotSource:
     check_model_size(path)
     if wrong := try_model(path):
         raise SpecError(f"{path}: does not read: {wrong}")
+    try:
+        return _source(path)
+    except UnicodeDecodeError as error:
+        raise SpecError(f"{path}: does not read: a name in it is no UTF-8 ({error.reason})") from error
+
+
+def _source(path: Path) -> RobotSource:
+    """Return the content of a file that MuJoCo reads."""
     spec = mujoco.MjSpec.from_file(str(path))
     drop_sizes(spec)
     root = spec.worldbody.first_body()

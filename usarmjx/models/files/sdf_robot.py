@@ -100,7 +100,7 @@ class _UrdfWriter:
         root = _element("robot", self._model.element, name=self._model.name)
         for path, link in self._links.items():
             root.append(self._link(path, link))
-            root.extend(self._gazebo(path, link))
+            root.extend([*self._gazebo(path, link)])  # ElementTree hides what a generator raises
         for joint in self._joints:
             root.append(self._joint(joint))
         for model in all_models(self._model):
