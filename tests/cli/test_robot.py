@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import pytest
 from typer.testing import CliRunner
 
 from tests.models.files.test_robot_files import BASE, WHEEL, hinge
@@ -38,3 +39,23 @@ def test_a_robot_that_stands_has_no_faults_and_one_that_tips_has_one(tmp_path):
     found = check(path)
     assert found.exit_code == 1
     assert "fault        it moves by" in found.stdout
+
+
+def test_a_policy_drives_a_robot_from_a_file(tmp_path):
+    words = ["play", "--baseline", "drive-to-goal", "--robot", str(CASES / "mesh_wheels.urdf")]
+    result = CliRunner().invoke(app, [*words, "--seconds", "0.4", "--out", str(tmp_path / "play.png")])
+    assert result.exit_code == 0, result.output
+    assert "drive-to-goal: 0.4 s, score" in result.output
+    assert (tmp_path / "play.png").stat().st_size > 1000
+
+
+@pytest.mark.thorough
+def test_a_sweep_plays_a_robot_from_a_file(tmp_path):
+    """It reaches its goal in both episodes, as the task's own robot does."""
+    file = tmp_path / "s.yaml"
+    file.write_text("common: {task: drive-to-goal, episodes: 2, policy: baseline}\n")
+    words = ["sweep", str(file), "--robot", str(CASES / "mesh_wheels.urdf"), "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(app, [*words, "--engine", "c"])
+    assert result.exit_code == 0, result.output
+    assert "1 of 1 cells, 0 failed" in result.output
+    assert "| 1 (0.342 to 1) Wilson |" in result.output
