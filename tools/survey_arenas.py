@@ -190,7 +190,7 @@ def page(rows: Sequence[Row]) -> str:
         "",
         "Arenas that others made for Gazebo after NIST's test methods are not among them: no package in the",
         "lists of PyPI, npm, NuGet and Maven that were searched for USARSim, RoboCup, rescue robots, step",
-        "fields and NIST's arenas ships one. Such worlds are SDF with COLLADA meshes; other worlds of that form",
+        "fields and NIST's arenas ships one. Such worlds are SDF with COLLADA meshes; others of that form",
         "are read here. The arenas `yellow_2025`, `orange_2025` and `red_2025` have the elements of NIST's.",
         "",
         "| package | arena | solids | loose | size [m] | starts | left out | P2AT drives |",
