@@ -169,6 +169,8 @@ def show(
 ) -> None:
     """Report the results of a sweep, finished or not."""
     with ErrorExit():
+        announce(f"reading {folder} ...", engines=[])
+        _check_files(figure, table, episodes)
         from usarmjx.sweeps.store import read_sweep
 
         _tell(read_sweep(folder), figure, table, episodes)
@@ -181,6 +183,7 @@ def compare(
 ) -> None:
     """List the differences of the cells that two sweeps have in common."""
     with ErrorExit():
+        announce(f"reading {first} and {second} ...", engines=[])
         from usarmjx.sweeps.report import compare as compared
         from usarmjx.sweeps.store import read_sweep
 
@@ -191,6 +194,7 @@ def compare(
 def report(folder: FolderArgument) -> None:
     """Write a page that works without a network and LaTeX tables into the folder: report.html, report.tex."""
     with ErrorExit():
+        announce(f"reading {folder} ...", engines=[])
         from usarmjx.sweeps.page import write_report
         from usarmjx.sweeps.store import read_sweep
 
