@@ -84,7 +84,7 @@ VERBS = {
         ],
     ),
     "try": Verb(
-        "what a stranger does, in empty environments: the wheel, the demo, extras, first page (see --help)",
+        "the steps of a stranger, in empty environments: the wheel, the demo, extras, first page (see --help)",
         module("tools.trial"),
         extras=None,
     ),
