@@ -84,7 +84,7 @@ VERBS = {
         ],
     ),
     "try": Verb(
-        "the steps of a stranger, in empty environments: the wheel, the demo, extras, first page (see --help)",
+        "a stranger's steps, in empty environments: the wheel, the demo, extras, first page (see --help)",
         module("tools.trial"),
         extras=None,
     ),
