@@ -258,6 +258,8 @@ def test_a_robot_inside_the_floor_is_raised_and_that_is_logged(house, caplog):
     [
         ("INIT {ClassName P2AT} {Location 1e6,0,0}", "out of reach"),
         ("INIT {ClassName P2AT} {Location nan,0,0}", "not a finite number"),
+        ("INIT {ClassName P2AT} {Location 4,5 1,9 1,8}", "expected numbers"),
+        ("INIT {ClassName P2AT} {Location 4,5,1,9,1,8}", "has 6 numbers, expected 3"),
         ("INIT {ClassName P2AT} {Start Nowhere}", "no start pose"),
         ("INIT {ClassName USARBot.Dalek} {Name R1}", "P2AT"),
         ("INIT {Name R1}", "without a ClassName"),
@@ -285,6 +287,14 @@ def test_commands_before_init_do_nothing(house):
         "SET {Type INS} {Name INS} {Opcode POSE}",
     ):
         assert house.say(client, line) == []
+
+
+def test_a_drive_with_decimal_commas_moves_nobody_and_is_logged(house, robot, caplog):
+    house.say(robot, "DRIVE {Left 2,5} {Right 2,5}")
+    assert "'2,5'; expected a number" in caplog.text
+    before = house.world.state(robot.robot).pos[:2]
+    house.run(50)
+    assert house.world.state(robot.robot).pos[:2] == pytest.approx(before, abs=1e-3)
 
 
 def test_a_second_init_is_ignored(house, robot):

@@ -1,6 +1,8 @@
 """What other libraries hand over and expect: keywords, pictures, faults, critics' state, processes."""
 
 import os
+import subprocess
+import sys
 
 import jax.numpy as jnp
 import numpy as np
@@ -49,6 +51,28 @@ def test_a_fault_is_truncated_not_terminated_in_gymnasium():
     assert truncated[bad].all()
     np.testing.assert_array_equal(infos["fault"], bad)
     np.testing.assert_array_equal(infos["_fault"], bad)
+
+
+def test_physics_that_is_not_finite_is_truncated_in_its_own_world_only():
+    import mujoco
+
+    import usarmjx
+
+    env = usarmjx.make("drive-to-goal", worlds=4, episode_steps=12, **TINY)
+    worlds, ahead = VectorWorlds(env), np.full((4, 2), 0.4, np.float32)
+    worlds.reset(seed=0)
+    worlds.step(ahead)
+    state = worlds._state
+    numbers = state.batch.physics.integration.copy()
+    numbers[1, env.batch.engine._parts[mujoco.mjtState.mjSTATE_QVEL].start] = np.nan
+    broken = state.batch.replace(physics=state.batch.physics._replace(integration=numbers))
+    worlds._state = state.replace(batch=broken)
+    _, reward, terminated, truncated, infos = worlds.step(ahead)
+    only = [False, True, False, False]
+    assert infos["bad"].tolist() == infos["fault"].tolist() == truncated.tolist() == only
+    assert not terminated.any()
+    assert reward[1] == 0
+    assert (reward[[0, 2, 3]] != 0).all()
 
 
 def test_a_fault_is_truncated_in_a_single_world_and_in_pettingzoo():
@@ -149,3 +173,23 @@ def test_a_fork_of_a_process_with_jax_is_refused_instead_of_hanging():
             os._exit(3)
         os._exit(1)
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+
+
+FORKED = f"""
+import gymnasium
+
+def make():
+    return gymnasium.make({ID!r}, episode_steps=5, **{TINY!r})
+
+gymnasium.vector.AsyncVectorEnv([make, make], context="fork")
+"""
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_an_async_vector_of_forks_ends_with_the_way_out_instead_of_hanging():
+    """The library makes a world in the parent to learn the spaces, which starts JAX, and forks then."""
+    run = subprocess.run([sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=300)
+    assert run.returncode != 0
+    assert "UsageError" in run.stderr
+    assert "AsyncVectorEnv(..., context='spawn')" in run.stderr

@@ -85,6 +85,11 @@ def begun(env):
     return env, env.step(env.reset(), told), told
 
 
+def test_seeds_that_share_their_low_word_begin_other_episodes(env):
+    starts = [np.array(env.reset(seed).obs[0]) for seed in (0, 2**32, 1, 2**32 + 1)]
+    assert len({start.tobytes() for start in starts}) == 4
+
+
 def run(env, state, told, steps):
     for _ in range(steps):
         state = env.step(state, told)
