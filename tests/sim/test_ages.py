@@ -82,8 +82,10 @@ def test_served_sensors_read_the_same_bits_at_any_age():
 
 
 @pytest.mark.every_run("c")
-@pytest.mark.parametrize("engine", ["c", "planar"])
+@pytest.mark.parametrize("engine", ["c", "planar", "jax", "warp"])
 def test_batched_sensors_read_the_same_bits_at_any_age(engine):
+    if engine == "warp":
+        pytest.importorskip("warp", reason="needs warp-lang")
     kinds = ("IMU", "INS", "Odometry", "Encoder", "GroundTruth", "Sonar", "Battery")
     mine = robot(kinds)
     override_response(mine, find_response(P2DX))  # what it weighs more is no matter here
