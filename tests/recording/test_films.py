@@ -146,6 +146,18 @@ def test_mp4_files_play_thirty_pictures_a_second_behind_a_robot(mission, tmp_pat
     assert len([*pictures]) == 9
 
 
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+def test_a_picture_file_gets_the_first_picture(mission, tmp_path, suffix):
+    path = tmp_path / f"out.{suffix}"
+    result = run(mission[0], "--out", path, "--size", "160x100", "--from", "0.4")
+    assert result.exit_code == 0, result.output
+    assert "1 picture," in result.output
+    wanted = Shots(RecordingSource(Recording(mission[0])), 0, FilmPlan(size=SIZE)).picture(0.4).astype(int)
+    with Image.open(path) as picture:
+        apart = np.abs(np.array(picture).astype(int) - wanted)
+    assert apart.max() == 0 if suffix == "png" else apart.mean() < 4.0
+
+
 def test_speed_and_span_choose_the_times():
     times = picture_times(FilmPlan(span=(1.0, 9.0), speed=2.0, rate=10.0), 0.0, 5.0)
     assert np.allclose(times, 1.0 + 0.2 * np.arange(20))
@@ -159,7 +171,7 @@ def test_the_line_has_time_and_score(still):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--out", "x.avi"), "x.avi: films end in .mp4, .gif"),
+        (("--out", "x.avi"), "x.avi: films end in .mp4, .gif, .png, .jpg"),
         (("--out", "x.gif", "--size", "wide"), "expected WIDTHxHEIGHT"),
         (("--out", "x.gif", "--size", "10x10"), "64 to 4096 pixels"),
         (("--out", "x.gif", "--follow", "Third"), "no robot 'Third' in that time; there are: First, Second"),

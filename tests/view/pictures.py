@@ -31,7 +31,7 @@ from usarmjx.train.make import make
 from usarmjx.view.page import ViewerPage
 
 SIZE, FILM_SIZE = (960, 600), (800, 450)
-FILM_SPAN, FILM_SPEED, FILM_RATE = (1.0, 26.0), 2.5, 8.0
+FILM_SPAN, FILM_SPEED, FILM_RATE = (1.0, 15.0), 3.0, 6.0
 DRAWN = 6.0
 """A processor has drawn a page after so long [s]."""
 MANY = 40
@@ -40,7 +40,7 @@ SLOW = 900.0
 COUNT = "window.drawn = 0; (f => f(f))(f => { window.drawn++; requestAnimationFrame(() => f(f)); })"
 TIDY = (
     "document.querySelectorAll('.mantine-Notification-root').forEach(e => e.remove());"
-    "document.querySelectorAll('.mantine-Paper-root,#usarmjx-head').forEach(e => e.style.display = 'none')"
+    "document.querySelectorAll('.mantine-Paper-root').forEach(e => e.style.display = 'none')"
 )
 PICTURES = {
     "yellow": (("P2AT", "P2DX", "Zerg", "Kenaf"), {}),
@@ -80,7 +80,7 @@ def advance(worlds, seconds):
 
 
 class Studio:
-    """A page of worlds in a browser's window without its panels.
+    """A page of worlds in a browser's window, with the scoreboard and without the controls.
 
     Args:
         browser: The browser.
@@ -90,7 +90,7 @@ class Studio:
 
     def __init__(self, browser, worlds, size):
         self.worlds = worlds
-        self.page = ViewerPage(ServedSource(worlds), title="usarmjx")
+        self.page = ViewerPage(ServedSource(worlds), title=worlds[0].arena.name)
         self.page.server.gui.main_panel.minimize()
         self._window = browser.open(f"http://127.0.0.1:{self.page.server.get_port()}/")
         self._window.patience = SLOW

@@ -17,7 +17,12 @@ REPORT_PERIOD = 20.0
 
 def film(
     file: FileArgument,
-    out: Annotated[Path, typer.Option(help="Film to write, .mp4 or .gif; .mp4 needs the extra `film`.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="Film to write, .mp4 (needs the extra `film`) or .gif; .png, .jpg: its first picture."
+        ),
+    ],
     size: Annotated[str, typer.Option(help="Width and height in pixels.")] = "1280x720",
     follow: Annotated[
         str | None,
@@ -64,4 +69,4 @@ def film(
                 say(f"picture {done} of {of}, about {left:.0f} s left")
 
         count = save_film(recording, out, plan, tell)
-        typer.echo(f"wrote {out}, {count} pictures, {out.stat().st_size / 1e6:.1f} MB")
+        typer.echo(f"wrote {out}, {count} picture{'s' * (count != 1)}, {out.stat().st_size / 1e6:.1f} MB")

@@ -1,8 +1,9 @@
-"""Files of films: MP4 by the ffmpeg of the extra `film`, or one in PATH, and GIF by Pillow."""
+"""Files of films: MP4 by the ffmpeg of the extra `film`, or one in PATH; GIF and pictures by Pillow."""
 
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,9 @@ from PIL import Image
 from usarmjx.base.errors import MissingExtraError, UsageError
 from usarmjx.base.installation import install_command
 
-SUFFIXES = (".mp4", ".gif")
-"""Suffixes of films."""
+SUFFIXES = (".mp4", ".gif", ".png", ".jpg")
+"""Suffixes of films, and of their first picture alone."""
+JPEG_QUALITY = 88
 QUALITY = "19"
 """Constant rate factor of H.264: lower is better; 18 hardly differs from the pictures."""
 GIF_COLOURS, PALETTE_PICTURES = 255, 12
@@ -93,6 +95,13 @@ def write_gif(pictures: Iterator[np.ndarray], path: Path, rate: float) -> int:
     return len(small)
 
 
+def write_first(pictures: Iterator[np.ndarray], path: Path, rate: float, kind: str) -> int:
+    """Write the first of pictures (height, width, 3) uint8 in a format of Pillow; return 1."""
+    del rate
+    Image.fromarray(next(pictures)).save(path, format=kind, quality=JPEG_QUALITY)
+    return 1
+
+
 def _palette(frames: list[Image.Image]) -> Image.Image:
     """Return a picture with the palette of some of the pictures, spread over the film."""
     chosen: list[float] = np.linspace(0, len(frames) - 1, PALETTE_PICTURES).tolist()
@@ -109,5 +118,10 @@ def _all(first: np.ndarray, others: Iterator[np.ndarray]) -> Iterator[np.ndarray
     yield from others
 
 
-WRITERS = {".mp4": write_mp4, ".gif": write_gif}
+WRITERS: dict[str, Callable[[Iterator[np.ndarray], Path, float], int]] = {
+    ".mp4": write_mp4,
+    ".gif": write_gif,
+    ".png": partial(write_first, kind="PNG"),
+    ".jpg": partial(write_first, kind="JPEG"),
+}
 """Writers of films, by the suffixes of files."""

@@ -71,7 +71,7 @@ def save_film(
 
     Args:
         recording: The recording.
-        path: File to write, .mp4 or .gif.
+        path: File to write, .mp4 or .gif; .png and .jpg get the first picture.
         plan: What it shows.
         tell: Takes the number of finished pictures and that of all.
 
