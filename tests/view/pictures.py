@@ -30,7 +30,7 @@ from usarmjx.train.baselines import BASELINES
 from usarmjx.train.make import make
 from usarmjx.view.page import ViewerPage
 
-SIZE, FILM_SIZE = (960, 600), (800, 450)
+SIZE, FILM_SIZE = (1280, 720), (800, 450)
 FILM_SPAN, FILM_SPEED, FILM_RATE = (1.0, 15.0), 3.0, 6.0
 DRAWN = 6.0
 """A processor has drawn a page after so long [s]."""
@@ -38,10 +38,7 @@ MANY = 40
 SLOW = 900.0
 """So long a picture may take on a busy machine [s]."""
 COUNT = "window.drawn = 0; (f => f(f))(f => { window.drawn++; requestAnimationFrame(() => f(f)); })"
-TIDY = (
-    "document.querySelectorAll('.mantine-Notification-root').forEach(e => e.remove());"
-    "document.querySelectorAll('.mantine-Paper-root').forEach(e => e.style.display = 'none')"
-)
+TIDY = "document.querySelectorAll('.mantine-Notification-root').forEach(e => e.remove())"
 PICTURES = {
     "yellow": (("P2AT", "P2DX", "Zerg", "Kenaf"), {}),
     "orange": (("P2AT", "Talon", "Zerg", "Lisa"), {}),
@@ -80,7 +77,7 @@ def advance(worlds, seconds):
 
 
 class Studio:
-    """A page of worlds in a browser's window, with the scoreboard and without the controls.
+    """A page of worlds in a browser's window.
 
     Args:
         browser: The browser.
@@ -91,7 +88,6 @@ class Studio:
     def __init__(self, browser, worlds, size):
         self.worlds = worlds
         self.page = ViewerPage(ServedSource(worlds), title=worlds[0].arena.name)
-        self.page.server.gui.main_panel.minimize()
         self._window = browser.open(f"http://127.0.0.1:{self.page.server.get_port()}/")
         self._window.patience = SLOW
         metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}

@@ -101,6 +101,23 @@ def test_it_loads_and_asks_nobody_else(show, me):
     assert me.errors == []
 
 
+def test_the_loading_state_goes_when_the_world_is_drawn_at_full_strength(me):
+    me.wait("!document.querySelector('#usarmjx-loading')")
+    solids = "let n = 0; __viserMutable.scene.traverse(o => { if (o.isInstancedMesh2) n++; }); return n;"
+    assert me.js(f"(() => {{ {solids} }})()") > 0
+    assert me.js("getComputedStyle(document.querySelector('#root canvas')).opacity") == "1"
+    assert me.js("document.title").startswith("usarmjx \u00b7 ")
+    assert "Dev Settings" not in me.text()
+
+
+def test_the_scoreboard_shows_nothing_old_while_the_panel_is_folded_away(show, me):
+    me.wait("document.querySelector('#usarmjx-head')?.hidden === false")
+    show.page.server.gui.main_panel.minimize()
+    me.wait("document.querySelector('#usarmjx-head').hidden")
+    show.page.server.gui.main_panel.expand()
+    me.wait("!document.querySelector('#usarmjx-head').hidden")
+
+
 def test_another_world_is_shown(show, me):
     me.choose("World", "world 1")
     wait_until(lambda: show.page.world == 1)

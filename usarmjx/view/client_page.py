@@ -111,6 +111,7 @@ SCRIPT = """
  new MutationObserver(() => {
   const board = document.querySelector('.usarmjx-board');
   if (board) show(board);
+  if (head) head.hidden = !board;  // a panel that is folded away has none, so nothing old stays
   if (phone && !shut && board) {
    const sheet = document.querySelector('[style*="max-height: 60%"] [style*="cursor: pointer"]');
    if (sheet) { shut = true; sheet.click(); }
