@@ -197,6 +197,8 @@ class _Builder:
     ) -> None:
         self._source, self._given, self._max_speed = source, motors, max_speed
         self._drive = drive
+        if not source.root:
+            raise SpecError(f"{source.path}: its first link has no name")
         try:
             self._model = source.spec.compile()
         except ValueError as error:
