@@ -88,7 +88,7 @@ def test_a_file_that_does_not_read_is_one_line(tmp_path):
         ({"vary.friction": [1.5, 0.5]}, "friction is"),
         ({"vary.radio_cutoff": 3, "radio.cutoff": 4}, "radio.cutoff and vary.radio_cutoff are both given"),
         ({"roster": {"P2AT": 2, "Zerg": 1}}, "takes robots of one class"),
-        ({"roster": {"P2AT": 0}}, "expected classes and how many"),
+        ({"roster": {"P2AT": 0}}, "expected classes and their numbers"),
         ({"task": "victim-search", "vary.latency": [0, 5]}, "latency does not go with ComStation"),
         ({"fields.velocity": 3}, "has no setting 'velocity'; it has"),
         ({"fields.price": "dear"}, "fields: price is 'dear', expected a number"),
