@@ -389,7 +389,7 @@ class VectorWorlds(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return np.array(self._state.privileged)
 
     def _action_space(self, widths: list[int]) -> "spaces.Space[Any]":
-        """Return the actions of an environment with so many robots of each group."""
+        """Return the action space of an environment; `widths` are its numbers of robots of each group."""
         if self._grids is None:
             size = sum(n * group.action_size for n, group in zip(widths, self.env.groups, strict=True))
             return spaces.Box(-1.0, 1.0, (size,), np.float32)

@@ -580,8 +580,8 @@ class Env:
     def restart(self, state: EnvState, where: Array) -> EnvState:
         """Begin the next episode in some worlds, in the middle of the present one, too.
 
-        What the last step evaluated (`reward`, `done`, `final_obs` and others) stays. Episodes that are cut
-        short have no `final_score`.
+        Results of the last step (`reward`, `done`, `final_obs` and others) stay. Episodes that are cut short
+        have no `final_score`.
 
         Args:
             state: The environment's state.
