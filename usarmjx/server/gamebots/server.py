@@ -302,6 +302,8 @@ class BotServer:
         try:
             connection.flush()
             await self._listen(connection)
+        except ConnectionResetError as error:  # as when a client closes before it has read all
+            log.info("%s: %s", peer, error)
         except (ConnectionError, PeerError) as error:
             self._fault_log.warning("%s: %s", peer, error)
         except asyncio.CancelledError:
