@@ -8,14 +8,13 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from mujoco import mjx
-from mujoco.mjx._src import collision_driver
 
 from usarmjx.base import process
 from usarmjx.base.arrays import Array
 from usarmjx.base.rotations import mat_from_quat
 from usarmjx.engines import cylinder_box
 from usarmjx.engines.base import Engine, GeomPoses, Inputs, PhysicsState, SolvedStep
+from usarmjx.engines.mjx_import import collision_driver, mjx
 from usarmjx.models.compile.compose import split_long_boxes
 from usarmjx.models.compile.geoms import MovedGeoms
 from usarmjx.models.compile.physics import Physics

@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jax.custom_batching import custom_vmap
-from mujoco import mjx
 
 from usarmjx.base.arrays import Array
 from usarmjx.base.errors import EngineError
@@ -22,6 +21,7 @@ from usarmjx.base.registry import Registry
 from usarmjx.engines.base import Inputs, SolvedStep, StepArguments, StepOutcome
 from usarmjx.engines.cylinder_box import check_mjx_version
 from usarmjx.engines.mjx import MjxEngine, local_device
+from usarmjx.engines.mjx_import import mjx
 from usarmjx.models.compile.compose import LOOSE_PREFIX, VICTIM_PREFIX
 from usarmjx.models.compile.geoms import MovedGeoms
 from usarmjx.models.compile.physics import Physics
