@@ -135,7 +135,7 @@ def test_demo_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert account.clearance > 0.1
     # The sonars' view of the clearance agrees with the truth, within their noise and blind angles.
     assert log["min_clearance"] == pytest.approx(account.clearance, abs=0.15)
-    assert imread(tmp_path / "wander.png").shape[1] == 1320
+    assert imread(tmp_path / "wander.png").shape[1] == 1074
     shown = capsys.readouterr().out
     assert "nothing touched" in shown
     assert f"{account.distance:.2f} m" in shown
