@@ -1,6 +1,7 @@
 """Services that stock web clients of ROS call beside topics: rosapi, parameters, tf2_web_republisher."""
 
 import json
+import math
 from xml.etree.ElementTree import fromstring
 
 import numpy as np
@@ -100,8 +101,19 @@ def axes(transform):
     return np.array([transform["translation"][axis] for axis in "xyz"]), np.asarray(mat)
 
 
+def at_rest(ros):
+    """Wait until the robot, which begins above the floor, has settled to a millimetre."""
+    ros.say("subscribe", topic="/R1/GroundTruth", id="settling")
+    before, now = math.inf, 0.0
+    while abs(now - before) > 1e-3:
+        before = now
+        now = ros.hear("publish", topic="/R1/GroundTruth")["msg"]["pose"]["position"]["z"]
+    ros.say("unsubscribe", topic="/R1/GroundTruth", id="settling")
+
+
 def test_transforms_come_by_the_action_as_roslibs_tf_client_asks(ros):
     """roslib 1: a goal, then feedback of TransformStamped in the fixed frame."""
+    at_rest(ros)
     ros.say("subscribe", topic="/tf2_web_republisher/feedback", id="tf")
     goal = {"source_frames": ["R1/base_link", "/R1/base_footprint"], "target_frame": "map", "rate": 10.0}
     message = {"goal_id": {"stamp": {"secs": 0, "nsecs": 0}, "id": "goal_1"}, "goal": goal}
