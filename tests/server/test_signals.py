@@ -42,8 +42,13 @@ COMPILE = "hashlib.pbkdf2_hmac('sha256', b'', b'', 2**31 - 1)"
 
 def start(before="", within=""):
     """A process that serves a world, once it has said its first word."""
-    code = SERVING.format(before=before, within=within)
-    process = subprocess.Popen(
+    process = launch(SERVING.format(before=before, within=within))
+    return process, process.stdout.readline()
+
+
+def launch(code):
+    """A process that runs code."""
+    return subprocess.Popen(
         [sys.executable, "-c", code],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -56,7 +61,6 @@ def start(before="", within=""):
             "PYTHONUNBUFFERED": "",
         },
     )
-    return process, process.stdout.readline()
 
 
 def end(process, number):
@@ -145,3 +149,39 @@ def test_afterwards_signals_mean_what_they_did():
         assert all(signal.getsignal(number) == signals._interrupt for number in SIGNALS)
     assert [signal.getsignal(number) for number in SIGNALS] == before
     assert signal.set_wakeup_fd(-1) == -1
+
+
+TRAINING = """
+import hashlib, sys, time
+from usarmjx.cli.train import stop_request
+
+with stop_request() as stop:
+    {before}
+    stop.arm()
+    print("armed", flush=True)
+    end = time.monotonic() + 60.0
+    while not stop.requested and time.monotonic() < end:
+        time.sleep(0.01)
+    time.sleep(1.5)  # longer than a signal's grace while nothing is caught
+    print("checkpoint", stop.number, flush=True)
+"""
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_training_that_compiles_ends_at_once(number):
+    process = launch(TRAINING.format(before=f"print('compiling', flush=True); {COMPILE}"))
+    assert process.stdout.readline() == "compiling\n"
+    time.sleep(0.5)  # the work has begun
+    out, err, took = end(process, number)
+    said = f"usarmjx: stopped by {signal.Signals(number).name}\n"
+    assert (process.returncode, out, err) == (128 + number, "", said)
+    assert took < LIMIT
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_training_that_iterates_ends_with_its_checkpoint(number):
+    process = launch(TRAINING.format(before=""))
+    assert process.stdout.readline() == "armed\n"
+    out, err, _ = end(process, number)
+    assert (process.returncode, out) == (0, f"checkpoint {int(number)}\n")
+    assert "ending with a checkpoint" in err

@@ -1,6 +1,7 @@
 """`usarmjx train`, `usarmjx curves` and `usarmjx export`: policies, from tasks to files."""
 
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -44,7 +45,7 @@ from usarmjx.cli.setting_options import ConfigOption, PrintConfigOption, help_ta
 from usarmjx.cli.startup_messages import announce, say, tried_on
 from usarmjx.cli.task_options import field_texts, fields_over, task_text
 from usarmjx.cli.viewer_options import ViewerPortOption, ViewOption, viewer_server, viewer_socket
-from usarmjx.server.runtime.signals import PARENT_PIPE
+from usarmjx.server.runtime.signals import PARENT_PIPE, StopSignals
 
 if TYPE_CHECKING:
     from usarmjx.train.envs.env import Env
@@ -450,7 +451,6 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
         engines=[recorded_engine(options.out) if recorded else tried_on(engine)],
     )
     from usarmjx.train.learning.processes import distributed_run
-    from usarmjx.train.learning.stopping import StopRequest
 
     with (
         distributed_run() as process,
@@ -466,7 +466,7 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
             watchers.append(ClippedTraining(options.out, shown.clips, shown.wandb is not None))
         watchers.append(_RecordedFaults(options.out / "faults"))
         bar = not shown.quiet and not process.index
-        with StopRequest(say) as stop:
+        with stop_request() as stop:
             project = None if process.index else shown.wandb
             score, stopped = _train(task, options, watchers, project, bar, stop)
         if process.index == 0:
@@ -474,6 +474,19 @@ def _run_training(task: str, options: TrainOptions, shown: _Shown) -> None:
         if stopped:
             say(f"go on with: usarmjx train {task} --out {options.out} --resume")
             raise typer.Exit(128 + stop.number)
+
+
+@contextmanager
+def stop_request() -> "Generator[StopRequest]":
+    """Yield the request that signals make of a training; before its first iteration they end the process."""
+    from usarmjx.train.learning.stopping import StopRequest
+
+    with ExitStack() as early:
+        # Python's own handler waits for XLA, which may compile for minutes.
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            early.enter_context(StopSignals())
+        with StopRequest(say, early.close) as request:
+            yield request
 
 
 def config_text(task: str, options: TrainOptions) -> str:

@@ -16,13 +16,14 @@ class StopRequest:
 
     Args:
         say: Receives a line when the request is made.
+        on_arm: Called before the first signal is caught, as to end another handling of signals.
 
     Attributes:
         number: Number of the signal; 0 without a request.
     """
 
-    def __init__(self, say: Callable[[str], None]) -> None:
-        self._say = say
+    def __init__(self, say: Callable[[str], None], on_arm: Callable[[], None] | None = None) -> None:
+        self._say, self._on_arm = say, on_arm
         self._before: dict[int, object] = {}
         self.number = 0
 
@@ -40,6 +41,8 @@ class StopRequest:
         """Catch signals from now on, except those that are ignored, as under `nohup`."""
         if self._before or self.number or threading.current_thread() is not threading.main_thread():
             return
+        if self._on_arm is not None:
+            self._on_arm()
         for number in SIGNALS:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 self._before[number] = signal.signal(number, self._request)
